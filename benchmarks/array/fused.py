@@ -21,12 +21,10 @@ from imucalib.calibration.file import read as read_calibration
 from imucalib.calibration.file import write as write_calibration
 from imucalib.calibrators.array.board import read_board
 from imucalib.calibrators.array.calibrate import calibrate_array
-from imucalib.calibrators.array.fused.fuse import Fused
+from imucalib.calibrators.array.fused.fuse import Fused, Stretch
 from imucalib.calibrators.array.fused.instrument import instrument_of
 from imucalib.calibrators.array.fused.recording import Told, fused_stretch
-from imucalib.calibrators.array.fused.side_by_side import side_by_side
-from imucalib.calibrators.array.fused.stretch import Stretch
-from imucalib.calibrators.array.fused.survey import Survey, survey
+from imucalib.calibrators.array.fused.survey import Survey, side_by_side, survey
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.readers import read
 from imucalib.units import DEG

@@ -25,13 +25,11 @@ from fused import (
     moving,
 )
 
-from imucalib.calibrators.array.fused.clocks import ages
-from imucalib.calibrators.array.fused.fuse import Fused
+from imucalib.calibrators.array.fused.fuse import Fused, Stretch
 from imucalib.calibrators.array.fused.instrument import Instrument, no_biases
 from imucalib.calibrators.array.fused.noise import ChipNoise
 from imucalib.calibrators.array.fused.recording import Told, fused_stretch
-from imucalib.calibrators.array.fused.stretch import Stretch
-from imucalib.calibrators.array.fused.survey import Survey
+from imucalib.calibrators.array.fused.survey import Survey, ages
 
 CASES = {
     "Gaussian noise, one delay": (np.inf, False),

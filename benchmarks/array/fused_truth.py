@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.calibrators.array.fused.fuse import Stretch
 from imucalib.calibrators.array.fused.instrument import instrument_of
 from imucalib.calibrators.array.fused.recording import Told, fused_stretch
-from imucalib.calibrators.array.fused.stretch import Stretch
 from imucalib.calibrators.array.fused.survey import survey
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))

@@ -30,7 +30,7 @@ from fleet import NOISE, REQUEST, device
 from imucalib.calibrators.lab.files import LabFiles, calibrate_files
 from imucalib.cohort.fleet.device import Device, device_of
 from imucalib.cohort.fleet.pooled import outstanding
-from imucalib.loop.asked import searched
+from imucalib.loop.candidates import searched
 
 ALPHA, TRUTH, DOF = 0.04, "quadratic", 15.0
 

@@ -8,10 +8,8 @@ angles: a two-axis table set within 0.02 deg, rivals by the shape of the respons
 by hand, by the size of gravity alone (without cross_axis, which gravity alone does not tell from
 squares); warm: the second half of the table is warmer, so that a bias that follows it looks like a
 step. A device is calibrated; where its name has rivals the advised rests are made from the same
-truth and noise, appended, and all is searched again; `right first` after those that may do, `right`
-after all. It is one name and the true one, without
-rivals + with a form beside it that has no cause; then the same of twice as many rests that
-determine the base model best, and of random ones.
+truth and noise, appended, and all is searched again. Counted is how often one cause remains,
+the true one, against what was promised; then the same of twice as many random rests.
 """
 
 from __future__ import annotations
@@ -28,23 +26,27 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from separating import best_of, right, row, told_of
 
 from imucalib.calibration.calibration import from_fit
 from imucalib.calibrators.lab.calibrate import LabSettings, base_model
 from imucalib.calibrators.lab.errors import setting_noise
-from imucalib.calibrators.separate.candidates import Rests, pool_of, rests_of
-from imucalib.calibrators.separate.recorded import recorded_block, recorded_of
+from imucalib.calibrators.next_recording import (
+    Rests,
+    pool_of,
+    recorded_block,
+    recorded_of,
+    rests_of,
+)
 from imucalib.core.context import Context
 from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm, KnownVector
+from imucalib.effects import names_a_cause
 from imucalib.estimators.starting_point import full_matrix_start
-from imucalib.loop.asked import searched
-from imucalib.loop.found import FitLoop
+from imucalib.loop.candidates import searched
+from imucalib.loop.found import FitLoop, Step
 from imucalib.loop.posterior.closed import close_loop
-from imucalib.loop.separation.ambiguities import ambiguities
-from imucalib.loop.separation.plan import separation
+from imucalib.loop.separation import ambiguities, separation
 
 G = 9.80665
 MG = G / 1000.0
@@ -150,44 +152,58 @@ def calibration_of(fit: Fit):
                     facts={})  # fmt: skip
 
 
-def recorded(one: Device, kind: str, table: Table, rests: Rests, truth: str) -> str:
-    """Whether the name is right and alone once these rests are recorded too."""
+def recorded(one: Device, kind: str, table: Table, rests: Rests, truth: str) -> bool:
+    """Whether one cause remains, the right one, once these rests are recorded too."""
     n = rests.n
     warm = rests.levels.get("temperature", np.full(n, 25.0))
     run = 1.0 + (1.0 + np.arange(n)) / (COUNT - 1)
     i, t = np.degrees(rests.inclination), np.degrees(rests.tool_face)
     if kind == "norm":  # held by hand
         i, t = i + 3.0 * one.rng.standard_normal(n), t + 3.0 * one.rng.standard_normal(n)
-    return right(search(kind, table.with_(one.read(i, t, warm, run))), truth)
+    steps = search(kind, table.with_(one.read(i, t, warm, run))).steps
+    return [causes(step) for step in steps] == [{truth}]
 
 
-def trial(kind: str, truth: str, size: float, seed: int) -> dict[str, object] | None:
-    """None where the first table leaves no ambiguity with the truth in it."""
+def causes(step: Step) -> set[str]:
+    """Names of causes among an effect and its rivals."""
+    return set(filter(names_a_cause, (step.effect, *step.aliases)))
+
+
+@dataclass(frozen=True)
+class Trial:
+    """promised : probability that the plan's rests end it; planned, random : whether they did, and
+    twice as many random ones"""
+
+    rests: int
+    promised: float
+    planned: bool
+    random: bool
+
+
+def trial(kind: str, truth: str, size: float, seed: int) -> Trial | None:
+    """None where the first table leaves no ambiguity with the truth in it, or rests cannot end
+    it."""
     one = device(kind, truth, size, np.random.default_rng((seed, len(kind), len(truth))))
     table = first_table(kind, one)
     loop = search(kind, table)
     found = [a for a in ambiguities(loop) if truth in a.rivals]
-    if not found or len(loop.named) != 1:
+    if not found or len(loop.steps) != 1:
         return None
     fit = loop.as_recorded
     reading = fit.noise.factor * float(np.median(fit.observations.sigma))
-    block = recorded_of(recorded_block(fit, found, reading, setting_noise(fit)), "here")
-    rests = rests_of(block, found[0])
-    pool = pool_of(block, calibration_of(fit), found[0], rests)
-    rng = np.random.default_rng(seed)
-    made = separation(found[0], pool, rng)
-    n, told = len(made.plan), told_of(made, found[0], truth)
-    if not n:
-        return told
-    few = rests.take(np.array(made.plan[: told["first"]]))
-    told["right first"] = recorded(one, kind, table, few, truth)
-    told["right"] = recorded(one, kind, table, rests.take(np.array(made.plan)), truth)
-    for times in (2,):
-        plan = best_of(found[0], pool, times * n)
-        told[f"informative {times}"] = recorded(one, kind, table, rests.take(plan), truth)
-        some = rng.integers(0, rests.n, times * n)
-        told[f"random {times}"] = recorded(one, kind, table, rests.take(some), truth)
-    return told
+    block = recorded_block(fit, found, reading=reading, settings=setting_noise(fit))
+    kept = recorded_of(block, "here")
+    rests = rests_of(kept, found[0])
+    made = separation(found[0], pool_of(kept, calibration_of(fit), found[0], rests))
+    if truth not in made.ends:
+        return None
+    some = np.random.default_rng(seed).integers(0, rests.n, 2 * len(made.plan))
+    return Trial(
+        rests=len(made.plan),
+        promised=made.ends[truth],
+        planned=recorded(one, kind, table, rests.take(np.array(made.plan)), truth),
+        random=recorded(one, kind, table, rests.take(some), truth),
+    )
 
 
 TRUTHS = {"angles": ("quadratic", "asymmetry"), "norm": ("quadratic", "asymmetry"),
@@ -201,20 +217,20 @@ def main() -> None:
     parser.add_argument("--devices", type=int, default=40)
     parser.add_argument("--size", type=float, default=3.0)
     asked = parser.parse_args()
+    print("| what | truth | ambiguous | rests | promised | planned | random, twice as many |")
     for truth in TRUTHS[asked.what]:
-        told, clear = list[dict](), 0
-        for seed in range(asked.devices):
-            one = trial(asked.what, truth, asked.size, seed)
-            if one is None:
-                clear += 1
-                continue
-            told.append(one)
-            if os.environ.get("SHOW"):
-                print(one, flush=True)
-        if not told:
-            print(f"{truth}: none of {asked.devices} is ambiguous")
-            continue
-        print(row((asked.what, truth), asked.devices, told), flush=True)
+        every = [trial(asked.what, truth, asked.size, seed) for seed in range(asked.devices)]
+        told = [one for one in every if one is not None]
+        if told:
+            rests = np.median([one.rests for one in told])
+            rates = (
+                np.mean([vars(one)[k] for one in told]) for k in ("promised", "planned", "random")
+            )
+            cells = (asked.what, truth, f"{len(told)} of {asked.devices}", f"{rests:.0f}")
+            print(
+                "| " + " | ".join((*cells, *(f"{100.0 * r:.0f} %" for r in rates))) + " |",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

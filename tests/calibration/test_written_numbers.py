@@ -13,7 +13,6 @@ from imucalib.calibration.calibration import Calibration, StoredParameter, matri
 from imucalib.calibration.correction import Correction
 from imucalib.calibration.outcome import Left, Limit
 from imucalib.calibration.series import CalibrationPart, part_at
-from imucalib.calibration.undo import _NEAR, _STEP, _grid, _Table
 from imucalib.core.context import Context
 from imucalib.core.model import Model
 from imucalib.effects import named
@@ -113,23 +112,6 @@ def test_the_part_of_a_time_is_the_last_that_has_begun() -> None:
     parts = tuple(CalibrationPart(s, s + 10.0, None) for s in (5.0, 15.0, 25.0))  # type: ignore[arg-type]
     at = part_at(parts, np.array([0.0, 5.0, 14.9, 15.0, 99.0]))
     assert at.tolist() == [0, 0, 0, 1, 2]
-
-
-def test_a_table_is_the_straight_line_between_its_entries() -> None:
-    """In its fine middle, at its borders and in the coarse part; the last value beyond."""
-    grid = _grid()
-    assert np.diff(grid).min() == pytest.approx(_STEP)
-    assert grid[0] == -grid[-1]
-    table = _Table(grid, np.sin(grid))
-    at = np.concatenate([
-        np.linspace(-_NEAR, _NEAR, 1001), _NEAR + _STEP * np.linspace(-3.0, 30.0, 200),
-        -_NEAR - _STEP * np.linspace(-3.0, 30.0, 200), [-250.0, 250.0, 313.0],
-    ])  # fmt: skip
-    np.testing.assert_allclose(table(at), np.interp(at, grid, np.sin(grid)), atol=1e-12)
-    np.testing.assert_allclose(table(at[:5]), np.interp(at[:5], grid, np.sin(grid)), atol=1e-12)
-    low = np.array([-_NEAR - 0.7 * _STEP])
-    np.testing.assert_allclose(table(low), np.interp(low, grid, np.sin(grid)), atol=1e-12)
-    assert table(np.zeros(0)).size == 0
 
 
 def test_limits_and_what_is_left() -> None:

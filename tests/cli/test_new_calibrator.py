@@ -36,7 +36,7 @@ from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm
 from imucalib.core.sphere import even_directions
 from imucalib.effects import catalogue, named
-from imucalib.loop.asked import Searched
+from imucalib.loop.candidates import Searched
 from imucalib.loop.held_out import Held, fitted, held_out
 from imucalib.loop.posterior.closed import close_loop
 from imucalib.report.files import Report

@@ -188,23 +188,6 @@ def test_what_one_device_alone_shows_is_not_held_out_as_found(tmp_path: Path) ->
     assert (two.verdict, two.exit_code) == ("suspected", 5)
 
 
-def test_evidence_is_the_integral_over_sizes() -> None:
-    """One τ and γ by brute force: nine devices, one parameter."""
-    from imucalib.cohort.fleet.pooled import _nats, _sums
-
-    rng = np.random.default_rng(2)
-    gram, along = rng.uniform(0.5, 4.0, (9, 1, 1)), rng.normal(0.0, 2.0, (9, 1, 1))
-    tau, gamma = 0.7, 1.3
-    grid = np.linspace(-12.0, 12.0, 4001)
-    step = grid[1] - grid[0]
-    own = np.exp(along[:, 0, 0, None] * grid - 0.5 * gram[:, 0, 0, None] * grid**2)
-    spread = np.exp(-0.5 * ((grid - grid[:, None]) / tau) ** 2) / (tau * np.sqrt(2 * np.pi))
-    whole = np.prod(own @ spread * step, axis=0)
-    common = np.exp(-0.5 * (grid / gamma) ** 2) / (gamma * np.sqrt(2 * np.pi))
-    expected = np.log(np.sum(whole * common) * step)
-    assert _nats(*_sums(gram, along, tau), gamma)[0] == pytest.approx(expected, abs=1e-6)
-
-
 def test_what_stands_out_is_chance_as_often_as_said() -> None:
     """-ln p of the smaller of two: P(p_min < x) lies between x and 2x. 4000 null fleets; a rate
     that is twice too large would be seen at 30 standard errors."""

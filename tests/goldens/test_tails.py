@@ -14,7 +14,7 @@ from imucalib.calibration.checking.statistic import ANYTHING, Statistic
 from imucalib.calibration.comparison.beyond import beyond
 from imucalib.calibrators.lab.advice import beyond_declared
 from imucalib.core.fit import Fit
-from imucalib.loop.difference import difference, with_density
+from imucalib.loop.held_out import difference, with_density
 
 
 def test_the_interval_of_a_gain_is_students() -> None:

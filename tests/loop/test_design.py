@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from gates.bounds import at_most
-from imucalib.loop.design import folds_of
-from imucalib.loop.difference import difference
+from imucalib.loop.held_out import difference, folds_of
 from worlds.bench import bench
 
 

@@ -17,14 +17,13 @@ from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm
 from imucalib.effects import catalogue, families
 from imucalib.estimators.least_squares import fit
-from imucalib.loop.asked import Searched, searched
+from imucalib.loop.candidates import Searched, searched
+from imucalib.loop.posterior.catalogue import log_odds, log_set_prior, log_size_prior
 from imucalib.loop.posterior.closed import close_loop
-from imucalib.loop.posterior.component import log_odds, log_set_prior, log_size_prior
-from imucalib.loop.posterior.explored import Explored, explored
 from imucalib.loop.posterior.gram import Grams, beside, swept, without
 from imucalib.loop.posterior.odds import SIZES
 from imucalib.loop.posterior.problem import Problem
-from imucalib.loop.posterior.solution import solved
+from imucalib.loop.posterior.solution import Explored, explored, solved
 from imucalib.loop.posterior.space import search
 from imucalib.loop.posterior.words import told
 from imucalib.units import MG

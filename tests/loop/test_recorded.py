@@ -14,14 +14,12 @@ from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm
 from imucalib.effects import catalogue, named
 from imucalib.estimators.least_squares import fit
-from imucalib.loop.asked import Searched, searched
+from imucalib.loop.candidates import Searched, searched
 from imucalib.loop.posterior.catalogue import components_of
-from imucalib.loop.posterior.followed import followed
 from imucalib.loop.posterior.gram import Grams, without
 from imucalib.loop.posterior.problem import Problem, problem_of
-from imucalib.loop.posterior.recorded import Course, course_of, fit_at, recorded_grams
-from imucalib.loop.posterior.recording import close_recording
-from imucalib.loop.posterior.walk import whitener
+from imucalib.loop.posterior.recorded import Course, course_of, fit_at, recorded_grams, whitener
+from imucalib.loop.posterior.recording import close_recording, followed
 from imucalib.units import MG
 
 G, HOUR = 9.80665, 3600.0

@@ -1,4 +1,4 @@
-"""Plans that separate rivals: their angles by plain least squares, and what they promise."""
+"""Plans that separate rivals: distances by plain least squares, promises by drawn data."""
 
 from __future__ import annotations
 
@@ -6,25 +6,29 @@ from functools import cache
 
 import numpy as np
 import pytest
-from scipy.linalg import null_space
+from numpy.typing import NDArray
 
 from imucalib.core.context import Context
 from imucalib.core.observations import Observations
-from imucalib.core.references import KnownNorm
+from imucalib.core.references import KnownNorm, KnownVector
 from imucalib.effects import catalogue
-from imucalib.loop.asked import Searched
+from imucalib.loop.candidates import Searched
 from imucalib.loop.found import FitLoop
 from imucalib.loop.posterior.closed import close_loop
-from imucalib.loop.separation import plan, repeated
-from imucalib.loop.separation.ambiguities import ambiguities
-from imucalib.loop.separation.angle import Pair, apart, pairs_of
-from imucalib.loop.separation.choice import Pool, separating, total_of
-from imucalib.loop.separation.plan import FEWEST, separation
-from imucalib.loop.separation.products import TAU, Ambiguity, Products
-from imucalib.loop.separation.prospect import Added, Drawn, alone, ends, taken_out, weights
-from imucalib.loop.separation.soon import in_order, soon
+from imucalib.loop.separation import (
+    CERTAIN,
+    FEWEST,
+    Ambiguity,
+    Pool,
+    ambiguities,
+    apart,
+    columns_of,
+    separation,
+)
 from imucalib.units import MG
 from worlds.bench import base_model
+
+Array = NDArray[np.float64]
 
 G = 9.80665
 NAMES = ("quadratic", "asymmetry", "cross_axis")
@@ -55,7 +59,7 @@ def ambiguity() -> Ambiguity:
     return found[0]
 
 
-def columns(u: np.ndarray) -> dict[str, np.ndarray]:
+def columns(u: Array) -> dict[str, Array]:
     """What parameters do to the size of the reading, in mg at typical sizes: by hand."""
     cross = [(0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1)]
     own = [u[:, i] * u[:, j] for i, j in ((1, 0), (2, 0), (2, 1))]
@@ -67,16 +71,16 @@ def columns(u: np.ndarray) -> dict[str, np.ndarray]:
     }
 
 
-def pool(directions: np.ndarray, one: Ambiguity) -> Pool:
+def pool(directions: Array, one: Ambiguity) -> Pool:
     """Rests by hand, in the units of the recording's noise."""
     scale = searched().final.noise.factor
     parts = columns(directions)
     names = ["base", *one.blocks]
     rows = np.column_stack([parts[name] for name in names]) / scale
-    return Pool(rows[:, :, None] * rows[:, None], 1.0)
+    return Pool(rows[:, :, None] * rows[:, None])
 
 
-def grid() -> np.ndarray:
+def grid() -> Array:
     rng = np.random.default_rng(1)
     u = rng.standard_normal((150, 3))
     return u / np.linalg.norm(u, axis=1, keepdims=True)
@@ -89,198 +93,113 @@ def test_products_are_those_of_columns_by_hand() -> None:
     rows = np.column_stack([parts[name] for name in ("base", *one.blocks)])
     rows = rows / searched().final.noise.factor
     size = np.sqrt(np.diag(rows.T @ rows))
-    away = (one.products.gram - rows.T @ rows) / np.outer(size, size)
+    away = (one.gram - rows.T @ rows) / np.outer(size, size)
     assert np.abs(away).max() < 0.12  # the bias of some 25 mg turns what is along the reading
 
 
-def test_the_angle_is_that_of_least_squares() -> None:
-    one = ambiguity()
-    rows, theta = np.random.default_rng(2).standard_normal((60, len(one.columns))), np.ones(3)
-    at, other = one.blocks["quadratic"], one.blocks["asymmetry"]
-    rest = np.concatenate([one.own, other])
-    pair = Pair("quadratic", "asymmetry", at, other, one.own, theta[:, None])
-    signal = rows[:, at] @ theta
-    left = signal - rows[:, rest] @ np.linalg.lstsq(rows[:, rest], signal, rcond=None)[0]
-    found = apart(rows.T @ rows, (pair,))
-    assert found[0] == pytest.approx(np.linalg.norm(left), rel=1e-6)
+def linear(seed: int, numbers: int, near: float, size: float) -> tuple[Ambiguity, Array]:
+    """Two base columns and two rivals of one column that are alike but for `near`, with data of the
+    first; and the columns."""
+    rng = np.random.default_rng(seed)
+    base, one, other = rng.normal(size=(numbers, 2)), *rng.normal(size=(2, numbers))
+    rows = np.column_stack([base, one, one + near * other])
+    data = size * rows[:, 2] + rng.normal(size=numbers)
+    found = Ambiguity(
+        effect="a",
+        base=("base",),
+        columns=("x", "y", "a", "b"),
+        rivals=("a", "b"),
+        blocks={"a": np.array([2]), "b": np.array([3])},
+        gram=rows.T @ rows,
+        along=rows.T @ data,
+        power=float(data @ data),
+        numbers=float(numbers),
+    )
+    return found, rows
+
+
+def test_the_distance_is_that_of_least_squares() -> None:
+    one, rows = linear(2, 60, 0.3, 1.0)
+    for k, (truth, other) in enumerate(one.pairs):
+        rest = rows[:, [0, 1, *one.blocks[other]]]
+        for draw in range(3):
+            signal = rows[:, one.blocks[truth]] @ one.sizes[truth][:, draw]
+            left = signal - rest @ np.linalg.lstsq(rest, signal, rcond=None)[0]
+            found = apart(one, one.gram)[k, draw]
+            assert found == pytest.approx(np.linalg.norm(left), rel=1e-6)
+
+
+def test_sizes_are_those_that_the_data_allow() -> None:
+    one, _ = linear(3, 4000, 1.0, 0.7)
+    size = one.sizes["a"][0]
+    assert float(np.mean(size)) == pytest.approx(0.7, abs=0.03)
+    assert 0.005 < float(np.std(size)) < 0.04  # one standard error is 1 / 4000 ** 0.5
+
+
+@pytest.mark.parametrize("count", [60, 200, 600])
+def test_what_is_promised_is_had(count: int) -> None:
+    """Data are drawn with the first as the truth and judged by the maxima of both likelihoods."""
+    one, _ = linear(0, 4000, 0.12, 0.6)
+    rng = np.random.default_rng(1)
+    base, a, b = rng.normal(size=(count, 2)), *rng.normal(size=(2, count))
+    rows = np.column_stack([base, a, a + 0.4 * b])
+    promised = separation(one, Pool(rows.T[None] @ rows / FEWEST)).ends["a"]
+    certain = 0
+    old = np.linalg.cholesky(one.gram).T  # as many columns as products: the recording itself
+    every = np.vstack([old, rows])
+    for _ in range(1000):
+        y = 0.6 * every[:, 2] + rng.standard_normal(len(every))
+        left = [float(np.linalg.lstsq(every[:, [0, 1, k]], y, rcond=None)[1][0]) for k in (2, 3)]
+        certain += (left[1] - left[0]) / 2.0 > CERTAIN
+    assert promised == pytest.approx(certain / 1000, abs=0.06)
+
+
+def by_hand() -> Ambiguity:
+    """All three that a norm hardly tells apart, as forty rests with squares say."""
+    rng = np.random.default_rng(4)
+    u = rng.standard_normal((40, 3))
+    parts = columns(u / np.linalg.norm(u, axis=1, keepdims=True))
+    rows = np.column_stack([parts[name] for name in ("base", *NAMES)])
+    data = parts["quadratic"].sum(axis=1) + rng.standard_normal(40)
+    return Ambiguity(
+        effect="quadratic",
+        base=("base",),
+        columns=tuple(f"c{k}" for k in range(rows.shape[1])),
+        rivals=NAMES,
+        blocks=dict(zip(NAMES, np.split(np.arange(9, 21), [3, 6]), strict=True)),
+        gram=rows.T @ rows,
+        along=rows.T @ data,
+        power=float(data @ data),
+        numbers=40.0,
+    )
 
 
 def test_squares_are_products_of_axes_by_gravity_alone() -> None:
     """x³ = x - x y² - x z² where x² + y² + z² = 1."""
-    one = ambiguity()
-    made = separation(one, pool(grid(), one), np.random.default_rng(0), most=6)
+    one = by_hand()
+    made = separation(one, pool(grid(), one))
     assert ("quadratic", "cross_axis") in made.never
     assert ("asymmetry", "cross_axis") not in made.never
     assert not made.enough
 
 
-def test_a_plan_beats_random_and_informative_rests() -> None:
+def test_a_plan_beats_random_rests() -> None:
     one = ambiguity()
     seen = pool(grid(), one)
-    made = separation(one, seen, np.random.default_rng(0), most=8)
-    assert made.informative is not None
-    assert made.random is not None
-    assert made.least > 1.1 * max(made.informative.apart, made.random.apart)
-    for other in (made.informative, made.random):
-        assert other.needed is None or other.needed >= 2 * len(made.plan)
-
-
-def test_no_exchange_would_make_a_plan_better() -> None:
-    one = ambiguity()
-    seen = pool(grid(), one)
-    made = separation(one, seen, np.random.default_rng(0), most=5)
-    pairs = tuple(p for p in pairs_of(one) if (p.truth, p.other) in made.pairs)
-    worth = separating(one.products.gram, pairs)
-    now = float(worth(total_of(seen, made.plan)[None])[0])
-    for place in range(len(made.plan)):
-        rest = (*made.plan[:place], *made.plan[place + 1 :])
-        assert float(worth(total_of(seen, rest) + seen.gram).max()) <= now * (1.0 + 2e-3)
+    made = separation(one, seen)
+    able = [k for k, pair in enumerate(one.pairs) if pair in made.pairs]
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        some = rng.integers(0, len(seen.gram), len(made.plan))
+        other = apart(one, one.gram + seen.gram[some].sum(axis=0))[able]
+        assert made.then.min() > 1.1 * np.quantile(other, 0.15, axis=-1).min()
 
 
 def test_a_plan_has_several_rests_that_none_carries_alone() -> None:
     one = ambiguity()
     seen = pool(grid(), one)
-    strong = Pool(seen.gram[:149] + 10.0 * seen.gram.sum(axis=0), 150.0)
-    assert len(separation(one, strong, np.random.default_rng(0)).plan) == FEWEST
-
-
-def test_the_first_of_a_plan_are_enough_most_of_the_time() -> None:
-    """In order of what each adds; the chance is the mean over rivals, as likely as they are."""
-    one = ambiguity()
-    seen = pool(grid(), one)
-    against = {"quadratic": ("asymmetry",), "asymmetry": ("quadratic",)}
-    pairs = tuple(p for p in pairs_of(one) if p.other in against.get(p.truth, ()))
-    worth = separating(one.products.gram, pairs)
-    plan = tuple(np.random.default_rng(2).integers(0, len(seen.gram), 40).tolist())
-    ordered = in_order(seen, plan, worth)
-    assert sorted(ordered) == sorted(plan)
-    alone_best = max(plan, key=lambda k: float(worth(seen.gram[k][None])[0]))
-    assert ordered[0] == alone_best
-    rng = np.random.default_rng(1)
-    found = soon(one, seen, ordered, against, rng, fewest=4, enough=0.5, draws=300)
-    assert found is not None
-    assert found.count < 40
-    mean = sum(found.likely[name] * found.ended[name] for name in against)
-    assert found.chance == pytest.approx(mean)
-    assert found.chance >= 0.5
-    assert soon(one, seen, (), {}, rng, fewest=4, enough=0.5, draws=300) is None
-
-
-def test_rivals_are_as_likely_as_their_evidence() -> None:
-    """Against the restricted likelihood of the rows, written out, at the best of the sizes."""
-    one, products = ambiguity(), ambiguity().products
-    root = np.linalg.cholesky(products.gram + 1e-9 * np.diag(np.diag(products.gram)))
-    rows = root.T
-    data = np.linalg.solve(root, products.along)
-    rest = products.power - data @ data
-    contrasts = null_space(rows[:, one.own].T)
-    y, freedom = contrasts.T @ data, products.numbers - one.first
-
-    def nats(name: str) -> float:
-        block = contrasts.T @ rows[:, one.blocks[name]]
-        values, turn = np.linalg.eigh(block @ block.T)
-        along = (turn.T @ y) ** 2
-        return max(
-            -0.5 * np.log1p(t**2 * np.maximum(values, 0.0)).sum()
-            - 0.5 * freedom * np.log(rest + (along / (1.0 + t**2 * np.maximum(values, 0.0))).sum())
-            for t in TAU
-        )
-
-    each = np.array([nats(name) for name in one.rivals])
-    share = np.exp(each - each.max())
-    assert list(weights(one).values()) == pytest.approx(list(share / share.sum()), rel=0.02)
-
-
-@pytest.mark.parametrize(
-    ("truth", "other"), [("asymmetry", "quadratic"), ("quadratic", "asymmetry")]
-)
-def test_more_of_the_same_ends_more_often(truth: str, other: str) -> None:
-    one = ambiguity()
-    seen = pool(grid(), one)
-    shares = [
-        ends(one, Added(times * seen.gram.sum(axis=0), 150.0 * times), np.random.default_rng(0),
-             400, {truth: (other,)})[truth]
-        for times in (0.03, 0.3, 3.0)
-    ]  # fmt: skip
-    assert shares == sorted(shares)
-    assert shares[0] < 0.6
-    assert shares[-1] > 0.98
-
-
-def judged(rows: np.ndarray, y: np.ndarray, found: list[np.ndarray]) -> bool:
-    """Whether the first block is alone for one draw of the data: by covariances and least squares
-    on contrasts that the base (two columns) leaves nothing in."""
-    away = null_space(rows[:, :2].T)
-    data, freedom = away.T @ y, len(rows) - 2
-    blocks = [away.T @ rows[:, at] for at in found]
-
-    def nats(block: np.ndarray) -> float:
-        def one(tau: float) -> float:
-            covariance = np.eye(freedom) + tau**2 * block @ block.T
-            power = data @ np.linalg.solve(covariance, data)
-            change = np.log(power) - np.log(data @ data)
-            return float(-0.5 * np.linalg.slogdet(covariance)[1] - 0.5 * freedom * change)
-
-        return max(one(tau) for tau in TAU)
-
-    first, *others = blocks
-    best = nats(first)
-    theta, (rest,) = np.linalg.lstsq(first, data, rcond=None)[:2]
-    noise = np.sqrt(rest / (freedom - first.shape[1]))
-    for other in others:
-        signal = first @ theta
-        left = signal - other @ np.linalg.lstsq(other, signal, rcond=None)[0]
-        close = np.linalg.norm(left) < 2.0 * noise
-        own = nats(other)
-        if own >= max(best - 3.0, 0.5 * best) or (own >= 0.5 * best and close):
-            return False
-    return True
-
-
-@pytest.mark.parametrize("size", [0.3, 0.5, 0.8])
-def test_a_rival_is_alone_by_evidence_and_by_what_the_others_cannot_explain(size: float) -> None:
-    rng = np.random.default_rng(7)
-    rows = rng.standard_normal((11, 7))
-    rows[:, 4:6] = 0.6 * rows[:, 2:4] + rows[:, 4:6]
-    found = [np.array([2, 3]), np.array([4, 5]), np.array([6])]
-    names = ("true", "near", "far")
-    y = (size * rows[:, 2:4] @ np.array([2.0, -1.0]))[:, None] + rng.standard_normal((11, 300))
-    one = Ambiguity(
-        "true", ("base",), tuple("abcdefg"), names, dict(zip(names, found, strict=True)), {},
-        Products(rows.T @ rows, rows.T @ y[:, 0], 1.0, 11.0), 9.0,
-    )  # fmt: skip
-    data = Drawn(rows.T @ y, np.sum(y**2, axis=0), 11.0)
-    share = alone(one, taken_out(one, rows.T @ rows), data, "true", names[1:])
-    assert 0.03 < share.mean() < 0.97
-    expected = [judged(rows, y[:, k], found) for k in range(300)]
-    np.testing.assert_array_equal(share, expected)
-
-
-@pytest.mark.parametrize("goal", [0.0, 1.7, 2.0, 9.0])
-def test_how_many_of_another_choice_is_found_by_looking_at_a_few(goal: float) -> None:
-    every = np.sqrt(0.05 * np.arange(1, 193))
-    looked = []
-
-    def reached(k: int) -> float:
-        looked.append(k)
-        return float(every[k - 1])
-
-    assert repeated._beside(reached, 24, goal) == plan.beside(every, 24, goal)
-    assert len(looked) < 12
-
-
-@pytest.mark.parametrize("least", [*range(1, 25), 99])
-def test_how_often_is_the_fewest_that_ends_it(least: int) -> None:
-    asked: list[int] = []
-
-    def after(k: int) -> tuple[int, dict[str, float]]:
-        asked.append(k)
-        return -k, {"a": 1.0, "b": 1.0 if k >= least else 0.0}
-
-    count, best, ended = repeated._fewest(after)
-    assert count == min(least, repeated.MOST) == -best
-    assert (ended["b"] == 1.0) == (least <= repeated.MOST)
-    assert len(asked) <= 10
+    strong = Pool(seen.gram[:149] + 10.0 * seen.gram.sum(axis=0))
+    assert len(separation(one, strong).plan) == FEWEST
 
 
 @pytest.mark.parametrize("hidden", [1e-3, 1e-8, 1e-13, 0.0])
@@ -298,10 +217,60 @@ def test_columns_that_the_data_hardly_show_end_no_calibration(hidden: float) -> 
     one = Ambiguity(
         effect="one", base=("base",), columns=tuple(f"c{k}" for k in range(9)),
         rivals=("one", "two"), blocks={"one": np.array([7]), "two": np.array([8])},
-        nats={"one": 1.0, "two": 0.0}, dof=390.0,
-        products=Products(gram, every.T @ data, float(data @ data), 400.0),
+        gram=gram, along=every.T @ data, power=float(data @ data), numbers=400.0,
     )  # fmt: skip
     for name, size in one.sizes.items():
-        drawn = size.drawn(np.random.default_rng(0), 100, np.ones(100))
-        assert np.isfinite(size.mean).all(), name
-        assert np.isfinite(drawn).all(), name
+        assert np.isfinite(size).all(), name
+
+
+def test_new_data_have_an_offset_of_their_own_after_a_power_up() -> None:
+    one, _ = linear(0, 40, 0.1, 1.5)
+    later = one.after_a_power_up(2.0, (10.0, 10.0, 20.0))
+    assert later.columns[:4] == ("next_bias_x", "next_bias_y", "next_bias_z", "x")
+    assert later.own.size == one.own.size + 3
+    assert [at.tolist() for at in later.blocks.values()] == [[5], [6]]
+    np.testing.assert_allclose(later.gram[:3, :3], np.diag([25.0, 25.0, 100.0]))
+    np.testing.assert_allclose(later.gram[3:, 3:], one.gram)
+    assert not later.gram[:3, 3:].any()
+    np.testing.assert_allclose(later.along, [0.0] * 3 + one.along.tolist())
+
+
+def test_columns_of_what_could_be_recorded_are_white_by_their_settings() -> None:
+    """Each position's three numbers by themselves: V = 1 + Σ sd² n nᵀ, in units of the noise; an
+    effect's own derivative at typical size."""
+    rng = np.random.default_rng(0)
+    n, sigma = 5, 3e-3
+    i, t, ids = rng.uniform(-1.0, 1.0, n), rng.uniform(0.0, 6.0, n), np.arange(n)
+    reference = KnownVector(i, t, 9.8, ids, ids)
+    model = base_model(("bias", "scale"))
+    theta = np.array([5.0, -3.0, 2.0, 0.01, -0.02, 0.005])
+    truth = reference.truth(np.zeros(2 * n))
+    reading = model.predict(theta, truth, Context(n)).reading
+    data = Observations(reading, np.full((n, 1, 3), sigma), reference, Context(n), ids, ("",) * n)
+    names, sds = KnownVector.COMPONENTS, (2e-3, 4e-3)
+    quadratic = catalogue()["quadratic"]
+    found = columns_of(model, theta, [quadratic], data, dict(zip(names, sds, strict=True)))
+
+    def by(values: Array, own: Array, angles: tuple[Array, Array]) -> Array:
+        """The reading of bias, scale and squares at angles, by their equations."""
+        u = np.stack([np.cos(angles[0]) * np.sin(angles[1]), np.cos(angles[0]) * np.cos(angles[1]),
+                      np.sin(angles[0])], axis=-1)  # fmt: skip
+        mg = 9.80665e-3
+        return 9.8 * u * (1.0 + values[3:6]) + mg * values[:3] + mg * own * (9.8 * u / 9.80665) ** 2
+
+    step = 1e-6
+    for k in range(n):
+        at = (i[k : k + 1], t[k : k + 1])
+        slopes = [(by(theta + step * e, np.zeros(3), at) - by(theta - step * e, np.zeros(3), at))[0]
+                  for e in np.eye(6)]  # fmt: skip
+        slopes += [(by(theta, step * e, at) - by(theta, -step * e, at))[0] for e in np.eye(3)]
+        typical = [50.0] * 3 + [0.03] * 3 + [3.0] * 3
+        rows = np.array(slopes).T / (2.0 * step) * typical / sigma
+        v = np.eye(3)
+        for sd, moved in zip(sds, ((step, 0.0), (0.0, step)), strict=True):
+            up, down = (by(theta, np.zeros(3), (at[0] + s * moved[0], at[1] + s * moved[1]))[0]
+                        for s in (1.0, -1.0))  # fmt: skip
+            away = sd * (up - down) / (2.0 * step) / sigma
+            v += np.outer(away, away)
+        np.testing.assert_allclose(found[k].T @ found[k], rows.T @ np.linalg.solve(v, rows),
+                                   rtol=1e-5)  # fmt: skip

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.stats import t as student
 
-from imucalib.loop.difference import Difference, difference, with_density
 from imucalib.loop.found import Loop, Step, Unexplained, Wander
+from imucalib.loop.held_out import Difference, difference, with_density
 from imucalib.loop.record_errors import RecordError
 
 STEP = Step("cubic", 0.001, 999, 9.0, (), ())

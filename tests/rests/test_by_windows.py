@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from imucalib.recording.recording import Channel, Gap
-from imucalib.rests import candidates, edges, levels, refused, stillness
+from imucalib.rests import edges, stillness
 from imucalib.rests.candidates import Seen
 from imucalib.rests.drift import (
     Noise,
@@ -21,10 +21,9 @@ from imucalib.rests.drift import (
     parts_of,
     whiteness,
 )
-from imucalib.rests.grouping import Group, groups_of
+from imucalib.rests.grouping import groups_of
 from imucalib.rests.levels import Kinds, steady_windows
 from imucalib.rests.postures import postures_begin
-from imucalib.rests.refused import Candidate
 from imucalib.rests.runs import Scan, grouped
 from imucalib.rests.samples import Samples
 from imucalib.rests.stillness import Sensor, StillSettings, allowed
@@ -210,34 +209,6 @@ def test_a_window_beside_one_at_rest_is_steady_wherever_the_recording_began() ->
     assert not steady_windows(w, np.zeros(3), np.array([False, True, True, False])).any()
 
 
-@pytest.mark.parametrize(
-    ("height", "share", "spiky"),
-    [(0.11, 1.0, True), (0.09, 1.0, False), (0.11, 1.55, True), (0.11, 1.65, False)],
-)
-def test_a_dropout_is_one_sample_far_away(height: float, share: float, spiky: bool) -> None:
-    """h²/n of variance, up to 1.6 times that; noise has 2.5 times."""
-    w = windows(level(5))
-    h = height * G
-    w.high[2, 2] = w.low[2, 2] + h
-    w.variance[2, 2] = share * h**2 / 50.0
-    found = levels._spiky(sensor(w))
-    assert found.tolist() == [False, False, spiky, False, False]
-    assert not levels._spiky(sensor(replace(w, samples=19))).any()
-    assert not levels._spiky(sensor(w, "angular_rate")).any()
-
-
-def test_spans_of_windows_leave_one_out_at_each_end() -> None:
-    """Where the samples are no longer at hand."""
-    w = windows(level(12))
-    groups = [Group(np.arange(2, 8), True, False), Group(np.arange(9, 11), False, False),
-              Group(np.array([11]), False, True)]  # fmt: skip
-    (one,) = edges._of_windows(sensor(w), groups, StillSettings())
-    assert (one.first, one.last, one.louder) == (150, 350, True)
-    assert (one.start, one.stop) == (w.start[3], w.stop[6])
-    wide = edges._of_windows(sensor(w), groups, StillSettings(trim=0))
-    assert [(s.first, s.last) for s in wide] == [(100, 400), (450, 550), (550, 600)]
-
-
 def ramp(far: float, m: int = 40, length: float = 60.0, axis: int = 0) -> Array:
     """Means of a level sensor one axis of which goes evenly over `far` shares of gravity."""
     means = level(m)
@@ -390,87 +361,6 @@ def held(values: Array) -> Samples:
     t = np.arange(len(values)) / 100.0
     made.add(("acceleration", "imu0"), Channel(t, values, "m/s2", "acceleration", "imu0", 100.0))
     return made
-
-
-def test_samples_and_windows_of_an_interval() -> None:
-    w, samples = windows(level(12)), held(level(600))
-    assert candidates.samples_in(seen(w), (0.5, 1.0), samples) == (50, 101)
-    assert candidates.samples_in(seen(w), (3.5, 4.0), samples) == (350, 401)
-    assert candidates.windows_in(w, (0.5, 1.49)) == (1, 3)
-    assert candidates.windows_in(w, (0.51, 1.48)) == (2, 2)
-    assert candidates._parts((0.0, 9.0), None) == [(0.0, 9.0)]
-    assert candidates._parts((0.0, 9.0), 3.0) == [(0.0, 3.0), (3.0, 6.0), (6.0, 9.0)]
-    assert len(candidates._parts((0.0, 9.0), 2.9)) == 4
-
-
-def test_common_parts_of_intervals() -> None:
-    one, two = [(0.0, 2.0), (3.0, 6.0)], [(1.0, 4.0), (5.0, 9.0), (9.0, 10.0)]
-    assert candidates._intersect(one, two) == [(1.0, 2.0), (3.0, 4.0), (5.0, 6.0)]
-    assert candidates._intersect([(0.0, 1.0)], [(1.0, 2.0)]) == []
-
-
-def test_what_a_stretch_is_judged_by() -> None:
-    """Means of parts, the deviation within them, at least that of the step; by windows where the
-    samples are gone."""
-    rng = np.random.default_rng(0)
-    values = level(600) + MG * rng.standard_normal((600, 3))
-    values[:, 0] = 0.0  # an axis that its step hides
-    w = windows(level(12), 2.0 * MG, finest=np.array([0.5, 0.0, np.inf]))
-    means, each, sd, white = candidates._means(seen(w), (0.0, 1.99), held(values))
-    assert each == 25
-    np.testing.assert_allclose(means, values[:200].reshape(8, 25, 3).mean(axis=1))
-    inner = values[:200].reshape(8, 25, 3).var(axis=1, ddof=1).mean(axis=0)
-    np.testing.assert_allclose(sd, [0.5 / np.sqrt(12.0), *np.sqrt(inner[1:])])
-    assert white == pytest.approx(whiteness(values[:200]))
-    gone = held(values)
-    gone.whole = False
-    means, each, sd, white = candidates._means(seen(w), (0.0, 1.99), gone)
-    assert (len(means), each, white) == (4, 50, 1.0)
-    np.testing.assert_allclose(sd, [0.5 / np.sqrt(12.0), 2.0 * MG, 2.0 * MG])
-
-
-def test_a_bias_at_rest_unlike_the_others_is_a_turn() -> None:
-    """A tenth of a degree a second, or six deviations of what rests have, and five errors."""
-
-    def of(off: float, scatter: float, rests: int = 9) -> list[str]:
-        values = np.zeros((900, 3))
-        bias = scatter * np.tile([-1.0, 1.0, 0.0], 3)[:rests] / 1.4826
-        bias[4 % rests] = off
-        values[: 100 * rests, 2] = np.repeat(bias, 100)
-        made = Samples()
-        made.begin_block(())
-        t = np.arange(900) / 100.0
-        made.add(("angular_rate", "imu0"),
-                 Channel(t, values, "rad/s", "angular_rate", "imu0", 100.0))  # fmt: skip
-        spans = [edges.Span(100 * k, 100 * k + 100, float(k), k + 0.99, False, False)
-                 for k in range(9)]  # fmt: skip
-        one = Seen(sensor(windows(np.zeros((18, 3))), "angular_rate"), kinds(np.ones(18)), spans,
-                   1.0, 1.0)  # fmt: skip
-        found = [Candidate(float(k), k + 0.99, 0.0, 0.0, "") for k in range(rests)]
-        return [c.reason for c in candidates._beside_bias(found, [one], made)]
-
-    assert set(of(0.099 * DEG, 0.0)) == {""}
-    assert of(0.101 * DEG, 0.0)[4] == "turning"
-    assert set(of(0.59 * DEG, 0.1 * DEG)) == {""}
-    assert of(0.61 * DEG, 0.1 * DEG)[4] == "turning"
-    assert set(of(9.0 * DEG, 0.0, rests=4)) == {""}
-    assert of(9.0 * DEG, 0.0, rests=5)[4] == "turning"
-
-
-def test_windows_are_taken_by_what_overlaps_them() -> None:
-    w = windows(level(8))
-    settled = [Candidate(0.6, 1.2, 0.0, 0.0, ""), Candidate(2.0, 2.1, 0.0, 0.0, "")]
-    assert refused._taken(w, settled).tolist() == [False, True, True, False, True, False, False,
-                                                   False]  # fmt: skip
-    assert not refused._taken(w, []).any()
-    flags = np.array([1, 1, 0, 1, 1, 1, 0, 1], bool)
-    assert refused._runs(w, flags) == [(0, 2), (3, 6), (7, 8)]
-    parted = replace(w, run=np.array([0, 0, 0, 0, 1, 1, 1, 1]))
-    assert refused._runs(parted, flags) == [(0, 2), (3, 4), (4, 6), (7, 8)]
-    w.variance[3:6, 1] = np.array([1.0, 4.0, 7.0])
-    w.mean[4, 2] += 3.0
-    told = refused._of_windows(w, 3, 6, "turning")
-    assert (told.start, told.stop, told.drift, told.noise) == (1.5, w.stop[5], 3.0, 2.0)
 
 
 def test_a_posture_ends_at_twenty_milli_g_or_thirty_from_its_start() -> None:

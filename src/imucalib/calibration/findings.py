@@ -10,9 +10,8 @@ from imucalib.calibration.calibration import StoredParameter, stored_parameters
 from imucalib.calibration.power import hidden
 from imucalib.core.fit import Fit
 from imucalib.effects import known
-from imucalib.loop.difference import Difference
-from imucalib.loop.evidence import Score
-from imucalib.loop.found import FitLoop, Step, Unexplained
+from imucalib.loop.found import FitLoop, Score, Step, Unexplained
+from imucalib.loop.held_out import Difference
 from imucalib.loop.record_errors import RecordError
 from imucalib.significant_digits import plus_minus
 from imucalib.units import MG

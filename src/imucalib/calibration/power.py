@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from imucalib.effects import known
-from imucalib.loop.evidence import Score
+from imucalib.loop.found import Score
 from imucalib.units import MG
 
 #: λ that gives an 80 % chance of detection.

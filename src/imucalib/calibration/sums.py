@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.loop.separation.sums import Base, Sums
+from imucalib.loop.sums import Base, Sums
 
 #: Key of the block.
 KEY = "effects_beside_base"

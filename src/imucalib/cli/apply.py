@@ -188,7 +188,7 @@ def _applied(
         import numpy as np
 
         from imucalib.calibrators.array.fused.recording import fuse_file
-        from imucalib.calibrators.array.fused.side_by_side import NotFusable
+        from imucalib.calibrators.array.fused.survey import NotFusable
 
         if fused is False or options["triad"] is not None:
             raise click.UsageError("--at and --fused are of all IMUs together: leave the other out")

@@ -119,7 +119,7 @@ def command(logs: tuple[Path, ...], **options: Any) -> int:
 def _request(options: dict[str, Any], logs: tuple[Path, ...]) -> ArrayRequest:
     from imucalib.calibrators.array.board import read_board
     from imucalib.calibrators.array.estimate.left import Accepted
-    from imucalib.calibrators.array.loop.asked import Asked, named_effect
+    from imucalib.calibrators.array.loop.catalogue import Asked, named_effect
     from imucalib.calibrators.array.request import ArrayRequest
     from imucalib.errors import UsageError
     from imucalib.estimators.markov.hmc import Stop

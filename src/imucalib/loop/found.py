@@ -5,18 +5,61 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Generic, TypeVar
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 from imucalib.core.fit import Fit
 from imucalib.effects.shape import is_form
-from imucalib.loop.difference import Difference
-from imucalib.loop.evidence import Score
-from imucalib.loop.faults.found import Fault
-from imucalib.loop.posterior.rivals import Rival
+from imucalib.loop.faults.sheet import Fault
+from imucalib.loop.held_out import Difference
 from imucalib.loop.record_errors import RecordError
-from imucalib.loop.separation.products import Ambiguity
-from imucalib.loop.separation.sums import Sums
+from imucalib.loop.sums import Sums
 from imucalib.loop.thresholds import CERTAIN, STRONG
+
+if TYPE_CHECKING:
+    from imucalib.loop.separation import Ambiguity
+from typing import Literal
+
+from imucalib.loop.thresholds import ABSORBED
+
+Kind = Literal["effect", "probe"]
+
+
+@dataclass(frozen=True)
+class Rival:
+    """One of the models that would do; weight : of all of them together, 1. The fit is that of the
+    linear problem: its θ and their covariance, and the rest as in the base model's."""
+
+    names: tuple[str, ...]
+    weight: float
+    fit: Fit
+
+
+@dataclass(frozen=True)
+class Score:
+    """What the data say of one component.
+
+    kind : whether it names a cause; driver : what it follows, in words, or empty
+    evidence : nats in favour, beside the base model alone; p : that it is not there
+    left : share of its columns that the fitted parameters do not absorb (0..1)
+    strength : λ, the length of its projected columns at typical size, in noise units: 4.7 gives
+        an 80 % chance of detection
+    size : m/s², rms of the whole block on an observation: what an absorbed effect of typical size
+        does to the answer without a trace in the residual
+    """
+
+    name: str
+    kind: Kind
+    driver: str
+    evidence: float
+    p: float
+    left: float
+    strength: float
+    size: float = 0.0
+
+    @property
+    def absorbed(self) -> bool:
+        return self.left < ABSORBED
+
 
 _WALK_NATS = 5.0  # from which on a walk is more than independent noise
 

@@ -3,14 +3,28 @@
 Leaving a group out moves θ by one Gauss-Newton step from the full solution, at the noise of the
 full fit: exact for a linear model, and checked against complete refits by the tests. An error is
 what a user would see: the corrected reading against the reference, fixture effects taken out.
+
+Which data are left out together: one design, fixed by the data's structure before any search.
+
+Nothing that is chosen or estimated may decide the folds, a seed as little as the outcome: the same
+data have the same design, whether something is found or not.
+
+What a search has gained on data that took no part in it: a difference with its interval.
+
+Every part of the design gives one pair of errors, before and after. Parts share most of what they
+were trained on, so that their scatter understates how much the gain would vary from one recording
+to the next; Nadeau and Bengio (2003) widen it by sqrt(1 + n_test / n_train) in units of the plain
+standard error: sqrt(1 + K / (K - 1)) for K folds, where K counts the folds.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Index
 from imucalib.core.balance import whitener
@@ -18,7 +32,152 @@ from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations
 from imucalib.core.truth import Truth
 from imucalib.effects.record_error import is_record_error
-from imucalib.loop.design import Fold
+from imucalib.estimators.student import quantile
+
+#: Folds of single positions, and groups up to which each is left out by itself, so that no shuffle
+#: decides; of stretches of time there are as many as the calibrator made.
+_FOLDS, _ALONE = 10, 12
+#: Share of a stretch's rows on either side of it that train nothing when it is left out.
+_GAP = 0.03
+#: Observations for each group from which on groups are stretches of time.
+_STRETCH = 10
+
+
+@dataclass(frozen=True)
+class Fold:
+    """rows : that are predicted; rest : that choose and fit, with neither the rows nor the gap;
+    stretch : whether the rows are one stretch of time, which counts as one number"""
+
+    rows: Index
+    rest: Index
+    stretch: bool = False
+
+
+def folds_of(data: Observations) -> tuple[Fold, ...]:
+    """The design of some observations.
+
+    Stretches of time (groups of many observations in order) are left out one by one, with a gap on
+    both sides. Single positions, or groups of a few that share a setting, are left out one by one
+    where they are few, else dealt to ten folds in a fixed shuffle: dealt in turn, a fold would take
+    whole rings of a bench that repeats itself. The shuffle starts from what was read, not from the
+    order of the rows.
+    """
+    groups, group = np.unique(data.group, return_inverse=True)
+    every = np.arange(data.n)
+    if data.n >= _STRETCH * groups.size:
+        gap = int(np.ceil(_GAP * data.n / groups.size))
+        return tuple(_stretch(np.flatnonzero(group == k), every, gap) for k in range(groups.size))
+    count = groups.size if groups.size <= _ALONE else _FOLDS
+    dealt = np.random.default_rng(groups.size).permutation(np.arange(groups.size) % count)
+    key = dealt[_rank(data, group)]
+    return tuple(Fold(every[key == k], every[key != k]) for k in range(count))
+
+
+def _rank(data: Observations, group: Index) -> Index:
+    """(n,) the place of each row's group among all, by the groups' mean readings."""
+    reading = data.reading.reshape(data.n, -1)
+    mean = np.stack([np.bincount(group, weights=c) for c in reading.T]) / np.bincount(group)
+    place = np.empty(mean.shape[1], dtype=np.intp)
+    place[np.lexsort(mean)] = np.arange(place.size)
+    return place[group]
+
+
+def _stretch(rows: Index, every: Index, gap: int) -> Fold:
+    near = (every >= rows[0] - gap) & (every <= rows[-1] + gap)
+    return Fold(rows, every[~near], stretch=True)
+
+
+def parts_of(folds: tuple[Fold, ...]) -> Index:
+    """(n,) which observations stand for one number: those of a stretch together, others alone."""
+    part = np.arange(sum(fold.rows.size for fold in folds))
+    for fold in folds:
+        if fold.stretch:
+            part[fold.rows] = fold.rows[0]
+    return part
+
+
+Metric = Literal["rms", "mean"]
+_LEVEL = 0.95
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Held-out error before and after, in the errors' unit.
+
+    gain : before - after; low, high : its 95 % interval, widened for the training data that the
+    folds share; plain_low : the lower edge without that
+    parts : numbers that the interval rests on
+    nats, nats_low : what the log density of the rows that were left out has gained, and the lower
+        edge of its plain interval over the folds; NaN where it was not computed
+    """
+
+    before: float
+    after: float
+    low: float
+    high: float
+    plain_low: float
+    parts: int
+    nats: float = float("nan")
+    nats_low: float = float("nan")
+
+    @property
+    def gain(self) -> float:
+        return self.before - self.after
+
+    @property
+    def proved(self) -> bool:
+        """Whether the interval of the error or of the density lies above zero."""
+        return self.low > 0.0 or self.nats_low > 0.0
+
+    @property
+    def likely(self) -> bool:
+        """Whether the parts as they are gained, in error or in density: enough to correct, not to
+        call it explained."""
+        return self.plain_low > 0.0 or self.nats_low > 0.0
+
+    @property
+    def holds(self) -> bool:
+        """Whether data that took no part allow the steps: error and density both gain, or the error
+        falls beyond the scatter of the parts. Where rows share setting errors the plain error is
+        mostly theirs, and the density excuses what a dial does by its other rows."""
+        return self.plain_low > 0.0 or (self.gain > 0.0 and not self.nats <= 0.0)
+
+
+def difference(
+    before: Array, after: Array, part: NDArray[np.intp], folds: int, metric: Metric
+) -> Difference:
+    """From the sizes (n,) of held-out errors, before and after on the same observations.
+
+    part : (n,) which observations stand for one number: an observation by itself on a bench, a
+        stretch of time on a wrist; metric : root mean square or mean of the sizes
+    """
+    power = 2.0 if metric == "rms" else 1.0
+    change = before**power - after**power
+    keys, index = np.unique(part, return_inverse=True)
+    count = np.bincount(index).astype(float)
+    total = np.bincount(index, weights=change)
+    mean = float(total.sum() / count.sum())
+    m = keys.size
+    # The ratio estimator: parts of unequal size count by their observations.
+    off = (total - mean * count) / count.mean()
+    error = float(np.sqrt(np.sum(off**2) / max(m - 1, 1) / m)) if m > 1 else np.inf
+    reach = quantile(max(m - 1, 1), 0.5 + _LEVEL / 2.0)
+    wide = float(np.sqrt(1.0 + folds / max(folds - 1, 1)))
+    start, end = (float(np.mean(e**power) ** (1.0 / power)) for e in (before, after))
+    # rms_b - rms_a is (ms_b - ms_a) / (rms_b + rms_a): the interval of the squares in the unit.
+    unit = start + end if metric == "rms" else 1.0
+    unit = unit if unit > 0.0 else 1.0
+    low, high = (mean - reach * wide * error) / unit, (mean + reach * wide * error) / unit
+    return Difference(start, end, low, high, (mean - reach * error) / unit, m)
+
+
+def with_density(found: Difference, nats: Array) -> Difference:
+    """With the gains (K,) in log density, fold by fold."""
+    k = nats.size
+    error = float(np.std(nats, ddof=1) * np.sqrt(k)) if k > 1 else np.inf
+    low = float(nats.sum()) - quantile(max(k - 1, 1), 0.5 + _LEVEL / 2.0) * error
+    return replace(found, nats=float(nats.sum()), nats_low=low)
+
 
 #: What a group must leave of the data's information on every direction, for θ without it to follow
 #: from all data's.

@@ -9,7 +9,7 @@ from imucalib.calibration.calibration import StoredParameter
 from imucalib.calibration.findings import Findings, FoundStep
 from imucalib.calibration.outcome import Run
 from imucalib.calibration.plain import plain
-from imucalib.loop.evidence import Score
+from imucalib.loop.found import Score
 from imucalib.report.card import card_dict
 from imucalib.report.document import Document, Plot, Series
 

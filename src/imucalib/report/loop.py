@@ -9,7 +9,7 @@ from imucalib.calibration.findings import Findings, FoundStep
 from imucalib.calibration.outcome import ErrorSummary, Outcome
 from imucalib.calibration.power import hidden
 from imucalib.effects.shape import in_words
-from imucalib.loop.evidence import Score
+from imucalib.loop.found import Score
 from imucalib.report.document import Block, Facts, Section, Table, Text, Tone
 from imucalib.report.gain import refuted_words
 from imucalib.report.steps import step_tables

@@ -11,7 +11,6 @@ from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.checking.array_misfit import triad_misfits
 from imucalib.calibration.checking.check import Check, Measured, checked
 from imucalib.calibration.checking.limits import Limits
-from imucalib.calibration.checking.next_rests import _information
 from imucalib.calibration.checking.noise import check_noise
 from imucalib.calibration.triads import Triad
 from worlds.instrument import DEG, MG, G
@@ -35,18 +34,6 @@ def looked_at(rests: int, shift: np.ndarray) -> Check:
     noise = check_noise(calibration)
     misfits = triad_misfits(calibration, triad, reading, noise, np.zeros(rests))
     return checked(calibration, [Measured(misfits, "imu0")], noise, Limits())
-
-
-def test_what_rests_tell_is_the_information_about_changes_of_the_limits() -> None:
-    """Nats: half of log |V + S Sᵀ| - log |V|, S the changes of the limits' size."""
-    misfits = looked_at(6, np.zeros((6, 3))).sensors[0].misfits
-    limits = {name: 0.5 + k for k, name in enumerate(misfits.changes)}
-    size = np.concatenate([limits[n] * misfits.changes[n] for n in limits], axis=1)
-    both = [np.linalg.slogdet(m)[1] for m in (misfits.covariance + size @ size.T,
-                                             misfits.covariance)]  # fmt: skip
-    found = _information(misfits, limits)
-    assert found > 1.0
-    assert found == pytest.approx(0.5 * (both[0] - both[1]), rel=1e-9)
 
 
 def wrong_in(rests: int, *rows: int) -> np.ndarray:

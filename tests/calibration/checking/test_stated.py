@@ -137,15 +137,6 @@ def test_the_smallest_p_is_held_against_that_of_unchanged_sensors() -> None:
     assert Statistic(flat, draws=50).tested()["bias"].rank == 2
 
 
-def test_a_plan_is_worth_its_mutual_information() -> None:
-    """½ log det(1 + L Cᵀ V⁻¹ C L) of changes of the limits' size."""
-    made, v = world()
-    limits = {"bias": 2.0, "scale": 0.5}
-    c = np.concatenate([2.0 * made.changes["bias"], 0.5 * made.changes["scale"]], axis=1)
-    due = 0.5 * np.linalg.slogdet(np.eye(6) + c.T @ np.linalg.solve(v, c))[1]
-    assert next_rests._information(made, limits) == pytest.approx(due)
-
-
 def test_faces_come_before_edges_and_corners() -> None:
     u = next_rests.attitudes()
     np.testing.assert_allclose(np.linalg.norm(u, axis=1), 1.0)

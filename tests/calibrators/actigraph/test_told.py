@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
-from imucalib.calibrators.actigraph import advice, coverage, errors, exchange, published
+from imucalib.calibrators.actigraph import advice, coverage, errors
 from imucalib.calibrators.actigraph.calibrate import unseen
 from imucalib.calibrators.actigraph.calibration_points import (
     PointCollector,
@@ -24,7 +24,6 @@ from imucalib.calibrators.actigraph.observations import (
     observations_of,
     quantisation,
 )
-from imucalib.calibrators.actigraph.series import _tested
 from imucalib.calibrators.actigraph.simulation import (
     WeekPlan,
     code_steps,
@@ -35,12 +34,11 @@ from imucalib.calibrators.actigraph.simulation import (
     temperature_at,
 )
 from imucalib.calibrators.actigraph.weak import from_data, is_weak, open_words, robust_fit
-from imucalib.calibrators.actigraph.wear import Minutes, Wear, _joined, activity_of
+from imucalib.calibrators.actigraph.wear import Minutes, Wear, activity_of
 from imucalib.core.model import Model
 from imucalib.core.parameter import Parameter
 from imucalib.core.sphere import cell_of
 from imucalib.effects import named
-from imucalib.estimators.gradient_descent import METHODS
 from imucalib.loop.held_out import Held
 from imucalib.rests.runs import PostureRuns, Scan
 from imucalib.units import MG, STANDARD_GRAVITY
@@ -217,33 +215,6 @@ def test_a_calibration_is_good_below_ten_milli_g_and_known_to_one() -> None:
     assert "3 of 100 posture runs are unlike" in told(5.0, 0.5, light=3)
 
 
-@pytest.mark.parametrize(
-    ("driver", "kind", "warm", "said"),
-    [("order", "noise", False, "export the temperature"), ("time", "probe", False, "export the"),
-     ("order", "noise", True, ""),
-     ("", "probe", True, "")],
-)  # fmt: skip
-def test_what_moves_with_time_has_a_next_step(
-    driver: str, kind: str, warm: bool, said: str
-) -> None:
-    left = SimpleNamespace(driver=driver, kind=kind)
-    loop = SimpleNamespace(unexplained=(left,), steps=())
-    found = advice._open_ends(loop, warm=warm)  # type: ignore[arg-type]
-    assert len(found) == bool(said)
-    assert said in "".join(found)
-
-
-def test_a_rival_form_is_told_in_words() -> None:
-    forms = ("shape@response:xyz:soft_saturation:0.6", "shape@bias:temperature:exponential:3:20")
-    step = SimpleNamespace(effect="cubic", aliases=("cross_axis", *forms))
-    loop = SimpleNamespace(unexplained=(), steps=(step,))
-    (found,) = advice._open_ends(loop, warm=True)  # type: ignore[arg-type]
-    assert (
-        "Cubic cannot be told from cross axis, a soft saturation of the response, "
-        "an exponential of the bias against temperature: " in found
-    )
-
-
 def test_an_end_is_unseen_below_three_tenths_of_gravity() -> None:
     u = np.concatenate([np.eye(3), -np.eye(3)])
     assert unseen(runs_of()) == ("directions between those that were recorded",)
@@ -281,72 +252,6 @@ def test_weak_is_known_worse_than_a_third_of_the_typical_size() -> None:
     assert open_words(weakly(1.0)) == "some combinations of parameters"  # type: ignore[arg-type]
 
 
-def test_parts_differ_by_more_than_their_covariances() -> None:
-    """Chi-square about the weighted mean, and the worst of each parameter after Bonferroni."""
-    rng = np.random.default_rng(0)
-    roots = rng.normal(size=(3, 2, 2))
-    fits = [SimpleNamespace(theta=rng.normal(size=2) * 3.0, covariance=r @ r.T + np.eye(2),
-                            parameters=(SimpleNamespace(name="a"), SimpleNamespace(name="b")))
-            for r in roots]  # fmt: skip
-    found = _tested((), fits)  # type: ignore[arg-type]
-    # The same by one regression of all on the common value, whitened.
-    white = [np.linalg.inv(np.linalg.cholesky(f.covariance)) for f in fits]
-    y = np.concatenate([w @ f.theta for w, f in zip(white, fits, strict=True)])
-    x = np.concatenate(white)
-    common, rest = np.linalg.lstsq(x, y, rcond=None)[:2]
-    np.testing.assert_allclose(found.common, common)
-    assert found.statistic == pytest.approx(rest[0])
-    assert found.dof == 4
-    assert found.p == pytest.approx(stats.chi2.sf(rest[0], 4))
-    own = np.linalg.inv(x.T @ x)
-    z = np.array([(f.theta - common) / np.sqrt(np.diag(f.covariance - own)) for f in fits])
-    chance = np.minimum(1.0, 6.0 * 2.0 * stats.norm.sf(np.abs(z).max(axis=0)))
-    assert found.moved == tuple(
-        ("ab"[k], pytest.approx(chance[k])) for k in np.argsort(chance) if chance[k] < 0.01
-    )
-    fits[0].theta = fits[0].theta + 30.0
-    again = _tested((), fits)  # type: ignore[arg-type]
-    assert again.moved
-    assert again.differ
-
-
-def test_what_two_splits_leave_is_least_squares_before_and_after() -> None:
-    rng = np.random.default_rng(0)
-    columns, off = exchange._linear(G * (1.0 + 0.01 * rng.normal(size=(60, 1))) * rng.normal(
-        size=(60, 3)))  # fmt: skip
-    assert columns.shape == (60, 9)
-    for row in (20, 33):
-        due = 0.0
-        for part in (slice(None, row), slice(row, None)):
-            due += np.linalg.lstsq(columns[part], off[part], rcond=None)[1][0]
-        found = exchange._left(columns, off, np.array([row]))
-        assert found[0] == pytest.approx(due, rel=1e-4)
-
-
-def test_the_size_is_linear_in_nine_parameters() -> None:
-    """|v| of a sensor with small errors, by its own equation."""
-    rng = np.random.default_rng(3)
-    u = rng.normal(size=(40, 3))
-    u /= np.linalg.norm(u, axis=1)[:, None]
-    small = 1e-6
-    plain = exchange._linear(G * u)[0]
-    for k in range(3):
-        moved = np.linalg.norm(G * u + small * np.eye(3)[k], axis=1) - G
-        np.testing.assert_allclose(moved / small, plain[:, k], atol=1e-5)
-    pairs = [(i, j) for i in range(3) for j in range(i, 3)]
-    for k, (i, j) in enumerate(pairs):
-        gain = np.eye(3)
-        gain[j, i] += small
-        moved = np.linalg.norm(G * u @ gain.T, axis=1) - G
-        np.testing.assert_allclose(moved / small, plain[:, 3 + k], atol=1e-4)
-
-
-def test_off_the_body_and_on_it() -> None:
-    assert _joined([(0, 10), (5, 20), (20, 30), (31, 40)]) == [(0, 30), (31, 40)]
-    wear = Wear(3.0, 2.0, np.array([[10.0, 20.0]]))
-    assert wear.worn_at(np.array([9.9, 10.0, 19.9, 20.0])).tolist() == [True, False, False, True]
-
-
 def test_activity_by_the_hour_counts_samples_and_leaves_out_what_was_not_worn() -> None:
     minute = np.arange(1440.0)
     value = np.where(minute % 2 == 0, 1.0, 4.0) * MG
@@ -375,34 +280,6 @@ def test_the_papers_rule_of_stillness_and_its_points() -> None:
     assert first.ready
     assert second.ready
     assert len(first.points) == len(second.points) == 9
-
-
-def test_the_papers_figures_are_mean_errors_in_milli_g(monkeypatch: pytest.MonkeyPatch) -> None:
-    """On the set that was fitted and on the other."""
-    quick = {name: METHODS[name] for name in ("gradient descent", "gradient descent, 16-bit")}
-    monkeypatch.setattr(published, "METHODS", quick)
-    rng = np.random.default_rng(5)
-    u = rng.normal(size=(2, 18, 3))
-    u /= np.linalg.norm(u, axis=2, keepdims=True)
-    points = 1.02 * u + np.array([0.03, -0.02, 0.01]) + 1e-3 * rng.normal(size=u.shape)
-    sets = [SimpleNamespace(points=list(p)) for p in points]
-    methods = published.compared(*sets)  # type: ignore[arg-type]
-    assert [m.name for m in methods] == list(quick)
-    for one in methods:
-        gain = np.array([[one.p[0], 0, 0], [one.p[3], one.p[1], 0], [one.p[4], one.p[5], one.p[2]]])
-        off = [np.abs(np.linalg.norm((p + one.p[6:]) @ gain.T, axis=1) - 1.0) for p in points]
-        assert (one.fitted, one.verified) == pytest.approx((1e3 * off[0].mean(),
-                                                            1e3 * off[1].mean()))  # fmt: skip
-    chosen = methods[0]
-    found = published.published_fit(chosen.p, points[0], G)
-    error = published._error(chosen, found, points[0], points[1])
-    assert error.raw == pytest.approx(1e3 * np.mean(np.abs(np.linalg.norm(points[0], axis=1) - 1)))
-    assert error.held_out.raw == pytest.approx(
-        1e3 * np.mean(np.abs(np.linalg.norm(points[1], axis=1) - 1))
-    )
-    assert (error.final, error.held_out.final) == (chosen.fitted, chosen.verified)
-    assert error.floor == pytest.approx(found.noise.factor * np.sqrt(2.0 / np.pi))
-    assert np.isnan(published.compared(sets[0], SimpleNamespace(points=[]))[0].verified)  # type: ignore[arg-type]
 
 
 def test_a_simulated_week_is_as_long_as_asked_and_rests_as_much() -> None:
@@ -480,36 +357,3 @@ def test_the_fields_rule_takes_windows_below_13_mg_and_2_g() -> None:
     found = closest_point(scanned)  # type: ignore[arg-type]
     assert found is not None
     assert found.points == 37  # all but numbers 1, 2 and 4
-
-
-def test_the_papers_coefficients_are_the_models(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Corrected = K (raw + o), K lower triangular: the same force from the effects' parameters."""
-    rng = np.random.default_rng(11)
-    u = rng.standard_normal((18, 3))
-    points = 1.02 * u / np.linalg.norm(u, axis=1, keepdims=True) + 0.01
-    p = np.array([1.01, 0.98, 1.02, 0.003, -0.004, 0.005, 0.02, -0.03, 0.01])
-    gain = np.array([[1.01, 0.0, 0.0], [0.003, 0.98, 0.0], [-0.004, 0.005, 1.02]])
-    expected = (points + p[6:]) @ gain.T
-    found = published.published_fit(p, points, 9.8)
-    read = found.model.correct(found.theta, 9.8 * points[:, None], found.observations.context)
-    np.testing.assert_allclose(read[:, 0] / 9.8, expected, atol=1e-9)
-    jacobian = found.at.jacobian
-    whole = found.noise.factor**2 * np.linalg.inv(jacobian.T @ jacobian)
-    np.testing.assert_allclose(found.covariance, whole, rtol=1e-6)
-    # Errors of both sets, in mg.
-    second = points[:5] * 1.1
-    sets = (SimpleNamespace(points=list(points)), SimpleNamespace(points=list(second)))
-    monkeypatch.setattr(published, "METHODS", {"m": lambda _: p})
-    (method,) = published.compared(*sets)  # type: ignore[arg-type]
-    for value, some in ((method.fitted, points), (method.verified, second)):
-        size = np.linalg.norm((some + p[6:]) @ gain.T, axis=1)
-        assert value == pytest.approx(1e3 * np.mean(np.abs(size - 1.0)))
-    chosen = published.PublishedMethod("m", p, 3.0, 4.0, 50.0)
-    told = published._error(chosen, found, points, second)
-    assert told.raw == pytest.approx(1e3 * np.mean(np.abs(np.linalg.norm(points, axis=1) - 1.0)))
-    assert told.base == told.final == 3.0
-    assert told.floor == pytest.approx(found.noise.factor * np.sqrt(2.0 / np.pi))
-    raw = 1e3 * np.mean(np.abs(np.linalg.norm(second, axis=1) - 1.0))
-    assert told.held_out.raw == pytest.approx(raw)
-    assert told.held_out.final == 4.0
-    assert np.isnan(published._error(chosen, found, points, second[:0]).held_out.raw)

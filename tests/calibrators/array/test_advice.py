@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imucalib.calibrators.array.advice import advice
+from imucalib.calibrators.array.findings import advice
 from imucalib.recording.recording import Recording
 from worlds.array_stories import PLAN, closed, moving_of, planted_log
 

@@ -15,7 +15,7 @@ from imucalib.calibration.file import check, read, write
 from imucalib.calibration.rest_drift import DRIFT, drift_block
 from imucalib.calibrators.array.board import read_board
 from imucalib.calibrators.array.calibrate import calibrate_array
-from imucalib.calibrators.array.loop.asked import Asked
+from imucalib.calibrators.array.loop.catalogue import Asked
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.run import ArrayRun
 from imucalib.calibrators.array.simulation import LogPlan, SimulatedLog, simulated_log

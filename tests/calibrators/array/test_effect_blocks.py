@@ -10,7 +10,7 @@ import pytest
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.file import from_dict, to_yaml
 from imucalib.calibrators.array.effect_blocks import covariance_of, effect_blocks, triangle
-from imucalib.calibrators.array.fused.doubt import doubt_of
+from imucalib.calibrators.array.fused.instrument import doubt_of
 from imucalib.errors import UnreadableInput
 from imucalib.recording.yaml_text import load
 from worlds.array_stories import closed, planted_log

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from imucalib.calibrators.array.frame import framed_misalignment, in_the_mean_frame
+from imucalib.calibrators.array.rests import framed_misalignment, in_the_mean_frame
 from imucalib.core.context import Context
 from imucalib.core.model import Model
 from imucalib.core.truth import Truth

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from imucalib.calibrators.array import moving
 from imucalib.calibrators.array.gyros import Gyros, contradicted, gyro_drift, relative_gyros
 from imucalib.calibrators.array.moving import Moving, samples_of, spread_over
-from imucalib.errors import Undetermined
 
 Array = NDArray[np.float64]
 
@@ -87,22 +83,6 @@ def test_offsets_drift_with_the_order_that_they_need(order: int) -> None:
     np.testing.assert_allclose(sd, np.sqrt(of_end * np.sum(rest**2, axis=0) / (7 - order)))
 
 
-def test_two_gyros_may_differ_by_half() -> None:
-    ratio = np.ones((9, 3))
-    for factor in (1.49, 0.68):
-        moving._refuse_odd(ratio * [1.0, factor, 1.0], ())
-    for factor, words in ((1.51, "IMU 2 reads 1.5 times"), (0.66, "b reads 0.66 times")):
-        names = ("a", "b", "c") if factor < 1.0 else ()
-        with pytest.raises(Undetermined, match=words):
-            moving._refuse_odd(ratio * [1.0, factor, 1.0], names)
-
-
-def test_thirty_informative_samples_are_enough() -> None:
-    moving._refuse_few({"rotating": 40}, 30)
-    with pytest.raises(Undetermined, match=r"29 informative samples \(40 rotating"):
-        moving._refuse_few({"rotating": 40}, 29)
-
-
 def test_rows_are_spread_over_the_motion() -> None:
     rows = np.array([3, 4, 5, 9, 10, 11, 20])
     assert spread_over(rows, 7) is rows
@@ -132,22 +112,3 @@ def test_the_sampler_gets_the_scatter_of_the_mean() -> None:
         np.linalg.inv(alone.rate_precision), own + floor * np.eye(3), rtol=1e-6
     )
     np.testing.assert_allclose(level.mean(axis=1), made.gyros.mean[rows])
-
-
-def test_only_what_turns_and_its_neighbours_are_looked_at() -> None:
-    """Faster than half of 60 deg/s by the gyros' median, without their offsets."""
-    speed = np.radians([0.0, 0.0, 0.0, 31.0, 29.0, 0.0, 0.0, 80.0])
-    offset = np.array([0.3, 0.0, 0.0])
-    rate = np.zeros((8, 3, 3))
-    rate[:, :, 2] = speed[:, None]
-    rate[5, 0, 2] = 9.0  # one gyro alone
-    log = SimpleNamespace(t=np.arange(8.0), rate=rate + offset, acceleration=rate,
-                          clipped=np.arange(8) == 3)  # fmt: skip
-    rests = SimpleNamespace(without_bias=lambda values, t: values - offset)
-    t, _, inner, clipped = moving._around_motion(log, rests)  # type: ignore[arg-type]
-    assert t.tolist() == [2.0, 3.0, 4.0, 6.0, 7.0]
-    np.testing.assert_allclose(inner[1, 1], [0.0, 0.0, np.radians(31.0)], atol=1e-12)
-    assert clipped.tolist() == [False, True, False, False, False]
-    rate[...] = 0.0
-    log.rate = rate + offset
-    assert moving._around_motion(log, rests)[0].tolist() == [0.0]  # type: ignore[arg-type]

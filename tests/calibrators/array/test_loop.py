@@ -12,12 +12,11 @@ from gates.bounds import at_most
 from imucalib.calibration.outcome import Outcome
 from imucalib.calibration.provenance import provenance_of
 from imucalib.calibrators.array.effect_blocks import effect_blocks
-from imucalib.calibrators.array.estimate.corrected import corrected_samples
 from imucalib.calibrators.array.estimate.left import Residual
+from imucalib.calibrators.array.estimate.total import corrected_samples
 from imucalib.calibrators.array.findings import array_errors, array_findings
 from imucalib.calibrators.array.linear_part import linear_part
-from imucalib.calibrators.array.loop.asked import Asked, named_effect
-from imucalib.calibrators.array.loop.catalogue import array_catalogue
+from imucalib.calibrators.array.loop.catalogue import Asked, array_catalogue, named_effect
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop, close_array_loop
 from imucalib.calibrators.array.loop.declared import with_declared
 from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion

@@ -9,9 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from imucalib.calibrators.array.board import Board
-from imucalib.calibrators.array.loop.asked import Asked
-from imucalib.calibrators.array.observations import own_noise
-from imucalib.calibrators.array.rests import RestFit, fit_rests
+from imucalib.calibrators.array.loop.catalogue import Asked
+from imucalib.calibrators.array.rests import RestFit, fit_rests, own_noise
 from imucalib.errors import Undetermined
 from imucalib.rests.segments import Segments
 from imucalib.units import DEG, MG

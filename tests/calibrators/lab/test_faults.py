@@ -6,7 +6,6 @@ import json
 import re
 import shlex
 from dataclasses import replace
-from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,6 @@ import pytest
 from click.testing import CliRunner
 
 from imucalib import cli
-from imucalib.calibrators.lab.misread import _composed
 from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.calibrators.lab.repairs import Repairs, repaired, repairs_of
 from imucalib.errors import ImucalError, UsageError
@@ -172,16 +170,6 @@ def test_the_axes_of_a_part_are_those_of_the_whole_table_read_once_more() -> Non
     assert changed[1:3].tolist() == (whole[1:3][:, [1, 0, 2]] * [1.0, -1.0, 1.0]).tolist()
     with pytest.raises(UsageError, match="once for the whole"):
         repairs_of((), (), (), ("-z,x,y", "y,x,z"), None)
-
-
-def test_axes_over_axes_are_one_after_the_other() -> None:
-    def read_as(before: PositionTable, axes: str) -> PositionTable:
-        return repaired(before, repairs_of((), (), (), (axes,), None), (), False)[0]
-
-    for over, under in product(("-z,x,-y", "x,-y,-z", "y,z,x"), ("z,-y,x", "-x,-z,y", "x,y,z")):
-        at_once = _composed(over.split(","), tuple(under.split(",")))
-        both = read_as(read_as(table(), under), over)
-        assert read_as(table(), at_once).raw().tolist() == both.raw().tolist()
 
 
 @pytest.mark.parametrize(

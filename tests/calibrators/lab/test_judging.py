@@ -13,12 +13,11 @@ from imucalib.calibrators.lab.attitude import attitude_errors, rms, worst
 from imucalib.calibrators.lab.bench import RawUnit
 from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.calibrators.lab.dial import bends
-from imucalib.calibrators.lab.errors import noise_floor, reading_noise, setting_noise
-from imucalib.calibrators.lab.sessions import between as sessions
+from imucalib.calibrators.lab.errors import noise_floor
 from imucalib.calibrators.lab.sessions.between import Between
 from imucalib.calibrators.population import not_of_its_kind
 from imucalib.core.context import Context
-from imucalib.core.observations import Observations, SharedNoise
+from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm, KnownVector
 from imucalib.errors import UsageError
 from imucalib.loop.held_out import Held
@@ -104,42 +103,6 @@ def test_the_floor_is_that_of_six_repeats_or_more() -> None:
     assert np.isnan(noise_floor(norm, None))
 
 
-def told(floor_deg: float, sensor_mg: float = 1.0, factor: float = 1.0) -> list[str]:
-    """Sentences on whose the scatter of tool-face is."""
-    ids = np.arange(2)
-    reference = KnownVector(np.zeros(2), np.zeros(2), G, ids, ids)
-    noise = SimpleNamespace(factor=factor, sd=(9.0, floor_deg * DEG),
-                            component=("inclination setting", "tool-face setting"))  # fmt: skip
-    at = SimpleNamespace(sigma=np.full((2, 3), sensor_mg * MG), free=2)
-    of = SimpleNamespace(reference=reference, walk=None, shared=())
-    fit = SimpleNamespace(noise=noise, at=at, observations=of)
-    assert setting_noise(fit)["tool-face setting"] == pytest.approx(floor_deg * DEG)
-    fit.noise_sd = np.array([0.1, 0.2, 0.3])
-    alone = reading_noise(fit)
-    own = factor * sensor_mg * MG
-    assert (alone.own, alone.own_sd) == pytest.approx((own, 0.1 * own))
-    assert (alone.shared, alone.memory, alone.whole) == (0.0, 0.0, alone.own)
-    of.walk = SharedNoise("walk", np.eye(2), 7.0)
-    beside = reading_noise(fit)
-    assert (beside.shared, beside.memory) == (floor_deg * DEG, 7.0)
-    assert beside.shared_sd == pytest.approx(0.3 * floor_deg * DEG)
-    of.walk = None
-    return advice._settings(fit)
-
-
-def test_the_hand_scatters_where_the_sensor_does_not() -> None:
-    """1 mg of noise is 0.0573 deg of a level tool: told from twice that on, up to what a bench can
-    be."""
-    assert not told(0.114)
-    (sentence,) = told(0.116)
-    assert "by 0.12 deg because the table is set by hand" in sentence
-    assert "(0.06 deg / cos(inclination))" in sentence
-    assert told(2.99)
-    assert not told(3.01)
-    assert not told(0.116, factor=1.1)
-    assert not told(0.116, sensor_mg=1.1)
-
-
 def test_a_device_far_from_its_fleet_is_told_from_one_in_a_hundred_on() -> None:
     def of(strange: float) -> tuple[str, ...]:
         return not_of_its_kind(strange, "instead")
@@ -219,20 +182,3 @@ def test_the_interval_of_a_scatter_holds_the_middle_95_percent() -> None:
     weights = stats.norm.pdf(sizes, 10.0, 2.0)
     low, high = between(sizes, weights / weights.sum()).interval
     assert (low, high) == pytest.approx((10.0 - 3.92, 10.0 + 3.92), abs=0.02)
-
-
-def test_the_next_power_up_scatters_by_the_mean_and_by_what_sessions_do() -> None:
-    """Of one known size s: variance of the mean and s²; of two, a mixture's quantile."""
-    parameter = SimpleNamespace(name="bias_x", unit="mg")
-    fit = SimpleNamespace(parameters=(parameter,), covariance=np.array([[0.25]]),
-                          theta=np.array([7.0]))  # fmt: skip
-    one = sessions._next(fit, 0, between(np.array([2.0]), np.ones(1), sd=2.0), np.ones(1))  # type: ignore[arg-type]
-    assert (one.value, one.mean, one.sd) == pytest.approx((7.0, 0.5, np.sqrt(4.25)))
-    assert one.half == pytest.approx(1.959964 * np.sqrt(4.25))
-    # A larger scatter leaves the mean more open: by its share over the five sessions.
-    sizes, weights = np.array([1.0, 3.0]), np.array([0.4, 0.6])
-    two = sessions._next(fit, 0, between(sizes, weights, sd=2.0), weights)  # type: ignore[arg-type]
-    var = np.maximum(0.25 + (sizes**2 - 4.0) / 5.0, 0.025) + sizes**2
-    assert two.sd == pytest.approx(np.sqrt(weights @ var))
-    inside = 2.0 * stats.norm.cdf(two.half / np.sqrt(var)) - 1.0
-    assert weights @ inside == pytest.approx(0.95)

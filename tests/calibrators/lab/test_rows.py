@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from imucalib.calibrators.lab import checks, faults
+from imucalib.calibrators.lab import faults
 from imucalib.calibrators.lab.bench import (
     RawUnit,
     direction_observations,
@@ -186,14 +186,6 @@ def test_neighbours_share_a_setting_only_in_an_order_of_work() -> None:
     assert sheet(worked, every).inclination_setting.tolist() == (k // 8).tolist()
 
 
-def test_rows_in_no_order_are_told_what_was_guessed() -> None:
-    rows = np.arange(24)
-    (note,) = faults._order_note(mixed(), rows)
-    assert "neighbours of equal inclination count" in note
-    assert not faults._order_note(mixed(inclination_setting=np.arange(24.0)), rows)
-    assert not faults._order_note(mixed(), np.delete(rows, 3))  # no neighbours are alike any more
-
-
 def test_a_size_is_implausible_beyond_a_third_on_either_side() -> None:
     def bad(*factor: float, n: int = 16) -> list[int]:
         size = np.ones(n)
@@ -269,19 +261,6 @@ def test_rows_are_left_out_by_their_numbers() -> None:
     for wrong in (0, 5):
         with pytest.raises(UsageError, match=f"exclude {wrong}"):
             kept_rows(made, (wrong,))
-
-
-def test_an_angle_is_within_two_turns() -> None:
-    def of(angle: float, **unit: str) -> np.ndarray:
-        made = table(unit, inclination=[0.0, 10.0], tool_face=[0.0, angle])
-        return checks._in_degrees(made).columns["tool_face"]
-
-    assert of(720.0)[1] == of(4.0 * np.pi, tool_face="rad")[1] == 720.0
-    assert of(-720.0)[1] == -720.0
-    for angle in (720.1, -720.1):
-        with pytest.raises(UsageError, match="out of range") as caught:
-            of(angle)
-        assert caught.value.where.endswith("row 2, column tool_face")
 
 
 @pytest.mark.parametrize(("size", "plausible"), [(0.51, True), (1.49, True), (0.49, False),

@@ -5,8 +5,6 @@ from __future__ import annotations
 import csv
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import cast
 
 import numpy as np
 import pytest
@@ -14,9 +12,7 @@ import pytest
 from imucalib.calibrators.lab.files import LabFiles, calibrate_files
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import LabRun
-from imucalib.calibrators.lab.sessions.between import NextPowerUp, _offsets
-from imucalib.core.balance import Balanced, Noise
-from imucalib.core.fit import Fit
+from imucalib.calibrators.lab.sessions.between import NextPowerUp
 from imucalib.core.sessions import turned
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.readers.source import sha256_of
@@ -159,24 +155,3 @@ def test_what_is_mistaken_is_told(planted, tmp_path: Path) -> None:
         run(each)
     with pytest.raises(UsageError, match="--recording goes with one table"):
         calibrate_files(LabFiles(bare, tmp_path / "x.mcap", others=(bare,)), REQUEST, print)
-
-
-def test_offsets_solve_the_mixed_models_equations() -> None:
-    """[X'X X'Z; Z'X Z'Z + I σ²/s²] (θ, u) = (X'y, Z'y); its inverse times σ² is their covariance
-    (Henderson 1975), with five sessions of unequal length."""
-    rng = np.random.default_rng(4)
-    session = np.repeat(np.arange(5), [3, 8, 5, 2, 6])
-    z, x = np.eye(5)[session], np.column_stack([np.ones(24), rng.standard_normal((24, 2))])
-    y, sigma, spread = rng.standard_normal(24), 0.7, 1.3
-    at = Balanced(
-        residual=y, jacobian=x, settings=(z,), component=("a",), keep=np.ones((24, 1, 1)),
-        owner=np.arange(24), sigma=np.ones((24, 1)),
-    )  # fmt: skip
-    fit = SimpleNamespace(at=at, noise=Noise(sigma, ("a",), (spread,)))
-    value, sd = _offsets(cast(Fit, fit), 0)
-    both = np.column_stack([x, z])
-    equations = both.T @ both
-    equations[3:, 3:] += np.eye(5) * sigma**2 / spread**2
-    np.testing.assert_allclose(value, np.linalg.solve(equations, both.T @ y)[3:], atol=1e-10)
-    expected = sigma * np.sqrt(np.diag(np.linalg.inv(equations))[3:])
-    np.testing.assert_allclose(sd, expected, rtol=1e-9)

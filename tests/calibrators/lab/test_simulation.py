@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from imucalib.calibrators.lab import simulation
-from imucalib.calibrators.lab.design import recommend
 from imucalib.calibrators.lab.simulation import BenchPlan
 from imucalib.core.context import Context
 from imucalib.core.observations import Observations
@@ -18,23 +17,6 @@ from imucalib.units import DEG, MG
 from worlds.sheets import direction
 
 G = 9.80665
-
-
-def test_a_simulated_bench_is_laid_out_as_asked() -> None:
-    """A meridian of tens, a ring at 50 deg and a level one; or rings; or these in random order."""
-    rng = np.random.default_rng(0)
-    i, t = simulation._layout(BenchPlan(positions=20), rng)
-    assert i.tolist() == [10.0 * k for k in range(10)] + [50.0] * 5 + [0.0] * 5
-    assert t.tolist() == [0.0] * 10 + [60.0 * k for k in range(1, 6)] + [
-        60.0 * k for k in range(5, 0, -1)
-    ]
-    rings = simulation._layout(BenchPlan("rings", 14), rng)
-    np.testing.assert_allclose(rings, np.rad2deg(recommend(14)), atol=1e-6)
-    mixed = simulation._layout(BenchPlan("random", 14), rng)
-    assert not np.array_equal(mixed[0], rings[0])
-    assert sorted(zip(*mixed, strict=True)) == sorted(zip(*rings, strict=True))
-    with pytest.raises(UsageError):
-        simulation._layout(BenchPlan(positions=11), rng)
 
 
 def test_a_simulated_sheet_reads_its_sensor_with_the_noise_asked_for() -> None:

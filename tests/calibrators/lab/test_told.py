@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from imucalib.calibrators.lab import advice
 from imucalib.calibrators.lab.calibrate import LabSettings
 from imucalib.calibrators.lab.files import LabFiles, calibrate_files
 from imucalib.calibrators.lab.position_table import read_position_table
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import LabRun, run_lab
 from imucalib.cli import cli as main
-from imucalib.loop.found import Unexplained
 from worlds import plain_bench, sheets
 
 
@@ -102,15 +99,3 @@ def test_advice_names_the_row_of_a_slip_whatever_was_left_out(tmp_path: Path) ->
     (told,) = [text for text in run.outcome.advice if "clamp" in text]
     assert told.startswith("From row 19 on the tool stands turned about its own axis in its clamp.")
     assert "Return to the first position at the end" in told
-
-
-def test_noise_that_an_effect_would_explain_asks_for_what_tells_them_apart() -> None:
-    walk = Unexplained("noise (warm)", "order", "noise", 1e-6, 12.0, 0.0, ("temperature_bias",))
-    told = advice._of_structure(walk)
-    assert told.startswith("Structure without a name, driven by order: noise (warm). To tell")
-    assert told.endswith("repeat positions at two temperatures, in mixed order.")
-    bare = advice._of_structure(replace(walk, alike=()))
-    assert bare.endswith("noise (warm). Record with order varied on its own.")
-    assert advice._of_structure(replace(walk, alike=(), driver="")).endswith(
-        "no quantity drives it."
-    )

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from imucalib.estimators.array.rates import _shifted, inverse
-from imucalib.estimators.array.rotation import Local, full
+from imucalib.estimators.array.rates import inverse
+from imucalib.estimators.array.rotation import full
 
 
 def packed(matrices: np.ndarray) -> np.ndarray:
@@ -35,19 +35,3 @@ def test_the_inverse_and_which_are_positive() -> None:
     np.testing.assert_allclose(found[0], packed(np.linalg.inv(matrices))[0], rtol=1e-6)
     np.testing.assert_allclose(det[0], np.linalg.det(matrices), rtol=1e-6, atol=1e-12)
     assert positive[0].tolist() == [True, True, False, False]
-
-
-def test_where_the_hessian_is_not_positive_the_step_goes_down() -> None:
-    """By the sizes of its eigenvalues, a thousandth of the largest at least; others stay."""
-    matrices, gradient = worlds()
-    _, _, positive = inverse(packed(matrices))
-    here = Local(np.zeros((1, 4)), gradient, np.zeros((1, 3, 4)), packed(matrices))
-    step = np.full((1, 3, 4), 7.0)
-    found = _shifted(here, step, positive)
-    np.testing.assert_array_equal(found[..., :2], 7.0)
-    for k in (2, 3):
-        values, vectors = np.linalg.eigh(matrices[k])
-        sizes = np.maximum(np.abs(values), 1e-3 * np.abs(values).max())
-        expected = -vectors @ (vectors.T @ gradient[0, :, k] / sizes)
-        np.testing.assert_allclose(found[0, :, k], expected, rtol=1e-8)
-        assert found[0, :, k] @ gradient[0, :, k] < 0.0

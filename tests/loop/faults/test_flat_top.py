@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from imucalib.loop.faults.converter import cut_off, rows_of
-from imucalib.loop.faults.flat_top import flat_tops
+from imucalib.loop.faults.converter import cut_off, flat_tops, rows_of
 
 Array = NDArray[np.float64]
 GOLDENS = Path(__file__).parents[2] / "goldens"

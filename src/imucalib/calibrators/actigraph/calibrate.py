@@ -18,11 +18,10 @@ from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.effects import named
 from imucalib.errors import NotConverged, UsageError
-from imucalib.loop.asked import Searched, searched
+from imucalib.loop.candidates import Searched, searched
 from imucalib.loop.found import FitLoop
 from imucalib.loop.held_out import Held, fitted, held_out
-from imucalib.loop.posterior.followed import followed
-from imucalib.loop.posterior.recording import Closed, close_recording
+from imucalib.loop.posterior.recording import Closed, close_recording, followed
 from imucalib.rests.runs import PostureRuns, Scan
 
 #: Posture runs a parameter below which what is left over is no noise to search in.

@@ -19,7 +19,7 @@ from imucalib.calibrators.actigraph.errors import sphere_cells
 from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.series import Series, series_block
 from imucalib.calibrators.actigraph.weak import from_data
-from imucalib.calibrators.separate.recorded import recorded_block
+from imucalib.calibrators.next_recording import recorded_block
 from imucalib.core.fit import Fit
 from imucalib.core.sphere import counted
 from imucalib.rests.runs import Scan
@@ -80,7 +80,11 @@ def actigraph_details(
         if result.loop.sums is not None:
             details[sums.KEY] = sums.sums_block(result.loop.sums)
         details[KEY] = recorded_block(
-            result.final, result.loop.ambiguous, MG * wander.scatter, {}, wander.sd
+            result.final,
+            result.loop.ambiguous,
+            reading=MG * wander.scatter,
+            settings={},
+            drift=wander.sd,
         )
     return details
 

@@ -9,8 +9,7 @@ import numpy as np
 
 from imucalib.calibrators.array.against_rests import held_against_rests
 from imucalib.calibrators.array.board import Board
-from imucalib.calibrators.array.drawing.check import compared, refuse_contradiction
-from imucalib.calibrators.array.drawing.sketch import sketched
+from imucalib.calibrators.array.drawing.check import compared, refuse_contradiction, sketched
 from imucalib.calibrators.array.drawing.streams import (
     Streams,
     noisy_alone,
@@ -18,19 +17,25 @@ from imucalib.calibrators.array.drawing.streams import (
     stream_notes,
     streams,
 )
-from imucalib.calibrators.array.estimate.corrected import restated
-from imucalib.calibrators.array.estimate.covariance import with_uneven
-from imucalib.calibrators.array.estimate.every import fitted_on_all, samples_taken
+from imucalib.calibrators.array.effect_blocks import with_rests
+from imucalib.calibrators.array.estimate.covariance import (
+    Uneven,
+    fitted_on_all,
+    samples_taken,
+    with_uneven,
+)
 from imucalib.calibrators.array.estimate.sampled import sampled_positions
-from imucalib.calibrators.array.estimate.size import frame_sd, gravity_sd, scale_by_turns
-from imucalib.calibrators.array.estimate.total import total_of
-from imucalib.calibrators.array.estimate.uneven import Uneven
+from imucalib.calibrators.array.estimate.total import (
+    frame_sd,
+    gravity_sd,
+    restated,
+    scale_by_turns,
+    total_of,
+)
 from imucalib.calibrators.array.linear_part import GYRO_FRAME, linear_part, of_alike_gyros
 from imucalib.calibrators.array.log import ArrayLog, array_log, of_board
-from imucalib.calibrators.array.loop.at_rest import with_rests
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop, close_array_loop
-from imucalib.calibrators.array.loop.declared import with_declared
-from imucalib.calibrators.array.loop.memory import shared_by_neighbours
+from imucalib.calibrators.array.loop.declared import shared_by_neighbours, with_declared
 from imucalib.calibrators.array.loop.search import start_state
 from imucalib.calibrators.array.loop.setup import array_setup
 from imucalib.calibrators.array.loop.state import ArrayState

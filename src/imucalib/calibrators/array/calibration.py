@@ -19,10 +19,8 @@ from imucalib.calibration.rest_drift import DRIFT, drift_block
 from imucalib.calibration.triads import Triad
 from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.effect_blocks import effect_blocks, rest_blocks
-from imucalib.calibrators.array.estimate.blocks import size_block
 from imucalib.calibrators.array.estimate.left import Residual
-from imucalib.calibrators.array.estimate.size import GyroScale
-from imucalib.calibrators.array.estimate.total import Total
+from imucalib.calibrators.array.estimate.total import GyroScale, Total, size_block
 from imucalib.calibrators.array.findings import noise_block
 from imucalib.calibrators.array.linear_part import LinearPart
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop

@@ -10,7 +10,7 @@ from typing import Literal
 from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.estimate.left import Accepted
 from imucalib.calibrators.array.estimate.total import Distance
-from imucalib.calibrators.array.loop.asked import NOTHING_ASKED, Asked
+from imucalib.calibrators.array.loop.catalogue import NOTHING_ASKED, Asked
 from imucalib.calibrators.array.moving import GyroCovariance
 from imucalib.core.effect import Effect
 from imucalib.effects import own_effects

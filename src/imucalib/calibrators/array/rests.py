@@ -4,41 +4,226 @@ The model is the catalogue's: bias, scale and misalignment of every triad, and w
 finds beside them: a warm-up, a drift, a rest that does not belong to the others. The orientation of
 the triads relative to each other is determined, that of the whole set is not: its mean over the
 triads is the board's frame (paper 001, section IV-B, and its reference 18).
+
+An array's rests as observations: what each shows, and how much it counts.
+
+A rest's mean is as good as its samples are many, down to what a chip's offset does from rest to
+rest. A rest of one second between rests of half a minute is five times as noisy, and an error of
+the model that is only its noise would be searched for.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibrators.array.board import Board
-from imucalib.calibrators.array.frame import BASE, in_the_mean_frame
 from imucalib.calibrators.array.gyros import gyro_drift
-from imucalib.calibrators.array.loop.asked import NOTHING_ASKED, Asked
-from imucalib.calibrators.array.observations import (
-    base_model,
-    observations_of,
-    own_noise,
-    rest_context,
-    rounding,
-    weighted,
-)
-from imucalib.core.effect import Effect, Response
+from imucalib.calibrators.array.loop.catalogue import NOTHING_ASKED, Asked
+from imucalib.core.balance import Noise, balance
+from imucalib.core.context import Context
+from imucalib.core.effect import Action, Effect, Response, cross_matrix
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
+from imucalib.core.parameter import Parameter
 from imucalib.core.references import KnownNorm
 from imucalib.core.truth import Truth
-from imucalib.effects import catalogue, families
+from imucalib.effects import catalogue, families, named
 from imucalib.errors import NotConverged, Undetermined
 from imucalib.estimators.least_squares import fit as fit_model
-from imucalib.loop.asked import Searched, searched
+from imucalib.estimators.variance import estimate_noise
+from imucalib.loop.candidates import Searched, searched
 from imucalib.loop.found import FitLoop
 from imucalib.loop.posterior.closed import close_loop
 from imucalib.rests.segments import Segments
+from imucalib.units import MG
+
+FEWEST_POSES = 9
+#: What differs from rest to rest beside the averaged noise, in units of that of a median rest, as
+#: tried.
+_BETWEEN = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
+#: Share of the median axis' noise below which rounding, which does not average, is all there is.
+_QUIET = 0.1
+
+
+def base_model() -> Model:
+    """Bias, scale and misalignment of every triad, in the frame that is their mean."""
+    return Model((named("bias"), named("scale"), framed_misalignment()))
+
+
+def rest_context(t: Array, start: float, stop: float, triads: tuple[str, ...]) -> Context:
+    """What effects know at times (N,) s: the order runs from 0 at the first rest to 1 at the last,
+    and no further. No record is one of the rests'."""
+    order = np.clip((t - start) / max(stop - start, 1e-9), 0.0, 1.0)
+    covariates = {"order": order, "time": t, "record": np.full(len(t), -1.0)}
+    return Context(len(t), covariates, triads)
+
+
+def observations_of(
+    segments: Segments, board: Board, order: list[int], gravity: float
+) -> Observations:
+    """One observation a rest, in order of time; sigma is that of no weights yet, 1 mg for all.
+
+    Raises Undetermined where there are too few, or where an IMU reads another unit.
+    """
+    n = segments.n
+    if n < FEWEST_POSES:
+        raise Undetermined(
+            f"{n} rests found, at least {FEWEST_POSES} are needed to calibrate the accelerometers",
+            remedy="hold the board still in nine or more attitudes; `imucal inspect FILE --rests` "
+            "lists what counts as a rest and what was refused",
+        )
+    reading = segments.mean[:, order]
+    ratio = np.median(np.linalg.norm(reading, axis=2), axis=0) / gravity
+    worst = int(np.argmax(np.abs(np.log(np.maximum(ratio, 1e-9)))))
+    if not 0.5 < ratio[worst] < 2.0:  # offsets do not double or halve gravity
+        raise Undetermined(
+            f"{board.imus[worst]} reads {ratio[worst]:.2g} times gravity at rest",
+            remedy="its unit is not what the recording or its mapping says (g against m/s²: 9.81)",
+        )
+    middle = 0.5 * (segments.start + segments.stop)
+    known = rest_context(middle, float(middle[0]), float(middle[-1]), board.imus)
+    covariates = {**known.covariates, "record": np.arange(float(n))}
+    return Observations(
+        reading,
+        np.full(reading.shape, MG),
+        KnownNorm(n, gravity, board.rotations),
+        replace(known, covariates=covariates, attitude=board.rotations),
+        np.arange(n),
+        tuple(f"rest {k + 1} ({t:.0f} s)" for k, t in enumerate(middle)),
+    )
+
+
+def own_noise(segments: Segments, order: list[int]) -> Array:
+    """(n, K, 3) m/s², what its samples' noise and their rounding leave of each rest's mean."""
+    noise = np.maximum(segments.noise[order], _QUIET * np.median(segments.noise[order]))
+    averaged = noise / np.sqrt(segments.samples[:, order])[..., None]
+    return np.hypot(averaged, rounding(segments.step[order], segments.noise[order]))
+
+
+def rounding(step: Array, noise: Array, *, alike: bool = False) -> Array:
+    """Standard deviation of what rounding to a step leaves of the mean of however many samples, by
+    the noise that they show; the harmonics of the saw-tooth that rounding is, of which noise of
+    half a step leaves nothing (Widrow and Kollar, Quantization Noise, 2008, chapter 4).
+
+    alike : whether all rests read the same: between two steps rounding alone makes noise of a half
+    """
+    below = np.maximum(noise**2 - step**2 / (4.0 if alike else 12.0), 0.0)
+    ratio = 4.0 * np.pi**2 * below / np.maximum(step, 1e-100) ** 2
+    k = np.arange(1.0, 41.0)
+    harmonics = np.exp(-ratio[..., None] * k**2) / k**2
+    return np.asarray(step * np.sqrt(harmonics.sum(axis=-1) / 2.0) / np.pi)
+
+
+def weighted(data: Observations, own: Array) -> Observations:
+    """The same observations with sigma² = own² + between², up to the factor that every fit has.
+
+    own : (n, K, 3) m/s². `between` is the likeliest of a few sizes (restricted likelihood of the
+    model at its fit) beside a warm-up, whose misfit all rests share and which would pass for it.
+    """
+    found = fit_model(Model((*base_model().effects, named("warm_up"))), data)
+
+    def likelihood(sigma: Array) -> float:
+        at = balance(found.model, found.theta, found.eta, replace(data, sigma=sigma))
+        noise = estimate_noise(at, Noise(1.0, at.component, ()), fixed=False)
+        # What is left of a rest's numbers has two fewer directions: those of gravity.
+        turned = np.log(np.mean(sigma**-2.0, axis=(1, 2)))
+        return noise.log_likelihood - float(np.log(sigma).sum() + turned.sum())
+
+    sizes = (size * float(np.median(own)) for size in _BETWEEN)
+    return replace(data, sigma=max((np.hypot(own, size) for size in sizes), key=likelihood))
+
+
+#: What is fitted before anything is searched for.
+BASE = ("bias", "scale", "accelerometer_misalignment")
+_FIRST = (0, 1, 3)  # misalignments of the first triad that stand for the frame: xy, xz, yz
+
+
+class _Framed(Response):
+    """Misalignment of every triad, the first one's axes being the frame of all: x along its x,
+    y in its x-y plane, so that no rotation of the whole set is left open."""
+
+    def parameters(self, context: Context) -> tuple[Parameter, ...]:
+        every = super().parameters(context)
+        return tuple(p for k, p in enumerate(every) if k not in _FIRST)
+
+    def act(self, theta: Array, truth: Truth, context: Context) -> Action:
+        action = super().act(np.insert(theta, [0, 0, 1], 0.0), truth, context)
+        return replace(action, d_theta=np.delete(action.d_theta, _FIRST, axis=3))
+
+
+def framed_misalignment() -> Effect:
+    """The catalogue's misalignment at the size that uncalibrated triads have."""
+    plain = named("accelerometer_misalignment")
+    assert isinstance(plain, Response)
+    own = {f.name: getattr(plain, f.name) for f in fields(plain)}
+    each = tuple(replace(p, typical=2.0, plausible=20.0) for p in plain.each)
+    return _Framed(**{**own, "each": each})
+
+
+def in_the_mean_frame(fit: Fit, rotations: Array) -> tuple[Array, Array]:
+    """Gains (K, 3, 3) and the covariance (K, 12, K, 12) of gains and offsets at the end of the
+    rests, turned so that the gains' mean rotation, in board axes, is none."""
+    context, count = fit.observations.context, len(rotations)
+    slices = fit.model.slices(context)
+    last = context.take(np.array([context.n - 1]))
+    end = replace(last, covariates={**last.covariates, "record": -np.ones(1)})
+    linear = np.zeros((count, 12, fit.theta.size))
+    for name in BASE[1:]:
+        effect = next(e for e in fit.model.effects if e.name == name)
+        part = slices[name]
+        for axis in range(3):
+            unit = np.broadcast_to(np.eye(3)[axis], (1, count, 3))
+            columns = effect.act(np.zeros(part.stop - part.start), Truth(unit), end).d_theta[0]
+            linear[:, axis:9:3, part] += columns
+    for effect in fit.model.effects:
+        if effect.name not in BASE[1:]:
+            part, zero = slices[effect.name], Truth(np.zeros((1, count, 3)))
+            columns = effect.act(np.zeros(part.stop - part.start), zero, end).d_theta[0]
+            linear[:, 9:, part] += columns
+    gain = np.eye(3) + (linear @ fit.theta)[:, :9].reshape(count, 3, 3)
+    covariance = np.einsum("kip,pq,ljq->kilj", linear, fit.covariance, linear)
+    for _ in range(3):  # the mean's antisymmetric part is its rotation only while that is small
+        gain = _turned_back(gain, rotations)
+    keep = _without_rotation(gain, rotations)
+    whole = np.zeros((count, 12, count, 12))
+    whole[:, :9, :, :9] = keep.reshape(count, 9, count, 9)
+    whole[np.arange(count), 9:, np.arange(count), 9:] = np.eye(3)
+    flat, size = whole.reshape(12 * count, -1), 12 * count
+    covariance = flat @ covariance.reshape(size, size) @ flat.T
+    return gain, covariance.reshape(count, 12, count, 12)
+
+
+def _rotations(gain: Array, rotations: Array) -> tuple[Array, Array]:
+    """(9 K, 3) what a small rotation of all triads about each board axis does to their gains, and
+    (3, 9 K) the mean's antisymmetric part, in board axes, of gains."""
+    count = len(gain)
+    moved, held = np.zeros((count, 3, 3, 3)), np.zeros((3, count, 3, 3))
+    for axis, cross in enumerate(cross_matrix(np.eye(3))):
+        own = rotations.transpose(0, 2, 1) @ cross @ rotations
+        moved[..., axis], held[axis] = gain @ own, own
+    return moved.reshape(9 * count, 3), held.reshape(3, 9 * count)
+
+
+def _turned_back(gain: Array, rotations: Array) -> Array:
+    """The gains (K, 3, 3) with all triads turned by the rotation that their mean has."""
+    from scipy.spatial.transform import Rotation
+
+    moved, held = _rotations(gain, rotations)
+    angles = np.linalg.solve(held @ moved, held @ gain.ravel())
+    turn = Rotation.from_rotvec(-angles).as_matrix()
+    return np.asarray(gain @ rotations.transpose(0, 2, 1) @ turn @ rotations)
+
+
+def _without_rotation(gain: Array, rotations: Array) -> Array:
+    """(9 K, 9 K) that takes the rotation of all triads out of small changes of their gains."""
+    moved, held = _rotations(gain, rotations)
+    return np.asarray(np.eye(len(moved)) - moved @ np.linalg.solve(held @ moved, held))
+
 
 _AT_A_TIME = 128  # samples of which columns are held at once
 _VAGUE = 0.02  # standard deviation of a gain entry above which the attitudes are too alike

@@ -7,30 +7,25 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.calibration.ambiguity import KEY
 from imucalib.calibration.outcome import ErrorSummary, Limit, Outcome, Run
 from imucalib.calibration.provenance import Provenance, provenance_of
-from imucalib.calibrators.array.advice import advice
 from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.calibration import array_calibration, array_details
+from imucalib.calibrators.array.estimate.covariance import Uneven
 from imucalib.calibrators.array.estimate.left import (
     Residual,
     left_in_words,
     residual_in_motion,
     what_is_left,
 )
-from imucalib.calibrators.array.estimate.size import GyroScale
-from imucalib.calibrators.array.estimate.total import Total
-from imucalib.calibrators.array.estimate.uneven import Uneven
-from imucalib.calibrators.array.findings import array_errors, array_findings
+from imucalib.calibrators.array.estimate.total import GyroScale, Total
+from imucalib.calibrators.array.findings import advice, array_errors, array_findings
 from imucalib.calibrators.array.linear_part import LinearPart
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop
 from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.calibrators.array.moving import Moving
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.rests import RestFit
-from imucalib.calibrators.array.separate.motion_block import motion_block
-from imucalib.calibrators.array.separate.motion_plan import motion_plans
 from imucalib.estimators.array.sampler import ArrayPositions
 from imucalib.recording.pairing import channel_names
 from imucalib.recording.recording import Recording
@@ -86,8 +81,6 @@ def finished(
         rests=rests, moving=moving, final=final, total=total, gyros=gyros, board=board,
         loop=loop, linear=linear, residual=residual,
     )  # fmt: skip
-    if loop is not None:
-        details[KEY] = motion_block(motion_plans(loop, np.random.default_rng(request.seed)))
     calibration = array_calibration(
         outcome, details, rests=rests, moving=moving, total=total, gyros=gyros, board=board,
         linear=linear, channels=channel_names(recording),

@@ -29,7 +29,7 @@ from imucalib.calibrators.lab.sessions.joined_tables import joined
 from imucalib.core.effect import Effect
 from imucalib.effects import own_effects
 from imucalib.estimators.turns import TurnFit, carried_error
-from imucalib.loop.difference import Difference, difference
+from imucalib.loop.held_out import Difference, difference
 from imucalib.recording.mapping import UNCHANGED, AxisMap, FieldMapping
 from imucalib.recording.recording import Recording
 from imucalib.rests.segments import Segments

@@ -16,11 +16,9 @@ from imucalib.calibrators.imu.calibrate import ImuRequest, ImuResult, calibrate_
 from imucalib.calibrators.imu.calibration import imu_calibration, imu_details
 from imucalib.core.sphere import even_directions
 from imucalib.estimators.turns import ACCELEROMETER, GAIN, TurnFit
-from imucalib.loop.difference import Difference
-from imucalib.loop.evidence import Score
-from imucalib.loop.found import Unexplained
-from imucalib.loop.posterior.tried import of_each
-from imucalib.loop.posterior.words import Place
+from imucalib.loop.found import Score, Unexplained
+from imucalib.loop.held_out import Difference
+from imucalib.loop.posterior.words import Place, of_each
 from imucalib.recording.mapping import FieldMapping
 from imucalib.units import DEG
 

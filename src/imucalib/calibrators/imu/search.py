@@ -33,7 +33,7 @@ from imucalib.estimators.turns import (
     variances,
     without,
 )
-from imucalib.loop.posterior.component import Component, Kind, Member, log_odds
+from imucalib.loop.posterior.catalogue import Component, Kind, Member, log_odds
 from imucalib.loop.posterior.gram import Grams, Multiplied, swept
 from imucalib.loop.posterior.odds import HEARD, SIZES, TOGETHER
 from imucalib.loop.posterior.problem import Choice

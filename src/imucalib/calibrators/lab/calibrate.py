@@ -33,12 +33,10 @@ from imucalib.estimators.in_a_population import strangeness
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.estimators.noise_mixture import with_noise_integrated
 from imucalib.estimators.starting_point import full_matrix_start, linear_map
-from imucalib.loop.asked import searched
-from imucalib.loop.design import folds_of
-from imucalib.loop.found import FitLoop
-from imucalib.loop.held_out import Held, by_folds, fitted
+from imucalib.loop.candidates import searched
+from imucalib.loop.found import FitLoop, Rival
+from imucalib.loop.held_out import Held, by_folds, fitted, folds_of
 from imucalib.loop.posterior.closed import close_loop
-from imucalib.loop.posterior.rivals import Rival
 from imucalib.loop.posterior.slips import Written
 
 Objective = Literal["settings", "vector", "angles", "paper"]

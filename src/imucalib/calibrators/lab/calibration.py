@@ -19,11 +19,11 @@ from imucalib.calibrators.lab.errors import reading_noise, setting_noise
 from imucalib.calibrators.lab.faults import Faults
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.sessions.between import Sessions
-from imucalib.calibrators.separate.recorded import recorded_block
+from imucalib.calibrators.next_recording import recorded_block
 from imucalib.core.fit import Fit
 from imucalib.core.references import KnownVector
 from imucalib.loop.held_out import errors
-from imucalib.loop.separation.ambiguities import ambiguities
+from imucalib.loop.separation import ambiguities
 from imucalib.units import DEG, MG
 
 
@@ -84,7 +84,7 @@ def lab_details(
         fit = result.final
         # What neighbours share is noise of a later rest too.
         reading, found = reading_noise(fit).whole, ambiguities(result.loop)
-        details[KEY] = recorded_block(fit, found, reading, setting_noise(fit))
+        details[KEY] = recorded_block(fit, found, reading=reading, settings=setting_noise(fit))
     return details
 
 

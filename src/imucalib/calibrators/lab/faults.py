@@ -18,12 +18,16 @@ from imucalib.calibrators.lab.request import LabRequest
 from imucalib.core.known_direction import KnownDirection
 from imucalib.core.observations import Observations
 from imucalib.errors import UsageError
-from imucalib.loop.faults.conventions import misread_angles
-from imucalib.loop.faults.converter import CutOff, cut_off, mistaken_scale, rows_of, step_of
-from imucalib.loop.faults.directions import wrong_directions
-from imucalib.loop.faults.flat_top import flat_tops
-from imucalib.loop.faults.found import Fault
-from imucalib.loop.faults.sheet import Sheet, in_order
+from imucalib.loop.faults.conventions import misread_angles, wrong_directions
+from imucalib.loop.faults.converter import (
+    CutOff,
+    cut_off,
+    flat_tops,
+    mistaken_scale,
+    rows_of,
+    step_of,
+)
+from imucalib.loop.faults.sheet import Fault, Sheet, in_order
 from imucalib.loop.found import FitLoop
 from imucalib.loop.posterior.slips import Written
 from imucalib.loop.record_errors import RecordError

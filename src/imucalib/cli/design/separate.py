@@ -15,8 +15,7 @@ def plan_for(path: Path, options: dict[str, Any]) -> int:
     """Print the plan of a calibration, and write its table where asked; the exit code."""
     from imucalib.atomic_file import demand_output
     from imucalib.calibration.checking.limits import size_of
-    from imucalib.calibrators.separate.next_recording import next_recording
-    from imucalib.calibrators.separate.plan import Wish
+    from imucalib.calibrators.next_recording import Wish, next_recording
     from imucalib.report.render.text import render_text
     from imucalib.report.separation import separation_dict, separation_document
 

@@ -10,7 +10,7 @@ from imucalib.calibration.provenance import Provenance
 from imucalib.calibrators.population import Population
 from imucalib.cohort.fleet.search import Search
 from imucalib.cohort.fleet.spread import Outlier, Spread
-from imucalib.loop.difference import Difference
+from imucalib.loop.held_out import Difference
 
 
 @dataclass(frozen=True)

@@ -22,8 +22,8 @@ from imucalib.cohort.fleet.shrunk import held_out, with_priors
 from imucalib.cohort.fleet.spread import Spread, outliers, spread_of
 from imucalib.core.effect import Effect
 from imucalib.errors import ImucalError, UnreadableInput, UsageError
-from imucalib.loop.asked import searched
-from imucalib.loop.difference import Difference, difference
+from imucalib.loop.candidates import searched
+from imucalib.loop.held_out import Difference, difference
 from imucalib.units import MG
 
 #: Devices up to which each one's folds are predicted, with and without what was found.

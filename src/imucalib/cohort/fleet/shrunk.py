@@ -13,8 +13,7 @@ from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.prior import Prior
 from imucalib.estimators.least_squares import fit as fit_model
-from imucalib.loop.design import folds_of
-from imucalib.loop.held_out import Held, by_folds, errors
+from imucalib.loop.held_out import Held, by_folds, errors, folds_of
 
 
 def with_priors(fit: Fit, said: Mapping[str, Prior], effects: Mapping[str, Effect]) -> Fit:

@@ -14,10 +14,8 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.core.references import unit_vector
-from imucalib.loop.faults.base import Base, prior_of
-from imucalib.loop.faults.found import Fault, Hypothesis
-from imucalib.loop.faults.readings import by_rows, leading
-from imucalib.loop.faults.sheet import Sheet
+from imucalib.loop.faults.cells import Base, by_rows, leading, prior_of
+from imucalib.loop.faults.sheet import Fault, Hypothesis, Sheet
 
 #: A typo is at least this far (deg) from what the sheet has.
 _NEAREST = 1.0

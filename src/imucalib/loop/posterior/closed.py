@@ -13,21 +13,16 @@ from imucalib.core.observations import Observations
 from imucalib.effects.record_error import record_of
 from imucalib.errors import NotConverged
 from imucalib.estimators.least_squares import fit as fit_model
-from imucalib.loop.asked import Searched
-from imucalib.loop.design import Fold, folds_of, parts_of
-from imucalib.loop.difference import Difference, difference, with_density
+from imucalib.loop.candidates import Searched
 from imucalib.loop.found import Checked, FitLoop, Step, Unexplained
-from imucalib.loop.posterior.explored import Explored
+from imucalib.loop.held_out import Difference, Fold, difference, folds_of, parts_of, with_density
 from imucalib.loop.posterior.held_out import LeftOut, left_out
 from imucalib.loop.posterior.noise import Point, shared_bias
 from imucalib.loop.posterior.odds import OPEN
-from imucalib.loop.posterior.rivals import rivals_of
 from imucalib.loop.posterior.slips import Mended, Written, mended
-from imucalib.loop.posterior.solution import change, fit_of, noises_of, solved
-from imucalib.loop.posterior.tried import scores_of
-from imucalib.loop.posterior.words import Place, Told, name_of, told
-from imucalib.loop.record_errors import record_names
-from imucalib.loop.records import accused, reduced
+from imucalib.loop.posterior.solution import Explored, change, fit_of, noises_of, solved
+from imucalib.loop.posterior.words import Place, Told, name_of, rivals_of, scores_of, told
+from imucalib.loop.record_errors import accused, record_names, reduced
 from imucalib.units import MG
 
 

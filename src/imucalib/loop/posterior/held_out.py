@@ -12,8 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.loop.design import Fold
-from imucalib.loop.held_out import Held, errors, joined
+from imucalib.loop.held_out import Fold, Held, errors, joined
 from imucalib.loop.posterior.gram import Grams, beside, log_sum, narrowed, swept, without
 from imucalib.loop.posterior.odds import FOLD_BEAMS, FOLD_DEEPEST
 from imucalib.loop.posterior.problem import Choice, Problem

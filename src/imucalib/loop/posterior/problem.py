@@ -20,7 +20,7 @@ from imucalib.core.fit import Fit, shrinking
 from imucalib.core.model import Model
 from imucalib.effects.record_error import is_record_error
 from imucalib.loop.candidates import effect_slopes, fitted_prediction
-from imucalib.loop.posterior.component import Component, Member, log_odds
+from imucalib.loop.posterior.catalogue import Component, Member, log_odds
 from imucalib.loop.posterior.odds import SIZES
 
 

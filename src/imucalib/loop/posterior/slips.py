@@ -20,20 +20,16 @@ from imucalib.core.observations import Observations
 from imucalib.core.references import KnownVector
 from imucalib.effects.record_error import GROSS_MG
 from imucalib.estimators.least_squares import fit as fit_model
-from imucalib.loop.asked import Searched
+from imucalib.loop.candidates import Searched
 from imucalib.loop.faults.angles import angles
-from imucalib.loop.faults.axes import other_axes
-from imucalib.loop.faults.base import base_of, prior_of
-from imucalib.loop.faults.cells import cells
-from imucalib.loop.faults.found import Fault
-from imucalib.loop.faults.readings import blocks, exchanges
-from imucalib.loop.faults.sheet import Sheet
-from imucalib.loop.posterior.explored import Explored, explored
+from imucalib.loop.faults.cells import base_of, blocks, cells, exchanges, other_axes, prior_of
+from imucalib.loop.faults.sheet import Fault, Sheet
 from imucalib.loop.posterior.gram import Grams, beside, log_sum, restricted, swept
 from imucalib.loop.posterior.odds import ACCUSED, OPEN
 from imucalib.loop.posterior.problem import known_sd
+from imucalib.loop.posterior.solution import Explored, explored
 from imucalib.loop.posterior.space import Pick, block_logs, blocks_of
-from imucalib.loop.records import foreseen, set_aside
+from imucalib.loop.record_errors import foreseen, set_aside
 from imucalib.units import DEG, MG
 
 #: Slips of one sheet, sheets that are refitted and that are searched again for each, and rows up to

@@ -17,7 +17,7 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.core.eigen import eigen
-from imucalib.loop.posterior.component import log_set_prior, log_size_prior
+from imucalib.loop.posterior.catalogue import log_set_prior, log_size_prior
 from imucalib.loop.posterior.gram import Grams, beside, log_sum, swept
 from imucalib.loop.posterior.odds import BEAMS, DEEPEST, OPEN, WIDTH
 from imucalib.loop.posterior.problem import Choice, Contest

@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from imucalib.calibrators.array.board import Board
-from imucalib.calibrators.array.estimate.blocks import size_over
-from imucalib.calibrators.array.estimate.size import GyroScale
-from imucalib.calibrators.array.estimate.total import Total
+from imucalib.calibrators.array.estimate.total import GyroScale, Total, size_over
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.report.document import Facts
 from imucalib.significant_digits import plus_minus

@@ -11,31 +11,28 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from imucalib.calibrators.array import log as logs
 from imucalib.calibrators.array.board import undrawn_board
-from imucalib.calibrators.array.drawing.axes import (
+from imucalib.calibrators.array.drawing.check import (
     SIGNED,
-    _turned_by,
-    common_gyro_axes,
     in_words,
-    relative_axes,
-)
-from imucalib.calibrators.array.drawing.places import (
-    _placed,
-    in_its_unit,
     places,
+    relative_axes,
     rough_places,
+    sketched,
 )
-from imucalib.calibrators.array.drawing.sketch import sketched
-from imucalib.calibrators.array.estimate.blocks import size_block, size_over
-from imucalib.calibrators.array.estimate.size import GyroScale, frame_sd, gravity_sd, gyro_scale
-from imucalib.calibrators.array.estimate.total import total_of
-from imucalib.calibrators.array.estimate.turns import Turns, _carried, _fitted, _robust
-from imucalib.calibrators.array.fused import clocks
-from imucalib.calibrators.array.observations import own_noise, rest_context
-from imucalib.calibrators.array.range_ends import at_end, at_range
-from imucalib.recording.recording import Channel
-from worlds.boards import DEG, BoardPlan, handled, turned, twisted
+from imucalib.calibrators.array.estimate.total import (
+    GyroScale,
+    frame_sd,
+    gravity_sd,
+    gyro_scale,
+    size_block,
+    size_over,
+    total_of,
+)
+from imucalib.calibrators.array.estimate.turns import Turns
+from imucalib.calibrators.array.log import at_end, at_range
+from imucalib.calibrators.array.rests import own_noise, rest_context
+from worlds.boards import DEG, BoardPlan, handled, twisted
 
 Array = NDArray[np.float64]
 PLAN = BoardPlan(rests=10, twist_s=4.0)
@@ -122,22 +119,6 @@ def test_axes_are_told_where_the_others_agree() -> None:
     assert in_words(np.array([[0.0, -1, 0], [0, 0, 1], [1, 0, 0]])) == "-y,z,x"
 
 
-def test_gravity_turns_by_the_gyros_in_their_right_axes() -> None:
-    t, w, _, force = motion()
-    start, stop = rests()
-    up = force[np.round((start + 1.0) * PLAN.hz).astype(int)]
-    for k in (0, 5, 29):
-        found = common_gyro_axes(t, w @ SIGNED[k], up, start, stop)
-        np.testing.assert_array_equal(found, SIGNED[k])
-    # Three turns are too few to say so.
-    few = common_gyro_axes(t, w @ SIGNED[5], up[:4], start[:4], stop[:4])
-    np.testing.assert_array_equal(few, np.eye(3))
-    axis = np.array([0.0, 0.6, 0.8])
-    steady = np.tile(0.7 * axis, (101, 1))
-    due = turned(axis, np.array([-0.7]))[0]
-    np.testing.assert_allclose(_turned_by(0.01 * np.arange(101.0), steady)[0], due, atol=1e-9)
-
-
 def test_places_are_seen_by_the_forces_differences() -> None:
     t, w, _, _ = motion()
     fast = np.linalg.norm(w, axis=1) > 60.0 * DEG
@@ -155,75 +136,6 @@ def test_places_are_seen_by_the_forces_differences() -> None:
     assert swapped.place.tolist() == [0, 2, 1, 3]
     assert swapped.exchanged.tolist() == [1, 2]
     assert not swapped.other_unit
-
-
-def test_places_of_another_unit_or_sign() -> None:
-    drawn = PLACES - PLACES.mean(axis=0)
-    for factor, other in ((1.9, False), (2.1, True), (1.0 / 1.9, False), (1.0 / 2.1, True),
-                          (499.0, True), (501.0, False)):  # fmt: skip
-        found = _placed(factor * drawn, drawn, ALIKE)
-        assert found.size == pytest.approx(factor)
-        assert found.other_unit == other
-        assert not found.exchanged.size
-    flipped = _placed(-drawn, drawn, ALIKE)
-    assert flipped.inverted
-    assert flipped.place.tolist() == [0, 1, 2, 3]
-    # Sensors of a symmetric board in another order look like all of them with the other sign.
-    square = np.array([[1.0, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]])
-    turned = _placed(-square, square, ALIKE)
-    assert not turned.inverted
-    assert turned.place.tolist() == [2, 3, 0, 1]
-    flat = np.diag([1.0, -1.0, -1.0])
-    mixed = _placed(-square, square, np.array([np.eye(3), np.eye(3), flat, flat]))
-    assert mixed.inverted  # their mountings do not allow that order
-    # A place is left only where another is four times nearer, in the square.
-    between = drawn.copy()
-    between[[1, 2]] = 0.5 * (drawn[[1, 2]] + drawn[[2, 1]]) + 0.1 * (drawn[[2, 1]] - drawn[[1, 2]])
-    assert not _placed(between, drawn, ALIKE).exchanged.size
-    between[[1, 2]] = drawn[[2, 1]] + 0.3 * (drawn[[1, 2]] - drawn[[2, 1]])
-    assert _placed(between, drawn, ALIKE).exchanged.tolist() == [1, 2]
-    still = np.full((5, 2, 3), [0.0, 0.0, 4.1])
-    assert in_its_unit(still)
-    assert not in_its_unit(still * 3.9 / 4.1)
-    assert in_its_unit(still * 19.9 / 4.1)
-    assert not in_its_unit(still * 20.1 / 4.1)
-
-
-def test_the_scale_of_turns_is_robust_and_known_by_the_jackknife() -> None:
-    """Weights (ν + 2) / (ν + r²/s²) of Student's t of four; what each turn changes is its doubt."""
-    rng = np.random.default_rng(1)
-    slope = rng.normal(size=(12, 3))
-    off = 0.004 * slope + 1e-3 * rng.normal(size=(12, 3))
-    wild = off.copy()
-    wild[3] += 0.5
-    assert _robust(wild, slope) == pytest.approx(_robust(off, slope), abs=1e-3)
-    scale = _robust(off, slope)
-    square = np.sum((off - scale * slope) ** 2, axis=1) / 2.0
-    size = 1.0
-    for _ in range(300):  # the same equations, solved by themselves
-        weight = 6.0 / (4.0 + 2.0 * square / size)
-        size = np.sum(weight * square) / np.sum(weight)
-    assert scale == pytest.approx(np.sum(weight[:, None] * slope * off) / np.sum(
-        weight[:, None] * slope**2), rel=1e-4)  # fmt: skip
-    up = rng.normal(size=(13, 3))
-    up /= np.linalg.norm(up, axis=1)[:, None]
-    found = _fitted(off, slope, up)
-    each = np.array([_robust(np.delete(off, k, 0), np.delete(slope, k, 0)) for k in range(12)])
-    spread = np.sqrt(11.0 / 12.0 * np.sum((each - each.mean()) ** 2) * 11.0 / 9.0)
-    assert (found.scale, found.sd) == pytest.approx((scale, spread))
-    assert found.misfit == pytest.approx(np.sqrt(np.mean(np.sum((off - scale * slope) ** 2, 1))))
-    apart = [np.arccos(a @ b) for a, b in zip(up[1:], up[:-1], strict=True)]
-    assert found.angle == pytest.approx(np.median(apart))
-
-
-def test_a_vector_is_carried_by_the_rate() -> None:
-    t = 0.01 * np.arange(80.0)
-    axis = np.array([2.0, -1.0, 2.0]) / 3.0
-    rate = (3.0 * np.sin(4.0 * t))[:, None] * axis
-    angle = 0.75 * (1.0 - np.cos(4.0 * t[-1]))
-    vector = np.array([0.0, 0.6, 0.8])
-    due = turned(axis, np.array([-angle]))[0] @ vector
-    np.testing.assert_allclose(_carried(t, rate, vector), due, atol=1e-5)
 
 
 def test_gravity_is_known_by_its_source() -> None:
@@ -292,46 +204,3 @@ def test_clipping_is_at_the_range_or_where_an_end_repeats() -> None:
     assert np.flatnonzero(at_end(held)).tolist() == list(range(6))
     held[4:6, 0] = 0.0
     assert not at_end(held).any()
-
-
-def test_instants_are_matched_within_three_tenths_of_an_interval() -> None:
-    t = 0.01 * np.arange(20.0)
-
-    def channel(at: Array) -> Channel:
-        return Channel(at, np.zeros((len(at), 3)), "m/s2", "acceleration", "a", 100.0)
-
-    late = t + 0.002
-    late[7] += 0.0015
-    times, indices, note = logs._common_times([channel(t), channel(late)], "log")
-    np.testing.assert_allclose(times, np.delete(t, 7))
-    assert indices[1].tolist() == [k for k in range(20) if k != 7]
-    assert "median difference 2 ms), 1 without" in note
-
-
-def test_gyros_off_their_mean_are_those_in_range(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Less the mean of those that are whole; a sample moves where all that are there are."""
-    n = 6
-    off = np.arange(n * 3 * 3, dtype=float).reshape(n, 3, 3)
-    live = np.ones((n, 3, 3), bool)
-    live[1, 2, 0] = live[2] = False
-    spin = np.arange(n * 3.0).reshape(n, 3)
-    rate = np.zeros((n + 1, 3, 3))
-    rate[2] = rate[1, 2] = np.nan  # what is not there takes no part
-    live[4, 0] = False
-
-    def fused(instrument: object, stretch: SimpleNamespace, *_: object, **__: object) -> object:
-        return SimpleNamespace(rate_off=off, rate_live=live, motion=SimpleNamespace(spin=spin))
-
-    monkeypatch.setattr(clocks, "fuse", fused)
-    monkeypatch.setattr(clocks, "turning", lambda made, stretch: np.arange(n + 1) < n)
-    made = SimpleNamespace(gyro_axes=np.tile(2.0 * np.eye(3), (3, 1, 1)))
-    part = SimpleNamespace(rate=rate, take=lambda rows: None)
-    found, turn, moving = clocks._rough(made, part, (None, None))  # type: ignore[arg-type]
-    np.testing.assert_allclose(turn[:n], spin)
-    assert moving.tolist() == [True, True, False, True, False, True, False]
-    half = off / 2.0
-    np.testing.assert_allclose(found[0], half[0] - half[0].mean(axis=0))
-    np.testing.assert_allclose(found[1, :2], half[1, :2] - half[1, :2].mean(axis=0))
-    assert not found[1, 2].any()
-    assert not found[2].any()
-    assert not found[n].any()

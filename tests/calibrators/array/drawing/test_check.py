@@ -13,8 +13,14 @@ from numpy.typing import NDArray
 from imucalib.calibration.apply import apply_to_recording
 from imucalib.calibrators.array.board import Board, read_board
 from imucalib.calibrators.array.calibrate import calibrate_array
-from imucalib.calibrators.array.drawing.axes import SIGNED, common_gyro_axes, in_words
-from imucalib.calibrators.array.drawing.check import Drawn, compared, refuse_contradiction
+from imucalib.calibrators.array.drawing.check import (
+    SIGNED,
+    Drawn,
+    common_gyro_axes,
+    compared,
+    in_words,
+    refuse_contradiction,
+)
 from imucalib.calibrators.array.log import array_log, of_board
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.simulation import LogPlan, simulated_log

@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 
 from imucalib.calibrators.array.board import Board
-from imucalib.calibrators.array.estimate.covariance import stated_covariance
-from imucalib.calibrators.array.estimate.every import fitted_on_all, samples_taken
-from imucalib.calibrators.array.estimate.response import information
+from imucalib.calibrators.array.estimate.covariance import (
+    fitted_on_all,
+    information,
+    samples_taken,
+    stated_covariance,
+)
 from imucalib.calibrators.array.loop.search import start_state
 from imucalib.calibrators.array.loop.setup import array_setup
 from imucalib.calibrators.array.loop.state import ArrayState

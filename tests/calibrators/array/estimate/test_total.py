@@ -5,8 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imucalib.calibrators.array.estimate.size import common_rate, gyro_scale
-from imucalib.calibrators.array.estimate.total import Distance, Total, total_of
+from imucalib.calibrators.array.estimate.total import (
+    Distance,
+    Total,
+    common_rate,
+    gyro_scale,
+    total_of,
+)
 from imucalib.calibrators.array.estimate.turns import Turns, common_scale
 from worlds.array import corners
 from worlds.boards import DEG, BoardPlan, handled

@@ -9,7 +9,7 @@ import pytest
 
 from imucalib.calibrators.array.board import read_board
 from imucalib.calibrators.array.calibrate import calibrate_array
-from imucalib.calibrators.array.estimate.uneven import Uneven, uneven
+from imucalib.calibrators.array.estimate.covariance import Uneven, uneven
 from imucalib.calibrators.array.request import ArrayRequest
 from worlds.boards import Array, made_board
 from worlds.odd_boards import PLAN, bowing_and_tilting, odd_log

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from imucalib.calibrators.array.fused.beyond import Beyond, beyond_linear
+from imucalib.calibrators.array.fused.instrument import Beyond, beyond_linear
 from imucalib.calibrators.array.loop.motion import board_motion
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
 

@@ -10,9 +10,9 @@ import pytest
 from numpy.typing import NDArray
 
 from imucalib.calibration.calibration import Calibration
+from imucalib.calibrators.array.fused.fuse import Stretch
 from imucalib.calibrators.array.fused.instrument import instrument_of
 from imucalib.calibrators.array.fused.recording import Told, fused_stretch
-from imucalib.calibrators.array.fused.stretch import Stretch
 from imucalib.calibrators.array.fused.survey import survey
 from worlds.rigid_board import DEG, board, calibration, moves, readings, recording, turned_by
 

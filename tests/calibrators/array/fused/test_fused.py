@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from imucalib.calibrators.array.fused.fuse import Fused, _where_smooth
+from imucalib.calibrators.array.fused.fuse import Fused, Stretch
 from imucalib.calibrators.array.fused.instrument import instrument_of
 from imucalib.calibrators.array.fused.recording import Told, fused_stretch
-from imucalib.calibrators.array.fused.side_by_side import NotFusable, side_by_side
-from imucalib.calibrators.array.fused.stretch import Stretch
-from imucalib.calibrators.array.fused.survey import Survey, survey
+from imucalib.calibrators.array.fused.survey import NotFusable, Survey, side_by_side, survey
 from imucalib.errors import UsageError
 from imucalib.recording.recording import Recording
 from worlds.rigid_board import (
@@ -277,13 +275,3 @@ def test_what_cannot_be_fused_is_refused(plain: World) -> None:
     single = replace(calibration(plain.board), triads=(), calibrator="lab")
     with pytest.raises(UsageError, match="nothing to fuse"):
         instrument_of(single)
-
-
-def test_lags_are_undone_whole_only_where_that_is_motion() -> None:
-    """What goes on from sample to sample is motion; what turns its sign at each is noise."""
-    t = np.arange(200)[:, None, None]
-    first = np.zeros((200, 1, 1))
-    slow, quick = np.sin(0.3 * t), (-1.0) ** t
-    assert _where_smooth(first, slow) is slow
-    assert _where_smooth(first, quick) is first
-    assert _where_smooth(first, first) is first

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from imucalib.calibrators.array.loop.at_rest import rest_steps, with_rests
+from imucalib.calibrators.array.effect_blocks import rest_steps, with_rests
 from imucalib.loop.found import Checked, Step, Unexplained
 
 

@@ -16,7 +16,7 @@ from imucalib.calibrators.array.loop.setup import Setup, array_setup, part_of
 from imucalib.calibrators.array.loop.terms import rest_terms
 from imucalib.calibrators.array.moving import Moving
 from imucalib.calibrators.array.rests import RestFit
-from imucalib.loop.difference import Difference
+from imucalib.loop.held_out import Difference
 from imucalib.recording.recording import Recording
 from worlds import array_stories as worlds
 from worlds.array_stories import BOARD, moving_of, planted_log

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imucalib.calibrators.array.advice import advice
 from imucalib.calibrators.array.board import read_board
+from imucalib.calibrators.array.findings import advice
 from imucalib.calibrators.array.loop.catalogue import array_catalogue
 from worlds.array_stories import closed, moving_of, named, positions_z
 from worlds.boards import made_board

@@ -1,4 +1,12 @@
-"""What a joint fit has as unknowns: positions and terms, and their products at a fitted motion."""
+"""What a joint fit has as unknowns: positions and terms, and their products at a fitted motion.
+
+How much the readings tell of a joint fit whose weights follow its residuals.
+
+Weights (ν + 3)/(ν + d²) fall where a residual grows, so that a score answers a shift of what is
+fitted by less than its weights say: by (ν + 3)/(ν + 5) where residuals are the errors (Lange,
+Little, Taylor 1989, JASA 84). The motion of a sample takes a part of few IMUs' errors and may lay
+one chip's on another, and then the share is another: of four chips less still. So it is measured.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,10 @@
-"""What a calibrated array leaves unexplained, in the terms of who uses it: mm, mg and deg/s."""
+"""What a calibrated array leaves unexplained, in the terms of who uses it: mm, mg and deg/s.
+
+Whether positions are the same in all parts of the motion, as a rigid board's are.
+
+Each sample pulls the answer by its score. In a part of the motion these pulls add up by chance, or
+by what the part has of its own: a board that bows as it warms up, chips that tilt with the rate.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +15,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.outcome import Left
-from imucalib.calibrators.array.estimate.uneven import POSITIONS, Uneven
+from imucalib.calibrators.array.estimate.covariance import POSITIONS, Uneven
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop
 from imucalib.calibrators.array.loop.cross_fit import NORMAL_MAD
 from imucalib.calibrators.array.loop.state import ArrayState

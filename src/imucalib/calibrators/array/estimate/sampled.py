@@ -8,7 +8,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibrators.array.board import Board
-from imucalib.calibrators.array.estimate.corrected import corrected_samples
+from imucalib.calibrators.array.estimate.total import corrected_samples
 from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.calibrators.array.moving import Moving, samples_of, spread_over
 from imucalib.calibrators.array.request import NON_LINEARITY, ArrayRequest

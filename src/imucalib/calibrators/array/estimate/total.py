@@ -4,11 +4,75 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from imucalib.arrays import Array
+from imucalib.calibrators.array.board import Board
+from imucalib.calibrators.array.estimate.turns import Turns, common_scale
+from imucalib.calibrators.array.log import ArrayLog
+from imucalib.calibrators.array.loop.state import ArrayState
+from imucalib.calibrators.array.moving import Moving
+from imucalib.calibrators.array.rests import RestFit
 from imucalib.core.effect import cross_matrix
+from imucalib.estimators.array.problem import ArrayData
+from imucalib.estimators.array.sampler import ArrayPositions
+from imucalib.rests.segments import Segments
+from imucalib.units import DEG
+
+#: Relative sd of gravity, by where its value comes from: anywhere on Earth (9.78 to 9.83 m/s²); of
+#: a formula for the latitude (anomalies of some 50 mGal); as a user gives it, to a few digits.
+_ANYWHERE, _BY_LATITUDE, _GIVEN = 1.3e-3, 5e-5, 1e-4
+#: A package's turn on the board: sd, and how many degrees of freedom that belief is worth.
+_MOUNTED, _BELIEF = 0.3 * DEG, 1.0
+
+
+def size_over(drawn: Array, total: Total) -> tuple[float, float, float]:
+    """Size over the drawing's (the regression on it): value, sd, and sd of the motion's part."""
+    own = (drawn[1:] - drawn[0]).ravel()
+    row = own / (own @ own)
+    value = float(row @ total.mean[1:].ravel())
+    parts = (total.covariance, total.motion)
+    whole, motion = (float(np.sqrt(row @ part @ row)) for part in parts)
+    return value, whole, motion
+
+
+def size_block(total: Total, gyros: GyroScale, board: Board) -> dict[str, Any]:
+    """What fixes size and frame, and how well; distances from the first IMU hold the size's doubt
+    and not the frame's, the shape neither."""
+    value, sd, motion = size_over(board.drawn, total)
+    away = [total.distance(0, k) for k in range(1, board.count)]
+    turns = gyros.turns
+    return {
+        "size": {
+            "relative_to_drawing": value,
+            "sd": sd,
+            "sd_of_motion": motion,
+            "sd_beyond_motion": total.size_sd,
+            "sd_of_gravity": total.gravity_sd,
+        },
+        "gyro_scale": {
+            "common_error": gyros.value,
+            "sd": gyros.sd,
+            "sd_by_data_sheet": gyros.tolerance,
+            "turns": None if turns is None else {
+                "common_error": turns.scale,
+                "sd": turns.sd,
+                "count": turns.count,
+                "misfit_deg": turns.misfit / DEG,
+            },
+        },
+        "frame": {
+            "sd_deg": (total.frame_sd / DEG).tolist(),
+            "shape_sd_mm": float(1e3 * np.sqrt(np.median(np.diag(total.shape)))),
+        },
+        "distances_mm": [
+            {"from": board.imus[0], "to": name, "distance": 1e3 * d, "sd": 1e3 * s}
+            for name, (d, s) in zip(board.imus[1:], away, strict=True)
+        ],
+    }  # fmt: skip
+
 
 _ROUNDS = 3  # of the linearisation of a distance
 
@@ -134,3 +198,110 @@ def _apart(mean: Array, one: int, two: int) -> tuple[float, Array]:
     slope[two] += away / value
     slope[one] -= away / value
     return value, slope[1:].ravel()
+
+
+def corrected_samples(state: ArrayState) -> ArrayData:
+    """Readings with the effects taken out, as Gaussian data of one sigma.
+
+    Where the noise has tails or grows with the rate, each residual is shrunk to λ/λ₀ of itself: the
+    score of every unknown is then the weighted one at the mode (Huber's pseudo-values). The
+    precision λ₀ is the mean of the weights over what each sample says of the positions, times the
+    share of it that noise with tails tells.
+    """
+    sampled, inner = state.sampled, state.setup.inner
+    lever = np.sum(sampled.turn[inner] ** 2, axis=(1, 2))[:, None]
+    weight = sampled.weights.acceleration[inner]
+    one = float(np.sum(lever * weight) / np.sum(lever) / weight.shape[1])
+    one *= state.noise[0].information
+    off = sampled.off.acceleration[inner] * (weight / one)[..., None]
+    acceleration = sampled.force[inner] + off
+    weight = sampled.weights.rate[inner]
+    own = float(np.mean(weight)) * state.noise[1].information
+    off = sampled.off.rate[inner] * (weight / own)[..., None]
+    rate = sampled.rate[inner] + off.mean(axis=1)
+    k = state.setup.triads
+    return ArrayData(acceleration, np.full(k, one**-0.5), rate, np.eye(3) * own * k)
+
+
+def restated(found: ArrayPositions, total: Total, rng: np.random.Generator) -> ArrayPositions:
+    """The draws carried over to the mean and the covariance of all that is uncertain, of which the
+    sampler saw a part."""
+    n, d = found.free.shape
+    root = np.linalg.cholesky(total.covariance)
+    if n > 2 * d:
+        away = found.free - found.free.mean(axis=0)
+        white = np.linalg.solve(np.linalg.cholesky(found.covariance), away.T)
+    else:
+        white = rng.standard_normal((d, n))
+    moved = total.mean[1:].ravel() + (root @ white).T
+    unknowns = found.unknowns.copy()
+    unknowns[..., :d] = moved.reshape(*unknowns.shape[:2], d)
+    return replace(found, unknowns=unknowns)
+
+
+@dataclass(frozen=True)
+class GyroScale:
+    """The gyros' common scale, readings (1 + value) ω. tolerance : sd by the data sheets alone;
+    turns : what the turns between rests say, or None"""
+
+    value: float
+    sd: float
+    tolerance: float
+    turns: Turns | None
+
+
+def gyro_scale(tolerance: float, turns: Turns | None) -> GyroScale:
+    """Data sheets and turns together."""
+    if turns is None:
+        return GyroScale(0.0, tolerance, tolerance, None)
+    share = tolerance**2 / (tolerance**2 + turns.sd**2)
+    return GyroScale(share * turns.scale, tolerance * float(np.sqrt(1.0 - share)), tolerance, turns)
+
+
+def scale_by_turns(
+    log: ArrayLog, segments: Segments, rests: RestFit, moving: Moving, order: list[int],
+    *, gyro_gain: Array | None = None, factor: Array | None = None,
+) -> GyroScale:  # fmt: skip
+    """The common scale of the gyros, each corrected by its own gain beside the others.
+
+    order : the board's IMUs in the segments' triads; gyro_gain : (K, 3, 3) of the joint fit, or
+    None for the plain comparison of the gyros; factor : (K,) of each gyro's noise in motion
+    """
+    gain = moving.gyros.gain if gyro_gain is None else gyro_gain
+    rate = common_rate(log.rate, gain, np.ones(len(gain)) if factor is None else factor)
+    middle = 0.5 * (segments.start + segments.stop)
+    still = np.einsum("kij,nkj->nki", rests.rotations, segments.mean[:, order])
+    up = rests.corrected(still, middle).mean(axis=1)
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    turns = common_scale(log.t, rate, ~log.clipped, up, segments.start, segments.stop)
+    return gyro_scale(0.5 * moving.gyros.scale_sd, turns)
+
+
+def common_rate(rate: Array, gain: Array, factor: Array) -> Array:
+    """(n, 3) rad/s that corrected gyros (n, K, 3) say together, weighed as in the motion: the rate
+    that the positions stand on. Where a bent response had passed for a gain, the plain mean of
+    eight held an eighth of that, and the size a quarter; the motion's rate did not.
+
+    gain : (K, 3, 3), reading = gain · rate; factor : (K,) of each gyro's noise
+    """
+    weight = factor**-2 / np.sum(factor**-2)
+    back = weight[:, None, None] * np.linalg.inv(gain)
+    return np.asarray(np.einsum("kij,nkj->ni", back, rate))
+
+
+def gravity_sd(source: str) -> float:
+    """Relative standard deviation of gravity by where its value comes from."""
+    if source.startswith("standard"):
+        return _ANYWHERE
+    return _BY_LATITUDE if source.startswith("normal") else _GIVEN
+
+
+def frame_sd(rests: RestFit) -> float:
+    """rad about each axis, of the triads' mean axes against the board's: what the triads' own turns
+    scatter, over the root of how many there are."""
+    gain, _, _ = rests.in_board_axes()
+    turn = 0.5 * (gain - gain.transpose(0, 2, 1))
+    angles = np.stack([turn[:, 2, 1], turn[:, 0, 2], turn[:, 1, 0]], axis=1)
+    count = len(angles)
+    square = float(np.sum((angles - angles.mean(axis=0)) ** 2)) + _BELIEF * _MOUNTED**2
+    return float(np.sqrt(square / (3.0 * (count - 1) + _BELIEF) / count))

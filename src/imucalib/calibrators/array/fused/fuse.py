@@ -2,6 +2,13 @@
 
 Each round fits the motion of every sample, takes out what the found effects add at that motion, and
 weighs each triad by what it leaves. The last one also knows dω/dt from the neighbours' rates.
+
+What the rates of the samples before and after say of dω/dt, and how far that can be believed.
+
+Accelerometers show dω/dt of a sample by itself, with noise over the size of the board. Where the
+motion is slow against the sampling, the difference of the neighbours' rates shows it far better;
+where it is not, hardly at all. The third difference of the rates tells which: the error of a
+central difference is its size over 6 Δt, to first order (Taylor).
 """
 
 from __future__ import annotations
@@ -9,18 +16,213 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from imucalib.arrays import Array, Flags, Index
-from imucalib.calibrators.array.fused.doubt import of_the_calibration
-from imucalib.calibrators.array.fused.instrument import Instrument
-from imucalib.calibrators.array.fused.neighbours import near_next, spin_by_neighbours
+from imucalib.calibrators.array.fused.instrument import Instrument, of_the_calibration
 from imucalib.calibrators.array.fused.noise import ChipNoise
-from imucalib.calibrators.array.fused.start import Start, inside, outside, start_of
-from imucalib.calibrators.array.fused.stretch import Stretch, along
 from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
+from imucalib.calibrators.array.moving import SLOWEST
 from imucalib.core.course import slope_of
 from imucalib.core.truth import Motion
 from imucalib.estimators.array.fusion import FusedMotion, Sensed, fused_motion, precision_of
+
+_BEYOND = 1.15  # times its range that a clipped rate is first thought to be
+
+
+_FARTHER = (1.4, 2.0)  # times the first guess, where that led to an answer inside the range
+
+
+_FAINT = 1e-6  # weight of that guess
+
+
+_GONE = 0.5  # share of one gyro's say along an axis below which gyros do not see it
+
+
+@dataclass(frozen=True)
+class Start:
+    """force, gyro : (T, K, 3) corrected by the linear parts, board axes
+    live, rate_live : (T, K, 3) axes that are there and in range
+    first : (T, 3) rad/s; alone : (T,) no gyro sees some part of the rate
+    """
+
+    force: Array
+    gyro: Array
+    live: Flags
+    rate_live: Flags
+    first: Array
+    alone: Flags
+
+
+def start_of(instrument: Instrument, stretch: Stretch) -> Start:
+    """Corrected readings, and the rates that the gyros say: the median of whole triads; a little
+    beyond the range where all gyros are at its end."""
+    force, gyro = instrument.corrected(stretch.t, stretch.acceleration, stretch.rate)
+    clipped, rate_clipped = instrument.clipped(stretch.acceleration, stretch.rate)
+    live = np.isfinite(stretch.acceleration) & ~clipped
+    there = np.isfinite(stretch.rate)
+    rate_live = there & ~rate_clipped
+    whole = np.all(rate_live, axis=2)
+    some = np.any(whole, axis=1)
+    first = np.zeros((len(stretch.t), 3))
+    inner = np.where(whole[some][..., None], gyro[some], np.nan)
+    first[some] = np.nanmedian(inner, axis=1)
+    alone = np.zeros(len(stretch.t), dtype=np.bool_)
+    if not np.all(some):
+        rest = ~some
+        part = (gyro[rest], rate_live[rest], (there & rate_clipped)[rest])
+        first[rest], alone[rest] = _guessed(instrument.gyro_axes, *part)
+    return Start(force, gyro, live, rate_live, first, alone)
+
+
+def turning(instrument: Instrument, stretch: Stretch) -> Flags:
+    """(T,) samples that rotate, by their gyros."""
+    return np.asarray(np.linalg.norm(start_of(instrument, stretch).first, axis=1) > SLOWEST)
+
+
+def _guessed(axes: Array, gyro: Array, live: Flags, clipped: Flags) -> tuple[Array, Flags]:
+    """Rates (n, 3) of samples without a whole gyro, and where nothing in range sees a part."""
+    squares = (axes[:, :, :, None] * axes[:, :, None, :]).reshape(-1, 9)
+    reading = np.where(clipped, _BEYOND, 1.0) * along(axes, gyro)
+    weight = live + _FAINT * clipped
+    matrix = (weight.reshape(len(gyro), -1) @ squares).reshape(-1, 3, 3)
+    right = (weight * reading).reshape(len(gyro), -1) @ axes.reshape(-1, 3)
+    first = np.linalg.solve(matrix + _FAINT**2 * np.eye(3), right[..., None])[..., 0]
+    seen = (live.reshape(len(gyro), -1).astype(float) @ squares).reshape(-1, 3, 3)
+    return np.asarray(first, np.float64), np.asarray(np.linalg.eigvalsh(seen)[:, 0] < _GONE)
+
+
+def outside(
+    instrument: Instrument, stretch: Stretch, start: Start, sensed: Sensed, motion: FusedMotion
+) -> FusedMotion:
+    """The motion with answers that lie inside the range, or have the wrong sign, sought again from
+    farther out: the rate hangs on its square there, and has more than one answer."""
+    for times in _FARTHER:
+        rows = np.flatnonzero(np.any(inside(instrument, stretch, start, motion), axis=(1, 2)))
+        if not len(rows):
+            break
+        again = fused_motion(sensed.take(rows), instrument.r, times * start.first[rows])
+        motion = motion.put(rows, again)
+    return motion
+
+
+def inside(instrument: Instrument, stretch: Stretch, start: Start, motion: FusedMotion) -> Flags:
+    """(T, K, 3) clipped axes of samples that no gyro sees whole, whose fused rate lies inside the
+    range: there the reading itself, the end of the range, is nearer."""
+    lost = np.isfinite(stretch.rate) & ~start.rate_live & start.alone[:, None, None]
+    if not lost.any():
+        return lost
+    axes = instrument.gyro_axes
+    own = along(axes, np.broadcast_to(motion.rate[:, None], start.gyro.shape))
+    read = along(axes, start.gyro)
+    return np.asarray(lost & (own * np.sign(read) < np.abs(read)))
+
+
+_LOST = 1.5  # median intervals between samples from which on they are no neighbours
+_SLOW = 0.3  # share of the usual interval by which neighbours may be off
+#: Samples over which the error of the difference is judged; and over which, where third differences
+#: are hardly more than noise: what noise leaves of the squares of a few is not zero.
+_FEW, _QUIET = 9, (27, 81)
+#: Times what noise explains up to which that is so, and what a few squares then are at most: the
+#: 98 % point of χ² with 3.9 degrees of freedom, those of nine whose correlations are (15/20)²,
+#: (6/20)² and (1/20)².
+_HARDLY, _MOST = 2.0, 2.9
+_JUDGED = 25  # samples over which the accelerometers may contradict it
+_ODD = 2.5  # times what noise explains, from which they do
+
+
+def near_next(t: Array) -> Flags:
+    """(T - 1,) whether a sample and the next are neighbours, none being lost between them."""
+    step = np.diff(t)
+    return np.asarray(step < _LOST * np.median(step))
+
+
+def spin_by_neighbours(
+    t: Array, motion: FusedMotion, late: Array | None
+) -> tuple[Array, Array] | None:
+    """dω/dt (T, 3) rad/s² by differences and its inverse variance, zero where neighbours are
+    missing; None for too few samples.
+
+    late : (T, K, 3, 3) s as in `fusion.Sensed`: the rate that gyros have is that of their mean time
+    """
+    if len(t) < _JUDGED:
+        return None
+    rate, variance, after = _as_read(motion, late)
+    step = np.diff(t)
+    usual = float(np.median(step))
+    near = np.abs(step - usual) < _SLOW * usual
+    spin, own = np.zeros_like(rate), np.full(rate.shape, np.inf)
+    # What gyros read is of `after` seconds later: dω/dt at the stamp is so much of d²ω/dt² less.
+    ahead = after[1:-1, None] / usual**2
+    spin[1:-1] = (rate[2:] - rate[:-2]) / (2.0 * usual)
+    spin[1:-1] -= ahead * (rate[2:] - 2.0 * rate[1:-1] + rate[:-2])
+    around = variance[2:] + variance[:-2]
+    own[1:-1] = around / (2.0 * usual) ** 2 + ahead**2 * (around + 4.0 * variance[1:-1])
+    own[1:-1][~(near[1:] & near[:-1])] = np.inf
+    error = _error(rate, variance, near, usual)
+    # What the accelerometers see beside it, where that is more than noise: aliased motion.
+    theirs = np.einsum("tii->ti", motion.covariance)[:, 3:6]
+    known = np.isfinite(own)
+    off = np.where(known, (spin - motion.spin) ** 2, 0.0)
+    noise = np.where(known, theirs + own, 0.0) + error
+    seen, due = _local(off, _JUDGED), _local(noise, _JUDGED)
+    error += np.where(seen > _ODD * due, seen - due, 0.0)
+    return spin, 1.0 / (own + error)
+
+
+def _error(rate: Array, variance: Array, near: Flags, usual: float) -> Array:
+    """(T, 3) (rad/s²)², the square of what a central difference of the rates is off by."""
+    square, noise = np.zeros_like(rate), np.zeros_like(rate)
+    whole = (near[2:] & near[1:-1] & near[:-2])[:, None]
+    due = variance[3:] + 9.0 * (variance[2:-1] + variance[1:-2]) + variance[:-3]
+    square[1:-2] = np.where(whole, np.diff(rate, n=3, axis=0) ** 2, 0.0)
+    noise[1:-2] = np.where(whole, due, 0.0)
+    few = _local(square, _FEW)
+    error = few - _local(noise, _FEW)
+    for window in _QUIET:
+        many, due = _local(square, window), _local(noise, window)
+        quiet = (many < _HARDLY * due) & (few < _MOST * due)
+        error = np.where(quiet, many - due, error)
+    return np.maximum(error, 0.0) / (6.0 * usual) ** 2
+
+
+def _as_read(motion: FusedMotion, late: Array | None) -> tuple[Array, Array, Array]:
+    """(T, 3) the rate at the gyros' mean time and its variance, in which the spin's noise is not;
+    (T,) s by which that time is after the stamp."""
+    variance = np.einsum("tii->ti", motion.covariance)
+    if late is None:
+        return motion.rate, variance[:, 6:], np.zeros(len(motion.rate))
+    after = np.einsum("tkii->t", late) / (3.0 * late.shape[1])
+    mean = after[:, None]
+    cross = np.einsum("tii->ti", motion.covariance[:, 3:6, 6:])
+    spread = variance[:, 6:] + 2.0 * mean * cross + mean**2 * variance[:, 3:6]
+    return motion.rate + mean * motion.spin, np.maximum(spread, 0.0), after
+
+
+def _local(values: Array, window: int) -> Array:
+    return np.asarray(uniform_filter1d(values, window, axis=0, mode="nearest"))
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Readings of K IMUs at the same instants, in the sensors' own axes; NaN where missing.
+
+    t : (T,) s; acceleration : (T, K, 3) m/s²; rate : (T, K, 3) rad/s
+    """
+
+    t: Array
+    acceleration: Array
+    rate: Array
+
+    def take(self, rows: slice | Index | Flags) -> Stretch:
+        return Stretch(self.t[rows], self.acceleration[rows], self.rate[rows])
+
+
+def along(axes: Array, vectors: Array) -> Array:
+    """(T, K, 3) what axes (K, 3, 3), one in a row, see of vectors (T, K, 3)."""
+    seen = np.matmul(vectors.transpose(1, 0, 2), axes.transpose(0, 2, 1))
+    return np.asarray(seen.transpose(1, 0, 2))
+
 
 _SHORT = 4  # samples from which on lags are undone by the course of the motion
 _GOES_ON = 0.5  # correlation of neighbours from which on a correction is motion

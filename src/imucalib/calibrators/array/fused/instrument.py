@@ -1,9 +1,26 @@
-"""A calibrated array as an instrument: what its file says, ready for the readings of a log."""
+"""A calibrated array as an instrument: what its file says, ready for the readings of a log.
+
+What found effects add beyond every IMU's linear correction: it needs the motion.
+
+Elements that sense beside their package's middle, delays, sample ages, g-sensitivity, curved
+responses. What depends on the time of the calibrated log (drifts, beats) says nothing of another.
+
+What a calibration leaves open, carried into the motion that it fuses.
+
+A calibration's error moves all samples alike, and each by its own force and rate. To first order
+dx = C Jᵀ Λ dy, with C the covariance of the noise, J the derivative of a reading, Λ its weight and
+dy what the error adds to it. What turns or scales the whole board moves the motion itself.
+
+Two halves of the chips against each other: whether what is stated of the noise holds.
+
+Residuals of one sample are few, and heavy tails pull the motion after them, so that noise fitted to
+residuals comes out too small. Halves of the chips share no noise: their difference is the check.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,10 +28,327 @@ import numpy as np
 from imucalib.arrays import Array, Flags
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.triads import Triad
-from imucalib.calibrators.array.fused.beyond import Beyond, beyond_linear
-from imucalib.calibrators.array.fused.doubt import Doubt, doubt_of
+from imucalib.calibrators.array.effect_blocks import AT_REST, covariance_of
+from imucalib.calibrators.array.linear_part import slope_at_rest
+from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
+from imucalib.calibrators.array.loop.terms import Term, lost
+from imucalib.core.context import MOTION
+from imucalib.core.effect import Response, cross_matrix
+from imucalib.core.eigen import eigen
+from imucalib.effects import known
 from imucalib.errors import UnreadableInput, UsageError
+from imucalib.estimators.array.fusion import FusedMotion, Sensed
+from imucalib.estimators.array.samples import slope_of, turning
 from imucalib.units import DEG, STANDARD_GRAVITY
+
+_FLAT = 1e-12  # of the largest variance of an effect's parameters, below which it is rounding
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """places : (3 K, 3 K) m² of the positions by the calibration's motion; triads : (K, 12, 12) of
+    gains (rows first) and biases (m/s²), each IMU's by itself; gravity, scale : relative sds of the
+    force and of all gyros' rates; frame : (3,) rad; effects : terms with a root (p, q) of the
+    covariance of their parameters"""
+
+    places: Array
+    triads: Array
+    gravity: float
+    scale: float
+    frame: Array
+    effects: tuple[tuple[Term, Array], ...]
+
+
+def doubt_of(calibration: Calibration, places: Array) -> Doubt | None:
+    """Of an array's calibration with positions (K, 3) m about the first IMU; None where its file
+    does not say how well positions are known."""
+    facts, count = calibration.facts, len(calibration.triads)
+    free = 3 * (count - 1)
+    if calibration.covariance.shape != (free, free) or not calibration.covariance.any():
+        return None
+    size, frame = facts.get("size", {}), facts.get("frame", {})
+    beyond = float(size.get("sd_beyond_motion", 0.0))
+    turns = np.broadcast_to(np.asarray(frame.get("sd_deg", 0.0), dtype=float), (3,)) * DEG
+    own = np.zeros((3 * count, 3 * count))
+    own[3:, 3:] = _by_motion(1e-6 * calibration.covariance, places[1:], beyond, turns)
+    return Doubt(
+        places=own,
+        triads=np.array([t.covariance for t in calibration.triads]),
+        gravity=float(size.get("sd_of_gravity", 0.0)),
+        scale=float(facts.get("gyro_scale", {}).get("sd", 0.0)),
+        frame=turns,
+        effects=tuple(_effects(calibration)),
+    )
+
+
+def _by_motion(covariance: Array, places: Array, size: float, frame: Array) -> Array:
+    """(d, d) m² less what size and frame have put into it."""
+    about = np.stack([np.cross(axis, places).ravel() for axis in np.eye(3)], axis=1) * frame
+    along = size * places.ravel()
+    values, vectors = eigen(covariance - about @ about.T - np.outer(along, along))
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
+
+
+def _effects(calibration: Calibration) -> Iterator[tuple[Term, Array]]:
+    imus = tuple(t.name for t in calibration.triads)
+    for block in calibration.facts.get("effects", ()):
+        term = None if str(block["effect"]).startswith(AT_REST) else term_of(block, imus)
+        if term is None or term.aged:
+            continue
+        values, vectors = eigen(covariance_of(block))
+        seen = values > _FLAT * float(values[-1])
+        if seen.any():
+            yield term, np.asarray(vectors[:, seen] * np.sqrt(values[seen]))
+
+
+def of_the_calibration(
+    doubt: Doubt, motion: FusedMotion, sensed: Sensed, r: Array, seen: BoardMotion
+) -> Array:
+    """(T, 9, 9) covariance of force, dω/dt and ω by what the calibration leaves open.
+
+    motion : with the covariance of the noise, as `sensed` gives it; r : (K, 3) m; seen : the motion
+    as effects take it
+    """
+    force, rate = _gains(motion, sensed, r)
+    k = len(r)
+    moved = np.matmul(force, turning(motion.rate, motion.spin)[:, None])  # by a place
+    across = moved.transpose(0, 2, 1, 3).reshape(-1, 9, 3 * k)
+    out = np.matmul(across @ doubt.places, across.transpose(0, 2, 1))
+    own = _of_triads(doubt.triads, motion.felt(r))
+    out += np.matmul(np.matmul(force, own), force.transpose(0, 1, 3, 2)).sum(axis=1)
+    for term, root in doubt.effects:
+        gain = rate if term.effect.channel == "angular_rate" else force
+        columns = term.columns(seen)
+        by = np.matmul(gain, columns.basis.swapaxes(0, 1))  # (T, K, 9, m)
+        by = by.sum(axis=1, keepdims=True) if columns.shared else by
+        by = by.swapaxes(1, 2).reshape(len(by), 9, -1) @ root
+        out += np.matmul(by, by.swapaxes(1, 2))
+    return np.asarray(out + _of_the_whole(doubt, motion, sensed))
+
+
+def _gains(motion: FusedMotion, sensed: Sensed, r: Array) -> tuple[Array, Array]:
+    """(T, K, 9, 3) what a reading's error does to the motion, of accelerometers and of gyros."""
+    t, k = sensed.force.shape[:2]
+    place = np.concatenate([np.ones((k, 1)), r], axis=1)
+    slope = slope_of(motion.rate).reshape(t, 3, 4, 9).transpose(0, 1, 3, 2)
+    arms = np.matmul(slope, place.T).transpose(0, 3, 2, 1)  # (T, K, 9, 3)
+    whole = motion.covariance[:, None]
+    force = np.matmul(whole, np.matmul(arms, sensed.force_precision))
+    seen = np.zeros((t, k, 9, 3))
+    seen[:, :, 6:] = sensed.rate_precision
+    if sensed.late is not None:
+        seen[:, :, 3:6] = np.matmul(sensed.late.swapaxes(2, 3), sensed.rate_precision)
+    return force, np.asarray(np.matmul(whole, seen))
+
+
+def _of_triads(covariance: Array, force: Array) -> Array:
+    """(T, K, 3, 3) (m/s²)² of corrected readings, by their gains and biases."""
+    t, k = force.shape[:2]
+    both = np.zeros((k, 3, 4, 3, 4))
+    both[:, :, :3, :, :3] = covariance[:, :9, :9].reshape(k, 3, 3, 3, 3)
+    both[:, :, :3, :, 3] = covariance[:, :9, 9:].reshape(k, 3, 3, 3)
+    both[:, :, 3, :, :3] = covariance[:, 9:, :9].reshape(k, 3, 3, 3)
+    both[:, :, 3, :, 3] = covariance[:, 9:, 9:]
+    one = np.concatenate([force, np.ones((t, k, 1))], axis=2)
+    pairs = (one[..., :, None] * one[..., None, :]).reshape(t, k, 16).transpose(1, 0, 2)
+    made = np.matmul(pairs, both.transpose(0, 2, 4, 1, 3).reshape(k, 16, 9))
+    return np.asarray(made.transpose(1, 0, 2).reshape(t, k, 3, 3))
+
+
+def _of_the_whole(doubt: Doubt, motion: FusedMotion, sensed: Sensed) -> Array:
+    """(T, 9, 9) by gravity, the gyros' common scale and the frame.
+
+    Readings (1 + k) ω have given positions 1/(1 + k)², so that forces agree, the accelerometers
+    show dω/dt too large by 2 k, and neighbours' rates by k.
+    """
+    t = len(motion.rate)
+    columns = np.zeros((t, 9, 5))
+    told = np.zeros((t, 3))
+    if sensed.spin_precision is not None:
+        told = np.einsum("tii->ti", motion.covariance)[:, 3:6] * sensed.spin_precision
+    columns[:, :3, 0] = doubt.gravity * motion.force
+    columns[:, 3:6, 1] = doubt.scale * (2.0 - np.clip(told, 0.0, 1.0)) * motion.spin
+    columns[:, 6:, 1] = doubt.scale * motion.rate
+    for at, vector in ((0, motion.force), (3, motion.spin), (6, motion.rate)):
+        columns[:, at : at + 3, 2:] = -cross_matrix(vector) * doubt.frame
+    return np.asarray(np.matmul(columns, columns.transpose(0, 2, 1)))
+
+
+_AGE = "sample_age"
+_SMALL = 1e-9  # share of an effect beyond its linear part that is rounding
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A term less what the file's gain (K, 3, 3) and offset (K, 3) hold of it."""
+
+    term: Term
+    gain: Array
+    offset: Array
+
+    @property
+    def gyro(self) -> bool:
+        return self.term.effect.channel == "angular_rate"
+
+    @property
+    def late(self) -> bool:
+        """Whether it adds dω/dt to a gyro's rate, and nothing else."""
+        return self.gyro and set(self.term.effect.needs) <= {"spin", _AGE}
+
+    @property
+    def lags(self) -> bool:
+        """Whether it says when its sensors read, by what a motion over time holds."""
+        return self.term.effect.lagged is not None and not self.term.aged
+
+    def added(self, motion: BoardMotion) -> Array:
+        """(T, K, 3) in board axes."""
+        truth = motion.truth.turning.rate if self.gyro else motion.truth.force
+        drive = motion.context.in_common(truth)
+        whole = self.term.reading(self.term.columns(motion))
+        linear = np.matmul(drive.transpose(1, 0, 2), self.gain.transpose(0, 2, 1))
+        return np.asarray(whole - linear.transpose(1, 0, 2) - self.offset)
+
+
+@dataclass(frozen=True)
+class Beyond:
+    """imus, rotations : (K, 3, 3) package axes to board axes; back : for accelerometers and gyros,
+    (K, 3, 3) that turns what is added to readings into what is wrong with corrected ones
+    span : s of the gyros' sawtooth sample ages, 0 without; left_out : effects that belong to the
+    calibrated log's time; listed : whether the calibration lists effects at all
+    refuted : effects that the log's own rests contradict"""
+
+    imus: tuple[str, ...]
+    rotations: Array
+    parts: tuple[_Part, ...]
+    back: tuple[Array, Array]
+    span: float
+    left_out: tuple[str, ...]
+    listed: bool = True
+    refuted: tuple[str, ...] = ()
+
+    def without(self, names: Sequence[str]) -> Beyond:
+        """Without effects that a log contradicts."""
+        kept = tuple(p for p in self.parts if p.term.name not in names)
+        return replace(self, parts=kept, refuted=(*self.refuted, *names))
+
+    @property
+    def needs_jerk(self) -> bool:
+        return any("jerk" in part.term.effect.needs for part in self.parts)
+
+    @property
+    def lags(self) -> bool:
+        """Whether sensors lag by more than their clocks' ages."""
+        return any(part.lags for part in self.parts)
+
+    def added(
+        self, motion: BoardMotion, beside: tuple[Array, Array] | None = None
+    ) -> tuple[Array, Array]:
+        """(T, K, 3) m/s² and rad/s that corrected readings still hold, in board axes; without what
+        `late` tells. Lags are whole where the motion has its courses, else to the first order.
+
+        beside : what `besides_lags` says of this motion, where it is known
+        """
+        found = [one.copy() for one in beside or self.besides_lags(motion)]
+        lagging = [p for p in self.parts if p.lags]
+        if lagging and motion.courses is not None:
+            less = lost([p.term for p in lagging], motion)
+            found = [one - own for one, own in zip(found, less, strict=True)]
+        for part in lagging:
+            if motion.courses is None:
+                found[part.gyro] += 0.0 if part.late else part.added(motion)
+            elif part.late:
+                found[1] -= part.added(motion)
+        one, two = (
+            np.matmul(a.transpose(1, 0, 2), back.transpose(0, 2, 1)).transpose(1, 0, 2)
+            for a, back in zip(found, self.back, strict=True)
+        )
+        return one, two
+
+    def besides_lags(self, motion: BoardMotion) -> tuple[Array, Array]:
+        """(T, K, 3) what effects add to readings that do not say when these are made."""
+        found = np.zeros((*motion.shape, 3)), np.zeros((*motion.shape, 3))
+        for part in self.parts:
+            if not part.late and not part.lags:
+                found[part.gyro][...] += part.added(motion)
+        return found
+
+    def late(self, t: Array, age: Array | None) -> Array | None:
+        """(T, K, 3, 3) s: corrected gyros read ω + late dω/dt at times t (T,) s. age : (T, K) unit
+        sawtooths or None. None where nothing is late."""
+        parts = [p for p in self.parts if p.late and not (p.term.aged and age is None)]
+        if not parts:
+            return None
+        shape = (len(t), len(self.imus))
+        out, zero, none = np.zeros((*shape, 3, 3)), np.zeros((len(t), 3)), np.zeros((*shape, 3))
+        for axis in range(3):
+            spin = np.broadcast_to(np.eye(3)[axis], (len(t), 3))
+            motion = board_motion(
+                imus=self.imus, rotations=self.rotations, t=t, order=np.full(len(t), 0.5),
+                rate=zero, spin=spin, force=none, jerk=none, age=age,
+            )  # fmt: skip
+            for part in parts:
+                out[..., axis] += part.term.reading(part.term.columns(motion))
+        return np.asarray(self.back[1] @ out)
+
+
+def beyond_linear(calibration: Calibration) -> Beyond:
+    """From the effects that an array's calibration lists."""
+    imus = tuple(t.name for t in calibration.triads)
+    rotations = np.array([t.rotation for t in calibration.triads])
+    parts, left_out = [], []
+    gains = [np.tile(np.eye(3), (len(imus), 1, 1)) for _ in range(2)]
+    span = 0.0
+    for block in calibration.facts.get("effects", ()):
+        name = str(block["effect"])
+        term = term_of(block, imus)
+        if term is None:
+            left_out.append(name)
+            continue
+        gain, offset = slope_at_rest(term, imus, rotations)
+        if name.startswith(AT_REST):  # the rests' gains stand without it
+            gain = np.zeros_like(gain)
+        gains[term.effect.channel == "angular_rate"] += gain
+        part = _Part(term, gain, offset)
+        if not _is_linear(part, imus, rotations):
+            parts.append(part)
+        if term.aged:
+            span = 1e-3 * abs(float(term.value[0]))
+    one, two = (np.asarray(np.linalg.inv(gain), np.float64) for gain in gains)
+    listed = "effects" in calibration.facts
+    return Beyond(
+        imus=imus, rotations=rotations, parts=tuple(parts), back=(one, two), span=span,
+        left_out=tuple(left_out), listed=listed,
+    )  # fmt: skip
+
+
+def _is_linear(part: _Part, imus: tuple[str, ...], rotations: Array) -> bool:
+    """Whether the file's gain and offset hold all of it: tried at some motions."""
+    n, rng = 16, np.random.default_rng(0)
+    force = 10.0 * rng.normal(size=(n, len(imus), 3))
+    rate, spin = 10.0 * rng.normal(size=(n, 3)), 500.0 * rng.normal(size=(n, 3))
+    motion = board_motion(
+        imus=imus, rotations=rotations, t=np.arange(float(n)), order=np.full(n, 0.5), rate=rate,
+        spin=spin, force=force, jerk=100.0 * force, age=rng.uniform(-0.5, 0.5, (n, len(imus))),
+    )  # fmt: skip
+    whole = part.term.reading(part.term.columns(motion))
+    return bool(np.abs(part.added(motion)).max() <= _SMALL * np.abs(whole).max())
+
+
+def term_of(block: Mapping[str, Any], imus: Sequence[str]) -> Term | None:
+    """An effect of the file that any motion drives; None for all others."""
+    name = str(block["effect"]).removeprefix(AT_REST)
+    whole, _, imu = name.partition("@")
+    effect = known(whole)
+    driven = {*MOTION, _AGE}
+    if not isinstance(effect, Response) or not set(effect.needs) <= driven:
+        return None
+    theta = np.array([float(p["value"]) for p in block["parameters"]])
+    only = imus.index(imu) if imu in imus else None
+    if (imu and only is None) or len(theta) % len(effect.each):
+        return None
+    one = np.ones_like(theta)
+    return Term(name, effect, only, np.eye(len(theta)), theta, one)
+
 
 _AT_RANGE = 0.998  # share of the range from which a reading counts as clipped
 

@@ -12,12 +12,9 @@ import numpy as np
 from imucalib.arrays import Array, Flags
 from imucalib.calibration.apply import apply_to_recording, mark_of, refuse_second, write_over
 from imucalib.calibration.calibration import Calibration
-from imucalib.calibrators.array.fused.clocks import ages
-from imucalib.calibrators.array.fused.fuse import Fused, fuse
+from imucalib.calibrators.array.fused.fuse import Fused, Stretch, fuse
 from imucalib.calibrators.array.fused.instrument import instrument_of
-from imucalib.calibrators.array.fused.side_by_side import side_by_side
-from imucalib.calibrators.array.fused.stretch import Stretch
-from imucalib.calibrators.array.fused.survey import Survey, survey
+from imucalib.calibrators.array.fused.survey import Survey, ages, side_by_side, survey
 from imucalib.readers import blocks, read, reader_for
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Recording

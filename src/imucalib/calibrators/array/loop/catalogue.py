@@ -1,17 +1,21 @@
-"""The effects that an array is searched for, at the sizes that its rests leave of them."""
+"""Effects of an array, and what the user declares of them or keeps out of the search."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 from imucalib.core.effect import Response
 from imucalib.effects import catalogue
+from imucalib.errors import UsageError
 
 #: Typical sizes of what the rests have calibrated already, each in its own unit.
 _LEFT_BY_RESTS = {
     "scale": 2e-3, "bias": 2.0, "quadratic": 0.3, "cubic": 0.02, "asymmetry": 2.0,
     "cross_axis": 0.3, "bias_drift": 2.0, "scale_drift": 2.0, "warm_up": 2.0,
 }  # fmt: skip
+
+
 #: Effects that are a part of others, which are tried.
 _WITHIN = ("non_orthogonality",)
 
@@ -49,3 +53,56 @@ def sized(effect: Response) -> Response:
     if typical is not None:
         each = tuple(replace(p, typical=typical) for p in each)
     return replace(effect, each=each, scan=not effect.shared)
+
+
+def named_effect(name: str, imus: Sequence[str]) -> tuple[Response, int | None]:
+    """The effect and the one IMU that a name such as "gyro_scale@imu3" means.
+
+    Raises UsageError for an unknown effect or IMU.
+    """
+    family, at, imu = name.partition("@")
+    catalogue = array_catalogue()
+    if family not in catalogue:
+        raise UsageError(
+            f"no array effect is called '{family}'", remedy="`imucal effects` lists them"
+        )
+    effect = catalogue[family]
+    if not at:
+        return effect, None
+    if effect.shared or imu not in imus:
+        reason = "acts on all IMUs alike" if effect.shared else f"has no IMU '{imu}' to act on"
+        raise UsageError(f"'{name}': {family} {reason}", remedy=f"IMUs: {', '.join(imus)}")
+    return effect, list(imus).index(imu)
+
+
+@dataclass(frozen=True)
+class Asked:
+    """Names of effects, of one IMU with "@imu3". declare : in the model from the start; only : the
+    search tries no others; without : it does not try these; search : whether there is one"""
+
+    declare: tuple[str, ...] = ()
+    only: tuple[str, ...] = ()
+    without: tuple[str, ...] = ()
+    search: bool = True
+
+    def skipped(self, imus: Sequence[str]) -> frozenset[str]:
+        """All effects that the search shall not try. Raises UsageError for an unknown name."""
+        for name in (*self.only, *self.without):
+            named_effect(name, imus)
+        every = {
+            name
+            for effect in array_catalogue().values()
+            for name in (effect.name, *(f"{effect.name}@{imu}" for imu in imus))
+        }
+        if not self.search:
+            return frozenset(every)
+
+        def meant(name: str, chosen: Sequence[str]) -> bool:
+            return name in chosen or name.partition("@")[0] in chosen
+
+        return frozenset(
+            n for n in every if meant(n, self.without) or (self.only and not meant(n, self.only))
+        )
+
+
+NOTHING_ASKED = Asked()

@@ -8,13 +8,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibrators.array.estimate.covariance import with_uneven
-from imucalib.calibrators.array.estimate.every import fitted_on_all, on_all, settled_there
-from imucalib.calibrators.array.estimate.uneven import POSITIONS, Uneven
+from imucalib.calibrators.array.estimate.covariance import (
+    POSITIONS,
+    Uneven,
+    fitted_on_all,
+    on_all,
+    settled_there,
+    with_uneven,
+)
 from imucalib.calibrators.array.loop.ages import Ages, found_ages, kept_ages
-from imucalib.calibrators.array.loop.asked import NOTHING_ASKED, Asked
+from imucalib.calibrators.array.loop.catalogue import NOTHING_ASKED, Asked
 from imucalib.calibrators.array.loop.cross_fit import Fitted, Gained, cross_fitted
-from imucalib.calibrators.array.loop.memory import remembered, shared_by_neighbours
+from imucalib.calibrators.array.loop.declared import remembered, shared_by_neighbours
 from imucalib.calibrators.array.loop.search import Explored, explored, started, with_ways
 from imucalib.calibrators.array.loop.setup import Setup
 from imucalib.calibrators.array.loop.state import ArrayState

@@ -14,13 +14,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
-from imucalib.calibrators.array.estimate.every import transferred
+from imucalib.calibrators.array.estimate.covariance import transferred
 from imucalib.calibrators.array.loop.ages import Ages, ages_elsewhere, kept_ages, voting
 from imucalib.calibrators.array.loop.setup import FEWEST, Setup, part_of
 from imucalib.calibrators.array.loop.state import ArrayState, followed
 from imucalib.calibrators.array.moving import Moving
-from imucalib.loop.difference import Difference
 from imucalib.loop.found import Checked
+from imucalib.loop.held_out import Difference
 from imucalib.units import DEG
 
 #: A fitted state with the clocks that it has.

@@ -16,15 +16,15 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.calibrators.array.estimate.base import Base
-from imucalib.calibrators.array.loop.components import Way, components_of
-from imucalib.calibrators.array.loop.memory import shared_by_neighbours
+from imucalib.calibrators.array.loop.declared import shared_by_neighbours
+from imucalib.calibrators.array.loop.laws import Way, components_of
 from imucalib.calibrators.array.loop.setup import looked_at
 from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.calibrators.array.loop.terms import typical_of
 from imucalib.estimators.array.gram import Columns, gram, starts_of
 from imucalib.estimators.array.reduced import inverse_root
 from imucalib.estimators.array.samples import reweighed
-from imucalib.loop.posterior.component import Component, log_odds
+from imucalib.loop.posterior.catalogue import Component, log_odds
 from imucalib.loop.posterior.gram import Grams, Multiplied
 from imucalib.loop.posterior.odds import FINE_SIZES
 from imucalib.loop.posterior.problem import Choice

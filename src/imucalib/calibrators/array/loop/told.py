@@ -2,20 +2,34 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from imucalib.arrays import Array
 from imucalib.calibrators.array.loop.cross_fit import Gained
 from imucalib.calibrators.array.loop.products import MotionProblem
 from imucalib.calibrators.array.loop.search import Explored
 from imucalib.calibrators.array.loop.state import ArrayState
-from imucalib.calibrators.array.loop.terms import OPEN
-from imucalib.calibrators.array.loop.words import size_in_words
-from imucalib.loop.evidence import Score
-from imucalib.loop.found import Step, Unexplained
+from imucalib.calibrators.array.loop.terms import OPEN, Term
+from imucalib.loop.found import Score, Step, Unexplained
 from imucalib.loop.posterior.odds import CERTAIN
 from imucalib.loop.posterior.space import Posterior
-from imucalib.loop.posterior.tried import of_each
-from imucalib.loop.posterior.words import Place, name_of
+from imucalib.loop.posterior.words import Place, name_of, of_each
 from imucalib.loop.thresholds import ABSORBED
+from imucalib.significant_digits import plus_minus
+
+
+def size_in_words(state: ArrayState, term: Term) -> str:
+    """The one value with its deviation, or the rms of many."""
+    parameters = term.parameters(state.setup.imus)
+    sd = state.sd_of(term)
+    units = {p.unit for p in parameters}
+    if len(parameters) == 1:
+        return plus_minus(float(term.theta[0]), float(sd[0]), parameters[0].unit)
+    if len(parameters) <= 3:
+        values = ", ".join(f"{v:.3g}" for v in term.theta)
+        return f"{values} {parameters[0].unit}"
+    rms = float(np.sqrt(np.mean(term.theta**2)))
+    return f"{rms:.2g} {units.pop()} rms, {term.live.shape[1]} of {len(parameters)} determined"
 
 
 def steps_of(found: Explored, final: ArrayState, gained: Gained | None) -> tuple[Step, ...]:

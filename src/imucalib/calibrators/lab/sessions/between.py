@@ -19,7 +19,7 @@ from imucalib.arrays import Array, Index
 from imucalib.core.balance import Balanced, Noise, whitener
 from imucalib.core.fit import Fit
 from imucalib.core.sessions import BIAS, MOUNTING, session_of
-from imucalib.loop.design import Fold
+from imucalib.loop.held_out import Fold
 from imucalib.units import DEG, MG
 
 #: What sessions change: the effect whose parameters carry it, and the unit that people read.

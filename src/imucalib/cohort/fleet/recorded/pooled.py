@@ -15,7 +15,7 @@ from imucalib.cohort.fleet.recorded.calibrated import Calibrated, Value
 from imucalib.core.context import Context
 from imucalib.core.prior import Prior
 from imucalib.effects import named
-from imucalib.loop.separation.sums import Sums, columns_of
+from imucalib.loop.sums import Sums, columns_of
 
 #: sd of an effect that a recording has by itself, in typical sizes: its own data decide.
 _OWN = 10.0

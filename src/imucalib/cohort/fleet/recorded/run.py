@@ -29,8 +29,8 @@ from imucalib.cohort.fleet.spread import Spread, nested_spread, outliers
 from imucalib.core.context import Context
 from imucalib.core.prior import Prior
 from imucalib.errors import UsageError
-from imucalib.loop.asked import searched
-from imucalib.loop.difference import Difference, difference, with_density
+from imucalib.loop.candidates import searched
+from imucalib.loop.held_out import Difference, difference, with_density
 from imucalib.readers.source import sha256_of
 from imucalib.units import MG
 

@@ -1,1 +1,0 @@
-"""The motion to record next with an array, so that an ambiguity ends."""

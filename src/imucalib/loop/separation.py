@@ -1,0 +1,364 @@
+"""Rivals that a recording cannot tell apart, and the observations that would.
+
+Columns are in units of the noise and at typical sizes. With G the products of all of them, those
+recorded and those planned, a truth a of size θ and a rival b,
+
+    μ² = θᵀ (G_aa - G_ac G_cc⁻¹ G_ca) θ,   c = the base model and b
+
+is what of a neither b nor the base model takes over. Log odds of a against b, alike beforehand, are
+then about normal, with mean μ²/2 and standard deviation μ: a is given 95 % against b with
+probability Φ(μ/2 - log 19 / μ). Sizes are those that the recording allows, were a the cause.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from imucalib.arrays import Array, Index
+from imucalib.core.balance import balance, whitener
+from imucalib.core.effect import Effect
+from imucalib.core.eigen import eigen
+from imucalib.core.fit import Fit
+from imucalib.core.model import Model
+from imucalib.core.observations import Observations
+from imucalib.effects import known, names_a_cause
+from imucalib.effects.record_error import is_record_error
+from imucalib.loop.candidates import effect_columns
+from imucalib.loop.found import FitLoop, Step
+from imucalib.loop.record_errors import reduced
+
+#: Log odds at which a name is certain: 95 to 5.
+CERTAIN = float(np.log(19.0))
+#: Probability with which a plan has to end an ambiguity, whichever rival is the truth.
+ENOUGH = 0.9
+#: Observations of a plan: fewer would hang on one, which a wrong record explains as well.
+FEWEST, MOST = 4, 24
+#: Sizes of a rival, in its typical size, over which its evidence is maximised.
+_SIZES = (0.1, 0.3, 1.0, 3.0, 10.0)
+#: Precision of a base parameter at typical size that no data determine: a hundred typical sizes.
+_OPEN = 1e-4
+#: Draws of a rival's size, and the share of them that counts as few when plans are compared.
+_DRAWS, _FEW = 24, 0.15
+#: Sine of the angle below which no number of observations tells a pair apart, and how much of
+#: everything that could be recorded stands for any number of them.
+_SAME, _ANY_NUMBER = 3e-3, 1e6
+#: Rounds of exchanges, each of every place, at most.
+_ROUNDS = 3
+
+
+@dataclass(frozen=True)
+class Ambiguity:
+    """An effect that was added, and those that the data cannot tell from it.
+
+    effect : its name; base : effects of the model without it; columns : (P,) parameters in order,
+    the base's first; rivals : names that the data cannot tell apart, the effect itself first
+    blocks : name -> columns of each rival
+    gram : (P, P) products of all columns; along : (P,) with the data; power : of the data; numbers
+    : how many they are
+    """
+
+    effect: str
+    base: tuple[str, ...]
+    columns: tuple[str, ...]
+    rivals: tuple[str, ...]
+    blocks: Mapping[str, Index]
+    gram: Array
+    along: Array
+    power: float
+    numbers: float
+
+    @property
+    def own(self) -> Index:
+        """Columns of the base model."""
+        return np.arange(min(int(at[0]) for at in self.blocks.values()))
+
+    @property
+    def pairs(self) -> tuple[tuple[str, str], ...]:
+        """(truth, rival), every one against every other."""
+        return tuple((a, b) for a in self.rivals for b in self.rivals if a != b)
+
+    @cached_property
+    def sizes(self) -> Mapping[str, Array]:
+        """(k, draws) of every rival: sizes that the recording allows, were it the truth."""
+        rng = np.random.default_rng(0)
+        return {name: self._drawn(self.blocks[name], rng) for name in self.rivals}
+
+    def _drawn(self, at: Index, rng: np.random.Generator) -> Array:
+        every, own = np.concatenate([self.own, at]), self.own.size
+        inside, dof = self.gram[np.ix_(every, every)], self.numbers - own
+        best: tuple[float, Array, Array] | None = None
+        for size in _SIZES:
+            prior = np.concatenate([np.full(own, _OPEN), np.full(at.size, size**-2.0)])
+            root = _root(inside + np.diag(prior))
+            half = np.linalg.solve(root, self.along[every])
+            left = max(self.power - float(half @ half), 1e-300)
+            evidence = 0.5 * float(np.log(prior).sum()) - float(np.log(np.diag(root)).sum())
+            evidence -= 0.5 * dof * float(np.log(left))
+            if best is None or evidence > best[0]:
+                best = evidence, root, half
+        assert best is not None
+        back = np.linalg.inv(best[1]).T
+        noise = np.sqrt(dof / rng.chisquare(dof, _DRAWS))  # as well known as the data leave it
+        white = rng.standard_normal((every.size, _DRAWS))
+        drawn = (back @ best[2])[:, None] / noise + back @ white
+        return np.asarray(drawn[own:])
+
+    def after_a_power_up(self, sd: float, typical: Sequence[float]) -> Ambiguity:
+        """With three columns before all others: offsets of the bias that new data have and the
+        recording has not. sd : of one; typical : of the base model's bias, in its unit"""
+        grown = np.zeros((len(self.columns) + 3,) * 2)
+        grown[:3, :3] = np.diag((np.array(typical) / sd) ** 2)
+        grown[3:, 3:] = self.gram
+        return replace(
+            self,
+            columns=(*(f"next_bias_{a}" for a in "xyz"), *self.columns),
+            blocks={name: at + 3 for name, at in self.blocks.items()},
+            gram=grown,
+            along=np.concatenate([np.zeros(3), self.along]),
+        )
+
+
+def _root(precision: Array) -> Array:
+    """(k, k) lower triangular, whose square a precision is.
+
+    Columns that the data hardly show leave directions whose precision drowns in the rounding of the
+    others' products, which may be 1e15 times larger; it is then that of the rounding.
+    """
+    size = np.sqrt(np.diag(precision))
+    value, vector = eigen(precision / np.outer(size, size))
+    floor = max(1e2 * np.finfo(float).eps * len(size), -2.0 * float(value[0]))
+    if value[0] > floor:
+        return np.asarray(np.linalg.cholesky(precision))
+    # The triangle of a square root by columns: no rounding makes it fail.
+    upper = np.linalg.qr(np.sqrt(np.maximum(value, floor))[:, None] * vector.T * size, mode="r")
+    return np.asarray((upper * np.sign(np.diag(upper))[:, None]).T)
+
+
+def apart(one: Ambiguity, gram: Array) -> Array:
+    """(..., pairs, draws) μ of every pair, at every size of its truth, with products of all columns
+    (..., P, P)."""
+    # A little of each diagonal: columns that nothing tells apart must not end the computation.
+    little = 1e-10 * np.einsum("...ii->...i", gram) + 1e-12
+    every = np.concatenate([one.blocks[name] for name in one.rivals])
+    # The base is taken out once for all pairs.
+    rest = _without(gram, one.own, every, little[..., one.own])
+    found = []
+    for truth, other in one.pairs:
+        a, b = np.searchsorted(every, one.blocks[truth]), np.searchsorted(every, one.blocks[other])
+        square = _without(rest, b, a, little[..., one.blocks[other]])
+        size = one.sizes[truth]
+        found.append(np.einsum("kd,...kl,ld->...d", size, square, size))
+    return np.asarray(np.sqrt(np.maximum(np.stack(found, axis=-2), 0.0)))
+
+
+def _without(gram: Array, out: Index, kept: Index, little: Array) -> Array:
+    """(..., k, k) products of the kept columns with others taken out; little : (..., o) that is
+    added to the diagonal of these"""
+    inside = gram[..., out[:, None], out] + little[..., None] * np.eye(len(out))
+    across = gram[..., out[:, None], kept]
+    back = across.swapaxes(-1, -2) @ np.linalg.solve(inside, across)
+    return np.asarray(gram[..., kept[:, None], kept] - back)
+
+
+@dataclass(frozen=True)
+class Pool:
+    """What could be recorded. gram : (c, P, P) products of each candidate"""
+
+    gram: Array
+
+
+@dataclass(frozen=True)
+class Separation:
+    """A plan: candidates in the order of choosing.
+
+    pairs : (truth, rival) that can be told apart; now, then : (pairs,) their μ without and with the
+    plan; ends : rival -> probability that it is certain, were it the truth, against those that can
+    be told from it; never : pairs that nothing which can be recorded tells apart
+    """
+
+    effect: str
+    rivals: tuple[str, ...]
+    plan: tuple[int, ...]
+    pairs: tuple[tuple[str, str], ...]
+    now: Array
+    then: Array
+    ends: Mapping[str, float]
+    never: tuple[tuple[str, str], ...]
+
+    @property
+    def enough(self) -> bool:
+        """Whether the plan ends the ambiguity, whichever rival is the truth."""
+        ends = min(self.ends.values(), default=0.0) >= ENOUGH
+        return bool(self.plan) and ends and not self.never
+
+
+def separation(one: Ambiguity, pool: Pool) -> Separation:
+    """The fewest candidates of a pool, each as often as it pays, that end an ambiguity: added one
+    by one where the pair told apart worst gains most, then exchanged while that helps."""
+    able = told_apart(one, pool)
+    plan: tuple[int, ...] = ()
+    ends: Mapping[str, float] = {}
+
+    def worth(gram: Array) -> Array:
+        """(c,) the least μ that few sizes fall below, and a little of the others, so that a plan
+        grows where one pair alone cannot."""
+        each = _few(apart(one, one.gram + gram))[..., able]
+        return np.asarray(each.min(axis=-1) + 0.05 * each.mean(axis=-1))
+
+    while able.any() and len(plan) < MOST and min(ends.values(), default=0.0) < ENOUGH:
+        plan = _grown(pool, plan, worth)
+        if len(plan) >= FEWEST:
+            ends = _ends(one, able, pool.gram[list(plan)].sum(axis=0))
+    total = pool.gram[list(plan)].sum(axis=0)
+    return Separation(
+        effect=one.effect,
+        rivals=one.rivals,
+        plan=plan,
+        pairs=tuple(pair for pair, can in zip(one.pairs, able, strict=True) if can),
+        now=_few(apart(one, one.gram))[able],
+        then=_few(apart(one, one.gram + total))[able],
+        ends=ends,
+        never=tuple(pair for pair, can in zip(one.pairs, able, strict=True) if not can),
+    )
+
+
+def told_apart(one: Ambiguity, pool: Pool) -> Array:
+    """(pairs,) bool, whether any number of candidates would tell the truth from its rival."""
+    gram = one.gram + _ANY_NUMBER * pool.gram.mean(axis=0)
+    alone = _without(gram, one.own, np.arange(len(gram)), np.zeros(one.own.size))
+    size = {
+        name: np.einsum("kd,kl,ld->d", drawn, alone[np.ix_(at, at)], drawn)
+        for name, drawn in one.sizes.items()
+        for at in [one.blocks[name]]
+    }
+    whole = np.sqrt(np.maximum([size[truth] for truth, _ in one.pairs], 0.0))
+    return np.asarray(_few(apart(one, gram)) > _SAME * _few(whole))
+
+
+def _few(each: Array) -> Array:
+    """(...) what few draws, the last axis, fall below."""
+    return np.asarray(np.quantile(each, _FEW, axis=-1))
+
+
+def _ends(one: Ambiguity, able: Array, added: Array) -> Mapping[str, float]:
+    """Of every truth the probability that it is certain against all that can be told from it."""
+    from scipy.special import ndtr
+
+    each = np.maximum(apart(one, one.gram + added), 1e-9)
+    certain = ndtr(each / 2.0 - CERTAIN / each)
+    found = {}
+    for truth in one.rivals:
+        rows = [k for k, (a, _) in enumerate(one.pairs) if a == truth and able[k]]
+        if rows:
+            found[truth] = float(certain[rows].prod(axis=0).mean())
+    return found
+
+
+def _grown(pool: Pool, plan: tuple[int, ...], worth: Callable[[Array], Array]) -> tuple[int, ...]:
+    """A plan with one candidate more, then each exchanged while that helps."""
+    each = worth(pool.gram[list(plan)].sum(axis=0) + pool.gram)
+    chosen, now = [*plan, int(np.argmax(each))], float(each.max())
+    for _ in range(_ROUNDS):
+        before = now
+        for place in range(len(chosen)):
+            rest = chosen[:place] + chosen[place + 1 :]
+            each = worth(pool.gram[rest].sum(axis=0) + pool.gram)
+            if float(each.max()) > now * (1.0 + 1e-6) + 1e-12:
+                chosen[place], now = int(np.argmax(each)), float(each.max())
+        if now <= before * (1.0 + 1e-3):
+            break
+    return tuple(chosen)
+
+
+def ambiguities(
+    loop: FitLoop, white: Callable[[Array], Array] | None = None
+) -> tuple[Ambiguity, ...]:
+    """Of every effect that was added where two causes or more would do as well.
+
+    white : of columns in units of the declared noise, where that is more than settings
+    """
+    found = (_of_step(loop, step, white) for step in loop.steps)
+    return tuple(one for one in found if one is not None)
+
+
+def _of_step(loop: FitLoop, step: Step, white: Callable[[Array], Array] | None) -> Ambiguity | None:
+    causes = filter(names_a_cause, (step.effect, *step.aliases))
+    named = [e for name in causes if (e := known(name)) is not None]
+    if len(named) < 2 or step.effect not in loop.final.model.names:
+        return None
+    without = reduced(loop.final, (step.effect,))
+    context = without.observations.context
+    effects = [e for e in named if e.name not in without.model.names and not e.missing(context)]
+    if len(effects) < 2:
+        return None
+    held = replace(without, noise=loop.final.noise)
+    blocks = [effect_columns(without, e) for e in effects]
+    typical = np.array([p.typical for p in held.parameters])
+    white = white or whitener(held.at.settings, held.noise.ratio)
+    factor = held.noise.factor
+    base, rest = _without_records(held, white(held.at.jacobian * typical) / factor)
+    names = [p.name for p, kept in zip(held.parameters, base, strict=True) if kept]
+    seen = rest(white(np.column_stack(blocks)) / factor)
+    columns = np.column_stack([rest(white(held.at.jacobian * typical) / factor)[:, base], seen])
+    data = rest(white(held.at.residual)[:, None] / factor)[:, 0]
+    ends = np.cumsum([len(names), *(b.shape[1] for b in blocks)])
+    return Ambiguity(
+        effect=step.effect,
+        base=tuple(n for n in without.model.names if not is_record_error(n)),
+        columns=(*names, *(p.name for e in effects for p in e.parameters(context))),
+        rivals=tuple(e.name for e in effects),
+        blocks={e.name: np.arange(a, b) for e, a, b in zip(effects, ends, ends[1:], strict=False)},
+        gram=columns.T @ columns,
+        along=columns.T @ data,
+        power=float(data @ data),
+        numbers=float(data.size - base.size + np.count_nonzero(base)),
+    )
+
+
+def _without_records(fit: Fit, seen: Array) -> tuple[Array, Callable[[Array], Array]]:
+    """(p,) bool, which parameters are none of records that are set aside, and what takes those out
+    of columns, for they are free; seen : (N, p) columns of all parameters"""
+    kept = np.ones(seen.shape[1], bool)
+    for name, part in fit.model.slices(fit.observations.context).items():
+        kept[part] &= not is_record_error(name)
+    basis = np.linalg.qr(seen[:, ~kept])[0]
+    return kept, lambda columns: np.asarray(columns - basis @ (basis.T @ columns))
+
+
+def columns_of(
+    model: Model,
+    theta: Array,
+    rivals: Sequence[Effect],
+    data: Observations,
+    settings: Mapping[str, float],
+) -> Array:
+    """(n, r, P) columns of the model's parameters and of the rivals', each observation's r numbers
+    whitened by themselves, in units of the noise and at typical sizes.
+
+    data : with sigma the noise of a reading, m/s², and settings that no two observations share
+    settings : component -> standard deviation
+    """
+    eta = data.reference.start(model.correct(theta, data.reading, data.context))
+    at = balance(model, theta, eta, data)
+    typical = np.array([p.typical for p in model.parameters(data.context)])
+    blocks = [at.jacobian * typical]
+    truth = data.reference.truth(eta)
+    for effect in rivals:
+        grown = model.plus(effect)
+        slices, start = grown.slices(data.context), grown.start(data.context)
+        for name, part in model.slices(data.context).items():
+            start[slices[name]] = theta[part]
+        slope = grown.predict(start, truth, data.context).d_theta[..., slices[effect.name]]
+        size = np.array([p.typical for p in effect.parameters(data.context)])
+        blocks.append(at.columns(slope * size))
+    every = np.column_stack(blocks)
+    rows = every.reshape(data.n, -1, every.shape[1])
+    covariance = np.broadcast_to(np.eye(rows.shape[1]), (data.n, *(rows.shape[1],) * 2)).copy()
+    for name, matrix in zip(at.component, at.settings, strict=True):
+        own = matrix.reshape(data.n, rows.shape[1], -1)
+        covariance += settings.get(name, 0.0) ** 2 * own @ own.transpose(0, 2, 1)
+    return np.asarray(np.linalg.solve(np.linalg.cholesky(covariance), rows))
