@@ -47,6 +47,8 @@ def jobs() -> tuple[Job, ...]:
         Job("bench", "The same with that row repaired", (*table, "--fix", "10:y=-58593")),
         Job("rests", "24 positions at rest (generated, with an effect that no file declares)",
             ("lab", "sample_logs/positions.csv", "--recording", "sample_logs/rests.mcap")),
+        Job("turns", "One IMU turned by hand from rest to rest (measured)",
+            ("imu", "sample_logs/turns.csv.gz")),
         Job("wrist", "A day on the wrist (measured)",
             ("actigraph", "sample_logs/wrist_day.csv.gz")),
         Job("board", "Eight sensors of a board, turned by hand (measured; 12 rests and 65 s of "
@@ -77,6 +79,13 @@ def told(report: dict[str, Any]) -> None:
     if left:
         print(f"left:   {'; '.join(left[:2])}" + (f" and {len(left) - 2} more" * (len(left) > 2)))
     gain = loop["gain"]
+    if gain is None:
+        for error in (e for e in loop["errors"] if e["held_out"]["final"] is not None):
+            print(
+                f"error:  {error['metric']}: raw reading {error['held_out']['raw']:.2g}, "
+                f"calibrated {error['held_out']['final']:.2g} {error['unit']}, held out"
+            )
+        return
     raw = [e["held_out"]["raw"] for e in loop["errors"] if e["unit"] == gain["unit"]][:1]
     first = f"raw reading {raw[0]:.3g}, " if raw and raw[0] is not None else ""
     dense = ""

@@ -12,7 +12,7 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from imucalib.api.calibrators import actigraph, array, lab, load, read
+    from imucalib.api.calibrators import actigraph, array, imu, lab, load, read
     from imucalib.api.result import Result
     from imucalib.calibration.calibration import Calibration
     from imucalib.recording.mapping import FieldMapping
@@ -31,6 +31,7 @@ __all__ = [
     "__version__",
     "actigraph",
     "array",
+    "imu",
     "lab",
     "load",
     "read",
@@ -40,7 +41,7 @@ _HOMES = {
     "FieldMapping": "recording.mapping",
     "Recording": "recording.recording",
     "Result": "api.result",
-} | dict.fromkeys(("actigraph", "array", "lab", "load", "read"), "api.calibrators")
+} | dict.fromkeys(("actigraph", "array", "imu", "lab", "load", "read"), "api.calibrators")
 
 
 def __getattr__(name: str) -> Any:

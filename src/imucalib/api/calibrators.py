@@ -16,6 +16,7 @@ from imucalib.calibration.calibration import Calibration
 from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.array.board import Board, read_board
 from imucalib.calibrators.array.request import ArrayRequest
+from imucalib.calibrators.imu.calibrate import ImuRequest
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.readers import read as read_recording
 from imucalib.recording.mapping import FieldMapping
@@ -159,3 +160,33 @@ def array(
     found = log if isinstance(log, Recording) else read(log, mapping)
     run = calibrate_array(found, asked, say)
     return Result(run, array_document(run))
+
+
+def imu(
+    recording: Place | Sequence[Place],
+    *,
+    gravity: float | None = None,
+    declare: Sequence[str] | None = None,
+    loop: bool | None = None,
+    mapping: FieldMapping | None = None,
+    request: ImuRequest | None = None,
+    say: Say = _silent,
+) -> Result:
+    """Calibrate accelerometer and gyroscope of one IMU from rests and the turns between them.
+
+    recording : a log, or several of one IMU; gravity : local, m/s², by default the standard's;
+    others as in `lab`
+    """
+    from imucalib.calibrators.imu.run import run_imu
+    from imucalib.report.imu.document import imu_document
+
+    asked = request or ImuRequest()
+    if gravity is not None:
+        asked = replace(asked, gravity=gravity, gravity_source="as given")
+    if declare is not None:
+        asked = replace(asked, declare=tuple(declare))
+    if loop is not None:
+        asked = replace(asked, loop=loop)
+    paths = (recording,) if isinstance(recording, str | Path) else recording
+    run = run_imu(tuple(map(Path, paths)), mapping or FieldMapping(), asked, say)
+    return Result(run, imu_document(run))

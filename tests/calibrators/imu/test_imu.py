@@ -159,7 +159,7 @@ def test_turns_about_the_vertical_show_nothing(tmp_path: Path) -> None:
     result = run("imu", path, "-q")
     assert result.return_value == 4
     assert "about the vertical" in str(result.exception)
-    assert "design" in str(result.exception)
+    assert "turn by 135 deg" in str(result.exception.remedy)  # type: ignore[attr-defined]
 
 
 def test_clipped_turns_and_gaps_are_left_out_and_counted(tmp_path: Path) -> None:

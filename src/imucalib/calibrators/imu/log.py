@@ -93,7 +93,7 @@ def imu_of(recordings: Sequence[Recording], segments: Sequence[Segments], gravit
             where=recordings[0].path,
             remedy="the gyroscope shows by how it carries gravity from rest to rest: turn by 135 "
             "deg about each horizontal axis of the sensor in turn, at least ten times, with 2 s of "
-            "rest between; `imucal design --imu` has a plan",
+            "rest between, every second round backwards",
         )
     return whole
 

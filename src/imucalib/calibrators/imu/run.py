@@ -14,6 +14,7 @@ from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Limit, Outc
 from imucalib.calibration.provenance import provenance_of
 from imucalib.calibrators.imu.calibrate import ImuRequest, ImuResult, calibrate_imu
 from imucalib.calibrators.imu.calibration import imu_calibration, imu_details
+from imucalib.core.eigen import eigen
 from imucalib.core.sphere import even_directions
 from imucalib.estimators.turns import ACCELEROMETER, GAIN, TurnFit
 from imucalib.loop.found import Score, Unexplained
@@ -96,7 +97,7 @@ def _rms(values: Array) -> float:
 def open_directions(fit: TurnFit) -> tuple[str, ...]:
     """Combinations of gains that the turns do not determine, in words."""
     own = slice(ACCELEROMETER, ACCELEROMETER + GAIN)
-    values, vectors = np.linalg.eigh(fit.covariance[own, own])
+    values, vectors = eigen(fit.covariance[own, own])
     names = [f"{a}{b}" for a in "xyz" for b in "xyz"]
     found = []
     for k in np.flatnonzero(np.sqrt(values) > _OPEN * _KNOWN):
