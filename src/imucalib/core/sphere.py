@@ -1,9 +1,8 @@
-"""Directions on the sphere.
+"""Directions on the sphere: evenly spread ones, and one that was set without dials.
 
-A direction that was set without dials: six faces on a table, a fixture with known normals.
-
-A tilt in every direction exists at any attitude. The two angles of `KnownVector` do not give that:
-with z vertical a tool-face turns about gravity itself and tilts nothing.
+On a fixture with known normals a tilt in every direction exists at any attitude. The two angles of
+`KnownVector` do not give that: with z vertical a tool-face turns about gravity itself and tilts
+nothing.
 """
 
 from __future__ import annotations

@@ -1,16 +1,13 @@
-"""Calibrations of one sensor beside each other.
-
-What a power-up changes, in the covariances of calibrations of different days.
+"""Calibrations of one sensor against each other: differences, what a power-up explains, drifts.
 
 A calibration of one power-up states how well that one is known: its bias and its seat are the
-day's. One of several states the mean, and the scatter about it. Beside another day's, the first
+day's. One of several states the mean, and the scatter about it. Against another day's, the first
 lacks the scatter whole; the other's mean holds its share, known from as many power-ups as it has.
 
-Calibrations with dates: what drifts a day, and when a limit is reached.
-
-Weighted least squares of a value on time, the variances those of the calibrations plus what they
-scatter by about the line beyond them (from three on; moments as in `agreement`). Intervals are
-Student's with m - 2 degrees of freedom, of two calibrations normal ones by the stated sds.
+Drift is weighted least squares of a value on time, the variances those of the calibrations plus
+what they scatter by about the line beyond them (from three on; moments as in `agreement`).
+Intervals are Student's with m - 2 degrees of freedom, of two calibrations normal ones by the stated
+sds.
 """
 
 from __future__ import annotations

@@ -1,20 +1,17 @@
-"""One cell misread or mistyped: its sign, its decimal point, two of its digits, or two of its row.
+"""Readings of a sheet that are not what was read there: a cell, rows in the wrong place, axes.
 
-Every such change d of row k's reading is exact, at each point of noise:
+At each point of noise the misfit is yᵀPy, P = V⁻¹ without what the model takes. For readings that
+differ by D it is exactly
 
-    RSS' = RSS + 2 d'g_k + d'P_kk d
+    RSS' = RSS + 2 Dᵀg + DᵀPD,  g = Py
 
-Readings whose axes are exchanged or inverted in a part of the sheet.
-
-Every signed permutation Q, in all rows from k on, at every k; with y the readings and z = Q y,
+so that every change is judged without a fit: a sign, a decimal point or two digits of one cell, two
+cells or rows exchanged, one moved, a block shifted. Axes that are exchanged or inverted in all rows
+from k on are a signed permutation Q; with z = Q y,
 
     RSS(k, Q) = Σ_{i,j<k} y_i P_ij y_j + 2 Σ_{i<k≤j} y_i P_ij z_j + Σ_{i,j≥k} z_i P_ij z_j
 
 is a sum over corners of three tables.
-
-Readings in the wrong place: two rows exchanged, one moved, a block shifted.
-
-Every such change D of the readings is exact: RSS' = RSS + 2 D'g + D'P D at each point of noise.
 """
 
 from __future__ import annotations

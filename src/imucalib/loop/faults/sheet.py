@@ -1,12 +1,4 @@
-"""A bench's sheet as numbers: what was read, what was set, and in which order.
-
-The sheet as it stands, beside a set of components: what any change of its readings does.
-
-At each noise the misfit is yᵀPy, P = V⁻¹ without what the model takes; for readings that differ by
-D it is exactly
-
-    RSS' = RSS + 2 Dᵀg + DᵀPD,  g = Py
-"""
+"""A bench's sheet as numbers, what a fault of it is, and the line that repairs it."""
 
 from __future__ import annotations
 
