@@ -195,7 +195,7 @@ def grams_of(problem: Problem, terms: Terms) -> Grams:
     at once, with gross errors: what a model lacks looks like noise, and what it holds does not."""
     n = len(terms.order)
     found = np.zeros(len(terms.points), bool)
-    for lacked in _lacked(problem, terms):
+    for lacked in (0.0, _rich(problem, terms) + _gross(problem, terms)):
         evidence = np.array([_evidence(problem, terms, p, lacked) for p in terms.points])
         found |= evidence > evidence.max() - HEARD
     kept = tuple(terms.points[k] for k in np.flatnonzero(found))
@@ -212,11 +212,13 @@ def grams_of(problem: Problem, terms: Terms) -> Grams:
 
 def axis_noise(problem: Problem, terms: Terms) -> Array:
     """(K, 3) likeliest standard deviations of the axes' noise beside each other, in steps, be the
-    base complete or lack every free function at once: an effect on one axis is no noise of it."""
+    base complete or lack every free function at once, with gross errors: neither an effect on one
+    axis nor a wrong record is its noise."""
     rare = float(np.log(UNEVEN / (1.0 - UNEVEN) / len(AXES)))
     still = [p for p in terms.points if p.walk is None and not p.sharing]
     best, power = -np.inf, np.ones(terms.axes.shape[1])
-    for lacked in _lacked(problem, terms):
+    gross = _gross(problem, terms)
+    for lacked in (gross, gross + _rich(problem, terms)):
         point = max(still, key=lambda p: _evidence(problem, terms, p, lacked))
         own = np.ones(terms.axes.shape[1])
         reached = _evidence(problem, terms, point, lacked)
@@ -239,13 +241,12 @@ def _misfit(problem: Problem, terms: Terms) -> Array:
     return np.asarray(left**2 @ terms.axes / np.maximum(terms.axes.sum(axis=0), 1e-12))
 
 
-def _lacked(problem: Problem, terms: Terms) -> tuple[Array | float, Array]:
-    """Covariances of what the base may lack: nothing, or every free function with gross errors."""
+def _rich(problem: Problem, terms: Terms) -> Array:
+    """(N, N) covariance of every free function that the base may lack."""
+    n = len(terms.order)
     free = [c.at for c in problem.choices if problem.components[c.component].kind == "free"]
-    rich = np.zeros((len(terms.order), 0))
-    if free:
-        rich = problem.columns[: len(terms.order), np.concatenate(free)]
-    return 0.0, REACH**2 * rich @ rich.T + _gross(problem, terms)
+    rich = problem.columns[:n, np.concatenate(free)] if free else np.zeros((n, 0))
+    return np.asarray(REACH**2 * rich @ rich.T)
 
 
 def _spread(problem: Problem) -> float:
