@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from imucalib.api.result import Result
 from imucalib.calibration.calibration import Calibration
@@ -29,6 +30,17 @@ Place = Path | str
 
 def _silent(_: str) -> None:
     """What a calibrator says on its way goes nowhere unless it is asked for."""
+
+
+def _gravity(given: float | None) -> dict[str, Any]:
+    """Fields of a request that a stated gravity replaces."""
+    return {} if given is None else {"gravity": given, "gravity_source": "as given"}
+
+
+def _search(declare: Sequence[str] | None, loop: bool | None) -> dict[str, Any]:
+    """Fields of a request that choices of the search replace."""
+    declared = {} if declare is None else {"declare": tuple(declare)}
+    return {**declared, **({} if loop is None else {"loop": loop})}
 
 
 def read(path: Place, mapping: FieldMapping | None = None) -> Recording:
@@ -75,13 +87,8 @@ def lab(
 
     asked = request or LabRequest()
     settings = asked.settings
-    if declare is not None:
-        settings = replace(settings, declare=tuple(declare))
-    if loop is not None:
-        settings = replace(settings, loop=loop)
-    asked = replace(asked, settings=settings)
-    if gravity is not None:
-        asked = replace(asked, gravity=gravity, gravity_source="as given")
+    asked = replace(asked, settings=replace(settings, **_search(declare, loop)))
+    asked = replace(asked, **_gravity(gravity))
     if reference is not None:
         asked = replace(asked, reference=reference)
     if fix is not None:
@@ -117,12 +124,8 @@ def actigraph(
     from imucalib.report.actigraph.document import actigraph_document
 
     asked = request or ActigraphRequest()
-    if gravity is not None:
-        asked = replace(asked, gravity=gravity, gravity_source="as given")
-    if declare is not None:
-        asked = replace(asked, declare=tuple(declare))
-    if loop is not None:
-        asked = replace(asked, loop=loop)
+    asked = replace(asked, **_gravity(gravity))
+    asked = replace(asked, **_search(declare, loop))
     asked = replace(asked, seed=asked.seed if seed is None else seed)
     run = calibrate_recording(Path(recording), mapping or FieldMapping(), asked, say)
     return Result(run, actigraph_document(run))
@@ -150,12 +153,10 @@ def array(
 
     drawn = board if isinstance(board, Board) else read_board(str(board))
     asked = replace(request, board=drawn) if request else ArrayRequest(drawn, STANDARD_GRAVITY)
-    if gravity is not None:
-        asked = replace(asked, gravity=gravity, gravity_source="as given")
+    asked = replace(asked, **_gravity(gravity))
     if samples is not None:
         asked = replace(asked, samples=samples)
-    if loop is not None:
-        asked = replace(asked, loop=loop)
+    asked = replace(asked, **_search(None, loop))
     asked = replace(asked, seed=asked.seed if seed is None else seed)
     found = log if isinstance(log, Recording) else read(log, mapping)
     run = calibrate_array(found, asked, say)
@@ -181,12 +182,8 @@ def imu(
     from imucalib.report.imu.document import imu_document
 
     asked = request or ImuRequest()
-    if gravity is not None:
-        asked = replace(asked, gravity=gravity, gravity_source="as given")
-    if declare is not None:
-        asked = replace(asked, declare=tuple(declare))
-    if loop is not None:
-        asked = replace(asked, loop=loop)
+    asked = replace(asked, **_gravity(gravity))
+    asked = replace(asked, **_search(declare, loop))
     paths = (recording,) if isinstance(recording, str | Path) else recording
     run = run_imu(tuple(map(Path, paths)), mapping or FieldMapping(), asked, say)
     return Result(run, imu_document(run))

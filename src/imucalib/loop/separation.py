@@ -300,10 +300,11 @@ def _of_step(loop: FitLoop, step: Step, white: Callable[[Array], Array] | None) 
     typical = np.array([p.typical for p in held.parameters])
     white = white or whitener(held.at.settings, held.noise.ratio)
     factor = held.noise.factor
-    base, rest = _without_records(held, white(held.at.jacobian * typical) / factor)
+    whole = white(held.at.jacobian * typical) / factor
+    base, rest = _without_records(held, whole)
     names = [p.name for p, kept in zip(held.parameters, base, strict=True) if kept]
     seen = rest(white(np.column_stack(blocks)) / factor)
-    columns = np.column_stack([rest(white(held.at.jacobian * typical) / factor)[:, base], seen])
+    columns = np.column_stack([rest(whole)[:, base], seen])
     data = rest(white(held.at.residual)[:, None] / factor)[:, 0]
     ends = np.cumsum([len(names), *(b.shape[1] for b in blocks)])
     return Ambiguity(

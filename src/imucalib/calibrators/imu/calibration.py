@@ -15,12 +15,12 @@ from imucalib.calibration.outcome import Outcome
 from imucalib.calibrators.imu.calibrate import ImuResult
 from imucalib.calibrators.imu.log import Imu
 from imucalib.estimators.turns import ACCELEROMETER, LOWER, TurnFit
+from imucalib.estimators.turns import GAIN as GAINS
 from imucalib.inspection.noise import AllanSums
 from imucalib.units import DEG, MG
 
 #: Effects of the accelerometer that the turns bear on.
 _LINEAR = ("bias", "scale", "non_orthogonality")
-_FIXED = ACCELEROMETER + 9
 #: Relative step of a derivative, and s of rest from which a bias instability is more than a limit.
 _STEP, _LONG = 1e-6, 600.0
 
@@ -33,9 +33,8 @@ def imu_calibration(result: ImuResult, outcome: Outcome, details: Mapping[str, A
     others = np.flatnonzero(~np.isin(names, _LINEAR))
     theta = np.array([made.parameters[int(k)].value for k in own])
     moved = _linear(theta, fit, made.gravity)
-    kept = np.r_[np.arange(ACCELEROMETER), np.arange(ACCELEROMETER, _FIXED + fit.state.theta.size)]
-    last = _FIXED + fit.state.theta.size + 3 * (fit.log.rests - 1)
-    kept = np.r_[kept, last : last + 3]
+    last = fit.state.first_up - 3
+    kept = np.r_[: ACCELEROMETER + GAINS + fit.state.theta.size, last : last + 3]
     joint = fit.covariance[np.ix_(kept, kept)]
     slope = np.eye(kept.size)
     slope[:ACCELEROMETER, :ACCELEROMETER] = _slopes(theta, fit, made.gravity)
