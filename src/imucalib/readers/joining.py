@@ -10,6 +10,7 @@ gap stands between them, and a note says by how much.
 from __future__ import annotations
 
 import hashlib
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -46,16 +47,16 @@ def join(blocks: Iterable[Recording], where: str) -> Recording:
     return replace(first, channels=channels, gaps=tuple(gaps), notes=tuple(notes))
 
 
-class Joined:
+class Joined(ABC):
     """A reader whose `read` joins its blocks, of `at_once` samples each."""
 
     at_once = 1 << 18
 
+    @abstractmethod
     def blocks(
         self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool
     ) -> Iterator[Recording]:
         """See `imucalib.readers.Reader`."""
-        raise NotImplementedError
 
     def read(self, path: Path, mapping: FieldMapping, *, strict: bool) -> Recording:
         """Read the whole recording."""
