@@ -370,10 +370,10 @@ class Rotation(Described):
 
 
 def cross_matrix(axis: Array) -> Array:
-    """(n, 3, 3) with cross_matrix(a) @ v = a × v."""
-    out = np.zeros((axis.shape[0], 3, 3))
-    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -axis[:, 2], axis[:, 1], -axis[:, 0]
-    return out - out.transpose(0, 2, 1)
+    """(..., 3, 3) with cross_matrix(a) @ v = a × v, of vectors (..., 3)."""
+    out = np.zeros((*axis.shape[:-1], 3, 3))
+    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -axis[..., 2], axis[..., 1], -axis[..., 0]
+    return np.asarray(out - out.swapaxes(-1, -2))
 
 
 def _rodrigues(cross: Array, angle: Array) -> Array:

@@ -13,13 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from imucalib.arrays import Array
-
-
-def cross_matrices(v: Array) -> Array:
-    """(..., 3, 3) [v]x of vectors (..., 3)."""
-    out = np.zeros((*v.shape[:-1], 3, 3))
-    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
-    return np.asarray(out - out.swapaxes(-1, -2))
+from imucalib.core.effect import cross_matrix
 
 
 def rotations(vectors: Array) -> Array:
@@ -30,7 +24,7 @@ def rotations(vectors: Array) -> Array:
     safe = np.where(small, 1.0, angle)
     first = np.where(small, 1.0 - square / 6.0, np.sin(safe) / safe)
     second = np.where(small, 0.5 - square / 24.0, (1.0 - np.cos(safe)) / safe**2)
-    cross = cross_matrices(vectors)
+    cross = cross_matrix(vectors)
     return np.asarray(np.eye(3) + first * cross + second * (cross @ cross))
 
 

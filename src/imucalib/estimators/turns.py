@@ -26,7 +26,8 @@ from functools import cached_property
 import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
-from imucalib.estimators.carried import attitudes, between, cross_matrices, shares
+from imucalib.core.effect import cross_matrix
+from imucalib.estimators.carried import attitudes, between, shares
 
 #: What else a gyroscope does: (rate (n, 3) rad/s in its axes, force (n, 3) g, time (n,) s) to
 #: (n, 3, m) rad/s per unit of each of m parameters.
@@ -305,7 +306,7 @@ def linearised(log: TurnLog, state: State, laws: Laws | None, prior: Array) -> R
             axis=1,
         )
         back = across[k + 1].T @ whole[-1].T
-        own = back @ cross_matrices(state.up[k]) @ q
+        own = back @ cross_matrix(state.up[k]) @ q
         turns[i, :, :walk] = own[:, :walk]
         turns[i, :, walk + 3 * k : walk + 3 * k + 6] = own[:, walk:]
         turns[i, :, ups + 2 * k : ups + 2 * k + 2] = back @ across[k]

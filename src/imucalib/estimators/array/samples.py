@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.arrays import Array
+from imucalib.core.effect import cross_matrix
 
 
 @dataclass(frozen=True)
@@ -188,25 +189,18 @@ def _kept(taken: Array) -> Kept:
     return Kept(np.maximum(whole / 3.0, floor), np.clip(whole**2 / square, 1.0, 3.0))
 
 
-def _skew(v: Array) -> Array:
-    out = np.zeros((*v.shape[:-1], 3, 3))
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        out[..., i, j], out[..., j, i] = -v[..., k], v[..., k]
-    return out
-
-
 def turning(rate: Array, spin: Array) -> Array:
     """(T, 3, 3) W = Ω(ω)² + Ω(dω/dt)."""
     square = rate[:, :, None] * rate[:, None]
     trace = np.sum(rate * rate, axis=1)[:, None, None] * np.eye(3)
-    return np.asarray(square - trace + _skew(spin))
+    return np.asarray(square - trace + cross_matrix(spin))
 
 
 def turning_slope(rate: Array, spin: Array, bend: Array) -> Array:
     """(T, 3, 3) dW/dt, of bend d²ω/dt² (T, 3) rad/s³."""
     mixed = rate[:, :, None] * spin[:, None]
     trace = 2.0 * np.sum(rate * spin, axis=1)[:, None, None] * np.eye(3)
-    return np.asarray(mixed + mixed.transpose(0, 2, 1) - trace + _skew(bend))
+    return np.asarray(mixed + mixed.transpose(0, 2, 1) - trace + cross_matrix(bend))
 
 
 def _arms(rate: Array, r: Array) -> Array:
@@ -214,7 +208,7 @@ def _arms(rate: Array, r: Array) -> Array:
     t, k = len(rate), len(r)
     out = np.zeros((t, k, 3, 9))
     out[..., :3] = np.eye(3)
-    out[..., 3:6] = -_skew(r)
+    out[..., 3:6] = -cross_matrix(r)
     along = (rate @ r.T)[..., None, None] * np.eye(3)
     outer = rate[:, None, :, None] * r[:, None, :]
     out[..., 6:] = along + outer - 2.0 * outer.swapaxes(2, 3)
