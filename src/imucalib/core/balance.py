@@ -22,8 +22,8 @@ from imucalib.core.eigen import blocks_of
 from imucalib.core.model import Model, Prediction
 from imucalib.core.observations import NoisePrior, Observations, SharedNoise
 
-#: Below so many numbers one dense matrix is faster than its blocks.
-_FEW = 240
+#: Below so many numbers one dense matrix is faster than its blocks; blocks that are inverted.
+_FEW, _SMALL = 240, 12
 
 
 @dataclass(frozen=True)
@@ -154,10 +154,11 @@ def _shared_columns(at: Balanced, noise: SharedNoise) -> Array:
 class Whitener:
     """Turns the balance into unit, independent noise: L⁻¹ with L Lᵀ = V / s².
 
-    blocks : the rows of each block of V, and its L (m, m); none where V / s² = 1
+    blocks : the rows (b, m) of all blocks of one size, and their L (b, m, m), of small ones L⁻¹;
+        none where V / s² = 1
     """
 
-    blocks: tuple[tuple[Index | slice, Array], ...]
+    blocks: tuple[tuple[Index, Array], ...]
     log_det: float
 
     @property
@@ -170,16 +171,26 @@ class Whitener:
 
     def weighted(self, columns: Array) -> Array:
         """V⁻¹ s² times columns."""
-        return self._solved(self(columns), transposed=True)
+        return self.back(self(columns))
+
+    def back(self, white: Array) -> Array:
+        """L⁻ᵀ times columns."""
+        return self._solved(white, transposed=True)
 
     def _solved(self, columns: Array, *, transposed: bool) -> Array:
         if not self.blocks:
             return columns
-        if len(self.blocks) == 1:
-            return _triangular(self.blocks[0][1], columns, transposed)
         solved = np.empty(columns.shape)
         for rows, lower in self.blocks:
-            solved[rows] = _triangular(lower, columns[rows], transposed)
+            if lower.shape[1] <= _SMALL:
+                own = columns[rows].reshape(*rows.shape, -1)
+                turn = lower.transpose(0, 2, 1) if transposed else lower
+                solved[rows] = (turn @ own).reshape(*rows.shape, *columns.shape[1:])
+            elif rows.shape == (1, len(columns)):  # without a copy
+                return _triangular(lower[0], columns, transposed)
+            else:
+                for some, one in zip(rows, lower, strict=True):
+                    solved[some] = _triangular(one, columns[some], transposed)
         return solved
 
 
@@ -197,14 +208,18 @@ def whitener(settings: tuple[Array, ...], ratio: tuple[float, ...]) -> Whitener:
     if not scaled:
         return Whitener((), 0.0)
     columns = np.column_stack(scaled)
-    blocks: list[tuple[Index | slice, Array]] = []
-    for rows in [slice(None)] if len(columns) < _FEW else blocks_of(columns):
-        own = columns[rows]
-        if isinstance(rows, np.ndarray):
+    every = [np.arange(len(columns))] if len(columns) < _FEW else blocks_of(columns)
+    blocks, log_det = list[tuple[Index, Array]](), 0.0
+    for size in sorted({rows.size for rows in every}):
+        rows = np.array([one for one in every if one.size == size])
+        whole = np.empty((len(rows), size, size))
+        for k, some in enumerate(rows):
+            own = columns[some]
             own = own[:, own.any(axis=0)]
-        lower = np.linalg.cholesky(np.eye(len(own)) + own @ own.T)
-        blocks.append((rows, np.asarray(lower, np.float64)))
-    log_det = 2.0 * sum(float(np.log(np.diag(lower)).sum()) for _, lower in blocks)
+            whole[k] = np.eye(size) + own @ own.T
+        lower = np.asarray(np.linalg.cholesky(whole), np.float64)
+        log_det += 2.0 * float(np.log(np.diagonal(lower, axis1=1, axis2=2)).sum())
+        blocks.append((rows, np.asarray(np.linalg.inv(lower)) if size <= _SMALL else lower))
     return Whitener(tuple(blocks), log_det)
 
 

@@ -68,7 +68,7 @@ def left_out(problem: Problem, posterior: Posterior, folds: Sequence[Fold]) -> L
 def foretold(problem: Problem, posterior: Posterior, folds: Sequence[Fold]) -> Held:
     """Predictions of every observation without its fold by the base model alone."""
     used = np.r_[np.arange(problem.base), problem.columns.shape[1] - 1]
-    brief = replace(problem, columns=problem.columns[:, used], single=problem.base, choices=())
+    brief = replace(problem, columns=problem.columns[:, used], choices=())
     grams = narrowed(posterior.grams, used)
     out, every = list[Held](), np.arange(problem.fit.observations.n)
     for fold in folds:
@@ -104,14 +104,12 @@ def _narrowed(problem: Problem, posterior: Posterior) -> tuple[Problem, Grams]:
     """The problem and its products with the members of every component that any data have a say
     for."""
     choices = _rivals(problem, posterior)
-    numbers = problem.columns.shape[1] - 1
-    own = np.concatenate([np.arange(problem.base), *(c.at for c in choices)]).astype(np.intp)
-    used = np.unique(np.concatenate([own, np.arange(problem.single, numbers + 1)]))
+    last = problem.columns.shape[1] - 1
+    used = np.unique(np.concatenate([np.arange(problem.base), *(c.at for c in choices), [last]]))
     found = replace(
         problem,
         columns=problem.columns[:, used],
         choices=tuple(replace(c, at=np.searchsorted(used, c.at)) for c in choices),
-        single=int(np.searchsorted(used, problem.single)),
     )
     return found, narrowed(posterior.grams, used)
 
