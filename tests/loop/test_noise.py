@@ -24,7 +24,7 @@ def dense(terms: Terms, point: Point) -> np.ndarray:
     """V of a point without a walk, component by component."""
     whole = np.eye(terms.order.size)
     for factor, ratio in zip(terms.ways[point.sharing], point.ratio, strict=True):
-        whole += ratio**2 * (factor.near @ factor.near.T + factor.wide @ factor.wide.T)
+        whole += ratio**2 * ((factor.near @ factor.near.T).toarray() + factor.wide @ factor.wide.T)
     return whole
 
 

@@ -12,7 +12,9 @@ with variance components; Patterson and Thompson 1971 for the restricted likelih
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +23,9 @@ from imucalib.arrays import Array, Index
 from imucalib.core.eigen import blocks_of
 from imucalib.core.model import Model, Prediction
 from imucalib.core.observations import NoisePrior, Observations, SharedNoise
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 #: Below so many numbers one dense matrix is faster than its blocks; blocks that are inverted.
 _FEW, _SMALL = 240, 12
@@ -201,26 +206,41 @@ def _triangular(lower: Array, columns: Array, transposed: bool) -> Array:
     return np.asarray(dtrtrs(lower.T, columns, lower=0, trans=0 if transposed else 1)[0])
 
 
-def whitener(settings: tuple[Array, ...], ratio: tuple[float, ...]) -> Whitener:
+def whitener(settings: Sequence[Array | csr_array], ratio: Sequence[float]) -> Whitener:
     """For N_c matrices and ratios sd_c / s (rad). Readings that share no setting, through others
     neither, are independent: V comes apart into blocks."""
     scaled = [rho * matrix for matrix, rho in zip(settings, ratio, strict=True) if rho]
     if not scaled:
         return Whitener((), 0.0)
-    columns = np.column_stack(scaled)
-    every = [np.arange(len(columns))] if len(columns) < _FEW else blocks_of(columns)
+    if scaled[0].shape[0] < _FEW:
+        columns = np.column_stack([m if isinstance(m, np.ndarray) else m.toarray() for m in scaled])
+        every, whole = [np.arange(len(columns))], columns @ columns.T
+    else:
+        from scipy.sparse import csr_array, hstack
+
+        sparse = hstack([csr_array(m) for m in scaled], format="csr")
+        every, whole = blocks_of(sparse), sparse @ sparse.T
     blocks, log_det = list[tuple[Index, Array]](), 0.0
     for size in sorted({rows.size for rows in every}):
         rows = np.array([one for one in every if one.size == size])
-        whole = np.empty((len(rows), size, size))
-        for k, some in enumerate(rows):
-            own = columns[some]
-            own = own[:, own.any(axis=0)]
-            whole[k] = np.eye(size) + own @ own.T
-        lower = np.asarray(np.linalg.cholesky(whole), np.float64)
+        lower = np.linalg.cholesky(np.eye(size) + _on_the_diagonal(whole, rows))
         log_det += 2.0 * float(np.log(np.diagonal(lower, axis1=1, axis2=2)).sum())
-        blocks.append((rows, np.asarray(np.linalg.inv(lower)) if size <= _SMALL else lower))
+        lower = np.linalg.inv(lower) if size <= _SMALL else lower
+        blocks.append((rows, np.asarray(lower, np.float64)))
     return Whitener(tuple(blocks), log_det)
+
+
+def _on_the_diagonal(whole: Array | csr_array, rows: Index) -> Array:
+    """(b, m, m) blocks of a matrix (N, N), whose other numbers in these rows (b, m) are zero."""
+    b, m = rows.shape
+    if isinstance(whole, np.ndarray):
+        return np.asarray(whole[rows[:, :, None], rows[:, None]])
+    own = whole[rows.ravel()].tocoo()
+    place = np.zeros(whole.shape[1], np.intp)
+    place[rows] = np.arange(m)
+    found = np.zeros((b, m, m))
+    found[own.row // m, own.row % m, place[own.col]] = own.data
+    return found
 
 
 def setting_errors(at: Balanced, white: Whitener, ratio: tuple[float, ...], misfit: Array) -> Array:

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,9 @@ from imucalib.core.observations import Observations, SharedNoise
 from imucalib.core.references import KnownVector
 from imucalib.loop.faults.sheet import in_order
 from imucalib.loop.posterior.odds import AS_SET, SETTINGS, WALK_MEMORIES, WALK_SIZES, WALKS
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 #: Name of the variance component that neighbours in the order of recording share.
 NEIGHBOURS = "shared noise"
@@ -78,7 +81,7 @@ class Covariance:
 class Factor:
     """near, wide : (N, k) columns of a component that few numbers share, and that many"""
 
-    near: Array
+    near: csr_array
     wide: Array
 
 
@@ -109,7 +112,7 @@ class Terms:
                 np.zeros((n, 0)),
                 np.zeros((0, 0)),
             )
-        white = whitener(tuple(near), point.ratio)
+        white = whitener(near, point.ratio)
         columns = white(np.column_stack([np.zeros((n, 0)), *wide]))
         inner = np.eye(columns.shape[1]) + columns.T @ columns
         return Covariance(white, columns, np.asarray(np.linalg.cholesky(inner)))
@@ -133,12 +136,12 @@ class Terms:
         logs, groups = np.empty(len(points)), dict[tuple[float, ...], list[int]]()
         for k, point in enumerate(points):
             pairs = zip(self.ways[point.sharing], point.ratio, strict=True)
-            key = (point.sharing, *(ratio for f, ratio in pairs if f.near.any()))
+            key = (point.sharing, *(ratio for f, ratio in pairs if f.near.nnz))
             groups.setdefault(key, []).append(k)
         for group in groups.values():
             first = points[group[0]]
             own = self.ways[first.sharing]
-            near = whitener(tuple(f.near / scale for f in own), first.ratio)
+            near = whitener([f.near.multiply(1.0 / scale).tocsr() for f in own], first.ratio)
             wide = [near(m / scale) for m in (*self._wide(own), lacked)]
             inside = _Inside.of(wide, near(free / scale))
             for k in group:
@@ -253,8 +256,10 @@ def terms_of(fit: Fit) -> Terms:
 
 def _parted(columns: Array) -> Factor:
     """Of few numbers all columns count as shared by many: there is nothing to gain."""
+    from scipy.sparse import csr_array
+
     shared = (columns != 0.0).sum(axis=0) > (_SHARED if len(columns) > _FEW else 0)
-    return Factor(columns[:, ~shared], columns[:, shared])
+    return Factor(csr_array(columns[:, ~shared]), columns[:, shared])
 
 
 def _walk(order: Index, bias: Array, memory: float) -> Array:
