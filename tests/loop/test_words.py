@@ -73,6 +73,9 @@ def test_a_walk_counts_beyond_five_nats(evidence: float, counts: bool) -> None:
         (replace(UNSURE, plain_low=-0.1, nats=0.1, nats_low=-2.0), False, False, True),
         (replace(UNSURE, plain_low=-0.1, nats=-0.1, nats_low=-2.0), False, False, False),
         (replace(UNSURE, after=2.1, plain_low=-0.3, nats=0.1, nats_low=-2.0), False, False, False),
+        # The density proves it where the error moves within its scatter, and not beyond.
+        (replace(UNSURE, after=2.1, plain_low=-0.3, nats=9.0, nats_low=4.0), True, True, True),
+        (replace(UNSURE, after=2.1, plain_low=-0.15, nats=9.0, nats_low=4.0), True, True, False),
     ],
 )  # fmt: skip
 def test_what_a_gain_allows_to_say(
