@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import Counter
 
 from imucalib.report.document import Document, Tone
-from imucalib.report.render.columns import column_pads, squared
 from imucalib.report.render.svg import render_svg
+from imucalib.report.render.table import column_pads, squared
 from imucalib.report.render.templates import filled
 
 SIGNS: dict[Tone, str] = {"ok": "✓", "warning": "⚠\ufe0e", "bad": "✗", "plain": ""}
