@@ -78,7 +78,7 @@ def _found(found: Findings) -> tuple[Text, ...]:
     lines = [
         Text(
             f"{r.where}: {r.channel} is {plus_minus(r.size, r.sd, r.unit)} off "
-            f"({r.likely}, {per_cent(1.0 - r.p)}).",
+            f"({r.likely}, {per_cent(r.probability)}).",
             "bad",
         )
         for r in found.records

@@ -12,8 +12,9 @@ from imucalib.calibration.plain import plain
 from imucalib.loop.found import Score
 from imucalib.report.card import card_dict
 from imucalib.report.document import Document, Plot, Series
+from imucalib.significant_digits import per_cent
 
-SCHEMA = "imucal/report/1"
+SCHEMA = "imucal/report/2"
 
 
 def report_dict(run: Run) -> dict[str, Any]:
@@ -111,21 +112,22 @@ def _found(found: Findings) -> dict[str, Any]:
         "without": list(found.without),
         "record_errors": [
             {"where": r.where, "channel": r.channel, "size": r.size, "sd": r.sd, "unit": r.unit,
-             "likely": r.likely, "p_value": r.p}
+             "likely": r.likely, "probability": r.probability}
             for r in found.records
         ],
         "steps": [_step(step) for step in found.steps],
         "unexplained": [
-            {"name": u.name, "driver": u.driver, "kind": u.kind, "p_value": u.p,
-             "share": u.share, "evidence_nats": u.evidence}
+            {"name": u.name, "driver": u.driver, "kind": u.kind, "probability": u.probability,
+             "evidence_nats": u.evidence}
             for u in found.unexplained
         ],
         "rejected": [{"effect": name, "reason": why} for name, why in _reasons(found).items()],
         "refuted": list(found.refuted),
         "not_testable": [vars(u) for u in found.not_testable],
         "candidates": [
-            {"name": s.name, "kind": s.kind, "evidence_nats": s.evidence, "p_value": s.p,
-             "left": s.left, "lambda_at_typical_size": s.strength, "size_m_per_s2": s.size}
+            {"name": s.name, "kind": s.kind, "evidence_nats": s.evidence,
+             "probability": s.probability, "left": s.left,
+             "lambda_at_typical_size": s.strength, "size_m_per_s2": s.size}
             for s in found.scores
         ],
     }  # fmt: skip
@@ -135,8 +137,6 @@ def _step(step: FoundStep) -> dict[str, Any]:
     return {
         "effect": step.effect,
         "size": step.size,
-        "p_value": step.p,
-        "draws": step.draws,
         "probability": step.probability,
         "in_its_place": [{"effect": name, "share": share} for name, share in step.rivals],
         "evidence_nats": step.evidence,
@@ -162,8 +162,8 @@ def _reasons(found: Findings) -> dict[str, str]:
 def _why(score: Score, found: Findings) -> str:
     if score.absorbed:
         return "absorbed by the fitted parameters: these data cannot show it"
-    numbers = f"{score.evidence:.2f} nats, p {score.p:.2g} in the whole search"
+    numbers = f"{per_cent(score.probability)} likely, {score.evidence:.2f} nats by itself"
     best = found.scores[0]
-    if found.unexplained and score.evidence < best.evidence and score.p <= found.unexplained[0].p:
+    if score.evidence > 0.0 and score.evidence < best.evidence:
         return f"{best.name} explains more: {numbers}"
     return f"no evidence: {numbers}"

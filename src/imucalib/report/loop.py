@@ -13,7 +13,7 @@ from imucalib.calibration.power import hidden
 from imucalib.effects.shape import in_words
 from imucalib.loop.found import Score
 from imucalib.report.document import Block, Facts, Plot, Section, Series, Table, Text, Tone
-from imucalib.significant_digits import per_cent, plus_minus, probability
+from imucalib.significant_digits import per_cent, plus_minus
 from imucalib.units import MG
 
 
@@ -29,12 +29,11 @@ def step_tables(found: Findings) -> list[Table]:
 def _table(steps: Sequence[FoundStep], found: Findings) -> Table:
     checks = steps[0].checks
     sized, nats = (any(getattr(s, name) for s in steps) for name in ("size", "held_out"))
-    posterior = not any(math.isnan(s.probability) for s in steps)
     rows = tuple(
         (
             s.effect,
             *((s.size,) if sized else ()),
-            per_cent(s.probability) if posterior else probability(s.p, s.draws),
+            per_cent(s.probability),
             *((f"{s.evidence:.1f}", ", ".join(f"{v:.0f}" for v in s.held_out)) if nats else ()),
             *_changes(s),
             _others(s) or ("nothing: certain" if s.certain else "-"),
@@ -47,7 +46,7 @@ def _table(steps: Sequence[FoundStep], found: Findings) -> Table:
     header = (
         "effect added",
         *(("size",) if sized else ()),
-        "there" if posterior else "p",
+        "there",
         *(("nats", "held out, nats") if nats else ()),
         *errors,
         "cannot be told from",
@@ -55,14 +54,10 @@ def _table(steps: Sequence[FoundStep], found: Findings) -> Table:
     align = "l" + "l" * sized + "r" * (len(header) - 2 - sized) + "l"
     if len(checks) == 1:
         note = f"{_upper(checks[0].metric).removesuffix(', rms')} in {checks[0].unit} rms, "
-        note += (
-            "of all steps together. There: how likely it is, in this place or beside another."
-            if posterior
-            else "which took part in the choice; p is the chance in the whole search."
-        )
+        note += "of all steps together. There: how likely it is, in this place or beside another."
     else:
         note = (
-            "p is the chance in the whole search. Held out: what each half of the data gains by "
+            "There: how likely it is. Held out: what each half of the data gains by "
             "the effect as the other half has it. Residuals: median absolute deviation, held out."
         )
     return Table("Steps of the loop", header, rows, align, note)
@@ -114,8 +109,8 @@ _LIKELY, _NAMED = 0.1, 2
 
 def likeliest_words(found: Findings) -> str:
     """What nothing missing may turn out to be, with the probability of each, or nothing."""
-    likely = [s for s in found.scores if 1.0 - s.p > _LIKELY][:_NAMED]
-    words = ", ".join(f"{in_words(s.name)} {per_cent(1.0 - s.p)}" for s in likely)
+    likely = [s for s in found.scores if s.probability > _LIKELY][:_NAMED]
+    words = ", ".join(f"{in_words(s.name)} {per_cent(s.probability)}" for s in likely)
     return f"; the likeliest that could be: {words}" if words else ""
 
 
@@ -243,7 +238,7 @@ def _records(found: Findings) -> list[Table]:
     if not found.records:
         return []
     rows = tuple(
-        (r.where, r.channel, plus_minus(r.size, r.sd, r.unit), probability(r.p, 299), r.likely)
+        (r.where, r.channel, plus_minus(r.size, r.sd, r.unit), per_cent(r.probability), r.likely)
         for r in found.records
     )
     header = ("record", "channel", "off by", "p", "likely")
@@ -299,7 +294,7 @@ def candidate_rows(scores: Sequence[Score]) -> list[tuple[str, ...]]:
             s.name,
             s.kind,
             "absorbed" if s.absorbed else f"{s.evidence:.2f}",
-            "-" if s.absorbed else per_cent(1.0 - s.p),
+            "-" if s.absorbed else per_cent(s.probability),
             f"{100.0 * s.left:.1f}",
             f"{s.strength:.1f}",
             f"{s.size / MG:.2g}" if s.size else "-",

@@ -33,12 +33,12 @@ def held_against_rests(loop: MotionLoop, force: Array, rate: Array, t: Array) ->
     if not wrong:
         return loop
     steps = tuple(
-        replace(s, aliases=(*s.aliases, OTHER), sure=False) if s.effect in wrong else s
+        replace(s, aliases=(*s.aliases, OTHER), certain=False) if s.effect in wrong else s
         for s in loop.steps
     )
     left = tuple(
-        Unexplained(f"{s.effect} shows in motion and not at rest", "force", "probe", s.p,
-                    s.evidence, 0.0)
+        Unexplained(f"{s.effect} shows in motion and not at rest", "force", "probe", s.probability,
+                    s.evidence)
         for s in loop.steps
         if s.effect in wrong
     )  # fmt: skip
