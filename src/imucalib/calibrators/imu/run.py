@@ -236,8 +236,8 @@ def _gain(found: Difference) -> Gain:
 
 def _noise_words(fit: TurnFit) -> str:
     return (
-        f"floor of a turn {fit.noise.floor / DEG:.2g} deg, bias walk "
-        f"{float(np.mean(fit.noise.walk)) / DEG:.2g} deg/s per root s"
+        f"off by {fit.noise.floor / DEG:.2g} deg and {100.0 * fit.noise.per_angle:.2g} % of the "
+        f"angle each; bias walk {float(np.mean(fit.noise.walk)) / DEG:.2g} deg/s per root s"
     )
 
 
