@@ -8,29 +8,24 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imucalib.cli.calibrating import command_line
-from imucalib.cli.gravity_options import gravity_of, gravity_options
-from imucalib.cli.output import (
-    color,
-    emit_json,
-    full_option,
-    json_option,
-    note,
-    pairs,
-    quiet_option,
-    seed_option,
-    width,
-)
-from imucalib.cli.paged_help import PagedCommand
-from imucalib.cli.recording_options import (
+from imucalib.cli.options import (
+    PagedCommand,
     force_option,
+    full_option,
+    gravity_of,
+    gravity_options,
     inputs_of,
+    json_option,
     mapping_of,
     one_scale,
+    pairs,
+    quiet_option,
     recording_options,
+    seed_option,
     shortest_rest_option,
     still_of,
 )
-from imucalib.cli.working import working
+from imucalib.cli.output import color, emit_json, note, width, working
 
 if TYPE_CHECKING:
     from imucalib.calibration.calibration import Calibration

@@ -7,19 +7,15 @@ from typing import Any
 
 import click
 
-from imucalib.cli.output import (
-    color,
-    emit_json,
+from imucalib.cli.options import (
+    PagedCommand,
+    force_option,
     full_option,
     json_option,
-    note,
     pairs,
     quiet_option,
-    width,
 )
-from imucalib.cli.paged_help import PagedCommand
-from imucalib.cli.recording_options import force_option
-from imucalib.cli.working import working
+from imucalib.cli.output import color, emit_json, note, width, working
 
 
 def plan_for(path: Path, options: dict[str, Any]) -> int:
