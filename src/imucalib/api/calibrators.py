@@ -98,9 +98,11 @@ def lab(
     asked = replace(asked, seed=asked.seed if seed is None else seed)
     first, *others = (table,) if isinstance(table, str | Path) else table
     files = LabFiles(
-        Path(first), None if recording is None else Path(recording),
-        mapping=mapping or FieldMapping(), others=tuple(map(Path, others)),
-    )  # fmt: skip
+        Path(first),
+        None if recording is None else Path(recording),
+        mapping=mapping or FieldMapping(),
+        others=tuple(map(Path, others)),
+    )
     run = calibrate_files(files, asked, say)
     return Result(run, lab_document(run))
 

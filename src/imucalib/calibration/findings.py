@@ -99,9 +99,15 @@ def gain_of(found: Difference | None) -> Gain | None:
         return None
     before, after, low, high = (v / MG for v in (found.before, found.after, found.low, found.high))
     return Gain(
-        before=before, after=after, low=low, high=high, proved=found.proved, unit="mg",
-        nats=found.nats, nats_low=found.nats_low,
-    )  # fmt: skip
+        before=before,
+        after=after,
+        low=low,
+        high=high,
+        proved=found.proved,
+        unit="mg",
+        nats=found.nats,
+        nats_low=found.nats_low,
+    )
 
 
 @dataclass(frozen=True)

@@ -25,10 +25,14 @@ if TYPE_CHECKING:
 @click.argument("recording", type=click.Path(path_type=Path))
 @click.option("--triad", help="Which accelerometer, when the recording has several.")
 @click.option("--every", metavar="TIME", help="Calibrate parts too, for example 7d or 12h.")
-@click.option("--as-published", is_flag=True,
-              help="The paper's own method, as it was published.")  # fmt: skip
-@click.option("--arithmetic", type=click.Choice(["float", "int32", "int16"]), default="float",
-              show_default=True, help="Of the gradient descent, with --as-published.")  # fmt: skip
+@click.option("--as-published", is_flag=True, help="The paper's own method, as it was published.")
+@click.option(
+    "--arithmetic",
+    type=click.Choice(["float", "int32", "int16"]),
+    default="float",
+    show_default=True,
+    help="Of the gradient descent, with --as-published.",
+)
 @fleet_option
 @limit_option("--max-worst-error", "largest held-out error, mg.")
 @calibrating

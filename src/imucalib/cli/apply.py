@@ -64,10 +64,18 @@ def _millimetres(
     flag_value="parts",
     help="Each sample by the part valid at its time (--every).",
 )
-@click.option("--angles", type=click.Path(path_type=Path, dir_okay=False),
-              help="Also write inclination and tool-face with their sd, as CSV.")  # fmt: skip
-@click.option("--each", type=click.Choice(["rest", "sample"]), default="rest", show_default=True,
-              help="A row of --angles for each rest, or for each sample.")  # fmt: skip
+@click.option(
+    "--angles",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Also write inclination and tool-face with their sd, as CSV.",
+)
+@click.option(
+    "--each",
+    type=click.Choice(["rest", "sample"]),
+    default="rest",
+    show_default=True,
+    help="A row of --angles for each rest, or for each sample.",
+)
 @click.option(
     "--fused/--no-fused",
     default=None,

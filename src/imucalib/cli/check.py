@@ -68,10 +68,14 @@ def measured_of(
     make = array_log if calibration.triads else sensor_log
     measured, notes = make(replace(calibration, gravity=gravity), files, noise, asked)
     with_past = [
-        replace(m, past=counted_once([o.sensors[m.name] for o in past if m.name in o.sensors],
-                                     m.misfits.value))
+        replace(
+            m,
+            past=counted_once(
+                [o.sensors[m.name] for o in past if m.name in o.sensors], m.misfits.value
+            ),
+        )
         for m in measured
-    ]  # fmt: skip
+    ]
     before = max((sum(m.name in one.sensors for one in past) for m in measured), default=0)
     if again := before - max((len(m.past) for m in with_past), default=0):
         checks = "a check" if again == 1 else f"{again} checks"
@@ -95,23 +99,45 @@ def append(path: Path, past: tuple[PastCheck, ...], found: Check, content: dict[
 @click.command("check", cls=PagedCommand, short_help="Is a calibration still good?")
 @click.argument("calibration", type=click.Path(path_type=Path))
 @click.argument("log", type=click.Path(path_type=Path))
-@click.option("--limit", "limits", multiple=True, metavar="SIZE",
-              help="Change that matters: 2mg of bias, 0.1deg of mounting, 0.5deg/s of a gyro's "
-              "bias. Default: 5 sd of one corrected reading.")  # fmt: skip
-@click.option("--noise", metavar="SIZE", help="Scatter of one rest or position, for example 0.5mg; "
-              "default: as the calibration states it.")  # fmt: skip
-@click.option("--between-sessions", multiple=True, metavar="SIZE",
-              help="Scatter between power-ups: 0.5mg of bias, 0.05deg of mounting; default: as a "
-              "calibration of several sessions states it.")  # fmt: skip
-@click.option("--history", type=click.Path(path_type=Path, dir_okay=False),
-              help="File of this calibration's checks: adds a line; the evidence is of all lines.",
-              )  # fmt: skip
+@click.option(
+    "--limit",
+    "limits",
+    multiple=True,
+    metavar="SIZE",
+    help="Change that matters: 2mg of bias, 0.1deg of mounting, 0.5deg/s of a gyro's "
+    "bias. Default: 5 sd of one corrected reading.",
+)
+@click.option(
+    "--noise",
+    metavar="SIZE",
+    help="Scatter of one rest or position, for example 0.5mg; "
+    "default: as the calibration states it.",
+)
+@click.option(
+    "--between-sessions",
+    multiple=True,
+    metavar="SIZE",
+    help="Scatter between power-ups: 0.5mg of bias, 0.05deg of mounting; default: as a "
+    "calibration of several sessions states it.",
+)
+@click.option(
+    "--history",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="File of this calibration's checks: adds a line; the evidence is of all lines.",
+)
 @click.option("--triad", help="Which sensor, when the log has several.")
-@click.option("--columns", multiple=True, metavar="ROLE=NAME,...",
-              help="Columns of a table by heading: inclination, tool_face, face, x, y, z.",
-              )  # fmt: skip
-@click.option("--effects", "effects_file", type=click.Path(path_type=Path),
-              help="Python file with effects of your own that the calibration uses.")  # fmt: skip
+@click.option(
+    "--columns",
+    multiple=True,
+    metavar="ROLE=NAME,...",
+    help="Columns of a table by heading: inclination, tool_face, face, x, y, z.",
+)
+@click.option(
+    "--effects",
+    "effects_file",
+    type=click.Path(path_type=Path),
+    help="Python file with effects of your own that the calibration uses.",
+)
 @click.option("--html", type=click.Path(path_type=Path), help="Also write the report as a page.")
 @shortest_rest_option
 @gravity_options

@@ -41,9 +41,10 @@ def command(folder: Path, output: Path, force: bool, quiet: bool) -> int:
     entries = tuple(entry for entry in found if entry is not None)
     if not entries:
         raise UnreadableInput(
-            "no entries of a cohort in it", where=str(folder),
+            "no entries of a cohort in it",
+            where=str(folder),
             remedy="`imucal batch MANIFEST -o FOLDER` writes them",
-        )  # fmt: skip
+        )
     write_table(rows(entries), output)
     note(f"{len(found) - len(entries)} files are no entries" if None in found else "", quiet)
     if not quiet:

@@ -13,19 +13,38 @@ from imucalib.cli.output import color, emit_json, note, width
 
 @click.command("compare", cls=PagedCommand, short_help="Compare calibrations of one sensor.")
 @click.argument("calibrations", type=click.Path(path_type=Path), nargs=-1, required=True)
-@click.option("--limit", "limits", multiple=True, metavar="SIZE",
-              help="Difference that matters: 2mg of force, 0.1deg of direction, 0.2mm of position, "
-              "0.5deg/s of a gyro's bias. Default: twice the largest stated sd.")  # fmt: skip
-@click.option("--dates", metavar="DATE,...",
-              help="When each was recorded, for the drift; default: as the files say.",
-              )  # fmt: skip
-@click.option("--between-sessions", "between", multiple=True, metavar="SIZE",
-              help="Scatter between power-ups: 0.5mg of bias, 0.05deg of mounting; default: as "
-              "calibrations of several sessions state it.")  # fmt: skip
-@click.option("--effects", "effects_file", type=click.Path(path_type=Path),
-              help="Python file with effects of your own that the calibrations use.")  # fmt: skip
-@click.option("--html", type=click.Path(path_type=Path),
-              help="Also write the report as a page, with its control chart.")  # fmt: skip
+@click.option(
+    "--limit",
+    "limits",
+    multiple=True,
+    metavar="SIZE",
+    help="Difference that matters: 2mg of force, 0.1deg of direction, 0.2mm of position, "
+    "0.5deg/s of a gyro's bias. Default: twice the largest stated sd.",
+)
+@click.option(
+    "--dates",
+    metavar="DATE,...",
+    help="When each was recorded, for the drift; default: as the files say.",
+)
+@click.option(
+    "--between-sessions",
+    "between",
+    multiple=True,
+    metavar="SIZE",
+    help="Scatter between power-ups: 0.5mg of bias, 0.05deg of mounting; default: as "
+    "calibrations of several sessions state it.",
+)
+@click.option(
+    "--effects",
+    "effects_file",
+    type=click.Path(path_type=Path),
+    help="Python file with effects of your own that the calibrations use.",
+)
+@click.option(
+    "--html",
+    type=click.Path(path_type=Path),
+    help="Also write the report as a page, with its control chart.",
+)
 @force_option
 @full_option
 @json_option
@@ -68,9 +87,12 @@ def command(
     for calibration, path in zip(loaded, calibrations, strict=True):
         check(calibration, str(path))
     found = compared(
-        loaded, _names(calibrations), wanted, dates.split(",") if dates else (),
+        loaded,
+        _names(calibrations),
+        wanted,
+        dates.split(",") if dates else (),
         sessions_of(between),
-    )  # fmt: skip
+    )
     document = comparison_document(found, command_line())
     if html is not None:
         write_whole(html, render_html(document))

@@ -34,23 +34,39 @@ if TYPE_CHECKING:
 
 
 @click.command("fleet", cls=PagedCommand, short_help="Calibrate devices of one kind together.")
-@click.argument("inputs", metavar="INPUT...", nargs=-1, required=True,
-                type=click.Path(path_type=Path))  # fmt: skip
-@click.option("-o", "--output", type=click.Path(path_type=Path, file_okay=False),
-              help="Folder for report.html, report.json and each device's calibration.yaml.",
-              )  # fmt: skip
-@click.option("--reference", type=click.Choice(["vector", "direction", "norm"]), default="vector",
-              show_default=True, help="As of imucal lab.")  # fmt: skip
+@click.argument(
+    "inputs", metavar="INPUT...", nargs=-1, required=True, type=click.Path(path_type=Path)
+)
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Folder for report.html, report.json and each device's calibration.yaml.",
+)
+@click.option(
+    "--reference",
+    type=click.Choice(["vector", "direction", "norm"]),
+    default="vector",
+    show_default=True,
+    help="As of imucal lab.",
+)
 @click.option("--columns", multiple=True, metavar="ROLE=NAME,...", help="Columns by heading.")
 @click.option("--exclude", default="", metavar="ROWS", help="Rows to leave out of every table.")
 @click.option("--only", multiple=True, metavar="EFFECT", help="Search only these effects.")
-@click.option("--without", multiple=True, metavar="EFFECT",
-              help="Leave effects out of the search.")  # fmt: skip
-@click.option("--draws", type=click.IntRange(min=99), default=1000, show_default=True,
-              help="Simulated fleets behind each p-value.")  # fmt: skip
-@click.option("--devices", type=click.Path(path_type=Path, dir_okay=False),
-              help="Of calibrations: CSV that says which recording is of which device, columns "
-              "recording and device; default: by serial number, else one each.")  # fmt: skip
+@click.option("--without", multiple=True, metavar="EFFECT", help="Leave effects out of the search.")
+@click.option(
+    "--draws",
+    type=click.IntRange(min=99),
+    default=1000,
+    show_default=True,
+    help="Simulated fleets behind each p-value.",
+)
+@click.option(
+    "--devices",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Of calibrations: CSV that says which recording is of which device, columns "
+    "recording and device; default: by serial number, else one each.",
+)
 @full_option
 @gravity_options
 @recording_options
@@ -127,9 +143,19 @@ def _fleet(inputs: tuple[Path, ...], options: dict[str, Any], say: Say) -> Fleet
 
 #: What holds for all inputs; other options are read with tables.
 _OF_ALL = {
-    "inputs", "output", "only", "without", "draws", "devices", "full", "force", "seed", "as_json",
-    "verbose", "quiet",
-}  # fmt: skip
+    "inputs",
+    "output",
+    "only",
+    "without",
+    "draws",
+    "devices",
+    "full",
+    "force",
+    "seed",
+    "as_json",
+    "verbose",
+    "quiet",
+}
 
 
 def _demand_usable() -> None:

@@ -72,16 +72,30 @@ _FIELDS = {
     **{
         name: name
         for name in (
-            "acc", "gyro", "temperature", "time", "gyro_unit", "temperature_unit", "time_unit",
-            "time_format", "where", "rate",
-            "axis_map", "preset", "acc_offset", "skip", "decimal", "delimiter",
-            "max_chunk", "allow_external",
+            "acc",
+            "gyro",
+            "temperature",
+            "time",
+            "gyro_unit",
+            "temperature_unit",
+            "time_unit",
+            "time_format",
+            "where",
+            "rate",
+            "axis_map",
+            "preset",
+            "acc_offset",
+            "skip",
+            "decimal",
+            "delimiter",
+            "max_chunk",
+            "allow_external",
         )
     },
     "unit": "acc_unit",
     "lsb": "lsb_per_g",
     "gyro_lsb": "lsb_per_dps",
-}  # fmt: skip
+}
 
 
 #: A fleet as a prior.
@@ -107,9 +121,13 @@ force_option = click.option(
 
 #: Of commands that look for rests in a recording.
 shortest_rest_option = click.option(
-    "--shortest-rest", type=float, default=1.0, show_default=True, metavar="SECONDS",
+    "--shortest-rest",
+    type=float,
+    default=1.0,
+    show_default=True,
+    metavar="SECONDS",
     help="Recording: what is still for less is no rest.",
-)  # fmt: skip
+)
 
 
 def still_of(options: dict[str, Any]) -> StillSettings:
@@ -255,29 +273,86 @@ PAGE = 60
 #: Heading -> options, by parameter name, that a help longer than a page leaves to --help-all.
 RARE = {
     "Reading a recording": (
-        "mapping", "acc", "gyro", "temperature", "time", "lsb", "gyro_unit", "gyro_lsb",
-        "time_unit", "rate", "axis_map", "preset", "acc_offset", "skip", "decimal", "max_chunk",
-        "allow_external", "delimiter", "shortest_rest", "where", "temperature_unit", "time_format",
+        "mapping",
+        "acc",
+        "gyro",
+        "temperature",
+        "time",
+        "lsb",
+        "gyro_unit",
+        "gyro_lsb",
+        "time_unit",
+        "rate",
+        "axis_map",
+        "preset",
+        "acc_offset",
+        "skip",
+        "decimal",
+        "max_chunk",
+        "allow_external",
+        "delimiter",
+        "shortest_rest",
+        "where",
+        "temperature_unit",
+        "time_format",
     ),
     "Angles and rows of a table": (
-        "gravity_sign", "z_axis", "inclination_zero", "toolface_zero_axis", "toolface_sense",
-        "toolface_offset", "angle_unit", "swap_angles", "keep_angles", "axes", "swaps", "moves",
+        "gravity_sign",
+        "z_axis",
+        "inclination_zero",
+        "toolface_zero_axis",
+        "toolface_sense",
+        "toolface_offset",
+        "angle_unit",
+        "swap_angles",
+        "keep_angles",
+        "axes",
+        "swaps",
+        "moves",
         "shifts",
     ),
     "Fit and search": (
-        "train", "model", "objective", "sigma", "as_published", "arithmetic", "loop", "curves",
-        "seed", "height", "effects_file", "fleet", "without",
+        "train",
+        "model",
+        "objective",
+        "sigma",
+        "as_published",
+        "arithmetic",
+        "loop",
+        "curves",
+        "seed",
+        "height",
+        "effects_file",
+        "fleet",
+        "without",
     ),
     "Posterior of an array": (
-        "as_drawn", "sampler", "samples", "motion_prior", "det_exponent", "acc_sigma",
-        "gyro_covariance", "chains", "ess", "iterations", "save_draws", "checkpoint", "accept_mm",
-        "accept_mg", "accept_dps",
+        "as_drawn",
+        "sampler",
+        "samples",
+        "motion_prior",
+        "det_exponent",
+        "acc_sigma",
+        "gyro_covariance",
+        "chains",
+        "ess",
+        "iterations",
+        "save_draws",
+        "checkpoint",
+        "accept_mm",
+        "accept_mg",
+        "accept_dps",
     ),
     "Limits": (
-        "max_inclination_error", "max_toolface_error", "max_norm_error", "max_worst_error",
-        "max_gyro_error", "max_position_sd", "fail_on",
+        "max_inclination_error",
+        "max_toolface_error",
+        "max_norm_error",
+        "max_worst_error",
+        "max_gyro_error",
+        "max_position_sd",
+        "fail_on",
     ),
-}  # fmt: skip
+}
 _HEADING = {name: heading for heading, names in RARE.items() for name in names}
 _ASKED = "imucal.help_all"
 
@@ -292,9 +367,13 @@ def _show_all(ctx: click.Context, _: click.Parameter, wanted: bool) -> None:
 
 
 _HELP_ALL = click.Option(
-    ["--help-all"], is_flag=True, is_eager=True, expose_value=False, callback=_show_all,
+    ["--help-all"],
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_show_all,
     help="Show every option and exit.",
-)  # fmt: skip
+)
 
 
 class PagedCommand(click.Command):

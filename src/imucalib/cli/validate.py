@@ -25,8 +25,14 @@ def command(file: Path, as_json: bool, quiet: bool) -> int:
     calibration = read(file)
     check(calibration, str(file))
     if as_json:
-        emit_json({"file": str(file), "valid": True, "status": calibration.status,
-                   "parameters": len(calibration.parameters)})  # fmt: skip
+        emit_json(
+            {
+                "file": str(file),
+                "valid": True,
+                "status": calibration.status,
+                "parameters": len(calibration.parameters),
+            }
+        )
     elif not quiet:
         click.echo(
             f"{file}: valid {calibration.calibrator} calibration, status {calibration.status}, "

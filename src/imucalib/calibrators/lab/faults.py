@@ -175,9 +175,12 @@ class Faults:
 
 
 def sheet_of(
-    table: PositionTable, whole: Observations, rows: Index, conventions: Conventions,
+    table: PositionTable,
+    whole: Observations,
+    rows: Index,
+    conventions: Conventions,
     gravity: float,
-) -> Sheet:  # fmt: skip
+) -> Sheet:
     """The kept rows as the search for slips sees them; angles in rad become degrees."""
     dial = {
         role: table.columns[role] / (DEG if table.unit.get(role) == "rad" else 1.0)

@@ -44,9 +44,12 @@ def command(tables: tuple[Path, ...], **options: Any) -> int:
 
     freed_memory(large=_KEPT, kept=_KEPT)
     files = LabFiles(
-        tables[0], options["recording"], pairs(options["columns"], "--columns"),
-        mapping_of(options), others=tables[1:],
-    )  # fmt: skip
+        tables[0],
+        options["recording"],
+        pairs(options["columns"], "--columns"),
+        mapping_of(options),
+        others=tables[1:],
+    )
     with calibrating_of(options) as say:
         run = calibrate_files(files, request_of(options), say)
     return finish([Report(run, lab_document(run))], options)

@@ -60,9 +60,15 @@ class MotionLoop(Loop[ArrayState]):
 
 
 def close_array_loop(
-    setup: Setup, terms: tuple[Term, ...], moving: Moving, *, curves: bool = False,
-    halved: Setup | None = None, most: int | None = None, asked: Asked = NOTHING_ASKED,
-) -> MotionLoop:  # fmt: skip
+    setup: Setup,
+    terms: tuple[Term, ...],
+    moving: Moving,
+    *,
+    curves: bool = False,
+    halved: Setup | None = None,
+    most: int | None = None,
+    asked: Asked = NOTHING_ASKED,
+) -> MotionLoop:
     """The posterior over what the motion lacks; corrected is what is told, unless motion that took
     no part refuses it.
 

@@ -246,8 +246,10 @@ def run_recorded(paths: Sequence[Path], wanted: Wanted, say: Callable[[str], Non
     found = with_devices(found, read_devices(wanted.devices) if wanted.devices else {})
     usable = tuple(one for one in found if one.status != _WEAK)
     _demand_one_kind(usable, failed, weak=len(found) - len(usable))
-    of = {name: [one for one in usable if one.device == name] for name in
-          dict.fromkeys(one.device for one in usable)}  # fmt: skip
+    of = {
+        name: [one for one in usable if one.device == name]
+        for name in dict.fromkeys(one.device for one in usable)
+    }
     say(f"{len(usable)} recordings of {len(of)} devices; searching for what they share")
     effects = tuple(searched(wanted.only, wanted.without, {}).effects)
     pooled = {name: [one.sums for one in own if one.sums is not None] for name, own in of.items()}
@@ -289,9 +291,9 @@ def _demand_one_kind(
         own, other = ({v.name: v.unit for v in c.values} for c in (first, one))
         if not set(own.items()) & set(other.items()):
             raise UsageError(
-                f"{first.name} and {one.name} have no parameter in common", remedy="give devices "
-                "of one kind",
-            )  # fmt: skip
+                f"{first.name} and {one.name} have no parameter in common",
+                remedy="give devices of one kind",
+            )
 
 
 def _members(
@@ -330,16 +332,20 @@ def _recording(
 
 
 def _spreads(
-    of: Mapping[str, Sequence[Calibrated]], values: Mapping[str, tuple[Value, ...]],
+    of: Mapping[str, Sequence[Calibrated]],
+    values: Mapping[str, tuple[Value, ...]],
     pooled: Sequence[str],
-) -> tuple[Spread, ...]:  # fmt: skip
+) -> tuple[Spread, ...]:
     """Of every parameter that all recordings have, without effects whose sizes are pooled already:
     there each device's value leans on the others'."""
     recordings = [(k, one.name) for k, own in enumerate(of.values()) for one in own]
     tables = [{v.name: v for v in values[name]} for _, name in recordings]
     device = np.array([k for k, _ in recordings], np.intp)
-    shared = [v for v in tables[0].values()
-              if v.effect not in pooled and all(v.name in table for table in tables)]  # fmt: skip
+    shared = [
+        v
+        for v in tables[0].values()
+        if v.effect not in pooled and all(v.name in table for table in tables)
+    ]
     return tuple(
         nested_spread(
             v.name,
