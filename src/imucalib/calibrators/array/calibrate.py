@@ -26,9 +26,11 @@ from imucalib.calibrators.array.estimate.covariance import (
 )
 from imucalib.calibrators.array.estimate.sampled import sampled_positions
 from imucalib.calibrators.array.estimate.total import (
+    GyroScale,
     frame_sd,
     gravity_sd,
     restated,
+    scale_by_turns,
     total_of,
 )
 from imucalib.calibrators.array.gyros import ATTITUDES, contradicted
