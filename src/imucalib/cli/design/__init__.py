@@ -112,6 +112,6 @@ def command(
     if options["as_json"]:
         emit_json(design_dict(plan))
     elif not quiet:
-        document = design_document(plan, asked=table is None)
+        document = design_document(plan, answer=table is None)
         click.echo(render_text(document, width(), color=color(), full=options["full"]), nl=False)
     return 4 if plan.vector.open_directions else 0

@@ -16,8 +16,8 @@ def plan_for(path: Path, options: dict[str, Any]) -> int:
     from imucalib.atomic_file import demand_output
     from imucalib.calibration.checking.limits import size_of
     from imucalib.calibrators.next_recording import Wish, next_recording
+    from imucalib.report.design import separation_dict, separation_document
     from imucalib.report.render.text import render_text
-    from imucalib.report.separation import separation_dict, separation_document
 
     if options["output"] is not None:
         demand_output(options["output"], [path], force=options["force"])
