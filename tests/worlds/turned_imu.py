@@ -21,7 +21,8 @@ _STEP = 1.0 / 1600.0
 class Chip:
     """S, M : (3, 3); force_bias : (3,) g; rate_bias : (3,) rad/s; by_force : (3, 3) rad/s per g;
     asymmetry : (3,) rad/s per rad/s; noise of a sample at 100 Hz: force_noise g, rate_noise rad/s;
-    walk : rad/s per root second; late : s by which the gyroscope is late"""
+    walk : rad/s per root second; late : s by which the gyroscope is late; per_angle : sd, rad a rad
+    turned, by which it is off in each turn anew, as by motion between samples"""
 
     S: Array
     M: Array
@@ -33,6 +34,7 @@ class Chip:
     rate_noise: float = 1e-3
     walk: float = 2e-5
     late: float = 0.0
+    per_angle: float = 0.0
 
 
 def chip(rng: np.random.Generator, **planted: object) -> Chip:
@@ -45,13 +47,14 @@ def chip(rng: np.random.Generator, **planted: object) -> Chip:
 @dataclass(frozen=True)
 class Log:
     """t, force : of the accelerometer, (n,) s and (n, 3) g; t_gyro, rate : of the gyroscope, rad/s
-    up : (n, 3) what gravity truly is at t"""
+    up : (n, 3) what gravity truly is at t; still : (N, 2) s, begin and end of every rest"""
 
     t: Array
     force: Array
     t_gyro: Array
     rate: Array
     up: Array
+    still: Array = field(default_factory=lambda: np.zeros((0, 2)))
 
     def write(self, path: Path, *, rate_unit: float = 1.0, header: str = "") -> Path:
         """A table t, ax, ay, az in m/s², gx, gy, gz, of sensors that sample together."""
@@ -81,7 +84,7 @@ def turned(
     ends = np.cumsum(np.r_[0.0, np.column_stack([still, np.r_[moving, 0.0]]).ravel()[:-1]])
     n = int(ends[-1] / _STEP)
     at = (np.arange(n) + 0.5) * _STEP
-    omega, force_more = np.zeros((n, 3)), np.zeros((n, 3))
+    omega, force_more, astray = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3))
     for k in range(rests - 1):
         begin, length = ends[2 * k + 1], moving[k]
         x = (at - begin) / length
@@ -95,6 +98,8 @@ def turned(
         phase = 2.0 * np.pi * rng.uniform(2.0, 4.0) * (at - begin)
         wobble = np.cos(phase)[:, None] * across + np.sin(phase)[:, None] * other
         omega += bump[:, None] * (vector / length + coning * wobble)
+        off = made.per_angle * np.linalg.norm(vector) * rng.normal(size=3)
+        astray += bump[:, None] * off / length
         shape = 16.0 * bump * (1.0 - 2.0 * x)
         force_more += 0.01 * shape[:, None] * rng.normal(size=3)
     if tremor:
@@ -104,7 +109,9 @@ def turned(
     walk = made.walk * np.sqrt(_STEP) * np.cumsum(rng.normal(size=(n, 3)), axis=0)
     true = up + force_more
     own = omega @ made.M.T
-    read = own + true @ made.by_force.T + np.abs(own) * made.asymmetry + made.rate_bias + walk
+    read = (
+        own + true @ made.by_force.T + np.abs(own) * made.asymmetry + made.rate_bias + walk + astray
+    )
     every, of_gyro = (_sampled(n, r) for r in (rate, gyro_rate or rate))
     force = true @ made.S.T + made.force_bias
     root = np.sqrt(rate / 100.0), np.sqrt((gyro_rate or rate) / 100.0)
@@ -115,6 +122,7 @@ def turned(
         rate=read[np.maximum(of_gyro - late, 0)]
         + made.rate_noise * root[1] * rng.normal(size=(len(of_gyro), 3)),
         up=up[every],
+        still=ends.reshape(-1, 2),
     )
 
 

@@ -35,14 +35,11 @@ class FoundStep:
     size : in words where there are many parameters; checks : errors that the choice has seen or
     not, as their metric says; held_out : nats that data gain which did not estimate it; curve :
     what a correction without a name corrects, in words, or empty; formula : of a form that has no
-    cause, in words, or empty; certain : nothing else would do, chance would not, and held-out data
-    prove it
+    cause, in words, or empty; certain : nothing else would do, and held-out data prove it
     probability : that it is there; rivals : (effect, share) of all that may stand in its place
     """
 
     effect: str
-    p: float
-    draws: int
     evidence: float
     checks: tuple[Check, ...]
     aliases: tuple[str, ...]
@@ -188,8 +185,7 @@ def _bent(curve: str) -> str:
 
 def _step(step: Step, loop: FitLoop) -> FoundStep:
     before, after = step.checked[0].before, step.checked[0].after
-    held = "leave-one-out error, rms" if math.isnan(step.probability) else "held-out error, rms"
-    check = Check(held, "mg", before / MG, after / MG)
+    check = Check("held-out error, rms", "mg", before / MG, after / MG)
     curve = ""
     if step.curve:
         curve = _bent(step.effect)
@@ -197,8 +193,6 @@ def _step(step: Step, loop: FitLoop) -> FoundStep:
     form = known(step.effect) if step.formed else None
     return FoundStep(
         effect=step.effect,
-        p=step.p,
-        draws=step.draws,
         evidence=step.evidence,
         checks=(check,),
         aliases=step.aliases,

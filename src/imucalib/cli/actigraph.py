@@ -14,8 +14,7 @@ from imucalib.cli.calibrating import (
     limit_option,
     shared_of,
 )
-from imucalib.cli.paged_help import PagedCommand
-from imucalib.cli.recording_options import fleet_option, mapping_of
+from imucalib.cli.options import PagedCommand, fleet_option, mapping_of
 
 if TYPE_CHECKING:
     from imucalib.calibrators.actigraph.request import ActigraphRequest

@@ -16,10 +16,14 @@ from imucalib.cli.calibrating import (
     limit_option,
     shared_of,
 )
-from imucalib.cli.output import note, seed_option
-from imucalib.cli.paged_help import PagedCommand
-from imucalib.cli.recording_options import mapping_of, shortest_rest_option, still_of
-from imucalib.cli.working import freed_memory
+from imucalib.cli.options import (
+    PagedCommand,
+    mapping_of,
+    seed_option,
+    shortest_rest_option,
+    still_of,
+)
+from imucalib.cli.output import freed_memory, note
 
 if TYPE_CHECKING:
     from imucalib.calibrators.array.estimate.total import Distance

@@ -13,21 +13,27 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imucalib.cli.bench_file import taken
-from imucalib.cli.gravity_options import gravity_of, gravity_options
-from imucalib.cli.output import (
+from imucalib.cli.options import (
     EXPORT_FORM,
+    force_option,
+    full_option,
+    gravity_of,
+    gravity_options,
+    json_option,
+    quiet_option,
+    recording_options,
+)
+from imucalib.cli.output import (
     Command,
+    Say,
     color,
     emit_json,
-    full_option,
-    json_option,
     note,
-    quiet_option,
     say,
+    verbose_option,
     width,
+    working,
 )
-from imucalib.cli.recording_options import force_option, recording_options
-from imucalib.cli.working import Say, verbose_option, working
 from imucalib.errors import LimitBroken
 
 if TYPE_CHECKING:

@@ -6,9 +6,8 @@ from pathlib import Path
 
 import click
 
-from imucalib.cli.output import note, quiet_option
-from imucalib.cli.paged_help import PagedCommand
-from imucalib.cli.recording_options import force_option
+from imucalib.cli.options import PagedCommand, force_option, quiet_option
+from imucalib.cli.output import note
 
 
 @click.command("collect", cls=PagedCommand, short_help="Make one table of a cohort's entries.")

@@ -6,9 +6,15 @@ from pathlib import Path
 
 import click
 
-from imucalib.cli.output import EXPORT_FORM, FormOption, emit_json, json_option, note, quiet_option
-from imucalib.cli.paged_help import PagedCommand
-from imucalib.cli.recording_options import force_option
+from imucalib.cli.options import (
+    EXPORT_FORM,
+    FormOption,
+    PagedCommand,
+    force_option,
+    json_option,
+    quiet_option,
+)
+from imucalib.cli.output import emit_json, note
 
 
 @click.command("export", cls=PagedCommand, short_help="Write coefficients for another program.")

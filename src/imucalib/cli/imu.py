@@ -14,8 +14,7 @@ from imucalib.cli.calibrating import (
     limit_option,
     shared_of,
 )
-from imucalib.cli.paged_help import PagedCommand
-from imucalib.cli.recording_options import mapping_of, shortest_rest_option, still_of
+from imucalib.cli.options import PagedCommand, mapping_of, shortest_rest_option, still_of
 
 if TYPE_CHECKING:
     from imucalib.calibrators.imu.calibrate import ImuRequest

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import click
 
-from imucalib.cli.output import emit_json, json_option, quiet_option
-from imucalib.cli.paged_help import PagedCommand
+from imucalib.cli.options import PagedCommand, json_option, quiet_option
+from imucalib.cli.output import emit_json
 
 
 @click.command("validate", cls=PagedCommand, short_help="Check a calibration file.")

@@ -13,8 +13,8 @@ Menegatti (ICRA 2014) for the turns have it apart, with the covariance of integr
 
     V = σ² T + q² T³ / 12 + s² + (κ path)²
 
-σ : white noise, q : the walk between two rests that are known, s : a floor that is estimated, κ :
-errors that grow with the angle turned. Turns are Student's with 4 degrees of freedom.
+σ : white noise, q : the walk between two rests that are known, s : a floor, κ : errors that grow
+with the angle turned, both estimated. Turns are Student's with 4 degrees of freedom.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from imucalib.arrays import Array, Flags, Index
 from imucalib.core.effect import cross_matrix
@@ -36,9 +37,11 @@ Laws = Callable[[Array, Array, Array], Array]
 #: Places of L's free elements, rows first, and their number with the accelerometer's bias.
 LOWER = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2))
 ACCELEROMETER, GAIN = 9, 9
-#: Error of a turn per angle turned: 3e-4 rad a rad is what held-out turns of three chips refuse to
-#: be without, and what 99 % of intervals of worlds without it still hold.
-PER_ANGLE = 3e-4
+#: Errors of a turn per angle turned, κ, that are weighed, and their half-Cauchy prior (Gelman 2006)
+#: of scale 3e-4, what held-out turns of three measured chips refuse to be without.
+ANGLES = 1e-4 * np.array([0.0, *0.5 * 3.0 ** np.arange(6)])
+_EDGES = np.r_[0.0, 0.5e-4 * 3.0 ** (np.arange(6) - 0.5), np.inf]
+ANGLE_PRIOR = np.diff(np.arctan(_EDGES / 3e-4)) * 2.0 / np.pi
 _NU = 4.0  # degrees of freedom of a turn's errors
 #: Known before any reading (data sheets): accelerometer's bias (g), scale and cross terms, gains.
 _BIAS, _SCALE, _CROSS, _GAIN = 0.1, 0.03, 0.02, 0.1
@@ -189,7 +192,7 @@ def fitted(
     prior = np.zeros(0) if sizes is None else sizes
     count = prior.size
     state = _started(log, count) if start is None else replace(start, theta=_padded(start, count))
-    found = TurnNoise(0.0, PER_ANGLE, np.ones(3), 0.0) if noise is None else noise
+    found = TurnNoise(0.0, 0.0, np.ones(3), 0.0) if noise is None else noise
     converged, covariance = False, np.zeros((0, 0))
     weight = np.ones(len(log.turns))
     for k in range(_MOST):
@@ -434,27 +437,43 @@ def _moved(state: State, step: Array) -> State:
 def _estimated(
     log: TurnLog, state: State, laws: Laws | None, rows: Rows, prior: Array, weight: Array
 ) -> TurnNoise:
-    """Walk and the rests' scatter by their moments; the floor as the mean of its square under the
-    restricted likelihood of all rows, its logarithm flat on a grid that begins with none."""
-    noise = TurnNoise(0.0, PER_ANGLE, _walk(log, state, laws), _scatter(log, state))
-    variance, own = variances(log, noise, prior), 2 * rows.turns
-    whole = np.column_stack([rows.jacobian, rows.residual])
-    rest = whole[own:].T @ (whole[own:] / variance[own:, None])
-    weights, logs = np.repeat(weight, 2), list[float]()
-    scale = np.ones(len(rest))
-    for floor in _FLOORS:
-        v = variance[:own] + floor**2
-        every = rest + whole[:own].T @ (whole[:own] * (weights / v)[:, None])
-        if not logs:
-            scale = 1.0 / np.sqrt(np.maximum(np.diag(every), 1e-300))
-        root = np.linalg.cholesky(every * scale[:, None] * scale + 1e-12 * np.eye(len(every)))
-        power = float((root[-1, -1] / scale[-1]) ** 2)
-        logs.append(
-            -0.5 * (float(np.log(v[weights > 0.0]).sum()) + power)
-            - float(np.log(np.diag(root)[:-1]).sum())
-        )
-    likely = np.exp(np.array(logs) - max(logs))
-    return replace(noise, floor=float(np.sqrt(likely @ _FLOORS**2 / likely.sum())))
+    """Walk and the rests' scatter by their moments; floor and κ as the means of their squares under
+    the likelihood of the turns with all unknowns integrated out, at their prior."""
+    noise = TurnNoise(0.0, 0.0, _walk(log, state, laws), _scatter(log, state))
+    variance = variances(log, noise, prior)
+    numbers = np.flatnonzero(np.repeat(weight > 0.0, 2))
+    left, shared = _by_rests(rows, variance, numbers)
+    every, size = np.repeat(weight, 2)[numbers], len(numbers)
+    logs = np.empty((len(_FLOORS), len(ANGLES)))
+    for i, floor in enumerate(_FLOORS):
+        for j, angle in enumerate(ANGLES):
+            point = replace(noise, floor=float(floor), per_angle=float(angle))
+            own = np.repeat(_of_turns(log, point), 2)[numbers] / every
+            root = np.linalg.cholesky(shared + np.diag(own))
+            white = solve_triangular(root, left, lower=True, check_finite=False)
+            logs[i, j] = -0.5 * float(white @ white) - float(np.log(np.diag(root)).sum())
+    likely = np.exp(logs - logs.max()) * ANGLE_PRIOR if size else np.ones(logs.shape)
+    likely /= likely.sum()
+    return replace(
+        noise,
+        floor=float(np.sqrt(likely.sum(axis=1) @ _FLOORS**2)),
+        per_angle=float(np.sqrt(likely.sum(axis=0) @ ANGLES**2)),
+    )
+
+
+def _by_rests(rows: Rows, variance: Array, numbers: Index) -> tuple[Array, Array]:
+    """(n,) some of the turns' numbers as all other rows leave them, and (n, n) their covariance."""
+    own = 2 * rows.turns
+    weighted = rows.jacobian[own:] / variance[own:, None]
+    normal = rows.jacobian[own:].T @ weighted
+    scale = 1.0 / np.sqrt(np.diag(normal))
+    root = np.linalg.cholesky(normal * scale[:, None] * scale)
+    jacobian = rows.jacobian[numbers] * scale
+    white = solve_triangular(root, jacobian.T, lower=True, check_finite=False)
+    step = solve_triangular(
+        root, scale * (weighted.T @ rows.residual[own:]), lower=True, check_finite=False
+    )
+    return rows.residual[numbers] - white.T @ step, np.asarray(white.T @ white)
 
 
 def _walk(log: TurnLog, state: State, laws: Laws | None) -> Array:
@@ -471,9 +490,15 @@ def _walk(log: TurnLog, state: State, laws: Laws | None) -> Array:
 
 
 def _scatter(log: TurnLog, state: State) -> float:
-    """g, of the norms of the rests beside what their samples say."""
-    off = 1.0 - np.linalg.norm(state.force(log.force), axis=1)
-    whole = float(np.sum(off**2)) / max(log.rests - ACCELEROMETER, 1)
+    """g, of the norms of the rests beside what their samples say: of what nine parameters leave of
+    them, for the turns, which hold these too, leave more."""
+    force, away = state.force(log.force), log.force - state.bias
+    size = np.linalg.norm(force, axis=1)
+    up = force / size[:, None]
+    slopes = np.column_stack([up @ state.lower, *(up[:, i] * away[:, j] for i, j in LOWER)])
+    basis = np.linalg.qr(slopes)[0]
+    off = (1.0 - size) - basis @ (basis.T @ (1.0 - size))
+    whole = float(off @ off) / max(log.rests - ACCELEROMETER, 1)
     return float(np.sqrt(max(whole - float(np.mean(log.force_sd**2)), 1e-14)))
 
 

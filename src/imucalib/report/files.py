@@ -26,13 +26,14 @@ from imucalib.exports import Exported
 from imucalib.loop.found import Score
 from imucalib.recording.yaml_text import load
 from imucalib.report.document import Document, Plot, Series
+from imucalib.significant_digits import per_cent
 
 if TYPE_CHECKING:
     from imucalib.calibration.angles import Angles
     from imucalib.calibrators.array.run import ArrayRun
     from imucalib.calibrators.lab.conventions import Conventions
 
-SCHEMA = "imucal/report/1"
+SCHEMA = "imucal/report/2"
 _PARAMETER = "name effect value sd unit"
 _ANGLES = {
     "time_s": "%.6f",
@@ -151,17 +152,17 @@ def _found(found: Findings) -> dict[str, Any]:
         "gain": None if found.gain is None else vars(found.gain),
         "declared": [{"effect": name, "size": size} for name, size in found.declared],
         **fields(found, "only without"),
-        "record_errors": listed(records, "where channel size sd unit likely p_value=p"),
+        "record_errors": listed(records, "where channel size sd unit likely probability"),
         "steps": [_step(step) for step in found.steps],
         "unexplained": listed(
-            found.unexplained, "name driver kind p_value=p share evidence_nats=evidence"
+            found.unexplained, "name driver kind probability evidence_nats=evidence"
         ),
         "rejected": [{"effect": name, "reason": why} for name, why in reasons.items()],
         "refuted": found.refuted,
         "not_testable": [vars(u) for u in found.not_testable],
         "candidates": listed(
             scores,
-            "name kind evidence_nats=evidence p_value=p left lambda_at_typical_size=strength "
+            "name kind evidence_nats=evidence probability left lambda_at_typical_size=strength "
             "size_m_per_s2=size",
         ),
     }
@@ -169,7 +170,7 @@ def _found(found: Findings) -> dict[str, Any]:
 
 def _step(step: FoundStep) -> dict[str, Any]:
     return {
-        **fields(step, "effect size p_value=p draws probability"),
+        **fields(step, "effect size probability"),
         "in_its_place": [{"effect": name, "share": share} for name, share in step.rivals],
         **fields(step, "evidence_nats=evidence held_out_nats=held_out"),
         "checks": listed(step.checks, "metric unit before after"),
@@ -181,9 +182,9 @@ def _step(step: FoundStep) -> dict[str, Any]:
 def _why(score: Score, found: Findings) -> str:
     if score.absorbed:
         return "absorbed by the fitted parameters: these data cannot show it"
-    numbers = f"{score.evidence:.2f} nats, p {score.p:.2g} in the whole search"
+    numbers = f"{per_cent(score.probability)} likely, {score.evidence:.2f} nats by itself"
     best = found.scores[0]
-    if found.unexplained and score.evidence < best.evidence and score.p <= found.unexplained[0].p:
+    if score.evidence > 0.0 and score.evidence < best.evidence:
         return f"{best.name} explains more: {numbers}"
     return f"no evidence: {numbers}"
 

@@ -139,7 +139,7 @@ def _found(found: Findings) -> list[Text]:
     lines = []
     for r in found.records:
         off = f"{r.where}: {r.channel} is {plus_minus(r.size, r.sd, r.unit)} off"
-        lines.append(Text(f"{off} ({r.likely}, {per_cent(1.0 - r.p)}).", "bad"))
+        lines.append(Text(f"{off} ({r.likely}, {per_cent(r.probability)}).", "bad"))
     for step in found.steps:
         effect, meaning = known(step.effect), ""
         # Of the bench's own effects the steps to take say what they are.
@@ -161,8 +161,8 @@ def _found(found: Findings) -> list[Text]:
     if found.verdict == "not run":
         lines.append(Text("What the model lacks was not searched for."))
     elif not lines:
-        likely = [s for s in found.scores if 1.0 - s.p > _LIKELY][:_NAMED]
-        names = ", ".join(f"{in_words(s.name)} {per_cent(1.0 - s.p)}" for s in likely)
+        likely = [s for s in found.scores if s.probability > _LIKELY][:_NAMED]
+        names = ", ".join(f"{in_words(s.name)} {per_cent(s.probability)}" for s in likely)
         could = f"; the likeliest that could be: {names}" if names else ""
         shown = f", as far as these data show{could}"
         why = f": {refuted_words(found)}" if found.refuted else shown
@@ -254,7 +254,13 @@ def loop_section(outcome: Outcome) -> Section:
     blocks: list[Block] = []
     if found.records:
         rows = tuple(
-            (r.where, r.channel, plus_minus(r.size, r.sd, r.unit), probability(r.p, 299), r.likely)
+            (
+                r.where,
+                r.channel,
+                plus_minus(r.size, r.sd, r.unit),
+                per_cent(r.probability),
+                r.likely,
+            )
             for r in found.records
         )
         header = ("record", "channel", "off by", "p", "likely")
@@ -341,11 +347,9 @@ def _step_table(steps: Sequence[FoundStep]) -> Table:
     """Effects that were added; a column of sizes and of nats held out where a calibrator has it."""
     checks = steps[0].checks
     sized, nats = (any(getattr(s, name) for s in steps) for name in ("size", "held_out"))
-    posterior = not any(math.isnan(s.probability) for s in steps)
 
     def row(s: FoundStep) -> tuple[str, ...]:
-        cells = [s.effect, *[s.size] * sized]
-        cells.append(per_cent(s.probability) if posterior else probability(s.p, s.draws))
+        cells = [s.effect, *[s.size] * sized, per_cent(s.probability)]
         if nats:
             cells += [f"{s.evidence:.1f}", ", ".join(f"{v:.0f}" for v in s.held_out)]
         for c in s.checks:
@@ -355,20 +359,16 @@ def _step_table(steps: Sequence[FoundStep]) -> Table:
         others = others if s.rivals else ", ".join(s.aliases)
         return (*cells, others or ("nothing: certain" if s.certain else "-"))
 
-    header = ["effect added", *["size"] * sized, "there" if posterior else "p"]
+    header = ["effect added", *["size"] * sized, "there"]
     header += ["nats", "held out, nats"] * nats
     if len(checks) == 1:
         header += ["before", "after"]
         note = f"{_upper(checks[0].metric).removesuffix(', rms')} in {checks[0].unit} rms, "
-        note += (
-            "of all steps together. There: how likely it is, in this place or beside another."
-            if posterior
-            else "which took part in the choice; p is the chance in the whole search."
-        )
+        note += "of all steps together. There: how likely it is, in this place or beside another."
     else:
         header += [f"{c.metric}, {c.unit}" for c in checks]
         note = (
-            "p is the chance in the whole search. Held out: what each half of the data gains by "
+            "There: how likely it is. Held out: what each half of the data gains by "
             "the effect as the other half has it. Residuals: median absolute deviation, held out."
         )
     header.append("cannot be told from")
@@ -399,7 +399,7 @@ def candidate_section(found: Findings) -> Section:
             s.name,
             s.kind,
             "absorbed" if s.absorbed else f"{s.evidence:.2f}",
-            "-" if s.absorbed else per_cent(1.0 - s.p),
+            "-" if s.absorbed else per_cent(s.probability),
             f"{100.0 * s.left:.1f}",
             f"{s.strength:.1f}",
             f"{s.size / MG:.2g}" if s.size else "-",

@@ -107,6 +107,23 @@ def test_exports_say_what_the_sensor_reads(tmp_path: Path) -> None:
     np.testing.assert_allclose(back, rate, atol=1e-9)
 
 
+def test_errors_that_grow_with_the_angle_widen_the_intervals(tmp_path: Path) -> None:
+    found = []
+    for k, planted in enumerate((0.0, 4e-3)):
+        rng = np.random.default_rng(6)
+        log = turned(chip(rng, per_angle=planted), rng, rests=24)
+        content = report(log.write(tmp_path / f"{k}.csv"), "--no-loop")
+        sds = [p["sd"] for p in content["parameters"] if p["effect"] == "gyro_gain"]
+        own = content["imu"]
+        found.append((own["turn_error_per_angle"], own["turn_floor_deg"], np.mean(sds)))
+    (share, floor, narrow), (more, higher, wide) = found
+    assert share < 1e-4
+    assert floor < 0.01
+    # Turns of like angles do not tell a floor from what grows with the angle: together they do.
+    assert 0.3 < np.hypot(higher, 115.0 * more) < 1.2
+    assert wide > 4.0 * narrow
+
+
 AXES = {"y,x,z": (1, 0, 2, 1, 1, 1), "-x,y,z": (0, 1, 2, -1, 1, 1), "y,-x,z": (1, 0, 2, 1, -1, 1)}
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imucalib.calibrators.array.against_rests import held_against_rests
+from imucalib.arrays import Array
 from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.drawing.check import compared, refuse_contradiction, sketched
 from imucalib.calibrators.array.drawing.streams import (
@@ -32,10 +32,12 @@ from imucalib.calibrators.array.estimate.total import (
     scale_by_turns,
     total_of,
 )
+from imucalib.calibrators.array.gyros import ATTITUDES, contradicted
 from imucalib.calibrators.array.linear_part import GYRO_FRAME, linear_part, of_alike_gyros
 from imucalib.calibrators.array.log import ArrayLog, array_log, of_board
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop, close_array_loop
 from imucalib.calibrators.array.loop.declared import shared_by_neighbours, with_declared
+from imucalib.calibrators.array.loop.motion import BoardMotion, motion_at_rest
 from imucalib.calibrators.array.loop.search import start_state
 from imucalib.calibrators.array.loop.setup import array_setup
 from imucalib.calibrators.array.loop.state import ArrayState
@@ -45,9 +47,47 @@ from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.rests import RestFit, fit_rests
 from imucalib.calibrators.array.run import ArrayRun, finished
 from imucalib.errors import Undetermined, UsageError
+from imucalib.loop.found import Unexplained
 from imucalib.recording.recording import Recording
 from imucalib.rests.levels import refusals
 from imucalib.rests.segments import Segments, still_segments
+
+#: What stands beside a contradicted name.
+OTHER = "what shows in motion only"
+
+
+def held_against_rests(loop: MotionLoop, force: Array, rate: Array, t: Array) -> MotionLoop:
+    """The loop with doubts where rests contradict a name: it stays corrected, is not certain, and
+    what it stands for is left open.
+
+    force : (n, K, 3) m/s² at n rests, rate : (n, K, 3) rad/s as read, in board axes; t : (n,) s
+    """
+    if len(force) < ATTITUDES:
+        return loop
+    state = loop.final
+    motion = motion_at_rest(state.setup.imus, state.setup.board.rotations, force, t)
+    wrong = {term.name for term in state.found if _contradicted(term, motion, rate)}
+    if not wrong:
+        return loop
+    steps = tuple(
+        replace(s, aliases=(*s.aliases, OTHER), certain=False) if s.effect in wrong else s
+        for s in loop.steps
+    )
+    left = tuple(
+        Unexplained(f"{s.effect} shows in motion and not at rest", "force", "probe", s.probability,
+                    s.evidence)
+        for s in loop.steps
+        if s.effect in wrong
+    )  # fmt: skip
+    return replace(loop, steps=steps, unexplained=(*loop.unexplained, *left))
+
+
+def _contradicted(term: Term, motion: BoardMotion, rate: Array) -> bool:
+    """Whether a gyro's effect of the force makes the rests scatter more."""
+    if term.effect.channel != "angular_rate" or "spin" in term.effect.needs:
+        return False
+    return contradicted(rate, term.reading(term.columns(motion)))
+
 
 Say = Callable[[str], None]
 _Fitted = tuple[MotionLoop | None, ArrayState | None, Uneven | None]

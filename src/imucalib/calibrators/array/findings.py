@@ -151,8 +151,6 @@ def _step(step: Step, loop: MotionLoop) -> FoundStep:
         own = [p for p in stored if p.effect == step.effect.removeprefix(AT_REST)]
     return FoundStep(
         effect=step.effect,
-        p=step.p,
-        draws=step.draws,
         evidence=step.evidence,
         checks=tuple(checks),
         aliases=step.aliases,

@@ -135,6 +135,7 @@ def imu_details(result: ImuResult) -> dict[str, Any]:
             "accelerometer_noise_m_per_s2": imu.force_noise.tolist(),
             "bias_walk_deg_per_s_per_root_s": (fit.noise.walk / DEG).tolist(),
             "turn_floor_deg": fit.noise.floor / DEG,
+            "turn_error_per_angle": fit.noise.per_angle,
         },
         "held_out_turns_deg": {
             name: getattr(held, name).tolist() for name in ("raw", "base", "final")

@@ -188,7 +188,7 @@ def _demand_together(recording: Recording, gyro: Channel, force: Channel) -> Non
 
 def _steady(rate: Array, per: int) -> tuple[Array, Array]:
     """(3,) location of the rates of a rest by Huber's weights over its parts, which its ends do not
-    move, and its standard deviation, as the parts scatter."""
+    move, and its standard deviation, as the parts scatter and follow each other."""
     count = max(len(rate) // max(per, 1), 4)
     edges = np.linspace(0, len(rate), count + 1).astype(int)
     parts = np.add.reduceat(rate, edges[:-1], axis=0) / np.diff(edges)[:, None]
@@ -198,7 +198,11 @@ def _steady(rate: Array, per: int) -> tuple[Array, Array]:
     for _ in range(10):
         weight = 1.0 / np.maximum(1.0, np.abs(parts - location) / (1.5 * spread))
         location = (weight * parts).sum(axis=0) / weight.sum(axis=0)
-    square = (weight * (parts - location) ** 2).sum(axis=0) / weight.sum(axis=0)
+    away = np.sqrt(weight / weight.sum(axis=0)) * (parts - location)
+    square = np.sum(away**2, axis=0)
+    # A hand's creep is alike in neighbouring parts: lags count until one is none (Geyer 1992).
+    alike = np.array([np.sum(away[lag:] * away[:-lag], axis=0) for lag in range(1, count // 3 + 1)])
+    square += 2.0 * np.sum(np.where(np.cumprod(alike > 0.0, axis=0), alike, 0.0), axis=0)
     return location, np.asarray(np.sqrt(square / (count - 1)))
 
 

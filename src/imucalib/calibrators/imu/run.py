@@ -145,7 +145,7 @@ def _findings(result: ImuResult, request: ImuRequest) -> Findings:
                                      if result.refused)),
         refuted=(*rests.refuted, *(names if result.refused else ())),
         unexplained=(*left, *rests.unexplained),
-        scores=tuple(sorted((*_scores(result), *rests.scores), key=lambda s: s.p)),
+        scores=tuple(sorted((*_scores(result), *rests.scores), key=lambda s: -s.probability)),
         missing={**rests.missing, **found.problem.missing},
         not_testable=(*rests.not_testable, *(
             Untestable(n, "a typical size", 0.0, "deg") for n in found.problem.absorbed
@@ -169,7 +169,7 @@ def _steps(result: ImuResult) -> list[FoundStep]:
         rivals = tuple((problem.components[c].name, share) for c, share in place.rivals)
         steps.append(
             FoundStep(
-                effect=component.name, p=result.found.said.complete, draws=0,
+                effect=component.name,
                 evidence=place.log_odds,
                 checks=(Check("held-out error, rms", "deg", held.before, held.after, 3),),
                 aliases=tuple(n for n, _ in rivals if n != component.name),
@@ -212,8 +212,8 @@ def _without_a_name(result: ImuResult, place: Place) -> Unexplained:
     components = result.found.problem.components
     own = components[place.component]
     return Unexplained(
-        name=own.name, driver=own.driver, kind="probe", p=result.found.said.complete,
-        evidence=0.0, share=0.0, alike=tuple(components[c].name for c, _ in place.rivals),
+        name=own.name, driver=own.driver, kind="probe", probability=place.probability,
+        evidence=0.0, rivals=tuple(components[c].name for c, _ in place.rivals),
     )  # fmt: skip
 
 
@@ -223,7 +223,7 @@ def _scores(result: ImuResult) -> list[Score]:
     return [
         Score(
             name=c.name, kind="effect" if c.named else "probe", driver=c.driver,
-            evidence=float(evidence[k]), p=float(1.0 - inside[k]),
+            evidence=float(evidence[k]), probability=float(inside[k]),
             left=found.problem.seen[k][0], strength=found.problem.seen[k][1],
         )
         for k, c in enumerate(found.problem.components)
@@ -236,8 +236,8 @@ def _gain(found: Difference) -> Gain:
 
 def _noise_words(fit: TurnFit) -> str:
     return (
-        f"floor of a turn {fit.noise.floor / DEG:.2g} deg, bias walk "
-        f"{float(np.mean(fit.noise.walk)) / DEG:.2g} deg/s per root s"
+        f"off by {fit.noise.floor / DEG:.2g} deg and {100.0 * fit.noise.per_angle:.2g} % of the "
+        f"angle each; bias walk {float(np.mean(fit.noise.walk)) / DEG:.2g} deg/s per root s"
     )
 
 

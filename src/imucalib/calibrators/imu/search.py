@@ -20,8 +20,9 @@ from imucalib.core.effect import Context, Effect, Motion, Response, Truth
 from imucalib.effects import catalogue
 from imucalib.estimators.turns import (
     ACCELEROMETER,
+    ANGLE_PRIOR,
+    ANGLES,
     GAIN,
-    PER_ANGLE,
     Laws,
     Rows,
     TurnFit,
@@ -40,9 +41,8 @@ from imucalib.loop.posterior.words import Told, told
 from imucalib.units import DEG, STANDARD_GRAVITY
 
 _FIXED = ACCELEROMETER + GAIN
-#: rad, floors of a turn, and κ over its usual value.
+#: rad, floors of a turn.
 _FLOORS = DEG * np.array([0.0, 0.02, 0.05, 0.12, 0.3, 1.0, 4.0])
-_SHARES = (0.0, 0.5, 1.0, 2.0)
 #: Share of a column's square that the gains leave, below which it is theirs.
 _LEFT = 1e-3
 
@@ -275,14 +275,15 @@ class Lacking:
         rest = whole[turns:] / variances(fit.log, fit.noise, self.prior)[turns:, None]
         rest = whole[turns:].T @ rest
         matrices, logs = [], []
-        for floor, angle in product(_FLOORS, _SHARES):
-            noise = replace(fit.noise, floor=float(floor), per_angle=angle * PER_ANGLE)
+        for floor, (angle, share_of) in product(_FLOORS, zip(ANGLES, ANGLE_PRIOR, strict=True)):
+            noise = replace(fit.noise, floor=float(floor), per_angle=float(angle))
             variance = variances(fit.log, noise, self.prior)[:turns]
             every = rest + whole[:turns].T @ (whole[:turns] * (share / variance)[:, None])
             root = np.linalg.cholesky(every[np.ix_(out, out)])
             across = np.linalg.solve(root, every[np.ix_(out, kept)])
             matrices.append(every[np.ix_(kept, kept)] - across.T @ across)
-            logs.append(-0.5 * float(np.log(variance[used]).sum()) - np.log(np.diag(root)).sum())
+            volume = 0.5 * np.log(variance[used]).sum() + np.log(np.diag(root)).sum()
+            logs.append(float(np.log(share_of) - volume))
         unlinked = int((~fit.log.linked).sum())
         numbers = float(used.sum()) + 4.0 * fit.log.rests - 3.0 * (1 + unlinked)
         grams = Grams(

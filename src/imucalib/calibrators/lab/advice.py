@@ -105,7 +105,7 @@ def _repeat(fit: Fit) -> list[str]:
 def _of_structure(item: Unexplained) -> str:
     by = f", driven by {item.driver}" if item.driver else ""
     words = f"Structure without a name{by}: {item.name}"
-    alike = [effect for name in item.alike if (effect := known(name)) is not None]
+    alike = [effect for name in item.rivals if (effect := known(name)) is not None]
     if alike:
         how = "To tell them apart" if item.kind == "noise" else "To settle it"
         return f"{words}. {how}: {' '.join(effect.identify for effect in alike)}"

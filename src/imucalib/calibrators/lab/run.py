@@ -121,7 +121,7 @@ def _wrong_rows(
 def _undecided(result: LabResult, faults: Faults, raw: RawUnit) -> tuple[str, ...]:
     return faults.undecided(_records(result)) + tuple(
         f"{r.where}: {r.channel} is {r.size:.3g} ± {r.sd:.2g} {r.unit} off what the others predict "
-        f"({r.likely}, {per_cent(1.0 - r.p)}); decide with {fix_option(r, raw)}"
+        f"({r.likely}, {per_cent(r.probability)}); decide with {fix_option(r, raw)}"
         for r in _records(result)
     )
 

@@ -9,10 +9,8 @@ import click
 
 from imucalib.cli.calibrating import calibrating, calibrating_of, finish
 from imucalib.cli.lab.options import lab_options, request_of
-from imucalib.cli.output import pairs
-from imucalib.cli.paged_help import PagedCommand
-from imucalib.cli.recording_options import mapping_of, shortest_rest_option
-from imucalib.cli.working import freed_memory
+from imucalib.cli.options import PagedCommand, mapping_of, pairs, shortest_rest_option
+from imucalib.cli.output import freed_memory
 
 #: Bytes: a search takes the same few arrays again and again, and of hundreds of rows a quarter of
 #: its time went into pages that the system clears anew for each.

@@ -27,7 +27,7 @@ BOARD = read_board("mimu4444_corners")
 
 def outcome(*left: Left) -> Outcome:
     made = provenance_of(path="log", sha256="", samples=0, mapping={}, settings={})
-    structure = Unexplained("a curve", "time", "probe", 0.002, 20.0, 0.1)
+    structure = Unexplained("a curve", "time", "probe", 0.998, 20.0)
     return Outcome("array", (), made, Findings("unexplained", unexplained=(structure,)), left=left)
 
 

@@ -9,29 +9,24 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imucalib.cli.calibrating import command_line
-from imucalib.cli.gravity_options import gravity_of, gravity_options
-from imucalib.cli.output import (
-    color,
-    emit_json,
+from imucalib.cli.options import (
+    PagedCommand,
+    force_option,
     full_option,
+    gravity_of,
+    gravity_options,
     json_option,
-    note,
+    mapping_of,
     numbers,
+    one_scale,
     pairs,
     quiet_option,
-    seed_option,
-    width,
-)
-from imucalib.cli.paged_help import PagedCommand
-from imucalib.cli.recording_options import (
-    force_option,
-    mapping_of,
-    one_scale,
     recording_options,
+    seed_option,
     shortest_rest_option,
     still_of,
 )
-from imucalib.cli.working import Say, verbose_option, working
+from imucalib.cli.output import Say, color, emit_json, note, verbose_option, width, working
 
 if TYPE_CHECKING:
     from imucalib.cohort.fleet.outcome import Fleet

@@ -7,17 +7,8 @@ from pathlib import Path
 import click
 
 from imucalib.cli.calibrating import command_line
-from imucalib.cli.output import (
-    color,
-    emit_json,
-    full_option,
-    json_option,
-    note,
-    quiet_option,
-    width,
-)
-from imucalib.cli.paged_help import PagedCommand
-from imucalib.cli.recording_options import force_option
+from imucalib.cli.options import PagedCommand, force_option, full_option, json_option, quiet_option
+from imucalib.cli.output import color, emit_json, note, width
 
 
 @click.command("compare", cls=PagedCommand, short_help="Compare calibrations of one sensor.")
