@@ -54,13 +54,13 @@ def command(recording: Path, **options: Any) -> int:
     request, mapping = request_of(options), mapping_of(options)
     if request.as_published:
         from imucalib.calibrators.actigraph.published import calibrate_as_published
-        from imucalib.report.actigraph.published import published_document
+        from imucalib.report.actigraph import published_document
 
         with calibrating_of(options) as say:
             published = calibrate_as_published(recording, mapping, request, say)
         return finish([Report(published, published_document(published))], options)
     from imucalib.calibrators.actigraph.run import calibrate_recording
-    from imucalib.report.actigraph.document import actigraph_document
+    from imucalib.report.actigraph import actigraph_document
 
     with calibrating_of(options) as say:
         run = calibrate_recording(recording, mapping, request, say)

@@ -169,7 +169,7 @@ def _angles(
     from imucalib.calibration.angles import angles_at_rests, angles_of_samples
     from imucalib.calibrators.lab.conventions import Conventions
     from imucalib.readers import read
-    from imucalib.report.angles import write_angles
+    from imucalib.report.files import write_angles
     from imucalib.rests.segments import still_segments
 
     recording = read(corrected)

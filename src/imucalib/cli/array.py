@@ -155,9 +155,8 @@ def command(logs: tuple[Path, ...], **options: Any) -> int:
     """
     from imucalib.calibrators.array.calibrate import calibrate_array
     from imucalib.readers import read
-    from imucalib.report.array.document import array_document
-    from imucalib.report.array.draws import write_draws
-    from imucalib.report.files import Report
+    from imucalib.report.array import array_document
+    from imucalib.report.files import Report, write_draws
 
     freed_memory(large=_LARGE, kept=_KEPT)
     request = _request(options, logs)
@@ -254,7 +253,7 @@ def _distance(given: tuple[str, str, str], imus: tuple[str, ...]) -> Distance:
 
 def _together(runs: tuple[ArrayRun, ...]) -> Together:
     from imucalib.calibrators.array.logs.board_run import board_run
-    from imucalib.report.array.logs import board_document
+    from imucalib.report.array import board_document
     from imucalib.report.files import Report
 
     found = board_run(runs)

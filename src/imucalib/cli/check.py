@@ -165,9 +165,8 @@ def command(calibration: Path, log: Path, **options: Any) -> int:
     from imucalib.calibration.checking.limits import limits_of
     from imucalib.calibration.file import check, read
     from imucalib.effects import load_file
-    from imucalib.report.checking.data import check_dict
-    from imucalib.report.checking.document import check_document
-    from imucalib.report.data import shown_dict
+    from imucalib.report.check import check_dict, check_document
+    from imucalib.report.files import shown_dict
     from imucalib.report.render.text import render_text
 
     inputs = inputs_of(options, calibration, log)

@@ -72,9 +72,8 @@ def command(
     from imucalib.calibration.comparison.compare import compared
     from imucalib.calibration.file import check, read, write_whole
     from imucalib.effects import load_file
-    from imucalib.report.comparing.data import comparison_dict
-    from imucalib.report.comparing.document import comparison_document
-    from imucalib.report.data import shown_dict
+    from imucalib.report.comparison import comparison_dict, comparison_document
+    from imucalib.report.files import shown_dict
     from imucalib.report.render.html import render_html
     from imucalib.report.render.text import render_text
 

@@ -23,8 +23,8 @@ def plan_for(path: Path, options: dict[str, Any]) -> int:
     from imucalib.atomic_file import demand_output
     from imucalib.calibration.checking.limits import size_of
     from imucalib.calibrators.next_recording import Wish, next_recording
+    from imucalib.report.design import separation_dict, separation_document
     from imucalib.report.render.text import render_text
-    from imucalib.report.separation import separation_dict, separation_document
 
     if options["output"] is not None:
         demand_output(options["output"], [path], force=options["force"])
@@ -157,6 +157,6 @@ def command(
     if options["as_json"]:
         emit_json(design_dict(plan))
     elif not quiet:
-        document = design_document(plan, asked=table is None)
+        document = design_document(plan, answer=table is None)
         click.echo(render_text(document, width(), color=color(), full=options["full"]), nl=False)
     return 4 if plan.vector.open_directions else 0

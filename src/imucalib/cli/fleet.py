@@ -90,9 +90,8 @@ def command(inputs: tuple[Path, ...], **options: Any) -> int:
       imucal fleet sample_logs/cave_*.csv --reference norm -o fleet
       imucal fleet entries --devices cohort.csv -o fleet
     """
-    from imucalib.report.data import shown_dict
-    from imucalib.report.fleet.data import fleet_dict
-    from imucalib.report.fleet.document import fleet_document
+    from imucalib.report.files import shown_dict
+    from imucalib.report.fleet import fleet_dict, fleet_document
     from imucalib.report.render.text import render_text
 
     folder, quiet = options["output"], options["quiet"]

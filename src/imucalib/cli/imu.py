@@ -44,7 +44,7 @@ def command(recordings: tuple[Path, ...], **options: Any) -> int:
     """
     from imucalib.calibrators.imu.run import run_imu
     from imucalib.report.files import Report
-    from imucalib.report.imu.document import imu_document
+    from imucalib.report.imu import imu_document
 
     request, mapping = request_of(options), mapping_of(options)
     with calibrating_of(options) as say:

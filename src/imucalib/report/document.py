@@ -1,6 +1,6 @@
 """A report as data: built once by a calibrator, rendered as terminal text or as one HTML file.
 
-A block says what is shown, not how: `report.text` and `report.html` decide the looks.
+A block says what is shown, not how: `report.render` decides the looks.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from typing import Literal
 
 from imucalib.arrays import Array
 
-Cell = str | float | int | None
 Mark = Literal["line", "points", "rings", "bars", "band", "step", "net"]
 Tone = Literal["ok", "warning", "bad", "plain"]
 
@@ -112,7 +111,8 @@ class Card:
 class Document:
     """A whole report: headline, one-sentence verdict with its tone, the card, sections, provenance.
 
-    terms : words of the report and what they mean; drawn : where the figures are, for a terminal
+    terms : whether a page says what the words of a calibration mean; drawn : where the figures are,
+    for a terminal
     """
 
     title: str
@@ -120,12 +120,12 @@ class Document:
     sections: tuple[Section, ...]
     footer: tuple[tuple[str, str], ...] = ()
     card: Card | None = None
-    terms: tuple[tuple[str, str], ...] = ()
+    terms: bool = False
     drawn: str = "report.html"
 
     def calm(self) -> Document:
-        """The same, without a tick beside a verdict that is none, and without a caution on the
-        card of a result that passes: what is left then is within what the user accepts."""
+        """The same, without a tick next to a verdict that is none, and without a caution on the
+        card of a result that passes: what stays then is within what the user accepts."""
         calm = self.verdict.tone not in ("warning", "bad")
         loud = "warning" if calm else "ok"
         card = self.card and replace(

@@ -40,7 +40,7 @@ def command(tables: tuple[Path, ...], **options: Any) -> int:
     """
     from imucalib.calibrators.lab.files import LabFiles, calibrate_files
     from imucalib.report.files import Report
-    from imucalib.report.lab.document import lab_document
+    from imucalib.report.lab import lab_document
 
     freed_memory(large=_KEPT, kept=_KEPT)
     files = LabFiles(

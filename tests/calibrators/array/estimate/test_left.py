@@ -17,7 +17,7 @@ from imucalib.calibrators.array.estimate.left import Accepted, Residual, what_is
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.run import ArrayRun
 from imucalib.loop.found import Unexplained
-from imucalib.report.array.card import array_card
+from imucalib.report.array import array_card
 from imucalib.units import DEG
 from worlds.boards import BoardPlan, board_log, made_board
 from worlds.odd_boards import PLAN, bowing, odd_log

@@ -1,4 +1,4 @@
-"""The templates of a page and of a figure, and how they are filled in."""
+"""The templates of a page, a figure and the catalogue, and how they are filled in."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _FORBIDDEN = re.compile(
 
 
 def filled(name: str, **values: Any) -> Markup:
-    """A template with its values: all escaped, and what XML forbids replaced by U+FFFD.
+    """A template with its values: of a page all escaped; what XML forbids becomes U+FFFD.
 
     name : file of this folder; a value that is markup already stays as it is
     """
@@ -39,7 +39,7 @@ def _templates() -> Environment:
 
     made = Environment(
         loader=FunctionLoader(lambda name: (files(__name__) / name).read_text(encoding="utf-8")),
-        autoescape=True,
+        autoescape=lambda name: not str(name).endswith(".md.j2"),
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,

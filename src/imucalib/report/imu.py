@@ -6,10 +6,9 @@ import numpy as np
 
 from imucalib.calibration.gyroscope import STAGE
 from imucalib.calibrators.imu.run import ImuRun, heading_drift
-from imucalib.report.card import card_of, error_worth
+from imucalib.report import sections
 from imucalib.report.document import Card, Document, Facts, Section, Table, Worth
-from imucalib.report.loop import TERMS, advice_section, floor_words, gain_plot, loop_section
-from imucalib.report.sections import closing_sections, parameter_table, sensor_section, verdict
+from imucalib.report.plots import gain_plot
 from imucalib.significant_digits import plus_minus, two_digits, with_sd
 from imucalib.units import DEG
 
@@ -19,42 +18,34 @@ def imu_document(run: ImuRun) -> Document:
     outcome, error = run.outcome, run.outcome.error
     head = (
         f"Held-out gravity over a turn {error.held_out.raw:.2f} as read, {error.held_out.base:.2f} "
-        f"with gains, {error.held_out.final:.2f} deg rms final {floor_words(error)}."
+        f"with gains, {error.held_out.final:.2f} deg rms final {sections.floor_words(error)}."
     )
-    sections = [
-        loop_section(outcome),
+    parts = [
+        sections.loop_section(outcome),
         Section("Residual before and after", gain_plot(outcome.findings), brief=False),
         Section("Gyroscope", (_gains(run), _facts(run))),
-        Section("Parameters", (parameter_table(run.calibration, ""),), brief=False),
-        advice_section(outcome),
-        sensor_section(run.calibration),
+        Section("Parameters", (sections.parameter_table(run.calibration, ""),), brief=False),
+        sections.advice_section(outcome),
+        sections.sensor_section(run.calibration),
         Section("Turns", (_turns(run),), brief=False),
-        *closing_sections(outcome),
+        *sections.closing_sections(outcome),
     ]
-    return Document(
-        f"IMU calibration of {outcome.provenance.path}",
-        verdict(outcome, head),
-        tuple(s for s in sections if s.blocks),
-        outcome.provenance.footer,
-        _card(run),
-        TERMS,
-    )
+    title = f"IMU calibration of {outcome.provenance.path}"
+    return sections.calibration_document(title, head, parts, outcome, _card(run))
 
 
 def _card(run: ImuRun) -> Card:
-    outcome, held = run.outcome, run.result.held_out
-    median = two_digits(float(np.median(held.final)))
-    carried = error_worth(outcome.error, "gravity after a turn", "turns")
-    drift = heading_drift(run.result.fit)
+    outcome = run.outcome
+    median = two_digits(float(np.median(run.result.held_out.final)))
+    carried = sections.error_worth(outcome.error, "gravity after a turn", "turns")
+    drift = f"drifts by at most {two_digits(heading_drift(run.result.fit))} deg"
+    how = "95 %, about the worst axis, beside what the bias does meanwhile"
     good = (
         Worth(carried.quantity, carried.value, f"{carried.detail}; median {median} deg"),
-        Worth(
-            "heading after 360 deg", f"drifts by at most {two_digits(drift)} deg",
-            "95 %, about the worst axis, beside what the bias does meanwhile",
-        ),
-        error_worth(outcome.errors[1], "size of a force", "rests"),
-    )  # fmt: skip
-    return card_of(outcome, good)
+        Worth("heading after 360 deg", drift, how),
+        sections.error_worth(outcome.errors[1], "size of a force", "rests"),
+    )
+    return sections.card_of(outcome, good)
 
 
 def _gains(run: ImuRun) -> Table:
@@ -68,37 +59,31 @@ def _gains(run: ImuRun) -> Table:
 def _facts(run: ImuRun) -> Facts:
     imu = run.details["imu"]
     noise = imu["gyroscope_noise"]
-    white = ", ".join(
-        plus_minus(v, (high - low) / 3.92, "")
-        for v, low, high in zip(
-            noise["white_deg_per_s_per_root_hz"], noise["white_95_low"], noise["white_95_high"],
-            strict=True,
-        )
-    )  # fmt: skip
+    keys = ("white_deg_per_s_per_root_hz", "white_95_low", "white_95_high")
+    axes = zip(*(noise[key] for key in keys), strict=True)
+    white = ", ".join(plus_minus(v, (high - low) / 3.92, "") for v, low, high in axes)
     least = max(noise["bias_instability_at_most_deg_per_s"])
     word = "at most " if noise["upper_limit"] else ""
+    turns = f"{imu['turns']} between {imu['rests']} rests; {len(imu['turns_left_out'])} left out"
     return Facts(
         (
             ("frame", imu["frame"]),
             ("white noise x, y, z", f"{white} deg/s/√Hz, from a rest of {noise['rest_s']:.0f} s"),
             ("bias instability", f"{word}{least:.2g} deg/s"),
-            ("turns", f"{imu['turns']} between {imu['rests']} rests; "
-                      f"{len(imu['turns_left_out'])} left out"),
+            ("turns", turns),
         )
-    )  # fmt: skip
+    )
 
 
 def _turns(run: ImuRun) -> Table:
     log, held, weight = run.result.imu.turns, run.result.held_out, run.result.fit.weight
-    rows = tuple(
-        (str(turn.rest + 1), f"{turn.t[0]:.1f}", f"{path / DEG:.0f}", f"{raw:.2f}",
-         f"{base:.3f}", f"{final:.3f}", f"{w:.2f}")
-        for turn, path, raw, base, final, w in zip(
-            log.turns, log.spans[2], held.raw, held.base, held.final, weight, strict=True
-        )
-    )  # fmt: skip
+    spans = zip(log.turns, log.spans[2], held.raw, held.base, held.final, weight, strict=True)
+    rows = []
+    for turn, path, raw, base, final, w in spans:
+        where = (str(turn.rest + 1), f"{turn.t[0]:.1f}", f"{path / DEG:.0f}")
+        rows.append((*where, f"{raw:.2f}", f"{base:.3f}", f"{final:.3f}", f"{w:.2f}"))
     header = ("turn", "from, s", "path, deg", "as read", "base", "final", "weight")
     note = (
         "deg by which gravity is off after a turn that took no part; weight in the fit, 1.5 most."
     )
-    return Table("Turns held out", header, rows, "rrrrrrr", note)
+    return Table("Turns held out", header, tuple(rows), "rrrrrrr", note)
