@@ -75,6 +75,7 @@ def _facts(run: ImuRun) -> Facts:
             strict=True,
         )
     )  # fmt: skip
+    late, late_sd = (1e3 * imu["gyroscope_late_s"][name] for name in ("value", "sd"))
     least = max(noise["bias_instability_at_most_deg_per_s"])
     word = "at most " if noise["upper_limit"] else ""
     return Facts(
@@ -82,6 +83,8 @@ def _facts(run: ImuRun) -> Facts:
             ("frame", imu["frame"]),
             ("white noise x, y, z", f"{white} deg/s/√Hz, from a rest of {noise['rest_s']:.0f} s"),
             ("bias instability", f"{word}{least:.2g} deg/s"),
+            ("gyroscope's delay", f"{plus_minus(late, late_sd, 'ms')} behind the accelerometer, "
+                                  "by the moving accelerometer; nothing is corrected by it"),
             ("turns", f"{imu['turns']} between {imu['rests']} rests; "
                       f"{len(imu['turns_left_out'])} left out"),
         )
