@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
 G0 = 9.80665
@@ -104,10 +105,14 @@ def turned(
         force_more += 0.01 * shape[:, None] * rng.normal(size=3)
     if tremor:
         omega += tremor * _smooth(rng.normal(size=(n, 3)), int(0.15 / _STEP))
-    up = _carried(omega, _unit(rng.normal(size=3)))
+    whole = _attitudes(omega)
+    # At the middle of every step, where the rate is told.
+    up = whole.inv().apply(_unit(rng.normal(size=3)))
+    up = up[1:] + up[:-1]
+    up /= np.linalg.norm(up, axis=1)[:, None]
     late = round(made.late / _STEP)
     walk = made.walk * np.sqrt(_STEP) * np.cumsum(rng.normal(size=(n, 3)), axis=0)
-    true = up + force_more
+    true = up + whole[1:].inv().apply(force_more)
     own = omega @ made.M.T
     read = (
         own + true @ made.by_force.T + np.abs(own) * made.asymmetry + made.rate_bias + walk + astray
@@ -147,25 +152,12 @@ def _unit(v: Array) -> Array:
     return np.asarray(v / np.linalg.norm(v))
 
 
-def _carried(omega: Array, up: Array) -> Array:
-    """(n, 3) of a direction that stands still in space, in axes that turn: exact for every step of
-    a constant rate."""
-    angle = np.linalg.norm(omega, axis=1)
-    axis = omega / np.maximum(angle, 1e-300)[:, None]
-    sine, rest = np.sin(angle * _STEP), 1.0 - np.cos(angle * _STEP)
-    x, y, z = up
-    out = np.empty((len(omega) + 1, 3))
-    out[0] = up
-    for i, ((a, b, c), s, r) in enumerate(
-        zip(axis.tolist(), sine.tolist(), rest.tolist(), strict=True)
-    ):
-        along = r * (a * x + b * y + c * z)
-        x, y, z = (
-            x - r * x - s * (b * z - c * y) + along * a,
-            y - r * y - s * (c * x - a * z) + along * b,
-            z - r * z - s * (a * y - b * x) + along * c,
-        )
-        out[i + 1] = x, y, z
-    # At the middle of every step, where the rate is told.
-    middle = out[1:] + out[:-1]
-    return np.asarray(middle / np.linalg.norm(middle, axis=1)[:, None])
+def _attitudes(omega: Array) -> Rotation:
+    """(n + 1,) from the body to the start at every step's ends, of steps of a constant rate."""
+    each = np.vstack([np.zeros(3), omega * _STEP])
+    whole, apart = Rotation.from_rotvec(each), 1
+    while apart < len(each):
+        more = (whole[:-apart] * whole[apart:]).as_quat()
+        whole = Rotation.from_quat(np.concatenate([whole[:apart].as_quat(), more]))
+        apart *= 2
+    return whole

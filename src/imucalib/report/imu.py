@@ -62,6 +62,7 @@ def _facts(run: ImuRun) -> Facts:
     keys = ("white_deg_per_s_per_root_hz", "white_95_low", "white_95_high")
     axes = zip(*(noise[key] for key in keys), strict=True)
     white = ", ".join(plus_minus(v, (high - low) / 3.92, "") for v, low, high in axes)
+    late, late_sd = (1e3 * imu["gyroscope_late_s"][name] for name in ("value", "sd"))
     least = max(noise["bias_instability_at_most_deg_per_s"])
     word = "at most " if noise["upper_limit"] else ""
     turns = f"{imu['turns']} between {imu['rests']} rests; {len(imu['turns_left_out'])} left out"
@@ -70,6 +71,11 @@ def _facts(run: ImuRun) -> Facts:
             ("frame", imu["frame"]),
             ("white noise x, y, z", f"{white} deg/s/√Hz, from a rest of {noise['rest_s']:.0f} s"),
             ("bias instability", f"{word}{least:.2g} deg/s"),
+            (
+                "gyroscope's delay",
+                f"{plus_minus(late, late_sd, 'ms')} behind the accelerometer, by the moving "
+                "accelerometer; nothing is corrected by it",
+            ),
             ("turns", turns),
         )
     )

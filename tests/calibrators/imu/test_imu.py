@@ -124,6 +124,15 @@ def test_errors_that_grow_with_the_angle_widen_the_intervals(tmp_path: Path) -> 
     assert wide > 4.0 * narrow
 
 
+@pytest.mark.parametrize("late", [0.0, 0.005])
+def test_a_late_gyroscope_shows_in_the_moving_accelerometer(late: float, tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    log = turned(chip(rng, late=late), rng)
+    own = report(log.write(tmp_path / "late.csv"), "--no-loop")["imu"]["gyroscope_late_s"]
+    assert own["value"] == pytest.approx(late, abs=3.0 * own["sd"])
+    assert own["sd"] < 0.4e-3
+
+
 AXES = {"y,x,z": (1, 0, 2, 1, 1, 1), "-x,y,z": (0, 1, 2, -1, 1, 1), "y,-x,z": (1, 0, 2, 1, -1, 1)}
 
 

@@ -14,6 +14,7 @@ from imucalib.calibration.gyroscope import BIAS, GAIN, STAGE
 from imucalib.calibration.outcome import Outcome
 from imucalib.calibrators.imu.calibrate import ImuResult
 from imucalib.calibrators.imu.log import Imu
+from imucalib.estimators.lateness import lateness
 from imucalib.estimators.turns import ACCELEROMETER, LOWER, TurnFit
 from imucalib.estimators.turns import GAIN as GAINS
 from imucalib.inspection.noise import AllanSums
@@ -134,6 +135,7 @@ def imu_details(result: ImuResult) -> dict[str, Any]:
             "gyroscope_noise": noise_block(imu),
             "accelerometer_noise_m_per_s2": imu.force_noise.tolist(),
             "bias_walk_deg_per_s_per_root_s": (fit.noise.walk / DEG).tolist(),
+            "gyroscope_late_s": dict(zip(("value", "sd"), lateness(fit), strict=True)),
             "turn_floor_deg": fit.noise.floor / DEG,
             "turn_error_per_angle": fit.noise.per_angle,
         },

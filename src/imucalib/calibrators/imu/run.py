@@ -261,7 +261,7 @@ def _advice(result: ImuResult, open_gains: tuple[str, ...]) -> tuple[str, ...]:
 
 def _notes(result: ImuResult) -> tuple[str, ...]:
     unseen = (
-        "gravity does not show a turn about the vertical, nor a delay of the gyroscope: a motion "
+        "gravity does not show a turn about the vertical, nor a filter of the gyroscope: a motion "
         "from rest to rest turns the same angle"
     )
     left = result.imu.left_out
