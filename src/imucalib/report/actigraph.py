@@ -26,7 +26,7 @@ from imucalib.report.document import (
     Text,
     Worth,
 )
-from imucalib.report.plots import gain_plot, sphere_map
+from imucalib.report.plots import band, gain_plot, sphere_map
 from imucalib.significant_digits import plus_minus, probability, two_digits, with_sd
 from imucalib.units import MG
 
@@ -67,13 +67,10 @@ def _card(run: ActigraphRun) -> Card:
     """|a| at rest, and in the worst direction."""
     directions = even_directions()
     sd = norm_sd(run.result.final, directions) / MG
-    k = int(np.argmax(sd))
-    towards = ", ".join(f"{a} {v:+.1f}" for a, v in zip("xyz", directions[k], strict=True))
-    detail = f"95 %, with gravity along {towards}; {1.96 * sd.mean():.2g} mg on average over all"
     like = ("postures", covered(run.result.runs.mean))
     good = [
         sections.error_worth(run.outcome.error, "|a| at rest", "time", like),
-        Worth("|a|, worst attitude", f"± {1.96 * sd[k]:.2g} mg", detail),
+        sections.worst_attitude("|a|", sd, directions),
     ]
     enmo = run.activity.enmo if run.activity else {}
     if "night" in enmo and "day" in enmo:  # where one can be told from the other
@@ -190,7 +187,7 @@ def _series_section(found: Calibrations) -> Section:
         cells = [part.reason, "-", "-"]
         if (fit := part.fit) is not None:
             three = zip(fit.theta[:3], fit.sd[:3], strict=True)
-            cells = [plus_minus(float(v), float(s)) for v, s in three]
+            cells = [plus_minus(v, s) for v, s in three]
         rows.append((hours(part.start), str(part.runs), *cells))
     serves = "the part valid at its time" if found.differ else "the calibration of the whole"
     note = (
@@ -201,10 +198,9 @@ def _series_section(found: Calibrations) -> Section:
     middle = np.array([0.5 * (p.start + p.stop) / 86400.0 for p in good])
     theta = np.array([p.fit.theta[:3] - found.common[:3] for p in good if p.fit])
     half = 2.0 * np.array([p.fit.sd[:3] for p in good if p.fit])
-    low, high = theta - half, theta + half
+    names = (p.name for p in found.parameters[:3])
     curves = tuple(
-        Series(found.parameters[k].name, middle, theta[:, k], "bars", low[:, k], high[:, k])
-        for k in range(3)
+        Series.about(name, middle, theta[:, k], half[:, k], "bars") for k, name in enumerate(names)
     )
     caption = "Change from what all parts have in common; whiskers: two standard deviations."
     plot = Plot("Bias over time", "time (d)", "change of bias (mg)", curves, caption)
@@ -221,7 +217,7 @@ def _parameters(run: ActigraphRun) -> Section:
             continue
         for k in range(part.start, part.stop):
             p = fit.parameters[k]
-            value = with_sd(float(fit.theta[k]), float(fit.sd[k]))
+            value = with_sd(fit.theta[k], fit.sd[k])
             rows.append((p.name, name, *value, p.unit, f"{100.0 * share[k]:.0f}"))
     note = (
         "Uncertainty by posture run: windows of one posture are not independent. Data: the share "
@@ -295,9 +291,7 @@ def _residual_plots(run: ActigraphRun) -> list[Plot]:
         if before is not None:
             series.insert(0, Series("before", x, before, "points"))
         if np.isfinite(noise):
-            ends, zero = np.array([np.nanmin(x), np.nanmax(x)]), np.zeros(2)
-            label_of = "noise alone, ± 2 sd"
-            series.insert(0, Series(label_of, ends, zero, "band", zero - noise, zero + noise))
+            series.insert(0, band("noise alone, ± 2 sd", x, noise))
         plots.append(Plot(f"Error of |a| against {name}", label, y_label, tuple(series), caption))
     return plots
 

@@ -94,7 +94,7 @@ def _position_table(
     rows: list[tuple[str, ...]] = [(board.imus[0], "0", "0", "0", "", "", "", "reference")]
     for k, name in enumerate(board.imus[1:], start=1):
         mean, sd = 1e3 * total.mean[k], 1e3 * total.sd[k]
-        cells = [with_sd(float(m), float(s))[0] for m, s in zip(mean, sd, strict=True)]
+        cells = [with_sd(m, s)[0] for m, s in zip(mean, sd, strict=True)]
         rows.append((name, *cells, *(f"{s:.2g}" for s in sd), more[k]))
     header = ("IMU", "x", "y", "z", "sd x", "sd y", "sd z", last)
     return Table(title, header, tuple(rows), "lrrrrrrr", note)
@@ -194,8 +194,8 @@ def _observability(run: ArrayRun) -> tuple[Text, ...]:
     sd, prior = run.final.sd[1:], run.final.prior.sd
     worst = np.unravel_index(int(np.argmax(sd)), sd.shape)
     name = f"{run.board.imus[1 + int(worst[0])]} {'xyz'[int(worst[1])]}"
-    share = 100 * float(sd[worst]) / prior
-    known = f"{1e3 * float(sd[worst]):.2g} mm, {share:.0f} % of what was assumed beforehand."
+    share = 100 * sd[worst] / prior
+    known = f"{1e3 * sd[worst]:.2g} mm, {share:.0f} % of what was assumed beforehand."
     pull = 300.0 * len(w) * run.final.scale[1] ** 2
     flat = "it was used" if run.request.motion == "flat" else "its covariance was learned instead"
     shrunk = (

@@ -126,9 +126,10 @@ def _deviations(run: ArrayRun) -> Plot:
     """Deviation from the drawing of every coordinate, with 95 % intervals."""
     off, half = 1e3 * (run.final.mean - run.board.drawn)[1:], 1.96e3 * run.final.sd[1:]
     x = np.arange(1.0, run.board.count)
-    low, high, names = off - half, off + half, run.board.imus[1:]
     series = tuple(
-        Series(axis, x + 0.2 * (k - 1), off[:, k], "bars", low[:, k], high[:, k], names=names)
+        Series.about(
+            axis, x + 0.2 * (k - 1), off[:, k], half[:, k], "bars", names=run.board.imus[1:]
+        )
         for k, axis in enumerate("xyz")
     )
     caption = f"Position minus drawing, relative to {run.board.imus[0]}, 95 % intervals."

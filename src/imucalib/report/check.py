@@ -38,11 +38,11 @@ def check_document(check: Check, log: str, calibration: str, command: str = "") 
         Section("Record this next", _following(check.following) if check.following else ()),
     ]
     lines = (f"{t[0].upper()}{t[1:]}." for t in (*check.noise.words, *check.notes))
-    full = (*(p for p in parts if p.blocks), Section("Notes", tuple(map(Text, lines))))
+    parts.append(Section("Notes", tuple(map(Text, lines))))
     typed = (("command", command),) if command else ()
     footer = (("calibration", calibration), ("log", log), *typed)
-    title = f"Check of {calibration} with {log}"
-    return Document(title, _verdict(check), full, footer, _card(check, command), drawn="--html")
+    title, card = f"Check of {calibration} with {log}", _card(check, command)
+    return Document(title, _verdict(check), tuple(parts), footer, card, drawn="--html")
 
 
 def _how(check: Check) -> str:
@@ -150,7 +150,7 @@ def _changes(check: Check) -> list[str]:
     for sensor in check.drifted:
         assert sensor.gyro is not None
         axis = int(np.argmax(np.abs(sensor.gyro.bias)))
-        size = plus_minus(float(sensor.gyro.bias[axis]), float(sensor.gyro.sd[axis]), "deg/s")
+        size = plus_minus(sensor.gyro.bias[axis], sensor.gyro.sd[axis], "deg/s")
         said.append(f"{sensor.name}: the gyroscope's bias {'xyz'[axis]} moved by {size}")
     return said
 
@@ -180,7 +180,7 @@ def _size(sensor: SensorCheck, name: str) -> str:
     if np.isnan(test.size).any():
         return ""
     axes = zip("xyz", test.size, test.sd, strict=True)
-    each = ", ".join(f"{axis} {plus_minus(float(v), float(s))}" for axis, v, s in axes)
+    each = ", ".join(f"{axis} {plus_minus(v, s)}" for axis, v, s in axes)
     return f"{each} {FAMILIES[name]}".strip()
 
 
@@ -261,7 +261,7 @@ def _gyros(check: Check) -> tuple[Table, ...]:
             if sensor in check.turned_on:
                 tones[len(rows)] = "warning"
             axes = zip(sensor.gyro.bias, sensor.gyro.sd, strict=True)
-            each = (plus_minus(float(v), float(s)) for v, s in axes)
+            each = (plus_minus(v, s) for v, s in axes)
             rows.append((sensor.name, *each, f"{sensor.gyro.p:.2g}"))
     note = (
         "Rate at rest beyond the calibrated bias, deg/s; sd by the scatter between rests. "

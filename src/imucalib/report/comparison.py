@@ -8,15 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from imucalib.calibration.comparison.compare import (
-    ALPHA,
-    SIGNIFICANT,
-    Comparison,
-    Drift,
-    Meaning,
-)
+from imucalib.calibration.comparison.compare import ALPHA, SIGNIFICANT, Comparison, Drift, Meaning
 from imucalib.calibration.plain import fields, plain
 from imucalib.report.document import Card, Document, Plot, Section, Series, Table, Text, Tone, Worth
+from imucalib.report.plots import band
 from imucalib.significant_digits import plus_minus, two_digits, with_sd
 
 SCHEMA = "imucal/comparison/1"
@@ -47,8 +42,8 @@ def comparison_document(found: Comparison, command: str = "") -> Document:
         Section("Notes", tuple(Text(f"{n[0].upper()}{n[1:]}.", "warning") for n in found.notes)),
     ]
     title, verdict = f"Comparison of {', '.join(found.names)}", _verdict(found)
-    full, footer = tuple(p for p in parts if p.blocks), (("command", command),) if command else ()
-    return Document(title, verdict, full, footer, _card(found, command), drawn="--html")
+    footer, card = (("command", command),) if command else (), _card(found, command)
+    return Document(title, verdict, tuple(parts), footer, card, drawn="--html")
 
 
 def _how(found: Comparison) -> str:
@@ -155,7 +150,7 @@ def _parameters(found: Comparison) -> Table:
         if abs(z) > 3.0:
             tones[k] = "warning"
         values = zip(basis.value[:_ROOM, k], sd[:_ROOM, k], strict=True)
-        each = (plus_minus(float(v), float(s)) for v, s in values)
+        each = (plus_minus(v, s) for v, s in values)
         rows.append((name if unit == "1" else f"{name}, {unit}", *each, f"{z:+.1f}"))
     note = "z: the last minus the first over the sd of the difference."
     if count > 2:
@@ -163,7 +158,7 @@ def _parameters(found: Comparison) -> Table:
     if count > _ROOM:
         note += f" Shown are the first {_ROOM} of {count}; all are in the JSON."
     header = ("parameter", *found.names[:_ROOM], "z")
-    return Table("", header, tuple(rows), "l" + "r" * (len(header) - 1), note, tones)
+    return Table("", header, tuple(rows), "", note, tones)
 
 
 def _scatter(found: Comparison) -> tuple[Text | Table, ...]:
@@ -173,8 +168,8 @@ def _scatter(found: Comparison) -> tuple[Text | Table, ...]:
     sizes = zip(scatter.sd, scatter.low, scatter.high, scatter.z_rms, strict=True)
     rows = []
     for name, unit, (sd, low, high, z) in zip(basis.names, basis.units, sizes, strict=True):
-        interval = f"{two_digits(float(low))} to {two_digits(float(high))}"
-        rows.append((name, two_digits(float(sd)), interval, f"{z:.2f}", unit))
+        interval = f"{two_digits(low)} to {two_digits(high)}"
+        rows.append((name, two_digits(sd), interval, f"{z:.2f}", unit))
     note = (
         "sd: between calibrations, beyond what each states (Paule and Mandel); 95 % interval by "
         "its χ²; z rms: 1 where the scatter is what they state."
@@ -240,17 +235,14 @@ def control_chart(found: Comparison) -> tuple[Plot, ...]:
     at = int(np.argmax(seen.attitude @ force.worst.attitude))
     value, sd = seen.size[:, at], seen.size_sd[:, at]
     weight = 1.0 / sd**2
-    level = np.full(2, float(weight @ value / weight.sum()))
+    level = float(weight @ value / weight.sum())
     days = None if found.drift is None else found.drift.dates.days
     x = np.arange(1.0, len(value) + 1.0) if days is None else days
-    ends, half = np.array([x.min(), x.max()]), _HALF * sd
-    low, high = level - force.limit, level + force.limit
+    ends = np.array([x.min(), x.max()])
     series = (
-        Series("limit about the mean", ends, level, "band", low, high),
-        Series("mean", ends, level, "line"),
-        Series(
-            "calibrations, 95 %", x, value, "points", value - half, value + half, names=found.names
-        ),
+        band("limit about the mean", x, force.limit, level),
+        Series("mean", ends, np.full(2, level), "line"),
+        Series.about("calibrations, 95 %", x, value, _HALF * sd, "points", tuple(found.names)),
     )
     where = ", ".join(f"{v:+.2f}" for v in force.worst.attitude)
     caption = (

@@ -34,7 +34,7 @@ class Facts:
 class Table:
     """A table; numbers are already formatted by the builder so that digits match their sd.
 
-    align : one character a column, "l" or "r"
+    align : one character a column, "l" or "r"; empty: the first to the left, numbers to the right
     tones : row index -> tone, for rows that the reader must not miss
     """
 
@@ -57,6 +57,13 @@ class Series:
     low: Array | None = None
     high: Array | None = None
     names: tuple[str, ...] = ()  # one label a point, shown on hover in HTML
+
+    @classmethod
+    def about(
+        cls, label: str, x: Array, y: Array, half: Array, mark: Mark, names: tuple[str, ...] = ()
+    ) -> Series:
+        """With edges `half` (n,) below and above y."""
+        return cls(label, x, y, mark, y - half, y + half, names=names)
 
 
 @dataclass(frozen=True)
@@ -109,7 +116,8 @@ class Card:
 
 @dataclass(frozen=True)
 class Document:
-    """A whole report: headline, one-sentence verdict with its tone, the card, sections, provenance.
+    """A whole report: headline, one-sentence verdict with its tone, the card, sections that hold
+    anything, provenance.
 
     terms : whether a page says what the words of a calibration mean; drawn : where the figures are,
     for a terminal
@@ -122,6 +130,9 @@ class Document:
     card: Card | None = None
     terms: bool = False
     drawn: str = "report.html"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "sections", tuple(s for s in self.sections if s.blocks))
 
     def calm(self) -> Document:
         """The same, without a tick next to a verdict that is none, and without a caution on the

@@ -44,8 +44,7 @@ def fleet_document(fleet: Fleet) -> Document:
     command = fleet.asked.command
     footer = (("command", command), ("seed", str(fleet.asked.seed))) if command else ()
     title, verdict = f"Fleet of {len(fleet.members)} devices", _verdict(fleet)
-    full = tuple(part for part in parts if part.blocks)
-    return Document(title, verdict, full, footer, _card(fleet))
+    return Document(title, verdict, parts, footer, _card(fleet))
 
 
 def _verdict(fleet: Fleet) -> Text:
@@ -91,7 +90,7 @@ def _worth(fleet: Fleet) -> tuple[Worth, ...]:
         for unit in dict.fromkeys(s.unit for s in fleet.spreads):
             own = np.array([s.scatter for s in fleet.spreads if s.unit == unit])
             what = "shares" if unit == "1" else f"parameters in {unit}"
-            size = f"{float(np.sqrt(np.mean(own**2))):.2g} {unit.removeprefix('1')}".rstrip()
+            size = f"{np.sqrt(np.mean(own**2)):.2g} {unit.removeprefix('1')}".rstrip()
             made.append(Worth(f"{len(own)} {what}", size, "between devices, rms"))
         return tuple(made)
     worst, how = max(members, key=lambda m: m.final), _HOW[fleet.asked.calibrator]
@@ -205,14 +204,13 @@ def _spread(fleet: Fleet) -> tuple[Table, ...]:
         sds = np.sqrt(np.diag(one.sizes.common_covariance))
         parameters = named(one.effect).parameters(Context(1))
         for p, m, sd in zip(parameters, one.sizes.common, sds, strict=True):
-            mean = plus_minus(float(m * p.typical), float(sd * p.typical), p.unit)
+            mean = plus_minus(m * p.typical, sd * p.typical, p.unit)
             size = f"{one.sizes.scatter * p.typical:.2g} {p.unit.removeprefix('1')}".rstrip()
             rows.append((p.name, mean, size, *["-"] * twice))
     note = "Scatter: sd between devices beyond what each one's own sd explains, 95 % in brackets."
     header = ["parameter", "mean of the fleet", "between devices"]
     header += ["between recordings of a device"] * twice
-    align = "l" + "r" * (len(header) - 1)
-    return (Table("", tuple(header), tuple(rows), align, note),) if rows else ()
+    return (Table("", tuple(header), tuple(rows), "", note),) if rows else ()
 
 
 def _scatter(one: Beyond, unit: str) -> str:

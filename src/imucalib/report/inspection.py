@@ -92,8 +92,7 @@ def inspection_document(
     summary += f"{still} still segment{'s' * (still != 1)}"
     said = "; ".join(wrong) or "nothing is wrong"
     verdict = Text(f"{summary}; {said}.", "warning" if wrong else "plain")
-    full = tuple(part for part in parts if part.blocks)
-    return Document(found.path, verdict, full, drawn="--html")
+    return Document(found.path, verdict, tuple(parts), drawn="--html")
 
 
 def _options(found: Inspection) -> tuple[tuple[str, str], ...]:

@@ -33,7 +33,7 @@ from imucalib.report.document import (
     Text,
     Worth,
 )
-from imucalib.report.plots import gain_plot, sphere_map
+from imucalib.report.plots import band, gain_plot, sphere_map
 from imucalib.significant_digits import plus_minus, spread
 from imucalib.units import DEG, MG
 
@@ -116,11 +116,7 @@ def _worst(run: LabRun) -> Worth:
     slope, _ = force_slope(fit, run.request.gravity * directions[:, None])
     variance = np.einsum("nip,pq,niq->n", slope, fit.covariance, slope)
     sd = np.sqrt(np.maximum(variance, 0.0)) / MG
-    k = int(np.argmax(sd))
-    towards = ", ".join(f"{a} {v:+.1f}" for a, v in zip("xyz", directions[k], strict=True))
-    average = f"{1.96 * sd.mean():.2g} mg on average over all"
-    detail = f"95 %, calibration only, with gravity along {towards}; {average}"
-    return Worth("vector, worst attitude", f"± {1.96 * sd[k]:.2g} mg", detail)
+    return sections.worst_attitude("vector", sd, directions, "calibration only, ")
 
 
 def _angles(run: LabRun) -> tuple[Worth, ...]:
@@ -140,7 +136,7 @@ def _angles(run: LabRun) -> tuple[Worth, ...]:
         if off is not None:
             at += "; positions left out, with how they were set: "
             at += f"{rms(off):.2f} rms, {worst(off):.2f} largest"
-        width = _within_a_circle(float(half[k]), most, 2)
+        width = _within_a_circle(half[k], most, 2)
         return Worth(name, f"± {width} deg" if half[k] < most else width, at)
 
     inclination = np.hypot(found.inclination_95, _NORMAL_95 * found.inclination_reading)
@@ -186,18 +182,17 @@ def _angle_section(run: LabRun) -> Section:
         compared += [(f"{split.name}, base", split.base), (f"{split.name}, final", split.final)]
     rows = tuple(row(name, _errors_of(run, held)) for name, held in compared)
     header = ("", *["tool-face, deg", "inclination, deg"] * directed, "|a|, mg")
-    align = "l" + "r" * (len(header) - 1)
     note = "Largest / rms."
     if bends(result.final):
         note += " Inclination is compared after undoing the fixture error that was found."
-    blocks: list[Block] = [Table("Errors on the positions", header, rows, align, note)]
+    blocks: list[Block] = [Table("Errors on the positions", header, rows, "", note)]
     if result.loop and result.loop.records:
         aside = _errors_of(run, fitted(result.loop.final))
         bad = {r.row for r in result.loop.records}
         rest = aside.take(np.array([k for k in range(len(aside.norm)) if k not in bad]))
         title = "With the suspect records set aside"
         note = "The same model fitted without them, on the other rows."
-        blocks.append(Table(title, header, (row("fitted, final", rest),), align, note))
+        blocks.append(Table(title, header, (row("fitted, final", rest),), "", note))
     used, n = len(result.used), result.observations.n
     if used != n:
         words = f"Model chosen and fitted on {used} rows; the other {n - used} are the test set."
@@ -242,13 +237,11 @@ def _dial_section(run: LabRun) -> Section:
         return Section(title, ())
     at = np.linspace(0.0, 90.0, 61)
     dial = dial_of(run.result, at)
-    band = Series(
-        "95 % band", at, dial.shift, "band", dial.shift - dial.half, dial.shift + dial.half
-    )
+    interval = Series.about("95 % band", at, dial.shift, dial.half, "band")
     line = Series("true inclination minus dial", at, dial.shift, "line")
     caption = "What the bench's inclination dial is off by; no part of the sensor's calibration."
     labels = ("True inclination minus dial", "inclination (deg)", "dial's error (deg)")
-    return Section(title, (Plot(*labels, (band, line), caption),), brief=False)
+    return Section(title, (Plot(*labels, (interval, line), caption),), brief=False)
 
 
 def _uncertainty_section(run: LabRun) -> Section:
@@ -319,10 +312,9 @@ def _residual_plots(run: LabRun) -> list[Plot]:
     caption += ", before and after the search."
     labels, wrong, plots = run.result.final.observations.label, _suspects(run), []
     for (what, unit, old, new), name in wanted:
-        x, zero, half = axes[name], np.zeros(2), bands[what]
-        ends = np.array([np.nanmin(x), np.nanmax(x)])
+        x = axes[name]
         series = [
-            Series("noise and setting, ± 2 sd", ends, zero, "band", zero - half, zero + half),
+            band("noise and setting, ± 2 sd", x, bands[what]),
             Series("before", x, old, "points", names=labels),
             Series("after", x, new, "points", names=labels),
         ]
@@ -438,7 +430,7 @@ def _session_plot(one: Between, names: tuple[str, ...]) -> Plot:
     at = np.arange(1.0, len(names) + 1.0)
     axes = enumerate(zip("xyz", one.offsets.T, one.offsets_sd.T, strict=True))
     series = tuple(
-        Series(axis, at + 0.08 * (k - 1), off, "bars", off - sd, off + sd, names=names)
+        Series.about(axis, at + 0.08 * (k - 1), off, sd, "bars", names)
         for k, (axis, off, sd) in axes
     )
     title, y_label = f"{one.effect.capitalize()} of each session", f"{one.effect} less the mean"
@@ -469,8 +461,7 @@ def _position_table(run: LabRun) -> Table:
         "x, y, z: reading minus prediction at the estimated settings. "
         "Left out: predicted without the row."
     )
-    align = "l" + "r" * (len(header) - 1)
-    return Table("Residuals by position", tuple(header), rows, align, note)
+    return Table("Residuals by position", tuple(header), rows, "", note)
 
 
 def _iscwsa_table(calibration: Calibration) -> Table:
@@ -485,9 +476,9 @@ def _iscwsa_table(calibration: Calibration) -> Table:
     b, b_sd = np.abs(linear.bias_mg) * MG, linear.bias_mg_sd * MG
     rows = [
         ("ABXY", "m/s²", rss(b[0], b[1]), rss(b_sd[0], b_sd[1]), 0.004),
-        ("ABZ", "m/s²", float(b[2]), float(b_sd[2]), 0.004),
+        ("ABZ", "m/s²", b[2], b_sd[2], 0.004),
         ("ASXY", "-", rss(scale[0], scale[1]), rss(scale_sd[0], scale_sd[1]), 5e-4),
-        ("ASZ", "-", float(scale[2]), float(scale_sd[2]), 5e-4),
+        ("ASZ", "-", scale[2], scale_sd[2], 5e-4),
     ]
     if tilt := [by_name[f"mounting_{a}"] for a in "xy" if f"mounting_{a}" in by_name]:
         removed, stays = rss(*(p.value for p in tilt)), rss(*(p.sd for p in tilt))
@@ -507,7 +498,7 @@ def _published_table(run: LabRun) -> Table:
 
     def row(k: int, label: str) -> tuple[str, ...]:
         turned = np.isfinite(errors.tool_face[k])
-        shown = f"{float(np.mod(tool_face[k] + 1.0, 360.0) - 1.0):.3f}" if turned else "-"
+        shown = f"{np.mod(tool_face[k] + 1.0, 360.0) - 1.0:.3f}" if turned else "-"
         off = f"{abs(errors.tool_face[k]):.3f}" if turned else "-"
         tilt = (f"{inclination[k]:.3f}", f"{abs(errors.inclination[k]):.3f}")
         return (label, *(f"{v:.5f}" for v in corrected[k]), shown, off, *tilt)

@@ -34,6 +34,12 @@ def gain_plot(found: Findings | None) -> tuple[Plot, ...]:
     return (Plot("What the search is worth", "", f"error ({gain.unit})", (bars,), caption),)
 
 
+def band(label: str, x: Array, half: float, level: float = 0.0) -> Series:
+    """From end to end of x (n,), `half` about a level."""
+    ends = np.array([np.nanmin(x), np.nanmax(x)])
+    return Series.about(label, ends, np.full(2, level), np.full(2, half), "band")
+
+
 def sphere_map(
     direction: Array,
     error: Array,

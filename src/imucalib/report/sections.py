@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.findings import Findings, FoundStep, Gain
 from imucalib.calibration.outcome import ErrorSummary, Outcome, Run, Status
@@ -56,12 +57,12 @@ _ANEW = (
 def calibration_document(
     title: str, head: str, parts: Sequence[Section], outcome: Outcome, card: Card | None
 ) -> Document:
-    """The report of a calibration: its sections that hold anything, with provenance and terms.
+    """The report of a calibration, with its provenance.
 
     head : the figure that leads the verdict
     """
-    full, footer = tuple(part for part in parts if part.blocks), outcome.provenance.footer
-    return Document(title, _verdict(outcome, head), full, footer, card, terms=card is not None)
+    footer, terms = outcome.provenance.footer, card is not None
+    return Document(title, _verdict(outcome, head), tuple(parts), footer, card, terms)
 
 
 def standard_document(run: Run) -> Document:
@@ -131,6 +132,18 @@ def error_worth(
         like_these = f", for {like[0]} like these, {100.0 * like[1]:.0f} % of all directions"
     detail = f"{how} on {of} held out{like_these}; {', '.join(before)}"
     return Worth(quantity, f"{two_digits(final)} {unit}", detail.rstrip("; "))
+
+
+def worst_attitude(quantity: str, sd: Array, directions: Array, what: str = "") -> Worth:
+    """Of a 95 % interval, with gravity along some directions (n, 3).
+
+    sd : (n,) mg; what : else the interval holds, in words
+    """
+    k = int(np.argmax(sd))
+    towards = ", ".join(f"{a} {v:+.1f}" for a, v in zip("xyz", directions[k], strict=True))
+    average = f"{1.96 * sd.mean():.2g} mg on average over all"
+    detail = f"95 %, {what}with gravity along {towards}; {average}"
+    return Worth(f"{quantity}, worst attitude", f"± {1.96 * sd[k]:.2g} mg", detail)
 
 
 def _found(found: Findings) -> list[Text]:
@@ -304,7 +317,7 @@ def _error_table(error: ErrorSummary, note: str) -> Table:
     rows.append(("noise floor", floor, *[""] * fitted))
     header = ("", *["fitted"] * fitted, "held out")
     title = f"Error before and after ({error.metric}, {error.unit})"
-    return Table(title, header, tuple(rows), "l" + "r" * (len(header) - 1), note)
+    return Table(title, header, tuple(rows), "", note)
 
 
 def _loop_verdict(found: Findings) -> Text:
@@ -456,7 +469,7 @@ def sensor_section(calibration: Calibration, *more: Table) -> Section:
             letter,
             "  ".join(f"{v:+.6f}" for v in linear.M[k]),
             f"{linear.b[k] / MG:+.3f}",
-            *with_sd(float(linear.scale[k]), float(linear.scale_sd[k])),
+            *with_sd(linear.scale[k], linear.scale_sd[k]),
         )
         for k, letter in enumerate("xyz")
     )
@@ -464,9 +477,7 @@ def sensor_section(calibration: Calibration, *more: Table) -> Section:
     note = "The linear part. Scale: sensitivity of each axis, free of the frame."
     table = Table("corrected = M raw + b", header, rows, "llrrr", note)
     angles = zip(("xy", "xz", "yz"), linear.angle, linear.angle_sd, strict=True)
-    facts = Facts(
-        tuple((f"angle {p}", plus_minus(float(a), float(s), "deg")) for p, a, s in angles)
-    )
+    facts = Facts(tuple((f"angle {p}", plus_minus(a, s, "deg")) for p, a, s in angles))
     return Section("The sensor", (table, facts, *more), brief=False)
 
 
@@ -482,7 +493,7 @@ def kind_section(
     before = np.sqrt(np.diag(prior.covariance))
     rows = []
     for p, m, b, v, s in zip(fit.parameters, prior.mean, before, fit.theta, fit.sd, strict=True):
-        cells = [plus_minus(float(m), float(b), p.unit), plus_minus(float(v), float(s), p.unit)]
+        cells = [plus_minus(m, b, p.unit), plus_minus(v, s, p.unit)]
         cells.append(f"{100.0 * max(0.0, 1.0 - (s / b) ** 2):.0f}")
         if own:
             sd = f"{own[p.name]:.2g} {p.unit.removeprefix('1')}" if p.name in own else "-"
@@ -497,7 +508,7 @@ def kind_section(
     header = ("", "of its kind", "this device", "from its own, %", *["sd without"] * bool(own))
     note = "From its own: share of the variance of its kind that its data have taken away."
     note += " Without: by its own data and the typical sizes alone." if own else ""
-    table = Table("", header, tuple(rows), "lrrr" + "r" * bool(own), note)
+    table = Table("", header, tuple(rows), "", note)
     return Section("The fleet's word", (Text(words), table))
 
 

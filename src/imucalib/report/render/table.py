@@ -33,9 +33,10 @@ _RULED = Box("    \n    \n ── \n    \n    \n    \n    \n    \n")
 def squared(table: Table) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...], str]:
     """Header, rows and alignment, all of one number of columns (short rows get empty cells)."""
     n = max([len(table.header), *(len(row) for row in table.rows)])
+    align = table.align or "l" + "r" * n
     rows = tuple((*row, *[""] * (n - len(row))) for row in table.rows)
     header = (*table.header, *[""] * (n - len(table.header)))
-    return header, rows, "".join("r" if side == "r" else "l" for side in table.align.ljust(n)[:n])
+    return header, rows, "".join("r" if side == "r" else "l" for side in align.ljust(n)[:n])
 
 
 def decimal_pads(cells: Sequence[str]) -> tuple[int, ...]:

@@ -57,7 +57,7 @@ class _Sheet:
         """The page, or all of it."""
         document = self.document
         titles = [s.title for s in document.sections]
-        drawn = {s.title for s in document.sections if s.blocks and not _written(s)}
+        drawn = {s.title for s in document.sections if not _written(s)}
         sections = [s for s in document.sections if _written(s) and (s.brief or full)]
         lines = self.lines(*self.head(), *self.card())
         footer = document.footer
