@@ -56,7 +56,7 @@ EFFECTS: dict[str, Effect] = {
 }
 UNITS = {
     "mg", "deg", "1", "mg/g", "mg/g2", "mg/g3", "mg/degC", "mg/degC2", "mg/g/degC",
-    "deg per 90 deg",     "%", "mm", "mm/g", "ms", "deg/s", "deg/s/g",
+    "deg per 90 deg",     "%", "mm", "mm/g", "ms", "deg/s", "deg/s/g", "deg/s/degC", "%/degC",
 }  # fmt: skip
 #: What a sensor at rest can show; the others need an array's motion.
 AT_REST = {

@@ -93,7 +93,9 @@ def apply_to_recording(
     notes = (*recording.notes, note, *said)
     whole = replace(recording, channels=channels, notes=notes, corrections=corrections)
     gyro = gyroscope_of(calibration)
-    return whole if gyro is None else with_rates_corrected(gyro, whole, channel.triad)
+    if gyro is None:
+        return whole
+    return with_rates_corrected(gyro, whole, channel.triad, thermometer)
 
 
 def mark_of(calibration: Calibration, triad: str) -> Mark:

@@ -18,6 +18,7 @@ from imucalib.core.effect import Context, Motion, Response, Truth
 from imucalib.effects import known
 from imucalib.errors import UnreadableInput
 from imucalib.recording.recording import Channel, Recording
+from imucalib.rests.thermal import temperature_at
 from imucalib.units import DEG, STANDARD_GRAVITY
 
 STAGE, GAIN, BIAS = "gyroscope", "gyro_gain", "gyro_rest_bias"
@@ -28,18 +29,23 @@ _ROUNDS = 3
 @dataclass(frozen=True)
 class Gyroscope:
     """gain : (3, 3) K; bias : (3,) rad/s, at the end of what was calibrated
-    laws : effects with the parameters (w,) that they have, and these (w,) in their units"""
+    laws : effects with the parameters (w,) that they have, and these (w,) in their units
+    warm : °C at which it is taken to be where no thermometer says"""
 
     gain: Array
     bias: Array
     laws: tuple[tuple[Response, Index, Array], ...]
+    warm: float
 
-    def rate(self, reading: Array, force: Array) -> Array:
+    def rate(self, reading: Array, force: Array, warm: Array | None = None) -> Array:
         """Angular rate (n, 3) rad/s in the accelerometer's frame, of readings (n, 3) rad/s under
-        forces (n, 3) m/s². What follows the order of a recording acts as at its end."""
+        forces (n, 3) m/s², at temperatures (n,) °C. What follows the order of a recording acts as
+        at its end."""
         seen = reading - self.bias
         own, none = seen, np.zeros((len(seen), 1, 3))
-        context = Context(len(seen), {"order": np.ones(len(seen))}, moving=True)
+        heat = np.full(len(seen), self.warm) if warm is None else warm
+        known = {"order": np.ones(len(seen)), "temperature": heat}
+        context = Context(len(seen), known, moving=True)
         for _ in range(_ROUNDS if self.laws else 0):
             truth = Truth(force[:, None], Motion(own[:, None], none, none))
             added = [e.basis(truth, context)[:, 0][..., at] @ theta for e, at, theta in self.laws]
@@ -87,10 +93,13 @@ def gyroscope_of(calibration: Calibration) -> Gyroscope | None:
         gain=np.array(list(own[GAIN].values())).reshape(3, 3),
         bias=DEG * np.array(list(own[BIAS].values())),
         laws=tuple(laws),
+        warm=0.5 * sum(calibration.valid.get("temperature", (25.0, 25.0))),
     )
 
 
-def with_rates_corrected(gyro: Gyroscope, recording: Recording, triad: str) -> Recording:
+def with_rates_corrected(
+    gyro: Gyroscope, recording: Recording, triad: str, thermometer: Channel | None
+) -> Recording:
     """A recording whose acceleration is corrected, with the rates of the same sensor corrected too;
     rates that are not in rad/s stay, which is noted."""
     channels, notes = dict(recording.channels), list(recording.notes)
@@ -102,7 +111,8 @@ def with_rates_corrected(gyro: Gyroscope, recording: Recording, triad: str) -> R
         if channel.unit != "rad/s":
             notes.append(f"{name}: rates in {channel.unit} stay as they are")
         elif channel.t.size:
-            values = gyro.rate(channel.values, at_times(channel.t, force))
+            warm = None if thermometer is None else temperature_at(thermometer, channel.t)
+            values = gyro.rate(channel.values, at_times(channel.t, force), warm)
             channels[name] = replace(channel, values=values)
             notes.append(f"{name} corrected too; both are in the accelerometer's frame")
     return replace(recording, channels=channels, notes=tuple(notes))

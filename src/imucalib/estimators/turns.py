@@ -45,6 +45,8 @@ ANGLE_PRIOR = np.diff(np.arctan(_EDGES / 3e-4)) * 2.0 / np.pi
 _NU = 4.0  # degrees of freedom of a turn's errors
 #: Known before any reading (data sheets): accelerometer's bias (g), scale and cross terms, gains.
 _BIAS, _SCALE, _CROSS, _GAIN = 0.1, 0.03, 0.02, 0.1
+#: rad/s by which a bias is another at the next power-up (data sheets: 0.05 to 0.3 deg/s).
+_AWAKE = np.radians(0.2)
 _MOST, _SETTLED = 30, 1e-2  # steps, and standard deviations that the last one may go
 _NOISES = 6  # steps in which the noise is estimated anew
 #: rad, floors of a turn that are weighed.
@@ -78,7 +80,8 @@ class TurnLog:
 
     time : (N,) s; force : (N, 3) g and rate : (N, 3) rad/s, means as read; force_sd : (N,) g and
     rate_sd : (N, 3) rad/s of these means; linked : (N - 1,) whether the bias walks from a rest to
-    the next one, as it does within one log; white : rad/s √s, noise density of the gyroscope
+    the next one, as within one log, or is another power-up's; white : rad/s √s, noise density of
+    the gyroscope
     """
 
     time: Array
@@ -368,13 +371,14 @@ def _at_rest(log: TurnLog, state: State, laws: Laws | None) -> Array:
 def variances(log: TurnLog, noise: TurnNoise, prior: Array) -> Array:
     """(R,) of every row of a linearised problem; prior : (m,) sd of θ."""
     turns = _of_turns(log, noise)
-    apart = np.where(log.linked, np.diff(log.time), np.inf)
+    apart = np.diff(log.time)[:, None] * noise.walk**2
+    apart[~log.linked] = _AWAKE**2
     return np.concatenate(
         [
             np.repeat(turns, 2),
             np.repeat(log.force_sd**2 + noise.force**2, 3),
             (log.rate_sd**2).ravel(),
-            (apart[:, None] * noise.walk**2).ravel(),
+            apart.ravel(),
             np.repeat([_BIAS, _SCALE, _CROSS, _SCALE, _CROSS, _CROSS, _SCALE, _GAIN],
                       [3, 1, 1, 1, 1, 1, 1, 9]) ** 2,
             prior**2,

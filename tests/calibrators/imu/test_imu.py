@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -203,6 +204,45 @@ def test_clipped_turns_and_gaps_are_left_out_and_counted(tmp_path: Path) -> None
     assert any("gap" in words or "missing" in words for words in left)
     assert content["imu"]["turns"] + len(left) == content["imu"]["rests"] - 1
     assert any("turns were left out" in note for note in content["notes"])
+
+
+def test_logs_at_several_temperatures_tell_what_follows_it(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    own, paths = chip(rng), []
+    scale, bias = np.array([4e-4, -3e-4, 2e-4]), np.radians([0.04, 0.02, -0.05])
+    for k, warm in enumerate((5.0, 25.0, 50.0)):
+        there = replace(
+            own, M=np.diag(1.0 + scale * (warm - 25.0)) @ own.M,
+            rate_bias=own.rate_bias + bias * (warm - 25.0),
+        )  # fmt: skip
+        log = turned(there, rng, rests=12)
+        heat = np.full((len(log.t), 1), warm) + 0.01 * rng.normal(size=(len(log.t), 1))
+        channels = {
+            "imu0/acceleration": Channel(
+                log.t, G0 * log.force, "m/s2", "acceleration", "imu0", 100.0
+            ),
+            "imu0/angular_rate": Channel(log.t, log.rate, "rad/s", "angular_rate", "imu0", 100.0),
+            "imu0/temperature": Channel(log.t, heat, "degC", "temperature", "imu0", 100.0),
+        }
+        paths.append(tmp_path / f"{k}.h5")
+        write(Recording(channels, "warm", "hdf5", ""), paths[-1])
+    result = run("imu", *paths, "-o", tmp_path / "out", "-q", "--json")
+    names = [s["effect"] for s in json.loads(result.stdout)["loop"]["steps"]]
+    assert sorted(names) == ["gyro_temperature_bias", "gyro_temperature_scale"]
+    gyro = gyroscope_of(read_calibration(tmp_path / "out/calibration.yaml"))
+    assert gyro is not None
+    warm = np.array([0.0, 40.0])
+    still = gyro.rate(np.zeros((2, 3)), np.zeros((2, 3)), warm)
+    np.testing.assert_allclose(np.degrees(still[1] - still[0]), -40.0 * np.degrees(bias), atol=0.1)
+    fast = gyro.rate(np.full((2, 3), 3.0), np.zeros((2, 3)), warm) - still
+    np.testing.assert_allclose(fast[1] - fast[0], -3.0 * 40.0 * scale, atol=0.015)
+    target = tmp_path / "corrected.h5"
+    assert (
+        run("apply", tmp_path / "out/calibration.yaml", paths[2], "-o", target, "-q").exception
+        is None
+    )
+    log_rate = read(target).channels["imu0/angular_rate"].values
+    assert np.abs(np.median(log_rate, axis=0)).max() < np.radians(0.1)
 
 
 def test_sensors_at_rates_of_their_own(tmp_path: Path) -> None:

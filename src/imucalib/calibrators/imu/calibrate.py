@@ -161,8 +161,8 @@ def _result(
     recordings: tuple[Recording, ...], accelerometer: LabRun, imu: Imu, request: ImuRequest
 ) -> ImuResult:
     asked = request.of_turns
-    base = joint_fit(imu.turns, declared_terms(asked), imu.span)
-    found = searched(base, imu.span, asked)
+    base = joint_fit(imu.turns, declared_terms(asked), imu.course)
+    found = searched(base, imu.course, asked)
     held = _held_out(found, imu, asked)
     refused = bool(found.said.places) and not held.gained.holds
     every = np.arange(len(imu.turns.turns))
@@ -212,7 +212,7 @@ def _held_out(found: Searched, imu: Imu, asked: AskedTurns) -> HeldOutTurns:
     errors = np.zeros((3, count))
     for k in range(folds):
         out = part == k
-        base, final = in_fold(found, out, imu.span, asked)
+        base, final = in_fold(found, out, imu.course, asked)
         for row, fit in enumerate((_as_read(base), base, final)):
             errors[row, out] = carried_error(fit, np.flatnonzero(out)) / DEG
     gained = difference(errors[1], errors[2], np.arange(count), folds, "rms")

@@ -17,6 +17,7 @@ import numpy as np
 
 from imucalib.arrays import Array, Flags
 from imucalib.calibration.gyroscope import at_times
+from imucalib.core.effect import Context
 from imucalib.errors import Undetermined, UnreadableInput, UsageError
 from imucalib.estimators.carried import attitudes, between
 from imucalib.estimators.turns import Turn, TurnLog
@@ -37,6 +38,23 @@ _TILT = 10.0 * DEG
 
 
 @dataclass(frozen=True)
+class Course:
+    """What a gyroscope's effects may follow. span : s, of all logs; time : (N,) s and warm : (N,)
+    °C, of the rests, None without a thermometer in each log"""
+
+    span: float
+    time: Array
+    warm: Array | None
+
+    def context(self, t: Array) -> Context:
+        """At times (n,) s."""
+        known = {"order": t / self.span, "time": t}
+        if self.warm is not None:
+            known["temperature"] = np.interp(t, self.time, self.warm)
+        return Context(len(t), known, moving=True)
+
+
+@dataclass(frozen=True)
 class Imu:
     """A log of one IMU, or several: what is fitted, and what was left out of it.
 
@@ -50,7 +68,7 @@ class Imu:
     force_noise: Array
     interval: float
     longest: Array
-    span: float
+    course: Course
 
 
 def gyroscope_of(recording: Recording, triad: str) -> Channel:
@@ -103,9 +121,10 @@ def _tilt(log: TurnLog, turn: Turn) -> float:
 
 
 def _together(logs: list[Imu]) -> Imu:
-    """Logs one after another: the bias does not walk from one to the next."""
+    """Logs one after another: from one to the next the bias is what it is at another power-up."""
     before = np.cumsum([0, *(log.turns.rests for log in logs)])
-    apart = np.cumsum([0.0, *(log.span for log in logs)])
+    apart = np.cumsum([0.0, *(log.course.span for log in logs)])
+    warm = [log.course.warm for log in logs if log.course.warm is not None]
     turns = [
         replace(turn, rest=turn.rest + int(n), t=turn.t + s)
         for log, n, s in zip(logs, before, apart, strict=False)
@@ -122,7 +141,9 @@ def _together(logs: list[Imu]) -> Imu:
     whole = TurnLog(time=time, linked=linked, turns=tuple(turns), white=white, **parts)
     return replace(
         first, turns=whole, left_out=tuple(w for log in logs for w in log.left_out),
-        span=float(apart[-1]),
+        course=Course(
+            float(apart[-1]), time, np.concatenate(warm) if len(warm) == len(logs) else None
+        ),
     )  # fmt: skip
 
 
@@ -162,6 +183,7 @@ def _of_one(recording: Recording, segments: Segments, gravity: float) -> Imu:
             why.append(f"turn {k + 1} ({turn.t[0]:.1f}-{turn.t[-1]:.1f} s): {reason}")
         else:
             turns.append(turn)
+    warm = segments.temperature[:, 0]
     longest = int(np.argmax(ends[1] - ends[0]))
     log = TurnLog(
         time=t[middle], force=rests[0], rate=rests[1], force_sd=rests[2][:, 0], rate_sd=rests[3],
@@ -170,7 +192,8 @@ def _of_one(recording: Recording, segments: Segments, gravity: float) -> Imu:
     )  # fmt: skip
     return Imu(
         turns=log, left_out=tuple(why), rate_noise=noise, force_noise=segments.noise[0],
-        interval=step, longest=rate[ends[0][longest] : ends[1][longest]], span=float(t[-1] - t[0]),
+        interval=step, longest=rate[ends[0][longest] : ends[1][longest]],
+        course=Course(float(t[-1] - t[0]), t[middle], warm if np.isfinite(warm).all() else None),
     )  # fmt: skip
 
 

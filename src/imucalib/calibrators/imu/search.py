@@ -16,6 +16,7 @@ import numpy as np
 from imucalib.arrays import Array, Flags, Index
 from imucalib.calibrators.array.loop.laws import array_functions, array_laws
 from imucalib.calibrators.array.loop.motion import BoardMotion
+from imucalib.calibrators.imu.log import Course
 from imucalib.core.effect import Context, Effect, Motion, Response, Truth
 from imucalib.effects import catalogue
 from imucalib.estimators.turns import (
@@ -143,13 +144,13 @@ def _term(effect: Response, size: float = 1.0) -> Term:
     return Term(effect, np.arange(typical.size), size * typical)
 
 
-def laws_of(terms: Sequence[Term], span: float) -> Laws | None:
-    """The columns of terms side by side, or None. span : s, of the recording"""
+def laws_of(terms: Sequence[Term], course: Course) -> Laws | None:
+    """The columns of terms side by side, or None. course : what they may follow"""
     if not terms:
         return None
 
     def laws(rate: Array, force: Array, t: Array) -> Array:
-        truth, context = _exposed(rate, force, t, span)
+        truth, context = _exposed(rate, force, t, course)
         return np.concatenate(
             [np.asarray(e.effect.basis(truth, context)[:, 0][..., e.own]) for e in terms], axis=2
         )
@@ -157,30 +158,30 @@ def laws_of(terms: Sequence[Term], span: float) -> Laws | None:
     return laws
 
 
-def _exposed(rate: Array, force: Array, t: Array, span: float) -> tuple[Truth, Context]:
+def _exposed(rate: Array, force: Array, t: Array, course: Course) -> tuple[Truth, Context]:
     none = np.zeros((len(rate), 1, 3))
     truth = Truth(STANDARD_GRAVITY * force[:, None], Motion(rate[:, None], none, none))
-    return truth, Context(len(rate), {"order": t / span, "time": t}, moving=True)
+    return truth, course.context(t)
 
 
 def joint_fit(
-    log: TurnLog, terms: Sequence[Term], span: float, start: TurnFit | None = None
+    log: TurnLog, terms: Sequence[Term], course: Course, start: TurnFit | None = None
 ) -> TurnFit:
     """The joint fit with terms, of the turns that a start has used."""
     sizes = np.concatenate([np.zeros(0), *(t.sizes for t in terms)])
     return fitted(
-        log, laws_of(terms, span), sizes=sizes,
+        log, laws_of(terms, course), sizes=sizes,
         used=None if start is None else start.used, start=None if start is None else start.state,
     )  # fmt: skip
 
 
-def searched(base: TurnFit, span: float, asked: AskedTurns) -> Searched:
+def searched(base: TurnFit, course: Course, asked: AskedTurns) -> Searched:
     """The posterior over what a base fit lacks, at the set that it tells: searched again from where
     that stands, until the same is told."""
     declared = declared_terms(asked)
     final, terms, seen = base, declared, set[tuple[str, ...]]()
     while True:
-        lacking = lacking_of(final, span, asked)
+        lacking = lacking_of(final, course, asked)
         problem, grams = lacking.contest(final)
         posterior = climbed(problem, grams)
         said = told(problem, posterior, names_first=True)
@@ -195,14 +196,16 @@ def searched(base: TurnFit, span: float, asked: AskedTurns) -> Searched:
             )  # fmt: skip
         seen.add(names)
         terms = (*declared, *new)
-        final = joint_fit(base.log, terms, span, base)
+        final = joint_fit(base.log, terms, course, base)
 
 
 def _names(terms: Sequence[Term]) -> tuple[str, ...]:
     return tuple(sorted(f"{t.name} {t.own}" for t in terms))
 
 
-def in_fold(found: Searched, out: Flags, span: float, asked: AskedTurns) -> tuple[TurnFit, TurnFit]:
+def in_fold(
+    found: Searched, out: Flags, course: Course, asked: AskedTurns
+) -> tuple[TurnFit, TurnFit]:
     """Base and final fit without some turns (T,), everything chosen anew from the products of the
     others. Where the same is told, the final fit is that of the others, linear about the whole."""
     base = without(found.base, out)
@@ -218,7 +221,7 @@ def in_fold(found: Searched, out: Flags, span: float, asked: AskedTurns) -> tupl
         return base, without(
             found.final, out, np.concatenate([sizes[f"{t.name} {t.own}"] for t in found.terms])
         )
-    return base, joint_fit(base.log, terms, span, base)
+    return base, joint_fit(base.log, terms, course, base)
 
 
 @dataclass(frozen=True)
@@ -284,8 +287,7 @@ class Lacking:
             matrices.append(every[np.ix_(kept, kept)] - across.T @ across)
             volume = 0.5 * np.log(variance[used]).sum() + np.log(np.diag(root)).sum()
             logs.append(float(np.log(share_of) - volume))
-        unlinked = int((~fit.log.linked).sum())
-        numbers = float(used.sum()) + 4.0 * fit.log.rests - 3.0 * (1 + unlinked)
+        numbers = float(used.sum()) + 4.0 * fit.log.rests - 3.0
         grams = Grams(
             products=Multiplied(np.array(matrices)),
             taken=np.zeros((len(matrices), 0, kept.size)),
@@ -305,15 +307,15 @@ def _heard(grams: Grams, dof: float) -> Index:
     return np.flatnonzero((logs > logs.max(axis=1)[:, None] - HEARD).any(axis=0))
 
 
-def lacking_of(fit: TurnFit, span: float, asked: AskedTurns) -> Lacking:
+def lacking_of(fit: TurnFit, course: Course, asked: AskedTurns) -> Lacking:
     """All that a fit may lack, linearised where it stands."""
-    components, terms, missing = _components(fit.log, span, asked)
+    components, terms, missing = _components(fit.log, course, asked)
     declared = declared_terms(asked)
     tried = tuple(_term(e) for e in dict.fromkeys(t.effect for own in terms for t in own))
     held, sizes = (np.concatenate([np.zeros(0), *(t.sizes for t in p)]) for p in (declared, tried))
     prior = np.concatenate([held, np.full(sizes.size, np.inf)])
     state = replace(fit.state, theta=np.zeros(prior.size))
-    rows = linearised(fit.log, state, laws_of((*declared, *tried), span), prior)
+    rows = linearised(fit.log, state, laws_of((*declared, *tried), course), prior)
     rows.jacobian[:, _FIXED + held.size : _FIXED + prior.size] *= sizes
     return Lacking(
         components=tuple(components), terms=tuple(terms), missing=missing, tried=tried, rows=rows,
@@ -322,7 +324,7 @@ def lacking_of(fit: TurnFit, span: float, asked: AskedTurns) -> Lacking:
 
 
 def _components(
-    log: TurnLog, span: float, asked: AskedTurns
+    log: TurnLog, course: Course, asked: AskedTurns
 ) -> tuple[list[Component], list[tuple[Term, ...]], dict[str, str]]:
     """Names, unnamed laws and free functions of the gyroscope, and their terms member by member;
     and why effects could not be tried."""
@@ -330,7 +332,7 @@ def _components(
         np.concatenate([getattr(turn, name) for turn in log.turns])
         for name in ("t", "rate", "force")
     )
-    truth, context = _exposed(rate, force, t, span)
+    truth, context = _exposed(rate, force, t, course)
     motion = BoardMotion(truth, context)
     found: dict[str, tuple[Kind, str, list[Response]]] = {}
     missing = {}
