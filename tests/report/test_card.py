@@ -134,6 +134,6 @@ def test_a_card_of_a_result_that_passes_has_no_caution() -> None:
 def test_what_stood_out_and_was_refused_by_other_data_is_told() -> None:
     gain = Gain(2.11, 2.2, -0.4, 0.2, False, "mg")
     words = refuted_words(Findings("nothing missing", refuted=("bias_step@record26",), gain=gain))
-    assert "bias step@record26 stood out by more than chance" in words
+    assert "bias step, record 26 stood out by more than chance" in words
     assert "2.11 mg without, 2.2 with" in words
     assert refuted_words(Findings("nothing missing")) == "no candidate passes the search"

@@ -185,7 +185,10 @@ def _found(found: Findings) -> list[Text]:
 
 def _nameless(found: Findings) -> list[str]:
     """What no effect explains, and against what it shows."""
-    return [f"{u.name} (driven by {u.driver})" if u.driver else u.name for u in found.unexplained]
+    return [
+        f"{in_words(u.name)} (driven by {u.driver})" if u.driver else in_words(u.name)
+        for u in found.unexplained
+    ]
 
 
 def _sized(step: FoundStep) -> str:
@@ -392,8 +395,8 @@ def _step_table(steps: Sequence[FoundStep]) -> Table:
 def _power(found: Findings) -> list[Text]:
     """What may be there unseen, and how large."""
     every = hidden(found.scores, [s.effect for s in found.steps])
-    absorbed = [f"{h.name} ({h.size / MG:.2g} mg)" for h in every if h.absorbed]
-    weak = [f"{h.name} {h.size / MG:.2g} mg" for h in every if not h.absorbed][:_WEAK]
+    absorbed = [f"{in_words(h.name)} ({h.size / MG:.2g} mg)" for h in every if h.absorbed]
+    weak = [f"{in_words(h.name)} {h.size / MG:.2g} mg" for h in every if not h.absorbed][:_WEAK]
     said = []
     if absorbed:
         text = "These data cannot show, whatever the size (rms at a typical one): "
