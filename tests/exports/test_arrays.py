@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from ruamel.yaml import YAML
 
 from imucalib.calibration.calibration import Calibration
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.exports import exported
-from imucalib.exports.imus import with_noise
+from imucalib.exports.imus import with_noise, with_walks
 from worlds.rigid_board import DEG, Board, G, Moves, board, calibration, readings
+from worlds.targets import by_kalibr, by_opencv
 
 Array = NDArray[np.float64]
 FORMS = ("kalibr", "openvins", "ros2-static", "urdf", "matlab", "c-header")
@@ -57,10 +57,14 @@ def plain(made: Board) -> Calibration:
 
 
 def loaded(made: Board, form: str) -> dict[str, Any]:
-    text = exported(plain(made), "log.mcap", form).text
-    assert "log.mcap" in text
-    assert "gyro_cubic" in text
-    return dict(YAML(typ="safe", pure=True).load(text.replace("%YAML:1.0", "")))
+    """By IMU what its target reads of its file."""
+    files = exported(with_walks(plain(made), 1e-3, 2e-5), "log.mcap", form).made.files
+    assert list(files) == [t.name for t in plain(made).triads]
+    for text in files.values():
+        assert "log.mcap" in text
+        assert "gyro_cubic" in text
+    read = by_kalibr if form == "kalibr" else by_opencv
+    return {name: read(text) for name, text in files.items()}
 
 
 def felt(motion: Moves, r: Array) -> Array:
@@ -96,7 +100,7 @@ def test_kalibr_says_what_every_imu_reads(made: Board, moves: Moves) -> None:
         assert block["accelerometer_noise_density"] == pytest.approx(0.05 * 0.1)
         assert block["gyroscope_noise_density"] == pytest.approx(2e-3 * 0.1)
         assert block["update_rate"] == pytest.approx(100.0)
-        assert "gyroscope_random_walk" not in block
+        assert block["gyroscope_random_walk"] == 2e-5
 
 
 def test_openvins_says_what_every_imu_reads(made: Board, moves: Moves) -> None:
@@ -120,13 +124,15 @@ def test_openvins_says_what_every_imu_reads(made: Board, moves: Moves) -> None:
 def test_noise_is_what_was_measured(made: Board, tmp_path: Path) -> None:
     path = tmp_path / "imu.yaml"
     path.write_text("accelerometer_random_walk: 1.5e-4\nupdate_rate: 200.0\n")
-    told = exported(with_noise(plain(made), path), "log.mcap", "kalibr")
-    for block in YAML(typ="safe", pure=True).load(told.text).values():
+    with pytest.raises(UsageError, match="needs gyroscope_random_walk of"):
+        exported(with_noise(plain(made), path), "log.mcap", "kalibr")
+    path.write_text(path.read_text() + "gyroscope_random_walk_at_most: 2.0e-5\n")
+    for text in exported(with_noise(plain(made), path), "log.mcap", "kalibr").made.files.values():
+        block = by_kalibr(text)
         assert block["accelerometer_random_walk"] == 1.5e-4
         assert block["update_rate"] == 200.0
-        assert "accelerometer_noise_density" not in block
-    assert any("gyroscope_noise_density" in text for text in told.lost)
-    assert not any("accelerometer_random_walk" in text for text in told.lost)
+        assert block["gyroscope_random_walk"] == 2e-5
+        assert "# gyroscope_random_walk: an upper limit (95 %), rad/s2/sqrt(Hz)" in text
     path.write_text("imu9:\n  update_rate: 200.0\n")
     with pytest.raises(UnreadableInput, match="imu9"):
         with_noise(plain(made), path)
@@ -217,7 +223,8 @@ def test_matlab_corrects_what_was_read(made: Board, moves: Moves) -> None:
 
 @pytest.mark.parametrize("form", FORMS)
 def test_what_is_lost_stands_in_the_file(made: Board, form: str) -> None:
-    late = exported(plain(replace(made, late=1.5e-3)), "log -- 1.mcap", form)
+    known = with_walks(plain(replace(made, late=1.5e-3)), 1e-3, 2e-5)
+    late = exported(known, "log -- 1.mcap", form)
     assert late.lost
     if form in ("kalibr", "openvins"):
         assert any("1.500 ms" in text for text in late.lost)

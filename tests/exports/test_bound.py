@@ -14,6 +14,7 @@ from imucalib.effects import named
 from imucalib.errors import LimitBroken
 from imucalib.exports import exported
 from imucalib.exports.bound import demand_carried, error_left
+from imucalib.exports.imus import with_walks
 from worlds.rigid_board import board
 from worlds.rigid_board import calibration as board_calibration
 
@@ -74,7 +75,8 @@ def test_of_an_array_the_forces_of_motion_count() -> None:
     facts = {"not_undone": [{"effect": "sensing_elements", "rms": 0.3, "unit": "m/s²"},
                             {"effect": "gyro_cubic", "rms": 9.0, "unit": "deg/s"}],
              "errors": [{"unit": "m/s²", "final": 0.05, "held_out": {"final": 0.05}}]}  # fmt: skip
-    known = replace(whole, facts={**whole.facts, **facts})
+    facts = {**whole.facts, "sample_interval_s": 0.01, **facts}
+    known = with_walks(replace(whole, facts=facts), 1e-3, 2e-5)
     loss = {f: exported(known, "x", f).made.loss for f in ("kalibr", "urdf", "c-header", "matlab")}
     # Kalibr has a place for the elements, a frame none for any of it.
     assert loss["kalibr"] == loss["urdf"] == 0.0

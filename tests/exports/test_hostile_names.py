@@ -12,6 +12,7 @@ import shutil
 import subprocess
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.file import as_dict, from_dict, read, to_yaml
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.exports import exported, exports
+from imucalib.exports.imus import with_walks
 from worlds.rigid_board import board, calibration
 
 EVIL = (
@@ -96,12 +98,15 @@ def _code_of(file: str, text: str) -> str:
 
 
 def _made(loaded: Calibration, source: str = "log.csv") -> Iterator[tuple[str, str]]:
+    facts = {"sample_interval_s": 0.01, **loaded.facts}
+    noisy = with_walks(replace(loaded, facts=facts), 1e-3, 2e-5)
     for form in exports().values():
         try:
-            made = exported(loaded, source, form.name)
+            made = exported(noisy, source, form.name)
         except (UsageError, UnreadableInput):  # it cannot hold such a calibration
             continue
-        yield made.file, made.text
+        for text in made.made.files.values() or (made.text,):
+            yield made.file, text
 
 
 @pytest.mark.parametrize("evil", EVIL)

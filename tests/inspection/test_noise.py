@@ -173,4 +173,5 @@ def test_inspect_tells_it_from_the_rests(night: Path, tmp_path: Path) -> None:
     assert kalibr["gyroscope_noise_density"] == pytest.approx(0.1 * DEG / np.sqrt(HZ), rel=0.05)
     assert kalibr["update_rate"] == pytest.approx(HZ)
     assert "accelerometer_random_walk" not in kalibr
+    assert kalibr["accelerometer_random_walk_at_most"] > 0.0
     assert "accelerometer_random_walk" in target.read_text().splitlines()[1]  # said, not guessed

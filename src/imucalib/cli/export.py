@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -15,6 +17,10 @@ from imucalib.cli.options import (
     quiet_option,
 )
 from imucalib.cli.output import emit_json, note
+
+if TYPE_CHECKING:
+    from imucalib.calibration.calibration import Calibration
+    from imucalib.exports import Made
 
 
 @click.command("export", cls=PagedCommand, short_help="Write coefficients for another program.")
@@ -39,6 +45,13 @@ from imucalib.cli.output import emit_json, note
     help="Noise of the sensors, from `imucal inspect --save-noise`.",
 )
 @click.option(
+    "--random-walk",
+    default="limit",
+    show_default=True,
+    metavar="limit|ACC,GYRO",
+    help="Random walks that the rests do not show: their upper limits, or values in SI.",
+)
+@click.option(
     "--effects",
     "effects_file",
     type=click.Path(path_type=Path),
@@ -59,6 +72,7 @@ def command(
     form: str,
     output: Path | None,
     noise: Path | None,
+    random_walk: str,
     effects_file: Path | None,
     largest_loss: float | None,
     force: bool,
@@ -81,29 +95,64 @@ def command(
     from imucalib.effects import load_file
     from imucalib.exports import exported
     from imucalib.exports.bound import demand_carried
-    from imucalib.exports.imus import with_noise
 
     if output is not None:
         demand_output(output, filter(None, (calibration, noise, effects_file)), force=force)
     if effects_file is not None:
         load_file(effects_file)
-    loaded = read(calibration)
+    loaded = _with_noise(read(calibration), noise, random_walk)
     check(loaded, str(calibration))
-    if noise is not None:
-        loaded = with_noise(loaded, noise)
     source = str(dict(loaded.facts.get("provenance", {})).get("input", calibration.name))
     made = exported(loaded, source, form)
     if not force:
         demand_carried(made, form, loaded, largest_loss)
-    if output is not None:
-        write_whole(output, made.text)
+    files = _files(made.made, output)
+    for path in files:
+        if path != output:
+            demand_output(path, (), force=force)
+    for path, text in files.items():
+        write_whole(path, text)
     for text in made.lost:
         note(f"{form} lacks {text}", quiet)
     if as_json:
-        place = {"output": str(output)} if output else {"text": made.text}
+        place = {"files": [str(path) for path in files]} if files else {"text": made.text}
         emit_json({"form": form, **place, "lost": list(made.lost), "loss_mg": made.made.loss})
-    elif output is None:
-        click.echo(made.text, nl=False)
-    elif not quiet:
-        click.echo(f"wrote {output}")
+    elif not quiet or not files:
+        said = "\n".join(f"wrote {path}" for path in files)
+        click.echo(said or made.text, nl=bool(files))
     return 0
+
+
+def _with_noise(calibration: Calibration, noise: Path | None, walks: str) -> Calibration:
+    """What is told of the noise beside the calibration."""
+    from imucalib.exports.imus import with_noise, with_walks
+
+    if noise is not None:
+        calibration = with_noise(calibration, noise)
+    return calibration if walks == "limit" else with_walks(calibration, *_two(walks))
+
+
+def _two(text: str) -> tuple[float, float]:
+    """Two positive numbers; raises click's usage error."""
+    try:
+        first, second = map(float, text.split(","))
+    except ValueError:
+        first = second = -1.0
+    if not (first > 0.0 and second > 0.0):
+        raise click.BadParameter(
+            "give limit, or ACC,GYRO in m/s3/sqrt(Hz), rad/s2/sqrt(Hz)", param_hint="--random-walk"
+        )
+    return first, second
+
+
+def _files(made: Made, output: Path | None) -> dict[Path, str]:
+    """What is written where: one file, or one an IMU with its name before the suffix."""
+    if output is None:
+        return {}
+    if not made.files:
+        return {output: made.text}
+    names = {name: re.sub(r"[^\w.-]+", "_", name) for name in made.files}
+    return {
+        output.with_name(f"{output.stem}-{names[name]}{output.suffix}"): text
+        for name, text in made.files.items()
+    }

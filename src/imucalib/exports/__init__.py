@@ -5,8 +5,8 @@ A form is found by its file being here.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from functools import cache
 
 from imucalib.calibration.calibration import Calibration
@@ -19,11 +19,18 @@ from imucalib.recording.pairing import printable
 class Made:
     """A form's text; what of the calibration it could not carry, in words; and the error of a force
     that this makes, mg: mean over directions and the calibrated ranges, of an array the rms in the
-    motion that was calibrated."""
+    motion that was calibrated. files : name -> text, where the other program reads one file an IMU
+    and there are several; the text then holds all."""
 
     text: str
     lost: tuple[str, ...] = ()
     loss: float = 0.0
+    files: Mapping[str, str] = field(default_factory=dict)
+
+
+def of_each(files: Mapping[str, str], lost: tuple[str, ...], loss: float) -> Made:
+    """One file an IMU."""
+    return Made("---\n".join(files.values()), lost, loss, files if len(files) > 1 else {})
 
 
 @dataclass(frozen=True)

@@ -146,7 +146,7 @@ def _alone(calibration: Calibration, gyro: Gyroscope, form: str) -> Imu:
         gyro_bias=gyro.bias,
         by_force=gyro.by_force @ turn.T,
         elements=np.zeros((3, 3)),
-        noise=dict(next(iter(told.values()), measured)),
+        noise=measured | dict(next(iter(told.values()), {})),
     )
 
 
@@ -195,18 +195,16 @@ def _common_delays() -> dict[str, float]:
 
 def _noise(calibration: Calibration, triad: Triad) -> dict[str, Any]:
     """What was told of it (`--noise`), else the density of its noise at rest, as white."""
-    told = calibration.facts.get("noise_density", {})
-    if triad.name in told:
-        return dict(told[triad.name])
+    told = dict(calibration.facts.get("noise_density", {}).get(triad.name, {}))
     interval = calibration.facts.get("sample_interval_s")
     if interval is None:
-        return {}
+        return told
     root = float(np.sqrt(interval))
     return {
         "accelerometer_noise_density": triad.noise * root,
         "gyroscope_noise_density": triad.gyro_noise * root,
         "update_rate": 1.0 / float(interval),
-    }
+    } | told
 
 
 def lost_to_filters(calibration: Calibration, program: str) -> tuple[str, ...]:
@@ -237,22 +235,46 @@ def force_lost(calibration: Calibration, kept: tuple[str, ...] = _KEPT) -> float
     return max(sizes, default=0.0)
 
 
-def lost_noise(imus: tuple[Imu, ...]) -> tuple[str, ...]:
-    """Keys that Kalibr and its kin ask for and nothing was measured of."""
-    keys = (
-        "accelerometer_noise_density",
-        "accelerometer_random_walk",
-        "gyroscope_noise_density",
-        "gyroscope_random_walk",
-        "update_rate",
-    )
-    lost = [key for key in keys if any(key not in imu.noise for imu in imus)]
-    if not lost:
-        return ()
-    return (
-        f"{', '.join(lost)}: not measured; record at rest for hours, then `imucal inspect FILE "
-        "--save-noise imu.yaml` and --noise imu.yaml here",
-    )
+#: What Kalibr and OpenVINS ask of an IMU's noise.
+_NOISE = tuple(
+    f"{sensor}_{term}"
+    for sensor in ("accelerometer", "gyroscope")
+    for term in ("noise_density", "random_walk")
+)
+_UNITS = {
+    "accelerometer_noise_density": "m/s2/sqrt(Hz)",
+    "accelerometer_random_walk": "m/s3/sqrt(Hz)",
+    "gyroscope_noise_density": "rad/s/sqrt(Hz)",
+    "gyroscope_random_walk": "rad/s2/sqrt(Hz)",
+}
+
+
+def noise_lines(imu: Imu, program: str) -> tuple[dict[str, Any], list[str]]:
+    """The keys that a program asks for, and a comment of each that only an upper limit is known of,
+    which then stands in its place. Raises UsageError where nothing is known of one."""
+    missing = [k for k in (*_NOISE, "update_rate") if not {k, f"{k}_at_most"} & set(imu.noise)]
+    if missing:
+        raise UsageError(
+            f"{program} needs {', '.join(missing)} of {imu.name}, which this calibration lacks",
+            remedy="give a recording at rest to `imucal inspect RECORDING --save-noise noise.yaml` "
+            "and `--noise noise.yaml` here, or state the walks: --random-walk ACC,GYRO (SI)",
+        )
+    found = {"rostopic": f"/{imu.name}/imu", "update_rate": float(imu.noise["update_rate"])}
+    said = []
+    for key in _NOISE:
+        found[key] = float(imu.noise[key if key in imu.noise else f"{key}_at_most"])
+        if key not in imu.noise:
+            said.append(f"# {key}: an upper limit (95 %), {_UNITS[key]}; the rests show no more.")
+    return found, said
+
+
+def with_walks(calibration: Calibration, accelerometer: float, gyroscope: float) -> Calibration:
+    """A calibration whose random walks are stated, m/s³/√Hz and rad/s²/√Hz."""
+    names = [t.name for t in calibration.triads] or ["imu0"]
+    told = calibration.facts.get("noise_density", {})
+    walks = {"accelerometer_random_walk": accelerometer, "gyroscope_random_walk": gyroscope}
+    stated = {name: {**told.get(name, {}), **walks} for name in names}
+    return replace(calibration, facts={**calibration.facts, "noise_density": stated})
 
 
 def with_noise(calibration: Calibration, path: Path) -> Calibration:
@@ -261,10 +283,10 @@ def with_noise(calibration: Calibration, path: Path) -> Calibration:
     Raises UnreadableInput for a file that is none, or that names none of the calibration's IMUs.
     """
     told = read_noise(path)
-    names = [t.name for t in calibration.triads]
+    names = [t.name for t in calibration.triads] or ["imu0"]
     if "" in told:  # of one sensor: the like of all
         told = dict.fromkeys(names, told[""])
-    if names and not set(told) & set(names):
+    if not set(told) & set(names):
         raise UnreadableInput(
             f"it has the noise of {', '.join(told)}, the calibration is of {', '.join(names)}",
             where=str(path),

@@ -1,4 +1,4 @@
-"""Kalibr's IMUs: intrinsics, extrinsics and noise, as its imu.yaml and its results have them."""
+"""Kalibr's IMUs: noise as its imu.yaml has it, and what its results say of intrinsics."""
 
 from __future__ import annotations
 
@@ -6,35 +6,38 @@ from typing import Any
 
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
-from imucalib.exports import Export, Made
-from imucalib.exports.imus import Imu, force_lost, imus_of, lost_noise, lost_of, lost_to_filters
+from imucalib.exports import Export, Made, of_each
+from imucalib.exports.imus import Imu, force_lost, imus_of, lost_of, lost_to_filters, noise_lines
 from imucalib.recording.yaml_text import dump
 
 
 def kalibr(calibration: Calibration, filename: str) -> Made:
-    """A block an IMU, model scale-misalignment-size-effect (ethz-asl/kalibr, IccSensors.py):
+    """A file an IMU, model scale-misalignment-size-effect (ethz-asl/kalibr, IccSensors.py):
     reading = M C_i_b f + b, rate reading = M C_gyro_i C_i_b ω + A C_gyro_i C_i_b f + b.
 
-    The body is the board. Raises as `imus_of`.
+    Kalibr's ImuParameters read six keys, all positive (ConfigReader.py); the body is the board.
+    Raises as `imus_of` and `noise_lines`.
     """
     imus = imus_of(calibration, "Kalibr")
-    lost = (*lost_to_filters(calibration, "Kalibr"), *lost_of(calibration), *lost_noise(imus))
-    lines = [
-        f"# IMUs of an array by imucal, from {filename}, status {calibration.status}.",
-        "# SI units; T_i_b takes places in the board's frame into the IMU's. For Kalibr, one block",
-        "# a file, without its name.",
-        *(f"# Not in it: {text}." for text in lost),
-    ]
-    content = {imu.name: _block(imu) for imu in imus}
-    return Made("\n".join([*lines, dump(content)]), lost, force_lost(calibration))
+    lost = (*lost_to_filters(calibration, "Kalibr"), *lost_of(calibration))
+    files = {}
+    for imu in imus:
+        noise, said = noise_lines(imu, "Kalibr")
+        lines = [
+            f"# {imu.name} by imucal, from {filename}, status {calibration.status}. SI units.",
+            "# Kalibr reads rostopic, update_rate and the four of the noise, and estimates what",
+            "# stands below by itself. T_i_b takes places in the board's frame into the IMU's.",
+            *said,
+            *(f"# Not in it: {text}." for text in lost),
+        ]
+        files[imu.name] = "\n".join([*lines, dump({**noise, **_block(imu)})])
+    return of_each(files, lost, force_lost(calibration))
 
 
 def _block(imu: Imu) -> dict[str, Any]:
     return {
         "T_i_b": rows(imu.from_board),
-        "rostopic": f"/{imu.name}/imu",
         "time_offset": 0.0,
-        **{key: value for key, value in imu.noise.items() if key != "rostopic"},
         "model": "scale-misalignment-size-effect",
         "accelerometers": {
             "M": rows(imu.accelerometer),
@@ -53,4 +56,4 @@ def rows(matrix: Array) -> list[list[float]]:
     return [[float(v) for v in row] for row in matrix]
 
 
-EXPORT = Export("kalibr", "imus_kalibr.yaml", kalibr)
+EXPORT = Export("kalibr", "imu_kalibr.yaml", kalibr)

@@ -7,39 +7,39 @@ from typing import Any
 import numpy as np
 
 from imucalib.calibration.calibration import Calibration
-from imucalib.exports import Export, Made
-from imucalib.exports.imus import Imu, force_lost, imus_of, lost_noise, lost_of, lost_to_filters
+from imucalib.exports import Export, Made, of_each
+from imucalib.exports.imus import Imu, force_lost, imus_of, lost_of, lost_to_filters, noise_lines
 from imucalib.exports.kalibr import rows
 from imucalib.recording.yaml_text import dump
 
 
 def openvins(calibration: Calibration, filename: str) -> Made:
-    """A block an IMU, model kalibr: reading = Ta R_IMUtoACC f + b, rate reading =
-    Tw R_IMUtoGYRO ω + Tg f + b, f and ω in the IMU's frame (rpng/open_vins, ImuConfig of
-    ov_msckf and its configurations). Raises as `imus_of`.
+    """A file an IMU, model kalibr: reading = Ta R_IMUtoACC f + b, rate reading =
+    Tw R_IMUtoGYRO ω + Tg f + b, f and ω in the IMU's frame (rpng/open_vins, VioManagerOptions.h and
+    its configurations). OpenCV's FileStorage reads the block of the name imu0. Raises as `imus_of`
+    and `noise_lines`.
     """
     imus = imus_of(calibration, "OpenVINS")
     kept = ("gyro_g_sensitivity",)
-    lost = (
-        *lost_to_filters(calibration, "OpenVINS"),
-        *lost_of(calibration, kept),
-        *lost_noise(imus),
-    )
-    lines = [
-        "%YAML:1.0",
-        f"# IMUs of an array by imucal, from {filename}, status {calibration.status}.",
-        "# OpenVINS takes the block of the name imu0.",
-        *(f"# Not in it: {text}." for text in lost),
-    ]
-    content = {imu.name: _block(imu) for imu in imus}
-    return Made("\n".join([*lines, dump(content)]), lost, force_lost(calibration, kept))
+    lost = (*lost_to_filters(calibration, "OpenVINS"), *lost_of(calibration, kept))
+    files = {}
+    for imu in imus:
+        noise, said = noise_lines(imu, "OpenVINS")
+        lines = [
+            "%YAML:1.0",
+            f"# {imu.name} by imucal, from {filename}, status {calibration.status}. SI units.",
+            "# OpenVINS reads the block imu0 and passes over T_i_b, time_offset and update_rate.",
+            *said,
+            *(f"# Not in it: {text}." for text in lost),
+        ]
+        content = dump({"imu0": {**noise, **_block(imu)}}, indented=True)
+        files[imu.name] = "\n".join([*lines, content])
+    return of_each(files, lost, force_lost(calibration, kept))
 
 
 def _block(imu: Imu) -> dict[str, Any]:
     return {
         "T_i_b": rows(imu.from_board),
-        **{key: value for key, value in imu.noise.items() if key != "rostopic"},
-        "rostopic": f"/{imu.name}/imu",
         "time_offset": 0.0,
         "model": "kalibr",
         "Tw": rows(imu.gyro),

@@ -13,7 +13,7 @@ Stretches that do not touch add their squares.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -201,6 +201,15 @@ class AxisNoise:
     curve: AllanCurve
     start: float | None
 
+    def at_most(self, term: str) -> float:
+        """What a term that does not show lies below, 95 %: beside the others where these are told,
+        else as if all of the variance at some τ were its own."""
+        found: Coefficient = getattr(self, term)
+        if found.bound is not None:
+            return found.bound
+        shape = _shape((term,), self.curve.tau)[:, 0]
+        return float(np.min(self.curve.interval()[1] / np.sqrt(shape)))
+
 
 @dataclass(frozen=True)
 class SensorNoise:
@@ -370,7 +379,7 @@ _PREFIX = {"acceleration": "accelerometer", "angular_rate": "gyroscope"}
 
 def noise_blocks(noise: Sequence[SensorNoise]) -> dict[str, dict[str, Any]]:
     """By triad: densities in unit/√Hz and random walks in unit/s/√Hz (SI), each of the noisiest
-    axis. A walk that the recording does not show on any axis is absent."""
+    axis. Of one that the recording shows on no axis "_at_most" is its upper limit, 95 %."""
     blocks: dict[str, dict[str, Any]] = {}
     for sensor in noise:
         block = blocks.setdefault(sensor.triad, {})
@@ -379,6 +388,8 @@ def noise_blocks(noise: Sequence[SensorNoise]) -> dict[str, dict[str, Any]]:
             shown = [getattr(axis, term).value for axis in sensor.axes]
             if known := [value for value in shown if value is not None]:
                 block[f"{prefix}_{name}"] = max(known)
+            else:
+                block[f"{prefix}_{name}_at_most"] = max(axis.at_most(term) for axis in sensor.axes)
         block["rostopic"] = f"/{sensor.triad}/imu"
         block["update_rate"] = sensor.rate
     return blocks
@@ -391,21 +402,15 @@ def save_noise(noise: Sequence[SensorNoise], source: str, path: Path) -> None:
         f"# Noise at rest of {source}, SI: m/s2/sqrt(Hz), m/s3/sqrt(Hz), rad/s/sqrt(Hz), "
         "rad/s2/sqrt(Hz); of each sensor's noisiest axis.",
         *(
-            f"# {name}: not shown, the rests are too short: {', '.join(lost)}"
+            f"# {name}: the rests do not show all; upper limits (95 %): {', '.join(lost)}"
             for name, block in blocks.items()
-            if (lost := missing(block))
+            if (lost := [key for key in block if key.endswith("_at_most")])
         ),
     ]
     content = next(iter(blocks.values())) if len(blocks) == 1 else blocks
     text = "\n".join([*lines, dump(content)])
     with replaced_atomically(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
-
-
-def missing(block: Mapping[str, Any]) -> list[str]:
-    """Keys that Kalibr asks for and the block lacks."""
-    names = ("noise_density", "random_walk")
-    return [key for p in _PREFIX.values() for n in names if (key := f"{p}_{n}") not in block]
 
 
 def read_noise(path: Path) -> dict[str, dict[str, Any]]:

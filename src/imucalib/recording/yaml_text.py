@@ -50,9 +50,12 @@ def load(path: Path, remedy: str = "") -> Any:
     raise UnreadableInput(what, where=str(path), remedy=remedy)
 
 
-def dump(content: dict[str, Any]) -> str:
+def dump(content: dict[str, Any], *, indented: bool = False) -> str:
     """YAML text of plain types that 1.1 and 1.2 read alike; number lists on one line; floats like
-    1.0e-03 (YAML 1.1 reads "1e-3" as a string)."""
+    1.0e-03 (YAML 1.1 reads "1e-3" as a string).
+
+    indented : whether lists stand two blanks further in, which OpenCV asks for
+    """
     from ruamel.yaml import YAML
     from ruamel.yaml.representer import RoundTripRepresenter
 
@@ -85,6 +88,8 @@ def dump(content: dict[str, Any]) -> str:
     yaml.Representer = Representer
     yaml.default_flow_style = False
     yaml.width = 4096
+    if indented:
+        yaml.indent(mapping=2, sequence=4, offset=2)
     stream = StringIO()
     yaml.dump(content, stream)
     return re.sub(f"{mark}(\\d+)x", lambda m: lines[int(m[1])], stream.getvalue())

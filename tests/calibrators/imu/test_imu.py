@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
-from ruamel.yaml import YAML
 
 from imucalib import cli
 from imucalib.calibration.file import read as read_calibration
@@ -19,6 +18,7 @@ from imucalib.readers import read
 from imucalib.recording.recording import Channel, Recording
 from imucalib.writers import write
 from worlds.places import MEASURED
+from worlds.targets import by_kalibr, by_opencv
 from worlds.turned_imu import G0, Log, chip, plan, turned
 
 MPU = ("--rate", "100", "--acc", "1,2,3", "--gyro", "4,5,6", "--unit", "m/s2", "--gyro-unit",
@@ -92,15 +92,14 @@ def test_exports_say_what_the_sensor_reads(tmp_path: Path) -> None:
     rate, force = rng.normal(size=3), 9.8 * rng.normal(size=3)
     reading = np.linalg.inv(gyro.gain) @ rate + gyro.by_force @ force + gyro.bias
     np.testing.assert_allclose(gyro.rate(reading[None], force[None])[0], rate, atol=1e-12)
-    yaml = YAML(typ="safe", pure=True)
-    text = run("export", out / "calibration.yaml", "--to", "kalibr", "-q", "--force").stdout
-    (block,) = yaml.load(text).values()
+    walks = ("--random-walk", "1e-3,1e-5", "-q", "--force")
+    text = run("export", out / "calibration.yaml", "--to", "kalibr", *walks).stdout
+    block = by_kalibr(text)
     g, turn = block["gyroscopes"], np.array(block["gyroscopes"]["C_gyro_i"])
     own = np.array(g["M"]) @ turn @ rate + np.array(g["A"]) @ turn @ force
     np.testing.assert_allclose(own, reading - gyro.bias, atol=1e-9)
     np.testing.assert_allclose(np.triu(g["M"], 1), 0.0, atol=1e-12)
-    text = run("export", out / "calibration.yaml", "--to", "openvins", "-q", "--force").stdout
-    (block,) = yaml.load(text.partition("\n")[2]).values()
+    block = by_opencv(run("export", out / "calibration.yaml", "--to", "openvins", *walks).stdout)
     turn = np.array(block["R_IMUtoGYRO"])
     back = (
         turn.T @ np.linalg.inv(block["Tw"]) @ (reading - gyro.bias - np.array(block["Tg"]) @ force)

@@ -144,6 +144,12 @@ def _with_noise(without: Outcome, done: Outcome, bench: Bench) -> None:
     assert "accelerometer_noise_density" not in without.stdout or done.stdout != without.stdout
 
 
+def _with_walks(without: Outcome, done: Outcome, bench: Bench) -> None:
+    """Without them nothing says what Kalibr asks for."""
+    assert without.code == 2
+    assert "random_walk: 2.0e-05" in done.stdout
+
+
 def _into_a_file(without: Outcome, done: Outcome, bench: Bench) -> None:
     writes("c.h")(without, done, bench)
     assert done.text("c.h") == without.stdout
@@ -215,6 +221,9 @@ CASES: tuple[Case, ...] = (
     EXPORT("--output <out>/c.h", _into_a_file),
     EXPORT("--noise <imu.yaml>", _with_noise, "export", "<board_calibration.yaml>", "--to",
            "kalibr"),
+    EXPORT("--random-walk 0.001,2e-05", _with_walks, "export", "<board_calibration.yaml>", "--to",
+           "kalibr"),
+    EXPORT("--random-walk 0.001", ends(2, "ACC,GYRO")),
     EXPORT("--effects <own.py>", _own_is_known, "export", "<own_calibration.yaml>", "--to",
            "c-header"),
 )  # fmt: skip
