@@ -83,7 +83,10 @@ class _Sheet:
         return lines
 
     def length(self, sections: Sequence[Section]) -> int:
-        """Lines of some sections."""
+        """Lines of some sections; of more rows than a page has, their number is enough."""
+        rows = sum(len(b.rows) for s in sections for b in s.blocks if isinstance(b, Table))
+        if rows > PAGE:
+            return rows
         return len(self.lines(*(part for s in sections for part in self.section(s))))
 
     def fitting(self, sections: Sequence[Section], room: int) -> list[Section]:
