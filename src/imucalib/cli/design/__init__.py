@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from imucalib.cli.design.by_hand import by_hand
 from imucalib.cli.design.separate import plan_for, write_table
 from imucalib.cli.output import (
     color,
@@ -54,6 +55,9 @@ from imucalib.cli.recording_options import force_option
     metavar="CAL",
     help="Instead of TABLE: what to record next so that a calibration's rivals are told apart.",
 )
+@click.option("--imu", is_flag=True,
+              help="Turns of one IMU by hand: a plan for N rests with --recommend, or with the "
+              "calibration of `imucal imu` as TABLE what to add to its log.")  # fmt: skip
 @click.option("--temperatures", metavar="LOW,HIGH",
               help="With --separate: temperatures that can be held, degC; default: as recorded.",
               )  # fmt: skip
@@ -77,13 +81,15 @@ def command(
     """How good is a set of positions, and which one or two more would help most.
 
     Or what to record next so that an ambiguity ends: exit 0 where the plan ends it or there is
-    none, 5 where it cannot.
+    none, 5 where it cannot. Or, with --imu, which turns to take by hand.
 
     \b
     Examples:
       imucal design positions.csv
       imucal design --recommend 24 -o plan.csv
       imucal design --separate out/calibration.yaml -o plan.csv
+      imucal design --imu --recommend 20
+      imucal design --imu out/calibration.yaml
     """
     from imucalib.calibrators.lab.conventions import preset
     from imucalib.calibrators.lab.design import design_of, recommended
@@ -94,6 +100,8 @@ def command(
     separate, output, quiet = options["separate"], options["output"], options["quiet"]
     if sum(given is not None for given in (table, count, separate)) != 1:
         raise click.UsageError("give one of TABLE, --recommend N and --separate CAL")
+    if options["imu"]:
+        return by_hand(table, count, options)
     if separate is not None:
         return plan_for(separate, options)
     for name in ("temperatures", "between_sessions"):
