@@ -36,7 +36,7 @@ from imucalib.cohort.fleet.recorded.run import Wanted, run_recorded
 from imucalib.core.effect import Context
 from imucalib.core.sphere import even_directions
 from imucalib.effects import named
-from imucalib.report.data import report_dict
+from imucalib.report.files import report_dict
 from imucalib.rests.runs import PostureRuns
 from imucalib.units import MG
 

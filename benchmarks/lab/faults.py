@@ -28,17 +28,8 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
 
 import numpy as np
 
-from imucalib.calibrators.lab.bench import raw_unit
-from imucalib.calibrators.lab.checks import (
-    implausible_sizes,
-    kept_rows,
-    observations_of,
-    refuse_sizes,
-    refuse_units,
-)
-from imucalib.calibrators.lab.faults import look_for_faults
 from imucalib.calibrators.lab.position_table import read_position_table
-from imucalib.calibrators.lab.repairs import repaired
+from imucalib.calibrators.lab.run import run_lab
 from imucalib.cli.lab import command
 from imucalib.cli.lab.options import request_of
 from imucalib.errors import ImucalError
@@ -57,24 +48,17 @@ class Told:
 
 
 def told(path: Path, line: str = "") -> Told:
-    """What `imucal lab` says about slips, before it fits anything."""
+    """What `imucal lab` asks about a sheet, records that stand alone included."""
     context = command.make_context("lab", [str(path), *shlex.split(line)])
     with context:
         request = request_of(context.params)
     start = time.process_time()
     try:
-        table = read_position_table(path)
-        table, lost = repaired(table, request.repairs, request.fixes, request.swap_angles)
-        raw = raw_unit(table, request.unit, request.lsb_per_g)
-        rows = kept_rows(table, (*request.exclude, *lost))
-        refuse_units(table, rows)
-        refuse_sizes(table, implausible_sizes(table, rows), rows)
-        whole = observations_of(table, raw, request)
-        found = look_for_faults(table, raw, whole, rows, request)
+        run = run_lab(read_position_table(path), request)
     except ImucalError as error:
         return Told((str(error),), (), time.process_time() - start)
-    lines = tuple((f.line, *f.rivals) for f in found.slips)
-    return Told(found.undecided(()), lines, time.process_time() - start)
+    lines = tuple((f.line, *f.rivals) for f in run.faults.slips)
+    return Told(run.outcome.undecided, lines, time.process_time() - start)
 
 
 @dataclass(frozen=True)

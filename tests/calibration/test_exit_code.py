@@ -18,7 +18,7 @@ from imucalib.calibration.provenance import provenance_of
 from imucalib.loop.found import Unexplained
 
 ERROR = ErrorSummary("error, rms", "mg", 9.0, 3.0, 1.0, 0.5, HeldOutError(9.0, 3.0, 2.0))
-NAMELESS = Unexplained("slow changes", "order", "probe", 0.01, 9.0, 0.2)
+NAMELESS = Unexplained("slow changes", "order", "probe", 0.99, 9.0)
 
 
 def outcome(findings: Findings, size: float = 0.0) -> Outcome:

@@ -7,7 +7,7 @@ import pytest
 from click.testing import CliRunner
 
 from imucalib import cli
-from imucalib.cli.paged_help import PAGE, RARE
+from imucalib.cli.options import PAGE, RARE
 from options.tree import commands
 
 NAMES = sorted(commands())

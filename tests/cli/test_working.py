@@ -7,8 +7,8 @@ import time
 
 import pytest
 
-from imucalib.cli import working as module
-from imucalib.cli.working import working
+from imucalib.cli import output as module
+from imucalib.cli.output import working
 
 
 @pytest.fixture(autouse=True)

@@ -32,7 +32,7 @@ from imucalib.cohort.fleet.run import run_fleet
 from imucalib.cohort.fleet.search import Rules
 from imucalib.effects import catalogue
 from imucalib.errors import UsageError
-from imucalib.report.fleet.document import fleet_document
+from imucalib.report.fleet import fleet_document
 from worlds.places import SAMPLES
 
 REQUEST = replace(LabRequest(), reference="norm")

@@ -25,8 +25,7 @@ from imucalib.calibrators.population import read as read_population
 from imucalib.cli import cli
 from imucalib.cohort.fleet.outcome import Fleet, nested_spread
 from imucalib.cohort.fleet.recorded.calibrated import calibrated
-from imucalib.cohort.fleet.recorded.pooled import combined, device_of, sizes_of
-from imucalib.cohort.fleet.recorded.run import Wanted, run_recorded
+from imucalib.cohort.fleet.recorded.run import Wanted, combined, device_of, run_recorded, sizes_of
 from imucalib.cohort.fleet.search import Rules
 from imucalib.core.effect import Context
 from imucalib.effects import named

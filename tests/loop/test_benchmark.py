@@ -6,6 +6,7 @@ from __future__ import annotations
 import ast
 import importlib
 import json
+import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
@@ -167,3 +168,15 @@ def test_a_board_whose_clock_creeps_is_not_clean() -> None:
     )
     assert not trial.named
     assert trial.alarm
+
+
+@pytest.mark.slow
+def test_a_sheet_that_does_not_settle_names_its_slip(tmp_path: Path) -> None:
+    """Exit code 6 with the line that undoes it, where the sheet as it stands has no fit."""
+    world = module("draws").drawn("bench", "slip", 6100995)
+    arguments = [*world.write(tmp_path), "-o", str(tmp_path / "out")]
+    run = subprocess.run(
+        [sys.executable, "-m", "imucalib", *arguments], capture_output=True, text=True, check=False
+    )
+    assert run.returncode == 6
+    assert "--fix 35:x=-780.225" in run.stderr

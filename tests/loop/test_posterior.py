@@ -20,7 +20,7 @@ from imucalib.estimators.least_squares import fit
 from imucalib.loop.candidates import Searched, searched
 from imucalib.loop.posterior.catalogue import log_odds, log_set_prior, log_size_prior
 from imucalib.loop.posterior.closed import close_loop
-from imucalib.loop.posterior.gram import Grams, beside, swept, without
+from imucalib.loop.posterior.gram import Grams, beside, source_of, swept, without
 from imucalib.loop.posterior.odds import SIZES
 from imucalib.loop.posterior.problem import Problem
 from imucalib.loop.posterior.solution import Explored, explored, solved
@@ -84,7 +84,7 @@ def test_the_evidence_is_that_of_the_joint_normal() -> None:
     n = len(problem.fit.at.owner)
     x, c = problem.columns[:n, : problem.base], problem.columns[:n, at]
     y = problem.columns[:n, -1]
-    whole = np.linalg.inv(grams.products.weighted[0][:, problem.single : problem.single + n])
+    whole = np.linalg.inv(source_of(grams).solves[0](np.eye(n)))
 
     def density(v: np.ndarray) -> float:
         inverse = np.linalg.inv(v)
@@ -104,7 +104,7 @@ def test_rows_left_out_are_as_good_as_never_taken() -> None:
     rows = np.array([3, 7, 21])
     kept = swept(without(grams, problem, rows), np.arange(problem.base), np.inf)
     n = len(problem.fit.at.owner)
-    inverse = grams.products.weighted[0][:, problem.single : problem.single + n]
+    inverse = source_of(grams).solves[0](np.eye(n))
     rest = np.setdiff1d(np.arange(n), np.flatnonzero(np.isin(problem.owner, rows)))
     alone = np.linalg.inv(np.linalg.inv(inverse)[np.ix_(rest, rest)])
     z = problem.columns[rest]
@@ -150,9 +150,8 @@ def test_the_mean_of_what_is_likely_against_a_clean_recording_is_one() -> None:
     problem, grams = one.problem, one.posterior.grams.of(np.array([0]))
     rng = np.random.default_rng(0)
     n = len(problem.fit.at.owner)
-    lower = np.linalg.cholesky(
-        np.linalg.inv(grams.products.weighted[0][:, problem.single : problem.single + n])
-    )
+    inverse = source_of(grams).solves[0](np.eye(n))
+    lower = np.linalg.cholesky(np.linalg.inv(inverse))
     (j,) = (
         j for j, c in enumerate(problem.choices) if c.member.name == "quadratic" and c.at.size == 3
     )
@@ -162,7 +161,6 @@ def test_the_mean_of_what_is_likely_against_a_clean_recording_is_one() -> None:
         columns[:n, -1] = lower @ rng.normal(size=n)
         other = replace(problem, columns=columns)
         weighted = grams.products.weighted.copy()
-        inverse = weighted[0][:, problem.single : problem.single + n]
         weighted[0][:, -1] = inverse @ columns[:n, -1]
         products = replace(grams.products, columns=columns[:n], weighted=weighted)
         drawn = replace(grams, products=products)

@@ -83,7 +83,7 @@ def made() -> tuple[Problem, Grams, Course]:
     data = worn(2, wander=0.6)
     plain = fit(base(), data)
     course, _ = course_of(plain, np.zeros(data.n))
-    problem = problem_of(plain, components_of(plain.model, data, asked()), single=False)
+    problem = problem_of(plain, components_of(plain.model, data, asked()))
     return problem, recorded_grams(problem, course), course
 
 
@@ -113,7 +113,7 @@ def test_what_is_told_is_taken_back_into_the_misfit() -> None:
     theta = np.concatenate([plain.theta, [0.05, -0.02, 0.03]])
     at = fit_at(model, plain.observations, theta, np.eye(theta.size))
     parts = components_of(plain.model, plain.observations, asked())
-    there = problem_of(at, parts, plain.model, single=False)
+    there = problem_of(at, parts, plain.model)
     assert there.columns[:, -1] == pytest.approx(problem.columns[:, -1], abs=2e-3)
 
 

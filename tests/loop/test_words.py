@@ -12,26 +12,12 @@ from imucalib.loop.found import Loop, Step, Unexplained, Wander
 from imucalib.loop.held_out import Difference, difference, with_density
 from imucalib.loop.record_errors import RecordError
 
-STEP = Step("cubic", 0.001, 999, 9.0, (), ())
+STEP = Step("cubic", 9.0, (), (), certain=True)
 CURVE = replace(STEP, effect="curve@bias:order:0:1:4", curve=True)
-RECORD = RecordError(3, "row 4", "y", 100.0, 3.0, "mg", "lost sign of y", (), 0.001, 50.0)
-LEFT = Unexplained("a", "order", "bias", 0.001, 9.0, 0.2)
+RECORD = RecordError(3, "row 4", "y", 100.0, 3.0, "mg", "lost sign of y", (), 0.999)
+LEFT = Unexplained("a", "order", "bias", 0.999, 9.0)
 SURE = Difference(2.0, 1.0, 0.5, 1.5, 0.6, 20)
 UNSURE = replace(SURE, low=-0.1)
-
-
-@pytest.mark.parametrize(
-    ("step", "certain"),
-    [
-        (replace(STEP, p=0.01), True),  # once in a hundred searches by chance
-        (replace(STEP, p=0.011), False),
-        (replace(STEP, aliases=("quadratic",)), False),
-        (CURVE, False),
-        (replace(STEP, effect="shape@bias:order:sine:0.4"), False),
-    ],
-)
-def test_an_effect_is_certain_without_a_rival_and_beyond_chance(step: Step, certain: bool) -> None:
-    assert step.certain == certain
 
 
 @pytest.mark.parametrize(
@@ -46,9 +32,8 @@ def test_an_effect_is_certain_without_a_rival_and_beyond_chance(step: Step, cert
         (Loop(0, 1, steps=(CURVE,), difference=SURE), "unexplained"),
         (Loop(0, 1, unexplained=(LEFT,)), "unexplained"),
         (Loop(0, 1, records=(RECORD,)), "explained"),
-        (Loop(0, 1, records=(replace(RECORD, evidence=10.1),)), "explained"),  # odds of e^10
-        (Loop(0, 1, records=(replace(RECORD, evidence=9.9),)), "suspected"),
-        (Loop(0, 1, records=(RECORD, replace(RECORD, evidence=9.9))), "suspected"),
+        (Loop(0, 1, records=(replace(RECORD, probability=0.9),)), "suspected"),
+        (Loop(0, 1, records=(RECORD, replace(RECORD, probability=0.9))), "suspected"),
         (Loop(0, 1, records=(RECORD,), unexplained=(LEFT,)), "explained in part"),
     ],
 )
@@ -73,6 +58,9 @@ def test_a_walk_counts_beyond_five_nats(evidence: float, counts: bool) -> None:
         (replace(UNSURE, plain_low=-0.1, nats=0.1, nats_low=-2.0), False, False, True),
         (replace(UNSURE, plain_low=-0.1, nats=-0.1, nats_low=-2.0), False, False, False),
         (replace(UNSURE, after=2.1, plain_low=-0.3, nats=0.1, nats_low=-2.0), False, False, False),
+        # The density proves it where the error moves within its scatter, and not beyond.
+        (replace(UNSURE, after=2.1, plain_low=-0.3, nats=9.0, nats_low=4.0), True, True, True),
+        (replace(UNSURE, after=2.1, plain_low=-0.15, nats=9.0, nats_low=4.0), True, True, False),
     ],
 )  # fmt: skip
 def test_what_a_gain_allows_to_say(

@@ -37,7 +37,7 @@ ELSEWHERE: dict[tuple[str, str], str] = {
 
 def reading() -> tuple[str, ...]:
     """Options that say how a recording is read."""
-    from imucalib.cli.recording_options import recording_options
+    from imucalib.cli.options import recording_options
 
     def nothing() -> None:
         """A command without options of its own."""

@@ -12,13 +12,12 @@ from hypothesis import strategies as st
 from imucalib.calibration.findings import Findings, Gain
 from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Outcome
 from imucalib.calibration.provenance import provenance_of
-from imucalib.report.card import card_of, error_worth
-from imucalib.report.data import shown_dict
 from imucalib.report.document import Card, Document, Plot, Section, Series, Table, Text, Tone, Worth
-from imucalib.report.loop import gain_plot, refuted_words
+from imucalib.report.files import shown_dict
+from imucalib.report.plots import gain_plot, projected
 from imucalib.report.render.html import render_html
 from imucalib.report.render.text import PAGE, render_text
-from imucalib.report.sphere import projected
+from imucalib.report.sections import card_of, error_worth, refuted_words
 from worlds.report_demo import demo_document
 
 CARD = Card(
@@ -33,7 +32,7 @@ def document(tone: Tone, rows: int = 3) -> Document:
     cells = tuple((str(k), "x") for k in range(rows))
     table = Table("t", ("a", "b"), cells, "rl", tones={1: "ok"})
     sections = (Section("Long", (table, Text("found", "ok"))), Section("Short", (Text("s", "ok"),)))
-    return Document("d", Text("v", tone), sections, card=CARD, terms=(("mg", "a thousandth"),))
+    return Document("d", Text("v", tone), sections, card=CARD, terms=True)
 
 
 @pytest.mark.parametrize("tone", ["warning", "bad"])
@@ -135,6 +134,6 @@ def test_a_card_of_a_result_that_passes_has_no_caution() -> None:
 def test_what_stood_out_and_was_refused_by_other_data_is_told() -> None:
     gain = Gain(2.11, 2.2, -0.4, 0.2, False, "mg")
     words = refuted_words(Findings("nothing missing", refuted=("bias_step@record26",), gain=gain))
-    assert "bias step@record26 stood out by more than chance" in words
+    assert "bias step, record 26 stood out by more than chance" in words
     assert "2.11 mg without, 2.2 with" in words
     assert refuted_words(Findings("nothing missing")) == "no candidate passes the search"

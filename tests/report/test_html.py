@@ -11,8 +11,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 
 from imucalib.report.document import Document, Facts, Plot, Section, Series, Table, Text
-from imucalib.report.render.columns import decimal_pads
 from imucalib.report.render.html import render_html
+from imucalib.report.render.table import decimal_pads
 from worlds.report_demo import demo_document
 from worlds.report_strategies import DOCUMENTS
 

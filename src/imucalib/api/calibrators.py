@@ -83,7 +83,7 @@ def lab(
     mapping : how the recording is read; say : gets a line for each thing worth knowing
     """
     from imucalib.calibrators.lab.files import LabFiles, calibrate_files
-    from imucalib.report.lab.document import lab_document
+    from imucalib.report.lab import lab_document
 
     asked = request or LabRequest()
     settings = asked.settings
@@ -98,9 +98,11 @@ def lab(
     asked = replace(asked, seed=asked.seed if seed is None else seed)
     first, *others = (table,) if isinstance(table, str | Path) else table
     files = LabFiles(
-        Path(first), None if recording is None else Path(recording),
-        mapping=mapping or FieldMapping(), others=tuple(map(Path, others)),
-    )  # fmt: skip
+        Path(first),
+        None if recording is None else Path(recording),
+        mapping=mapping or FieldMapping(),
+        others=tuple(map(Path, others)),
+    )
     run = calibrate_files(files, asked, say)
     return Result(run, lab_document(run))
 
@@ -121,7 +123,7 @@ def actigraph(
     gravity : local, m/s², by default the standard's; others as in `lab`
     """
     from imucalib.calibrators.actigraph.run import calibrate_recording
-    from imucalib.report.actigraph.document import actigraph_document
+    from imucalib.report.actigraph import actigraph_document
 
     asked = request or ActigraphRequest()
     asked = replace(asked, **_gravity(gravity))
@@ -149,7 +151,7 @@ def array(
     samples : moving samples that are used, at most; others as in `lab`
     """
     from imucalib.calibrators.array.calibrate import calibrate_array
-    from imucalib.report.array.document import array_document
+    from imucalib.report.array import array_document
 
     drawn = board if isinstance(board, Board) else read_board(str(board))
     asked = replace(request, board=drawn) if request else ArrayRequest(drawn, STANDARD_GRAVITY)
@@ -179,7 +181,7 @@ def imu(
     others as in `lab`
     """
     from imucalib.calibrators.imu.run import run_imu
-    from imucalib.report.imu.document import imu_document
+    from imucalib.report.imu import imu_document
 
     asked = request or ImuRequest()
     asked = replace(asked, **_gravity(gravity))

@@ -26,7 +26,7 @@ from imucalib.rests.thermal import (
     thermal_history,
     thermometer_of,
     with_thermometer,
-)  # fmt: skip
+)
 from imucalib.writers import ChannelsChange, write, write_blocks
 
 _OF_MESSAGES = ("mcap", "rosbag")
@@ -207,9 +207,16 @@ def correct_file(
             _with_thermometer(found, triad) if around else ((b, None) for b in found)
         ):
             corrected = apply_to_recording(
-                calibration, block, triad, use=use, again=again, history=history,
-                thermometer=warm, correction=ready, partner=partner,
-            )  # fmt: skip
+                calibration,
+                block,
+                triad,
+                use=use,
+                again=again,
+                history=history,
+                thermometer=warm,
+                correction=ready,
+                partner=partner,
+            )
             notes.update(dict.fromkeys(corrected.notes))
             yield corrected
 

@@ -117,9 +117,16 @@ def matrices(model: Model, theta: Array, covariance: Array) -> Matrices:
         unit = sensitivity / length[:, None]
         cosines = [unit[0] @ unit[1], unit[0] @ unit[2], unit[1] @ unit[2]]
         return np.concatenate(
-            [inverse.ravel(), -inverse @ offset, sensitivity.ravel(), offset, length,
-             np.arccos(cosines) / DEG, offset / MG]
-        )  # fmt: skip
+            [
+                inverse.ravel(),
+                -inverse @ offset,
+                sensitivity.ravel(),
+                offset,
+                length,
+                np.arccos(cosines) / DEG,
+                offset / MG,
+            ]
+        )
 
     start = theta[pick]
     value = pieces(start)

@@ -42,14 +42,34 @@ ARRAY_FORMULA = (
 _SUM = "# imucal calibration, sha256 of the lines below: "
 #: Keys that a file has; all others are facts for people.
 _KEYS = {
-    "schema", "version", "calibrator", "status", "reasons", "formula", "raw", "gravity_m_per_s2",
-    "parameters", "covariance", "matrices", "triads", "valid",
-}  # fmt: skip
+    "schema",
+    "version",
+    "calibrator",
+    "status",
+    "reasons",
+    "formula",
+    "raw",
+    "gravity_m_per_s2",
+    "parameters",
+    "covariance",
+    "matrices",
+    "triads",
+    "valid",
+}
 #: Keys whose values are names, wherever they stand.
 _NAMES = {
-    "name", "imu", "triad", "effect", "effects", "stage", "unit", "calibrator", "status", "channel",
+    "name",
+    "imu",
+    "triad",
+    "effect",
+    "effects",
+    "stage",
+    "unit",
+    "calibrator",
+    "status",
+    "channel",
     "quantity",
-}  # fmt: skip
+}
 
 
 def to_yaml(calibration: Calibration) -> str:

@@ -35,14 +35,11 @@ class FoundStep:
     size : in words where there are many parameters; checks : errors that the choice has seen or
     not, as their metric says; held_out : nats that data gain which did not estimate it; curve :
     what a correction without a name corrects, in words, or empty; formula : of a form that has no
-    cause, in words, or empty; certain : nothing else would do, chance would not, and held-out data
-    prove it
+    cause, in words, or empty; certain : nothing else would do, and held-out data prove it
     probability : that it is there; rivals : (effect, share) of all that may stand in its place
     """
 
     effect: str
-    p: float
-    draws: int
     evidence: float
     checks: tuple[Check, ...]
     aliases: tuple[str, ...]
@@ -102,9 +99,15 @@ def gain_of(found: Difference | None) -> Gain | None:
         return None
     before, after, low, high = (v / MG for v in (found.before, found.after, found.low, found.high))
     return Gain(
-        before=before, after=after, low=low, high=high, proved=found.proved, unit="mg",
-        nats=found.nats, nats_low=found.nats_low,
-    )  # fmt: skip
+        before=before,
+        after=after,
+        low=low,
+        high=high,
+        proved=found.proved,
+        unit="mg",
+        nats=found.nats,
+        nats_low=found.nats_low,
+    )
 
 
 @dataclass(frozen=True)
@@ -188,8 +191,7 @@ def _bent(curve: str) -> str:
 
 def _step(step: Step, loop: FitLoop) -> FoundStep:
     before, after = step.checked[0].before, step.checked[0].after
-    held = "leave-one-out error, rms" if math.isnan(step.probability) else "held-out error, rms"
-    check = Check(held, "mg", before / MG, after / MG)
+    check = Check("held-out error, rms", "mg", before / MG, after / MG)
     curve = ""
     if step.curve:
         curve = _bent(step.effect)
@@ -197,8 +199,6 @@ def _step(step: Step, loop: FitLoop) -> FoundStep:
     form = known(step.effect) if step.formed else None
     return FoundStep(
         effect=step.effect,
-        p=step.p,
-        draws=step.draws,
         evidence=step.evidence,
         checks=(check,),
         aliases=step.aliases,

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
+from operator import attrgetter
 from typing import Any
 
 
@@ -18,3 +20,18 @@ def plain(value: Any) -> Any:
         return plain(value.tolist())
     number = float(value)
     return number if math.isfinite(number) else None
+
+
+def fields(source: object, names: str) -> dict[str, Any]:
+    """Some attributes of an object as plain types, in their order.
+
+    names : separated by blanks; "rate_hz=clock.rate" is an attribute's attribute by a name of its
+    own
+    """
+    parts = (name.rpartition("=") for name in names.split())
+    return {key or path: plain(attrgetter(path)(source)) for key, _, path in parts}
+
+
+def listed(sources: Iterable[object], names: str) -> list[dict[str, Any]]:
+    """`fields` of each of some objects."""
+    return [fields(source, names) for source in sources]

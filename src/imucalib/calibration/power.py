@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from imucalib.effects import known
+from imucalib.effects.shape import in_words
 from imucalib.loop.found import Score
 from imucalib.units import MG
 
@@ -46,7 +47,7 @@ def advice_of(found: Sequence[Hidden]) -> tuple[str, ...]:
     if not absorbed:
         return ()
     first = absorbed[0]
-    names = ", ".join(h.name for h in absorbed)
+    names = ", ".join(in_words(h.name) for h in absorbed)
     return (
         f"These data cannot show {names}, whatever the size ({first.size / MG:.2g} mg rms at a "
         f"typical one). {first.identify}",

@@ -39,8 +39,9 @@ def series_facts(
     for start, stop, fit in parts:
         row: dict[str, Any] = {"start_s": start, "stop_s": stop}
         if fit is not None:
-            found = from_fit(fit, "", raw_unit="", raw_to_si=1.0, gravity=1.0, status="",
-                             reasons=(), facts={})  # fmt: skip
+            found = from_fit(
+                fit, "", raw_unit="", raw_to_si=1.0, gravity=1.0, status="", reasons=(), facts={}
+            )
             own = {p.name: p for p in found.parameters}
             at = np.array([names.index(name) for name in own])
             covariance = whole.covariance.copy()

@@ -57,7 +57,9 @@ def sums_of(block: Mapping[str, Any]) -> Sums:
         dof=float(block["noise_dof"]),
         wander=float(block["wander_mg"]),
     )
-    if not all(np.isfinite(v).all() for v in (sums.base.theta, sums.base.covariance, sums.gram,
-                                              sums.along, sums.taken)):  # fmt: skip
+    if not all(
+        np.isfinite(v).all()
+        for v in (sums.base.theta, sums.base.covariance, sums.gram, sums.along, sums.taken)
+    ):
         raise ValueError("numbers that are none")
     return sums

@@ -47,8 +47,16 @@ class Triad:
 
     @property
     def finite(self) -> bool:
-        values = (self.rotation, self.gain, self.bias, self.gyro_gain, self.gyro_bias,
-                  self.covariance, self.noise, self.gyro_noise)  # fmt: skip
+        values = (
+            self.rotation,
+            self.gain,
+            self.bias,
+            self.gyro_gain,
+            self.gyro_bias,
+            self.covariance,
+            self.noise,
+            self.gyro_noise,
+        )
         return all(bool(np.isfinite(v).all()) for v in values)
 
     def as_dict(self) -> dict[str, Any]:

@@ -146,9 +146,11 @@ class Undo:
     def _rest(self, effect: Effect, x: Array) -> Array:
         """(n, 3) m/s² beyond its first order."""
         known = Context(len(x))
-        return self._delta(effect, x, known) - self._delta(effect, 0.0 * x, known) - (
-            x @ self._slope(effect).T
-        )  # fmt: skip
+        return (
+            self._delta(effect, x, known)
+            - self._delta(effect, 0.0 * x, known)
+            - (x @ self._slope(effect).T)
+        )
 
     def _take_in(self, effect: Effect) -> None:
         """Into the tables where it acts on each axis' input by itself, else as it is."""

@@ -162,8 +162,11 @@ def check_rests(
             remedy=f"name one with --triad: {', '.join(segments.triads)}",
         )
     k = segments.triads.index(names[0])
-    units = {c.unit for c in recording.channels.values()
-             if c.quantity == "acceleration" and c.triad == names[0]}  # fmt: skip
+    units = {
+        c.unit
+        for c in recording.channels.values()
+        if c.quantity == "acceleration" and c.triad == names[0]
+    }
     si = 1.0
     if units != {"m/s2"}:
         if calibration.raw_unit != "counts" or units != {"counts"}:
@@ -182,14 +185,18 @@ def check_rests(
         reference=KnownNorm(segments.n, asked.gravity),
         context=Context(segments.n, _covariates(segments, k, reading)),
         group=np.arange(segments.n),
-        label=tuple(f"rest at {0.5 * (a + b):.1f} s" for a, b in
-                    zip(segments.start, segments.stop, strict=True)),
-    )  # fmt: skip
+        label=tuple(
+            f"rest at {0.5 * (a + b):.1f} s"
+            for a, b in zip(segments.start, segments.stop, strict=True)
+        ),
+    )
     return CheckLog(made, recording.notes, recording.start_ns)
 
 
 def _covariates(segments: Segments, k: int, reading: Array) -> dict[str, Array]:
-    found = {f"previous_{a}": np.concatenate([reading[:1, i], reading[:-1, i]])
-             for i, a in enumerate("xyz")}  # fmt: skip
+    found = {
+        f"previous_{a}": np.concatenate([reading[:1, i], reading[:-1, i]])
+        for i, a in enumerate("xyz")
+    }
     warm = segments.temperature[:, k]
     return found | ({"temperature": warm} if np.isfinite(warm).all() else {})

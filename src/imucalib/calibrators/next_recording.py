@@ -47,8 +47,11 @@ _WARM = (10.0, 40.0)
 #: Covariates that follow the temperature late, and what they follow: it changes just before.
 _LAGGED, _BEFORE = "temperature_", "temperature_before"
 #: Columns of the table that a reader of the plan does not need: how else a direction is said.
-_HIDDEN = {"vector": (), "direction": ("inclination", "tool_face"),
-           "norm": ("inclination", "tool_face")}  # fmt: skip
+_HIDDEN = {
+    "vector": (),
+    "direction": ("inclination", "tool_face"),
+    "norm": ("inclination", "tool_face"),
+}
 _HEADINGS = {
     "tool_face": "tool-face",
     "temperature": "degC",

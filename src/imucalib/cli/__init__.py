@@ -113,8 +113,14 @@ def _version(ctx: click.Context, _: click.Parameter, wanted: bool) -> None:
     epilog="Exit codes: 0 calibrated, 1 a limit is broken, 2 usage, 3 unreadable input, "
     "4 not determined by the data, 5 residual unexplained, 6 not converged, 70 a fault of imucal.",
 )
-@click.option("--version", is_flag=True, is_eager=True, expose_value=False, callback=_version,
-              help="Show the version and exit.")  # fmt: skip
+@click.option(
+    "--version",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_version,
+    help="Show the version and exit.",
+)
 def cli() -> None:
     """Calibrate inertial sensors from recorded logs, with honest uncertainty.
 

@@ -14,8 +14,7 @@ from imucalib.cli.calibrating import (
     limit_option,
     shared_of,
 )
-from imucalib.cli.paged_help import PagedCommand
-from imucalib.cli.recording_options import fleet_option, mapping_of
+from imucalib.cli.options import PagedCommand, fleet_option, mapping_of
 
 if TYPE_CHECKING:
     from imucalib.calibrators.actigraph.request import ActigraphRequest
@@ -26,10 +25,14 @@ if TYPE_CHECKING:
 @click.argument("recording", type=click.Path(path_type=Path))
 @click.option("--triad", help="Which accelerometer, when the recording has several.")
 @click.option("--every", metavar="TIME", help="Calibrate parts too, for example 7d or 12h.")
-@click.option("--as-published", is_flag=True,
-              help="The paper's own method, as it was published.")  # fmt: skip
-@click.option("--arithmetic", type=click.Choice(["float", "int32", "int16"]), default="float",
-              show_default=True, help="Of the gradient descent, with --as-published.")  # fmt: skip
+@click.option("--as-published", is_flag=True, help="The paper's own method, as it was published.")
+@click.option(
+    "--arithmetic",
+    type=click.Choice(["float", "int32", "int16"]),
+    default="float",
+    show_default=True,
+    help="Of the gradient descent, with --as-published.",
+)
 @fleet_option
 @limit_option("--max-worst-error", "largest held-out error, mg.")
 @calibrating
@@ -51,13 +54,13 @@ def command(recording: Path, **options: Any) -> int:
     request, mapping = request_of(options), mapping_of(options)
     if request.as_published:
         from imucalib.calibrators.actigraph.published import calibrate_as_published
-        from imucalib.report.actigraph.published import published_document
+        from imucalib.report.actigraph import published_document
 
         with calibrating_of(options) as say:
             published = calibrate_as_published(recording, mapping, request, say)
         return finish([Report(published, published_document(published))], options)
     from imucalib.calibrators.actigraph.run import calibrate_recording
-    from imucalib.report.actigraph.document import actigraph_document
+    from imucalib.report.actigraph import actigraph_document
 
     with calibrating_of(options) as say:
         run = calibrate_recording(recording, mapping, request, say)

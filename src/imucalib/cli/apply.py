@@ -8,10 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imucalib.cli.output import emit_json, json_option, note, quiet_option, say
-from imucalib.cli.paged_help import PagedCommand
-from imucalib.cli.recording_options import force_option, inputs_of, mapping_of, recording_options
-from imucalib.cli.working import working
+from imucalib.cli.options import (
+    PagedCommand,
+    force_option,
+    inputs_of,
+    json_option,
+    mapping_of,
+    quiet_option,
+    recording_options,
+)
+from imucalib.cli.output import emit_json, note, say, working
 
 if TYPE_CHECKING:
     from imucalib.calibration.calibration import Calibration
@@ -58,10 +64,18 @@ def _millimetres(
     flag_value="parts",
     help="Each sample by the part valid at its time (--every).",
 )
-@click.option("--angles", type=click.Path(path_type=Path, dir_okay=False),
-              help="Also write inclination and tool-face with their sd, as CSV.")  # fmt: skip
-@click.option("--each", type=click.Choice(["rest", "sample"]), default="rest", show_default=True,
-              help="A row of --angles for each rest, or for each sample.")  # fmt: skip
+@click.option(
+    "--angles",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Also write inclination and tool-face with their sd, as CSV.",
+)
+@click.option(
+    "--each",
+    type=click.Choice(["rest", "sample"]),
+    default="rest",
+    show_default=True,
+    help="A row of --angles for each rest, or for each sample.",
+)
 @click.option(
     "--fused/--no-fused",
     default=None,
@@ -155,7 +169,7 @@ def _angles(
     from imucalib.calibration.angles import angles_at_rests, angles_of_samples
     from imucalib.calibrators.lab.conventions import Conventions
     from imucalib.readers import read
-    from imucalib.report.angles import write_angles
+    from imucalib.report.files import write_angles
     from imucalib.rests.segments import still_segments
 
     recording = read(corrected)

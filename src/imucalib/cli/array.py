@@ -16,10 +16,14 @@ from imucalib.cli.calibrating import (
     limit_option,
     shared_of,
 )
-from imucalib.cli.output import note, seed_option
-from imucalib.cli.paged_help import PagedCommand
-from imucalib.cli.recording_options import mapping_of, shortest_rest_option, still_of
-from imucalib.cli.working import freed_memory
+from imucalib.cli.options import (
+    PagedCommand,
+    mapping_of,
+    seed_option,
+    shortest_rest_option,
+    still_of,
+)
+from imucalib.cli.output import freed_memory, note
 
 if TYPE_CHECKING:
     from imucalib.calibrators.array.estimate.total import Distance
@@ -36,45 +40,102 @@ _LARGE, _KEPT = 1 << 22, 1 << 26
     "array", cls=PagedCommand, short_help="Find the positions of an array's accelerometers."
 )
 @click.argument("logs", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--board", "--layout", "board", required=True, help="Board file (YAML), or a name: "
-              "mimu4444, mimu4444_corners.")  # fmt: skip
+@click.option(
+    "--board",
+    "--layout",
+    "board",
+    required=True,
+    help="Board file (YAML), or a name: mimu4444, mimu4444_corners.",
+)
 @click.option(
     "--as-drawn",
     is_flag=True,
     help="Keep the board file's axes and places even where the log contradicts them.",
 )
-@click.option("--sampler", type=click.Choice(["hmc", "pmmh"]), default="hmc", show_default=True,
-              help="pmmh: Algorithm 1 of the paper.")  # fmt: skip
-@click.option("--samples", type=click.IntRange(min=1),
-              help="Moving samples, at most; default: all that say something.")  # fmt: skip
-@click.option("--motion-prior", type=click.Choice(["learned", "flat"]), default="learned",
-              show_default=True, help="Of ω̇; flat is the paper's.")  # fmt: skip
-@click.option("--det-exponent", type=click.Choice(["0.5", "1"]), default="0.5", show_default=True,
-              help="1: equation (25) as printed, with --motion-prior flat.")  # fmt: skip
-@click.option("--acc-sigma", default="estimate", show_default=True,
-              help="In motion: estimate, nonlinearity, or m/s².")  # fmt: skip
-@click.option("--gyro-covariance", type=click.Choice(["scatter", "sample"]), default="scatter",
-              show_default=True, help="sample: equation (30) of the paper.")  # fmt: skip
+@click.option(
+    "--sampler",
+    type=click.Choice(["hmc", "pmmh"]),
+    default="hmc",
+    show_default=True,
+    help="pmmh: Algorithm 1 of the paper.",
+)
+@click.option(
+    "--samples",
+    type=click.IntRange(min=1),
+    help="Moving samples, at most; default: all that say something.",
+)
+@click.option(
+    "--motion-prior",
+    type=click.Choice(["learned", "flat"]),
+    default="learned",
+    show_default=True,
+    help="Of ω̇; flat is the paper's.",
+)
+@click.option(
+    "--det-exponent",
+    type=click.Choice(["0.5", "1"]),
+    default="0.5",
+    show_default=True,
+    help="1: equation (25) as printed, with --motion-prior flat.",
+)
+@click.option(
+    "--acc-sigma",
+    default="estimate",
+    show_default=True,
+    help="In motion: estimate, nonlinearity, or m/s².",
+)
+@click.option(
+    "--gyro-covariance",
+    type=click.Choice(["scatter", "sample"]),
+    default="scatter",
+    show_default=True,
+    help="sample: equation (30) of the paper.",
+)
 @click.option("--chains", type=int, help="Number of chains.")
 @click.option("--ess", default=400.0, show_default=True, help="Effective sample size to reach.")
 @click.option("--iterations", default=100_000, show_default=True, help="Of --sampler pmmh.")
 @limit_option("--max-gyro-error", "held-out gyro error, deg/s.")
 @limit_option("--max-position-sd", "largest posterior sd, mm.")
-@click.option("--save-draws", type=click.Path(path_type=Path),
-              help="Also write the posterior's draws: .h5 or .nc.")  # fmt: skip
-@click.option("--checkpoint", type=click.Path(path_type=Path),
-              help="Keep the chains here after every block, and go on from there.")  # fmt: skip
-@click.option("--distance", "distances", nargs=3, multiple=True, metavar="IMU IMU MM±SD",
-              help="A distance that you measured, which fixes the size: imu0 imu7 26.73±0.05mm "
-              "(+- works too).")  # fmt: skip
-@click.option("--accept-mm", type=float, default=0.05, show_default=True,
-              help="By how much what is not explained may move the positions before the exit code "
-              "is 5.")  # fmt: skip
-@click.option("--accept-mg", type=float, default=50.0, show_default=True,
-              help="The same of the accelerometers' residual in motion, beyond their noise at "
-              "rest.")  # fmt: skip
-@click.option("--accept-dps", type=float, default=2.0, show_default=True,
-              help="The same of the gyros', deg/s.")  # fmt: skip
+@click.option(
+    "--save-draws",
+    type=click.Path(path_type=Path),
+    help="Also write the posterior's draws: .h5 or .nc.",
+)
+@click.option(
+    "--checkpoint",
+    type=click.Path(path_type=Path),
+    help="Keep the chains here after every block, and go on from there.",
+)
+@click.option(
+    "--distance",
+    "distances",
+    nargs=3,
+    multiple=True,
+    metavar="IMU IMU MM±SD",
+    help="A distance that you measured, which fixes the size: imu0 imu7 26.73±0.05mm "
+    "(+- works too).",
+)
+@click.option(
+    "--accept-mm",
+    type=float,
+    default=0.05,
+    show_default=True,
+    help="By how much what is not explained may move the positions before the exit code is 5.",
+)
+@click.option(
+    "--accept-mg",
+    type=float,
+    default=50.0,
+    show_default=True,
+    help="The same of the accelerometers' residual in motion, beyond their noise at rest.",
+)
+@click.option(
+    "--accept-dps",
+    type=float,
+    default=2.0,
+    show_default=True,
+    help="The same of the gyros', deg/s.",
+)
 @shortest_rest_option
 @seed_option
 @calibrating
@@ -94,9 +155,8 @@ def command(logs: tuple[Path, ...], **options: Any) -> int:
     """
     from imucalib.calibrators.array.calibrate import calibrate_array
     from imucalib.readers import read
-    from imucalib.report.array.document import array_document
-    from imucalib.report.array.draws import write_draws
-    from imucalib.report.files import Report
+    from imucalib.report.array import array_document
+    from imucalib.report.files import Report, write_draws
 
     freed_memory(large=_LARGE, kept=_KEPT)
     request = _request(options, logs)
@@ -142,18 +202,31 @@ def _request(options: dict[str, Any], logs: tuple[Path, ...]) -> ArrayRequest:
     for name in (*asked.declare, *asked.only, *asked.without):
         named_effect(name.partition("@")[0], board.imus)  # the log may name its IMUs otherwise
     return ArrayRequest(
-        board, shared.gravity, shared.gravity_source, options["sampler"], options["samples"],
-        motion=options["motion_prior"], exponent=float(options["det_exponent"]),
-        accelerometer_sigma=sigma, gyro_covariance=options["gyro_covariance"],
-        chains=options["chains"], stop=Stop(ess=options["ess"]), iterations=options["iterations"],
-        still=still_of(options), loop=shared.loop, asked=asked,
+        board,
+        shared.gravity,
+        shared.gravity_source,
+        options["sampler"],
+        options["samples"],
+        motion=options["motion_prior"],
+        exponent=float(options["det_exponent"]),
+        accelerometer_sigma=sigma,
+        gyro_covariance=options["gyro_covariance"],
+        chains=options["chains"],
+        stop=Stop(ess=options["ess"]),
+        iterations=options["iterations"],
+        still=still_of(options),
+        loop=shared.loop,
+        asked=asked,
         curves=ArrayRequest.curves if shared.curves is None else shared.curves,
         as_drawn=options["as_drawn"],
         accepted=Accepted(options["accept_mm"], options["accept_mg"], options["accept_dps"]),
         distances=tuple(_distance(given, board.imus) for given in options["distances"]),
-        checkpoint=options["checkpoint"], seed=shared.seed, extra_effects=shared.extra_effects,
-        limits=shared.limits, command=shared.command,
-    )  # fmt: skip
+        checkpoint=options["checkpoint"],
+        seed=shared.seed,
+        extra_effects=shared.extra_effects,
+        limits=shared.limits,
+        command=shared.command,
+    )
 
 
 def _distance(given: tuple[str, str, str], imus: tuple[str, ...]) -> Distance:
@@ -180,7 +253,7 @@ def _distance(given: tuple[str, str, str], imus: tuple[str, ...]) -> Distance:
 
 def _together(runs: tuple[ArrayRun, ...]) -> Together:
     from imucalib.calibrators.array.logs.board_run import board_run
-    from imucalib.report.array.logs import board_document
+    from imucalib.report.array import board_document
     from imucalib.report.files import Report
 
     found = board_run(runs)

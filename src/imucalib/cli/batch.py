@@ -10,8 +10,8 @@ from pathlib import Path
 
 import click
 
-from imucalib.cli.output import emit_json, json_option, note, progress, quiet_option
-from imucalib.cli.paged_help import PagedCommand
+from imucalib.cli.options import PagedCommand, json_option, quiet_option
+from imucalib.cli.output import emit_json, note, progress
 
 
 @click.command(

@@ -13,21 +13,27 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imucalib.cli.bench_file import taken
-from imucalib.cli.gravity_options import gravity_of, gravity_options
-from imucalib.cli.output import (
+from imucalib.cli.options import (
     EXPORT_FORM,
+    force_option,
+    full_option,
+    gravity_of,
+    gravity_options,
+    json_option,
+    quiet_option,
+    recording_options,
+)
+from imucalib.cli.output import (
     Command,
+    Say,
     color,
     emit_json,
-    full_option,
-    json_option,
     note,
-    quiet_option,
     say,
+    verbose_option,
     width,
+    working,
 )
-from imucalib.cli.recording_options import force_option, recording_options
-from imucalib.cli.working import Say, verbose_option, working
 from imucalib.errors import LimitBroken
 
 if TYPE_CHECKING:
@@ -50,29 +56,54 @@ def limit_option(name: str, what: str) -> Callable[[Command], Command]:
 
 
 _OPTIONS = (
-    click.option("-o", "--output", type=click.Path(path_type=Path, file_okay=False),
-                 help="Folder for calibration.yaml, report.html and report.json."),
-    click.option("--declare", multiple=True, metavar="EFFECT",
-                 help="Put an effect into the base model; of one IMU of an array: NAME@imu3."),
+    click.option(
+        "-o",
+        "--output",
+        type=click.Path(path_type=Path, file_okay=False),
+        help="Folder for calibration.yaml, report.html and report.json.",
+    ),
+    click.option(
+        "--declare",
+        multiple=True,
+        metavar="EFFECT",
+        help="Put an effect into the base model; of one IMU of an array: NAME@imu3.",
+    ),
     click.option("--only", multiple=True, metavar="EFFECT", help="Search only these effects."),
-    click.option("--without", multiple=True, metavar="EFFECT",
-                 help="Leave effects out of the search."),
-    click.option("--effects", "effects_file", type=click.Path(path_type=Path),
-                 help="Python file with effects of your own."),
-    click.option("--loop/--no-loop", default=True, show_default=True,
-                 help="Search for what the model lacks."),
-    click.option("--curves/--no-curves", default=None,
-                 help="Correct structure without a name by a smooth curve, where that holds out; "
-                 "default yes, of an array no."),
-    limit_option("--max-error", "held-out error, in the report's unit (mg; array: m/s²); exit 1 "
-                 "beyond."),
-    click.option("--fail-on", type=click.Choice(["suspected", "unexplained", "caution"]),
-                 help="End with exit 5 also where a name is not proved yet, structure has no name, "
-                 "or anything at all is cautioned."),
+    click.option(
+        "--without", multiple=True, metavar="EFFECT", help="Leave effects out of the search."
+    ),
+    click.option(
+        "--effects",
+        "effects_file",
+        type=click.Path(path_type=Path),
+        help="Python file with effects of your own.",
+    ),
+    click.option(
+        "--loop/--no-loop", default=True, show_default=True, help="Search for what the model lacks."
+    ),
+    click.option(
+        "--curves/--no-curves",
+        default=None,
+        help="Correct structure without a name by a smooth curve, where that holds out; "
+        "default yes, of an array no.",
+    ),
+    limit_option(
+        "--max-error", "held-out error, in the report's unit (mg; array: m/s²); exit 1 beyond."
+    ),
+    click.option(
+        "--fail-on",
+        type=click.Choice(["suspected", "unexplained", "caution"]),
+        help="End with exit 5 also where a name is not proved yet, structure has no name, "
+        "or anything at all is cautioned.",
+    ),
     full_option,
-    click.option("--export", multiple=True, type=EXPORT_FORM,
-                 help="Write them for another program, too; see `imucal export`."),
-)  # fmt: skip
+    click.option(
+        "--export",
+        multiple=True,
+        type=EXPORT_FORM,
+        help="Write them for another program, too; see `imucal export`.",
+    ),
+)
 
 
 def calibrating(command: Command) -> Command:

@@ -6,9 +6,8 @@ from pathlib import Path
 
 import click
 
-from imucalib.cli.output import note, quiet_option
-from imucalib.cli.paged_help import PagedCommand
-from imucalib.cli.recording_options import force_option
+from imucalib.cli.options import PagedCommand, force_option, quiet_option
+from imucalib.cli.output import note
 
 
 @click.command("collect", cls=PagedCommand, short_help="Make one table of a cohort's entries.")
@@ -42,9 +41,10 @@ def command(folder: Path, output: Path, force: bool, quiet: bool) -> int:
     entries = tuple(entry for entry in found if entry is not None)
     if not entries:
         raise UnreadableInput(
-            "no entries of a cohort in it", where=str(folder),
+            "no entries of a cohort in it",
+            where=str(folder),
             remedy="`imucal batch MANIFEST -o FOLDER` writes them",
-        )  # fmt: skip
+        )
     write_table(rows(entries), output)
     note(f"{len(found) - len(entries)} files are no entries" if None in found else "", quiet)
     if not quiet:

@@ -7,10 +7,16 @@ from typing import Any
 
 import click
 
-from imucalib.cli.output import emit_json, json_option, note, quiet_option, say
-from imucalib.cli.paged_help import PagedCommand
-from imucalib.cli.recording_options import force_option, inputs_of, mapping_of, recording_options
-from imucalib.cli.working import working
+from imucalib.cli.options import (
+    PagedCommand,
+    force_option,
+    inputs_of,
+    json_option,
+    mapping_of,
+    quiet_option,
+    recording_options,
+)
+from imucalib.cli.output import emit_json, note, say, working
 
 
 @click.command("convert", cls=PagedCommand, short_help="Rewrite a recording in another format.")

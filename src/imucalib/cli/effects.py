@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imucalib.cli.output import emit_json, json_option, width
-from imucalib.cli.paged_help import PagedCommand
+from imucalib.cli.options import PagedCommand, json_option
+from imucalib.cli.output import emit_json, width
 
 if TYPE_CHECKING:
     from imucalib.core.effect import Effect

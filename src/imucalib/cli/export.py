@@ -6,24 +6,51 @@ from pathlib import Path
 
 import click
 
-from imucalib.cli.output import EXPORT_FORM, FormOption, emit_json, json_option, note, quiet_option
-from imucalib.cli.paged_help import PagedCommand
-from imucalib.cli.recording_options import force_option
+from imucalib.cli.options import (
+    EXPORT_FORM,
+    FormOption,
+    PagedCommand,
+    force_option,
+    json_option,
+    quiet_option,
+)
+from imucalib.cli.output import emit_json, note
 
 
 @click.command("export", cls=PagedCommand, short_help="Write coefficients for another program.")
 @click.argument("calibration", type=click.Path(path_type=Path))
-@click.option("--to", "form", required=True, type=EXPORT_FORM, cls=FormOption,
-              help="Form of the other program")  # fmt: skip
-@click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False),
-              help="File to write; default: stdout.")  # fmt: skip
-@click.option("--noise", type=click.Path(path_type=Path),
-              help="Noise of the sensors, from `imucal inspect --save-noise`.")  # fmt: skip
-@click.option("--effects", "effects_file", type=click.Path(path_type=Path),
-              help="Python file with effects of your own that the calibration uses.")  # fmt: skip
-@click.option("--largest-loss", type=click.FloatRange(min=0.0), metavar="MG",
-              help="Loss, mg of a force, from which on only --force writes; default: three times "
-              "the error that the calibration leaves.")  # fmt: skip
+@click.option(
+    "--to",
+    "form",
+    required=True,
+    type=EXPORT_FORM,
+    cls=FormOption,
+    help="Form of the other program",
+)
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="File to write; default: stdout.",
+)
+@click.option(
+    "--noise",
+    type=click.Path(path_type=Path),
+    help="Noise of the sensors, from `imucal inspect --save-noise`.",
+)
+@click.option(
+    "--effects",
+    "effects_file",
+    type=click.Path(path_type=Path),
+    help="Python file with effects of your own that the calibration uses.",
+)
+@click.option(
+    "--largest-loss",
+    type=click.FloatRange(min=0.0),
+    metavar="MG",
+    help="Loss, mg of a force, from which on only --force writes; default: three times "
+    "the error that the calibration leaves.",
+)
 @force_option
 @json_option
 @quiet_option

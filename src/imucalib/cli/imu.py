@@ -14,8 +14,7 @@ from imucalib.cli.calibrating import (
     limit_option,
     shared_of,
 )
-from imucalib.cli.paged_help import PagedCommand
-from imucalib.cli.recording_options import mapping_of, shortest_rest_option, still_of
+from imucalib.cli.options import PagedCommand, mapping_of, shortest_rest_option, still_of
 
 if TYPE_CHECKING:
     from imucalib.calibrators.imu.calibrate import ImuRequest
@@ -45,7 +44,7 @@ def command(recordings: tuple[Path, ...], **options: Any) -> int:
     """
     from imucalib.calibrators.imu.run import run_imu
     from imucalib.report.files import Report
-    from imucalib.report.imu.document import imu_document
+    from imucalib.report.imu import imu_document
 
     request, mapping = request_of(options), mapping_of(options)
     with calibrating_of(options) as say:

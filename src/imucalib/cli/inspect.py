@@ -7,25 +7,19 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imucalib.cli.output import (
-    color,
-    emit_json,
-    full_option,
-    json_option,
-    note,
-    quiet_option,
-    width,
-)
-from imucalib.cli.paged_help import PagedCommand
-from imucalib.cli.recording_options import (
+from imucalib.cli.options import (
+    PagedCommand,
     force_option,
+    full_option,
     inputs_of,
+    json_option,
     mapping_of,
+    quiet_option,
     recording_options,
     shortest_rest_option,
     still_of,
 )
-from imucalib.cli.working import working
+from imucalib.cli.output import color, emit_json, note, width, working
 
 if TYPE_CHECKING:
     from imucalib.inspection.inspection import Inspection

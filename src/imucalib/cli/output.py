@@ -1,4 +1,4 @@
-"""Options and output that all commands share: results to stdout, everything else to stderr."""
+"""What commands print and say: results to stdout, the rest to stderr, a clock while they work."""
 
 from __future__ import annotations
 
@@ -9,77 +9,15 @@ import shutil
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, TypeVar
+from contextlib import contextmanager, suppress
+from threading import Event, Thread
+from typing import Any, TypeVar
 
 import click
-
-if TYPE_CHECKING:
-    Kind = click.ParamType[str]
-else:
-    Kind = click.ParamType
 
 #: What JSON may hold as it is but a terminal obeys: DEL, C1, line separators, direction marks.
 _CONTROLS = re.compile("[\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069]")
 Command = TypeVar("Command", bound=Callable[..., Any])
-
-
-class ExportForm(Kind):
-    """The name of an export, whichever files there are."""
-
-    name = "form"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        from imucalib.exports import exports
-
-        if value not in exports():
-            self.fail(f"'{value}' is none of {', '.join(exports())}", param, ctx)
-        return str(value)
-
-
-class FormOption(click.Option):
-    """An option that names an export; its help lists them."""
-
-    def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
-        from imucalib.exports import exports
-
-        name, text = super().get_help_record(ctx) or ("", "")
-        return name, f"{text.rstrip('.')}: {', '.join(exports())}."
-
-
-EXPORT_FORM = ExportForm()
-json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
-quiet_option = click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
-full_option = click.option("--full", is_flag=True, help="Print every section, not one page.")
-seed_option = click.option(
-    "--seed", default=0, show_default=True, help="Seed of all randomness: same seed, same result."
-)
-
-
-def numbers(text: str, what: str) -> tuple[int, ...]:
-    """ "1-20,25" as row numbers; raises click's usage error."""
-    rows: list[int] = []
-    for part in filter(None, (p.strip() for p in text.split(","))):
-        first, dash, last = part.partition("-")
-        try:
-            low = int(first)
-            rows += range(low, int(last) + 1) if dash else [low]
-        except ValueError:
-            raise click.BadParameter(
-                f"'{part}' is not a row or a range such as 1-20", param_hint=what
-            ) from None
-    return tuple(rows)
-
-
-def pairs(texts: tuple[str, ...], what: str) -> dict[str, str]:
-    """ "a=b,c=d" options as a dictionary; raises click's usage error."""
-    found: dict[str, str] = {}
-    for part in (p for text in texts for p in text.split(",") if p.strip()):
-        name, sign, value = part.partition("=")
-        if not sign:
-            raise click.BadParameter(f"'{part}' is not of the form name=value", param_hint=what)
-        found[name.strip()] = value.strip()
-    return found
 
 
 def width() -> int:
@@ -135,3 +73,84 @@ def progress(total: int, what: str, quiet: bool) -> Iterator[Callable[[], None]]
                 click.echo(f"{done} of {total} {what}, {left:.0f} s left", err=True)
 
         yield advance
+
+
+Say = Callable[[str], None]
+#: Seconds until the first sign of life where there is no terminal, and between the next ones.
+_FIRST, _NEXT = 1.0, 10.0
+#: `M_TRIM_THRESHOLD` and `M_MMAP_THRESHOLD` of <malloc.h>.
+_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
+
+verbose_option = click.option(
+    "-v", "--verbose", is_flag=True, help="Say when each thing happened, and what it cost."
+)
+
+
+@contextmanager
+def working(what: str, *, quiet: bool, verbose: bool = False) -> Iterator[Say]:
+    """Yields a function that says a line about the work; meanwhile shows that it goes on.
+
+    what : the work in words, such as "calibrating"
+    """
+    if quiet:
+        yield lambda text: None
+        return
+    start, spent = time.monotonic(), time.process_time()
+
+    def stamped(text: str) -> str:
+        return f"{time.monotonic() - start:7.2f} s  {text}" if verbose else text
+
+    shown = _on_terminal if sys.stderr.isatty() else _in_lines
+    with shown(what, start) as line:
+        yield lambda text: line(stamped(text))
+        if verbose:
+            cost = time.process_time() - spent
+            line(stamped(f"{what} took {cost:.1f} s of CPU time"))
+
+
+@contextmanager
+def _on_terminal(what: str, start: float) -> Iterator[Say]:
+    """A spinner with a clock, gone when the work is done; lines stand above it."""
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+    from rich.text import Text
+
+    from imucalib.report.render.terminal import safe
+
+    console = Console(stderr=True, highlight=False)
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True) as bar:
+        bar.add_task(what, total=None)
+        yield lambda text: console.print(Text(safe(text)), soft_wrap=True)
+
+
+@contextmanager
+def _in_lines(what: str, start: float) -> Iterator[Say]:
+    """A line after a second and then every ten, until the work is done."""
+    done = Event()
+
+    def beat() -> None:
+        wait = _FIRST
+        while not done.wait(wait):
+            say(f"{what}: {time.monotonic() - start:.0f} s", err=True)
+            wait = _NEXT
+
+    thread = Thread(target=beat, daemon=True)
+    thread.start()
+    try:
+        yield lambda text: say(text, err=True)
+    finally:
+        done.set()
+        thread.join()
+
+
+def freed_memory(*, large: int, kept: int) -> None:
+    """Arrays from so many bytes on have pages of their own, which go back to the system when they
+    are freed; so many free bytes at the end of all others are kept. With another C library than
+    that of Linux (glibc), or where its limit is lower, all stays as it is."""
+    import ctypes
+
+    with suppress(AttributeError, OSError, TypeError):  # another system, another library
+        library = ctypes.CDLL(None)
+        if library.mallopt(_MMAP_THRESHOLD, large):
+            library.mallopt(_TRIM_THRESHOLD, kept)

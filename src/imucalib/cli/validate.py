@@ -6,8 +6,8 @@ from pathlib import Path
 
 import click
 
-from imucalib.cli.output import emit_json, json_option, quiet_option
-from imucalib.cli.paged_help import PagedCommand
+from imucalib.cli.options import PagedCommand, json_option, quiet_option
+from imucalib.cli.output import emit_json
 
 
 @click.command("validate", cls=PagedCommand, short_help="Check a calibration file.")
@@ -25,8 +25,14 @@ def command(file: Path, as_json: bool, quiet: bool) -> int:
     calibration = read(file)
     check(calibration, str(file))
     if as_json:
-        emit_json({"file": str(file), "valid": True, "status": calibration.status,
-                   "parameters": len(calibration.parameters)})  # fmt: skip
+        emit_json(
+            {
+                "file": str(file),
+                "valid": True,
+                "status": calibration.status,
+                "parameters": len(calibration.parameters),
+            }
+        )
     elif not quiet:
         click.echo(
             f"{file}: valid {calibration.calibrator} calibration, status {calibration.status}, "

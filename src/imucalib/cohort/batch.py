@@ -218,9 +218,12 @@ def run_task(task: Task, *, resume: bool = True) -> Entry:
     start = time.monotonic()
     done = subprocess.run(
         [*command, *task.arguments, "--json", "--quiet"],
-        capture_output=True, text=True, check=False, env={**os.environ, **threads},
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, **threads},
         stdin=subprocess.DEVNULL,
-    )  # fmt: skip
+    )
     report, error = _told(done.stdout)
     error = error or ("" if report else done.stderr.strip() or f"ended by {done.returncode}")
     entry = Entry(task.recording, key, done.returncode, time.monotonic() - start, error, report)

@@ -12,7 +12,9 @@ with variance components; Patterson and Thompson 1971 for the restricted likelih
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +24,11 @@ from imucalib.core.eigen import blocks_of
 from imucalib.core.model import Model, Prediction
 from imucalib.core.observations import NoisePrior, Observations, SharedNoise
 
-#: Below so many numbers one dense matrix is faster than its blocks.
-_FEW = 240
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+#: Below so many numbers one dense matrix is faster than its blocks; blocks that are inverted.
+_FEW, _SMALL = 240, 12
 
 
 @dataclass(frozen=True)
@@ -154,10 +159,11 @@ def _shared_columns(at: Balanced, noise: SharedNoise) -> Array:
 class Whitener:
     """Turns the balance into unit, independent noise: L⁻¹ with L Lᵀ = V / s².
 
-    blocks : the rows of each block of V, and its L (m, m); none where V / s² = 1
+    blocks : the rows (b, m) of all blocks of one size, and their L (b, m, m), of small ones L⁻¹;
+        none where V / s² = 1
     """
 
-    blocks: tuple[tuple[Index | slice, Array], ...]
+    blocks: tuple[tuple[Index, Array], ...]
     log_det: float
 
     @property
@@ -170,16 +176,26 @@ class Whitener:
 
     def weighted(self, columns: Array) -> Array:
         """V⁻¹ s² times columns."""
-        return self._solved(self(columns), transposed=True)
+        return self.back(self(columns))
+
+    def back(self, white: Array) -> Array:
+        """L⁻ᵀ times columns."""
+        return self._solved(white, transposed=True)
 
     def _solved(self, columns: Array, *, transposed: bool) -> Array:
         if not self.blocks:
             return columns
-        if len(self.blocks) == 1:
-            return _triangular(self.blocks[0][1], columns, transposed)
         solved = np.empty(columns.shape)
         for rows, lower in self.blocks:
-            solved[rows] = _triangular(lower, columns[rows], transposed)
+            if lower.shape[1] <= _SMALL:
+                own = columns[rows].reshape(*rows.shape, -1)
+                turn = lower.transpose(0, 2, 1) if transposed else lower
+                solved[rows] = (turn @ own).reshape(*rows.shape, *columns.shape[1:])
+            elif rows.shape == (1, len(columns)):  # without a copy
+                return _triangular(lower[0], columns, transposed)
+            else:
+                for some, one in zip(rows, lower, strict=True):
+                    solved[some] = _triangular(one, columns[some], transposed)
         return solved
 
 
@@ -190,22 +206,41 @@ def _triangular(lower: Array, columns: Array, transposed: bool) -> Array:
     return np.asarray(dtrtrs(lower.T, columns, lower=0, trans=0 if transposed else 1)[0])
 
 
-def whitener(settings: tuple[Array, ...], ratio: tuple[float, ...]) -> Whitener:
+def whitener(settings: Sequence[Array | csr_array], ratio: Sequence[float]) -> Whitener:
     """For N_c matrices and ratios sd_c / s (rad). Readings that share no setting, through others
     neither, are independent: V comes apart into blocks."""
     scaled = [rho * matrix for matrix, rho in zip(settings, ratio, strict=True) if rho]
     if not scaled:
         return Whitener((), 0.0)
-    columns = np.column_stack(scaled)
-    blocks: list[tuple[Index | slice, Array]] = []
-    for rows in [slice(None)] if len(columns) < _FEW else blocks_of(columns):
-        own = columns[rows]
-        if isinstance(rows, np.ndarray):
-            own = own[:, own.any(axis=0)]
-        lower = np.linalg.cholesky(np.eye(len(own)) + own @ own.T)
+    if scaled[0].shape[0] < _FEW:
+        columns = np.column_stack([m if isinstance(m, np.ndarray) else m.toarray() for m in scaled])
+        every, whole = [np.arange(len(columns))], columns @ columns.T
+    else:
+        from scipy.sparse import csr_array, hstack
+
+        sparse = hstack([csr_array(m) for m in scaled], format="csr")
+        every, whole = blocks_of(sparse), sparse @ sparse.T
+    blocks, log_det = list[tuple[Index, Array]](), 0.0
+    for size in sorted({rows.size for rows in every}):
+        rows = np.array([one for one in every if one.size == size])
+        lower = np.linalg.cholesky(np.eye(size) + _on_the_diagonal(whole, rows))
+        log_det += 2.0 * float(np.log(np.diagonal(lower, axis1=1, axis2=2)).sum())
+        lower = np.linalg.inv(lower) if size <= _SMALL else lower
         blocks.append((rows, np.asarray(lower, np.float64)))
-    log_det = 2.0 * sum(float(np.log(np.diag(lower)).sum()) for _, lower in blocks)
     return Whitener(tuple(blocks), log_det)
+
+
+def _on_the_diagonal(whole: Array | csr_array, rows: Index) -> Array:
+    """(b, m, m) blocks of a matrix (N, N), whose other numbers in these rows (b, m) are zero."""
+    b, m = rows.shape
+    if isinstance(whole, np.ndarray):
+        return np.asarray(whole[rows[:, :, None], rows[:, None]])
+    own = whole[rows.ravel()].tocoo()
+    place = np.zeros(whole.shape[1], np.intp)
+    place[rows] = np.arange(m)
+    found = np.zeros((b, m, m))
+    found[own.row // m, own.row % m, place[own.col]] = own.data
+    return found
 
 
 def setting_errors(at: Balanced, white: Whitener, ratio: tuple[float, ...], misfit: Array) -> Array:

@@ -43,17 +43,16 @@ def _by_iteration(matrices: Array) -> tuple[Array, Array]:
     return values, vectors
 
 
-def blocks_of(columns: Array) -> list[Index]:
+def blocks_of(columns: Array | csr_array) -> list[Index]:
     """The rows of each block of columns (N, q): rows that have a column in common, or are joined
     through others, are in one. All rows are in one where a column has half of them."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    used = columns != 0.0
     n, q = columns.shape
-    if 2 * used.sum(axis=0).max(initial=0) >= n:
+    row, column = columns.nonzero()
+    if 2 * np.bincount(column, minlength=1).max() >= n:
         return [np.arange(n)]
-    row, column = np.nonzero(used)
     size = (n + q, n + q)
     graph = coo_array((np.ones(row.size), (row, n + column)), shape=size)
     label = connected_components(graph, directed=False)[1][:n]

@@ -12,8 +12,13 @@ from imucalib.effects.tool_face import tool_face_axis
 from imucalib.units import MG, STANDARD_GRAVITY
 
 #: What is bent -> words for it.
-KINDS = {"bias": "bias", "scale": "scale", "response": "response",
-         "inclination": "inclination error", "tool_face": "tool-face error"}  # fmt: skip
+KINDS = {
+    "bias": "bias",
+    "scale": "scale",
+    "response": "response",
+    "inclination": "inclination error",
+    "tool_face": "tool-face error",
+}
 _PER_MILLE = 1e-3  # mg/g
 
 

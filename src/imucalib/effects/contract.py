@@ -19,10 +19,23 @@ _WORDS = ("name", "sentence", "equation", "source", "identify")
 _STAGES = ("fixture", "mounting", "sensor")
 _CHANNELS = ("acceleration", "angular_rate")
 _COVARIATES = (
-    "record", "order", "time", "temperature", "time_of_day", "inclination", "tool_face", "sweep",
-    "inclination_approach", "tool_face_approach", "previous_x", "previous_y", "previous_z",
-    "approach_x", "approach_y", "approach_z",
-)  # fmt: skip
+    "record",
+    "order",
+    "time",
+    "temperature",
+    "time_of_day",
+    "inclination",
+    "tool_face",
+    "sweep",
+    "inclination_approach",
+    "tool_face_approach",
+    "previous_x",
+    "previous_y",
+    "previous_z",
+    "approach_x",
+    "approach_y",
+    "approach_z",
+)
 _ROWS = 5
 
 
@@ -30,9 +43,10 @@ def checked_effects(offered: object, where: str) -> tuple[Effect, ...]:
     """The effects of a file's `EFFECTS`. Raises UsageError with the effect and what is wrong."""
     if not isinstance(offered, tuple | list):
         raise UsageError(
-            f"EFFECTS is {_kind(offered)}, not a tuple of effects", where=where,
+            f"EFFECTS is {_kind(offered)}, not a tuple of effects",
+            where=where,
             remedy=f"write EFFECTS = (effect,) with the comma; {_EXAMPLE}",
-        )  # fmt: skip
+        )
     if not offered:
         raise UsageError("no EFFECTS in it", where=where, remedy=f"define EFFECTS; {_EXAMPLE}")
     seen: set[str] = set()
@@ -61,22 +75,27 @@ def _check_words(effect: Any, number: int, where: str) -> None:
     if isinstance(effect, type) or not isinstance(name, str) or not name:
         shown = f"the class {effect.__name__}" if isinstance(effect, type) else _kind(effect)
         raise UsageError(
-            f"item {number} of EFFECTS is {shown}, not an effect with a name", where=where,
+            f"item {number} of EFFECTS is {shown}, not an effect with a name",
+            where=where,
             remedy=f"make it with Response(...) or Rotation(...); {_EXAMPLE}",
-        )  # fmt: skip
+        )
     for word in _WORDS:
         if not isinstance(getattr(effect, word, None), str):
             raise _wrong(name, f"its {word} is missing or no text", where)
     if getattr(effect, "stage", None) not in _STAGES:
         raise _wrong(
-            name, f"its stage is {getattr(effect, 'stage', None)!r}", where,
+            name,
+            f"its stage is {getattr(effect, 'stage', None)!r}",
+            where,
             f"use one of: {', '.join(_STAGES)}",
-        )  # fmt: skip
+        )
     if getattr(effect, "channel", None) not in _CHANNELS:
         raise _wrong(
-            name, f"its channel is {getattr(effect, 'channel', None)!r}", where,
+            name,
+            f"its channel is {getattr(effect, 'channel', None)!r}",
+            where,
             f"use one of: {', '.join(_CHANNELS)}",
-        )  # fmt: skip
+        )
     needs = getattr(effect, "needs", None)
     if not isinstance(needs, tuple) or not all(isinstance(n, str) for n in needs):
         raise _wrong(name, "its needs are not a tuple of names", where, 'such as ("temperature",)')

@@ -4,6 +4,7 @@ Of a driver u: an axis' own input in g, or a covariate (angles in degrees). Each
 three numbers that a search scans or takes from the range; its size is fitted.
 """
 
+import re
 from collections.abc import Callable
 
 import numpy as np
@@ -137,16 +138,21 @@ def is_form(name: str) -> bool:
     return name.startswith("shape@")
 
 
+#: Between a word and its number, a number and its unit: record17, 12min, 2C.
+_UNIT = re.compile(r"(?<=^record)(?=\d)|(?<=\d)(?=[A-Za-z]+$)")
+
+
 def in_words(name: str) -> str:
     """An effect's name for a reader: of a form or a curve its kind and what it bends, and of what
-    follows a column both, without their numbers."""
+    follows a column both, without their numbers; of another scan its value in words."""
     family, _, value = name.partition("@")
     what, against, kind, *_ = (*value.split(":"), "", "")
     if family == "follows":
         return f"{what} follows {against}"
     kind = "curve" if family == "curve" else kind.replace("_", " ")
     if what not in KINDS or not kind:
-        return name.replace("_", " ")
+        parts = (_UNIT.sub(" ", part).replace(" C", " °C") for part in value.split(":"))
+        return ", ".join([family.replace("_", " "), *(part for part in parts if part)])
     article = "an" if kind[0] in "aeiou" else "a"
     driver = f" against {against.replace('_', ' ')}"
     if what == "response":

@@ -50,9 +50,13 @@ def apply(p: Array, points: Array) -> Array:
     """Corrected points (N, 3) in g: eqs. (7)-(9)."""
     v = points + p[6:]
     return np.stack(
-        [p[0] * v[:, 0], p[3] * v[:, 0] + p[1] * v[:, 1],
-         p[4] * v[:, 0] + p[5] * v[:, 1] + p[2] * v[:, 2]], axis=-1
-    )  # fmt: skip
+        [
+            p[0] * v[:, 0],
+            p[3] * v[:, 0] + p[1] * v[:, 1],
+            p[4] * v[:, 0] + p[5] * v[:, 1] + p[2] * v[:, 2],
+        ],
+        axis=-1,
+    )
 
 
 def objective(p: Array, points: Array) -> float:
@@ -93,8 +97,11 @@ def descend_fixed(points: Array, form: FixedPoint, *, iterations: int = ITERATIO
 def _fixed_sum(p: Integers, v: Integers, form: FixedPoint) -> int:
     """Sum of squares of (|corrected|² - 1), with twice the fraction bits."""
     s = v + p[6:]
-    rows = (p[0] * s[:, 0], p[3] * s[:, 0] + p[1] * s[:, 1],
-            p[4] * s[:, 0] + p[5] * s[:, 1] + p[2] * s[:, 2])  # fmt: skip
+    rows = (
+        p[0] * s[:, 0],
+        p[3] * s[:, 0] + p[1] * s[:, 1],
+        p[4] * s[:, 0] + p[5] * s[:, 1] + p[2] * s[:, 2],
+    )
     corrected = _shifted(np.stack(rows, axis=-1), form.fraction)
     _demand(corrected, form.bits)
     excess = _shifted(np.sum(corrected * corrected, axis=1), form.fraction) - form.one

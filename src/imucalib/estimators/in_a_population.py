@@ -114,7 +114,11 @@ def _searched(at: Balanced, prior: Prior, away: Array) -> Array:
     assert noise is not None
     bounds = [(m - min(_REACH * sd, _WIDEST), m + min(_REACH * sd, _WIDEST)) for m, sd in noise]
     found = minimize(
-        lambda logs: _posterior(at, prior, away, logs)[:2], noise[:, 0], jac=True,
-        method="L-BFGS-B", bounds=bounds, options={"ftol": 1e-13, "gtol": 1e-8, "maxiter": 200},
-    )  # fmt: skip
+        lambda logs: _posterior(at, prior, away, logs)[:2],
+        noise[:, 0],
+        jac=True,
+        method="L-BFGS-B",
+        bounds=bounds,
+        options={"ftol": 1e-13, "gtol": 1e-8, "maxiter": 200},
+    )
     return np.asarray(found.x)

@@ -101,9 +101,14 @@ def fit(
             break
     assert estimate is not None
     found = _finish(
-        model=model, observations=observations, state=state, at=at, estimate=estimate,
-        converged=converged, steps=steps,
-    )  # fmt: skip
+        model=model,
+        observations=observations,
+        state=state,
+        at=at,
+        estimate=estimate,
+        converged=converged,
+        steps=steps,
+    )
     return replace(found, prior=prior, shrink=shrink)
 
 

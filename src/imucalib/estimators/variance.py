@@ -150,9 +150,13 @@ def _search(at: Balanced, start: Noise) -> Noise:
 
     def descend(first: Array) -> Any:
         return minimize(
-            objective, first, jac=True, method="L-BFGS-B", bounds=list(zip(low, high, strict=True)),
+            objective,
+            first,
+            jac=True,
+            method="L-BFGS-B",
+            bounds=list(zip(low, high, strict=True)),
             options={"ftol": 1e-13, "gtol": 1e-7, "maxiter": 200},
-        )  # fmt: skip
+        )
 
     found = descend(first)
     zero = np.log(_VANISHED / reach)

@@ -99,17 +99,31 @@ def _of_array(calibration: Calibration) -> Made:
 def _acceleration(M: Array, b: Array, sd: Array, *, single: bool) -> Correction:
     """b and sd in m/s²; ug in 32 bits, and up to 16 g in 16."""
     return Correction(
-        name="", M=M, b=b / STANDARD_GRAVITY, sd=sd / STANDARD_GRAVITY, unit="g", fine=1000000,
-        coarse=2048, size=1.0, single=single,
-    )  # fmt: skip
+        name="",
+        M=M,
+        b=b / STANDARD_GRAVITY,
+        sd=sd / STANDARD_GRAVITY,
+        unit="g",
+        fine=1000000,
+        coarse=2048,
+        size=1.0,
+        single=single,
+    )
 
 
 def _rate(M: Array, b: Array, *, single: bool) -> Correction:
     """b in rad/s; 10 µdeg/s in 32 bits, and a tenth of a deg/s in 16."""
     return Correction(
-        name="gyro_", M=M, b=b / DEG, sd=None, unit="deg/s", fine=100000, coarse=10, size=100.0,
+        name="gyro_",
+        M=M,
+        b=b / DEG,
+        sd=None,
+        unit="deg/s",
+        fine=100000,
+        coarse=10,
+        size=100.0,
         single=single,
-    )  # fmt: skip
+    )
 
 
 def _sd(calibration: Calibration) -> Array:

@@ -136,11 +136,18 @@ def _alone(calibration: Calibration, gyro: Gyroscope, form: str) -> Imu:
         "update_rate": 1.0 / root**2,
     }
     return Imu(
-        name="imu0", place=np.zeros(3), frame=frame, accelerometer=lower, gyro=gyro_lower,
-        gyro_turn=turn @ frame.T, bias=linear.c, gyro_bias=gyro.bias,
-        by_force=gyro.by_force @ turn.T, elements=np.zeros((3, 3)),
+        name="imu0",
+        place=np.zeros(3),
+        frame=frame,
+        accelerometer=lower,
+        gyro=gyro_lower,
+        gyro_turn=turn @ frame.T,
+        bias=linear.c,
+        gyro_bias=gyro.bias,
+        by_force=gyro.by_force @ turn.T,
+        elements=np.zeros((3, 3)),
         noise=dict(next(iter(told.values()), measured)),
-    )  # fmt: skip
+    )
 
 
 def _lower(matrix: Array, name: str, form: str) -> tuple[Array, Array]:
@@ -179,9 +186,11 @@ def _common_delays() -> dict[str, float]:
     return {
         name: 1.0 if effect.channel == "angular_rate" else -1.0
         for name, effect in catalogue().items()
-        if isinstance(effect, Response) and effect.lagged and effect.shared
+        if isinstance(effect, Response)
+        and effect.lagged
+        and effect.shared
         and "sample_age" not in effect.needs
-    }  # fmt: skip
+    }
 
 
 def _noise(calibration: Calibration, triad: Triad) -> dict[str, Any]:
@@ -230,8 +239,13 @@ def force_lost(calibration: Calibration, kept: tuple[str, ...] = _KEPT) -> float
 
 def lost_noise(imus: tuple[Imu, ...]) -> tuple[str, ...]:
     """Keys that Kalibr and its kin ask for and nothing was measured of."""
-    keys = ("accelerometer_noise_density", "accelerometer_random_walk",
-            "gyroscope_noise_density", "gyroscope_random_walk", "update_rate")  # fmt: skip
+    keys = (
+        "accelerometer_noise_density",
+        "accelerometer_random_walk",
+        "gyroscope_noise_density",
+        "gyroscope_random_walk",
+        "update_rate",
+    )
     lost = [key for key in keys if any(key not in imu.noise for imu in imus)]
     if not lost:
         return ()

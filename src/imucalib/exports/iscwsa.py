@@ -14,8 +14,17 @@ from imucalib.exports.linear import beyond_linear, lost_parts, nearest_linear
 from imucalib.exports.per_axis import demand_one, heading
 from imucalib.units import MG
 
-_COLUMNS = ("term", "axis", "towards", "value", "sd", "unit", "code", "weight_function",
-            "propagation")  # fmt: skip
+_COLUMNS = (
+    "term",
+    "axis",
+    "towards",
+    "value",
+    "sd",
+    "unit",
+    "code",
+    "weight_function",
+    "propagation",
+)
 #: Code, weighting function and what it weighs, of magnetic (MWD) and of gyro tools.
 _CODES = (
     ("ABXY-TI1S", "ABXY-TI1", "bias", "xy"),
@@ -46,19 +55,30 @@ def iscwsa(calibration: Calibration, filename: str) -> Made:
     rows = [
         *(_row("bias", a, "", (-S @ linear.b)[k], bias_sd[k]) for k, a in enumerate("xyz")),
         *(_row("scale", a, "", S[k, k] - 1.0, known.S_sd[k, k]) for k, a in enumerate("xyz")),
-        *(_row("misalignment", a, to, S[k, j], known.S_sd[k, j])
-          for k, a in enumerate("xyz") for j, to in enumerate("xyz") if j != k),
-    ]  # fmt: skip
+        *(
+            _row("misalignment", a, to, S[k, j], known.S_sd[k, j])
+            for k, a in enumerate("xyz")
+            for j, to in enumerate("xyz")
+            if j != k
+        ),
+    ]
     sizes = {
         "bias": bias_sd,
         "scale": np.diag(known.S_sd),
         "misalignment": known.S_sd[~np.eye(3, dtype=bool)],
     }
     rows += [
-        {"term": term, "axis": axes, "sd": f"{_rms(sizes[term], axes):.6g}",
-         "unit": _UNITS[term], "code": code, "weight_function": weight, "propagation": "systematic"}
+        {
+            "term": term,
+            "axis": axes,
+            "sd": f"{_rms(sizes[term], axes):.6g}",
+            "unit": _UNITS[term],
+            "code": code,
+            "weight_function": weight,
+            "propagation": "systematic",
+        }
         for code, weight, term, axes in _CODES
-    ]  # fmt: skip
+    ]
     lost = _lost(calibration)
     out = StringIO()
     for line in (
@@ -74,8 +94,14 @@ def iscwsa(calibration: Calibration, filename: str) -> Made:
 
 
 def _row(term: str, axis: str, towards: str, value: float, sd: float) -> dict[str, str]:
-    return {"term": term, "axis": axis, "towards": towards, "value": f"{value:.9g}",
-            "sd": f"{sd:.6g}", "unit": _UNITS[term]}  # fmt: skip
+    return {
+        "term": term,
+        "axis": axis,
+        "towards": towards,
+        "value": f"{value:.9g}",
+        "sd": f"{sd:.6g}",
+        "unit": _UNITS[term],
+    }
 
 
 def _rms(sd: Array, axes: str) -> float:

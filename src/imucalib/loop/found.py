@@ -5,21 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Generic, Literal, TypeVar
 
 from imucalib.core.fit import Fit
 from imucalib.effects.shape import is_form
 from imucalib.loop.faults.sheet import Fault
 from imucalib.loop.held_out import Difference
+from imucalib.loop.posterior.odds import ABSORBED, CERTAIN
 from imucalib.loop.record_errors import RecordError
 from imucalib.loop.sums import Sums
-from imucalib.loop.thresholds import CERTAIN, STRONG
 
 if TYPE_CHECKING:
     from imucalib.loop.separation import Ambiguity
-from typing import Literal
-
-from imucalib.loop.thresholds import ABSORBED
 
 Kind = Literal["effect", "probe"]
 
@@ -39,7 +36,7 @@ class Score:
     """What the data say of one component.
 
     kind : whether it names a cause; driver : what it follows, in words, or empty
-    evidence : nats in favour, beside the base model alone; p : that it is not there
+    evidence : nats in favour, beside the base model alone; probability : that it is there
     left : share of its columns that the fitted parameters do not absorb (0..1)
     strength : λ, the length of its projected columns at typical size, in noise units: 4.7 gives
         an 80 % chance of detection
@@ -51,7 +48,7 @@ class Score:
     kind: Kind
     driver: str
     evidence: float
-    p: float
+    probability: float
     left: float
     strength: float
     size: float = 0.0
@@ -83,12 +80,10 @@ class Step:
         part gains, where there are parts
     curve : whether it is a smooth correction of structure that has no name
     probability : that it is there; rivals : (effect, share) of all that may stand in its place
-    sure : whether it is beyond doubt, where a posterior says so
+    certain : whether it is a cause beyond doubt
     """
 
     effect: str
-    p: float
-    draws: int
     evidence: float
     checked: tuple[Checked, ...]
     aliases: tuple[str, ...]
@@ -97,35 +92,25 @@ class Step:
     curve: bool = False
     probability: float = math.nan
     rivals: tuple[tuple[str, float], ...] = ()
-    sure: bool | None = None
+    certain: bool = False
 
     @property
     def formed(self) -> bool:
         """Whether it is a form with a formula, which has no known cause."""
         return is_form(self.effect)
 
-    @property
-    def certain(self) -> bool:
-        """Nothing else would do as well, and chance would not do it in a hundred searches; a form
-        with a formula has no cause to be certain of."""
-        if self.sure is not None:
-            return self.sure
-        caused = not self.curve and not self.formed
-        return caused and not self.aliases and self.p <= CERTAIN
-
 
 @dataclass(frozen=True)
 class Unexplained:
-    """Structure that no catalogue effect carries. share : of the weighted residual power; alike :
-    effects that would explain it, be they refused or no better than the noise that stands for it"""
+    """Structure that no catalogue effect carries. probability : that it is there; rivals : effects
+    that would explain it, be they refused or no better than the noise that stands for it"""
 
     name: str
     driver: str
     kind: str
-    p: float
+    probability: float
     evidence: float
-    share: float
-    alike: tuple[str, ...] = ()
+    rivals: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -206,9 +191,9 @@ class Loop(Generic[S]):
 
     @property
     def beyond_doubt(self) -> bool:
-        """Whether a cause is named, or one of the records that stand alone is wrong by odds that a
-        clean table does not give: the others predict it, so that it is held out itself."""
-        return bool(self.named) or all(r.evidence > STRONG for r in self.records)
+        """Whether a cause is named, or every record that stands alone is wrong beyond doubt: the
+        others predict it, so that it is held out itself."""
+        return bool(self.named) or all(r.probability > CERTAIN for r in self.records)
 
     @property
     def verdict(self) -> str:

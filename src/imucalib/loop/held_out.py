@@ -137,10 +137,12 @@ class Difference:
 
     @property
     def holds(self) -> bool:
-        """Whether data that took no part allow the steps: error and density both gain, or the error
-        falls beyond the scatter of the parts. Where rows share setting errors the plain error is
-        mostly theirs, and the density excuses what a dial does by its other rows."""
-        return self.plain_low > 0.0 or (self.gain > 0.0 and not self.nats <= 0.0)
+        """Whether data that took no part allow the steps: error or density gains beyond the scatter
+        of the parts, or both gain, and the error grows by no more than that scatter. Where rows
+        share setting errors the plain error is mostly theirs and hardly moves, while the density
+        excuses what a dial does by its other rows: each alone may be blind."""
+        both = self.gain > 0.0 and not self.nats <= 0.0
+        return (self.likely or both) and 2.0 * self.gain > self.plain_low
 
 
 def difference(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -58,10 +57,7 @@ def _settled(fit: Fit) -> Array:
 
 def accused(fit: Fit, found: Sequence[tuple[int, float]]) -> tuple[RecordError, ...]:
     """The same of rows and the probability of each, by the number that is farthest off."""
-    return tuple(
-        diagnose(fit, row, _channel(fit, row), 1.0 - p, math.log(p / max(1.0 - p, 1e-12)))
-        for row, p in found
-    )
+    return tuple(diagnose(fit, row, _channel(fit, row), p) for row, p in found)
 
 
 def _of_triads_each(fit: Fit, row: int) -> str:
@@ -137,8 +133,7 @@ class RecordError:
     unit: str
     likely: str
     fix: tuple[tuple[str, float], ...]
-    p: float
-    evidence: float
+    probability: float
 
 
 @dataclass(frozen=True)
@@ -174,16 +169,16 @@ def predict_record(aside: Fit, row: int) -> Prediction:
     return Prediction(mean, MG**2 * aside.covariance[own, own])
 
 
-def diagnose(fit: Fit, row: int, channel: str, p: float, evidence: float) -> RecordError:
+def diagnose(fit: Fit, row: int, channel: str, probability: float) -> RecordError:
     """Name the error of a record from the fit in which it was set aside."""
     label = fit.observations.label[row]
     reading = fit.observations.reading[row, 0]
     reference = fit.observations.reference
-    said = partial(RecordError, row=row, where=label, p=p, evidence=evidence)
+    said = partial(RecordError, row=row, where=label, probability=probability)
     if not reference.directed:
         assert isinstance(reference, KnownNorm)
         if reference.attitude is not None:
-            return _of_triads(fit, row, channel, p, evidence)
+            return _of_triads(fit, row, channel, probability)
         size = float(np.linalg.norm(_corrected_without(fit, row)[0])) - reference.gravity
         sd = fit.noise.factor * float(fit.observations.sigma[row, 0, 0]) / MG
         likely = "movement, contact or a wrong record"
@@ -203,7 +198,7 @@ def diagnose(fit: Fit, row: int, channel: str, p: float, evidence: float) -> Rec
     return said(channel=name, size=away, sd=sd, unit="deg", likely=likely, fix=fix)
 
 
-def _of_triads(fit: Fit, row: int, channel: str, p: float, evidence: float) -> RecordError:
+def _of_triads(fit: Fit, row: int, channel: str, probability: float) -> RecordError:
     """Of triads that share gravity's direction: how far one of them is off the others, or all off
     gravity's size."""
     context, reference = fit.observations.context, fit.observations.reference
@@ -226,8 +221,7 @@ def _of_triads(fit: Fit, row: int, channel: str, p: float, evidence: float) -> R
         unit="mg",
         likely=likely,
         fix=(),
-        p=p,
-        evidence=evidence,
+        probability=probability,
     )
 
 

@@ -1,6 +1,6 @@
 """A report as data: built once by a calibrator, rendered as terminal text or as one HTML file.
 
-A block says what is shown, not how: `report.text` and `report.html` decide the looks.
+A block says what is shown, not how: `report.render` decides the looks.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from typing import Literal
 
 from imucalib.arrays import Array
 
-Cell = str | float | int | None
 Mark = Literal["line", "points", "rings", "bars", "band", "step", "net"]
 Tone = Literal["ok", "warning", "bad", "plain"]
 
@@ -35,7 +34,7 @@ class Facts:
 class Table:
     """A table; numbers are already formatted by the builder so that digits match their sd.
 
-    align : one character a column, "l" or "r"
+    align : one character a column, "l" or "r"; empty: the first to the left, numbers to the right
     tones : row index -> tone, for rows that the reader must not miss
     """
 
@@ -58,6 +57,13 @@ class Series:
     low: Array | None = None
     high: Array | None = None
     names: tuple[str, ...] = ()  # one label a point, shown on hover in HTML
+
+    @classmethod
+    def about(
+        cls, label: str, x: Array, y: Array, half: Array, mark: Mark, names: tuple[str, ...] = ()
+    ) -> Series:
+        """With edges `half` (n,) below and above y."""
+        return cls(label, x, y, mark, y - half, y + half, names=names)
 
 
 @dataclass(frozen=True)
@@ -110,9 +116,11 @@ class Card:
 
 @dataclass(frozen=True)
 class Document:
-    """A whole report: headline, one-sentence verdict with its tone, the card, sections, provenance.
+    """A whole report: headline, one-sentence verdict with its tone, the card, sections that hold
+    anything, provenance.
 
-    terms : words of the report and what they mean; drawn : where the figures are, for a terminal
+    terms : whether a page says what the words of a calibration mean; drawn : where the figures are,
+    for a terminal
     """
 
     title: str
@@ -120,12 +128,15 @@ class Document:
     sections: tuple[Section, ...]
     footer: tuple[tuple[str, str], ...] = ()
     card: Card | None = None
-    terms: tuple[tuple[str, str], ...] = ()
+    terms: bool = False
     drawn: str = "report.html"
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "sections", tuple(s for s in self.sections if s.blocks))
+
     def calm(self) -> Document:
-        """The same, without a tick beside a verdict that is none, and without a caution on the
-        card of a result that passes: what is left then is within what the user accepts."""
+        """The same, without a tick next to a verdict that is none, and without a caution on the
+        card of a result that passes: what stays then is within what the user accepts."""
         calm = self.verdict.tone not in ("warning", "bad")
         loud = "warning" if calm else "ok"
         card = self.card and replace(

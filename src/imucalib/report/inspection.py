@@ -1,31 +1,68 @@
-"""The report of `imucal inspect`."""
+"""The report of `imucal inspect`, as a document and as plain types."""
 
 from __future__ import annotations
 
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
 
+from imucalib.calibration.plain import fields, listed, plain
 from imucalib.inspection.inspection import ChannelFacts, Inspection, advice, problems
-from imucalib.inspection.noise import SensorNoise
-from imucalib.report.document import Block, Document, Facts, Section, Table, Text, Tone
-from imucalib.report.noise import noise_dict, noise_section
-from imucalib.report.rests import rests_dict, rests_section
+from imucalib.inspection.noise import AxisNoise, Coefficient, SensorNoise
+from imucalib.report.document import (
+    Block,
+    Document,
+    Facts,
+    Plot,
+    Section,
+    Series,
+    Table,
+    Text,
+    Tone,
+)
+from imucalib.rests.levels import Candidate, refusals
 from imucalib.rests.segments import Segments
+from imucalib.significant_digits import with_sd
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
 
-_CAUTION: Tone = "warning"
 #: Fields of a mapping that have an option of their own.
-_OPTIONS = {
-    "acc", "gyro", "temperature", "time", "gyro_unit", "temperature_unit", "time_unit",
-    "rate", "axis_map", "preset", "acc_offset", "skip", "decimal", "delimiter",
-}  # fmt: skip
+_OPTIONS = (
+    " acc gyro temperature time gyro_unit temperature_unit time_unit rate axis_map preset "
+    "acc_offset skip decimal delimiter "
+)
 _RENAMED = {"acc_unit": "--unit", "lsb_per_g": "--lsb", "lsb_per_dps": "--gyro-lsb"}
+_RESTS = (
+    "Drift and noise of the worst axis. Turning: the mean goes further than 0.3 deg, or steadily "
+    "by more than 0.025 deg/s, or the gyroscope is off its bias; vibrating: louder than a "
+    "sensor's own noise can be; other noise: louder than usual, and too rare to be the sensor's; "
+    "dropouts: single samples far from all others."
+)
+#: Of white noise, instability, walk and ramp: unit, and SI in one of it.
+_UNITS = {
+    "acceleration": {
+        "µg/√Hz": 1e-3 * MG,
+        "µg": 1e-3 * MG,
+        "µg/s/√Hz": 1e-3 * MG,
+        "µg/h": 1e-3 * MG / 3600.0,
+    },
+    "angular_rate": {
+        "deg/√h": DEG / 60.0,
+        "deg/h": DEG / 3600.0,
+        "deg/h/√h": DEG / 3600.0 / 60.0,
+        "deg/h/h": DEG / 3600.0**2,
+    },
+}
+_TERMS = ("white", "instability", "walk", "ramp")
+_NOISE = (
+    "White noise N, bias instability B, random walk K and ramp R of the overlapping Allan variance "
+    "N²/τ + 0.441 B² + K² τ/3 + R² τ²/2, ± one standard deviation. <: what it lies below with 95 % "
+    "probability, the recording being too short, or too quiet in it, to show it; -: anything. An "
+    "axis with < and three - has noise of another shape, such as lines in its spectrum."
+)
 
 
 def inspection_document(
@@ -33,66 +70,52 @@ def inspection_document(
 ) -> Document:
     """What is in the file, what would be used, what is wrong, and what to do next; on request
     every candidate for a rest, and the noise of what is still."""
-    sections = [
-        Section("File", (_file(found),)),
-        Section("Channels", (_channels(found),)),
-        Section("Clocks", (_clocks(found),)),
-    ]
-    if found.still is not None and found.still.n:
-        sections.append(Section("Rest", (_rest(found.still),)))
-    if rests:
-        sections.append(replace(rests_section(found), kept=True))
-    if noise is not None:
-        sections.append(replace(noise_section(noise), kept=True))
     losses: list[Block] = [Text(note, "warning") for note in found.losses]
     if found.gap_count:
         losses.append(_gaps(found))
-    if losses:
-        sections.append(Section("Losses and gaps", tuple(losses)))
-    notes = tuple(map(Text, _merged([n for n in found.notes if n not in found.losses])))
-    if notes:
-        sections.append(Section("Notes", notes))
-    if found.mapping:
-        sections.append(Section("How it was read", (Facts(_options(found)),)))
-    sections.append(Section("Next", (Facts(advice(found)),), kept=True))
-    return Document(found.path, _verdict(found), tuple(sections), drawn="--html")
-
-
-def _verdict(found: Inspection) -> Text:
-    sensors = [f for f in found.channels if f.quantity == "acceleration"]
-    still = found.still.n if found.still else 0
-    plural = "s" if len(sensors) != 1 else ""
-    summary = f"{len(sensors)} accelerometer{plural}, {still} still segment{'s' * (still != 1)}"
-    wrong = problems(found)
-    if wrong:
-        return Text(f"{summary}; {'; '.join(wrong)}.", "warning")
-    return Text(f"{summary}; nothing is wrong.", "plain")
+    notes = _merged([n for n in found.notes if n not in found.losses])
+    parts = [
+        Section("File", (_file(found),)),
+        Section("Channels", (_channels(found),)),
+        Section("Clocks", (_clocks(found),)),
+        Section("Rest", _rest(found.still)),
+        Section("Candidates for rests", _candidates(found) if rests else (), kept=True),
+        Section("Noise at rest", () if noise is None else _noise(noise), kept=True),
+        Section("Losses and gaps", tuple(losses)),
+        Section("Notes", tuple(map(Text, notes))),
+        Section("How it was read", (Facts(_options(found)),) if found.mapping else ()),
+        Section("Next", (Facts(advice(found)),), kept=True),
+    ]
+    sensors = sum(f.quantity == "acceleration" for f in found.channels)
+    still, wrong = found.still.n if found.still else 0, problems(found)
+    summary = f"{sensors} accelerometer{'s' * (sensors != 1)}, "
+    summary += f"{still} still segment{'s' * (still != 1)}"
+    said = "; ".join(wrong) or "nothing is wrong"
+    verdict = Text(f"{summary}; {said}.", "warning" if wrong else "plain")
+    return Document(found.path, verdict, tuple(parts), drawn="--html")
 
 
 def _options(found: Inspection) -> tuple[tuple[str, str], ...]:
-    rows = []
+    """How it was read, by the options that say the same."""
+    names, rows = {"\t": "tab", " ": "blanks"}, []
     for key, value in found.mapping.items():
-        option = f"--{key.replace('_', '-')}" if key in _OPTIONS else key
-        rows.append((_RENAMED.get(key, option), _text(value)))
+        option = f"--{key.replace('_', '-')}" if f" {key} " in _OPTIONS else key
+        text = names.get(str(value), str(value))
+        if isinstance(value, list | tuple):
+            text = ", ".join(map(str, value))
+        rows.append((_RENAMED.get(key, option), text))
     return tuple(rows)
-
-
-def _text(value: object) -> str:
-    names = {"\t": "tab", " ": "blanks"}
-    if isinstance(value, list | tuple):
-        return ", ".join(map(str, value))
-    return names.get(str(value), str(value))
 
 
 def _merged(notes: list[str]) -> list[str]:
     """Notes that say the same of several sensors as one."""
-    alike: dict[str, list[tuple[str, str]]] = {}
+    same: dict[str, list[tuple[str, str]]] = {}
     for note in notes:
         match = re.fullmatch(r"(\S+): (topic \S+, |)(.*)", note, re.DOTALL)
         name, topic, text = match.groups() if match else ("", "", note)
-        alike.setdefault(text, []).append((name, topic))
+        same.setdefault(text, []).append((name, topic))
     merged = []
-    for text, found in alike.items():
+    for text, found in same.items():
         (first, topic), (last, _) = found[0], found[-1]
         name = first if len(found) == 1 else f"{first} to {last} ({len(found)})"
         lead = f"{name}: " + (topic if len(found) == 1 else "") if first else ""
@@ -103,15 +126,15 @@ def _merged(notes: list[str]) -> list[str]:
 def _gaps(found: Inspection) -> Table:
     rows = tuple((f"{g.start:.3f}", f"{g.stop - g.start:.3f}", g.reason) for g in found.gaps)
     title = f"{found.gap_count} gap{'s' * (found.gap_count != 1)}, {found.gap_seconds:.3g} s in all"
-    if found.gap_count > len(rows):
-        title += f"; the longest {len(rows)}"
+    title += f"; the longest {len(rows)}" if found.gap_count > len(rows) else ""
     return Table(title, ("at, s", "length, s", "reason"), rows, "rrl")
 
 
-def _rest(still: Segments) -> Table:
+def _rest(still: Segments | None) -> tuple[Table, ...]:
     """Where gravity lay while the sensors were still."""
-    rows: list[tuple[str, ...]] = []
-    tones: dict[int, Tone] = {}
+    if still is None or not still.n:
+        return ()
+    rows, tones = [], dict[int, Tone]()
     for i, triad in enumerate(still.triads):
         mean = still.mean[:, i]
         unit = float(np.median(np.linalg.norm(mean, axis=1)))
@@ -119,10 +142,10 @@ def _rest(still: Segments) -> Table:
         ends = (f"{a:+.2f} to {b:+.2f}" for a, b in zip(low + 0.0, high + 0.0, strict=True))
         rows.append((triad, *ends))
         if (low > -0.5).any() or (high < 0.5).any():
-            tones[i] = _CAUTION
+            tones[i] = "warning"
     title = f"{still.n} still segments; gravity along each axis, in units of its norm at rest"
     note = "Scale and bias of an axis show only when it has pointed both up and down."
-    return Table(title, ("sensor", "x", "y", "z"), tuple(rows), "lrrr", note, tones)
+    return (Table(title, ("sensor", "x", "y", "z"), tuple(rows), "lrrr", note, tones),)
 
 
 def _file(found: Inspection) -> Facts:
@@ -130,63 +153,32 @@ def _file(found: Inspection) -> Facts:
     if found.start_ns is not None:
         moment = datetime.fromtimestamp(found.start_ns / 1e9, UTC)
         start = moment.strftime("%Y-%m-%d %H:%M:%S UTC")
-    return Facts(
-        (
-            ("format", found.format),
-            ("starts", start),
-            ("span", f"{found.span:.3f} s"),
-            ("sha256", found.sha256[:16] + "…"),
-        )
-    )
-
-
-def _scaled(value: float, unit: str, fine: bool) -> str:
-    """In the field's units: g or mg, deg/s."""
-    if unit == "m/s2":
-        return f"{value / MG:.2f} mg" if fine else f"{value / STANDARD_GRAVITY:.2f} g"
-    digits = 3 if fine else 1
-    return f"{value / DEG:.{digits}f} deg/s" if unit == "rad/s" else f"{value:.4g}"
+    span, sha256 = f"{found.span:.3f} s", f"{found.sha256[:16]}…"
+    return Facts((("format", found.format), ("starts", start), ("span", span), ("sha256", sha256)))
 
 
 def _channels(found: Inspection) -> Table:
+    def scaled(value: float, unit: str, fine: bool) -> str:
+        """In the field's units: g or mg, deg/s."""
+        if unit == "m/s2":
+            return f"{value / MG:.2f} mg" if fine else f"{value / STANDARD_GRAVITY:.2f} g"
+        digits = 3 if fine else 1
+        return f"{value / DEG:.{digits}f} deg/s" if unit == "rad/s" else f"{value:.4g}"
+
     rows = tuple(
         (
             f.name,
             f.unit,
             str(f.samples),
             f"{f.clock.rate:.4g}" if math.isfinite(f.clock.rate) else "-",
-            _scaled(float(f.noise.max()), f.unit, True) if len(f.noise) else "-",
+            scaled(float(f.noise.max()), f.unit, True) if len(f.noise) else "-",
             _norm(f),
-            _scaled(float(np.abs([f.low, f.high]).max()), f.unit, False),
+            scaled(float(np.abs([f.low, f.high]).max()), f.unit, False),
         )
         for f in found.channels
     )
     header = ("channel", "unit", "samples", "Hz", "noise", "norm at rest", "largest")
     return Table("", header, rows, "llrrrrr", "Noise of one sample at rest, worst axis.")
-
-
-def _clocks(found: Inspection) -> Table:
-    """One row for all channels whose clocks did the same."""
-    alike: dict[tuple[str, ...], list[str]] = {}
-    for f in found.channels:
-        facts = (
-            f"{1e6 * f.clock.jitter:.1f}" if math.isfinite(f.clock.jitter) else "-",
-            f"{1e3 * f.clock.longest_step:.2f}",
-            str(f.clock.duplicates),
-            str(f.clock.back_steps),
-        )
-        alike.setdefault(facts, []).append(f.name)
-    rows: list[tuple[str, ...]] = []
-    tones: dict[int, Tone] = {}
-    for i, (shown, names) in enumerate(alike.items()):
-        every = len(alike) == 1 and len(names) > 1
-        label = ("both" if len(names) == 2 else f"all {len(names)}") + " channels"
-        label = label if every else names[0]
-        rows.append((label if every or len(names) == 1 else f"{label} + {len(names) - 1}", *shown))
-        if shown[2:] != ("0", "0"):
-            tones[i] = _CAUTION
-    header = ("channel", "jitter, µs", "longest step, ms", "repeated stamps", "back steps")
-    return Table("", header, tuple(rows), "lrrrr", tones=tones)
 
 
 def _norm(f: ChannelFacts) -> str:
@@ -197,47 +189,159 @@ def _norm(f: ChannelFacts) -> str:
     return f"{f.norm_at_rest / DEG:.2f} deg/s" if f.unit == "rad/s" else f"{f.norm_at_rest:.5g}"
 
 
+def _clocks(found: Inspection) -> Table:
+    """One row for all channels whose clocks did the same."""
+    same: dict[tuple[str, ...], list[str]] = {}
+    for f in found.channels:
+        facts = (
+            f"{1e6 * f.clock.jitter:.1f}" if math.isfinite(f.clock.jitter) else "-",
+            f"{1e3 * f.clock.longest_step:.2f}",
+            str(f.clock.duplicates),
+            str(f.clock.back_steps),
+        )
+        same.setdefault(facts, []).append(f.name)
+    rows, tones = [], dict[int, Tone]()
+    for i, (shown, (first, *more)) in enumerate(same.items()):
+        label = f"{first} + {len(more)}" if more else first
+        if len(same) == 1 and more:
+            label = ("both" if len(more) == 1 else f"all {len(more) + 1}") + " channels"
+        rows.append((label, *shown))
+        if shown[2:] != ("0", "0"):
+            tones[i] = "warning"
+    header = ("channel", "jitter, µs", "longest step, ms", "repeated stamps", "back steps")
+    return Table("", header, tuple(rows), "lrrrr", tones=tones)
+
+
+def _candidates(found: Inspection) -> tuple[Block, ...]:
+    """Every candidate for a rest in a table and over time, and what refuses those that are none."""
+    candidates = found.still.candidates if found.still else ()
+    if not candidates:
+        return (Text(f"None: {found.why_not_still or refusals(candidates)}.", "warning"),)
+    unit, size = ("mg", MG) if _in_si(found) else ("counts", 1.0)
+    rows = tuple(
+        (
+            f"{c.start:.2f}",
+            f"{c.length:.2f}",
+            f"{c.drift / size:.2f}",
+            f"{c.noise / size:.2f}",
+            c.reason or "rest",
+        )
+        for c in candidates
+    )
+    tones: dict[int, Tone] = {i: "warning" for i, c in enumerate(candidates) if c.reason}
+    header = ("start, s", "length, s", f"drift, {unit}", f"noise, {unit}", "")
+    rests = sum(not c.reason for c in candidates)
+    title = f"{rests} rests, {len(candidates) - rests} refused"
+    plots = (_over_time(candidates, name, unit, size) for name in ("drift", "noise"))
+    return (Table(title, header, rows, "rrrrl", _RESTS, tones), *plots)
+
+
+def _in_si(found: Inspection) -> bool:
+    return {f.unit for f in found.channels if f.quantity == "acceleration"} == {"m/s2"}
+
+
+def _over_time(candidates: Sequence[Candidate], name: str, unit: str, size: float) -> Plot:
+    """Drift or noise of the candidates at their middles, a series a reason."""
+    series = []
+    for reason in dict.fromkeys(c.reason for c in candidates):
+        own = [c for c in candidates if c.reason == reason]
+        x = np.array([0.5 * (c.start + c.stop) for c in own])
+        y = np.maximum(np.array([getattr(c, name) for c in own]) / size, 1e-3)
+        labels = tuple(f"{c.start:.2f} s, {c.length:.2f} s long" for c in own)
+        series.append(Series(reason or "rest", x, y, "points", names=labels))
+    what = name.capitalize()
+    caption = f"{what} of every candidate at its middle, by what became of it."
+    labels = (f"{what} over time", "time, s", f"{name}, {unit}")
+    return Plot(*labels, tuple(series), caption, log_y=True)
+
+
+def _noise(noise: Sequence[SensorNoise]) -> tuple[Block, ...]:
+    """A table and a plot for each kind of sensor: a row an axis, with what the recording is too
+    short to show."""
+    if not noise:
+        words = "Nothing is still for long enough to tell the noise: record at rest for a minute."
+        return (Text(words, "warning"),)
+    blocks: list[Block] = []
+    for quantity, units in _UNITS.items():
+        own = [n for n in noise if n.quantity == quantity]
+        if not own:
+            continue
+        rows = []
+        for sensor in own:
+            for letter, axis in zip("xyz", sensor.axes, strict=False):
+                terms = zip(_TERMS, units.values(), strict=True)
+                cells = (_cell(getattr(axis, term), scale) for term, scale in terms)
+                rows.append((f"{sensor.triad} {letter}", *cells))
+        header = ("axis", *(f"{t}, {u}" for t, u in zip(_TERMS, units, strict=True)))
+        curve, name = own[0].axes[0].curve, quantity.replace("_", " ")
+        title = f"{name}: {curve.seconds:.0f} s at rest, {curve.longest:.0f} s at a time"
+        note = "" if blocks else _NOISE
+        blocks += [Table(title, header, tuple(rows), "lrrrr", note), _allan(own, name)]
+    return tuple(blocks)
+
+
+def _cell(found: Coefficient, scale: float) -> str:
+    if found.value is not None and found.sd is not None:
+        return " ± ".join(with_sd(found.value / scale, found.sd / scale))
+    return "-" if found.bound is None else f"< {float(f'{found.bound / scale:.2g}'):.9g}"
+
+
+def _allan(sensors: Sequence[SensorNoise], name: str) -> Plot:
+    """The noisiest axis of every sensor."""
+    unit, scale = ("mg", MG) if sensors[0].unit == "m/s2" else ("deg/s", DEG)
+    series = []
+    for sensor in sensors:
+        worst = max(sensor.axes, key=lambda axis: float(axis.white.value or 0.0)).curve
+        low, high = (edge / scale for edge in worst.interval())
+        x, y = np.log10(worst.tau), worst.deviation / scale
+        series.append(Series(sensor.triad, x, y, "line", low, high))
+    caption = "Overlapping Allan deviation of each sensor's noisiest axis."
+    labels = (f"Allan deviation, {name}", "log10 τ, s", unit)
+    return Plot(*labels, tuple(series), caption, log_y=True)
+
+
 def inspection_dict(
     found: Inspection, *, rests: bool = False, noise: Sequence[SensorNoise] | None = None
 ) -> dict[str, Any]:
     """Plain types, ready for JSON; on request with every candidate for a rest, and the noise."""
-
-    def number(value: float) -> float | None:
-        return value if math.isfinite(value) else None
-
-    return {
+    channel = (
+        "name quantity triad unit samples rate_hz=clock.rate jitter_s=clock.jitter "
+        "duplicates=clock.duplicates back_steps=clock.back_steps names "
+        "longest_step_s=clock.longest_step noise norm_at_rest"
+    )
+    content = {
         "schema": "imucal/inspection/1",
-        "path": found.path,
-        "format": found.format,
-        "sha256": found.sha256,
-        "start_ns": found.start_ns,
-        "span_s": found.span,
-        "channels": [
-            {
-                "name": f.name,
-                "quantity": f.quantity,
-                "triad": f.triad,
-                "unit": f.unit,
-                "samples": f.samples,
-                "rate_hz": number(f.clock.rate),
-                "jitter_s": number(f.clock.jitter),
-                "duplicates": f.clock.duplicates,
-                "back_steps": f.clock.back_steps,
-                "names": list(f.names),
-                "longest_step_s": number(f.clock.longest_step),
-                "noise": [float(v) for v in f.noise],
-                "norm_at_rest": number(f.norm_at_rest),
-            }
-            for f in found.channels
-        ],
-        "gaps": {"count": found.gap_count, "seconds": found.gap_seconds},
+        **fields(found, "path format sha256 start_ns span_s=span"),
+        "channels": listed(found.channels, channel),
+        "gaps": fields(found, "count=gap_count seconds=gap_seconds"),
         "still_segments": found.still.n if found.still else 0,
         "why_not_still": found.why_not_still,
-        **({"rests": rests_dict(found)} if rests else {}),
-        **({} if noise is None else {"noise": noise_dict(noise)}),
-        "candidates": [{"channel": c, "finding": w} for c, w in found.candidates],
-        "problems": list(problems(found)),
-        "losses": list(found.losses),
-        "mapping": dict(found.mapping),
-        "notes": list(found.notes),
+    }
+    if rests:
+        unit = "m/s2" if _in_si(found) else "counts"
+        content["rests"] = [
+            {
+                **fields(c, "start_s=start stop_s=stop length_s=length drift noise"),
+                "unit": unit,
+                "rest": not c.reason,
+                "reason": c.reason,
+            }
+            for c in (found.still.candidates if found.still else ())
+        ]
+    if noise is not None:
+        content["noise"] = [_axis(s, k, axis) for s in noise for k, axis in enumerate(s.axes)]
+    content["candidates"] = [{"channel": c, "finding": w} for c, w in found.candidates]
+    content["problems"] = problems(found)
+    return dict(plain({**content, **fields(found, "losses mapping notes")}))
+
+
+def _axis(sensor: SensorNoise, k: int, axis: AxisNoise) -> dict[str, Any]:
+    """In SI; null where the recording does not show it."""
+    low, high = axis.curve.interval()
+    return {
+        **fields(sensor, "triad quantity unit rate_hz=rate"),
+        "axis": "xyz"[k],
+        **{term: fields(getattr(axis, term), "value sd below=bound") for term in _TERMS},
+        "fitted_from_s": axis.start,
+        "allan": {**fields(axis.curve, "tau_s=tau deviation"), "low": low, "high": high},
     }

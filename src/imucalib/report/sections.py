@@ -1,114 +1,459 @@
-"""What the report of every calibrator has, and the whole report of one that has no own."""
+"""What the report of every calibrator has: card, closed loop, sensor; and a whole report of these.
+
+The card says what the result is worth, what was found, and what to do next.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
+from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
-from imucalib.calibration.outcome import Outcome, Run, Status
+from imucalib.calibration.findings import Findings, FoundStep, Gain
+from imucalib.calibration.outcome import ErrorSummary, Outcome, Run, Status
+from imucalib.calibration.power import hidden
 from imucalib.calibrators.population import Population
 from imucalib.core.fit import Fit
-from imucalib.report.card import card_of, error_worth
-from imucalib.report.document import Document, Facts, Section, Table, Text, Tone
-from imucalib.report.loop import TERMS, advice_section, candidate_section, floor_words, loop_section
-from imucalib.significant_digits import plus_minus, probability, with_sd
+from imucalib.effects import known
+from imucalib.effects.shape import in_words
+from imucalib.report.document import Block, Card, Document, Facts, Section, Table, Text, Tone, Worth
+from imucalib.significant_digits import per_cent, plus_minus, probability, two_digits, with_sd
 from imucalib.units import MG
 
-
-def kind_section(
-    kind: Population | None, fit: Fit, strange: float, what: str, alone: Fit | None = None
-) -> Section:
-    """Empty without a fleet. strange : chance that one of the kind is as far from it; what : was
-    recorded, in words; alone : the fit without the fleet, where there is one"""
-    prior = fit.prior
-    if kind is None or prior is None:
-        return Section("The fleet's word", ())
-    own = {} if alone is None else dict(zip((p.name for p in alone.parameters), alone.sd,
-                                            strict=True))  # fmt: skip
-    before = np.sqrt(np.diag(prior.covariance))
-    rows = tuple(
-        (
-            p.name.replace("_", " "),
-            plus_minus(float(m), float(b), p.unit),
-            plus_minus(float(v), float(s), p.unit),
-            f"{100.0 * max(0.0, 1.0 - (s / b) ** 2):.0f}",
-            *(
-                (
-                    f"{own[p.name]:.2g} {p.unit.removeprefix('1')}".rstrip()
-                    if p.name in own
-                    else "-",
-                )
-                if own
-                else ()
-            ),
-        )
-        for p, m, b, v, s in zip(fit.parameters, prior.mean, before, fit.theta, fit.sd, strict=True)
-    )
-    count = fit.observations.n
-    chance = probability(strange, 999)
-    own_rows = f"{count} {what}{'s' * (count != 1)}"
-    words = (
-        f"{kind.devices} devices of its kind say what to expect, {own_rows} of this one the rest. "
-        f"Chance that one of the kind is as far from the others: {chance}."
-    )
-    table = Table(
-        "",
-        ("", "of its kind", "this device", "from its own, %", *(("sd without",) if own else ())),
-        rows, "lrrr" + "r" * bool(own),
-        "From its own: share of the variance of its kind that its data have taken away."
-        + (" Without: by its own data and the typical sizes alone." if own else ""),
-    )  # fmt: skip
-    return Section("The fleet's word", (Text(words, "plain"), table))
-
-
-#: How reasons begin that the card tells in full.
-_LEFT = ("unexplained structure", "structure that no effect")
+#: Parameters of one effect that a card names, steps of advice that it gives, names still open.
+_PARAMETERS, _STEPS, _OPEN = 3, 4, 3
+#: Effects up to which a card says what each means, and rivals that it names of each.
+_FEW, _RIVALS = 3, 3
+#: Effects that could hide, as many as are named.
+_WEAK = 3
+#: From this probability on something that was not found is likely enough to be named; how many.
+_LIKELY, _NAMED = 0.1, 2
+#: What parts a slip from the option that repairs it.
+_DECIDE = "; decide with"
+_USE = (
+    "Use it: `imucal apply calibration.yaml RECORDING -o corrected.mcap`, or "
+    "`imucal export calibration.yaml --to c-header`."
+)
+#: How reasons begin that the card says in full.
+_IN_FULL = ("unexplained structure", "structure that no effect")
 _UNPROVED = "held-out data do not prove what was found"
 _NAMELESS = "what stays has no name yet"
 _TONE: dict[Status, Tone] = {"ok": "ok", "marginal": "warning", "weak": "warning", "failed": "bad"}
+_HELD_OUT = {
+    "actigraph": "Held out: each block of time predicted by a fit without it.",
+    "array": "Held out: each half of the motion, in blocks, under what a search of the other half "
+    "finds; ω, dω/dt and s are every sample's own. MAD: median absolute deviation.",
+    "": "Held out: each position predicted by a fit without it, or the test rows.",
+}
+_ANEW = (
+    "Held out: a part at a time, predicted by a model that was searched for and fitted without "
+    "it, or the test rows."
+)
+
+
+def calibration_document(
+    title: str, head: str, parts: Sequence[Section], outcome: Outcome, card: Card | None
+) -> Document:
+    """The report of a calibration, with its provenance.
+
+    head : the figure that leads the verdict
+    """
+    footer, terms = outcome.provenance.footer, card is not None
+    return Document(title, _verdict(outcome, head), tuple(parts), footer, card, terms)
 
 
 def standard_document(run: Run) -> Document:
     """Everything that a reader of any calibration must know, headline first."""
-    outcome, calibration = run.outcome, run.calibration
-    error = outcome.error
+    outcome, calibration, error = run.outcome, run.calibration, run.outcome.error
     head = (
         f"Held-out {error.metric} {error.held_out.base:.3g} {error.unit} before, "
         f"{error.held_out.final:.3g} {error.unit} after {floor_words(error, 3)}."
     )
-    sections = [
+    parts = [
         loop_section(outcome),
         Section("Parameters", (parameter_table(calibration, ""),)),
         advice_section(outcome),
+        *([] if calibration.triads else [sensor_section(calibration)]),
+        *closing_sections(outcome),
     ]
-    if not calibration.triads:
-        sections.append(sensor_section(calibration))
-    sections += closing_sections(outcome)
     title = f"Calibration of {outcome.provenance.path} by {outcome.calibrator}"
     card = card_of(outcome, (error_worth(error, error.metric),))
-    return Document(
-        title, verdict(outcome, head), tuple(sections), outcome.provenance.footer, card, TERMS
+    return calibration_document(title, head, parts, outcome, card)
+
+
+def card_of(outcome: Outcome, good_to: tuple[Worth, ...], *more: str) -> Card:
+    """The card of a run.
+
+    good_to : what the calibrator can promise; more : advice of the calibrator's own, given last
+    """
+    found, slips = outcome.findings or Findings("not run"), _slips(outcome)
+    said = [Text(f"{text.partition(_DECIDE)[0]}.", "bad") for text in slips]
+    said += _found(found) if not slips or found.verdict != "not run" else ()
+    if slips:  # until then the rest of the advice is about an error that is none of the sensor's
+        steps = [f"{_upper(text)}." for text in slips[:_STEPS]]
+        steps.append("Then run it again: only then the figures are the sensor's.")
+    else:
+        steps = [*(f"{text}." for text in outcome.broken), *outcome.advice, *more][:_STEPS]
+        usable = outcome.status in ("ok", "marginal") and not outcome.undecided
+        steps += [_USE] * usable
+    command = outcome.provenance.command
+    return Card(good_to, tuple(said), tuple(steps) or ("Nothing to do.",), command)
+
+
+def _slips(outcome: Outcome) -> tuple[str, ...]:
+    """What only the user can decide, but for the wrong records that the search has named."""
+    named = tuple(f"{r.where}:" for r in outcome.findings.records) if outcome.findings else ()
+    return tuple(text for text in outcome.undecided if not text.startswith(named or ("\0",)))
+
+
+def error_worth(
+    error: ErrorSummary, quantity: str, of: str = "data", like: tuple[str, float] | None = None
+) -> Worth:
+    """A held-out error as worth, with what it was before; the fitted one where none was held out.
+
+    of : what was held out, for example "positions"; like : data that are held out are of the same
+    attitudes as the rest: of what, and the share of the sphere that is close to one of them
+    """
+    held, unit, size = error.held_out, error.unit, 1.0
+    if unit == "m/s²":  # people read accelerations in mg
+        unit, size = "mg", MG
+    final, base, raw = (v / size for v in (held.final, held.base, held.raw))
+    how = error.metric.rpartition(", ")[2]
+    if math.isnan(final):
+        fitted = f"{two_digits(error.final / size)} {unit}"
+        return Worth(quantity, fitted, f"{how}, fitted; nothing was held out")
+    before = [] if math.isnan(raw) else [f"raw reading {two_digits(raw)}"]
+    before += [] if math.isnan(base) else [f"before the search {two_digits(base)}"]
+    like_these = ""
+    if like:
+        like_these = f", for {like[0]} like these, {100.0 * like[1]:.0f} % of all directions"
+    detail = f"{how} on {of} held out{like_these}; {', '.join(before)}"
+    return Worth(quantity, f"{two_digits(final)} {unit}", detail.rstrip("; "))
+
+
+def worst_attitude(quantity: str, sd: Array, directions: Array, what: str = "") -> Worth:
+    """Of a 95 % interval, with gravity along some directions (n, 3).
+
+    sd : (n,) mg; what : else the interval holds, in words
+    """
+    k = int(np.argmax(sd))
+    towards = ", ".join(f"{a} {v:+.1f}" for a, v in zip("xyz", directions[k], strict=True))
+    average = f"{1.96 * sd.mean():.2g} mg on average over all"
+    detail = f"95 %, {what}with gravity along {towards}; {average}"
+    return Worth(f"{quantity}, worst attitude", f"± {1.96 * sd[k]:.2g} mg", detail)
+
+
+def _found(found: Findings) -> list[Text]:
+    """In the order in which a reader must know it."""
+    tones: dict[str, Tone] = {"explained": "ok", "suspected": "warning"}
+    lines = []
+    for r in found.records:
+        off = f"{r.where}: {r.channel} is {plus_minus(r.size, r.sd, r.unit)} off"
+        lines.append(Text(f"{off} ({r.likely}, {per_cent(r.probability)}).", "bad"))
+    for step in found.steps:
+        effect, meaning = known(step.effect), ""
+        # Of the bench's own effects the steps to take say what they are.
+        if effect and effect.stage != "fixture" and not (step.curve or step.formula):
+            meaning = f" {effect.sentence}" if len(found.steps) <= _FEW else ""
+        said = f"{_sized(step)}{_doubt(step, found)}.{meaning}"
+        lines.append(Text(said, tones.get(found.verdict, "plain")))
+    if found.gain is not None and found.steps:
+        g = found.gain
+        aside = ", the wrong records set aside," if found.records else ""
+        dense = "" if math.isnan(g.nats) else f"; {density_words(g)}"
+        gained = f"gain {g.before - g.after:.2g}, 95 % {g.low:.2g} to {g.high:.2g}{dense}."
+        words = f"On held-out data{aside} {g.before:.3g} -> {g.after:.3g} {g.unit}: {gained}"
+        lines.append(Text(words))
+    if nameless := _nameless(found):
+        count = len(nameless) - _OPEN
+        more = f", and {count} more" if count > 0 else ""
+        lines.append(Text(f"Left without a name: {'; '.join(nameless[:_OPEN])}{more}.", "warning"))
+    if found.verdict == "not run":
+        lines.append(Text("What the model lacks was not searched for."))
+    elif not lines:
+        likely = [s for s in found.scores if s.probability > _LIKELY][:_NAMED]
+        names = ", ".join(f"{in_words(s.name)} {per_cent(s.probability)}" for s in likely)
+        could = f"; the likeliest that could be: {names}" if names else ""
+        shown = f", as far as these data show{could}"
+        why = f": {refuted_words(found)}" if found.refuted else shown
+        lines.append(Text(f"Nothing is missing from the model{why}.", "ok"))
+    return lines
+
+
+def _nameless(found: Findings) -> list[str]:
+    """What no effect explains, and against what it shows."""
+    return [
+        f"{in_words(u.name)} (driven by {u.driver})" if u.driver else in_words(u.name)
+        for u in found.unexplained
+    ]
+
+
+def _sized(step: FoundStep) -> str:
+    """An effect and its size in words."""
+    if step.curve:
+        return f"A curve without a name, {step.curve}"
+    own = step.parameters
+    words = ", ".join(plus_minus(p.value, p.sd, p.unit) for p in own[:_PARAMETERS])
+    size = step.size or (words if len(own) <= _PARAMETERS else f"{len(own)} parameters")
+    return _upper(step.formula or in_words(step.effect)) + (f": {size}" if size else "")
+
+
+def _doubt(step: FoundStep, found: Findings) -> str:
+    """What else it may be, how likely each is, and whether data that took no part prove it."""
+    others = [(n, s) for n, s in step.rivals if n != step.effect][:_RIVALS]
+    doubts = []
+    if not math.isnan(step.probability) and not others:
+        doubts.append(per_cent(step.probability))
+    elif not math.isnan(step.probability):
+        own = sum(share for n, share in step.rivals if n == step.effect)
+        rest = 1.0 - own - sum(share for _, share in others)
+        words = [f"{in_words(name)} {per_cent(share)}" for name, share in others]
+        words += [f"something else {per_cent(rest)}"] if rest > 0.005 else []
+        doubts.append(f"{per_cent(own)}; or {', '.join(words)}")
+    elif step.aliases:
+        doubts.append(f"or {' or '.join(map(in_words, step.aliases))}")
+    if found.verdict == "suspected":
+        doubts.append("not proved by held-out data, yet corrected")
+    return f" ({'; '.join(doubts)})" if doubts else ""
+
+
+def density_words(gain: Gain) -> str:
+    """What the log density of held-out data gains, where it was judged."""
+    return f"in log density {gain.nats:+.1f} nats, at least {gain.nats_low:+.1f}"
+
+
+def refuted_words(found: Findings) -> str:
+    """Why nothing was added where nothing is open."""
+    if not found.refuted or found.gain is None:
+        return "no candidate passes the search"
+    g, names = found.gain, " and ".join(map(in_words, found.refuted))
+    return (
+        f"{names} stood out by more than chance, but not on data that took no part "
+        f"({g.before:.3g} {g.unit} without, {g.after:.3g} with)"
     )
 
 
-def verdict(outcome: Outcome, head: str, beside: Sequence[str] = ()) -> Text:
-    """The headline: a figure, broken limits, what is undecided, and reasons; toned by the status.
+def floor_words(error: ErrorSummary, digits: int = 2) -> str:
+    """What the measured noise alone would leave, in brackets."""
+    if math.isnan(error.floor):
+        return "(noise floor unknown: nothing repeated, no noise declared)"
+    return f"(noise floor {error.floor:.{digits}f})"
 
-    beside : sentences of the calibrator's own, after the reasons
-    """
-    # A wrong record is told by what is undecided about it, what stays by the card.
-    known = ("record errors",) * bool(outcome.undecided) + _LEFT
-    told = [r for r in outcome.reasons if not r.startswith(known)]
-    if len(told) < len(outcome.reasons) and not outcome.undecided:
-        told.append(_NAMELESS)
-    if outcome.status == "marginal" and not (told or beside or outcome.undecided):
+
+def _verdict(outcome: Outcome, head: str) -> Text:
+    """A figure, broken limits, what is undecided, and reasons, in the tone of the status."""
+    # A wrong record is said by what is undecided about it, what stays by the card.
+    elsewhere = ("record errors",) * bool(outcome.undecided) + _IN_FULL
+    why = [r for r in outcome.reasons if not r.startswith(elsewhere)]
+    if len(why) < len(outcome.reasons) and not outcome.undecided:
+        why.append(_NAMELESS)
+    if outcome.status == "marginal" and not (why or outcome.undecided):
         suspected = outcome.findings is not None and outcome.findings.verdict == "suspected"
-        told.append(_UNPROVED if suspected else _NAMELESS)
-    why = [f"{r[0].upper()}{r[1:]}" for r in (*told, *beside)]
-    text = " ".join([head, *(f"{t}." for t in (*outcome.broken, *outcome.undecided, *why))])
-    return Text(text, _TONE[outcome.status])
+        why.append(_UNPROVED if suspected else _NAMELESS)
+    said = (*outcome.broken, *outcome.undecided, *map(_upper, why))
+    return Text(" ".join([head, *(f"{text}." for text in said)]), _TONE[outcome.status])
+
+
+def loop_section(outcome: Outcome) -> Section:
+    """What was found, step by step, and what stays."""
+    found = outcome.findings
+    note = _HELD_OUT.get(outcome.calibrator, _HELD_OUT[""])
+    if found and found.steps and outcome.calibrator != "array":
+        note = _ANEW
+    judged = [e for e in outcome.errors if not (math.isnan(e.base) and math.isnan(e.held_out.base))]
+    shown = [_error_table(e, note if e is judged[-1] else "") for e in judged]
+    if found is None:
+        return Section("Closed loop", (Text("The search was not run."), *shown))
+    blocks: list[Block] = []
+    if found.records:
+        rows = tuple(
+            (
+                r.where,
+                r.channel,
+                plus_minus(r.size, r.sd, r.unit),
+                per_cent(r.probability),
+                r.likely,
+            )
+            for r in found.records
+        )
+        header = ("record", "channel", "off by", "p", "likely")
+        tones: dict[int, Tone] = dict.fromkeys(range(len(rows)), "bad")
+        title = "Records that do not belong to the rest"
+        blocks.append(Table(title, header, rows, "lllll", tones=tones))
+    blocks.append(_loop_verdict(found))
+    if any(size for _, size in found.declared):
+        blocks.append(Table("Declared effects", ("effect", "size"), found.declared, "ll"))
+    limited = (("only", found.only), ("without", found.without))
+    if limits := [f"{words} {', '.join(names)}" for words, names in limited if names]:
+        blocks.append(Text(f"The search was limited: {'; '.join(limits)}."))
+    kinds = dict.fromkeys(tuple(c.metric for c in s.checks) for s in found.steps)
+    for kind in kinds:
+        steps = [s for s in found.steps if tuple(c.metric for c in s.checks) == kind]
+        blocks.append(_step_table(steps))
+    blocks += [*_power(found), *shown]
+    if found.facts:
+        blocks.append(Facts(found.facts))
+    return Section("Closed loop", tuple(blocks))
+
+
+def _error_table(error: ErrorSummary, note: str) -> Table:
+    """Error before and after, fitted and on data that was not fitted, with the floor."""
+    digits = 3 if error.unit == "m/s²" else 2
+    held, fitted = error.held_out, not (math.isnan(error.base) and math.isnan(error.final))
+
+    def number(value: float) -> str:
+        return "-" if math.isnan(value) else f"{value:.{digits}f}"
+
+    rows = [
+        (name, *[number(before)] * fitted, number(after))
+        for name, before, after in (
+            ("raw reading", error.raw, held.raw),
+            ("base model", error.base, held.base),
+            ("final model", error.final, held.final),
+        )
+        if fitted or not math.isnan(after)
+    ]
+    floor = "unknown" if math.isnan(error.floor) else number(error.floor)
+    rows.append(("noise floor", floor, *[""] * fitted))
+    header = ("", *["fitted"] * fitted, "held out")
+    title = f"Error before and after ({error.metric}, {error.unit})"
+    return Table(title, header, tuple(rows), "", note)
+
+
+def _loop_verdict(found: Findings) -> Text:
+    named = [s for s in found.steps if not s.curve]
+    names = ", ".join(
+        f"a form without a known cause ({s.formula})"
+        if s.formula
+        else " or ".join(map(in_words, (s.effect, *s.aliases)))
+        for s in named
+    )
+    records = ", ".join(r.where for r in found.records)
+    wrong = f"a wrong record ({records})" if records else ""
+    cause = " and ".join(filter(None, (wrong, names)))
+    curves = [f"{s.curve}, corrected by a curve" for s in found.steps if s.curve]
+    unknown = ", ".join([*_nameless(found), *curves])
+    aside = f", {records} set aside" if records else ""
+    gained = f" Held out{aside}: {found.gain.words}." if found.gain and found.steps else ""
+    match found.verdict:
+        case "not run":
+            return Text("Fitted with the declared effects; the search was not run.")
+        case "nothing missing":
+            return Text(f"Nothing is missing: {refuted_words(found)}.", "ok")
+        case "explained":
+            return Text(f"The residual is explained by {cause}.{gained}", "ok")
+        case "explained in part":
+            words = f"The residual is explained in part by {cause}; left: {unknown}.{gained}"
+            return Text(words, "warning")
+        case "suspected":
+            doubt = "The correction is applied, but held-out data do not prove it yet"
+            if not named:
+                doubt = "One clean table in a hundred has such a record: read it again before it "
+                doubt += "is left out"
+            more = f"; left: {unknown}" if unknown else ""
+            return Text(f"Suspected: {cause}. {doubt}{more}.{gained}", "warning")
+    words = f"Unexplained structure: {unknown}. No effect that was searched fits."
+    return Text(words, "bad")
+
+
+def _step_table(steps: Sequence[FoundStep]) -> Table:
+    """Effects that were added; a column of sizes and of nats held out where a calibrator has it."""
+    checks = steps[0].checks
+    sized, nats = (any(getattr(s, name) for s in steps) for name in ("size", "held_out"))
+
+    def row(s: FoundStep) -> tuple[str, ...]:
+        cells = [s.effect, *[s.size] * sized, per_cent(s.probability)]
+        if nats:
+            cells += [f"{s.evidence:.1f}", ", ".join(f"{v:.0f}" for v in s.held_out)]
+        for c in s.checks:
+            change = [f"{v:.{c.digits}f}" for v in (c.before, c.after)]
+            cells += change if len(s.checks) == 1 else [" -> ".join(change)]
+        others = ", ".join(f"{n} {per_cent(v)}" for n, v in s.rivals if n != s.effect)
+        others = others if s.rivals else ", ".join(s.aliases)
+        return (*cells, others or ("nothing: certain" if s.certain else "-"))
+
+    header = ["effect added", *["size"] * sized, "there"]
+    header += ["nats", "held out, nats"] * nats
+    if len(checks) == 1:
+        header += ["before", "after"]
+        note = f"{_upper(checks[0].metric).removesuffix(', rms')} in {checks[0].unit} rms, "
+        note += "of all steps together. There: how likely it is, in this place or beside another."
+    else:
+        header += [f"{c.metric}, {c.unit}" for c in checks]
+        note = (
+            "There: how likely it is. Held out: what each half of the data gains by "
+            "the effect as the other half has it. Residuals: median absolute deviation, held out."
+        )
+    header.append("cannot be told from")
+    align = "l" + "l" * sized + "r" * (len(header) - 2 - sized) + "l"
+    return Table("Steps of the loop", tuple(header), tuple(map(row, steps)), align, note)
+
+
+def _power(found: Findings) -> list[Text]:
+    """What may be there unseen, and how large."""
+    every = hidden(found.scores, [s.effect for s in found.steps])
+    absorbed = [f"{in_words(h.name)} ({h.size / MG:.2g} mg)" for h in every if h.absorbed]
+    weak = [f"{in_words(h.name)} {h.size / MG:.2g} mg" for h in every if not h.absorbed][:_WEAK]
+    said = []
+    if absorbed:
+        text = "These data cannot show, whatever the size (rms at a typical one): "
+        said.append(Text(f"{text}{', '.join(absorbed)}.", "warning"))
+    if weak:
+        text = "What could hide, rms on a reading that four of five recordings would show: up to "
+        said.append(Text(f"{text}{', '.join(weak)}."))
+    return said
+
+
+def candidate_section(found: Findings) -> Section:
+    """Every candidate of the last search with its numbers, why not, and what cannot be shown."""
+    rejected = dict(found.rejected)
+    rows = [
+        (
+            s.name,
+            s.kind,
+            "absorbed" if s.absorbed else f"{s.evidence:.2f}",
+            "-" if s.absorbed else per_cent(s.probability),
+            f"{100.0 * s.left:.1f}",
+            f"{s.strength:.1f}",
+            f"{s.size / MG:.2g}" if s.size else "-",
+        )
+        for s in found.scores
+        if "@" not in s.name or s.evidence > 1.0  # a scan has hundreds of members
+    ]
+    rows += [(name, "effect", "rejected", "-", "-", "-", "-") for name in rejected]
+    rows += [(name, "effect", "not tested", "-", "-", "-", "-") for name in found.missing]
+    header = ("candidate", "kind", "evidence (nats)", "there", "left (%)", "λ", "size (mg)")
+    note = (
+        "Last search, after everything above was added. Left: share of the effect that the fitted "
+        "parameters do not absorb. λ: strength at typical size; about 4.7 gives an 80 % chance to "
+        "find it. Size: what it does to a reading at typical size, rms; an absorbed effect cannot "
+        "be tested on these data and shifts the answer by so much."
+    )
+    blocks: list[Block] = [Table("All candidates", header, tuple(rows), "llrrrrr", note)]
+    reasons = (*rejected.items(), *found.missing.items())
+    if why := "; ".join(f"{name}: {reason}" for name, reason in reasons):
+        blocks.append(Text(f"Rejected or not tested: {why}."))
+    if found.not_testable:
+        cells = tuple((u.effect, u.typical, f"{u.shift:.2g} {u.unit}") for u in found.not_testable)
+        heads = ("not testable", "at", "moves the answer by")
+        note = "Absorbed by what is fitted, or by effects already in the model."
+        blocks.append(Table("What these data cannot show", heads, cells, "llr", note))
+    return Section("Candidates tried", tuple(blocks), brief=False)
+
+
+def advice_section(outcome: Outcome) -> Section:
+    """What to do next."""
+    lines = tuple(map(Text, outcome.advice))
+    return Section("Advice", lines or (Text("Nothing to do."),), brief=False)
+
+
+def closing_sections(outcome: Outcome) -> tuple[Section, ...]:
+    """The candidates, where there was a search, and the notes."""
+    found = (candidate_section(outcome.findings),) if outcome.findings else ()
+    return (*found, Section("Notes", tuple(map(Text, outcome.notes)), brief=False))
 
 
 def parameter_table(calibration: Calibration, note: str) -> Table:
@@ -127,24 +472,48 @@ def sensor_section(calibration: Calibration, *more: Table) -> Section:
             letter,
             "  ".join(f"{v:+.6f}" for v in linear.M[k]),
             f"{linear.b[k] / MG:+.3f}",
-            *with_sd(float(linear.scale[k]), float(linear.scale_sd[k])),
+            *with_sd(linear.scale[k], linear.scale_sd[k]),
         )
         for k, letter in enumerate("xyz")
     )
     header = ("axis", "M", "b, mg", "scale", "sd")
     note = "The linear part. Scale: sensitivity of each axis, free of the frame."
     table = Table("corrected = M raw + b", header, rows, "llrrr", note)
-    angles = Facts(
-        tuple(
-            (f"angle {pair}", plus_minus(float(a), float(s), "deg"))
-            for pair, a, s in zip(("xy", "xz", "yz"), linear.angle, linear.angle_sd, strict=True)
-        )
+    angles = zip(("xy", "xz", "yz"), linear.angle, linear.angle_sd, strict=True)
+    facts = Facts(tuple((f"angle {p}", plus_minus(a, s, "deg")) for p, a, s in angles))
+    return Section("The sensor", (table, facts, *more), brief=False)
+
+
+def kind_section(
+    kind: Population | None, fit: Fit, chance: float, what: str, alone: Fit | None = None
+) -> Section:
+    """Empty without a fleet. chance : that one of the kind is as far from it; what : was recorded,
+    in words; alone : the fit without the fleet, where there is one"""
+    prior = fit.prior
+    if kind is None or prior is None:
+        return Section("The fleet's word", ())
+    own = {p.name: sd for p, sd in zip(alone.parameters, alone.sd, strict=True)} if alone else {}
+    before = np.sqrt(np.diag(prior.covariance))
+    rows = []
+    for p, m, b, v, s in zip(fit.parameters, prior.mean, before, fit.theta, fit.sd, strict=True):
+        cells = [plus_minus(m, b, p.unit), plus_minus(v, s, p.unit)]
+        cells.append(f"{100.0 * max(0.0, 1.0 - (s / b) ** 2):.0f}")
+        if own:
+            sd = f"{own[p.name]:.2g} {p.unit.removeprefix('1')}" if p.name in own else "-"
+            cells.append(sd.rstrip())
+        rows.append((p.name.replace("_", " "), *cells))
+    count = fit.observations.n
+    words = (
+        f"{kind.devices} devices of its kind say what to expect, {count} {what}"
+        f"{'s' * (count != 1)} of this one the rest. Chance that one of the kind is as far from "
+        f"the others: {probability(chance, 999)}."
     )
-    return Section("The sensor", (table, angles, *more), brief=False)
+    header = ("", "of its kind", "this device", "from its own, %", *["sd without"] * bool(own))
+    note = "From its own: share of the variance of its kind that its data have taken away."
+    note += " Without: by its own data and the typical sizes alone." if own else ""
+    table = Table("", header, tuple(rows), "", note)
+    return Section("The fleet's word", (Text(words), table))
 
 
-def closing_sections(outcome: Outcome) -> tuple[Section, ...]:
-    """The candidates, where there was a search, and the notes."""
-    found = (candidate_section(outcome.findings),) if outcome.findings else ()
-    notes = tuple(Text(n) for n in outcome.notes)
-    return (*found, *((Section("Notes", notes, brief=False),) if notes else ()))
+def _upper(text: str) -> str:
+    return text[0].upper() + text[1:]

@@ -13,7 +13,7 @@ from imucalib.calibration.comparison.agreement import beyond
 from imucalib.calibration.comparison.compare import compared, due, slope_of
 from imucalib.core.sphere import even_directions
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.report.comparing.picture import control_chart
+from imucalib.report.comparison import control_chart
 from worlds.instrument import MG, Array, G, rotation
 from worlds.stated import made
 
@@ -182,8 +182,7 @@ def test_the_control_chart_has_no_bars_from_zero() -> None:
     covariance = np.diag([0.04] * 3 + [1e-7] * 3)
     files = [made(np.array([b, 0.0, 0.0, 0.0, 0.0, 0.0]), covariance) for b in (5.0, 7.0, 6.0)]
     found = compared(files, ["a", "b", "c"], Limits())
-    chart = control_chart(found)
-    assert chart is not None
+    (chart,) = control_chart(found)
     assert "bars" not in {series.mark for series in chart.series}
     (points,) = [s for s in chart.series if s.mark == "points"]
     assert points.low is not None

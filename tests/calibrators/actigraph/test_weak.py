@@ -31,7 +31,7 @@ from imucalib.effects import named
 from imucalib.errors import Undetermined, UnreadableInput
 from imucalib.estimators.least_squares import fit
 from imucalib.loop.held_out import errors, held_out
-from imucalib.report.actigraph.document import actigraph_document
+from imucalib.report.actigraph import actigraph_document
 from imucalib.report.render.text import render_text
 from imucalib.units import MG, STANDARD_GRAVITY
 from worlds.places import DATA, needs_data

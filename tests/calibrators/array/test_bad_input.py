@@ -18,7 +18,7 @@ from imucalib.calibrators.array.run import ArrayRun
 from imucalib.calibrators.array.simulation import LogPlan, simulated_log
 from imucalib.errors import ImucalError, Undetermined, UnreadableInput
 from imucalib.recording.recording import Channel, Recording
-from imucalib.report.array.draws import write_draws
+from imucalib.report.files import write_draws
 from imucalib.units import DEG
 
 BOARD = read_board("mimu4444_corners")

@@ -20,7 +20,7 @@ from imucalib.calibrators.array.simulation import LogPlan, SimulatedLog, simulat
 from imucalib.errors import Undetermined, UnreadableInput, UsageError
 from imucalib.readers import read
 from imucalib.recording.recording import Channel, Recording
-from imucalib.report.array.draws import write_draws
+from imucalib.report.files import write_draws
 from imucalib.writers import write
 from worlds.places import SAMPLES
 

@@ -28,9 +28,9 @@ from imucalib.estimators.array.noise import SensorNoise, Squares, chosen_noise, 
 from imucalib.estimators.array.samples import Readings, Weights, fit_samples
 from imucalib.recording.recording import Channel
 from imucalib.report.document import Document, Text
-from imucalib.report.loop import candidate_section, loop_section
 from imucalib.report.render.html import render_html
 from imucalib.report.render.text import render_text
+from imucalib.report.sections import candidate_section, loop_section
 from imucalib.significant_digits import plus_minus
 from imucalib.units import DEG
 from worlds.array import corners, skew

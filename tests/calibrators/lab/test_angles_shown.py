@@ -17,7 +17,7 @@ from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import LabRun, run_lab
 from imucalib.core.references import unit_vector
 from imucalib.report.document import Document, Plot, Table
-from imucalib.report.lab.document import lab_document
+from imucalib.report.lab import lab_document
 from imucalib.units import DEG, STANDARD_GRAVITY
 from worlds.places import SAMPLES
 

@@ -79,7 +79,7 @@ def test_an_interval_wider_than_a_circle_is_no_number() -> None:
     """Paper 004's own objective leaves a combination open: that is said, not 867 deg."""
     from imucalib.calibrators.lab.position_table import read_position_table
     from imucalib.calibrators.lab.request import as_published
-    from imucalib.report.lab.document import lab_document
+    from imucalib.report.lab import lab_document
     from worlds.places import SAMPLES
 
     table = read_position_table(SAMPLES / "paper_table_1.csv")

@@ -117,7 +117,7 @@ def test_a_record_is_repaired_in_the_tables_unit() -> None:
     raw = RawUnit("mg", MG, "")
     record = RecordError(
         row=3, where="row 4", channel="x", size=1.0, sd=0.1, unit="mg", likely="sign",
-        fix=(("x", 0.5 * G),), p=0.0, evidence=9.0,
+        fix=(("x", 0.5 * G),), probability=1.0,
     )  # fmt: skip
     assert advice.fix_option(record, raw) == "--fix 4:x=500 or --exclude 4 (or --auto-exclude)"
 

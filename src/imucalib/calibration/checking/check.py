@@ -102,9 +102,10 @@ class Check:
         """Of those, the ones beyond the limit that the user set for rates."""
         limit = math.inf if self.rate_limit is None else self.rate_limit
         return tuple(
-            s for s in self.turned_on
+            s
+            for s in self.turned_on
             if s.gyro is not None and float(np.abs(s.gyro.bias).max()) > limit
-        )  # fmt: skip
+        )
 
 
 @dataclass(frozen=True)
@@ -142,15 +143,21 @@ def checked(
         limits=wanted,
         stated=stated,
         p=min(1.0, len(sensors) * min(s.p for s in sensors)),
-        e=float(np.mean([_evidence(one, s, noise, calibration) for one, s in
-                         zip(measured, sensors, strict=True)])),
+        e=float(
+            np.mean(
+                [
+                    _evidence(one, s, noise, calibration)
+                    for one, s in zip(measured, sensors, strict=True)
+                ]
+            )
+        ),
         looks=1 + len(measured[0].past),
         following=None,
         noise=noise,
         gravity=calibration.gravity,
         rate_limit=limits.rate,
         notes=notes,
-    )  # fmt: skip
+    )
     if found.changed or found.drifted:
         return replace(found, verdict="changed")
     enough = all(s.seen[name] <= limit for s in sensors for name, limit in wanted.items())
@@ -165,8 +172,12 @@ def checked(
 def _demand_tested(limits: Limits, *, directed: bool, gyros: bool) -> None:
     """Raise UsageError where limits are stated and none can be tested: "still good" would be by
     another one."""
-    every = {"mg": limits.force, "deg": limits.direction, "deg/s": limits.rate,
-             "mm": limits.position}  # fmt: skip
+    every = {
+        "mg": limits.force,
+        "deg": limits.direction,
+        "deg/s": limits.rate,
+        "mm": limits.position,
+    }
     tested = {"mg": True, "deg": directed, "deg/s": gyros, "mm": False}
     stated = [unit for unit, size in every.items() if size is not None]
     if stated and not any(tested[unit] for unit in stated):
@@ -219,9 +230,12 @@ def _evidence(
 ) -> float:
     looks = [*one.past, look_of(one.misfits, judged.p)]
     return e_value(
-        looks, one.misfits.parameters, reading=noise.reading.sd, dof=one.misfits.dof,
+        looks,
+        one.misfits.parameters,
+        reading=noise.reading.sd,
+        dof=one.misfits.dof,
         gravity=calibration.gravity,
-    )  # fmt: skip
+    )
 
 
 def look_of(misfits: Misfits, p: float) -> Look:

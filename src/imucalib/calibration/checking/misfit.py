@@ -56,9 +56,12 @@ def triad_misfits(
     keep = np.cross(across[..., 0], across[..., 1])
     keep = keep / np.linalg.norm(keep, axis=1, keepdims=True)
     slope = np.concatenate(
-        [np.einsum("ij,nk->nijk", np.eye(3), truth).reshape(n, 3, 9),
-         np.broadcast_to(np.eye(3), (n, 3, 3))], axis=2,
-    )  # fmt: skip
+        [
+            np.einsum("ij,nk->nijk", np.eye(3), truth).reshape(n, 3, 9),
+            np.broadcast_to(np.eye(3), (n, 3, 3)),
+        ],
+        axis=2,
+    )
     jacobian = np.einsum("ni,nip->np", keep, slope)
     bias = MG * keep
     return Misfits(
@@ -227,8 +230,9 @@ def stated_sessions(calibration: Calibration) -> dict[str, Scatter]:
     dof = 3.0 * (len(stated["sessions"]) - 1)
     return {
         _CHANGES[row["what"]]: Scatter(float(row["sd"]), dof)
-        for row in stated["scatter"] if row["what"] in _CHANGES
-    }  # fmt: skip
+        for row in stated["scatter"]
+        if row["what"] in _CHANGES
+    }
 
 
 def _key(name: str) -> str:

@@ -236,9 +236,10 @@ def _many(now: Misfits | None, pool: Misfits, limits: Mapping[str, float]) -> in
         each = replace(
             pool,
             reading=replace(pool.reading, covariance=less * pool.reading.covariance),
-            setting={k: replace(p, covariance=less * p.covariance) for k, p in
-                     pool.setting.items()},
-        )  # fmt: skip
+            setting={
+                k: replace(p, covariance=less * p.covariance) for k, p in pool.setting.items()
+            },
+        )
         statistic = Statistic(each if now is None else now.joined(each), draws=_DRAWS)
         if all(statistic.seen(name) <= limit for name, limit in limits.items()):
             return number

@@ -179,9 +179,15 @@ def agreement(basis: Basis, seed: int = 0) -> Agreement:
     if null is not None:
         chance = exceeded(_squares(null, _mean(null, covariance)[0], covariance), chi2)
     return Agreement(
-        mean=mean, mean_sd=np.sqrt(np.diag(own)), z=z, chi2=chi2, dof=dof, p=chance, noise_dof=nu,
+        mean=mean,
+        mean_sd=np.sqrt(np.diag(own)),
+        z=z,
+        chi2=chi2,
+        dof=dof,
+        p=chance,
+        noise_dof=nu,
         without=without,
-    )  # fmt: skip
+    )
 
 
 def odd_ones(basis: Basis, alpha: float) -> tuple[int, ...]:

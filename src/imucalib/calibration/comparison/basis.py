@@ -237,8 +237,10 @@ def basis_of(
     share = [np.zeros_like(c.covariance) for c in calibrations]
     if power_ups is not None:
         share = list(power_ups.share)
-    every = [_linear(sensor_of(c), part, framed=framed) for c, part in
-             zip(calibrations, share, strict=True)]  # fmt: skip
+    every = [
+        _linear(sensor_of(c), part, framed=framed)
+        for c, part in zip(calibrations, share, strict=True)
+    ]
     names, units = _names(framed)
     covariance = np.array([own for _, own, _ in every])
     touched = np.flatnonzero(np.einsum("kii->ki", covariance).max(axis=0) > _ROUNDING**2)
@@ -271,21 +273,23 @@ def _of_parameters(
     return Basis(
         names=tuple(name for name, _ in first),
         units=tuple(unit for _, unit in first),
-        value=np.array([[c.parameters[k].value for k in ks] for c, ks in
-                        zip(calibrations, at, strict=True)]),
+        value=np.array(
+            [[c.parameters[k].value for k in ks] for c, ks in zip(calibrations, at, strict=True)]
+        ),
         covariance=taken([c.covariance for c in calibrations]),
         dof=dof,
         words="All hold the same parameters.",
         power_ups=power_ups and replace(power_ups, share=list(taken(power_ups.share))),
-    )  # fmt: skip
+    )
 
 
 def _applied(calibration: Calibration) -> tuple[tuple[str, str], ...]:
     """Name and unit of what acts on a reading; of an array, its positions."""
     return tuple(
-        (p.name, p.unit) for p in calibration.parameters
+        (p.name, p.unit)
+        for p in calibration.parameters
         if p.stage not in NEVER_APPLIED or calibration.triads
-    )  # fmt: skip
+    )
 
 
 def _only(own: Sequence[tuple[tuple[str, str], ...]]) -> str:

@@ -73,8 +73,10 @@ def dates_of(calibrations: Sequence[Calibration], stated: Sequence[str]) -> Date
             )
         found = _dates([_parsed(text) for text in stated], "dates as given")
         if found is None:
-            raise UsageError("all dates are the same: nothing can drift between them",
-                             remedy="leave out --dates, or give the times of day")  # fmt: skip
+            raise UsageError(
+                "all dates are the same: nothing can drift between them",
+                remedy="leave out --dates, or give the times of day",
+            )
         return found
     starts = [(c.facts.get("clock") or {}).get("start_ns") for c in calibrations]
     if all(isinstance(s, int) for s in starts):
@@ -84,8 +86,10 @@ def dates_of(calibrations: Sequence[Calibration], stated: Sequence[str]) -> Date
     when = [_parsed(r) for r in runs if isinstance(r, str)]
     if len(when) < len(runs):
         return None
-    found = _dates(when, "dates are those of the runs of imucal, not of the "
-                   "recordings, which state none (--dates)")  # fmt: skip
+    found = _dates(
+        when,
+        "dates are those of the runs of imucal, not of the recordings, which state none (--dates)",
+    )
     return found if found is not None and np.ptp(found.days) >= _APART else None
 
 
@@ -144,8 +148,9 @@ def remarks(
         )
     notes += [
         f"status of {name}: {c.status}" + (f" ({'; '.join(c.reasons)})" if c.reasons else "")
-        for name, c in zip(names, calibrations, strict=True) if c.status != "ok"
-    ]  # fmt: skip
+        for name, c in zip(names, calibrations, strict=True)
+        if c.status != "ok"
+    ]
     return tuple(notes)
 
 
@@ -456,8 +461,10 @@ def compared(
     framed = arrays or _same_frame(calibrations)
     dof = np.array([_dof(c) for c in calibrations])
     if arrays and between:
-        raise UsageError("arrays are compared without the scatter of power-ups",
-                         remedy="leave out --between-sessions")  # fmt: skip
+        raise UsageError(
+            "arrays are compared without the scatter of power-ups",
+            remedy="leave out --between-sessions",
+        )
     days = with_power_ups(calibrations, between or {})
     calibrations = days.calibrations
     basis = basis_of(calibrations, dof, framed=framed, power_ups=days.power_ups)

@@ -225,7 +225,9 @@ def _sphere_block(result: ActigraphResult) -> list[dict[str, Any]]:
     """Error over the sphere, cell by cell."""
     cells = sphere_cells(result.base, result.final, result.final_held)
     return [
-        {("name" if k == "name" else k if k == "runs" else f"{k}_mg"): v
-         for k, v in asdict(c).items()}
+        {
+            ("name" if k == "name" else k if k == "runs" else f"{k}_mg"): v
+            for k, v in asdict(c).items()
+        }
         for c in cells
-    ]  # fmt: skip
+    ]

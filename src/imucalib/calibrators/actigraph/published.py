@@ -241,10 +241,13 @@ def published_fit(p: Array, points: Array, gravity: float) -> Fit:
     model = Model(tuple(named(name) for name in NINE))
     n = len(points)
     data = Observations(
-        gravity * points[:, None], np.full((n, 1, 3), MG), KnownNorm(n, gravity),
-        Context(n, {"record": np.arange(n, dtype=float)}), np.arange(n, dtype=np.intp),
+        gravity * points[:, None],
+        np.full((n, 1, 3), MG),
+        KnownNorm(n, gravity),
+        Context(n, {"record": np.arange(n, dtype=float)}),
+        np.arange(n, dtype=np.intp),
         tuple(f"point {k + 1}" for k in range(n)),
-    )  # fmt: skip
+    )
     theta = published_theta(p, gravity)
     rough = evaluate(model, data, theta, np.eye(9))
     inverse = np.linalg.pinv(rough.at.jacobian.T @ rough.at.jacobian, rcond=1e-14)
@@ -261,9 +264,15 @@ def _calibration(
         "provenance": outcome.provenance.as_dict(),
     }
     return from_fit(
-        fit, "actigraph", raw_unit="m/s2", raw_to_si=1.0, gravity=request.gravity,
-        status=outcome.status, reasons=outcome.reasons, facts=facts,
-    )  # fmt: skip
+        fit,
+        "actigraph",
+        raw_unit="m/s2",
+        raw_to_si=1.0,
+        gravity=request.gravity,
+        status=outcome.status,
+        reasons=outcome.reasons,
+        facts=facts,
+    )
 
 
 def method_block(method: PublishedMethod) -> dict[str, Any]:

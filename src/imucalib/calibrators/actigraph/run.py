@@ -122,9 +122,12 @@ def run_of(
 
 
 def _judged(
-    result: ActigraphResult, coverage: Coverage, scanned: Scan, request: ActigraphRequest,
+    result: ActigraphResult,
+    coverage: Coverage,
+    scanned: Scan,
+    request: ActigraphRequest,
     exchange: Exchange | None,
-) -> Outcome:  # fmt: skip
+) -> Outcome:
     said = result.of_a_kind
     return Outcome(
         calibrator="actigraph",
@@ -133,18 +136,21 @@ def _judged(
         findings=_findings(result.loop, request),
         quality=quality_of(result.final),
         reasons=(
-            *((exchange.words,) if exchange else ()), *result.runs.faults,
+            *((exchange.words,) if exchange else ()),
+            *result.runs.faults,
             *reasons(result, coverage),
         ),
         advice=advice(result, coverage),
         limits=limits_of(result, request.limits),
         notes=(*scanned.notes, *result.runs.notes),
-        undecided=() if said is None else not_of_its_kind(
+        undecided=()
+        if said is None
+        else not_of_its_kind(
             said.strange, "calibrated without --fleet: is it another kind, or was it turned?"
         ),
         weak=result.weak,
         left=left_open(result.loop, result.error),
-    )  # fmt: skip
+    )
 
 
 def _findings(loop: FitLoop | None, request: ActigraphRequest) -> Findings | None:

@@ -79,9 +79,7 @@ def _block(world: _World, t: Array, rng: np.random.Generator) -> Recording:
     channels = {"imu0/acceleration": Channel(t, values, "m/s2", "acceleration", "imu0", plan.rate)}
     if plan.temperature:
         warm = world.temperature(t)[:, None]
-        channels["imu0/temperature"] = Channel(
-            t, warm, "degC", "temperature", "imu0", plan.rate
-        )  # fmt: skip
+        channels["imu0/temperature"] = Channel(t, warm, "degC", "temperature", "imu0", plan.rate)
     return Recording(channels, "simulated", "simulated", "", 0)
 
 

@@ -176,8 +176,9 @@ def activity_of(
         asleep = _between(np.mod(at + start, _DAY), night) & wear.worn_at(at)
     means = [float(np.mean(np.abs(e[asleep]))) / MG if asleep.any() else np.nan for e in errors]
     hour = np.floor(clock / _HOUR)
-    profile = np.array([pair(r) if (r := worn & (hour == h)).any() else (np.nan, np.nan)
-                        for h in range(24)])  # fmt: skip
+    profile = np.array(
+        [pair(r) if (r := worn & (hour == h)).any() else (np.nan, np.nan) for h in range(24)]
+    )
     return Activity(wear, night, enmo, (means[0], means[1]), int(asleep.sum()), profile)
 
 

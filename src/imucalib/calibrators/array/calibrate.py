@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imucalib.calibrators.array.against_rests import held_against_rests
+from imucalib.arrays import Array
 from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.drawing.check import compared, refuse_contradiction, sketched
 from imucalib.calibrators.array.drawing.streams import (
@@ -26,16 +26,24 @@ from imucalib.calibrators.array.estimate.covariance import (
 )
 from imucalib.calibrators.array.estimate.sampled import sampled_positions
 from imucalib.calibrators.array.estimate.total import (
+    GyroScale,
     frame_sd,
     gravity_sd,
     restated,
     scale_by_turns,
     total_of,
 )
-from imucalib.calibrators.array.linear_part import GYRO_FRAME, linear_part, of_alike_gyros
+from imucalib.calibrators.array.gyros import ATTITUDES, contradicted
+from imucalib.calibrators.array.linear_part import (
+    GYRO_FRAME,
+    LinearPart,
+    linear_part,
+    of_alike_gyros,
+)
 from imucalib.calibrators.array.log import ArrayLog, array_log, of_board
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop, close_array_loop
 from imucalib.calibrators.array.loop.declared import shared_by_neighbours, with_declared
+from imucalib.calibrators.array.loop.motion import BoardMotion, motion_at_rest
 from imucalib.calibrators.array.loop.search import start_state
 from imucalib.calibrators.array.loop.setup import array_setup
 from imucalib.calibrators.array.loop.state import ArrayState
@@ -45,9 +53,52 @@ from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.rests import RestFit, fit_rests
 from imucalib.calibrators.array.run import ArrayRun, finished
 from imucalib.errors import Undetermined, UsageError
+from imucalib.loop.found import Unexplained
 from imucalib.recording.recording import Recording
 from imucalib.rests.levels import refusals
 from imucalib.rests.segments import Segments, still_segments
+
+#: What stands beside a contradicted name.
+OTHER = "what shows in motion only"
+
+
+def held_against_rests(loop: MotionLoop, force: Array, rate: Array, t: Array) -> MotionLoop:
+    """The loop with doubts where rests contradict a name: it stays corrected, is not certain, and
+    what it stands for is left open.
+
+    force : (n, K, 3) m/s² at n rests, rate : (n, K, 3) rad/s as read, in board axes; t : (n,) s
+    """
+    if len(force) < ATTITUDES:
+        return loop
+    state = loop.final
+    motion = motion_at_rest(state.setup.imus, state.setup.board.rotations, force, t)
+    wrong = {term.name for term in state.found if _contradicted(term, motion, rate)}
+    if not wrong:
+        return loop
+    steps = tuple(
+        replace(s, aliases=(*s.aliases, OTHER), certain=False) if s.effect in wrong else s
+        for s in loop.steps
+    )
+    left = tuple(
+        Unexplained(
+            f"{s.effect} shows in motion and not at rest",
+            "force",
+            "probe",
+            s.probability,
+            s.evidence,
+        )
+        for s in loop.steps
+        if s.effect in wrong
+    )
+    return replace(loop, steps=steps, unexplained=(*loop.unexplained, *left))
+
+
+def _contradicted(term: Term, motion: BoardMotion, rate: Array) -> bool:
+    """Whether a gyro's effect of the force makes the rests scatter more."""
+    if term.effect.channel != "angular_rate" or "spin" in term.effect.needs:
+        return False
+    return contradicted(rate, term.reading(term.columns(motion)))
+
 
 Say = Callable[[str], None]
 _Fitted = tuple[MotionLoop | None, ArrayState | None, Uneven | None]
@@ -88,13 +139,8 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
     laid = _laid(recording, request, say)
     del recording  # from here on a log is side by side: held twice, one of many IMUs is large
     board, segments = laid.board, laid.segments
-    rests = fit_rests(
-        segments,
-        board,
-        laid.order,
-        request.gravity,
-        asked=replace(request.asked, search=request.loop),
-    )
+    asked = replace(request.asked, search=request.loop)
+    rests = fit_rests(segments, board, laid.order, request.gravity, asked=asked)
     say(f"{segments.n} rests: triads fit gravity to {1e3 * rests.residual:.2f} mm/s² rms")
     moving = moving_part(laid.log, rests, board.imus)
     say("moving samples: " + ", ".join(f"{n} {name}" for name, n in moving.counts.items()))
@@ -104,30 +150,70 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
         say("found: " + (", ".join(s.effect for s in loop.steps) or "nothing"))
     rng = np.random.default_rng(request.seed)
     found, motion = sampled_positions(
-        moving=moving, rests=rests, board=board, request=request, rng=rng, state=state,
+        moving=moving,
+        rests=rests,
+        board=board,
+        request=request,
+        rng=rng,
+        state=state,
         searched=loop is not None,
-    )  # fmt: skip
-    linear = linear_part(loop.final) if loop is not None else None
-    if loop is None and state is not None:
-        linear = of_alike_gyros(state, moving.gyros.gain)
-    gyros = scale_by_turns(
-        laid.log, segments, rests, moving, laid.order,
-        gyro_gain=None if linear is None else linear.gyro_gain,
-        factor=None if state is None else state.noise[1].factor,
-    )  # fmt: skip
+    )
+    linear = _linear(loop, state, moving)
+    gyros = _scaled(laid, rests, moving, linear, state)
     total = total_of(
-        found.mean, motion, scale=gyros.value, scale_sd=gyros.sd,
-        gravity_sd=gravity_sd(request.gravity_source), frame_sd=frame_sd(rests),
+        found.mean,
+        motion,
+        scale=gyros.value,
+        scale_sd=gyros.sd,
+        gravity_sd=gravity_sd(request.gravity_source),
+        frame_sd=frame_sd(rests),
         distances=request.distances,
-    )  # fmt: skip
+    )
     final = restated(found, total, rng)
     say(f"{final.data.samples} samples: {final.convergence.sentence}")
     unsearched = _BROKEN_UP if request.loop and loop is None else ()
     return finished(
-        recording=laid.recording, board=board, request=request, segments=segments, rests=rests,
-        moving=moving, final=final, total=total, gyros=gyros, loop=loop, state=state,
-        apart=apart, linear=linear, notes=(*laid.notes, *final.notes, *unsearched),
-    )  # fmt: skip
+        recording=laid.recording,
+        board=board,
+        request=request,
+        segments=segments,
+        rests=rests,
+        moving=moving,
+        final=final,
+        total=total,
+        gyros=gyros,
+        loop=loop,
+        state=state,
+        apart=apart,
+        linear=linear,
+        notes=(*laid.notes, *final.notes, *unsearched),
+    )
+
+
+def _scaled(
+    laid: _Laid,
+    rests: RestFit,
+    moving: Moving,
+    linear: LinearPart | None,
+    state: ArrayState | None,
+) -> GyroScale:
+    """The gyros' common scale, by gravity carried over the turns between rests."""
+    return scale_by_turns(
+        laid.log,
+        laid.segments,
+        rests,
+        moving,
+        laid.order,
+        gyro_gain=None if linear is None else linear.gyro_gain,
+        factor=None if state is None else state.noise[1].factor,
+    )
+
+
+def _linear(loop: MotionLoop | None, state: ArrayState | None, moving: Moving) -> LinearPart | None:
+    """What the motion says of the gyros' gains, with its search or without."""
+    if loop is not None:
+        return linear_part(loop.final)
+    return of_alike_gyros(state, moving.gyros.gain) if state is not None else None
 
 
 def _doubted(loop: MotionLoop, laid: _Laid, rests: RestFit) -> MotionLoop:
@@ -219,10 +305,14 @@ def _fitted(moving: Moving, rests: RestFit, board: Board, request: ArrayRequest)
         state = _unsearched(moving.levelled, board, terms, most, robust=robust)
         return None, *with_uneven(state, shared_by_neighbours(state, gyro=False))
     loop = close_array_loop(
-        setup, terms, moving, curves=request.curves,
-        halved=array_setup(moving, board, min(most, HALVED_SAMPLES), robust=robust), most=most,
+        setup,
+        terms,
+        moving,
+        curves=request.curves,
+        halved=array_setup(moving, board, min(most, HALVED_SAMPLES), robust=robust),
+        most=most,
         asked=replace(request.asked, search=request.loop),
-    )  # fmt: skip
+    )
     loop = with_rests(loop, rests.loop)
     return loop, loop.final, None  # the loop has told of its parts
 

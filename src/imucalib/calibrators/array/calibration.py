@@ -30,9 +30,22 @@ from imucalib.estimators.array.sampler import ArrayPositions
 from imucalib.units import DEG, STANDARD_GRAVITY
 
 #: Blocks of report.json that the YAML has, too.
-_SHARED = ("board", "reference", "reference_mm", "ranges", "sample_interval_s", "positions_mm",
-           "size", "gyro_scale", "frame", "rests", "residual_in_motion", "effects", "not_undone",
-           "diagnostics")  # fmt: skip
+_SHARED = (
+    "board",
+    "reference",
+    "reference_mm",
+    "ranges",
+    "sample_interval_s",
+    "positions_mm",
+    "size",
+    "gyro_scale",
+    "frame",
+    "rests",
+    "residual_in_motion",
+    "effects",
+    "not_undone",
+    "diagnostics",
+)
 
 
 def array_calibration(
@@ -49,14 +62,16 @@ def array_calibration(
 ) -> Calibration:
     """The calibration of a log. channels : IMU -> what the recording calls it."""
     return of_positions(
-        outcome, total, board.imus,
+        outcome,
+        total,
+        board.imus,
         gravity=rests.gravity,
         facts={name: details[name] for name in _SHARED if name in details},
         triads=tuple(
             replace(triad, channel=channels.get(triad.name, ""))
             for triad in _triads(rests, moving, board, linear, 1.0 + gyros.value)
         ),
-    )  # fmt: skip
+    )
 
 
 def of_positions(

@@ -32,13 +32,14 @@ def rest_blocks(rests: RestFit) -> list[dict[str, Any]]:
             "effect": AT_REST + effect.name,
             "declared": False,
             **_numbers(
-                effect, [p for p in stored if p.effect == effect.name],
+                effect,
+                [p for p in stored if p.effect == effect.name],
                 fit.covariance[slices[effect.name], slices[effect.name]],
             ),
         }
         for effect in fit.model.effects
         if effect.name not in BASE and not is_record_error(effect.name)
-    ]  # fmt: skip
+    ]
 
 
 def effect_blocks(loop: MotionLoop) -> list[dict[str, Any]]:
@@ -120,13 +121,18 @@ def _beats(loop: MotionLoop, term: Term) -> dict[str, Any]:
     setup = loop.final.setup
     return {
         "beats": [
-            None if beat is None else {
-                "imu": imu, "hz": beat.frequency, "phase_turns": beat.phase, "at_s": beat.at,
+            None
+            if beat is None
+            else {
+                "imu": imu,
+                "hz": beat.frequency,
+                "phase_turns": beat.phase,
+                "at_s": beat.at,
                 "wander_turns": beat.wander,
             }
             for imu, beat in zip(setup.imus, beats(loop.ages, setup.t), strict=True)
         ]
-    }  # fmt: skip
+    }
 
 
 #: How a name begins that speaks of the rests alone.

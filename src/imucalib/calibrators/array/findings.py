@@ -64,9 +64,10 @@ def _noisy(
             continue
         own = float(still[k] / np.median(np.delete(still, k)))
         cause = (
-            "so is it at rest: exchange the chip" if own > 0.5 * times
+            "so is it at rest: exchange the chip"
+            if own > 0.5 * times
             else "not at rest: look for a loose mount or something that vibrates"
-        )  # fmt: skip
+        )
         size = noise.sigma * noise.factor[k] / unit[0]
         yield (
             f"In motion the {sensor} of {imu} is {times:.1f} times noisier than the others "
@@ -151,8 +152,6 @@ def _step(step: Step, loop: MotionLoop) -> FoundStep:
         own = [p for p in stored if p.effect == step.effect.removeprefix(AT_REST)]
     return FoundStep(
         effect=step.effect,
-        p=step.p,
-        draws=step.draws,
         evidence=step.evidence,
         checks=tuple(checks),
         aliases=step.aliases,

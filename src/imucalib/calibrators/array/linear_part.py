@@ -61,8 +61,13 @@ def linear_part(state: ArrayState) -> LinearPart:
         rms, of = (float(np.sqrt(np.mean(v**2))) for v in (beyond, whole))
         if rms > _SMALL * of:
             left.append((term.name, rms / DEG if gyro else rms, "deg/s" if gyro else "m/s²"))
-    return LinearPart(gains["acceleration"], offsets["acceleration"], gains["angular_rate"],
-                      offsets["angular_rate"], tuple(left))  # fmt: skip
+    return LinearPart(
+        gains["acceleration"],
+        offsets["acceleration"],
+        gains["angular_rate"],
+        offsets["angular_rate"],
+        tuple(left),
+    )
 
 
 def slope_at_rest(
@@ -78,8 +83,15 @@ def slope_at_rest(
     zero, still = np.zeros((4, k, 3)), np.zeros((4, 3))
     force = zero if gyro else np.broadcast_to(small[:, None], (4, k, 3)).copy()
     seen = board_motion(
-        imus=imus, rotations=rotations, t=np.full(4, at), order=np.full(4, 0.5),
-        rate=small if gyro else still, spin=still, force=force, jerk=zero, age=np.zeros((4, k)),
-    )  # fmt: skip
+        imus=imus,
+        rotations=rotations,
+        t=np.full(4, at),
+        order=np.full(4, 0.5),
+        rate=small if gyro else still,
+        spin=still,
+        force=force,
+        jerk=zero,
+        age=np.zeros((4, k)),
+    )
     made = term.reading(term.columns(seen))
     return np.asarray((made[1:] - made[:1]).transpose(1, 2, 0) / h), np.asarray(made[0])

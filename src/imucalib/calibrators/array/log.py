@@ -145,8 +145,10 @@ def array_log(recording: Recording, board: Board) -> ArrayLog:
     Raises UnreadableInput for a missing gyro, a dead axis, or clocks or rates that do not match.
     """
     names, notes = board.imus, []
-    chosen = [(_channel(recording, n, "acceleration"), _channel(recording, n, "angular_rate"))
-              for n in names]  # fmt: skip
+    chosen = [
+        (_channel(recording, n, "acceleration"), _channel(recording, n, "angular_rate"))
+        for n in names
+    ]
     t, indices, remark = _common_times([c for pair in chosen for c in pair], recording.path)
     notes += [remark] if remark else []
     turns = board.rotations

@@ -288,9 +288,10 @@ class RestFit:
         inverse = np.linalg.inv(self.gain)
         force = np.einsum("kij,nkj->nki", inverse, own)
         bent = tuple(
-            e for e in self.fit.model.effects
+            e
+            for e in self.fit.model.effects
             if isinstance(e, Response) and e.basis_dx is not None and e.name not in BASE
-        )  # fmt: skip
+        )
         # Of as many rows as there are times: what a force adds may follow these.
         still, most = Truth(np.broadcast_to(0.0, force.shape)), _FARTHEST * self.gravity
         for _ in range(3 if bent else 0):
@@ -343,9 +344,13 @@ class RestFit:
 
 
 def fit_rests(
-    segments: Segments, board: Board, order: list[int], gravity: float, *,
+    segments: Segments,
+    board: Board,
+    order: list[int],
+    gravity: float,
+    *,
     asked: Asked = NOTHING_ASKED,
-) -> RestFit:  # fmt: skip
+) -> RestFit:
     """Fit all triads and search for what is missing.
 
     order : the board's IMUs in the segments' triads. Raises Undetermined when there are too few or

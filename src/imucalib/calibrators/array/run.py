@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +50,17 @@ class ArrayRun(Run):
     residual: Residual
 
 
+class _Stages(TypedDict):
+    """What both the details and the calibration are made of."""
+
+    rests: RestFit
+    moving: Moving
+    total: Total
+    gyros: GyroScale
+    board: Board
+    linear: LinearPart | None
+
+
 def finished(
     *,
     recording: Recording,
@@ -72,24 +84,38 @@ def finished(
     errors = array_errors(loop, noise, board.count, residual)
     left = what_is_left(residual, rests, loop, request.accepted, apart)
     outcome = Outcome(
-        "array", errors, _provenance(recording, request),
-        findings=array_findings(loop) if loop else None, reasons=left_in_words(loop, left),
+        "array",
+        errors,
+        _provenance(recording, request),
+        findings=array_findings(loop) if loop else None,
+        reasons=left_in_words(loop, left),
         advice=advice(loop, rests) if loop else (),
-        limits=_limits(request, errors, final), notes=notes, left=left,
-    )  # fmt: skip
-    details = array_details(
-        rests=rests, moving=moving, final=final, total=total, gyros=gyros, board=board,
-        loop=loop, linear=linear, residual=residual,
-    )  # fmt: skip
-    calibration = array_calibration(
-        outcome, details, rests=rests, moving=moving, total=total, gyros=gyros, board=board,
-        linear=linear, channels=channel_names(recording),
-    )  # fmt: skip
+        limits=_limits(request, errors, final),
+        notes=notes,
+        left=left,
+    )
+    stages = _Stages(
+        rests=rests, moving=moving, total=total, gyros=gyros, board=board, linear=linear
+    )
+    details = array_details(**stages, final=final, loop=loop, residual=residual)
+    channels = channel_names(recording)
+    calibration = array_calibration(outcome, details, **stages, channels=channels)
     return ArrayRun(
-        outcome=outcome, calibration=calibration, details=details, recording=recording,
-        board=board, request=request, segments=segments, rests=rests, moving=moving,
-        final=final, total=total, gyros=gyros, loop=loop, residual=residual,
-    )  # fmt: skip
+        outcome=outcome,
+        calibration=calibration,
+        details=details,
+        recording=recording,
+        board=board,
+        request=request,
+        segments=segments,
+        rests=rests,
+        moving=moving,
+        final=final,
+        total=total,
+        gyros=gyros,
+        loop=loop,
+        residual=residual,
+    )
 
 
 def _rms(values: NDArray[np.float64]) -> float:

@@ -44,9 +44,11 @@ def simulated_samples(r: Array, plan: MotionPlan, rng: np.random.Generator) -> A
     y = lever_arm(w, spin, r) + rng.normal(size=(t, 1, 3)) * plan.force
     sd = plan.sigma_gyro * DEG / np.sqrt(a)
     return ArrayData(
-        y + rng.normal(size=y.shape) * plan.sigma, np.full(a, plan.sigma),
-        w + rng.normal(size=w.shape) * sd, np.eye(3) / sd**2,
-    )  # fmt: skip
+        y + rng.normal(size=y.shape) * plan.sigma,
+        np.full(a, plan.sigma),
+        w + rng.normal(size=w.shape) * sd,
+        np.eye(3) / sd**2,
+    )
 
 
 @dataclass(frozen=True)

@@ -128,7 +128,7 @@ def _findings(result: ImuResult, request: ImuRequest) -> Findings:
                                      if result.refused)),
         refuted=(*rests.refuted, *(names if result.refused else ())),
         unexplained=(*left, *rests.unexplained),
-        scores=tuple(sorted((*_scores(result), *rests.scores), key=lambda s: s.p)),
+        scores=tuple(sorted((*_scores(result), *rests.scores), key=lambda s: -s.probability)),
         missing={**rests.missing, **found.problem.missing},
         not_testable=(*rests.not_testable, *(
             Untestable(n, "a typical size", 0.0, "deg") for n in found.problem.absorbed
@@ -152,7 +152,7 @@ def _steps(result: ImuResult) -> list[FoundStep]:
         rivals = tuple((problem.components[c].name, share) for c, share in place.rivals)
         steps.append(
             FoundStep(
-                effect=component.name, p=result.found.said.complete, draws=0,
+                effect=component.name,
                 evidence=place.log_odds,
                 checks=(Check("held-out error, rms", "deg", held.before, held.after, 3),),
                 aliases=tuple(n for n, _ in rivals if n != component.name),
@@ -195,8 +195,8 @@ def _without_a_name(result: ImuResult, place: Place) -> Unexplained:
     components = result.found.problem.components
     own = components[place.component]
     return Unexplained(
-        name=own.name, driver=own.driver, kind="probe", p=result.found.said.complete,
-        evidence=0.0, share=0.0, alike=tuple(components[c].name for c, _ in place.rivals),
+        name=own.name, driver=own.driver, kind="probe", probability=place.probability,
+        evidence=0.0, rivals=tuple(components[c].name for c, _ in place.rivals),
     )  # fmt: skip
 
 
@@ -206,7 +206,7 @@ def _scores(result: ImuResult) -> list[Score]:
     return [
         Score(
             name=c.name, kind="effect" if c.named else "probe", driver=c.driver,
-            evidence=float(evidence[k]), p=float(1.0 - inside[k]),
+            evidence=float(evidence[k]), probability=float(inside[k]),
             left=found.problem.seen[k][0], strength=found.problem.seen[k][1],
         )
         for k, c in enumerate(found.problem.components)

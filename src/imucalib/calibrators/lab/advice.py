@@ -21,7 +21,7 @@ from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.references import KnownVector, angles_of, unit_vector
 from imucalib.core.sphere import KnownDirection
-from imucalib.effects import known, names_a_cause
+from imucalib.effects import known
 from imucalib.effects.shape import in_words
 from imucalib.errors import UsageError
 from imucalib.estimators.corrected import OBJECTIVES
@@ -49,7 +49,7 @@ def reasons(result: LabResult, raw: RawUnit) -> tuple[str, ...]:
     if loop and loop.records:
         found.append(f"record errors: {', '.join(r.where for r in loop.records)}")
     if loop and loop.unexplained:
-        found.append(f"unexplained structure: {loop.unexplained[0].name}")
+        found.append(f"unexplained structure: {in_words(loop.unexplained[0].name)}")
     if result.settings.objective in OBJECTIVES and result.final.null_directions:
         found.append(
             f"objective '{result.settings.objective}' leaves open on these rows: "
@@ -72,8 +72,7 @@ def advice(result: LabResult, raw: RawUnit) -> tuple[str, ...]:
     for step in loop.steps if loop else ():
         effect = known(step.effect)
         others = [n for n, share in step.rivals if n != step.effect and share > _WORTH_TELLING]
-        told = (n if names_a_cause(n) else in_words(n) for n in (step.effect, *others))
-        names = " or ".join(told)
+        names = " or ".join(map(in_words, (step.effect, *others)))
         if others and effect is not None:
             found.append(f"These positions cannot tell {names} apart. {effect.identify}")
         elif effect is not None and effect.stage == "fixture":
@@ -104,8 +103,8 @@ def _repeat(fit: Fit) -> list[str]:
 
 def _of_structure(item: Unexplained) -> str:
     by = f", driven by {item.driver}" if item.driver else ""
-    words = f"Structure without a name{by}: {item.name}"
-    alike = [effect for name in item.alike if (effect := known(name)) is not None]
+    words = f"Structure without a name{by}: {in_words(item.name)}"
+    alike = [effect for name in item.rivals if (effect := known(name)) is not None]
     if alike:
         how = "To tell them apart" if item.kind == "noise" else "To settle it"
         return f"{words}. {how}: {' '.join(effect.identify for effect in alike)}"

@@ -164,9 +164,14 @@ def position_observations(
     context = Context(table.n, covariates, sweeps=int(sweep.max()) + 1)
     label = tuple(f"row {row}" for row in table.row)
     return Observations(
-        reading[:, None], _sigmas(table, sigma), reference, context, np.arange(table.n), label,
+        reading[:, None],
+        _sigmas(table, sigma),
+        reference,
+        context,
+        np.arange(table.n),
+        label,
         noise_prior=NOISE,
-    )  # fmt: skip
+    )
 
 
 def direction_observations(
@@ -191,9 +196,14 @@ def direction_observations(
     label = tuple(f"row {row}" for row in table.row)
     reference = KnownDirection(direction, gravity, tilts)
     return Observations(
-        reading[:, None], _sigmas(table, sigma), reference, context, np.arange(table.n), label,
+        reading[:, None],
+        _sigmas(table, sigma),
+        reference,
+        context,
+        np.arange(table.n),
+        label,
         noise_prior=NOISE,
-    )  # fmt: skip
+    )
 
 
 def still_observations(
@@ -204,9 +214,14 @@ def still_observations(
     label = tuple(f"row {row}" for row in table.row)
     reference = KnownNorm(table.n, gravity)
     return Observations(
-        reading[:, None], _sigmas(table, sigma), reference, context, np.arange(table.n), label,
+        reading[:, None],
+        _sigmas(table, sigma),
+        reference,
+        context,
+        np.arange(table.n),
+        label,
         noise_prior=NOISE,
-    )  # fmt: skip
+    )
 
 
 def _setting(table: PositionTable, role: str, angle: Array) -> Index:

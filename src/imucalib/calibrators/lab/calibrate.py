@@ -131,7 +131,9 @@ def calibrate(
     if clean.null_directions and not closed:
         raise undetermined(clean)
     if not final.converged:
-        raise NotConverged("the fit did not settle", remedy="check the table; try --no-loop")
+        slips = "; ".join(slip.sentence for slip in loop.slips) if loop else ""
+        remedy = slips or "check the table; try --no-loop"
+        raise NotConverged("the fit did not settle", remedy=remedy)
     searched = base is not final
     final = with_noise_integrated(final)
     base = with_noise_integrated(base) if searched else final

@@ -92,19 +92,27 @@ def sessions_block(sessions: Sessions) -> dict[str, Any]:
     """How much power-ups scatter, each session's own offset, and the next one's parameters."""
     scatter = [
         {
-            "what": one.name, "unit": one.unit, "sd": one.sd, "low_95": one.interval[0],
-            "high_95": one.interval[1], "offsets": one.offsets.tolist(),
+            "what": one.name,
+            "unit": one.unit,
+            "sd": one.sd,
+            "low_95": one.interval[0],
+            "high_95": one.interval[1],
+            "offsets": one.offsets.tolist(),
             "offsets_sd": one.offsets_sd.tolist(),
         }
         for one in sessions.between
-    ]  # fmt: skip
+    ]
     following = [
         {
-            "parameter": p.name, "unit": p.unit, "value": p.value, "sd_of_mean": p.mean,
-            "sd_next_power_up": p.sd, "half_of_95": p.half,
+            "parameter": p.name,
+            "unit": p.unit,
+            "value": p.value,
+            "sd_of_mean": p.mean,
+            "sd_next_power_up": p.sd,
+            "half_of_95": p.half,
         }
         for p in sessions.parameters
-    ]  # fmt: skip
+    ]
     return {"sessions": list(sessions.names), "scatter": scatter, "next_power_up": following}
 
 

@@ -126,8 +126,9 @@ def _of_one_unit(table: PositionTable) -> PositionTable:
         said = ", ".join(f"{a} {u or 'nothing'}" for a, u in zip("xyz", stated, strict=True))
         raise UnreadableInput(
             f"the headings state different units ({said}), which do not go together",
-            where=table.path, remedy="give each axis its unit, or name one for all with --unit",
-        )  # fmt: skip
+            where=table.path,
+            remedy="give each axis its unit, or name one for all with --unit",
+        )
     columns = dict(table.columns)
     for axis, unit in zip("xyz", stated, strict=True):
         columns[axis] = columns[axis] * (ACCELERATION_UNITS[unit] / ACCELERATION_UNITS[stated[0]])
@@ -150,9 +151,12 @@ def positions_in(files: LabFiles) -> PositionTable | None:
     for direction in (True, False):
         try:
             table = read_position_table(
-                files.table, files.columns, need_angles=False, need_direction=direction,
+                files.table,
+                files.columns,
+                need_angles=False,
+                need_direction=direction,
                 mapping=files.mapping,
-            )  # fmt: skip
+            )
         except ImucalError:
             continue
         if table.of_positions or set(table.columns) >= ANGLES or direction:

@@ -207,10 +207,19 @@ def read_position_table(
     zero = stated["inclination"].zero if "inclination" in stated else ""
     others = {n: values for n, values in cells.columns.items() if n not in names.values()}
     return PositionTable(
-        columns, names, unit, np.array(cells.row, np.intp), path=where, sha256=sha256_of(path),
-        inclination_zero=zero, sessions=sessions, others=others, rows=cells.file_rows,
-        notes=(*cells.notes, *notes), upright=upright,
-    )  # fmt: skip
+        columns,
+        names,
+        unit,
+        np.array(cells.row, np.intp),
+        path=where,
+        sha256=sha256_of(path),
+        inclination_zero=zero,
+        sessions=sessions,
+        others=others,
+        rows=cells.file_rows,
+        notes=(*cells.notes, *notes),
+        upright=upright,
+    )
 
 
 def _cells_of(path: Path, mapping: FieldMapping, exclude: Collection[int]) -> Cells:
@@ -224,9 +233,13 @@ def _cells_of(path: Path, mapping: FieldMapping, exclude: Collection[int]) -> Ce
 
 
 def _read(
-    cells: Cells, names: dict[str, str], required: Collection[str], exclude: Collection[int],
-    vertical: tuple[float, ...], where: str,
-) -> tuple[Cells, dict[str, str], list[str], tuple[int, ...]]:  # fmt: skip
+    cells: Cells,
+    names: dict[str, str],
+    required: Collection[str],
+    exclude: Collection[int],
+    vertical: tuple[float, ...],
+    where: str,
+) -> tuple[Cells, dict[str, str], list[str], tuple[int, ...]]:
     """The rows whose cells are numbers, the roles that can be read, what was left out, and the rows
     whose tool-face is blank at the vertical.
 
@@ -285,16 +298,21 @@ def _demand_numbers(
     said = []
     for k, role in places:
         cell = str(cells.columns[names[role]][k])
-        said.append((f"row {cells.row[k]}, column {names[role]}",
-                     f"'{cell}' is not a number" if cell else "the cell is empty"))  # fmt: skip
+        said.append(
+            (
+                f"row {cells.row[k]}, column {names[role]}",
+                f"'{cell}' is not a number" if cell else "the cell is empty",
+            )
+        )
     rows = list(dict.fromkeys(cells.row[k] for k, _ in places))
     more = and_more([f"{at}" for at, _ in said[1:]])
     shown = ",".join(map(str, rows[:_SHOWN]))
     raise UnreadableInput(
-        said[0][1] + more, where=f"{where}, {said[0][0]}",
+        said[0][1] + more,
+        where=f"{where}, {said[0][0]}",
         remedy=f"correct {'the cell' if len(said) == 1 else 'the cells'}, or leave "
         f"{'the row' if len(rows) == 1 else 'the rows'} out of the table (lab: --exclude {shown})",
-    )  # fmt: skip
+    )
 
 
 def _sessions(cells: Array | list[str], name: str, path: Path) -> tuple[tuple[str, ...], Array]:

@@ -58,9 +58,12 @@ class Repairs:
 
 
 def repairs_of(
-    swaps: tuple[str, ...], moves: tuple[str, ...], shifts: tuple[str, ...],
-    axes: tuple[str, ...], angle_unit: str | None,
-) -> Repairs:  # fmt: skip
+    swaps: tuple[str, ...],
+    moves: tuple[str, ...],
+    shifts: tuple[str, ...],
+    axes: tuple[str, ...],
+    angle_unit: str | None,
+) -> Repairs:
     """Repairs from the texts of the options. Raises UsageError with an example."""
     return Repairs(
         tuple(_pair(text, "--swap") for text in swaps),

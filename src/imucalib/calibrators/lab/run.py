@@ -87,18 +87,28 @@ def run_lab(
         result.strange, "calibrate it alone, in 24 positions or more, without --fleet"
     )
     outcome = _judged(
-        result=result, raw=raw, request=request,
+        result=result,
+        raw=raw,
+        request=request,
         provenance=_provenance(table, raw, request, mapping or dict(table.names), gaps),
-        undecided=undecided, why=reasons(result, raw) + worthless(result, whole),
+        undecided=undecided,
+        why=reasons(result, raw) + worthless(result, whole),
         notes=(raw.sentence, *warmth_note(table), *table.left_out, *faults.notes, *notes),
-    )  # fmt: skip
+    )
     sessions = sessions_of(result.final, table.sessions)
     details = lab_details(result, excluded, undecided, faults, sessions)
     return LabRun(
-        outcome=outcome, calibration=lab_calibration(outcome, result, raw, request, details),
-        details=details, result=result, table=table, raw=raw, request=request, excluded=excluded,
-        faults=faults, sessions=sessions,
-    )  # fmt: skip
+        outcome=outcome,
+        calibration=lab_calibration(outcome, result, raw, request, details),
+        details=details,
+        result=result,
+        table=table,
+        raw=raw,
+        request=request,
+        excluded=excluded,
+        faults=faults,
+        sessions=sessions,
+    )
 
 
 def _wrong_rows(
@@ -121,7 +131,7 @@ def _wrong_rows(
 def _undecided(result: LabResult, faults: Faults, raw: RawUnit) -> tuple[str, ...]:
     return faults.undecided(_records(result)) + tuple(
         f"{r.where}: {r.channel} is {r.size:.3g} ± {r.sd:.2g} {r.unit} off what the others predict "
-        f"({r.likely}, {per_cent(1.0 - r.p)}); decide with {fix_option(r, raw)}"
+        f"({r.likely}, {per_cent(r.probability)}); decide with {fix_option(r, raw)}"
         for r in _records(result)
     )
 
@@ -147,7 +157,7 @@ def _judged(
         limits=limits_of(result, request.limits),
         notes=notes,
         left=left_open(result.loop, result.error),
-    )  # fmt: skip
+    )
 
 
 def _findings(loop: FitLoop | None, chosen: LabSettings) -> Findings | None:

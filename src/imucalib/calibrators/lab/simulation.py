@@ -114,9 +114,13 @@ def _planted(plan: BenchPlan, data: Observations) -> tuple[Model, Array]:
 
 
 def simulated_recording(
-    table: PositionTable, rng: np.random.Generator, *, rate: float = 100.0, rest: float = 4.0,
+    table: PositionTable,
+    rng: np.random.Generator,
+    *,
+    rate: float = 100.0,
+    rest: float = 4.0,
     noise: float = 4.0,
-) -> Recording:  # fmt: skip
+) -> Recording:
     """A recording that rests in each position of a table in turn, with 1.5 s of motion between.
 
     noise : mg of one sample

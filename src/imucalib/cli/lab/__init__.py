@@ -9,10 +9,8 @@ import click
 
 from imucalib.cli.calibrating import calibrating, calibrating_of, finish
 from imucalib.cli.lab.options import lab_options, request_of
-from imucalib.cli.output import pairs
-from imucalib.cli.paged_help import PagedCommand
-from imucalib.cli.recording_options import mapping_of, shortest_rest_option
-from imucalib.cli.working import freed_memory
+from imucalib.cli.options import PagedCommand, mapping_of, pairs, shortest_rest_option
+from imucalib.cli.output import freed_memory
 
 #: Bytes: a search takes the same few arrays again and again, and of hundreds of rows a quarter of
 #: its time went into pages that the system clears anew for each.
@@ -42,13 +40,16 @@ def command(tables: tuple[Path, ...], **options: Any) -> int:
     """
     from imucalib.calibrators.lab.files import LabFiles, calibrate_files
     from imucalib.report.files import Report
-    from imucalib.report.lab.document import lab_document
+    from imucalib.report.lab import lab_document
 
     freed_memory(large=_KEPT, kept=_KEPT)
     files = LabFiles(
-        tables[0], options["recording"], pairs(options["columns"], "--columns"),
-        mapping_of(options), others=tables[1:],
-    )  # fmt: skip
+        tables[0],
+        options["recording"],
+        pairs(options["columns"], "--columns"),
+        mapping_of(options),
+        others=tables[1:],
+    )
     with calibrating_of(options) as say:
         run = calibrate_files(files, request_of(options), say)
     return finish([Report(run, lab_document(run))], options)

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from imucalib.cli.calibrating import Shared, limit_option, shared_of
-from imucalib.cli.output import numbers
-from imucalib.cli.recording_options import fleet_option, one_scale, still_of
+from imucalib.cli.options import fleet_option, numbers, one_scale, still_of
 
 if TYPE_CHECKING:
     from imucalib.calibrators.lab.calibrate import LabSettings

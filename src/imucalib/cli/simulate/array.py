@@ -7,9 +7,8 @@ from typing import Any
 
 import click
 
-from imucalib.cli.output import json_option, quiet_option, seed_option
-from imucalib.cli.paged_help import PagedCommand
-from imucalib.cli.recording_options import force_option
+from imucalib.cli.options import PagedCommand, force_option, json_option, quiet_option, seed_option
+from imucalib.cli.output import working
 from imucalib.cli.simulate.planting import (
     demand_outputs,
     fault_option,
@@ -18,7 +17,6 @@ from imucalib.cli.simulate.planting import (
     tell,
     write_recording,
 )
-from imucalib.cli.working import working
 
 
 @click.command("array", cls=PagedCommand, short_help="A board's bench log.")

@@ -7,9 +7,7 @@ from typing import Any
 
 import click
 
-from imucalib.cli.output import json_option, quiet_option, seed_option
-from imucalib.cli.paged_help import PagedCommand
-from imucalib.cli.recording_options import force_option
+from imucalib.cli.options import PagedCommand, force_option, json_option, quiet_option, seed_option
 from imucalib.cli.simulate.planting import (
     demand_outputs,
     fault_option,

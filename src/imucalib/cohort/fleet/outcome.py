@@ -151,9 +151,14 @@ def spread_of(name: str, unit: str, values: Array, sds: Array) -> Spread:
     weight = 1.0 / (sds**2 + scatter**2)
     mean = float(weight @ values / weight.sum())
     return Spread(
-        name=name, unit=unit, mean=mean, mean_sd=float(weight.sum() ** -0.5), scatter=scatter,
-        values=values, sds=sds,
-    )  # fmt: skip
+        name=name,
+        unit=unit,
+        mean=mean,
+        mean_sd=float(weight.sum() ** -0.5),
+        scatter=scatter,
+        values=values,
+        sds=sds,
+    )
 
 
 def nested_spread(name: str, unit: str, values: Array, sds: Array, device: Index) -> Spread:
@@ -194,10 +199,16 @@ def outliers(devices: Sequence[str], spreads: Sequence[Spread]) -> tuple[Outlier
             if p <= _ALPHA:
                 found.append(
                     Outlier(
-                        devices[k], one.name, float(one.values[k]), float(one.sds[k]), one.unit,
-                        mean=mean, scatter=float(square**0.5), p=p,
+                        devices[k],
+                        one.name,
+                        float(one.values[k]),
+                        float(one.sds[k]),
+                        one.unit,
+                        mean=mean,
+                        scatter=float(square**0.5),
+                        p=p,
                     )
-                )  # fmt: skip
+                )
     return tuple(sorted(found, key=lambda o: o.p))
 
 

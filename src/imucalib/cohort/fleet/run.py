@@ -101,9 +101,11 @@ def _combined(fit: Fit, said: Mapping[str, Prior]) -> Fit:
     covariance = np.linalg.inv(whole)
     theta = covariance @ towards * typical
     return replace(
-        fit, theta=theta, covariance=covariance * np.outer(typical, typical),
+        fit,
+        theta=theta,
+        covariance=covariance * np.outer(typical, typical),
         slope=np.zeros_like(fit.slope),
-    )  # fmt: skip
+    )
 
 
 #: Devices up to which each one's folds are predicted, with and without what was found.
@@ -125,10 +127,10 @@ def run_fleet(
     if len(runs) < 2:
         why = "; ".join(f"{name}: {text}" for name, text in failed)
         raise UsageError(
-            f"a fleet needs two devices or more, and {len(runs)} could be calibrated" + (
-                f" ({why})" if why else ""),
+            f"a fleet needs two devices or more, and {len(runs)} could be calibrated"
+            + (f" ({why})" if why else ""),
             remedy="give a table for each device, or calibrations (of recordings: `imucal batch`)",
-        )  # fmt: skip
+        )
     say(f"{len(runs)} devices calibrated alone; searching for what they share")
     own = [device_of(name, run.result.final, effects) for name, run in runs]
     said = said_by(own, rules, request.seed, say, without=len(runs) <= _HELD_OUT)

@@ -96,8 +96,9 @@ class FusedMotion:
         if late is None:
             return np.asarray(own)
         cross = np.einsum("tkij,tij->tk", late, self.covariance[:, 3:6, 6:])
-        inner = np.einsum("tkij,tjl,tkil->tk", late, self.covariance[:, 3:6, 3:6], late,
-                          optimize=True)  # fmt: skip
+        inner = np.einsum(
+            "tkij,tjl,tkil->tk", late, self.covariance[:, 3:6, 3:6], late, optimize=True
+        )
         return np.asarray(own + (2.0 * cross + inner) / 3.0)
 
 

@@ -111,9 +111,14 @@ def taken_apart(sampled: Sampled, blocks: Sequence[Columns], rows: Index) -> Apa
     power -= float(np.sum(residual * residual))
     back = along[np.argsort(place)]
     return Apart(
-        place=place, six=flat, three=across, products=products, along=back, power=power,
+        place=place,
+        six=flat,
+        three=across,
+        products=products,
+        along=back,
+        power=power,
         numbers=(6 * k - 9) * n,
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True)

@@ -153,9 +153,13 @@ def conditionals(data: ArrayData, prior: ArrayPrior, x: Array) -> tuple[Prepared
     flat = heavy.transpose(0, 2, 1).reshape(3 * b, a) @ data.weighted.reshape(a, 3 * t)
     moment = flat.reshape(b, 3, 3, t).transpose(0, 2, 1, 3)
     given = Conditionals(
-        moment, inertia, np.linalg.inv(stiff), data.power * weight[:, None], data.rate.T,
+        moment,
+        inertia,
+        np.linalg.inv(stiff),
+        data.power * weight[:, None],
+        data.rate.T,
         data.precision,
-    ).prepared()  # fmt: skip
+    ).prepared()
     log_inertia = np.where(sign > 0, log_inertia, np.inf)
     return given, Geometry(
         centred=centred,
@@ -218,17 +222,22 @@ def _averaged(given: Prepared, mode: Mode) -> tuple[Array, Array, Array]:
         point = centre + offset
         spin = given.gain @ (given.torque - cross(point, given.inertia @ point))
         here = _moments(point, spin)
-        total = here if total is None else (
-            total[0] + here[0], total[1] + here[1], total[2] + here[2]
-        )  # fmt: skip
+        total = (
+            here if total is None else (total[0] + here[0], total[1] + here[1], total[2] + here[2])
+        )
     assert total is not None
     return total[0] / 6.0, total[1] / 6.0, total[2] / 6.0
 
 
 def _gradient(
-    data: ArrayData, prior: ArrayPrior, given: Prepared, geometry: Geometry,
-    turn: Array, square: Array, spins: Array,
-) -> Array:  # fmt: skip
+    data: ArrayData,
+    prior: ArrayPrior,
+    given: Prepared,
+    geometry: Geometry,
+    turn: Array,
+    square: Array,
+    spins: Array,
+) -> Array:
     """(B, size) gradient of the log likelihood from the averaged moments."""
     b, a, t = len(turn), data.triads, data.samples
     flat = turn.reshape(3 * b, 3 * t)

@@ -73,9 +73,11 @@ class SensorNoise:
 
     @property
     def plain(self) -> bool:
-        return self.growth == 0.0 and not np.isfinite(self.freedom) and bool(
-            np.all(self.factor == 1.0)
-        )  # fmt: skip
+        return (
+            self.growth == 0.0
+            and not np.isfinite(self.freedom)
+            and bool(np.all(self.factor == 1.0))
+        )
 
 
 def log_density(noise: SensorNoise, square: Squares, speed: Array) -> Array:
@@ -168,8 +170,9 @@ def _shaped(
     unit = 1.0 / max(float(np.median(speed)), 1e-9)
     for _ in range(2 if growth and tails else 1):
         if growth:
-            noise = _best([noise, *(replace(noise, growth=g * unit) for g in _GROWTH)],
-                          square, speed)  # fmt: skip
+            noise = _best(
+                [noise, *(replace(noise, growth=g * unit) for g in _GROWTH)], square, speed
+            )
         if tails:
             noise = _best([noise, *(replace(noise, freedom=nu) for nu in _NU)], square, speed)
     return noise
@@ -198,8 +201,12 @@ def _every_shape(square: Squares, speed: Array) -> list[SensorNoise]:
 
 
 #: Growth, tails and factors of each, in the order of `_every_shape`.
-_SHAPES = [{"growth": g, "tails": t, "each": e}
-           for g in (False, True) for t in (False, True) for e in (False, True)]  # fmt: skip
+_SHAPES = [
+    {"growth": g, "tails": t, "each": e}
+    for g in (False, True)
+    for t in (False, True)
+    for e in (False, True)
+]
 
 
 def chosen_noise(square: Squares, speed: Array, first: Flags, *, robust: bool) -> SensorNoise:

@@ -53,9 +53,9 @@ class ArrayData:
 
     def take(self, rows: NDArray[np.intp]) -> ArrayData:
         """The same array at some of the samples."""
-        precision = self.rate_precision if self.rate_precision.ndim == 2 else (
-            self.rate_precision[rows]
-        )  # fmt: skip
+        precision = (
+            self.rate_precision if self.rate_precision.ndim == 2 else (self.rate_precision[rows])
+        )
         return ArrayData(self.acceleration[rows], self.sigma, self.rate[rows], precision)
 
     @cached_property

@@ -20,9 +20,15 @@ def inverse(h: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
     xx, yy, zz, xy, xz, yz = (h[:, s] for s in range(6))
     out = np.empty_like(h)
     for s, (p, q, r, u) in enumerate(
-        ((yy, zz, yz, yz), (xx, zz, xz, xz), (xx, yy, xy, xy),
-         (xz, yz, xy, zz), (xy, yz, xz, yy), (xy, xz, yz, xx))
-    ):  # fmt: skip
+        (
+            (yy, zz, yz, yz),
+            (xx, zz, xz, xz),
+            (xx, yy, xy, xy),
+            (xz, yz, xy, zz),
+            (xy, yz, xz, yy),
+            (xy, xz, yz, xx),
+        )
+    ):
         np.multiply(p, q, out=out[:, s])
         out[:, s] -= r * u
     det = xx * out[:, 0]

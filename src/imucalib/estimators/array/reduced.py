@@ -31,9 +31,12 @@ class Gram:
         """The sum, in the place of this one's matrix: of many IMUs a third would be large."""
         np.add(self.matrix, other.matrix, out=self.matrix)
         return Gram(
-            self.matrix, self.along + other.along, self.power + other.power,
-            self.numbers + other.numbers, self.whole + other.whole,
-        )  # fmt: skip
+            self.matrix,
+            self.along + other.along,
+            self.power + other.power,
+            self.numbers + other.numbers,
+            self.whole + other.whole,
+        )
 
 
 @dataclass(frozen=True)

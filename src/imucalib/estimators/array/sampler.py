@@ -85,9 +85,14 @@ def scale_of(free: Array, nominal: Array) -> tuple[float, float]:
 
 
 def sample_positions(
-    data: ArrayData, prior: ArrayPrior, rng: np.random.Generator, *,
-    chains: int | None = None, stop: Stop | None = None, checkpoint: Path | None = None,
-) -> ArrayPositions:  # fmt: skip
+    data: ArrayData,
+    prior: ArrayPrior,
+    rng: np.random.Generator,
+    *,
+    chains: int | None = None,
+    stop: Stop | None = None,
+    checkpoint: Path | None = None,
+) -> ArrayPositions:
     """Posterior of the positions; the scale of ω̇ that Σ is sought around is set from the data.
 
     Raises Undetermined when the motion does not hold the geometry or it collapses, NotConverged
@@ -132,10 +137,16 @@ def gaussian_positions(
     white = rng.standard_normal((_CHAINS, _DRAWS, len(mean)))
     unknowns = mean + white @ np.linalg.cholesky(covariance).T
     found = ArrayPositions(
-        data=data, prior=chosen, unknowns=unknowns, frame=None, accepted=1.0, steps=1,
-        convergence=convergence(unknowns), sampler="gaussian",
+        data=data,
+        prior=chosen,
+        unknowns=unknowns,
+        frame=None,
+        accepted=1.0,
+        steps=1,
+        convergence=convergence(unknowns),
+        sampler="gaussian",
         notes=("IMUs on one line: the spin about it stays open, positions by the joint fit alone",),
-    )  # fmt: skip
+    )
     refuse_collapse(found.mean, chosen.nominal)
     refuse_vague(found)
     return found

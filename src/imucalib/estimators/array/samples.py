@@ -145,10 +145,16 @@ class Sampled:
     def take(self, rows: NDArray[np.intp]) -> Sampled:
         weights = Weights(self.weights.acceleration[rows], self.weights.rate[rows])
         return Sampled(
-            rate=self.rate[rows], spin=self.spin[rows], origin=self.origin[rows],
-            force=self.force[rows], turn=self.turn[rows], off=self.off.take(rows), weights=weights,
-            r=self.r, root=self.root[rows],
-        )  # fmt: skip
+            rate=self.rate[rows],
+            spin=self.spin[rows],
+            origin=self.origin[rows],
+            force=self.force[rows],
+            turn=self.turn[rows],
+            off=self.off.take(rows),
+            weights=weights,
+            r=self.r,
+            root=self.root[rows],
+        )
 
     @cached_property
     def arms(self) -> Array:

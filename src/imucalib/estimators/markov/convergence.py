@@ -53,8 +53,9 @@ def convergence(draws: Array) -> Convergence:
     halves = split(draws)
     folded = np.abs(halves - np.median(halves, axis=(0, 1)))
     ranked = rank_normalised(halves)
-    rhat = np.maximum(potential_scale_reduction(ranked),
-                      potential_scale_reduction(rank_normalised(folded)))  # fmt: skip
+    rhat = np.maximum(
+        potential_scale_reduction(ranked), potential_scale_reduction(rank_normalised(folded))
+    )
     low, high = np.quantile(halves, (0.05, 0.95), axis=(0, 1))
     tails = [effective_size((halves <= q).astype(np.float64)) for q in (low, high)]
     sd = draws.std(axis=(0, 1), ddof=1)

@@ -57,10 +57,15 @@ class Chains:
 
 
 def sample(
-    target: Target, d: int, rng: np.random.Generator, *, chains: int = 4,
-    stop: Stop | None = None, checkpoint: Path | None = None,
+    target: Target,
+    d: int,
+    rng: np.random.Generator,
+    *,
+    chains: int = 4,
+    stop: Stop | None = None,
+    checkpoint: Path | None = None,
     seen: Callable[[Array], Array] = lambda draws: draws,
-) -> Chains:  # fmt: skip
+) -> Chains:
     """Draw until the diagnostics of `seen(draws)`, what will be reported, are met.
 
     Raises NotConverged with them when `stop.most` is not enough. With a checkpoint, every block is
@@ -158,10 +163,15 @@ def _keep(path: Path, run: _Run, rng: np.random.Generator) -> None:
 
     with replaced_atomically(path) as temporary, open(temporary, "wb") as file:
         np.savez(
-            file, z=run.state.z, value=run.state.value, gradient=run.state.gradient,
-            draws=run.draws, steps=run.steps, accepted=run.accepted,
+            file,
+            z=run.state.z,
+            value=run.state.value,
+            gradient=run.state.gradient,
+            draws=run.draws,
+            steps=run.steps,
+            accepted=run.accepted,
             generator=np.array(_text(rng)),
-        )  # fmt: skip
+        )
 
 
 def _text(rng: np.random.Generator) -> str:

@@ -67,16 +67,18 @@ class MonteCarloLikelihood:
         """Draws (m, 3, T) of the rates given the gyros, from unit normals."""
         covariance = np.linalg.inv(self.data.rate_precision)
         root = np.linalg.cholesky(covariance)
-        spread = (
-            np.matmul(root, u) if root.ndim == 2 else np.einsum("tij,mjt->mit", root, u)
-        )  # fmt: skip
+        spread = np.matmul(root, u) if root.ndim == 2 else np.einsum("tij,mjt->mit", root, u)
         return np.asarray(self.data.rate.T + spread)
 
 
 def run_pmmh(
-    data: ArrayData, prior: ArrayPrior, rng: np.random.Generator, *,
-    iterations: int = 100_000, chains: int = 2,
-) -> PmmhResult:  # fmt: skip
+    data: ArrayData,
+    prior: ArrayPrior,
+    rng: np.random.Generator,
+    *,
+    iterations: int = 100_000,
+    chains: int = 2,
+) -> PmmhResult:
     """Algorithm 1. Raises NotConverged when N or the burn-in cannot be found."""
     likelihood, variance = tuned_count(data, prior, rng)
     walk = _start(likelihood, rng, chains)

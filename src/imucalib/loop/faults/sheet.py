@@ -113,10 +113,16 @@ class Sheet:
         columns = {
             name: getattr(self, name)[rows]
             for name in (
-                "reading", "inclination", "tool_face", "row", "place", "sigma",
-                "inclination_setting", "tool_face_setting",
+                "reading",
+                "inclination",
+                "tool_face",
+                "row",
+                "place",
+                "sigma",
+                "inclination_setting",
+                "tool_face_setting",
             )
-        }  # fmt: skip
+        }
         return replace(self, **columns)
 
     def copied(self) -> NDArray[np.bool_]:

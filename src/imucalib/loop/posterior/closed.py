@@ -182,15 +182,13 @@ def _step(found: Explored, said: Told, place: Place, name: str, left: LeftOut) -
     component = found.problem.components[place.component]
     return Step(
         effect=name,
-        p=said.complete,
-        draws=0,
         evidence=place.log_odds,
         checked=(Checked("error", "m/s2", left.before.rms(), left.after.rms()),),
         aliases=tuple(dict.fromkeys(n for n, _ in rivals if n != name)),
         curve=component.kind == "free",
         probability=place.probability,
         rivals=rivals,
-        sure=place.certain,
+        certain=place.certain,
     )
 
 
@@ -206,10 +204,9 @@ def refused(loop: FitLoop, found: Explored, said: Told, gain: Difference | None)
             name=name,
             driver=found.problem.components[place.component].driver,
             kind="probe",
-            p=said.complete,
+            probability=place.probability,
             evidence=0.0,
-            share=0.0,
-            alike=tuple(_effect(found, c, said) for c, _ in place.rivals),
+            rivals=tuple(_effect(found, c, said) for c, _ in place.rivals),
         )
         for place, name in zip(said.places, names, strict=True)
         if said.complete < np.exp(-OPEN)

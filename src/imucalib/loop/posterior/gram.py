@@ -4,25 +4,28 @@
 
 What is taken out leaves as factors X: a block of columns S with a normal prior of size τ as
 L⁻¹ A_S, L Lᵀ = A_SS + 1/τ² (`swept`). Numbers that are left out are free, each by a column of its
-own with a flat prior, which is exact however V couples them (`without`). Only blocks on the
-diagonal of A and a few of its rows are ever formed.
+own with a flat prior, which is exact however V couples them (`without`). Where the numbers are
+fewer than the columns, only blocks on the diagonal of A and a few of its rows are ever formed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol
 
 import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.effects.record_error import GROSS_MG
-from imucalib.loop.posterior.noise import Point, Terms
+from imucalib.loop.posterior.noise import Point, Terms, below
 from imucalib.loop.posterior.odds import AXES, GROSS, HEARD, REACH, UNEVEN
 from imucalib.loop.posterior.problem import Problem
 from imucalib.units import MG
+
+#: Rows whose own precision is formed at once.
+_AT_ONCE = 64
 
 
 class Products(Protocol):
@@ -41,16 +44,8 @@ class Products(Protocol):
     def of(self, noises: Index) -> Products:
         """At some of the noises."""
 
-
-@runtime_checkable
-class Separable(Products, Protocol):
-    """Products that know of which observations they are."""
-
-    def narrowed(self, columns: Index) -> Separable:
+    def narrowed(self, columns: Index) -> Products:
         """Of some columns, in their order."""
-
-    def without(self, grams: Grams, problem: Problem, rows: Index) -> Grams:
-        """`grams`, of which nothing is taken out, of the data without some observations."""
 
 
 @dataclass(frozen=True)
@@ -89,11 +84,6 @@ class Weighted:
             self.columns[:, columns], self.weighted[:, :, columns], self.known[:, columns]
         )
 
-    def without(self, grams: Grams, problem: Problem, rows: Index) -> Grams:
-        """Without some observations: each number's own column is free."""
-        columns = problem.of_rows(rows)
-        return replace(swept(grams, columns, np.inf), numbers=grams.numbers - columns.size)
-
 
 @dataclass(frozen=True)
 class Multiplied:
@@ -118,6 +108,33 @@ class Multiplied:
         """At some of the noises."""
         return Multiplied(self.matrix[noises])
 
+    def narrowed(self, columns: Index) -> Multiplied:
+        """Of some columns, in their order."""
+        return Multiplied(self.matrix[:, columns[:, None], columns])
+
+
+@dataclass(frozen=True)
+class Source:
+    """What products were made of, which gives those without some numbers.
+
+    columns : (N, q) Z of the readings' numbers; points : the noises
+    inverse : gives what multiplies columns (N, m) by V⁻¹ at a noise
+    """
+
+    columns: Array
+    points: tuple[Any, ...]
+    inverse: Callable[[Any], Callable[[Array], Array]]
+
+    @cached_property
+    def solves(self) -> tuple[Callable[[Array], Array], ...]:
+        """V⁻¹ at each noise."""
+        return tuple(self.inverse(point) for point in self.points)
+
+    @cached_property
+    def weighted(self) -> tuple[Array, ...]:
+        """(N, q) V⁻¹ Z at each noise."""
+        return tuple(solve(self.columns) for solve in self.solves)
+
 
 @dataclass(frozen=True)
 class Grams:
@@ -125,6 +142,7 @@ class Grams:
     log_weight : (E,) log prior of each noise less half of log |V| and what was taken
     numbers : how many numbers they hold; points : the noises
     spread : sd of the log of the noise factor about 1, infinite where nothing is known of it
+    source : what they were made of, where numbers are to be left out or freed
     """
 
     products: Products
@@ -133,6 +151,7 @@ class Grams:
     numbers: float
     points: tuple[object, ...]
     spread: float
+    source: Source | None = None
 
     def log_noise(self, power: Array, dof: float) -> Array:
         """(...) what is left of yᵀ V⁻¹ y with the noise factor integrated out: under Jeffreys'
@@ -168,46 +187,80 @@ class Grams:
 
     def of(self, noises: Index) -> Grams:
         """At some of the noises."""
-        return Grams(
+        points = tuple(self.points[k] for k in noises)
+        return replace(
+            self,
             products=self.products.of(noises),
             taken=self.taken[noises],
             log_weight=self.log_weight[noises],
-            numbers=self.numbers,
-            points=tuple(self.points[k] for k in noises),
-            spread=self.spread,
+            points=points,
+            source=replace(self.source, points=points) if self.source else None,
         )
 
 
 def narrowed(grams: Grams, columns: Index) -> Grams:
     """Of some of the columns, in ascending order, y among them as the last."""
-    products = separable(grams).narrowed(columns)
-    return replace(grams, products=products, taken=grams.taken[:, :, columns])
+    source = source_of(grams)
+    return replace(
+        grams,
+        products=grams.products.narrowed(columns),
+        taken=grams.taken[:, :, columns],
+        source=replace(source, columns=source.columns[:, columns]),
+    )
 
 
-def restricted(grams: Grams, columns: Index) -> Grams:
-    """The same multiplied out: of few columns that much is asked of."""
-    own = narrowed(grams, columns).rows(np.arange(columns.size))
-    return replace(grams, products=Multiplied(own), taken=np.zeros((len(own), 0, columns.size)))
+def source_of(grams: Grams) -> Source:
+    """What Grams were made of. Raises TypeError where that was not kept."""
+    if grams.source is None:
+        raise TypeError("nothing is known of the numbers of these products")
+    return grams.source
+
+
+def freed(grams: Grams, problem: Problem, columns: Index) -> Grams:
+    """Multiplied out beside the base model: of some columns, of one column for each number of a
+    reading by itself, and y. A number that is free is as good as one that is not there."""
+    source, p = source_of(grams), problem.base
+    n, last = len(source.columns), problem.columns.shape[1] - 1
+    own = np.concatenate([np.arange(p), columns])
+    every = np.column_stack([source.columns[:, own], np.eye(n), source.columns[:, last]])
+    known = np.zeros((len(problem.columns) - n, every.shape[1]))
+    known[:, : own.size], known[:, -1] = problem.columns[n:, own], problem.columns[n:, last]
+    matrix = np.array([every.T @ solve(every) for solve in source.solves]) + known.T @ known
+    nothing = np.zeros((len(matrix), 0, every.shape[1]))
+    whole = replace(grams, products=Multiplied(matrix), taken=nothing, source=None)
+    rest = swept(whole, *problem.flat)
+    beside_base = rest.rows(np.arange(p, every.shape[1]))[:, :, p:]
+    return replace(rest, products=Multiplied(beside_base), taken=nothing[:, :, p:])
 
 
 def grams_of(problem: Problem, terms: Terms) -> Grams:
     """At all noises that the data do not exclude, be the base complete or lack every free function
     at once, with gross errors: what a model lacks looks like noise, and what it holds does not."""
-    n = len(terms.order)
+    n, q = len(terms.order), problem.columns.shape[1]
     found = np.zeros(len(terms.points), bool)
-    for lacked in (0.0, _rich(problem, terms) + _gross(problem, terms)):
-        evidence = np.array([_evidence(problem, terms, p, lacked) for p in terms.points])
+    for lacked in (np.zeros((n, 0)), np.hstack([_rich(problem, n), _gross(problem, terms)])):
+        evidence = _evidence(problem, terms, terms.points, lacked)
         found |= evidence > evidence.max() - HEARD
     kept = tuple(terms.points[k] for k in np.flatnonzero(found))
-    weighted = np.empty((len(kept), n, problem.columns.shape[1]))
+    columns, known = problem.columns[:n], problem.columns[n:]
+    few = n <= q
+    out = np.empty((len(kept), n if few else q, q))
     weight = np.empty(len(kept))
     for k, point in enumerate(kept):
-        lower = _cholesky(terms.covariance(point))
-        weighted[k] = _both(lower, problem.columns[:n])
-        weight[k] = point.log_prior - float(np.log(np.diag(lower)).sum())
-    products = Weighted(problem.columns[:n], weighted, problem.columns[n:])
-    nothing = np.zeros((len(kept), 0, problem.columns.shape[1]))
-    return Grams(products, nothing, weight, problem.numbers, kept, _spread(problem))
+        covariance = terms.covariance(point)
+        weighted = covariance.solve(columns)
+        out[k] = weighted if few else columns.T @ weighted + known.T @ known
+        weight[k] = point.log_prior - 0.5 * covariance.log_det
+    products = Weighted(columns, out, known) if few else Multiplied(out)
+    return Grams(
+        products=products,
+        taken=np.zeros((len(kept), 0, q)),
+        log_weight=weight,
+        numbers=problem.numbers,
+        points=kept,
+        spread=_spread(problem),
+        source=Source(columns, kept, lambda point: terms.covariance(point).solve),
+    )
 
 
 def axis_noise(problem: Problem, terms: Terms) -> Array:
@@ -218,15 +271,14 @@ def axis_noise(problem: Problem, terms: Terms) -> Array:
     still = [p for p in terms.points if p.walk is None and not p.sharing]
     best, power = -np.inf, np.ones(terms.axes.shape[1])
     gross = _gross(problem, terms)
-    for lacked in (gross, gross + _rich(problem, terms)):
-        point = max(still, key=lambda p: _evidence(problem, terms, p, lacked))
-        own = np.ones(terms.axes.shape[1])
-        reached = _evidence(problem, terms, point, lacked)
+    for lacked in (gross, np.hstack([gross, _rich(problem, len(terms.order))])):
+        logs = _evidence(problem, terms, still, lacked)
+        own, reached, point = np.ones(power.size), float(logs.max()), still[int(logs.argmax())]
         for axis in np.argsort(-_misfit(problem, terms)):
             for step in AXES:
                 trial = own.copy()
                 trial[axis] = step**2
-                evidence = _evidence(problem, terms, point, lacked, trial)
+                evidence = float(_evidence(problem, terms, [point], lacked, trial)[0])
                 evidence += rare * np.count_nonzero(trial != 1.0)
                 if evidence > reached:
                     reached, own = evidence, trial
@@ -241,12 +293,10 @@ def _misfit(problem: Problem, terms: Terms) -> Array:
     return np.asarray(left**2 @ terms.axes / np.maximum(terms.axes.sum(axis=0), 1e-12))
 
 
-def _rich(problem: Problem, terms: Terms) -> Array:
-    """(N, N) covariance of every free function that the base may lack."""
-    n = len(terms.order)
+def _rich(problem: Problem, n: int) -> Array:
+    """(N, m) factor of every free function that the base may lack."""
     free = [c.at for c in problem.choices if problem.components[c.component].kind == "free"]
-    rich = problem.columns[:n, np.concatenate(free)] if free else np.zeros((n, 0))
-    return np.asarray(REACH**2 * rich @ rich.T)
+    return REACH * problem.columns[:n, np.unique(np.concatenate([np.zeros(0, np.intp), *free]))]
 
 
 def _spread(problem: Problem) -> float:
@@ -255,71 +305,77 @@ def _spread(problem: Problem) -> float:
 
 
 def _gross(problem: Problem, terms: Terms) -> Array:
-    """Covariance of gross errors of the records, and of the setting of each dial, that belong least
-    to the others."""
+    """(N, m) factor of gross errors of the records, and of the setting of each dial, that belong
+    least to the others."""
     fit, n = problem.fit, len(terms.order)
     white, basis = fit.white_basis()
-    root = white(np.eye(n))
-    root = root - basis @ (basis.T @ root)
-    precision = root.T @ root
-    pulled = root.T @ white(fit.at.residual)
+
+    def beside_base(columns: Array) -> Array:
+        own = white(columns)
+        return np.asarray(own - basis @ (basis.T @ own))
+
+    rest = beside_base(fit.at.residual[:, None])[:, 0]
+    pulled = white.back(rest[:, None])[:, 0]
+    size, numbers = np.empty(fit.observations.n), list[Index]()
+    for some in np.array_split(np.arange(size.size), -(-size.size // _AT_ONCE)):
+        rows = [np.flatnonzero(terms.order == row) for row in some]
+        every, first = np.concatenate(rows), np.cumsum([0, *(r.size for r in rows)])
+        own = np.zeros((n, every.size))
+        own[every, np.arange(every.size)] = 1.0
+        own = beside_base(own)
+        for k, row in enumerate(some):
+            block = own[:, first[k] : first[k + 1]]
+            inner = block.T @ block + 1e-9 * np.eye(rows[k].size)
+            size[row] = pulled[rows[k]] @ np.linalg.solve(inner, pulled[rows[k]])
+        numbers += rows
     unit = GROSS_MG * MG / fit.at.unit
-    whole = np.zeros((n, n))
-    rows = [np.flatnonzero(terms.order == row) for row in range(fit.observations.n)]
-    size = []
-    for own in rows:
-        inner = precision[np.ix_(own, own)] + 1e-9 * np.eye(own.size)
-        size.append(pulled[own] @ np.linalg.solve(inner, pulled[own]))
+    factors = []
     for row in np.argsort(size)[-GROSS:]:
-        whole[rows[row], rows[row]] += unit[rows[row]] ** 2
+        one = np.zeros((n, numbers[row].size))
+        one[numbers[row], np.arange(numbers[row].size)] = unit[numbers[row]]
+        factors.append(one)
     for settings in fit.at.settings[: fit.at.free]:
-        power = np.einsum("nk,nm,mk->k", settings, precision, settings, optimize=True)
+        power = np.sum(beside_base(settings) ** 2, axis=0)
         worst = int(np.argmax((settings.T @ pulled) ** 2 / (power + 1e-9)))
-        whole += np.outer(settings[:, worst], settings[:, worst])
-    return whole
+        factors.append(settings[:, worst : worst + 1])
+    return np.hstack(factors)
 
 
 def _evidence(
-    problem: Problem, terms: Terms, point: Point, lacked: Array | float, power: Array | float = 1.0
-) -> float:
-    """Log evidence of the base model at one noise, beside a covariance of what it may lack; power :
-    as in `Terms.covariance`"""
-    n, dof = len(terms.order), problem.numbers - problem.base
+    problem: Problem,
+    terms: Terms,
+    points: Sequence[Point],
+    lacked: Array,
+    power: Array | None = None,
+) -> Array:
+    """(P,) log evidence of the base model, as in `Terms.evidence`."""
+    n = len(terms.order)
     brief = problem.columns[:, [*range(problem.base), problem.columns.shape[1] - 1]]
-    lower = _cholesky(terms.covariance(point, power) + lacked)
-    white = np.vstack([_solved(lower, brief[:n]), brief[n:]])
-    r = np.linalg.qr(white, mode="r")
-    size = np.maximum(np.abs(np.diag(r)), 1e-12)
-    logs = np.log(np.diag(lower)).sum() + np.log(size[:-1]).sum() + dof * np.log(size[-1])
-    return float(point.log_prior - logs)
-
-
-def _cholesky(covariance: Array) -> Array:
-    return np.asarray(np.linalg.cholesky(covariance))
-
-
-def _solved(lower: Array, columns: Array) -> Array:
-    from scipy.linalg import solve_triangular
-
-    return np.asarray(solve_triangular(lower, columns, lower=True, check_finite=False))
-
-
-def _both(lower: Array, columns: Array) -> Array:
-    from scipy.linalg import cho_solve
-
-    return np.asarray(cho_solve((lower, True), columns, check_finite=False))
+    return terms.evidence(
+        points,
+        brief[:n],
+        brief[n:],
+        problem.numbers - problem.base,
+        lacked,
+        np.ones(terms.axes.shape[1]) if power is None else power,
+    )
 
 
 def without(grams: Grams, problem: Problem, rows: Index) -> Grams:
-    """Of the data without some observations."""
-    return separable(grams).without(grams, problem, rows)
-
-
-def separable(grams: Grams) -> Separable:
-    """The products of Grams, whose observations are known. Raises TypeError where they are not."""
-    if not isinstance(grams.products, Separable):
-        raise TypeError("these products have been multiplied out")
-    return grams.products
+    """Of the data without some observations, of which nothing is taken out: A less
+    U_Fᵀ ((V⁻¹)_FF)⁻¹ U_F, U = V⁻¹ Z (Cook and Weisberg 1982)."""
+    source = source_of(grams)
+    left = np.flatnonzero(np.isin(problem.owner, rows))
+    unit = np.zeros((len(source.columns), left.size))
+    unit[left, np.arange(left.size)] = 1.0
+    taken = np.empty((len(source.points), left.size, source.columns.shape[1]))
+    log_weight = grams.log_weight.copy()
+    for k, solve in enumerate(source.solves):
+        lower = np.linalg.cholesky(solve(unit)[left])
+        taken[k] = below(lower, source.weighted[k][left])
+        log_weight[k] -= np.log(np.diag(lower)).sum()
+    taken = np.concatenate([grams.taken, taken], axis=1)
+    return replace(grams, taken=taken, log_weight=log_weight, numbers=grams.numbers - left.size)
 
 
 def swept(grams: Grams, columns: Index, size: float) -> Grams:

@@ -13,7 +13,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.loop.held_out import Fold, Held, errors, joined
-from imucalib.loop.posterior.gram import Grams, beside, log_sum, narrowed, swept, without
+from imucalib.loop.posterior.gram import Grams, beside, narrowed, swept, without
 from imucalib.loop.posterior.odds import FOLD_BEAMS, FOLD_DEEPEST
 from imucalib.loop.posterior.problem import Choice, Problem
 from imucalib.loop.posterior.solution import solved
@@ -22,8 +22,6 @@ from imucalib.loop.posterior.words import told
 
 #: Probability of the sets whose components are searched anew, and single ones beside them.
 _SEEN, _SINGLES = 1e-3, 12
-#: The same of the sets over which a density is averaged.
-_LIKELY = 0.01
 
 
 @dataclass(frozen=True)
@@ -56,7 +54,7 @@ def left_out(problem: Problem, posterior: Posterior, folds: Sequence[Fold]) -> L
         said = told(problem, found).hypothesis
         agreed += said.components == own
         rest = swept(kept, *problem.flat)
-        nats.append(_gained(choices, (whole, posterior.dof), (rest, found.dof), found))
+        nats.append(_gained(choices, (whole, posterior.dof), (rest, found.dof), said, found.base))
         held = problem.fit.observations.take(fold.rows)
         for hypothesis, out in ((found.base, before), (said, after)):
             one = solved(problem, kept, hypothesis, choices)
@@ -68,7 +66,7 @@ def left_out(problem: Problem, posterior: Posterior, folds: Sequence[Fold]) -> L
 def foretold(problem: Problem, posterior: Posterior, folds: Sequence[Fold]) -> Held:
     """Predictions of every observation without its fold by the base model alone."""
     used = np.r_[np.arange(problem.base), problem.columns.shape[1] - 1]
-    brief = replace(problem, columns=problem.columns[:, used], single=problem.base, choices=())
+    brief = replace(problem, columns=problem.columns[:, used], choices=())
     grams = narrowed(posterior.grams, used)
     out, every = list[Held](), np.arange(problem.fit.observations.n)
     for fold in folds:
@@ -83,35 +81,31 @@ def _gained(
     choices: Sequence[Choice],
     whole: tuple[Grams, float],
     rest: tuple[Grams, float],
-    found: Posterior,
+    said: Hypothesis,
+    base: Hypothesis,
 ) -> float:
-    """Nats by which a fold's rows given all others are foretold better over all sets that these
-    leave than by the base model; whole, rest : all data and those without the fold, beside the base
-    model, each with its degrees of freedom."""
+    """Nats by which a fold's rows given all others are foretold better by the set that is told than
+    by the base model; whole, rest : all data and those without the fold, beside the base model,
+    each with its degrees of freedom."""
 
     def under(hypothesis: Hypothesis) -> float:
         blocks = blocks_of(choices, hypothesis.picks)
         one, other = (beside(grams, blocks).evidence(dof) for grams, dof in (whole, rest))
         return one - other
 
-    pairs = zip(found.hypotheses, found.probability, strict=True)
-    likely = [(h, p) for h, p in pairs if p > _LIKELY] or [(found.best, 1.0)]
-    logs = np.array([np.log(p) + under(h) for h, p in likely])
-    return float(log_sum(logs) - np.log(sum(p for _, p in likely))) - under(found.base)
+    return under(said) - under(base)
 
 
 def _narrowed(problem: Problem, posterior: Posterior) -> tuple[Problem, Grams]:
     """The problem and its products with the members of every component that any data have a say
     for."""
     choices = _rivals(problem, posterior)
-    numbers = problem.columns.shape[1] - 1
-    own = np.concatenate([np.arange(problem.base), *(c.at for c in choices)]).astype(np.intp)
-    used = np.unique(np.concatenate([own, np.arange(problem.single, numbers + 1)]))
+    last = problem.columns.shape[1] - 1
+    used = np.unique(np.concatenate([np.arange(problem.base), *(c.at for c in choices), [last]]))
     found = replace(
         problem,
         columns=problem.columns[:, used],
         choices=tuple(replace(c, at=np.searchsorted(used, c.at)) for c in choices),
-        single=int(np.searchsorted(used, problem.single)),
     )
     return found, narrowed(posterior.grams, used)
 

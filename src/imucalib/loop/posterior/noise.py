@@ -11,28 +11,37 @@ K(i, j) = exp(-|i - j| / memory), B what a bias does to each number.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Index
+from imucalib.core.balance import Whitener, whitener
 from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations, SharedNoise
 from imucalib.core.references import KnownVector
 from imucalib.loop.faults.sheet import in_order
 from imucalib.loop.posterior.odds import AS_SET, SETTINGS, WALK_MEMORIES, WALK_SIZES, WALKS
 
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
 #: Name of the variance component that neighbours in the order of recording share.
 NEIGHBOURS = "shared noise"
 _JITTER = 1e-9
+#: Numbers up to which one dense matrix is quicker than its blocks; numbers that a column of a block
+#: holds at most; knots of a walk.
+_FEW, _SHARED, _KNOTS = 240, 30, 64
 
 
 @dataclass(frozen=True)
 class Point:
-    """One noise: its log prior, and its covariance as what multiplies each of `Terms.grams` and the
-    walk; sharing : which of the ways of sharing settings; walk : (size, memory in rows) or None"""
+    """One noise: its log prior, and what multiplies each factor; sharing : which of the ways of
+    sharing settings; walk : (size, memory in rows) or None"""
 
     log_prior: float
     ratio: tuple[float, ...]
@@ -41,28 +50,174 @@ class Point:
 
 
 @dataclass(frozen=True)
-class Terms:
-    """grams : of every way of sharing, N_c N_cᵀ (N, N) of each component
-    bias : (N, N) B Bᵀ; axes : (N, K 3) share of each axis of K triads in a number's variance
-    order : (N,) row of each number; points : all that are weighed"""
+class Covariance:
+    """V, whose inverse is never formed: B + G Gᵀ, with what few numbers share in the blocks B, and
+    what many share in G, taken off by the identity of Woodbury (1950).
 
-    grams: tuple[tuple[Array, ...], ...]
-    bias: Array
+    near : whitens B; wide : (N, k) G, whitened; lower : (k, k) Cholesky factor of 1 + Gᵀ B⁻¹ G
+    """
+
+    near: Whitener
+    wide: Array
+    lower: Array
+
+    @property
+    def log_det(self) -> float:
+        """log|V|"""
+        return float(self.near.log_det + 2.0 * np.log(np.diag(self.lower)).sum())
+
+    def solve(self, columns: Array) -> Array:
+        """(N, m) V⁻¹ times columns (N, m)."""
+        from scipy.linalg import cho_solve
+
+        white = self.near(columns)
+        if self.wide.size:
+            inside = cho_solve((self.lower, True), self.wide.T @ white, check_finite=False)
+            white = white - self.wide @ inside
+        return self.near.back(white)
+
+
+@dataclass(frozen=True)
+class Factor:
+    """near, wide : (N, k) columns of a component that few numbers share, and that many"""
+
+    near: csr_array
+    wide: Array
+
+
+@dataclass(frozen=True)
+class Terms:
+    """ways : of every way of sharing, the factor of each component
+    walks : memory -> (N, k) factor of a walk of unit size that forgets after so many rows
+    axes : (N, K 3) share of each axis of K triads in a number's variance
+    order : (N,) row of each number; points : all that are weighed
+    """
+
+    ways: tuple[tuple[Factor, ...], ...]
+    walks: Mapping[float, Array]
     axes: Array
     order: Index
     points: tuple[Point, ...]
 
-    def covariance(self, point: Point, power: Array | float = 1.0) -> Array:
-        """(N, N) V; power : (K 3,) variance of each axis' noise beside what is assumed"""
-        whole = np.diag(1.0 + self.axes @ (power - np.ones(self.axes.shape[1])))
-        for ratio, gram in zip(point.ratio, self.grams[point.sharing], strict=True):
-            if ratio:
-                whole += ratio**2 * gram
-        if point.walk is not None:
-            size, memory = point.walk
-            apart = np.abs(self.order[:, None] - self.order)
-            whole += size**2 * np.exp(-apart / memory) * self.bias
-        return whole
+    def covariance(self, point: Point) -> Covariance:
+        """V at a point."""
+        own = self.ways[point.sharing]
+        wide = [
+            m * size for m, size in zip(self._wide(own), self._sizes(point), strict=True) if size
+        ]
+        near, n = [f.near for f in own], self.order.size
+        if sum(m.shape[1] for m in wide) >= n:
+            return Covariance(
+                whitener((*near, *wide), (*point.ratio, *(1.0 for _ in wide))),
+                np.zeros((n, 0)),
+                np.zeros((0, 0)),
+            )
+        white = whitener(near, point.ratio)
+        columns = white(np.column_stack([np.zeros((n, 0)), *wide]))
+        inner = np.eye(columns.shape[1]) + columns.T @ columns
+        return Covariance(white, columns, np.asarray(np.linalg.cholesky(inner)))
+
+    def evidence(
+        self,
+        points: Sequence[Point],
+        free: Array,
+        known: Array,
+        dof: float,
+        lacked: Array,
+        power: Array,
+    ) -> Array:
+        """(P,) log evidence of free columns at some points, but for the priors of their sizes.
+
+        free : (N, p + 1) the columns, and what they shall explain; known : (k, p + 1) what is known
+        of them before; dof : that are left; lacked : (N, m) factor of what may be there beside the
+        noise; power : (K 3,) variance of each axis' noise beside what is assumed
+        """
+        scale = np.sqrt(1.0 + self.axes @ (power - 1.0))[:, None]
+        logs, groups = np.empty(len(points)), dict[tuple[float, ...], list[int]]()
+        for k, point in enumerate(points):
+            pairs = zip(self.ways[point.sharing], point.ratio, strict=True)
+            key = (point.sharing, *(ratio for f, ratio in pairs if f.near.nnz))
+            groups.setdefault(key, []).append(k)
+        for group in groups.values():
+            first = points[group[0]]
+            own = self.ways[first.sharing]
+            near = whitener([f.near.multiply(1.0 / scale).tocsr() for f in own], first.ratio)
+            wide = [near(m / scale) for m in (*self._wide(own), lacked)]
+            inside = _Inside.of(wide, near(free / scale))
+            for k in group:
+                log_det, rest = inside((*self._sizes(points[k]), 1.0))
+                log_det += near.log_det + 2.0 * np.log(scale).sum()
+                logs[k] = points[k].log_prior - 0.5 * log_det + _free(rest + known.T @ known, dof)
+        return logs
+
+    def _wide(self, own: Sequence[Factor]) -> tuple[Array, ...]:
+        return (*(f.wide for f in own), *self.walks.values())
+
+    def _sizes(self, point: Point) -> tuple[float, ...]:
+        """Of each of `_wide`."""
+        size, memory = point.walk or (0.0, 0.0)
+        return (*point.ratio, *(size * (memory == m) for m in self.walks))
+
+
+@dataclass(frozen=True)
+class _Inside:
+    """Free columns beside I + Σ size² W Wᵀ at any sizes, by products of whichever is smaller.
+
+    products : (N, N) W Wᵀ of each part and the free columns (N, p), or `gram`, (k + p, k + p)
+    products of all columns, and how many columns a part has
+    """
+
+    products: tuple[Array, ...]
+    free: Array
+    gram: Array
+    count: tuple[int, ...]
+
+    @staticmethod
+    def of(wide: Sequence[Array], free: Array) -> _Inside:
+        count = tuple(m.shape[1] for m in wide)
+        if sum(count) >= len(free):
+            return _Inside(tuple(m @ m.T for m in wide), free, np.zeros((0, 0)), count)
+        every = np.column_stack([*wide, free])
+        return _Inside((), free, every.T @ every, count)
+
+    def __call__(self, sizes: Sequence[float]) -> tuple[float, Array]:
+        """log|I + Σ size² W Wᵀ| and (p, p) products of the free columns beside it."""
+        return self._of_numbers(sizes) if self.products else self._of_columns(sizes)
+
+    def _of_numbers(self, sizes: Sequence[float]) -> tuple[float, Array]:
+        whole = np.eye(len(self.free))
+        for size, square in zip(sizes, self.products, strict=True):
+            if size:
+                whole += size**2 * square
+        lower = np.linalg.cholesky(whole)
+        rest = below(lower, self.free)
+        return 2.0 * float(np.log(np.diag(lower)).sum()), np.asarray(rest.T @ rest)
+
+    def _of_columns(self, sizes: Sequence[float]) -> tuple[float, Array]:
+        every = np.repeat(sizes, self.count)
+        used, first = np.flatnonzero(every), every.size
+        scale = every[used, None]
+        inner = np.eye(used.size) + scale * self.gram[np.ix_(used, used)] * scale.T
+        lower = np.linalg.cholesky(inner)
+        taken = below(lower, scale * self.gram[used, first:])
+        log_det = 2.0 * float(np.log(np.diag(lower)).sum())
+        return log_det, np.asarray(self.gram[first:, first:] - taken.T @ taken)
+
+
+def below(lower: NDArray[np.floating[Any]], columns: Array) -> Array:
+    """L⁻¹ times columns, of a lower triangle L."""
+    from scipy.linalg import solve_triangular
+
+    return np.asarray(solve_triangular(lower, columns, lower=True, check_finite=False))
+
+
+def _free(gram: Array, dof: float) -> float:
+    """Log evidence of columns with flat priors and of the noise factor; gram : (p + 1, p + 1) their
+    products and those with the readings, last"""
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-24))
+    root = np.linalg.cholesky(gram / np.outer(scale, scale) + _JITTER * np.eye(scale.size))
+    size = np.log(np.diag(root)) + np.log(scale)
+    return -float(size[:-1].sum() + dof * size[-1])
 
 
 def shared_bias(data: Observations, memory: float) -> SharedNoise:
@@ -88,9 +243,34 @@ def terms_of(fit: Fit) -> Terms:
         block[:, k] = unit[:, 0]
         each.append(at.columns(block))
     bias = np.concatenate(each, axis=1)
-    grams = tuple(tuple(m @ m.T for m in way) for way in ways)
     points = tuple(_points(fit, ways, n))
-    return Terms(grams, bias @ bias.T, bias**2, at.owner, points)
+    memories = {p.walk[1] for p in points if p.walk}
+    return Terms(
+        ways=tuple(tuple(_parted(m) for m in way) for way in ways),
+        walks={memory: _walk(at.owner, bias, memory) for memory in sorted(memories)},
+        axes=bias**2,
+        order=at.owner,
+        points=points,
+    )
+
+
+def _parted(columns: Array) -> Factor:
+    """Of few numbers all columns count as shared by many: there is nothing to gain."""
+    from scipy.sparse import csr_array
+
+    shared = (columns != 0.0).sum(axis=0) > (_SHARED if len(columns) > _FEW else 0)
+    return Factor(csr_array(columns[:, ~shared]), columns[:, shared])
+
+
+def _walk(order: Index, bias: Array, memory: float) -> Array:
+    """(N, k) factor of K ∘ B Bᵀ. A walk is known between knots that are near beside its memory: the
+    bridge between them is smaller than the noise (Quiñonero-Candela and Rasmussen 2005)."""
+    n = int(order.max()) + 1
+    knots = np.linspace(0.0, n - 1.0, min(n, _KNOTS))
+    own = np.exp(-np.abs(knots[:, None] - knots) / memory) + _JITTER * np.eye(knots.size)
+    lower = np.linalg.cholesky(own)
+    course = below(lower, np.exp(-np.abs(knots[:, None] - order) / memory)).T
+    return np.asarray((bias[:, :, None] * course[:, None]).reshape(order.size, -1))
 
 
 def _sharings(fit: Fit) -> Iterator[tuple[Array, ...]]:

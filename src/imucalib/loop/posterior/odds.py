@@ -27,6 +27,9 @@ SIZES = 2.0 ** np.arange(-2.0, 7.0)
 SPREAD = 3.5
 #: Probability below which the base model is called incomplete, and above which a name is certain.
 COMPLETE, CERTAIN = 0.05, 0.95
+#: Share of a candidate's columns that the fitted parameters must leave for it to be seen: what is
+#: left below is rounding (columns of 1e3 numbers at 1e-16 leave about 1e-13).
+ABSORBED = 1e-5
 #: Nats by which the best set must lead a simpler one that is told (Occam's window; Raftery 1995).
 TOLD = 3.0
 #: Nats below the best at which a set is opened no further, and below which a noise is dropped.

@@ -61,8 +61,7 @@ class Problem:
     model : the base model; start : (p,) its θ there
     components : that the data can show, odds : (C,) log prior odds of each
     choices : every member of every component
-    columns : (N, q) base, members, where asked one for each reading's number by itself, misfit;
-        the first `base` are the base model's, and `single` is where the readings' own begin
+    columns : (N, q) base, members, misfit; the first `base` are the base model's
     owner : (N,) observation of each number, -1 where it is known before the readings
     """
 
@@ -74,7 +73,6 @@ class Problem:
     choices: tuple[Choice, ...]
     columns: Array
     base: int
-    single: int
     owner: Index
 
     @property
@@ -87,11 +85,6 @@ class Problem:
         """Those of a component."""
         return SIZES
 
-    def of_rows(self, rows: Index) -> Index:
-        """Columns of the numbers of some observations, each by itself: a number that is free is as
-        good as one that is not there."""
-        return np.asarray(self.single + np.flatnonzero(np.isin(self.owner, rows)), np.intp)
-
     @property
     def numbers(self) -> float:
         """How many numbers speak of the noise: the readings', and as many as what is known of the
@@ -103,15 +96,12 @@ class Problem:
         return float(n + self.base - used)
 
 
-def problem_of(
-    fit: Fit, components: tuple[Component, ...], model: Model | None = None, *, single: bool = True
-) -> Problem:
+def problem_of(fit: Fit, components: tuple[Component, ...], model: Model | None = None) -> Problem:
     """The problem at a fitted model. Members whose columns are zero or not finite, and components
     without a member, are left out.
 
     model : the base, that of the fit by default: what the fit has beside it is taken back into the
         misfit, so that the linearisation is exact where it stands
-    single : whether single numbers of readings shall be freed or left out
     """
     base = model or fit.model
     context = fit.observations.context
@@ -131,9 +121,6 @@ def problem_of(
             kept.append(component)
     known = _known_before(fit)
     every = [at.jacobian[:, own], *blocks.columns]
-    first = own.size + len(blocks.columns)
-    if single:
-        every.append(np.eye(misfit.size))
     columns = np.column_stack([*every, misfit])
     rows = np.zeros((len(known), columns.shape[1]))
     rows[:, -1], rows[:, : own.size] = known[:, 0], known[:, 1 + own]
@@ -146,7 +133,6 @@ def problem_of(
         choices=tuple(choices),
         columns=np.vstack([columns, rows]),
         base=own.size,
-        single=first,
         owner=np.concatenate([at.owner, np.full(len(known), -1)]),
     )
 

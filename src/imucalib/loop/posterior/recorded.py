@@ -21,7 +21,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -33,7 +32,7 @@ from imucalib.core.observations import Observations
 from imucalib.estimators.least_squares import evaluate
 from imucalib.loop.found import Wander
 from imucalib.loop.posterior.catalogue import Member
-from imucalib.loop.posterior.gram import Grams, Multiplied, beside, log_sum, swept
+from imucalib.loop.posterior.gram import Grams, Multiplied, Source, beside, log_sum, swept
 from imucalib.loop.posterior.odds import (
     HEARD,
     OPEN,
@@ -277,59 +276,23 @@ def _beside(course: Course, walk: int, every: Array) -> Array:
     return np.asarray(every[:, -1] - every[:, :-1] @ found)
 
 
-@dataclass(frozen=True)
-class Summed(Multiplied):
-    """Zᵀ V⁻¹ Z of a recording's columns (n, q) under some of its walks"""
-
-    columns: Array
-    course: Course
-
-    def of(self, noises: Index) -> Summed:
-        """At some of the noises."""
-        walks = tuple(self.course.walks[k] for k in noises)
-        return replace(self, matrix=self.matrix[noises], course=replace(self.course, walks=walks))
-
-    def narrowed(self, columns: Index) -> Summed:
-        """Of some columns, in their order."""
-        own = self.matrix[:, columns[:, None], columns]
-        return replace(self, matrix=own, columns=self.columns[:, columns])
-
-    @cached_property
-    def _whitener(self) -> Whitener:
-        return self.course.whitener(self.course.walks)
-
-    @cached_property
-    def _weighted(self) -> Array:
-        """(E, n, q) V⁻¹ Z."""
-        out = np.empty((len(self.matrix), *self.columns.shape))
-        for k in range(len(out)):
-            white = self._whitener.of(slice(k, k + 1))
-            out[k] = white.back(white(self.columns))[0]
-        return out
-
-    def without(self, grams: Grams, problem: Problem, rows: Index) -> Grams:
-        """Without some runs, through which the walk goes on: A - U_Fᵀ ((V⁻¹)_FF)⁻¹ U_F, U = V⁻¹ Z
-        (Cook and Weisberg 1982)."""
-        unit = np.zeros((len(self.columns), rows.size))
-        unit[rows, np.arange(rows.size)] = 1.0
-        gram, log_weight = self.matrix.copy(), grams.log_weight.copy()
-        for k in range(len(gram)):
-            white = self._whitener.of(slice(k, k + 1))
-            lower = np.linalg.cholesky(white.back(white(unit))[0, rows])
-            taken = np.linalg.solve(lower, self._weighted[k, rows])
-            gram[k] -= taken.T @ taken
-            log_weight[k] -= np.log(np.diag(lower)).sum()
-        count = grams.numbers - rows.size
-        products = replace(self, matrix=gram)
-        return replace(grams, products=products, log_weight=log_weight, numbers=count)
-
-
 def recorded_grams(problem: Problem, course: Course) -> Grams:
-    """At all walks of a course."""
+    """At all walks of a course, which go on through runs that are left out."""
     gram, log_weight = _summed(course, problem.columns)
-    products = Summed(gram, problem.columns, course)
-    nothing = np.zeros((len(gram), 0, gram.shape[1]))
-    return Grams(products, nothing, log_weight, problem.numbers, course.walks, np.inf)
+
+    def inverse(walk: Walk) -> Callable[[Array], Array]:
+        white = course.whitener((walk,))
+        return lambda columns: white.back(white(columns))[0]
+
+    return Grams(
+        products=Multiplied(gram),
+        taken=np.zeros((len(gram), 0, gram.shape[1])),
+        log_weight=log_weight,
+        numbers=problem.numbers,
+        points=course.walks,
+        spread=np.inf,
+        source=Source(problem.columns, course.walks, inverse),
+    )
 
 
 @dataclass(frozen=True)

@@ -219,7 +219,7 @@ def _explored(plain: Fit, asked: Searched, known: Array) -> tuple[Explored, Cour
     course, _ = course_of(fit, known)
     for _ in range(_ROUNDS):
         at = fit_at(fit.model, _scaled(data, course), fit.theta, fit.covariance)
-        problem = problem_of(at, refined(first, near, data, asked), plain.model, single=False)
+        problem = problem_of(at, refined(first, near, data, asked), plain.model)
         every = recorded_grams(problem, course)
         look = looked(problem, every, before)
         grams = every.of(look.kept)

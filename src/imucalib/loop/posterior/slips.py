@@ -24,7 +24,7 @@ from imucalib.loop.candidates import Searched
 from imucalib.loop.faults.angles import angles
 from imucalib.loop.faults.cells import base_of, blocks, cells, exchanges, other_axes, prior_of
 from imucalib.loop.faults.sheet import Fault, Sheet
-from imucalib.loop.posterior.gram import Grams, beside, log_sum, restricted, swept
+from imucalib.loop.posterior.gram import Grams, beside, freed, log_sum
 from imucalib.loop.posterior.odds import ACCUSED, OPEN
 from imucalib.loop.posterior.problem import known_sd
 from imucalib.loop.posterior.solution import Explored, explored
@@ -151,12 +151,12 @@ def _trials(state: Mended, written: Written | None) -> Iterator[_Trial]:
         return
     sets = _sets(found)
     sheets = _beside_each(found, sets)
-    freed = np.array([_freed(found, one) for one in sheets])
-    order = np.argsort(-freed.max(axis=1) - [*sets.values()])
+    gains = np.array([_freed(found, one) for one in sheets])
+    order = np.argsort(-gains.max(axis=1) - [*sets.values()])
     leading = dict.fromkeys((0, *map(int, order[:2])))
     touched = {row for fault in state.slips for row in fault.rows}
     taken = {row for row, _ in state.aside}
-    alone = freed.max(axis=0) + prior_of(n)
+    alone = gains.max(axis=0) + prior_of(n)
     for row in map(int, np.argsort(-alone)[:_TRIED]):
         if row not in taken:
             yield _Trial(float(alone[row]), prior_of(n), row=row)
@@ -245,20 +245,20 @@ def _turned(context: Context, sheet: Sheet) -> Context:
 def _beside_each(found: Explored, sets: Iterable[tuple[Pick, ...]]) -> list[Grams]:
     """Of each set the Grams beside the base model and it: of the columns of all sets, then the
     readings' own numbers and y."""
-    problem = found.problem
-    every = [blocks_of(problem.choices, picks) for picks in sets]
-    own = np.arange(problem.single, problem.columns.shape[1])
-    columns = np.unique(np.concatenate([own, *(c for one in every for c, _ in one)]))
-    flat = restricted(swept(found.every, *problem.flat), columns)
+    every = [blocks_of(found.problem.choices, picks) for picks in sets]
+    columns = np.unique(
+        np.concatenate([np.zeros(0, np.intp), *(c for one in every for c, _ in one)])
+    )
+    flat = freed(found.every, found.problem, columns)
     return [beside(flat, ((np.searchsorted(columns, c), s) for c, s in one)) for one in every]
 
 
 def _freed(found: Explored, one: Grams) -> Array:
     """(n,) nats that freeing each record gains beside a set, before anything is solved again; one :
     the Grams beside it, the readings' own numbers before y"""
-    problem, dof, fit = found.problem, found.posterior.dof, found.base
-    rows = [problem.of_rows(np.array([row])) for row in range(fit.observations.n)]
+    dof, fit = found.posterior.dof, found.base
+    first = one.along.shape[1] - 1 - len(fit.at.owner)
+    rows = [first + np.flatnonzero(fit.at.owner == row) for row in range(fit.observations.n)]
     size = GROSS_MG * MG / float(np.median(fit.at.unit)) / fit.noise.factor
-    index = np.array(rows) - problem.columns.shape[1] + one.along.shape[1]
-    logs = block_logs(one, index, np.array([size]), dof)[0][..., 0]
+    logs = block_logs(one, np.array(rows), np.array([size]), dof)[0][..., 0]
     return log_sum(logs) - one.evidence(dof)

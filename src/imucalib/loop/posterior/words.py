@@ -49,7 +49,7 @@ def rivals_of(problem: Problem, posterior: Posterior) -> tuple[Rival, ...]:
 def scores_of(problem: Problem, posterior: Posterior) -> tuple[Score, ...]:
     """Every component, likeliest first, by its first member at typical size.
 
-    Its evidence beside the base model alone, the probability that it is not there in `p`, and what
+    Its evidence beside the base model alone, the probability that it is there, and what
     the base model leaves of it at the likeliest noise.
     """
     grams = posterior.grams
@@ -77,13 +77,13 @@ def scores_of(problem: Problem, posterior: Posterior) -> tuple[Score, ...]:
                 kind="effect" if component.named else "probe",
                 driver=component.driver,
                 evidence=float(evidence[choice.component]),
-                p=float(1.0 - inside[choice.component]),
+                probability=float(inside[choice.component]),
                 left=float(np.sum(rest**2) / np.sum(columns**2)),
                 strength=float(np.sqrt(power)) / factor,
                 size=float(np.linalg.norm(sized) / problem.fit.observations.n**0.5),
             )
         )
-    return tuple(sorted(found, key=lambda s: s.p))
+    return tuple(sorted(found, key=lambda s: -s.probability))
 
 
 def of_each(posterior: Posterior, count: int) -> tuple[Array, Array]:

@@ -1,1 +1,1 @@
-"""A document as text, HTML and vector graphics."""
+"""The looks of a document: HTML by templates, SVG, and the terminal."""

@@ -3,23 +3,26 @@
 Text and axes use `currentColor`; series take the CSS variables `--series-0` ... `--series-6`, with
 the palette of Okabe and Ito (colour universal design, 2008) as fallback.
 
-Axes of a plot: limits that hold the data, ticks at 1-2-5 steps, labels without noise digits.
-
-Shared by the SVG and the terminal renderer; knows nothing of pixels or characters.
+Axes: limits that hold the data, ticks at 1-2-5 steps, labels without noise digits.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.report.document import Plot, Series
 from imucalib.report.render import marks
-from imucalib.report.render.marks import clipped, escape, short, text_width
+from imucalib.report.render.marks import Shape, clipped, text_width
+from imucalib.report.render.templates import filled, short
+
+if TYPE_CHECKING:
+    from markupsafe import Markup
 
 LARGEST = 1e300  # beyond it differences overflow: drawn as a gap
 SMALLEST = 1e-290  # below it steps underflow: drawn as zero
@@ -59,13 +62,6 @@ def drawable(values: Array, log: bool = False) -> Array:
         shown = np.where(np.abs(values) < LARGEST, values, np.nan)
         shown = np.where(np.abs(shown) < SMALLEST, 0.0, shown)
         return np.where(shown > 0, shown, np.nan) if log else shown
-
-
-def drawable_at_all(series: Series, log: bool) -> bool:
-    """Whether any point of the series, or of its band, can be shown."""
-    parts = [part for part in (series.y, series.low, series.high) if part is not None]
-    x = drawable(series.x)
-    return any(bool(np.isfinite(x + drawable(part, log)).any()) for part in parts)
 
 
 def nice_step(span: float, count: int) -> float:
@@ -174,8 +170,10 @@ def plot_limits(plot: Plot) -> tuple[tuple[float, float], tuple[float, float]]:
     x_low, x_high = limits([s.x for s in plot.series], pad=0.04)
     y_low, y_high = limits(y_parts(plot), log=plot.log_y)
     slot = bar_slot(plot)
-    if slot and not plot.log_y:
-        y_low, y_high = _seated(y_parts(plot), y_low, y_high)
+    if slot and not plot.log_y:  # all bars end on one side: they stand on zero, without a margin
+        shown = np.concatenate([drawable(part) for part in y_parts(plot)])
+        y_low = 0.0 if np.nanmin(shown) >= 0 else y_low
+        y_high = 0.0 if np.nanmax(shown) <= 0 and np.nanmin(shown) < 0 else y_high
     return (x_low - slot / 2, x_high + slot / 2), (y_low, y_high)
 
 
@@ -192,14 +190,6 @@ def plot_axes(plot: Plot, shape: tuple[float, float], counts: tuple[int, int]) -
         y_low, y_high = _widened(y_low, y_high, unit * shape[1])
     y_axis = (log_axis if plot.log_y else linear_axis)(y_low, y_high, counts[1])
     return linear_axis(x_low, x_high, counts[0]), y_axis
-
-
-def _seated(parts: list[Array], low: float, high: float) -> tuple[float, float]:
-    """Limits without the margin beyond zero on the side where all bars end: they stand on it."""
-    shown = np.concatenate([drawable(part) for part in parts])
-    if np.nanmin(shown) >= 0:
-        return 0.0, high
-    return (low, 0.0) if np.nanmax(shown) <= 0 else (low, high)
 
 
 def _widened(low: float, high: float, span: float) -> tuple[float, float]:
@@ -232,43 +222,11 @@ PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "cu
 FONT = 12.5
 DASHED = 200  # points of a line that may be dashed: a longer one is too ragged for it
 DASHES = ("", "7 3", "2 3", "8 3 2 3", "12 4", "4 2 1 2 1 2")
-
-# Presentation attributes, not a style sheet: any CSS of the page wins over them.
-_SHAPES = {
-    "line": 'fill="none" stroke="currentColor" stroke-width="1.6" stroke-linejoin="round"'
-    ' stroke-linecap="round"',
-    "net": 'fill="none" stroke="currentColor" stroke-opacity="0.3"',
-    "band": 'fill="currentColor" fill-opacity="0.2"',
-    "whisker": 'fill="none" stroke="currentColor" stroke-width="1.2"',
-    "stem": 'fill="none" stroke="currentColor" stroke-width="1.2"',
-    "mark": 'fill="currentColor"',
-    "bar": 'fill="currentColor" fill-opacity="0.85"',
-    "dots": 'fill="none" stroke="currentColor" stroke-width="2.6" stroke-linecap="round"',
-}
-
-
-def dash_of(plot: Plot, i: int) -> str:
-    """The dash pattern of a line: the first is solid, and so is one of many points."""
-    order = sum(s.mark in ("line", "band", "step") for s in plot.series[:i])
-    return DASHES[order % len(DASHES)] if len(plot.series[i].x) <= DASHED else ""
-
-
-def coloured(i: int, body: str) -> str:
-    """Shapes in the colour of series `i`, which a page may set by a CSS variable."""
-    n = i % len(PALETTE)
-    return f'<g style="color:var(--series-{n},{PALETTE[n]})">{shaped(body)}</g>'
-
-
-def shaped(body: str) -> str:
-    """Shape names replaced by their presentation attributes."""
-    for name, attributes in _SHAPES.items():
-        body = body.replace(f'class="{name}"', attributes)
-    return body
-
-
 WIDTH, HEIGHT = 500, 300
 LEGEND_ROW = 20.0
 SWATCH = 26.0
+#: Colour of the series (None: that of the text), and what is drawn in it.
+Group = tuple[int | None, list[Shape]]
 
 
 @dataclass(frozen=True)
@@ -282,7 +240,7 @@ class Frame:
     x: Axis
     y: Axis
 
-    def place(self, series: Series, shift: float = 0.0) -> marks.Placed:
+    def place(self, series: Series, shift: float) -> marks.Placed:
         """A series in pixels; `shift` moves it sideways (bars side by side)."""
         x = self.left + shift + self.width * self.x.fraction(series.x)
         edges = [None if e is None else self._edge(e) for e in (series.low, series.high)]
@@ -298,30 +256,45 @@ class Frame:
         return self.down(np.maximum(values, 10.0**self.y.low) if self.y.log else values)
 
 
-def render_svg(plot: Plot, width: int = WIDTH, height: int = HEIGHT) -> str:
+def render_svg(plot: Plot, width: int = WIDTH, height: int = HEIGHT) -> Markup:
     """One plot as an `<svg>` element that scales to its container.
 
     `height` includes legend and labels; a plot with equal scales takes the height that it needs.
     """
     legend, legend_height = _legend(plot, width)
     frame = _frame(plot, width, height, legend_height)
-    total = frame.top + frame.height + (46 if plot.x_label or frame.x.note else 26)
-    label = escape(f"{plot.title}. {plot.caption}".strip(". "))
-    axes = _x_label(plot, frame, 18.0) if plot.bare else _grid(frame) + _x_axis(plot, frame)
-    body = "".join([legend, axes, _series(plot, frame)])
-    return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" class="plot" role="img" aria-label="{label}"'
-        f' viewBox="0 0 {width} {short(total)}" width="{width}" height="{short(total)}"'
-        f' font-size="{FONT}" font-family="system-ui, sans-serif" fill="currentColor">'
-        f"{body}{_y_label(plot, frame)}</svg>"
+    across = frame.left + frame.width * frame.x.fraction(frame.x.ticks)
+    x_label = plot.x_label if plot.bare else frame.x.titled(plot.x_label)
+    return filled(
+        "plot.svg.j2",
+        plot=plot,
+        frame=frame,
+        width=width,
+        total=frame.top + frame.height + (46 if plot.x_label or frame.x.note else 26),
+        font=FONT,
+        palette=PALETTE,
+        legend=legend,
+        x_ticks=_shown(across, frame.x.labels),
+        y_ticks=_shown(frame.down(frame.y.ticks), frame.y.labels),
+        barred=any(series.mark == "bars" for series in plot.series),
+        x_label=clipped(x_label, FONT, frame.width),
+        y_label=clipped(frame.y.titled(plot.y_label), FONT, frame.height + 20),
+        drawn=_drawn(plot, frame),
     )
+
+
+def _shown(places: Array, labels: tuple[str, ...]) -> list[tuple[float, str]]:
+    placed = zip(places.tolist(), labels, strict=True)
+    return [(at, text) for at, text in placed if math.isfinite(at)]
 
 
 def _frame(plot: Plot, width: int, height: int, legend_height: float) -> Frame:
     top = 10.0 + legend_height
     tall = max(height - top - 46, 60.0)
-    if plot.equal:
-        tall = _equal_height(plot, width - 90.0, 1.25 * height)
+    if plot.equal:  # the height at which equal scales just hold the data, within sensible bounds
+        (x_low, x_high), (y_low, y_high) = plot_limits(plot)
+        wanted = (width - 90.0) * ((y_high - y_low) / (x_high - x_low))
+        tall = float(np.clip(wanted, 140, 1.25 * height))
     counts = (max(2, width // 80), max(2, round(tall / 42)))
     y_axis = plot_axes(plot, (width - 90.0, tall), counts)[1]
     widest = max((text_width(text, FONT) for text in y_axis.labels), default=0)
@@ -329,136 +302,60 @@ def _frame(plot: Plot, width: int, height: int, legend_height: float) -> Frame:
     left = 8.0 if plot.bare else left
     shape = (width - left - (8 if plot.bare else 16), tall)
     x_axis, y_axis = plot_axes(plot, shape, counts)
-    return Frame(left, top, *shape, _categories(plot, x_axis, shape[0]), y_axis)
-
-
-def _equal_height(plot: Plot, width: float, tallest: float) -> float:
-    """Height at which equal scales just hold the data, within sensible bounds."""
-    x, y = plot_limits(plot)
-    return float(np.clip(width * ((y[1] - y[0]) / (x[1] - x[0])), 140, tallest))
-
-
-def _categories(plot: Plot, axis: Axis, width: float) -> Axis:
-    """Names under the bars instead of numbers, where all are named and have room."""
+    # Names under the bars instead of numbers, where all are named and have room.
     places = named_places(plot) if any(s.mark == "bars" for s in plot.series) else {}
-    room = width * bar_slot(plot) / (axis.high - axis.low) - 4
-    if not places or any(text_width(name, FONT) > room for name in places.values()):
-        return axis
-    return Axis(axis.low, axis.high, np.array(list(places)), tuple(places.values()))
+    room = shape[0] * bar_slot(plot) / (x_axis.high - x_axis.low) - 4
+    if places and all(text_width(name, FONT) <= room for name in places.values()):
+        x_axis = Axis(x_axis.low, x_axis.high, np.array(list(places)), tuple(places.values()))
+    return Frame(left, top, *shape, x_axis, y_axis)
 
 
-def _grid(frame: Frame) -> str:
-    """Light grid lines, the y tick labels, and a stronger line at zero."""
-    rows, right = [], frame.left + frame.width
-    for y, label in _ticks(frame.y, lambda t: float(frame.down(np.array([t]))[0])):
-        zero = label == "0" and not frame.y.log
-        rows.append(
-            f'<path d="M{short(frame.left)},{short(y)}H{short(right)}" stroke="currentColor"'
-            f' stroke-opacity="{0.45 if zero else 0.13}"/><text x="{short(frame.left - 7)}"'
-            f' y="{short(y + 4.3)}" text-anchor="end">{escape(label)}</text>'
-        )
-    return f'<g class="grid">{"".join(rows)}</g>'
-
-
-def _ticks(axis: Axis, place: Callable[[float], float]) -> list[tuple[float, str]]:
-    placed = [(place(float(t)), text) for t, text in zip(axis.ticks, axis.labels, strict=True)]
-    return [(at, text) for at, text in placed if np.isfinite(at)]
-
-
-def _x_axis(plot: Plot, frame: Frame) -> str:
-    bottom = frame.top + frame.height
-    parts = [
-        f'<path d="M{short(frame.left)},{short(bottom)}h{short(frame.width)}"'
-        ' stroke="currentColor" stroke-opacity="0.7"/>'
-    ]
-
-    def across(tick: float) -> float:
-        return frame.left + frame.width * float(frame.x.fraction(np.array([tick]))[0])
-
-    barred = any(series.mark == "bars" for series in plot.series)
-    for x, label in _ticks(frame.x, across):
-        if not barred:
-            parts.append(
-                f'<path d="M{short(x)},{short(frame.top)}V{short(bottom)}" stroke="currentColor"'
-                ' stroke-opacity="0.08"/>'
-            )
-        parts.append(
-            f'<path d="M{short(x)},{short(bottom)}v4" stroke="currentColor" stroke-opacity="0.7"/>'
-            f'<text x="{short(x)}" y="{short(bottom + 18)}" text-anchor="middle">'
-            f"{escape(label)}</text>"
-        )
-    return f'<g class="x">{"".join(parts)}{_x_label(plot, frame, 39.0)}</g>'
-
-
-def _x_label(plot: Plot, frame: Frame, below: float) -> str:
-    """The label, `below` pixels under the axes."""
-    label = clipped(plot.x_label if plot.bare else frame.x.titled(plot.x_label), FONT, frame.width)
-    if not label:
-        return ""
-    x, y = short(frame.left + frame.width / 2), short(frame.top + frame.height + below)
-    return f'<text class="axis" x="{x}" y="{y}" text-anchor="middle">{escape(label)}</text>'
-
-
-def _y_label(plot: Plot, frame: Frame) -> str:
-    label = clipped(frame.y.titled(plot.y_label), FONT, frame.height + 20)
-    if not label:
-        return ""
-    middle = frame.top + frame.height / 2
-    return (
-        f'<text class="axis" transform="translate(14,{short(middle)}) rotate(-90)"'
-        f' text-anchor="middle">{escape(label)}</text>'
-    )
-
-
-def _series(plot: Plot, frame: Frame) -> str:
+def _drawn(plot: Plot, frame: Frame) -> list[Group]:
+    """Every series that has a point, or a piece of band, to show."""
     grouped = [i for i, s in enumerate(plot.series) if s.mark == "bars"]
     slot = frame.width * bar_slot(plot) / (frame.x.high - frame.x.low) * 0.76
     wide = min(slot / max(len(grouped), 1), 64.0)
     foot = frame.top + frame.height
     if not plot.log_y:
         foot = float(frame.down(np.zeros(1))[0])
-    drawn: list[str] = []
+    crowded = any(s.mark == "points" and len(s.x) > marks.CROWDED for s in plot.series)
+    drawn: list[Group] = []
     for i, series in enumerate(plot.series):
+        parts = [part for part in (series.y, series.low, series.high) if part is not None]
+        x = drawable(series.x)
+        if not any(np.isfinite(x + drawable(part, plot.log_y)).any() for part in parts):
+            continue
         shift = (grouped.index(i) - (len(grouped) - 1) / 2) * wide if i in grouped else 0.0
         placed = frame.place(series, shift)
-        if not drawable_at_all(series, plot.log_y):
-            continue
-        if series.mark == "net":
-            faint = marks.line(placed).replace('class="line"', 'class="net"')
-            drawn.append(shaped(faint))
-            continue
-        drawn.append(coloured(i, _mark(plot, i, placed, foot, wide * 0.92)))
-        if i in grouped:  # in the colour of the text: a bar hides whiskers of its own colour
-            whiskers = marks.error_bars(placed, min(4.0, wide / 3))
-            drawn.append(shaped(whiskers))
-    return "".join(drawn) or _nothing(frame)
+        match series.mark:
+            case "net":
+                drawn.append((None, [Shape("net", one.d) for one in marks.line(placed)]))
+            case "points":
+                points = marks.scatter(placed, i, dots=crowded)
+                drawn.append((i, marks.error_bars(placed) + points))
+            case "rings":
+                drawn.append((i, marks.rings(placed)))
+            case "bars":  # whiskers in the colour of the text: a bar hides those of its own
+                drawn.append((i, marks.bars(placed, foot, wide * 0.92)))
+                drawn.append((None, marks.error_bars(placed, min(4.0, wide / 3))))
+            case _:
+                line = marks.line(placed, _dash(plot, i), series.mark == "step")
+                drawn.append((i, marks.band(placed) + line))
+    return drawn
 
 
-def _nothing(frame: Frame) -> str:
-    x, y = frame.left + frame.width / 2, frame.top + frame.height / 2
-    return f'<text x="{short(x)}" y="{short(y)}" text-anchor="middle">no values to draw</text>'
+def _dash(plot: Plot, i: int) -> str:
+    """The dash pattern of a line: the first is solid, and so is one of many points."""
+    order = sum(s.mark in ("line", "band", "step") for s in plot.series[:i])
+    return DASHES[order % len(DASHES)] if len(plot.series[i].x) <= DASHED else ""
 
 
-def _mark(plot: Plot, i: int, placed: marks.Placed, foot: float, wide: float) -> str:
-    series = plot.series[i]
-    if series.mark == "points":
-        return marks.error_bars(placed) + marks.scatter(placed, i, dots=_crowded(plot))
-    if series.mark == "rings":
-        return marks.rings(placed)
-    if series.mark == "bars":
-        return marks.bars(placed, foot, wide)
-    return marks.band(placed) + marks.line(placed, dash_of(plot, i), series.mark == "step")
-
-
-def _crowded(plot: Plot) -> bool:
-    """Whether its points are dots: all of a plot, or none."""
-    return any(s.mark == "points" and len(s.x) > marks.CROWDED for s in plot.series)
-
-
-def _legend(plot: Plot, width: int) -> tuple[str, float]:
-    """Swatches and labels in rows above the axes; nothing for a single series."""
+def _legend(
+    plot: Plot, width: int
+) -> tuple[list[tuple[int, list[Shape], float, float, str]], float]:
+    """Swatches and labels in rows above the axes, and their height; none for a single series."""
     if len(plot.series) < 2:
-        return "", 0.0
+        return [], 0.0
     x, y, drawn = 4.0, 12.0, []
     for i, series in enumerate(plot.series):
         if series.mark == "net":
@@ -468,21 +365,20 @@ def _legend(plot: Plot, width: int) -> tuple[str, float]:
         needed = swatch + text_width(label, FONT) + 26
         if x + needed > width and x > 4:
             x, y = 4.0, y + LEGEND_ROW
-        text = f'<text x="{short(x + swatch + 5)}" y="{short(y + 4.3)}">{escape(label)}</text>'
-        drawn.append(coloured(i, _swatch(plot, i, x, y)) + text)
+        drawn.append((i, _swatch(plot, i, x, y), x + swatch + 5, y + 4.3, label))
         x += needed
-    return f'<g class="legend">{"".join(drawn)}</g>', y + 6
+    return drawn, y + 6
 
 
-def _swatch(plot: Plot, i: int, x: float, y: float) -> str:
-    series, dash = plot.series[i], dash_of(plot, i)
-    if series.mark == "points":
-        return f'<path class="mark" d="{marks.MARKERS[i % len(marks.MARKERS)](x + 7, y)}"/>'
-    if series.mark == "rings":
-        return f'<path class="line" d="M{short(x)},{short(y)}a6,6 0 1,0 12,0a6,6 0 1,0 -12,0"/>'
-    if series.mark == "bars":
-        return f'<rect class="bar" x="{short(x)}" y="{short(y - 5)}" width="14" height="10"/>'
-    area = f'<path class="band" d="M{short(x)},{short(y - 5)}h{SWATCH:g}v10h-{SWATCH:g}z"/>'
-    stroke = f' stroke-dasharray="{dash}"' if dash else ""
-    line = f'<path class="line" d="M{short(x)},{short(y)}h{SWATCH:g}"{stroke}/>'
-    return line if series.low is None else area + line
+def _swatch(plot: Plot, i: int, x: float, y: float) -> list[Shape]:
+    series = plot.series[i]
+    match series.mark:
+        case "points":
+            return [Shape("mark", marks.MARKERS[i % len(marks.MARKERS)](x + 7, y))]
+        case "rings":
+            return [Shape("line", marks.ring(x, y, 6))]
+        case "bars":
+            return [Shape("bar", box=(x, y - 5, 14, 10))]
+    line = Shape("line", f"M{short(x)},{short(y)}h{SWATCH:g}", _dash(plot, i))
+    area = Shape("band", f"M{short(x)},{short(y - 5)}h{SWATCH:g}v10h-{SWATCH:g}z")
+    return [line] if series.low is None else [area, line]

@@ -7,17 +7,18 @@ from dataclasses import replace
 from io import StringIO
 
 from rich.cells import cell_len
-from rich.console import Console
+from rich.console import Console, Group, RenderableType
+from rich.table import Table as Grid
 from rich.text import Text as Line
 
-from imucalib.report.document import Card, Document, Facts, Plot, Section, Table, Text, Tone
-from imucalib.report.render.shortened import shortened
-from imucalib.report.render.terminal import clipped, one_line, safe, wrapped
-from imucalib.report.render.text_table import table_lines
+from imucalib.report.document import Document, Facts, Plot, Section, Table, Text, Tone
+from imucalib.report.render.table import grids
+from imucalib.report.render.terminal import one_line, safe
 
 NARROWEST = 40
 MEASURE = 100  # longest line of running text
 PAGE = 60  # lines of a report
+LEAST = 3  # rows of a table that stay, however little room there is
 SIGNS: dict[Tone, str] = {"ok": "✓", "warning": "!", "bad": "✗", "plain": ""}
 STYLES: dict[Tone, str] = {"ok": "green", "warning": "yellow", "bad": "red", "plain": ""}
 WORDS: dict[Tone, str] = {"ok": "PASSED", "warning": "CAUTION", "bad": "FAILED", "plain": ""}
@@ -30,23 +31,186 @@ def render_text(document: Document, width: int, *, color: bool, full: bool = Fal
     color : ANSI colours; without them every tone still shows as a sign and a word
     full : every section, however long, without its plots
     """
-    width, document = max(width, NARROWEST), document.calm()
-    drawn = [s.title for s in document.sections if s.blocks and not _written(s)]
-    sections = [s for s in document.sections if _written(s) and (s.brief or full)]
-    lines = [*_head(document, width), *_card(document.card, width)]
-    if full:
-        hidden = drawn
-    else:
-        if document.card:
-            document = replace(document, footer=_command(document))
-        titles = [s.title for s in document.sections]
-        sections = _fitting(
-            sections, PAGE - len(lines) - len(_foot(document, width, titles)), width
+    return _Sheet(document.calm(), max(width, NARROWEST), color).printed(full)
+
+
+class _Sheet:
+    """A document on a terminal of some width."""
+
+    def __init__(self, document: Document, width: int, color: bool) -> None:
+        self.document, self.width, self.measure = document, width, min(width, MEASURE)
+        self.out = StringIO()
+        self.console = Console(
+            file=self.out,
+            width=width,
+            force_terminal=color,
+            color_system="standard" if color else None,
+            no_color=not color,
+            legacy_windows=False,
+            highlight=False,
+            markup=False,
+            emoji=False,
+            _environ={},
         )
+
+    def printed(self, full: bool) -> str:
+        """The page, or all of it."""
+        document = self.document
+        titles = [s.title for s in document.sections]
+        drawn = {s.title for s in document.sections if not _written(s)}
+        sections = [s for s in document.sections if _written(s) and (s.brief or full)]
+        lines = self.lines(*self.head(), *self.card())
+        footer = document.footer
+        if not full:
+            if document.card:  # of the footer what one page holds
+                footer = tuple(row for row in footer if row[0] in ("input", "command"))
+            foot = self.lines(*self.foot(footer, titles, full=False))
+            sections = self.fitting(sections, PAGE - len(lines) - len(foot))
         hidden = [title for title in titles if title not in {s.title for s in sections}]
-    lines += [line for section in sections for line in _section(section, width)]
-    lines += _foot(document, width, hidden, full=full or set(hidden) <= set(drawn))
-    return _printed(lines, width, color)
+        everything = full or set(hidden) <= drawn
+        shown = (part for section in sections for part in self.section(section))
+        lines += self.lines(*shown, *self.foot(footer, hidden, full=everything))
+        for line in lines:
+            self.console.print(line, no_wrap=True, overflow="crop", crop=True)
+        return self.out.getvalue()
+
+    def lines(self, *parts: RenderableType) -> list[Line]:
+        """What parts come to on this terminal, without blanks at the ends of lines."""
+        made = self.console.render_lines(Group(*parts), pad=False) if parts else []
+        lines = [Line.assemble(*((s.text, s.style or "") for s in row)) for row in made]
+        for line in lines:
+            line.rstrip()
+        return lines
+
+    def length(self, sections: Sequence[Section]) -> int:
+        """Lines of some sections."""
+        return len(self.lines(*(part for s in sections for part in self.section(s))))
+
+    def fitting(self, sections: Sequence[Section], room: int) -> list[Section]:
+        """What is kept, shortened to the room, and what else fits into `room` lines, in order."""
+        kept = self.shortened([s for s in sections if s.kept], room)
+        room -= self.length(kept)
+        rest, shown = iter(kept), []
+        for section in sections:
+            if section.kept:
+                shown.append(next(rest))
+            elif (length := self.length([section])) <= room:
+                shown.append(section)
+                room -= length
+        return shown
+
+    def shortened(self, sections: Sequence[Section], room: int) -> list[Section]:
+        """The sections with as many rows of each table as fit into `room` lines together."""
+        if self.length(sections) <= room:
+            return list(sections)
+        counts = [len(b.rows) for s in sections for b in s.blocks if isinstance(b, Table)]
+        bare = self.length([_cut(s, LEAST) for s in sections]) - sum(min(n, LEAST) for n in counts)
+        rows = max(counts, default=LEAST)
+        while rows > LEAST and bare + sum(min(n, rows) for n in counts) > room:
+            rows -= 1
+        while rows > LEAST and self.length([_cut(s, rows) for s in sections]) > room:
+            rows -= 1  # some rows fold
+        return [_cut(section, rows) for section in sections]
+
+    def head(self) -> list[RenderableType]:
+        """Title and verdict."""
+        verdict = self.document.verdict
+        mark = f"{SIGNS[verdict.tone]} {WORDS[verdict.tone]}: " if SIGNS[verdict.tone] else ""
+        said = Line(mark + _spaced(verdict.text))
+        said.stylize(f"bold {STYLES[verdict.tone]}".strip(), 0, len(mark))
+        title = self.running(Line(one_line(self.document.title), "bold"))
+        return [title, Line("═" * self.measure, "dim"), self.running(said)]
+
+    def card(self) -> list[RenderableType]:
+        """Worth, findings and steps, each with its heading."""
+        card = self.document.card
+        if card is None:
+            return []
+        worth = [(w.quantity, f"{w.value} ({w.detail})") for w in card.good_to]
+        steps = [(f"{i}.", _spaced(step)) for i, step in enumerate(card.to_do, start=1)]
+        return [
+            *self.heading("Good to"),
+            self.facts(worth),
+            *self.heading("Found"),
+            *map(self.paragraph, card.found),
+            *self.heading("What to do"),
+            self.listed(steps, 2, 1, "", ""),
+        ]
+
+    def section(self, section: Section) -> list[RenderableType]:
+        """Its heading, and its blocks with an empty line between them."""
+        parts = self.heading(section.title)
+        blocks = [block for block in section.blocks if not isinstance(block, Plot)]
+        for i, block in enumerate(blocks):
+            if i and not (isinstance(block, Text) and isinstance(blocks[i - 1], Text)):
+                parts.append(Line())
+            match block:
+                case Text():
+                    parts.append(self.paragraph(block))
+                case Facts():
+                    parts.append(self.facts(block.rows))
+                case Table():
+                    title, note = (
+                        Line(one_line(block.title), "bold"),
+                        Line(one_line(block.note), "dim"),
+                    )
+                    parts += [self.running(title)] if title else []
+                    parts += grids(block, self.width)
+                    parts += [self.running(note)] if note else []
+        return parts
+
+    def heading(self, title: str) -> list[RenderableType]:
+        """A title in a rule, after an empty line."""
+        name = Line(one_line(title), "bold")
+        name.truncate(self.measure - 4, overflow="ellipsis")
+        rule = "─" * (self.measure - cell_len(name.plain) - 1)
+        return [Line(), Line.assemble(name, " ", (rule, "dim"))]
+
+    def running(self, text: Line) -> RenderableType:
+        """Words folded to the measure."""
+        grid = Grid.grid()
+        grid.add_column(width=self.measure, overflow="fold")
+        grid.add_row(text)
+        return grid
+
+    def paragraph(self, text: Text) -> RenderableType:
+        """With its sign where it has a tone."""
+        words, style = _spaced(text.text), STYLES[text.tone]
+        if not SIGNS[text.tone]:
+            return self.running(Line(words, style))
+        return self.listed([(SIGNS[text.tone], words)], 1, 1, style, style)
+
+    def facts(self, rows: Sequence[tuple[str, str]], style: str = "") -> RenderableType:
+        """Names in one column, values folded in the next."""
+        named = [(one_line(name), one_line(value)) for name, value in rows]
+        widest = max((cell_len(name) for name, _ in named), default=0)
+        return self.listed(named, min(widest, self.measure // 3), 2, "dim", style)
+
+    def listed(
+        self, rows: Sequence[tuple[str, str]], lead: int, gap: int, lead_style: str, style: str
+    ) -> RenderableType:
+        """Short leads in a column of `lead` cells, texts folded `gap` cells to the right."""
+        grid = Grid.grid(padding=(0, gap, 0, 0))
+        grid.add_column(width=lead, no_wrap=True, overflow="ellipsis", style=lead_style)
+        grid.add_column(width=self.measure - lead - gap, style=style, overflow="fold")
+        for name, text in rows:
+            grid.add_row(Line(name), Line(text))
+        return grid
+
+    def foot(
+        self, footer: Sequence[tuple[str, str]], hidden: Sequence[str], *, full: bool
+    ) -> list[RenderableType]:
+        """The footer, and what is not shown."""
+        document, rows = self.document, [*footer]
+        if hidden:
+            where = [] if full else ["--full shows all"]
+            where += [f"{document.drawn} draws {'it' if len(hidden) == 1 else 'them'}"]
+            where = where if full or document.card else where[:1]
+            titles = ", ".join(map(one_line, hidden))
+            rows.append(("Not shown here", f"{titles}; {', '.join(where)}"))
+        if not rows:
+            return []
+        return [Line(), Line("─" * self.measure, "dim"), self.facts(rows, "dim")]
 
 
 def _written(section: Section) -> bool:
@@ -54,134 +218,27 @@ def _written(section: Section) -> bool:
     return any(not isinstance(block, Plot) for block in section.blocks)
 
 
-def _command(document: Document) -> tuple[tuple[str, str], ...]:
-    """Of the footer what one page holds."""
-    return tuple(row for row in document.footer if row[0] in ("input", "command"))
+def _spaced(text: str) -> str:
+    """Paragraphs a line each, with single blanks between words."""
+    return "\n".join(" ".join(line.split()) for line in safe(text).splitlines() if line.split())
 
 
-def _fitting(sections: Sequence[Section], room: int, width: int) -> list[Section]:
-    """What is kept, shortened to the room, and what else fits into `room` lines; in its order."""
-
-    def length(section: Section) -> int:
-        return len(_section(section, width))
-
-    kept = iter(shortened([s for s in sections if s.kept], room, length))
-    sections = [next(kept) if section.kept else section for section in sections]
-    room -= sum(length(section) for section in sections if section.kept)
-    shown = []
-    for section in sections:
-        if section.kept:
-            shown.append(section)
-        elif length(section) <= room:
-            shown.append(section)
-            room -= length(section)
-    return shown
+def _cut(section: Section, rows: int) -> Section:
+    """The section with at most `rows` rows of each table."""
+    blocks = (_first(b, rows) if isinstance(b, Table) else b for b in section.blocks)
+    return replace(section, blocks=tuple(blocks))
 
 
-def _card(card: Card | None, width: int) -> list[Line]:
-    """Worth, findings and steps, each with its heading."""
-    if card is None:
-        return []
-    measure = min(width, MEASURE)
-    worth = tuple((w.quantity, f"{w.value} ({w.detail})") for w in card.good_to)
-    lines = [*_heading("Good to", measure), *_facts(worth, measure)]
-    lines += _heading("Found", measure)
-    lines += [line for text in card.found for line in _paragraph(text, measure)]
-    lines += _heading("What to do", measure)
-    for i, step in enumerate(card.to_do, start=1):
-        rows = wrapped(safe(step), measure - 3)
-        lines += [Line(f"{i}. {row}" if not k else f"   {row}") for k, row in enumerate(rows)]
-    return lines
-
-
-def _heading(title: str, measure: int) -> list[Line]:
-    rule = "─" * (measure - cell_len(title) - 1)
-    return [Line(), Line.assemble((title, "bold"), " ", (rule, "dim"))]
-
-
-def _printed(lines: Sequence[Line], width: int, color: bool) -> str:
-    out = StringIO()
-    console = Console(
-        file=out,
-        width=width,
-        force_terminal=color,
-        color_system="standard" if color else None,
-        no_color=not color,
-        legacy_windows=False,
-        highlight=False,
-        markup=False,
-        emoji=False,
-        _environ={},
+def _first(table: Table, rows: int) -> Table:
+    """The toned rows and the first of the others, in their order."""
+    every = range(len(table.rows))
+    if len(every) <= rows:
+        return table
+    calm = [table.tones.get(i, "plain") not in ("bad", "warning") for i in every]
+    kept = sorted(sorted(every, key=calm.__getitem__)[:rows])
+    return replace(
+        table,
+        rows=tuple(table.rows[i] for i in kept),
+        tones={n: table.tones[i] for n, i in enumerate(kept) if i in table.tones},
+        note=f"{len(every) - rows} more rows: --full. {table.note}".rstrip(),
     )
-    for line in lines:
-        line.rstrip()
-        console.print(line, no_wrap=True, overflow="crop", crop=True)
-    return out.getvalue()
-
-
-def _head(document: Document, width: int) -> list[Line]:
-    measure = min(width, MEASURE)
-    title = [Line(row, "bold") for row in wrapped(one_line(document.title), measure)]
-    verdict = document.verdict
-    mark = f"{SIGNS[verdict.tone]} {WORDS[verdict.tone]}: " if SIGNS[verdict.tone] else ""
-    rows = wrapped(mark + safe(verdict.text), measure)
-    shown = [Line(row) for row in rows] or [Line()]
-    shown[0].stylize(f"bold {STYLES[verdict.tone]}".strip(), 0, len(mark))
-    return [*title, Line("═" * measure, "dim"), *shown]
-
-
-def _section(section: Section, width: int) -> list[Line]:
-    measure = min(width, MEASURE)
-    lines = _heading(clipped(one_line(section.title), measure - 4), measure)
-    blocks = [block for block in section.blocks if not isinstance(block, Plot)]
-    for i, block in enumerate(blocks):
-        if i and not (isinstance(block, Text) and isinstance(blocks[i - 1], Text)):
-            lines.append(Line())
-        lines += _block(block, width)
-    return lines
-
-
-def _block(block: Text | Facts | Table, width: int) -> list[Line]:
-    match block:
-        case Text():
-            return _paragraph(block, min(width, MEASURE))
-        case Facts():
-            return _facts(block.rows, min(width, MEASURE))
-        case Table():
-            return table_lines(block, width)
-
-
-def _paragraph(text: Text, width: int) -> list[Line]:
-    sign = SIGNS[text.tone]
-    indent = 2 if sign else 0
-    rows = wrapped(safe(text.text), width - indent)
-    lead = [sign.ljust(indent)] + [" " * indent] * (len(rows) - 1)
-    return [Line(a + row, STYLES[text.tone]) for a, row in zip(lead, rows, strict=False)]
-
-
-def _facts(rows: Sequence[tuple[str, str]], width: int, style: str = "") -> list[Line]:
-    """Names in one column, values wrapped in the next."""
-    names = [clipped(one_line(name), width // 3) for name, _ in rows]
-    column = max((cell_len(name) for name in names), default=0) + 2
-    lines = []
-    for name, (_, value) in zip(names, rows, strict=True):
-        for i, row in enumerate(wrapped(one_line(value), width - column) or [""]):
-            lead = (name if i == 0 else "") + " " * (column - (cell_len(name) if i == 0 else 0))
-            lines.append(Line.assemble((lead, "dim"), (row, style)))
-    return lines
-
-
-def _foot(
-    document: Document, width: int, hidden: Sequence[str], *, full: bool = False
-) -> list[Line]:
-    measure = min(width, MEASURE)
-    rows = [*document.footer]
-    if hidden:
-        where = [] if full else ["--full shows all"]
-        where += [f"{document.drawn} draws {'it' if len(hidden) == 1 else 'them'}"]
-        where = where if full or document.card else where[:1]
-        titles = ", ".join(map(one_line, hidden))
-        rows.append(("Not shown here", f"{titles}; {', '.join(where)}"))
-    if not rows:
-        return []
-    return [Line(), Line("─" * measure, "dim"), *_facts(rows, measure, "dim")]

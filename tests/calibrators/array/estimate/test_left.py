@@ -17,7 +17,7 @@ from imucalib.calibrators.array.estimate.left import Accepted, Residual, what_is
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.run import ArrayRun
 from imucalib.loop.found import Unexplained
-from imucalib.report.array.card import array_card
+from imucalib.report.array import array_card
 from imucalib.units import DEG
 from worlds.boards import BoardPlan, board_log, made_board
 from worlds.odd_boards import PLAN, bowing, odd_log
@@ -27,7 +27,7 @@ BOARD = read_board("mimu4444_corners")
 
 def outcome(*left: Left) -> Outcome:
     made = provenance_of(path="log", sha256="", samples=0, mapping={}, settings={})
-    structure = Unexplained("a curve", "time", "probe", 0.002, 20.0, 0.1)
+    structure = Unexplained("a curve", "time", "probe", 0.998, 20.0)
     return Outcome("array", (), made, Findings("unexplained", unexplained=(structure,)), left=left)
 
 

@@ -21,8 +21,8 @@ class Found:
 
 
 def test_names_sizes_and_order() -> None:
-    step = Step("warm_up", 0.01, 99, 7.0, (Checked("left out", "mg", 2.0, 1.0),), ())
-    curve = Unexplained("a curve", "time", "probe", 0.01, 6.0, 0.2)
+    step = Step("warm_up", 7.0, (Checked("left out", "mg", 2.0, 1.0),), ())
+    curve = Unexplained("a curve", "time", "probe", 0.99, 6.0)
     fit = SimpleNamespace(
         theta=np.array([9.0, 3.0, 4.0, 0.0, 0.0]), observations=SimpleNamespace(context=None),
         parameters=[SimpleNamespace(unit=u) for u in ("1", "mg", "mg", "mg", "mg")],
@@ -32,7 +32,7 @@ def test_names_sizes_and_order() -> None:
         steps=(step,), rejected=(("cubic", "chance"),), unexplained=(curve,), records=("row 3",),
         final=fit,
     )  # fmt: skip
-    moving = Found((Step("gyro_delay", 0.01, 99, 9.0, (), ()),), (("gyro_bias", "none"),), (curve,))
+    moving = Found((Step("gyro_delay", 9.0, (), ()),), (("gyro_bias", "none"),), (curve,))
     (told,) = rest_steps(rests)  # type: ignore[arg-type]
     assert told.effect == "at rest: warm_up"
     assert told.value == "2.5 mg rms of 4"

@@ -401,9 +401,14 @@ def compared(log: ArrayLog, segments: Segments, board: Board, order: list[int]) 
     some = rows[:: max(len(rows) // _SAMPLES, 1)]
     gyro = relative_axes(log.rate[some] - offset, turns)
     shown = _Shown(
-        log=log, segments=segments, board=board, still=still, gyro=gyro, offset=offset,
+        log=log,
+        segments=segments,
+        board=board,
+        still=still,
+        gyro=gyro,
+        offset=offset,
         usable=usable,
-    )  # fmt: skip
+    )
     found = shown.with_accelerometers(acceleration)
     if found.gyros_alone:
         return found
@@ -442,9 +447,13 @@ class _Shown:
         where = None
         if in_its_unit(still):
             where = places(
-                log.t, force, mean @ common.T, self.usable,
-                drawn=self.board.positions, mounted=turns,
-            )  # fmt: skip
+                log.t,
+                force,
+                mean @ common.T,
+                self.usable,
+                drawn=self.board.positions,
+                mounted=turns,
+            )
         if where is not None and where.inverted:
             own = -own
         return Drawn(self.board, np.asarray(own), gyro, where)

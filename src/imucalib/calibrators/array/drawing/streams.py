@@ -114,10 +114,15 @@ def _shifts(log: ArrayLog, moving: Flags) -> Array:
     for k in range(count):
         others = np.arange(count) != k
         rate = log.rate[:, others].mean(axis=1)
-        turning = np.concatenate([
-            rate[rows] * rate[rows], rate[rows] * np.roll(rate[rows], 1, axis=1),
-            rate[rows + 1] - rate[rows - 1], np.ones((len(rows), 1)),
-        ], axis=1)  # fmt: skip
+        turning = np.concatenate(
+            [
+                rate[rows] * rate[rows],
+                rate[rows] * np.roll(rate[rows], 1, axis=1),
+                rate[rows + 1] - rate[rows - 1],
+                np.ones((len(rows), 1)),
+            ],
+            axis=1,
+        )
         for kind, values in enumerate((log.acceleration, log.rate)):
             told = np.concatenate([values[rows][:, others].reshape(len(rows), -1), turning], axis=1)
             seen = values[at, k].reshape(len(rows), -1)
@@ -139,9 +144,9 @@ def noisy_alone(log: ArrayLog) -> int | None:
     parts = len(step) // _STRETCH
     if parts < _FEW_STRETCHES or step.shape[1] < 3:
         return None
-    size = np.sqrt(np.mean(
-        step[: parts * _STRETCH].reshape(parts, _STRETCH, -1, 3) ** 2, axis=(1, 3)
-    ))  # fmt: skip
+    size = np.sqrt(
+        np.mean(step[: parts * _STRETCH].reshape(parts, _STRETCH, -1, 3) ** 2, axis=(1, 3))
+    )
     quiet = np.argsort(np.median(size, axis=1))[: max(parts // 4, 1)]
     own = np.median(size[quiet], axis=0)
     worst = int(np.argmax(own))

@@ -109,8 +109,9 @@ def information(state: ArrayState) -> tuple[float, float]:
     inner = state.setup.inner
     rows = inner[np.linspace(0, len(inner) - 1, min(_SAMPLES, len(inner))).astype(np.intp)]
     readings = corrected(state).take(rows)
-    start = fit_samples(readings, _weights(state.noise, state.sampled, rows), state.r,
-                        state.sampled.rate[rows])  # fmt: skip
+    start = fit_samples(
+        readings, _weights(state.noise, state.sampled, rows), state.r, state.sampled.rate[rows]
+    )
     answers = _Answers(readings, start, state.noise, state.r)
     return answers.of_positions(), answers.of_offsets()
 

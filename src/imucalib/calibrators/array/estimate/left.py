@@ -90,9 +90,12 @@ def _whole(state: ArrayState) -> tuple[Array, Array]:
 
 
 def what_is_left(
-    residual: Residual, rests: RestFit, loop: MotionLoop | None, accepted: Accepted,
+    residual: Residual,
+    rests: RestFit,
+    loop: MotionLoop | None,
+    accepted: Accepted,
     apart: Uneven | None = None,
-) -> tuple[Left, ...]:  # fmt: skip
+) -> tuple[Left, ...]:
     """Residuals beyond the noise at rest, those of an IMU that stands out by itself, and how far
     structure that is not explained would move the positions; apart : how far parts of the motion
     do, where nothing was searched."""

@@ -29,9 +29,15 @@ PUBLISHED_SAMPLES = 2000  # moving samples of the paper's sampler, where nobody 
 
 
 def sampled_positions(
-    *, moving: Moving, rests: RestFit, board: Board, request: ArrayRequest,
-    rng: np.random.Generator, state: ArrayState | None, searched: bool,
-) -> tuple[ArrayPositions, Array]:  # fmt: skip
+    *,
+    moving: Moving,
+    rests: RestFit,
+    board: Board,
+    request: ArrayRequest,
+    rng: np.random.Generator,
+    state: ArrayState | None,
+    searched: bool,
+) -> tuple[ArrayPositions, Array]:
     """The sampler's answer, and the covariance (d, d) m² of the positions by log and rests.
 
     state : the joint fit, or None where the motion is too broken up; searched : whether its terms
@@ -41,9 +47,12 @@ def sampled_positions(
     sigma, estimate = _sigma(rests, board, request)
     published = request.sampler == "pmmh" or request.motion == "flat"
     prior = ArrayPrior(
-        board.drawn, board.prior_sd, request.motion, request.exponent,
+        board.drawn,
+        board.prior_sd,
+        request.motion,
+        request.exponent,
         estimate_noise=estimate and (state is None or (published and not searched)),
-    )  # fmt: skip
+    )
     few = min(request.samples or PUBLISHED_SAMPLES, len(moving.good))
     if state is None or (published and not searched):
         rows = spread_over(moving.good, few)

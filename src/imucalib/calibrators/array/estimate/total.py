@@ -56,7 +56,9 @@ def size_block(total: Total, gyros: GyroScale, board: Board) -> dict[str, Any]:
             "common_error": gyros.value,
             "sd": gyros.sd,
             "sd_by_data_sheet": gyros.tolerance,
-            "turns": None if turns is None else {
+            "turns": None
+            if turns is None
+            else {
                 "common_error": turns.scale,
                 "sd": turns.sd,
                 "count": turns.count,
@@ -71,7 +73,7 @@ def size_block(total: Total, gyros: GyroScale, board: Board) -> dict[str, Any]:
             {"from": board.imus[0], "to": name, "distance": 1e3 * d, "sd": 1e3 * s}
             for name, (d, s) in zip(board.imus[1:], away, strict=True)
         ],
-    }  # fmt: skip
+    }
 
 
 _ROUNDS = 3  # of the linearisation of a distance
@@ -141,9 +143,15 @@ class Total:
 
 
 def total_of(
-    r: Array, motion: Array, *, scale: float, scale_sd: float, gravity_sd: float, frame_sd: float,
+    r: Array,
+    motion: Array,
+    *,
+    scale: float,
+    scale_sd: float,
+    gravity_sd: float,
+    frame_sd: float,
     distances: Sequence[Distance] = (),
-) -> Total:  # fmt: skip
+) -> Total:
     """Positions r (K, 3) m of the motion with covariance (d, d) m², put right by all the rest.
 
     scale : k of the gyros' readings (1 + k) ω, with its sd; gravity_sd : relative; frame_sd : rad,
@@ -154,8 +162,12 @@ def total_of(
     joint = np.zeros((d + 5, d + 5))
     joint[:d, :d] = factor**2 * motion
     joint[range(d, d + 5), range(d, d + 5)] = [
-        4.0 * scale_sd**2, gravity_sd**2, frame_sd**2, frame_sd**2, frame_sd**2
-    ]  # fmt: skip
+        4.0 * scale_sd**2,
+        gravity_sd**2,
+        frame_sd**2,
+        frame_sd**2,
+        frame_sd**2,
+    ]
     found = Total(factor * r, joint, r, motion)
     for one in distances:
         found = _measured(found, one)
@@ -259,9 +271,15 @@ def gyro_scale(tolerance: float, turns: Turns | None) -> GyroScale:
 
 
 def scale_by_turns(
-    log: ArrayLog, segments: Segments, rests: RestFit, moving: Moving, order: list[int],
-    *, gyro_gain: Array | None = None, factor: Array | None = None,
-) -> GyroScale:  # fmt: skip
+    log: ArrayLog,
+    segments: Segments,
+    rests: RestFit,
+    moving: Moving,
+    order: list[int],
+    *,
+    gyro_gain: Array | None = None,
+    factor: Array | None = None,
+) -> GyroScale:
     """The common scale of the gyros, each corrected by its own gain beside the others.
 
     order : the board's IMUs in the segments' triads; gyro_gain : (K, 3, 3) of the joint fit, or

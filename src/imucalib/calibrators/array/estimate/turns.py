@@ -95,9 +95,12 @@ def _fitted(off: Array, slope: Array, up: Array) -> Turns:
     left = off - scale * slope
     angle = np.arccos(np.clip(np.sum(up[1:] * up[:-1], axis=1), -1.0, 1.0))
     return Turns(
-        scale, float(np.sqrt(variance)), n, float(np.sqrt(np.mean(np.sum(left**2, axis=1)))),
+        scale,
+        float(np.sqrt(variance)),
+        n,
+        float(np.sqrt(np.mean(np.sum(left**2, axis=1)))),
         float(np.median(angle)),
-    )  # fmt: skip
+    )
 
 
 def _robust(off: Array, slope: Array) -> float:

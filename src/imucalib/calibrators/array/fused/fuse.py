@@ -247,10 +247,14 @@ class Fused:
     def take(self, rows: slice | Index) -> Fused:
         one, two = self.weights
         return Fused(
-            motion=self.motion.take(rows), off=self.off[rows], rate_off=self.rate_off[rows],
-            live=self.live[rows], rate_live=self.rate_live[rows], alone=self.alone[rows],
+            motion=self.motion.take(rows),
+            off=self.off[rows],
+            rate_off=self.rate_off[rows],
+            live=self.live[rows],
+            rate_live=self.rate_live[rows],
+            alone=self.alone[rows],
             weights=(one[rows], two[rows]),
-        )  # fmt: skip
+        )
 
 
 @dataclass(frozen=True)
@@ -301,9 +305,14 @@ def fuse(
     start = start_of(instrument, stretch)
     late = instrument.beyond.late(stretch.t, None if age is None else np.nan_to_num(age))
     task = _Task(
-        instrument=instrument, stretch=stretch, start=start, noise=noise, age=age, late=late,
+        instrument=instrument,
+        stretch=stretch,
+        start=start,
+        noise=noise,
+        age=age,
+        late=late,
         tied=tied,
-    )  # fmt: skip
+    )
     one = np.ones((*stretch.rate.shape[:2], 1))
     state = _State(start.force, start.gyro, start.rate_live, (one, one))
     for turn in range(rounds):
@@ -322,9 +331,14 @@ def fuse(
         more = of_the_calibration(instrument.doubt, motion, sensed, instrument.r, seen)
         own = replace(own, covariance=own.covariance + more)
     return Fused(
-        motion=own, off=off[0], rate_off=off[1], live=start.live,
-        rate_live=state.rate_live, alone=start.alone, weights=weights,
-    )  # fmt: skip
+        motion=own,
+        off=off[0],
+        rate_off=off[1],
+        live=start.live,
+        rate_live=state.rate_live,
+        alone=start.alone,
+        weights=weights,
+    )
 
 
 def _next(task: _Task, state: _State, turn: int) -> _State:
@@ -353,9 +367,15 @@ def _next(task: _Task, state: _State, turn: int) -> _State:
     one, two = _shares(task, rate_live, off, variances)
     two[back] = 1.0  # far from where it is pulled to, it would have no say
     return _State(
-        force=force, gyro=gyro, rate_live=rate_live, shares=(one, two), motion=motion,
-        sensed=sensed, weights=weights, off=off,
-    )  # fmt: skip
+        force=force,
+        gyro=gyro,
+        rate_live=rate_live,
+        shares=(one, two),
+        motion=motion,
+        sensed=sensed,
+        weights=weights,
+        off=off,
+    )
 
 
 def _variances(task: _Task, motion: FusedMotion | None) -> tuple[Array, Array]:
@@ -427,9 +447,15 @@ def _seen(instrument: Instrument, t: Array, motion: FusedMotion) -> BoardMotion:
         slope = (felt[2:] - felt[:-2]) / (t[2:] - t[:-2])[:, None, None]
         jerk[1:-1] = np.where((usual[1:] & usual[:-1])[:, None, None], slope, 0.0)
     return board_motion(
-        imus=instrument.imus, rotations=instrument.beyond.rotations, t=t,
-        order=np.full(len(t), 0.5), rate=motion.rate, spin=motion.spin, force=felt, jerk=jerk,
-    )  # fmt: skip
+        imus=instrument.imus,
+        rotations=instrument.beyond.rotations,
+        t=t,
+        order=np.full(len(t), 0.5),
+        rate=motion.rate,
+        spin=motion.spin,
+        force=felt,
+        jerk=jerk,
+    )
 
 
 def _over_time(seen: BoardMotion) -> BoardMotion:

@@ -282,9 +282,16 @@ class Beyond:
         for axis in range(3):
             spin = np.broadcast_to(np.eye(3)[axis], (len(t), 3))
             motion = board_motion(
-                imus=self.imus, rotations=self.rotations, t=t, order=np.full(len(t), 0.5),
-                rate=zero, spin=spin, force=none, jerk=none, age=age,
-            )  # fmt: skip
+                imus=self.imus,
+                rotations=self.rotations,
+                t=t,
+                order=np.full(len(t), 0.5),
+                rate=zero,
+                spin=spin,
+                force=none,
+                jerk=none,
+                age=age,
+            )
             for part in parts:
                 out[..., axis] += part.term.reading(part.term.columns(motion))
         return np.asarray(self.back[1] @ out)
@@ -315,9 +322,14 @@ def beyond_linear(calibration: Calibration) -> Beyond:
     one, two = (np.asarray(np.linalg.inv(gain), np.float64) for gain in gains)
     listed = "effects" in calibration.facts
     return Beyond(
-        imus=imus, rotations=rotations, parts=tuple(parts), back=(one, two), span=span,
-        left_out=tuple(left_out), listed=listed,
-    )  # fmt: skip
+        imus=imus,
+        rotations=rotations,
+        parts=tuple(parts),
+        back=(one, two),
+        span=span,
+        left_out=tuple(left_out),
+        listed=listed,
+    )
 
 
 def _is_linear(part: _Part, imus: tuple[str, ...], rotations: Array) -> bool:
@@ -326,9 +338,16 @@ def _is_linear(part: _Part, imus: tuple[str, ...], rotations: Array) -> bool:
     force = 10.0 * rng.normal(size=(n, len(imus), 3))
     rate, spin = 10.0 * rng.normal(size=(n, 3)), 500.0 * rng.normal(size=(n, 3))
     motion = board_motion(
-        imus=imus, rotations=rotations, t=np.arange(float(n)), order=np.full(n, 0.5), rate=rate,
-        spin=spin, force=force, jerk=100.0 * force, age=rng.uniform(-0.5, 0.5, (n, len(imus))),
-    )  # fmt: skip
+        imus=imus,
+        rotations=rotations,
+        t=np.arange(float(n)),
+        order=np.full(n, 0.5),
+        rate=rate,
+        spin=spin,
+        force=force,
+        jerk=100.0 * force,
+        age=rng.uniform(-0.5, 0.5, (n, len(imus))),
+    )
     whole = part.term.reading(part.term.columns(motion))
     return bool(np.abs(part.added(motion)).max() <= _SMALL * np.abs(whole).max())
 

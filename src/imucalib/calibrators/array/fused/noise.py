@@ -136,9 +136,7 @@ class ChipNoise:
 
     def variance(self, speed: Array) -> Array:
         """(T, K, 3) at speeds (T,) rad/s."""
-        return np.asarray(
-            self.rest**2 + (speed[:, None] * self.growth)[..., None] ** 2
-        )  # fmt: skip
+        return np.asarray(self.rest**2 + (speed[:, None] * self.growth)[..., None] ** 2)
 
     def share(self, square: Array, live: Array) -> Array:
         """(T, K) what a triad weighs beside its inverse variance, given its squared length in
@@ -184,9 +182,9 @@ def fitted_noise(off: Array, live: Flags, left: Array, speed: Array, rest: Array
 def _each(noise: ChipNoise, square: Array, live: Flags, speed: Array) -> ChipNoise:
     """With the growth of every IMU by itself."""
     factors = np.concatenate([[0.0], np.geomspace(0.4, 2.5, 25)])
-    values = np.array([
-        _of_triads(replace(noise, growth=noise.growth * f), square, live, speed) for f in factors
-    ])  # fmt: skip
+    values = np.array(
+        [_of_triads(replace(noise, growth=noise.growth * f), square, live, speed) for f in factors]
+    )
     return replace(noise, growth=noise.growth * factors[np.argmax(values, axis=0)])
 
 

@@ -71,10 +71,13 @@ def fused_stretch(found: Survey, stretch: Stretch, told: Told) -> Fused:
 
 def _joined(parts: list[Fused]) -> Fused:
     first = parts[0]
-    motion = replace(first.motion, **{
-        n: np.concatenate([getattr(p.motion, n) for p in parts])
-        for n in ("force", "spin", "rate", "covariance")
-    })  # fmt: skip
+    motion = replace(
+        first.motion,
+        **{
+            n: np.concatenate([getattr(p.motion, n) for p in parts])
+            for n in ("force", "spin", "rate", "covariance")
+        },
+    )
     names = ("off", "rate_off", "live", "rate_live", "alone")
     rest = {n: np.concatenate([getattr(p, n) for p in parts]) for n in names}
     one, two = (np.concatenate([p.weights[i] for p in parts]) for i in (0, 1))

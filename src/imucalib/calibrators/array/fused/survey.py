@@ -67,9 +67,12 @@ def confirmed(
 
 
 def _apart(
-    instrument: Instrument, stretch: Stretch, noise: tuple[ChipNoise, ChipNoise],
-    age: Array | None, half: Flags,
-) -> float:  # fmt: skip
+    instrument: Instrument,
+    stretch: Stretch,
+    noise: tuple[ChipNoise, ChipNoise],
+    age: Array | None,
+    half: Flags,
+) -> float:
     """How much more force and dω/dt of the halves differ than stated, by their median."""
     found = []
     for chips in (half, ~half):

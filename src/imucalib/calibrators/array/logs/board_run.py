@@ -30,9 +30,12 @@ from imucalib.errors import UsageError
 
 
 def board_details(
-    runs: Sequence[ArrayRun], found: Pooled, total: Total, gyros: GyroScale,
+    runs: Sequence[ArrayRun],
+    found: Pooled,
+    total: Total,
+    gyros: GyroScale,
     kinds: Sequence[Repeat],
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """Agreement, pooled positions, what repeats, and what every log has by itself."""
     board = runs[0].board
     mean, sd, drawn = (1e3 * v for v in (total.mean, total.sd, board.drawn))
@@ -51,15 +54,20 @@ def board_details(
             "new_log_sd_mm": float(1e3 * np.sqrt(np.mean(new**2))),
         },
         "positions_mm": [
-            {"imu": name, "mean": mean[k].tolist(), "sd": sd[k].tolist(),
-             "drawn": drawn[k].tolist(), "between_logs": between[k].tolist()}
+            {
+                "imu": name,
+                "mean": mean[k].tolist(),
+                "sd": sd[k].tolist(),
+                "drawn": drawn[k].tolist(),
+                "between_logs": between[k].tolist(),
+            }
             for k, name in enumerate(board.imus)
         ],
         **size_block(total, gyros, board),
         **instrument_block(board, runs[0].moving.interval),
         "effects": _effects(runs[0], kinds),
         "repeats": [_kind(one) for one in kinds],
-    }  # fmt: skip
+    }
 
 
 def _log(run: ArrayRun, z: float) -> dict[str, Any]:
@@ -70,14 +78,12 @@ def _log(run: ArrayRun, z: float) -> dict[str, Any]:
         "input": made.path,
         "sha256": made.sha256,
         "z_rms_of_positions_by_the_others": z,
-        "accelerometer_bias_m_per_s2": {
-            t.name: t.bias.tolist() for t in run.calibration.triads
-        },
+        "accelerometer_bias_m_per_s2": {t.name: t.bias.tolist() for t in run.calibration.triads},
         "gyro_bias_deg_per_s": {
             t.name: np.rad2deg(t.gyro_bias).tolist() for t in run.calibration.triads
         },
         "beats": [b for e in effects for b in e.get("beats", ()) if b is not None],
-    }  # fmt: skip
+    }
 
 
 def _effects(run: ArrayRun, kinds: Sequence[Repeat]) -> list[dict[str, Any]]:
@@ -146,11 +152,14 @@ def board_run(runs: tuple[ArrayRun, ...]) -> BoardRun:
     request = runs[0].request
     gyros = _common_scale(runs)
     total = total_of(
-        np.concatenate([np.zeros((1, 3)), found.mean.reshape(-1, 3)]), found.covariance,
-        scale=gyros.value, scale_sd=gyros.sd, gravity_sd=gravity_sd(request.gravity_source),
+        np.concatenate([np.zeros((1, 3)), found.mean.reshape(-1, 3)]),
+        found.covariance,
+        scale=gyros.value,
+        scale_sd=gyros.sd,
+        gravity_sd=gravity_sd(request.gravity_source),
         frame_sd=float(np.sqrt(np.mean([frame_sd(run.rests) ** 2 for run in runs]))),
         distances=request.distances,
-    )  # fmt: skip
+    )
     kinds = repeats(runs)
     outcome = _outcome(runs, found, total)
     details = board_details(runs, found, total, gyros, kinds)
@@ -176,10 +185,12 @@ def _common_scale(runs: Sequence[ArrayRun]) -> GyroScale:
     chi2 = float(weight @ [(t.scale - scale) ** 2 for t in turns])
     wide = max(1.0, chi2 / max(len(turns) - 1, 1))
     whole = Turns(
-        scale, float(np.sqrt(wide / weight.sum())), sum(t.count for t in turns),
+        scale,
+        float(np.sqrt(wide / weight.sum())),
+        sum(t.count for t in turns),
         float(np.sqrt(np.mean([t.misfit**2 for t in turns]))),
         float(np.median([t.angle for t in turns])),
-    )  # fmt: skip
+    )
     return gyro_scale(runs[0].gyros.tolerance, whole)
 
 
@@ -197,7 +208,10 @@ def _outcome(runs: tuple[ArrayRun, ...], found: Pooled, total: Total) -> Outcome
     )
     first = runs[0].outcome.provenance
     made = provenance_of(
-        path=first.path, sha256=first.sha256, samples=first.samples, mapping=first.mapping,
+        path=first.path,
+        sha256=first.sha256,
+        samples=first.samples,
+        mapping=first.mapping,
         settings={
             **first.settings,
             "logs": [
@@ -205,8 +219,10 @@ def _outcome(runs: tuple[ArrayRun, ...], found: Pooled, total: Total) -> Outcome
                 for run in runs
             ],
         },
-        seed=first.seed, gaps=first.gaps, command=first.command,
-    )  # fmt: skip
+        seed=first.seed,
+        gaps=first.gaps,
+        command=first.command,
+    )
     reasons: tuple[str, ...] = ()
     if found.p < _DIFFER:
         reasons = (
@@ -229,14 +245,21 @@ def _outcome(runs: tuple[ArrayRun, ...], found: Pooled, total: Total) -> Outcome
 
 
 def _calibration(
-    runs: tuple[ArrayRun, ...], outcome: Outcome, details: dict[str, Any], total: Total,
+    runs: tuple[ArrayRun, ...],
+    outcome: Outcome,
+    details: dict[str, Any],
+    total: Total,
     gyros: GyroScale,
-) -> Calibration:  # fmt: skip
+) -> Calibration:
     first = runs[0]
     return of_positions(
-        outcome, total, first.board.imus, gravity=first.rests.gravity, facts=details,
+        outcome,
+        total,
+        first.board.imus,
+        gravity=first.rests.gravity,
+        facts=details,
         triads=tuple(_triad(runs, k, gyros) for k in range(first.board.count)),
-    )  # fmt: skip
+    )
 
 
 def _triad(runs: tuple[ArrayRun, ...], k: int, gyros: GyroScale) -> Triad:

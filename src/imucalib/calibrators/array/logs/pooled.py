@@ -56,12 +56,21 @@ def repeats(runs: Sequence[ArrayRun]) -> tuple[Repeat, ...]:
     n = len(runs)
     rows = [
         _repeat("accelerometer gains", "1", nine, gain, own[:, :, :9].reshape(n, -1)),
-        _repeat("accelerometer biases", "m/s²", three,
-                np.array([b.ravel() for _, b, _ in in_board]), own[:, :, 9:].reshape(n, -1)),
-        _repeat("gyro biases", "deg/s", three,
-                np.array([run.rests.gyro_bias[0].ravel() / DEG for run in runs]),
-                np.array([run.rests.gyro_bias_sd.ravel() / DEG for run in runs])),
-    ]  # fmt: skip
+        _repeat(
+            "accelerometer biases",
+            "m/s²",
+            three,
+            np.array([b.ravel() for _, b, _ in in_board]),
+            own[:, :, 9:].reshape(n, -1),
+        ),
+        _repeat(
+            "gyro biases",
+            "deg/s",
+            three,
+            np.array([run.rests.gyro_bias[0].ravel() / DEG for run in runs]),
+            np.array([run.rests.gyro_bias_sd.ravel() / DEG for run in runs]),
+        ),
+    ]
     return (*rows, *_effects(runs))
 
 

@@ -162,10 +162,15 @@ def _fitted_at(state: ArrayState, moving: Moving, rows: NDArray[np.intp]) -> Sam
     plain = [term for term in state.terms if not term.aged]
     for _ in range(2 if plain else 0):
         motion = board_motion(
-            imus=state.setup.imus, rotations=state.setup.board.rotations, t=t, order=order,
-            rate=sampled.rate, spin=sampled.spin, force=sampled.force,
+            imus=state.setup.imus,
+            rotations=state.setup.board.rotations,
+            t=t,
+            order=order,
+            rate=sampled.rate,
+            spin=sampled.spin,
+            force=sampled.force,
             jerk=np.zeros_like(sampled.force),
-        )  # fmt: skip
+        )
         acceleration, rate = readings.acceleration.copy(), readings.rate.copy()
         for term in plain:
             columns = term.columns(motion)

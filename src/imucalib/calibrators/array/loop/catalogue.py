@@ -11,9 +11,16 @@ from imucalib.errors import UsageError
 
 #: Typical sizes of what the rests have calibrated already, each in its own unit.
 _LEFT_BY_RESTS = {
-    "scale": 2e-3, "bias": 2.0, "quadratic": 0.3, "cubic": 0.02, "asymmetry": 2.0,
-    "cross_axis": 0.3, "bias_drift": 2.0, "scale_drift": 2.0, "warm_up": 2.0,
-}  # fmt: skip
+    "scale": 2e-3,
+    "bias": 2.0,
+    "quadratic": 0.3,
+    "cubic": 0.02,
+    "asymmetry": 2.0,
+    "cross_axis": 0.3,
+    "bias_drift": 2.0,
+    "scale_drift": 2.0,
+    "warm_up": 2.0,
+}
 
 
 #: Effects that are a part of others, which are tried.

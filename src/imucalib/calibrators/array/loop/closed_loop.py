@@ -60,9 +60,15 @@ class MotionLoop(Loop[ArrayState]):
 
 
 def close_array_loop(
-    setup: Setup, terms: tuple[Term, ...], moving: Moving, *, curves: bool = False,
-    halved: Setup | None = None, most: int | None = None, asked: Asked = NOTHING_ASKED,
-) -> MotionLoop:  # fmt: skip
+    setup: Setup,
+    terms: tuple[Term, ...],
+    moving: Moving,
+    *,
+    curves: bool = False,
+    halved: Setup | None = None,
+    most: int | None = None,
+    asked: Asked = NOTHING_ASKED,
+) -> MotionLoop:
     """The posterior over what the motion lacks; corrected is what is told, unless motion that took
     no part refuses it.
 
@@ -137,12 +143,12 @@ def _as_far_as_known(state: ArrayState, shifts: Iterable[Array]) -> ArrayState:
 
 def _as_positions(apart: Uneven) -> Unexplained:
     name = POSITIONS + apart.driver
-    return Unexplained(name, apart.driver, "probe", apart.p, apart.nats, 0.0)
+    return Unexplained(name, apart.driver, "probe", 1.0 - apart.p, apart.nats)
 
 
 def _as_structure(step: Step) -> Unexplained:
     """A step that held-out motion refuses, as structure that has no name."""
-    return Unexplained(step.effect, step.effect, "effect", step.p, step.evidence, 0.0)
+    return Unexplained(step.effect, step.effect, "effect", step.probability, step.evidence)
 
 
 def _on_all(

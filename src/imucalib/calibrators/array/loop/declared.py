@@ -106,4 +106,4 @@ def remembered(state: ArrayState) -> Iterator[Unexplained]:
         p = 1.0 / (1.0 + float(np.exp(min(nats, 700.0))))
         if p < COMPLETE:
             name = f"{sensor} noise correlated in time"
-            yield Unexplained(name, "time", "noise", p, nats, 0.0)
+            yield Unexplained(name, "time", "noise", 1.0 - p, nats)

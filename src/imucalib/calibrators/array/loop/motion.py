@@ -96,9 +96,17 @@ def _products(
 
 
 def board_motion(
-    *, imus: tuple[str, ...], rotations: Array, t: Array, order: Array, rate: Array, spin: Array,
-    force: Array, jerk: Array, age: Array | None = None,
-) -> BoardMotion:  # fmt: skip
+    *,
+    imus: tuple[str, ...],
+    rotations: Array,
+    t: Array,
+    order: Array,
+    rate: Array,
+    spin: Array,
+    force: Array,
+    jerk: Array,
+    age: Array | None = None,
+) -> BoardMotion:
     """From the board's axes.
 
     rotations : (K, 3, 3), package axes to board axes; t : (T,) s; order : (T,) 0..1 over the motion
@@ -119,6 +127,12 @@ def motion_at_rest(imus: tuple[str, ...], rotations: Array, force: Array, t: Arr
     """The board at rest under forces (n, K, 3) m/s² in board axes; t : (n,) s."""
     n, still = len(force), np.zeros((len(force), 3))
     return board_motion(
-        imus=imus, rotations=rotations, t=t, order=np.full(n, 0.5), rate=still, spin=still,
-        force=force, jerk=np.zeros_like(force),
-    )  # fmt: skip
+        imus=imus,
+        rotations=rotations,
+        t=t,
+        order=np.full(n, 0.5),
+        rate=still,
+        spin=still,
+        force=force,
+        jerk=np.zeros_like(force),
+    )

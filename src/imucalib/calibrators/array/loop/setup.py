@@ -165,7 +165,14 @@ def motion_at(
     )
     jerk = common[:, None] + (sampled.r - amid) @ turning.transpose(0, 2, 1)
     found = board_motion(
-        imus=setup.imus, rotations=setup.board.rotations, t=setup.t, order=setup.order,
-        rate=sampled.rate, spin=sampled.spin, force=sampled.force, jerk=jerk, age=age,
-    )  # fmt: skip
+        imus=setup.imus,
+        rotations=setup.board.rotations,
+        t=setup.t,
+        order=setup.order,
+        rate=sampled.rate,
+        spin=sampled.spin,
+        force=sampled.force,
+        jerk=jerk,
+        age=age,
+    )
     return found.coursed(beside) if courses else found

@@ -135,10 +135,14 @@ def determined(
     matrix : (p, p) Gram of its columns in typical sizes, with all else that is fitted taken out;
     beside : the terms that are
     """
-    if effect.lagged and only is None and any(
-        t.only is None and not t.aged and t.effect.channel != effect.channel
-        for t in lagging(beside)
-    ):  # fmt: skip
+    if (
+        effect.lagged
+        and only is None
+        and any(
+            t.only is None and not t.aged and t.effect.channel != effect.channel
+            for t in lagging(beside)
+        )
+    ):
         # Delays of both kinds of sensor: what all share is the time itself, which none can show.
         apart = np.eye(len(matrix)) - 1.0 / len(matrix)
         matrix = apart @ matrix @ apart
@@ -182,9 +186,15 @@ def _rest(name: str, channel: Channel, each: int) -> Response:
     parameters = tuple(Parameter(f"{name}_{k}", "SI", 1.0, np.inf) for k in range(each))
     basis = _gain_and_offset if channel == "acceleration" else _offset
     return Response(
-        name, "What the rests left open.", "", "", "", each=parameters, basis=basis,
+        name,
+        "What the rests left open.",
+        "",
+        "",
+        "",
+        each=parameters,
+        basis=basis,
         channel=channel,
-    )  # fmt: skip
+    )
 
 
 def rest_terms(rests: RestFit) -> tuple[Term, ...]:

@@ -11,10 +11,9 @@ from imucalib.calibrators.array.loop.search import Explored
 from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.calibrators.array.loop.terms import OPEN, Term
 from imucalib.loop.found import Score, Step, Unexplained
-from imucalib.loop.posterior.odds import CERTAIN
+from imucalib.loop.posterior.odds import ABSORBED, CERTAIN
 from imucalib.loop.posterior.space import Posterior
 from imucalib.loop.posterior.words import Place, name_of, of_each
-from imucalib.loop.thresholds import ABSORBED
 from imucalib.significant_digits import plus_minus
 
 
@@ -54,8 +53,6 @@ def steps_of(found: Explored, final: ArrayState, gained: Gained | None) -> tuple
         steps.append(
             Step(
                 effect=term.name,
-                p=found.said.complete,
-                draws=0,
                 evidence=place.log_odds,
                 checked=() if gained is None else gained.checked,
                 aliases=tuple(n for n, _ in likely if n != term.name),
@@ -63,7 +60,7 @@ def steps_of(found: Explored, final: ArrayState, gained: Gained | None) -> tuple
                 curve=not named,
                 probability=place.probability,
                 rivals=tuple(sorted(likely, key=lambda r: -r[1])),
-                sure=place.certain and twins[0][1] > CERTAIN,
+                certain=place.certain and twins[0][1] > CERTAIN,
             )
         )
     return tuple(steps)
@@ -91,10 +88,9 @@ def _without_a_name(found: Explored, place: Place, name: str) -> Unexplained:
         name=name,
         driver=found.problem.components[place.component].driver,
         kind="probe",
-        p=found.said.complete,
+        probability=place.probability,
         evidence=0.0,
-        share=0.0,
-        alike=tuple(_member(found, c) for c, _ in place.rivals),
+        rivals=tuple(_member(found, c) for c, _ in place.rivals),
     )
 
 
@@ -114,12 +110,12 @@ def scores_of(problem: MotionProblem, posterior: Posterior) -> tuple[Score, ...]
             kind="effect" if component.named else "probe",
             driver=component.driver,
             evidence=float(evidence[c]),
-            p=float(1.0 - inside[c]),
+            probability=float(inside[c]),
             left=left if strength > OPEN else 0.0,
             strength=strength,
         )
         found.append(score)
-    return tuple(sorted(found, key=lambda s: s.p))
+    return tuple(sorted(found, key=lambda s: -s.probability))
 
 
 def absorbed(problem: MotionProblem) -> dict[str, float]:

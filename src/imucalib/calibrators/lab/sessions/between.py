@@ -120,10 +120,16 @@ def _between(fit: Fit, k: int, name: str, used: Index) -> Between:
     own = (3 * used[:, None] + np.arange(3)).ravel()
     shape = (len(used), 3)
     return Between(
-        name=name, effect=effect, unit=unit, sd=fit.noise.sd[k] / si, sizes=sizes / si,
-        weights=weights, by_axis=by_axis, offsets=offsets[own].reshape(shape) / si,
+        name=name,
+        effect=effect,
+        unit=unit,
+        sd=fit.noise.sd[k] / si,
+        sizes=sizes / si,
+        weights=weights,
+        by_axis=by_axis,
+        offsets=offsets[own].reshape(shape) / si,
         offsets_sd=sd[own].reshape(shape) / si,
-    )  # fmt: skip
+    )
 
 
 def _allowed(fit: Fit, k: int) -> tuple[Array, Array, Array]:
@@ -177,10 +183,14 @@ def _next(fit: Fit, k: int, one: Between, weights: Array) -> NextPowerUp:
     # The mean's variance holds a share of what the scatter is taken to be.
     var = np.maximum(own + (one.sizes**2 - one.sd**2) / sessions, 0.1 * own) + one.sizes**2
     return NextPowerUp(
-        name=p.name, effect=one.effect, unit=p.unit, value=float(fit.theta[k]),
-        mean=float(own**0.5), sd=float(np.sqrt(weights @ var)),
+        name=p.name,
+        effect=one.effect,
+        unit=p.unit,
+        value=float(fit.theta[k]),
+        mean=float(own**0.5),
+        sd=float(np.sqrt(weights @ var)),
         half=_half(np.sqrt(var), weights),
-    )  # fmt: skip
+    )
 
 
 def _half(sd: Array, weights: Array) -> float:

@@ -26,8 +26,11 @@ def joined(tables: Sequence[PositionTable]) -> tuple[PositionTable, tuple[str, .
         _demand_alike(first, one)
         twin = next((o for o in tables[:k] if o.sha256 == one.sha256), None)
         if twin is not None:
-            raise UsageError(f"the same readings as {twin.path}", where=one.path,
-                             remedy="give each power-up once")  # fmt: skip
+            raise UsageError(
+                f"the same readings as {twin.path}",
+                where=one.path,
+                remedy="give each power-up once",
+            )
     roles = [role for role in first.columns if all(role in one for one in others)]
     columns = {role: np.concatenate([one.columns[role] for one in tables]) for role in roles}
     columns["session"] = np.repeat(np.arange(len(tables)), [one.n for one in tables]).astype(float)

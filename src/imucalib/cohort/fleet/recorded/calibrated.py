@@ -144,8 +144,10 @@ def _of(report: Mapping[str, Any], recording: str, own: Calibration | None) -> C
     made = report["provenance"]
     kept = {one.name for one in fields(Provenance)} - {"path", "parts"}
     given = {name: made[name] for name in kept}
-    values = [Value(p["name"], p["effect"], float(p["value"]), float(p["sd"]), p["unit"])
-              for p in report["parameters"]]  # fmt: skip
+    values = [
+        Value(p["name"], p["effect"], float(p["value"]), float(p["sd"]), p["unit"])
+        for p in report["parameters"]
+    ]
     sums = report.get(block.KEY)
     return Calibrated(
         name=Path(made["input"]).name.partition(".")[0],

@@ -1,0 +1,234 @@
+"""imucal fleet"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from imucalib.cli.calibrating import command_line
+from imucalib.cli.options import (
+    PagedCommand,
+    force_option,
+    full_option,
+    gravity_of,
+    gravity_options,
+    json_option,
+    mapping_of,
+    numbers,
+    one_scale,
+    pairs,
+    quiet_option,
+    recording_options,
+    seed_option,
+    shortest_rest_option,
+    still_of,
+)
+from imucalib.cli.output import Say, color, emit_json, note, verbose_option, width, working
+
+if TYPE_CHECKING:
+    from imucalib.cohort.fleet.outcome import Fleet
+    from imucalib.report.document import Document
+
+
+@click.command("fleet", cls=PagedCommand, short_help="Calibrate devices of one kind together.")
+@click.argument(
+    "inputs", metavar="INPUT...", nargs=-1, required=True, type=click.Path(path_type=Path)
+)
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Folder for report.html, report.json and each device's calibration.yaml.",
+)
+@click.option(
+    "--reference",
+    type=click.Choice(["vector", "direction", "norm"]),
+    default="vector",
+    show_default=True,
+    help="As of imucal lab.",
+)
+@click.option("--columns", multiple=True, metavar="ROLE=NAME,...", help="Columns by heading.")
+@click.option("--exclude", default="", metavar="ROWS", help="Rows to leave out of every table.")
+@click.option("--only", multiple=True, metavar="EFFECT", help="Search only these effects.")
+@click.option("--without", multiple=True, metavar="EFFECT", help="Leave effects out of the search.")
+@click.option(
+    "--draws",
+    type=click.IntRange(min=99),
+    default=1000,
+    show_default=True,
+    help="Simulated fleets behind each p-value.",
+)
+@click.option(
+    "--devices",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Of calibrations: CSV that says which recording is of which device, columns "
+    "recording and device; default: by serial number, else one each.",
+)
+@full_option
+@gravity_options
+@recording_options
+@shortest_rest_option
+@force_option
+@seed_option
+@json_option
+@verbose_option
+@quiet_option
+def command(inputs: tuple[Path, ...], **options: Any) -> int:
+    """Calibrate devices of one kind together: effects too small for one device, found in all.
+
+    Each INPUT is one device's table, as imucal lab reads it; or calibrations, of worn sensors or
+    arrays: folders that imucal actigraph or array wrote, or the entries of imucal batch. An effect
+    exists in all devices or in none, and each has its own size, for which the others are a prior.
+    Exit 5 where something stays open: a suspicion, a device that is not of the kind, an input that
+    could not be used.
+
+    \b
+    Examples:
+      imucal fleet sample_logs/cave_*.csv --reference norm -o fleet
+      imucal fleet entries --devices cohort.csv -o fleet
+    """
+    from imucalib.report.files import shown_dict
+    from imucalib.report.fleet import fleet_dict, fleet_document
+    from imucalib.report.render.text import render_text
+
+    folder, quiet = options["output"], options["quiet"]
+    if folder is not None and not options["force"]:
+        _demand(folder)
+    with working("calibrating", quiet=quiet, verbose=options["verbose"]) as say:
+        fleet = _fleet(inputs, options, say)
+    document = fleet_document(fleet)
+    content = {**fleet_dict(fleet), **shown_dict(document)}
+    if folder is not None:
+        _write(fleet, document, content, folder, quiet)
+    if options["as_json"]:
+        emit_json(content)
+    elif not quiet:
+        text = render_text(document, width(), color=color(), full=options["full"])
+        click.echo(text, nl=False)
+    return fleet.exit_code
+
+
+def _fleet(inputs: tuple[Path, ...], options: dict[str, Any], say: Say) -> Fleet:
+    """Of tables, or of calibrations; raises UsageError where they are mixed."""
+    from imucalib.calibrators.lab.files import LabFiles
+    from imucalib.cohort.fleet.recorded.calibrated import is_calibrated
+    from imucalib.cohort.fleet.recorded.run import Wanted, run_recorded
+    from imucalib.cohort.fleet.run import run_fleet
+    from imucalib.cohort.fleet.search import Rules
+    from imucalib.errors import UsageError
+
+    rules, devices = Rules(draws=options["draws"]), options["devices"]
+    made = [path for path in inputs if is_calibrated(path)]
+    if made and len(made) < len(inputs):
+        raise UsageError(
+            f"{made[0]} is a calibration, {next(p for p in inputs if p not in made)} a table",
+            remedy="give one or the other",
+        )
+    if made:
+        _demand_usable()
+        wanted = Wanted(
+            options["only"], options["without"], devices, rules, options["seed"], command_line()
+        )
+        return run_recorded(made, wanted, say)
+    if devices is not None:
+        raise UsageError("--devices is for calibrations", remedy="each table is a device")
+    columns, mapping = pairs(options["columns"], "--columns"), mapping_of(options)
+    files = [LabFiles(table, None, columns, mapping) for table in inputs]
+    return run_fleet(files, _request(options), rules, say)
+
+
+#: What holds for all inputs; other options are read with tables.
+_OF_ALL = {
+    "inputs",
+    "output",
+    "only",
+    "without",
+    "draws",
+    "devices",
+    "full",
+    "force",
+    "seed",
+    "as_json",
+    "verbose",
+    "quiet",
+}
+
+
+def _demand_usable() -> None:
+    """Refuse what says how to read a table, beside calibrations."""
+    from click.core import ParameterSource
+
+    from imucalib.errors import UsageError
+
+    context = click.get_current_context()
+    for option in context.command.params:
+        stated = context.get_parameter_source(str(option.name)) is ParameterSource.COMMANDLINE
+        if stated and option.name not in _OF_ALL:
+            raise UsageError(
+                f"{option.opts[0]} says how to read a table, and calibrations were given",
+                remedy="leave it out",
+            )
+
+
+def _request(options: dict[str, Any]) -> Any:
+    from imucalib.calibrators.lab.calibrate import LabSettings
+    from imucalib.calibrators.lab.request import LabRequest
+
+    gravity, source = gravity_of(options)
+    return LabRequest(
+        unit=options["unit"],
+        lsb_per_g=one_scale(options["lsb"]),
+        gravity=gravity,
+        gravity_source=source,
+        reference=options["reference"],
+        exclude=numbers(options["exclude"], "--exclude"),
+        still=still_of(options),
+        settings=LabSettings(
+            only=options["only"],
+            without=options["without"],
+        ),
+        seed=options["seed"],
+        command=command_line(),
+    )
+
+
+def _demand(folder: Path) -> None:
+    """Refuse a folder that holds something before the work is done."""
+    from imucalib.errors import UsageError
+
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise UsageError(
+            "it is not empty", where=str(folder), remedy="name another folder, or give --force"
+        )
+
+
+def _write(
+    fleet: Fleet, document: Document, content: Mapping[str, Any], folder: Path, quiet: bool
+) -> None:
+    import json
+
+    from imucalib.calibration.file import to_yaml, write_together
+    from imucalib.calibrators.population import to_yaml as to_text
+    from imucalib.report.render.html import render_html
+
+    made = {
+        folder / m.name / (r.name if len(m.recordings) > 1 else "") / "calibration.yaml": to_yaml(
+            r.calibration
+        )
+        for m in fleet.members
+        for r in m.recordings
+        if r.calibration is not None
+    }
+    texts = {
+        folder / "report.html": render_html(document),
+        folder / "report.json": json.dumps(content, indent=2, allow_nan=False) + "\n",
+        **({folder / "fleet.yaml": to_text(fleet.following)} if fleet.following else {}),
+        **made,
+    }
+    write_together(texts)
+    next_ = f"imucal {fleet.asked.calibrator} --fleet"
+    told = f", fleet.yaml for the next device ({next_})" if fleet.following else ""
+    note(f"wrote {folder}: report.html, report.json, {len(made)} calibrations{told}", quiet)

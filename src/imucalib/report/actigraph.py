@@ -1,0 +1,352 @@
+"""The report of `imucal actigraph`, as data, and that of the paper's own procedure."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from imucalib.calibrators.actigraph.coverage import Coverage
+from imucalib.calibrators.actigraph.errors import norm_sd, raw_errors, sphere_cells
+from imucalib.calibrators.actigraph.observations import from_data, hours
+from imucalib.calibrators.actigraph.published import PublishedRun
+from imucalib.calibrators.actigraph.run import ActigraphRun
+from imucalib.calibrators.actigraph.series import Series as Calibrations
+from imucalib.core.sphere import covered, even_directions
+from imucalib.exports.per_axis import nearest_row
+from imucalib.report import sections
+from imucalib.report.document import (
+    Card,
+    Document,
+    Facts,
+    Plot,
+    Section,
+    Series,
+    Table,
+    Text,
+    Worth,
+)
+from imucalib.report.plots import band, gain_plot, sphere_map
+from imucalib.significant_digits import plus_minus, probability, two_digits, with_sd
+from imucalib.units import MG
+
+_MOST_ROWS = 12  # parameters of one effect that are shown in full
+_BINS = 60
+#: Two standard deviations of noise whose mean size is one.
+_NOISE = 2.0 * float(np.sqrt(np.pi / 2.0))
+
+
+def actigraph_document(run: ActigraphRun) -> Document:
+    """Everything that a reader of the calibration must know, headline first."""
+    outcome, error = run.outcome, run.outcome.error
+    head = (
+        f"Error at rest on held-out time {error.held_out.raw:.2f} mg raw, "
+        f"{error.held_out.base:.2f} with nine parameters, {error.held_out.final:.2f} final."
+    )
+    plots = (*gain_plot(outcome.findings), *_residual_plots(run))
+    parts = [
+        _of_a_kind(run),
+        _activity(run),
+        sections.loop_section(outcome),
+        *([_series_section(run.series)] if run.series else []),
+        _parameters(run),
+        _coverage(run),
+        sections.advice_section(outcome),
+        Section("Residual before and after", plots, brief=False),
+        Section("Error over the sphere", _sphere_blocks(run), brief=False),
+        _rule(run),
+        sections.sensor_section(run.calibration),
+    ]
+    if outcome.findings:
+        parts.append(sections.candidate_section(outcome.findings))
+    title = f"Calibration of {Path(run.scanned.path).name} by gravity"
+    return sections.calibration_document(title, head, parts, outcome, _card(run))
+
+
+def _card(run: ActigraphRun) -> Card:
+    """|a| at rest, and in the worst direction."""
+    directions = even_directions()
+    sd = norm_sd(run.result.final, directions) / MG
+    like = ("postures", covered(run.result.runs.mean))
+    good = [
+        sections.error_worth(run.outcome.error, "|a| at rest", "time", like),
+        sections.worst_attitude("|a|", sd, directions),
+    ]
+    enmo = run.activity.enmo if run.activity else {}
+    if "night" in enmo and "day" in enmo:  # where one can be told from the other
+        (raw, now), (by_day, now_by_day) = enmo["night"], enmo["day"]
+        detail = f"raw reading {raw:.2g}; by day {by_day:.2g} raw, {now_by_day:.2g} corrected"
+        good.append(Worth("ENMO at night", f"{two_digits(now)} mg", detail))
+    return sections.card_of(run.outcome, tuple(good))
+
+
+def _of_a_kind(run: ActigraphRun) -> Section:
+    """What a fleet said, and what that does to the uncertainty."""
+    said, fit, title = run.result.of_a_kind, run.result.final, "The fleet's word"
+    if said is None:
+        return Section(title, ())
+    if np.isnan(said.strange):
+        words = "Its own postures tell all nine parameters so well that the fleet was not needed."
+        return Section(title, (Text(words),))
+    if not said.taken:
+        words = (
+            "Not believed: one of the fleet's kind is as far off with a chance of "
+            f"{probability(said.strange, 999)}. The calibration is the recording's own."
+        )
+        return Section(title, (Text(words, "warning"),))
+    kind = sections.kind_section(said.kind, fit, said.strange, "posture run", said.alone)
+    before, now = (
+        1.96 * float(norm_sd(one, even_directions()).max()) / MG for one in (said.alone, fit)
+    )
+    words = (
+        f"|a| is known to ± {now:.2g} mg (95 %) in the worst attitude, without the fleet to "
+        f"± {before:.2g} mg."
+    )
+    return Section(title, (*kind.blocks, Text(words)))
+
+
+def _activity(run: ActigraphRun) -> Section:
+    """Wear, ENMO and |a| at night, before and after; empty where the samples were not seen."""
+    found = run.activity
+    if found is None:
+        return Section("Wear and activity", ())
+    wear, night = found.wear, "cannot be named: too little of a day was seen"
+    if found.night is not None:
+        start, stop = (f"{int(s // 3600):02d}:{int(s % 3600 // 60):02d}" for s in found.night)
+        night = f"{start} to {stop}, the least active five hours"
+    off = ", ".join(f"{a / 3600:.2f} to {b / 3600:.2f} h" for a, b in wear.off[:4])
+    off += f" and {len(wear.off) - 4} more" if len(wear.off) > 4 else ""
+    facts = (
+        ("worn", f"{wear.worn:.1f} of {wear.hours:.1f} h"),
+        ("not worn", f"{off}, from the start" if off else "never an hour in a row"),
+        ("night", night),
+    )
+    compared = [(f"ENMO, {name}", *both) for name, both in found.enmo.items()]
+    if found.night_runs:
+        name = f"error of |a| at rest, night ({found.night_runs} runs)"
+        compared.append((name, *found.night_error))
+    rows = tuple((name, f"{a:.2f}", f"{b:.2f}", f"{b - a:+.2f}") for name, a, b in compared)
+    note = (
+        "ENMO: mean of max(|a| - 1 g, 0) over the samples of worn time. The error at rest is held "
+        "out: each run predicted without its block of time."
+    )
+    table = Table("Before and after", ("mg", "raw", "corrected", "change"), rows, "lrrr", note)
+    hour, ends = np.arange(25.0), np.concatenate([found.profile, found.profile[-1:]])
+    steps = (Series(name, hour, ends[:, k], "step") for k, name in enumerate(("raw", "corrected")))
+    labels = ("ENMO over the day", "hour of the day (h)", "ENMO (mg)")
+    caption = "Mean of each hour of the recording's clock, worn time."
+    plot = Plot(*labels, tuple(steps), caption)
+    return Section("Wear and activity", (Facts(facts), table, plot))
+
+
+def _rule(run: ActigraphRun) -> Section:
+    """Our coefficients in GGIR's form and those of its own rule; empty without windows."""
+    rule, title = run.rule, "Beside GGIR's rule"
+    if rule is None:
+        return Section(title, ())
+    row = nearest_row(run.calibration)
+    compared = (("scale", row.scale, rule.scale), ("offset", row.offset, rule.offset))
+    rows = tuple(
+        (f"{name} {axis}", f"{a:.5f}", f"{b:.5f}", f"{a - b:+.5f}")
+        for name, ours, theirs in compared
+        for axis, a, b in zip("xyz", ours, theirs, strict=True)
+    )
+    note = (
+        "corrected = scale (raw + offset), g. Ours: the row that `--export ggir-csv` writes, "
+        f"nearest to the whole calibration, which it misses by {row.lost:.2f} mg on average."
+    )
+    header = ("", "imucal", "GGIR's rule", "difference")
+    fitted = np.mean(np.abs(rule.norm_error(run.runs.mean))) / MG
+    words = [
+        (
+            "windows of its rule",
+            f"{rule.points}, {rule.before:.2f} mg before, {rule.after:.2f} mg after, on the "
+            "windows that were fitted",
+        ),
+        (
+            "on the posture runs",
+            f"{fitted:.2f} mg with its coefficients, which have seen them; "
+            f"{run.outcome.error.held_out.final:.2f} mg with ours on time held out",
+        ),
+    ]
+    if not rule.enough:
+        words.append(("its own condition", "not met: an axis has not seen both signs of 0.3 g"))
+    table = Table("Six coefficients", header, rows, "lrrr", note)
+    return Section(title, (table, Facts(tuple(words))), brief=False)
+
+
+def _series_section(found: Calibrations) -> Section:
+    """Each part's parameters, and whether they differ."""
+    good = [part for part in found.parts if part.fit is not None]
+    words = f"One calibration serves all {len(good)} parts (p {found.p:.2g} if nothing changed)"
+    if found.differ:
+        words = f"The {len(good)} calibrations differ (p {probability(found.p, 10**6)})"
+    words += f": {', '.join(name for name, _ in found.moved)}" if found.moved else ""
+    rows = []
+    for part in found.parts:
+        cells = [part.reason, "-", "-"]
+        if (fit := part.fit) is not None:
+            three = zip(fit.theta[:3], fit.sd[:3], strict=True)
+            cells = [plus_minus(v, s) for v, s in three]
+        rows.append((hours(part.start), str(part.runs), *cells))
+    serves = "the part valid at its time" if found.differ else "the calibration of the whole"
+    note = (
+        f"`imucal apply` corrects each sample with {serves}. All parameters of the parts are in "
+        "report.json."
+    )
+    table = Table("Bias by part (mg)", ("from", "runs", "x", "y", "z"), tuple(rows), "lrrrr", note)
+    middle = np.array([0.5 * (p.start + p.stop) / 86400.0 for p in good])
+    theta = np.array([p.fit.theta[:3] - found.common[:3] for p in good if p.fit])
+    half = 2.0 * np.array([p.fit.sd[:3] for p in good if p.fit])
+    names = (p.name for p in found.parameters[:3])
+    curves = tuple(
+        Series.about(name, middle, theta[:, k], half[:, k], "bars") for k, name in enumerate(names)
+    )
+    caption = "Change from what all parts have in common; whiskers: two standard deviations."
+    plot = Plot("Bias over time", "time (d)", "change of bias (mg)", curves, caption)
+    text = Text(f"{words}.", "warning" if found.differ else "ok")
+    return Section("Recalibration over time", (text, table, plot))
+
+
+def _parameters(run: ActigraphRun) -> Section:
+    fit = run.result.final
+    share, rows, hidden = from_data(fit), [], []
+    for name, part in fit.model.slices(fit.observations.context).items():
+        if part.stop - part.start > _MOST_ROWS:
+            hidden.append(f"{name} ({part.stop - part.start} terms)")
+            continue
+        for k in range(part.start, part.stop):
+            p = fit.parameters[k]
+            value = with_sd(fit.theta[k], fit.sd[k])
+            rows.append((p.name, name, *value, p.unit, f"{100.0 * share[k]:.0f}"))
+    note = (
+        "Uncertainty by posture run: windows of one posture are not independent. Data: the share "
+        "of what is known that the recording has shown, 1 - (sd / typical size)²."
+    )
+    note += f" In calibration.yaml only: {', '.join(hidden)}." if hidden else ""
+    header = ("parameter", "effect", "value", "sd", "unit", "data, %")
+    return Section("Parameters", (Table("Parameters", header, tuple(rows), "llrrlr", note),))
+
+
+def _coverage(run: ActigraphRun) -> Section:
+    c = run.coverage
+    ends = zip("xyz", c.span.T, strict=True)
+    seen = ", ".join(f"{a} {low:+.2f} to {high:+.2f} g" for a, (low, high) in ends)
+    known = f"{c.mean_sd:.2f} mg on average over all directions, {c.worst_sd:.2f} mg in the worst"
+    noise = ", ".join(f"{v:.2g}" for v in c.noise)
+    rows = [
+        ("recorded", f"{c.hours:.1f} h at {c.rate:g} Hz"),
+        ("at rest", f"{c.still} of {c.windows} windows of {c.window:g} s, {c.runs} posture runs"),
+        ("seen of gravity", seen),
+        ("|a| is known to", known),
+        ("noise", f"{noise} mg a sample{_steps(c)}"),
+        ("local gravity", f"{run.request.gravity:.5f} m/s² ({run.request.gravity_source})"),
+    ]
+    if c.temperature is not None:
+        low, high = c.temperature
+        rows.append(("temperature", f"{low:.1f} to {high:.1f} °C; reference 25 °C"))
+    if c.light:
+        rows.append(("count less", f"{c.light} runs that nothing else is like"))
+    rows += [("note", text) for text in run.outcome.notes]
+    return Section("What was recorded", (Facts(tuple(rows)),))
+
+
+def _steps(coverage: Coverage) -> str:
+    """The resolution, and whether the noise averages it out."""
+    step, size = float(coverage.resolution.max()), coverage.quantisation
+    if step < 0.05 * float(coverage.noise.min()):  # numbers as fine as their format
+        return ""
+    if size == 0.0:
+        return f"; the smallest step, {step:.2g} mg, averages out"
+    return f"; the smallest step, {step:.2g} mg, does not average out: {size:.2g} mg a posture"
+
+
+def _residual_plots(run: ActigraphRun) -> list[Plot]:
+    """Error of |a| of every posture run, raw, and before and after the search, held out."""
+    result, runs = run.result, run.runs
+    before = result.base_held.error[:, 0, 0] / MG if result.loop and result.added else None
+    after = result.final_held.error[:, 0, 0] / MG
+    raw = raw_errors(result.base).error[:, 0, 0] / MG
+    unit, seconds = ("d", 86400.0) if runs.time[-1] > 3.0 * 86400.0 else ("h", 3600.0)
+    when = runs.time / seconds
+    axes = [("time", f"time ({unit})", when)]
+    if np.isfinite(runs.temperature).all() and np.ptp(runs.temperature) > 0.0:
+        axes.append(("temperature", "temperature (°C)", runs.temperature))
+    for k, a in enumerate("xyz"):
+        axes.append((f"the reading of {a}", f"{a} (g)", runs.mean[:, k] / run.request.gravity))
+    both = (Series("raw reading", when, raw, "points"), Series("corrected", when, after, "points"))
+    caption = "One point a posture run; the figures below show the corrected ones alone."
+    title, y_label = "Error of |a| raw and corrected", "error of |a| (mg)"
+    plots = [Plot(title, f"time ({unit})", y_label, both, caption)]
+    noise = _NOISE * result.error.floor
+    caption = (
+        "One point a posture run, predicted without its block of time; a line that leaves zero is "
+        "what no effect explains."
+    )
+    for name, label, x in axes:
+        # Means over stretches of equally many points.
+        stretches = np.array_split(np.argsort(x), min(_BINS, max(1, x.size // 5)))
+        centre, mean = (np.array([v[s].mean() for s in stretches]) for v in (x, after))
+        series = [Series("after", x, after, "points"), Series("mean after", centre, mean, "line")]
+        if before is not None:
+            series.insert(0, Series("before", x, before, "points"))
+        if np.isfinite(noise):
+            series.insert(0, band("noise alone, ± 2 sd", x, noise))
+        plots.append(Plot(f"Error of |a| against {name}", label, y_label, tuple(series), caption))
+    return plots
+
+
+def _sphere_blocks(run: ActigraphRun) -> tuple[Plot, Table]:
+    """The error over the sphere as a map of the runs and as a table of its parts."""
+    result, directions = run.result, even_directions(600)
+    sd = norm_sd(result.final, directions) / MG
+    bar = max(1.0, float(np.quantile(sd, 0.8)))
+    caption = (
+        "Equal areas of the map are equal parts of the sphere. One point a posture run, predicted "
+        "without its block of time."
+    )
+    map_ = sphere_map(
+        result.fitted.corrected[:, 0],
+        result.final_held.error[:, 0, 0] / MG,
+        caption,
+        poor=directions[sd > bar],
+        poor_words=f"|a| known to worse than {bar:.2g} mg (sd)",
+    )
+    rows = tuple(
+        (c.name, str(c.runs), *(_number(v) for v in (c.raw, c.base, c.final, c.held_out, c.sd)))
+        for c in sphere_cells(result.base, result.final, result.final_held)
+    )
+    title = "Mean error of |a| by direction (mg)"
+    header = ("towards", "runs", "raw", "nine", "final", "held out", "sd")
+    note = "sd: what the parameters' uncertainty leaves there, with or without postures."
+    return map_, Table(title, header, rows, "lrrrrrr", note)
+
+
+def _number(value: float, places: int = 2) -> str:
+    return "-" if np.isnan(value) else f"{value:.{places}f}"
+
+
+def published_document(run: PublishedRun) -> Document:
+    """The paper's own procedure: its methods next to each other, verified; parameters, points."""
+    error = run.outcome.error
+    head = (
+        f"Mean error {error.held_out.raw:.2f} mg before, {error.held_out.final:.2f} mg after, on "
+        f"{len(run.control)} points that were not used (paper 002, Table 3)."
+    )
+    rows = tuple(
+        (m.name, f"{m.fitted:.2f}", _number(m.verified), _number(m.improvement, 0))
+        for m in run.methods
+    )
+    header = ("method", "fitted, mg", "second set, mg", "R, %")
+    note = "Fixed point: operands of 32 or 16 bits, products of twice as many, no square root."
+    methods = Table("The paper's methods on the same 18 points", header, rows, "lrrr", note)
+    note = "sd from the residual of the points; 18 points leave 9 degrees of freedom."
+    points = tuple((f"{k}", *(f"{v:+.4f}" for v in p)) for k, p in enumerate(run.points, start=1))
+    parts = (
+        Section("Methods", (methods,)),
+        Section("Parameters", (sections.parameter_table(run.calibration, note),)),
+        Section("Points", (Table("Points (g)", ("", "x", "y", "z"), points, "lrrr"),), brief=False),
+    )
+    title = f"Calibration of {Path(run.scanned.path).name} as published"
+    card = sections.card_of(run.outcome, (sections.error_worth(error, "|a| at rest", "points"),))
+    return sections.calibration_document(title, head, parts, run.outcome, card)

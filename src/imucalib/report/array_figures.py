@@ -1,0 +1,274 @@
+"""Figures of an array: the board with its ellipses, residuals, how precision grows, chains."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from imucalib.arrays import Array, Flags, Index
+from imucalib.calibrators.array.loop.cross_fit import NORMAL_MAD
+from imucalib.calibrators.array.loop.state import ArrayState
+from imucalib.calibrators.array.run import ArrayRun
+from imucalib.errors import ImucalError
+from imucalib.estimators.array.mode import laplace_frame
+from imucalib.estimators.markov.convergence import autocorrelation
+from imucalib.report.document import Plot, Series, Table
+from imucalib.units import DEG, MG
+
+_HALF, _MOST = 1.1774, 2.6482  # radii that hold 50 % and 97 % of a plane Gaussian
+_BINS = 24  # of what residuals may follow, each with as many samples
+_SENSORS = (("gyro", "deg/s", DEG, 1), ("accelerometer", "mg", MG, 0))
+_SHARES = (0.02, 0.05, 0.1, 0.2, 0.4, 1.0)
+_FEWEST = 10  # samples below which a part is not shown
+_AXES = ("x (mm)", "y (mm)")
+
+
+def board_plots(run: ArrayRun) -> tuple[Plot | Table, ...]:
+    """Plan views, deviations from the drawing, and what more samples bring."""
+    z = run.board.positions[:, 2]
+    top = z >= float(np.median(z))
+    sides = [("top side", top), ("underside", ~top)]
+    named = sides if np.ptp(z) > 0 else [("board", top | True)]
+    plans = (_plan(run, name, np.flatnonzero(side)) for name, side in named if side.any())
+    return (*plans, _close_up(run, sides), _deviations(run), *_growth(run))
+
+
+def _plan(run: ArrayRun, name: str, rows: Index) -> Plot:
+    """One side with 50 and 97 % ellipses. Deviations are drawn to scale; ellipses that would vanish
+    are magnified, and say so."""
+    origin = 1e3 * run.board.positions[0]
+    mean = 1e3 * run.final.mean[rows] + origin
+    drawn = 1e3 * run.board.positions[rows]
+    names = tuple(run.board.imus[k] for k in rows)
+    series = [Series("drawn", drawn[:, 0], drawn[:, 1], "points", names=names)]
+    if run.board.package is not None:
+        half = 0.5e3 * np.array(run.board.package[:2])
+        corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)]) * half
+        series.append(_joined("package", [d[:2] + corners for d in drawn]))
+    times, placed = _magnified(run, rows), list(zip(rows.tolist(), mean, strict=True))
+    for label, radius in (("50 %", _HALF), ("97 %", _MOST)):
+        if rings := [times * _ellipse(run, k, radius) + m[:2] for k, m in placed if k > 0]:
+            shown = label if times == 1.0 else f"{label}, {times:g} times as large"
+            series.append(_joined(shown, rings))
+    series.append(Series("posterior mean", mean[:, 0], mean[:, 1], "points", names=names))
+    caption = f"Seen from the top; {run.board.imus[0]} is the reference and stands where drawn."
+    held = centres_held(run, rows)
+    if held:
+        caption += f" The 97 % ellipses hold the package's centre in {sum(held)} of {len(held)}"
+        caption += (
+            "."
+            if all(held)
+            else (
+                ": accelerometers that sit beside the middle of their package, alike in all, are "
+                "beside it on the side that the reference is not on."
+            )
+        )
+    return Plot(f"Positions, {name}", *_AXES, tuple(series), caption, equal=True)
+
+
+def centres_held(run: ArrayRun, rows: Index) -> list[bool]:
+    """Of some IMUs, but for the reference, whether the 97 % ellipse holds the drawn place."""
+    held = []
+    for k in (int(k) for k in rows if k > 0):
+        at = slice(3 * (k - 1), 3 * (k - 1) + 2)
+        off = (run.final.mean - run.board.drawn)[k, :2]
+        square = float(off @ np.linalg.solve(run.final.covariance[at, at], off))
+        held.append(square <= _MOST**2)
+    return held
+
+
+def _magnified(run: ArrayRun, rows: Index) -> float:
+    """1, or the round factor that makes the largest ellipse a tenth of the smallest spacing."""
+    flat = 1e3 * run.board.positions[rows][:, :2]
+    gaps = np.linalg.norm(flat[:, None] - flat, axis=2)
+    spacing = float(np.min(gaps, where=gaps > 1e-6, initial=np.inf))
+    largest = 1e3 * _MOST * float(run.final.sd[rows][:, :2].max())
+    if not (np.isfinite(spacing) and 0.0 < largest < 0.05 * spacing):
+        return 1.0
+    factor = 0.1 * spacing / largest
+    power = 10.0 ** np.floor(np.log10(factor))
+    return float(max(m * power for m in (1.0, 2.0, 5.0) if m * power <= factor))
+
+
+def _ellipse(run: ArrayRun, k: int, radius: float) -> Array:
+    """(n, 2) mm around the mean of one IMU."""
+    at = slice(3 * (k - 1), 3 * (k - 1) + 2)
+    root = np.linalg.cholesky(run.final.covariance[at, at])
+    angle = np.linspace(0.0, 2.0 * np.pi, 49)
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return np.asarray(1e3 * radius * circle @ root.T)
+
+
+def _joined(label: str, rings: list[Array]) -> Series:
+    gap = np.full((1, 2), np.nan)
+    line = np.concatenate([part for ring in rings for part in (ring, gap)])
+    return Series(label, line[:, 0], line[:, 1], "line")
+
+
+def _close_up(run: ArrayRun, sides: list[tuple[str, Flags]]) -> Plot:
+    """All IMUs' deviations from the drawing in one place, to scale, with 97 % ellipses."""
+    off = 1e3 * (run.final.mean - run.board.drawn)
+    series = []
+    for label, side in sides:
+        if rows := [int(k) for k in np.flatnonzero(side) if k > 0]:
+            names = tuple(run.board.imus[k] for k in rows)
+            series.append(Series(label, off[rows, 0], off[rows, 1], "points", names=names))
+            rings = [_ellipse(run, k, _MOST) + off[k, :2] for k in rows]
+            series.append(_joined(f"{label}, 97 %", rings))
+    caption = (
+        f"Accelerometers relative to {run.board.imus[0]}, each about its drawn position at 0, 0; "
+        "what the sides share is where the accelerometer sits inside its package."
+    )
+    title = "Deviation in the plane of the board"
+    return Plot(title, *_AXES, tuple(series), caption, equal=True)
+
+
+def _deviations(run: ArrayRun) -> Plot:
+    """Deviation from the drawing of every coordinate, with 95 % intervals."""
+    off, half = 1e3 * (run.final.mean - run.board.drawn)[1:], 1.96e3 * run.final.sd[1:]
+    x = np.arange(1.0, run.board.count)
+    series = tuple(
+        Series.about(
+            axis, x + 0.2 * (k - 1), off[:, k], half[:, k], "bars", names=run.board.imus[1:]
+        )
+        for k, axis in enumerate("xyz")
+    )
+    caption = f"Position minus drawing, relative to {run.board.imus[0]}, 95 % intervals."
+    return Plot("Deviation from the drawing", "IMU", "deviation (mm)", series, caption)
+
+
+def _growth(run: ArrayRun) -> tuple[Plot | Table, ...]:
+    """Median standard deviation of each axis against the number of samples, drawn and as Table II
+    of paper 001 has it; empty where the samples do not allow it."""
+    data, final = run.final.data, run.final
+    if final.sampler == "gaussian":
+        return ()
+    counts = [round(s * data.samples) for s in _SHARES]
+    found = [(n, sd) for n in counts if n >= _FEWEST and (sd := _median_sd(run, n)) is not None]
+    if len(found) < 3 or found[-1][0] != data.samples:
+        return ()
+    n = np.array([f[0] for f in found], np.float64)
+    sd = 1e3 * np.array([f[1] for f in found])
+    # The stated uncertainty holds more than the motion's: the curve ends at what is stated.
+    sd *= 1e3 * np.median(final.sd[1:], axis=0) / sd[-1]
+    series = [Series(axis, n, sd[:, k], "points") for k, axis in enumerate("xyz")]
+    fine = np.geomspace(n[0], n[-1], 60)
+    series.append(Series("1/√T", fine, sd[-1].mean() * np.sqrt(n[-1] / fine), "line"))
+    caption = (
+        "Median over the IMUs, from the Gaussian at the mode of evenly chosen parts of the "
+        "samples, scaled to end at what is stated. Twice the precision takes four times the motion."
+    )
+    title = "Standard deviation against the samples used"
+    rows = tuple((f"{t:.0f}", *(f"{v:.2g}" for v in row)) for t, row in zip(n, sd, strict=True))
+    table = Table(title, ("T", "sd x", "sd y", "sd z"), rows, "rrrr", "mm, as drawn above.")
+    return Plot(title, "samples used", "sd (mm)", tuple(series), caption, log_y=True), table
+
+
+def _median_sd(run: ArrayRun, count: int) -> Array | None:
+    """(3,) m; None where so few samples have no mode."""
+    data, prior = run.final.data, run.final.prior
+    rows = np.linspace(0, data.samples - 1, count).astype(np.intp)
+    frame = run.final.frame if count == data.samples else None
+    try:
+        frame = frame or laplace_frame(data.take(rows), prior)
+    except ImucalError:
+        return None
+    variance = np.diag(frame.covariance)[: prior.positions].reshape(-1, 3)
+    return np.asarray(np.sqrt(np.median(variance, axis=0)))
+
+
+def residual_plots(run: ArrayRun) -> list[Plot]:
+    """Of gyros and accelerometers in motion before and after the search: against rate, force and
+    time, and of every IMU; none where nothing was searched."""
+    if run.loop is None:
+        return []
+    base, final = run.loop.base, run.loop.final
+    before, after = len(base.setup.inner), len(final.setup.inner)
+    used = f"Before: {before} samples of the search; after: {after}."
+    one = f"One point a moving sample, rms of an axis, its own motion taken out. {used}"
+    binned = f"1.4826 MAD of a {_BINS}th of the samples, of all sensors."
+    each = f"1.4826 MAD over the moving samples. {used}"
+    order = np.arange(run.board.count, dtype=np.float64)
+
+    def against_rate(state: ArrayState, off: Array) -> tuple[Array, Array]:
+        return _speed(state) / DEG, np.sqrt(np.mean(off**2, axis=(1, 2)))
+
+    def against_force(state: ArrayState, off: Array) -> tuple[Array, Array]:
+        force = np.linalg.norm(state.sampled.force, axis=2).mean(axis=1)
+        return _binned(force[state.setup.inner], off)
+
+    def against_time(state: ArrayState, off: Array) -> tuple[Array, Array]:
+        return _binned(state.setup.t[state.setup.inner], off)
+
+    def of_each(_: ArrayState, off: Array) -> tuple[Array, Array]:
+        return order, NORMAL_MAD * np.median(np.abs(off), axis=(0, 2))
+
+    kinds = (
+        ("against the rate", against_rate, "speed of rotation (deg/s)", one),
+        ("against force", against_force, "specific force (m/s²)", binned),
+        ("against time", against_time, "time in the log (s)", binned),
+        ("of each IMU", of_each, "IMU, in the board's order", each),
+    )
+    plots = []
+    for against, points, x_label, caption in kinds:
+        for what, unit, size, k in _SENSORS:
+            series = [_noise(final, k, size)] if points is against_rate else []
+            for name, state in (("before", base), ("after", final)):
+                off = (state.sampled.off.acceleration, state.sampled.off.rate)[k]
+                x, y = points(state, off[state.setup.inner])
+                names = run.board.imus if points is of_each else ()
+                series.append(Series(name, x, y / size, "points", names=names))
+            title = f"{what.capitalize()} residual {against}"
+            y_label = f"{what} residual ({unit})"
+            log = points is not of_each
+            plots.append(Plot(title, x_label, y_label, tuple(series), caption, log_y=log))
+    return plots
+
+
+def _noise(state: ArrayState, sensor: int, size: float) -> Series:
+    """What was fitted, over the speeds of the motion."""
+    ends = _speed(state)
+    speed = np.geomspace(max(float(ends.min()), 1e-3), float(ends.max()), 60)
+    sd = np.sqrt(state.noise[sensor].variance(speed).mean(axis=1)) / size
+    return Series("noise that was fitted, 1 sd", speed / DEG, sd, "line")
+
+
+def _speed(state: ArrayState) -> Array:
+    """(n,) rad/s."""
+    return np.asarray(np.linalg.norm(state.sampled.rate, axis=1)[state.setup.inner])
+
+
+def _binned(x: Array, off: Array) -> tuple[Array, Array]:
+    """Median of x (n,) and 1.4826 MAD of residuals (n, K, 3) in bins of as many."""
+    parts = [p for p in np.array_split(np.argsort(x), _BINS) if p.size]
+    middle = np.array([np.median(x[p]) for p in parts])
+    return middle, NORMAL_MAD * np.array([np.median(np.abs(off[p])) for p in parts])
+
+
+def chain_plots(run: ArrayRun) -> tuple[Plot, ...]:
+    """Trace, ranks and autocorrelation of the coordinate that mixes worst."""
+    worst = int(np.argmin(run.final.convergence.bulk[: run.final.prior.positions]))
+    name = f"{run.board.imus[1 + worst // 3]} {'xyz'[worst % 3]}"
+    draws = 1e3 * run.final.unknowns[..., worst]
+    chains, n = draws.shape
+    x, lags = np.arange(n, dtype=np.float64), min(n - 1, 40)
+    ranks = np.argsort(np.argsort(draws.ravel())).reshape(chains, n)
+    edges = np.linspace(0, chains * n, 11)
+    bins = 0.5 * (edges[1:] + edges[:-1])
+    rho = autocorrelation(draws.T)[:lags]
+    trace, counts, decay = [], [], []
+    for c in range(min(chains, 4)):
+        label, count = f"chain {c + 1}", np.histogram(ranks[c], edges)[0].astype(float)
+        trace.append(Series(label, x, draws[c], "line"))
+        counts.append(Series(label, bins, count, "step"))
+        decay.append(Series(label, x[:lags], rho[:, c], "line"))
+    counts.append(Series("expected", bins[[0, -1]], np.full(2, n / len(bins)), "line"))
+    falls = "Falls to zero within a few draws."
+    drawn = (
+        ("Trace", "draw", "position (mm)", trace, "The coordinate with the least ESS."),
+        ("Ranks", "rank", "number of draws", counts, "Flat where the chains agree."),
+        ("Autocorrelation", "lag (draws)", "autocorrelation", decay, falls),
+    )
+    return tuple(
+        Plot(f"{what} of {name}", x_label, y_label, tuple(series), caption)
+        for what, x_label, y_label, series, caption in drawn
+    )

@@ -1,0 +1,311 @@
+"""The report of `imucal compare`, as a document and as plain types."""
+
+from __future__ import annotations
+
+import math
+from datetime import timedelta
+from typing import Any
+
+import numpy as np
+
+from imucalib.calibration.comparison.compare import ALPHA, SIGNIFICANT, Comparison, Drift, Meaning
+from imucalib.calibration.plain import fields, plain
+from imucalib.report.document import Card, Document, Plot, Section, Series, Table, Text, Tone, Worth
+from imucalib.report.plots import band
+from imucalib.significant_digits import plus_minus, two_digits, with_sd
+
+SCHEMA = "imucal/comparison/1"
+#: Columns of single calibrations that a table has room for.
+_ROOM = 3
+_HALF = 1.959964
+_QUANTITY = {
+    "mg": "the size of the corrected force",
+    "deg": "its direction",
+    "mm": "the position",
+    "deg/s": "the bias of the gyroscope",
+}
+_WORTH = {"mg": "force", "deg": "direction", "mm": "place", "deg/s": "rate"}
+_TONE: dict[str, Tone] = {"agree": "ok", "differ": "bad", "undecided": "warning"}
+
+
+def comparison_document(found: Comparison, command: str = "") -> Document:
+    """Verdict and card, what differs, parameter by parameter, scatter, drift, control chart.
+
+    command : the line that was typed
+    """
+    parts = [
+        Section("What it means", (_meanings(found),)),
+        Section("Parameters", (Text(found.basis.words), _parameters(found))),
+        Section("Between calibrations", _scatter(found)),
+        Section("Drift", _drift(found)),
+        Section("Control chart", control_chart(found), brief=False),
+        Section("Notes", tuple(Text(f"{n[0].upper()}{n[1:]}.", "warning") for n in found.notes)),
+    ]
+    title, verdict = f"Comparison of {', '.join(found.names)}", _verdict(found)
+    footer, card = (("command", command),) if command else (), _card(found, command)
+    return Document(title, verdict, tuple(parts), footer, card, drawn="--html")
+
+
+def _how(found: Comparison) -> str:
+    """Where the limit comes from."""
+    return "as stated" if found.stated else f"{SIGNIFICANT:g} times the largest stated sd"
+
+
+def _verdict(found: Comparison) -> Text:
+    fit, tone = found.agreement, _TONE[found.verdict]
+    proof = f"χ² {fit.chi2:.3g} with {fit.dof} degrees of freedom, p {fit.p:.2g}"
+    worst = "; ".join(_words(found, m) for m in found.meanings)
+    if found.verdict == "differ":
+        which = f" Without {' and '.join(found.odd)} the others agree." if found.odd else ""
+        return Text(f"They differ beyond the limit ({proof}): {worst}.{which}", tone)
+    if found.verdict == "undecided":
+        kinds = " and ".join(_QUANTITY[m.worst.unit] for m in found.meanings if m.beyond)
+        words = (
+            f"Undecided ({proof}): {kinds} differs by more than the limit, within what the files "
+            f"state themselves: {worst}. Calibrate from more positions."
+        )
+        return Text(words, tone)
+    lead = "They agree" if not found.differ else "They differ, but within the limit"
+    return Text(f"{lead} ({proof}): {worst}.", tone)
+
+
+def _words(found: Comparison, meaning: Meaning) -> str:
+    worst = meaning.worst
+    size = two_digits(worst.value) if math.isnan(worst.sd) else plus_minus(worst.value, worst.sd)
+    pair = f" between {' and '.join(found.names[k] for k in worst.pair)}" * (len(found.names) > 2)
+    name = f" ({meaning.sensor})" if meaning.sensor else ""
+    return f"{_QUANTITY[worst.unit]}{name} by {size} {worst.unit} at most{pair}"
+
+
+def _card(found: Comparison, command: str) -> Card:
+    """To how much the calibrations agree, what shows, and what to do."""
+    worths = []
+    for meaning in found.meanings:
+        worst, unit = meaning.worst, meaning.worst.unit
+        size = plus_minus(worst.value, worst.sd) if worst.sd > 0.0 else two_digits(worst.value)
+        limit = f"limit {meaning.limit:.2g} {unit}, {_how(found)}"
+        detail = f"at most, where the force is {_signed(worst.attitude)}; {limit}"
+        sensor = f", {meaning.sensor}" if meaning.sensor else ""
+        worths.append(Worth(f"difference of {_WORTH[unit]}{sensor}", f"{size} {unit}", detail))
+    fit = found.agreement
+    words = (
+        f"The files differ by {'more' if found.differ else 'no more'} than they state: all "
+        f"parameters together z rms {fit.z_rms:.2f}, where 1 is what they state ({fit.dof} of "
+        "them)."
+    )
+    lines = [Text(words, _TONE[found.verdict])]
+    if found.odd:
+        lines.append(Text(f"Without {' and '.join(found.odd)} the others agree.", "warning"))
+    if found.drift is not None:
+        lines.append(_due(found.drift))
+    return Card(tuple(worths), tuple(lines), _to_do(found), command)
+
+
+def _to_do(found: Comparison) -> tuple[str, ...]:
+    if found.verdict == "undecided":
+        return (
+            "Calibrate from more positions: `imucal design` says which.",
+            "Or accept a wider limit (--limit).",
+        )
+    if found.verdict == "differ":
+        doubted = " and ".join(found.odd) if found.odd else "each"
+        return (
+            f"Find out which holds: record four rests and check {doubted} with them, `imucal check "
+            "CALIBRATION RESTS`.",
+            "Correct every recording with the calibration that is nearest to it in time.",
+        )
+    steps = [f"Go on with any of them; {found.names[-1]} is the last that was named."]
+    if found.drift is not None and math.isfinite(found.drift.due.expected):
+        steps.insert(0, "Calibrate again before the limit is reached.")
+    return tuple(steps)
+
+
+def _meanings(found: Comparison) -> Table:
+    tones: dict[int, Tone] = {}
+    named, rows = any(m.sensor for m in found.meanings), []
+    for k, meaning in enumerate(found.meanings):
+        worst = meaning.worst
+        if meaning.beyond:
+            tones[k] = "bad" if found.differ else "warning"
+        pair = " - ".join(found.names[j] for j in reversed(worst.pair))
+        size = with_sd(worst.value, worst.sd) if worst.sd > 0.0 else (two_digits(worst.value), "-")
+        last = (f"{meaning.limit:.2g}", worst.unit, _signed(worst.attitude))
+        rows.append((_QUANTITY[worst.unit], *[meaning.sensor] * named, pair, *size, *last))
+    note = f"The worst attitude of all, as the direction of the force. Limit: {_how(found)}."
+    last_heads = ("pair", "at most", "sd", "limit", "unit", "attitude")
+    header = ("difference of", *["sensor"] * named, *last_heads)
+    return Table("", header, tuple(rows), "l" + "l" * named + "lrrrll", note, tones)
+
+
+def _signed(attitude: Any) -> str:
+    return "  ".join(f"{v:+.2f}" for v in attitude)
+
+
+def _parameters(found: Comparison) -> Table:
+    basis, fit, count = found.basis, found.agreement, len(found.names)
+    sd = np.sqrt(np.einsum("kii->ki", basis.covariance))
+    rows, tones = [], dict[int, Tone]()
+    for k, (name, unit) in enumerate(zip(basis.names, basis.units, strict=True)):
+        z = fit.z[-1, k] if count == 2 else fit.z[np.argmax(np.abs(fit.z[:, k])), k]
+        if abs(z) > 3.0:
+            tones[k] = "warning"
+        values = zip(basis.value[:_ROOM, k], sd[:_ROOM, k], strict=True)
+        each = (plus_minus(v, s) for v, s in values)
+        rows.append((name if unit == "1" else f"{name}, {unit}", *each, f"{z:+.1f}"))
+    note = "z: the last minus the first over the sd of the difference."
+    if count > 2:
+        note = "z: the largest of one against the mean of the others."
+    if count > _ROOM:
+        note += f" Shown are the first {_ROOM} of {count}; all are in the JSON."
+    header = ("parameter", *found.names[:_ROOM], "z")
+    return Table("", header, tuple(rows), "", note, tones)
+
+
+def _scatter(found: Comparison) -> tuple[Text | Table, ...]:
+    scatter, basis = found.scatter, found.basis
+    if scatter is None:
+        return ()
+    sizes = zip(scatter.sd, scatter.low, scatter.high, scatter.z_rms, strict=True)
+    rows = []
+    for name, unit, (sd, low, high, z) in zip(basis.names, basis.units, sizes, strict=True):
+        interval = f"{two_digits(low)} to {two_digits(high)}"
+        rows.append((name, two_digits(sd), interval, f"{z:.2f}", unit))
+    note = (
+        "sd: between calibrations, beyond what each states (Paule and Mandel); 95 % interval by "
+        "its χ²; z rms: 1 where the scatter is what they state."
+    )
+    z = found.agreement.z_rms
+    said = f"All parameters together: z rms {z:.2f}, where 1 is what the files state."
+    said += " A single calibration is worth less than its sd says." if found.differ else ""
+    header = ("parameter", "sd", "95 %", "z rms", "unit")
+    table = Table("", header, tuple(rows), "lrrrl", note)
+    return Text(said, "warning" if found.differ else "plain"), table
+
+
+def _drift(found: Comparison) -> tuple[Text | Table, ...]:
+    drift, basis = found.drift, found.basis
+    if drift is None:
+        return ()
+    rows = tuple(
+        (name, *with_sd(s.value, s.half), f"{unit}/day")
+        for name, unit, s in zip(basis.names, basis.units, drift.slopes, strict=True)
+    )
+    tones: dict[int, Tone] = {k: "warning" for k, s in enumerate(drift.slopes) if s.shown}
+    dates = Text(f"{drift.dates.words[0].upper()}{drift.dates.words[1:]}.")
+    table = Table("", ("parameter", "drift", "± 95 %", "unit"), rows, "lrrl", "", tones)
+    return dates, _due(drift), table
+
+
+def _due(drift: Drift) -> Text:
+    """Whether a drift shows, and when the limit is reached."""
+    due, last = drift.due, float(drift.dates.days.max())
+
+    def day(after: float) -> str:
+        far = last + after > 36500.0
+        return "a day more than a century away" if far else _day(drift, last + after)
+
+    early = "at no time by these dates"
+    if math.isfinite(due.earliest):
+        early = f"at the earliest on {day(due.earliest)}"
+    if not math.isfinite(due.expected):
+        words = (
+            f"No drift shows. The next calibration is due {early}: until then these dates exclude "
+            f"that the limit of {due.limit:.2g} {due.unit} is reached."
+        )
+        return Text(words)
+    words = (
+        f"The corrected force drifts by {plus_minus(due.slope.value, due.slope.half)} (95 %) "
+        f"{due.unit} a day at its worst attitude ({_signed(due.attitude)}): the limit of "
+        f"{due.limit:.2g} {due.unit} is reached on {day(due.expected)}, {early}."
+    )
+    return Text(words, "warning")
+
+
+def _day(drift: Drift, days: float) -> str:
+    return (drift.dates.start + timedelta(days=days)).strftime("%Y-%m-%d")
+
+
+def control_chart(found: Comparison) -> tuple[Plot, ...]:
+    """Size of the corrected force at the attitude where the calibrations differ most, against time
+    or their order, with its sd and the limit; none where no force was compared."""
+    force = next((m for m in found.meanings if m.worst.unit == "mg"), None)
+    if force is None:
+        return ()
+    seen = found.seen[force.sensor]
+    at = int(np.argmax(seen.attitude @ force.worst.attitude))
+    value, sd = seen.size[:, at], seen.size_sd[:, at]
+    weight = 1.0 / sd**2
+    level = float(weight @ value / weight.sum())
+    days = None if found.drift is None else found.drift.dates.days
+    x = np.arange(1.0, len(value) + 1.0) if days is None else days
+    ends = np.array([x.min(), x.max()])
+    series = (
+        band("limit about the mean", x, force.limit, level),
+        Series("mean", ends, np.full(2, level), "line"),
+        Series.about("calibrations, 95 %", x, value, _HALF * sd, "points", tuple(found.names)),
+    )
+    where = ", ".join(f"{v:+.2f}" for v in force.worst.attitude)
+    caption = (
+        f"The attitude that differs most, force along ({where}): points outside the band have left "
+        "the limit about the mean of all; whiskers are 95 % by what each calibration states."
+    )
+    title = "Control chart" + (f" of {force.sensor}" if force.sensor else "")
+    x_label = "calibration" if days is None else "days since the first"
+    return (Plot(title, x_label, "|f| against the first, mg", series, caption),)
+
+
+def comparison_dict(found: Comparison) -> dict[str, Any]:
+    """Ready for JSON; what does not exist is null."""
+    fit, basis, between, drift = found.agreement, found.basis, found.scatter, found.drift
+    worst = [
+        {
+            **fields(m, "difference=worst.value sd=worst.sd unit=worst.unit limit beyond sensor"),
+            "pair": [found.names[k] for k in m.worst.pair],
+            "attitude": m.worst.attitude,
+        }
+        for m in found.meanings
+    ]
+    parameters = []
+    for k, (name, unit) in enumerate(zip(basis.names, basis.units, strict=True)):
+        one: dict[str, Any] = {"name": name, "unit": unit, "value": basis.value[:, k]}
+        one |= {"sd": np.sqrt(basis.covariance[:, k, k]), "z": fit.z[:, k]}
+        one |= {"mean": fit.mean[k], "mean_sd": fit.mean_sd[k]}
+        if between is not None:
+            interval = [between.low[k], between.high[k]]
+            one |= {"between_sd": between.sd[k], "between_95": interval, "z_rms": between.z_rms[k]}
+        if drift is not None:
+            own = drift.slopes[k]
+            one |= {
+                "per_day": own.value,
+                "per_day_95": [own.value - own.half, own.value + own.half],
+            }
+        parameters.append(one)
+    content = {
+        "schema": SCHEMA,
+        **fields(found, "calibrations=names verdict exit_code basis=basis.words"),
+        **fields(fit, "chi2 dof noise_dof p"),
+        "alpha": ALPHA,
+        **fields(fit, "z_rms"),
+        **fields(found, "differ_from_the_others=odd p_against_the_others=agreement.without"),
+        "limits_stated": found.stated,
+        "worst": worst,
+        "parameters": parameters,
+        "drift": drift and _drift_dict(drift),
+        "notes": found.notes,
+    }
+    return dict(plain(content))
+
+
+def _drift_dict(drift: Drift) -> dict[str, Any]:
+    due, slope, last = drift.due, drift.due.slope, float(drift.dates.days.max())
+    reached, earliest = (
+        _day(drift, last + after) if after < 36500.0 else None
+        for after in (due.expected, due.earliest)
+    )
+    return {
+        **fields(drift, "dates_from=dates.words days=dates.days per_day=due.slope.value"),
+        "per_day_95": [slope.value - slope.half, slope.value + slope.half],
+        **fields(due, "unit attitude limit"),
+        "reached": reached,
+        "earliest": earliest,
+    }

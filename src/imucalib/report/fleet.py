@@ -1,0 +1,280 @@
+"""The report of a fleet: what its devices share, what each gains, who is not of the kind."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from imucalib.calibration.comparison.agreement import Beyond
+from imucalib.calibration.plain import fields, listed, plain
+from imucalib.cohort.fleet.outcome import Fleet
+from imucalib.core.effect import Context
+from imucalib.effects import named
+from imucalib.report.document import Card, Document, Plot, Section, Series, Table, Text, Tone, Worth
+from imucalib.significant_digits import plus_minus
+
+_TONE: dict[str, Tone] = {"explained": "ok", "suspected": "warning", "unexplained": "warning"}
+#: What an error of a device is an error of.
+_HOW = {
+    "lab": "rms on positions held out",
+    "actigraph": "rms of |a| of a posture, beside the walk of its bias",
+}
+
+
+def fleet_document(fleet: Fleet) -> Document:
+    """Headline and card first."""
+    outlying = (
+        f"{o.device}: {o.parameter} is {plus_minus(o.value, o.sd, o.unit)}, the others "
+        f"{o.mean:.3g} with a scatter of {o.scatter:.2g} (chance {o.p:.1g}): another kind, another "
+        "unit, or a fault."
+        for o in fleet.outliers
+    )
+    kept = (r for m in fleet.members for r in m.recordings if r.kept)
+    notes = (*fleet.notes, *(f"{r.name} stays as it was calibrated: {r.kept}." for r in kept))
+    parts = (
+        Section("What the devices share", _shared(fleet)),
+        Section("Devices", _each(fleet)),
+        Section("Between devices", _spread(fleet), brief=False),
+        Section("Not of the kind", tuple(Text(text, "warning") for text in outlying)),
+        Section("What was tried", _tried(fleet), brief=False),
+        Section("Not calibrated", tuple(Text(f"{n}: {why}", "bad") for n, why in fleet.failed)),
+        Section("Notes", tuple(map(Text, notes))),
+    )
+    command = fleet.asked.command
+    footer = (("command", command), ("seed", str(fleet.asked.seed))) if command else ()
+    title, verdict = f"Fleet of {len(fleet.members)} devices", _verdict(fleet)
+    return Document(title, verdict, parts, footer, _card(fleet))
+
+
+def _verdict(fleet: Fleet) -> Text:
+    search, gain, lead = fleet.search, fleet.difference, fleet.verdict.capitalize()
+    found = search.found if search else ()
+    names = ", ".join(" or ".join((one.effect, *one.rivals)) for one in found)
+    if search is None:
+        text = f"{len(fleet.members)} devices compared by their parameters; nothing was searched."
+    elif names:
+        text = f"{lead}: {names}, in every device with a size of its own."
+        if gain is not None and not np.isnan(gain.nats):
+            text += (
+                f" The others foretell {gain.parts} devices by {gain.nats:+.1f} nats in sum "
+                f"(95 %: at least {gain.nats_low:+.1f}); error of a posture {gain.before:.3g} to "
+                f"{gain.after:.3g} mg."
+            )
+        elif gain is not None:
+            text += (
+                f" Held-out error {gain.before:.3g} to {gain.after:.3g} mg, less by "
+                f"{gain.gain:.3g} mg (95 %: {gain.low:.2g} to {gain.high:.2g})."
+            )
+    elif search.refused:
+        stood = " and ".join(name for name, _ in search.refused)
+        text = (
+            f"{lead}: {stood} stands out beyond chance, but what some devices say of it does not "
+            "foretell the others."
+        )
+    else:
+        text = f"{lead}: no effect is shared beyond chance."
+    return Text(text, _TONE.get(fleet.verdict, "plain"))
+
+
+def _card(fleet: Fleet) -> Card:
+    """What a device is good to, on positions held out by what the other devices say; what they
+    share; and what to do."""
+    return Card(_worth(fleet), _found(fleet), _to_do(fleet), fleet.asked.command)
+
+
+def _worth(fleet: Fleet) -> tuple[Worth, ...]:
+    members = [m for m in fleet.members if np.isfinite(m.final)]
+    if not members:  # compared by their parameters: how much they differ, those of a unit together
+        made = []
+        for unit in dict.fromkeys(s.unit for s in fleet.spreads):
+            own = np.array([s.scatter for s in fleet.spreads if s.unit == unit])
+            what = "shares" if unit == "1" else f"parameters in {unit}"
+            size = f"{np.sqrt(np.mean(own**2)):.2g} {unit.removeprefix('1')}".rstrip()
+            made.append(Worth(f"{len(own)} {what}", size, "between devices, rms"))
+        return tuple(made)
+    worst, how = max(members, key=lambda m: m.final), _HOW[fleet.asked.calibrator]
+    detail = f"{worst.name}, {how}; alone {worst.base:.3g}"
+    one = Worth("the worst device", f"{worst.final:.3g} mg", detail)
+    gain = fleet.difference
+    if gain is None:
+        return (one,)
+    return (
+        Worth("all devices", f"{gain.after:.3g} mg", f"{how}; each alone {gain.before:.3g}"),
+        one,
+    )
+
+
+def _found(fleet: Fleet) -> tuple[Text, ...]:
+    tone, lines = _TONE.get(fleet.verdict, "plain"), []
+    for one in fleet.search.found if fleet.search else ():
+        rivals = f"; or {' or '.join(one.rivals)}".replace("_", " ") if one.rivals else ""
+        words = (
+            f"{one.effect.replace('_', ' ').capitalize()}, in every device with a size of its own: "
+            f"{int(np.sum(one.nats > 0.0))} of {len(one.able)} gain by what the others say{rivals}."
+        )
+        lines.append(Text(words, tone))
+    if not lines:
+        what = "Nothing that the devices share stands out beyond chance."
+        if fleet.search and fleet.search.refused:
+            what = "; ".join(f"{name} stands out, but {why}" for name, why in fleet.search.refused)
+            what = f"{what[0].upper()}{what[1:]}."
+        lines.append(Text(what if fleet.search else "No effect was searched for.", tone))
+    if fleet.outliers:
+        odd = dict.fromkeys(o.device for o in fleet.outliers)
+        lines.append(Text(f"Not of the kind: {', '.join(odd)}.", "warning"))
+    if fleet.failed:
+        failed = ", ".join(name for name, _ in fleet.failed)
+        lines.append(Text(f"Not calibrated: {failed}.", "bad"))
+    return tuple(lines)
+
+
+def _to_do(fleet: Fleet) -> tuple[str, ...]:
+    steps = [
+        f"Look at {name} by itself, then leave it out: another kind, another unit, or a fault."
+        for name in dict.fromkeys(o.device for o in fleet.outliers)
+    ]
+    steps += [f"Mend {name}: {why.rstrip('.')}." for name, why in fleet.failed]
+    lab = fleet.asked.calibrator == "lab"
+    if fleet.verdict in ("suspected", "unexplained"):
+        more = "positions of each: `imucal design TABLE`" if lab else "recordings of each"
+        steps.append(f"Record more devices, or more {more}.")
+    if any(r.calibration for m in fleet.members for r in m.recordings):
+        steps.append(
+            "Use each device's own: `imucal apply FOLDER/DEVICE/calibration.yaml RECORDING -o "
+            "corrected.mcap`, FOLDER as -o names it."
+        )
+    if fleet.following:
+        command = f"imucal {fleet.asked.calibrator} {'TABLE' if lab else 'RECORDING'}"
+        steps.append(f"Another device of the kind: `{command} --fleet FOLDER/fleet.yaml`.")
+    return tuple(steps)
+
+
+def _shared(fleet: Fleet) -> tuple[Table, ...]:
+    rows = tuple(
+        (
+            one.effect,
+            f"{one.pooled.p:.2g}",
+            f"{one.nats.sum():+.1f}",
+            f"{int(np.sum(one.nats > 0.0))} of {len(one.able)}",
+            ", ".join(one.rivals) or "none",
+        )
+        for one in (fleet.search.found if fleet.search else ())
+    )
+    header = ("effect", "chance in the fleet", "foretold, nats", "devices that gain", "rivals")
+    note = (
+        "Chance: how often anything stands out as much in a fleet that lacks nothing. Foretold: "
+        "what each device's data gain by the size that the other devices give the effect."
+    )
+    return (Table("", header, rows, "lrrrl", note),) if rows else ()
+
+
+def _each(fleet: Fleet) -> tuple[Table | Plot, ...]:
+    shown = [m for m in fleet.members if np.isfinite(m.base)]
+    if not shown:
+        return ()
+    rows = tuple(
+        (m.name, f"{m.base:.3g}", f"{m.final:.3g}", ", ".join(m.told) or "nothing") for m in shown
+    )
+    at, names = np.arange(1.0, len(shown) + 1.0), tuple(m.name for m in shown)
+    series = [Series("alone", at, np.array([m.base for m in shown]), "rings", names=names)]
+    if fleet.search and fleet.search.found:
+        final = np.array([m.final for m in shown])
+        series.append(Series("with the fleet", at, final, "points", names=names))
+    error, caption = "error beside the walk", "Effects"
+    if fleet.asked.calibrator == "lab":
+        error, caption = "held-out error", "Each position predicted without it; effects"
+    caption += " chosen and sized by the other devices."
+    title = f"{error.capitalize()} of each device"
+    plot = Plot(title, "device", f"{error}, rms, mg", tuple(series), caption)
+    header = ("device", "alone, mg", "with the fleet, mg", "found by the others")
+    note = "With the fleet: by effects that the others find, and size, without the device."
+    return Table(error.capitalize(), header, rows, "lrrl", note), plot
+
+
+def _spread(fleet: Fleet) -> tuple[Table, ...]:
+    twice = any(s.sessions for s in fleet.spreads)
+    rows: list[tuple[str, ...]] = []
+    for s in fleet.spreads:
+        mean = plus_minus(s.mean, s.mean_sd, s.unit)
+        between = _scatter(s.sessions, s.unit) if s.sessions else "-"
+        rows.append((s.name, mean, _scatter(s.interval, s.unit), *[between] * twice))
+    # Of effects that were found: the mean size, and how much devices differ by what they say.
+    for one in fleet.search.found if fleet.search else ():
+        sds = np.sqrt(np.diag(one.sizes.common_covariance))
+        parameters = named(one.effect).parameters(Context(1))
+        for p, m, sd in zip(parameters, one.sizes.common, sds, strict=True):
+            mean = plus_minus(m * p.typical, sd * p.typical, p.unit)
+            size = f"{one.sizes.scatter * p.typical:.2g} {p.unit.removeprefix('1')}".rstrip()
+            rows.append((p.name, mean, size, *["-"] * twice))
+    note = "Scatter: sd between devices beyond what each one's own sd explains, 95 % in brackets."
+    header = ["parameter", "mean of the fleet", "between devices"]
+    header += ["between recordings of a device"] * twice
+    return (Table("", tuple(header), tuple(rows), "", note),) if rows else ()
+
+
+def _scatter(one: Beyond, unit: str) -> str:
+    text = f"{one.sd:.2g} {unit.removeprefix('1')}".rstrip()
+    return f"{text} ({one.low:.2g} to {one.high:.2g})"
+
+
+def _tried(fleet: Fleet) -> tuple[Table | Text, ...]:
+    if fleet.search is None or not fleet.search.first:
+        return ()
+    rows = tuple(
+        (one.effect, f"{one.evidence:.1f}", f"{one.p:.2g}", str(one.devices))
+        for one in fleet.search.first
+    )
+    refused = (Text(f"{name}: {why}") for name, why in fleet.search.refused)
+    header = ("effect", "evidence, nats", "chance", "devices")
+    return (Table("", header, rows, "lrrr"), *refused)
+
+
+def fleet_dict(fleet: Fleet) -> dict[str, Any]:
+    """report.json of a fleet, as plain types."""
+    search, made = fleet.search, [r.provenance for m in fleet.members for r in m.recordings]
+    found = (
+        "effect p=pooled.p evidence_nats=pooled.evidence foretold_nats=nats rivals devices=able "
+        "common_typical=sizes.common scatter_typical=sizes.scatter"
+    )
+    outlier = "device parameter value sd unit others=mean scatter p"
+    gain = "before after gain low high nats nats_low"
+    members = [
+        {
+            "name": m.name,
+            "recordings": [
+                {**fields(r, "name input=provenance.path"), "kept": r.kept or None}
+                for r in m.recordings
+            ],
+            **fields(m, "base_mg=base final_mg=final found_by_the_others=told"),
+        }
+        for m in fleet.members
+    ]
+    spreads = [
+        {
+            **fields(s, "parameter=name unit mean mean_sd scatter"),
+            "scatter_95": [s.interval.low, s.interval.high],
+            "between_recordings": s.sessions and vars(s.sessions),
+        }
+        for s in fleet.spreads
+    ]
+    content = {
+        **fields(fleet, "calibrator=asked.calibrator verdict exit_code"),
+        "found": listed(search.found if search else (), found),
+        "held_out_mg": fleet.difference and fields(fleet.difference, gain),
+        "devices": members,
+        "between_devices": spreads,
+        "outliers": listed(fleet.outliers, outlier),
+        "tried": listed(search.first if search else (), "effect evidence_nats=evidence p devices"),
+        "refused": [
+            {"effect": name, "why": why} for name, why in (search.refused if search else ())
+        ],
+        "failed": [{"name": name, "why": why} for name, why in fleet.failed],
+        "notes": fleet.notes,
+        "provenance": {
+            "inputs": listed(made, "input=path sha256"),
+            **fields(fleet.asked, "settings command seed"),
+            **fields(made[-1], "versions time"),
+        },
+    }
+    return dict(plain(content))

@@ -1,0 +1,160 @@
+"""The reports of `imucal imu` and `imucal design --imu`, as data."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from imucalib.calibration.gyroscope import STAGE
+from imucalib.calibrators.imu.plan import HandPlan
+from imucalib.calibrators.imu.run import ImuRun, heading_drift
+from imucalib.report import sections
+from imucalib.report.document import Card, Document, Facts, Section, Table, Text, Worth
+from imucalib.report.plots import gain_plot
+from imucalib.significant_digits import plus_minus, two_digits, with_sd
+from imucalib.units import DEG
+
+
+def imu_document(run: ImuRun) -> Document:
+    """Everything that a reader of the calibration must know, headline first."""
+    outcome, error = run.outcome, run.outcome.error
+    head = (
+        f"Held-out gravity over a turn {error.held_out.raw:.2f} as read, {error.held_out.base:.2f} "
+        f"with gains, {error.held_out.final:.2f} deg rms final {sections.floor_words(error)}."
+    )
+    parts = [
+        sections.loop_section(outcome),
+        Section("Residual before and after", gain_plot(outcome.findings), brief=False),
+        Section("Gyroscope", (_gains(run), _facts(run))),
+        Section("Parameters", (sections.parameter_table(run.calibration, ""),), brief=False),
+        sections.advice_section(outcome),
+        sections.sensor_section(run.calibration),
+        Section("Turns", (_turns(run),), brief=False),
+        *sections.closing_sections(outcome),
+    ]
+    title = f"IMU calibration of {outcome.provenance.path}"
+    return sections.calibration_document(title, head, parts, outcome, _card(run))
+
+
+def _card(run: ImuRun) -> Card:
+    outcome = run.outcome
+    median = two_digits(float(np.median(run.result.held_out.final)))
+    carried = sections.error_worth(outcome.error, "gravity after a turn", "turns")
+    drift = f"drifts by at most {two_digits(heading_drift(run.result.fit))} deg"
+    how = "95 %, about the worst axis, beside what the bias does meanwhile"
+    good = (
+        Worth(carried.quantity, carried.value, f"{carried.detail}; median {median} deg"),
+        Worth("heading after 360 deg", drift, how),
+        sections.error_worth(outcome.errors[1], "size of a force", "rests"),
+    )
+    return sections.card_of(outcome, good)
+
+
+def _gains(run: ImuRun) -> Table:
+    """K, in the accelerometer's frame."""
+    values = [p for p in run.calibration.parameters if p.stage == STAGE]
+    rows = tuple((p.name, *with_sd(p.value, p.sd), p.unit) for p in values)
+    note = "ω = K (reading - bias - what effects add), in the accelerometer's frame."
+    return Table("Gyroscope", ("parameter", "value", "sd", "unit"), rows, "lrrl", note)
+
+
+def _facts(run: ImuRun) -> Facts:
+    imu = run.details["imu"]
+    noise = imu["gyroscope_noise"]
+    keys = ("white_deg_per_s_per_root_hz", "white_95_low", "white_95_high")
+    axes = zip(*(noise[key] for key in keys), strict=True)
+    white = ", ".join(plus_minus(v, (high - low) / 3.92, "") for v, low, high in axes)
+    late, late_sd = (1e3 * imu["gyroscope_late_s"][name] for name in ("value", "sd"))
+    least = max(noise["bias_instability_at_most_deg_per_s"])
+    word = "at most " if noise["upper_limit"] else ""
+    turns = f"{imu['turns']} between {imu['rests']} rests; {len(imu['turns_left_out'])} left out"
+    return Facts(
+        (
+            ("frame", imu["frame"]),
+            ("white noise x, y, z", f"{white} deg/s/√Hz, from a rest of {noise['rest_s']:.0f} s"),
+            ("bias instability", f"{word}{least:.2g} deg/s"),
+            (
+                "gyroscope's delay",
+                f"{plus_minus(late, late_sd, 'ms')} behind the accelerometer, by the moving "
+                "accelerometer; nothing is corrected by it",
+            ),
+            ("turns", turns),
+        )
+    )
+
+
+def _turns(run: ImuRun) -> Table:
+    log, held, weight = run.result.imu.turns, run.result.held_out, run.result.fit.weight
+    spans = zip(log.turns, log.spans[2], held.raw, held.base, held.final, weight, strict=True)
+    rows = []
+    for turn, path, raw, base, final, w in spans:
+        where = (str(turn.rest + 1), f"{turn.t[0]:.1f}", f"{path / DEG:.0f}")
+        rows.append((*where, f"{raw:.2f}", f"{base:.3f}", f"{final:.3f}", f"{w:.2f}"))
+    header = ("turn", "from, s", "path, deg", "as read", "base", "final", "weight")
+    note = (
+        "deg by which gravity is off after a turn that took no part; weight in the fit, 1.5 most."
+    )
+    return Table("Turns held out", header, tuple(rows), "rrrrrrr", note)
+
+
+_NAMES = tuple(f"{a}{b}" for a in "xyz" for b in "xyz")
+
+
+def hand_plan_document(plan: HandPlan) -> Document:
+    """The turns in their order, and what is known of the gains after them."""
+    count, added = len(plan.turns), plan.before is not None
+    scale, cross = _worst(plan)
+    words = f"{count} more turns" if added else f"{count} turns of 135 deg, {count + 1} rests"
+    verdict = Text(
+        f"{words}: scales to {scale:.2g} %, cross terms to {cross:.2g} % (one standard deviation).",
+        "bad" if plan.open_gains else "ok",
+    )
+    turns = Table(
+        "", ("turn", "about", "gravity before", "sd of a gain after, %"),
+        tuple(
+            (str(k), turn.axis, "  ".join(f"{v:+.2f}" for v in turn.up),
+             f"{100.0 * turn.after:.2g}")
+            for k, turn in enumerate(plan.turns, start=1)
+        ),
+        "rllr",
+        "135 deg each, by hand, about the sensor's own axis, under the gyroscope's range, with two "
+        "seconds of rest on something hard before and after. Gravity: what the accelerometer "
+        "reads, in g.",
+    )  # fmt: skip
+    sds = Table(
+        "", ("gain", *(("sd now, %",) if added else ()), "sd then, %"),
+        tuple(
+            (name, *((f"{100.0 * plan.before[k]:.2g}",) if plan.before is not None else ()),
+             f"{100.0 * plan.sd[k]:.2g}")
+            for k, name in enumerate(_NAMES)
+        ),
+        "l" + "r" * (1 + added),
+    )  # fmt: skip
+    left = tuple(Text(f"These stay open: {words}.", "bad") for words in plan.open_gains)
+    return Document(
+        "Turns to add" if added else "Turns to take", verdict,
+        (Section("Turns", (turns,)), Section("Gains", (*left, sds))),
+    )  # fmt: skip
+
+
+def hand_plan_dict(plan: HandPlan) -> dict[str, Any]:
+    """The same for machines."""
+    return {
+        "turns": [
+            {"about": t.axis, "gravity_before": t.up.tolist(), "sd_after": t.after}
+            for t in plan.turns
+        ],
+        "sd": dict(zip(_NAMES, plan.sd.tolist(), strict=True)),
+        "sd_before": None
+        if plan.before is None
+        else dict(zip(_NAMES, plan.before.tolist(), strict=True)),
+        "open": list(plan.open_gains),
+    }
+
+
+def _worst(plan: HandPlan) -> tuple[float, float]:
+    """%, of the scales and of the cross terms."""
+    sd = 100.0 * plan.sd.reshape(3, 3)
+    own = np.eye(3, dtype=bool)
+    return float(sd[own].max()), float(sd[~own].max())

@@ -1,0 +1,508 @@
+"""The report of `imucal lab`, as data."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from imucalib.arrays import Array, Index
+from imucalib.calibration.calibration import Calibration
+from imucalib.calibration.uncertainty import angle_uncertainty, force_slope
+from imucalib.calibrators.lab.attitude import AttitudeErrors, attitude_errors, rms, worst
+from imucalib.calibrators.lab.bench import row_numbers
+from imucalib.calibrators.lab.calibrate import gravity_of
+from imucalib.calibrators.lab.dial import bends, dial_of, dial_words
+from imucalib.calibrators.lab.errors import reading_noise, setting_noise
+from imucalib.calibrators.lab.run import LabRun
+from imucalib.calibrators.lab.sessions.between import Between, Sessions
+from imucalib.core.references import KnownVector, angles_of
+from imucalib.core.sphere import covered, even_directions
+from imucalib.effects import known
+from imucalib.effects.covariate import COLUMN
+from imucalib.loop.held_out import Held, fitted
+from imucalib.loop.held_out import errors as held_errors
+from imucalib.report import sections
+from imucalib.report.document import (
+    Block,
+    Card,
+    Document,
+    Facts,
+    Plot,
+    Section,
+    Series,
+    Table,
+    Text,
+    Worth,
+)
+from imucalib.report.plots import band, gain_plot, sphere_map
+from imucalib.significant_digits import plus_minus, spread
+from imucalib.units import DEG, MG
+
+#: deg off the vertical, where it has no meaning, from which a tool-face is promised.
+_FROM_VERTICAL = 30.0
+_NORMAL_95 = 1.96
+#: Words in the name of an effect and the quantity that an error of it follows.
+_FOLLOWED = {
+    "inclination": "inclination",
+    "tool_face": "tool-face",
+    "temperature": "temperature",
+    "thermal": "temperature",
+    "drift": "row",
+    "step": "row",
+    "warm": "row",
+}
+
+
+def lab_document(run: LabRun) -> Document:
+    """Everything that a reader of the calibration must know, headline first."""
+    outcome, result, settings = run.outcome, run.result, run.request.settings
+    error = outcome.error
+    head = (
+        f"Held-out error {error.held_out.raw:.2f} raw, {error.held_out.base:.2f} base, "
+        f"{error.held_out.final:.2f} {error.unit} rms final {sections.floor_words(error)}."
+    )
+    plots = (*gain_plot(outcome.findings), *_residual_plots(run), _attitude_map(run))
+    parts = [
+        sections.loop_section(outcome),
+        Section("Residual before and after", plots, brief=False),
+        _angle_section(run),
+        _parameter_section(run),
+        sections.kind_section(settings.population, result.final, result.strange, "position"),
+        _bench_section(run),
+        _sessions_section(run.sessions),
+        _dial_section(run),
+        sections.advice_section(outcome),
+        sections.sensor_section(run.calibration, _iscwsa_table(run.calibration)),
+        _uncertainty_section(run),
+        Section("Positions", (_position_table(run),), brief=False),
+    ]
+    if outcome.findings:
+        parts.append(sections.candidate_section(outcome.findings))
+    if settings.objective == "paper":
+        parts.append(Section("As published", (_published_table(run),), brief=False))
+    title = f"Lab calibration of {outcome.provenance.path}"
+    return sections.calibration_document(title, head, parts, outcome, _card(run))
+
+
+def _directed(run: LabRun) -> bool:
+    """Whether inclination and tool-face of every position are known."""
+    return isinstance(run.result.observations.reference, KnownVector)
+
+
+def _errors_of(run: LabRun, held: Held) -> AttitudeErrors:
+    """In the bench's own angles."""
+    return attitude_errors(held, run.request.settings.conventions)
+
+
+def _card(run: LabRun) -> Card:
+    """Errors on positions held out, angles at the worst attitude."""
+    metric = "vector" if _directed(run) else run.outcome.error.metric.partition(",")[0]
+    like = ("attitudes", covered(run.result.final.observations.reading[:, 0]))
+    good = [sections.error_worth(run.outcome.error, metric, "positions", like)]
+    if run.result.observations.reference.directed:
+        good.append(_worst(run))
+    if run.sessions is not None:  # how far what changes between them lets a calibration carry
+        count, of_effect = len(run.sessions.names), dict[str, Worth]()
+        for p in sorted(run.sessions.parameters, key=lambda p: p.half):
+            detail = f"95 %, worst axis, from {count} sessions; their mean ± {1.96 * p.mean:.2g}"
+            name, size = f"{p.effect} after a power-up", f"± {p.half:.2g} {p.unit}"
+            of_effect[p.effect] = Worth(name, size, detail)
+        good += of_effect.values()
+    return sections.card_of(run.outcome, (*good, *(_angles(run) if _directed(run) else ())))
+
+
+def _worst(run: LabRun) -> Worth:
+    """The corrected vector where the calibration knows it least."""
+    fit, directions = run.result.final, even_directions()
+    slope, _ = force_slope(fit, run.request.gravity * directions[:, None])
+    variance = np.einsum("nip,pq,niq->n", slope, fit.covariance, slope)
+    sd = np.sqrt(np.maximum(variance, 0.0)) / MG
+    return sections.worst_attitude("vector", sd, directions, "calibration only, ")
+
+
+def _angles(run: LabRun) -> tuple[Worth, ...]:
+    """Of one corrected reading, 95 %, at the worst attitude; and on positions held out."""
+    result, fit = run.result, run.result.final
+    i, t = (g.ravel() for g in np.meshgrid(np.arange(-85.0, 86.0, 5.0), np.arange(0, 360, 15.0)))
+    sigma = reading_noise(fit).whole
+    found = angle_uncertainty(fit, i * DEG, t * DEG, run.request.gravity, sigma)
+    held = _errors_of(run, result.splits[-1].final) if result.splits else None
+    flat = np.abs(i) <= 90.0 - _FROM_VERTICAL
+    shown = run.request.settings.conventions.outside(i * DEG, t * DEG)
+
+    def worth(name: str, half: Array, where: str, off: Array | None, most: float) -> Worth:
+        k = int(np.argmax(half))
+        attitude = f"inclination {shown[0][k]:.0f}, tool-face {shown[1][k]:.0f} deg"
+        at = f"one reading, 95 %, worst attitude{where} ({attitude})"
+        if off is not None:
+            at += "; positions left out, with how they were set: "
+            at += f"{rms(off):.2f} rms, {worst(off):.2f} largest"
+        width = _within_a_circle(half[k], most, 2)
+        return Worth(name, f"± {width} deg" if half[k] < most else width, at)
+
+    inclination = np.hypot(found.inclination_95, _NORMAL_95 * found.inclination_reading)
+    tool_face = np.hypot(found.tool_face_95, _NORMAL_95 * found.tool_face_reading)
+    where = f" {_FROM_VERTICAL:.0f} deg or more off the vertical"
+    return (
+        worth("inclination", inclination, "", held.inclination if held else None, 90.0),
+        worth(
+            "tool-face",
+            np.where(flat, tool_face, 0.0),
+            where,
+            held.tool_face if held else None,
+            180.0,
+        ),
+    )
+
+
+def _within_a_circle(half: float, most: float, places: int) -> str:
+    """Half the width of an angle's interval, deg. most : deg that the angle can be off by at all,
+    so that a wider interval says nothing of it."""
+    return f"{half:.{places}f}" if half < most else "not determined"
+
+
+def _parameter_section(run: LabRun) -> Section:
+    factor = run.result.final.noise.factor
+    note = "sd with the noise as estimated"
+    if reading_noise(run.result.final).own > 0.0:
+        note += f" ({factor:.2f} times the declared or assumed one); with the declared noise taken "
+        note += f"at its word, divide by {factor:.2f}"
+    return Section("Parameters", (sections.parameter_table(run.calibration, f"{note}."),))
+
+
+def _angle_section(run: LabRun) -> Section:
+    result, directed = run.result, _directed(run)
+
+    def row(name: str, errors: AttitudeErrors) -> tuple[str, ...]:
+        """Largest / rms of what the reference lets one compare."""
+        values = [errors.tool_face, errors.inclination] if directed else []
+        return (name, *(spread((worst(v), rms(v))) for v in (*values, errors.norm)))
+
+    compared = [("fitted, base", fitted(result.base)), ("fitted, final", fitted(result.final))]
+    for split in result.splits:
+        compared += [(f"{split.name}, base", split.base), (f"{split.name}, final", split.final)]
+    rows = tuple(row(name, _errors_of(run, held)) for name, held in compared)
+    header = ("", *["tool-face, deg", "inclination, deg"] * directed, "|a|, mg")
+    note = "Largest / rms."
+    if bends(result.final):
+        note += " Inclination is compared after undoing the fixture error that was found."
+    blocks: list[Block] = [Table("Errors on the positions", header, rows, "", note)]
+    if result.loop and result.loop.records:
+        aside = _errors_of(run, fitted(result.loop.final))
+        bad = {r.row for r in result.loop.records}
+        rest = aside.take(np.array([k for k in range(len(aside.norm)) if k not in bad]))
+        title = "With the suspect records set aside"
+        note = "The same model fitted without them, on the other rows."
+        blocks.append(Table(title, header, (row("fitted, final", rest),), "", note))
+    used, n = len(result.used), result.observations.n
+    if used != n:
+        words = f"Model chosen and fitted on {used} rows; the other {n - used} are the test set."
+        blocks.append(Text(words))
+    return Section("Angles and |a|" if directed else "|a|", tuple(blocks))
+
+
+def _bench_section(run: LabRun) -> Section:
+    fit, reading = run.result.final, reading_noise(run.result.final)
+    own = plus_minus(reading.own / MG, reading.own_sd / MG, "mg")
+    rows = [("noise of a reading", own if reading.own > 0.0 else "none that it does not share")]
+    for k, (name, sd) in enumerate(setting_noise(fit).items(), start=1):
+        spread_sd = sd / DEG * float(fit.noise_sd[k])
+        rows.append((name, f"{plus_minus(sd / DEG, spread_sd, 'deg')} scatter"))
+    if reading.shared > 0.0:
+        size = plus_minus(reading.shared / MG, reading.shared_sd / MG, "mg")
+        after = f"forgotten in {reading.memory:.2g} positions"
+        rows.append(("noise that neighbours share", f"{size}, {after}"))
+    rows.append(("local gravity", f"{run.request.gravity:.5f} m/s² ({run.request.gravity_source})"))
+    if (kind := run.request.settings.population) is not None:
+        said = f"what {kind.devices} devices of its kind say (--fleet)"
+        rows.append(("beside these rows", said))
+    order = (
+        "by their time" if "time" in fit.observations.context else "of the file, taken as recorded"
+    )
+    reference = fit.observations.reference
+    if isinstance(reference, KnownVector):
+        set_ = (reference.inclination_setting.max() + 1, reference.tool_face_setting.max() + 1)
+        order += f": inclination set {set_[0]} times, tool-face {set_[1]} times"
+    rows += [("raw unit", run.raw.sentence), ("order of rows", order)]
+    rows.append(("condition number", f"{fit.condition:.0f}, parameters in typical sizes"))
+    rows += [("left open", words) for words in fit.null_directions]
+    rows += [("left out", text) for text in run.excluded]
+    words = dial_words(run.result)
+    return Section("The bench", (Facts(tuple(rows)), *([Text(words)] if words else ())))
+
+
+def _dial_section(run: LabRun) -> Section:
+    """What the bench's inclination dial is off by; empty when no such error was found."""
+    title = "The bench's inclination dial"
+    if not bends(run.result.final):
+        return Section(title, ())
+    at = np.linspace(0.0, 90.0, 61)
+    dial = dial_of(run.result, at)
+    interval = Series.about("95 % band", at, dial.shift, dial.half, "band")
+    line = Series("true inclination minus dial", at, dial.shift, "line")
+    caption = "What the bench's inclination dial is off by; no part of the sensor's calibration."
+    labels = ("True inclination minus dial", "inclination (deg)", "dial's error (deg)")
+    return Section(title, (Plot(*labels, (interval, line), caption),), brief=False)
+
+
+def _uncertainty_section(run: LabRun) -> Section:
+    """The parameters' uncertainty carried to the angles; empty without known angles."""
+    fit = run.result.final
+    if not _directed(run):
+        return Section("Uncertainty of the angles", ())
+    at = np.radians(np.linspace(-85.0, 85.0, 69))
+    sigma = reading_noise(fit).whole
+    curves = [
+        angle_uncertainty(fit, at, np.full(69, t), run.request.gravity, sigma)
+        for t in np.radians([0, 90, 180, 270])
+    ]
+    inclination = np.max([c.inclination_95 for c in curves], axis=0)
+    tool_face = np.max([c.tool_face_95 for c in curves], axis=0)
+    x = run.request.settings.conventions.outside(at, np.zeros_like(at))[0]
+
+    def half_width(title: str, y: Array) -> Plot:
+        caption = "Half width of 95 % intervals, worst of four tool-faces; one reading's noise "
+        caption += "comes on top."
+        curve = Series("95 %", x, y, "line")
+        return Plot(title, "inclination (deg)", "half width (deg)", (curve,), caption)
+
+    rows = tuple(
+        (
+            f"{x[k]:.0f}",
+            _within_a_circle(inclination[k], 90.0, 3),
+            f"{curves[0].inclination_reading[k]:.3f}",
+            _within_a_circle(tool_face[k], 180.0, 3),
+            f"{curves[0].tool_face_reading[k]:.3f}",
+        )
+        for k in (int(np.argmin(np.abs(at / DEG - v))) for v in (0.0, 30.0, 50.0, 80.0))
+    )
+    header = ("inclination", "inc., 95 %", "inc., 1 reading", "tool-face, 95 %", "tf, 1 reading")
+    note = "The frame's part (mounting, dial zero) is included; |a| cannot see it."
+    blocks = (
+        Table("Uncertainty carried to the angles (deg)", header, rows, "rrrrr", note),
+        half_width("Inclination, calibration only", inclination),
+        half_width("Tool-face, calibration only", tool_face),
+    )
+    return Section("Uncertainty of the angles", blocks, brief=False)
+
+
+def _held(run: LabRun) -> tuple[Held, Held, bool]:
+    """Base and final model of the used rows, held out where each of them was; whether they were."""
+    result = run.result
+    every = [s for s in result.splits if len(s.rows) == len(result.used)]
+    if every:
+        return every[-1].base, every[-1].final, True
+    return fitted(result.base), fitted(result.final), False
+
+
+def _residual_plots(run: LabRun) -> list[Plot]:
+    """The quantity that gained most against all that what was found follows, the others by row."""
+    base, final, held = _held(run)
+    before, after, bands = _errors_of(run, base), _errors_of(run, final), _bands(run)
+    quantities = [("|a|", "mg", before.norm, after.norm)]
+    if _directed(run):
+        quantities += [
+            ("inclination", "deg", before.inclination, after.inclination),
+            ("tool-face", "deg", before.tool_face, after.tool_face),
+        ]
+    quantities.sort(key=lambda q: rms(q[3]) / max(rms(q[2]), 1e-12))
+    axes = _axes(run)
+    wanted = [(quantities[0], name) for name in _followed(run) if name in axes]
+    wanted += [(q, "row") for q in quantities if (q, "row") not in wanted]
+    caption = "Each row predicted without it" if held else "The fitted rows"
+    caption += ", before and after the search."
+    labels, wrong, plots = run.result.final.observations.label, _suspects(run), []
+    for (what, unit, old, new), name in wanted:
+        x = axes[name]
+        series = [
+            band("noise and setting, ± 2 sd", x, bands[what]),
+            Series("before", x, old, "points", names=labels),
+            Series("after", x, new, "points", names=labels),
+        ]
+        if wrong.size:
+            series.append(Series("wrong record", x[wrong], old[wrong], "rings"))
+        other = " (g)" if len(name) == 1 else "" if name.startswith(COLUMN) else " (deg)"
+        x_label = name + {"row": "", "temperature": " (°C)"}.get(name, other)
+        title, y_label = f"Error of {what} against {name}", f"error of {what} ({unit})"
+        plots.append(Plot(title, x_label, y_label, tuple(series), caption))
+    return plots
+
+
+def _suspects(run: LabRun) -> Index:
+    """Which of the used rows do not belong to the rest, by the search or by a slip of hand."""
+    found = [r.row for r in run.result.loop.records] if run.result.loop else []
+    slips = [row for fault in run.faults.slips for row in fault.rows]
+    named = np.isin(row_numbers(run.result.final.observations), slips)
+    return np.union1d(np.array(found, np.intp), np.flatnonzero(named))
+
+
+def _axes(run: LabRun) -> dict[str, Array]:
+    """What an error can follow, (n,) of each used row."""
+    data = run.result.final.observations
+    found = {"row": row_numbers(data).astype(np.float64)}
+    reading = data.reading[:, 0] / gravity_of(run.result.observations)
+    found |= {axis: reading[:, k] for k, axis in enumerate("xyz")}
+    if isinstance(data.reference, KnownVector):
+        angles = angles_of(fitted(run.result.final).expected[:, 0])
+        inclination, tool_face = run.request.settings.conventions.outside(*angles)
+        found |= {"inclination": inclination, "tool-face": tool_face}
+    more = data.context.covariates
+    shown = (name for name in more if name == "temperature" or name.startswith(COLUMN))
+    return found | {name: more[name] for name in shown}
+
+
+def _followed(run: LabRun) -> tuple[str, ...]:
+    """What the effects that were found follow, or what stays, first found first."""
+
+    def of(effect: str) -> tuple[str, ...]:  # a column that it follows has its needs alone
+        own = known(effect) if effect.startswith("follows@") else None
+        return own.needs if own else tuple(d for word, d in _FOLLOWED.items() if word in effect)
+
+    loop = run.result.loop
+    effects = [s.effect for s in loop.steps] if loop else []
+    named = [d for e in effects for d in of(e)]
+    # A sensor's own curve acts on the axis: all three are shown.
+    own = [a for e in effects if not of(e) for a in "xyz"]
+    stays = [u.driver for u in loop.unexplained] if loop else []
+    return tuple(dict.fromkeys((*named, *own, *stays)))
+
+
+def _bands(run: LabRun) -> dict[str, float]:
+    """Two standard deviations of a reading's noise and of a setting, mg and deg."""
+    fit = run.result.final
+    sigma = reading_noise(fit).whole
+    bands = {"|a|": 2.0 * sigma / MG}
+    if isinstance(fit.observations.reference, KnownVector):
+        angles = angles_of(fitted(fit).expected[:, 0])
+        found = angle_uncertainty(fit, *angles, run.request.gravity, sigma)
+        settings = setting_noise(fit)
+        own = {"inclination": found.inclination_reading, "tool-face": found.tool_face_reading}
+        for name, sd in own.items():
+            set_sd = next((v for n, v in settings.items() if n.startswith(name)), 0.0) / DEG
+            bands[name] = 2.0 * float(np.hypot(np.median(sd), set_sd))
+    return bands
+
+
+def _attitude_map(run: LabRun) -> Plot:
+    """Attitudes that were seen and the error at each."""
+    _, final, held = _held(run)
+    error = np.linalg.norm(final.error[:, 0], axis=-1) / MG
+    how = "Each row predicted without it." if held else "The fitted rows."
+    caption = (
+        f"Equal areas of the map are equal parts of the sphere. {how} Local gravity "
+        f"{gravity_of(run.result.observations):.4f} m/s²."
+    )
+    names = run.result.final.observations.label
+    return sphere_map(final.expected[:, 0], error, caption, names=names)
+
+
+def _sessions_section(sessions: Sessions | None) -> Section:
+    """What changes between power-ups, and the parameters after the next; empty of one session."""
+    if sessions is None:
+        return Section("Sessions", ())
+    count = len(sessions.names)
+    rows = tuple(
+        (
+            p.name.replace("_", " "),
+            plus_minus(p.value, p.mean, p.unit),
+            plus_minus(p.value, p.sd, p.unit),
+            f"{p.value - p.half:.3g} to {p.value + p.half:.3g}",
+        )
+        for p in sessions.parameters
+    )
+    header = ("", f"mean of {count} power-ups", "next power-up", "95 %")
+    note = (
+        "What changes between power-ups is in the sd of the next one; a calibration that is used "
+        "after switching off is good to that."
+    )
+    words = [
+        Text(
+            f"Between {count} power-ups the {one.effect} scatters by {one.sd:.2g} {one.unit} an "
+            f"axis (95 %: {one.interval[0]:.2g} to {one.interval[1]:.2g})."
+        )
+        for one in sessions.between
+    ]
+    table = Table("After the next power-up", header, rows, "lrrr", note)
+    plots = (_session_plot(one, sessions.names) for one in sessions.between)
+    return Section("Sessions", (*words, table, *plots))
+
+
+def _session_plot(one: Between, names: tuple[str, ...]) -> Plot:
+    at = np.arange(1.0, len(names) + 1.0)
+    axes = enumerate(zip("xyz", one.offsets.T, one.offsets_sd.T, strict=True))
+    series = tuple(
+        Series.about(axis, at + 0.08 * (k - 1), off, sd, "bars", names)
+        for k, (axis, off, sd) in axes
+    )
+    title, y_label = f"{one.effect.capitalize()} of each session", f"{one.effect} less the mean"
+    caption = "Offset of each power-up from the mean, with its sd."
+    return Plot(title, "session", f"{y_label}, {one.unit}", series, caption)
+
+
+def _position_table(run: LabRun) -> Table:
+    """Residual of every fitted position: raw axes, angles, |a|; and as predicted without it."""
+    fit, directed = run.result.final, _directed(run)
+    residual = fit.residual()[:, 0] / MG
+    own = _errors_of(run, fitted(fit))
+    split = run.result.splits[0] if run.result.splits else None
+    alone = _errors_of(run, split.final) if split and split.name == "leave one out" else own
+
+    def cells(k: int, errors: AttitudeErrors) -> list[str]:
+        angles = [errors.tool_face[k], errors.inclination[k]] if directed else []
+        return ["-" if not np.isfinite(v) else f"{v:.2f}" for v in (*angles, errors.norm[k])]
+
+    rows = tuple(
+        (label, *(f"{v:.2f}" for v in residual[k]), *cells(k, own), *cells(k, alone))
+        for k, label in enumerate(fit.observations.label)
+    )
+    header = ["position", "x, mg", "y, mg", "z, mg"]
+    header += [*["tf, deg", "inc, deg"] * directed, "|a|, mg"]
+    header += [*["tf, left out", "inc, left out"] * directed, "|a|, left out"]
+    note = (
+        "x, y, z: reading minus prediction at the estimated settings. "
+        "Left out: predicted without the row."
+    )
+    return Table("Residuals by position", tuple(header), rows, "", note)
+
+
+def _iscwsa_table(calibration: Calibration) -> Table:
+    """ISCWSA error-model codes: the error that was removed and the 1-sigma that stays."""
+    linear = calibration.matrices()
+    by_name = {p.name: p for p in calibration.parameters}
+
+    def rss(*values: float) -> float:
+        return float(np.sqrt(np.mean(np.square(values))))
+
+    scale, scale_sd = np.abs(linear.scale - 1.0), linear.scale_sd
+    b, b_sd = np.abs(linear.bias_mg) * MG, linear.bias_mg_sd * MG
+    rows = [
+        ("ABXY", "m/s²", rss(b[0], b[1]), rss(b_sd[0], b_sd[1]), 0.004),
+        ("ABZ", "m/s²", b[2], b_sd[2], 0.004),
+        ("ASXY", "-", rss(scale[0], scale[1]), rss(scale_sd[0], scale_sd[1]), 5e-4),
+        ("ASZ", "-", scale[2], scale_sd[2], 5e-4),
+    ]
+    if tilt := [by_name[f"mounting_{a}"] for a in "xy" if f"mounting_{a}" in by_name]:
+        removed, stays = rss(*(p.value for p in tilt)), rss(*(p.sd for p in tilt))
+        rows.append(("XYM", "deg", removed, stays, 0.1))
+    cells = tuple((code, u, f"{v:.5f}", f"{s:.5f}", f"{model:g}") for code, u, v, s, model in rows)
+    header = ("code", "unit", "removed", "left (1 sd)", "MWD model")
+    note = "XY is the rms of both axes. MWD model: the standard's 1-sigma, for comparison."
+    return Table("ISCWSA-coded equivalents", header, cells, "llrrr", note)
+
+
+def _published_table(run: LabRun) -> Table:
+    """All positions in the layout of paper 004's Table 2: components, angles and their errors."""
+    fit, whole = run.result.final, run.result.observations
+    corrected = fit.model.correct(fit.theta, whole.reading, whole.context)[:, 0]
+    inclination, tool_face = run.request.settings.conventions.outside(*angles_of(corrected))
+    errors = _errors_of(run, held_errors(fit, fit.theta, whole))
+
+    def row(k: int, label: str) -> tuple[str, ...]:
+        turned = np.isfinite(errors.tool_face[k])
+        shown = f"{np.mod(tool_face[k] + 1.0, 360.0) - 1.0:.3f}" if turned else "-"
+        off = f"{abs(errors.tool_face[k]):.3f}" if turned else "-"
+        tilt = (f"{inclination[k]:.3f}", f"{abs(errors.inclination[k]):.3f}")
+        return (label, *(f"{v:.5f}" for v in corrected[k]), shown, off, *tilt)
+
+    rows = tuple(row(k, label) for k, label in enumerate(whole.label))
+    header = ("position", "a_x", "a_y", "a_z", "tf", "error", "incl", "error")
+    return Table("Corrected components (m/s²) and angles (deg)", header, rows, "lrrrrrrr")
