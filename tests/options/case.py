@@ -35,6 +35,7 @@ USUAL: dict[str, tuple[str, ...]] = {
                            "2"),
     "simulate array": ("simulate", "array", "<out>/log.csv", "--board", "<board.yaml>", "--rests",
                        "2", "--seconds", "4", "--rate", "20"),
+    "simulate imu": ("simulate", "imu", "<out>/turns.csv", "--rests", "4"),
     "effects": ("effects", "--json"),
     "validate": ("validate", "<calibration.yaml>"),
 }  # fmt: skip

@@ -86,6 +86,7 @@ OUTPUTS: dict[str, tuple[tuple[str, ...], ...]] = {
     "simulate lab": ((), ("--recording", "<out>/made.csv")),
     "simulate actigraph": ((),),
     "simulate array": ((),),
+    "simulate imu": ((),),
 }
 
 

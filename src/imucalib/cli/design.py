@@ -66,6 +66,25 @@ def write_table(text: str, path: Path, read: list[Path], options: dict[str, Any]
     note(f"wrote {path}", options["quiet"])
 
 
+def by_hand(calibration: Path | None, rests: int | None, options: dict[str, Any]) -> int:
+    """Print a plan of turns, or what to add to those of a calibration; the exit code."""
+    from imucalib.calibration.file import read
+    from imucalib.calibrators.imu.plan import hand_plan, turns_to_add
+    from imucalib.report.imu import hand_plan_dict, hand_plan_document
+    from imucalib.report.render.text import render_text
+
+    for name in ("separate", "output", "temperatures", "between_sessions"):
+        if options[name] is not None:
+            raise click.UsageError(f"--{name.replace('_', '-')} does not go with --imu")
+    plan = hand_plan(rests or 0) if calibration is None else turns_to_add(read(calibration))
+    if options["as_json"]:
+        emit_json(hand_plan_dict(plan))
+    elif not options["quiet"]:
+        document = hand_plan_document(plan)
+        click.echo(render_text(document, width(), color=color(), full=options["full"]), nl=False)
+    return 4 if plan.open_gains else 0
+
+
 @click.command("design", cls=PagedCommand, short_help="Judge a set of positions.")
 @click.argument("table", type=click.Path(path_type=Path), required=False)
 @click.option(
@@ -99,6 +118,9 @@ def write_table(text: str, path: Path, read: list[Path], options: dict[str, Any]
     metavar="CAL",
     help="Instead of TABLE: what to record next so that a calibration's rivals are told apart.",
 )
+@click.option("--imu", is_flag=True,
+              help="Turns of one IMU by hand: a plan for N rests with --recommend, or with the "
+              "calibration of `imucal imu` as TABLE what to add to its log.")  # fmt: skip
 @click.option("--temperatures", metavar="LOW,HIGH",
               help="With --separate: temperatures that can be held, degC; default: as recorded.",
               )  # fmt: skip
@@ -122,13 +144,15 @@ def command(
     """How good is a set of positions, and which one or two more would help most.
 
     Or what to record next so that an ambiguity ends: exit 0 where the plan ends it or there is
-    none, 5 where it cannot.
+    none, 5 where it cannot. Or, with --imu, which turns to take by hand.
 
     \b
     Examples:
       imucal design positions.csv
       imucal design --recommend 24 -o plan.csv
       imucal design --separate out/calibration.yaml -o plan.csv
+      imucal design --imu --recommend 20
+      imucal design --imu out/calibration.yaml
     """
     from imucalib.calibrators.lab.conventions import preset
     from imucalib.calibrators.lab.design import design_of, recommended
@@ -139,6 +163,8 @@ def command(
     separate, output, quiet = options["separate"], options["output"], options["quiet"]
     if sum(given is not None for given in (table, count, separate)) != 1:
         raise click.UsageError("give one of TABLE, --recommend N and --separate CAL")
+    if options["imu"]:
+        return by_hand(table, count, options)
     if separate is not None:
         return plan_for(separate, options)
     for name in ("temperatures", "between_sessions"):

@@ -15,12 +15,14 @@ from options.case import USUAL, Case, Check, Of
 from options.outcome import Outcome
 
 Array = NDArray[np.float64]
-LAB, WORN, BOARD, DESIGN = (
-    Of("simulate lab"), Of("simulate actigraph"), Of("simulate array"), Of("design")
+LAB, WORN, BOARD, TURNS, DESIGN = (
+    Of("simulate lab"), Of("simulate actigraph"), Of("simulate array"), Of("simulate imu"),
+    Of("design"),
 )  # fmt: skip
 MG = 9.80665e-3
 QUIET_BENCH = (*USUAL["simulate lab"], "--noise", "0", "--setting-sd", "0,0")
 QUIET_DAY = (*USUAL["simulate actigraph"], "--noise", "0")
+QUIET_TURNS = (*USUAL["simulate imu"], "--noise", "0", "--gyro-noise", "0")
 QUIET_LOG = (*USUAL["simulate array"], "--noise", "0", "--gyro-noise", "0")
 
 
@@ -40,6 +42,10 @@ def _channels(outcome: Outcome, name: str) -> dict[str, list[Channel]]:
 
 def _acc(outcome: Outcome, name: str) -> Array:
     return _channels(outcome, name)["acceleration"][0].values
+
+
+def _turning(outcome: Outcome) -> Array:
+    return _channels(outcome, "turns.csv")["angular_rate"][0].values
 
 
 def _t(outcome: Outcome, name: str) -> Array:
@@ -189,6 +195,20 @@ CASES: tuple[Case, ...] = (
           *QUIET_LOG),
     BOARD("--fault sign@imu1:y", _that(lambda a, b: _inverted(a, b) == [("imu1", 1)])),
     BOARD("--seed 3", _that(lambda a, b: len(_t(a, "log.csv")) == len(_t(b, "log.csv")))),
+    TURNS("--rests 5", _that(lambda a, b: np.isclose(
+        _t(b, "turns.csv")[-1] - _t(a, "turns.csv")[-1], 4.1, atol=0.1))),
+    TURNS("--rate 50", _that(lambda a, b: np.isclose(
+        np.median(np.diff(_t(b, "turns.csv"))), 0.02))),
+    TURNS("--noise 100", _that(lambda a, b: np.isclose(
+        np.std(_acc(b, "turns.csv") - _acc(a, "turns.csv")) / MG, 100.0, rtol=0.1)), *QUIET_TURNS),
+    TURNS("--gyro-noise 5", _that(lambda a, b: np.isclose(
+        np.degrees(np.std(_turning(b) - _turning(a))), 5.0, rtol=0.1)), *QUIET_TURNS),
+    TURNS("--late 0.1", _that(lambda a, b: np.allclose(
+        _turning(b)[10:], _turning(a)[:-10], atol=1e-5)), *QUIET_TURNS),
+    TURNS("--plant gyro_g_sensitivity=1", _that(lambda a, b: np.allclose(
+        np.degrees(_turning(b) - _turning(a))[:100], 1.0, atol=0.01)), *QUIET_TURNS),
+    TURNS("--fault gap@3:2", _gap("turns.csv", 3.0, 2.0)),
+    TURNS("--seed 3", _that(lambda a, b: len(_t(a, "turns.csv")) == len(_t(b, "turns.csv")))),
     DESIGN("--full", _every_position, "design", "<bench.csv>"),
     DESIGN("--recommend 9", _recommended, "design", "--json"),
     DESIGN("--axes 1", _one_axis, *RECOMMEND),

@@ -14,17 +14,15 @@ from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Limit, Outc
 from imucalib.calibration.provenance import provenance_of
 from imucalib.calibrators.imu.calibrate import ImuRequest, ImuResult, calibrate_imu
 from imucalib.calibrators.imu.calibration import imu_calibration, imu_details
-from imucalib.core.eigen import eigen
+from imucalib.calibrators.imu.plan import open_words
 from imucalib.core.sphere import even_directions
-from imucalib.estimators.turns import ACCELEROMETER, GAIN, TurnFit
+from imucalib.estimators.turns import GAIN, TurnFit
 from imucalib.loop.found import Score, Unexplained
 from imucalib.loop.held_out import Difference
 from imucalib.loop.posterior.words import Place, of_each
 from imucalib.recording.mapping import FieldMapping
 from imucalib.units import DEG
 
-#: Share of what is known of a gain before any reading that the turns have to leave at most.
-_OPEN, _KNOWN = 0.5, 0.1
 _NORMAL_95 = 1.96
 #: From weakest to strongest, what two searches say together.
 _VERDICTS = ("not run", "nothing missing", "explained", "explained in part", "suspected",
@@ -49,7 +47,7 @@ def run_imu(
     """From logs to a run. Errors as in `calibrate_imu`."""
     result = calibrate_imu(paths, mapping, request, say)
     rests = result.accelerometer.outcome
-    open_gains = open_directions(result.fit)
+    open_gains = open_words(result.fit.gains[:GAIN, :GAIN])
     error = _error(result)
     outcome = Outcome(
         calibrator="imu",
@@ -92,21 +90,6 @@ def _error(result: ImuResult) -> ErrorSummary:
 
 def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
-
-
-def open_directions(fit: TurnFit) -> tuple[str, ...]:
-    """Combinations of gains that the turns do not determine, in words."""
-    own = slice(ACCELEROMETER, ACCELEROMETER + GAIN)
-    values, vectors = eigen(fit.covariance[own, own])
-    names = [f"{a}{b}" for a in "xyz" for b in "xyz"]
-    found = []
-    for k in np.flatnonzero(np.sqrt(values) > _OPEN * _KNOWN):
-        share = vectors[:, k]
-        big = np.argsort(-np.abs(share))[:3]
-        big = big[np.abs(share[big]) > 0.3]
-        words = " ".join(f"{share[i]:+.1f} {names[i]}" for i in big)
-        found.append(f"the gains {words} of the gyroscope")
-    return tuple(found)
 
 
 def heading_drift(fit: TurnFit) -> float:

@@ -150,7 +150,7 @@ def laws_of(terms: Sequence[Term], course: Course) -> Laws | None:
         return None
 
     def laws(rate: Array, force: Array, t: Array) -> Array:
-        truth, context = _exposed(rate, force, t, course)
+        truth, context = exposed_to(rate, force, t, course)
         return np.concatenate(
             [np.asarray(e.effect.basis(truth, context)[:, 0][..., e.own]) for e in terms], axis=2
         )
@@ -158,7 +158,9 @@ def laws_of(terms: Sequence[Term], course: Course) -> Laws | None:
     return laws
 
 
-def _exposed(rate: Array, force: Array, t: Array, course: Course) -> tuple[Truth, Context]:
+def exposed_to(rate: Array, force: Array, t: Array, course: Course) -> tuple[Truth, Context]:
+    """What effects of a gyroscope act on: rates (n, 3) rad/s in its axes, forces (n, 3) g, at times
+    (n,) s."""
     none = np.zeros((len(rate), 1, 3))
     truth = Truth(STANDARD_GRAVITY * force[:, None], Motion(rate[:, None], none, none))
     return truth, course.context(t)
@@ -332,7 +334,7 @@ def _components(
         np.concatenate([getattr(turn, name) for turn in log.turns])
         for name in ("t", "rate", "force")
     )
-    truth, context = _exposed(rate, force, t, course)
+    truth, context = exposed_to(rate, force, t, course)
     motion = BoardMotion(truth, context)
     found: dict[str, tuple[Kind, str, list[Response]]] = {}
     missing = {}
