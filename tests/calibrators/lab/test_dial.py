@@ -12,15 +12,8 @@ from imucalib.calibrators.lab import dial
 from imucalib.calibrators.lab.calibrate import LabSettings
 from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.calibrators.lab.dial import Dial, dial_of, dial_of_fit, dial_words
-from imucalib.calibrators.lab.errors import noise_floor
 from imucalib.calibrators.lab.files import LabFiles, calibrate_files
-from imucalib.calibrators.lab.position_table import read_position_table
 from imucalib.calibrators.lab.request import LabRequest
-from imucalib.calibrators.lab.run import run_lab
-from imucalib.core.effect import Context
-from imucalib.core.observations import Observations
-from imucalib.core.references import KnownVector
-from worlds.places import SAMPLES
 from worlds.sheets import direction
 
 
@@ -69,33 +62,3 @@ def test_rivals_share_the_dial_by_their_weights(monkeypatch: pytest.MonkeyPatch)
     np.testing.assert_allclose(found.shift, mean)
     np.testing.assert_allclose(found.sd, np.sqrt(within + between))
     np.testing.assert_allclose(found.half, np.sqrt(wide + 1.96**2 * between))
-
-
-@pytest.mark.slow
-def test_the_dial_is_told_with_what_is_wrong_set_right() -> None:
-    result = run_lab(read_position_table(SAMPLES / "bench.csv"), LabRequest()).result
-    told = dial_words(result)
-    assert told.startswith("With row 10 set right, inclination on this bench is the dial plus ")
-
-
-def observed(repeats: int, seed: int) -> Observations:
-    """Attitudes taken twice, in mixed order, and 30 that are not; noise of 2, 3 and 6 mm/s²."""
-    rng = np.random.default_rng(seed)
-    n = 2 * repeats + 30
-    place = rng.permutation(np.concatenate([np.tile(np.arange(repeats), 2),
-                                            np.arange(repeats, repeats + 30)]))  # fmt: skip
-    i, t = rng.uniform(-1.2, 1.2, repeats + 30)[place], rng.uniform(0, 6.0, repeats + 30)[place]
-    force = 9.8 * direction(np.degrees(i), np.degrees(t))
-    reading = force + np.array([2e-3, 3e-3, 6e-3]) * rng.normal(size=(n, 3))
-    reading[0] += 5.0  # a wrong row moves no median
-    setting = np.arange(n)
-    reference = KnownVector(i, t, 9.8, setting, setting)
-    names = tuple(map(str, setting))
-    return Observations(reading[:, None], np.ones((n, 1, 3)), reference, Context(n), setting, names)
-
-
-def test_the_floor_is_what_repeated_attitudes_differ_by() -> None:
-    floors = [noise_floor(observed(60, seed), None) for seed in range(6)]
-    assert np.mean(floors) == pytest.approx(7e-3, rel=0.08)
-    assert np.isnan(noise_floor(observed(0, 1), None))
-    assert noise_floor(observed(0, 1), 2e-3) == pytest.approx(np.sqrt(3) * 2e-3)
