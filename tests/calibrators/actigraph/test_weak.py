@@ -19,7 +19,6 @@ from imucalib.calibrators.actigraph.observations import (
     from_data,
     is_weak,
     observations_of,
-    quantisation,
 )
 from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.run import run_of
@@ -31,8 +30,6 @@ from imucalib.effects import named
 from imucalib.errors import Undetermined, UnreadableInput
 from imucalib.estimators.least_squares import fit
 from imucalib.loop.held_out import errors, held_out
-from imucalib.report.actigraph import actigraph_document
-from imucalib.report.render.text import render_text
 from imucalib.units import MG, STANDARD_GRAVITY
 from worlds.places import DATA, needs_data
 
@@ -110,22 +107,6 @@ def test_held_out_fits_keep_the_prior() -> None:
         assert held_out(found).error[row, 0, 0] == pytest.approx(again, rel=0.1, abs=0.03 * MG)
 
 
-@pytest.mark.slow
-def test_postures_in_one_plane_are_weak_and_said_so() -> None:
-    week = simulated_week(WeekPlan(days=1.0), 5)
-    flat = week.runs.mean.copy()
-    flat[:, 2] = 0.0
-    flat *= G / np.linalg.norm(flat, axis=1, keepdims=True)
-    flat += 0.004 * np.random.default_rng(0).standard_normal(flat.shape)
-    lying = replace(week.runs, mean=flat)
-    run = run_of(lying, week.scanned, ActigraphRequest(), lambda text: None)
-    assert (run.outcome.status, run.outcome.exit_code) == ("weak", 4)
-    assert run.outcome.findings is None
-    assert "never z up, z down" in run.outcome.reasons[0]
-    assert "bias_z" in run.outcome.reasons[0]
-    assert "bias_x" not in run.outcome.reasons[0]
-
-
 @needs_data
 def test_a_recording_and_its_export_calibrate_alike(tmp_path: Path) -> None:
     found, pages = [], []
@@ -177,23 +158,6 @@ def test_a_coarse_resolution_is_in_the_uncertainty() -> None:
             found_z.append((found.theta - truth) / found.sd)
     assert 0.75 < np.std(z[True]) < 1.1
     assert np.std(z[False]) > 1.2 * np.std(z[True])
-
-
-@pytest.mark.slow
-def test_a_coarse_resolution_is_said_so() -> None:
-    week = simulated_week(WeekPlan(days=1.0), 3)
-    step = 12.0 * MG
-    coarse = np.round(week.runs.mean / step) * step
-    runs = replace(
-        week.runs, mean=coarse, noise=np.full(3, 0.29 * step), resolution=np.full(3, step)
-    )
-    run = run_of(runs, week.scanned, ActigraphRequest(), lambda text: None)
-    assert run.outcome.findings is not None
-    assert "3.5 mg" in run.outcome.findings.missing["quantisation"]
-    words = " ".join(render_text(actigraph_document(run), 200, color=False, full=True).split())
-    assert "the smallest step, 12 mg, does not average out: 3.5 mg a posture" in words
-    fine = replace(runs, noise=np.full(3, 0.6 * step))
-    assert quantisation(fine) == 0.0
 
 
 def test_clipped_rests_are_left_out_and_said_so() -> None:
