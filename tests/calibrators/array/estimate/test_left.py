@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -20,7 +19,6 @@ from imucalib.loop.found import Unexplained
 from imucalib.report.array import array_card
 from imucalib.units import DEG
 from worlds.boards import BoardPlan, board_log, made_board
-from worlds.odd_boards import PLAN, bowing, odd_log
 
 BOARD = read_board("mimu4444_corners")
 
@@ -49,17 +47,6 @@ def test_size_decides_and_presence_is_cautioned_where_no_size_is_known() -> None
     assert outcome(small, large).exit_code == 5
     assert outcome(small, large).status == "marginal"
     assert outcome().status == "marginal"
-
-
-@pytest.mark.slow
-def test_the_residual_of_a_log_is_held_against_what_is_accepted() -> None:
-    run = run_of(BoardPlan(twist_s=6.0), 3, bend=0.05)  # which no search may name
-    assert run.outcome.exit_code == 5
-    assert any("gyros in motion" in text for text in run.outcome.reasons)
-    # Again with the same run, and a user who lets it pass.
-    wide = what_is_left(run.residual, run.rests, None, Accepted(1.0, 1e3, 1e3))
-    assert replace(run.outcome, left=wide).exit_code == 0
-    assert [one.unit for one in wide] == ["mg", "deg/s"]
 
 
 @pytest.mark.slow
@@ -101,22 +88,3 @@ def test_one_imu_of_eight_that_leaves_more_than_is_accepted_is_told(
     assert [one.name for one in left[2:]] == told
     if told:
         assert left[2].value == pytest.approx(1e3 * 1.2 / 9.80665, rel=1e-2)
-
-
-def test_alike_noise_of_all_is_told_of_all() -> None:
-    residual = Residual(1.2, 0.0, True, (np.full(8, 1.2), np.zeros(8)), BOARD.imus)
-    rests = SimpleNamespace(noise=np.full(8, 0.04), gyro_noise=np.zeros(8))
-    left = what_is_left(residual, rests, None, Accepted())  # type: ignore[arg-type]
-    assert [one.name for one in left if one.beyond] == ["accelerometers in motion"]
-
-
-@pytest.mark.slow
-def test_a_board_that_bends_on_the_way_is_not_known_to_its_sd() -> None:
-    """Its places at the end are not those at the start: 0.6 mm along one edge."""
-    rng = np.random.default_rng(1000)
-    parts = made_board(BOARD.positions, BOARD.rotations, BOARD.imus, PLAN, rng)
-    run = calibrate_array(odd_log(parts, bowing, PLAN, rng).recording, ArrayRequest(BOARD), print)
-    assert run.loop is not None
-    assert any("position against time" in u.name for u in run.loop.unexplained)
-    assert run.outcome.exit_code == 5
-    assert any(text.startswith("not explained: positions") for text in run.outcome.reasons)

@@ -11,7 +11,6 @@ import h5py
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
-from numpy.typing import NDArray
 
 from imucalib import cli
 from imucalib.calibration.file import write
@@ -20,8 +19,6 @@ from imucalib.errors import ImucalError
 from imucalib.readers import read
 from imucalib.writers import write as write_recording
 from worlds.rigid_board import Moves, board, calibration, moves, readings, recording
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -122,35 +119,6 @@ def test_ros_reads_the_covariances(files: Files) -> None:
         assert whole[3:, 3:] == pytest.approx(inner)
         stamp = one.header.stamp.sec + 1e-9 * one.header.stamp.nanosec
         assert stamp == pytest.approx(files.moves.t[row], abs=1e-8)
-
-
-def test_csv_names_every_column(files: Files) -> None:
-    assert files.apply("fused.csv", "--fused", "-q").return_value == 0
-    lines = (files.folder / "fused.csv").read_text().splitlines()
-    names = next(line for line in lines if line.startswith("time")).split(",")
-    assert len(names) == 1 + 3 * (3 + 9)
-    assert "fused/angular_rate_covariance/xy [rad2/s2]" in names
-
-
-@pytest.mark.slow
-def test_options_do_what_they_say(files: Files) -> None:
-    assert files.apply("each.h5", "--no-fused", "-q").return_value == 0
-    with h5py.File(files.folder / "each.h5") as file:
-        assert set(file) == {f"imu{k}" for k in range(4)}
-    assert files.apply("there.h5", "--fused", "--at", "20,0,-5", "-q").return_value == 0
-    assert files.apply("here.h5", "--fused", "-q").return_value == 0
-    force = [
-        read(files.folder / name).channels["fused/acceleration"].values
-        for name in ("there.h5", "here.h5")
-    ]
-    middle = np.mean(board(np.random.default_rng(8), chips=4).places, axis=0)
-    arm = np.array([0.02, 0.0, -0.005]) - middle
-    w, a = files.moves.rate, files.moves.spin
-    apart = np.cross(w, np.cross(w, arm[None])) + np.cross(a, arm[None])
-    inner = slice(20, -20)  # the ends have no neighbours that tell of dω/dt
-    assert (force[0] - force[1])[inner] == pytest.approx(apart[inner], abs=0.15)
-    again = files.apply("twice.h5", "--fused", source="here.h5")
-    assert again.return_value in (2, 3)
 
 
 @pytest.mark.parametrize(

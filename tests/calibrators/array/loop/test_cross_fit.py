@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.loop.ages import found_ages, voting
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop, close_array_loop
 from imucalib.calibrators.array.loop.cross_fit import Gained, difference_of_medians
@@ -18,10 +17,7 @@ from imucalib.calibrators.array.moving import Moving
 from imucalib.calibrators.array.rests import RestFit
 from imucalib.loop.held_out import Difference
 from imucalib.recording.recording import Recording
-from worlds import array_stories as worlds
 from worlds.array_stories import BOARD, moving_of, planted_log
-from worlds.boards import made_board
-from worlds.odd_boards import PLAN, odd_log, slow
 
 SAMPLES = 300
 
@@ -102,23 +98,6 @@ def test_what_one_half_refuses_of_the_other_is_not_taken(clean: Recording) -> No
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2])
-def test_few_chips_that_agreed_while_one_counted_little_have_lost_nothing(seed: int) -> None:
-    """Of four chips one behind 4 ms counts little in the base model, and three leave nothing that
-    motion cannot follow: errors of accelerometers that are counted again seemed to grow by 13 %,
-    and a fall from 1 to 0.06 deg/s was not proved."""
-    four = Board("four", BOARD.imus[:4], BOARD.positions[:4], BOARD.rotations[:4])
-    rng = np.random.default_rng(seed)
-    parts = made_board(four.positions, four.rotations, four.imus, PLAN, rng)
-    made = odd_log(parts, slow(force=4e-3, imus=frozenset({2})), PLAN, rng, often=10)
-    found = worlds.closed(made.recording, 400, board=four)
-    assert "accelerometer_low_pass@imu2" in {s.effect for s in found.steps}
-    assert found.gained is not None
-    assert found.gained.rate.after < 0.2 * found.gained.rate.before
-    assert found.gained.proved
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("blocks", [8, 20])
 @pytest.mark.parametrize("ratio", [1.0, 0.85])
 def test_the_interval_of_medians_holds_the_truth(ratio: float, blocks: int) -> None:
@@ -149,19 +128,6 @@ def test_an_error_that_falls_in_every_block_is_proved() -> None:
     found = difference_of_medians(before, after, block, 2)
     assert found.proved
     assert found.high < found.before
-
-
-def test_an_error_that_stays_is_not_proved() -> None:
-    rng = np.random.default_rng(7)
-    block = np.repeat(np.arange(8), 40)
-    proved = 0
-    for _ in range(200):
-        level = np.exp(rng.normal(size=8))[block][:, None]
-        gained = np.exp(0.2 * rng.normal(size=8))[block][:, None]
-        before = np.abs(rng.normal(size=(320, 6))) * level
-        proved += difference_of_medians(before, before * gained, block, 2).proved
-    # Widened for two halves: 2.5 % without that, 0.2 % with it; a false alarm in fifty is seen.
-    assert proved <= 4
 
 
 @pytest.mark.parametrize(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -14,7 +12,7 @@ from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
 from imucalib.calibrators.array.loop.terms import Term, columns_of, determined, lost, sensed
 from worlds.array_stories import closed, named
 from worlds.boards import made_board
-from worlds.odd_boards import PLAN, PLANTS, odd_log, shifted
+from worlds.odd_boards import PLAN, PLANTS, odd_log
 
 BOARD = read_board("mimu4444_corners")
 LATE = np.array([2.0, 2.0, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0])
@@ -81,13 +79,6 @@ def test_what_acts_on_a_late_reading_acts_on_what_was_then() -> None:
     np.testing.assert_allclose(np.einsum("tii->ti", scale)[1:-1], 0.01 * earlier[1:-1], atol=2e-7)
 
 
-def test_two_delays_of_one_sensor_add_up() -> None:
-    both = [term("gyro_delay", [1.0]), term("gyro_delay_each", [0.0, 0.5])]
-    turning = sensed(both, swung(T)).truth_of("angular_rate").turning.rate
-    due = swung(T - 1.5e-3).truth.turning.rate
-    np.testing.assert_allclose(turning[1:-1, 1], due[1:-1, 1], atol=2e-5)
-
-
 @pytest.mark.parametrize("tau", [0.6, 4.0, 16.0])
 def test_a_low_pass_weakens_what_is_fast(tau: float) -> None:
     """Against H = 1 / (1 + i ω τ) of each swing; the first samples have no past to be filtered."""
@@ -102,22 +93,6 @@ def test_a_low_pass_weakens_what_is_fast(tau: float) -> None:
         np.testing.assert_allclose(found[late, 1], -2.0 * y[late], atol=2e-4)
     np.testing.assert_allclose(rate[:, 0], here.truth.turning.rate[:, 0], atol=1e-15)
     np.testing.assert_allclose(force[:, 1], here.truth.force[:, 1], atol=1e-15)
-
-
-def test_what_is_quicker_than_a_low_passed_motion_is_what_that_was_before() -> None:
-    """No low-pass has a negative time: x + c dx/dt, which the motion has passed by c."""
-    turning = swung(T).truth.turning
-    found = sensed([term("gyro_low_pass", [-1.0])], swung(T)).truth_of("angular_rate").turning.rate
-    np.testing.assert_allclose(found, turning.rate + 1e-3 * turning.spin, atol=1e-12)
-
-
-def test_no_lag_is_told_of_what_is_none() -> None:
-    here = swung(T[:5])
-    scale = term("gyro_scale", [1.0] * 6)
-    assert not scale.lag(here).any()
-    assert sensed([scale], here) is here
-    one = replace(term("gyro_delay_each", [2.0]), only=1)
-    np.testing.assert_allclose(one.lag(here), [[0.0, 2e-3]] * 5, atol=1e-15)
 
 
 def test_one_of_twins_stands_in_the_search_for_all() -> None:
@@ -147,10 +122,3 @@ def test_the_time_itself_is_nobodys(name: str, beside: str, rank: int) -> None:
     assert found.live.shape[1] == rank
     if rank == 1:
         assert abs(found.live.sum()) < 1e-12
-
-
-def test_a_shifted_swing_is_as_it_was() -> None:
-    t = np.arange(400) / 100.0
-    swing = np.sin(8.0 * np.pi * t)[:, None] * np.ones(3)
-    due = np.sin(8.0 * np.pi * (t - 2e-3))[:, None] * np.ones(3)
-    np.testing.assert_allclose(shifted(t, swing, 2e-3), due, atol=1e-4)
