@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -73,40 +72,6 @@ def test_sds_are_those_of_drawn_parameters_and_noise(calibration: Calibration) -
             values = np.array([m[k] for m in made])
             turned = (values - values[0] + 180.0) % 360.0 - 180.0
             np.testing.assert_allclose(turned.std(axis=0)[flat], stated[flat], rtol=0.2)
-
-
-@pytest.mark.slow
-def test_every_sample_gets_a_row_and_rests_are_marked(
-    calibration: Calibration, tmp_path: Path
-) -> None:
-    recording = read(SAMPLES / "rests.mcap")
-    rests, channel = still_segments(recording), recording.channels["imu0/acceleration"]
-    found = angles_of_samples(calibration, channel.values, channel.t, rests, 0)
-    assert found.t.size == channel.t.size
-    assert found.still.sum() == rests.samples.sum()
-    assert np.isnan(found.tool_face[np.cos(found.inclination) < 0.04]).all()
-    at_rest = angles_at_rests(calibration, channel.values, rests, 0)
-    assert np.median(found.inclination_sd) > np.median(at_rest.inclination_sd)
-
-
-@pytest.mark.slow
-def test_the_tables_angles_come_back_in_its_conventions(
-    calibration: Calibration, tmp_path: Path
-) -> None:
-    """The dial's own scatter (0.1 and 0.2 deg) is what stays."""
-    from imucalib.calibration.file import write as write_calibration
-
-    saved, out = tmp_path / "calibration.yaml", tmp_path / "angles.csv"
-    write_calibration(calibration, saved)
-    arguments = ["apply", str(saved), str(SAMPLES / "rests.mcap"), "-o", str(tmp_path / "c.mcap"),
-                 "--angles", str(out), "-q"]  # fmt: skip
-    CliRunner().invoke(cli.cli, arguments, standalone_mode=False, catch_exceptions=False)
-    table = np.genfromtxt(out, delimiter=",", names=True)
-    dial = np.genfromtxt(SAMPLES / "positions.csv", delimiter=",", names=True)
-    assert np.abs(table["inclination_deg"] - dial["inclination"]).max() < 0.6
-    turn = (table["tool_face_deg"] - dial["tool_face"] + 180.0) % 360.0 - 180.0
-    level = np.abs(dial["inclination"]) < 60
-    assert np.abs(turn[level]).max() < 1.0
 
 
 def by_hand() -> Calibration:

@@ -116,37 +116,12 @@ def test_force_slope_is_the_derivative_of_correct() -> None:
         assert np.allclose(inverse[..., axis], (up - down) / 2e-5, atol=1e-8)
 
 
-def test_fixture_and_single_records_do_not_touch_a_corrected_reading() -> None:
-    fit, (i, t) = _fit(), _attitudes()
-    slope, _ = force_slope(fit, GRAVITY * unit_vector(i, t)[:, None])
-    slices = fit.model.slices(fit.observations.context)
-    assert np.all(slope[..., slices["inclination_zero"]] == 0.0)
-    assert np.all(slope[..., slices["record_error_3_xyz"]] == 0.0)
-    assert np.all(np.abs(slope[..., slices["bias"]]).max(axis=(0, 1)) > 0.0)
-
-
-def test_degrees_of_freedom_are_between_one_and_the_datas() -> None:
-    fit = _fit()
-    rng = np.random.default_rng(86)
-    for direction in rng.standard_normal((20, fit.theta.size)) * fit.sd:
-        dof = fit.interval_dof(direction / fit.sd**2)
-        assert 1.0 <= dof <= 1.05 * fit.observations.reading.size
-        assert fit.half_width(direction) >= 1.959 * np.sqrt(direction @ fit.covariance @ direction)
-
-
 def test_degrees_of_freedom_of_one_noise_are_n_minus_p() -> None:
     """Without settings the variance is one χ²: Satterthwaite's answer is exact."""
     model, data = base_model(), bench(87, 20, exact=True)
     fit = fit_model(model, draw(model, ordinary_theta(model, data, 1), data, 2))
     for direction in np.eye(fit.theta.size):
         assert fit.interval_dof(direction) == pytest.approx(60 - 12, rel=1e-6)
-
-
-def test_half_widths_grow_with_the_level() -> None:
-    fit, direction = _fit(), np.eye(_fit().theta.size)[3]
-    widths = [fit.half_width(direction, level) for level in (0.5, 0.9, 0.95, 0.99)]
-    assert widths == sorted(widths)
-    assert fit.half_width(2.0 * direction) == pytest.approx(2.0 * fit.half_width(direction))
 
 
 def _inside(fit: Fit, theta: Array) -> Array:

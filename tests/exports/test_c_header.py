@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 import shutil
 import subprocess
@@ -14,7 +13,6 @@ import pytest
 from numpy.typing import NDArray
 
 from imucalib.calibration.calibration import Calibration, StoredParameter
-from imucalib.calibration.file import read, write
 from imucalib.core.effect import Context
 from imucalib.effects import named
 from imucalib.errors import UsageError
@@ -172,14 +170,6 @@ def test_the_standard_deviation_is_that_of_drawn_parameters() -> None:
     ])  # fmt: skip
     # 800 draws know a standard deviation to 2.5 %, the largest of sixty to a few percent more.
     assert seen.std(axis=0).max(axis=0) / G == pytest.approx(told, rel=0.1)
-
-
-def test_scale_and_identity_are_those_of_the_file(tmp_path: Path) -> None:
-    path = tmp_path / "calibration.yaml"
-    write(one(), path)
-    text = exported(read(path), "x.csv", "c-header").text
-    assert f'#define IMUCAL_ID "{hashlib.sha256(path.read_bytes()).hexdigest()}"' in text
-    assert "#define IMUCAL_G_PER_RAW 1.000000000e-06f /* readings of the calibration: ug */" in text
 
 
 @pytest.mark.slow

@@ -128,19 +128,3 @@ def test_what_knows_no_prior_is_refused(
     done = CliRunner().invoke(cli, arguments, standalone_mode=False)
     assert isinstance(done.exception, UsageError)
     assert message in str(done.exception)
-
-
-@pytest.mark.parametrize("postures", [9, 10, 12, 17])
-def test_few_postures_that_tell_all_parameters_leave_nothing_to_search_by(postures: int) -> None:
-    """Nine evenly spread postures are nine numbers for nine parameters: the search divided by zero
-    degrees of freedom."""
-    z = 1.0 - (2.0 * np.arange(postures) + 1.0) / postures
-    turn = np.pi * (1.0 + 5.0**0.5) * np.arange(postures)
-    u = np.column_stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z])
-    rng = np.random.default_rng(0)
-    mean = (1000.0 * u + 0.5 * rng.standard_normal(u.shape)) * MG
-    runs = replace(sensor(MEAN, postures, rng), mean=mean)
-    told = run_of(runs, SCAN, ActigraphRequest(), lambda _: None)
-    assert told.result.loop is None
-    if not told.result.weak:
-        assert "twice as many posture runs" in told.outcome.advice[0]

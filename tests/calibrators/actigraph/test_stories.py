@@ -98,26 +98,3 @@ def test_a_clean_week_stays_as_it_is(seed: int) -> None:
     result = solved(simulated_week(WeekPlan(days=2.0), 100 + seed))
     assert result.loop is not None
     assert not result.loop.steps
-
-
-@pytest.mark.slow
-def test_a_wandering_bias_is_in_what_is_stated() -> None:
-    z: list[Array] = []
-    narrow: list[Array] = []
-    for seed in range(6):
-        week = simulated_week(WeekPlan(days=2.0), 40 + seed)
-        # A bias that wanders from hour to hour, which no effect of the catalogue follows.
-        rng = np.random.default_rng(seed)
-        hour = (week.runs.time / 7200.0).astype(int)
-        week.runs.mean[:] += 1.5 * MG * rng.standard_normal((hour.max() + 1, 3))[hour]
-        result = solved(week)
-        assert result.loop is not None
-        assert not result.loop.steps
-        assert result.loop.wander is not None
-        assert 0.9 < result.loop.wander.size < 2.5
-        truth = np.concatenate([week.plan.sensor[name] for name in result.base.model.names])
-        plain = solved(week, ActigraphRequest(loop=False)).base
-        narrow.append((plain.theta - truth) / plain.sd)
-        z.append((result.base.theta - truth) / result.base.sd)
-    assert np.std(narrow) > 1.5
-    assert np.std(z) < 1.2

@@ -28,7 +28,6 @@ from imucalib.calibrators.actigraph.simulation import (
     simulated_blocks,
     simulated_week,
 )
-from imucalib.calibrators.actigraph.wear import Minutes, Wear, activity_of
 from imucalib.core.model import Model
 from imucalib.effects import named
 from imucalib.rests.runs import PostureRuns, Scan
@@ -166,20 +165,6 @@ def test_errors_over_the_sphere_are_those_of_the_nearest_part() -> None:
     sigma = found.noise.factor * found.observations.sigma[:, 0, 0]  # type: ignore[attr-defined]
     # Mean of |normal|.
     assert summary.floor == pytest.approx(sigma.mean() / MG * np.sqrt(2.0 / np.pi))
-
-
-def test_activity_by_the_hour_counts_samples_and_leaves_out_what_was_not_worn() -> None:
-    minute = np.arange(1440.0)
-    value = np.where(minute % 2 == 0, 1.0, 4.0) * MG
-    count = np.where(minute % 2 == 0, 30.0, 60.0)
-    off = np.array([[3600.0, 7200.0]])
-    made = activity_of(Minutes(minute, count, 2.0 * value, value), Wear(24.0, 23.0, off),
-                       2.0 * 3600.0, (np.zeros(0), np.zeros(0)), np.zeros(0))  # fmt: skip
-    np.testing.assert_allclose(made.profile[5], [6.0, 3.0])
-    assert np.isnan(made.profile[3]).all()  # the recording's second hour is three o'clock
-    assert made.enmo["all"] == pytest.approx((6.0, 3.0))
-    assert made.night_runs == 0
-    assert np.isnan(made.night_error).all()
 
 
 def test_the_papers_rule_of_stillness_and_its_points() -> None:

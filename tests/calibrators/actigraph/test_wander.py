@@ -64,21 +64,6 @@ def of(worn: ModuleType, monkeypatch: pytest.MonkeyPatch, effect: Any, aim: floa
     return worn.Case("white", "planted", aim, 3)
 
 
-@pytest.mark.slow
-def test_a_scale_that_swings_once_a_day_is_no_bias_that_does(
-    worn: ModuleType, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Six days; the wrong one corrected a week from 0.95 to 1.24 mg."""
-
-    def daily(x: Any, t: Any, u: Any, c: Any) -> Any:
-        return c * x * np.sin(2.0 * np.pi * 6.0 * u + 1.0)[:, None]
-
-    case = of(worn, monkeypatch, daily, 20.0)
-    result = case.solved(WANTED)
-    assert [s.effect for s in result.loop.steps] == ["scale_by_time_of_day"]
-    assert case.error(result.final) < 0.3 * case.error(result.base)
-
-
 def test_a_swing_of_seven_hours_is_followed(
     worn: ModuleType, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -146,22 +131,3 @@ def test_a_walk_is_measured_and_stated(worn: ModuleType) -> None:
     assert 0.6 < np.median(sizes) < 1.4
     assert 0.5 < np.median(hours) < 8.0
     assert 0.7 < np.std(z) < 1.25
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "wanted",
-    [
-        ActigraphRequest(curves=False),
-        ActigraphRequest(without=("curve",)),
-        ActigraphRequest(every=86400.0),
-    ],
-    ids=["no curves", "without", "parts"],
-)
-def test_who_wants_no_curve_follows_nothing(worn: ModuleType, wanted: ActigraphRequest) -> None:
-    case = worn.Case("walk 12 h", "", 0.0, 7001)
-    result = case.solved(wanted)
-    assert result.loop.wander.counts
-    assert not result.loop.wander.followed
-    assert result.final.theta.size == 9
-    assert case.error(case.solved(WANTED).final) < 0.8 * case.error(result.final)

@@ -87,15 +87,6 @@ def test_one_posture_moves_only_what_it_shows() -> None:
     assert found.theta[2] + 1e3 * found.theta[5] == pytest.approx(20.0, abs=1.0)
 
 
-def test_a_prior_far_away_changes_nothing() -> None:
-    week = simulated_week(WeekPlan(days=2.0, scatter=1.0), 2)
-    data = observations_of(week.runs, week.scanned, G)
-    plain, wide = fit(MODEL, data), fit(MODEL, data, prior=_known(data, 1e6 * TYPICAL))
-    assert np.allclose(plain.theta, wide.theta, rtol=0.0, atol=1e-3 * plain.sd)
-    assert np.allclose(plain.sd, wide.sd, rtol=0.01)
-    assert not is_weak(plain)
-
-
 def test_held_out_fits_keep_the_prior() -> None:
     """To what one step of Gauss and Newton leaves: less than a tenth."""
     week, _ = short(np.random.default_rng(5), 6)
@@ -140,24 +131,6 @@ def test_nothing_at_rest_is_refused(tmp_path: Path) -> None:
     arguments = ["actigraph", str(path), "--unit", "g"]
     result = CliRunner().invoke(cli.cli, arguments, standalone_mode=False)
     assert isinstance(result.exception, Undetermined | UnreadableInput)
-
-
-@pytest.mark.slow
-def test_a_coarse_resolution_is_in_the_uncertainty() -> None:
-    step = 15.6 * MG  # a quarter of a hundredth of the range, as old loggers have it
-    z: dict[bool, list[Array]] = {True: [], False: []}
-    for seed in range(40):
-        rng = np.random.default_rng(seed)
-        week, truth = short(rng, 20)
-        coarse = np.round(week.runs.mean / step) * step
-        quiet = np.full(3, step / np.sqrt(12.0))
-        for known, found_z in z.items():
-            resolution = np.full(3, step if known else 0.0)
-            runs = replace(week.runs, mean=coarse, noise=quiet, resolution=resolution)
-            found, _ = base_fit(MODEL, observations_of(runs, week.scanned, G), runs)
-            found_z.append((found.theta - truth) / found.sd)
-    assert 0.75 < np.std(z[True]) < 1.1
-    assert np.std(z[False]) > 1.2 * np.std(z[True])
 
 
 def test_clipped_rests_are_left_out_and_said_so() -> None:

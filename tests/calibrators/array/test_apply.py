@@ -7,9 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from imucalib import cli
 from imucalib.calibration.apply import apply_to_recording
 from imucalib.calibration.file import check, read, write
 from imucalib.calibration.rest_drift import DRIFT, drift_block
@@ -20,10 +18,8 @@ from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.run import ArrayRun
 from imucalib.calibrators.array.simulation import LogPlan, SimulatedLog, simulated_log
 from imucalib.errors import Undetermined, UnreadableInput
-from imucalib.readers import read as read_recording
 from imucalib.recording.recording import Recording
 from imucalib.units import DEG, STANDARD_GRAVITY
-from imucalib.writers import write as write_recording
 
 BOARD = read_board("mimu4444_corners")
 QUADRATIC = 5e-4  # 1 per m/s²
@@ -67,22 +63,6 @@ def test_all_imus_read_the_same_force_and_rate(log: SimulatedLog, run: ArrayRun)
     assert spread(before, "acceleration", rest) > 3 * spread(found, "acceleration", rest)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("suffix", ["h5", "csv", "mcap"])
-def test_every_format_gives_the_same(
-    suffix: str, log: SimulatedLog, run: ArrayRun, tmp_path: Path
-) -> None:
-    source, target = tmp_path / f"log.{suffix}", tmp_path / f"corrected.{suffix}"
-    write_recording(log.recording, source)
-    write(run.calibration, tmp_path / "c.yaml")
-    arguments = ["apply", str(tmp_path / "c.yaml"), str(source), "-o", str(target), "-q"]
-    result = CliRunner().invoke(cli.cli, arguments, standalone_mode=False)
-    assert result.exception is None
-    found, want = read_recording(target), apply_to_recording(run.calibration, log.recording)
-    for name, channel in want.channels.items():
-        assert np.allclose(found.channels[name].values, channel.values, atol=1e-6), name
-
-
 def test_a_damaged_triad_does_not_validate(run: ArrayRun) -> None:
     first, *rest = run.calibration.triads
     for bad, words in (
@@ -121,25 +101,6 @@ def test_the_order_of_the_sensors_is_nothing(log: SimulatedLog, run: ArrayRun) -
     found = apply_to_recording(run.calibration, turned)
     for name, channel in whole.channels.items():
         assert np.array_equal(found.channels[name].values, channel.values)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("names", ["abcdefgh", "12345678"])
-def test_a_board_of_other_names_corrects_alike(
-    log: SimulatedLog, run: ArrayRun, names: str
-) -> None:
-    """Names of the recording that are numbers only: paired in order, and by channel later."""
-    numbered = {
-        n: replace(c, numbered=True, names=(f"/acc[{c.triad[3:]}]",))
-        for n, c in log.recording.channels.items()
-    }
-    plain = replace(log.recording, channels=numbered)
-    board = replace(BOARD, imus=tuple(f"imu{n}" if n.isdigit() else n for n in names))
-    other = calibrate_array(plain, replace(run.request, board=board), lambda _: None)
-    one = apply_to_recording(run.calibration, log.recording)
-    two = apply_to_recording(other.calibration, plain)
-    for name, channel in one.channels.items():
-        assert np.allclose(two.channels[name].values, channel.values, rtol=0.0, atol=1e-9)
 
 
 def test_a_sensor_of_other_axes_is_refused(log: SimulatedLog, run: ArrayRun) -> None:

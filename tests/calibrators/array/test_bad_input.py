@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 
@@ -17,7 +16,6 @@ from imucalib.calibrators.array.run import ArrayRun
 from imucalib.calibrators.array.simulation import LogPlan, simulated_log
 from imucalib.errors import ImucalError, Undetermined, UnreadableInput
 from imucalib.recording.recording import Channel, Recording
-from imucalib.report.files import write_draws
 from imucalib.units import DEG
 
 BOARD = read_board("mimu4444_corners")
@@ -112,34 +110,6 @@ def test_exchanged_topics_are_noticed(recording: Recording) -> None:
 
     with pytest.raises(Undetermined, match=r"imu2 and imu5 are exchanged"):
         calibrate(changed(recording, change))
-
-
-@pytest.mark.slow
-def test_draws_have_the_layout_of_netcdf(recording: Recording, tmp_path: Path) -> None:
-    """Dimension scales and attributes as netCDF4 and ArviZ read them."""
-    run = calibrate(recording)
-    path = tmp_path / "draws.nc"
-    write_draws(run, path)
-    chains, draws = run.final.unknowns.shape[:2]
-    sizes = {"chain": chains, "draw": draws, "imu": 8, "axis": 3}
-    with h5py.File(path) as file:
-        assert list(file) == ["posterior"]
-        group = file["posterior"]
-        assert group.attrs["inference_library"] == "imucalib"
-        data = group["position_mm"]
-        assert data.attrs["units"] == "mm"
-        assert data.shape == tuple(sizes.values())
-        for dimension, (name, size) in zip(data.dims, sizes.items(), strict=True):
-            assert dimension.keys() == [name]
-            scale = group[name]
-            assert scale.is_scale
-            assert scale.attrs["CLASS"] == b"DIMENSION_SCALE"
-            assert scale.attrs["NAME"] == name.encode()
-            assert len(scale) == size
-        assert [v.decode() for v in group["imu"][:]] == list(BOARD.imus)
-        assert [v.decode() for v in group["axis"][:]] == ["x", "y", "z"]
-        assert np.array_equal(group["draw"][:], np.arange(draws))
-        assert data[...] == pytest.approx(1e3 * run.final.draws)
 
 
 def test_a_board_of_a_hostile_name_is_refused(tmp_path: Path) -> None:

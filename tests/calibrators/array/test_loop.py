@@ -2,35 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from gates.bounds import at_most
-from imucalib.calibration.outcome import Outcome
-from imucalib.calibration.provenance import provenance_of
 from imucalib.calibrators.array.effect_blocks import effect_blocks
-from imucalib.calibrators.array.estimate.left import Residual
 from imucalib.calibrators.array.estimate.total import corrected_samples
-from imucalib.calibrators.array.findings import array_errors, array_findings
+from imucalib.calibrators.array.findings import array_findings
 from imucalib.calibrators.array.linear_part import linear_part
 from imucalib.calibrators.array.loop.catalogue import Asked, array_catalogue, named_effect
-from imucalib.calibrators.array.loop.closed_loop import MotionLoop, close_array_loop
+from imucalib.calibrators.array.loop.closed_loop import MotionLoop
 from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
-from imucalib.calibrators.array.loop.setup import array_setup
-from imucalib.calibrators.array.loop.terms import rest_terms
 from imucalib.errors import UsageError
 from imucalib.estimators.array.gram import Columns, gram
 from imucalib.estimators.array.noise import Squares, chosen_noise, fitted_noise
 from imucalib.estimators.array.samples import Readings, Weights, fit_samples
-from imucalib.report.document import Document, Text
-from imucalib.report.render.text import render_text
-from imucalib.report.sections import loop_section
 from imucalib.significant_digits import plus_minus
 from worlds.array import corners, skew
 from worlds.array_stories import BOARD, STORIES, closed, named, planted_log, positions_z
-from worlds.places import ROOT, SAMPLES
+from worlds.places import ROOT
 
 
 @pytest.fixture(scope="module")
@@ -170,68 +160,6 @@ def test_corrected_readings_hold_no_effect(clean: MotionLoop) -> None:
     )
 
 
-def outcome_of(found: MotionLoop) -> Outcome:
-    made = provenance_of(path="log", sha256="", samples=0, mapping={}, settings={})
-    errors = array_errors(found, (0.04, 0.003), 8, Residual(0.04, 0.003, True))
-    return Outcome("array", errors, made, array_findings(found))
-
-
-def said(found: MotionLoop, width: int) -> str:
-    document = Document("a", Text("b"), (loop_section(outcome_of(found)),))
-    return render_text(document, width, color=False)
-
-
-@pytest.mark.slow
-def test_a_measured_boards_clocks_delay_and_elements() -> None:
-    from imucalib.readers import read
-    from worlds.array_stories import moving_of
-
-    moving, rests = moving_of(read(SAMPLES / "board.h5"))
-    setup = array_setup(moving, BOARD, 240, robust=True)
-    assert setup is not None
-    found = close_array_loop(setup, rest_terms(rests), moving)
-    names = {step.effect for step in found.steps}
-    assert {"gyro_sample_age", "gyro_scale", "gyro_misalignment", "gyro_delay",
-            "sensing_elements"} <= names  # fmt: skip
-    assert found.gained is not None
-    assert found.gained.after.rate < 2.0
-    assert found.gained.after.acceleration < 0.25
-    assert found.final.noise[0].freedom < 10.0
-    span = next(t for t in found.final.found if t.name == "gyro_sample_age")
-    assert float(span.theta[0]) == pytest.approx(1.0, abs=0.1)
-    _page_and_file_agree(found)
-
-
-@pytest.mark.slow
-def test_a_declared_effect_is_in_the_model_and_others_can_be_left_out() -> None:
-    from worlds.array_stories import moving_of
-
-    recording, true = planted_log("common gyro delay, 1 ms", 3)
-    moving, rests = moving_of(recording)
-    setup = array_setup(moving, BOARD, 150, robust=True)
-    assert setup is not None
-
-    def loop(asked: Asked) -> MotionLoop:
-        return close_array_loop(setup, rest_terms(rests), moving, asked=asked)
-
-    declared = loop(Asked(declare=("gyro_delay",)))
-    term = next(t for t in declared.final.found if t.name == "gyro_delay")
-    assert abs(float(term.theta[0]) - 1.0) < 4.0 * float(declared.final.sd_of(term)[0])
-    assert "gyro_delay" not in named(declared)
-    assert np.sqrt(np.mean(positions_z(declared, true) ** 2)) < 1.6
-    assert array_findings(declared).declared[0][0] == "gyro_delay"
-    text = said(declared, 100)
-    assert "Declared effects" in text
-    without = loop(Asked(without=("gyro_delay",)))
-    assert "gyro_delay" not in {s.effect for s in without.steps}
-    only = loop(Asked(only=("gyro_scale",)))
-    assert {s.effect.partition("@")[0] for s in only.steps} <= {"gyro_scale"}
-    quiet = loop(Asked(declare=("gyro_scale@imu3",), search=False))
-    assert not quiet.steps
-    assert not quiet.unexplained
-    assert [t.name for t in quiet.final.found] == ["gyro_scale@imu3"]
-
-
 @pytest.mark.parametrize(
     ("name", "says"),
     [
@@ -245,50 +173,3 @@ def test_names_of_effects_are_checked(name: str, says: str) -> None:
         Asked(only=(name,)).skipped(BOARD.imus)
     with pytest.raises(UsageError, match=says):
         named_effect(name, BOARD.imus)
-
-
-@pytest.mark.slow
-def test_curves_correct_what_has_no_name_where_it_helps() -> None:
-    """An IMU that moves: its mean position comes nearer, and no cause is claimed."""
-    from worlds.array_stories import moving_of
-
-    recording, true = planted_log("clean", 14)
-    rate = recording.channels["imu5/angular_rate"]
-    w = (BOARD.rotations[5] @ rate.values[..., None])[..., 0]
-    spin = np.gradient(w, rate.t, axis=0)
-    off = np.array([3e-4, -2e-4, 2e-4])
-    late = np.clip((rate.t - 42.0) / 14.0, 0.0, 1.0)[:, None] - 0.5
-    felt = late * (np.cross(w, np.cross(w, off)) + np.cross(spin, off))
-    channel = recording.channels["imu5/acceleration"]
-    values = channel.values + felt @ BOARD.rotations[5]
-    channels = {**recording.channels, "imu5/acceleration": replace(channel, values=values)}
-    moving, rests = moving_of(replace(recording, channels=channels))
-    setup = array_setup(moving, BOARD, 200, robust=True)
-    assert setup is not None
-    found = close_array_loop(setup, rest_terms(rests), moving, curves=True)
-    assert [s.effect for s in found.steps] == ["curve of position against time, straight@imu5"]
-    assert not found.steps[0].certain
-    assert found.verdict == "unexplained"
-    assert found.gained is not None
-    assert found.gained.after.acceleration < found.gained.before.acceleration
-    assert np.abs(found.final.r - true).max() < 5e-5
-    text = said(found, 200)
-    assert "position against time, straight@imu5, corrected by a curve" in " ".join(text.split())
-
-
-@pytest.mark.slow
-def test_the_file_says_what_the_clocks_were() -> None:
-    from imucalib.calibrators.array.loop.ages import beats
-
-    found = closed(planted_log("clock skew, 1 ms", 11)[0], 200)
-    assert found.ages is not None
-    entry = next(e for e in effect_blocks(found) if e["effect"] == "gyro_sample_age")
-    assert [b["imu"] for b in entry["beats"] if b] == list(BOARD.imus)
-    t = found.final.setup.t
-    for k, beat in enumerate(beats(found.ages, t)):
-        assert beat is not None
-        assert 0.3 < abs(beat.frequency) < 3.0
-        assert beat.wander < 0.1
-        line = beat.frequency * (t - beat.at) + beat.phase
-        away = (found.ages.wave[:, k] + 0.5 - line + 0.5) % 1.0 - 0.5
-        assert np.sqrt(np.mean(away**2)) == pytest.approx(beat.wander, abs=0.02)

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.loop.catalogue import Asked
 from imucalib.calibrators.array.rests import RestFit, fit_rests, own_noise
-from imucalib.errors import Undetermined
 from imucalib.rests.segments import Segments
 from imucalib.units import DEG, MG
 
@@ -120,30 +119,6 @@ def test_a_gain_that_drifts_is_undone_at_every_time() -> None:
     assert np.linalg.norm(force, axis=2) == pytest.approx(np.full((40, K), G), rel=1e-3)
 
 
-@pytest.mark.slow
-def test_a_warm_up_is_named() -> None:
-    segments, board, _, _ = simulated(11, warm=2.0 * MG)
-    found = fitted(segments, board)
-    assert found.loop is not None
-    step = found.loop.steps[0]
-    assert "warm_up" in (step.effect, *step.aliases)
-    assert found.residual < 0.5 * found.before
-    assert found.residual == pytest.approx(SIGMA, rel=0.1)
-
-
-@pytest.mark.slow
-def test_a_chip_that_hung_is_a_wrong_record() -> None:
-    segments, board, gain, _ = simulated(12)
-    segments.mean[7, 2] += np.array([0.0, 30.0 * MG, 0.0])
-    found = fitted(segments, board)
-    assert found.loop is not None
-    record = found.loop.records[0]
-    assert len(found.loop.records) == 1
-    assert (record.row, record.channel) == (7, "imu2")
-    assert record.size == pytest.approx(30.0, abs=1.0)
-    assert np.abs(found.gain - gain).max() < 2e-3
-
-
 def test_a_rest_that_was_none_is_a_wrong_record() -> None:
     segments, board, _, _ = simulated(13)
     segments.mean[5] *= 1.01  # the board fell a little
@@ -163,14 +138,6 @@ def test_clean_rests_are_left_alone() -> None:
         claimed += bool(loop.steps or loop.records)
     # At a true rate of 4.5 % four of twenty come once in 90 runs.
     assert claimed <= 3
-
-
-def test_attitudes_that_are_too_alike_are_refused() -> None:
-    segments, board, _, _ = simulated(14)
-    one = np.repeat(segments.mean[:1], segments.n, axis=0)
-    segments.mean[:] = one + SIGMA * np.random.default_rng(0).normal(size=one.shape)
-    with pytest.raises(Undetermined, match="too alike"):
-        fitted(segments, board, Asked(search=False))
 
 
 def _uneven(seed: int, between: float) -> tuple[Segments, Board, Array, Array]:

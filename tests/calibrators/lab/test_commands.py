@@ -93,15 +93,6 @@ def test_the_repaired_bench_names_the_dial_and_passes(tmp_path: Path) -> None:
     assert {"quadratic", "cubic", "bias_drift"} <= refused
 
 
-@pytest.mark.slow
-def test_a_recording_with_positions_in_order(tmp_path: Path) -> None:
-    arguments = (SAMPLES / "positions.csv", "--recording", SAMPLES / "rests.mcap")
-    result = run("lab", *arguments, "--json", "-q")
-    assert result.return_value in (0, 5)  # proved or suspected
-    report = validated(result.stdout, "report")
-    assert "quadratic" in {n for s in report["loop"]["steps"] for n in (s["effect"], *s["aliases"])}
-
-
 @pytest.mark.parametrize(
     ("change", "code", "words"),
     [
@@ -147,18 +138,6 @@ def test_bad_options(tmp_path: Path, options: tuple[str, ...], code: int, words:
     assert result.exit_code == code
     assert words in str(result.exception)
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.slow
-def test_duplicated_rows_are_named(tmp_path: Path) -> None:
-    axes = {f"{a}_mg": column(f"{a}_mg") for a in "xyz"}
-    for values in axes.values():
-        values[9] = values[20]  # row 10 copied from row 21, and its lost sign with it
-    result = run("lab", table(tmp_path / "copy.csv", **axes), "--json", "-q")
-    report = validated(result.stdout, "report")
-    record = report["loop"]["record_errors"][0]
-    assert record["where"] == "row 10"
-    assert record["likely"] == "a copy of row 21"
 
 
 def test_missing_file_and_positions_that_do_not_match(tmp_path: Path) -> None:

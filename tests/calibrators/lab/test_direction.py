@@ -23,7 +23,6 @@ from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import LabRun, run_lab
 from imucalib.errors import Undetermined, UnreadableInput, UsageError
-from imucalib.loop.faults.conventions import wrong_directions
 
 TRUTH = {
     "mounting_x": 0.4, "mounting_y": -0.7, "mounting_z": 1.1,  # deg
@@ -135,25 +134,6 @@ def test_exchanged_faces_are_named_and_the_lines_mend_them(tmp_path: Path) -> No
     assert all(" ".join(pair) in words for pair in (lines[:2], lines[2:]))
     mended = run("lab", path, "--reference", "direction", "-o", tmp_path / "b", "-q", *lines)
     assert mended.return_value == 0, mended.output
-
-
-def test_directions_that_are_no_faces_are_named_by_their_numbers() -> None:
-    rng = np.random.default_rng(8)
-    direction = rng.standard_normal((20, 3))
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    raw = readings(direction, rng)
-    said = direction.copy()
-    said[4] = direction[11]
-    (fault,) = wrong_directions(raw[:10], said[:10], np.arange(10)) or (None,)
-    assert fault is None  # where it stood is no direction of the table
-    said = np.vstack([direction, direction])
-    said[4] = direction[11]
-    (fault,) = wrong_directions(np.vstack([raw, raw]), said, np.arange(1, 41))
-    assert fault.line == " ".join(
-        f"--fix 5:{axis}={value:.10g}"
-        for axis, value in zip(("ux", "uy", "uz"), direction[4], strict=True)
-    )
-    assert wrong_directions(raw, direction, np.arange(20)) == ()
 
 
 def test_what_a_table_of_faces_cannot_do() -> None:

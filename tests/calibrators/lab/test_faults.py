@@ -119,30 +119,3 @@ def test_lines_that_are_wrong_are_refused(
     with pytest.raises(UsageError, match=re.escape(words)):
         repaired(table(), repairs_of(swaps, (), shifts, (axes,) if axes else (), None), (), False)
     assert repaired(table(), Repairs(), (), False)[1] == ()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("known", [True, False])
-def test_a_sensor_that_saturates_under_its_noise_is_told_and_passes_without_those_rows(
-    tmp_path: Path, known: bool
-) -> None:
-    """By gravity's size alone it was "nothing missing" at 36 mg; on dials a heap of effects."""
-    rng = np.random.default_rng(3)
-    i, t = np.degrees(np.arcsin(rng.uniform(-1, 1, 60))), rng.uniform(0, 360, 60)
-    reading = np.clip(1010.0 * sheets.direction(i, t) + [12.0, -9.0, 4.0], -900.0, 900.0)
-    reading += rng.normal(0.0, 0.5, reading.shape)
-    path = tmp_path / "sheet.csv"
-    rows = np.column_stack([i, t, reading])
-    head = "inclination,tool_face,x_mg,y_mg,z_mg"
-    np.savetxt(path, rows, "%.4f", ",", header=head, comments="")
-    how = () if known else ("--reference", "norm")
-    code, text, _ = lab(path, *how)
-    assert code == 5
-    assert "the sensor is saturated there" in text
-    told = sorted(
-        {int(r) for r in re.findall(r"\d+", " ".join(re.findall(r"--exclude (\S+)", text)))}
-    )
-    assert len(told) >= 8
-    code, text, report = lab(path, *how, "--exclude", ",".join(map(str, told)))
-    assert (code, text) == (0, "")
-    assert report["loop"]["errors"][0]["held_out"]["final"] < 1.5

@@ -30,17 +30,6 @@ def repaired() -> LabRun:
 
 
 @pytest.mark.slow
-def test_the_misprint_of_row_10_is_found_unprompted() -> None:
-    run = paper(LabRequest(gravity=9.8061))
-    loop = run.result.loop
-    assert loop is not None
-    (slip,) = loop.slips
-    assert (slip.what, slip.line) == ("row 10: y lost its sign", "--fix 10:y=-58593")
-    assert "--fix 10:y=-58593" in run.outcome.undecided[0]
-    assert run.outcome.exit_code == 5
-
-
-@pytest.mark.slow
 def test_the_dial_is_named_and_the_sensor_is_not_blamed(repaired: LabRun) -> None:
     loop = repaired.result.loop
     assert loop is not None

@@ -7,12 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from imucalib import cli
-from imucalib.calibrators.lab.files import LabFiles, calibrate_files, positions_in
+from imucalib.calibrators.lab.files import LabFiles, positions_in
 from imucalib.calibrators.lab.position_table import PositionTable, read_position_table
-from imucalib.calibrators.lab.request import LabRequest
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.recording.mapping import FieldMapping
 
@@ -129,27 +126,6 @@ def test_all_bad_rows_are_listed_and_can_be_excluded(tmp_path: Path) -> None:
         table.demand(3, "--swap")
 
 
-def turns(rows: int = 24) -> np.ndarray:
-    """A bench: inclination, tool-face (deg), readings (g) of a sensor with a bias."""
-    k = np.arange(rows)
-    i, t = np.array([-60.0, -20.0, 20.0, 60.0])[k // 6 % 4], 60.0 * (k % 6) + 7.0 * (k // 6)
-    a, b = np.radians(i), np.radians(t)
-    u = np.column_stack([np.cos(a) * np.sin(b), np.cos(a) * np.cos(b), np.sin(a)])
-    noise = np.random.default_rng(3).normal(scale=5e-4, size=(rows, 3))
-    return np.column_stack([i, t, np.round(u + np.array([0.012, -0.02, 0.03]) + noise, 6)])
-
-
-def lab(path: Path, rows: list[str], heading: str = "inclination,tool_face,x_g,y_g,z_g",
-        **options: object) -> tuple[PositionTable, np.ndarray]:  # fmt: skip
-    """The table that was calibrated, and the biases."""
-    path.write_text("\n".join([heading, *rows]) + "\n", encoding="utf-8")
-    request = LabRequest(settings=LabRequest().settings, exclude=options.get("exclude", ()))  # type: ignore[arg-type]
-    mapping = options.get("mapping", FieldMapping())
-    run = calibrate_files(LabFiles(path, mapping=mapping), request, lambda _: None)  # type: ignore[arg-type]
-    values = {p.name: p.value for p in run.calibration.parameters}
-    return run.table, np.array([values[f"bias_{a}"] for a in "xyz"])
-
-
 def lines(table: np.ndarray) -> list[str]:
     return [",".join(map(repr, row)) for row in table.tolist()]
 
@@ -164,16 +140,3 @@ def test_a_blank_tool_face_at_the_vertical_is_none(zero: str, tmp_path: Path) ->
     assert any("blank at the vertical" in note for note in table.left_out)
     with pytest.raises(UnreadableInput, match="row 2, column tool_face: the cell is empty"):
         read(tmp_path / "a.csv", heading + rows.replace(",40,", ",,"))
-
-
-def test_counts_are_refused_with_options_that_read_them(tmp_path: Path) -> None:
-    table = turns()
-    table[:, 2:] = np.rint(table[:, 2:] * 16384)
-    path = tmp_path / "a.csv"
-    path.write_text("\n".join(["inclination,tool_face,x,y,z", *lines(table)]) + "\n")
-    words = ["lab", str(path), "-o", str(tmp_path / "out"), "--no-loop"]
-    done = CliRunner().invoke(cli.cli, words)
-    assert isinstance(done.exception, UnreadableInput)
-    advised = str(done.exception).split("near ")[1].split()
-    done = CliRunner().invoke(cli.cli, [*words, *advised[:4]])
-    assert done.exit_code in (0, 5), done.output

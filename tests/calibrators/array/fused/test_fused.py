@@ -17,7 +17,6 @@ from imucalib.recording.recording import Recording
 from worlds.rigid_board import (
     DEG,
     Board,
-    G,
     Moves,
     board,
     calibration,
@@ -95,44 +94,6 @@ def test_noise_falls_as_the_root_of_the_chips_and_is_stated(plain: World, part: 
     assert 0.95 < rms(plain.z[rows, 6:]) < 1.05
     # dω/dt leans on how smooth the motion is, which is judged with care.
     assert 0.7 < rms(plain.z[rows, 3:6]) < 1.05
-
-
-@pytest.mark.slow
-def test_dw_dt_is_far_better_than_the_accelerometers_alone(plain: World) -> None:
-    # The board's inertia: noise of one chip over the root of the squared distances.
-    places = plain.board.places - plain.board.places.mean(axis=0)
-    spread = np.sum(places[:, [0, 2]] ** 2)
-    alone = 0.04 / np.sqrt(spread)
-    assert rms(plain.error[plain.moves.t < STILL, 4]) < 0.2 * alone
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("chips", [2, 3])
-def test_rigs_of_two_and_three(chips: int) -> None:
-    made = world(11, chips=chips, seconds=15.0)
-    rows = made.moving
-    assert rms(made.error[rows, 6:]) < 1.07 * 0.2 * DEG / np.sqrt(chips)
-    assert 0.92 < rms(made.z[rows][:, [0, 1, 2, 6, 7, 8]]) < 1.08
-    assert 0.6 < rms(made.z[rows, 3:6]) < 1.1
-
-
-@pytest.mark.slow
-def test_effects_that_need_the_motion_are_undone() -> None:
-    rng = np.random.default_rng(7)
-    more = {
-        "element": 3e-4 * rng.normal(size=(3, 3)),
-        "late": 1e-3,
-        "by_force": 0.15 * DEG / G * rng.normal(size=(8, 3, 3)),
-    }
-    made = world(2, twist=150.0, fastest=2.0, **more)
-    assert 0.9 < rms(made.z[made.moving, :3]) < 1.08
-    assert 0.9 < rms(made.z[made.moving, 6:]) < 1.08
-    facts = calibration(made.board).facts
-    blind = replace(calibration(made.board), facts={**facts, "effects": []})
-    found = survey([recording(made.board, made.moves.t, *made.readings)], instrument_of(blind))
-    without = fused_stretch(found, Stretch(made.moves.t, *made.readings), Told())
-    off = without.motion.rate - made.moves.rate
-    assert rms(off[made.moving]) > 3.0 * rms(made.error[made.moving, 6:])
 
 
 @pytest.mark.slow

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from imucalib.calibrators.array.loop.ages import found_ages, voting
-from imucalib.calibrators.array.loop.closed_loop import MotionLoop, close_array_loop
 from imucalib.calibrators.array.loop.cross_fit import Gained, difference_of_medians
 from imucalib.calibrators.array.loop.search import start_state
 from imucalib.calibrators.array.loop.setup import Setup, array_setup, part_of
@@ -27,28 +26,6 @@ def looked_at(recording: Recording) -> tuple[Moving, RestFit, Setup]:
     setup = array_setup(moving, BOARD, SAMPLES, robust=True)
     assert setup is not None
     return moving, rests, setup
-
-
-def closed(recording: Recording) -> MotionLoop:
-    moving, rests, setup = looked_at(recording)
-    return close_array_loop(setup, rest_terms(rests), moving)
-
-
-def by_block(recording: Recording, even: float, odd: float) -> Recording:
-    """Gyro scales of a few per cent that differ from one half of the blocks to the other."""
-    _, _, setup = looked_at(recording)
-    edges = np.array([setup.t[setup.inner[setup.block == b]].min() for b in range(8)])
-    sizes = np.random.default_rng(4).normal(size=BOARD.count) * 0.02
-    sizes -= sizes.mean()
-    channels = dict(recording.channels)
-    for k, imu in enumerate(BOARD.imus):
-        name = f"{imu}/angular_rate"
-        channel = channels[name]
-        late = np.searchsorted(edges - 0.1, channel.t, side="right") - 1
-        factor = np.where(late % 2 == 0, even, odd)
-        values = channel.values * (1.0 + sizes[k] * factor)[:, None]
-        channels[name] = replace(channel, values=values)
-    return replace(recording, channels=channels)
 
 
 @pytest.fixture(scope="module")
@@ -76,25 +53,6 @@ def test_halves_share_no_sample_and_no_clock_learns_of_them(clean: Recording) ->
     assert after is not None
     assert np.array_equal(before.clock.frequency, after.clock.frequency)
     assert len(silent) > 30
-
-
-@pytest.mark.slow
-def test_what_both_halves_share_is_proved(clean: Recording) -> None:
-    found = closed(by_block(clean, 1.0, 1.0))
-    assert "gyro_scale" in {s.effect for s in found.steps}
-    assert found.gained is not None
-    assert found.gained.proved
-    assert found.gained.rate.after < 0.3 * found.gained.rate.before
-    assert found.verdict.startswith("explained")
-
-
-@pytest.mark.slow
-def test_what_one_half_refuses_of_the_other_is_not_taken(clean: Recording) -> None:
-    found = closed(by_block(clean, 3.0, -2.0))
-    assert found.gained is not None
-    assert "gyro_scale" not in {s.effect for s in found.steps}
-    assert not any(term.found for term in found.final.terms)
-    assert found.verdict in ("unexplained", "suspected")
 
 
 @pytest.mark.slow

@@ -6,31 +6,9 @@ import numpy as np
 import pytest
 
 from imucalib.arrays import Array
-from imucalib.calibrators.array.board import read_board
-from imucalib.calibrators.array.loop.catalogue import array_catalogue, twins_of
+from imucalib.calibrators.array.loop.catalogue import array_catalogue
 from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
 from imucalib.calibrators.array.loop.terms import Term, columns_of, determined, lost, sensed
-from worlds.array_stories import closed, named
-from worlds.boards import made_board
-from worlds.odd_boards import PLAN, PLANTS, odd_log
-
-BOARD = read_board("mimu4444_corners")
-LATE = np.array([2.0, 2.0, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-
-
-@pytest.mark.slow
-def test_late_imus_are_late_and_nothing_else() -> None:
-    """Gains of half a percent act on what was 2 ms before, and the delay is no straight line."""
-    rng = np.random.default_rng(1)
-    parts = made_board(BOARD.positions, BOARD.rotations, BOARD.imus, PLAN, rng)
-    found = closed(odd_log(parts, PLANTS["late few"], PLAN, rng).recording, 400)
-    told = {"accelerometer_delay", "gyro_delay_each", "gyro_misalignment", "gyro_scale"}
-    assert named(found) == told
-    assert not found.unexplained
-    for name in ("accelerometer_delay", "gyro_delay_each"):
-        delay = next(t for t in found.final.found if t.name == name).theta
-        # Of both kinds together the time itself is free.
-        np.testing.assert_allclose(delay - delay.mean(), LATE - LATE.mean(), atol=0.05)
 
 
 def swung(t: Array) -> BoardMotion:
@@ -93,16 +71,6 @@ def test_a_low_pass_weakens_what_is_fast(tau: float) -> None:
         np.testing.assert_allclose(found[late, 1], -2.0 * y[late], atol=2e-4)
     np.testing.assert_allclose(rate[:, 0], here.truth.turning.rate[:, 0], atol=1e-15)
     np.testing.assert_allclose(force[:, 1], here.truth.force[:, 1], atol=1e-15)
-
-
-def test_one_of_twins_stands_in_the_search_for_all() -> None:
-    assert twins_of("accelerometer_delay@imu2") == ("accelerometer_low_pass@imu2",)
-    assert twins_of("accelerometer_low_pass@imu2") == ("accelerometer_delay@imu2",)
-    every = {"gyro_delay", "gyro_low_pass", "common_accelerometer_low_pass"}
-    assert {"gyro_delay", *twins_of("gyro_delay")} == every
-    assert {"gyro_low_pass", *twins_of("gyro_low_pass")} == every
-    assert not twins_of("gyro_scale@imu1")
-    assert not twins_of("curve of anything")
 
 
 @pytest.mark.parametrize(
