@@ -6,7 +6,6 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -15,7 +14,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from imucalib import cli
-from imucalib.calibration.apply import apply_to_recording, correct_file
+from imucalib.calibration.apply import apply_to_recording
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.file import read as read_calibration
 from imucalib.calibration.file import write as write_calibration
@@ -64,16 +63,6 @@ def lagging(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Calibration
 def warming(n: int = 20_000, step: float = 1.0) -> tuple[Array, Array]:
     t = step * np.arange(n)
     return t, 29.0 + 3.0 * np.sin(t / 4000.0) + 2.0 * (t > 9000.0)
-
-
-def test_a_lag_follows_its_differential_equation() -> None:
-    t, warm = warming()
-    late = ThermalHistory(t, warm).lagged(0.5, t)
-    assert late[0] == warm[0]
-    rate = np.gradient(late, t)[5:-5]
-    assert np.allclose(
-        1800.0 * rate, (warm - late)[5:-5], atol=0.02 + 2.1 * (np.abs(t[5:-5] - 9000) < 3)
-    )
 
 
 def test_a_lag_is_undone_in_blocks_as_in_memory(
@@ -175,40 +164,6 @@ def test_a_slow_thermometer_reads_the_same_in_blocks_of_any_size(
     assert np.allclose(np.concatenate(found), expected, rtol=0.0, atol=1e-12)
 
 
-def test_a_temperature_effect_is_undone_alike_in_blocks_of_any_size(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lagging: tuple[Path, Calibration]
-) -> None:
-    plain = lagging[1].parameters[:9]
-    named_effect = named("temperature_bias")
-    size = named_effect.parameters(Context(2, {"temperature": np.array([20.0, 30.0])}))
-    extra = tuple(
-        replace(plain[k], effect="temperature_bias", name=p.name, value=v, unit=p.unit)
-        for k, (p, v) in enumerate(zip(size, (1.5, -2.0, 1.0), strict=True))
-    )
-    covariance = np.eye(12) * 1e-6
-    calibration = replace(lagging[1], parameters=(*plain, *extra), covariance=covariance)
-    path = tmp_path / "slow.h5"
-    with h5py.File(path, "w") as file:
-        force = np.tile([0.0, 0.6, 0.8], (20_000, 1))
-        acceleration = file.create_dataset("imu0/acceleration", data=force)
-        acceleration.attrs.update(unit="g", sample_rate=10.0)
-        warm = file.create_dataset("imu0/temperature", data=25.0 + 4.0 * np.sin(np.arange(67.0)))
-        warm.attrs.update(unit="degC", sample_rate=1.0 / 30.0)
-    whole = apply_to_recording(calibration, read(path)).channels["imu0/acceleration"].values
-    assert np.ptp(whole[:, 0]) > 5.0 * MG
-
-    from imucalib.calibration import apply as application
-    from imucalib.readers import blocks
-
-    for rows in (170, 4096):
-        monkeypatch.setattr(
-            application, "blocks", lambda *a, s=rows, **k: blocks(*a, block_samples=s, **k)
-        )
-        correct_file(calibration, path, tmp_path / f"out{rows}.h5", FieldMapping())
-        got = read(tmp_path / f"out{rows}.h5").channels["imu0/acceleration"].values
-        assert np.allclose(got, whole, rtol=0.0, atol=1e-9)
-
-
 def test_a_lag_without_a_thermometer_is_left_out_and_told(
     lagging: tuple[Path, Calibration],
 ) -> None:
@@ -260,34 +215,3 @@ def test_each_sample_gets_the_part_valid_at_its_time(stepped: tuple[Path, Calibr
     moved = apply_to_recording(calibration, later).channels["imu0/acceleration"].values
     assert np.allclose(moved[2:], force[2:], atol=0.6 * MG)
     assert not np.allclose(moved[0], force[0], atol=3.0 * MG)
-
-
-@pytest.fixture(scope="module")
-def daily(tmp_path_factory: pytest.TempPathFactory) -> Calibration:
-    plan = WeekPlan(days=3.0, plant={"time_of_day": (3.0, -2.0, 1.0, 2.0, 2.0, -3.0)})
-    request = ActigraphRequest(only=("time_of_day",))
-    return calibrated(plan, request, tmp_path_factory.mktemp("daily"))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("dated", [0, None])
-@pytest.mark.parametrize("date", [0, None])
-def test_a_recording_without_a_date_has_the_day_of_its_calibration(
-    daily: Calibration, dated: int | None, date: int | None
-) -> None:
-    """The file that was calibrated lost what was found in it, for want of a date. A date of the
-    recording alone says nothing of the hours of a calibration that has none."""
-    clock = {**daily.facts["clock"], "start_ns": dated}
-    calibration = replace(daily, facts={**daily.facts, "clock": clock})
-    t = np.arange(0.0, 172800.0, 3600.0)
-    force = G * np.tile([0.6, 0.0, 0.8], (t.size, 1))
-    reading = MODEL.predict(THETA, force[:, None], Context(t.size)).reading[:, 0]
-    angle = 2.0 * np.pi * t[:, None] / 86400.0
-    swing = np.array([3.0, -2.0, 1.0]) * np.cos(angle) + np.array([2.0, 2.0, -3.0]) * np.sin(angle)
-    channel = Channel(t, reading + MG * swing, "m/s2", "acceleration", "imu0", 1 / 3600.0)
-    recording = Recording({"imu0/acceleration": channel}, "made", "made", "", start_ns=date)
-    out = apply_to_recording(calibration, recording)
-    away = np.linalg.norm(out.channels["imu0/acceleration"].values - force, axis=1) / MG
-    said = any("time_of_day is left out" in note for note in out.notes)
-    assert said == (dated is None and date is not None)
-    assert (away.max() < 1.0) != said

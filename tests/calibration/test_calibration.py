@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from ruamel.yaml import YAML
 
 from imucalib.calibration.calibration import Calibration, StoredParameter, from_fit
@@ -27,7 +26,6 @@ from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.recording.yaml_text import dump
 from worlds.bench import GRAVITY, base_model, bench, draw, ordinary_theta
 
-Array = NDArray[np.float64]
 FACTS: dict[str, Any] = {
     "provenance": {"input": "bench.csv", "sha256": "0" * 64, "settings": {"rows": [1, 2]},
                    "seed": 3, "versions": {"numpy": "2.0"}, "time": "2024-05-06T07:08:09Z"},
@@ -206,55 +204,6 @@ def test_apply_refuses_readings_that_no_force_gives() -> None:
     with pytest.raises(NotConverged) as caught:
         calibration.apply(np.full((1, 3), 60.0))
     assert caught.value.remedy
-
-
-def test_matrices_are_each_others_inverse_and_what_apply_does() -> None:
-    calibration = _linear()
-    found = calibration.matrices()
-    assert np.allclose(found.M @ found.S, np.eye(3), atol=1e-13)
-    assert np.allclose(found.M @ found.c + found.b, 0.0, atol=1e-13)
-    reading = GRAVITY * np.random.default_rng(1).standard_normal((20, 3))
-    assert np.allclose(calibration.apply(reading), reading @ found.M.T + found.b, atol=1e-11)
-    assert np.allclose(found.bias_mg * 9.80665e-3, found.c)
-
-
-@pytest.mark.slow
-def test_matrix_uncertainty_is_that_of_monte_carlo() -> None:
-    calibration = _linear()
-    found = calibration.matrices()
-    model, theta = calibration.model()
-    rng = np.random.default_rng(2)
-    draws = rng.multivariate_normal(theta, calibration.covariance, 2000, method="eigh")
-    drawn: dict[str, list[Array]] = {name: [] for name in ("M", "b", "scale", "angle", "bias_mg")}
-    for values in draws:
-        at_zero = model.predict(values, np.zeros((1, 1, 3)), Context(1))
-        sensitivity, offset = at_zero.d_truth[0, 0], at_zero.reading[0, 0]
-        axes = sensitivity / np.linalg.norm(sensitivity, axis=1, keepdims=True)
-        cosines = (axes @ axes.T)[[0, 0, 1], [1, 2, 2]]
-        drawn["M"].append(np.linalg.inv(sensitivity))
-        drawn["b"].append(-np.linalg.inv(sensitivity) @ offset)
-        drawn["scale"].append(np.linalg.norm(sensitivity, axis=1))
-        drawn["angle"].append(np.degrees(np.arccos(cosines)))
-        drawn["bias_mg"].append(offset / 9.80665e-3)
-    for name, values in drawn.items():
-        # A standard deviation of 2000 draws is known to 1.6 %: 4.5 of those.
-        assert np.allclose(getattr(found, f"{name}_sd"), np.std(values, axis=0), rtol=0.072), name
-
-
-def test_intrinsic_numbers_are_free_of_the_mounting() -> None:
-    calibration = _linear()
-    turned = replace(
-        calibration,
-        parameters=tuple(
-            replace(p, value=p.value + 30.0) if p.effect == "mounting" else p
-            for p in calibration.parameters
-        ),
-    )
-    a, b = calibration.matrices(), turned.matrices()
-    assert np.abs(a.M - b.M).max() > 0.1
-    assert np.allclose(a.scale, b.scale, rtol=1e-12)
-    assert np.allclose(a.angle, b.angle, rtol=1e-12)
-    assert np.all(np.abs(a.angle - 90.0) < 10.0)
 
 
 @pytest.mark.parametrize("before", [None, "kept"])

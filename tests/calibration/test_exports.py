@@ -72,14 +72,6 @@ def stated(text: str) -> list[float]:
     return [float(v) for v in re.findall(r"(\d+\.\d+) mg", text)]
 
 
-def test_a_linear_calibration_loses_nothing_in_a_c_header() -> None:
-    made = exported(calibration("bias", "scale"), "x.csv", "c-header")
-    assert made.lost == ()
-    reading, force = world(("bias", "scale"))
-    M, b = c_numbers(made.text, "imucal_M").reshape(3, 3), c_numbers(made.text, "imucal_b")
-    assert reading @ M.T + b == pytest.approx(force, abs=1e-8)
-
-
 @pytest.mark.parametrize("more", [("temperature_bias",), ("quadratic",)])
 def test_a_c_header_says_in_mg_what_it_lacks(more: tuple[str, ...]) -> None:
     effects = ("bias", "scale", *more)

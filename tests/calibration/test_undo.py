@@ -65,17 +65,6 @@ def test_it_is_what_newton_finds(names: tuple[str, ...], size: float) -> None:
     assert np.abs(done.force - exact).max() < 1e-3 * MG
 
 
-def test_what_cannot_be_undone_keeps_its_linear_part() -> None:
-    model, theta = sensor((*NINE, "quadratic"))
-    theta[-3:] = -300.0  # mg/g²: no input reads more than 0.8 g
-    reading, context = around(50, 6, 0.3)
-    reading[7] = (50.0, 0.0, 0.0)
-    done = Undo(model, theta)(reading, context)
-    assert np.flatnonzero(~done.settled).tolist() == [7]
-    linear = Undo(model.minus("quadratic"), theta[:-3])(reading, context)
-    assert np.allclose(done.force[7], linear.force[7])
-
-
 def calibration(names: tuple[str, ...], valid: dict[str, tuple[float, float]]) -> Calibration:
     model, theta = sensor(names)
     stored = tuple(

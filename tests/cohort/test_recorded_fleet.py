@@ -16,7 +16,7 @@ from click.testing import CliRunner
 
 from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.file import read, to_yaml
-from imucalib.calibration.sums import KEY, sums_block, sums_of
+from imucalib.calibration.sums import KEY
 from imucalib.calibrators.population import read as read_population
 from imucalib.cli import cli
 from imucalib.cohort.fleet.outcome import Fleet, nested_spread
@@ -28,8 +28,6 @@ from imucalib.errors import UnreadableInput, UsageError
 
 NINE = ("bias", "scale", "non_orthogonality")
 BASE = [(e, p) for e in NINE for p in named(e).parameters(Context(1))]
-#: Two effects that the reports know of, three columns each, at typical size.
-EFFECTS = ("temperature_bias", "quadratic")
 POSTURES, NOISE = 150, 0.5
 
 
@@ -269,12 +267,3 @@ def test_boards_are_compared_imu_by_imu(tmp_path: Path) -> None:
     names = {s.name: s for s in found.spreads}
     assert names["imu1.bias_x"].unit == "mg"
     assert 3.0 < names["imu1.bias_x"].scatter < 30.0
-
-
-def test_the_products_survive_the_file() -> None:
-    content = report("w.csv", np.ones(9), np.ones(6), 0)[KEY]
-    sums = sums_of(content)
-    again = sums_of(json.loads(json.dumps(sums_block(sums))))
-    assert again.gram == pytest.approx(sums.gram, rel=1e-6)
-    assert again.taken == pytest.approx(sums.taken, rel=1e-6)
-    assert list(again.blocks) == list(EFFECTS)

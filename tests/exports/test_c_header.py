@@ -151,28 +151,6 @@ def test_the_header_notices_a_changed_coefficient(table: str, tmp_path: Path) ->
 
 
 @pytest.mark.slow
-def test_the_standard_deviation_is_that_of_drawn_parameters() -> None:
-    made, rng = one(), np.random.default_rng(2)
-    text = exported(made, "x.csv", "c-header").text
-    body = re.search(r"imucal_sd\[3\] = \{(.*)\};", text)
-    assert body
-    told = np.array([float(v.strip("f")) for v in body[1].split(", ")])
-    theta = np.array([p.value for p in made.parameters])
-    way = rng.normal(size=(60, 3))
-    way *= G / np.linalg.norm(way, axis=1, keepdims=True)
-    inverse = made.matrices()
-    raw = way @ inverse.S.T + inverse.c
-    seen = np.array([
-        replace(made, parameters=tuple(
-            replace(p, value=v) for p, v in zip(made.parameters, draw, strict=True)
-        )).apply(raw)
-        for draw in rng.multivariate_normal(theta, made.covariance, size=800)
-    ])  # fmt: skip
-    # 800 draws know a standard deviation to 2.5 %, the largest of sixty to a few percent more.
-    assert seen.std(axis=0).max(axis=0) / G == pytest.approx(told, rel=0.1)
-
-
-@pytest.mark.slow
 def test_every_imu_of_an_array_and_its_gyro(tmp_path: Path) -> None:
     made = board_calibration(board(np.random.default_rng(2), chips=3))
     text = exported(made, "log.mcap", "c-header").text

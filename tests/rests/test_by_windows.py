@@ -12,19 +12,16 @@ from scipy import stats
 from imucalib.rests.candidates import (
     Noise,
     colour_of,
-    drift_of,
     is_noise,
     whiteness,
 )
 from imucalib.rests.runs import Scan, grouped
 from imucalib.rests.stillness import Sensor
-from imucalib.rests.thermal import ThermalHistory, history_of
 from imucalib.rests.windows import Windows
 
 Array = NDArray[np.float64]
 G = 9.80665
 MG = 1e-3 * G
-DEG = np.pi / 180.0
 
 
 def windows(mean: Array, sd: Array | float = 1e-3, **changed: object) -> Windows:
@@ -46,36 +43,6 @@ def level(m: int) -> Array:
 
 def sensor(w: Windows, quantity: str = "acceleration", quietest: float = 0.01) -> Sensor:
     return Sensor("imu0", quantity, 100.0, w, quietest)
-
-
-def ramp(far: float, m: int = 40, length: float = 60.0, axis: int = 0) -> Array:
-    """Means of a level sensor one axis of which goes evenly over `far` shares of gravity."""
-    means = level(m)
-    means[:, axis] += far * G * (np.arange(m) - 0.5 * (m - 1)) / (m - 1)
-    return means
-
-
-QUIET = Noise(np.full(3, 1e-9), 1.0)
-
-
-@pytest.mark.parametrize(
-    ("far", "seconds", "turning"),
-    [
-        (np.sin(0.3 * DEG) + 1e-4 - 1e-5, 60.0, False),
-        (np.sin(0.3 * DEG) + 1e-4 + 1e-5, 60.0, True),  # and 0.1 mg a minute
-        (2.4e-3, 2.0, False),  # fast, but short
-        (2.6e-3, 2.0, True),
-        (np.sin(0.025 * DEG) * 10.0 * 0.99, 10.0, False),
-        (np.sin(0.025 * DEG) * 10.0 * 1.01, 10.0, True),
-    ],
-)
-def test_a_turn_goes_too_far_or_too_fast(far: float, seconds: float, turning: bool) -> None:
-    means = ramp(far if seconds > 20.0 else far * 39.0 / 40.0, length=seconds)
-    found = drift_of(means, 50, QUIET, seconds)
-    assert found.turning == turning
-    # Means of the last and of the first three tenths.
-    assert found.size == pytest.approx(np.ptp(means[:, 0]), rel=1e-4)
-    assert drift_of(means[:1], 50, QUIET, seconds) == drift_of(means, 50, QUIET, 0.0)
 
 
 def test_the_colour_of_noise_is_what_means_scatter_more() -> None:
@@ -129,15 +96,3 @@ def test_a_run_is_the_mean_of_its_windows() -> None:
     still = grouped(scanned(windows(level(9), MG)), np.arange(9), np.full(3, MG))
     assert still.window_noise == pytest.approx(MG / np.sqrt(50.0))
     assert np.isnan(still.temperature).all()
-
-
-def test_a_lag_is_an_exponential_of_its_hours() -> None:
-    """After a step: 1 - exp(-t / τ), in equilibrium before."""
-    t = np.arange(0.0, 7200.0, 10.0)
-    warm = ThermalHistory(t, np.where(t >= 1000.0, 30.0, 20.0))
-    at = np.array([500.0, 1000.0 + 1800.0, 1000.0 + 3600.0])
-    due = 20.0 + 10.0 * (1.0 - np.exp(-np.array([0.0, 1800.0, 3600.0]) / 1800.0))
-    np.testing.assert_allclose(warm.lagged(0.5, at), due, atol=0.06)
-    w = replace(windows(np.array([[21.0], [22.0]])), start=np.array([0.0, 10.0]),
-                stop=np.array([8.0, 18.0]))  # fmt: skip
-    assert history_of(w).time.tolist() == [4.0, 14.0]

@@ -119,18 +119,6 @@ def test_a_warm_up_within_a_long_rest_is_no_turn() -> None:
     assert np.max(found.stop - found.start) > 595.0
 
 
-@pytest.mark.parametrize("every", [100, 50, 200])
-def test_lost_rows_end_with_a_reason(every: int) -> None:
-    values = np.array([0, 0, G]) + np.random.default_rng(0).normal(0, 2 * MG, (3000, 3))
-    values[every // 2 :: every] = 0.0
-    found = still_segments(recorded(values))
-    if every <= 100:
-        assert found.n == 0
-        assert reasons(found, 0.0, 30.0) == {"dropouts"}
-    else:
-        assert called_rest(found, 0.0, 30.0) > 0.8
-
-
 def in_blocks(values: np.ndarray) -> list[Recording]:
     channel = recorded(values).channels["imu0/acceleration"]
     return [
