@@ -12,16 +12,11 @@ from hypothesis import strategies as st
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.units import (
     ACCELERATION_UNITS,
-    ANGLE_UNITS,
-    DEG,
-    MG,
     RATE_UNITS,
     STANDARD_GRAVITY,
-    canonical,
     detect_acceleration_unit,
     factor,
     local_gravity,
-    without_brackets,
 )
 
 
@@ -43,28 +38,12 @@ def test_rates(unit: str, si: float) -> None:
     assert factor(unit, RATE_UNITS) == pytest.approx(si, rel=1e-15)
 
 
-def test_angles_and_constants() -> None:
-    assert factor("degrees", ANGLE_UNITS) == DEG == math.pi / 180.0
-    assert pytest.approx(STANDARD_GRAVITY, rel=1e-15) == MG * 1000.0
-
-
 @pytest.mark.parametrize("unit", ["furlong", "", "G/s", "m/s"])
 def test_an_unknown_unit_is_refused_with_the_choices(unit: str) -> None:
     with pytest.raises(UsageError) as caught:
         factor(unit, ACCELERATION_UNITS, "--unit")
     assert caught.value.where == "--unit"
     assert "m/s2" in caught.value.remedy
-
-
-def test_a_unit_of_another_family_is_refused() -> None:
-    with pytest.raises(UsageError):
-        factor("deg/s", ACCELERATION_UNITS)
-
-
-@pytest.mark.slow
-@given(st.text(max_size=12))
-def test_the_canonical_spelling_is_stable(text: str) -> None:
-    assert canonical(canonical(text)) == canonical(text)
 
 
 @given(st.sampled_from(sorted(ACCELERATION_UNITS)), st.floats(0.8, 1.2))
@@ -105,11 +84,3 @@ def test_gravity_falls_with_height_as_free_air(latitude: float, height: float) -
 def test_a_latitude_off_the_globe_is_refused(latitude: float) -> None:
     with pytest.raises(UsageError):
         local_gravity(latitude)
-
-
-@pytest.mark.parametrize(
-    ("text", "inside"),
-    [("[m/(s^2)]", "m/(s^2)"), ("((g))", "g"), ("(m)/(s)", "(m)/(s)"), ("[g", "[g"), ("", "")],
-)
-def test_brackets_go_where_they_are_a_pair(text: str, inside: str) -> None:
-    assert without_brackets(text) == inside

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -17,7 +16,6 @@ from imucalib.calibrators.actigraph.observations import NINE
 from imucalib.calibrators.actigraph.simulation import SENSOR
 from imucalib.core.effect import Context
 from imucalib.effects import named
-from imucalib.errors import UnreadableInput
 from imucalib.readers import blocks, read
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Recording
@@ -114,14 +112,6 @@ def test_a_slow_thermometer_tells_nothing_beside_a_jump(
         assert sum("59 of 6000 samples have no temperature" in note for note in notes) == 1
 
 
-def test_a_lag_does_not_trail_a_jump() -> None:
-    known = calibration("thermal_lag@1h", "temperature_lag_1h")
-    wild = WARM.copy()
-    wild[[700, 3000]] = -127.0
-    sound, found = (corrected(apply_to_recording(known, recording(w))) for w in (WARM, wild))
-    assert np.abs(sound - found).max() < 0.05 * MG
-
-
 def test_a_thermometer_that_seldom_answers_is_as_none() -> None:
     wild = WARM.copy()
     wild[np.random.default_rng(1).random(T.size) < 0.8] = -127.0
@@ -134,10 +124,3 @@ def test_a_thermometer_that_seldom_answers_is_as_none() -> None:
         del without.channels["imu0/temperature"]  # type: ignore[attr-defined]
         bare = apply_to_recording(known, without)
         assert np.allclose(corrected(found), corrected(bare), rtol=0.0, atol=1e-9)
-
-
-def test_a_jump_without_a_calibrated_range_is_refused() -> None:
-    wild = WARM.copy()
-    wild[700] = 85.0
-    with pytest.raises(UnreadableInput, match="temperature"):
-        apply_to_recording(replace(calibration(), valid={}), recording(wild))

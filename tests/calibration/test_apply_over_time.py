@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -16,11 +14,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from imucalib import cli
-from imucalib.calibration.apply import apply_to_recording, correct_file
+from imucalib.calibration.apply import apply_to_recording
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.file import read as read_calibration
 from imucalib.calibration.file import write as write_calibration
-from imucalib.calibration.series import part_at, parts_of
 from imucalib.calibrators.actigraph.observations import NINE
 from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.run import run_of
@@ -28,14 +25,13 @@ from imucalib.calibrators.actigraph.simulation import SENSOR, WeekPlan, simulate
 from imucalib.core.effect import Context
 from imucalib.core.model import Model
 from imucalib.effects import named
-from imucalib.errors import UnreadableInput, UsageError
+from imucalib.errors import UnreadableInput
 from imucalib.readers import read
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.thermal import (
     ThermalHistory,
     temperature_at,
-    thermal_history,
     thermometer_of,
     with_thermometer,
 )
@@ -67,34 +63,6 @@ def lagging(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Calibration
 def warming(n: int = 20_000, step: float = 1.0) -> tuple[Array, Array]:
     t = step * np.arange(n)
     return t, 29.0 + 3.0 * np.sin(t / 4000.0) + 2.0 * (t > 9000.0)
-
-
-def test_a_lag_follows_its_differential_equation() -> None:
-    t, warm = warming()
-    late = ThermalHistory(t, warm).lagged(0.5, t)
-    assert late[0] == warm[0]
-    rate = np.gradient(late, t)[5:-5]
-    assert np.allclose(
-        1800.0 * rate, (warm - late)[5:-5], atol=0.02 + 2.1 * (np.abs(t[5:-5] - 9000) < 3)
-    )
-
-
-@pytest.mark.parametrize("rows", [313, 4096])
-def test_the_history_is_that_of_the_whole(rows: int) -> None:
-    t, warm = warming(5000)
-    channel = Channel(t, warm[:, None], "degC", "temperature", "imu0", 1.0)
-    whole = Recording({"imu0/temperature": channel}, "", "", "")
-    cut = (slice(a, a + rows) for a in range(0, t.size, rows))
-    parts = [
-        replace(whole, channels={"x": replace(channel, t=t[s], values=channel.values[s])})
-        for s in cut
-    ]
-    one, many = thermal_history([whole], "imu0"), thermal_history(parts, "imu0")
-    assert one is not None
-    assert many is not None
-    assert np.array_equal(one.time, many.time)
-    assert np.allclose(one.values, many.values, rtol=0.0, atol=1e-12)
-    assert thermal_history([whole], "imu1") is None
 
 
 def test_a_lag_is_undone_in_blocks_as_in_memory(
@@ -196,63 +164,6 @@ def test_a_slow_thermometer_reads_the_same_in_blocks_of_any_size(
     assert np.allclose(np.concatenate(found), expected, rtol=0.0, atol=1e-12)
 
 
-def test_a_thermometer_that_is_silent_for_an_hour_holds_its_last_reading() -> None:
-    t = np.array([0.0, 3000.0, 7000.0, 8000.0])
-    channel = Channel(t, t[:, None] / 100.0, "degC", "temperature", "", 1.0)
-    found = temperature_at(channel, np.array([1500.0, 3500.0, 6999.0, 7000.0, 7500.0, 9000.0]))
-    assert np.allclose(found, [15.0, 30.0, 30.0, 70.0, 75.0, 80.0])
-
-
-def test_blocks_do_not_wait_for_a_thermometer_that_has_stopped() -> None:
-    t = 10.0 * np.arange(100_000)
-    stopped = np.array([0.0, 60.0]), np.array([20.0, 21.0])
-    _, parts = _blocks_of(t, stopped, np.arange(1000, t.size, 1000))
-    taken = 0
-
-    def counted() -> Iterator[Recording]:
-        nonlocal taken
-        for part in parts:
-            taken += 1
-            yield part
-
-    for given_out, _ in enumerate(with_thermometer(counted(), "imu0"), 1):
-        assert taken - given_out <= 1
-
-
-def test_a_temperature_effect_is_undone_alike_in_blocks_of_any_size(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lagging: tuple[Path, Calibration]
-) -> None:
-    plain = lagging[1].parameters[:9]
-    named_effect = named("temperature_bias")
-    size = named_effect.parameters(Context(2, {"temperature": np.array([20.0, 30.0])}))
-    extra = tuple(
-        replace(plain[k], effect="temperature_bias", name=p.name, value=v, unit=p.unit)
-        for k, (p, v) in enumerate(zip(size, (1.5, -2.0, 1.0), strict=True))
-    )
-    covariance = np.eye(12) * 1e-6
-    calibration = replace(lagging[1], parameters=(*plain, *extra), covariance=covariance)
-    path = tmp_path / "slow.h5"
-    with h5py.File(path, "w") as file:
-        force = np.tile([0.0, 0.6, 0.8], (20_000, 1))
-        acceleration = file.create_dataset("imu0/acceleration", data=force)
-        acceleration.attrs.update(unit="g", sample_rate=10.0)
-        warm = file.create_dataset("imu0/temperature", data=25.0 + 4.0 * np.sin(np.arange(67.0)))
-        warm.attrs.update(unit="degC", sample_rate=1.0 / 30.0)
-    whole = apply_to_recording(calibration, read(path)).channels["imu0/acceleration"].values
-    assert np.ptp(whole[:, 0]) > 5.0 * MG
-
-    from imucalib.calibration import apply as application
-    from imucalib.readers import blocks
-
-    for rows in (170, 4096):
-        monkeypatch.setattr(
-            application, "blocks", lambda *a, s=rows, **k: blocks(*a, block_samples=s, **k)
-        )
-        correct_file(calibration, path, tmp_path / f"out{rows}.h5", FieldMapping())
-        got = read(tmp_path / f"out{rows}.h5").channels["imu0/acceleration"].values
-        assert np.allclose(got, whole, rtol=0.0, atol=1e-9)
-
-
 def test_a_lag_without_a_thermometer_is_left_out_and_told(
     lagging: tuple[Path, Calibration],
 ) -> None:
@@ -304,83 +215,3 @@ def test_each_sample_gets_the_part_valid_at_its_time(stepped: tuple[Path, Calibr
     moved = apply_to_recording(calibration, later).channels["imu0/acceleration"].values
     assert np.allclose(moved[2:], force[2:], atol=0.6 * MG)
     assert not np.allclose(moved[0], force[0], atol=3.0 * MG)
-
-
-def test_parts_are_used_where_they_differ(stepped: tuple[Path, Calibration]) -> None:
-    _, calibration = stepped
-    parts = parts_of(calibration)
-    assert [(p.start, p.stop) for p in parts] == [(0.0, 86400.0), (86400.0, 172800.0)]
-    assert part_at(parts, np.array([-5.0, 0.0, 86399.9, 86400.0, 1e9])).tolist() == [0, 0, 0, 1, 1]
-    alike = {**calibration.facts, "series": {**calibration.facts["series"], "use": "whole"}}
-    assert parts_of(replace(calibration, facts=alike)) == ()
-    assert len(parts_of(replace(calibration, facts=alike), "parts")) == 2
-    bare = {k: v for k, v in calibration.facts.items() if k != "series"}
-    with pytest.raises(UsageError, match="--every"):
-        parts_of(replace(calibration, facts=bare), "parts")
-    hurt = {**calibration.facts, "series": {"use": "parts", "parts": [{"start_s": 0.0}]}}
-    with pytest.raises(UnreadableInput, match="damaged"):
-        parts_of(replace(calibration, facts=hurt))
-
-
-def test_a_part_without_calibration_has_that_of_the_whole(
-    stepped: tuple[Path, Calibration],
-) -> None:
-    _, calibration = stepped
-    block = calibration.facts["series"]
-    first = {k: v for k, v in block["parts"][0].items() if k in ("start_s", "stop_s")}
-    facts = {**calibration.facts, "series": {**block, "parts": [first, block["parts"][1]]}}
-    parts = parts_of(replace(calibration, facts=facts))
-    assert parts[0].calibration.parameters == calibration.parameters
-    assert parts[1].calibration.parameters != calibration.parameters
-
-
-@pytest.mark.slow
-def test_parts_keep_what_the_search_found_in_the_whole(tmp_path: Path) -> None:
-    plant = {"temperature_bias": (1.5, -1.0, 2.0), "bias_step@86400s": (2.0, 0.0, -3.0)}
-    request = ActigraphRequest(every=86400.0, only=("temperature_bias",))
-    calibration = calibrated(WeekPlan(days=2.0, plant=plant), request, tmp_path)
-    assert "temperature_bias" in {p.effect for p in calibration.parameters}
-    assert len(parts_of(calibration)) == 2
-    t, warm = np.array([10.0, 86399.0, 86401.0, 170000.0]), np.array([24.0, 30.0, 27.0, 31.0])
-    force = G * np.tile([0.6, 0.0, 0.8], (4, 1))
-    reading = MODEL.predict(THETA, force[:, None], Context(4)).reading[:, 0]
-    reading += MG * np.array([1.5, -1.0, 2.0]) * (warm - 25.0)[:, None]
-    reading[2:] += MG * np.array([2.0, 0.0, -3.0])
-    channels = {
-        "imu0/acceleration": Channel(t, reading, "m/s2", "acceleration", "imu0", 1.0),
-        "imu0/temperature": Channel(t, warm[:, None], "degC", "temperature", "imu0", 1.0),
-    }
-    recording = Recording(channels, "made", "made", "", start_ns=0)
-    out = apply_to_recording(calibration, recording).channels["imu0/acceleration"].values
-    assert np.allclose(out, force, atol=1.0 * MG)
-
-
-@pytest.fixture(scope="module")
-def daily(tmp_path_factory: pytest.TempPathFactory) -> Calibration:
-    plan = WeekPlan(days=3.0, plant={"time_of_day": (3.0, -2.0, 1.0, 2.0, 2.0, -3.0)})
-    request = ActigraphRequest(only=("time_of_day",))
-    return calibrated(plan, request, tmp_path_factory.mktemp("daily"))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("dated", [0, None])
-@pytest.mark.parametrize("date", [0, None])
-def test_a_recording_without_a_date_has_the_day_of_its_calibration(
-    daily: Calibration, dated: int | None, date: int | None
-) -> None:
-    """The file that was calibrated lost what was found in it, for want of a date. A date of the
-    recording alone says nothing of the hours of a calibration that has none."""
-    clock = {**daily.facts["clock"], "start_ns": dated}
-    calibration = replace(daily, facts={**daily.facts, "clock": clock})
-    t = np.arange(0.0, 172800.0, 3600.0)
-    force = G * np.tile([0.6, 0.0, 0.8], (t.size, 1))
-    reading = MODEL.predict(THETA, force[:, None], Context(t.size)).reading[:, 0]
-    angle = 2.0 * np.pi * t[:, None] / 86400.0
-    swing = np.array([3.0, -2.0, 1.0]) * np.cos(angle) + np.array([2.0, 2.0, -3.0]) * np.sin(angle)
-    channel = Channel(t, reading + MG * swing, "m/s2", "acceleration", "imu0", 1 / 3600.0)
-    recording = Recording({"imu0/acceleration": channel}, "made", "made", "", start_ns=date)
-    out = apply_to_recording(calibration, recording)
-    away = np.linalg.norm(out.channels["imu0/acceleration"].values - force, axis=1) / MG
-    said = any("time_of_day is left out" in note for note in out.notes)
-    assert said == (dated is None and date is not None)
-    assert (away.max() < 1.0) != said

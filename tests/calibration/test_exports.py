@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ from numpy.typing import NDArray
 from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.core.effect import Context
 from imucalib.effects import named
-from imucalib.errors import UsageError
 from imucalib.exports import exported
 from imucalib.units import STANDARD_GRAVITY
 
@@ -74,14 +72,6 @@ def stated(text: str) -> list[float]:
     return [float(v) for v in re.findall(r"(\d+\.\d+) mg", text)]
 
 
-def test_a_linear_calibration_loses_nothing_in_a_c_header() -> None:
-    made = exported(calibration("bias", "scale"), "x.csv", "c-header")
-    assert made.lost == ()
-    reading, force = world(("bias", "scale"))
-    M, b = c_numbers(made.text, "imucal_M").reshape(3, 3), c_numbers(made.text, "imucal_b")
-    assert reading @ M.T + b == pytest.approx(force, abs=1e-8)
-
-
 @pytest.mark.parametrize("more", [("temperature_bias",), ("quadratic",)])
 def test_a_c_header_says_in_mg_what_it_lacks(more: tuple[str, ...]) -> None:
     effects = ("bias", "scale", *more)
@@ -118,17 +108,3 @@ def test_a_row_of_ggir_carries_the_temperature() -> None:
     assert error.mean() < 1e-6
     assert row["cal.error.start"] == pytest.approx(0.04)
     assert row["cal.error.end"] == pytest.approx(0.0015)
-
-
-def test_parts_are_told() -> None:
-    whole = calibration("bias", "scale")
-    series = {"use": "parts", "parts": [{"start_s": 0.0, "stop_s": 9.0}]}
-    clock = {"start_ns": None, "span_s": 9.0}
-    parted = replace(whole, facts={**whole.facts, "series": series, "clock": clock})
-    for form in ("c-header", "ggir-csv"):
-        assert any("parts" in text for text in exported(parted, "x.csv", form).lost)
-
-
-def test_an_unknown_form_is_refused_with_those_that_there_are() -> None:
-    with pytest.raises(UsageError, match="c-header, ggir-csv"):
-        exported(calibration("bias"), "x.csv", "rust")

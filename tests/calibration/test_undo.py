@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 from imucalib.calibration.apply import apply_to_recording
 from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.undo import Undo
-from imucalib.core.effect import Context, Parameter, Response, Truth
+from imucalib.core.effect import Context
 from imucalib.core.model import Model
 from imucalib.effects import catalogue, known, named
 from imucalib.recording.recording import Channel, Recording
@@ -64,36 +63,6 @@ def test_it_is_what_newton_finds(names: tuple[str, ...], size: float) -> None:
     assert done.settled.all()
     # A micro-g; the sharpest curve bends between two entries of a table.
     assert np.abs(done.force - exact).max() < 1e-3 * MG
-
-
-def test_a_mounting_is_undone_too() -> None:
-    model, theta = sensor((*NINE, "mounting", "quadratic"))
-    reading, context = around(500, 5)
-    exact = model.correct(theta, reading[:, None], context)[:, 0]
-    assert np.allclose(Undo(model, theta)(reading, context).force, exact, atol=1e-4 * MG)
-
-
-def test_what_cannot_be_undone_keeps_its_linear_part() -> None:
-    model, theta = sensor((*NINE, "quadratic"))
-    theta[-3:] = -300.0  # mg/g²: no input reads more than 0.8 g
-    reading, context = around(50, 6, 0.3)
-    reading[7] = (50.0, 0.0, 0.0)
-    done = Undo(model, theta)(reading, context)
-    assert np.flatnonzero(~done.settled).tolist() == [7]
-    linear = Undo(model.minus("quadratic"), theta[:-3])(reading, context)
-    assert np.allclose(done.force[7], linear.force[7])
-
-
-@pytest.mark.slow
-def test_memory_does_not_grow_with_the_columns() -> None:
-    model, theta = sensor((*NINE, "converter@xyz"))
-    reading, context = around(200_000, 7)
-    undo = Undo(model, theta)
-    tracemalloc.start()
-    undo(reading, context)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert peak < 4 * reading.nbytes
 
 
 def calibration(names: tuple[str, ...], valid: dict[str, tuple[float, float]]) -> Calibration:
@@ -150,21 +119,6 @@ def test_samples_beyond_the_calibrated_range_are_counted_and_kept() -> None:
     assert not any("outside" in n or "1.1 g" in n for n in inside.notes)
 
 
-def test_a_lag_of_rows_takes_the_sensor_to_be_as_warm_as_its_thermometer() -> None:
-    names = ("bias", "thermal_lag@4rows")
-    made = calibration(names, {"temperature_lag_4rows": (20.0, 30.0)})
-    warm = np.linspace(18.0, 33.0, 50)
-    found = apply_to_recording(made, recorded(50, warm))
-    bias, slope = np.array([p.value for p in made.parameters]).reshape(2, 3) * MG
-    expected = recorded(50).channels["acc"].values - bias - slope * (warm[:, None] - 25.0)
-    assert np.allclose(found.channels["acc"].values, expected, atol=1e-9)
-    assert [n for n in found.notes if "as warm as its thermometer" in n]
-    bare = apply_to_recording(made, recorded(50))
-    middle = recorded(50).channels["acc"].values - bias
-    assert np.allclose(bare.channels["acc"].values, middle, atol=1e-9)
-    assert [n for n in bare.notes if "thermal_lag@4rows is left out" in n]
-
-
 def test_every_steady_effect_of_the_catalogue_is_undone() -> None:
     for name, effect in catalogue().items():
         if effect.stage != "sensor" or effect.needs or effect.channel != "acceleration":
@@ -175,27 +129,6 @@ def test_every_steady_effect_of_the_catalogue_is_undone() -> None:
         exact = model.correct(theta, reading[:, None], context)[:, 0]
         assert np.allclose(Undo(model, theta)(reading, context).force, exact, atol=1e-3 * MG), name
     assert named("bias") is not None
-
-
-def test_an_effect_of_its_own_with_a_slope_and_a_product_is_undone() -> None:
-    per = MG / STANDARD_GRAVITY
-
-    def basis(truth: Truth, _: Context) -> Array:
-        x = truth.force
-        out = np.zeros((*x.shape, 1))
-        out[..., 2, 0] = per * (4.0 * x[..., 0] + x[..., 0] * x[..., 1] / STANDARD_GRAVITY) + MG
-        return out
-
-    own = Response(
-        "leak", "x leaks into z.", "y_z = x_z + c (1 + 4 x_x + x_x x_y)", "made", "none",
-        each=(Parameter("leak", "mg", 3.0, 60.0),), basis=basis,
-    )  # fmt: skip
-    model = Model((*(effect for n in NINE if (effect := known(n))), own))
-    theta = np.array([20.0, -9.0, 4.0, 5.0, -3.0, 2.0, 1.0, -2.0, 3.0, 6.0])
-    force, context = around(60, 2)
-    reading = model.predict(theta, force[:, None], context).reading[:, 0]
-    assert np.abs(reading - force).max() > 20.0 * MG
-    np.testing.assert_allclose(Undo(model, theta)(reading, context).force, force, atol=1e-3 * MG)
 
 
 @pytest.mark.parametrize("later", [0.0, 7200.0, -3600.0])

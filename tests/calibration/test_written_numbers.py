@@ -9,17 +9,11 @@ import numpy as np
 import pytest
 
 from imucalib.calibration import power
-from imucalib.calibration.calibration import Calibration, StoredParameter, matrices
-from imucalib.calibration.correction import Correction
-from imucalib.calibration.outcome import Left, Limit
-from imucalib.calibration.series import CalibrationPart, part_at
+from imucalib.calibration.calibration import matrices
 from imucalib.core.effect import Context
 from imucalib.core.model import Model
 from imucalib.effects import named
-from imucalib.recording.recording import Channel, Recording
-from imucalib.units import MG, STANDARD_GRAVITY
-
-G = STANDARD_GRAVITY
+from imucalib.units import MG
 
 
 def test_matrices_are_the_linear_part_and_its_scatter() -> None:
@@ -77,46 +71,3 @@ def test_what_may_hide_is_told_at_the_size_that_four_of_five_would_find() -> Non
     (text,) = power.advice_of(found)
     assert "cannot show quadratic, whatever the size (0.5 mg rms" in text
     assert power.advice_of(found[1:]) == ()
-
-
-def corrected(order: np.ndarray, values: np.ndarray | None = None) -> tuple[str, ...]:
-    """Notes of a calibration at 20 to 30 °C that is applied at some temperatures."""
-    names = (("temperature_bias", "mg/°C"), ("quadratic", "mg/g2"))
-    stored = tuple(StoredParameter(f"{n}_{a}", n, "sensor", 0.1, 0.1, u)
-                   for n, u in names for a in "xyz")  # fmt: skip
-    made = Calibration(
-        calibrator="lab", parameters=stored, covariance=np.eye(6), raw_unit="m/s2", raw_to_si=1.0,
-        gravity=G, status="ok", reasons=(), valid={"temperature": (20.0, 30.0)},
-    )  # fmt: skip
-    one = Correction(made)
-    n = len(order)
-    force = np.tile([0.0, 0.0, G], (n, 1)) if values is None else values
-    t = np.arange(float(n))
-    channel = Channel(t, force, "m/s2", "acceleration", "imu0", 1.0)
-    warm = Channel(t, order[:, None], "degC", "temperature", "imu0", 1.0)
-    one(Recording({}, "", "", ""), channel, None, warm)
-    return one.notes
-
-
-def test_a_sample_is_outside_from_a_tenth_of_the_range_on() -> None:
-    assert corrected(np.array([19.01, 25.0, 30.99])) == ()
-    (note,) = corrected(np.array([18.9, 25.0, 31.1, 40.0]))
-    assert note.startswith("3 of 4 samples lie outside the calibrated temperature, 20 to 30 °C")
-    assert "18.9 to 40 °C were recorded" in note
-    far = np.array([[1.09 * G, 0, 0], [1.11 * G, 0, 0], [0, -1.11 * G, 0], [0, 0, 1.11 * G]])
-    (note,) = corrected(np.full(4, 25.0), far)
-    assert note.startswith("3 of 4 samples read more than 1.1 g")
-
-
-def test_the_part_of_a_time_is_the_last_that_has_begun() -> None:
-    parts = tuple(CalibrationPart(s, s + 10.0, None) for s in (5.0, 15.0, 25.0))  # type: ignore[arg-type]
-    at = part_at(parts, np.array([0.0, 5.0, 14.9, 15.0, 99.0]))
-    assert at.tolist() == [0, 0, 0, 1, 2]
-
-
-def test_limits_and_what_is_left() -> None:
-    assert not Limit("x", 1.0, 1.0, "mg").broken
-    assert Limit("x", 1.001, 1.0, "mg").broken
-    assert Limit("x", np.nan, 1.0, "mg").broken
-    assert not Left("x", 1.0, 1.0, "mg").beyond
-    assert Left("x", 1.001, 1.0, "mg").beyond

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from imucalib.calibrators.population import Population, Told, ToldNoise, read, to_yaml
-from imucalib.errors import UnreadableInput, UsageError
+from imucalib.errors import UnreadableInput
 from options.outcome import Outcome, run
 from worlds.bench import base_model, tumble
 
@@ -65,13 +65,6 @@ def test_what_the_fleet_does_not_know_stays_at_its_typical_size() -> None:
     sigma = float(np.median(data.sigma))
     assert prior.noise[0] == pytest.approx((np.log(0.02 / sigma), 0.3))
     assert prior.noise[1, 1] == pytest.approx(np.log(10.0))
-
-
-def test_another_unit_is_refused() -> None:
-    model, data = base_model(("bias",)), tumble(1, 6)
-    other = replace(KIND, parameters=(Told("bias_x", "g", 3.0, 2.0), KIND.parameters[1]))
-    with pytest.raises(UsageError, match="in g"):
-        other.prior(model, data, ())
 
 
 def _table(path: Path, rng: np.random.Generator, count: int, bias: np.ndarray) -> None:

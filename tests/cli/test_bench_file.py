@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shlex
 from pathlib import Path
 
 import click
@@ -43,17 +42,6 @@ def test_options_of_the_file_are_defaults_and_typed_ones_win(bench: Path) -> Non
     assert typed["settings"]["gravity_m_per_s2"] == 9.79
 
 
-def test_the_stated_command_needs_no_file(bench: Path) -> None:
-    bench.write_text('[lab]\nreference = "norm"\nloop = false\ndeclare = ["quadratic"]\n')
-    first = json.loads(lab().stdout)
-    line = first["provenance"]["command"]
-    for part in ("--reference norm", "--declare quadratic", "--no-loop"):
-        assert part in line
-    bench.unlink()
-    again = CliRunner().invoke(cli.cli, shlex.split(line)[1:], standalone_mode=False)
-    assert json.loads(again.stdout)["parameters"] == first["parameters"]
-
-
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -71,12 +59,3 @@ def test_what_is_wrong_in_it_is_said(bench: Path, text: str, words: str) -> None
     done = lab()
     assert isinstance(done.exception, click.UsageError)
     assert words in done.exception.format_message()
-
-
-def test_completion_knows_commands_and_options() -> None:
-    for words, expected in (("imucal la", "lab"), ("imucal lab --grav", "--gravity"),
-                            ("imucal simulate ar", "array")):  # fmt: skip
-        env = {"_IMUCAL_COMPLETE": "bash_complete", "COMP_WORDS": words,
-               "COMP_CWORD": str(len(words.split()) - 1)}  # fmt: skip
-        done = CliRunner().invoke(cli.cli, [], env=env, prog_name="imucal")
-        assert expected in done.output

@@ -8,7 +8,6 @@ from pathlib import Path
 from click.testing import CliRunner
 
 from imucalib import cli
-from imucalib.errors import UsageError
 
 
 def design(*arguments: object) -> str:
@@ -24,13 +23,3 @@ def test_a_recommended_plan_is_judged_as_it_was(tmp_path: Path) -> None:
         {k: round(v, 1) for k, v in p.items()} for p in made["positions"]
     ]  # fmt: skip
     assert abs(read["norm_only"]["efficiency"] - made["norm_only"]["efficiency"]) < 1e-3
-
-
-def test_another_file_is_not_replaced(tmp_path: Path) -> None:
-    path = tmp_path / "plan.csv"
-    path.write_text("mine")
-    done = CliRunner().invoke(
-        cli.cli, ["design", "--recommend", "12", "-o", str(path)], standalone_mode=False
-    )
-    assert isinstance(done.exception, UsageError)
-    assert path.read_text() == "mine"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,11 +14,7 @@ from click.testing import CliRunner, Result
 from imucalib import readers, writers
 from imucalib.cli import cli
 from imucalib.errors import ImucalError, UnreadableInput
-from imucalib.inspection.inspection import inspect_recording
 from imucalib.recording.mapping import load_mapping
-from imucalib.recording.recording import Channel, Recording
-from imucalib.report.inspection import inspection_document
-from imucalib.report.render.text import render_text
 from worlds.bag_logs import ros1_bag, ros2_bag
 from worlds.mcap_logs import START, Reading, cdr, packed, write_log
 
@@ -153,14 +148,6 @@ def test_a_saved_mapping_gives_the_same_reading(made: Made, tmp_path: Path) -> N
     assert (a.start_ns, a.gaps) == (b.start_ns, b.gaps)
 
 
-def test_damage_is_told_and_strict_refuses(tmp_path: Path) -> None:
-    file = damaged_mcap(tmp_path)
-    assert "part of it is lost" in inspect(file).stdout
-    result = inspect(file, "--strict")
-    assert isinstance(result.exception, ImucalError)
-    assert result.exception.exit_code == 3
-
-
 @pytest.mark.parametrize(
     ("made", "options"),
     [
@@ -181,12 +168,6 @@ def test_an_unknown_layout_lists_its_fields_and_the_option_that_reads_it(
     result = inspect(file, *options)
     assert result.exit_code == 0, result.exception
     assert "6 still segments; nothing is wrong" in result.stdout
-
-
-def test_a_topic_listing_has_type_count_and_rate(tmp_path: Path) -> None:
-    text = str(inspect(json_mcap(tmp_path)).exception)
-    assert "/stm/readings: 3000 x, my.Sample (json), 100 Hz" in text
-    assert "/stm/state: 30 x, my.Sample (json), 1 Hz" in text
 
 
 @pytest.mark.parametrize(
@@ -234,55 +215,3 @@ def test_a_unit_that_the_rests_contradict_is_refused(
         assert isinstance(result.exception, UnreadableInput)
         assert f"when the unit is {unit}, as --unit states" in str(result.exception)
         assert not target.exists()
-
-
-def test_raw_counts_ask_for_their_scale(tmp_path: Path) -> None:
-    rows = [",".join(str(round(a * 208.8)) for a in r.acc) for r in ROWS]
-    (tmp_path / "c.csv").write_text("ax,ay,az\n" + "\n".join(rows) + "\n")
-    options = ("--rate", "100", "--unit", "counts")
-    assert "--lsb 2048" in inspect(tmp_path / "c.csv", *options).stdout
-    result = inspect(tmp_path / "c.csv", *options, "--lsb", "2048")
-    assert "nothing is wrong" in result.stdout
-
-
-def test_csv_options_reach_the_reader(tmp_path: Path) -> None:
-    lines = ["made by a logger", "x, y, z in front of nothing"]
-    lines += ["\t".join(f"{a:.5f}".replace(".", ",") for a in r.acc) for r in ROWS]
-    (tmp_path / "odd.txt").write_text("\n".join(lines) + "\n")
-    result = inspect(
-        tmp_path / "odd.txt", "--skip", "2", "--decimal", ",", "--delimiter", "tab",
-        "--rate", "100", "--acc", "1,2,3", "--unit", "m/s2",
-    )  # fmt: skip
-    assert result.exit_code == 0, result.exception
-    assert "6 still segments; nothing is wrong" in result.stdout
-
-
-def test_a_bag_without_rosbags_names_the_extra(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    file = ros1(tmp_path)
-    monkeypatch.setitem(sys.modules, "rosbags", None)
-    error = inspect(file).exception
-    assert isinstance(error, ImucalError)
-    assert "pip install 'imucalib[ros]'" in str(error)
-
-
-@pytest.mark.parametrize("width", [40, 80, 120, 200])
-def test_no_line_is_wider_than_the_terminal(width: int, tmp_path: Path) -> None:
-    found = inspect_recording(readers.blocks(mcap_with_four(tmp_path)))
-    text = render_text(inspection_document(found), width, color=False)
-    assert max(map(len, text.splitlines())) <= width
-    assert "imu0 to imu3 (4): time from header.stamp" in " ".join(text.split())
-
-
-def test_an_axis_that_never_turned_is_marked() -> None:
-    rng = np.random.default_rng(1)
-    t = np.arange(2000) / RATE
-    values = np.array([0.0, 0.0, 9.81]) + rng.normal(0, 0.02, (2000, 3))
-    channel = Channel(t, values, "m/s2", "acceleration", "imu0", RATE)
-    found = inspect_recording([Recording({"imu0/acceleration": channel}, "f", "made", "")])
-    text = render_text(inspection_document(found), 80, color=False)
-    row = next(line for line in text.splitlines() if line.startswith("! imu0"))
-    assert row.split() == [
-        "!", "imu0", "+0.00", "to", "+0.00", "+0.00", "to", "+0.00", "+1.00", "to", "+1.00",
-    ]  # fmt: skip

@@ -145,13 +145,3 @@ def test_everything_else_comes_by_itself(table: Path, tmp_path: Path) -> None:
     assert "quadratic" in header.stderr
     (row,) = rows((Entry("toy.csv", "", 0, 1.0, "", report),))
     assert row["bias_x"] == report["parameters"][0]["value"]
-
-
-@pytest.mark.slow
-def test_text_limits_and_failures_come_too(table: Path, tmp_path: Path) -> None:
-    shown = run("toy", table)
-    assert "Closed loop" in shown.stdout
-    assert "imucal toy" in shown.stdout.replace("\n", " ")
-    assert run("toy", table, "--max-error", "1e-6", "-q").return_value == 1
-    failed = run("toy", table, "--export", "c-header", "--json")
-    assert json.loads(failed.stdout)["error"]["message"] == "--export needs a folder: -o"

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
-from imucalib import atomic_file, readers, writers
+from imucalib import readers, writers
 from imucalib.atomic_file import replaced_atomically
 from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.file import write as write_calibration
@@ -100,32 +100,6 @@ def test_no_output_is_an_input(suffix: str, tmp_path: Path, calibration: Path) -
     assert calibration.read_bytes() == was
 
 
-def test_other_files_are_replaced_only_by_force(tmp_path: Path, calibration: Path) -> None:
-    path, other = tmp_path / "raw.csv", tmp_path / "other.csv"
-    writers.write(recording(), path)
-    other.write_text("a year of work\n")
-    for arguments in (
-        ("apply", calibration, path, "-o", other, "--triad", "left"),
-        ("convert", path, other),
-        ("inspect", path, "--save-mapping", other),
-    ):
-        assert "--force" in refused(*arguments)
-        assert other.read_text() == "a year of work\n"
-    assert call("convert", path, other, "--force").exception is None
-    assert len(readers.read(other).channels) == 2
-
-
-def test_the_output_is_judged_before_the_work(tmp_path: Path, calibration: Path) -> None:
-    missing = tmp_path / "no such recording.csv"
-    for output in (tmp_path / "absent" / "o.csv", tmp_path / "o.docx", tmp_path):
-        for arguments in (
-            ("apply", calibration, missing, "-o", output),
-            ("convert", missing, output),
-        ):
-            assert "no such recording" not in refused(*arguments)
-    assert "absent" in refused("inspect", missing, "--save-mapping", tmp_path / "absent" / "m.yaml")
-
-
 @FORMATS
 def test_a_corrected_recording_is_marked(suffix: str, tmp_path: Path, calibration: Path) -> None:
     raw, once = tmp_path / f"raw{suffix}", tmp_path / f"once{suffix}"
@@ -198,20 +172,6 @@ def test_a_killed_run_leaves_nothing_for_long(tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["out.csv"]
 
 
-def test_another_machines_temporary_file_stays(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    other = tmp_path / ".out.csv.elsewhere-999999999-abc.tmp"
-    other.write_bytes(b"")
-    with replaced_atomically(tmp_path / "out.csv") as temporary:
-        temporary.write_bytes(b"2")
-    assert other.exists()
-    monkeypatch.setattr(atomic_file, "_machine", lambda: "elsewhere")
-    with replaced_atomically(tmp_path / "out.csv") as temporary:
-        temporary.write_bytes(b"2")
-    assert not other.exists()
-
-
 @pytest.mark.slow
 def test_termination_takes_its_temporary_files_along(tmp_path: Path) -> None:
     source, target = tmp_path / "raw.csv", tmp_path / "out.csv"
@@ -254,18 +214,6 @@ def test_results_of_another_input_are_replaced_only_by_force(tmp_path: Path) -> 
     assert "no calibration" in str(lab(out, two).exception)
 
 
-def test_a_folder_that_cannot_be_is_found_before_the_work(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def worked(*_: object, **__: object) -> None:
-        raise AssertionError("the work began")
-
-    monkeypatch.setattr("imucalib.calibrators.lab.files.calibrate_files", worked)
-    (tmp_path / "file").write_text("x")
-    refused = lab(tmp_path / "file" / "out", bench(tmp_path, "a.csv"))
-    assert isinstance(refused.exception, UsageError)
-
-
 def test_files_of_one_run_appear_together_or_not_at_all(tmp_path: Path) -> None:
     kept, blocked, new = (tmp_path / n for n in ("calibration.yaml", "report.html", "report.json"))
     kept.write_text("before")
@@ -277,48 +225,3 @@ def test_files_of_one_run_appear_together_or_not_at_all(tmp_path: Path) -> None:
     blocked.rmdir()
     write_together({kept: "after", new: "after", blocked: "after"})
     assert {p.read_text() for p in tmp_path.iterdir()} == {"after"}
-
-
-def test_a_run_that_is_ended_leaves_no_temporary_file(tmp_path: Path) -> None:
-    code = (
-        "import os, signal, sys; from pathlib import Path; from imucalib import cli; "
-        "from imucalib.atomic_file import replaced_together as r\n"
-        "def work(**_):\n"
-        "    with r((Path(sys.argv[1]) / 'a', Path(sys.argv[1]) / 'b')):\n"
-        "        os.kill(os.getpid(), signal.SIGTERM)\n"
-        "cli.cli.main = work\ncli.main()\n"
-    )
-    done = subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=False)
-    assert done.returncode == 143
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.slow
-def test_convert_holds_blocks_not_the_recording(tmp_path: Path) -> None:
-    """Twice as long a log must not take twice the memory (of numpy's arrays)."""
-    import tracemalloc
-
-    peaks = []
-    for n in (700_000, 1_400_000):
-        path = tmp_path / f"{n}.csv"
-        row = "0.02,-0.01,1.0\n0.021,-0.012,0.998\n"
-        path.write_text("x [g],y [g],z [g]\n" + row * (n // 2))
-        tracemalloc.start()
-        target = str(tmp_path / f"{n}.h5")
-        done = CliRunner().invoke(cli, ["convert", str(path), target, "--rate", "100"])
-        peaks.append(tracemalloc.get_traced_memory()[1])
-        tracemalloc.stop()
-        assert done.exit_code == 0, done.output
-        assert readers.read(target).channels["imu0/acceleration"].t.size == n
-        last = list(readers.blocks(target))[-1].channels["imu0/acceleration"].t[-1]
-        assert last == pytest.approx((n - 1) / 100)
-    assert peaks[1] < 1.3 * peaks[0]
-
-
-@pytest.mark.parametrize("spelled", ["calibration.yaml", "d/../calibration.yaml"])
-def test_an_export_is_not_written_over_its_calibration(calibration: Path, spelled: str) -> None:
-    (calibration.parent / "d").mkdir()
-    before = calibration.read_bytes()
-    form = ("export", calibration, "--to", "c-header", "-o")
-    assert "input" in refused(*form, calibration.parent / spelled)
-    assert calibration.read_bytes() == before

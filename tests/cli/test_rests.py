@@ -11,7 +11,6 @@ import pytest
 from click.testing import CliRunner, Result
 
 from imucalib.cli import cli
-from imucalib.errors import ImucalError
 
 RATE, G = 100.0, 9.80665
 
@@ -64,44 +63,3 @@ def test_every_candidate_is_listed_with_its_reason(tmp_path: Path) -> None:
     assert "12 rests" in shown
     assert "turning" in shown
     assert "Candidates for rests" not in run("inspect", path).stdout
-
-
-def test_the_page_draws_them(tmp_path: Path) -> None:
-    path, page = tumble(tmp_path / "log.h5", 3.0, slow=2.0), tmp_path / "rests.html"
-    assert run("inspect", path, "--rests", "--html", page, "-q").exit_code == 0
-    text = page.read_text(encoding="utf-8")
-    assert text.count("<svg") >= 2
-    assert "Drift over time" in text
-    again = run("inspect", path, "--rests", "--html", path)
-    assert isinstance(again.exception, ImucalError)  # never onto its input
-
-
-def test_a_recording_without_a_rest_says_why(tmp_path: Path) -> None:
-    values = np.array([0, 0, G]) + np.random.default_rng(0).normal(0, 0.02, (3000, 3))
-    values[50::100] = 0.0
-    path = written(tmp_path / "log.h5", values)
-    result = run("inspect", path, "--unit", "m/s2")
-    assert "no rest in it: of what came near one, 1 dropouts" in " ".join(result.stdout.split())
-
-
-def test_the_shortest_rest_is_the_users(tmp_path: Path) -> None:
-    path = tumble(tmp_path / "log.h5", 0.7)
-    assert not any(r["rest"] for r in listed(path))
-    assert sum(bool(r["rest"]) for r in listed(path, "--shortest-rest", 0.6)) == 12
-    refused = run("lab", path, "--reference", "norm", "-o", tmp_path / "out")
-    assert isinstance(refused.exception, ImucalError)
-    assert "too short" in refused.exception.what
-    assert "1 s or more" in str(refused.exception.remedy)
-    out = tmp_path / "out"
-    done = run("lab", path, "--reference", "norm", "--shortest-rest", 0.6, "-o", out, "--no-loop")
-    assert done.exception is None, done.exception
-    assert (out / "calibration.yaml").exists()
-
-
-@pytest.mark.parametrize("value", ["0", "-1", "nan", "1e9"])
-@pytest.mark.parametrize("command", ["inspect", "lab"])
-def test_an_impossible_shortest_rest_is_refused(command: str, value: str, tmp_path: Path) -> None:
-    path = tumble(tmp_path / "log.h5", 1.5, count=2)
-    result = run(command, path, f"--shortest-rest={value}")
-    assert isinstance(result.exception, ImucalError)
-    assert "--shortest-rest" in result.exception.what

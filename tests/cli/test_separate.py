@@ -12,12 +12,10 @@ import pytest
 from click.testing import CliRunner, Result
 
 from imucalib import cli
-from imucalib.errors import ImucalError, UnreadableInput, UsageError
-from worlds.calibrations import INPUTS
+from imucalib.errors import ImucalError, UnreadableInput
 from worlds.warm_bench import HEADING, WarmBench
 
 pytestmark = pytest.mark.slow
-SAMPLES = Path(__file__).parents[2] / "sample_logs"
 
 
 def run(*arguments: object) -> Result:
@@ -39,15 +37,6 @@ def warm(tmp_path_factory: pytest.TempPathFactory) -> Path:
     at = tmp_path_factory.mktemp("warm")
     (at / "bench.csv").write_text(WarmBench(np.random.default_rng(6)).first())
     assert run("lab", at / "bench.csv", "-o", at / "out", "-q").return_value in (0, 5)
-    return at
-
-
-@pytest.fixture(scope="module")
-def cave(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A cave instrument by gravity alone: squares, or products of the axes."""
-    at = tmp_path_factory.mktemp("cave")
-    done = run("lab", SAMPLES / "cave_ai.csv", "--reference", "norm", "-o", at / "out", "-q")
-    assert done.return_value in (0, 5)
     return at
 
 
@@ -85,31 +74,6 @@ def test_a_plan_that_is_filled_in_ends_the_ambiguity(warm: Path) -> None:
 
 
 @pytest.mark.slow
-def test_what_gravity_alone_never_tells_is_said_with_what_would(cave: Path) -> None:
-    code, plan = separate(cave / "out")
-    one = plan["ambiguities"][0]
-    assert code == 5
-    assert ["quadratic", "cross_axis"] in one["never"]
-    assert "known directions" in one["what_would"][0]
-    assert {tuple(pair) for pair in one["never"]}.isdisjoint(
-        (p["truth"], p["rival"]) for p in one["apart"]
-    )
-    told = run("design", "--separate", cave / "out" / "calibration.yaml", "-q")
-    assert (told.return_value, told.stdout) == (5, "")
-
-
-@pytest.mark.parametrize("name", ["ai"])
-def test_noise_that_neighbours_share_is_noise_of_later_rests(name: str, tmp_path: Path) -> None:
-    """Of cave_bi the walk takes all of the noise: rests without any would tell everything."""
-    table = SAMPLES / f"cave_{name}.csv"
-    assert run("lab", table, "--reference", "norm", "-o", tmp_path, "-q").return_value in (0, 5)
-    _, plan = separate(tmp_path)
-    assert all(p["then"] < 30.0 for p in plan["ambiguities"][0]["apart"])
-    report = json.loads((tmp_path / "report.json").read_text())
-    assert report["record_next"]["reading_m_per_s2"] > 1e-3
-
-
-@pytest.mark.slow
 def test_temperatures_that_are_farther_apart_promise_more(warm: Path) -> None:
     def least(*options: object) -> float:
         one = separate(warm / "out", *options)[1]["ambiguities"][0]
@@ -129,58 +93,3 @@ def test_another_power_up_promises_less(warm: Path) -> None:
                      separate(warm / "out", "--between-sessions", "2mg")[1])
     )  # fmt: skip
     assert other < same
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (("--temperatures", "10,40"), "no temperature"),
-        (("--between-sessions", "2deg"), "no size above zero"),
-    ],
-)
-def test_a_wish_that_does_not_fit_is_refused(
-    cave: Path, options: tuple[str, ...], words: str
-) -> None:
-    done = run("design", "--separate", cave / "out", *options)
-    assert isinstance(done.exception, UsageError)
-    assert words in str(done.exception)
-
-
-def test_options_of_other_plans_are_refused(warm: Path) -> None:
-    for words in (
-        ("--separate", warm / "out", "--recommend", 9),
-        ("--recommend", 9, "--temperatures", "1,2"),
-        ("--separate", warm / "out", "--temperatures", "9"),
-    ):
-        assert run("design", *words).exit_code != 0
-
-
-@pytest.mark.parametrize("damage", ["gone", "no json", "old", "short"])
-def test_a_folder_that_does_not_serve_says_why(warm: Path, tmp_path: Path, damage: str) -> None:
-    for name in ("calibration.yaml", "report.json"):
-        (tmp_path / name).write_text((warm / "out" / name).read_text())
-    report = tmp_path / "report.json"
-    content = json.loads(report.read_text())
-    if damage == "gone":
-        report.unlink()
-    elif damage == "no json":
-        report.write_text("{")
-    elif damage == "old":
-        report.write_text(json.dumps({k: v for k, v in content.items() if k != "record_next"}))
-    else:
-        content["record_next"]["ambiguities"][0]["along"].pop()
-        report.write_text(json.dumps(content))
-    done = run("design", "--separate", tmp_path)
-    assert isinstance(done.exception, UnreadableInput)
-    assert str(tmp_path) in str(done.exception.where)
-
-
-@pytest.mark.slow
-def test_an_array_is_refused_with_what_would(tmp_path: Path) -> None:
-    case, out = INPUTS["array"](tmp_path), tmp_path / "out"
-    options = ("--board", "mimu4444_corners", "--samples", "60", "--no-loop", "-o", out, "-q")
-    assert run("array", case.recording, *options).return_value in (0, 5)
-    done = run("design", "--separate", out)
-    assert isinstance(done.exception, UsageError)
-    assert "motions" in str(done.exception.remedy)

@@ -57,21 +57,6 @@ def _cold(folder: Path) -> Path:
     return folder / "cold.h5"
 
 
-def test_a_table_and_its_recording_are_two_files(tmp_path: Path) -> None:
-    done = run("lab", tmp_path / "one.csv", "--recording", tmp_path / "one.csv")
-    assert "one file" in str(done.exception)
-    assert not list(tmp_path.iterdir())
-
-
-def test_an_array_tells_machines_where_its_sensors_are(tmp_path: Path) -> None:
-    path = tmp_path / "log.h5"
-    done = run("array", path, "--rests", 9, "--seconds", 3, "--json", "--plant", "gyro_delay=0.001")
-    content = json.loads(done.stdout)
-    assert len(content["positions_mm"]) == 8
-    assert content["planted"] == {"gyro_delay": [0.001]}
-    assert len(read(path).channels) == 16
-
-
 FAULTS: list[tuple[str, Any]] = [
     ("gap@10:2", lambda a, b, c: (len(a) - len(b) == 200) and c == 1),
     ("freeze@10:2", lambda a, b, c: (np.ptp(b[1001:1199], axis=0) == 0).all()),
@@ -89,29 +74,12 @@ def test_faults_are_what_they_say(tmp_path: Path, fault: str, holds: Any) -> Non
     assert holds(readings(plain), found.channels["imu0/acceleration"].values, len(found.gaps))
 
 
-@pytest.mark.slow
-def test_two_sensors_change_places(tmp_path: Path) -> None:
-    plain, broken = tmp_path / "plain.h5", tmp_path / "broken.h5"
-    run("array", plain, "--rests", 3, "--seconds", 3)
-    run("array", broken, "--rests", 3, "--seconds", 3, "--fault", "exchange@imu0:imu5")
-    for quantity in ("acceleration", "angular_rate"):
-        for one, two in (("imu0", "imu5"), ("imu5", "imu0"), ("imu1", "imu1")):
-            np.testing.assert_array_equal(
-                readings(plain, f"{one}/{quantity}"), readings(broken, f"{two}/{quantity}")
-            )
-
-
 @pytest.mark.parametrize("fault", ["gap", "gap@1", "melt@1:2", "gap@x:2", "sign@imu0:w",
                                    "sign@imu99:x"])  # fmt: skip
 def test_what_is_no_fault_is_refused(tmp_path: Path, fault: str) -> None:
     done = run("array", tmp_path / "a.h5", "--rests", 3, "--seconds", 1, "--fault", fault)
     assert isinstance(done.exception, UsageError)
     assert not (tmp_path / "a.h5").exists()
-
-
-def test_a_table_takes_no_fault_of_a_recording(tmp_path: Path) -> None:
-    done = run("lab", tmp_path / "a.csv", "--fault", "gap@1:2")
-    assert isinstance(done.exception, UsageError)
 
 
 def test_a_benchs_recording_rests_four_seconds_with_four_mg_of_noise(tmp_path: Path) -> None:

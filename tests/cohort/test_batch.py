@@ -18,7 +18,7 @@ from click.testing import CliRunner, Result
 from imucalib import cli
 from imucalib.calibrators.lab.simulation import BenchPlan, simulated_recording, simulated_table
 from imucalib.cohort.batch import plan, read_entry, read_manifest, run_task
-from imucalib.errors import UnreadableInput, UsageError
+from imucalib.errors import UnreadableInput
 from imucalib.writers import write
 
 ARGUMENTS = ("--reference", "norm", "--no-loop")
@@ -115,14 +115,6 @@ def test_other_settings_or_content_are_done_again(cohort: Path, tmp_path: Path) 
     assert not run_task(other).reused
 
 
-def test_shards_part_the_cohort(cohort: Path) -> None:
-    recordings = read_manifest(cohort / "cohort.txt")
-    parts = [plan(recordings, cohort, "lab", (), (k, 4)) for k in (1, 2, 3, 4)]
-    assert sorted(t.recording for part in parts for t in part) == sorted(map(str, recordings))
-    with pytest.raises(UsageError, match="shard 5/4"):
-        plan(recordings, cohort, "lab", (), (5, 4))
-
-
 def test_manifests(tmp_path: Path) -> None:
     path = tmp_path / "cohort.csv"
     path.write_text("subject,path\n7,a.csv\n8,b.csv\n")
@@ -143,25 +135,3 @@ def test_a_dask_cluster_gives_the_same(cohort: Path, tmp_path: Path) -> None:
     ):
         summary = batch(cohort, tmp_path / "out", "--scheduler", cluster.scheduler_address)
     assert summary["calibrated"] == 3
-
-
-@pytest.mark.slow
-def test_a_scheduler_that_does_not_answer_is_named(cohort: Path, tmp_path: Path) -> None:
-    pytest.importorskip("distributed")
-    import dask
-
-    with dask.config.set({"distributed.comm.timeouts.connect": "0.2s"}):
-        result = run("batch", cohort / "cohort.txt", "-o", tmp_path / "out", "--scheduler",
-                     "127.0.0.1:1")  # fmt: skip
-    assert isinstance(result.exception, UsageError)
-    assert "127.0.0.1:1" in str(result.exception)
-
-
-@pytest.mark.slow
-def test_parquet(cohort: Path, tmp_path: Path) -> None:
-    parquet = pytest.importorskip("pyarrow.parquet")
-    batch(cohort, tmp_path / "out", "--shard", "1/3")
-    run("collect", tmp_path / "out", "-o", tmp_path / "c.parquet", "-q")
-    assert parquet.read_table(tmp_path / "c.parquet").num_rows == 2
-    result = run("collect", tmp_path / "out", "-o", tmp_path / "c.xlsx")
-    assert "no table format for '.xlsx'" in str(result.exception)

@@ -14,30 +14,23 @@ import pytest
 from click.testing import CliRunner
 
 from imucalib.calibration.file import read
-from imucalib.calibrators.lab.files import LabFiles, calibrate_files
+from imucalib.calibrators.lab.files import LabFiles
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.cli import cli
-from imucalib.cohort.fleet.left_out import foretold
 from imucalib.cohort.fleet.outcome import Fleet, outliers, spread_of
 from imucalib.cohort.fleet.pooled import (
     Device,
-    device_of,
     evidence,
     outstanding,
     pooled,
-    predictive,
-    sizes,
 )
 from imucalib.cohort.fleet.run import run_fleet
 from imucalib.cohort.fleet.search import Rules
-from imucalib.effects import catalogue
 from imucalib.errors import UsageError
-from imucalib.report.fleet import fleet_document
 from worlds.places import SAMPLES
 
 REQUEST = replace(LabRequest(), reference="norm")
 RULES = Rules(draws=199)
-EFFECTS = {name: catalogue()[name] for name in ("quadratic", "cubic")}
 
 
 def direction(n: int) -> np.ndarray:
@@ -86,12 +79,6 @@ def test_what_no_device_shows_alone_is_found_in_all(eight: Fleet) -> None:
     assert eight.difference.gain > 0.0
 
 
-def test_one_such_device_shows_nothing(tmp_path: Path) -> None:
-    path = write(tmp_path / "d0.csv", squares(8, 2.0)[0], 100)
-    alone = calibrate_files(LabFiles(path), REQUEST, lambda _: None)
-    assert not alone.result.loop.steps
-
-
 @pytest.mark.slow
 def test_each_device_has_its_own_size_with_its_doubt(tmp_path: Path) -> None:
     planted = squares(8, 2.0)
@@ -104,22 +91,6 @@ def test_each_device_has_its_own_size_with_its_doubt(tmp_path: Path) -> None:
         z += [(p.value - q) / p.sd for p, q in zip(own, truth, strict=True)]
     assert len(z) == 24
     assert 0.6 < np.sqrt(np.mean(np.square(z))) < 1.5
-
-
-@pytest.mark.slow
-def test_devices_by_directions_are_a_fleet_too(tmp_path: Path) -> None:
-    """Where each row's direction is known, a device has a mounting too, and squares are found."""
-    paths = [write(tmp_path / f"d{k}.csv", q, 100 + k, directed=True)
-             for k, q in enumerate(squares(4, 6.0))]  # fmt: skip
-    settings = replace(REQUEST.settings, only=("quadratic",))
-    request = replace(REQUEST, reference="direction", settings=settings)
-    found = run_fleet([LabFiles(p) for p in paths], request, RULES, lambda _: None)
-    assert [f.effect for f in found.search.found] == ["quadratic"]
-    for member, truth in zip(found.members, squares(4, 6.0), strict=True):
-        effects = {p.effect for p in member.recordings[0].calibration.parameters}
-        assert effects >= {"mounting", "quadratic"}
-        own = [p for p in member.recordings[0].calibration.parameters if p.effect == "quadratic"]
-        assert all(abs(p.value - q) < 4.5 * p.sd for p, q in zip(own, truth, strict=True))
 
 
 def test_a_clean_fleet_stays_clean(tmp_path: Path) -> None:
@@ -167,39 +138,6 @@ def test_five_cave_instruments_have_squares(tmp_path: Path) -> None:
     assert "not empty" in str(again.exception)
 
 
-def devices_of(folder: Path, planted: np.ndarray) -> list[Device]:
-    settings = replace(REQUEST.settings, loop=False)
-    found = []
-    for k, size in enumerate(planted):
-        files = LabFiles(write(folder / f"d{k}.csv", size, 100 + k))
-        run = calibrate_files(files, replace(REQUEST, settings=settings), lambda _: None)
-        found.append(device_of(f"d{k}", run.result.final, EFFECTS))
-    return found
-
-
-@pytest.mark.slow
-def test_a_device_has_no_vote_in_what_predicts_it(tmp_path: Path) -> None:
-    """Whatever its data say, the others find and size the same."""
-    devices = devices_of(tmp_path, squares(6, 3.0))
-    told = foretold(devices, RULES, 0)
-    assert all(told[device.name] for device in devices)
-    wild = replace(devices[2], along=100.0 * devices[2].along[::-1], dof=1.0)
-    other = foretold([*devices[:2], wild, *devices[3:]], RULES, 0)
-    for name in ("d2", "d3"):
-        same = [np.allclose(told[name][e].mean, other[name][e].mean)
-                for e in told[name] if e in other[name]]  # fmt: skip
-        assert (list(told[name]) == list(other[name]) and all(same)) == (name == "d2")
-
-
-def test_what_one_device_alone_shows_is_not_held_out_as_found(tmp_path: Path) -> None:
-    """Two devices: without one of them the other is no fleet."""
-    two = fleet(tmp_path, squares(8, 12.0)[:2])
-    assert two.search.found
-    assert [m.told for m in two.members] == [(), ()]
-    assert {m.base for m in two.members} == {m.final for m in two.members}
-    assert (two.verdict, two.exit_code) == ("suspected", 5)
-
-
 def test_what_stands_out_is_chance_as_often_as_said() -> None:
     """-ln p of the smaller of two: P(p_min < x) lies between x and 2x. 4000 null fleets; a rate
     that is twice too large would be seen at 30 standard errors."""
@@ -231,18 +169,6 @@ def test_a_noise_estimated_from_the_same_data_is_that_of_the_null_too() -> None:
     assert 0.0475 < share < 0.1525
 
 
-def test_sizes_of_devices_that_are_alike_and_that_are_not() -> None:
-    gram = np.full((20, 1, 1), 25.0)
-    alike = sizes(gram, np.full((20, 1), 25.0 * 2.0))
-    assert alike.scatter < 0.5 * 0.2  # 0.2 : a device's own sd
-    assert alike.common[0] == pytest.approx(2.0, rel=1e-3)
-    truth = 2.0 + 1.5 * np.random.default_rng(0).standard_normal(20)
-    unlike = sizes(gram, 25.0 * truth[:, None])
-    assert unlike.scatter == pytest.approx(np.sqrt(truth.var(ddof=1) - 1 / 25.0), rel=0.1)
-    assert np.abs(unlike.each[:, 0] - truth).max() < 0.2
-    assert predictive(gram, np.full((20, 1), 50.0), 20).min() > 30.0
-
-
 def test_the_scatter_between_devices_is_that_beyond_their_own() -> None:
     values = np.random.default_rng(1).normal(5.0, 2.0, 400)
     found = spread_of("bias_x", "mg", values, np.full(400, 1.0))
@@ -250,36 +176,6 @@ def test_the_scatter_between_devices_is_that_beyond_their_own() -> None:
     assert outliers([str(k) for k in range(400)], [found]) == ()
     none = spread_of("bias_x", "mg", np.array([1.0, 1.1, 0.9]), np.full(3, 1.0))
     assert none.scatter == 0.0
-
-
-def test_a_table_that_is_given_twice_is_one_device(tmp_path: Path) -> None:
-    """Counted twice it would agree with itself."""
-    size = squares(3, 1.5)
-    tables = [write(tmp_path / f"d{k}.csv", size[k], k) for k in range(3)]
-    copy = tmp_path / "other" / "d0.csv"
-    copy.parent.mkdir()
-    copy.write_bytes(tables[0].read_bytes())
-    found = run_fleet([LabFiles(t) for t in (*tables, copy)], REQUEST, RULES, lambda _: None)
-    assert len(found.members) == 3
-    ((name, why),) = found.failed
-    assert name.startswith("other")
-    assert "the same table as" in why
-
-
-@pytest.mark.slow
-def test_rivals_are_in_the_headline_and_what_was_refused_too(eight: Fleet) -> None:
-    """A name that others explain as well alone is a claim that the data do not hold."""
-    assert eight.search is not None
-    one = replace(eight.search.found[0], rivals=("asymmetry", "cross_axis"))
-    found = replace(eight, search=replace(eight.search, found=(one,)))
-    headline = fleet_document(found).verdict.text
-    assert f"{one.effect} or asymmetry or cross_axis, in every device" in headline
-    refused = (("cubic", "the others foretell no device's: -1.2 nats"),)
-    none = replace(eight, search=replace(eight.search, found=(), refused=refused), difference=None)
-    document = fleet_document(none)
-    assert document.verdict.text.startswith("Unexplained: cubic stands out")
-    assert document.card is not None
-    assert "-1.2 nats" in document.card.found[0].text
 
 
 def test_one_of_five_that_is_off_is_told() -> None:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,15 +16,11 @@ from click.testing import CliRunner
 
 from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.file import read, to_yaml
-from imucalib.calibration.sums import KEY, sums_block, sums_of
-from imucalib.calibrators.actigraph.calibrate import calibrate
-from imucalib.calibrators.actigraph.request import ActigraphRequest
-from imucalib.calibrators.actigraph.simulation import WeekPlan, simulated_week
+from imucalib.calibration.sums import KEY
 from imucalib.calibrators.population import read as read_population
 from imucalib.cli import cli
 from imucalib.cohort.fleet.outcome import Fleet, nested_spread
-from imucalib.cohort.fleet.recorded.calibrated import calibrated
-from imucalib.cohort.fleet.recorded.run import Wanted, combined, device_of, run_recorded, sizes_of
+from imucalib.cohort.fleet.recorded.run import Wanted, run_recorded
 from imucalib.cohort.fleet.search import Rules
 from imucalib.core.effect import Context
 from imucalib.effects import named
@@ -33,8 +28,6 @@ from imucalib.errors import UnreadableInput, UsageError
 
 NINE = ("bias", "scale", "non_orthogonality")
 BASE = [(e, p) for e in NINE for p in named(e).parameters(Context(1))]
-#: Two effects that the reports know of, three columns each, at typical size.
-EFFECTS = ("temperature_bias", "quadratic")
 POSTURES, NOISE = 150, 0.5
 
 
@@ -146,20 +139,6 @@ def test_scatter_between_devices_and_between_recordings_of_one(tmp_path: Path) -
     assert bias.interval.low < 20.0 < bias.interval.high
 
 
-def test_recordings_without_a_table_are_devices_by_themselves(tmp_path: Path) -> None:
-    paths, _, _ = cohort(tmp_path, 5, 0.0, per=1)
-    found = pooled(paths, None)
-    assert [m.name for m in found.members] == [f"d{k}_0" for k in range(5)]
-    assert all(s.sessions is None for s in found.spreads)
-
-
-def test_a_device_of_another_kind_is_named(tmp_path: Path) -> None:
-    paths, table, _ = cohort(tmp_path, 8, 0.0, odd=5)
-    found = pooled(paths, table)
-    assert {o.device for o in found.outliers} == {"dev5"}
-    assert found.exit_code == 5
-
-
 def test_the_scatter_within_devices_is_that_beyond_their_own_sds() -> None:
     """Two recordings each, alike in sd: Q = Σ (a - b)² / 2 / (sd² + τ²) is as large as there are
     pairs; and a device's value is their mean."""
@@ -214,18 +193,6 @@ def test_folders_give_each_device_its_calibration_with_the_fleets_effects(tmp_pa
     assert content["devices"][3]["recordings"][0]["input"] == "w3.csv"
     valid = CliRunner().invoke(cli, ["validate", str(out / "w3" / "calibration.yaml")])
     assert valid.exit_code == 0
-
-
-def test_a_recording_with_a_scan_of_its_own_stays_as_it_is(tmp_path: Path) -> None:
-    paths, table, _ = cohort(tmp_path, 12, 2.5)
-    content = json.loads(paths[0].read_text())
-    step = {"name": "s", "effect": "bias_step@600s", "value": 3.0, "sd": 0.1, "unit": "mg"}
-    content["report"]["parameters"].append(step)
-    paths[0].write_text(json.dumps(content))
-    found = pooled(paths, table)
-    assert found.search.found
-    assert found.members[0].recordings[0].kept == "it has bias_step@600s of its own"
-    assert not found.members[0].recordings[1].kept
 
 
 def test_what_cannot_be_pooled_is_told(tmp_path: Path) -> None:
@@ -300,37 +267,3 @@ def test_boards_are_compared_imu_by_imu(tmp_path: Path) -> None:
     names = {s.name: s for s in found.spreads}
     assert names["imu1.bias_x"].unit == "mg"
     assert 3.0 < names["imu1.bias_x"].scatter < 30.0
-
-
-def test_the_products_survive_the_file() -> None:
-    content = report("w.csv", np.ones(9), np.ones(6), 0)[KEY]
-    sums = sums_of(content)
-    again = sums_of(json.loads(json.dumps(sums_block(sums))))
-    assert again.gram == pytest.approx(sums.gram, rel=1e-6)
-    assert again.taken == pytest.approx(sums.taken, rel=1e-6)
-    assert list(again.blocks) == list(EFFECTS)
-
-
-@pytest.mark.slow
-def test_one_recordings_products_give_the_fit_with_the_effect(tmp_path: Path) -> None:
-    """Under a white noise, what the report keeps must give what a fit with the effect gives."""
-    plan = replace(WeekPlan(days=1.0), plant={"temperature_bias": (0.3, -0.2, 0.1)})
-    week = simulated_week(plan, 4)
-    request = ActigraphRequest()
-    searched = calibrate(week.runs, week.scanned, request)
-    fitted = calibrate(
-        week.runs, week.scanned, replace(request, declare=("temperature_bias",), loop=False)
-    ).final
-    sums = searched.loop.sums
-    path = tmp_path / "w.json"
-    content = report("w.csv", np.zeros(9), np.zeros(6), 0)
-    content[KEY] = sums_block(sums)
-    path.write_text(json.dumps(content))
-    (one,), _ = calibrated([path])
-    own = device_of("w", [one.sums], ["temperature_bias"])
-    made = combined(one, sizes_of(own, {}, ["temperature_bias"]))
-    values = {v.name: v for v in made.values}
-    for p, theta, sd in zip(fitted.parameters, fitted.theta, fitted.sd, strict=True):
-        # The search's noise holds what the effect does, a walk among it, so that its sd is wider.
-        assert abs(values[p.name].value - theta) < values[p.name].sd, p.name
-        assert values[p.name].sd > 0.8 * sd

@@ -48,15 +48,6 @@ def test_a_direction_has_length_one_and_gives_its_angles_back(i: float, t: float
     assert abs(away) * np.cos(i) < 1e-14
 
 
-@given(st.lists(st.floats(-20.0, 20.0), min_size=3, max_size=3))
-def test_angles_give_the_vector_back(values: list[float]) -> None:
-    vector = np.array(values)
-    size = float(np.linalg.norm(vector))
-    i, t = angles_of(vector)
-    assert 0.0 <= t <= 2.0 * np.pi
-    assert np.allclose(size * unit_vector(i, t), vector, atol=1e-14 * max(size, 1.0))
-
-
 def test_the_axes_are_the_papers() -> None:
     level, up, east = (unit_vector(np.array(i), np.array(t)) for i, t in
                        ((0.0, 0.0), (QUARTER, 1.0), (0.0, QUARTER)))  # fmt: skip
@@ -125,25 +116,12 @@ def test_a_tilt_turns_by_its_length_and_keeps_gravity() -> None:
     assert np.array_equal(part.truth(np.zeros(4)), reference.truth(np.zeros(12))[[4, 1]])
 
 
-def test_directions_taken_as_exact() -> None:
-    reference = KnownDirection(np.eye(3), G, tilts=False)
-    assert reference.eta_size == 0
-    assert reference.directions(np.zeros(0)).derivative.shape == (3, 1, 3, 0)
-    assert reference.take(np.array([1])).tilts is False
-
-
 def test_every_entry_of_eta_belongs_to_one_component() -> None:
     reference = _known_vector()
     index = reference.directions(np.zeros(7)).index
     assert set(index[:, 0]) == {0, 1, 2}
     assert set(index[:, 1]) == {3, 4, 5, 6}
     assert reference.directions(np.zeros(7)).component == KnownVector.COMPONENTS
-
-
-def test_exact_angles_have_no_free_direction() -> None:
-    found = _known_vector(setting_errors=False).directions(np.zeros(7))
-    assert found.derivative.shape == (6, 1, 3, 0)
-    assert found.component == ()
 
 
 def test_known_norm_keeps_the_norm_and_is_flat() -> None:
@@ -171,9 +149,3 @@ def test_a_subset_keeps_what_rows_share(rows: list[int]) -> None:
     # No setting without a row remains: each would be a free number that nothing determines.
     assert part.eta_size == len(np.unique(part.directions(np.zeros(part.eta_size)).index))
     assert KnownNorm(6, G).take(picked).n == len(rows)
-
-
-def test_a_subset_keeps_exact_angles_exact() -> None:
-    part = _known_vector(setting_errors=False).take(np.array([0, 3]))
-    assert part.setting_errors is False
-    assert part.gravity == G

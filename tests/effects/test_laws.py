@@ -334,24 +334,6 @@ def test_a_users_file_adds_effects(tmp_path: object) -> None:
         load_file(path.with_name("absent.py"))
 
 
-def test_an_unknown_name_gets_the_nearest() -> None:
-    with pytest.raises(UsageError, match="quadratic"):
-        named("quadratik")
-
-
-def test_an_effect_at_rest_may_not_ask_for_the_motion() -> None:
-    context = replace(_context(), moving=False)
-    with pytest.raises(ValueError, match="rest"):
-        named("gyro_scale").act(np.zeros(3), Truth(_force(context)), context)
-
-
-def test_a_clock_needs_a_beat() -> None:
-    context = _context()
-    covariates = {n: v for n, v in context.covariates.items() if n != "sample_age"}
-    bare = replace(context, covariates=covariates)
-    assert "no gyro shows a beat line" in named("gyro_sample_age").missing(bare)
-
-
 def test_a_step_is_tried_where_both_sides_have_six_rows() -> None:
     """Twenty rows: the step comes before row 7 at the earliest and before row 15 at the latest."""
     tried = families()["bias_step"].values(Context(20, {"record": np.arange(20.0)}))

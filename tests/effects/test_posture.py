@@ -11,14 +11,6 @@ from imucalib.effects.worn.posture import centres, posture
 from imucalib.units import MG, STANDARD_GRAVITY
 
 
-def test_bumps_are_spread_evenly() -> None:
-    every = centres(80)
-    assert np.allclose(np.linalg.norm(every, axis=1), 1.0)
-    nearest = np.sort(every @ every.T, axis=1)[:, -2]
-    apart = np.arccos(nearest) / np.sqrt(4.0 * np.pi / 80)  # in sides of a bump's area
-    assert 0.8 < apart.min() <= apart.max() < 1.1
-
-
 def test_the_offset_is_along_gravity_and_as_the_equation_says() -> None:
     rng = np.random.default_rng(2)
     up = rng.standard_normal((7, 3))
@@ -43,12 +35,6 @@ def test_a_posture_needs_a_clock_and_rests_but_no_dial(
     known = {name: np.full(n, v) for name, v in {"time": 1.0, **extra}.items()}
     assert families()["posture"].values(Context(n, known)) == values
     assert families()["posture"].values(Context(n, {})) == ()
-
-
-@pytest.mark.parametrize("value", ["0", "-3", "401", "many"])
-def test_what_is_no_number_of_bumps_is_no_posture(value: str) -> None:
-    with pytest.raises(ValueError, match=value):
-        posture(value)
 
 
 @pytest.mark.parametrize("bumps", [24, 80])

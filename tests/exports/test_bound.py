@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +12,7 @@ from imucalib.core.effect import Context
 from imucalib.effects import named
 from imucalib.errors import LimitBroken
 from imucalib.exports import exported
-from imucalib.exports.bound import demand_carried, error_left
+from imucalib.exports.bound import demand_carried
 from imucalib.exports.imus import with_walks
 from worlds.rigid_board import board
 from worlds.rigid_board import calibration as board_calibration
@@ -49,25 +48,6 @@ def test_a_form_is_refused_beyond_three_times_what_is_left(form: str) -> None:
     demand_carried(made, form, bent(0.0), named_bound)
     with pytest.raises(LimitBroken):
         demand_carried(made, form, bent(100.0), 0.9 * loss)
-
-
-def test_a_form_that_carries_everything_is_never_refused() -> None:
-    whole = bent(1e-9)
-    linear = replace(whole, parameters=whole.parameters[:6], covariance=whole.covariance[:6, :6])
-    made = exported(linear, "x.csv", "c-header")
-    assert made.made.loss == 0.0
-    demand_carried(made, "c-header", linear, None)
-    demand_carried(made, "c-header", linear, 0.0)
-
-
-def test_what_is_left_is_held_out_then_fitted_then_the_biases() -> None:
-    assert error_left(bent(2.5)) == 2.5
-    (error,) = bent(2.5).facts["errors"]
-    fitted = {**error, "held_out": {"final": None}}
-    assert error_left(replace(bent(None), facts={"errors": [fitted]})) == 2.5
-    in_si = {**error, "unit": "m/s²", "held_out": {"final": 0.0980665}}
-    assert error_left(replace(bent(None), facts={"errors": [in_si]})) == pytest.approx(10.0)
-    assert error_left(replace(bent(None), facts={})) == pytest.approx(math.sqrt(3) * 0.1, rel=0.05)
 
 
 def test_of_an_array_the_forces_of_motion_count() -> None:

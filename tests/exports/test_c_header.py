@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 import shutil
 import subprocess
@@ -14,7 +13,6 @@ import pytest
 from numpy.typing import NDArray
 
 from imucalib.calibration.calibration import Calibration, StoredParameter
-from imucalib.calibration.file import read, write
 from imucalib.core.effect import Context
 from imucalib.effects import named
 from imucalib.errors import UsageError
@@ -150,36 +148,6 @@ def test_the_header_notices_a_changed_coefficient(table: str, tmp_path: Path) ->
     broken = text[: number.start()] + shown + text[number.end() :]
     assert corrected(compiled(text, tmp_path / "well"), some(1))[0] == 0
     assert corrected(compiled(broken, tmp_path / "ill"), some(1))[0] > 0
-
-
-@pytest.mark.slow
-def test_the_standard_deviation_is_that_of_drawn_parameters() -> None:
-    made, rng = one(), np.random.default_rng(2)
-    text = exported(made, "x.csv", "c-header").text
-    body = re.search(r"imucal_sd\[3\] = \{(.*)\};", text)
-    assert body
-    told = np.array([float(v.strip("f")) for v in body[1].split(", ")])
-    theta = np.array([p.value for p in made.parameters])
-    way = rng.normal(size=(60, 3))
-    way *= G / np.linalg.norm(way, axis=1, keepdims=True)
-    inverse = made.matrices()
-    raw = way @ inverse.S.T + inverse.c
-    seen = np.array([
-        replace(made, parameters=tuple(
-            replace(p, value=v) for p, v in zip(made.parameters, draw, strict=True)
-        )).apply(raw)
-        for draw in rng.multivariate_normal(theta, made.covariance, size=800)
-    ])  # fmt: skip
-    # 800 draws know a standard deviation to 2.5 %, the largest of sixty to a few percent more.
-    assert seen.std(axis=0).max(axis=0) / G == pytest.approx(told, rel=0.1)
-
-
-def test_scale_and_identity_are_those_of_the_file(tmp_path: Path) -> None:
-    path = tmp_path / "calibration.yaml"
-    write(one(), path)
-    text = exported(read(path), "x.csv", "c-header").text
-    assert f'#define IMUCAL_ID "{hashlib.sha256(path.read_bytes()).hexdigest()}"' in text
-    assert "#define IMUCAL_G_PER_RAW 1.000000000e-06f /* readings of the calibration: ug */" in text
 
 
 @pytest.mark.slow

@@ -159,8 +159,3 @@ def test_names_that_people_give_are_read_and_exported(
     path.write_text(to_yaml(from_dict(_renamed(content, "imu0", name), "")), encoding="utf-8")
     assert read(path).triads[0].name == name
     assert len(list(_made(read(path)))) >= 6
-
-
-def test_the_fault_is_named_with_its_place(content: dict[str, Any]) -> None:
-    with pytest.raises(UnreadableInput, match=r"triads\.0\.imu.*no name.*character \"'\""):
-        from_dict(_put(content, ("triads", 0, "imu"), "a'b"), "c.yaml")

@@ -24,8 +24,6 @@ from imucalib.effects import named
 from imucalib.errors import UsageError
 from imucalib.exports import exported
 from imucalib.exports.per_axis import nearest_row
-from worlds.rigid_board import board
-from worlds.rigid_board import calibration as board_calibration
 
 Array = NDArray[np.float64]
 G = 9.80665
@@ -38,7 +36,6 @@ VALUES = {
     "temperature_bias": (0.8, -0.5, 1.2),
 }
 SIX = ("bias", "scale")
-FORMS = ("px4", "ardupilot", "omconvert", "iscwsa-csv", "ggir-csv")
 
 
 def made(*effects: str) -> Calibration:
@@ -121,14 +118,6 @@ def test_what_is_lost_in_flight_is_what_is_told(form: str) -> None:
     )
 
 
-@pytest.mark.parametrize("form", ["px4", "ardupilot", "omconvert", "ggir-csv"])
-def test_the_turn_of_the_sensor_is_told(form: str) -> None:
-    told = exported(made("mounting", *SIX), "x.csv", form).lost
-    total = np.linalg.norm(VALUES["mounting"])
-    (words,) = [text for text in told if "mounting" in text]
-    assert float(re.findall(r"(\d+\.\d+) deg", words)[0]) == pytest.approx(total, rel=0.02)
-
-
 OMCONVERT = f"""#!{sys.executable}
 import re, sys
 at = sys.argv.index("-calibration")
@@ -190,17 +179,6 @@ def test_a_tool_code_has_one_standard_deviation_of_what_is_left() -> None:
     assert float(rows["AXYZ-MIS"]["sd"]) == 0.0
 
 
-def test_an_error_model_of_a_worn_sensor_lacks_the_tools_axes() -> None:
-    assert any("turn" in t for t in exported(made(*SIX), "x", "iscwsa-csv").lost)
-    assert not any("turn" in t for t in exported(made("mounting", *SIX), "x", "iscwsa-csv").lost)
-
-
-@pytest.mark.parametrize("form", FORMS)
-def test_an_array_is_refused(form: str) -> None:
-    with pytest.raises(UsageError, match=r"one accelerometer.*c-header"):
-        exported(board_calibration(board(np.random.default_rng(0), chips=3)), "x", form)
-
-
 def test_what_a_controller_does_not_take_is_refused() -> None:
     with pytest.raises(UsageError, match=r"scales of 0\.8 to 1\.2.*unit"):
         exported(scaled("scale", 0.5), "x", "ardupilot")
@@ -215,12 +193,6 @@ def scaled(effect: str, value: float) -> Calibration:
     others = (p for p in whole.parameters if p.effect != effect)
     order = [replace(first, value=value), *rest, *others]
     return replace(whole, parameters=tuple(sorted(order, key=lambda p: SIX.index(p.effect))))
-
-
-@pytest.mark.parametrize("form", ["px4", "ardupilot", "omconvert", "iscwsa-csv"])
-def test_a_name_stays_in_its_comment(form: str) -> None:
-    text = exported(made(*SIX), "a\nrm -rf x\r1\t1\tCAL", form).text
-    assert "# Accelerometer by imucal, from a?rm -rf x?1?1?CAL, status ok." in text.splitlines()
 
 
 def test_a_row_is_right_where_postures_were_recorded() -> None:

@@ -30,13 +30,6 @@ def curve(values: Array, *, pieces: int = 1, rate: float = HZ) -> AllanCurve:
     return sums.curves(1.0 / rate)[0]
 
 
-def by_definition(values: Array, m: int) -> float:
-    """σ² at m samples, every overlap written out."""
-    means = [values[i : i + m].mean() for i in range(len(values) - m + 1)]
-    pairs = [(means[i + m] - means[i]) ** 2 for i in range(len(means) - m)]
-    return 0.5 * float(np.mean(pairs))
-
-
 def test_it_is_that_of_allantools() -> None:
     n, x = 1234567890, []
     for _ in range(1000):
@@ -51,21 +44,6 @@ def test_it_is_that_of_allantools() -> None:
         # Beyond 64 samples the overlap goes in steps of 1/64.
         assert deviation == pytest.approx(golden[int(tau)], rel=1e-12 if tau <= 64 else 0.01)
     assert found.deviation[0] == pytest.approx(2.922319e-01, abs=5e-8)  # NIST SP 1065, table 31
-
-
-def test_stretches_add_their_squares() -> None:
-    rng = np.random.default_rng(0)
-    one, two = rng.normal(size=200), 7.0 + rng.normal(size=300)
-    sums = AllanSums(1)
-    sums.add(one[:, None])
-    sums.cut()
-    sums.add(two[:, None])
-    found = sums.curves(1.0)[0]
-    for k, m in enumerate((1, 2, 4, 8)):
-        each = [(by_definition(v, m), len(v) - 2 * m + 1) for v in (one, two)]
-        want = sum(a * n for a, n in each) / sum(n for _, n in each)
-        assert found.variance[k] == pytest.approx(want, rel=1e-9)
-    assert (found.seconds, found.longest) == (500.0, 300.0)
 
 
 @pytest.mark.slow
@@ -117,21 +95,6 @@ def test_flicker_is_a_bias_instability() -> None:
     found = identified(curve(0.05 * rng.normal(size=count) + 4e-3 * flicker))
     assert found.instability.value == pytest.approx(want, rel=0.2)
     assert found.walk.value is None
-
-
-def test_a_line_in_the_spectrum_is_no_coefficient() -> None:
-    t = np.arange(30_000) / HZ
-    noise = 0.05 * np.random.default_rng(1).normal(size=t.size)
-    # A fast one is gone from the means over a second, which show the white noise.
-    fast = identified(curve(0.02 * np.sin(2.0 * np.pi * 0.7 * t) + noise))
-    assert fast.start is not None
-    assert fast.start > 0.5
-    assert fast.white.value == pytest.approx(0.05 / np.sqrt(HZ), rel=0.1)
-    found = identified(curve(0.02 * np.sin(2.0 * np.pi * 0.04 * t) + noise))
-    assert found.start is None
-    assert [c.value for c in (found.white, found.instability, found.walk, found.ramp)] == [None] * 4
-    assert found.white.bound is not None
-    assert found.white.bound > 0.05 / np.sqrt(HZ)
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,6 @@ from __future__ import annotations
 import ast
 import importlib
 import json
-import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
@@ -104,17 +103,6 @@ def test_a_slip_is_undone_by_its_repair() -> None:
             assert held[column][int(row) - 1] == pytest.approx(float(value))
 
 
-def test_lines_of_a_report_are_held_against_the_repair() -> None:
-    slips = module("slips")
-    line = "row 4: y is off (lost sign of y); decide with --fix 4:y=-981.083 or --exclude 4"
-    assert slips.repaired(("4:y=-981.08",), [line])
-    assert not slips.repaired(("4:y=981.08",), [line])
-    assert not slips.repaired(("4:y=-981.08", "4:x=3"), [line])
-    assert slips.repaired(("swap 3,9",), ["rows 9 and 3: decide with --swap 9,3"])
-    assert slips.repaired(("row 7",), ["row 7: a copy of row 6; decide with --exclude 7"])
-    assert not slips.accuses(["temperature_bias or bias_drift: repeat positions"])
-
-
 def test_the_table_counts_what_was_told() -> None:
     judge, told, table = module("judge"), module("told"), module("table")
     recipe = module("world").Recipe("norm", "8-12", 1, {"cubic": 9.0})
@@ -149,34 +137,3 @@ def test_a_report_is_read(tmp_path: Path) -> None:
     assert found.steps[0].names == ("bias_step", "warm_up")
     assert found.claims
     assert not found.steps[0].certain
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["gyro_rectification", "soft_saturation", "imu_shifts"])
-def test_what_a_board_does_beyond_the_catalogue_is_no_named_cause(name: str) -> None:
-    job = module("trial").Job("array", "outside, strong", 51, outside=(name, 3.0))
-    trial = module("array_world").trial(job)
-    assert not trial.named
-    assert trial.verdict != "nothing missing"
-    assert trial.after <= 1.05 * trial.before
-
-
-@pytest.mark.slow
-def test_a_board_whose_clock_creeps_is_not_clean() -> None:
-    trial = module("array_world").trial(
-        module("trial").Job("array", "noise", 52, noise="slow clock")
-    )
-    assert not trial.named
-    assert trial.alarm
-
-
-@pytest.mark.slow
-def test_a_sheet_that_does_not_settle_names_its_slip(tmp_path: Path) -> None:
-    """Exit code 6 with the line that undoes it, where the sheet as it stands has no fit."""
-    world = module("draws").drawn("bench", "slip", 6100995)
-    arguments = [*world.write(tmp_path), "-o", str(tmp_path / "out")]
-    run = subprocess.run(
-        [sys.executable, "-m", "imucalib", *arguments], capture_output=True, text=True, check=False
-    )
-    assert run.returncode == 6
-    assert "--fix 35:x=-780.225" in run.stderr

@@ -11,17 +11,14 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Index
 from imucalib.core.fit import Fit
-from imucalib.core.observations import Observations
-from imucalib.effects import catalogue, named
+from imucalib.effects import named
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.loop import held_out as held_out_module
 from imucalib.loop.candidates import (
-    effect_candidates,
     effect_columns,
 )
 from imucalib.loop.held_out import errors, fitted, held_out
 from worlds.bench import (
-    BASE,
     base_model,
     bench,
     draw,
@@ -39,9 +36,6 @@ def _clean(seed: int, n: int = 24) -> Fit:
 @cache
 def _one_clean() -> Fit:
     return _clean(0)
-
-
-SIZES = (0.1, 0.3, 1.0, 3.0, 10.0)
 
 
 def test_columns_are_what_the_effect_does_to_the_balance() -> None:
@@ -66,22 +60,6 @@ def test_columns_are_what_the_effect_does_to_the_balance() -> None:
                 both.append((reading / fit.observations.sigma).ravel())
             slope = (both[0] - both[1]) / 2e-4
             assert np.allclose(slope, columns[:, k], atol=1e-4 * np.abs(columns).max())
-
-
-def test_effects_that_cannot_be_tested_say_why() -> None:
-    fit = _one_clean()
-    context = fit.observations.context
-    kept = {n: v for n, v in context.covariates.items() if n not in ("temperature", "sweep")}
-    bare = Observations(
-        fit.observations.reading, fit.observations.sigma, fit.observations.reference,
-        type(context)(context.n, kept), fit.observations.group, fit.observations.label,
-    )  # fmt: skip
-    found, missing = effect_candidates(fit_model(fit.model, bare), catalogue().values())
-    assert missing["temperature_bias"] == "no temperature was recorded"
-    assert missing["bias_step"] == "no sweep was recorded"
-    names = {c.name for c in found}
-    assert not names & set(missing)
-    assert names | set(missing) | set(BASE) == set(catalogue())
 
 
 def held_out_gap(fit: Fit) -> float:

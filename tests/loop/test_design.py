@@ -35,11 +35,6 @@ def test_stretches_have_a_gap() -> None:
         assert away == 2  # 3 % of twenty rows, rounded up, are left between
 
 
-def test_the_design_is_that_of_the_data_alone() -> None:
-    one, two = folds_of(_grouped(32, 32)), folds_of(_grouped(32, 32))
-    assert all(np.array_equal(a.rows, b.rows) for a, b in zip(one, two, strict=True))
-
-
 @pytest.mark.parametrize(("n", "groups"), [(32, 32), (24, 24), (60, 40)])
 def test_the_order_of_the_rows_is_no_part_of_the_design(n: int, groups: int) -> None:
     data = _grouped(n, groups)
@@ -47,11 +42,6 @@ def test_the_order_of_the_rows_is_no_part_of_the_design(n: int, groups: int) -> 
     one = {frozenset(f.rows.tolist()) for f in folds_of(data)}
     two = {frozenset(moved[f.rows].tolist()) for f in folds_of(data.take(moved))}
     assert one == two
-
-
-def test_few_positions_are_left_out_one_by_one() -> None:
-    assert {f.rows.size for f in folds_of(_grouped(12, 12))} == {1}
-    assert {f.rows.size for f in folds_of(_grouped(13, 13))} == {1, 2}
 
 
 @pytest.mark.slow
@@ -77,18 +67,3 @@ def test_the_gain_is_in_the_errors_unit() -> None:
         assert found.low == pytest.approx(2.0)
         assert found.high == pytest.approx(2.0)
         assert found.proved
-
-
-def test_parts_of_unequal_size_count_by_their_rows() -> None:
-    before = np.array([4.0, 1.0, 1.0, 1.0])
-    after = np.array([1.0, 1.0, 1.0, 1.0])
-    found = difference(before, after, np.array([0, 1, 1, 1]), 2, "mean")
-    assert found.gain == pytest.approx(0.75)
-    assert not found.proved
-    assert found.parts == 2
-
-
-def test_one_part_proves_nothing() -> None:
-    found = difference(np.ones(5), np.zeros(5), np.zeros(5, dtype=np.intp), 1, "mean")
-    assert not found.proved
-    assert found.low == -np.inf

@@ -129,13 +129,6 @@ def test_the_distance_is_that_of_least_squares() -> None:
             assert found == pytest.approx(np.linalg.norm(left), rel=1e-6)
 
 
-def test_sizes_are_those_that_the_data_allow() -> None:
-    one, _ = linear(3, 4000, 1.0, 0.7)
-    size = one.sizes["a"][0]
-    assert float(np.mean(size)) == pytest.approx(0.7, abs=0.03)
-    assert 0.005 < float(np.std(size)) < 0.04  # one standard error is 1 / 4000 ** 0.5
-
-
 @pytest.mark.parametrize("count", [60, 200, 600])
 def test_what_is_promised_is_had(count: int) -> None:
     """Data are drawn with the first as the truth and judged by the maxima of both likelihoods."""
@@ -154,36 +147,6 @@ def test_what_is_promised_is_had(count: int) -> None:
     assert promised == pytest.approx(certain / 1000, abs=0.06)
 
 
-def by_hand() -> Ambiguity:
-    """All three that a norm hardly tells apart, as forty rests with squares say."""
-    rng = np.random.default_rng(4)
-    u = rng.standard_normal((40, 3))
-    parts = columns(u / np.linalg.norm(u, axis=1, keepdims=True))
-    rows = np.column_stack([parts[name] for name in ("base", *NAMES)])
-    data = parts["quadratic"].sum(axis=1) + rng.standard_normal(40)
-    return Ambiguity(
-        effect="quadratic",
-        base=("base",),
-        columns=tuple(f"c{k}" for k in range(rows.shape[1])),
-        rivals=NAMES,
-        blocks=dict(zip(NAMES, np.split(np.arange(9, 21), [3, 6]), strict=True)),
-        gram=rows.T @ rows,
-        along=rows.T @ data,
-        power=float(data @ data),
-        numbers=40.0,
-    )
-
-
-@pytest.mark.slow
-def test_squares_are_products_of_axes_by_gravity_alone() -> None:
-    """x³ = x - x y² - x z² where x² + y² + z² = 1."""
-    one = by_hand()
-    made = separation(one, pool(grid(), one))
-    assert ("quadratic", "cross_axis") in made.never
-    assert ("asymmetry", "cross_axis") not in made.never
-    assert not made.enough
-
-
 def test_a_plan_beats_random_rests() -> None:
     one = ambiguity()
     seen = pool(grid(), one)
@@ -194,13 +157,6 @@ def test_a_plan_beats_random_rests() -> None:
         some = rng.integers(0, len(seen.gram), len(made.plan))
         other = apart(one, one.gram + seen.gram[some].sum(axis=0))[able]
         assert made.then.min() > 1.1 * np.quantile(other, 0.15, axis=-1).min()
-
-
-def test_a_plan_has_several_rests_that_none_carries_alone() -> None:
-    one = ambiguity()
-    seen = pool(grid(), one)
-    strong = Pool(seen.gram[:149] + 10.0 * seen.gram.sum(axis=0))
-    assert len(separation(one, strong).plan) == FEWEST
 
 
 @pytest.mark.parametrize("hidden", [1e-3, 1e-8, 1e-13, 0.0])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import t as student
 
-from imucalib.loop.found import Loop, Step, Unexplained, Wander
+from imucalib.loop.found import Loop, Step, Unexplained
 from imucalib.loop.held_out import Difference, difference, with_density
 from imucalib.loop.record_errors import RecordError
 
@@ -39,11 +39,6 @@ UNSURE = replace(SURE, low=-0.1)
 )
 def test_the_verdict(loop: Loop[int], word: str) -> None:
     assert loop.verdict == word
-
-
-@pytest.mark.parametrize(("evidence", "counts"), [(5.1, True), (4.9, False)])
-def test_a_walk_counts_beyond_five_nats(evidence: float, counts: bool) -> None:
-    assert Wander(0.9, 2.0, 1.0, evidence).counts == counts
 
 
 @pytest.mark.parametrize(

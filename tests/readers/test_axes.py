@@ -166,10 +166,14 @@ CLOCKS: dict[str, tuple[np.ndarray, dict[str, object], int | None]] = {
 }  # fmt: skip
 
 
-def test_a_unit_of_time_that_is_not_known_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("form", CLOCKS)
+def test_hdf5_reads_a_clock_by_its_own_attributes(form: str, tmp_path: Path) -> None:
+    stamps, attributes, start = CLOCKS[form]
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file["acceleration"] = si("acceleration")
-        file["time"] = T
-        file["time"].attrs["units"] = "fortnights"
-    with pytest.raises(UnreadableInput, match=r"'fortnights'.*--time-unit"):
-        readers.read(tmp_path / "a.h5")
+        file["time"] = stamps
+        file["time"].attrs.update(attributes)
+    found = readers.read(tmp_path / "a.h5", FieldMapping(acc_unit="m/s2"))
+    channel = found.channels["imu0/acceleration"]
+    np.testing.assert_allclose(channel.t, T, atol=1e-6)
+    assert found.start_ns == (start if start is None else pytest.approx(start, abs=1e4))

@@ -60,18 +60,3 @@ def test_a_last_line_that_lacks_only_its_end_is_a_row(tmp_path: Path) -> None:
     found = readers.read(cut)
     assert count(found) == ROWS - 1
     assert any("may be cut" in note for note in found.notes)
-
-
-def test_a_unit_above_the_table_counts_where_no_heading_has_one(tmp_path: Path) -> None:
-    bare = "time (s),acc_x,acc_y,acc_z"
-    counts = table(tmp_path / "a.csv", bare, above="# accelerometer unit: mg\n")
-    with pytest.raises(UnreadableInput, match="when the unit is mg"):
-        readers.read(counts)
-    right = table(tmp_path / "b.csv", bare, above="# acceleration in g\n")
-    found = readers.read(right)
-    assert found.mapping["acc_unit"] == "g"
-    assert not any("norm at rest" in note for note in found.notes)
-    other = table(tmp_path / "c.csv", above="# Accelerometer units: m/s^2\n")
-    with pytest.raises(UnreadableInput, match=r"m/s2.*above the table.*g.*--unit"):
-        readers.read(other)
-    assert count(readers.read(other, FieldMapping(acc_unit="g"))) == ROWS

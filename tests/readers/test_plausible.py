@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from imucalib import readers
-from imucalib.errors import UnreadableInput, UsageError
+from imucalib.errors import UnreadableInput
 from imucalib.recording.mapping import FieldMapping, from_dict
 from worlds.mcap_logs import Reading, cdr, packed, write_log
 
@@ -64,14 +64,6 @@ def test_a_rate_that_no_sensor_has_is_refused(put: Put, step: float, tmp_path: P
     assert readers.read(path, FieldMapping(rate=50.0)).channels
 
 
-@FORMATS
-def test_samples_of_one_time_are_refused(put: Put, tmp_path: Path) -> None:
-    path = put(tmp_path, np.full(ROWS, 7.0))
-    with pytest.raises(UnreadableInput, match=r"--rate"):
-        readers.read(path)
-    assert readers.read(path, FieldMapping(rate=50.0)).channels
-
-
 @pytest.mark.parametrize(
     ("modulus", "unit"),
     [(2**32, "ms"), (2**32, "us"), (2**16, "ms"), (2**24, "us"), (86_400_000, "ms"), (3600, "s")],
@@ -105,15 +97,6 @@ def _two_tools(folder: Path, *, time: bool = True) -> Path:
     return path
 
 
-def test_a_column_of_few_words_is_told(tmp_path: Path) -> None:
-    notes = readers.read(_two_tools(tmp_path)).notes
-    told = next(note for note in notes if "'serial'" in note)
-    assert "A12" in told
-    assert "B07" in told
-    assert "--where 'serial=A12'" in told
-    assert any("'id' is 1.0" in note for note in notes)
-
-
 @pytest.mark.parametrize("where", ["serial=B07", "id=2", "1=B07"])
 @pytest.mark.parametrize("time", [True, False])
 def test_rows_are_selected_by_a_value(where: str, time: bool, tmp_path: Path) -> None:
@@ -127,15 +110,3 @@ def test_rows_are_selected_by_a_value(where: str, time: bool, tmp_path: Path) ->
     parts = list(readers.blocks(path, mapping, block_samples=30))
     values = np.concatenate([p.channels["imu0/acceleration"].values for p in parts])
     np.testing.assert_array_equal(values, acc()[ROWS // 2 :])
-
-
-def test_a_value_that_no_row_has_is_refused(tmp_path: Path) -> None:
-    path = _two_tools(tmp_path)
-    with pytest.raises(UnreadableInput, match=r"no row has serial=C1.*--where: serial is A12"):
-        readers.read(path, FieldMapping(where=("serial=C1",)))
-    with pytest.raises(UsageError, match="no column 'colour'"):
-        readers.read(path, FieldMapping(where=("colour=red",)))
-    with pytest.raises(UsageError, match="is not COLUMN=VALUE"):
-        FieldMapping(where=("serial",))
-    with pytest.raises(UsageError, match="--where selects rows of text tables"):
-        readers.read(_hdf5(tmp_path, np.arange(ROWS) * 0.01), FieldMapping(where=("a=1",)))

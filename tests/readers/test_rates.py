@@ -23,13 +23,6 @@ BY_FORMAT = pytest.mark.parametrize("name", WRITE)
 
 
 @BY_FORMAT
-def test_the_true_unit_is_read(name: str, tmp_path: Path) -> None:
-    t, acc, rate = turned()
-    found = readers.read(WRITE[name](tmp_path, t, acc, rate), RATES)
-    np.testing.assert_allclose(found.channels["imu0/angular_rate"].values, rate, atol=1e-6)
-
-
-@BY_FORMAT
 @pytest.mark.parametrize("peak", [1.0, 4.0])
 def test_degrees_called_radians_are_refused_with_what_reads_them(
     name: str, peak: float, tmp_path: Path
@@ -66,12 +59,6 @@ def test_a_unit_that_nobody_states_is_named_where_turns_prove_it(true: str, tmp_
     again = readers.read(path, FieldMapping(gyro_unit=true))
     np.testing.assert_allclose(again.channels["imu0/angular_rate"].values, rate, atol=1e-6)
     assert not [note for note in again.notes if "--gyro-unit" in note]
-
-
-def test_a_scale_that_the_user_gives_is_taken(tmp_path: Path) -> None:
-    t, acc, rate = turned()
-    mapping = FieldMapping(gyro_unit="counts", lsb_per_dps=(0.01,))
-    assert readers.read(WRITE["csv"](tmp_path, t, acc, rate), mapping).channels
 
 
 def test_gravity_is_carried_to_where_it_is_read() -> None:

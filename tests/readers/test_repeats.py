@@ -86,12 +86,6 @@ def test_no_reader_tells_what_a_sound_sensor_does(
     assert not [note for note in readers.read(path, RATES).notes if WORDS in note]
 
 
-@pytest.mark.parametrize("steps", [4.0, 16.0, 64.0])
-def test_a_coarse_converter_repeats_honestly(steps: float, tmp_path: Path) -> None:
-    found = _inspected(WRITE["hdf5"](tmp_path, *_changed(steps=steps)))
-    assert not found.repeats
-
-
 @pytest.mark.parametrize("change", [_hold, _fill])
 def test_what_is_held_is_no_rest(change: Change, tmp_path: Path) -> None:
     path = WRITE["hdf5"](tmp_path, *_changed(change))
@@ -100,15 +94,6 @@ def test_what_is_held_is_no_rest(change: Change, tmp_path: Path) -> None:
         assert found is not None
         assert found.n == 8
         assert not ((found.start < 9.9) & (found.stop > 8.1)).any()
-
-
-def test_a_gyroscope_that_is_dead_hides_no_rest_and_is_told(tmp_path: Path) -> None:
-    t, acc, rate = _changed()
-    rate[:] = (0.01, -0.02, 0.005)
-    found = _inspected(WRITE["hdf5"](tmp_path, t, acc, rate))
-    assert found.still is not None
-    assert found.still.n == 9
-    assert any("one number throughout" in note for note in found.notes)
 
 
 @pytest.mark.parametrize("zone", [_dead_zone, _offset_zone])

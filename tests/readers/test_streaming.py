@@ -16,7 +16,7 @@ from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.errors import UsageError
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Recording
-from imucalib.writers import ChannelsChange, write, write_blocks
+from imucalib.writers import write, write_blocks
 
 CALIBRATION = Calibration(
     calibrator="lab",
@@ -92,42 +92,3 @@ def test_channels_that_change_do_not_fit_a_table(tmp_path: Path, suffix: str) ->
 
 def less_of(whole: Recording) -> dict[str, Channel]:
     return {"imu0/acceleration": whole.channels["imu0/acceleration"]}
-
-
-def test_channels_that_come_together_keep_their_topics(tmp_path: Path) -> None:
-    """Two channels of a triad share a topic where their times agree, in every block."""
-    lates, path = (0.003, 0.0, 0.003), tmp_path / "a.mcap"
-    blocks = [with_rates(recording(10, 10 * k), late) for k, late in enumerate(lates)]
-    with pytest.raises(ChannelsChange):
-        write_blocks(blocks[1:], path)
-    write_blocks(blocks, path)
-    back = readers.read(path)
-    for name in ("imu0/acceleration", "imu0/angular_rate"):
-        want = np.concatenate([b.channels[name].t for b in blocks])
-        np.testing.assert_allclose(back.channels[name].t, want, rtol=0, atol=1e-9)
-        values = np.concatenate([b.channels[name].values for b in blocks])
-        np.testing.assert_array_equal(back.channels[name].values, values)
-
-
-def with_rates(whole: Recording, late: float) -> Recording:
-    channel = whole.channels["imu0/acceleration"]
-    rates = replace(
-        channel, t=channel.t + late, values=channel.values * 0.01, unit="rad/s",
-        quantity="angular_rate",
-    )  # fmt: skip
-    return replace(whole, channels={**whole.channels, "imu0/angular_rate": rates})
-
-
-def test_a_correction_goes_on_where_channels_change(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    small = lambda path, mapping, strict: readers.blocks(  # noqa: E731
-        path, mapping, block_samples=10, strict=strict
-    )
-    monkeypatch.setattr(application, "blocks", small)
-    with_gyro = with_rates(recording(10, 10), 0.0)
-    write_blocks([recording(10), with_gyro], tmp_path / "a.h5")
-    correct_file(CALIBRATION, tmp_path / "a.h5", tmp_path / "b.mcap", FieldMapping())
-    back = readers.read(tmp_path / "b.mcap")
-    assert back.channels["imu0/acceleration"].t.size == 20
-    assert back.channels["imu0/angular_rate"].t.size == 10

@@ -62,27 +62,6 @@ def test_a_recording_from_an_offset_is_refused_with_the_options_that_read_it(
     assert "as the recording was read" in " ".join(read.stdout.split())
 
 
-def test_inspection_of_counts_names_the_offset(tmp_path: Path) -> None:
-    log = _recording(tmp_path / "acc.txt")
-    shown = CliRunner().invoke(root, ["inspect", str(log), "--unit", "counts"])
-    words = " ".join(shown.stdout.split())
-    assert "counted from an offset; try --unit counts --lsb 40" in words
-    assert "--lsb 579" not in words
-
-
-def test_a_table_from_an_offset(tmp_path: Path) -> None:
-    rng = np.random.default_rng(3)
-    rows = np.rint(_LEVEL + _SCALE * _directions(rng, 24) + rng.normal(0.0, 2.0, (24, 3)))
-    table = tmp_path / "table.csv"
-    table.write_text("\n".join(["x,y,z", *(",".join(f"{v:.0f}" for v in row) for row in rows)]))
-    base = ["lab", str(table), "--reference", "norm", "-o", str(tmp_path / "out")]
-    refused = CliRunner().invoke(root, base)
-    assert isinstance(refused.exception, UnreadableInput)
-    line = str(refused.exception).split("add ", 1)[1].split()
-    read = CliRunner().invoke(root, [*base, *line])
-    assert read.exit_code == 0, read.stderr
-
-
 @given(
     seed=st.integers(0, 10_000),
     away=st.floats(1.5, 12.0),
@@ -96,17 +75,6 @@ def test_the_level_and_what_a_g_reads_come_back(seed: int, away: float, size: fl
     assert found is not None
     assert found.radius == pytest.approx(size, rel=0.05)
     assert np.abs(found.level - level).max() < 0.05 * size
-
-
-@given(seed=st.integers(0, 10_000), bias=st.floats(0.0, 0.8), spread=st.sampled_from([0.05, 1.0]))
-def test_a_bias_is_no_offset_and_one_posture_tells_none(
-    seed: int, bias: float, spread: float
-) -> None:
-    rng = np.random.default_rng(seed)
-    out = np.array([0.0, 0.0, 1.0]) + spread * rng.normal(size=(30, 3))
-    rest = bias * _directions(rng, 1) + out / np.linalg.norm(out, axis=1, keepdims=True)
-    assert zero_g(rest + rng.normal(0.0, 0.002, rest.shape)) is None
-    assert zero_g(rest[:5]) is None
 
 
 @pytest.mark.parametrize("stated", [True, False])

@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
@@ -12,10 +11,8 @@ from imucalib.recording.mapping import (
     FieldMapping,
     from_dict,
     load_mapping,
-    parse_axis_map,
     save_mapping,
 )
-from imucalib.recording.recording import Channel
 
 NAMES = st.text(
     st.characters(codec="utf-8", exclude_categories=("Cs", "Cc"), exclude_characters=","),
@@ -83,20 +80,3 @@ def test_bad_yaml_is_refused(text: str, tmp_path: Path) -> None:
     path.write_text(text)
     with pytest.raises(UnreadableInput, match=r"m\.yaml"):
         load_mapping(path)
-
-
-@given(st.permutations("xyz"), st.lists(st.booleans(), min_size=3, max_size=3))
-def test_axis_maps(order: list[str], flips: list[bool]) -> None:
-    text = ",".join(("-" if f else "") + a for a, f in zip(order, flips, strict=True))
-    values = np.arange(12.0).reshape(2, 2, 3)
-    got = parse_axis_map(text).apply(values)
-    for i, (axis, flip) in enumerate(zip(order, flips, strict=True)):
-        want = values[..., "xyz".index(axis)] * (-1 if flip else 1)
-        np.testing.assert_array_equal(got[..., i], want)
-
-
-@pytest.mark.parametrize("values", [np.zeros(4), np.zeros((3, 2)), np.zeros((4, 2, 1))])
-def test_a_channel_has_a_row_for_every_instant(values: np.ndarray) -> None:
-    with pytest.raises(ValueError, match="shapes differ"):
-        Channel(np.arange(4.0), values, "m/s2", "acceleration", "imu0", 1.0)
-    Channel(np.arange(4.0), np.zeros((4, 1)), "m/s2", "acceleration", "imu0", 1.0)

@@ -66,17 +66,6 @@ def test_names_left_over_on_both_sides_are_told(names: list[str], wrong: int) ->
         assert name in error.value.what
 
 
-def test_numbers_of_a_reader_are_no_names() -> None:
-    """A file without names is paired in order, and that is said, though both sides say imu1."""
-    plain = recording(["imu0", "imu1"], [("/a[0]",), ("/a[1]",)], numbered=True)
-    found = paired([("imu1",), ("imu2",)], plain, "the board")
-    assert found.partner == {"imu0": 0, "imu1": 1}
-    assert "in order, imu0 is imu1, imu1 is imu2" in found.notes[0]
-    named = recording(["imu0", "imu1"])
-    with pytest.raises(UnreadableInput, match="left over: imu2; in the recording imu0"):
-        paired([("imu1",), ("imu2",)], named, "the board")
-
-
 def test_the_channel_that_was_calibrated_counts_where_names_do_not() -> None:
     was = recording(["imu0", "imu1"], [("/a[0]",), ("/a[1]",)], numbered=True)
     kept = channel_names(was)
@@ -84,20 +73,3 @@ def test_the_channel_that_was_calibrated_counts_where_names_do_not() -> None:
     turned = recording(["imu0", "imu1"], [("/a[1]",), ("/a[0]",)], numbered=True)
     wanted = [("left", kept["imu0"]), ("right", kept["imu1"])]
     assert paired(wanted, turned, "the calibration").partner == {"imu0": 1, "imu1": 0}
-
-
-@given(st.lists(WORDS, min_size=3, max_size=6, unique=True))
-def test_a_name_that_several_have_is_none(names: list[str]) -> None:
-    *own, shared = names
-    plain = recording([f"{k}" for k in range(len(own))], [(n, shared) for n in own], numbered=True)
-    pairs = {str(k): k for k in range(len(own))}
-    found = paired([(n,) for n in names], plain, "the board")
-    assert (found.partner, len(found.notes)) == (pairs, 2)
-    assert found.notes[1] == f"of the board, not in the recording: {shared}"
-    with pytest.raises(UnreadableInput, match=f"no name fits: {shared}"):
-        paired([(shared,)], plain, "the calibration")
-
-
-def test_a_calibration_keeps_only_names_that_it_may_hold() -> None:
-    odd = recording(["imu0", "imu1"], [("/a;b",), ("/b",)])
-    assert channel_names(odd) == {"imu0": "", "imu1": "/b"}

@@ -50,27 +50,6 @@ def test_a_check_that_passes_says_what_it_would_have_seen(tools: dict[str, Path]
     assert "imucal check" in told["command"]
 
 
-def test_a_check_of_another_device_says_to_calibrate_again(tools: dict[str, Path]) -> None:
-    told = card("check", tools["jd"], tools["rests"])
-    assert "bias" in told["found"][0]
-    assert told["to_do"][0].startswith("Calibrate again")
-
-
-def test_an_undecided_check_names_the_rests(tools: dict[str, Path]) -> None:
-    told = card("check", tools["ai"], tools["rests"], "--limit", "0.02mg")
-    assert "Nothing shows" in told["found"][0]
-    assert "Record these rests" in told["to_do"][0] or "accept a wider" in told["to_do"][0]
-
-
-def test_a_comparison_says_by_how_much_and_what_to_do(tools: dict[str, Path]) -> None:
-    same, other = (card("compare", tools["ai"], tools[name]) for name in ("ai", "jd"))
-    assert next(w["quantity"] for w in other["good_to"]) == "difference of force"
-    assert "by more than they state" in other["found"][0]
-    assert "imucal check" in other["to_do"][0]
-    assert "by no more" in same["found"][0]
-    assert "Go on with any" in same["to_do"][0]
-
-
 def test_a_fleet_says_what_a_device_is_good_to(tmp_path: Path) -> None:
     tables = [SAMPLES / f"cave_{n}.csv" for n in ("ai", "bi", "fb")]
     out = tmp_path / "fleet"

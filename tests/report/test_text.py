@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 
-import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rich.cells import cell_len
 
-from imucalib.report.document import Document, Plot, Section, Series, Table, Text, Tone
+from imucalib.report.document import Document, Plot, Section, Table, Text, Tone
 from imucalib.report.render.text import PAGE, render_text
 from worlds.report_demo import demo_document
 from worlds.report_strategies import DOCUMENTS
@@ -68,46 +66,12 @@ def test_wide_table_is_split_and_no_number_is_cut() -> None:
     assert sum(line.startswith("p1 ") for line in lines) >= 2
 
 
-def test_long_words_of_a_table_fold_between_words() -> None:
-    row = ("free fall of the whole rig while the table was still turning", "12.5", "no")
-    lines = _lines(Table("t", ("effect", "size", "ok"), (row,) * 2, "lrl"), width=44)
-    assert sum("12.5" in line for line in lines) == 2
-    assert " ".join(" ".join(lines).replace("12.5  no", "").split()).count(row[0]) == 2
-
-
-def test_tones_show_without_colour_and_colour_only_on_request() -> None:
-    table = Table("t", ("a", "b"), (("1", "x"), ("2", "y")), "rl", tones={1: "bad"})
-    for tone, sign in (("ok", "✓ PASSED: v"), ("bad", "✗ FAILED: v"), ("plain", "v")):
-        document = Document("d", Text("v", tone), (Section("s", (table,)),))  # type: ignore[arg-type]
-        assert render_text(document, 80, color=False).splitlines()[2] == sign
-    lines = _lines(table, Text("note", "warning"))
-    assert "✗ 2  y" in lines
-    assert "! note" in lines
-    assert "\x1b[" in render_text(demo_document(), 80, color=True)
-
-
 def test_text_cannot_steer_the_terminal() -> None:
     evil = "a\x1b[2Jb\x9b1mc\u202ed\re"
     document = Document(evil, Text(evil, "bad"), (Section(evil, (Text(evil),)),), ((evil, evil),))
     text = render_text(document, 80, color=False)
     assert "a?[2Jb?1mc?d" in text
     assert not set("\x1b\x9b\u202e\r") & set(text)
-
-
-def test_markup_of_the_printing_library_stays_text() -> None:
-    assert "[bold]x[/bold] :smile:" in _lines(Text("[bold]x[/bold] :smile:"))
-
-
-def test_plots_are_for_the_page_only() -> None:
-    bars = Series("before", np.arange(2.0), np.array([4.0, 2.0]), "bars")
-    assert _lines(Text("a"), Plot("p", "", "error", (bars,)), Text("b")) == _lines(
-        Text("a"), Text("b")
-    )
-
-
-def test_a_narrow_terminal_is_taken_as_forty_columns() -> None:
-    document = replace(demo_document(), footer=())
-    assert render_text(document, 5, color=False) == render_text(document, 40, color=False)
 
 
 def asked_for(count: int, tones: dict[int, Tone], title: str = "Asked") -> Section:
@@ -129,22 +93,3 @@ def test_a_table_that_was_asked_for_is_cut_to_the_page_and_says_so() -> None:
     whole = render_text(document, 80, color=False, full=True)
     assert sum("row " in line for line in whole.splitlines()) == 500
     assert "more rows" not in whole
-
-
-def test_several_share_the_page_and_three_rows_stay_of_each() -> None:
-    two = Document("d", Text("v"), (asked_for(100, {}), asked_for(40, {}, "Other")))
-    lines = render_text(two, 80, color=False).splitlines()
-    assert PAGE - 4 <= len(lines) <= PAGE
-    many = Document("d", Text("v"), tuple(asked_for(9, {}, f"s{k}") for k in range(20)))
-    assert sum("row " in x for x in render_text(many, 80, color=False).splitlines()) == 3 * 20
-
-
-def test_a_section_of_figures_has_no_heading_in_characters() -> None:
-    plot = Plot("p", "x", "y", (Series("s", np.arange(2.0), np.arange(2.0), "line"),))
-    document = Document("d", Text("v"), (Section("Drawn", (plot,)), Section("Said", (Text("a"),))))
-    for full in (False, True):
-        text = render_text(document, 80, color=False, full=full)
-        assert "Drawn ─" not in text
-        assert "Said ─" in text
-        assert "Not shown here  Drawn; " in text
-    assert text.rstrip().endswith("report.html draws it")

@@ -9,24 +9,19 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
-from imucalib.recording.recording import Channel, Gap
 from imucalib.rests.candidates import (
     Noise,
     colour_of,
-    drift_of,
     is_noise,
     whiteness,
 )
-from imucalib.rests.levels import Kinds
-from imucalib.rests.runs import Scan, Tail, grouped, with_tails
+from imucalib.rests.runs import Scan, grouped
 from imucalib.rests.stillness import Sensor
-from imucalib.rests.thermal import ThermalHistory, history_of, temperature_at
-from imucalib.rests.windows import Samples, Windows, breaks
+from imucalib.rests.windows import Windows
 
 Array = NDArray[np.float64]
 G = 9.80665
 MG = 1e-3 * G
-DEG = np.pi / 180.0
 
 
 def windows(mean: Array, sd: Array | float = 1e-3, **changed: object) -> Windows:
@@ -48,66 +43,6 @@ def level(m: int) -> Array:
 
 def sensor(w: Windows, quantity: str = "acceleration", quietest: float = 0.01) -> Sensor:
     return Sensor("imu0", quantity, 100.0, w, quietest)
-
-
-def kinds(still: Array, **changed: Array) -> Kinds:
-    none = np.zeros(len(still), bool)
-    made = {n: none for n in ("louder", "other", "shaking", "slow", "spiky")}
-    return Kinds(still=np.asarray(still, bool), notes=(), **{**made, **changed})
-
-
-def test_the_last_samples_of_a_run_are_a_window_of_it() -> None:
-    """Windows at 0 to 2 s, at 10 to 12 s; a run from 5 s that is shorter than a window has none."""
-    w = windows(level(8), start=np.array([0.0, 0.5, 1.0, 1.5, 10.0, 10.5, 11.0, 11.5]),
-                run=np.repeat([3, 5], 4))  # fmt: skip
-    rng = np.random.default_rng(0)
-    made = [
-        Tail(begin, at + 0.01 * np.arange(50), rng.normal(size=(50, 3)))
-        for begin, at in ((0.0, 1.7), (5.0, 5.1), (10.0, 11.6), (-3.0, -2.0))
-    ]
-    found = with_tails(w, made)
-    assert found.start.tolist() == [
-        -2.0, 0.0, 0.5, 1.0, 1.5, 1.7, 5.1, 10.0, 10.5, 11.0, 11.5, 11.6,
-    ]  # fmt: skip
-    assert found.run.tolist() == [-4, 3, 3, 3, 3, 3, -2, 5, 5, 5, 5, 5]
-    assert np.flatnonzero(found.first < 0).tolist() == [0, 5, 6, 11]
-    for place, tail in zip((5, 6, 11, 0), made, strict=True):
-        assert found.stop[place] == tail.t[-1]
-        np.testing.assert_allclose(found.mean[place], tail.values.mean(axis=0))
-        np.testing.assert_allclose(found.variance[place], tail.values.var(axis=0, ddof=1))
-        np.testing.assert_allclose(found.low[place], tail.values.min(axis=0))
-        np.testing.assert_allclose(found.high[place], tail.values.max(axis=0))
-    assert with_tails(w, ()) is w
-
-
-def ramp(far: float, m: int = 40, length: float = 60.0, axis: int = 0) -> Array:
-    """Means of a level sensor one axis of which goes evenly over `far` shares of gravity."""
-    means = level(m)
-    means[:, axis] += far * G * (np.arange(m) - 0.5 * (m - 1)) / (m - 1)
-    return means
-
-
-QUIET = Noise(np.full(3, 1e-9), 1.0)
-
-
-@pytest.mark.parametrize(
-    ("far", "seconds", "turning"),
-    [
-        (np.sin(0.3 * DEG) + 1e-4 - 1e-5, 60.0, False),
-        (np.sin(0.3 * DEG) + 1e-4 + 1e-5, 60.0, True),  # and 0.1 mg a minute
-        (2.4e-3, 2.0, False),  # fast, but short
-        (2.6e-3, 2.0, True),
-        (np.sin(0.025 * DEG) * 10.0 * 0.99, 10.0, False),
-        (np.sin(0.025 * DEG) * 10.0 * 1.01, 10.0, True),
-    ],
-)
-def test_a_turn_goes_too_far_or_too_fast(far: float, seconds: float, turning: bool) -> None:
-    means = ramp(far if seconds > 20.0 else far * 39.0 / 40.0, length=seconds)
-    found = drift_of(means, 50, QUIET, seconds)
-    assert found.turning == turning
-    # Means of the last and of the first three tenths.
-    assert found.size == pytest.approx(np.ptp(means[:, 0]), rel=1e-4)
-    assert drift_of(means[:1], 50, QUIET, seconds) == drift_of(means, 50, QUIET, 0.0)
 
 
 def test_the_colour_of_noise_is_what_means_scatter_more() -> None:
@@ -139,14 +74,6 @@ def test_whiteness_is_von_neumanns_ratio() -> None:
     assert not is_noise(0.29, 0.5)
 
 
-def held(values: Array) -> Samples:
-    made = Samples()
-    made.begin_block(())
-    t = np.arange(len(values)) / 100.0
-    made.add(("acceleration", "imu0"), Channel(t, values, "m/s2", "acceleration", "imu0", 100.0))
-    return made
-
-
 def scanned(w: Windows, warm: Windows | None = None) -> Scan:
     return Scan(w, warm, "imu0", 100.0, 450, 4.5, 0, "", "", "", 0, ())
 
@@ -169,33 +96,3 @@ def test_a_run_is_the_mean_of_its_windows() -> None:
     still = grouped(scanned(windows(level(9), MG)), np.arange(9), np.full(3, MG))
     assert still.window_noise == pytest.approx(MG / np.sqrt(50.0))
     assert np.isnan(still.temperature).all()
-
-
-def test_a_run_breaks_at_gaps_and_where_time_steps_back() -> None:
-    t = np.array([0.0, 1.0, 2.0, 5.0, 6.0, 3.6, 4.0])
-    assert breaks(t, [Gap(2.0, 5.0, "")]).tolist() == [3, 5]
-    assert breaks(t, []).tolist() == [5]
-    assert breaks(t[:4], [Gap(6.0, 9.0, ""), Gap(1.0, 1.0, "")]).tolist() == []
-
-
-def test_a_lag_is_an_exponential_of_its_hours() -> None:
-    """After a step: 1 - exp(-t / τ), in equilibrium before."""
-    t = np.arange(0.0, 7200.0, 10.0)
-    warm = ThermalHistory(t, np.where(t >= 1000.0, 30.0, 20.0))
-    at = np.array([500.0, 1000.0 + 1800.0, 1000.0 + 3600.0])
-    due = 20.0 + 10.0 * (1.0 - np.exp(-np.array([0.0, 1800.0, 3600.0]) / 1800.0))
-    np.testing.assert_allclose(warm.lagged(0.5, at), due, atol=0.06)
-    w = replace(windows(np.array([[21.0], [22.0]])), start=np.array([0.0, 10.0]),
-                stop=np.array([8.0, 18.0]))  # fmt: skip
-    assert history_of(w).time.tolist() == [4.0, 14.0]
-
-
-def test_a_thermometer_that_is_silent_for_an_hour_holds() -> None:
-    t = np.array([0.0, 100.0, 3701.0, 3801.0])
-    made = Channel(
-        t, np.array([[10.0], [20.0], [60.0], [70.0]]), "degC", "temperature", "imu0", 0.0
-    )
-    at = np.array([50.0, 100.0, 1900.0, 3700.9, 3751.0, 9999.0])
-    np.testing.assert_allclose(temperature_at(made, at), [15.0, 20.0, 20.0, 20.0, 65.0, 70.0])
-    close = replace(made, t=np.array([0.0, 100.0, 3700.0, 3800.0]))
-    np.testing.assert_allclose(temperature_at(close, np.array([1900.0])), [40.0])

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
-from imucalib.errors import Undetermined
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests import windows
-from imucalib.rests.runs import WORN, posture_runs, scan
 from imucalib.rests.segments import Segments, find_segments, still_segments
 
 RATE, G = 100.0, 9.80665
@@ -63,13 +60,6 @@ def test_rests_are_found_down_to_the_shortest(length: float, pause: float) -> No
     for k, (a, b) in enumerate(spans):
         assert abs(found.start[k] - a) < 0.12
         assert abs(found.stop[k] - b) < 0.12
-
-
-def test_ends_are_to_the_sample_not_to_a_window() -> None:
-    values, _ = bench(np.random.default_rng(5), [3.21, 4.37, 2.83, 5.11])
-    found = still_segments(recorded(values))
-    assert len(np.unique(np.round(found.first[:, 0] % 50))) > 2
-    assert not np.all((found.last - found.first) % 50 == 0)
 
 
 def middle_of(rng: np.random.Generator, change: np.ndarray, noise: float) -> np.ndarray:
@@ -127,62 +117,6 @@ def test_a_warm_up_within_a_long_rest_is_no_turn() -> None:
     found = still_segments(recorded(values))
     assert found.n == 9
     assert np.max(found.stop - found.start) > 595.0
-
-
-@pytest.mark.parametrize("louder", [1.8, 3.0, 4.5])
-def test_rests_of_a_louder_half_do_not_vanish(louder: float) -> None:
-    rng = np.random.default_rng(6)
-    quiet, one = bench(rng, [3.0] * 10, 1 * MG)
-    loud, two = bench(rng, [3.0] * 10, louder * MG)
-    found = still_segments(recorded(np.concatenate([quiet, loud])))
-    at = len(quiet) / RATE
-    for a, b in [*one, *((a + at, b + at) for a, b in two)]:
-        assert called_rest(found, a, b) > 0.9
-    assert called_rest(found, 0.0, found.stop[-1]) < 0.6
-    assert any("times the noise of the quietest" in note for note in found.notes)
-
-
-def test_vibration_all_the_time_is_no_rest() -> None:
-    rng = np.random.default_rng(9)
-    values = np.array([0, 0, G]) + rng.normal(0, 200 * MG, (360_000, 3))
-    found = still_segments(recorded(values))
-    assert found.n == 0
-    assert "vibrating" in reasons(found, 0.0, 3600.0)
-    assert any(re.search(r"shakes by (199|20\d) mg", note) for note in found.notes)
-    with pytest.raises(Undetermined, match="shakes"):
-        posture_runs(scan([recorded(values)], WORN.window))
-
-
-def test_noise_below_a_coarse_resolution_is_no_vibration() -> None:
-    rng = np.random.default_rng(10)
-    values, spans = bench(rng, [3.0] * 10, 40 * MG)
-    step = 49 * MG  # of a shock sensor
-    found = still_segments(recorded(np.round(values / step) * step))
-    assert found.n == len(spans)
-
-
-@pytest.mark.parametrize("every", [100, 50, 200])
-def test_lost_rows_end_with_a_reason(every: int) -> None:
-    values = np.array([0, 0, G]) + np.random.default_rng(0).normal(0, 2 * MG, (3000, 3))
-    values[every // 2 :: every] = 0.0
-    found = still_segments(recorded(values))
-    if every <= 100:
-        assert found.n == 0
-        assert reasons(found, 0.0, 30.0) == {"dropouts"}
-    else:
-        assert called_rest(found, 0.0, 30.0) > 0.8
-
-
-def test_filtered_noise_is_noise() -> None:
-    """A chip's low-pass filter makes samples alike; its rests are rests still."""
-    rng = np.random.default_rng(12)
-    values, spans = bench(rng, [3.0] * 12, 1e-9)
-    noise = rng.normal(size=values.shape)
-    kernel = np.exp(-np.arange(40) / 6.0)
-    noise = np.apply_along_axis(np.convolve, 0, noise, kernel, "same")
-    found = still_segments(recorded(values + 2 * MG * noise / noise.std()))
-    hit = sum(called_rest(found, a, b) > 0.8 for a, b in spans)
-    assert hit >= 11
 
 
 def in_blocks(values: np.ndarray) -> list[Recording]:

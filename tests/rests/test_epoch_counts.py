@@ -57,12 +57,3 @@ def test_a_raw_file_with_the_same_header_is_read(tmp_path: Path) -> None:
     path.write_text(head + "Accelerometer X,Accelerometer Y,Accelerometer Z\n" + rows + "\n")
     result = CliRunner().invoke(cli.cli, ["inspect", str(path)], standalone_mode=False)
     assert result.exception is None
-
-
-def test_counts_without_a_header_are_no_gravity(tmp_path: Path) -> None:
-    path = tmp_path / "bare.csv"
-    path.write_text(counts("", COLUMNS[1]), encoding="utf-8")
-    arguments = ["actigraph", str(path), "--rate", "0.2", "--unit", "g"]
-    result = CliRunner().invoke(cli.cli, arguments, standalone_mode=False)
-    assert isinstance(result.exception, UnreadableInput)
-    assert "counts" in str(result.exception)

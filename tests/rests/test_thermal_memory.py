@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imucalib.rests.thermal import REMEMBERED, ThermalHistory, is_remembered, remembered
+from imucalib.rests.thermal import ThermalHistory, remembered
 
 
 def behind(values: np.ndarray, width: float) -> np.ndarray:
@@ -23,21 +23,6 @@ def test_a_play_moves_only_at_its_ends(n: int) -> None:
     for width in (0.5, 2.0, 6.0):
         got = history.behind_play(width, history.time)
         np.testing.assert_allclose(got, behind(values, width), atol=1e-12)
-
-
-def test_a_temperature_that_turns_within_the_play_moves_nothing() -> None:
-    time = np.arange(100.0)
-    history = ThermalHistory(time, 30.0 + 0.9 * np.sin(time))
-    np.testing.assert_allclose(remembered(history, "temperature_play_2C", time), 30.0, atol=1e-12)
-
-
-def test_covariates_of_the_past_are_known_by_name() -> None:
-    assert all(map(is_remembered, REMEMBERED))
-    assert not any(map(is_remembered, ("temperature", "temperature_lag_4rows", "time")))
-    time = np.arange(0.0, 7200.0, 10.0)
-    history = ThermalHistory(time, time / 360.0)
-    late = remembered(history, "temperature_lag_1h", time)
-    np.testing.assert_allclose(late, history.lagged(1.0, time))
 
 
 def test_the_rate_is_the_slope_of_a_steady_warming() -> None:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.runs import Scan, posture_runs, scan
-from imucalib.rests.thermal import believed, history_of, mean_of_known, tells_apart, temperature_in
+from imucalib.rests.thermal import believed, history_of, tells_apart
 from imucalib.rests.windows import WindowBuilder, Windows
 from imucalib.units import MG, STANDARD_GRAVITY
 
@@ -39,34 +39,6 @@ def test_readings_that_jump_and_come_back_are_left_out(value: float) -> None:
     assert np.array_equal(found.windows.start, np.delete(T, at))
     assert len(found.gone) == np.unique(at).size
     assert found.words[0].startswith(f"temperature: {np.unique(at).size} of 2000 readings left out")
-
-
-def test_what_a_case_can_do_is_believed() -> None:
-    """Into 70 °C and out again with a time constant of five minutes, or in steps of 3 °C."""
-    warm = noisy(CASE)
-    for start, sign in ((5000.0, 1.0), (5600.0, -1.0)):
-        warm += np.where(start > T, 0.0, sign * 40.0 * -np.expm1(-(T - start) / 300.0))
-    for values in (warm, 3.0 * np.round(warm / 3.0), 0.0 * T + 25.0):
-        assert believed(windows(values)).words == ()
-
-
-def test_a_thermometer_that_seldom_answers_is_not_used() -> None:
-    values = noisy(CASE)
-    values[np.random.default_rng(3).random(values.size) < 0.7] = -127.0
-    found = believed(windows(values))
-    assert found.windows is None
-    assert found.words[0].startswith("temperature: not used")
-
-
-def test_between_good_readings_there_is_none_where_one_is_gone() -> None:
-    values = CASE.copy()
-    values[[5, 6]] = 85.0
-    found = believed(windows(values))
-    at = np.array([40.0, 44.0, 46.0, 64.0, 66.0])
-    known = np.isfinite(temperature_in(found.windows, found.gone, at, at))
-    assert known.tolist() == [True, True, False, False, True]
-    some = mean_of_known(np.array([1.0, np.nan, 3.0, np.nan]), np.array([0, 3]))
-    assert np.array_equal(some, [2.0, np.nan], equal_nan=True)
 
 
 def scanned(values: Array) -> Scan:

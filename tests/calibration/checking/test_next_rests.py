@@ -28,11 +28,3 @@ def test_how_many_rests_would_do() -> None:
     assert not found.enough
     least = next(n for n in MANY if power(n, 1.8) >= 0.9)
     assert found.many in MANY[MANY.index(least) : MANY.index(least) + 2]
-
-
-def test_what_the_calibration_does_not_know_no_rest_shows() -> None:
-    limit = 1.0
-    assert power(10**6, limit) < 0.9
-    calibration = made(np.zeros(6), np.diag([OWN**2] * 3 + [1e-8] * 3), 1e4)
-    found = next_rests(calibration, None, check_noise(calibration), {"bias": limit}, directed=False)
-    assert (found.enough, found.many) == (False, None)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -11,14 +9,9 @@ from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.checking.misfit import Misfits, check_noise
 from imucalib.calibration.checking.next_rests import misfits_of
 from imucalib.calibration.checking.statistic import Statistic
-from imucalib.calibrators.lab.calibration import noise_block
-from imucalib.core.balance import Noise
 from imucalib.core.effect import Context
-from imucalib.core.observations import Observations, SharedNoise
+from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm
-from imucalib.estimators.least_squares import fit
-from imucalib.loop.posterior.noise import NEIGHBOURS
-from worlds.bench import base_model, bench, draw, ordinary_theta
 from worlds.instrument import MG, G
 
 MEMORY, ALONE, SHARED = 4.0, 0.2, 0.73
@@ -91,17 +84,3 @@ def test_an_unchanged_sensor_that_shares_all_its_noise_is_not_changed() -> None:
     for seed in range(60):
         changed += Statistic(misfits(6, seed, 0.0), seed, draws=999).p() <= 0.05
     assert changed <= 9
-
-
-def test_a_noise_that_is_all_shared_is_stated_as_none() -> None:
-    """Where the estimate ends is no size, and its curvature no sd."""
-    base, data = base_model(), bench(5, 24)
-    made = draw(base, ordinary_theta(base, data, 5), data, 6)
-    root = np.eye(24)
-    shared = replace(made, shared=(SharedNoise(NEIGHBOURS, root, 2.0),))
-    found = fit(base, shared)
-    sizes = found.noise.sd
-    gone = Noise(1e-9 * sizes[-1], found.noise.component, (*sizes[:-1], 1e-2))
-    block = noise_block(replace(found, noise=gone))
-    assert (block["reading_mg"], block["reading_sd_mg"]) == (0.0, 0.0)
-    assert block["shared_mg"] == pytest.approx(1e-2 / MG, rel=1e-3)

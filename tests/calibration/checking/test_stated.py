@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from imucalib.calibration.checking import next_rests
 from imucalib.calibration.checking.e_value import paid
 from imucalib.calibration.checking.misfit import (
     KNOWN,
@@ -140,13 +139,6 @@ def test_the_smallest_p_is_held_against_that_of_unchanged_sensors() -> None:
     assert Statistic(flat, draws=50).seen("bias") == np.inf
     assert np.isnan(Statistic(flat, draws=50).tested()["bias"].size).all()
     assert Statistic(flat, draws=50).tested()["bias"].rank == 2
-
-
-def test_faces_come_before_edges_and_corners() -> None:
-    u = next_rests.attitudes()
-    np.testing.assert_allclose(np.linalg.norm(u, axis=1), 1.0)
-    assert [int(np.count_nonzero(v)) for v in u] == [1] * 6 + [2] * 12 + [3] * 8
-    assert len(np.unique(np.round(u, 9), axis=0)) == 26
 
 
 def test_a_gyroscope_is_tested_by_the_scatter_between_its_rests() -> None:

@@ -11,7 +11,7 @@ from scipy import stats
 from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.checking.check import Measured, checked
 from imucalib.calibration.checking.limits import Limits
-from imucalib.calibration.checking.misfit import Misfits, Scatter, check_noise
+from imucalib.calibration.checking.misfit import Misfits, check_noise
 from imucalib.calibration.checking.next_rests import misfits_of
 from imucalib.calibration.checking.statistic import ANYTHING, Statistic
 from imucalib.calibrators.lab.bench import still_observations
@@ -157,34 +157,3 @@ def test_two_rests_are_undecided_with_the_rests_to_add() -> None:
     )
     again = Statistic(misfits(calibration, added)).seen("bias")
     assert again == pytest.approx(plan.seen["bias"], rel=0.1)
-
-
-def test_a_calibration_of_several_sessions_states_their_scatter() -> None:
-    made = six(np.zeros(3), np.zeros(3), np.diag([0.01] * 3 + [1e-8] * 3), 0.2, 30.0)
-    scatter = [{"what": "session bias", "unit": "mg", "sd": 0.7},
-               {"what": "session mounting", "unit": "deg", "sd": 0.05}]  # fmt: skip
-    block = {"sessions": ["a", "b", "c"], "scatter": scatter}
-    noise = check_noise(replace(made, facts={**made.facts, "between_sessions": block}))
-    assert noise.session["bias"] == Scatter(0.7, 6.0)
-    assert noise.session["mounting"] == Scatter(0.05, 6.0)
-    reading = vectors(*four(np.random.default_rng(1)))
-    data = still_observations(rests(reading), reading, G, sigma=1.0)
-    found = misfits_of(made, data, noise)[0]
-    # Its few sessions, not the many readings, now tell how well the scale is known.
-    assert 6.0 < found.dof < 15.0
-    assert len(found.parts) == 2  # the readings and the biases: no mounting without directions
-
-
-def test_the_session_widens_what_must_be_seen() -> None:
-    rng = np.random.default_rng(6)
-    calibration = six(np.zeros(3), np.zeros(3), np.diag([0.01] * 3 + [1e-8] * 3), 0.2, 30.0)
-    reading = vectors(*four(rng)) + np.array([1.0, 0.0, 0.0]) * MG
-    data = still_observations(rests(reading), reading, G, sigma=1.0)
-    sharp, wide = (
-        misfits_of(calibration, data, check_noise(calibration, session=s))[0]
-        for s in (None, {"bias": 0.7})
-    )
-    assert Statistic(wide).p() > 0.2 > Statistic(sharp).p()
-    change = wide.covariance - sharp.covariance
-    u = reading / np.linalg.norm(reading, axis=1, keepdims=True)
-    assert change == pytest.approx((0.7 * MG) ** 2 * u @ u.T, rel=0.02, abs=1e-9)

@@ -13,7 +13,6 @@ from imucalib.calibration.comparison.agreement import beyond
 from imucalib.calibration.comparison.compare import compared, due, slope_of
 from imucalib.core.sphere import even_directions
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.report.comparison import control_chart
 from worlds.instrument import MG, Array, G, rotation
 from worlds.stated import made
 
@@ -152,43 +151,6 @@ def test_other_effects_are_compared_by_what_they_do() -> None:
     assert found.meanings[0].worst.value == pytest.approx(0.0, abs=1e-6)
     sd = np.sqrt(found.basis.covariance[0].diagonal())
     assert sd[:3] == pytest.approx(0.2, rel=1e-3)  # the offsets are the biases
-
-
-def test_what_the_effects_do_not_touch_is_not_compared() -> None:
-    """Squares act on the offset and on nothing linear: no number of theirs is rounding alone."""
-    covariance = np.diag([0.04] * 3 + [1e-7] * 3)
-    plain = made(np.array([5.0, -3.0, 1.0, 1e-3, 2e-3, -1e-3]), covariance)
-    squares = tuple(StoredParameter(f"quadratic_{a}", "quadratic", "sensor", v, 0.1, "mg/g2")
-                    for a, v in zip("xyz", (3.0, -3.0, 4.0), strict=True))  # fmt: skip
-    more = Calibration(**{**vars(plain), "parameters": (*plain.parameters, *squares),
-                          "covariance": np.diag([0.04] * 3 + [1e-7] * 3 + [0.01] * 3)})  # fmt: skip
-    found = compared([plain, more], ["a", "b"], Limits())
-    assert found.basis.names == ("offset_x", "offset_y", "offset_z", "S_xx", "S_yy", "S_zz")
-    offset, scale = found.basis.value[:, :3], found.basis.value[:, 3:]
-    assert offset[1] - offset[0] == pytest.approx(np.array([3.0, -3.0, 4.0]) / 3.0, rel=2e-3)
-    assert scale[1] == pytest.approx(scale[0], abs=1e-12)
-
-
-def test_a_status_without_reasons_is_said_without_them() -> None:
-    one = made(np.zeros(6), np.diag([0.04] * 3 + [1e-7] * 3))
-    weak = replace(one, status="marginal")
-    why = replace(weak, reasons=("two rows",))
-    notes = compared([one, weak, why], ["a", "b", "c"], Limits()).notes
-    assert "status of b: marginal" in notes
-    assert "status of c: marginal (two rows)" in notes
-
-
-def test_the_control_chart_has_no_bars_from_zero() -> None:
-    covariance = np.diag([0.04] * 3 + [1e-7] * 3)
-    files = [made(np.array([b, 0.0, 0.0, 0.0, 0.0, 0.0]), covariance) for b in (5.0, 7.0, 6.0)]
-    found = compared(files, ["a", "b", "c"], Limits())
-    (chart,) = control_chart(found)
-    assert "bars" not in {series.mark for series in chart.series}
-    (points,) = [s for s in chart.series if s.mark == "points"]
-    assert points.low is not None
-    assert points.high is not None
-    assert points.high - points.y == pytest.approx(points.y - points.low)
-    assert (points.high - points.y).max() > 0.2
 
 
 def test_what_cannot_be_compared_is_refused() -> None:

@@ -12,7 +12,6 @@ from imucalib.calibration.checking.limits import Limits, sessions_of
 from imucalib.calibration.comparison.agreement import agreement
 from imucalib.calibration.comparison.basis import basis_of
 from imucalib.calibration.comparison.compare import compared, with_power_ups
-from imucalib.errors import UsageError
 from worlds.stated import made
 
 #: mg: scatter of the bias between power-ups, and of a calibration's own.
@@ -64,34 +63,3 @@ def test_a_scatter_that_is_given_is_in_every_sd_of_one_power_up() -> None:
     assert found.agreement.p > plain.agreement.p
     assert any("0.7 mg of bias, as given" in note for note in found.notes)
     assert any("--between-sessions" in note for note in plain.notes)
-
-
-def test_other_effects_carry_the_scatter_too() -> None:
-    """What they do to first order: an offset scatters as the bias does."""
-    rng = np.random.default_rng(5)
-    one = several(rng, 3)
-    other = made(np.zeros(9), np.diag([OWN**2] * 3 + [1e-8] * 3 + [1e-4] * 3), mounted=True)
-    found = compared([one, other], ["a", "b"], Limits())
-    assert found.basis.words.startswith("They hold different effects")
-    stated = one.facts["between_sessions"]["scatter"][0]["sd"]
-    at = [found.basis.names.index(f"offset_{a}") for a in "xyz"]
-    np.testing.assert_allclose(found.basis.power_ups.share[1][at, at], stated**2, rtol=1e-3)
-    np.testing.assert_allclose(found.basis.power_ups.share[0][at, at], stated**2 / 3, rtol=1e-3)
-
-
-def test_dates_that_are_all_the_same_are_told() -> None:
-    rng = np.random.default_rng(6)
-    with pytest.raises(UsageError, match="all dates are the same"):
-        compared([one_day(rng)] * 2, ["a", "b"], Limits(), ["2026-01-01", "2026-01-01"])
-
-
-def test_a_recording_that_is_in_both_is_told() -> None:
-    """Also where one is of several files."""
-    rng = np.random.default_rng(7)
-    one, other = one_day(rng), one_day(rng)
-    of = {"sha256": "both", "inputs_sha256": ["monday", "tuesday"]}
-    files = [
-        replace(one, facts={**one.facts, "provenance": of}),
-        replace(other, facts={**other.facts, "provenance": {"sha256": "tuesday"}}),
-    ]
-    assert any("the same recording" in n for n in compared(files, ["a", "b"], Limits()).notes)

@@ -22,16 +22,14 @@ from imucalib.calibrators.actigraph.run import run_of
 from imucalib.calibrators.actigraph.series import series
 from imucalib.calibrators.actigraph.simulation import WeekPlan, simulated_week
 from imucalib.core.balance import Noise
-from imucalib.core.effect import Context, Truth
+from imucalib.core.effect import Context
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm
-from imucalib.core.sphere import cell_of, even_directions
+from imucalib.core.sphere import even_directions
 from imucalib.effects import families, known, named
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.estimators.least_squares import fit
-from imucalib.exports import exports
-from imucalib.exports.per_axis import nearest_row
 from imucalib.recording.recording import Channel, Gap, Recording
 from imucalib.rests.runs import WORN, posture_runs, scan
 from imucalib.units import MG, STANDARD_GRAVITY
@@ -130,14 +128,6 @@ def test_the_scatter_of_windows_is_that_of_what_they_share() -> None:
     assert runs.window_noise / MG == pytest.approx(2.0, rel=0.2)
 
 
-def test_a_slow_roll_is_cut_before_it_goes_far() -> None:
-    angle = np.linspace(0.0, 0.5, 60)
-    means = np.stack([np.sin(angle), 0.0 * angle, np.cos(angle)], axis=1)
-    runs = posture_runs(scan([recorded(means, 10.0)], WORN.window))
-    assert runs.n > 10
-    assert runs.windows.max() <= 5
-
-
 def test_a_gap_ends_a_run() -> None:
     whole = recorded(np.array([[0.0, 0.0, 1.0]]), 120.0)
     channel = whole.channels["imu0/acceleration"]
@@ -171,41 +161,6 @@ def test_refuses_what_cannot_be_gravity() -> None:
     two = replace(counts, channels={t: replace(channel, triad=t) for t in "ab"})
     with pytest.raises(UsageError, match="2 accelerometers"):
         scan([two], WORN.window)
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        "bias_step@3600s",
-        "thermal_lag@1h",
-        "thermal_hysteresis@2C",
-        "converter@xz",
-        "temperature_rate@5min",
-    ],
-)
-def test_members_of_scans_keep_the_laws(name: str) -> None:
-    effect = named(name)
-    rng = np.random.default_rng(4)
-    n = 30
-    lag = {"temperature_lag_1h": rng.normal(30, 2, n), "time": np.linspace(0, 7200, n)}
-    lag["temperature_play_2C"] = rng.normal(30, 2, n)
-    lag["temperature_rate_5min"] = rng.normal(0, 2, n)
-    context = Context(n, lag)
-    x = G * rng.uniform(-1.0, 1.0, (n, 1, 3))
-    typical = np.array([p.typical for p in effect.parameters(context)])
-    theta = typical * rng.uniform(-1.0, 1.0, typical.size)
-    action = effect.act(theta, Truth(x), context)
-    assert np.array_equal(effect.act(0.0 * theta, Truth(x), context).delta, np.zeros_like(x))
-    assert np.allclose(action.d_theta @ theta, action.delta, atol=1e-12)
-    for axis in range(3):
-        step = np.zeros(3)
-        step[axis] = 1e-5
-        up, down = (effect.act(theta, Truth(x + s), context).delta for s in (step, -step))
-        assert np.allclose((up - down) / 2e-5, action.d_x[..., axis], atol=1e-6)
-    model = Model((*nine().effects, effect))
-    start = np.concatenate([np.zeros(9), theta])
-    reading = model.predict(start, x, context).reading
-    assert np.allclose(model.correct(start, reading, context), x, atol=1e-9)
 
 
 def test_scans_know_their_members_by_name() -> None:
@@ -287,36 +242,3 @@ def test_the_wrist_recording_reaches_its_marks(wrist: tuple[Path, int]) -> None:
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "Error over the sphere" in page
     assert "log density" in page
-
-
-@pytest.mark.slow
-def test_the_wrist_calibration_and_its_exports_agree(tmp_path: Path) -> None:
-    out = tmp_path
-    arguments = ["actigraph", str(WRIST), "-o", str(out), "-q", "--no-loop", "--export",
-                 "ggir-csv", "--export", "c-header"]  # fmt: skip
-    result = CliRunner().invoke(cli.cli, arguments, standalone_mode=False)
-    assert result.exception is None
-    calibration = read_calibration(out / "calibration.yaml")
-    raw = G * even_directions(50)
-    corrected = calibration.apply(raw)
-    linear = calibration.matrices()
-    assert np.allclose(raw @ linear.M.T + linear.b, corrected, atol=1e-9)
-    header = (out / exports()["c-header"].file).read_text(encoding="utf-8")
-    entries = header.split("imucal_M[3][3] = ")[1].split(";")[0].replace("f", "")
-    numbers = np.array([float(v) for v in entries.strip("{}").replace("}, {", ", ").split(", ")])
-    assert np.allclose(numbers.reshape(3, 3), linear.M, rtol=1e-8)
-    fine = header.split("imucal_b_fine[3] = {")[1].split("}")[0].split(", ")
-    assert np.allclose(np.array(fine, float) / 1e6, linear.b / G, atol=6e-7)
-    names, values = (out / exports()["ggir-csv"].file).read_text(encoding="utf-8").splitlines()
-    row = dict(zip(names.split(","), values.split(","), strict=True))
-    row_of = nearest_row(calibration)
-    scale, offset, lost = row_of.scale, row_of.offset, row_of.lost
-    assert float(row["scale.x"]) == pytest.approx(scale[0], rel=1e-8)
-    assert float(row["offset.z"]) == pytest.approx(offset[2], abs=1e-9)
-    six = np.linalg.norm(scale * (raw / G + offset), axis=1)
-    nine_norm = np.linalg.norm(corrected / G, axis=1)
-    # As often as the postures of the day were held, cell by cell of the sphere.
-    held = np.array(calibration.facts["postures"], float)
-    assert held.sum() > 50
-    share = (held + 0.05 * held.mean())[cell_of(raw)]
-    assert np.average(np.abs(six - nine_norm), weights=share) * 1e3 == pytest.approx(lost, rel=0.3)

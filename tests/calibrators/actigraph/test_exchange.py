@@ -17,7 +17,7 @@ from imucalib.calibrators.actigraph.simulation import (
     simulated_week,
 )
 from imucalib.errors import Undetermined, UnreadableInput
-from imucalib.rests.runs import PostureRuns, posture_runs, scan, two_ranges
+from imucalib.rests.runs import PostureRuns, posture_runs, scan
 
 OTHER = {
     "bias": (-10.0, 30.0, 5.0),
@@ -64,23 +64,6 @@ def test_one_sensor_with_errors_is_no_exchange(plan: WeekPlan) -> None:
         assert exchange_in(simulated_week(plan, seed).runs) is None
 
 
-JUMPS = {
-    "biases": lambda x: x + 0.0098 * np.array([60.0, -40.0, 30.0]),
-    "one scale": lambda x: x * np.array([1.02, 1.0, 1.0]),
-    "scales": lambda x: x * 1.01,
-    "angles": lambda x: x + np.stack([0.0 * x[:, 0], 0.02 * x[:, 0], 0.01 * x[:, 1]], axis=1),
-}
-
-
-@pytest.mark.parametrize("part", JUMPS)
-def test_where_one_part_jumps_it_is_the_same_sensor(part: str) -> None:
-    for seed in range(3):
-        runs = simulated_week(WeekPlan(days=3.0), seed).runs
-        late = (runs.time >= WHEN)[:, None]
-        mean = np.where(late, JUMPS[part](runs.mean), runs.mean)
-        assert exchange_in(replace(runs, mean=mean)) is None
-
-
 def test_two_sensors_are_refused_and_their_parts_calibrated() -> None:
     runs, scanned = two_sensors(1), simulated_week(WeekPlan(days=3.0), 1).scanned
     with pytest.raises(Undetermined, match="another sensor") as caught:
@@ -112,11 +95,3 @@ def test_a_change_of_range_is_named(factor: float, day: float) -> None:
     hour = float(caught.value.what.partition("before ")[2].partition(" h")[0])
     assert abs(hour - 24.0 * day) < 0.2
     assert "two files" in caught.value.remedy
-
-
-def test_one_level_is_no_change() -> None:
-    rng = np.random.default_rng(0)
-    assert two_ranges(9.8 * (1.0 + 0.05 * rng.normal(size=500))) is None
-    assert two_ranges(np.linspace(9.0, 11.0, 500)) is None
-    assert two_ranges(np.full(500, 9.8)) is None
-    assert two_ranges(np.repeat([9.8, 19.6], [3, 500])) is None

@@ -95,20 +95,6 @@ def test_a_sensor_that_contradicts_its_fleet_is_calibrated_alone(off: np.ndarray
     assert told.exit_code == 4  # weak, as alone
 
 
-def test_postures_that_tell_everything_need_no_fleet() -> None:
-    runs = sensor(MEAN + 2.0 * SD, 300, np.random.default_rng(4))
-    found, alone = result(runs, KIND), result(runs, None)
-    assert np.isnan(found.of_a_kind.strange)
-    np.testing.assert_array_equal(found.final.theta, alone.final.theta)
-
-
-def test_a_fleet_that_knows_less_than_data_sheets_changes_nothing() -> None:
-    """Ninety postures, a scatter between devices of ten times the typical sizes."""
-    wide = replace(KIND, covariance=1e4 * KIND.covariance)
-    runs = sensor(MEAN, 90, np.random.default_rng(5))
-    np.testing.assert_array_equal(result(runs, wide).final.theta, result(runs, None).final.theta)
-
-
 def test_an_effect_of_the_fleet_needs_what_drives_it_and_no_more() -> None:
     """Six postures within a tenth of a degree show nothing of a temperature; the fleet does: at 35
     degC a device that drifts by 0.3 mg/degC is off by 3 mg."""
@@ -142,19 +128,3 @@ def test_what_knows_no_prior_is_refused(
     done = CliRunner().invoke(cli, arguments, standalone_mode=False)
     assert isinstance(done.exception, UsageError)
     assert message in str(done.exception)
-
-
-@pytest.mark.parametrize("postures", [9, 10, 12, 17])
-def test_few_postures_that_tell_all_parameters_leave_nothing_to_search_by(postures: int) -> None:
-    """Nine evenly spread postures are nine numbers for nine parameters: the search divided by zero
-    degrees of freedom."""
-    z = 1.0 - (2.0 * np.arange(postures) + 1.0) / postures
-    turn = np.pi * (1.0 + 5.0**0.5) * np.arange(postures)
-    u = np.column_stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z])
-    rng = np.random.default_rng(0)
-    mean = (1000.0 * u + 0.5 * rng.standard_normal(u.shape)) * MG
-    runs = replace(sensor(MEAN, postures, rng), mean=mean)
-    told = run_of(runs, SCAN, ActigraphRequest(), lambda _: None)
-    assert told.result.loop is None
-    if not told.result.weak:
-        assert "twice as many posture runs" in told.outcome.advice[0]

@@ -15,7 +15,6 @@ from imucalib.calibrators.actigraph.simulation import (
     simulated_week,
 )
 from imucalib.core.effect import Context, Effect, Parameter, Response, Truth
-from imucalib.estimators.least_squares import fit
 from imucalib.units import MG, STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
@@ -99,45 +98,3 @@ def test_a_clean_week_stays_as_it_is(seed: int) -> None:
     result = solved(simulated_week(WeekPlan(days=2.0), 100 + seed))
     assert result.loop is not None
     assert not result.loop.steps
-
-
-def test_strange_runs_count_less_and_change_little() -> None:
-    week = simulated_week(WeekPlan(days=2.0), 9)
-    week.runs.mean[::100] += 30.0 * MG  # in a moving car
-    result = solved(week, ActigraphRequest(loop=False))
-    assert result.light >= 4
-    truth = np.concatenate([week.plan.sensor[name] for name in result.final.model.names])
-    z = (result.final.theta - truth) / result.final.sd
-    assert np.abs(z).max() < 4.0
-
-
-@pytest.mark.slow
-def test_a_wandering_bias_is_in_what_is_stated() -> None:
-    z: list[Array] = []
-    narrow: list[Array] = []
-    for seed in range(6):
-        week = simulated_week(WeekPlan(days=2.0), 40 + seed)
-        # A bias that wanders from hour to hour, which no effect of the catalogue follows.
-        rng = np.random.default_rng(seed)
-        hour = (week.runs.time / 7200.0).astype(int)
-        week.runs.mean[:] += 1.5 * MG * rng.standard_normal((hour.max() + 1, 3))[hour]
-        result = solved(week)
-        assert result.loop is not None
-        assert not result.loop.steps
-        assert result.loop.wander is not None
-        assert 0.9 < result.loop.wander.size < 2.5
-        truth = np.concatenate([week.plan.sensor[name] for name in result.base.model.names])
-        plain = solved(week, ActigraphRequest(loop=False)).base
-        narrow.append((plain.theta - truth) / plain.sd)
-        z.append((result.base.theta - truth) / result.base.sd)
-    assert np.std(narrow) > 1.5
-    assert np.std(z) < 1.2
-
-
-def test_the_fit_is_the_same_from_far_away() -> None:
-    week = simulated_week(WeekPlan(days=0.5), 7)
-    result = solved(week, ActigraphRequest(loop=False)).final
-    far = result.theta + np.array([80.0, -80, 80, 0.08, 0.08, -0.08, 0.05, -0.05, 0.05])
-    again = fit(result.model, result.observations, start=far)
-    assert again.converged
-    assert np.allclose((again.theta - result.theta) / result.sd, 0.0, atol=1e-3)

@@ -10,17 +10,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
-from imucalib.calibrators.actigraph import calibration as advice
 from imucalib.calibrators.actigraph import coverage, errors
-from imucalib.calibrators.actigraph.calibrate import unseen
-from imucalib.calibrators.actigraph.closest_point import closest_point
 from imucalib.calibrators.actigraph.observations import (
     covariates_of,
-    from_data,
-    hours,
-    is_weak,
     observations_of,
-    open_words,
     quantisation,
     robust_fit,
 )
@@ -31,19 +24,12 @@ from imucalib.calibrators.actigraph.published import (
 )
 from imucalib.calibrators.actigraph.simulation import (
     WeekPlan,
-    code_steps,
-    postures,
     scan_of,
     simulated_blocks,
     simulated_week,
-    temperature_at,
 )
-from imucalib.calibrators.actigraph.wear import Minutes, Wear, activity_of
-from imucalib.core.effect import Parameter
 from imucalib.core.model import Model
-from imucalib.core.sphere import cell_of
 from imucalib.effects import named
-from imucalib.loop.held_out import Held
 from imucalib.rests.runs import PostureRuns, Scan
 from imucalib.units import MG, STANDARD_GRAVITY
 
@@ -67,30 +53,12 @@ def scanned(seconds: float, **changed: object) -> Scan:
     return Scan(**{**vars(made), **changed})  # type: ignore[arg-type]
 
 
-def test_a_time_is_days_hours_and_minutes() -> None:
-    assert hours(0.0) == "0 d 00:00"
-    assert hours(29.0) == "0 d 00:00"
-    assert hours(31.0) == "0 d 00:01"
-    assert hours(2 * 86400.0 + 3 * 3600.0 + 7 * 60.0) == "2 d 03:07"
-    assert hours(86400.0 - 60.0) == "0 d 23:59"
-
-
 def test_a_runs_noise_is_that_of_its_windows_beside_a_milli_g() -> None:
     data = observations_of(runs_of(), scanned(6 * 3600.0), G, blocks=3)
     np.testing.assert_allclose(data.sigma[:, 0, 0] / MG, np.sqrt(1.0 + 9.0 / np.arange(1.0, 7.0)))
     # Three stretches of equal time between the first run and the last.
     assert data.group.tolist() == [0, 0, 1, 1, 2, 2]
     assert data.label[1] == "run at 0 d 01:00"
-
-
-def test_blocks_of_time_hold_a_third_of_the_runs_at_most() -> None:
-    """Two hours on the wrist and two days in a drawer are held out in equal numbers of runs."""
-    short = np.append(200.0 * np.arange(35), 172800.0)
-    runs = runs_of(36, time=short, windows=np.full(36, 3))
-    scanned = scan_of(np.array([5.0, 172800.0]), None, rate=100.0, seconds=172800.0)
-    assert observations_of(runs, scanned, G).group.tolist() == [k // 3 for k in range(36)]
-    few = runs_of(6, time=short[[0, 1, 2, 3, 4, 35]])
-    assert observations_of(few, scanned, G).group.tolist() == [0, 0, 0, 0, 0, 11]
 
 
 def test_a_step_is_an_error_only_where_noise_does_not_average_it_out() -> None:
@@ -199,77 +167,6 @@ def test_errors_over_the_sphere_are_those_of_the_nearest_part() -> None:
     assert summary.floor == pytest.approx(sigma.mean() / MG * np.sqrt(2.0 / np.pi))
 
 
-def told(held: float, worst: float, light: int = 0, weak: bool = False, raw: float = 50.0) -> str:
-    error = np.full((4, 1, 1), held * MG)
-    result = SimpleNamespace(
-        weak=weak, final_held=Held(error, error, error), light=light,
-        error=SimpleNamespace(held_out=SimpleNamespace(raw=raw)), runs=SimpleNamespace(n=100),
-    )  # fmt: skip
-    seen = SimpleNamespace(unseen=("x up",), worst_sd=worst)
-    return " | ".join(advice.reasons(result, seen))  # type: ignore[arg-type]
-
-
-def test_a_calibration_is_good_below_ten_milli_g_and_known_to_one() -> None:
-    assert told(9.9, 0.99) == ""
-    assert "held-out error of 10.1 mg is above the field's 10 mg" in told(10.1, 0.5)
-    assert "known to 1.1 mg only; no posture with x up" in told(5.0, 1.1)
-    assert "worse than no calibration (4.90 mg)" in told(5.0, 0.5, raw=4.9)
-    assert not told(5.0, 0.5, raw=5.1)
-    assert not told(5.0, 0.5, light=2)
-    assert "3 of 100 posture runs are unlike" in told(5.0, 0.5, light=3)
-
-
-def test_an_end_is_unseen_below_three_tenths_of_gravity() -> None:
-    u = np.concatenate([np.eye(3), -np.eye(3)])
-    assert unseen(runs_of()) == ("directions between those that were recorded",)
-    u[3] = [-0.29, 0.957, 0.0]
-    assert unseen(runs_of(mean=G * u)) == ("x down",)
-    u[3] = [-0.31, 0.951, 0.0]
-    assert unseen(runs_of(mean=G * u)) != ("x down",)
-
-
-def weakly(
-    sd: float, prior: object = SimpleNamespace(covariance=100.0 * np.eye(9))
-) -> SimpleNamespace:
-    parts = tuple(Parameter(f"p{k}", "mg", 10.0, 99.0) for k in range(9))
-    covariance = np.diag(np.full(9, 1.0))
-    covariance[4, 4] = sd**2
-    names = {"bias": slice(0, 3), "scale": slice(3, 6), "non_orthogonality": slice(6, 9)}
-    return SimpleNamespace(
-        prior=prior, null_directions=(), parameters=parts, covariance=covariance, theta=np.zeros(9),
-        sd=np.sqrt(np.diag(covariance)), model=SimpleNamespace(slices=lambda context: names),
-        observations=SimpleNamespace(context=None),
-    )  # fmt: skip
-
-
-def test_weak_is_known_worse_than_a_third_of_the_typical_size() -> None:
-    assert not is_weak(weakly(3.3))  # type: ignore[arg-type]
-    assert is_weak(weakly(3.4))  # type: ignore[arg-type]
-    wide = weakly(1.0, prior=None)
-    wide.null_directions = ("p1",)
-    assert is_weak(wide)  # type: ignore[arg-type]
-    share = from_data(weakly(6.0))  # type: ignore[arg-type]
-    assert share[4] == pytest.approx(1.0 - 0.36)
-    assert share[0] == pytest.approx(0.99)
-    assert from_data(weakly(20.0))[4] == 0.0  # type: ignore[arg-type]
-    assert open_words(weakly(6.0)) == "p4 (64 %)"  # type: ignore[arg-type]
-    assert open_words(weakly(1.0)) == "some combinations of parameters"  # type: ignore[arg-type]
-
-
-def test_activity_by_the_hour_counts_samples_and_leaves_out_what_was_not_worn() -> None:
-    minute = np.arange(1440.0)
-    value = np.where(minute % 2 == 0, 1.0, 4.0) * MG
-    count = np.where(minute % 2 == 0, 30.0, 60.0)
-    off = np.array([[3600.0, 7200.0]])
-    made = activity_of(Minutes(minute, count, 2.0 * value, value), Wear(24.0, 23.0, off),
-                       2.0 * 3600.0, (np.zeros(0), np.zeros(0)), np.zeros(0))  # fmt: skip
-    np.testing.assert_allclose(made.profile[5], [6.0, 3.0])
-    assert np.isnan(made.profile[3]).all()  # the recording's second hour is three o'clock
-    assert made.enmo["all"] == pytest.approx((6.0, 3.0))
-    assert made.night_runs == 0
-    assert np.isnan(made.night_error).all()
-
-
 def test_the_papers_rule_of_stillness_and_its_points() -> None:
     """max - min below 0.12 g on one axis, and not a stuck one; ends of axes come first."""
     low = np.zeros((4, 3))
@@ -302,15 +199,6 @@ def test_a_simulated_week_is_as_long_as_asked_and_rests_as_much() -> None:
     assert np.mean((left / MG / sd) ** 2) == pytest.approx(3.0, rel=0.1)
 
 
-def test_postures_are_habits() -> None:
-    """Two dozen of them hold most of the time: some of 96 cells hold far more than their share."""
-    u = postures(4000, np.random.default_rng(0))
-    np.testing.assert_allclose(np.linalg.norm(u, axis=1), 1.0)
-    count = np.sort(np.bincount(cell_of(u), minlength=96))[::-1]
-    assert count[:10].sum() > 0.25 * 4000
-    assert np.count_nonzero(count) > 60  # and a few are from anywhere
-
-
 def test_samples_of_a_simulated_day_are_its_sensors() -> None:
     """Rests read the planted sensor's forward model with the noise asked for; the share of time at
     rest is that asked for."""
@@ -328,36 +216,3 @@ def test_samples_of_a_simulated_day_are_its_sensors() -> None:
     rest = part.mean(axis=2).reshape(-1, 3)[still]
     size = np.array([np.linalg.norm(_undone(theta, v)) for v in rest])
     np.testing.assert_allclose(size, G, atol=2.0 * MG)
-
-
-def test_the_wrist_is_warm_and_cools_off_the_body() -> None:
-    time = np.arange(0.0, 7.0 * 86400.0, 60.0)
-    colder = 31.0 + 1.5 * np.sin(2.0 * np.pi * time / 86400.0 - 0.7) - temperature_at(time, 3)
-    assert colder.min() > -1e-9
-    first = int(np.argmax(colder > 0.0))
-    since = time[first : first + 60] - time[first]
-    due = 6.0 * (1.0 - np.exp(-since / 1800.0))
-    np.testing.assert_allclose(colder[first : first + 60], due, atol=6.0 * 60.0 / 1800.0)
-    assert colder[-1] < 0.5  # and it warms up again
-
-
-def test_major_codes_are_a_saw_tooth() -> None:
-    curve = code_steps(5.0, period=0.2)
-    np.testing.assert_allclose(curve(np.array([0.0, 0.05, 0.1, 0.15, 0.2])), [5, 0, -5, 0, 5],
-                               atol=1e-9)  # fmt: skip
-
-
-def test_the_fields_rule_takes_windows_below_13_mg_and_2_g() -> None:
-    rng = np.random.default_rng(0)
-    u = rng.standard_normal((40, 3))
-    mean = G * u / np.linalg.norm(u, axis=1, keepdims=True)
-    mean[0] = [1.99 * G, 0.1, 0.1]
-    mean[1] = [2.01 * G, 0.1, 0.1]
-    mean[2] = 0.0
-    variance = np.full((40, 3), (3.0 * MG) ** 2)
-    variance[3] = (12.9 * MG) ** 2
-    variance[4, 1] = (13.1 * MG) ** 2
-    scanned = SimpleNamespace(windows=SimpleNamespace(mean=mean, variance=variance))
-    found = closest_point(scanned)  # type: ignore[arg-type]
-    assert found is not None
-    assert found.points == 37  # all but numbers 1, 2 and 4

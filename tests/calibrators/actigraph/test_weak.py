@@ -19,7 +19,6 @@ from imucalib.calibrators.actigraph.observations import (
     from_data,
     is_weak,
     observations_of,
-    quantisation,
 )
 from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.run import run_of
@@ -31,8 +30,6 @@ from imucalib.effects import named
 from imucalib.errors import Undetermined, UnreadableInput
 from imucalib.estimators.least_squares import fit
 from imucalib.loop.held_out import errors, held_out
-from imucalib.report.actigraph import actigraph_document
-from imucalib.report.render.text import render_text
 from imucalib.units import MG, STANDARD_GRAVITY
 from worlds.places import DATA, needs_data
 
@@ -90,15 +87,6 @@ def test_one_posture_moves_only_what_it_shows() -> None:
     assert found.theta[2] + 1e3 * found.theta[5] == pytest.approx(20.0, abs=1.0)
 
 
-def test_a_prior_far_away_changes_nothing() -> None:
-    week = simulated_week(WeekPlan(days=2.0, scatter=1.0), 2)
-    data = observations_of(week.runs, week.scanned, G)
-    plain, wide = fit(MODEL, data), fit(MODEL, data, prior=_known(data, 1e6 * TYPICAL))
-    assert np.allclose(plain.theta, wide.theta, rtol=0.0, atol=1e-3 * plain.sd)
-    assert np.allclose(plain.sd, wide.sd, rtol=0.01)
-    assert not is_weak(plain)
-
-
 def test_held_out_fits_keep_the_prior() -> None:
     """To what one step of Gauss and Newton leaves: less than a tenth."""
     week, _ = short(np.random.default_rng(5), 6)
@@ -108,22 +96,6 @@ def test_held_out_fits_keep_the_prior() -> None:
         rest = fit(MODEL, data.without(np.array([row])), prior=_known(data, TYPICAL), noise=None)
         again = errors(rest, rest.theta, data.take(np.array([row]))).error[0, 0, 0]
         assert held_out(found).error[row, 0, 0] == pytest.approx(again, rel=0.1, abs=0.03 * MG)
-
-
-@pytest.mark.slow
-def test_postures_in_one_plane_are_weak_and_said_so() -> None:
-    week = simulated_week(WeekPlan(days=1.0), 5)
-    flat = week.runs.mean.copy()
-    flat[:, 2] = 0.0
-    flat *= G / np.linalg.norm(flat, axis=1, keepdims=True)
-    flat += 0.004 * np.random.default_rng(0).standard_normal(flat.shape)
-    lying = replace(week.runs, mean=flat)
-    run = run_of(lying, week.scanned, ActigraphRequest(), lambda text: None)
-    assert (run.outcome.status, run.outcome.exit_code) == ("weak", 4)
-    assert run.outcome.findings is None
-    assert "never z up, z down" in run.outcome.reasons[0]
-    assert "bias_z" in run.outcome.reasons[0]
-    assert "bias_x" not in run.outcome.reasons[0]
 
 
 @needs_data
@@ -159,41 +131,6 @@ def test_nothing_at_rest_is_refused(tmp_path: Path) -> None:
     arguments = ["actigraph", str(path), "--unit", "g"]
     result = CliRunner().invoke(cli.cli, arguments, standalone_mode=False)
     assert isinstance(result.exception, Undetermined | UnreadableInput)
-
-
-@pytest.mark.slow
-def test_a_coarse_resolution_is_in_the_uncertainty() -> None:
-    step = 15.6 * MG  # a quarter of a hundredth of the range, as old loggers have it
-    z: dict[bool, list[Array]] = {True: [], False: []}
-    for seed in range(40):
-        rng = np.random.default_rng(seed)
-        week, truth = short(rng, 20)
-        coarse = np.round(week.runs.mean / step) * step
-        quiet = np.full(3, step / np.sqrt(12.0))
-        for known, found_z in z.items():
-            resolution = np.full(3, step if known else 0.0)
-            runs = replace(week.runs, mean=coarse, noise=quiet, resolution=resolution)
-            found, _ = base_fit(MODEL, observations_of(runs, week.scanned, G), runs)
-            found_z.append((found.theta - truth) / found.sd)
-    assert 0.75 < np.std(z[True]) < 1.1
-    assert np.std(z[False]) > 1.2 * np.std(z[True])
-
-
-@pytest.mark.slow
-def test_a_coarse_resolution_is_said_so() -> None:
-    week = simulated_week(WeekPlan(days=1.0), 3)
-    step = 12.0 * MG
-    coarse = np.round(week.runs.mean / step) * step
-    runs = replace(
-        week.runs, mean=coarse, noise=np.full(3, 0.29 * step), resolution=np.full(3, step)
-    )
-    run = run_of(runs, week.scanned, ActigraphRequest(), lambda text: None)
-    assert run.outcome.findings is not None
-    assert "3.5 mg" in run.outcome.findings.missing["quantisation"]
-    words = " ".join(render_text(actigraph_document(run), 200, color=False, full=True).split())
-    assert "the smallest step, 12 mg, does not average out: 3.5 mg a posture" in words
-    fine = replace(runs, noise=np.full(3, 0.6 * step))
-    assert quantisation(fine) == 0.0
 
 
 def test_clipped_rests_are_left_out_and_said_so() -> None:

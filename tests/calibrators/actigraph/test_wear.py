@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from imucalib.calibrators.actigraph import wear
 from imucalib.calibrators.actigraph.closest_point import closest_point
-from imucalib.calibrators.actigraph.observations import observations_of
 from imucalib.calibrators.actigraph.wear import Minutes, Wear, activity_of, minutes_of, wear_of
-from imucalib.core.model import Model
-from imucalib.effects import named
-from imucalib.estimators.least_squares import fit
 from imucalib.recording.recording import Channel, Recording
-from imucalib.rests.runs import Scan, posture_runs, scan
+from imucalib.rests.runs import Scan, scan
 from imucalib.units import MG, STANDARD_GRAVITY
 
 RATE, HOURS = 5.0, 6
@@ -73,35 +67,6 @@ def test_the_fields_rule_finds_what_was_planted(scanned: Scan) -> None:
     )
 
 
-def test_the_fields_rule_ends_where_its_regression_changes_nothing(scanned: Scan) -> None:
-    """Van Hees et al. 2014, Appendix, by numpy's own line fit: at the end the nearest points of the
-    sphere lie on the corrected ones, with slope 1 and intercept 0; weights 1 / distance (at most
-    100)."""
-    rule, w = closest_point(scanned), scanned.windows
-    assert rule is not None
-    still = (np.sqrt(w.variance) < 13.0 * MG).all(axis=1)
-    assert rule.points == still.sum()
-    now = rule.scale * (w.mean[still] / STANDARD_GRAVITY + rule.offset)
-    nearest = now / np.linalg.norm(now, axis=1)[:, None]
-    weight = np.minimum(1.0 / np.linalg.norm(now - nearest, axis=1), 100.0)
-    for k in range(3):
-        slope, intercept = np.polyfit(now[:, k], nearest[:, k], 1, w=np.sqrt(weight))
-        assert slope == pytest.approx(1.0, abs=2e-5)
-        assert intercept == pytest.approx(0.0, abs=2e-5)
-    sizes = np.linalg.norm(now, axis=1)
-    assert rule.after == pytest.approx(1e3 * np.mean(np.abs(sizes - 1.0)), rel=1e-9)
-
-
-def test_the_field_needs_both_signs(scanned: Scan) -> None:
-    one_side = np.flatnonzero(scanned.windows.mean[:, 0] > 0.0)
-    w = scanned.windows
-    cut = {n: getattr(w, n)[one_side] for n in ("first", "run", "start", "stop", "mean",
-                                                 "variance", "low", "high")}  # fmt: skip
-    rule = closest_point(replace(scanned, windows=replace(w, **cut)))
-    assert rule is not None
-    assert not rule.enough
-
-
 def test_what_bends_counts_in_enmo_at_the_mean_of_its_minute(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -123,17 +88,6 @@ def test_what_bends_counts_in_enmo_at_the_mean_of_its_minute(
         over = np.linalg.norm(reading, axis=1) - STANDARD_GRAVITY
         assert (over > 0.0).all()
         np.testing.assert_allclose(found, over)
-
-
-def test_enmo_is_that_of_the_corrected_samples(recording: Recording, scanned: Scan) -> None:
-    nine = Model(tuple(named(n) for n in ("bias", "scale", "non_orthogonality")))
-    found = fit(nine, observations_of(posture_runs(scanned), scanned, STANDARD_GRAVITY, 12))
-    minutes = minutes_of([recording], "imu0", found)
-    a = recording.channels["imu0/acceleration"].values / STANDARD_GRAVITY
-    per = int(60 * RATE)
-    for reading, made in ((a, minutes.raw), (SCALE * (a + OFFSET), minutes.corrected)):
-        expected = np.maximum(np.linalg.norm(reading, axis=1) - 1.0, 0.0).reshape(-1, per)
-        np.testing.assert_allclose(made / STANDARD_GRAVITY, expected.mean(axis=1), atol=4e-4)
 
 
 def test_night_is_the_least_active_part_of_the_clock() -> None:

@@ -30,9 +30,3 @@ def test_the_chip_that_shakes_is_named(at_rest: bool) -> None:
     assert len(told) == 1
     assert "accelerometer of imu3 is " in told[0]
     assert ("exchange the chip" if at_rest else "loose mount") in told[0]
-
-
-@pytest.mark.slow
-def test_like_chips_ask_for_nothing() -> None:
-    recording = planted_log("clean", 5)[0]
-    assert advice(closed(recording, 150), moving_of(recording)[1]) == ()

@@ -7,9 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from imucalib import cli
 from imucalib.calibration.apply import apply_to_recording
 from imucalib.calibration.file import check, read, write
 from imucalib.calibration.rest_drift import DRIFT, drift_block
@@ -19,11 +17,9 @@ from imucalib.calibrators.array.loop.catalogue import Asked
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.run import ArrayRun
 from imucalib.calibrators.array.simulation import LogPlan, SimulatedLog, simulated_log
-from imucalib.errors import Undetermined, UnreadableInput, UsageError
-from imucalib.readers import read as read_recording
+from imucalib.errors import Undetermined, UnreadableInput
 from imucalib.recording.recording import Recording
 from imucalib.units import DEG, STANDARD_GRAVITY
-from imucalib.writers import write as write_recording
 
 BOARD = read_board("mimu4444_corners")
 QUADRATIC = 5e-4  # 1 per m/s²
@@ -50,20 +46,6 @@ def spread(recording: Recording, quantity: str, rows: slice) -> float:
 
 
 @pytest.mark.slow
-def test_it_is_read_back_whole(run: ArrayRun, tmp_path: Path) -> None:
-    path = tmp_path / "calibration.yaml"
-    write(run.calibration, path)
-    again = read(path)
-    check(again, str(path))
-    assert [p.name for p in again.parameters][:3] == ["imu1.x", "imu1.y", "imu1.z"]
-    assert again.covariance == pytest.approx(1e6 * run.final.covariance)
-    for one, two in zip(again.triads, run.calibration.triads, strict=True):
-        assert np.allclose(one.gain, two.gain)
-        assert np.allclose(one.gyro_bias, two.gyro_bias)
-        assert np.allclose(one.covariance, two.covariance)
-
-
-@pytest.mark.slow
 def test_all_imus_read_the_same_force_and_rate(log: SimulatedLog, run: ArrayRun) -> None:
     found = apply_to_recording(run.calibration, log.recording)
     rest, motion = slice(0, 14 * 300 - 50), slice(14 * 300 + 100, None)
@@ -79,71 +61,6 @@ def test_all_imus_read_the_same_force_and_rate(log: SimulatedLog, run: ArrayRun)
     before = replace(log.recording, channels=turned)
     assert spread(before, "angular_rate", motion) > 10 * spread(found, "angular_rate", motion)
     assert spread(before, "acceleration", rest) > 3 * spread(found, "acceleration", rest)
-
-
-@pytest.mark.slow
-def test_what_needs_the_motion_is_told(log: SimulatedLog, run: ArrayRun) -> None:
-    left = {row["effect"]: row for row in run.calibration.facts["not_undone"]}
-    assert "gyro_scale" not in left
-    assert "gyro_misalignment" not in left
-    row = left["quadratic"]
-    assert row["unit"] == "m/s²"
-    # The rests take the quadratic's mean into the biases: what stays is the square of the force.
-    felt = np.array([c.values for c in log.recording.channels.values()
-                     if c.quantity == "acceleration"])[:, 14 * 300 + 100 :]  # fmt: skip
-    size = QUADRATIC * float(np.sqrt(np.mean(felt**4)))
-    assert 0.5 * size < row["rms"] < 1.5 * size
-    notes = apply_to_recording(run.calibration, log.recording).notes
-    assert any("quadratic" in n and "not undone" in n for n in notes)
-    assert any("board's axes" in n for n in notes)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("suffix", ["h5", "csv", "mcap"])
-def test_every_format_gives_the_same(
-    suffix: str, log: SimulatedLog, run: ArrayRun, tmp_path: Path
-) -> None:
-    source, target = tmp_path / f"log.{suffix}", tmp_path / f"corrected.{suffix}"
-    write_recording(log.recording, source)
-    write(run.calibration, tmp_path / "c.yaml")
-    arguments = ["apply", str(tmp_path / "c.yaml"), str(source), "-o", str(target), "-q"]
-    result = CliRunner().invoke(cli.cli, arguments, standalone_mode=False)
-    assert result.exception is None
-    found, want = read_recording(target), apply_to_recording(run.calibration, log.recording)
-    for name, channel in want.channels.items():
-        assert np.allclose(found.channels[name].values, channel.values, atol=1e-6), name
-
-
-@pytest.mark.slow
-def test_angles_of_an_array_are_refused_before_anything_is_written(
-    log: SimulatedLog, run: ArrayRun, tmp_path: Path
-) -> None:
-    source, target = tmp_path / "log.h5", tmp_path / "corrected.h5"
-    write_recording(log.recording, source)
-    write(run.calibration, tmp_path / "c.yaml")
-    arguments = ["apply", str(tmp_path / "c.yaml"), str(source), "-o", str(target)]
-    arguments += ["--angles", str(tmp_path / "angles.csv")]
-    with pytest.raises(UsageError, match="of an array"):
-        CliRunner().invoke(cli.cli, arguments, standalone_mode=False, catch_exceptions=False)
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["c.yaml", "log.h5"]
-
-
-def test_one_imu_alone_and_other_names(log: SimulatedLog, run: ArrayRun) -> None:
-    alone = apply_to_recording(run.calibration, log.recording, "imu2")
-    whole = apply_to_recording(run.calibration, log.recording)
-    for name, channel in log.recording.channels.items():
-        want = whole.channels[name] if channel.triad == "imu2" else channel
-        assert np.array_equal(alone.channels[name].values, want.values)
-    renamed = {
-        f"s{name}": replace(c, triad=f"s{c.triad}") for name, c in log.recording.channels.items()
-    }
-    by_order = apply_to_recording(run.calibration, replace(log.recording, channels=renamed))
-    assert np.array_equal(
-        by_order.channels["simu5/acceleration"].values, whole.channels["imu5/acceleration"].values
-    )
-    some = dict(list(renamed.items())[:6])
-    with pytest.raises(UnreadableInput, match="no name fits"):
-        apply_to_recording(run.calibration, replace(log.recording, channels=some))
 
 
 def test_a_damaged_triad_does_not_validate(run: ArrayRun) -> None:
@@ -184,25 +101,6 @@ def test_the_order_of_the_sensors_is_nothing(log: SimulatedLog, run: ArrayRun) -
     found = apply_to_recording(run.calibration, turned)
     for name, channel in whole.channels.items():
         assert np.array_equal(found.channels[name].values, channel.values)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("names", ["abcdefgh", "12345678"])
-def test_a_board_of_other_names_corrects_alike(
-    log: SimulatedLog, run: ArrayRun, names: str
-) -> None:
-    """Names of the recording that are numbers only: paired in order, and by channel later."""
-    numbered = {
-        n: replace(c, numbered=True, names=(f"/acc[{c.triad[3:]}]",))
-        for n, c in log.recording.channels.items()
-    }
-    plain = replace(log.recording, channels=numbered)
-    board = replace(BOARD, imus=tuple(f"imu{n}" if n.isdigit() else n for n in names))
-    other = calibrate_array(plain, replace(run.request, board=board), lambda _: None)
-    one = apply_to_recording(run.calibration, log.recording)
-    two = apply_to_recording(other.calibration, plain)
-    for name, channel in one.channels.items():
-        assert np.allclose(two.channels[name].values, channel.values, rtol=0.0, atol=1e-9)
 
 
 def test_a_sensor_of_other_axes_is_refused(log: SimulatedLog, run: ArrayRun) -> None:

@@ -6,19 +6,16 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 
 from imucalib.calibrators.array.board import read_board
 from imucalib.calibrators.array.calibrate import calibrate_array
-from imucalib.calibrators.array.log import array_log
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.run import ArrayRun
 from imucalib.calibrators.array.simulation import LogPlan, simulated_log
 from imucalib.errors import ImucalError, Undetermined, UnreadableInput
 from imucalib.recording.recording import Channel, Recording
-from imucalib.report.files import write_draws
 from imucalib.units import DEG
 
 BOARD = read_board("mimu4444_corners")
@@ -102,23 +99,6 @@ def test_a_missing_sensor_is_named(recording: Recording, gone: str) -> None:
     assert "--gyro" in (caught.value.remedy or "")
 
 
-def test_no_rests(recording: Recording) -> None:
-    """Only the twisting was recorded."""
-    start = 45 * 100
-    cut = changed(recording, lambda _, c: replace(c, t=c.t[start:], values=c.values[start:]))
-    with pytest.raises(Undetermined, match="no rest found") as caught:
-        calibrate(cut)
-    assert "nine or more attitudes" in (caught.value.remedy or "")
-
-
-def test_no_rotation(recording: Recording) -> None:
-    """Only the rests were recorded."""
-    end = 42 * 100
-    cut = changed(recording, lambda _, c: replace(c, t=c.t[:end], values=c.values[:end]))
-    with pytest.raises(Undetermined, match="too little rotation"):
-        calibrate(cut)
-
-
 def test_exchanged_topics_are_noticed(recording: Recording) -> None:
     """Two IMUs of opposite sides under each other's name."""
     other = {"imu2": "imu5", "imu5": "imu2"}
@@ -130,53 +110,6 @@ def test_exchanged_topics_are_noticed(recording: Recording) -> None:
 
     with pytest.raises(Undetermined, match=r"imu2 and imu5 are exchanged"):
         calibrate(changed(recording, change))
-
-
-@pytest.mark.slow
-def test_draws_have_the_layout_of_netcdf(recording: Recording, tmp_path: Path) -> None:
-    """Dimension scales and attributes as netCDF4 and ArviZ read them."""
-    run = calibrate(recording)
-    path = tmp_path / "draws.nc"
-    write_draws(run, path)
-    chains, draws = run.final.unknowns.shape[:2]
-    sizes = {"chain": chains, "draw": draws, "imu": 8, "axis": 3}
-    with h5py.File(path) as file:
-        assert list(file) == ["posterior"]
-        group = file["posterior"]
-        assert group.attrs["inference_library"] == "imucalib"
-        data = group["position_mm"]
-        assert data.attrs["units"] == "mm"
-        assert data.shape == tuple(sizes.values())
-        for dimension, (name, size) in zip(data.dims, sizes.items(), strict=True):
-            assert dimension.keys() == [name]
-            scale = group[name]
-            assert scale.is_scale
-            assert scale.attrs["CLASS"] == b"DIMENSION_SCALE"
-            assert scale.attrs["NAME"] == name.encode()
-            assert len(scale) == size
-        assert [v.decode() for v in group["imu"][:]] == list(BOARD.imus)
-        assert [v.decode() for v in group["axis"][:]] == ["x", "y", "z"]
-        assert np.array_equal(group["draw"][:], np.arange(draws))
-        assert data[...] == pytest.approx(1e3 * run.final.draws)
-
-
-def test_readings_that_are_missing_are_no_clocks_of_their_own(recording: Recording) -> None:
-    """An eighth of each IMU's, a third of the instants left to all: these are whole."""
-    rng = np.random.default_rng(3)
-    rows = len(recording.channels["imu0/acceleration"].t)
-    kept = {imu: rng.random(rows) > 0.125 for imu in BOARD.imus}
-
-    def dropped(name: str, c: Channel) -> Channel:
-        own = kept[name.partition("/")[0]]
-        return replace(c, t=c.t[own], values=c.values[own])
-
-    log = array_log(changed(recording, dropped), BOARD)
-    whole = array_log(recording, BOARD)
-    left = np.all(list(kept.values()), axis=0)
-    assert left.mean() < 0.5
-    assert np.array_equal(log.t, whole.t[left])
-    assert np.array_equal(log.rate, whole.rate[left])
-    assert "without a partner left out" in log.notes[0]
 
 
 def test_a_board_of_a_hostile_name_is_refused(tmp_path: Path) -> None:

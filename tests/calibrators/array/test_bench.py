@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from imucalib import cli
 from imucalib.calibrators.array.board import board_names, read_board
 from imucalib.calibrators.array.calibrate import calibrate_array
 from imucalib.calibrators.array.request import ArrayRequest
@@ -19,9 +15,7 @@ from imucalib.calibrators.array.run import ArrayRun
 from imucalib.calibrators.array.simulation import LogPlan, SimulatedLog, simulated_log
 from imucalib.errors import Undetermined, UnreadableInput, UsageError
 from imucalib.readers import read
-from imucalib.recording.recording import Channel, Recording
-from imucalib.report.files import write_draws
-from imucalib.writers import write
+from imucalib.recording.recording import Recording
 from worlds.places import SAMPLES
 
 BOARD = read_board("mimu4444_corners")
@@ -43,19 +37,6 @@ def run(log: SimulatedLog) -> ArrayRun:
     return calibrate(log.recording)
 
 
-@pytest.mark.slow
-def test_heights_over_a_flat_drawing_are_found() -> None:
-    flat = replace(BOARD, positions=BOARD.positions * np.array([1.0, 1.0, 0.0]))
-    plan = replace(PLAN, scatter=3e-4)
-    log = simulated_log(flat, plan, np.random.default_rng(4))
-    run = calibrate(log.recording, board=flat)
-    truth, found = log.positions[1:], run.final.mean[1:]
-    left, _, right = np.linalg.svd(truth.T @ found)
-    z = (found - truth @ left @ right) / run.final.sd[1:]
-    assert np.sqrt(np.mean(z * z)) < 2.0
-    assert np.median(run.final.sd[1:, 2]) < 0.2 * plan.scatter
-
-
 def _drawn(path: Path, places: list[str]) -> Path:
     lines = [f"  - {{name: m{k}, position: [{p}], axes: 'x,y,z'}}" for k, p in enumerate(places)]
     path.write_text("\n".join(["imus:", *lines]), encoding="utf-8")
@@ -75,10 +56,6 @@ def test_a_flat_drawing_and_a_line_are_read_and_a_point_is_not(tmp_path: Path) -
         read_board("1")
 
 
-def changed(recording: Recording, **channels: Channel) -> Recording:
-    return replace(recording, channels={**recording.channels, **channels})
-
-
 @pytest.mark.slow
 def test_positions_are_recovered_within_what_is_stated(log: SimulatedLog, run: ArrayRun) -> None:
     assert run.segments.n >= 9
@@ -89,76 +66,6 @@ def test_positions_are_recovered_within_what_is_stated(log: SimulatedLog, run: A
     z = (found - truth @ left @ right) / run.final.sd[1:]
     assert np.sqrt(np.mean(z * z)) < 2.0
     assert run.final.convergence.reached()
-
-
-@pytest.mark.slow
-def test_gains_and_biases_come_from_gravity(run: ArrayRun) -> None:
-    assert run.rests.gain_sd.max() < 5e-3
-    turned = np.linalg.inv(run.rests.gain) - np.eye(3)
-    assert 0.003 < np.abs(turned).max() < 0.06
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("suffix", ["h5", "csv", "mcap"])
-def test_every_format_gives_the_same_numbers(
-    suffix: str, log: SimulatedLog, run: ArrayRun, tmp_path: Path
-) -> None:
-    path = tmp_path / f"log.{suffix}"
-    write(log.recording, path)
-    again = calibrate(read(path))
-    assert again.final.mean == pytest.approx(run.final.mean, abs=1e-9)
-
-
-@pytest.mark.slow
-def test_shuffled_channels_change_nothing(log: SimulatedLog, run: ArrayRun) -> None:
-    names = sorted(log.recording.channels, reverse=True)
-    shuffled = replace(log.recording, channels={n: log.recording.channels[n] for n in names})
-    assert np.array_equal(calibrate(shuffled).final.mean, run.final.mean)
-
-
-def test_a_missing_imu_is_named(log: SimulatedLog) -> None:
-    left = {n: c for n, c in log.recording.channels.items() if c.triad != "imu3"}
-    with pytest.raises(UnreadableInput, match="missing: imu3"):
-        calibrate(replace(log.recording, channels=left))
-
-
-def test_a_missing_gyro_is_named(log: SimulatedLog) -> None:
-    left = {n: c for n, c in log.recording.channels.items() if n != "imu3/angular_rate"}
-    with pytest.raises(UnreadableInput, match="imu3 has no angular rate"):
-        calibrate(replace(log.recording, channels=left))
-
-
-def test_a_dead_axis_is_named(log: SimulatedLog) -> None:
-    gyro = log.recording.channels["imu2/angular_rate"]
-    dead = replace(gyro, values=gyro.values * np.array([1.0, 0.0, 1.0]))
-    with pytest.raises(UnreadableInput, match="imu2/angular_rate: axis y never changes"):
-        calibrate(changed(log.recording, **{"imu2/angular_rate": dead}))
-
-
-def test_different_rates_are_refused(log: SimulatedLog) -> None:
-    gyro = log.recording.channels["imu2/angular_rate"]
-    slow = Channel(gyro.t[::2], gyro.values[::2], gyro.unit, gyro.quantity, "imu2", 50.0)
-    with pytest.raises(UnreadableInput, match="different rates, 50 to 100 Hz"):
-        calibrate(changed(log.recording, **{"imu2/angular_rate": slow}))
-
-
-@pytest.mark.slow
-def test_lost_samples_are_left_out_of_all(log: SimulatedLog) -> None:
-    acc = log.recording.channels["imu2/acceleration"]
-    keep = np.ones(acc.t.size, dtype=bool)
-    keep[5000:5010] = False
-    short = replace(acc, t=acc.t[keep], values=acc.values[keep])
-    found = calibrate(changed(log.recording, **{"imu2/acceleration": short}))
-    assert any("10 without a partner left out" in text for text in found.outcome.notes)
-
-
-def test_a_unit_mistake_is_refused(log: SimulatedLog) -> None:
-    channels = {
-        n: replace(c, values=c.values / 9.80665) if c.quantity == "acceleration" else c
-        for n, c in log.recording.channels.items()
-    }
-    with pytest.raises(Undetermined, match="unit"):
-        calibrate(replace(log.recording, channels=channels))
 
 
 def test_a_wrong_mounting_is_refused(log: SimulatedLog) -> None:
@@ -183,14 +90,6 @@ def test_logs_that_cannot_answer(plan: LogPlan, message: str) -> None:
         calibrate(log.recording)
 
 
-def test_draws_are_readable(run: ArrayRun, tmp_path: Path) -> None:
-    write_draws(run, tmp_path / "draws.nc")
-    with h5py.File(tmp_path / "draws.nc") as file:
-        data = file["posterior/position_mm"]
-        assert [d.keys()[0] for d in data.dims] == ["chain", "draw", "imu", "axis"]
-        assert data[...].mean(axis=(0, 1)) == pytest.approx(1e3 * run.final.mean)
-
-
 def test_boards_that_come_along() -> None:
     assert board_names() == ("mimu4444", "mimu4444_corners")
     whole = read_board("mimu4444")
@@ -213,22 +112,6 @@ def test_bad_boards(tmp_path: Path, text: str, message: str) -> None:
     path.write_text(text)
     with pytest.raises(UnreadableInput, match=message):
         read_board(path)
-
-
-@pytest.mark.slow
-def test_the_command_writes_its_files(log: SimulatedLog, tmp_path: Path) -> None:
-    path = tmp_path / "log.h5"
-    write(log.recording, path)
-    arguments = ["array", str(path), "--board", "mimu4444_corners", "--samples", "100"]
-    arguments += ["-o", str(tmp_path / "out"), "--json", "-q"]
-    result = CliRunner().invoke(cli.cli, arguments, standalone_mode=False)
-    assert result.return_value == 0, result.output
-    content = json.loads(result.stdout)
-    assert content["diagnostics"]["largest_rhat"] < 1.01
-    assert len(content["positions_mm"]) == 8
-    assert {p.name for p in (tmp_path / "out").iterdir()} == {
-        "calibration.yaml", "report.html", "report.json"
-    }  # fmt: skip
 
 
 @pytest.mark.slow

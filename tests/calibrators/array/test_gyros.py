@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from imucalib.calibrators.array.gyros import Gyros, contradicted, gyro_drift, relative_gyros
-from imucalib.calibrators.array.moving import Moving, samples_of, spread_over
+from imucalib.calibrators.array.gyros import Gyros, gyro_drift, relative_gyros
+from imucalib.calibrators.array.moving import Moving, samples_of
 
 Array = NDArray[np.float64]
 
@@ -56,16 +56,6 @@ def test_the_size_is_open_by_what_data_sheets_leave(triads: int) -> None:
     assert plain.scale_sd == pytest.approx(0.06 / np.sqrt(3.0) / np.sqrt(3.0 * triads))
 
 
-def test_what_makes_rests_scatter_more_is_contradicted() -> None:
-    """Beyond a fifth more: rests alternate between ±1, the effect adds a share of it."""
-    rate = np.array([1.0, -1.0, 1.0, -1.0])[:, None, None] * np.ones((4, 2, 3)) + 7.0
-    assert not contradicted(rate, -0.19 * rate)
-    assert contradicted(rate, -0.21 * rate)
-    assert not contradicted(rate, 2.19 * rate)
-    assert contradicted(rate, 2.21 * rate)
-    assert not contradicted(rate, np.full_like(rate, 50.0))  # the same at all rests: a bias
-
-
 @pytest.mark.parametrize("order", [0, 1, 2])
 def test_offsets_drift_with_the_order_that_they_need(order: int) -> None:
     rng = np.random.default_rng(order)
@@ -81,13 +71,6 @@ def test_offsets_drift_with_the_order_that_they_need(order: int) -> None:
     rest = read - np.einsum("tp,pkj->tkj", powers, found)
     of_end = np.linalg.inv(powers.T @ powers)[0, 0]
     np.testing.assert_allclose(sd, np.sqrt(of_end * np.sum(rest**2, axis=0) / (7 - order)))
-
-
-def test_rows_are_spread_over_the_motion() -> None:
-    rows = np.array([3, 4, 5, 9, 10, 11, 20])
-    assert spread_over(rows, 7) is rows
-    assert spread_over(rows, 3).tolist() == [3, 9, 20]
-    assert spread_over(rows, 4).tolist() == [3, 5, 10, 20]
 
 
 def part_of(read: Array) -> Moving:

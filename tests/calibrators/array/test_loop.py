@@ -2,40 +2,25 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from gates.bounds import at_most
-from imucalib.calibration.outcome import Outcome
-from imucalib.calibration.provenance import provenance_of
 from imucalib.calibrators.array.effect_blocks import effect_blocks
-from imucalib.calibrators.array.estimate.left import Residual
 from imucalib.calibrators.array.estimate.total import corrected_samples
-from imucalib.calibrators.array.findings import array_errors, array_findings
+from imucalib.calibrators.array.findings import array_findings
 from imucalib.calibrators.array.linear_part import linear_part
 from imucalib.calibrators.array.loop.catalogue import Asked, array_catalogue, named_effect
-from imucalib.calibrators.array.loop.closed_loop import MotionLoop, close_array_loop
-from imucalib.calibrators.array.loop.declared import with_declared
+from imucalib.calibrators.array.loop.closed_loop import MotionLoop
 from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
-from imucalib.calibrators.array.loop.setup import array_setup
-from imucalib.calibrators.array.loop.terms import columns_of, rest_terms
-from imucalib.errors import Undetermined, UsageError
+from imucalib.errors import UsageError
 from imucalib.estimators.array.gram import Columns, gram
-from imucalib.estimators.array.noise import SensorNoise, Squares, chosen_noise, fitted_noise
+from imucalib.estimators.array.noise import Squares, chosen_noise, fitted_noise
 from imucalib.estimators.array.samples import Readings, Weights, fit_samples
-from imucalib.recording.recording import Channel
-from imucalib.report.document import Document, Text
-from imucalib.report.render.html import render_html
-from imucalib.report.render.text import render_text
-from imucalib.report.sections import candidate_section, loop_section
 from imucalib.significant_digits import plus_minus
-from imucalib.units import DEG
 from worlds.array import corners, skew
-from worlds.array_stories import BOARD, PLAN, STORIES, closed, named, planted_log, positions_z
-from worlds.places import ROOT, SAMPLES
+from worlds.array_stories import BOARD, STORIES, closed, named, planted_log, positions_z
+from worlds.places import ROOT
 
 
 @pytest.fixture(scope="module")
@@ -53,13 +38,6 @@ def test_a_planted_error_is_named(name: str) -> None:
         assert np.sqrt(np.mean(positions_z(found, true) ** 2)) < 1.6
     assert found.gained is not None
     assert found.gained.after.acceleration <= found.gained.before.acceleration * 1.05
-
-
-@pytest.mark.slow
-def test_a_clean_log_is_left_alone(clean: MotionLoop) -> None:
-    assert clean.verdict == "nothing missing"
-    assert clean.base.noise[0].sigma == pytest.approx(PLAN.sigma, rel=0.05)
-    assert clean.base.noise[1].sigma == pytest.approx(PLAN.sigma_gyro * DEG, rel=0.05)
 
 
 @pytest.mark.slow
@@ -86,33 +64,6 @@ def _page_and_file_agree(found: MotionLoop) -> None:
     for step in alone:
         (one,) = blocks[step.effect]
         assert step.size == plus_minus(one["value"], one["sd"], one["unit"])
-
-
-@pytest.mark.slow
-def test_what_no_motion_shows_is_listed_with_its_weight(clean: MotionLoop) -> None:
-    """1 % of common gyro scale is 2 % of the array's size, however it is computed."""
-    size = 0.02 * np.sqrt(np.mean(clean.final.r[1:] ** 2))
-    assert clean.impact["common_gyro_scale"] == pytest.approx(size, rel=0.02)
-    assert {"common_accelerometer_scale", "common_accelerometer_bias"} <= set(clean.impact)
-    assert clean.missing["gyro_sample_age"] == "no gyro shows a beat line"
-
-
-@pytest.mark.slow
-def test_unexplained_structure_is_said_and_not_named() -> None:
-    """An accelerometer error that follows |ω| in a wave is in no catalogue."""
-    recording, _ = planted_log("clean", 8)
-    t = recording.channels["imu0/angular_rate"].t
-    speed = np.linalg.norm(recording.channels["imu0/angular_rate"].values, axis=1)
-    wave = 0.3 * np.sin(speed / speed.max() * 9.0)[:, None] * np.array([1.0, -0.6, 0.4])
-    moving = t > PLAN.poses * PLAN.pose_seconds
-    channels = dict(recording.channels)
-    for imu in BOARD.imus:
-        channel = channels[f"{imu}/acceleration"]
-        values = channel.values + wave * moving[:, None]
-        channels[f"{imu}/acceleration"] = replace(channel, values=values)
-    found = closed(replace(recording, channels=channels), 200)
-    assert any("force error against |ω|" in u.name for u in found.unexplained)
-    assert not any(step.certain for step in found.steps)
 
 
 def squares(errors: np.ndarray) -> Squares:
@@ -196,18 +147,6 @@ def test_every_array_effect_is_documented() -> None:
     assert not [name for name in shown if f"`{name}`" not in text]
 
 
-def test_the_catalogue_knows_the_chip_axes() -> None:
-    """A scale acts on the package's own axis, wherever it points on the board."""
-    motion = _motion()
-    basis = columns_of(array_catalogue()["gyro_scale"], motion).basis
-    assert motion.context.attitude is not None
-    rate = motion.context.in_common(motion.truth.turning.rate)
-    for k in range(3):
-        turn = motion.context.attitude[k]
-        expected = 0.01 * turn @ np.diag([2.0, 0.0, -1.0]) @ turn.T @ rate[1, k]
-        assert basis[k, 1] @ np.array([2.0, 0.0, -1.0]) == pytest.approx(expected)
-
-
 @pytest.mark.slow
 def test_corrected_readings_hold_no_effect(clean: MotionLoop) -> None:
     data = corrected_samples(clean.final)
@@ -219,110 +158,6 @@ def test_corrected_readings_hold_no_effect(clean: MotionLoop) -> None:
     assert np.abs(linear_part(found.final).gyro_gain - np.eye(3)).max() == pytest.approx(
         0.045, abs=0.03
     )
-
-
-def outcome_of(found: MotionLoop) -> Outcome:
-    made = provenance_of(path="log", sha256="", samples=0, mapping={}, settings={})
-    errors = array_errors(found, (0.04, 0.003), 8, Residual(0.04, 0.003, True))
-    return Outcome("array", errors, made, array_findings(found))
-
-
-def said(found: MotionLoop, width: int) -> str:
-    document = Document("a", Text("b"), (loop_section(outcome_of(found)),))
-    return render_text(document, width, color=False)
-
-
-@pytest.mark.slow
-def test_reports_carry_the_loop(clean: MotionLoop) -> None:
-    for found in (clean, closed(planted_log("bad accelerometer, 1 %", 4)[0], 150)):
-        sections = loop_section(outcome_of(found)), candidate_section(array_findings(found))
-        document = Document("array", Text("done", "ok"), sections)
-        assert "Error before and after" in render_text(document, 100, color=False)
-        assert "common_gyro_scale" in render_html(document)
-        told = array_findings(found)
-        assert told.verdict == found.verdict
-        assert [s.effect for s in told.steps] == [s.effect for s in found.steps]
-        assert [s.certain for s in told.steps] == [
-            s.certain and not found.suspected for s in found.steps
-        ]
-        assert {s.name for s in told.scores} >= {"gyro_delay", "cubic"}
-
-
-@pytest.mark.slow
-def test_too_broken_a_motion_is_not_searched() -> None:
-    from worlds.array_stories import moving_of
-
-    moving, _ = moving_of(planted_log("clean", 1)[0])
-    holes = replace(moving, good=moving.good[::2])
-    assert array_setup(holes, BOARD, 150, robust=True) is None
-
-
-def test_a_plain_noise_is_plain() -> None:
-    noise = SensorNoise(0.1, 0.0, np.inf, np.ones(4))
-    assert noise.plain
-    assert not replace(noise, freedom=4.0).plain
-
-
-@pytest.mark.slow
-def test_a_measured_boards_clocks_delay_and_elements() -> None:
-    from imucalib.readers import read
-    from worlds.array_stories import moving_of
-
-    moving, rests = moving_of(read(SAMPLES / "board.h5"))
-    setup = array_setup(moving, BOARD, 240, robust=True)
-    assert setup is not None
-    found = close_array_loop(setup, rest_terms(rests), moving)
-    names = {step.effect for step in found.steps}
-    assert {"gyro_sample_age", "gyro_scale", "gyro_misalignment", "gyro_delay",
-            "sensing_elements"} <= names  # fmt: skip
-    assert found.gained is not None
-    assert found.gained.after.rate < 2.0
-    assert found.gained.after.acceleration < 0.25
-    assert found.final.noise[0].freedom < 10.0
-    span = next(t for t in found.final.found if t.name == "gyro_sample_age")
-    assert float(span.theta[0]) == pytest.approx(1.0, abs=0.1)
-    _page_and_file_agree(found)
-
-
-@pytest.mark.slow
-def test_channels_stay_what_they_are() -> None:
-    """The loop must not write into the recording."""
-    recording, _ = planted_log("bad accelerometer, 1 %", 9)
-    kept = {n: c.values.copy() for n, c in recording.channels.items()}
-    closed(recording, 120)
-    for name, channel in recording.channels.items():
-        assert isinstance(channel, Channel)
-        assert np.array_equal(channel.values, kept[name])
-
-
-@pytest.mark.slow
-def test_a_declared_effect_is_in_the_model_and_others_can_be_left_out() -> None:
-    from worlds.array_stories import moving_of
-
-    recording, true = planted_log("common gyro delay, 1 ms", 3)
-    moving, rests = moving_of(recording)
-    setup = array_setup(moving, BOARD, 150, robust=True)
-    assert setup is not None
-
-    def loop(asked: Asked) -> MotionLoop:
-        return close_array_loop(setup, rest_terms(rests), moving, asked=asked)
-
-    declared = loop(Asked(declare=("gyro_delay",)))
-    term = next(t for t in declared.final.found if t.name == "gyro_delay")
-    assert abs(float(term.theta[0]) - 1.0) < 4.0 * float(declared.final.sd_of(term)[0])
-    assert "gyro_delay" not in named(declared)
-    assert np.sqrt(np.mean(positions_z(declared, true) ** 2)) < 1.6
-    assert array_findings(declared).declared[0][0] == "gyro_delay"
-    text = said(declared, 100)
-    assert "Declared effects" in text
-    without = loop(Asked(without=("gyro_delay",)))
-    assert "gyro_delay" not in {s.effect for s in without.steps}
-    only = loop(Asked(only=("gyro_scale",)))
-    assert {s.effect.partition("@")[0] for s in only.steps} <= {"gyro_scale"}
-    quiet = loop(Asked(declare=("gyro_scale@imu3",), search=False))
-    assert not quiet.steps
-    assert not quiet.unexplained
-    assert [t.name for t in quiet.final.found] == ["gyro_scale@imu3"]
 
 
 @pytest.mark.parametrize(
@@ -338,114 +173,3 @@ def test_names_of_effects_are_checked(name: str, says: str) -> None:
         Asked(only=(name,)).skipped(BOARD.imus)
     with pytest.raises(UsageError, match=says):
         named_effect(name, BOARD.imus)
-
-
-def test_what_the_motion_does_not_show_cannot_be_declared(clean: MotionLoop) -> None:
-    from worlds.array_stories import moving_of
-
-    moving, _ = moving_of(planted_log("clean", 5)[0])
-    with pytest.raises(Undetermined, match="beat line"):
-        with_declared(clean.base, ("gyro_sample_age",), moving)
-    with pytest.raises(Undetermined, match="common_gyro_scale was declared"):
-        with_declared(clean.base, ("common_gyro_scale",), moving)
-
-
-@pytest.mark.slow
-def test_a_drifting_delay_is_no_beat() -> None:
-    """One chip on a slow clock: said to be that IMU's, not named as something else."""
-    recording, _ = planted_log("clean", 12)
-    t = recording.channels["imu3/angular_rate"].t
-    rate = recording.channels["imu3/angular_rate"]
-    late = 2e-4 * (np.clip((t - 42.0) / 14.0, 0.0, 1.0) - 0.5)
-    values = rate.values - late[:, None] * np.gradient(rate.values, t, axis=0) * (t > 42.0)[:, None]
-    channels = {**recording.channels, "imu3/angular_rate": replace(rate, values=values)}
-    found = closed(replace(recording, channels=channels), 200)
-    assert found.missing["gyro_sample_age"] == "no gyro shows a beat line"
-    assert not found.steps
-    assert found.unexplained[0].name == "curve of gyro delay against time, straight@imu3"
-
-
-@pytest.mark.slow
-def test_an_imu_that_moves_is_pointed_at() -> None:
-    recording, _ = planted_log("clean", 13)
-    t = recording.channels["imu5/angular_rate"].t
-    rate = BOARD.rotations[5] @ recording.channels["imu5/angular_rate"].values[..., None]
-    w = rate[..., 0]
-    spin = np.gradient(w, t, axis=0)
-    late = np.flatnonzero(t > 50.0)
-    channel = recording.channels["imu5/acceleration"]
-    values = channel.values.copy()
-    off = np.array([2e-4, -1e-4, 1e-4])
-    felt = np.cross(w, np.cross(w, off)) + np.cross(spin, off)
-    values[late] += felt[late] @ BOARD.rotations[5]
-    channels = {**recording.channels, "imu5/acceleration": replace(channel, values=values)}
-    found = closed(replace(recording, channels=channels), 200)
-    assert any("position against time" in u.name for u in found.unexplained)
-    assert any(u.name.endswith("@imu5") for u in found.unexplained)
-
-
-def test_the_command_lists_array_effects() -> None:
-    from click.testing import CliRunner
-
-    from imucalib import cli
-
-    shown = CliRunner().invoke(cli.cli, ["effects"], standalone_mode=False).output
-    assert "gyro_scale" in shown
-    assert "gyro_sample_age" in shown
-    one = CliRunner().invoke(cli.cli, ["effects", "gyro_delay"], standalone_mode=False).output
-    assert "y(t) = ω(t - τ)" in one
-    plain = CliRunner().invoke(cli.cli, ["effects", "gyro_cubic", "--json"], standalone_mode=False)
-    assert json.loads(plain.output)[0]["channel"] == "angular_rate"
-    refused = CliRunner().invoke(
-        cli.cli,
-        ["array", "log.h5", "--board", "mimu4444_corners", "--declare", "gyro_dela"],
-        standalone_mode=False,
-    )
-    assert isinstance(refused.exception, UsageError)
-
-
-@pytest.mark.slow
-def test_curves_correct_what_has_no_name_where_it_helps() -> None:
-    """An IMU that moves: its mean position comes nearer, and no cause is claimed."""
-    from worlds.array_stories import moving_of
-
-    recording, true = planted_log("clean", 14)
-    rate = recording.channels["imu5/angular_rate"]
-    w = (BOARD.rotations[5] @ rate.values[..., None])[..., 0]
-    spin = np.gradient(w, rate.t, axis=0)
-    off = np.array([3e-4, -2e-4, 2e-4])
-    late = np.clip((rate.t - 42.0) / 14.0, 0.0, 1.0)[:, None] - 0.5
-    felt = late * (np.cross(w, np.cross(w, off)) + np.cross(spin, off))
-    channel = recording.channels["imu5/acceleration"]
-    values = channel.values + felt @ BOARD.rotations[5]
-    channels = {**recording.channels, "imu5/acceleration": replace(channel, values=values)}
-    moving, rests = moving_of(replace(recording, channels=channels))
-    setup = array_setup(moving, BOARD, 200, robust=True)
-    assert setup is not None
-    found = close_array_loop(setup, rest_terms(rests), moving, curves=True)
-    assert [s.effect for s in found.steps] == ["curve of position against time, straight@imu5"]
-    assert not found.steps[0].certain
-    assert found.verdict == "unexplained"
-    assert found.gained is not None
-    assert found.gained.after.acceleration < found.gained.before.acceleration
-    assert np.abs(found.final.r - true).max() < 5e-5
-    text = said(found, 200)
-    assert "position against time, straight@imu5, corrected by a curve" in " ".join(text.split())
-
-
-@pytest.mark.slow
-def test_the_file_says_what_the_clocks_were() -> None:
-    from imucalib.calibrators.array.loop.ages import beats
-
-    found = closed(planted_log("clock skew, 1 ms", 11)[0], 200)
-    assert found.ages is not None
-    entry = next(e for e in effect_blocks(found) if e["effect"] == "gyro_sample_age")
-    assert [b["imu"] for b in entry["beats"] if b] == list(BOARD.imus)
-    t = found.final.setup.t
-    for k, beat in enumerate(beats(found.ages, t)):
-        assert beat is not None
-        assert 0.3 < abs(beat.frequency) < 3.0
-        assert beat.wander < 0.1
-        line = beat.frequency * (t - beat.at) + beat.phase
-        away = (found.ages.wave[:, k] + 0.5 - line + 0.5) % 1.0 - 0.5
-        assert np.sqrt(np.mean(away**2)) == pytest.approx(beat.wander, abs=0.02)

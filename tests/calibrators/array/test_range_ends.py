@@ -55,12 +55,6 @@ def test_a_flat_top_under_noise_is_the_end(
     assert all("again and again, not at its range of 2000" in note for note in log.notes)
 
 
-def test_what_turns_by_itself_ends_nowhere(quiet: Recording) -> None:
-    log = array_log(noisy(quiet, 1e6, 0.2, BOARD.imus), BOARD)
-    assert not log.clipped.any()
-    assert log.notes == ()
-
-
 @pytest.mark.parametrize("hz", [0.5, 2.0, 6.0])
 def test_the_turning_points_of_a_steady_swing_are_no_end(quiet: Recording, hz: float) -> None:
     """A sine is at its extreme longer than anywhere else, to within less than its noise."""

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.loop.catalogue import Asked
 from imucalib.calibrators.array.rests import RestFit, fit_rests, own_noise
-from imucalib.errors import Undetermined
 from imucalib.rests.segments import Segments
 from imucalib.units import DEG, MG
 
@@ -106,21 +105,6 @@ def test_the_frame_is_the_mean_of_the_triads() -> None:
 
 
 @pytest.mark.slow
-def test_corrected_readings_are_the_force() -> None:
-    segments, board, gain, offset = simulated(4, warm=10.0 * MG)
-    found = fitted(segments, board)
-    assert found.loop is not None
-    assert [s.effect for s in found.loop.steps] == ["warm_up"]
-    rng = np.random.default_rng(1)
-    force = rng.normal(size=(6, 3)) * 20.0
-    own = np.einsum("kji,nj->nki", board.rotations, force)
-    late = np.full(6, 1e5)  # after the rests nothing warms up any further
-    reading = np.einsum("kij,nkj->nki", gain, own) + offset
-    seen = np.einsum("kij,nkj->nki", board.rotations, reading)
-    assert np.abs(found.corrected(seen, late) - force[:, None]).max() < 0.03
-
-
-@pytest.mark.slow
 def test_a_gain_that_drifts_is_undone_at_every_time() -> None:
     """An array whose rests showed it ended with a traceback."""
     segments, board, _, offset = simulated(6, n=40)
@@ -133,42 +117,6 @@ def test_a_gain_that_drifts_is_undone_at_every_time() -> None:
     seen = np.einsum("kij,nkj->nki", board.rotations, drifted)
     force = found.corrected(seen, 0.5 * (segments.start + segments.stop))
     assert np.linalg.norm(force, axis=2) == pytest.approx(np.full((40, K), G), rel=1e-3)
-
-
-@pytest.mark.slow
-def test_what_bends_at_rest_does_not_run_away_far_from_it() -> None:
-    segments, board, _, _ = simulated(5, n=40)
-    segments = replace(segments, mean=25.0 * np.tanh(segments.mean / 25.0))
-    found = fitted(segments, board)
-    assert found.loop is not None
-    assert found.loop.steps
-    own = np.full((1, K, 3), 80.0)
-    seen = np.einsum("kij,nkj->nki", board.rotations, own)
-    assert np.abs(found.corrected(seen, np.zeros(1))).max() < 1.2 * np.abs(seen).max()
-
-
-@pytest.mark.slow
-def test_a_warm_up_is_named() -> None:
-    segments, board, _, _ = simulated(11, warm=2.0 * MG)
-    found = fitted(segments, board)
-    assert found.loop is not None
-    step = found.loop.steps[0]
-    assert "warm_up" in (step.effect, *step.aliases)
-    assert found.residual < 0.5 * found.before
-    assert found.residual == pytest.approx(SIGMA, rel=0.1)
-
-
-@pytest.mark.slow
-def test_a_chip_that_hung_is_a_wrong_record() -> None:
-    segments, board, gain, _ = simulated(12)
-    segments.mean[7, 2] += np.array([0.0, 30.0 * MG, 0.0])
-    found = fitted(segments, board)
-    assert found.loop is not None
-    record = found.loop.records[0]
-    assert len(found.loop.records) == 1
-    assert (record.row, record.channel) == (7, "imu2")
-    assert record.size == pytest.approx(30.0, abs=1.0)
-    assert np.abs(found.gain - gain).max() < 2e-3
 
 
 def test_a_rest_that_was_none_is_a_wrong_record() -> None:
@@ -190,14 +138,6 @@ def test_clean_rests_are_left_alone() -> None:
         claimed += bool(loop.steps or loop.records)
     # At a true rate of 4.5 % four of twenty come once in 90 runs.
     assert claimed <= 3
-
-
-def test_attitudes_that_are_too_alike_are_refused() -> None:
-    segments, board, _, _ = simulated(14)
-    one = np.repeat(segments.mean[:1], segments.n, axis=0)
-    segments.mean[:] = one + SIGMA * np.random.default_rng(0).normal(size=one.shape)
-    with pytest.raises(Undetermined, match="too alike"):
-        fitted(segments, board, Asked(search=False))
 
 
 def _uneven(seed: int, between: float) -> tuple[Segments, Board, Array, Array]:
@@ -228,26 +168,6 @@ def test_a_mean_is_as_good_as_its_samples_are_many_down_to_a_tenth_of_the_usual_
     np.testing.assert_allclose(found, expected / root[:, None, None])
 
 
-def test_a_short_rest_counts_less() -> None:
-    z, size = [], []
-    for seed in range(8):
-        segments, board, gain, _ = _uneven(seed, between=0.0)
-        found = fitted(segments, board, Asked(search=False))
-        z.append((found.gain - gain) / found.gain_sd)
-        size.append(found.residual)
-    assert 0.86 < np.sqrt(np.mean(np.square(z))) < 1.14  # 360 numbers that share frames
-    assert np.mean(size) == pytest.approx(SIGMA, rel=0.05)
-
-
-@pytest.mark.slow
-def test_short_rests_are_not_taken_for_something_missing() -> None:
-    for seed in range(3):
-        segments, board, _, _ = _uneven(seed, between=0.0)
-        loop = fitted(segments, board).loop
-        assert loop is not None
-        assert (loop.steps, loop.records, loop.unexplained) == ((), (), ())
-
-
 @pytest.mark.parametrize("between", [0.0, 1.0, 4.0, 20.0])
 def test_what_differs_from_rest_to_rest_is_estimated(between: float) -> None:
     segments, board, _, _ = _uneven(5, between=between * SIGMA)
@@ -255,15 +175,6 @@ def test_what_differs_from_rest_to_rest_is_estimated(between: float) -> None:
     sigma = fit.noise.factor * fit.observations.sigma[:, 0, 0]
     expected = SIGMA * np.hypot(np.where(np.arange(20) % 4 == 3, 5.0, 1.0), between)
     assert np.abs(np.log(sigma / expected)).max() < 0.25  # the tried sizes are a factor 2 apart
-
-
-@pytest.mark.slow
-def test_only_and_without_hold_at_rest() -> None:
-    segments, board, _, _ = simulated(15, warm=5.0 * MG)
-    for asked in (Asked(without=("warm_up", "bias_drift")), Asked(only=("gyro_scale@imu3",))):
-        loop = fitted(segments, board, asked).loop
-        assert loop is not None
-        assert not {"warm_up", "bias_drift"} & {s.effect for s in loop.steps}
 
 
 def coarse(segments: Segments, step: float, rate_step: float, bias: Array) -> Segments:
@@ -301,15 +212,3 @@ def test_what_rounding_leaves_is_stated() -> None:
     for size in (np.concatenate([part.ravel() for part in z]), np.concatenate([p[3] for p in z])):
         assert 0.85 < np.sqrt(np.mean(size**2)) < 1.15  # 720 numbers, and 144 of the coarse one
     assert 0.75 < np.sqrt(np.mean(np.square(slow))) < 1.25  # 36 numbers
-
-
-@pytest.mark.slow
-def test_what_rounding_leaves_is_no_effect() -> None:
-    named = []
-    for seed in range(6):
-        segments, board, _, _ = simulated(seed)
-        found = fitted(coarse(segments, 16.0 * MG, DEG, np.zeros(3)), board)
-        assert found.loop is not None
-        named += [s.effect for s in found.loop.steps]
-        named += [u.name for u in found.loop.unexplained]
-    assert named == []

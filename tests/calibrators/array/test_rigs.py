@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -14,7 +12,6 @@ from imucalib.calibrators.array.loop.setup import array_setup
 from imucalib.calibrators.array.loop.terms import rest_terms
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.run import ArrayRun
-from imucalib.estimators.array.sampler import open_direction
 from imucalib.recording.recording import Recording
 from worlds.boards import BoardPlan, board_log, made_board
 
@@ -52,22 +49,6 @@ def test_a_pair_and_a_line_are_calibrated(count: int) -> None:
 
 
 @pytest.mark.slow
-def test_without_a_search_mountings_of_gyros_are_no_noise() -> None:
-    """A gyro turned by half a degree reads 6 deg/s of 700 about another axis."""
-    board = rig((0.0, 0.0, 0.0), (20.0, 0.0, 0.0), (0.0, 20.0, 0.0), (20.0, 20.0, 0.0))
-    plan = replace(PLAN, mounting=0.5, gain=0.0)
-    rng = np.random.default_rng(4)
-    parts = made_board(board.positions, board.rotations, board.imus, plan, rng)
-    run = calibrated(board_log(parts, plan, rng).recording, board)
-    # The median of a Gaussian's size, of what it is at rest.
-    assert run.outcome.errors[1].final == pytest.approx(plan.sigma_gyro / 1.4826, rel=0.1)
-    for k, triad in enumerate(run.calibration.triads):
-        # All about the mean of the packages, which is the frame of the estimate.
-        mean = parts.gyro_gain.mean(axis=0)
-        assert triad.gyro_gain == pytest.approx(parts.gyro_gain[k] @ np.linalg.inv(mean), abs=1e-3)
-
-
-@pytest.mark.slow
 def test_a_board_is_found_without_a_drawing() -> None:
     recording, true = logged(CORNERS)
     drawn, bare = calibrated(recording, CORNERS), calibrated(recording, undrawn_board(8))
@@ -79,29 +60,6 @@ def test_a_board_is_found_without_a_drawing() -> None:
         value, sd = bare.total.distance(0, k)
         assert abs(value - np.linalg.norm(true[k])) < 4.5 * sd
     assert bare.board.prior_sd > 0.01
-
-
-@pytest.mark.slow
-def test_clipping_shows_without_a_stated_range() -> None:
-    rng = np.random.default_rng(1)
-    parts = made_board(CORNERS.positions, CORNERS.rotations, CORNERS.imus, PLAN, rng)
-    recording = board_log(parts, PLAN, rng).recording
-    limit = np.radians(1200.0)
-    channels = {
-        name: replace(c, values=np.clip(c.values, -limit, limit))
-        if c.quantity == "angular_rate" else c
-        for name, c in recording.channels.items()
-    }  # fmt: skip
-    bare = replace(CORNERS, accelerometer_range=np.inf, gyroscope_range=np.inf)
-    run = calibrated(replace(recording, channels=channels), bare)
-    assert run.moving.counts["clipped"] > 100
-    value, sd = run.total.distance(0, 7)
-    assert abs(value - np.linalg.norm(parts.positions[7])) < 4.0 * sd
-
-
-def test_what_stays_open_is_named() -> None:
-    spread = np.diag([1.0, 1.0, 9.0, 1.0, 2.0, 30.0]) * 1e-9
-    assert open_direction(spread) == "along (0.00, 0.00, 1.00) of the board"
 
 
 @pytest.mark.parametrize("count", [2, 3])

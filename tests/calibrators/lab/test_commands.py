@@ -6,14 +6,12 @@ import json
 from pathlib import Path
 
 import jsonschema
-import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
 import imucalib
 from imucalib import cli
 from imucalib.errors import ImucalError
-from imucalib.units import MG
 from worlds.places import ROOT
 
 SAMPLES = ROOT / "sample_logs"
@@ -95,71 +93,6 @@ def test_the_repaired_bench_names_the_dial_and_passes(tmp_path: Path) -> None:
     assert {"quadratic", "cubic", "bias_drift"} <= refused
 
 
-@pytest.mark.slow
-def test_auto_exclude_leaves_the_record_out_and_says_so(tmp_path: Path) -> None:
-    result = run("lab", SAMPLES / "bench.csv", "--auto-exclude", "--json", "-q")
-    report = validated(result.stdout, "report")
-    assert result.return_value == 0
-    assert any("row 10" in text for text in report["left_out"])
-    assert len([p for p in report["positions"] if p["fitted"]]) == 31
-
-
-@pytest.mark.slow
-def test_yaml_validates_and_applies_to_its_own_table(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    run("lab", SAMPLES / "bench.csv", "--fix", "10:y=-45.86119676", "-o", out)
-    from ruamel.yaml import YAML
-
-    from imucalib.calibration.file import read
-
-    content = YAML(typ="safe", pure=True).load((out / "calibration.yaml").read_text())
-    validated(json.dumps(content), "calibration")
-    assert run("validate", out / "calibration.yaml").return_value == 0
-    loaded = read(out / "calibration.yaml")
-    raw = np.array([[float(v) for v in column(f"{a}_mg")] for a in "xyz"]).T * MG
-    raw[9, 1] *= -1.0
-    norms = np.linalg.norm(loaded.apply(raw), axis=1) / MG
-    assert np.sqrt(np.mean((norms - 1000.0) ** 2)) < 2.0
-    linear = content["matrices"]["corrected_from_raw"]
-    by_matrix = raw @ np.array(linear["M"]).T + np.array(linear["b"])
-    np.testing.assert_allclose(by_matrix, loaded.apply(raw), atol=1e-9)
-
-
-@pytest.mark.slow
-def test_a_recording_with_positions_in_order(tmp_path: Path) -> None:
-    arguments = (SAMPLES / "positions.csv", "--recording", SAMPLES / "rests.mcap")
-    result = run("lab", *arguments, "--json", "-q")
-    assert result.return_value in (0, 5)  # proved or suspected
-    report = validated(result.stdout, "report")
-    assert "quadratic" in {n for s in report["loop"]["steps"] for n in (s["effect"], *s["aliases"])}
-
-
-@pytest.mark.slow
-def test_the_norm_alone_calibrates_a_recording() -> None:
-    result = run("lab", SAMPLES / "rests.mcap", "--reference", "norm", "--json", "-q")
-    report = validated(result.stdout, "report")
-    assert result.return_value in (0, 5)
-    assert {p["effect"] for p in report["parameters"]} >= {"bias", "scale", "non_orthogonality"}
-    (error,) = report["loop"]["errors"]
-    assert error["held_out"]["base"] < 0.1 * error["raw"]
-
-
-@pytest.mark.slow
-def test_a_broken_limit_is_exit_1() -> None:
-    arguments = ("lab", SAMPLES / "bench.csv", "--fix", "10:y=-45.86119676", "-q")
-    assert run(*arguments, "--max-inclination-error", "0.001").return_value == 1
-    assert run(*arguments, "--max-inclination-error", "5").return_value == 0
-
-
-@pytest.mark.slow
-def test_the_same_again_is_the_same_result() -> None:
-    arguments = ("lab", SAMPLES / "bench.csv", "--json", "-q")
-    one, two = (json.loads(run(*arguments).stdout) for _ in range(2))
-    one["provenance"].pop("time")
-    two["provenance"].pop("time")
-    assert one == two
-
-
 @pytest.mark.parametrize(
     ("change", "code", "words"),
     [
@@ -205,52 +138,6 @@ def test_bad_options(tmp_path: Path, options: tuple[str, ...], code: int, words:
     assert result.exit_code == code
     assert words in str(result.exception)
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.slow
-def test_duplicated_rows_are_named(tmp_path: Path) -> None:
-    axes = {f"{a}_mg": column(f"{a}_mg") for a in "xyz"}
-    for values in axes.values():
-        values[9] = values[20]  # row 10 copied from row 21, and its lost sign with it
-    result = run("lab", table(tmp_path / "copy.csv", **axes), "--json", "-q")
-    report = validated(result.stdout, "report")
-    record = report["loop"]["record_errors"][0]
-    assert record["where"] == "row 10"
-    assert record["likely"] == "a copy of row 21"
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("reference", ["vector", "norm"])
-def test_counts_of_a_table_are_spelt_as_those_of_a_recording(
-    tmp_path: Path, reference: str
-) -> None:
-    raw = np.array([[float(v) for v in column(f"{a}_mg")] for a in "xyz"]).T
-    angles = np.array([[float(v) for v in column(a)] for a in ("inclination", "tool_face")]).T
-    path = tmp_path / "counts.csv"
-    lines = ["inclination,tool_face,x,y,z"]
-    lines += [
-        ",".join(f"{v:.6f}" for v in (*a, *r)) for a, r in zip(angles, 2.048 * raw, strict=True)
-    ]
-    path.write_text("\n".join(lines) + "\n")
-    options = ("--reference", reference, "--no-loop", "--json", "-q")
-    by_counts = run("lab", path, "--unit", "counts", "--lsb", "2048", *options)
-    as_given = run("lab", SAMPLES / "bench.csv", *options)
-    for a, b in zip(
-        *(json.loads(r.stdout)["parameters"] for r in (by_counts, as_given)), strict=True
-    ):
-        assert a["value"] == pytest.approx(b["value"], abs=0.01 * b["sd"])
-    refused = run("lab", path, "--unit", "counts", "--lsb", "2048,2048,2040", *options)
-    assert "is not one number" in str(refused.exception)
-
-
-@pytest.mark.slow
-def test_a_unit_that_is_stated_is_the_recordings(tmp_path: Path) -> None:
-    """The table with --recording holds angles; the unit of its readings is used once."""
-    mcap = SAMPLES / "rests.mcap"
-    options = ("--no-loop", "--json", "-q")
-    plain = run("lab", SAMPLES / "positions.csv", "--recording", mcap, *options)
-    stated = run("lab", SAMPLES / "positions.csv", "--recording", mcap, "--unit", "m/s2", *options)
-    assert json.loads(stated.stdout)["parameters"] == json.loads(plain.stdout)["parameters"]
 
 
 def test_missing_file_and_positions_that_do_not_match(tmp_path: Path) -> None:

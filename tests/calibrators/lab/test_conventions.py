@@ -8,14 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
-from imucalib.calibrators.lab.conventions import PRESETS, Conventions, preset
-from imucalib.core.references import angles_of, unit_vector
-from imucalib.errors import UsageError
+from imucalib.calibrators.lab.conventions import PRESETS, Conventions
+from imucalib.core.references import unit_vector
 from imucalib.units import DEG
 
-Array = NDArray[np.float64]
 conventions = st.builds(
     Conventions,
     gravity_sign=st.sampled_from(["down", "up"]),
@@ -80,29 +77,3 @@ def test_the_papers_formulae(inclination: float, tool_face: float) -> None:
     assert np.arctan2(z, np.hypot(x, y)) / DEG == pytest.approx(inclination, abs=1e-9)
     found = np.arctan2(x, y) / DEG
     assert abs(np.mod(found - tool_face + 180.0, 360.0) - 180.0) < 1e-9
-
-
-def test_a_hanging_tool() -> None:
-    """Straight down: z reads all of gravity, positive down-hole, and specific force up-hole."""
-    assert np.allclose(_read(PRESETS["drilling-gravity"], 0.0, 30.0), [0, 0, 1], atol=1e-12)
-    assert np.allclose(_read(PRESETS["drilling-force"], 0.0, 30.0), [0, 0, 1], atol=1e-12)
-    swapped = Conventions(gravity_sign="up", inclination_zero="vertical")
-    assert np.allclose(_read(swapped, 0.0, 30.0), [0, 0, -1], atol=1e-12)
-
-
-def test_the_angles_of_a_reading_are_the_tables() -> None:
-    for c in PRESETS.values():
-        inclination, tool_face = np.array([40.0, 120.0]), np.array([10.0, 300.0])
-        if c.inclination_zero == "horizontal":
-            inclination = inclination - 60.0
-        vectors = unit_vector(*c.inside(inclination, tool_face))
-        i, t = c.outside(*angles_of(vectors))
-        assert np.allclose(i, inclination)
-        assert np.allclose(t, tool_face)
-
-
-def test_unknown_preset() -> None:
-    with pytest.raises(UsageError, match="unknown convention") as caught:
-        preset("metric")
-    assert "drilling-gravity" in caught.value.remedy
-    assert preset("paper") == Conventions()

@@ -30,23 +30,6 @@ def columns(i: np.ndarray, t: np.ndarray) -> np.ndarray:
     return np.stack(every, axis=-1) * typical * unit
 
 
-def test_the_condition_is_that_of_the_norms_columns() -> None:
-    rng = np.random.default_rng(4)
-    i, t = rng.uniform(-80.0, 80.0, 30), rng.uniform(0.0, 360.0, 30)
-    values = np.linalg.svd(columns(i, t), compute_uv=False)
-    found = judge(MODEL, np.deg2rad(i), np.deg2rad(t), norm=True)
-    assert found.condition == pytest.approx(values[0] / values[-1], rel=1e-6)
-
-
-def test_the_lattice_turns_by_the_golden_ratio() -> None:
-    i, t = uniform_directions(200)
-    k = np.arange(200) + 0.5
-    golden = 0.5 * (1.0 + np.sqrt(5.0))
-    np.testing.assert_allclose(np.sin(i), 1.0 - k / 100.0, atol=1e-12)
-    away = np.mod(t - 2.0 * np.pi * golden * k + np.pi, 2.0 * np.pi) - np.pi
-    np.testing.assert_allclose(away, 0.0, atol=1e-9)
-
-
 @pytest.mark.parametrize("pole", [-90.0, 90.0])
 def test_the_position_that_tells_most_is_offered(pole: float) -> None:
     """Of all on a grid of 15 deg, both poles with it: the largest determinant, one pole here."""
@@ -112,21 +95,6 @@ def test_what_a_ring_leaves_open_is_infinite() -> None:
     first, second = bias.additions
     assert (abs(first.inclination), first.gain, first.parameter) == (90.0, np.inf, bias.names[2])
     assert second.gain == pytest.approx(np.sqrt(2.0))  # the same once more
-
-
-@pytest.mark.slow
-def test_open_is_known_worse_than_three_typical_sizes() -> None:
-    """Two rings a little above and below the level: the less they are apart, the more is open."""
-    t = np.arange(0.0, 360.0, 30.0)
-    counts = set()
-    for apart in np.geomspace(0.01, 30.0, 60):
-        i = np.where(np.arange(12) % 2 == 0, apart, -apart)
-        known = np.sqrt(np.maximum(np.linalg.eigvalsh(scaled(i, t)), 0.0))
-        due = int(np.sum(3.0 * known < 1.0))
-        found = judge(MODEL, np.deg2rad(i), np.deg2rad(t), norm=True).open_directions
-        assert len(found) == due
-        counts.add(due)
-    assert len(counts) > 2
 
 
 def test_the_recommended_rings() -> None:

@@ -23,7 +23,6 @@ from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import LabRun, run_lab
 from imucalib.errors import Undetermined, UnreadableInput, UsageError
-from imucalib.loop.faults.conventions import wrong_directions
 
 TRUTH = {
     "mounting_x": 0.4, "mounting_y": -0.7, "mounting_z": 1.1,  # deg
@@ -124,42 +123,6 @@ def test_the_scatter_is_split_into_noise_and_tilt() -> None:
     assert np.mean(tilt**2) == pytest.approx(TILT_DEG**2, rel=0.2)
 
 
-@pytest.mark.slow
-def test_the_mounting_carries_the_tilt() -> None:
-    """The mean of n tilts is known to tilt / sqrt(n), whatever the readings' noise."""
-    sd = [dict(zip(TRUTH, calibrated(six_faces(s, 4), loop=False).result.base.sd, strict=True))
-          for s in range(8)]  # fmt: skip
-    # x keeps its sensing direction, so a turn about z shows in x on the 8 rows of ±y alone.
-    assert np.mean([one["mounting_z"] for one in sd]) == pytest.approx(
-        TILT_DEG / np.sqrt(8.0), rel=0.2
-    )
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(6))
-def test_a_lost_sign_is_found(seed: int) -> None:
-    table = six_faces(seed + 50, 2 + seed % 3)
-    row = int(np.random.default_rng(seed).integers(table.n))
-    axis = "xyz"[row % 3]
-    columns = {role: values.copy() for role, values in table.columns.items()}
-    columns[axis][row] *= -1.0
-    run = calibrated(replace(table, columns=columns))
-    (record,) = run.result.loop.records if run.result.loop else ()
-    assert (record.where, record.channel, record.likely) == (
-        f"row {row + 1}", axis, f"lost sign of {axis}"
-    )  # fmt: skip
-    assert f"--fix {row + 1}:{axis}={table.columns[axis][row]:.6g}"[:-2] in run.outcome.undecided[0]
-
-
-def test_a_wrong_face_is_named() -> None:
-    table = six_faces(3, 2)
-    columns = {role: values.copy() for role, values in table.columns.items()}
-    columns["ux"][8], columns["uz"][8] = 1.0, 0.0  # +z, written down as +x
-    (fault,) = calibrated(replace(table, columns=columns)).faults.slips
-    assert fault.what == "row 9: the sheet says face +x where the reading fits face +z"
-    assert fault.line == "--fix 9:face=+z"
-
-
 def test_exchanged_faces_are_named_and_the_lines_mend_them(tmp_path: Path) -> None:
     """Two rows exchanged and a third under a wrong face: the fit alone did not settle."""
     faces = list(FACES * 4)
@@ -171,42 +134,6 @@ def test_exchanged_faces_are_named_and_the_lines_mend_them(tmp_path: Path) -> No
     assert all(" ".join(pair) in words for pair in (lines[:2], lines[2:]))
     mended = run("lab", path, "--reference", "direction", "-o", tmp_path / "b", "-q", *lines)
     assert mended.return_value == 0, mended.output
-
-
-def test_directions_that_are_no_faces_are_named_by_their_numbers() -> None:
-    rng = np.random.default_rng(8)
-    direction = rng.standard_normal((20, 3))
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    raw = readings(direction, rng)
-    said = direction.copy()
-    said[4] = direction[11]
-    (fault,) = wrong_directions(raw[:10], said[:10], np.arange(10)) or (None,)
-    assert fault is None  # where it stood is no direction of the table
-    said = np.vstack([direction, direction])
-    said[4] = direction[11]
-    (fault,) = wrong_directions(np.vstack([raw, raw]), said, np.arange(1, 41))
-    assert fault.line == " ".join(
-        f"--fix 5:{axis}={value:.10g}"
-        for axis, value in zip(("ux", "uy", "uz"), direction[4], strict=True)
-    )
-    assert wrong_directions(raw, direction, np.arange(20)) == ()
-
-
-def test_any_directions_do() -> None:
-    rng = np.random.default_rng(8)
-    direction = rng.standard_normal((30, 3))
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    raw = readings(direction, rng)
-    run = calibrated(_table(direction * rng.uniform(0.1, 9.0, (30, 1)), raw), loop=False)
-    assert all(abs(off) < 4.5 * sd for off, sd, _ in _away(run).values())
-
-
-def test_exact_directions_and_what_they_leave_out() -> None:
-    run = calibrated(six_faces(2, 3), objective="vector")
-    assert run.result.base.noise.component == ()
-    free = calibrated(six_faces(2, 3), loop=False).result.base
-    # Taken as exact, the tilts are noise of every axis alike.
-    assert run.result.base.noise.factor > 1.5 * free.noise.factor
 
 
 def test_what_a_table_of_faces_cannot_do() -> None:
@@ -250,24 +177,3 @@ def test_end_to_end(tmp_path: Path) -> None:
     assert "tilt" in html
     assert "deg scatter" in html
     assert run("validate", out / "calibration.yaml").return_value == 0
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (("--convention", "drilling-force"), "no angles that a convention"),
-        (("--max-toolface-error", "1"), "needs known angles.*--max-error"),
-        (("--columns", "face=side"), "no column is called 'side'"),
-    ],
-)
-def test_options_that_speak_of_angles(tmp_path: Path, options: tuple[str, ...], words: str) -> None:
-    arguments = ("lab", _written(tmp_path), "--reference", "direction", *options)
-    with pytest.raises(UsageError, match=words):
-        raise run(*arguments).exception or AssertionError
-
-
-def test_a_mirrored_table_is_refused_with_the_meaning_of_a_face(tmp_path: Path) -> None:
-    down = tuple(face.translate(str.maketrans("+-", "-+")) for face in FACES)
-    result = run("lab", _written(tmp_path, faces=down), "--reference", "direction")
-    assert "mirror image" in str(result.exception)
-    assert "a face is the axis that reads +g" in str(result.exception)

@@ -10,9 +10,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from imucalib import cli
-from imucalib.calibrators.lab.position_table import read_position_table
 from imucalib.effects import known
-from imucalib.errors import UsageError
 
 
 def _sheet(path: Path, size: float, kind: str) -> Path:
@@ -56,39 +54,6 @@ def test_what_follows_a_named_column_is_found_and_done_without(tmp_path: Path, k
     told = " ".join(applied.output.split())
     assert "the recording has no column supply_V" in told
     assert "11.5 to 12.5" in told
-
-
-def test_a_heading_with_a_colon_is_found_again(tmp_path: Path) -> None:
-    sheet = _sheet(tmp_path / "sheet.csv", 3.0, "bias")
-    text = sheet.read_text().replace("supply_V", "supply: V")
-    sheet.write_text(text)
-    for heading in ("supply: V", "supply  V"):
-        table = read_position_table(sheet, {"driver": heading})
-        assert table.names["driver"] == "supply: V"
-    with pytest.raises(UsageError, match="no column is called"):
-        read_position_table(sheet, {"driver": "supply V"})
-
-
-@pytest.mark.slow
-def test_a_column_that_nobody_names_takes_no_part_and_is_told(tmp_path: Path) -> None:
-    run = _run("lab", _sheet(tmp_path / "sheet.csv", 0.0, "bias"), "-o", tmp_path / "out")
-    assert "columns that take no part: supply_V (--columns driver=supply_V" in run.stderr
-    named = _run(
-        "lab", tmp_path / "sheet.csv", "--columns", "driver=supply_V", "-o", tmp_path / "out"
-    )
-    assert "take no part" not in named.stderr
-    assert not json.loads((tmp_path / "out/report.json").read_text())["loop"]["steps"]
-
-
-def test_several_drivers_may_be_named(tmp_path: Path) -> None:
-    sheet = _sheet(tmp_path / "sheet.csv", 0.0, "bias")
-    table = read_position_table(sheet, {"driver": "supply_V", "driver_2": "supply_V"})
-    assert {"driver", "driver_2"} <= set(table.columns)
-    with pytest.raises(UsageError, match="driver_two"):
-        read_position_table(sheet, {"driver_two": "supply_V"})
-
-
-_ANGLES = {"tool_face": "tool_face"}
 
 
 @pytest.mark.parametrize(

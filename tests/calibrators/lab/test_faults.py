@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 import shlex
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -46,44 +45,6 @@ def test_pasting_the_line_ends_the_matter(tmp_path: Path, kind: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_typed_angle_is_told_with_the_value(tmp_path: Path) -> None:
-    made = sheets.mistyped(sheets.bench(4, scatter=0.1), 14, "tool_face", 10.0)
-    code, text, _ = lab(made.write(tmp_path / "sheet.csv"))
-    assert code == 5
-    assert "row 14: tool-face is 130 on the sheet where the reading says 12" in text
-    assert "--fix 14:tool_face=120" in text
-    assert "e-0" not in text
-
-
-@pytest.mark.slow
-def test_a_typed_angle_is_told_in_rows_that_stand_in_no_order(tmp_path: Path) -> None:
-    """Its setting was its own: mended, one fewer is left."""
-    rng = np.random.default_rng(5)
-    n = 40
-    i, t = rng.integers(-8, 9, n) * 10.0, rng.integers(0, 36, n) * 10.0
-    reading = 1000.0 * sheets.direction(i, t) + [12.0, -9.0, 4.0] + rng.normal(0.0, 0.3, (n, 3))
-    said = t.copy()
-    said[20] = (t[20] + 70.0) % 360.0
-    path = tmp_path / "sheet.csv"
-    head = "inclination,tool_face,x_mg,y_mg,z_mg"
-    np.savetxt(path, np.column_stack([i, said, reading]), "%.4f", ",", header=head, comments="")
-    code, text, _ = lab(path)
-    assert code == 5
-    assert f"--fix 21:tool_face={t[20]:g}" in text
-
-
-@pytest.mark.slow
-def test_a_lost_sign_is_told_once(tmp_path: Path) -> None:
-    made = sheets.cell(sheets.bench(4, scatter=0.1), 14, 0, -1.0)
-    path = made.write(tmp_path / "sheet.csv")
-    result = CliRunner().invoke(cli.cli, ["lab", str(path), "--json", "-q"], standalone_mode=False)
-    report = json.loads(result.stdout)
-    assert result.return_value == 5
-    assert len(report["undecided"]) == 1
-    assert "--fix 14:x" in report["undecided"][0]
-
-
-@pytest.mark.slow
 def test_a_turned_sensor_is_a_question_until_it_is_answered(tmp_path: Path) -> None:
     made = sheets.axes(sheets.bench(4, name="spread"), (1, 0, 2), (1, -1, 1))
     path = made.write(tmp_path / "sheet.csv")
@@ -95,44 +56,11 @@ def test_a_turned_sensor_is_a_question_until_it_is_answered(tmp_path: Path) -> N
         assert (code, text) == (0, ""), line
 
 
-@pytest.mark.slow
-def test_counts_that_look_like_mg_are_asked_about(tmp_path: Path) -> None:
-    made = sheets.in_counts(sheets.bench(4, name="spread"), 1024.0)
-    path = made.write(tmp_path / "sheet.csv", "inclination,tool_face,x,y,z")
-    for reference in ("vector", "norm"):
-        code, text, _ = lab(path, "--reference", reference)
-        assert code == 5
-        assert made.slip.line in text
-    for answer in (made.slip.line, "--unit mg"):
-        assert lab(path, *shlex.split(answer))[0] == 0
-
-
 def test_the_norm_claims_nothing_about_places(tmp_path: Path) -> None:
     clean = sheets.bench(4, name="spread")
     for made in (sheets.exchanged(clean, 3, 9), sheets.mistyped(clean, 5, "inclination", 20.0)):
         path = made.write(tmp_path / "sheet.csv")
         assert lab(path, "--reference", "norm")[:2] == (0, "")
-
-
-@pytest.mark.slow
-def test_a_converter_at_its_end(tmp_path: Path) -> None:
-    made = sheets.bench(5, name="spread")
-    y = made.reading.copy()
-    y[:, 2] = np.minimum(y[:, 2], 0.7 * y[:, 2].max())
-    path = replace(made, reading=y).write(tmp_path / "sheet.csv")
-    code, text, _ = lab(path)
-    assert code == 5
-    (rows,) = re.findall(r"--exclude ([\d,]+)", text)
-    assert [int(r) - 1 for r in rows.split(",")] == list(np.flatnonzero(y[:, 2] == y[:, 2].max()))
-
-
-@pytest.mark.slow
-def test_angles_thrown_by_hand_do_not_pass(tmp_path: Path) -> None:
-    """No single slip, but no bench either: settings within ten degrees."""
-    made = sheets.bench(6, name="spread", scatter=8.0)
-    code, text, report = lab(made.write(tmp_path / "sheet.csv"))
-    assert (code, report["status"]) == (5, "marginal")
-    assert "a bench is set within 3" in text
 
 
 def table() -> PositionTable:
@@ -160,14 +88,6 @@ def test_what_the_options_do_to_rows(
     assert changed.columns[column].tolist() == values
     assert left == lost
     assert changed.columns["tool_face"].tolist() == table().columns["tool_face"].tolist()
-
-
-def test_axes_and_cells() -> None:
-    repairs = repairs_of((), (), (), ("-z,x,y",), "rad")
-    changed, _ = repaired(table(), repairs, ((2, "tool_face", 7.0),), False)
-    assert changed.raw()[1].tolist() == [-9.0, 2.0, 0.0]
-    assert changed.columns["tool_face"][1] == 7.0
-    assert changed.unit["inclination"] == "rad"
 
 
 def test_the_axes_of_a_part_are_those_of_the_whole_table_read_once_more() -> None:
@@ -199,30 +119,3 @@ def test_lines_that_are_wrong_are_refused(
     with pytest.raises(UsageError, match=re.escape(words)):
         repaired(table(), repairs_of(swaps, (), shifts, (axes,) if axes else (), None), (), False)
     assert repaired(table(), Repairs(), (), False)[1] == ()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("known", [True, False])
-def test_a_sensor_that_saturates_under_its_noise_is_told_and_passes_without_those_rows(
-    tmp_path: Path, known: bool
-) -> None:
-    """By gravity's size alone it was "nothing missing" at 36 mg; on dials a heap of effects."""
-    rng = np.random.default_rng(3)
-    i, t = np.degrees(np.arcsin(rng.uniform(-1, 1, 60))), rng.uniform(0, 360, 60)
-    reading = np.clip(1010.0 * sheets.direction(i, t) + [12.0, -9.0, 4.0], -900.0, 900.0)
-    reading += rng.normal(0.0, 0.5, reading.shape)
-    path = tmp_path / "sheet.csv"
-    rows = np.column_stack([i, t, reading])
-    head = "inclination,tool_face,x_mg,y_mg,z_mg"
-    np.savetxt(path, rows, "%.4f", ",", header=head, comments="")
-    how = () if known else ("--reference", "norm")
-    code, text, _ = lab(path, *how)
-    assert code == 5
-    assert "the sensor is saturated there" in text
-    told = sorted(
-        {int(r) for r in re.findall(r"\d+", " ".join(re.findall(r"--exclude (\S+)", text)))}
-    )
-    assert len(told) >= 8
-    code, text, report = lab(path, *how, "--exclude", ",".join(map(str, told)))
-    assert (code, text) == (0, "")
-    assert report["loop"]["errors"][0]["held_out"]["final"] < 1.5

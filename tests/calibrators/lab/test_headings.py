@@ -18,47 +18,9 @@ from imucalib.calibrators.lab.request import LabRequest
 from imucalib.cli import cli
 from imucalib.core.references import unit_vector
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.recording.mapping import FieldMapping
 from worlds.places import ROOT
 
 ROWS = [(10.5, 90.0, 0.1, 0.97, 0.18), (-45.0, 180.25, -0.7, 0.02, -0.7), (0.0, 0.0, 0.0, 1, 0.0)]
-
-
-@pytest.mark.parametrize(
-    "heading",
-    [
-        "Inc,GTF,Gx,Gy,Gz",
-        "Inc (deg),Tool Face (°),Gx [g],Gy [g],Gz [g]",
-        "Inclination,Tool-Face,G_x,G_y,G_z",
-        "Neigung (Grad),Werkzeuglage (Grad),x,y,z",
-        "incl,high side,ax_g,ay_g,az_g",
-        "inc,tf,x (V),y [mV],z_volts",
-        "Inclination (deg from horizontal),Gravity Tool Face,x,y,z",
-    ],
-)
-def test_the_words_of_the_trade(heading: str, tmp_path: Path) -> None:
-    path = tmp_path / "t.csv"
-    path.write_text(heading + "\n" + "".join(",".join(map(str, r)) + "\n" for r in ROWS), "utf-8")
-    table = read_position_table(path)
-    np.testing.assert_allclose(table.raw(), np.array(ROWS)[:, 2:])
-    np.testing.assert_allclose(table.columns["inclination"], np.array(ROWS)[:, 0])
-    np.testing.assert_allclose(table.columns["tool_face"], np.array(ROWS)[:, 1])
-    assert table.unit.get("inclination", "deg") in ("deg", "°")
-
-
-def test_an_azimuth_beside_them_is_left_alone(tmp_path: Path) -> None:
-    path = tmp_path / "t.csv"
-    path.write_text("Inc,Azi,GTF,Gx,Gy,Gz\n" + "1,2,3,0,0,1\n" * 3)
-    assert set(read_position_table(path).columns) == {"inclination", "tool_face", "x", "y", "z"}
-
-
-def test_degree_signs_minus_signs_and_lines_to_skip(tmp_path: Path) -> None:
-    path = tmp_path / "t.csv"
-    head = "a,b,c,d,e\n1,2,3,4,5\n"
-    path.write_text(head + "inc,tf,x,y,z\n\u221210.5°,90 °,0,1,0\n" + "1°,2°,0,1,0\n" * 2, "utf-8")
-    table = read_position_table(path, mapping=FieldMapping(skip=2))
-    assert table.columns["inclination"].tolist() == [-10.5, 1.0, 1.0]
-    assert table.columns["tool_face"].tolist() == [90.0, 2.0, 2.0]
 
 
 @pytest.mark.parametrize(

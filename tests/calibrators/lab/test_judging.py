@@ -6,22 +6,16 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy import stats
 
 from imucalib.calibrators.lab import advice
-from imucalib.calibrators.lab.attitude import attitude_errors, rms, worst
-from imucalib.calibrators.lab.bench import RawUnit
+from imucalib.calibrators.lab.attitude import attitude_errors
 from imucalib.calibrators.lab.conventions import Conventions
-from imucalib.calibrators.lab.dial import bends
 from imucalib.calibrators.lab.errors import noise_floor
-from imucalib.calibrators.lab.sessions.between import Between
-from imucalib.calibrators.population import not_of_its_kind
 from imucalib.core.effect import Context
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm, KnownVector
 from imucalib.errors import UsageError
 from imucalib.loop.held_out import Held
-from imucalib.loop.record_errors import RecordError
 from imucalib.units import DEG, MG
 from worlds.sheets import direction
 
@@ -56,10 +50,6 @@ def test_angles_are_compared_on_vectors(
     assert errors_of(meant, read) == pytest.approx([inclination, tool_face, 0.0], abs=1e-9)
 
 
-def test_the_size_is_compared_with_gravity() -> None:
-    assert errors_of((10.0, 20.0), (10.0, 20.0), 1.003 * G)[2] == pytest.approx(3.0)
-
-
 def test_the_size_is_compared_with_what_a_swing_of_the_bench_makes_of_gravity() -> None:
     one = G * direction(np.array(10.0), np.array(20.0))[None, None]
     found = attitude_errors(Held(1.004 * one, 1.003 * one, 0.001 * one), Conventions())
@@ -70,12 +60,6 @@ def test_tool_face_means_nothing_within_three_degrees_of_the_vertical() -> None:
     assert np.isnan(errors_of((87.2, 0.0), (87.2, 5.0))[1])
     assert errors_of((87.1, 0.0), (87.1, 5.0))[1] == pytest.approx(5.0)
     assert np.isnan(errors_of((-88.0, 0.0), (-88.0, 5.0))[1])
-
-
-def test_what_has_no_value_counts_in_no_mean() -> None:
-    assert worst(np.array([1.0, -3.0, np.nan])) == 3.0
-    assert rms(np.array([1.0, -7.0, np.nan])) == 5.0
-    assert worst(np.array([np.nan])) == rms(np.array([])) == 0.0
 
 
 def repeated(pairs: int, apart: float) -> Observations:
@@ -101,25 +85,6 @@ def test_the_floor_is_that_of_six_repeats_or_more() -> None:
                         np.arange(3), ("",) * 3)  # fmt: skip
     assert noise_floor(norm, 1e-3) == pytest.approx(1e-3)
     assert np.isnan(noise_floor(norm, None))
-
-
-def test_a_device_far_from_its_fleet_is_told_from_one_in_a_hundred_on() -> None:
-    def of(strange: float) -> tuple[str, ...]:
-        return not_of_its_kind(strange, "instead")
-
-    assert not of(0.0101)
-    assert not of(float("nan"))
-    assert "with a chance of 0.009;" in of(0.009)[0]
-    assert "1e-12" in of(0.0)[0]
-
-
-def test_a_record_is_repaired_in_the_tables_unit() -> None:
-    raw = RawUnit("mg", MG, "")
-    record = RecordError(
-        row=3, where="row 4", channel="x", size=1.0, sd=0.1, unit="mg", likely="sign",
-        fix=(("x", 0.5 * G),), probability=1.0,
-    )  # fmt: skip
-    assert advice.fix_option(record, raw) == "--fix 4:x=500 or --exclude 4 (or --auto-exclude)"
 
 
 def split(name: str, corrected: list[float]) -> SimpleNamespace:
@@ -159,26 +124,3 @@ def test_limits_need_something_held_out() -> None:
     assert advice.limits_of(nothing, {}) == ()  # type: ignore[arg-type]
     with pytest.raises(UsageError, match="held-out"):
         advice.limits_of(nothing, {"max-error": 1.0})  # type: ignore[arg-type]
-
-
-def test_only_what_turns_inclination_bends_the_dial() -> None:
-    def of(*names: str) -> bool:
-        return bends(SimpleNamespace(model=SimpleNamespace(names=names)))  # type: ignore[arg-type]
-
-    assert of("bias", "inclination_zero")
-    assert not of("bias", "tool_face_zero")
-
-
-def between(sizes: np.ndarray, weights: np.ndarray, sd: float = 1.0) -> Between:
-    return Between(
-        name="session bias", effect="bias", unit="mg", sd=sd, sizes=sizes, weights=weights,
-        by_axis=np.tile(weights, (3, 1)), offsets=np.zeros((5, 3)), offsets_sd=np.ones((5, 3)),
-    )  # fmt: skip
-
-
-def test_the_interval_of_a_scatter_holds_the_middle_95_percent() -> None:
-    """Of a normal density on a grid: ±1.96 deviations."""
-    sizes = np.linspace(0.0, 20.0, 2001)
-    weights = stats.norm.pdf(sizes, 10.0, 2.0)
-    low, high = between(sizes, weights / weights.sum()).interval
-    assert (low, high) == pytest.approx((10.0 - 3.92, 10.0 + 3.92), abs=0.02)

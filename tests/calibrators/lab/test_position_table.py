@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 
 from imucalib.calibrators.lab.position_table import ROLES, PositionTable, read_position_table
 from imucalib.errors import ImucalError, UnreadableInput, UsageError
-from imucalib.recording.mapping import FieldMapping
 
 PLAIN = "inclination,tool_face,x,y,z\n0,0,-11.5,966.25,31\n10,90,938,-14,209.5\n"
 
@@ -32,45 +31,6 @@ def _refused(path: Path, kind: type[ImucalError] = UnreadableInput) -> ImucalErr
     return caught.value
 
 
-def test_a_plain_table(tmp_path: Path) -> None:
-    path = _write(tmp_path, PLAIN)
-    table = read_position_table(path)
-    assert table.n == 2
-    assert list(table.row) == [1, 2]
-    assert np.array_equal(table.raw(), [[-11.5, 966.25, 31.0], [938.0, -14.0, 209.5]])
-    assert np.array_equal(table.columns["tool_face"], [0.0, 90.0])
-    assert table.sha256 == hashlib.sha256(PLAIN.encode()).hexdigest()
-    assert table.path == str(path)
-    assert table.unit == {}
-    assert "x" in table
-    assert "temperature" not in table
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        PLAIN.replace(",", ";"),
-        PLAIN.replace(",", "\t"),
-        PLAIN.replace(".", ",").replace(",tool_face,x,y,z", ";tool_face;x;y;z").replace(
-            "0,0,-11,5,966,25,31", "0;0;-11,5;966,25;31"
-        ).replace("10,90,938,-14,209,5", "10;90;938;-14;209,5"),
-        "\ufeff" + PLAIN,
-        PLAIN.replace("\n", "\r\n"),
-        "# bench 3, October\n\n" + PLAIN.replace("\n10", "\n# a note\n\n10"),
-        PLAIN.replace(",", " , "),
-        PLAIN.replace("tool_face", '"tool_face"'),
-        PLAIN.replace("938", "9.38e2"),
-        PLAIN.rstrip("\n"),
-    ],
-    ids=["semicolon", "tab", "decimal comma", "bom", "crlf", "comments", "spaces", "quotes",
-         "exponent", "no last newline"],
-)  # fmt: skip
-def test_dialects_read_alike(tmp_path: Path, text: str) -> None:
-    table = read_position_table(_write(tmp_path, text))
-    assert np.array_equal(table.raw(), [[-11.5, 966.25, 31.0], [938.0, -14.0, 209.5]])
-    assert np.array_equal(table.columns["inclination"], [0.0, 10.0])
-
-
 @pytest.mark.parametrize("role", sorted(ROLES))
 def test_every_synonym_of_a_heading(tmp_path: Path, role: str) -> None:
     for heading in ROLES[role]:
@@ -86,36 +46,6 @@ def test_every_synonym_of_a_heading(tmp_path: Path, role: str) -> None:
             assert role not in table.unit
 
 
-@pytest.mark.parametrize(
-    ("heading", "unit"),
-    [("x_mg", "mg"), ("x [g]", "g"), ("raw_x (m/s2)", "m/s2"), ("acc_x_ug", "ug"), ("x[mg]", "mg")],
-)
-def test_the_heading_states_the_unit(tmp_path: Path, heading: str, unit: str) -> None:
-    table = read_position_table(_write(tmp_path, PLAIN.replace(",x,", f",{heading},")))
-    assert table.unit == {"x": unit}
-    assert table.names["x"] == heading
-
-
-def test_angle_units_and_words_that_end_like_one(tmp_path: Path) -> None:
-    text = PLAIN.replace("inclination", "inc").replace("tool_face", "toolface_rad")
-    table = read_position_table(_write(tmp_path, text.replace("z\n", "z\n", 1)))
-    assert table.unit == {"tool_face": "rad"}
-    text = PLAIN.replace("z\n", "z,temp_degC,samples\n").replace("31\n", "31,20,5\n")
-    table = read_position_table(_write(tmp_path, text.replace("209.5\n", "209.5,21,6\n")))
-    assert table.unit == {"temperature": "degC"}
-
-
-def test_columns_that_take_no_part_are_told(tmp_path: Path) -> None:
-    """A supply's voltage may drive what is left: it is said that nobody looked."""
-    rows = ["inclination,tool_face,x,y,z,supply_V,position,rate,remark"]
-    rows += [f"{10 * k},0,1,2,3,{3.3 - 0.01 * k * k},{k + 1},100,ok" for k in range(4)]
-    table = read_position_table(_write(tmp_path, "\n".join(rows)))
-    assert table.unused == ("supply_V",)
-    assert "supply_V" in table.left_out[0]
-    named = read_position_table(_write(tmp_path, "\n".join(rows)), {"temperature": "supply_V"})
-    assert named.left_out == ()
-
-
 def test_columns_can_be_named(tmp_path: Path) -> None:
     path = _write(tmp_path, PLAIN.replace("inclination", "dial A").replace("tool_face", "dial B"))
     assert "no column for inclination, tool_face" in _refused(path).what
@@ -126,17 +56,6 @@ def test_columns_can_be_named(tmp_path: Path) -> None:
         with pytest.raises(UsageError, match=words) as caught:
             read_position_table(path, bad)
         assert caught.value.remedy
-
-
-def test_two_columns_for_one_role(tmp_path: Path) -> None:
-    path = _write(tmp_path, PLAIN.replace("x,y", "x,raw_x").replace("z\n", "y,z\n", 1))
-    error = _refused(_write(tmp_path, "incl,inclination,tf,x,y,z\n1,2,3,4,5,6\n"))
-    assert "several columns could be inclination" in error.what
-    assert "--columns inclination=incl" in error.remedy
-    assert read_position_table(
-        _write(tmp_path, "incl,inclination,tf,x,y,z\n1,2,3,4,5,6\n"), {"inclination": "incl"}
-    ).columns["inclination"] == [1.0]
-    assert path.exists()
 
 
 @pytest.mark.parametrize(
@@ -164,27 +83,12 @@ def test_mistakes_are_named_where_they_are(
     assert error.where.endswith(where)
 
 
-def test_rows_count_without_heading_and_notes(tmp_path: Path) -> None:
-    text = "# a note\n" + PLAIN.replace("\n10", "\n# b\n\n10") + "20,0,1,x,2\n"
-    assert _refused(_write(tmp_path, text)).where.endswith("row 3, column y")
-
-
 def test_packed_and_utf_16_tables(tmp_path: Path) -> None:
     packed = _write(tmp_path, gzip.compress(PLAIN.encode()), "table.csv.gz")
     assert np.array_equal(read_position_table(packed).raw()[1], [938.0, -14.0, 209.5])
     assert read_position_table(packed).sha256 == hashlib.sha256(packed.read_bytes()).hexdigest()
     wide = _write(tmp_path, PLAIN.replace(",", "\t").encode("utf-16"), "table.txt")
     assert np.array_equal(read_position_table(wide).raw()[1], [938.0, -14.0, 209.5])
-
-
-def test_the_options_of_a_csv(tmp_path: Path) -> None:
-    titled = _write(tmp_path, "Bench 3; October\nby hand\n" + PLAIN.replace(",", ";"))
-    assert read_position_table(titled).n == 2
-    mapping = FieldMapping(skip=2, delimiter=";", decimal=".")
-    assert read_position_table(titled, mapping=mapping).n == 2
-    commas = PLAIN.replace(",", ";").replace("966.25", "966,25")
-    with pytest.raises(UnreadableInput, match="'966,25' is not a number"):
-        read_position_table(_write(tmp_path, commas), mapping=FieldMapping(decimal="."))
 
 
 @pytest.mark.parametrize("title", ["", "Bench of March\n", "Bench of March,,,,\n\n,,,,\n"])
@@ -233,27 +137,6 @@ def test_wrong_faces_are_named_with_their_row(
     assert what in caught.value.what
     assert caught.value.where.endswith(where)
     assert remedy in caught.value.remedy
-
-
-def test_a_table_of_faces_says_what_to_ask_for(tmp_path: Path) -> None:
-    assert "--reference direction" in _refused(_write(tmp_path, FACED)).remedy
-
-
-def test_not_a_text_file(tmp_path: Path) -> None:
-    error = _refused(_write(tmp_path, b"inclination,x\n\xff\xfe1,2\n"))
-    assert "not a text file" in error.what
-    assert error.where.endswith("byte 14")
-
-
-def test_no_such_file(tmp_path: Path) -> None:
-    assert "no such file" in _refused(tmp_path / "absent.csv").what
-    assert "no such file" in _refused(tmp_path).what
-
-
-def test_without_angles_or_readings(tmp_path: Path) -> None:
-    bare = _write(tmp_path, "inclination,tool_face\n1,2\n")
-    assert read_position_table(bare, need_raw=False).n == 1
-    assert "no column for x, y, z" in _refused(bare).what
 
 
 def _hdf5(folder: Path, **datasets: object) -> Path:

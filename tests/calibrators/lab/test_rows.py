@@ -11,15 +11,11 @@ import pytest
 
 from imucalib.calibrators.lab import faults
 from imucalib.calibrators.lab.bench import (
-    RawUnit,
-    direction_observations,
     position_observations,
     row_numbers,
     still_observations,
 )
 from imucalib.calibrators.lab.checks import (
-    implausible_sizes,
-    kept_rows,
     refuse_sizes,
     refuse_temperatures,
     without_temperature,
@@ -28,7 +24,7 @@ from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.calibrators.lab.faults import sheet_of
 from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.core.references import KnownVector
-from imucalib.errors import UnreadableInput, UsageError
+from imucalib.errors import UsageError
 from imucalib.units import DEG, MG
 
 G = 9.80665
@@ -91,15 +87,6 @@ def test_covariates_are_what_stood_before_and_when() -> None:
     assert before["previous_x"].tolist() == [1.0, 1.0, 2.0]
 
 
-def test_an_axis_comes_from_a_side_where_it_moved_by_more_than_0_02_g() -> None:
-    """The first row comes from nowhere; what lay between does not count as a side."""
-    x = [1.0, 2.0, 2.1, 1.8, 1.79]  # m/s²; 0.02 g is 0.196
-    sheet = table(x=x, y=[3.0] * 5)
-    found = still_observations(sheet, sheet.raw(), G).context.covariates
-    assert found["approach_x"].tolist() == [0.0, 1.0, 0.0, -1.0, 0.0]
-    assert found["approach_y"].tolist() == [0.0] * 5
-
-
 @pytest.mark.parametrize(
     ("inclination", "tool_face", "sweeps"),
     [
@@ -122,38 +109,10 @@ def test_a_sweep_is_a_run_that_holds_one_dial(
     assert context.sweeps == max(sweeps) + 1
 
 
-def test_directions_of_any_length_are_directions() -> None:
-    sheet = table(ux=[3, 0], uy=[4, 0], uz=[0, -2])
-    data = direction_observations(sheet, sheet.raw(), G)
-    truth = data.reference.truth(np.zeros(data.reference.eta_size))[:, 0]
-    np.testing.assert_allclose(truth, G * np.array([[0.6, 0.8, 0.0], [0.0, 0.0, -1.0]]))
-    nowhere = table(ux=[3, 0], uy=[4, 0], uz=[0, 0])
-    with pytest.raises(UnreadableInput) as caught:
-        direction_observations(nowhere, nowhere.raw(), G)
-    assert caught.value.where.endswith("row 2")
-
-
 def sheet(made: PositionTable, rows: Sequence[int], **unit: str) -> faults.Sheet:
     """As the search for slips sees some rows: readings in m/s², the table's first rows noisier."""
     whole = still_observations(made, made.raw() * MG, G)
     return sheet_of(made, whole, np.array(rows), Conventions(), G)
-
-
-RING = {"inclination": [0] * 5 + [40] * 3, "tool_face": [0, 60, 120, 180, 240, 240, 180, 120]}
-
-
-def test_the_search_for_slips_sees_the_kept_rows_in_mg_and_degrees() -> None:
-    made = table({"tool_face": "rad"}, inclination=RING["inclination"],
-                 tool_face=np.radians(RING["tool_face"]).tolist(),
-                 samples=[4, 4, 1, 4, 4, 16, 4, 4])  # fmt: skip
-    found = sheet(made, [0, 1, 2, 4, 5])
-    np.testing.assert_allclose(found.tool_face, [0.0, 60.0, 120.0, 240.0, 240.0])
-    assert found.inclination.tolist() == [0.0, 0.0, 0.0, 0.0, 40.0]
-    np.testing.assert_allclose(found.reading, made.raw()[[0, 1, 2, 4, 5]])
-    assert found.gravity == pytest.approx(1000.0)
-    assert found.sigma.tolist() == [1.0, 1.0, 2.0, 1.0, 0.5]
-    assert found.row.tolist() == [1, 2, 3, 5, 6]
-    assert found.place.tolist() == [0, 1, 2, 4, 5]
 
 
 def mixed(**more: Sequence[float]) -> PositionTable:
@@ -184,20 +143,6 @@ def test_neighbours_share_a_setting_only_in_an_order_of_work() -> None:
     k = np.arange(24)
     worked = table(inclination=40.0 * (k // 8), tool_face=45.0 * (k % 8))
     assert sheet(worked, every).inclination_setting.tolist() == (k // 8).tolist()
-
-
-def test_a_size_is_implausible_beyond_a_third_on_either_side() -> None:
-    def bad(*factor: float, n: int = 16) -> list[int]:
-        size = np.ones(n)
-        size[1 : 1 + len(factor)] = factor
-        made = table(x=1000.0 * size, y=np.zeros(n), z=np.zeros(n))
-        return list(implausible_sizes(made, np.arange(n)))
-
-    assert bad(1.34) == bad(0.66) == []
-    assert bad(1.36) == bad(0.64) == [1]
-    assert bad(10.0, 0.1) == [1, 2]  # two of sixteen are slips of the pen
-    assert bad(10.0, 0.1, 10.0) == []  # three are something else
-    assert bad(10.0, n=5) == [1]
 
 
 @pytest.mark.parametrize(
@@ -252,30 +197,6 @@ def test_what_a_thermometer_says_that_has_not_measured_is_no_temperature(code: f
     assert caught.value.where.endswith("row 2, column temperature")
     assert "--exclude 2" in caught.value.remedy
     assert without_temperature(table(x=[1, 2]), np.arange(2)).size == 0
-
-
-def test_rows_are_left_out_by_their_numbers() -> None:
-    made = table(x=[1, 2, 3, 4])
-    assert kept_rows(made, ()).tolist() == [0, 1, 2, 3]
-    assert kept_rows(made, (1, 4)).tolist() == [1, 2]
-    for wrong in (0, 5):
-        with pytest.raises(UsageError, match=f"exclude {wrong}"):
-            kept_rows(made, (wrong,))
-
-
-@pytest.mark.parametrize(("size", "plausible"), [(0.51, True), (1.49, True), (0.49, False),
-                                                 (1.51, False)])  # fmt: skip
-def test_a_still_sensor_reads_about_one_g(size: float, plausible: bool) -> None:
-    from imucalib.calibrators.lab.bench import raw_unit
-
-    made = table(x=[size * 4096.0] * 3, y=[0.0] * 3, z=[0.0] * 3)
-    if plausible:
-        assert raw_unit(made, None, 4096.0) == RawUnit(
-            "counts", pytest.approx(G / 4096.0), "4096 counts a g, as given"
-        )
-    else:
-        with pytest.raises(UnreadableInput, match=f"{size:.4g} g"):
-            raw_unit(made, "counts", 4096.0)
 
 
 def held(raw: float, final: float) -> SimpleNamespace:

@@ -73,26 +73,8 @@ def test_what_one_session_has_of_its_own_is_named(what: str, tmp_path: Path) -> 
 
 
 @pytest.mark.slow
-def test_another_sensor_in_one_session_is_a_question(tmp_path: Path) -> None:
-    sheets = _sheets(4, "sensor")
-    run = _run(tmp_path, sheets)
-    assert "session@3:sensor" in run.result.final.model.names
-    assert run.outcome.exit_code == 5
-    assert "session 3 has scale factors" in " ".join(run.outcome.undecided)
-    assert _run(tmp_path, sheets, "session@3:sensor").outcome.undecided == ()
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_of_sessions_alike_none_is_named(seed: int, tmp_path: Path) -> None:
     run = _run(tmp_path, _sheets(seed, ""))
     assert run.result.loop is not None
     assert not run.result.loop.steps
-
-
-@pytest.mark.slow
-def test_a_session_that_scatters_more_makes_no_name_certain(tmp_path: Path) -> None:
-    run = _run(tmp_path, _sheets(1, "noise"))
-    assert run.result.loop is not None
-    assert not any(step.certain for step in run.result.loop.steps)
-    assert not run.result.loop.slips

@@ -12,8 +12,6 @@ import pytest
 from imucalib.calibrators.lab.files import LabFiles, calibrate_files
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import LabRun
-from imucalib.calibrators.lab.sessions.between import NextPowerUp
-from imucalib.core.observations import turned
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.readers.source import sha256_of
 
@@ -79,15 +77,6 @@ def test_the_scatter_is_that_of_the_analysis_of_variance(told: LabRun, planted) 
         assert one.sd == pytest.approx(np.sqrt(truth.var(axis=0, ddof=1).mean()), rel=0.06)
 
 
-@pytest.mark.slow
-def test_the_next_power_up_is_less_certain_than_the_mean(told: LabRun) -> None:
-    scatter = {one.effect: one.sd for one in told.sessions.between}
-    assert {p.effect for p in told.sessions.parameters} == {"bias", "mounting"}
-    for p in told.sessions.parameters:
-        assert p.sd > scatter[p.effect] > p.mean
-        assert p.half > 1.96 * np.hypot(scatter[p.effect], p.mean)
-
-
 def test_a_session_that_was_left_out_errs_by_the_scatter(told: LabRun) -> None:
     held = {split.name: split.final.rms() for split in told.result.splits}
     assert held["another session"] > 1.05 * held["held out"]
@@ -108,23 +97,6 @@ def test_files_are_sessions_as_a_column_is(told: LabRun, planted, tmp_path: Path
     assert several.outcome.provenance.parts == tuple(sha256_of(path) for path in each)
 
 
-@pytest.mark.slow
-def test_one_session_changes_nothing(planted, tmp_path: Path) -> None:
-    rows = rows_of(planted[0][:1], planted[1][:1])
-    with_name = run(write(tmp_path / "a.csv", rows))
-    without = run(write(tmp_path / "b.csv", [r[1:] for r in rows], HEADER[1:]))
-    assert with_name.sessions is None
-    assert np.array_equal(with_name.result.final.theta, without.result.final.theta)
-
-
-@pytest.mark.slow
-def test_sessions_alike_state_what_they_could_not_see(tmp_path: Path) -> None:
-    """Without any scatter the next power-up is nearly as good as the mean, and not exactly so."""
-    same = run(write(tmp_path / "a.csv", rows_of(np.full((4, 3), 5.0), np.zeros((4, 3)))))
-    own: list[NextPowerUp] = [p for p in same.sessions.parameters if p.effect == "bias"]
-    assert all(p.mean < p.sd < 0.15 for p in own)
-
-
 def test_rests_have_sessions_too(planted, tmp_path: Path) -> None:
     rows = rows_of(planted[0], np.zeros((5, 3)))
     path = write(tmp_path / "a.csv", [(r[0], *r[3:]) for r in rows], (HEADER[0], *HEADER[3:]))
@@ -132,12 +104,6 @@ def test_rests_have_sessions_too(planted, tmp_path: Path) -> None:
     assert [one.effect for one in found.between] == ["bias"]
     truth = np.sqrt(planted[0].var(axis=0, ddof=1).mean())
     assert found.between[0].sd == pytest.approx(truth, rel=0.25)
-
-
-def test_a_turn_is_a_cross_product() -> None:
-    rng = np.random.default_rng(0)
-    reading, phi = rng.standard_normal((4, 3)), rng.standard_normal(3)
-    assert np.allclose(turned(reading) @ phi, np.cross(phi, reading))
 
 
 def test_what_is_mistaken_is_told(planted, tmp_path: Path) -> None:

@@ -75,17 +75,6 @@ def test_clean_benches_stay_clean() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("row", "axis"), [(10, "y"), (3, "z"), (20, "x")])
-def test_a_lost_sign_is_named(row: int, axis: str) -> None:
-    result = bench(BenchPlan(slips=((row, axis),), plant={"inclination_zero": (0.7,)}), 11)
-    assert result.loop is not None
-    (record,) = result.loop.records
-    assert (record.where, record.channel) == (f"row {row}", axis)
-    assert record.likely == f"lost sign of {axis}"
-    assert "inclination_zero" in found(result)
-
-
-@pytest.mark.slow
 def test_structure_outside_the_catalogue_gets_a_formula_but_no_cause() -> None:
     """A third harmonic of the tool-face, which no effect of the catalogue is."""
     rng = np.random.default_rng(3)

@@ -7,12 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from imucalib import cli
-from imucalib.calibrators.lab.files import LabFiles, calibrate_files, positions_in
+from imucalib.calibrators.lab.files import LabFiles, positions_in
 from imucalib.calibrators.lab.position_table import PositionTable, read_position_table
-from imucalib.calibrators.lab.request import LabRequest
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.recording.mapping import FieldMapping
 
@@ -95,17 +92,6 @@ def test_a_sheet_typed_in_another_way_is_the_same(form: str, tmp_path: Path) -> 
     assert table.row.tolist() == [1, 2, 3, 4, 5]
 
 
-def test_what_was_left_out_is_said(tmp_path: Path) -> None:
-    notes = read(tmp_path / "a.csv", FORMS["footer"]).left_out
-    assert any("Mean | 1.0" in note for note in notes)
-    table = read(tmp_path / "a.csv", FORMS["a column that cannot be read"])
-    assert "temperature" not in table
-    assert any("'temperature' left out: row 1 holds 'warm'" in note for note in table.left_out)
-    warm = read(tmp_path / "a.csv", FORMS["mangled degree"])
-    assert warm.columns["temperature"].tolist() == [21.5] * 5
-    assert warm.unit["temperature"] == "degC"
-
-
 def test_a_number_with_one_mark_is_not_guessed(tmp_path: Path) -> None:
     text = "inclination,tool_face,x,y,z\n" + '0,0,"1,000","2,000","3,000"\n' * 2
     with pytest.raises(UnreadableInput, match=r"row 1, column x: '1,000' is not a number; 6 in"):
@@ -140,48 +126,8 @@ def test_all_bad_rows_are_listed_and_can_be_excluded(tmp_path: Path) -> None:
         table.demand(3, "--swap")
 
 
-def turns(rows: int = 24) -> np.ndarray:
-    """A bench: inclination, tool-face (deg), readings (g) of a sensor with a bias."""
-    k = np.arange(rows)
-    i, t = np.array([-60.0, -20.0, 20.0, 60.0])[k // 6 % 4], 60.0 * (k % 6) + 7.0 * (k // 6)
-    a, b = np.radians(i), np.radians(t)
-    u = np.column_stack([np.cos(a) * np.sin(b), np.cos(a) * np.cos(b), np.sin(a)])
-    noise = np.random.default_rng(3).normal(scale=5e-4, size=(rows, 3))
-    return np.column_stack([i, t, np.round(u + np.array([0.012, -0.02, 0.03]) + noise, 6)])
-
-
-def lab(path: Path, rows: list[str], heading: str = "inclination,tool_face,x_g,y_g,z_g",
-        **options: object) -> tuple[PositionTable, np.ndarray]:  # fmt: skip
-    """The table that was calibrated, and the biases."""
-    path.write_text("\n".join([heading, *rows]) + "\n", encoding="utf-8")
-    request = LabRequest(settings=LabRequest().settings, exclude=options.get("exclude", ()))  # type: ignore[arg-type]
-    mapping = options.get("mapping", FieldMapping())
-    run = calibrate_files(LabFiles(path, mapping=mapping), request, lambda _: None)  # type: ignore[arg-type]
-    values = {p.name: p.value for p in run.calibration.parameters}
-    return run.table, np.array([values[f"bias_{a}"] for a in "xyz"])
-
-
 def lines(table: np.ndarray) -> list[str]:
     return [",".join(map(repr, row)) for row in table.tolist()]
-
-
-@pytest.mark.slow
-def test_rows_that_were_pasted_twice_count_once(tmp_path: Path) -> None:
-    once, bias = lab(tmp_path / "a.csv", lines(turns()))
-    twice, same = lab(tmp_path / "b.csv", lines(turns()) * 2)
-    assert twice.row.tolist() == once.row.tolist()
-    np.testing.assert_array_equal(bias, same)
-    assert any("24 rows repeat others to the last digit" in n and "25-48" in n for n in twice.notes)
-
-
-@pytest.mark.slow
-def test_a_row_with_an_empty_cell_is_excluded_before_it_is_read(tmp_path: Path) -> None:
-    rows = lines(turns())
-    whole, bias = lab(tmp_path / "a.csv", rows, exclude=(5,))
-    rows[4] = rows[4].rpartition(",")[0] + ","
-    broken, same = lab(tmp_path / "b.csv", rows, exclude=(5,))
-    assert broken.n == whole.n - 1
-    np.testing.assert_allclose(bias, same, rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.parametrize("zero", ["horizontal", "vertical"])
@@ -194,47 +140,3 @@ def test_a_blank_tool_face_at_the_vertical_is_none(zero: str, tmp_path: Path) ->
     assert any("blank at the vertical" in note for note in table.left_out)
     with pytest.raises(UnreadableInput, match="row 2, column tool_face: the cell is empty"):
         read(tmp_path / "a.csv", heading + rows.replace(",40,", ",,"))
-
-
-@pytest.mark.slow
-def test_a_blank_tool_face_is_no_other_reading(tmp_path: Path) -> None:
-    top = [90.0, 0.0, 0.0118, -0.0203, 1.0304]
-    rows = lines(np.vstack([turns(), top]))
-    _, bias = lab(tmp_path / "a.csv", rows)
-    rows[-1] = rows[-1].replace("90.0,0.0,", "90.0,,", 1)
-    _, blank = lab(tmp_path / "b.csv", rows)
-    np.testing.assert_allclose(blank, bias, rtol=0.02)
-
-
-@pytest.mark.slow
-def test_one_of_two_tools_is_calibrated(tmp_path: Path) -> None:
-    one, other = turns(), turns()
-    other[:, 2:] += [0.0, 0.05, 0.0]
-    both = [f"A12,{row}" for row in lines(one)] + [f"B07,{row}" for row in lines(other)]
-    heading = "serial,inclination,tool_face,x_g,y_g,z_g"
-    path = tmp_path / "a.csv"
-    path.write_text("\n".join([heading, *both]) + "\n", encoding="utf-8")
-    said = read_position_table(path).left_out
-    assert any("'serial' is A12 (24 rows), B07 (24 rows)" in note for note in said)
-    chosen = FieldMapping(where=("serial=B07",))
-    table, bias = lab(path, both, heading, mapping=chosen)
-    assert table.row.tolist() == list(range(25, 49))
-    _, alone = lab(tmp_path / "b.csv", lines(other))
-    np.testing.assert_allclose(bias, alone, rtol=1e-9)
-    with pytest.raises(UnreadableInput, match="no row has serial=C1"):
-        read_position_table(path, mapping=FieldMapping(where=("serial=C1",)))
-    with pytest.raises(UsageError, match="no column 'colour'"):
-        read_position_table(path, mapping=FieldMapping(where=("colour=red",)))
-
-
-def test_counts_are_refused_with_options_that_read_them(tmp_path: Path) -> None:
-    table = turns()
-    table[:, 2:] = np.rint(table[:, 2:] * 16384)
-    path = tmp_path / "a.csv"
-    path.write_text("\n".join(["inclination,tool_face,x,y,z", *lines(table)]) + "\n")
-    words = ["lab", str(path), "-o", str(tmp_path / "out"), "--no-loop"]
-    done = CliRunner().invoke(cli.cli, words)
-    assert isinstance(done.exception, UnreadableInput)
-    advised = str(done.exception).split("near ")[1].split()
-    done = CliRunner().invoke(cli.cli, [*words, *advised[:4]])
-    assert done.exit_code in (0, 5), done.output

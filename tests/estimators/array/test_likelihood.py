@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imucalib.errors import UsageError
 from imucalib.estimators.array import rates
 from imucalib.estimators.array.audit import importance_gain, quadrature_gain
 from imucalib.estimators.array.likelihood import ArrayPosterior, conditionals
@@ -143,11 +142,6 @@ def test_laplace_is_good_enough_where_it_is_used() -> None:
     assert np.ptp(gain) < 1e-4
     draws = [importance_gain(posterior, x[:1], 4, rng)[0] for _ in range(20)]
     assert np.mean(draws) == pytest.approx(gain[0], abs=4.0 * np.std(draws) / np.sqrt(20) + 1e-6)
-
-
-def test_the_printed_determinant_needs_the_flat_prior() -> None:
-    with pytest.raises(UsageError, match="flat"):
-        ArrayPrior(corners(), exponent=1.0)
 
 
 def test_a_start_that_follows_the_unknowns_changes_no_value(

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from imucalib import readers
-from imucalib.errors import ImucalError, UnreadableInput
-from imucalib.recording.mapping import FieldMapping, from_dict
+from imucalib.errors import UnreadableInput
+from imucalib.recording.mapping import from_dict
 from imucalib.recording.recording import Recording
 
 START = 1_700_000_000_000_000_000
@@ -146,27 +146,6 @@ def test_a_clock_that_is_not_known_is_refused(
 ) -> None:
     with pytest.raises(UnreadableInput, match=words):
         readers.read(table(tmp_path / "a.csv", heading, stamp))
-
-
-def test_a_format_passes_over_the_letters_that_it_names(tmp_path: Path) -> None:
-    path = table(tmp_path / "a.csv", "time", clock("%Y-%m-%d %H:%M:%S.%L CST"))
-    same_moments(readers.read(path, FieldMapping(time_format="%Y-%m-%d %H:%M:%S.%f CST")), 0, START)
-    with pytest.raises(ImucalError, match="%Q of the time format"):
-        readers.read(path, FieldMapping(time_format="%Q"))
-
-
-def test_a_stated_rate_decides_the_unit_or_contradicts(tmp_path: Path) -> None:
-    unlabelled = table(
-        tmp_path / "a.csv", "time", lambda k: f"{k / RATE / 60:.9f}", "# sampling rate: 50 Hz\n"
-    )
-    same_moments(readers.read(unlabelled), 1e-6, None)
-    other = table(
-        tmp_path / "b.csv", "time (s)", lambda k: f"{k / RATE:.2f}", "# sampling rate: 25 Hz\n"
-    )
-    with pytest.raises(UnreadableInput, match=r"25 Hz.*50 Hz.*--rate 25.*--time-unit s"):
-        readers.read(other)
-    assert readers.read(other, FieldMapping(rate=25.0)).channels["imu0/acceleration"].rate == 25.0
-    same_moments(readers.read(other, FieldMapping(time_unit="s")), 0.0, None)
 
 
 #: One stamp of 700 is not like the others; the interpreter must live.

@@ -9,15 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imucalib.readers import blocks, read
 from imucalib.readers.csv.reader import without_repeats
 from imucalib.recording.recording import Channel, Gap, Recording
 from imucalib.rests.runs import WORN, posture_runs, scan
 from imucalib.units import STANDARD_GRAVITY
-from worlds.places import DATA, needs_data
 
-FOLDER = DATA / "actigraph"
-TAS = "read_gt3x_TAS1H30182785_2019-09-17"
 RATE = 20.0
 
 
@@ -82,15 +78,3 @@ def test_the_rest_before_a_gap_is_a_window(rows: int) -> None:
     assert runs.n == 1
     assert runs.time[0] == pytest.approx(34.5, abs=0.1)
     assert np.allclose(runs.mean[0], rest, atol=0.02)
-
-
-@needs_data
-def test_a_recording_and_its_export_hold_the_same_rests() -> None:
-    raw, table = (FOLDER / f"{TAS}{suffix}" for suffix in (".gt3x", ".csv.gz"))
-    one, two = read(raw).channels, read(table).channels
-    assert np.allclose(one["imu0/acceleration"].t, two["imu0/acceleration"].t)
-    first, second = (posture_runs(scan(blocks(p), WORN.window)) for p in (raw, table))
-    assert first.n == second.n == 5
-    assert np.allclose(first.time, second.time)
-    # The export rounds to 1 mg, and a resolution of 3.9 mg does not average that out.
-    assert np.abs(first.mean - second.mean).max() / STANDARD_GRAVITY < 0.5e-3

@@ -51,6 +51,19 @@ def test_both_packings(axes: int, per_sector: int, tmp_path: Path) -> None:
         assert found.notes[0] == "Axivity AX3 4711"
 
 
+@pytest.mark.parametrize(("hours", "gap"), [(1, "no samples"), (-1, "the clock was set back by")])
+def test_a_logger_that_starts_again_loses_nothing(hours: int, gap: str, tmp_path: Path) -> None:
+    wanted = counts(1200)
+    wanted[7] = [4088, -4096, 8]  # ten bits hold it with an exponent of two
+    second = ax_file(counts(1200).tolist(), START + timedelta(hours=hours))[1024:]
+    found = read(saved(tmp_path, ax_file(wanted.tolist(), START) + second))
+    channel = found.channels["imu0/acceleration"]
+    assert channel.t.size == 2400
+    assert (np.diff(channel.t) > 0).all()
+    assert [g.reason[: len(gap)] for g in found.gaps] == [gap]
+    np.testing.assert_allclose(channel.values[7] / STANDARD_GRAVITY, wanted[7] / 256)
+
+
 def test_an_ax6_turns(tmp_path: Path) -> None:
     wanted = counts(400, one_g=4096, axes=6)
     scales = 4 << 13 | 2 << 10  # 1/2^12 g, 8000/2^2 deg/s

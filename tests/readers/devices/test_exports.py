@@ -1,7 +1,8 @@
 """Text exports as delivered, their headings as published; the numbers are synthetic.
 
 Shimmer: Consensys exports (`sep=` line, names, a row of units). Empatica E4: ACC.csv of E4 connect.
-AX6: omconvert's CSV. MbientLab: MetaBase. GCDC: X16-1C user manual. SensorLog for iOS.
+AX3 and AX6: omconvert's CSV. MbientLab: MetaBase. GCDC: X16-1C user manual. SensorLog for iOS.
+GENEActiv: 100 lines of a head. Xsens MTi: MT Manager's text. EuRoC: the data set's imu0/data.csv.
 """
 
 from __future__ import annotations
@@ -101,6 +102,46 @@ def sensorlog() -> str:
         *cells(G[k]), *3 * ["0.001"], *3 * ["0.5"], *cells(DEG * TURN, "%.9f")])  # fmt: skip
 
 
+def geneactiv() -> str:
+    head = ["Device Type,GENEActiv", "Measurement Frequency,50.0 Hz", "Time Zone,GMT +01:00"]
+    head += [f"Field {k},value {k}" for k in range(97)]
+    return table(
+        "\n".join(head) + "\n",
+        lambda k: [
+            f"2012-05-01 10:00:{k // 50:02d}:{k % 50 * 20:03d}",
+            *cells(G[k]),
+            "12",
+            "0",
+            "25.5",
+        ],
+    )
+
+
+def axivity(unix: bool) -> str:
+    return table("", lambda k: [
+        f"{1600000000 + k / 50:.4f}" if unix else
+        f"2020-09-13 12:26:{40 + k // 50:02d}.{k % 50 * 20:03d}", *cells(G[k])])  # fmt: skip
+
+
+def xsens() -> str:
+    head = (
+        "// General information: \n//  MT Manager version: 2022.2.0 \n// Device information: \n"
+        "//  DeviceId: 0\n//  Update Rate: 50.0Hz\n// Coordinate system: ENU\n"
+        "PacketCounter\tSampleTimeFine\tYear\tAcc_X\tAcc_Y\tAcc_Z\tGyr_X\tGyr_Y\tGyr_Z\tRoll\t\n"
+    )
+    return table(head, lambda k: [
+        f"{5 + k}", "NaN", "NaN", *cells(STANDARD_GRAVITY * G[k]), *cells(DEG * TURN, "%.9f"),
+        "1.5"], "\t", "\t")  # fmt: skip
+
+
+def euroc() -> str:
+    head = "#timestamp [ns]" + "".join(f",w_RS_S_{a} [rad s^-1]" for a in "xyz")
+    head += "".join(f",a_RS_S_{a} [m s^-2]" for a in "xyz") + "\n"
+    return table(head, lambda k: [
+        f"{1403636579758555392 + 20_000_000 * k}", *cells(DEG * TURN, "%.9f"),
+        *cells(STANDARD_GRAVITY * G[k])])  # fmt: skip
+
+
 @pytest.mark.parametrize(
     ("text", "triad", "gyro", "start", "resolution"),
     [
@@ -113,6 +154,11 @@ def sensorlog() -> str:
         (gcdc(2048), "imu0", "", 1_351_049_365.409, 0.0005),
         (gcdc(1024), "imu0", "", 1_351_049_365.409, 0.001),
         (sensorlog(), "imu0", "imu0", None, 1e-6),
+        (geneactiv(), "imu0", "", 1_335_866_400.0, 1e-6),
+        (axivity(True), "imu0", "", 1_600_000_000.0, 1e-6),
+        (axivity(False), "imu0", "", 1_600_000_000.0, 1e-6),
+        (xsens(), "imu0", "imu0", None, 1e-6),
+        (euroc(), "imu0", "imu0", 1_403_636_579.758555392, 1e-6),
     ],
 )
 def test_an_export_is_read_as_delivered(
@@ -123,6 +169,7 @@ def test_an_export_is_read_as_delivered(
     found = read(path)
     names = {f"{triad}/acceleration"} if triad else set()
     names |= {f"{gyro}/angular_rate"} if gyro else set()
+    names |= {"imu0/temperature"} if "GENEActiv" in text else set()
     assert set(found.channels) == names
     if triad:
         acc = found.channels[f"{triad}/acceleration"]

@@ -35,6 +35,20 @@ def test_every_imu_of_a_dataflash_log(old: bool, tmp_path: Path) -> None:
     assert found.format == "dataflash"
 
 
+@pytest.mark.parametrize("combined", [False, True])
+def test_a_px4_log_has_every_sensor_or_what_the_filter_was_fed(
+    combined: bool, tmp_path: Path
+) -> None:
+    pytest.importorskip("pyulog")
+    found = read(ulog(tmp_path / "1.ulg", combined=combined), strict=True)
+    assert found.format == "ulog"
+    if combined:
+        assert sorted(found.channels) == ["imu0/acceleration", "imu0/angular_rate"]
+        np.testing.assert_array_equal(found.channels["imu0/acceleration"].values, ACC[0])
+    else:
+        _both(found)
+
+
 def test_a_damaged_px4_log_is_told_in_notes_not_on_stdout(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gzip
 import hashlib
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ import pytest
 from imucalib.errors import UnreadableInput
 from imucalib.readers import read
 from imucalib.units import STANDARD_GRAVITY
-from worlds.logger_files import gene_file
+from worlds.logger_files import gene_file, gene_page
 from worlds.places import MEASURED
 
 START = datetime(2020, 5, 21, 16, 16, 43, tzinfo=UTC)
@@ -43,6 +43,13 @@ def test_values_clock_and_temperature(tmp_path: Path) -> None:
         assert found.start_ns == (round(START.timestamp()) - 7200) * 10**9  # the clock is at +02:00
         np.testing.assert_allclose(warm.values[:, 0], 20 + np.arange(5) / 10)
         assert found.gaps == ()
+
+
+def test_pages_that_do_not_follow_leave_a_gap(tmp_path: Path) -> None:
+    wanted = counts(600)
+    late = gene_page(wanted[300:].tolist(), START + timedelta(seconds=6.5), number=1, rate=50.0)
+    found = read(saved(tmp_path, gene_file(wanted[:300].tolist(), START) + late))
+    assert [(g.start, g.stop) for g in found.gaps] == [(pytest.approx(5.98), pytest.approx(6.5))]
 
 
 @pytest.mark.parametrize("harm", ["digit", "cut line", "stamp", "frequency"])

@@ -194,3 +194,18 @@ def test_records_whose_stamp_is_not_later_are_told(tmp_path: Path) -> None:
     assert told[0].startswith("2 records")
     with pytest.raises(UnreadableInput, match=r"byte \d+ of log\.bin: .*not later"):
         read(path, strict=True)
+
+
+def test_an_archive_that_contradicts_its_checksum_is_told(tmp_path: Path) -> None:
+    log, _ = made(list(range(900)), kind=26)
+    changed = bytearray(log)
+    for at in (600, 602):  # twice the same bit: the record's own sum does not see it
+        changed[at] ^= 4
+    path = tmp_path / "a.gt3x"
+    with zipfile.ZipFile(path, "w") as file:
+        file.writestr("info.txt", INFO)
+        file.writestr("log.bin", log)
+    path.write_bytes(path.read_bytes().replace(log, bytes(changed)))
+    assert any("log.bin breaks off" in note for note in read(path).notes)
+    with pytest.raises(UnreadableInput, match="breaks off"):
+        read(path, strict=True)

@@ -12,8 +12,6 @@ from click.testing import CliRunner
 
 from imucalib import cli, readers
 from imucalib.errors import ImucalError, UnreadableInput
-from imucalib.readers.hdf5 import fields
-from imucalib.readers.hdf5.reader import table_columns
 from imucalib.recording.mapping import FieldMapping, from_dict
 from imucalib.recording.recording import Recording
 
@@ -62,12 +60,6 @@ def test_chunks_that_were_never_written_are_missing(of: str, absent: slice, tmp_
     assert sum(c.t.size for p in parts for c in p.channels.values()) == N - 100 * (
         (absent.stop - absent.start) // 100
     )
-
-
-def test_a_table_with_absent_rows_is_refused(tmp_path: Path) -> None:
-    path = chunked(tmp_path / "a.h5", slice(300, 400))
-    with pytest.raises(UnreadableInput, match="not in the file"):
-        table_columns(path)
 
 
 def test_storage_that_was_never_filled_is_missing(tmp_path: Path) -> None:
@@ -156,22 +148,3 @@ def test_a_damaged_index_never_gives_wrong_samples(tmp_path: Path) -> None:
         assert not zero.any(), at
         told += channel.t.size < N
     assert told > 20
-
-
-@pytest.mark.parametrize(
-    ("limit", "what"),
-    [("_MOST", [1.0]), ("_MOST_OBJECTS", 1.0), ("_MOST_OBJECTS", None)],
-    ids=["rows", "no rows", "groups"],
-)
-def test_too_many_datasets_end_soon(
-    limit: str, what: object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(fields, limit, 50)
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        for k in range(60):
-            if what is None:
-                file.create_group(f"d{k}")
-            else:
-                file[f"d{k}"] = what
-    with pytest.raises(UnreadableInput, match="more than 50 datasets"):
-        readers.read(tmp_path / "a.h5")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from imucalib import readers, writers
-from imucalib.errors import UnreadableInput, UsageError
+from imucalib.errors import UnreadableInput
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.segments import still_segments
@@ -130,21 +130,6 @@ def test_a_writer_that_was_killed(tmp_path: Path) -> None:
     assert any("did not close" in n for n in found.notes)
     with pytest.raises(UnreadableInput, match="did not close"):
         readers.read(copy, strict=True)
-
-
-def test_no_clock_and_no_inertial_data(tmp_path: Path) -> None:
-    path = tmp_path / "a.h5"
-    with h5py.File(path, "w") as f:
-        f["acc"] = TRUTH
-    with pytest.raises(UnreadableInput, match="neither time stamps nor a sample rate"):
-        readers.read(path)
-    assert readers.read(path, FieldMapping(rate=100)).channels["imu0/acceleration"].rate == 100
-    with h5py.File(path, "w") as f:
-        f["pictures"] = np.zeros((4, 5))
-    with pytest.raises(UnreadableInput, match="pictures"):
-        readers.read(path)
-    with pytest.raises(UsageError, match="no dataset 'acc'"):
-        readers.read(path, FieldMapping(acc=("acc",)))
 
 
 @pytest.mark.slow

@@ -75,6 +75,23 @@ def test_matlab_up_to_version_7(nested: bool, packed: bool, tmp_path: Path) -> N
     assert sum(c.t.size for c in parts if c.quantity == "acceleration") == N
 
 
+def test_matlabs_rate_and_version_7_3(tmp_path: Path) -> None:
+    """The newer is HDF5 behind a text of 512 bytes."""
+    path = tmp_path / "a.mat"
+    savemat(path, {"acc": ACC.T, "fs": 50.0})
+    acc = read(path).channels["imu0/acceleration"]
+    np.testing.assert_array_equal(acc.values, ACC)
+    assert acc.rate == 50.0
+    with h5py.File(path, "w", userblock_size=512) as file:
+        file["acc"], file["time"] = ACC.T, T[None, :]
+    data = bytearray(path.read_bytes())
+    data[:128] = b"MATLAB 7.3 MAT-file, HDF5 schema 1.00 .".ljust(124) + b"\x00\x02IM"
+    path.write_bytes(bytes(data))
+    acc = read(path).channels["imu0/acceleration"]
+    np.testing.assert_array_equal(acc.values, ACC)
+    np.testing.assert_allclose(acc.t, T)
+
+
 def test_every_cut_of_a_matlab_file_is_told(tmp_path: Path) -> None:
     path = tmp_path / "a.mat"
     savemat(path, {"acc": ACC[:40], "time": T[:40, None]}, do_compression=True)

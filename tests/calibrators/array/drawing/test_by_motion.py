@@ -23,15 +23,12 @@ from imucalib.calibrators.array.drawing.check import (
 from imucalib.calibrators.array.estimate.total import (
     GyroScale,
     frame_sd,
-    gravity_sd,
-    gyro_scale,
     size_block,
     size_over,
     total_of,
 )
 from imucalib.calibrators.array.estimate.turns import Turns
 from imucalib.calibrators.array.log import at_end, at_range
-from imucalib.calibrators.array.rests import own_noise, rest_context
 from worlds.boards import DEG, BoardPlan, handled, twisted
 
 Array = NDArray[np.float64]
@@ -96,15 +93,6 @@ def test_a_board_without_a_drawing_is_sketched_in_the_axes_of_its_first() -> Non
     assert board.prior_sd == 0.02
 
 
-def test_a_gyro_wired_otherwise_is_sketched_by_itself() -> None:
-    proper = SIGNED[np.linalg.det(SIGNED) > 0.0]
-    gyro = np.stack([np.eye(3), np.eye(3), proper[7], np.eye(3)])
-    log, segments = seen(np.tile(np.eye(3), (4, 1, 1)), gyro)
-    board = sketched(log, segments, undrawn_board(4), [0, 1, 2, 3])  # type: ignore[arg-type]
-    np.testing.assert_array_equal(board.rotations[2] @ board.gyro_axes[2], proper[7])
-    np.testing.assert_array_equal(board.rotations[2] @ board.accelerometer_axes[2], np.eye(3))
-
-
 def test_axes_are_told_where_the_others_agree() -> None:
     rng = np.random.default_rng(0)
     truth = rng.normal(size=(30, 3))
@@ -136,14 +124,6 @@ def test_places_are_seen_by_the_forces_differences() -> None:
     assert swapped.place.tolist() == [0, 2, 1, 3]
     assert swapped.exchanged.tolist() == [1, 2]
     assert not swapped.other_unit
-
-
-def test_gravity_is_known_by_its_source() -> None:
-    assert gravity_sd("standard gravity (give --gravity)") == 1.3e-3
-    assert gravity_sd("normal gravity at 46 deg") == 5e-5
-    assert gravity_sd("as given") == 1e-4
-    turns = Turns(0.01, 0.001, 9, 0.0, 1.0)
-    assert gyro_scale(0.002, turns).value == pytest.approx(0.01 * 4.0 / 5.0)
 
 
 def test_the_frame_is_known_by_how_the_packages_turns_scatter() -> None:
@@ -179,17 +159,6 @@ def test_the_size_is_the_regression_on_the_drawing() -> None:
     assert block["frame"]["shape_sd_mm"] == pytest.approx(
         1e3 * np.sqrt(np.median(np.diag(total.shape))))  # fmt: skip
     assert block["gyro_scale"]["turns"]["misfit_deg"] == pytest.approx(0.02 / DEG)
-
-
-def test_a_rests_noise_falls_with_its_samples_but_not_to_nothing() -> None:
-    rests_of = SimpleNamespace(noise=np.array([[1.0, 2.0, 0.0], [2.0, 2.0, 4.0]]),
-                               step=np.zeros((2, 3)),
-                               samples=np.array([[4, 100], [25, 16]]))  # fmt: skip
-    found = own_noise(rests_of, [1, 0])  # type: ignore[arg-type]
-    np.testing.assert_allclose(found[0, 0], np.array([2.0, 2.0, 4.0]) / 10.0)
-    np.testing.assert_allclose(found[1, 1], np.array([1.0, 2.0, 0.2]) / 5.0)
-    known = rest_context(np.array([0.0, 10.0, 20.0, 40.0]), 10.0, 30.0, NAMES)
-    assert known["order"].tolist() == [0.0, 0.0, 0.5, 1.0]
 
 
 def test_clipping_is_at_the_range_or_where_an_end_repeats() -> None:

@@ -19,12 +19,11 @@ from imucalib.calibrators.array.drawing.check import (
     common_gyro_axes,
     compared,
     in_words,
-    refuse_contradiction,
 )
 from imucalib.calibrators.array.log import array_log, of_board
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.simulation import LogPlan, simulated_log
-from imucalib.errors import Undetermined, UnreadableInput
+from imucalib.errors import UnreadableInput
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.segments import still_segments
 from worlds.boards import BoardPlan, board_log, made_board
@@ -138,39 +137,6 @@ def test_a_board_within_its_tolerance_is_let_be(seed: int) -> None:
     assert seen(log.recording, BOARD).faults == ()
 
 
-def test_a_drawing_in_another_unit_is_told(recording: Recording, tmp_path: Path) -> None:
-    inches = replace(BOARD, positions=BOARD.positions / 25.4)
-    found = seen(recording, inches)
-    assert "times as large as drawn" in found.faults[0]
-    mended = with_lines(found.lines, tmp_path / "b.yaml")
-    assert np.allclose(mended.positions, BOARD.positions, rtol=0.1, atol=1e-4)
-
-
-def test_one_of_several_logs_does_not_change_the_board_file_of_all(recording: Recording) -> None:
-    """Cables exchanged in one log of two: the lines that fit it would contradict the other."""
-    found = seen(exchanged(recording, "imu2", "imu5"), BOARD)
-    with pytest.raises(Undetermined, match="imu2 and imu5 are exchanged") as alone:
-        refuse_contradiction(found)
-    with pytest.raises(Undetermined) as beside:
-        refuse_contradiction(found, ("first.h5",))
-    assert alone.value.remedy.startswith("in the board file write")
-    assert beside.value.remedy.startswith("the board file fits first.h5 as it is")
-    lines = "\n".join(found.lines)
-    assert alone.value.remedy.endswith(lines)
-    assert beside.value.remedy.endswith(lines)
-
-
-@pytest.mark.slow
-def test_it_ends_with_the_lines_or_goes_on_as_drawn(recording: Recording) -> None:
-    broken = wired(recording, "3", "angular", FLIPPED)
-    with pytest.raises(Undetermined, match="imu3") as caught:
-        calibrate_array(broken, ArrayRequest(BOARD, samples=60, loop=False), lambda _: None)
-    assert 'gyro_axes: "x,-y,z"' in caught.value.remedy
-    trusted = ArrayRequest(BOARD, samples=60, loop=False, as_drawn=True)
-    run = calibrate_array(broken, trusted, lambda _: None)
-    assert run.moving.gyros.gain[3, 0, 0] * run.moving.gyros.gain[3, 1, 1] < 0.0
-
-
 @pytest.mark.slow
 def test_a_sensor_wired_otherwise_is_calibrated_and_applied(
     recording: Recording, tmp_path: Path
@@ -224,15 +190,3 @@ def test_a_key_that_means_nothing_is_refused(
     with pytest.raises(UnreadableInput, match="unknown key") as caught:
         read_board(path)
     assert words in caught.value.remedy
-
-
-def test_metres_for_millimetres_are_told(tmp_path: Path) -> None:
-    text = "imus:\n" + "\n".join(
-        f"  - {{name: imu{k}, position: {p}}}"
-        for k, p in enumerate(([0, 0, 0], [0.02, 0, 0], [0, 0.02, 0], [0, 0, 0.02]))
-    )
-    path = tmp_path / "board.yaml"
-    path.write_text(text)
-    with pytest.raises(UnreadableInput, match="look like metres") as caught:
-        read_board(path)
-    assert "mm" in caught.value.remedy

@@ -6,12 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.interpolate import CubicSpline
 
-from imucalib.arrays import Array
 from imucalib.calibrators.array.board import read_board
 from imucalib.calibrators.array.drawing.streams import (
-    noisy_alone,
     refuse_streams,
     stream_notes,
     streams,
@@ -36,13 +33,6 @@ def recording() -> Recording:
 @pytest.fixture(scope="module")
 def log(recording: Recording) -> ArrayLog:
     return array_log(recording, BOARD)
-
-
-def test_a_sound_log_says_nothing(log: ArrayLog) -> None:
-    found = streams(log)
-    assert stream_notes(found, BOARD.imus) == ()
-    refuse_streams(found, BOARD.imus, log.interval)
-    assert not found.held.any()
 
 
 def test_lost_samples_are_told_with_their_share(log: ArrayLog) -> None:
@@ -84,22 +74,6 @@ def test_a_late_chip_is_told(log: ArrayLog, late: int, kind: str) -> None:
     assert np.count_nonzero(found.shift) == 1
 
 
-def between(values: Array, late: float) -> Array:
-    """(N, 3) readings of so many samples before, by a cubic spline."""
-    at = np.arange(len(values), dtype=np.float64)
-    return np.asarray(CubicSpline(at, values)(np.maximum(at - late, 0.0)))
-
-
-def test_both_sensors_of_a_late_chip_are_told(log: ArrayLog) -> None:
-    """12 ms at 100 Hz: one sample later its gyro is as alike the others as these are, and the
-    accelerometer, which shows the two that are left far better, is three times farther."""
-    force, rate = log.acceleration.copy(), log.rate.copy()
-    force[:, 5], rate[:, 5] = between(force[:, 5], 1.2), between(rate[:, 5], 1.2)
-    found = streams(replace(log, acceleration=force, rate=rate))
-    assert found.shift[5].tolist() == [1.0, 1.0]
-    assert np.count_nonzero(found.shift) == 2
-
-
 @pytest.mark.parametrize("kind", ["acceleration", "rate"])
 def test_a_slow_filter_is_not_told_as_a_late_sample(log: ArrayLog, kind: str) -> None:
     """8 ms at 100 Hz: one sample later it is far more alike the others, and not as they are."""
@@ -124,18 +98,6 @@ def test_a_range_below_the_stated_one_is_seen(recording: Recording) -> None:
     assert "not at its range of 2000" in note
 
 
-def test_one_accelerometer_that_is_never_still_is_told_from_a_board_that_shakes(
-    log: ArrayLog,
-) -> None:
-    rng = np.random.default_rng(5)
-    assert noisy_alone(log) is None
-    force = log.acceleration.copy()
-    force[:, 6] += 0.6 * rng.standard_normal(force[:, 6].shape)
-    assert noisy_alone(replace(log, acceleration=force)) == 6
-    shaken = log.acceleration + 0.6 * rng.standard_normal(log.acceleration.shape)
-    assert noisy_alone(replace(log, acceleration=shaken)) is None
-
-
 def test_spikes_that_no_other_sensor_knows_of_are_left_out(log: ArrayLog) -> None:
     """Six in 3,659 samples moved positions by 1.5 mm, where the noise was taken for Gaussian."""
     speed = np.linalg.norm(np.median(log.rate, axis=1), axis=1)
@@ -154,11 +116,3 @@ def test_spikes_that_no_other_sensor_knows_of_are_left_out(log: ArrayLog) -> Non
         "the accelerometer of imu5 has 4",
         "the gyro of imu2 has 3",
     ]
-
-
-def test_tails_of_noise_are_no_spikes(log: ArrayLog) -> None:
-    rng = np.random.default_rng(4)
-    force = log.acceleration + 0.2 * rng.standard_t(3.0, log.acceleration.shape)
-    rate = log.rate + 0.5 * DEG * rng.standard_t(3.0, log.rate.shape)
-    found = streams(replace(log, acceleration=force, rate=rate))
-    assert not found.spikes.any()

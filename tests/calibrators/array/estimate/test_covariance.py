@@ -82,11 +82,6 @@ def test_few_imus_tell_less_than_their_weights_say(count: int) -> None:
         assert 0.6 < np.median(told) < 0.92  # less than of three dimensions apiece
 
 
-def test_gaussian_readings_tell_what_they_weigh() -> None:
-    state, _ = fitted(TWIST, 5, 450)
-    assert information(state) == (1.0, 1.0)
-
-
 def test_all_informative_samples_take_part() -> None:
     moving, true = moved(TWIST, np.random.default_rng(3))
     setup = array_setup(moving, BOARD, 150, robust=True)

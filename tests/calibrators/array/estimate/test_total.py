@@ -8,7 +8,6 @@ import pytest
 from imucalib.calibrators.array.estimate.total import (
     Distance,
     Total,
-    common_rate,
     gyro_scale,
     total_of,
 )
@@ -50,32 +49,12 @@ def test_turns_between_rests_show_the_common_scale() -> None:
     assert 0.7 < np.sqrt(np.mean(np.square(z))) < 1.35
 
 
-def test_a_clipped_turn_is_left_out() -> None:
-    whole, less = turns_of(0.003, 1), turns_of(0.003, 1, clipped=slice(250, 252))
-    assert whole is not None
-    assert less is not None
-    assert less.count == whole.count - 1
-    assert turns_of(0.003, 1, clipped=slice(0, None)) is None
-
-
 def test_turns_and_data_sheets_are_weighed() -> None:
     seen = Turns(0.004, 0.003, 20, 0.005, 1.0)
     both = gyro_scale(0.003, seen)
     assert both.value == pytest.approx(0.002)
     assert both.sd == pytest.approx(0.003 / np.sqrt(2.0))
     assert gyro_scale(0.003, None).sd == 0.003
-
-
-def test_a_gyro_that_the_motion_does_not_believe_moves_no_size() -> None:
-    # One bent gyro passes for a gain of -12 %, and the gains' mean is held at one: the others'
-    # are 4 % too large and the motion's rate, which is theirs, 4 % too small.
-    w = np.random.default_rng(0).normal(size=(50, 3))
-    gain = np.array([0.88, 1.04, 1.04, 1.04])[:, None, None] * np.eye(3)
-    read = np.repeat(w[:, None], 4, axis=1)
-    found = common_rate(read, gain, np.array([200.0, 1.0, 1.0, 1.0]))
-    assert found == pytest.approx(w / 1.04, rel=1e-5)
-    alike = common_rate(read @ gain[0], np.repeat(gain[:1], 4, axis=0), np.ones(4))
-    assert alike == pytest.approx(w, rel=1e-12)
 
 
 def total(*distances: Distance, scale: float = 0.002) -> Total:

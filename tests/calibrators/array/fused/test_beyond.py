@@ -55,14 +55,6 @@ def test_a_delay_is_late_by_itself_and_a_gain_undoes_its_share() -> None:
     assert beyond(block("gyro_scale", *[1.0] * 6)).late(t, None) is None
 
 
-def test_ages_go_by_the_sawtooth_where_it_is_known() -> None:
-    made = beyond(block("gyro_sample_age", -0.9))
-    assert made.span == pytest.approx(0.9e-3)
-    assert made.late(np.arange(float(T)), None) is None
-    late = made.late(np.arange(float(T)), AGE)
-    np.testing.assert_allclose(late, 0.9e-3 * AGE[:, :, None, None] * np.eye(3), atol=1e-15)
-
-
 def test_what_bends_is_added_and_what_is_linear_is_not() -> None:
     curved = beyond(block("gyro_quadratic@a", 3.0, 0.0, -2.0), block("quadratic@b", 1.5, 0.0, 4.0))
     force, rate = added(curved)
@@ -76,42 +68,6 @@ def test_what_bends_is_added_and_what_is_linear_is_not() -> None:
     np.testing.assert_allclose(force[:, 1], in_board, atol=1e-6)
     for linear in (block("gyro_scale", *[1.0] * 6), block("gyro_bias", *[2.0] * 6)):
         assert beyond(linear).parts == ()
-
-
-def test_elements_beside_the_middle_are_levers_through_the_gain() -> None:
-    d = np.arange(1.0, 10.0) * 0.1  # mm, element i at (j)
-    made = beyond(block("sensing_elements", *d), block("accelerometer_misalignment@a", 0.0, 0.0,
-                                                       5.0, 0.0, 0.0, 0.0))  # fmt: skip
-    force, _ = added(made)
-    for k in range(2):
-        rate, spin = RATE @ TURN[k], SPIN @ TURN[k]
-        lever = 1e-3 * d.reshape(3, 3)
-        felt = np.column_stack([
-            (np.cross(rate, np.cross(rate, lever[i])) + np.cross(spin, lever[i]))[:, i]
-            for i in range(3)
-        ])  # fmt: skip
-        back = np.linalg.inv(np.eye(3) + 0.05 * np.outer([0.0, 1.0, 0.0], [1.0, 0.0, 0.0]))
-        expected = felt @ (back.T if k == 0 else np.eye(3)) @ TURN[k].T
-        np.testing.assert_allclose(force[:, k], expected, atol=1e-6)
-
-
-def test_what_belongs_to_the_logs_own_time_is_left_out() -> None:
-    made = beyond(block("gyro_drift", *[1.0] * 6), block("nobody_knows", 1.0),
-                  block("gyro_delay@c", 1.0), block("quadratic", 1.0, 2.0))  # fmt: skip
-    assert made.left_out == ("gyro_drift", "nobody_knows", "gyro_delay@c", "quadratic")
-    assert made.parts == ()
-    refuted = beyond(block("gyro_delay", 0.7)).without(["gyro_delay"])
-    assert refuted.parts == ()
-    assert refuted.refuted == ("gyro_delay",)
-
-
-def test_a_bend_that_the_rests_found_is_beside_gains_that_stand_without_it() -> None:
-    values = [2.0, -1.0, 0.5] * 2
-    moving, resting = (beyond(block(name, *values)) for name in ("asymmetry", "at rest: asymmetry"))
-    own = np.einsum("kji,tkj->tki", TURN, FORCE) / STANDARD_GRAVITY
-    whole = np.einsum("kij,tkj->tki", TURN, MG * np.abs(own) * [2.0, -1.0, 0.5])
-    np.testing.assert_allclose(added(resting)[0], whole, atol=2e-3)
-    assert np.abs(added(moving)[0] - whole).max() > 5e-3
 
 
 @pytest.mark.parametrize(

@@ -80,12 +80,3 @@ def test_what_the_calibration_leaves_open_is_in_the_covariance() -> None:
     assert 0.75 < force < 1.3
     assert 0.75 < rate < 1.3
     assert 0.75 < spin < 1.3
-
-
-def test_a_file_that_does_not_say_has_no_doubt() -> None:
-    assert instrument_of(calibration(board(np.random.default_rng(0)))).doubt is None
-
-
-def test_turned_by_is_a_small_turn() -> None:
-    turn = np.array([0.0, 0.0, 1e-6])
-    assert turned_by(turn, np.array([[1.0, 0.0, 0.0]]))[0] == pytest.approx([1.0, 1e-6, 0.0])

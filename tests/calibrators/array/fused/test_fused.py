@@ -17,7 +17,6 @@ from imucalib.recording.recording import Recording
 from worlds.rigid_board import (
     DEG,
     Board,
-    G,
     Moves,
     board,
     calibration,
@@ -98,82 +97,6 @@ def test_noise_falls_as_the_root_of_the_chips_and_is_stated(plain: World, part: 
 
 
 @pytest.mark.slow
-def test_dw_dt_is_far_better_than_the_accelerometers_alone(plain: World) -> None:
-    # The board's inertia: noise of one chip over the root of the squared distances.
-    places = plain.board.places - plain.board.places.mean(axis=0)
-    spread = np.sum(places[:, [0, 2]] ** 2)
-    alone = 0.04 / np.sqrt(spread)
-    assert rms(plain.error[plain.moves.t < STILL, 4]) < 0.2 * alone
-
-
-@pytest.mark.slow
-def test_each_chip_counts_by_its_own_noise() -> None:
-    sigma = np.array([1.0, 1.0, 2.0, 4.0, 1.0, 1.0, 1.0, 0.5])
-    made = world(1, sigma=0.04 * sigma, gyro_sigma=0.2 * DEG * sigma[::-1])
-    ideal = 1.0 / np.sqrt(np.sum(sigma**-2.0))
-    assert rms(made.error[made.moving, 6:]) < 1.06 * 0.2 * DEG * ideal
-    assert rms(made.error[made.moving, :3]) < 1.06 * 0.04 * ideal
-    assert 0.94 < rms(made.z[made.moving][:, [0, 1, 2, 6, 7, 8]]) < 1.06
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("chips", [2, 3])
-def test_rigs_of_two_and_three(chips: int) -> None:
-    made = world(11, chips=chips, seconds=15.0)
-    rows = made.moving
-    assert rms(made.error[rows, 6:]) < 1.07 * 0.2 * DEG / np.sqrt(chips)
-    assert 0.92 < rms(made.z[rows][:, [0, 1, 2, 6, 7, 8]]) < 1.08
-    assert 0.6 < rms(made.z[rows, 3:6]) < 1.1
-
-
-@pytest.mark.slow
-def test_effects_that_need_the_motion_are_undone() -> None:
-    rng = np.random.default_rng(7)
-    more = {
-        "element": 3e-4 * rng.normal(size=(3, 3)),
-        "late": 1e-3,
-        "by_force": 0.15 * DEG / G * rng.normal(size=(8, 3, 3)),
-    }
-    made = world(2, twist=150.0, fastest=2.0, **more)
-    assert 0.9 < rms(made.z[made.moving, :3]) < 1.08
-    assert 0.9 < rms(made.z[made.moving, 6:]) < 1.08
-    facts = calibration(made.board).facts
-    blind = replace(calibration(made.board), facts={**facts, "effects": []})
-    found = survey([recording(made.board, made.moves.t, *made.readings)], instrument_of(blind))
-    without = fused_stretch(found, Stretch(made.moves.t, *made.readings), Told())
-    off = without.motion.rate - made.moves.rate
-    assert rms(off[made.moving]) > 3.0 * rms(made.error[made.moving, 6:])
-
-
-@pytest.mark.slow
-def test_an_effect_of_force_that_the_rests_contradict_is_left_out() -> None:
-    rng = np.random.default_rng(7)
-    made = world(5)
-    told = replace(made.board, by_force=0.3 * DEG / G * rng.normal(size=(8, 3, 3)))
-    log = recording(made.board, made.moves.t, *made.readings)
-    found = survey([log], instrument_of(calibration(told)))
-    assert found.instrument.beyond.refuted == ("gyro_g_sensitivity",)
-    fused = fused_stretch(found, Stretch(made.moves.t, *made.readings), Told())
-    assert rms(fused.motion.rate - made.moves.rate) < 1.1 * 0.2 * DEG / np.sqrt(8)
-    # Where it is there, it stays: the rests agree.
-    real = replace(told, gyro_sigma=made.board.gyro_sigma)
-    read = readings(real, made.moves, rng)
-    kept = survey([recording(real, made.moves.t, *read)], instrument_of(calibration(real)))
-    assert kept.instrument.beyond.refuted == ()
-
-
-@pytest.mark.slow
-def test_a_lost_rate_comes_from_the_accelerometers() -> None:
-    made = world(3, twist=600.0, ranges=(16 * G, 500.0 * DEG))
-    lost = made.fused.alone
-    assert lost.sum() > 500
-    off, true = made.error[lost, 6:], made.moves.rate[lost]
-    assert float(np.abs(off).max()) < 5.0 * DEG  # no sample has the wrong sign
-    assert abs(np.sum(off * true) / np.sum(true**2)) < 1e-3  # no error of scale
-    assert 0.7 < rms(made.z[lost, 6:]) < 1.1
-
-
-@pytest.mark.slow
 def test_missing_stuck_and_clipped_readings_are_left_out() -> None:
     rng = np.random.default_rng(4)
     made = board(rng, ranges=(16.0, 1e9))
@@ -219,18 +142,6 @@ def test_biases_are_taken_anew_at_rest() -> None:
     assert survey([cut], old).rests == 0.0
 
 
-@pytest.mark.slow
-def test_the_point_is_the_users() -> None:
-    at = np.array([0.03, -0.01, 0.02])
-    made = world(0, at=at)
-    rows = made.moving
-    assert 0.9 < rms(made.z[rows, :3]) < 1.06
-    middle = world(0)
-    assert middle.survey.instrument.at == pytest.approx(middle.board.places.mean(axis=0))
-    sd = [np.sqrt(np.median(w.fused.motion.covariance[rows, 0, 0])) for w in (middle, made)]
-    assert sd[1] > 1.05 * sd[0]  # away from the chips dω/dt takes part
-
-
 def _in_blocks(log: Recording, size: int) -> list[Recording]:
     """Every channel cut at its own rows, as readers cut logs of messages."""
     count = max(len(c.t) for c in log.channels.values())
@@ -258,21 +169,6 @@ def test_a_log_in_uneven_blocks_is_the_same(plain: World) -> None:
         r[:900] for r in plain.readings
     )), Told())  # fmt: skip
     assert joined.motion.rate[:850] == pytest.approx(plain.fused.motion.rate[:850], abs=1e-6)
-
-
-def test_samples_without_a_partner_stay_in(plain: World) -> None:
-    """A chip that loses samples or comes a little late takes part where it can."""
-    log = recording(plain.board, plain.moves.t, *plain.readings)
-    some = log.channels["imu3/angular_rate"]
-    keep = np.arange(len(some.t)) % 5 > 0
-    part = replace(some, t=some.t[keep] + 0.1 / HZ, values=some.values[keep])
-    (stretch,) = side_by_side(
-        [replace(log, channels={**log.channels, "imu3/angular_rate": part})],
-        plain.survey.instrument,
-    )
-    assert len(stretch.t) == len(plain.moves.t)
-    assert np.isnan(stretch.rate[:, 3, 0]).mean() == pytest.approx(0.2, abs=0.01)
-    assert np.isfinite(stretch.rate[:, 2]).all()
 
 
 def test_what_cannot_be_fused_is_refused(plain: World) -> None:

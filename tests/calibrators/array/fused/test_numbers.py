@@ -3,15 +3,13 @@ walk, noise that grows, dω/dt from neighbours, instants side by side."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from imucalib.calibrators.array.fused.fuse import spin_by_neighbours
 from imucalib.calibrators.array.fused.instrument import Biases
-from imucalib.calibrators.array.fused.noise import ChipNoise, at_rest, fitted_noise
+from imucalib.calibrators.array.fused.noise import ChipNoise, fitted_noise
 from imucalib.estimators.array.fusion import FusedMotion
 
 Array = NDArray[np.float64]
@@ -22,16 +20,6 @@ def test_biases_run_straight_between_rests() -> None:
                  np.array([1.0, 3.0, -1.0])[:, None, None] * np.ones((3, 1, 3)))  # fmt: skip
     at = np.array([0.0, 10.0, 15.0, 20.0, 25.0, 40.0, 90.0])
     np.testing.assert_allclose(own.rate_at(at)[:, 0, 0], [1.0, 1.0, 2.0, 3.0, 2.0, -1.0, -1.0])
-
-
-def test_noise_grows_with_the_rate() -> None:
-    made = ChipNoise(np.array([[3.0, 3.0, 4.0]]), np.array([2.0]), np.inf)
-    np.testing.assert_allclose(
-        made.variance(np.array([0.0, 2.0]))[:, 0], [[9, 9, 16], [25, 25, 32]]
-    )
-    assert made.widening == 1.0
-    assert ChipNoise(made.rest, made.growth, 5.0).widening == 10.0 / 8.0
-    assert not at_rest(made.rest).growth.any()
 
 
 def test_a_triad_far_out_loses_its_say() -> None:
@@ -91,17 +79,6 @@ def test_neighbours_say_dw_dt_as_well_as_their_noise_lets_them() -> None:
     assert spin_by_neighbours(t[:25], made.take(slice(25)), None) is not None
 
 
-def test_neighbours_are_believed_of_a_board_at_rest() -> None:
-    """The mean positive part of nine noisy squares would add a third to the variance."""
-    t = np.arange(2000) * 0.01
-    still = replace(moved(t, 0.5, (1.0, 1e-3), np.random.default_rng(0)), spin=np.zeros((2000, 3)))
-    noise = 1e-3 * np.random.default_rng(1).standard_normal(still.rate.shape)
-    found = spin_by_neighbours(t, replace(still, rate=noise), None)
-    assert found is not None
-    own = 2.0 * 1e-6 / 0.02**2
-    assert 0.99 < np.mean(1.0 / found[1][5:-5]) / own < 1.15
-
-
 def test_neighbours_are_not_believed_of_a_fast_motion() -> None:
     """The error of a central difference: (2π f)³ Δt² / 6, rms of the tone."""
     t = np.arange(400) * 0.01
@@ -110,15 +87,6 @@ def test_neighbours_are_not_believed_of_a_fast_motion() -> None:
     assert found is not None
     error = (2.0 * np.pi * 8.0) ** 3 * 1e-4 / 6.0 / np.sqrt(2.0)
     assert 1.0 / np.sqrt(np.median(found[1][10:-10])) == pytest.approx(error, rel=0.25)
-
-
-def test_a_gap_has_no_neighbours() -> None:
-    t = np.arange(100) * 0.01
-    t[50:] += 0.05
-    made = moved(t, 0.5, (1.0, 1e-3), np.random.default_rng(0))
-    found = spin_by_neighbours(t, made, None)
-    assert found is not None
-    assert np.flatnonzero(~found[1].any(axis=1)).tolist() == [0, 49, 50, 99]
 
 
 def test_late_gyros_say_dw_dt_of_their_own_time() -> None:

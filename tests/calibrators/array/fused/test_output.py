@@ -5,13 +5,11 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
-from numpy.typing import NDArray
 
 from imucalib import cli
 from imucalib.calibration.file import write
@@ -20,8 +18,6 @@ from imucalib.errors import ImucalError
 from imucalib.readers import read
 from imucalib.writers import write as write_recording
 from worlds.rigid_board import Moves, board, calibration, moves, readings, recording
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -81,76 +77,6 @@ def test_every_format_and_source_gives_the_same(files: Files, suffix: str) -> No
     }
     for name, channel in one.channels.items():
         assert np.allclose(two.channels[name].values, channel.values, atol=1e-6), name
-
-
-@pytest.mark.slow
-def test_ros_reads_the_covariances(files: Files) -> None:
-    rosbags = pytest.importorskip("rosbags.highlevel")
-    stores = pytest.importorskip("rosbags.typesys")
-    assert files.apply("fused.mcap", "--fused", "-q").return_value == 0
-    assert files.apply("fused.h5", "--fused", "-q").return_value == 0
-    store = stores.get_typestore(stores.Stores.ROS2_HUMBLE)
-    imu: list[Any] = []
-    accel: list[Any] = []
-    with rosbags.AnyReader([files.folder / "fused.mcap"], default_typestore=store) as reader:
-        types = {c.topic: c.msgtype for c in reader.connections}
-        for connection, _, raw in reader.messages():
-            message = reader.deserialize(raw, connection.msgtype)
-            (imu if connection.topic == "/fused/imu" else accel).append(message)
-    assert types == {
-        "/fused/imu": "sensor_msgs/msg/Imu",
-        "/fused/accel": "geometry_msgs/msg/AccelWithCovarianceStamped",
-    }
-    with h5py.File(files.folder / "fused.h5") as file:
-        stored = {name: node["values"][:] for name, node in file["fused"].items()}
-    assert len(imu) == len(accel) == len(files.moves.t)
-    for row in (0, 700, 1500):
-        one, two = imu[row], accel[row]
-        v = one.angular_velocity
-        assert [v.x, v.y, v.z] == pytest.approx(stored["angular_rate"][row], abs=1e-12)
-        assert one.orientation_covariance[0] == -1.0
-        for own, name in (
-            (one.angular_velocity_covariance, "angular_rate_covariance"),
-            (one.linear_acceleration_covariance, "acceleration_covariance"),
-        ):
-            assert own == pytest.approx(stored[name][row], rel=1e-9)
-        spin, pull = two.accel.accel.angular, two.accel.accel.linear
-        assert [spin.x, spin.y, spin.z] == pytest.approx(stored["angular_acceleration"][row])
-        assert [pull.x, pull.y, pull.z] == pytest.approx(stored["acceleration"][row])
-        whole = np.array(two.accel.covariance).reshape(6, 6)
-        inner = stored["angular_acceleration_covariance"][row].reshape(3, 3)
-        assert whole[3:, 3:] == pytest.approx(inner)
-        stamp = one.header.stamp.sec + 1e-9 * one.header.stamp.nanosec
-        assert stamp == pytest.approx(files.moves.t[row], abs=1e-8)
-
-
-def test_csv_names_every_column(files: Files) -> None:
-    assert files.apply("fused.csv", "--fused", "-q").return_value == 0
-    lines = (files.folder / "fused.csv").read_text().splitlines()
-    names = next(line for line in lines if line.startswith("time")).split(",")
-    assert len(names) == 1 + 3 * (3 + 9)
-    assert "fused/angular_rate_covariance/xy [rad2/s2]" in names
-
-
-@pytest.mark.slow
-def test_options_do_what_they_say(files: Files) -> None:
-    assert files.apply("each.h5", "--no-fused", "-q").return_value == 0
-    with h5py.File(files.folder / "each.h5") as file:
-        assert set(file) == {f"imu{k}" for k in range(4)}
-    assert files.apply("there.h5", "--fused", "--at", "20,0,-5", "-q").return_value == 0
-    assert files.apply("here.h5", "--fused", "-q").return_value == 0
-    force = [
-        read(files.folder / name).channels["fused/acceleration"].values
-        for name in ("there.h5", "here.h5")
-    ]
-    middle = np.mean(board(np.random.default_rng(8), chips=4).places, axis=0)
-    arm = np.array([0.02, 0.0, -0.005]) - middle
-    w, a = files.moves.rate, files.moves.spin
-    apart = np.cross(w, np.cross(w, arm[None])) + np.cross(a, arm[None])
-    inner = slice(20, -20)  # the ends have no neighbours that tell of dω/dt
-    assert (force[0] - force[1])[inner] == pytest.approx(apart[inner], abs=0.15)
-    again = files.apply("twice.h5", "--fused", source="here.h5")
-    assert again.return_value in (2, 3)
 
 
 @pytest.mark.parametrize(

@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from imucalib.calibrators.array.loop.ages import Ages, beats
-from imucalib.calibrators.array.loop.catalogue import array_catalogue
-from imucalib.calibrators.array.loop.setup import stretches, with_neighbours
-from imucalib.calibrators.array.loop.terms import determined
 from imucalib.calibrators.array.simulation import (
     LogPlan,
     MotionPlan,
@@ -22,7 +17,6 @@ from imucalib.calibrators.array.simulation import (
 from imucalib.estimators.array.sample_age import SampleAge, fit_sample_age
 from worlds.twisted_board import BOARD
 
-Array = NDArray[np.float64]
 DEG = np.pi / 180.0
 
 
@@ -59,24 +53,6 @@ def test_the_ages_of_readings_are_told_from_what_they_are_late_by(frequency: flo
     assert found.line[0] > 30.0 > found.line[1]
     away = np.mod(found.wave[:, 0] - wave + 0.5, 1.0) - 0.5
     assert np.median(np.abs(away)) < 0.03
-
-
-def moving(good: Array, t: Array) -> SimpleNamespace:
-    return SimpleNamespace(t=t, good=good, interval=0.01)
-
-
-def test_neighbours_are_informative_and_at_the_usual_interval() -> None:
-    t = 0.01 * np.arange(12.0)
-    t[7:] += 0.004  # a gap of 1.4 intervals
-    good = np.array([0, 1, 2, 3, 5, 6, 7, 8, 9, 10, 11])
-    assert with_neighbours(moving(good, t)).tolist() == [1, 2, 8, 9, 10]  # type: ignore[arg-type]
-    near = np.arange(100, 400)
-    assert stretches(near, 300) is near
-    some = stretches(near, 160)
-    assert len(some) == 160
-    starts = some[np.append(True, np.diff(some) > 1)]
-    assert len(starts) <= 10
-    assert (some[0], some[-1]) == (100, 399)
 
 
 def test_simulated_samples_scatter_as_the_paper_plans_them() -> None:
@@ -120,11 +96,3 @@ def test_a_simulated_log_rests_and_twists_as_planned() -> None:
     late = 1.1 * (plain[900:3600] - bias)
     found = rate.values[900:3600] - rate.values[:800].mean(axis=0)
     np.testing.assert_allclose(found[2:], late[:-2], atol=0.05)
-
-
-@pytest.mark.filterwarnings("error")
-def test_a_term_of_which_the_data_determine_nothing_moves_in_silence() -> None:
-    effect = array_catalogue()["gyro_delay_each"]
-    term = determined("gyro_delay_each", effect, None, np.zeros((8, 8)))
-    moved = term.moved(np.zeros(0), np.zeros(0))
-    assert moved.value.shape == moved.sd.shape == (0,)

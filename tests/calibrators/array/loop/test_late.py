@@ -2,37 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from imucalib.arrays import Array
-from imucalib.calibrators.array.board import read_board
-from imucalib.calibrators.array.loop.catalogue import array_catalogue, twins_of
+from imucalib.calibrators.array.loop.catalogue import array_catalogue
 from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
 from imucalib.calibrators.array.loop.terms import Term, columns_of, determined, lost, sensed
-from worlds.array_stories import closed, named
-from worlds.boards import made_board
-from worlds.odd_boards import PLAN, PLANTS, odd_log, shifted
-
-BOARD = read_board("mimu4444_corners")
-LATE = np.array([2.0, 2.0, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-
-
-@pytest.mark.slow
-def test_late_imus_are_late_and_nothing_else() -> None:
-    """Gains of half a percent act on what was 2 ms before, and the delay is no straight line."""
-    rng = np.random.default_rng(1)
-    parts = made_board(BOARD.positions, BOARD.rotations, BOARD.imus, PLAN, rng)
-    found = closed(odd_log(parts, PLANTS["late few"], PLAN, rng).recording, 400)
-    told = {"accelerometer_delay", "gyro_delay_each", "gyro_misalignment", "gyro_scale"}
-    assert named(found) == told
-    assert not found.unexplained
-    for name in ("accelerometer_delay", "gyro_delay_each"):
-        delay = next(t for t in found.final.found if t.name == name).theta
-        # Of both kinds together the time itself is free.
-        np.testing.assert_allclose(delay - delay.mean(), LATE - LATE.mean(), atol=0.05)
 
 
 def swung(t: Array) -> BoardMotion:
@@ -81,13 +57,6 @@ def test_what_acts_on_a_late_reading_acts_on_what_was_then() -> None:
     np.testing.assert_allclose(np.einsum("tii->ti", scale)[1:-1], 0.01 * earlier[1:-1], atol=2e-7)
 
 
-def test_two_delays_of_one_sensor_add_up() -> None:
-    both = [term("gyro_delay", [1.0]), term("gyro_delay_each", [0.0, 0.5])]
-    turning = sensed(both, swung(T)).truth_of("angular_rate").turning.rate
-    due = swung(T - 1.5e-3).truth.turning.rate
-    np.testing.assert_allclose(turning[1:-1, 1], due[1:-1, 1], atol=2e-5)
-
-
 @pytest.mark.parametrize("tau", [0.6, 4.0, 16.0])
 def test_a_low_pass_weakens_what_is_fast(tau: float) -> None:
     """Against H = 1 / (1 + i ω τ) of each swing; the first samples have no past to be filtered."""
@@ -102,32 +71,6 @@ def test_a_low_pass_weakens_what_is_fast(tau: float) -> None:
         np.testing.assert_allclose(found[late, 1], -2.0 * y[late], atol=2e-4)
     np.testing.assert_allclose(rate[:, 0], here.truth.turning.rate[:, 0], atol=1e-15)
     np.testing.assert_allclose(force[:, 1], here.truth.force[:, 1], atol=1e-15)
-
-
-def test_what_is_quicker_than_a_low_passed_motion_is_what_that_was_before() -> None:
-    """No low-pass has a negative time: x + c dx/dt, which the motion has passed by c."""
-    turning = swung(T).truth.turning
-    found = sensed([term("gyro_low_pass", [-1.0])], swung(T)).truth_of("angular_rate").turning.rate
-    np.testing.assert_allclose(found, turning.rate + 1e-3 * turning.spin, atol=1e-12)
-
-
-def test_no_lag_is_told_of_what_is_none() -> None:
-    here = swung(T[:5])
-    scale = term("gyro_scale", [1.0] * 6)
-    assert not scale.lag(here).any()
-    assert sensed([scale], here) is here
-    one = replace(term("gyro_delay_each", [2.0]), only=1)
-    np.testing.assert_allclose(one.lag(here), [[0.0, 2e-3]] * 5, atol=1e-15)
-
-
-def test_one_of_twins_stands_in_the_search_for_all() -> None:
-    assert twins_of("accelerometer_delay@imu2") == ("accelerometer_low_pass@imu2",)
-    assert twins_of("accelerometer_low_pass@imu2") == ("accelerometer_delay@imu2",)
-    every = {"gyro_delay", "gyro_low_pass", "common_accelerometer_low_pass"}
-    assert {"gyro_delay", *twins_of("gyro_delay")} == every
-    assert {"gyro_low_pass", *twins_of("gyro_low_pass")} == every
-    assert not twins_of("gyro_scale@imu1")
-    assert not twins_of("curve of anything")
 
 
 @pytest.mark.parametrize(
@@ -147,10 +90,3 @@ def test_the_time_itself_is_nobodys(name: str, beside: str, rank: int) -> None:
     assert found.live.shape[1] == rank
     if rank == 1:
         assert abs(found.live.sum()) < 1e-12
-
-
-def test_a_shifted_swing_is_as_it_was() -> None:
-    t = np.arange(400) / 100.0
-    swing = np.sin(8.0 * np.pi * t)[:, None] * np.ones(3)
-    due = np.sin(8.0 * np.pi * (t - 2e-3))[:, None] * np.ones(3)
-    np.testing.assert_allclose(shifted(t, swing, 2e-3), due, atol=1e-4)

@@ -48,31 +48,6 @@ def _made(plant: Plant) -> MotionLoop:
 
 
 @pytest.mark.slow
-def test_few_with_both_sensors_slow_are_low_passes_against_what_is_slow_itself() -> None:
-    """What the board says is half way between: five of the times against it are negative."""
-    found = _made(slow(force=4e-3, rate=4e-3, imus=frozenset({0, 1, 2})))
-    steps = {s.effect: s for s in found.steps}
-    for name in ("accelerometer_low_pass", "gyro_low_pass_each"):
-        assert steps[name].certain
-    assert not any("delay" in name for name in steps)
-    theta = next(t.theta for t in found.final.found if t.name == "accelerometer_low_pass")
-    assert np.ptp(theta) == pytest.approx(4.0, rel=0.02)
-    assert theta.min() < -1.0
-
-
-@pytest.mark.slow
-def test_all_gyros_late_beside_one_slow_accelerometer_are_no_delay_of_every_accelerometer() -> None:
-    def plant(m: Moved, r: Array, k: int) -> Planted:
-        one = slow(force=4e-3, imus=ONE)(m, r, k)
-        return Planted(one.felt, shifted(m.t, one.rate, 2e-3))
-
-    steps = {s.effect: s for s in _made(plant).steps}
-    assert steps.keys() - OTHERS <= {"gyro_delay", "gyro_low_pass", "accelerometer_low_pass@imu2"}
-    assert len(steps.keys() - OTHERS) == 2
-    assert "accelerometer_low_pass@imu2" in steps
-
-
-@pytest.mark.slow
 def test_small_lags_are_doubtful_between_a_delay_and_a_low_pass() -> None:
     """0.02 ms about the mean of all: a low-pass and a delay differ by 1e-4 deg/s."""
     late = 2e-5 * np.array([1.0, -1.0, 0.5, -0.5, 1.0, -1.0, 0.7, -0.7])
