@@ -21,7 +21,7 @@ from imucalib.units import DEG, MG
 
 #: Effects of the accelerometer that the turns bear on.
 _LINEAR = ("bias", "scale", "non_orthogonality")
-#: Relative step of a derivative, and s of rest from which a bias instability is more than a limit.
+#: Relative step of a derivative.
 _STEP = 1e-6
 
 
