@@ -208,3 +208,9 @@ def test_files_come_all_or_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     with pytest.raises(UsageError, match="No space left"):
         write_together({tmp_path / n: t for n, t in texts})
     assert {p.name: p.read_text() for p in tmp_path.iterdir()} == dict.fromkeys("abc", "old")
+
+
+def test_an_undecided_check_names_the_rests(tools: dict[str, Path]) -> None:
+    told = card("check", tools["ai"], tools["rests"], "--limit", "0.02mg")
+    assert "Nothing shows" in told["found"][0]
+    assert "Record these rests" in told["to_do"][0] or "accept a wider" in told["to_do"][0]

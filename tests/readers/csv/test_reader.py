@@ -478,3 +478,25 @@ def test_the_rest_before_a_gap_is_a_window(rows: int) -> None:
     assert runs.n == 1
     assert runs.time[0] == pytest.approx(34.5, abs=0.1)
     assert np.allclose(runs.mean[0], rest, atol=0.02)
+
+
+def test_coarse_stamps_are_spread_and_said(tmp_path: Path) -> None:
+    values = at_rest(30 * 40)
+    lines = [f"2020-01-01 00:00:{k // 30:02d},{r}" for k, r in enumerate(rows(values)) if k >= 12]
+    found = readers.read(put(tmp_path, "\n".join(["time,x,y,z", *lines]) + "\n"))
+    channel = found.channels["imu0/acceleration"]
+    assert channel.rate == pytest.approx(30.0)
+    np.testing.assert_allclose(channel.t, np.arange(12, 1200) / 30, atol=1e-9)
+    assert any("resolution of 1 s" in n for n in found.notes)
+    assert found.gaps == ()
+
+
+def test_bad_stamps_cost_their_rows(tmp_path: Path) -> None:
+    values = at_rest(500)
+    lines = [a + b for a, b in zip(DATED, rows(values), strict=True)]
+    for k in (1, 200, 201):
+        lines[k] = "2024-03-0x" + lines[k][10:]
+    path = put(tmp_path, "\n".join(["time,x,y,z", *lines]) + "\n")
+    found = readers.read(path)
+    np.testing.assert_allclose(acc_of(found), np.delete(values, [1, 200, 201], axis=0) * G)
+    assert any(note.startswith("3 rows left out; line 3") for note in found.notes)

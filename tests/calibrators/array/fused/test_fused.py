@@ -347,3 +347,26 @@ def test_what_the_calibration_leaves_open_is_in_the_covariance() -> None:
     assert 0.75 < force < 1.3
     assert 0.75 < rate < 1.3
     assert 0.75 < spin < 1.3
+
+
+def test_samples_without_a_partner_stay_in(plain: World) -> None:
+    """A chip that loses samples or comes a little late takes part where it can."""
+    log = recording(plain.board, plain.moves.t, *plain.readings)
+    some = log.channels["imu3/angular_rate"]
+    keep = np.arange(len(some.t)) % 5 > 0
+    part = replace(some, t=some.t[keep] + 0.1 / HZ, values=some.values[keep])
+    (stretch,) = side_by_side(
+        [replace(log, channels={**log.channels, "imu3/angular_rate": part})],
+        plain.survey.instrument,
+    )
+    assert len(stretch.t) == len(plain.moves.t)
+    assert np.isnan(stretch.rate[:, 3, 0]).mean() == pytest.approx(0.2, abs=0.01)
+    assert np.isfinite(stretch.rate[:, 2]).all()
+
+
+def test_csv_names_every_column(files: Files) -> None:
+    assert files.apply("fused.csv", "--fused", "-q").return_value == 0
+    lines = (files.folder / "fused.csv").read_text().splitlines()
+    names = next(line for line in lines if line.startswith("time")).split(",")
+    assert len(names) == 1 + 3 * (3 + 9)
+    assert "fused/angular_rate_covariance/xy [rad2/s2]" in names
