@@ -288,7 +288,7 @@ def turned() -> Recording:
     return board_log(parts, plan, rng).recording
 
 
-@pytest.mark.parametrize("turn", [SIGNED[k] for k in (1, 2, 3, 4, 7, 13, 18, 33, 46)])
+@pytest.mark.parametrize("turn", [SIGNED[k] for k in (1, 7, 18, 46)])
 @pytest.mark.parametrize("sensor", ["accelerometer", "gyro"])
 def test_all_sensors_of_a_kind_that_are_wired_alike_are_told(
     turned: Recording, sensor: str, turn: Matrix, tmp_path: Path
