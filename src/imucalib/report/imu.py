@@ -111,31 +111,41 @@ def hand_plan_document(plan: HandPlan) -> Document:
         "bad" if plan.open_gains else "ok",
     )
     turns = Table(
-        "", ("turn", "about", "gravity before", "sd of a gain after, %"),
+        "",
+        ("turn", "about", "gravity before", "sd of a gain after, %"),
         tuple(
-            (str(k), turn.axis, "  ".join(f"{v:+.2f}" for v in turn.up),
-             f"{100.0 * turn.after:.2g}")
+            (
+                str(k),
+                turn.axis,
+                "  ".join(f"{v:+.2f}" for v in turn.up),
+                f"{100.0 * turn.after:.2g}",
+            )
             for k, turn in enumerate(plan.turns, start=1)
         ),
         "rllr",
         "135 deg each, by hand, about the sensor's own axis, under the gyroscope's range, with two "
         "seconds of rest on something hard before and after. Gravity: what the accelerometer "
         "reads, in g.",
-    )  # fmt: skip
+    )
     sds = Table(
-        "", ("gain", *(("sd now, %",) if added else ()), "sd then, %"),
+        "",
+        ("gain", *(("sd now, %",) if added else ()), "sd then, %"),
         tuple(
-            (name, *((f"{100.0 * plan.before[k]:.2g}",) if plan.before is not None else ()),
-             f"{100.0 * plan.sd[k]:.2g}")
+            (
+                name,
+                *((f"{100.0 * plan.before[k]:.2g}",) if plan.before is not None else ()),
+                f"{100.0 * plan.sd[k]:.2g}",
+            )
             for k, name in enumerate(_NAMES)
         ),
         "l" + "r" * (1 + added),
-    )  # fmt: skip
+    )
     left = tuple(Text(f"These stay open: {words}.", "bad") for words in plan.open_gains)
     return Document(
-        "Turns to add" if added else "Turns to take", verdict,
+        "Turns to add" if added else "Turns to take",
+        verdict,
         (Section("Turns", (turns,)), Section("Gains", (*left, sds))),
-    )  # fmt: skip
+    )
 
 
 def hand_plan_dict(plan: HandPlan) -> dict[str, Any]:

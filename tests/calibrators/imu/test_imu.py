@@ -180,6 +180,16 @@ def test_counts_and_no_gyroscope(tmp_path: Path) -> None:
     assert "no gyroscope" in str(result.exception)
 
 
+def test_a_log_of_one_rest_has_no_turns(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    t = np.arange(0.0, 40.0, 0.01)
+    rate, force = (sd * rng.normal(size=(t.size, 3)) for sd in (1e-3, 3e-3))
+    force[:, 2] += 1.0
+    result = run("imu", Log(t, force, t, rate, force).write(tmp_path / "still.csv"), "-q")
+    assert result.return_value == 4
+    assert "0 turns between rests" in str(result.exception)
+
+
 def test_turns_about_the_vertical_show_nothing(tmp_path: Path) -> None:
     """The sensor lies flat and is turned about z, over and over."""
     rng = np.random.default_rng(3)

@@ -142,8 +142,10 @@ def calibrate_imu(
     segments = [found for _, found in read]
     for recording, found in zip(recordings, segments, strict=True):
         gyroscope_of(recording, found.triads[0])
-    plain = imu_of(recordings, segments, request.gravity)
-    demand_axes(plain.turns, str(paths[0]), _matrix(request.gyro_axes))
+    # An hour of samples is not held once more than it has to be.
+    plain = imu_of(recordings, segments, request.gravity).turns
+    demand_axes(plain, str(paths[0]), _matrix(request.gyro_axes))
+    del plain, read
     accelerometer = _accelerometer(recordings, segments, request)
     triads = [found.triads[0] for found in segments]
     # The mark that a correction leaves is not kept: a check sum of its own is not made for it.
@@ -179,6 +181,8 @@ def _result(
 
 def _in_axes(recording: Recording, request: ImuRequest) -> Recording:
     """The recording with its rates in the axes that were stated."""
+    if request.gyro_axes == UNCHANGED:
+        return recording
     channels = {
         name: replace(c, values=request.gyro_axes.apply(c.values))
         if c.quantity == "angular_rate"
