@@ -82,7 +82,7 @@ def test_equals_official_decoder(
 ) -> None:
     topics = [f"/imu{i}/data" for i in range(count)]
     logs = {
-        topic: packed(readings(900, seed=i, frame="imu" + "x" * i), official_cdr, delay=i)
+        topic: packed(readings(300, seed=i, frame="imu" + "x" * i), official_cdr, delay=i)
         for i, topic in enumerate(topics)
     }
     path = write_log(tmp_path / "a.mcap", logs, compression=compression, use_chunking=chunked)

@@ -44,7 +44,13 @@ def made(path: Path, seed: int = 1, **options: object) -> tuple[Log, Path]:
     return log, log.write(path)
 
 
-@pytest.mark.parametrize(("name", "mark"), [("imu0.log.gz", 0.10), ("imu1.log.gz", 0.11)])
+@pytest.mark.parametrize(
+    ("name", "mark"),
+    [
+        ("imu0.log.gz", 0.10),
+        pytest.param("imu1.log.gz", 0.11, marks=pytest.mark.slow),
+    ],
+)
 def test_measured_logs_turned_by_hand(name: str, mark: float) -> None:
     content = report(MEASURED / name, *MPU)
     error = content["loop"]["errors"][0]
@@ -54,6 +60,7 @@ def test_measured_logs_turned_by_hand(name: str, mark: float) -> None:
     assert content["exit_code"] == 0
 
 
+@pytest.mark.slow
 def test_sensitivity_to_force_is_named_and_undone(tmp_path: Path) -> None:
     rng = np.random.default_rng(4)
     planted = np.radians(0.15) * rng.normal(size=(3, 3))
@@ -107,6 +114,7 @@ def test_exports_say_what_the_sensor_reads(tmp_path: Path) -> None:
     np.testing.assert_allclose(back, rate, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_errors_that_grow_with_the_angle_widen_the_intervals(tmp_path: Path) -> None:
     found = []
     for k, planted in enumerate((0.0, 4e-3)):
@@ -133,10 +141,10 @@ def test_a_late_gyroscope_shows_in_the_moving_accelerometer(late: float, tmp_pat
     assert own["sd"] < 0.4e-3
 
 
-AXES = {"y,x,z": (1, 0, 2, 1, 1, 1), "-x,y,z": (0, 1, 2, -1, 1, 1), "y,-x,z": (1, 0, 2, 1, -1, 1)}
+AXES = {"-x,y,z": (0, 1, 2, -1, 1, 1), "y,-x,z": (1, 0, 2, 1, -1, 1)}
 
 
-@pytest.mark.parametrize("line", AXES)
+@pytest.mark.parametrize("line", ["-x,y,z", "y,-x,z"])
 def test_wrong_axes_are_refused_with_the_line_that_undoes_them(line: str, tmp_path: Path) -> None:
     log, _ = made(tmp_path / "right.csv")
     order, sign = np.array(AXES[line][:3]), np.array(AXES[line][3:])
@@ -215,6 +223,7 @@ def test_clipped_turns_and_gaps_are_left_out_and_counted(tmp_path: Path) -> None
     assert any("turns were left out" in note for note in content["notes"])
 
 
+@pytest.mark.slow
 def test_logs_at_several_temperatures_tell_what_follows_it(tmp_path: Path) -> None:
     rng = np.random.default_rng(2)
     own, paths = chip(rng), []
@@ -270,6 +279,7 @@ def test_sensors_at_rates_of_their_own(tmp_path: Path) -> None:
     assert run("imu", tmp_path / "l.h5", "-q").return_value in (3, 4)
 
 
+@pytest.mark.slow
 def test_a_plan_of_135_deg_and_two_logs_together(tmp_path: Path) -> None:
     rng = np.random.default_rng(8)
     own = chip(rng)

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 from click.testing import CliRunner, Result
 from scipy.spatial.transform import Rotation
 
@@ -71,6 +72,7 @@ def test_few_turns_leave_gains_open() -> None:
     assert "stay open" in result.stdout
 
 
+@pytest.mark.slow
 def test_what_is_simulated_is_found(tmp_path: Path) -> None:
     log = tmp_path / "turns.h5"
     words = ("--plant", "gyro_g_sensitivity=0.1", "--late", "0.004", "--seed", "5", "--json")
