@@ -223,7 +223,6 @@ def test_clipped_turns_and_gaps_are_left_out_and_counted(tmp_path: Path) -> None
     assert any("turns were left out" in note for note in content["notes"])
 
 
-@pytest.mark.slow
 def test_logs_at_several_temperatures_tell_what_follows_it(tmp_path: Path) -> None:
     rng = np.random.default_rng(2)
     own, paths = chip(rng), []
