@@ -8,28 +8,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 
-from imucalib import cli
 from imucalib.calibration.file import read as read_calibration
 from imucalib.calibration.gyroscope import gyroscope_of
-from imucalib.errors import ImucalError
 from imucalib.readers import read
 from imucalib.recording.recording import Channel, Recording
 from imucalib.writers import write
+from worlds.command import run
 from worlds.places import MEASURED
 from worlds.targets import by_kalibr, by_opencv
 from worlds.turned_imu import G0, Log, chip, plan, turned
 
 MPU = ("--rate", "100", "--acc", "1,2,3", "--gyro", "4,5,6", "--unit", "m/s2", "--gyro-unit",
        "rad/s")  # fmt: skip
-
-
-def run(*arguments: object) -> Result:
-    result = CliRunner().invoke(cli.cli, [str(a) for a in arguments], standalone_mode=False)
-    if isinstance(result.exception, ImucalError):
-        result.return_value = result.exception.exit_code
-    return result
 
 
 def report(*arguments: object) -> dict:  # type: ignore[type-arg]
