@@ -35,6 +35,7 @@ from imucalib.loop.posterior.closed import close_loop
 from imucalib.report.files import Report
 from imucalib.report.sections import standard_document
 from imucalib.units import MG
+from worlds.command import run
 from worlds.places import SAMPLES
 
 CAVE = SAMPLES / "cave_ai.csv"
@@ -160,10 +161,6 @@ def table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     path = tmp_path / "toy.csv"
     np.savetxt(path, reading, delimiter=",", header="x,y,z", comments="")
     return path
-
-
-def run(*arguments: object) -> Result:
-    return CliRunner().invoke(cli.cli, [str(a) for a in arguments], standalone_mode=False)
 
 
 def test_everything_else_comes_by_itself(table: Path, tmp_path: Path) -> None:

@@ -16,19 +16,19 @@ import click
 import jsonschema
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import Result
 from ruamel.yaml import YAML
 
 import imucalib
 from imucalib import cli
 from imucalib.calibration.outcome import Limit
 from imucalib.cli.calibrating import calibrates
-from imucalib.errors import ImucalError
 from imucalib.exports import exports
 from imucalib.readers import read
 from imucalib.recording.recording import Recording
 from imucalib.units import STANDARD_GRAVITY
 from worlds.calibrations import INPUTS
+from worlds.command import run
 
 SCHEMAS = Path(imucalib.__file__).parent / "schemas"
 GROUP = cli.cli
@@ -48,14 +48,6 @@ OF_ONE = ("ggir-csv", "px4", "ardupilot", "omconvert", "iscwsa-csv")
 OF_ARRAYS = ("kalibr", "openvins", "ros2-static", "urdf")
 #: Forms whose readers need the walks of the noise, which a bench or a board does not tell.
 WITH_WALKS = ("kalibr", "openvins")
-
-
-def run(*arguments: object) -> Result:
-    """The command, with what `main` does about exit codes."""
-    result = CliRunner().invoke(cli.cli, [str(a) for a in arguments], standalone_mode=False)
-    if isinstance(result.exception, ImucalError | click.ClickException):
-        result.return_value = result.exception.exit_code
-    return result
 
 
 def keeps_schema(content: Any, name: str) -> None:

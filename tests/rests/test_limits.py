@@ -100,28 +100,6 @@ def test_what_moves_slowly_is_no_rest(name: str, noise: float, gyroscope: bool) 
     assert "turning" in reasons(found, start, start + 60.0)
 
 
-def test_a_turn_about_gravity_is_told_by_the_gyroscope() -> None:
-    rng = np.random.default_rng(2)
-    values = middle_of(rng, np.zeros((6000, 3)), 2 * MG)
-    turned = np.radians(rng.normal(0.4, 0.05, values.shape))
-    middle = slice(len(values) // 2 - 3000, len(values) // 2 + 3000)
-    turned[middle, 2] += np.radians(0.5)
-    assert still_segments(recorded(values)).n == 9
-    found = still_segments(recorded(values, turned))
-    assert found.n == 8
-    assert "turning" in reasons(found, middle.start / RATE, middle.stop / RATE)
-
-
-def test_a_warm_up_within_a_long_rest_is_no_turn() -> None:
-    rng = np.random.default_rng(4)
-    t = np.arange(60_000) / RATE
-    warm = 3 * MG * (1 - np.exp(-t / 200.0))
-    values = middle_of(rng, np.stack([warm, 0 * t, warm], axis=1), 2 * MG)
-    found = still_segments(recorded(values))
-    assert found.n == 9
-    assert np.max(found.stop - found.start) > 595.0
-
-
 def in_blocks(values: np.ndarray) -> list[Recording]:
     channel = recorded(values).channels["imu0/acceleration"]
     return [

@@ -20,7 +20,7 @@ from imucalib.recording.recording import Channel, Gap, Recording
 from imucalib.rests.runs import PostureRuns, posture_runs, scan
 from imucalib.rests.segments import Segments, find_segments, still_segments
 from imucalib.units import MG, STANDARD_GRAVITY
-from worlds.places import DATA, MEASURED, needs_data
+from worlds.places import MEASURED
 
 RATE, SIGMA = 100.0, 0.02
 
@@ -129,28 +129,6 @@ def test_temperature_and_rate_come_along() -> None:
     np.testing.assert_allclose(found.rate.mean(axis=(0, 1)), [0.01, -0.02, 0.03], atol=5e-4)
     middle = 0.5 * (found.start + found.stop)
     np.testing.assert_allclose(found.temperature[:, 0], 20.0 + 0.1 * middle, atol=0.01)
-
-
-def attitudes(found: Segments) -> int:
-    """Segments that differ from the one before by more than 5 degrees, plus one."""
-    unit = found.mean[:, 0] / np.linalg.norm(found.mean[:, 0], axis=1)[:, None]
-    cosine = np.clip(np.sum(unit[1:] * unit[:-1], axis=1), -1, 1)
-    return 1 + int(np.sum(np.degrees(np.arccos(cosine)) > 5.0))
-
-
-@needs_data
-def test_rests_of_the_xsens_log() -> None:
-    counts = FieldMapping(
-        acc=("2", "3", "4"),
-        time="1",
-        acc_unit="counts",
-        lsb_per_g=(415 * 9.80665, 413 * 9.80665, 415 * 9.80665),
-        acc_offset=(33123, 33276, 32360),
-    )
-    found = still_segments(read(DATA / "xsens_mti" / "xsens_acc.txt", counts))
-    assert attitudes(found) == 38  # the initial rest and 37 more
-    assert found.n == 44  # with those that a touch parts, as a careful cut by hand finds them
-    assert np.sum(found.stop - found.start) > 340.0
 
 
 @pytest.mark.parametrize("name", ["imu0.log.gz", "imu1.log.gz"])

@@ -10,14 +10,14 @@ import pytest
 from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.checking.check import Check, Measured, checked
 from imucalib.calibration.checking.limits import Limits
-from imucalib.calibration.checking.misfit import Misfits, check_noise, gyro_rest, triad_misfits
+from imucalib.calibration.checking.misfit import Misfits, check_noise, triad_misfits
 from imucalib.calibration.checking.next_rests import misfits_of
 from imucalib.calibration.checking.statistic import Statistic
 from imucalib.calibration.triads import Triad
 from imucalib.core.effect import Context
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm
-from worlds.instrument import DEG, MG, G, four, rotation, vectors
+from worlds.instrument import DEG, MG, G, four, vectors
 
 
 def looked_at(rests: int, shift: np.ndarray) -> Check:
@@ -109,19 +109,6 @@ def test_the_imu_that_changed_is_named() -> None:
     assert [s.name for s in found.changed] == ["imu1"]
     # A package's +x is the board's -y.
     assert found.sensors[1].tests["bias"].size == pytest.approx([0.0, -2.5, 0.0], abs=1.0)
-
-
-def test_a_gyroscope_at_rest() -> None:
-    rng = np.random.default_rng(3)
-    triad = imu(rng)
-    turned = triad.gyro_bias + rotation(np.zeros(3))[0] * 0.2 * DEG
-    rate = (turned + 0.01 * DEG * rng.standard_normal((6, 3))) @ ROTATION
-    found = gyro_rest(triad, rate, {"count": 12})
-    assert found is not None
-    assert found.bias == pytest.approx([0.2, 0.0, 0.0], abs=0.02)
-    assert found.sd == pytest.approx(0.01 * np.sqrt(1 / 6 + 1 / 12), rel=0.7)
-    assert found.p < 1e-3
-    assert gyro_rest(triad, np.full((6, 3), np.nan), {}) is None
 
 
 MEMORY, ALONE, SHARED = 4.0, 0.2, 0.73

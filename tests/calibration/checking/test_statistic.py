@@ -12,7 +12,6 @@ from scipy.stats import chi2, ncx2
 
 from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.checking.check import Measured, checked
-from imucalib.calibration.checking.e_value import paid
 from imucalib.calibration.checking.limits import Limits
 from imucalib.calibration.checking.misfit import (
     KNOWN,
@@ -315,18 +314,6 @@ def test_a_gyroscope_is_tested_by_the_scatter_between_its_rests() -> None:
     np.testing.assert_allclose(alone.sd, deg.std(axis=0, ddof=1) * np.sqrt(2 / 5))
     rate[:3] = np.nan
     assert gyro_rest(triad, rate, {"count": 8}) is None
-
-
-def test_the_stake_of_a_look_is_its_share() -> None:
-    """0.7 for the first, 0.3 / j (j - 1) for the j-th; each pays 1 / 0.7 α."""
-    unit = 1.0 / (0.7 * 0.05)
-    assert paid([0.0244]) == pytest.approx(unit)
-    assert paid([0.0246]) == 0.0
-    assert paid([0.5, 0.00524]) == pytest.approx(unit)
-    assert paid([0.5, 0.00526]) == 0.0
-    assert paid([0.5, 0.5, 0.00174]) == pytest.approx(unit)
-    assert paid([0.5, 0.5, 0.00176]) == 0.0
-    assert paid([0.01, 0.001, 0.001]) == pytest.approx(3.0 * unit)
 
 
 OWN, READING = 0.3, 1.0  # mg

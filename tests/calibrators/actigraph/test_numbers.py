@@ -374,20 +374,6 @@ def test_what_is_planted_is_added_by_its_equation() -> None:
         np.testing.assert_allclose((with_it - plain) / MG, expected, atol=1e-6)
 
 
-def test_a_planted_lag_follows_the_temperature_late() -> None:
-    _, plain, warm = values(PLAN)
-    late = values(replace(PLAN, plant={"thermal_lag@1h": (1.0, 0.0, 0.0)}))[1][:, 0] - plain[:, 0]
-    # dx/dt = (T - x) / τ, from the first temperature, by steps of two seconds.
-    x, follows = warm[0], np.empty(warm.size)
-    for k, temperature in enumerate(warm):
-        follows[k] = x
-        x += (temperature - x) * 2.0 / 3600.0
-    made = late / MG
-    fit = np.polyfit(follows, made, 1)
-    assert fit[0] == pytest.approx(1.0, abs=0.02)
-    assert np.abs(made - np.polyval(fit, follows)).max() < 0.02 * np.ptp(follows)
-
-
 N = 600
 
 

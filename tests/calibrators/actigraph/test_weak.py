@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +11,6 @@ from click.testing import CliRunner
 from numpy.typing import NDArray
 
 from imucalib import cli
-from imucalib.calibration.file import read as read_calibration
 from imucalib.calibrators.actigraph.observations import (
     NINE,
     base_fit,
@@ -39,15 +37,8 @@ from imucalib.estimators.least_squares import fit
 from imucalib.loop.held_out import errors, held_out
 from imucalib.rests.runs import PostureRuns, posture_runs, scan
 from imucalib.units import MG, STANDARD_GRAVITY
-from worlds.places import DATA, needs_data
 
 Array = NDArray[np.float64]
-
-
-FOLDER = DATA / "actigraph"
-
-
-TAS = "read_gt3x_TAS1H30182785_2019-09-17"
 
 
 G = STANDARD_GRAVITY
@@ -114,30 +105,6 @@ def test_held_out_fits_keep_the_prior() -> None:
         rest = fit(MODEL, data.without(np.array([row])), prior=_known(data, TYPICAL), noise=None)
         again = errors(rest, rest.theta, data.take(np.array([row]))).error[0, 0, 0]
         assert held_out(found).error[row, 0, 0] == pytest.approx(again, rel=0.1, abs=0.03 * MG)
-
-
-@needs_data
-def test_a_recording_and_its_export_calibrate_alike(tmp_path: Path) -> None:
-    found, pages = [], []
-    for suffix in (".gt3x", ".csv.gz"):
-        out = tmp_path / suffix
-        arguments = ["actigraph", str(FOLDER / f"{TAS}{suffix}"), "-o", str(out)]
-        result = CliRunner().invoke(cli.cli, arguments, standalone_mode=False)
-        assert result.exception is None
-        assert result.return_value == 4
-        found.append(read_calibration(out / "calibration.yaml"))
-        pages.append(json.loads((out / "report.json").read_text(encoding="utf-8")))
-        assert "never x up, y up, y down" in " ".join(result.output.split())
-        assert "data, %" in (out / "report.html").read_text(encoding="utf-8")
-    for one, two in zip(found[0].parameters, found[1].parameters, strict=True):
-        assert abs(one.value - two.value) < 0.5 * np.hypot(one.sd, two.sd)
-    assert found[0].status == pages[0]["status"] == "weak"
-    assert found[0].facts["from_data"]["scale_z"] > 0.99
-    assert found[0].facts["from_data"]["cross_zy"] < 0.05
-    # Nothing is claimed: on postures that were not fitted it is no better than the raw reading.
-    error = pages[0]["error_mg"]
-    assert error["final_held_out"] > error["raw"]
-    assert any("worse than no calibration" in reason for reason in pages[0]["reasons"])
 
 
 def test_nothing_at_rest_is_refused(tmp_path: Path) -> None:

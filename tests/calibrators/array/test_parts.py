@@ -269,16 +269,3 @@ def test_a_flat_top_under_noise_is_the_end(
     assert not log.clipped[under].any()
     assert len(log.notes) == len(imus)
     assert all("again and again, not at its range of 2000" in note for note in log.notes)
-
-
-@pytest.mark.parametrize("hz", [0.5, 2.0, 6.0])
-def test_the_turning_points_of_a_steady_swing_are_no_end(quiet: Recording, hz: float) -> None:
-    """A sine is at its extreme longer than anywhere else, to within less than its noise."""
-    rng, channels = np.random.default_rng(3), dict(quiet.channels)
-    for name, c in channels.items():
-        if c.quantity == "angular_rate":
-            phase = np.array([0.0, 1.0, 2.0])
-            swing = 900.0 * DEG * np.sin(2.0 * np.pi * hz * c.t[:, None] + phase)
-            channels[name] = replace(c, values=swing + 0.2 * DEG * rng.normal(size=swing.shape))
-    log = array_log(replace(quiet, channels=channels), BOARD)
-    assert not log.clipped.any()

@@ -8,28 +8,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 
-from imucalib import cli
 from imucalib.calibration.file import read as read_calibration
 from imucalib.calibration.gyroscope import gyroscope_of
-from imucalib.errors import ImucalError
 from imucalib.readers import read
 from imucalib.recording.recording import Channel, Recording
 from imucalib.writers import write
+from worlds.command import run
 from worlds.places import MEASURED
 from worlds.targets import by_kalibr, by_opencv
 from worlds.turned_imu import G0, Log, chip, plan, turned
 
 MPU = ("--rate", "100", "--acc", "1,2,3", "--gyro", "4,5,6", "--unit", "m/s2", "--gyro-unit",
        "rad/s")  # fmt: skip
-
-
-def run(*arguments: object) -> Result:
-    result = CliRunner().invoke(cli.cli, [str(a) for a in arguments], standalone_mode=False)
-    if isinstance(result.exception, ImucalError):
-        result.return_value = result.exception.exit_code
-    return result
 
 
 def report(*arguments: object) -> dict:  # type: ignore[type-arg]
@@ -223,7 +214,6 @@ def test_clipped_turns_and_gaps_are_left_out_and_counted(tmp_path: Path) -> None
     assert any("turns were left out" in note for note in content["notes"])
 
 
-@pytest.mark.slow
 def test_logs_at_several_temperatures_tell_what_follows_it(tmp_path: Path) -> None:
     rng = np.random.default_rng(2)
     own, paths = chip(rng), []

@@ -7,15 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 from scipy.spatial.transform import Rotation
 
-from imucalib import cli
 from imucalib.calibrators.imu.plan import hand_plan, of_turn
-
-
-def run(*arguments: object) -> Result:
-    return CliRunner().invoke(cli.cli, [str(a) for a in arguments], standalone_mode=False)
+from worlds.command import run
 
 
 def carried(gain: np.ndarray, up: np.ndarray, vector: np.ndarray) -> np.ndarray:

@@ -11,10 +11,8 @@ from types import ModuleType
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 
 from gates.bounds import at_most
-from imucalib import cli
 from imucalib.arrays import Array
 from imucalib.calibration.file import check
 from imucalib.calibrators.lab.calibrate import LabSettings
@@ -22,6 +20,7 @@ from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import LabRun, run_lab
 from imucalib.errors import Undetermined, UnreadableInput, UsageError
+from worlds.command import run
 from worlds.places import ROOT
 
 TRUTH = {
@@ -162,10 +161,6 @@ def _written(folder: Path, repeats: int = 2, faces: tuple[str, ...] = FACES) -> 
     path = folder / "six.csv"
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path
-
-
-def run(*arguments: object) -> Result:
-    return CliRunner().invoke(cli.cli, [str(a) for a in arguments], standalone_mode=False)
 
 
 def test_end_to_end(tmp_path: Path) -> None:

@@ -188,26 +188,6 @@ def test_a_planted_effect_is_fitted_to_nothing(name: str, tmp_path: Path) -> Non
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "pair",
-    [("temperature_scale", "cubic"), ("base_tilt_across", "hysteresis")],
-    ids=" and ".join,
-)
-def test_two_effects_are_proved_by_what_took_no_part(pair: tuple[str, str], tmp_path: Path) -> None:
-    """Without a position one effect was held against the noise of both, and none was taken."""
-    bench = plain_bench.Bench(plain_bench.Plan(3, tuple((name, 20.0) for name in pair), n=32))
-    table = read_position_table(bench.write(tmp_path / "sheet.csv"))
-    run = run_lab(table, LabRequest(unit="mg"))
-    assert run.result.loop is not None
-    # A form of the response may stand for the cube: it has no cause, so nothing is named wrongly.
-    steps = {s.effect.partition(":")[0] for s in run.result.loop.steps}
-    assert {"cubic" if s == "shape@response" else s for s in steps} == set(pair)
-    assert run.result.loop.verdict == "explained"
-    held = run.outcome.errors[0].held_out
-    assert held.final < 0.7 * held.base
-
-
-@pytest.mark.slow
 def test_noise_that_lasts_is_noise_on_a_long_sheet_too(tmp_path: Path) -> None:
     """Beyond 110 rows it was not looked for: steps and swings stood for it."""
     bench = plain_bench.Bench(plain_bench.Plan(4, (), noise="ar", n=130))

@@ -18,7 +18,6 @@ from imucalib.arrays import Array
 from imucalib.calibrators.lab.bench import raw_unit
 from imucalib.calibrators.lab.checks import observations_of, warmth_note
 from imucalib.calibrators.lab.files import LabFiles, positions_in
-from imucalib.calibrators.lab.headings import bare
 from imucalib.calibrators.lab.position_table import ROLES, PositionTable, read_position_table
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.cli import cli
@@ -159,22 +158,6 @@ def test_a_blank_tool_face_at_the_vertical_is_none(zero: str, tmp_path: Path) ->
 
 
 ROWS = [(10.5, 90.0, 0.1, 0.97, 0.18), (-45.0, 180.25, -0.7, 0.02, -0.7), (0.0, 0.0, 0.0, 1, 0.0)]
-
-
-@pytest.mark.parametrize(
-    ("text", "name", "unit", "zero"),
-    [
-        ("Inclination (deg from vertical)", "inclination", "deg", "vertical"),
-        ("Inc from vertical [°]", "inc", "°", "vertical"),
-        ("Neigung zur Senkrechten (Grad)", "neigung", "deg", "vertical"),
-        ("inclination from the horizontal", "inclination", "", "horizontal"),
-        ("Inclination (grad)", "inclination", "grad", ""),
-        ("Tool-face (rad)", "tool_face", "rad", ""),
-    ],
-)
-def test_the_parts_of_a_heading(text: str, name: str, unit: str, zero: str) -> None:
-    found = bare(text)
-    assert (found.name, found.unit, found.zero) == (name, unit, zero)
 
 
 def test_inclination_from_the_vertical_is_asked_about(tmp_path: Path) -> None:
@@ -328,20 +311,6 @@ def test_packed_and_utf_16_tables(tmp_path: Path) -> None:
     assert read_position_table(packed).sha256 == hashlib.sha256(packed.read_bytes()).hexdigest()
     wide = _write(tmp_path, PLAIN.replace(",", "\t").encode("utf-16"), "table.txt")
     assert np.array_equal(read_position_table(wide).raw()[1], [938.0, -14.0, 209.5])
-
-
-@pytest.mark.parametrize("title", ["", "Bench of March\n", "Bench of March,,,,\n\n,,,,\n"])
-@pytest.mark.parametrize("units", ["", "deg,deg,mg,mg,mg\n", "[°],[°],[mg],[mg],[mg]\n"])
-def test_a_table_as_a_spreadsheet_writes_it(title: str, units: str, tmp_path: Path) -> None:
-    heading, rows = PLAIN.split("\n", 1)
-    if "°" in units:
-        heading = heading.replace("tool_face", "tool_face (deg)")
-    text = f"{title}{heading}\n{units}{rows}"
-    table = read_position_table(_write(tmp_path, text.encode("cp1252")))
-    np.testing.assert_array_equal(table.raw()[1], [938.0, -14.0, 209.5])
-    assert table.row.tolist() == [1, 2]
-    if units:
-        assert table.unit["x"] == "mg"
 
 
 FACED = "face,x,y,z\n+x,1,0,0\nY-,0,-1,0\n\u2212z,0,0,-1\n"

@@ -10,10 +10,8 @@ import numpy as np
 import pytest
 
 from imucalib.errors import Undetermined
-from imucalib.estimators.array import rates
 from imucalib.estimators.array.audit import importance_gain, quadrature_gain
 from imucalib.estimators.array.likelihood import ArrayPosterior, conditionals
-from imucalib.estimators.array.mode import laplace_frame, start_prior
 from imucalib.estimators.array.problem import ArrayData, ArrayPrior, MotionPrior
 from imucalib.estimators.array.rates import inverse, modes
 from imucalib.estimators.array.rotation import full, local
@@ -246,28 +244,3 @@ def test_laplace_is_good_enough_where_it_is_used() -> None:
     assert np.ptp(gain) < 1e-4
     draws = [importance_gain(posterior, x[:1], 4, rng)[0] for _ in range(20)]
     assert np.mean(draws) == pytest.approx(gain[0], abs=4.0 * np.std(draws) / np.sqrt(20) + 1e-6)
-
-
-def test_a_start_that_follows_the_unknowns_changes_no_value(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Modes are the same from a start that is near them by a product with the unknowns, at half of
-    the looks at the samples."""
-    rng = np.random.default_rng(8)
-    data, _ = data_of(corners(), 60, rng, sigma=0.04, sigma_gyro=0.1)
-    frame = laplace_frame(data, start_prior(data, posterior_of(data).prior))
-    looks = []
-    looked = rates.local
-    monkeypatch.setattr(rates, "local", lambda *a, **k: looks.append(1) or looked(*a, **k))
-    z = rng.standard_normal((4, len(frame.mode)))
-    plain = frame.posterior.value_and_gradient(frame.place(z))
-    before = len(looks)
-    leaning = frame.posterior.leaning(frame.mode, frame.root)
-    near = leaning.value_and_gradient(frame.place(z))
-    assert near[0] == pytest.approx(plain[0], abs=1e-6)
-    assert near[1] @ frame.root == pytest.approx(plain[1] @ frame.root, abs=1e-4)
-    assert 2 * (len(looks) - before) <= before
-    lean = leaning.lean
-    assert lean is not None
-    off = leaning.start + lean.rates(frame.place(z)) - leaning.modes(frame.place(z))
-    assert np.abs(off).max() < 0.01 * np.abs(lean.rates(frame.place(z))).max()

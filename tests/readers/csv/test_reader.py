@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from imucalib import readers, writers
-from imucalib.errors import ImucalError, UnreadableInput, UsageError
+from imucalib.errors import ImucalError, UnreadableInput
 from imucalib.readers import read
 from imucalib.readers.csv import rows as csv_rows
 from imucalib.readers.csv.reader import without_repeats
@@ -183,18 +183,6 @@ def test_zero_bytes_complete_no_cut_line(
         np.testing.assert_allclose(acc_of(found), wanted, rtol=1e-14)
         for note in notes:
             assert any(note in n for n in found.notes), found.notes
-
-
-def test_errors_of_the_mapping(tmp_path: Path) -> None:
-    path = put(tmp_path, "\n".join(["x,y,z", *rows(at_rest(100))]) + "\n")
-    with pytest.raises(UsageError, match="no column 'ax'"):
-        readers.read(path, FieldMapping(acc=("ax", "y", "z"), rate=100))
-    with pytest.raises(UsageError, match="do not make triads"):
-        readers.read(path, FieldMapping(acc=("x", "y"), rate=100))
-    with pytest.raises(UnreadableInput, match="--rate"):
-        readers.read(path)
-    with pytest.raises(UsageError, match="unknown unit 'furlong'"):
-        readers.read(path, FieldMapping(rate=100, acc_unit="furlong"))
 
 
 DELIMITERS = st.sampled_from([",", ";", "\t", " ", "|"])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -13,13 +11,10 @@ from imucalib.calibrators.array.loop.catalogue import array_catalogue
 from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
 from imucalib.calibrators.array.loop.terms import Term, columns_of, determined, lost, sensed
 from imucalib.calibrators.array.simulation import (
-    LogPlan,
     MotionPlan,
-    simulated_log,
     simulated_samples,
 )
 from imucalib.estimators.array.sample_age import SampleAge, fit_sample_age
-from worlds.twisted_board import BOARD
 
 DEG = np.pi / 180.0
 
@@ -77,29 +72,6 @@ def test_simulated_samples_scatter_as_the_paper_plans_them() -> None:
     left = rest[:, 1:].reshape(3000, 9) - spin @ skew.T
     assert 0.04 < left.std() < 0.1
     assert (data.acceleration - out)[:, 0].std() == pytest.approx(20.0, rel=0.03)
-
-
-def test_a_simulated_log_rests_and_twists_as_planned() -> None:
-    plan = LogPlan(poses=4, pose_seconds=2.0, seconds=30.0, twist=300.0, gyro_gain=0.0, gain=0.0,
-                   planted={"gyro_scale": 0.1, "gyro_delay": 0.02})  # fmt: skip
-    made = simulated_log(BOARD, plan, np.random.default_rng(2))
-    one = made.recording.channels[f"{BOARD.imus[0]}/acceleration"]
-    rate = made.recording.channels[f"{BOARD.imus[0]}/angular_rate"]
-    assert len(one.t) == 38 * 100
-    rests = one.values[:800].reshape(4, 200, 3)
-    np.testing.assert_allclose(rests.std(axis=1), 0.04, rtol=0.2)
-    size = np.linalg.norm(rests.mean(axis=1), axis=1)
-    np.testing.assert_allclose(size, 9.80665, atol=1.0)  # biases of 0.3 m/s²
-    turning = rate.values[900:3700]
-    assert turning.std() == pytest.approx(1.1 * 300.0 * DEG, rel=0.1)
-    away = made.positions - (BOARD.positions - BOARD.positions[0])
-    assert away[1:].std() == pytest.approx(2.8e-4, rel=0.4)
-    same = simulated_log(BOARD, replace(plan, planted={}), np.random.default_rng(2))
-    plain = same.recording.channels[f"{BOARD.imus[0]}/angular_rate"].values
-    bias = plain[:800].mean(axis=0)
-    late = 1.1 * (plain[900:3600] - bias)
-    found = rate.values[900:3600] - rate.values[:800].mean(axis=0)
-    np.testing.assert_allclose(found[2:], late[:-2], atol=0.05)
 
 
 def swung(t: Array) -> BoardMotion:
