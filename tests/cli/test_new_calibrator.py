@@ -29,7 +29,7 @@ from imucalib.calibration.outcome import (
 )
 from imucalib.calibration.provenance import provenance_of
 from imucalib.cli.calibrating import Shared, calibrating, finish, shared_of
-from imucalib.cohort.batch import Entry, rows
+from imucalib.cohort.entries import Entry, rows
 from imucalib.core.effect import Context
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations

@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from imucalib import cli
-from imucalib.cohort.batch import Entry, quality_of, rows
+from imucalib.cohort.entries import Entry, quality_of, rows
 from worlds.places import SAMPLES
 
 

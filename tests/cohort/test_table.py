@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from imucalib.cohort.batch import write_table
+from imucalib.cohort.entries import write_table
 
 
 @pytest.mark.parametrize("text", ["=1+1", "+1", "-cmd|' /C calc'!A0", "@SUM(A1)", "\t=1"])
