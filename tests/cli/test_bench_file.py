@@ -22,7 +22,7 @@ from imucalib.calibration.findings import findings_of
 from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Limit, Outcome, Run, quality_of
 from imucalib.calibration.provenance import provenance_of
 from imucalib.cli.calibrating import Shared, calibrating, finish, shared_of
-from imucalib.cohort.batch import Entry, rows
+from imucalib.cohort.entries import Entry, rows
 from imucalib.core.effect import Context
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations

@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from imucalib import cli
-from imucalib.cohort.batch import Entry, quality_of, rows, write_table
+from imucalib.cohort.entries import Entry, quality_of, rows, write_table
 from worlds.places import SAMPLES
 
 
