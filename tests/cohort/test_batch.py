@@ -13,13 +13,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 
-from imucalib import cli
 from imucalib.calibrators.lab.simulation import BenchPlan, simulated_recording, simulated_table
-from imucalib.cohort.batch import plan, read_entry, read_manifest, run_task
+from imucalib.cohort.batch import plan, run_task
+from imucalib.cohort.entries import read_entry
+from imucalib.cohort.recordings import recordings_of
 from imucalib.errors import UnreadableInput
 from imucalib.writers import write
+from worlds.command import run
 
 ARGUMENTS = ("--reference", "norm", "--no-loop")
 
@@ -45,10 +46,6 @@ def cohort(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def _scaled(line: str) -> str:
     t, *values = line.strip().split(",")
     return ",".join([t, *(str(37.0 * float(v)) for v in values)]) + "\n"
-
-
-def run(*arguments: object) -> Result:
-    return CliRunner().invoke(cli.cli, [str(a) for a in arguments], standalone_mode=False)
 
 
 def batch(cohort: Path, out: Path, *options: str) -> dict:
@@ -115,14 +112,183 @@ def test_other_settings_or_content_are_done_again(cohort: Path, tmp_path: Path) 
     assert not run_task(other).reused
 
 
-def test_manifests(tmp_path: Path) -> None:
-    path = tmp_path / "cohort.csv"
-    path.write_text("subject,path\n7,a.csv\n8,b.csv\n")
-    assert [p.name for p in read_manifest(path)] == ["a.csv", "b.csv"]
-    for text, words in (("# none\n", "names no recording"), ("a.csv\na.csv\n", "named twice")):
+def names(*inputs: object) -> list[str]:
+    return [p.name for p in recordings_of([str(i) for i in inputs]).recordings]
+
+
+ROWS = "time,x,y,z\n" + "".join(f"{k},{0.1 * k},0.2,9.8\n" for k in range(30))
+MANIFESTS = {
+    "paths": "# the study\na.csv\nsub/b.txt\n",
+    "column": "subject,path,age\n7,a.csv,40\n8,sub/b.txt,41\n",
+    "column of Excel": "\ufeffsubject;path\r\n7;a.csv\r\n8;sub/b.txt\r\n",
+    "column, none is there": "path\nlater/a.csv\nlater/b.txt\n",
+}
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Path:
+    """Two recordings, text that is none, and every kind of manifest, in one folder."""
+    folder = tmp_path / "study"
+    (folder / "sub").mkdir(parents=True)
+    (folder / "a.csv").write_text(ROWS)
+    (folder / "sub" / "b.txt").write_text(ROWS.replace(",", "\t"))
+    (folder / "README.txt").write_text("what was worn when\n")
+    (folder / "lost.cwa").write_bytes(b"")
+    for name, text in MANIFESTS.items():
+        (folder / f"{name}.csv").write_text(text, encoding="utf-8")
+    return folder
+
+
+@pytest.mark.parametrize("name", MANIFESTS)
+def test_a_manifest_is_told_by_its_content(name: str, study: Path) -> None:
+    assert names(study / f"{name}.csv") == ["a.csv", "b.txt"]
+
+
+def test_a_recording_is_no_manifest_and_a_folder_is_walked(study: Path) -> None:
+    a, b = study / "a.csv", study / "sub" / "b.txt"
+    assert names(a, b) == ["a.csv", "b.txt"]
+    assert names(b, a, b, study / "paths.csv") == ["b.txt", "a.csv"]
+    assert names(study / "sub" / "*.txt") == names(study / "**" / "b*") == ["b.txt"]
+    # An empty file is a recording that failed; text without numbers is none.
+    found = recordings_of([str(study)])
+    assert [p.name for p in found.recordings] == ["a.csv", "lost.cwa", "b.txt"]
+    assert "README.txt" in found.said[0]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("# none\n", "names no recording"),
+        ("a.csv\na.csv\n", "named twice"),
+        ("path\n", "names no recording"),
+        ("no/where.csv\nnor/here.csv\n", r"no/where.csv.*relative to the manifest"),
+    ],
+)
+def test_what_names_nothing_is_refused(text: str, words: str, study: Path) -> None:
+    path = study / "cohort.csv"
+    path.write_text(text)
+    with pytest.raises(UnreadableInput, match=words):
+        recordings_of([str(path)])
+    for missing in (study / "no.csv", study / "no*.csv"):
+        with pytest.raises(UnreadableInput):
+            recordings_of([str(missing)])
+
+
+def test_a_bag_folder_is_one_recording(tmp_path: Path) -> None:
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    (bag / "metadata.yaml").write_text("rosbag2_bagfile_information: {}\n")
+    (bag / "bag_0.db3").write_bytes(b"x")
+    assert names(bag) == names(tmp_path) == ["bag"]
+
+
+def test_the_key_is_of_what_files_hold_and_not_of_where_they_are(tmp_path: Path) -> None:
+    def key(place: str, text: str) -> str:
+        path = tmp_path / place
+        path.parent.mkdir(exist_ok=True)
         path.write_text(text)
-        with pytest.raises(UnreadableInput, match=words):
-            read_manifest(path)
+        arguments, files = ("--mapping", str(path)), frozenset([str(path)])
+        (task,) = plan((tmp_path / "r.csv",), tmp_path, "lab", arguments, files=files)
+        return task.settings_key
+
+    assert key("one/m.yaml", "a") == key("two/n.yaml", "a") != key("one/m.yaml", "b")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stated", ["typed", "imucal.toml"])
+def test_a_file_that_takes_part_is_seen_to_change(
+    stated: str, cohort: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By a relative path, from another folder than the entries', as a worker elsewhere has it."""
+    monkeypatch.chdir(tmp_path)
+    more = ("--mapping", "own.yaml")
+    if stated == "imucal.toml":
+        Path("imucal.toml").write_text('[lab]\nmapping = "own.yaml"\n')
+        more = ()
+
+    def reused() -> int:
+        done = run("batch", cohort / "good0.csv", "-o", "there/entries", "--calibrator", "lab",
+                   "--json", "-q", "--", *ARGUMENTS, *more)  # fmt: skip
+        summary = json.loads(done.stdout)
+        assert summary["calibrated"] == 1, summary
+        return summary["reused"]
+
+    Path("own.yaml").write_text("acc_unit: m/s2\n")
+    assert (reused(), reused()) == (0, 1)
+    Path("own.yaml").write_text("acc_unit: m/s2\nrate: 50.0\n")
+    assert (reused(), reused()) == (0, 1)
+
+
+@pytest.mark.slow
+def test_an_entry_is_where_it_was_asked_for_wherever_the_worker_is(
+    cohort: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("here", "there"):
+        (tmp_path / name).mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    (task,) = plan((cohort / "empty.csv",), Path("entries"), "lab", ARGUMENTS)
+    monkeypatch.chdir(tmp_path / "there")
+    run_task(task)
+    assert len(list((tmp_path / "here" / "entries").glob("*.json"))) == 1
+    assert not list((tmp_path / "there").iterdir())
+
+
+def test_what_will_be_done_is_said_before_it_is(study: Path, tmp_path: Path) -> None:
+    done = run("batch", study / "lost.cwa", "-o", tmp_path / "out", "--", "--gravity", "9.81")
+    assert done.return_value == 3
+    first, *_ = done.stderr.splitlines()
+    assert "imucal actigraph on 1 recordings" in first
+    assert str(tmp_path / "out") in first
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--calibrator", "apply"), "use: lab, actigraph"),
+        (("--gravity", "9.8"), "behind --"),
+        (("--", "--gravty", "9.8"), "gravty"),
+        (("--", "-o", "x"), "folder of every recording"),
+    ],
+)
+def test_a_slip_is_found_before_the_first_recording(
+    words: tuple[str, ...], said: str, study: Path, tmp_path: Path
+) -> None:
+    done = run("batch", study / "a.csv", "-o", tmp_path / "out", *words)
+    assert said in str(done.exception)
+    assert getattr(done.exception, "exit_code", None) == 2
+    assert not (tmp_path / "out").exists()
+
+
+def test_several_worn_recordings_are_answered_with_the_command_of_a_study(study: Path) -> None:
+    for given in (["a.csv", "b.csv"], [study]):
+        done = run("actigraph", *given, "-o", "out", "--gravity", "9.81")
+        typed = " ".join(map(str, given))
+        assert f"imucal batch {typed} -o out -- --gravity 9.81" in str(done.exception)
+
+
+@pytest.mark.slow
+def test_entries_of_single_runs_are_collected(cohort: Path, tmp_path: Path) -> None:
+    for name in ("good0", "empty"):
+        run("lab", cohort / f"{name}.csv", *ARGUMENTS, "-q", "--entry", tmp_path / f"{name}.json")
+    run("batch", cohort / "good1.csv", "-o", tmp_path, "--calibrator", "lab", "--", *ARGUMENTS)
+    table = tmp_path / "cohort.csv"
+    assert run("collect", tmp_path, "-o", table).return_value == 0
+    found = {Path(r["recording"]).name: r["status"] for r in csv.DictReader(table.open())}
+    assert found.keys() == {"good0.csv", "good1.csv", "empty.csv"}
+    assert found["empty.csv"] == "unreadable"
+    assert found["good0.csv"] == found["good1.csv"] == "ok"
+
+
+@pytest.mark.slow
+def test_a_cluster_without_workers_says_so_and_ends(cohort: Path, tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(n_workers=0, dashboard_address=None) as cluster:
+        address = cluster.scheduler_address
+        done = run("batch", cohort / "good0.csv", "-o", tmp_path / "out", "--scheduler", address,
+                   "--wait", "1", "--calibrator", "lab", "--", *ARGUMENTS)  # fmt: skip
+    assert done.return_value == 3
+    assert f"no worker at {address}; start one: dask worker {address}" in done.stderr
+    assert not list((tmp_path / "out").glob("*"))
 
 
 @pytest.mark.slow

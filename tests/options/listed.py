@@ -18,6 +18,7 @@ NEXT = "cli/test_separate.py"
 #: Shown by a test of another room, which is run by its name.
 ELSEWHERE: dict[tuple[str, str], str] = {
     ("batch", "--scheduler"): "cohort/test_batch.py::test_a_dask_cluster_gives_the_same",
+    ("batch", "--wait"): "cohort/test_batch.py::test_a_cluster_without_workers_says_so_and_ends",
     ("check", "--limit"): f"{GOOD}::test_a_limit_that_could_not_be_seen_is_undecided_with_a_plan",
     ("check", "--noise"): f"{GOOD}::test_a_limit_that_could_not_be_seen_is_undecided_with_a_plan",
     ("check", "--history"): f"{GOOD}::test_a_history_multiplies_evidence",

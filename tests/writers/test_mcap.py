@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,6 +27,7 @@ from imucalib.writers import write
 from imucalib.writers.mcap_over import write_with_topics_of
 from worlds.mcap_logs import (
     IMU_ROS1,
+    IMU_ROS2,
     START,
     cdr,
     imu_log,
@@ -130,6 +133,66 @@ def test_read_by_rosbags(unit: str, tmp_path: Path) -> None:
     acc = np.array([(v.x, v.y, v.z) for v in vectors])
     assert same_bits(acc, made.channels["b2/acceleration"].values)
     assert [m.temperature for topic, m in found if topic == "/a/temperature"] == list(20.0 + t)
+
+
+SAMPLES = Path(__file__).parents[2] / "sample_logs"
+
+
+def by_rosbags(path: Path) -> list[tuple[str, object]]:
+    """Topic and message, of every message."""
+    with AnyReader([path]) as bag:
+        return [(c.topic, bag.deserialize(raw, c.msgtype)) for c, _, raw in bag.messages()]
+
+
+def by_the_official_reader(path: Path) -> list[tuple[str, object]]:
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        return [(c.topic, message) for _, c, _, message in reader.iter_decoded_messages()]
+
+
+READERS = [by_rosbags, by_the_official_reader]
+PARTS = {"acceleration": "linear_acceleration", "angular_rate": "angular_velocity"}
+
+
+@pytest.mark.parametrize("loaded", READERS)
+@pytest.mark.parametrize("absent", PARTS)
+@pytest.mark.parametrize("unit", ["", "counts"])
+def test_what_was_not_measured_is_said_to_be_absent(
+    loaded: Callable[[Path], list[tuple[str, Any]]], absent: str, unit: str, tmp_path: Path
+) -> None:
+    """covariance[0] = -1: "no estimate for one of the data elements" (sensor_msgs/msg/Imu)."""
+    made = recording(["a"], 50, unit=unit)
+    there = {n: c for n, c in made.channels.items() if c.quantity != absent}
+    path = tmp_path / "a.mcap"
+    write(replace(made, channels=there), path)
+    found = loaded(path)
+    assert len(found) == 50
+    for _, message in found:
+        for quantity, field in PARTS.items():
+            covariance = list(getattr(message, f"{field}_covariance"))
+            assert covariance == [-1.0 if quantity == absent else 0.0] + [0.0] * 8
+    assert_equal(replace(made, channels=there), read(path, strict=True))
+
+
+@pytest.mark.parametrize("loaded", READERS)
+@pytest.mark.parametrize("name", sorted(p.name for p in SAMPLES.glob("*.mcap")))
+def test_others_read_the_sample_logs_and_what_is_written_over_them(
+    loaded: Callable[[Path], list[tuple[str, Any]]], name: str, tmp_path: Path
+) -> None:
+    whole = read(SAMPLES / name)
+    write_with_topics_of(whole, SAMPLES / name, tmp_path / "over.mcap")
+    write(whole, tmp_path / "anew.mcap")
+    rows = sum(c.t.size for c in whole.channels.values() if c.quantity == "acceleration")
+    for path in (SAMPLES / name, tmp_path / "over.mcap", tmp_path / "anew.mcap"):
+        assert len(loaded(path)) == rows
+
+
+def test_a_definition_with_short_lines_between_types_is_mended(tmp_path: Path) -> None:
+    short = ("sensor_msgs/msg/Imu", "ros2msg", IMU_ROS2.replace("=" * 80, "===").encode())
+    rows = packed(readings(40), cdr)
+    source = write_log(tmp_path / "a.mcap", {"/imu/data": rows}, schema=short)
+    write_with_topics_of(read(source), source, tmp_path / "b.mcap")
+    assert len(by_rosbags(tmp_path / "b.mcap")) == len(rows)
 
 
 def test_messages_are_in_time_order_across_chunks(tmp_path: Path) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from imucalib.cli.calibrating import (
+    ARGUMENTS,
     calibrating,
     calibrating_of,
     finish,
@@ -22,7 +24,9 @@ if TYPE_CHECKING:
 
 
 @click.command("actigraph", cls=PagedCommand, short_help="Calibrate a worn sensor by gravity.")
-@click.argument("recording", type=click.Path(path_type=Path))
+@click.argument(
+    "recordings", metavar="RECORDING", nargs=-1, required=True, type=click.Path(path_type=Path)
+)
 @click.option("--triad", help="Which accelerometer, when the recording has several.")
 @click.option("--every", metavar="TIME", help="Calibrate parts too, for example 7d or 12h.")
 @click.option("--as-published", is_flag=True, help="The paper's own method, as it was published.")
@@ -36,7 +40,7 @@ if TYPE_CHECKING:
 @fleet_option
 @limit_option("--max-worst-error", "largest held-out error, mg.")
 @calibrating
-def command(recording: Path, **options: Any) -> int:
+def command(recordings: tuple[Path, ...], **options: Any) -> int:
     """Calibrate a worn accelerometer from days of recording: gravity in every posture at rest.
 
     RECORDING is a CSV, HDF5 or MCAP file of raw acceleration. Finds the moments at rest, fits
@@ -51,6 +55,7 @@ def command(recording: Path, **options: Any) -> int:
     """
     from imucalib.report.files import Report
 
+    recording = _one_of(recordings)
     request, mapping = request_of(options), mapping_of(options)
     if request.as_published:
         from imucalib.calibrators.actigraph.published import calibrate_as_published
@@ -65,6 +70,31 @@ def command(recording: Path, **options: Any) -> int:
     with calibrating_of(options) as say:
         run = calibrate_recording(recording, mapping, request, say)
     return finish([Report(run, actigraph_document(run))], options)
+
+
+def _one_of(recordings: tuple[Path, ...]) -> Path:
+    """The only one. Raises UsageError for several, or a folder, with the command of a study."""
+    from imucalib.errors import UsageError
+
+    first, *others = recordings
+    folder = first.is_dir() and not (first / "metadata.yaml").is_file()
+    if not others and not folder:
+        return first
+    names = {str(path) for path in recordings}
+    words = list(click.get_current_context().meta.get(ARGUMENTS, ()))[1:]
+    options = [word for word in words if word not in names]
+    place = "entries"
+    for name in ("-o", "--output"):
+        if name in options[:-1]:
+            at = options.index(name)
+            place, options = options[at + 1], options[:at] + options[at + 2 :]
+    study = ["imucal", "batch", *map(str, recordings), "-o", place]
+    typed = shlex.join([*study, *(["--", *options] if options else [])])
+    what = f"{len(recordings)} recordings" if others else "a folder"
+    raise UsageError(
+        f"it calibrates one recording; given: {what}",
+        remedy=f"for a study, each by itself: {typed}",
+    )
 
 
 def request_of(options: dict[str, Any]) -> ActigraphRequest:

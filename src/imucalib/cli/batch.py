@@ -2,26 +2,41 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Iterator
-from concurrent.futures import Executor
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from imucalib.cli.options import PagedCommand, json_option, quiet_option
 from imucalib.cli.output import emit_json, note, progress
 
+if TYPE_CHECKING:
+    from imucalib.cohort.batch import Cluster, Task
+    from imucalib.cohort.entries import Entry
 
-@click.command(
-    "batch",
-    cls=PagedCommand,
-    short_help="Calibrate a cohort, one recording a task.",
-    context_settings={"ignore_unknown_options": True},
-)
-@click.argument("manifest", type=click.Path(path_type=Path))
-@click.argument("arguments", nargs=-1, type=click.UNPROCESSED)
+#: Where the command leaves what stands behind --.
+_BEHIND = "imucal.behind"
+
+
+class BatchCommand(PagedCommand):
+    """A command whose arguments behind -- are another's."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        at = args.index("--") if "--" in args else len(args)
+        ctx.meta[_BEHIND] = tuple(args[at + 1 :])
+        try:
+            return super().parse_args(ctx, args[:at])
+        except click.NoSuchOption as error:
+            said = f"no option {error.option_name}; what is for the calibrator goes behind --"
+            raise click.UsageError(said, ctx) from None
+
+
+@click.command("batch", cls=BatchCommand, short_help="Calibrate a cohort, one recording a task.")
+@click.argument("inputs", metavar="INPUT... [-- OPTIONS]", nargs=-1, required=True)
 @click.option(
     "-o", "--output", required=True, type=click.Path(path_type=Path), help="Folder of the entries."
 )
@@ -40,54 +55,95 @@ from imucalib.cli.output import emit_json, note, progress
     "--resume/--no-resume",
     default=True,
     show_default=True,
-    help="Keep entries whose recording and settings are unchanged.",
+    help="Keep entries whose recording, files and settings are unchanged.",
 )
 @click.option("--scheduler", help="Address of a Dask scheduler to run on (extra cluster).")
+@click.option(
+    "--wait",
+    default=60.0,
+    show_default=True,
+    type=click.FloatRange(min=0.0),
+    metavar="SECONDS",
+    help="With --scheduler: how long to wait while there is no worker.",
+)
 @json_option
 @quiet_option
 def command(
-    manifest: Path,
-    arguments: tuple[str, ...],
+    inputs: tuple[str, ...],
     output: Path,
     calibrator: str,
     jobs: int,
     shard: str,
     resume: bool,
     scheduler: str | None,
+    wait: float,
     as_json: bool,
     quiet: bool,
 ) -> int:
-    """Calibrate all recordings of MANIFEST: a path a line, or a CSV with a column path.
+    """Calibrate recordings, each by itself. An INPUT is a recording, a folder, a pattern such as
+    'week*/*.cwa', or a manifest: a path a line, or a CSV with a column path.
 
-    ARGUMENTS after -- go to the calibrator. One bad file never stops the rest; a rerun does only
-    what is missing. `imucal collect` makes the table. Exit code 3 when a recording failed.
+    OPTIONS behind -- go to the calibrator. One bad file never stops the rest; a rerun does only
+    what is missing. `imucal collect` makes the table. Exit code 3 when a recording failed, or no
+    worker was left for it.
 
     \b
     Examples:
-      imucal batch cohort.txt -o entries --jobs 4 -- --gravity 9.81
+      imucal batch recordings/ -o entries --jobs 4 -- --gravity 9.81
       imucal batch cohort.txt -o entries --shard $SLURM_ARRAY_TASK_ID/50
     """
-    from imucalib.cohort.batch import plan, read_manifest, run_all
+    from imucalib.cohort.batch import plan, run_all
+    from imucalib.cohort.recordings import recordings_of
 
-    recordings = read_manifest(manifest)
-    index, slash, count = shard.partition("/")
+    behind, files = _options_of(calibrator, click.get_current_context().meta[_BEHIND])
+    found = recordings_of(inputs)
+    tasks = plan(found.recordings, output, calibrator, behind, _shard_of(shard), files)
+    entries: list[Entry] = []
+    start = time.monotonic()
+    with _workers(scheduler, wait) as cluster:
+        for line in (*found.said, _what(tasks, cluster, jobs, output, resume)):
+            note(line, quiet)
+        with progress(len(tasks), "recordings", quiet) as advance:
+            for entry in run_all(
+                tasks, cluster, jobs, resume=resume, say=lambda text: note(text, quiet)
+            ):
+                entries.append(entry)
+                advance(free=entry.reused)
+                if not entry.calibrated:
+                    note(f"{entry.recording}: {entry.error}", quiet)
+    return _summed_up(entries, time.monotonic() - start, output, as_json=as_json, quiet=quiet)
+
+
+def _shard_of(text: str) -> tuple[int, int]:
+    index, slash, count = text.partition("/")
     if not (slash and index.isdigit() and count.isdigit()):
-        raise click.BadParameter(f"'{shard}' is not I/N", param_hint="--shard")
-    tasks = plan(recordings, output, calibrator, arguments, (int(index), int(count)))
-    entries, start = [], time.monotonic()
-    with _workers(scheduler) as executor, progress(len(tasks), "recordings", quiet) as advance:
-        for entry in run_all(tasks, executor, jobs, resume=resume):
-            entries.append(entry)
-            advance()
-            if not entry.calibrated:
-                note(f"{entry.recording}: {entry.error}", quiet)
+        raise click.BadParameter(f"'{text}' is not I/N", param_hint="--shard")
+    return int(index), int(count)
+
+
+def _what(
+    tasks: tuple[Task, ...], cluster: Cluster | None, jobs: int, folder: Path, resume: bool
+) -> str:
+    """What is about to be done, before the first recording is."""
+    there = sum(os.path.exists(task.entry) for task in tasks) if resume else 0
+    where = f"by the workers of {cluster.address}" if cluster else f"{max(jobs, 1)} at a time"
+    kept = f" ({there} are there: kept where nothing has changed)" if there else ""
+    name = tasks[0].calibrator if tasks else "nothing to do"
+    return (
+        f"imucal {name} on {len(tasks)} recordings, {where}; entries in {folder.absolute()}{kept}"
+    )
+
+
+def _summed_up(
+    entries: list[Entry], seconds: float, output: Path, *, as_json: bool, quiet: bool
+) -> int:
     failed = [e for e in entries if not e.calibrated]
     summary = {
         "recordings": len(entries),
         "calibrated": len(entries) - len(failed),
         "reused": sum(e.reused for e in entries),
         "failed": [{"recording": e.recording, "error": e.error} for e in failed],
-        "seconds": round(time.monotonic() - start, 1),
+        "seconds": round(seconds, 1),
     }
     if as_json:
         emit_json(summary)
@@ -99,9 +155,56 @@ def command(
     return 3 if failed else 0
 
 
+def _options_of(calibrator: str, typed: tuple[str, ...]) -> tuple[tuple[str, ...], frozenset[str]]:
+    """The calibrator's options, those of imucal.toml first, and which of the words are files, by
+    their absolute paths.
+
+    Raises UsageError for what is no calibrator, and click's usage errors for options it lacks.
+    """
+    from imucalib.cli import COMMANDS, cli
+    from imucalib.cli.bench_file import defaults, sections, taken
+    from imucalib.cli.calibrating import calibrates
+    from imucalib.errors import UsageError
+
+    root = click.Context(cli)
+    command = cli.get_command(root, calibrator)
+    if command is None or not calibrates(command):
+        every = ((name, cli.get_command(root, name)) for name in COMMANDS)
+        names = ", ".join(name for name, one in every if one and calibrates(one))
+        raise UsageError(f"'{calibrator}' is no calibrator", remedy=f"use: {names}")
+    stated = defaults(command, sections(Path.cwd()).get(calibrator, {}))
+    context = command.make_context(calibrator, ["recording", *typed], default_map=stated)
+    if context.params["output"] is not None:
+        raise UsageError(
+            "-o behind -- would be the folder of every recording",
+            remedy="leave it out: each entry holds its recording's report",
+        )
+    return _placed(command, [*taken(context), *typed])
+
+
+def _placed(command: click.Command, words: list[str]) -> tuple[tuple[str, ...], frozenset[str]]:
+    """Options with absolute paths: a worker may stand in another folder."""
+    paths = {name for p in command.params if isinstance(p.type, click.Path) for name in p.opts}
+    out, files, before = list[str](), set[str](), ""
+    for word in words:
+        name, sign, value = word.partition("=")
+        parts = [name, value] if sign and name.startswith("--") else [word]
+        for part in parts:
+            # A board is a file or a name.
+            file = before in paths or (before.startswith("-") and os.path.isfile(part))
+            if file and not part.startswith("-"):
+                out.append(os.path.abspath(part))
+                files.add(out[-1])
+            else:
+                out.append(part)
+            before = part
+    return tuple(out), frozenset(files)
+
+
 @contextmanager
-def _workers(address: str | None) -> Iterator[Executor | None]:
-    """The executor of a Dask cluster, or None for local processes."""
+def _workers(address: str | None, patience: float) -> Iterator[Cluster | None]:
+    """A Dask cluster, or None for local processes."""
+    from imucalib.cohort.batch import Cluster
     from imucalib.errors import UsageError
 
     if address is None:
@@ -117,5 +220,12 @@ def _workers(address: str | None) -> Iterator[Executor | None]:
     except (OSError, ValueError) as error:
         said = f"--scheduler: nothing answers at {address}"
         raise UsageError(said, remedy="start it, or correct the address") from error
+
+    def workers() -> int:
+        if client.status != "running":
+            raise OSError(f"the connection to {address} is {client.status}")
+        return len(client.nthreads())  # type: ignore[no-untyped-call]
+
     with client:
-        yield client.get_executor(retries=2)  # type: ignore[no-untyped-call]
+        executor = client.get_executor(retries=2)  # type: ignore[no-untyped-call]
+        yield Cluster(executor, workers, address, patience)

@@ -45,6 +45,8 @@ if TYPE_CHECKING:
 
 #: Where the root command leaves the arguments that it was called with.
 ARGUMENTS = "imucal.arguments"
+#: Where `finish` leaves the report of what was calibrated.
+_CONTENT = "imucal.content"
 
 
 class _Limit(click.Option):
@@ -62,6 +64,11 @@ _OPTIONS = (
         "--output",
         type=click.Path(path_type=Path, file_okay=False),
         help="Folder for calibration.yaml, report.html and report.json.",
+    ),
+    click.option(
+        "--entry",
+        type=click.Path(path_type=Path, dir_okay=False),
+        help="Entry for `imucal collect`, as `imucal batch` writes it, of a failure too.",
     ),
     click.option(
         "--declare",
@@ -119,7 +126,9 @@ def calibrating(command: Command) -> Command:
             raise click.UsageError("--export needs a folder: -o")
         if options["output"] is not None and not options["force"]:
             _demand_folders(options["output"], options)
-        return command(*args, **options)
+        if options["entry"] is None:
+            return command(*args, **options)
+        return _with_entry(functools.partial(command, *args, **options), options)
 
     checked.calibrates = True  # type: ignore[attr-defined]
     whole: Any = checked
@@ -132,14 +141,53 @@ def calibrating(command: Command) -> Command:
     return found
 
 
+def _with_entry(work: Callable[[], int], options: Mapping[str, Any]) -> int:
+    """Do the work, and write what became of it as an entry of a cohort, a failure too; but not that
+    of the call itself, which says nothing about a recording."""
+    import time
+
+    from imucalib.atomic_file import demand_output
+    from imucalib.cli import told
+    from imucalib.cohort.entries import Entry, kept_of, write_entry
+    from imucalib.errors import CRASH_EXIT_CODE, ImucalError, UsageError
+
+    recordings, target, start = _inputs(options), options["entry"], time.monotonic()
+    demand_output(target, recordings, force=options["force"])
+    name = str(recordings[0].absolute())
+
+    def write(code: int, error: str, report: Mapping[str, Any] | None) -> None:
+        kept, seconds = kept_of(report) if report else None, time.monotonic() - start
+        write_entry(Entry(name, "", code, seconds, error, kept), target)
+
+    try:
+        code = work()
+    except (UsageError, click.ClickException, click.Abort):
+        raise
+    except (ImucalError, OSError) as error:
+        failure = told(error)
+        words = ". ".join(failure[key] for key in ("message", "remedy") if failure[key])
+        write(failure["exit_code"], words, None)
+        raise
+    except Exception as error:
+        write(CRASH_EXIT_CODE, f"{type(error).__name__}: {error}", None)
+        raise
+    write(code, "", click.get_current_context().meta[_CONTENT])
+    return code
+
+
+def _inputs(options: Mapping[str, Any]) -> list[Path]:
+    """The files that the arguments name."""
+    context = click.get_current_context()
+    arguments = [p.name for p in context.command.params if isinstance(p, click.Argument)]
+    named = [options[name] for name in arguments if name is not None]
+    return [Path(f) for value in named for f in (value if isinstance(value, tuple) else (value,))]
+
+
 def _demand_folders(folder: Path, options: Mapping[str, Any]) -> None:
     """Refuse, before the work, a folder that cannot be written or that holds another's results."""
     from imucalib.report.files import demand_folder
 
-    context = click.get_current_context()
-    arguments = [p.name for p in context.command.params if isinstance(p, click.Argument)]
-    named = [options[name] for name in arguments if name is not None]
-    read = [Path(f) for value in named for f in (value if isinstance(value, tuple) else (value,))]
+    read = _inputs(options)
     others = [Path(v) for v in options.values() if isinstance(v, Path)]
     for each in (None, *read) if len(read) > 1 else (None,):
         demand_folder(folder / each.stem if each else folder, [*read, *others])
@@ -228,6 +276,7 @@ def finish(
         together = replace(together, report=_gated(together.report, options["fail_on"]))
     every = [*reports, together.report] if together else reports
     codes = [report.run.outcome.exit_code for report in every]
+    click.get_current_context().meta[_CONTENT] = every[-1].content
     if options["output"] is not None:
         several = len(reports) > 1
         folders = [_folder(report, options, several) for report in reports]

@@ -28,7 +28,7 @@ def command(folder: Path, output: Path, force: bool, quiet: bool) -> int:
     Example: imucal collect entries -o cohort.csv
     """
     from imucalib.atomic_file import demand_output
-    from imucalib.cohort.batch import read_entry, rows, write_table
+    from imucalib.cohort.entries import read_entry, rows, write_table
     from imucalib.errors import UnreadableInput
 
     if not folder.is_dir():
@@ -37,8 +37,9 @@ def command(folder: Path, output: Path, force: bool, quiet: bool) -> int:
         )
     paths = sorted(folder.glob("*.json"))
     demand_output(output, paths, force=force)
-    found = [read_entry(path) for path in paths]
-    entries = tuple(entry for entry in found if entry is not None)
+    found = [read_entry(path) for path in sorted(paths, key=lambda path: path.stat().st_mtime)]
+    read = [entry for entry in found if entry is not None]
+    entries = tuple({entry.recording: entry for entry in read}.values())
     if not entries:
         raise UnreadableInput(
             "no entries of a cohort in it",
@@ -46,7 +47,10 @@ def command(folder: Path, output: Path, force: bool, quiet: bool) -> int:
             remedy="`imucal batch MANIFEST -o FOLDER` writes them",
         )
     write_table(rows(entries), output)
-    note(f"{len(found) - len(entries)} files are no entries" if None in found else "", quiet)
+    if len(read) < len(found):
+        note(f"{len(found) - len(read)} files are no entries", quiet)
+    if len(entries) < len(read):
+        note(f"{len(read) - len(entries)} entries are older ones of the same recording", quiet)
     if not quiet:
         click.echo(f"wrote {output}: {len(entries)} recordings")
     return 0

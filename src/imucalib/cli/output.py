@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from threading import Event, Thread
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import click
 
@@ -49,11 +49,17 @@ def say(text: str, *, err: bool = False) -> None:
     click.echo(safe(text), err=err)
 
 
+class Advance(Protocol):
+    """Says that one more is done; free : at no cost, so that it says nothing of the others'."""
+
+    def __call__(self, *, free: bool = False) -> None: ...
+
+
 @contextmanager
-def progress(total: int, what: str, quiet: bool) -> Iterator[Callable[[], None]]:
+def progress(total: int, what: str, quiet: bool) -> Iterator[Advance]:
     """Advance by one at each call: a bar on a terminal, else a line for every tenth part."""
     if quiet:
-        yield lambda: None
+        yield lambda *, free=False: None
     elif sys.stderr.isatty():
         from rich.console import Console
         from rich.progress import Progress, TimeRemainingColumn
@@ -61,16 +67,17 @@ def progress(total: int, what: str, quiet: bool) -> Iterator[Callable[[], None]]
         columns = (*Progress.get_default_columns()[:-1], TimeRemainingColumn())
         with Progress(*columns, console=Console(stderr=True)) as bar:
             task = bar.add_task(what, total=total)
-            yield lambda: bar.advance(task)
+            yield lambda *, free=False: bar.advance(task)
     else:
-        state = {"done": 0, "start": time.monotonic()}
+        done, paid, start = 0, 0, time.monotonic()
 
-        def advance() -> None:
-            state["done"] += 1
-            done = int(state["done"])
+        def advance(*, free: bool = False) -> None:
+            nonlocal done, paid
+            done, paid = done + 1, paid + (not free)
             if done == total or done * 10 // total > (done - 1) * 10 // total:
-                left = (time.monotonic() - state["start"]) / done * (total - done)
-                click.echo(f"{done} of {total} {what}, {left:.0f} s left", err=True)
+                each = (time.monotonic() - start) / paid if paid else 0.0
+                left = f", about {each * (total - done):.0f} s left" if paid else ""
+                click.echo(f"{done} of {total} {what}{left}", err=True)
 
         yield advance
 

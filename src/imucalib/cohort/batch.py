@@ -1,191 +1,66 @@
 """Cohorts: one recording a task, each in a process of its own, on any concurrent.futures executor.
 
 A task runs the command on one recording and writes one JSON entry, whole or not at all. The
-entry's key is the recording's content and the settings, so a rerun does only what is missing or
-has changed, and nothing that one recording does (a crash, lack of memory) reaches another.
+entry's key is the content of the recording and of every file that takes part, and the settings, so
+a rerun does only what is missing or has changed, and nothing that one recording does (a crash, lack
+of memory) reaches another.
 """
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import json
 import os
-import re
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Mapping
-from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_completed
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from imucalib.atomic_file import replaced_atomically
+from imucalib.cohort.entries import Entry, kept_of, read_entry, write_entry
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.recording.pairing import cell
-
-#: How readers begin the note that names a device.
-_DEVICE = re.compile(r"(?:ActiGraph|GENEActiv|Axivity AX\d) (?!of unknown)([\w-]+)")
-
-
-def device_of(report: Mapping[str, Any]) -> str | None:
-    """Serial number of the device, where the recording's file names it."""
-    return next((m[1] for n in report["notes"] if (m := _DEVICE.match(n))), None)
-
-
-def quality_of(report: Mapping[str, Any]) -> dict[str, Any]:
-    """Columns of one recording from its report.json; None where a report does not tell.
-
-    Hours in h, errors and standard deviations in the report's unit (mg for one sensor),
-    temperatures in °C.
-    """
-    coverage, activity = report.get("coverage", {}), report.get("activity") or {}
-    held = report["loop"]["errors"][0]["held_out"]
-    warm = coverage.get("temperature_degC") or (None, None)
-    span = coverage.get("axis_range_g")
-    worst, size = _worst(report.get("sphere", ()))
-    enmo = activity.get("enmo_mg", {}).get("all") or {}
-    return {
-        "serial": device_of(report),
-        "rate_hz": coverage.get("rate_hz"),
-        "hours_recorded": _rounded(activity.get("hours_recorded", coverage.get("hours"))),
-        "hours_worn": _rounded(activity.get("hours_worn")),
-        "gaps": report["provenance"]["gaps"],
-        "still_windows": coverage.get("still_windows"),
-        "posture_runs": coverage.get("posture_runs"),
-        "axes_seen_both_ways": _both_ways(span) if span else None,
-        "norm_sd_largest_mg": _rounded(coverage.get("norm_sd_largest_mg")),
-        "temperature_least_degC": warm[0],
-        "temperature_largest_degC": warm[1],
-        "error_before": _rounded(held["raw"]),
-        "error_after": _rounded(held["final"]),
-        "worst_direction": worst,
-        "worst_direction_error_mg": _rounded(size),
-        "enmo_before_mg": _rounded(enmo.get("raw")),
-        "enmo_after_mg": _rounded(enmo.get("corrected")),
-    }
-
-
-def _worst(cells: Any) -> tuple[str | None, float | None]:
-    """The direction with the largest held-out error of those that were seen."""
-    seen = [c for c in cells if c["held_out_mg"] is not None]
-    if not seen:
-        return None, None
-    worst = max(seen, key=lambda c: float(c["held_out_mg"]))
-    return worst["name"], worst["held_out_mg"]
-
-
-def _both_ways(span: Mapping[str, Any]) -> str:
-    """Axes that gravity has pulled by 0.5 g both ways: "xyz", or those that it has not left out."""
-    return "".join(a for a, (low, high) in span.items() if low < -0.5 and high > 0.5) or "none"
-
-
-def _rounded(value: Any) -> float | None:
-    return None if value is None else float(f"{value:.5g}")
-
-
-def write_table(rows: tuple[dict[str, Any], ...], path: Path) -> None:
-    """Write rows; columns are the union of all rows' keys, in order of first appearance.
-
-    Raises UsageError for a suffix that is neither .csv nor .parquet, or without the extra.
-    """
-    columns = list(dict.fromkeys(name for row in rows for name in row))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if path.suffix == ".parquet":
-        _parquet(rows, columns, path)
-        return
-    if path.suffix != ".csv":
-        raise UsageError(f"no table format for '{path.suffix}'", remedy="use .csv or .parquet")
-    with replaced_atomically(path) as temporary, temporary.open("w", newline="") as file:
-        writer = csv.DictWriter(file, columns, lineterminator="\n")
-        writer.writerow({name: cell(name) for name in columns})
-        writer.writerows({k: cell(v) for k, v in row.items()} for row in rows)
-
-
-def _parquet(rows: tuple[dict[str, Any], ...], columns: list[str], path: Path) -> None:
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError:
-        raise UsageError(
-            "Parquet needs pyarrow", remedy="pip install 'imucalib[parquet]', or write .csv"
-        ) from None
-    table = pyarrow.table({name: [row.get(name) for row in rows] for name in columns})
-    with replaced_atomically(path) as temporary:
-        pyarrow.parquet.write_table(table, temporary)
-
-
-#: What a recording without a report is, by the command's exit code.
-_FAILED = {3: "unreadable", 4: "undetermined"}
+from imucalib.readers import sha256_of
 
 
 @dataclass(frozen=True)
 class Task:
-    """One recording to calibrate: the command's arguments and where its entry goes."""
+    """One recording to calibrate: the command's arguments and where its entry goes.
+
+    files : those of the arguments that name a file
+    """
 
     recording: str
     entry: str
     calibrator: str
     arguments: tuple[str, ...]
+    files: frozenset[str] = frozenset()
 
     @property
     def settings_key(self) -> str:
-        """Digest of everything but the recording's content."""
+        """Digest of everything but the recording's content: of a file's, not of its place."""
         from imucalib import __version__
 
-        text = json.dumps([__version__, self.calibrator, *self.arguments])
+        words = [content_of(Path(a)) if a in self.files else a for a in self.arguments]
+        text = json.dumps([__version__, self.calibrator, *words])
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-@dataclass(frozen=True)
-class Entry:
-    """What became of one recording.
-
-    exit_code : of the command, or negative when a signal ended it; error : its message
-    report : report.json's content, None when there is none; reused : nothing had to be done
-    """
-
-    recording: str
-    key: str
-    exit_code: int
-    seconds: float
-    error: str
-    report: dict[str, Any] | None
-    reused: bool = False
-
-    @property
-    def calibrated(self) -> bool:
-        return self.report is not None
-
-
-def read_manifest(path: Path) -> tuple[Path, ...]:
-    """Recordings of a manifest: a path a line, or a CSV with a column "path"; # starts a comment.
-
-    Relative paths are relative to the manifest. Raises UnreadableInput for an unreadable or empty
-    manifest and for a recording that is named twice.
-    """
+def content_of(path: Path) -> str:
+    """Digest of a file's content, or of a folder's files and their names."""
+    if path.is_dir():
+        parts = [
+            (p.relative_to(path).as_posix(), content_of(p))
+            for p in sorted(path.rglob("*"))
+            if p.is_file()
+        ]
+        return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise UnreadableInput(
-            "no such manifest", where=str(path), remedy="write one: a recording's path a line"
-        ) from None
-    except (OSError, UnicodeDecodeError) as error:
-        why = error.strerror if isinstance(error, OSError) else "it is no text in UTF-8"
-        raise UnreadableInput(f"the manifest cannot be read: {why}", where=str(path)) from None
-    lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
-    if lines and "path" in next(csv.reader([lines[0]])):
-        names = [row["path"] for row in csv.DictReader(lines)]
-    else:
-        names = [line.strip() for line in lines]
-    found = tuple((path.parent / name).resolve() for name in names)
-    if not found:
-        raise UnreadableInput("the manifest names no recording", where=str(path))
-    twice = {str(p) for p in found if found.count(p) > 1}
-    if twice:
-        raise UnreadableInput(f"named twice: {', '.join(sorted(twice))}", where=str(path))
-    return found
+        return sha256_of(path)
+    except UnreadableInput:
+        return "unreadable"
 
 
 def plan(
@@ -194,8 +69,12 @@ def plan(
     calibrator: str,
     arguments: tuple[str, ...],
     shard: tuple[int, int] = (1, 1),
+    files: frozenset[str] = frozenset(),
 ) -> tuple[Task, ...]:
-    """The tasks of one shard (i of n, from 1). Raises UsageError for an impossible shard."""
+    """The tasks of one shard (i of n, from 1). Raises UsageError for an impossible shard.
+
+    folder : of the entries, made absolute: a worker elsewhere stands in another one
+    """
     index, count = shard
     if not 1 <= index <= count:
         raise UsageError(f"shard {index}/{count} does not exist", remedy="give i/n, i from 1 to n")
@@ -203,19 +82,22 @@ def plan(
     for path in recordings[index - 1 :: count]:
         # Two folders may hold files of the same name: the path makes the entry's name unique.
         digest = hashlib.sha256(str(path).encode()).hexdigest()[:8]
-        entry = folder / f"{path.name}.{digest}.json"
-        tasks.append(Task(str(path), str(entry), calibrator, arguments))
+        entry = folder.absolute() / f"{path.name}.{digest}.json"
+        tasks.append(Task(str(path), str(entry), calibrator, arguments, files))
     return tuple(tasks)
 
 
 def run_task(task: Task, *, resume: bool = True) -> Entry:
     """Calibrate one recording in a process of its own and write its entry. Never raises for it."""
-    key = f"{_digest(task.recording)}-{task.settings_key}"
-    if resume and (known := read_entry(Path(task.entry))) is not None and known.key == key:
+    key = f"{content_of(Path(task.recording))}-{task.settings_key}"
+    known = read_entry(Path(task.entry)) if resume else None
+    # What a signal ended (lack of memory, Ctrl-C) says nothing about the recording.
+    if known is not None and known.key == key and known.exit_code >= 0:
         return Entry(**{**asdict(known), "reused": True})
     command = [sys.executable, "-m", "imucalib", task.calibrator, task.recording]
     threads = dict.fromkeys(("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"), "1")
     start = time.monotonic()
+    Path(task.entry).parent.mkdir(parents=True, exist_ok=True)
     done = subprocess.run(
         [*command, *task.arguments, "--json", "--quiet"],
         capture_output=True,
@@ -223,13 +105,12 @@ def run_task(task: Task, *, resume: bool = True) -> Entry:
         check=False,
         env={**os.environ, **threads},
         stdin=subprocess.DEVNULL,
+        cwd=Path(task.entry).parent,  # no imucal.toml but the caller's, which is in the arguments
     )
     report, error = _told(done.stdout)
     error = error or ("" if report else done.stderr.strip() or f"ended by {done.returncode}")
     entry = Entry(task.recording, key, done.returncode, time.monotonic() - start, error, report)
-    Path(task.entry).parent.mkdir(parents=True, exist_ok=True)
-    with replaced_atomically(task.entry) as temporary:
-        temporary.write_text(json.dumps(asdict(entry), allow_nan=False) + "\n", encoding="utf-8")
+    write_entry(entry, Path(task.entry))
     return entry
 
 
@@ -240,103 +121,104 @@ def _told(stdout: str) -> tuple[dict[str, Any] | None, str]:
     except ValueError:
         return None, ""
     if "error" not in content:
-        content.pop("figures", None)  # most of a report's length, and no part of a table
-        return content, ""
+        return kept_of(content), ""
     failure = content["error"]
     return None, ". ".join(failure[key] for key in ("message", "remedy") if failure[key])
 
 
-def read_entry(path: Path) -> Entry | None:
-    """An entry from its file; None when there is none or it is no entry."""
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        return Entry(**content)
-    except (OSError, ValueError, TypeError):
-        return None
+@dataclass(frozen=True)
+class Cluster:
+    """Workers elsewhere.
+
+    executor : where tasks are run; workers : how many there are, which may raise OSError
+    address : of their scheduler; patience : s that a run without a worker waits for one
+    """
+
+    executor: Executor
+    workers: Callable[[], int]
+    address: str
+    patience: float
 
 
 def run_all(
-    tasks: tuple[Task, ...], executor: Executor | None, jobs: int, *, resume: bool
+    tasks: tuple[Task, ...],
+    cluster: Cluster | None,
+    jobs: int,
+    *,
+    resume: bool,
+    say: Callable[[str], None],
 ) -> Iterator[Entry]:
     """Run tasks as they come, yielding each entry when it is done.
 
-    executor : where to run; None for `jobs` local processes at a time
+    cluster : where to run; None for `jobs` local processes at a time; say : is given a line where
+    no worker is there. What no worker was left for ends as an entry that is not written.
     """
-    if executor is not None:
-        yield from _collected(executor, tasks, resume)
+    if cluster is not None:
+        yield from _collected(cluster.executor, tasks, resume, _Watch(cluster, say))
         return
     with ThreadPoolExecutor(max(jobs, 1)) as pool:  # each thread waits for one process
-        yield from _collected(pool, tasks, resume)
+        try:
+            yield from _collected(pool, tasks, resume, None)
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)  # else a stopped run does all the rest
+            raise
 
 
-def _collected(executor: Executor, tasks: tuple[Task, ...], resume: bool) -> Iterator[Entry]:
+#: s between two looks at the workers.
+_LOOK = 2.0
+
+
+class _Watch:
+    """Whether there is a worker, and for how long there has been none."""
+
+    def __init__(self, cluster: Cluster, say: Callable[[str], None]) -> None:
+        self._cluster, self._say = cluster, say
+        self._alone: float | None = None
+
+    def given_up(self) -> str:
+        """Why nothing more will come, or empty."""
+        known = self._cluster
+        try:
+            count, lost, start = known.workers(), "no worker", f"dask worker {known.address}"
+        except OSError:
+            count, lost, start = 0, "no scheduler", "dask scheduler"
+        if count:
+            self._alone = None
+            return ""
+        if self._alone is None:
+            self._alone = time.monotonic()
+            wait = f"waits {known.patience:g} s: --wait"
+            self._say(f"{lost} at {known.address}; start one: {start} ({wait})")
+        if time.monotonic() - self._alone < known.patience:
+            return ""
+        return f"{lost} was left at {known.address}. Start one and run the same command again"
+
+
+def _collected(
+    executor: Executor, tasks: tuple[Task, ...], resume: bool, watch: _Watch | None
+) -> Iterator[Entry]:
     futures: dict[Future[Entry], Task] = {
         executor.submit(run_task, task, resume=resume): task for task in tasks
     }
-    for future in as_completed(futures):
-        failure = future.exception()
-        if failure is None:
-            yield future.result()
-        else:  # a worker that died with its task: the entry is missing, a rerun does it again
-            yield Entry(
-                futures[future].recording, "", 3, 0.0, f"the worker failed: {failure}", None
-            )
+    left = set(futures)
+    while left:
+        done, left = wait(left, _LOOK if watch else None, FIRST_COMPLETED)
+        for future in done:
+            yield _ended(future, futures[future])
+        if watch and left and (why := watch.given_up()):
+            for future in left:
+                future.cancel()
+                yield _lost(futures[future], why)
+            return
 
 
-def _digest(path: str) -> str:
-    try:
-        with open(path, "rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError:
-        return "unreadable"
+def _ended(future: Future[Entry], task: Task) -> Entry:
+    if future.cancelled():
+        return _lost(task, "the scheduler dropped it. Run the same command again")
+    failure = future.exception()
+    return future.result() if failure is None else _lost(task, f"the worker failed: {failure}")
 
 
-def rows(entries: tuple[Entry, ...]) -> tuple[dict[str, Any], ...]:
-    """One flat row a recording: status, quality, errors before and after, parameters with sd."""
-    table = []
-    for entry in sorted(entries, key=lambda e: e.recording):
-        row: dict[str, Any] = {
-            "recording": entry.recording,
-            "exit_code": entry.exit_code,
-            "status": entry.report["status"]
-            if entry.report
-            else _FAILED.get(entry.exit_code, "failed"),
-            "verdict": entry.report["loop"]["verdict"] if entry.report else None,
-            "what_to_do": _next(entry),
-            "reasons": "; ".join(entry.report["reasons"]) if entry.report else entry.error,
-        }
-        if entry.report:
-            row |= quality_of(entry.report) | _numbers(entry.report)
-        table.append(row)
-    return tuple(table)
-
-
-def _next(entry: Entry) -> str:
-    """The first step that the report advises, or how to mend what failed."""
-    if entry.report is None:
-        return entry.error.rpartition(". ")[2]
-    card = entry.report.get("card")
-    steps = card["to_do"] if card else entry.report["loop"]["advice"]
-    return str(steps[0]) if steps else ""
-
-
-def _numbers(report: Mapping[str, Any]) -> dict[str, Any]:
-    error = report["loop"]["errors"][0]
-    found: dict[str, Any] = {
-        "sha256": report["provenance"]["sha256"],
-        "samples": report["provenance"]["samples"],
-        "effects_added": " ".join(s["effect"] for s in report["loop"]["steps"]),
-        "error_unit": error["unit"],
-        "error_raw": error["raw"],
-        "error_base": error["base"],
-        "error_final": error["final"],
-        "held_out_base": error["held_out"]["base"],
-        "held_out_final": error["held_out"]["final"],
-    }
-    found |= {
-        k: v for k, v in report.get("recording", {}).items() if isinstance(v, int | float | str)
-    }
-    for parameter in report["parameters"]:
-        found[parameter["name"]] = parameter["value"]
-        found[f"{parameter['name']}_sd"] = parameter["sd"]
-    return found
+def _lost(task: Task, why: str) -> Entry:
+    """Of a worker that died with its task: no entry is written, a rerun does it again."""
+    return Entry(task.recording, "", UnreadableInput.exit_code, 0.0, why, None)

@@ -16,7 +16,12 @@ import imucalib
 from imucalib.arrays import Array
 from imucalib.errors import UsageError
 from imucalib.readers.messages import records as mr
-from imucalib.readers.messages.layout import ACCEL_ROS2, IMU_ROS2, TEMPERATURE_ROS2
+from imucalib.readers.messages.layout import (
+    ACCEL_ROS2,
+    IMU_ROS2,
+    TEMPERATURE_ROS2,
+    whole_definition,
+)
 from imucalib.readers.messages.records import MAGIC, MESSAGE, RECORD_HEADER, Topic
 from imucalib.readers.messages.select import (
     META_ACC_UNIT,
@@ -37,6 +42,8 @@ SCHEMAS = {
     3: ("sensor_msgs/msg/Temperature", TEMPERATURE_ROS2),
     4: ("geometry_msgs/msg/AccelWithCovarianceStamped", ACCEL_ROS2),
 }
+#: What stands first in the covariance of a quantity without an estimate (sensor_msgs/msg/Imu).
+_NOT_MEASURED = -1.0
 _IMU: dict[str, tuple[object, int]] = {
     "no_orientation": ("<f8", 32),
     "angular_rate": (("<f8", (3,)), 104),
@@ -91,9 +98,17 @@ class Output:
         out["frame_length"], out["frame"] = len(self.frame), np.void(self.frame)
         for name, values in self.values:
             out[name] = values[rows]
-        if "no_orientation" in (out.dtype.names or ()):
-            out["no_orientation"] = -1.0  # what the message defines for "not estimated"
+        for name in self._absent():
+            out[name].reshape(ns.size, -1)[:, 0] = _NOT_MEASURED
         return out
+
+    def _absent(self) -> Iterator[str]:
+        """The covariances of what the message has a place for and the topic has not."""
+        given = {name for name, _ in self.values}
+        for name in self.dtype.names or ():
+            quantity = name.removesuffix(_DOUBTED)
+            if name == "no_orientation" or (quantity != name and not {name, quantity} & given):
+                yield name
 
 
 def record_type(frame: int, schema: int) -> np.dtype[np.void]:
@@ -553,7 +568,9 @@ def outputs_beside(
 def define(file: McapFile, outputs: list[Output], kept: dict[int, Topic], base: int) -> None:
     for topic in kept.values():
         if topic.schema:
-            file.schema(*topic.schema)
+            known = topic.schema
+            data = whole_definition(known.data, known.encoding)
+            file.schema(known.id, known.name, known.encoding, data)
     for number in sorted({output.schema for output in outputs}):
         name, text = SCHEMAS[number]
         file.schema(base + number, name, "ros2msg", text.encode())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from collections.abc import Callable
 from typing import Any
@@ -135,6 +136,19 @@ def _exported(without: Outcome, done: Outcome, bench: Bench) -> None:
     assert done.text(name) == printed.stdout
 
 
+def _collected(without: Outcome, done: Outcome, bench: Bench) -> None:
+    """The entry is a row of a table as one that batch has written."""
+    assert done.code == without.code
+    assert set(done.files) == {"entry.json"}
+    table = done.folder / "table.csv"
+    assert bench.run(("collect", str(done.folder), "-o", str(table))).code == 0
+    with table.open(newline="") as file:
+        (row,) = csv.DictReader(file)
+    assert row["status"] == done.content["status"]
+    first = done.content["parameters"][0]
+    assert float(row[first["name"]]) == first["value"]
+
+
 def _longer(without: Outcome, done: Outcome, bench: Bench) -> None:
     lines = without.stdout.splitlines()
     assert len(lines) <= 60 < len(done.stdout.splitlines())
@@ -241,6 +255,7 @@ def _of(name: str) -> tuple[Case, ...]:
         of("--latitude 46.3", _stronger(normal_gravity(46.3, 0.0))),
         of("--height 3000", _as_at(high), *plain, "--latitude", "46.3"),
         of("--output <out>", _stored),
+        of("--entry <out>/entry.json", _collected, *plain, "--json"),
         of("--export c-header", _exported, *plain, "-o", "<out>"),
         of(f"--declare {first}", _named(first)),
         of(f"--only {second}", _searches({second}, {first}), *_without_only(search)),

@@ -121,6 +121,14 @@ def parse_definition(name: str, text: str, ros1: bool) -> Definition:
     return Definition(root, types, ros1)
 
 
+def whole_definition(text: bytes, encoding: str) -> bytes:
+    """A concatenated ROS definition as other readers split it: at lines of 80 signs of equality
+    (MCAP specification, appendix "ros1msg" and "ros2msg"); another encoding as it is."""
+    if encoding not in ("ros1msg", "ros2msg"):
+        return text
+    return re.sub(rb"^={3,}(?=\r?$)", _NEXT.encode(), text, flags=re.MULTILINE)
+
+
 def _member(line: str, owner: str) -> list[Member]:
     match = _FIELD.match(line)
     if not match:

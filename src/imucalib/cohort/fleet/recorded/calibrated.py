@@ -16,7 +16,7 @@ from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.file import check, read
 from imucalib.calibration.provenance import Provenance
 from imucalib.calibration.triads import triad_from
-from imucalib.cohort.batch import device_of
+from imucalib.cohort.entries import device_of
 from imucalib.errors import ImucalError, UnreadableInput
 from imucalib.loop.sums import Sums
 from imucalib.units import MG

@@ -1,0 +1,202 @@
+"""Entries: what became of each recording of a cohort, as files, and the table of all."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from imucalib.atomic_file import replaced_atomically
+from imucalib.errors import UsageError
+from imucalib.recording.pairing import cell
+
+#: What a recording without a report is, by the command's exit code.
+_FAILED = {3: "unreadable", 4: "undetermined"}
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What became of one recording.
+
+    exit_code : of the command, or negative when a signal ended it; error : its message
+    report : report.json's content, None when there is none; reused : nothing had to be done
+    """
+
+    recording: str
+    key: str
+    exit_code: int
+    seconds: float
+    error: str
+    report: dict[str, Any] | None
+    reused: bool = False
+
+    @property
+    def calibrated(self) -> bool:
+        return self.report is not None
+
+
+def read_entry(path: Path) -> Entry | None:
+    """An entry from its file; None when there is none or it is no entry."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        return Entry(**content)
+    except (OSError, ValueError, TypeError):
+        return None
+
+
+def write_entry(entry: Entry, path: Path) -> None:
+    """Write an entry, whole or not at all; its folder is made where it is missing."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replaced_atomically(path) as temporary:
+        temporary.write_text(json.dumps(asdict(entry), allow_nan=False) + "\n", encoding="utf-8")
+
+
+def kept_of(report: Mapping[str, Any]) -> dict[str, Any]:
+    """What an entry keeps of a report: all but the figures, most of its length and in no table."""
+    return {name: block for name, block in report.items() if name != "figures"}
+
+
+def rows(entries: tuple[Entry, ...]) -> tuple[dict[str, Any], ...]:
+    """One flat row a recording: status, quality, errors before and after, parameters with sd."""
+    table = []
+    for entry in sorted(entries, key=lambda e: e.recording):
+        row: dict[str, Any] = {
+            "recording": entry.recording,
+            "exit_code": entry.exit_code,
+            "status": entry.report["status"]
+            if entry.report
+            else _FAILED.get(entry.exit_code, "failed"),
+            "verdict": entry.report["loop"]["verdict"] if entry.report else None,
+            "what_to_do": _next(entry),
+            "reasons": "; ".join(entry.report["reasons"]) if entry.report else entry.error,
+        }
+        if entry.report:
+            row |= quality_of(entry.report) | _numbers(entry.report)
+        table.append(row)
+    return tuple(table)
+
+
+def _next(entry: Entry) -> str:
+    """The first step that the report advises, or how to mend what failed."""
+    if entry.report is None:
+        return entry.error.rpartition(". ")[2]
+    card = entry.report.get("card")
+    steps = card["to_do"] if card else entry.report["loop"]["advice"]
+    return str(steps[0]) if steps else ""
+
+
+def _numbers(report: Mapping[str, Any]) -> dict[str, Any]:
+    error = report["loop"]["errors"][0]
+    found: dict[str, Any] = {
+        "sha256": report["provenance"]["sha256"],
+        "samples": report["provenance"]["samples"],
+        "effects_added": " ".join(s["effect"] for s in report["loop"]["steps"]),
+        "error_unit": error["unit"],
+        "error_raw": error["raw"],
+        "error_base": error["base"],
+        "error_final": error["final"],
+        "held_out_base": error["held_out"]["base"],
+        "held_out_final": error["held_out"]["final"],
+    }
+    found |= {
+        k: v for k, v in report.get("recording", {}).items() if isinstance(v, int | float | str)
+    }
+    for parameter in report["parameters"]:
+        found[parameter["name"]] = parameter["value"]
+        found[f"{parameter['name']}_sd"] = parameter["sd"]
+    return found
+
+
+#: How readers begin the note that names a device.
+_DEVICE = re.compile(r"(?:ActiGraph|GENEActiv|Axivity AX\d) (?!of unknown)([\w-]+)")
+
+
+def device_of(report: Mapping[str, Any]) -> str | None:
+    """Serial number of the device, where the recording's file names it."""
+    return next((m[1] for n in report["notes"] if (m := _DEVICE.match(n))), None)
+
+
+def quality_of(report: Mapping[str, Any]) -> dict[str, Any]:
+    """Columns of one recording from its report.json; None where a report does not tell.
+
+    Hours in h, errors and standard deviations in the report's unit (mg for one sensor),
+    temperatures in °C.
+    """
+    coverage, activity = report.get("coverage", {}), report.get("activity") or {}
+    held = report["loop"]["errors"][0]["held_out"]
+    warm = coverage.get("temperature_degC") or (None, None)
+    span = coverage.get("axis_range_g")
+    worst, size = _worst(report.get("sphere", ()))
+    enmo = activity.get("enmo_mg", {}).get("all") or {}
+    return {
+        "serial": device_of(report),
+        "rate_hz": coverage.get("rate_hz"),
+        "hours_recorded": _rounded(activity.get("hours_recorded", coverage.get("hours"))),
+        "hours_worn": _rounded(activity.get("hours_worn")),
+        "gaps": report["provenance"]["gaps"],
+        "still_windows": coverage.get("still_windows"),
+        "posture_runs": coverage.get("posture_runs"),
+        "axes_seen_both_ways": _both_ways(span) if span else None,
+        "norm_sd_largest_mg": _rounded(coverage.get("norm_sd_largest_mg")),
+        "temperature_least_degC": warm[0],
+        "temperature_largest_degC": warm[1],
+        "error_before": _rounded(held["raw"]),
+        "error_after": _rounded(held["final"]),
+        "worst_direction": worst,
+        "worst_direction_error_mg": _rounded(size),
+        "enmo_before_mg": _rounded(enmo.get("raw")),
+        "enmo_after_mg": _rounded(enmo.get("corrected")),
+    }
+
+
+def _worst(cells: Any) -> tuple[str | None, float | None]:
+    """The direction with the largest held-out error of those that were seen."""
+    seen = [c for c in cells if c["held_out_mg"] is not None]
+    if not seen:
+        return None, None
+    worst = max(seen, key=lambda c: float(c["held_out_mg"]))
+    return worst["name"], worst["held_out_mg"]
+
+
+def _both_ways(span: Mapping[str, Any]) -> str:
+    """Axes that gravity has pulled by 0.5 g both ways: "xyz", or those that it has not left out."""
+    return "".join(a for a, (low, high) in span.items() if low < -0.5 and high > 0.5) or "none"
+
+
+def _rounded(value: Any) -> float | None:
+    return None if value is None else float(f"{value:.5g}")
+
+
+def write_table(rows: tuple[dict[str, Any], ...], path: Path) -> None:
+    """Write rows; columns are the union of all rows' keys, in order of first appearance.
+
+    Raises UsageError for a suffix that is neither .csv nor .parquet, or without the extra.
+    """
+    columns = list(dict.fromkeys(name for row in rows for name in row))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.suffix == ".parquet":
+        _parquet(rows, columns, path)
+        return
+    if path.suffix != ".csv":
+        raise UsageError(f"no table format for '{path.suffix}'", remedy="use .csv or .parquet")
+    with replaced_atomically(path) as temporary, temporary.open("w", newline="") as file:
+        writer = csv.DictWriter(file, columns, lineterminator="\n")
+        writer.writerow({name: cell(name) for name in columns})
+        writer.writerows({k: cell(v) for k, v in row.items()} for row in rows)
+
+
+def _parquet(rows: tuple[dict[str, Any], ...], columns: list[str], path: Path) -> None:
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        raise UsageError(
+            "Parquet needs pyarrow", remedy="pip install 'imucalib[parquet]', or write .csv"
+        ) from None
+    table = pyarrow.table({name: [row.get(name) for row in rows] for name in columns})
+    with replaced_atomically(path) as temporary:
+        pyarrow.parquet.write_table(table, temporary)
