@@ -222,6 +222,11 @@ def read_position_table(
     )
 
 
+def roles_in(path: Path, mapping: FieldMapping) -> set[str]:
+    """What the columns of a file are, by their headings. Errors as in `read_position_table`."""
+    return set(roles_of(list(_cells_of(path, mapping, ()).columns), {}, str(path)))
+
+
 def _cells_of(path: Path, mapping: FieldMapping, exclude: Collection[int]) -> Cells:
     if not path.is_file():
         raise UnreadableInput("no such file", where=str(path), remedy="check the path")
