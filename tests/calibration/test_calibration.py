@@ -1,4 +1,4 @@
-"""Calibrations: what is written is what is read, applied and believed."""
+"""Calibrations: what is written is what is read, applied and believed; and what a run ends with."""
 
 from __future__ import annotations
 
@@ -17,12 +17,16 @@ from ruamel.yaml import YAML
 
 from imucalib.calibration.calibration import Calibration, StoredParameter, from_fit
 from imucalib.calibration.file import as_dict, check, from_dict, read, to_yaml, write
+from imucalib.calibration.findings import Findings
+from imucalib.calibration.outcome import ErrorSummary, Gate, HeldOutError, Outcome, open_question
+from imucalib.calibration.provenance import provenance_of
 from imucalib.core.effect import Context
 from imucalib.core.fit import Fit
 from imucalib.effects import named
 from imucalib.effects.record_error import record_error
 from imucalib.errors import NotConverged, UnreadableInput
 from imucalib.estimators.least_squares import fit as fit_model
+from imucalib.loop.found import Unexplained
 from imucalib.recording.yaml_text import dump
 from worlds.bench import GRAVITY, base_model, bench, draw, ordinary_theta
 
@@ -223,3 +227,49 @@ def test_an_interrupted_write_leaves_nothing(
     assert [p.name for p in tmp_path.iterdir()] == ([path.name] if before else [])
     if before:
         assert path.read_text() == before
+
+
+ERROR = ErrorSummary("error, rms", "mg", 9.0, 3.0, 1.0, 0.5, HeldOutError(9.0, 3.0, 2.0))
+
+
+NAMELESS = Unexplained("slow changes", "order", "probe", 0.99, 9.0)
+
+
+def outcome(findings: Findings, size: float = 0.0) -> Outcome:
+    made = provenance_of(path="t", sha256="", samples=3, mapping={}, settings={})
+    left = (open_question(size, ERROR),) if size else ()
+    return Outcome("lab", (ERROR,), made, findings, left=left)
+
+
+@pytest.mark.parametrize(("size", "code"), [(1.9, 0), (2.1, 5)])
+def test_an_open_question_counts_where_it_is_larger_than_what_the_result_is_good_to(
+    size: float, code: int
+) -> None:
+    found = outcome(Findings("unexplained", unexplained=(NAMELESS,)), size)
+    assert found.exit_code == code
+    assert found.status == ("marginal" if code else "ok")
+    assert ("more than" in found.left[0].sentence) == (code == 5)
+
+
+@pytest.mark.parametrize(
+    ("findings", "gates"),
+    [
+        (Findings("nothing missing"), set()),
+        (Findings("explained"), set()),
+        (Findings("suspected"), {"suspected", "unexplained", "caution"}),
+        (Findings("unexplained", unexplained=(NAMELESS,)), {"unexplained", "caution"}),
+    ],
+)
+def test_gates_are_stricter(findings: Findings, gates: set[Gate]) -> None:
+    found = outcome(findings)
+    assert found.exit_code == 0
+    for gate in ("suspected", "unexplained", "caution"):
+        strict = replace(found, fail_on=gate)  # type: ignore[arg-type]
+        assert strict.exit_code == (5 if gate in gates else 0)
+
+
+def test_what_the_headline_warns_of_may_be_gated() -> None:
+    warned = replace(outcome(Findings("explained")), reasons=("few attitudes",))
+    assert warned.exit_code == 0
+    assert replace(warned, fail_on="suspected").exit_code == 0
+    assert replace(warned, fail_on="caution").exit_code == 5

@@ -143,8 +143,7 @@ def test_a_calibration_that_is_no_number_is_refused(
         read(path)
 
 
-@pytest.mark.parametrize("rows", [1, 2])
-@pytest.mark.parametrize("reference", ["angles", "norm"])
+@pytest.mark.parametrize(("rows", "reference"), [(1, "angles"), (2, "norm")])
 def test_a_table_of_few_rows_asks_for_more(rows: int, reference: str, tmp_path: Path) -> None:
     path = tmp_path / "few.csv"
     lines = ["inclination,tool_face,x,y,z", "0,0,0.1,9.8,0.0", "90,0,9.8,0.1,0.1"]

@@ -1,7 +1,9 @@
-"""What commands write: inputs survive, other files too, corrected recordings say that they are."""
+"""What commands write: inputs survive, names are harmless."""
 
 from __future__ import annotations
 
+import csv
+import json
 import os
 import signal
 import subprocess
@@ -10,6 +12,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
@@ -20,9 +23,11 @@ from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.file import write as write_calibration
 from imucalib.calibration.file import write_together
 from imucalib.cli import cli
+from imucalib.cli import cli as root
 from imucalib.errors import UsageError
 from imucalib.readers import sha256_of
 from imucalib.recording.recording import Channel, Recording
+from worlds.mcap_logs import START, cdr, packed, readings, write_log
 from worlds.places import ROOT
 
 FORMATS = pytest.mark.parametrize("suffix", [".csv", ".h5", ".mcap"])
@@ -225,3 +230,128 @@ def test_files_of_one_run_appear_together_or_not_at_all(tmp_path: Path) -> None:
     blocked.rmdir()
     write_together({kept: "after", new: "after", blocked: "after"})
     assert {p.read_text() for p in tmp_path.iterdir()} == {"after"}
+
+
+N = 2000
+
+
+EVIL = "\x1b]0;owned\x07\x1b[2J\u009b31m\u202e"
+
+
+STEERING = ["\x1b", "\x07", "\u009b", "\u202e", "\x7f"]
+
+
+def values() -> np.ndarray:
+    return np.array([0, 0, 9.8]) + np.random.default_rng(0).normal(0, 0.02, (N, 3))
+
+
+def mcap(folder: Path, *, imu: bool = True) -> Path:
+    topics = {f"/imu{EVIL}/data": packed(readings(N), cdr)}
+    if imu:
+        return write_log(folder / "a.mcap", topics)
+    schema = ("std_msgs/msg/String", "ros2msg", b"string data")
+    return write_log(folder / "a.mcap", {f"/{EVIL}": [(START, bytes(12))]}, schema=schema)
+
+
+def text(folder: Path) -> Path:
+    head = ",".join(["time [s]", *(f"acc{EVIL} {a} [g]" for a in "xyz"), f"other{EVIL}"])
+    rows = [f"{k / 100:.2f},0.001,0.002,{0.99 + 0.01 * (k % 3):.3f},1" for k in range(N)]
+    (folder / "a.csv").write_text("\n".join([head, *rows]) + "\n")
+    return folder / "a.csv"
+
+
+def hdf5(folder: Path, unit: str = f"furlong{EVIL}") -> Path:
+    with h5py.File(folder / "a.h5", "w") as file:
+        file[f"s{EVIL}/acc"] = values()
+        file[f"s{EVIL}/acc"].attrs["units"] = unit
+        file[f"s{EVIL}"].attrs["rate"] = 100.0
+    return folder / "a.h5"
+
+
+def run(*arguments: object) -> str:
+    command = [sys.executable, "-m", "imucalib", *map(str, arguments)]
+    found = subprocess.run(command, check=False, capture_output=True, timeout=120)
+    return (found.stdout + found.stderr).decode("utf-8")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "make",
+    [
+        mcap,
+        lambda folder: mcap(folder, imu=False),
+        text,
+        hdf5,
+        lambda folder: hdf5(folder, "m/s2"),
+    ],
+    ids=["mcap", "no imu", "csv", "hdf5 unit", "hdf5"],
+)
+def test_no_name_steers_the_terminal(make: object, tmp_path: Path) -> None:
+    path = make(tmp_path)  # type: ignore[operator]
+    for arguments in (
+        ("inspect", path),
+        ("inspect", path, "--json"),
+        ("inspect", path, "--acc", "none"),
+        ("convert", path, tmp_path / "b.csv"),
+        ("convert", path, tmp_path / "b.h5", "--json"),
+    ):
+        told = run(*arguments)
+        assert told
+        assert not [c for c in STEERING if c in told], (arguments, told)
+
+
+@pytest.mark.slow
+def test_json_keeps_the_name_itself(tmp_path: Path) -> None:
+    told = json.loads(run("inspect", hdf5(tmp_path, "m/s2"), "--json", "--quiet"))
+    assert EVIL in told["channels"][0]["name"]
+
+
+@pytest.mark.parametrize(
+    "name", ["=1+1", "+1", "-1", "@sum", "a,b", 'a"b', " =1", "a\n=1", "a\r=1"]
+)
+def test_a_written_table_holds_no_formula(name: str, tmp_path: Path) -> None:
+    channel = Channel(np.arange(N) / 100.0, values(), "m/s2", "acceleration", name, 100.0)
+    path = tmp_path / "a.csv"
+    writers.write(Recording({f"{name}/acceleration": channel}, "", "", ""), path)
+    with path.open(newline="", encoding="utf-8") as file:
+        rows = list(csv.reader(file))
+    assert len(rows[1]) == 4
+    assert len(rows) == N + 2
+    assert not [c for row in rows[:2] for c in row if c.lstrip()[:1] in tuple("=+-@")]
+    (back,) = readers.read(path).channels.values()
+    np.testing.assert_array_equal(back.values, channel.values)
+
+
+G = 9.80665
+
+
+def exports_run(*arguments: object) -> Result:
+    return CliRunner().invoke(root, [str(a) for a in arguments], standalone_mode=False)
+
+
+def skewed(path: Path) -> Path:
+    """Norms of a sensor whose axes are 3° off square, in g, with hardly any noise."""
+    rng = np.random.default_rng(4)
+    force = rng.normal(size=(30, 3))
+    force /= np.linalg.norm(force, axis=1, keepdims=True)
+    reading = force @ np.array([[1, 0, 0], [0.05, 1, 0], [0, 0.05, 1.0]]).T
+    reading += 1e-5 * rng.normal(size=reading.shape)
+    rows = "\n".join(",".join(f"{v:.7f}" for v in row) for row in reading)
+    path.write_text(f"ax_g,ay_g,az_g\n{rows}\n")
+    return path
+
+
+def test_a_form_that_loses_too_much_is_left_out_and_the_rest_is_written(tmp_path: Path) -> None:
+    table, out = skewed(tmp_path / "norms.csv"), tmp_path / "out"
+    usual = ("lab", table, "--reference", "norm", "--no-loop", "-q", "--export", "c-header")
+    result = exports_run(*usual, "--export", "px4", "-o", out)
+    assert result.exception is None, result.exception
+    assert result.return_value == 1
+    assert "error: px4 loses" in result.stderr
+    assert "--force" in result.stderr
+    assert {p.name for p in out.iterdir()} == {
+        "calibration.yaml", "report.html", "report.json", "imucal_calibration.h"
+    }  # fmt: skip
+    forced = exports_run(*usual, "--export", "px4", "-o", out, "--force")
+    assert forced.return_value == 0
+    assert (out / "imucal_px4.params").read_text().count("\tCAL_ACC0_") == 6

@@ -8,15 +8,10 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 
-from imucalib.cli import cli
+from worlds.command import run
 
 RATE, G = 100.0, 9.80665
-
-
-def run(*arguments: object) -> Result:
-    return CliRunner().invoke(cli, [str(a) for a in arguments], standalone_mode=False)
 
 
 def written(path: Path, values: np.ndarray) -> Path:

@@ -9,20 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 
-from imucalib import cli
-from imucalib.errors import ImucalError, UnreadableInput
+from imucalib.errors import UnreadableInput
+from worlds.command import run
 from worlds.warm_bench import HEADING, WarmBench
 
 pytestmark = pytest.mark.slow
-
-
-def run(*arguments: object) -> Result:
-    result = CliRunner().invoke(cli.cli, [str(a) for a in arguments], standalone_mode=False)
-    if isinstance(result.exception, ImucalError):
-        result.return_value = result.exception.exit_code
-    return result
 
 
 def separate(folder: Path, *options: object) -> tuple[int, dict[str, Any]]:

@@ -9,24 +9,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 
-from imucalib import cli
 from imucalib.calibration.file import read, write
 from imucalib.calibrators.lab.simulation import BenchPlan, simulated_recording, simulated_table
-from imucalib.errors import ImucalError
 from imucalib.writers import write as write_recording
+from worlds.command import run
 from worlds.instrument import Bench, four, instrument, positions
 
 SHEET = Bench(known=True, noise=0.25, setting=0.01)
 RESTS = Bench(noise=0.25)
-
-
-def run(*arguments: object) -> Result:
-    result = CliRunner().invoke(cli.cli, [str(a) for a in arguments], standalone_mode=False)
-    if isinstance(result.exception, ImucalError):
-        result.return_value = result.exception.exit_code
-    return result
 
 
 @pytest.fixture(scope="module")

@@ -13,15 +13,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 
-from imucalib import cli
 from imucalib.calibrators.lab.simulation import BenchPlan, simulated_recording, simulated_table
 from imucalib.cohort.batch import plan, run_task
 from imucalib.cohort.entries import read_entry
 from imucalib.cohort.recordings import recordings_of
 from imucalib.errors import UnreadableInput
 from imucalib.writers import write
+from worlds.command import run
 
 ARGUMENTS = ("--reference", "norm", "--no-loop")
 
@@ -47,10 +46,6 @@ def cohort(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def _scaled(line: str) -> str:
     t, *values = line.strip().split(",")
     return ",".join([t, *(str(37.0 * float(v)) for v in values)]) + "\n"
-
-
-def run(*arguments: object) -> Result:
-    return CliRunner().invoke(cli.cli, [str(a) for a in arguments], standalone_mode=False)
 
 
 def batch(cohort: Path, out: Path, *options: str) -> dict:

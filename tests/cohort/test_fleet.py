@@ -93,6 +93,22 @@ def test_each_device_has_its_own_size_with_its_doubt(tmp_path: Path) -> None:
     assert 0.6 < np.sqrt(np.mean(np.square(z))) < 1.5
 
 
+@pytest.mark.slow
+def test_devices_by_directions_are_a_fleet_too(tmp_path: Path) -> None:
+    """Where each row's direction is known, a device has a mounting too, and squares are found."""
+    paths = [write(tmp_path / f"d{k}.csv", q, 100 + k, directed=True)
+             for k, q in enumerate(squares(4, 6.0))]  # fmt: skip
+    settings = replace(REQUEST.settings, only=("quadratic",))
+    request = replace(REQUEST, reference="direction", settings=settings)
+    found = run_fleet([LabFiles(p) for p in paths], request, RULES, lambda _: None)
+    assert [f.effect for f in found.search.found] == ["quadratic"]
+    for member, truth in zip(found.members, squares(4, 6.0), strict=True):
+        effects = {p.effect for p in member.recordings[0].calibration.parameters}
+        assert effects >= {"mounting", "quadratic"}
+        own = [p for p in member.recordings[0].calibration.parameters if p.effect == "quadratic"]
+        assert all(abs(p.value - q) < 4.5 * p.sd for p, q in zip(own, truth, strict=True))
+
+
 def test_a_clean_fleet_stays_clean(tmp_path: Path) -> None:
     clean = fleet(tmp_path, np.zeros((6, 3)))
     assert clean.verdict == "nothing found"

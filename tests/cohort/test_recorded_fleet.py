@@ -267,3 +267,15 @@ def test_boards_are_compared_imu_by_imu(tmp_path: Path) -> None:
     names = {s.name: s for s in found.spreads}
     assert names["imu1.bias_x"].unit == "mg"
     assert 3.0 < names["imu1.bias_x"].scatter < 30.0
+
+
+def test_a_recording_with_a_scan_of_its_own_stays_as_it_is(tmp_path: Path) -> None:
+    paths, table, _ = cohort(tmp_path, 12, 2.5)
+    content = json.loads(paths[0].read_text())
+    step = {"name": "s", "effect": "bias_step@600s", "value": 3.0, "sd": 0.1, "unit": "mg"}
+    content["report"]["parameters"].append(step)
+    paths[0].write_text(json.dumps(content))
+    found = pooled(paths, table)
+    assert found.search.found
+    assert found.members[0].recordings[0].kept == "it has bias_step@600s of its own"
+    assert not found.members[0].recordings[1].kept

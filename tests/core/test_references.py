@@ -1,4 +1,4 @@
-"""What is known of the truth: its values, its free directions, and its subsets."""
+"""What is known of the truth, and directions spread over the sphere."""
 
 from __future__ import annotations
 
@@ -10,13 +10,23 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from imucalib.core.observations import BIAS, MOUNTING, session_of, with_sessions
 from imucalib.core.references import KnownNorm, KnownVector, Reference, angles_of, unit_vector
-from imucalib.core.sphere import KnownDirection
+from imucalib.core.sphere import KnownDirection, covered, even_directions
+from worlds.bench import bench
 
 Array = NDArray[np.float64]
+
+
 G = 9.8061
+
+
 QUARTER = np.pi / 2.0
+
+
 inclinations = st.floats(-QUARTER, QUARTER)
+
+
 turns = st.floats(0.0, 2.0 * np.pi, exclude_max=True)
 
 
@@ -149,3 +159,37 @@ def test_a_subset_keeps_what_rows_share(rows: list[int]) -> None:
     # No setting without a row remains: each would be a free number that nothing determines.
     assert part.eta_size == len(np.unique(part.directions(np.zeros(part.eta_size)).index))
     assert KnownNorm(6, G).take(picked).n == len(rows)
+
+
+@pytest.mark.parametrize("n", [60, 400])
+def test_directions_are_spread_evenly(n: int) -> None:
+    u = even_directions(n)
+    np.testing.assert_allclose(np.linalg.norm(u, axis=1), 1.0, atol=1e-12)
+    np.testing.assert_allclose(u.mean(axis=0), 0.0, atol=1.0 / n)
+    np.testing.assert_allclose(u.T @ u / n, np.eye(3) / 3.0, atol=2.0 / n)
+    apart = np.arccos(np.clip(u @ u.T - 2.0 * np.eye(n), -1.0, 1.0)).min(axis=1)
+    own = np.sqrt(4.0 * np.pi / n)  # side of the square that each has for itself
+    assert apart.min() > 0.8 * own
+    assert apart.max() < 1.2 * own
+
+
+def test_the_share_is_that_of_caps() -> None:
+    """A cap of half angle a is (1 - cos a) / 2 of the sphere; opposite ones do not overlap."""
+    one = covered(np.array([[0.0, 0.0, 9.8]]), within=40.0)
+    assert one == pytest.approx(0.5 * (1.0 - np.cos(np.radians(40.0))), abs=0.01)
+    two = covered(np.array([[0.0, 0.0, 9.8], [0.0, 0.0, -1.0]]), within=40.0)
+    assert two == pytest.approx(2.0 * one, abs=0.01)
+    assert covered(even_directions(200)) == 1.0
+
+
+SESSION = np.array([0, 0, 1, 1, 2, 2]).repeat(10)
+
+
+def test_each_session_is_a_level_of_its_components() -> None:
+    found = with_sessions(bench(1), SESSION)
+    bias, mounting = found.shared[:2]
+    assert (bias.name, mounting.name) == (BIAS, MOUNTING)
+    expected = (SESSION[:, None] == np.arange(3)).astype(float)
+    for one in (bias, mounting):
+        np.testing.assert_array_equal(one.factor, expected)
+    np.testing.assert_array_equal(session_of(found), SESSION)

@@ -274,6 +274,7 @@ def test_model_slopes_chain_over_all_effects() -> None:
         assert np.abs((up - down) / 2e-4 - whole.d_truth[..., axis]).max() < 1e-7
 
 
+@pytest.mark.slow
 @each_at_rest
 def test_recovered_within_its_uncertainty(effect: Effect) -> None:
     data = bench(11)

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 
-from imucalib import cli, effects
+from imucalib import effects
 from imucalib.calibrators.lab.position_table import write_position_table
 from imucalib.calibrators.lab.simulation import BenchPlan, simulated_table
 from imucalib.errors import UsageError
+from worlds.command import run
 from worlds.places import ROOT
 
 PAGE = ROOT / "docs" / "own_effect.md"
@@ -27,10 +27,6 @@ def example(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     path = tmp_path / "crosstalk.py"
     path.write_text(found.group(1), encoding="utf-8")
     return path
-
-
-def run(*arguments: object) -> Result:
-    return CliRunner().invoke(cli.cli, [str(a) for a in arguments], standalone_mode=False)
 
 
 @pytest.mark.slow

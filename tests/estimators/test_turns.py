@@ -75,6 +75,7 @@ def far(fit: TurnFit, made: Chip) -> np.ndarray:
     return (own - true) / np.sqrt(np.diag(fit.covariance))[:18]
 
 
+@pytest.mark.slow
 def test_gains_are_found_within_their_intervals() -> None:
     z = []
     for seed in range(8):

@@ -1,12 +1,24 @@
-"""An inspection tells what is in a recording, in one pass, also when something is missing."""
+"""What a recording's inspection tells, and its noise by definition."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
+from numpy.typing import NDArray
+from ruamel.yaml import YAML
 
-from imucalib import readers, writers
+from imucalib import cli, readers, writers
 from imucalib.inspection.inspection import inspect_recording
+from imucalib.inspection.noise import AllanCurve, AllanSums, identified
 from imucalib.recording.recording import Channel, Gap, Recording
-from imucalib.units import STANDARD_GRAVITY
+from imucalib.units import DEG, STANDARD_GRAVITY
+from imucalib.writers import write
+from worlds.places import ROOT
 
 RATE = 100.0
 
@@ -87,3 +99,126 @@ def test_blocks_and_whole_agree(tmp_path: object) -> None:
         )  # fmt: skip
         np.testing.assert_array_equal(a.low, b.low)
     assert one.gaps == many.gaps
+
+
+Array = NDArray[np.float64]
+
+
+HZ = 100.0
+
+
+def curve(values: Array, *, pieces: int = 1, rate: float = HZ) -> AllanCurve:
+    sums = AllanSums(1)
+    for part in np.array_split(values[:, None], pieces):
+        sums.add(part)
+    return sums.curves(1.0 / rate)[0]
+
+
+def test_it_is_that_of_allantools() -> None:
+    n, x = 1234567890, []
+    for _ in range(1000):
+        x.append(n / 2147483647)
+        n = 16807 * n % 2147483647
+    lines = (ROOT / "tests/goldens/allantools/oadev.csv").read_text().splitlines()
+    golden = {int(r["m"]): float(r["deviation"]) for r in csv.DictReader(lines[2:])}
+    found = curve(np.array(x), pieces=7, rate=1.0)
+    assert list(found.tau) == [m for m in golden if m <= found.tau[-1]]
+    assert len(found.tau) >= 8
+    for tau, deviation in zip(found.tau, found.deviation, strict=True):
+        # Beyond 64 samples the overlap goes in steps of 1/64.
+        assert deviation == pytest.approx(golden[int(tau)], rel=1e-12 if tau <= 64 else 0.01)
+    assert found.deviation[0] == pytest.approx(2.922319e-01, abs=5e-8)  # NIST SP 1065, table 31
+
+
+@pytest.mark.slow
+def test_white_noise_is_told_with_its_doubt_and_nothing_else() -> None:
+    z, named = [], 0
+    for seed in range(30):
+        found = identified(curve(0.1 * np.random.default_rng(seed).normal(size=20_000)))
+        assert found.white.value is not None
+        assert found.white.sd is not None
+        z.append((found.white.value - 0.1 / np.sqrt(HZ)) / found.white.sd)
+        named += sum(c.value is not None for c in (found.instability, found.walk, found.ramp))
+    assert 0.7 < np.std(z) < 1.4
+    assert abs(np.mean(z)) < 0.7
+    assert named == 0
+
+
+@pytest.mark.slow
+def test_a_walk_is_told_where_the_recording_is_long_enough() -> None:
+    z = []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        step = 2e-3 / np.sqrt(HZ)  # K = 2e-3 unit/s/sqrt(Hz)
+        walk = 0.1 * rng.normal(size=60_000) + np.cumsum(step * rng.normal(size=60_000))
+        found = identified(curve(walk))
+        assert found.walk.value is not None
+        assert found.walk.sd is not None
+        assert found.instability.value is None
+        z.append((found.walk.value - 2e-3) / found.walk.sd)
+        short = identified(curve(walk[:500]))
+        assert short.walk.value is None
+        assert short.walk.bound is None or short.walk.bound > 2e-3
+    assert 0.5 < np.std(z) < 1.5
+
+
+def test_flicker_is_a_bias_instability() -> None:
+    rng = np.random.default_rng(5)
+    count, flicker = 150_000, np.zeros(150_000)
+    for octave in range(13):  # Lorentzians an octave apart are 1/f
+        keep = np.exp(-1.0 / 2.0**octave)
+        drive = np.sqrt(1.0 - keep**2) * rng.normal(size=count)
+        own = np.empty(count)
+        last = 0.0
+        for i, d in enumerate(drive):
+            last = keep * last + d
+            own[i] = last
+        flicker += own
+    # Their sum has S(f) = 1 / (ln 2 f), so σ² = 2 ln 2 h = 2 and B² = 2 π / (2 ln 2).
+    want = 4e-3 * np.sqrt(np.pi / np.log(2.0))
+    found = identified(curve(0.05 * rng.normal(size=count) + 4e-3 * flicker))
+    assert found.instability.value == pytest.approx(want, rel=0.2)
+    assert found.walk.value is None
+
+
+@pytest.fixture(scope="module")
+def night(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Ten minutes at rest, moved once in between."""
+    rng = np.random.default_rng(3)
+    t = np.arange(60_000) / HZ
+    moved = (t > 200.0) & (t < 205.0)
+    force = np.array([0.0, 0.0, STANDARD_GRAVITY]) + 0.02 * rng.normal(size=(t.size, 3))
+    force[t >= 205.0] += [0.5, 0.0, 0.0]
+    rate = 0.1 * DEG * rng.normal(size=(t.size, 3))
+    force[moved] += 3.0 * np.sin(9.0 * t[moved])[:, None]
+    rate[moved] += np.cos(9.0 * t[moved])[:, None]
+    channels = {
+        f"imu0/{q}": Channel(t, v, u, q, "imu0", HZ)
+        for q, u, v in (("acceleration", "m/s2", force), ("angular_rate", "rad/s", rate))
+    }
+    path = tmp_path_factory.mktemp("night") / "night.h5"
+    write(Recording(channels, "made", "made", ""), path)
+    return path
+
+
+def test_inspect_tells_it_from_the_rests(night: Path, tmp_path: Path) -> None:
+    target = tmp_path / "imu.yaml"
+    arguments = ["inspect", str(night), "--noise", "--save-noise", str(target), "--json"]
+    result = CliRunner().invoke(cli.cli, arguments, standalone_mode=False)
+    assert result.exception is None, result.exception
+    rows = json.loads(result.stdout)["noise"]
+    assert [(r["quantity"], r["axis"]) for r in rows] == [
+        (q, a) for q in ("acceleration", "angular_rate") for a in "xyz"
+    ]
+    for row in rows:
+        want = 0.02 if row["quantity"] == "acceleration" else 0.1 * DEG
+        assert row["white"]["value"] == pytest.approx(want / np.sqrt(HZ), rel=0.03)
+        assert row["walk"]["value"] is None
+        assert row["walk"]["below"] > 0.0
+    kalibr = YAML(typ="safe", pure=True).load(target.read_text())
+    assert kalibr["accelerometer_noise_density"] == pytest.approx(0.02 / np.sqrt(HZ), rel=0.05)
+    assert kalibr["gyroscope_noise_density"] == pytest.approx(0.1 * DEG / np.sqrt(HZ), rel=0.05)
+    assert kalibr["update_rate"] == pytest.approx(HZ)
+    assert "accelerometer_random_walk" not in kalibr
+    assert kalibr["accelerometer_random_walk_at_most"] > 0.0
+    assert "accelerometer_random_walk" in target.read_text().splitlines()[1]  # said, not guessed

@@ -5,10 +5,8 @@ from __future__ import annotations
 
 import ast
 import importlib
-import json
 import sys
 from collections.abc import Iterator
-from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from types import ModuleType
@@ -101,39 +99,3 @@ def test_a_slip_is_undone_by_its_repair() -> None:
             held = {"inclination": dial.inclination, "tool_face": dial.tool_face}
             held |= {a: right[:, k] for k, a in enumerate("xyz")}
             assert held[column][int(row) - 1] == pytest.approx(float(value))
-
-
-def test_the_table_counts_what_was_told() -> None:
-    judge, told, table = module("judge"), module("told"), module("table")
-    recipe = module("world").Recipe("norm", "8-12", 1, {"cubic": 9.0})
-    step = told.Step(("cubic", "quadratic"), certain=True, probability=0.97)
-    right = judge.Judged(
-        recipe,
-        0,
-        told.Told("explained", (step,), (), 0),
-        1.0,
-        held=190,
-        intervals=200,
-        seconds=1.0,
-        bounds=module("world").Bounds(1.0, 2.0, 1.0),
-    )
-    other = replace(step, names=("asymmetry",))
-    wrong = replace(right, told=told.Told("explained", (other,), (), 0))
-    text = table.table([right, wrong])
-    assert (
-        "| 8-12 | 2 | 100 % | 100 % | 50 % | 50 % | 1 | 1.00 1.00 1.00 |  | 0.50 | 0 of 2 | 0.950 |"
-        in text
-    )
-    assert "| 0.95 to 1.00 | 2 | 0.97 | 0.50 |" in text
-    shape = told.Step(("bias_over_temperature",), certain=True, probability=None)
-    assert not replace(right, told=told.Told("explained", (shape,), (), 0)).certain
-
-
-def test_a_report_is_read(tmp_path: Path) -> None:
-    step = {"effect": "bias_step@record17", "aliases": ["bias_step@record18", "warm_up"]}
-    report = {"exit_code": 5, "undecided": ["x"], "loop": {"verdict": "suspected", "steps": [step]}}
-    (tmp_path / "report.json").write_text(json.dumps(report), encoding="utf-8")
-    found = module("told").read_report(tmp_path)
-    assert found.steps[0].names == ("bias_step", "warm_up")
-    assert found.claims
-    assert not found.steps[0].certain

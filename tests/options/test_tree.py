@@ -27,7 +27,7 @@ VALUES = {
     ("fleet", "--reference", "direction"): "cohort/test_fleet.py::"
     "test_devices_by_directions_are_a_fleet_too",
     **{
-        (name, "--fail-on", gate): "calibration/test_exit_code.py::test_gates_are_stricter"
+        (name, "--fail-on", gate): "calibration/test_calibration.py::test_gates_are_stricter"
         for name in ("lab", "actigraph", "array", "imu")
         for gate in ("suspected", "unexplained", "caution")
     },

@@ -20,7 +20,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "effects.md"
 UNITS = {
     "mg": 1e-3, "mg/g": 1e-3, "mg/g2": 1e-3, "mg/g3": 1e-3, "mg/degC": 1e-3, "mg/g/degC": 1e-3,
     "%": 1e-2, "1": 1.0, "": 1.0, "deg": 1.0, "deg per 90 deg": 1.0, "deg/s": 1.0, "deg/s/g": 1.0,
-    "mm": 1e-3, "ms": 1e-3, "mm/g": 1e-3,
+    "mm": 1e-3, "deg/s/degC": 1.0, "%/degC": 1e-2, "ms": 1e-3, "mm/g": 1e-3,
 }  # fmt: skip
 _FUNCTIONS: dict[str, Callable[[Array], Array]] = {
     "sin": lambda v: np.sin(np.deg2rad(v)), "cos": lambda v: np.cos(np.deg2rad(v)),

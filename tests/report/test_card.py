@@ -1,17 +1,29 @@
-"""The card: worth, findings and steps first, one page of a terminal, no tick beside a caution."""
+"""The card on top of a report, and files that come all or none."""
 
 from __future__ import annotations
 
+import json
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
+from click.testing import CliRunner, Result
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from imucalib import cli
+from imucalib.calibration.file import write_together
 from imucalib.calibration.findings import Findings, Gain
+from imucalib.errors import UsageError
 from imucalib.report.document import Card, Document, Section, Table, Text, Tone, Worth
 from imucalib.report.plots import gain_plot, projected
 from imucalib.report.render.html import render_html
 from imucalib.report.render.text import PAGE, render_text
+from worlds.calibrations import INPUTS
+from worlds.places import SAMPLES
 
 CARD = Card(
     (Worth("inclination", "± 0.42 deg", "one reading, worst attitude"),),
@@ -72,3 +84,133 @@ def test_the_gains_picture_says_what_its_interval_holds(low: float, word: str) -
     assert bars.low is not None
     assert (np.isnan(bars.low[0]), bars.low[2]) == (True, low)
     assert gain_plot(Findings("nothing missing")) == ()
+
+
+def run(*words: object) -> Result:
+    return CliRunner().invoke(
+        cli.cli, [str(w) for w in words], standalone_mode=False, catch_exceptions=False
+    )
+
+
+@pytest.fixture(scope="module")
+def tools(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Two devices, each calibrated by itself, and six rests of the first."""
+    folder = tmp_path_factory.mktemp("tools")
+    for name in ("cave_ai", "cave_jd"):
+        run("lab", SAMPLES / f"{name}.csv", "--reference", "norm", "--no-loop", "-q", "-o",
+            folder / name)  # fmt: skip
+    rows = (SAMPLES / "cave_ai.csv").read_text().splitlines()
+    (folder / "rests.csv").write_text("\n".join(rows[:9]) + "\n")
+    return {
+        "ai": folder / "cave_ai" / "calibration.yaml",
+        "jd": folder / "cave_jd" / "calibration.yaml",
+        "rests": folder / "rests.csv",
+    }
+
+
+def card(*words: object) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(run(*words, "--json").stdout)["card"]
+    return found
+
+
+def test_a_check_that_passes_says_what_it_would_have_seen(tools: dict[str, Path]) -> None:
+    told = card("check", tools["ai"], tools["rests"], "--limit", "20mg")
+    (worth,) = told["good_to"]
+    assert worth["quantity"] == "see a change of bias"
+    assert "limit 20 mg, as stated" in worth["detail"]
+    assert told["found"][0].startswith("Nothing shows")
+    assert "imucal apply" in told["to_do"][0]
+    assert "imucal check" in told["command"]
+
+
+def test_a_fleet_says_what_a_device_is_good_to(tmp_path: Path) -> None:
+    tables = [SAMPLES / f"cave_{n}.csv" for n in ("ai", "bi", "fb")]
+    out = tmp_path / "fleet"
+    done = run("fleet", *tables, "--reference", "norm", "--only", "quadratic", "--draws", "99",
+               "-o", out)  # fmt: skip
+    content = json.loads((out / "report.json").read_text())
+    names = [w["quantity"] for w in content["card"]["good_to"]]
+    assert names == ["all devices", "the worst device"]
+    worst = max(content["devices"], key=lambda d: d["final_mg"])
+    assert content["card"]["good_to"][1]["value"] == f"{worst['final_mg']:.3g} mg"
+    assert worst["name"] in content["card"]["good_to"][1]["detail"]
+    assert "Quadratic, in every device" in content["card"]["found"][0]
+    assert "Good to ─" in done.stdout
+    page = (out / "report.html").read_text()
+    assert 'class="card"' in page
+    assert "imucal fleet" in page
+    assert content["figures"]
+
+
+#: Function -> modules that call it by name.
+MADE = {
+    "lab_calibration": "imucalib.calibrators.lab.run",
+    "actigraph_calibration": "imucalib.calibrators.actigraph.run",
+    "array_calibration": "imucalib.calibrators.array.run",
+    "imu_calibration": "imucalib.calibrators.imu.run",
+    "coverage_of": "imucalib.calibrators.actigraph.run",
+    "linear_part": "imucalib.calibrators.array.calibrate",
+    "lab_document": "imucalib.report.lab",
+    "actigraph_document": "imucalib.report.actigraph",
+    "array_document": "imucalib.report.array",
+    "imu_document": "imucalib.report.imu",
+    "report_dict": "imucalib.report.files",
+    "matrices": "imucalib.calibration.calibration",
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(INPUTS))
+def test_everything_is_made_once(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import importlib
+
+    calls: Counter[str] = Counter()
+
+    def counted(what: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        def count(*args: Any, **options: Any) -> Any:
+            calls[what] += 1
+            return function(*args, **options)
+
+        return count
+
+    for what, where in MADE.items():
+        module = importlib.import_module(where)
+        monkeypatch.setattr(module, what, counted(what, getattr(module, what)))
+    given = INPUTS[name](tmp_path)
+    arguments = [name, str(given.recording), *given.options]
+    for output in ("--json", "-v"):
+        calls.clear()
+        more = [output] if output == "--json" else []
+        result = CliRunner().invoke(
+            cli.cli, [*arguments, "-o", str(tmp_path / "out"), *more], standalone_mode=False
+        )
+        assert result.exception is None, result.output
+        own = {n for n in MADE if n.startswith(name)} | {"report_dict"}
+        own |= {"lab": {"matrices"}, "actigraph": {"matrices", "coverage_of"},
+                "imu": {"matrices", "lab_calibration"}, "array": {"linear_part"}}[name]  # fmt: skip
+        assert dict(calls) == dict.fromkeys(own, 1)
+
+
+def test_files_come_all_or_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    old = {tmp_path / n: "old" for n in ("a", "b", "c")}
+    write_together(old)
+    write = Path.write_text
+
+    def full(self: Path, text: str, **options: Any) -> int:
+        if text == "full":
+            raise OSError(28, "No space left on device")
+        return write(self, text, **options)
+
+    monkeypatch.setattr(Path, "write_text", full)
+    texts = list(zip("abc", ("new", "full", "new"), strict=True))
+    with pytest.raises(UsageError, match="No space left"):
+        write_together({tmp_path / n: t for n, t in texts})
+    assert {p.name: p.read_text() for p in tmp_path.iterdir()} == dict.fromkeys("abc", "old")
+
+
+def test_an_undecided_check_names_the_rests(tools: dict[str, Path]) -> None:
+    told = card("check", tools["ai"], tools["rests"], "--limit", "0.02mg")
+    assert "Nothing shows" in told["found"][0]
+    assert "Record these rests" in told["to_do"][0] or "accept a wider" in told["to_do"][0]

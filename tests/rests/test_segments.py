@@ -1,17 +1,26 @@
-"""Still segments: planted ones are found, streaming changes nothing, real logs give their rests."""
+"""Rests of whole recordings: planted, stuck, measured, and counts that are none."""
+
+from __future__ import annotations
 
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
+from imucalib import cli
+from imucalib.errors import Undetermined, UnreadableInput
 from imucalib.readers import read
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Gap, Recording
+from imucalib.rests.runs import PostureRuns, posture_runs, scan
 from imucalib.rests.segments import Segments, find_segments, still_segments
-from worlds.places import DATA, MEASURED, needs_data
+from imucalib.units import MG, STANDARD_GRAVITY
+from worlds.places import MEASURED
 
 RATE, SIGMA = 100.0, 0.02
 
@@ -122,28 +131,6 @@ def test_temperature_and_rate_come_along() -> None:
     np.testing.assert_allclose(found.temperature[:, 0], 20.0 + 0.1 * middle, atol=0.01)
 
 
-def attitudes(found: Segments) -> int:
-    """Segments that differ from the one before by more than 5 degrees, plus one."""
-    unit = found.mean[:, 0] / np.linalg.norm(found.mean[:, 0], axis=1)[:, None]
-    cosine = np.clip(np.sum(unit[1:] * unit[:-1], axis=1), -1, 1)
-    return 1 + int(np.sum(np.degrees(np.arccos(cosine)) > 5.0))
-
-
-@needs_data
-def test_rests_of_the_xsens_log() -> None:
-    counts = FieldMapping(
-        acc=("2", "3", "4"),
-        time="1",
-        acc_unit="counts",
-        lsb_per_g=(415 * 9.80665, 413 * 9.80665, 415 * 9.80665),
-        acc_offset=(33123, 33276, 32360),
-    )
-    found = still_segments(read(DATA / "xsens_mti" / "xsens_acc.txt", counts))
-    assert attitudes(found) == 38  # the initial rest and 37 more
-    assert found.n == 44  # with those that a touch parts, as a careful cut by hand finds them
-    assert np.sum(found.stop - found.start) > 340.0
-
-
 @pytest.mark.parametrize("name", ["imu0.log.gz", "imu1.log.gz"])
 def test_rests_of_the_tumble_logs(name: str) -> None:
     mapping = FieldMapping(
@@ -151,3 +138,138 @@ def test_rests_of_the_tumble_logs(name: str) -> None:
     )
     found = still_segments(read(MEASURED / name, mapping))
     assert 21 <= found.n <= 24
+
+
+Array = NDArray[np.float64]
+
+
+G, STUCK_RATE, REST = STANDARD_GRAVITY, 10.0, 400  # samples
+
+
+def worn(rests: int, noise: float, step: float) -> Array:
+    """(n, 3) m/s²: rests of 40 s in postures of their own, each with a movement of 10 s before;
+    noise of a sample and step of the reading in mg."""
+    rng = np.random.default_rng(4)
+    x = rng.standard_normal((rests, 3))
+    x /= np.linalg.norm(x, axis=1, keepdims=True)
+    g = np.repeat(x, REST + 100, axis=0)
+    g += 1e-3 * noise * rng.standard_normal(g.shape)
+    moves = np.arange(len(g)) % (REST + 100) < 100
+    g[moves] += 0.2 * rng.standard_normal((int(moves.sum()), 3))
+    return np.asarray(MG * step * np.round(1e3 * g / step))
+
+
+def found(values: Array) -> PostureRuns:
+    t = np.arange(len(values)) / STUCK_RATE
+    channel = Channel(t, values, "m/s2", "acceleration", "imu0", STUCK_RATE)
+    return posture_runs(scan([Recording({"imu0/acceleration": channel}, "a", "a", "")], 10.0))
+
+
+@pytest.mark.parametrize("held", [-0.3, 0.0, -0.0])
+@pytest.mark.parametrize("noise", [3.0, 0.1], ids=["fine", "coarse"])
+def test_an_axis_that_stands_still_while_others_move_is_left_out(noise: float, held: float) -> None:
+    values = worn(40, noise, 1.0)
+    values[5000:10000, 1] = held * G
+    runs = found(values)
+    assert not np.any((runs.time > 500.0) & (runs.time < 1000.0))
+    assert runs.time.size >= 28
+    assert runs.faults == (
+        f"y repeats {held + 0.0:.3g} g for 8.3 min from 0.14 h on, while it should move: stuck, or "
+        "at a limit; left out of the rests",
+    )
+
+
+def test_an_axis_that_is_held_and_keeps_its_noise_is_left_out() -> None:
+    """It stood in the fit, which it took from 0.4 to 33 mg; the others are not blamed for it."""
+    values = worn(40, 3.0, 1.0)
+    noise = MG * np.round(3.0 * np.random.default_rng(5).standard_normal(5000))
+    values[5000:10000, 1] = -0.3 * G + noise
+    runs = found(values)
+    assert not np.any((runs.time > 500.0) & (runs.time < 1000.0))
+    assert runs.time.size >= 28
+    assert runs.faults == (
+        "y stays at -0.3 g for 8.3 min from 0.14 h on, whatever the others do: it is not its own "
+        "reading; left out of the rests",
+    )
+
+
+@pytest.mark.parametrize("noise", [3.0, 0.6, 0.1])
+def test_a_live_axis_is_not_stuck(noise: float) -> None:
+    runs = found(worn(40, noise, 1.0))
+    assert runs.faults == ()
+    assert runs.n == 40
+
+
+@pytest.mark.parametrize("step", [4.0, 16.0])
+def test_rests_that_repeat_one_step_are_rests(step: float) -> None:
+    """They were frozen, and the quietest motion the noise, which shook: nothing was still."""
+    runs = found(worn(60, 0.0, step))
+    assert runs.n == 60
+    assert runs.faults == runs.notes == ()
+    assert np.all(runs.noise < 0.5 * runs.resolution)
+
+
+def test_a_limit_below_gravity_is_told_with_its_axis() -> None:
+    values = worn(60, 3.0, 1.0)
+    up = np.minimum(values[:, 0], 0.9 * G)
+    values[:, 0] = up
+    runs = found(values)
+    assert [text.partition(":")[0] for text in runs.faults] == ["x reads nothing above 0.9 g"]
+    assert np.all(runs.mean[:, 0] < 0.9 * G)
+
+
+def test_an_axis_that_never_moves_is_refused() -> None:
+    values = worn(20, 3.0, 1.0)
+    values[:, 0] = 0.0
+    with pytest.raises(Undetermined, match=r"x repeats 0 g for 17 min from 0\.00 h on"):
+        found(values)
+
+
+HEAD = """\
+------------ Data File Created By ActiGraph GT3X+ ActiLife v6.11.5 Firmware v2.5.0 date format \
+M/d/yyyy at 30 Hz  Filter Normal -----------
+Serial Number: CLE2B21130054
+Start Time 11:00:00
+Start Date 9/17/2014
+Epoch Period (hh:mm:ss) 00:00:05
+Download Time 16:25:52
+Download Date 9/25/2014
+Current Memory Address: 0
+Current Battery Voltage: 4.10     Mode = 61
+--------------------------------------------------
+"""
+
+
+COLUMNS = ("", "Axis1,Axis2,Axis3,Steps\n", "Date,Time,Axis1,Axis2,Axis3,Steps\n")
+
+
+def counts(head: str, columns: str) -> str:
+    rng = np.random.default_rng(0)
+    rows = rng.poisson(60, (3000, 4)) * (rng.random((3000, 1)) > 0.4)
+    text = [",".join(map(str, row)) for row in rows]
+    if "Time" in columns:
+        clock = (f"{11 + k // 720}:{k // 12 % 60:02d}:{5 * k % 60:02d}" for k in range(3000))
+        text = [f"9/17/2014,{t},{row}" for t, row in zip(clock, text, strict=True)]
+    return head + columns + "\n".join(text) + "\n"
+
+
+@pytest.mark.parametrize("columns", COLUMNS)
+@pytest.mark.parametrize("command", ["actigraph", "inspect"])
+def test_an_epoch_file_is_named_as_what_it_is(tmp_path: Path, columns: str, command: str) -> None:
+    path = tmp_path / "epochs.csv"
+    path.write_text(counts(HEAD, columns), encoding="utf-8")
+    result = CliRunner().invoke(cli.cli, [command, str(path)], standalone_mode=False)
+    assert isinstance(result.exception, UnreadableInput)
+    assert "activity counts per epoch of 00:00:05, not acceleration" in str(result.exception)
+    assert ".gt3x" in str(result.exception)
+
+
+def test_a_raw_file_with_the_same_header_is_read(tmp_path: Path) -> None:
+    head = HEAD.replace("00:00:05", "00:00:00").replace("Mode = 61", "Mode = 12")
+    rng = np.random.default_rng(0)
+    values = np.array([0.0, 0.0, 1.0]) + 0.01 * rng.standard_normal((900, 3))
+    rows = "\n".join(",".join(f"{v:.3f}" for v in row) for row in values)
+    path = tmp_path / "raw.csv"
+    path.write_text(head + "Accelerometer X,Accelerometer Y,Accelerometer Z\n" + rows + "\n")
+    result = CliRunner().invoke(cli.cli, ["inspect", str(path)], standalone_mode=False)
+    assert result.exception is None

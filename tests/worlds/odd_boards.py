@@ -85,25 +85,6 @@ def gyro_drifting(m: Moved, r: Array, k: int) -> Planted:
     return Planted(m.felt(r), m.rate * (1.0 + 0.02 * late[:, None]))
 
 
-def bowing(m: Moved, r: Array, k: int) -> Planted:
-    """The board bows under heat from rest on: 0.6 mm at the edge away from the first IMU."""
-    start = m.t[m.moving].min()
-    late = np.clip((m.t - start) / (m.t.max() - start), 0.0, 1.0)
-    lift = 1.5e-4 * (r[0] / 9.5e-3) ** 2 * late
-    return Planted(m.felt(r + lift[:, None] * np.array([0.0, 0.0, 1.0])), m.rate)
-
-
-def bowing_and_tilting(m: Moved, r: Array, k: int) -> Planted:
-    """The same bow, and every package tilts by its slope."""
-    start = m.t[m.moving].min()
-    late = np.clip((m.t - start) / (m.t.max() - start), 0.0, 1.0)
-    lift = 1.5e-4 * (r[0] / 9.5e-3) ** 2 * late
-    slope = 2.0 * 1.5e-4 * r[0] / 9.5e-3**2 * late
-    felt = m.felt(r + lift[:, None] * np.array([0.0, 0.0, 1.0]))
-    turn = slope[:, None] * np.array([0.0, 1.0, 0.0])
-    return Planted(felt + np.cross(turn, felt), m.rate + np.cross(turn, m.rate))
-
-
 def loose(m: Moved, r: Array, k: int) -> Planted:
     """imu4 sits loose: it lies 0.3 mm to one side or the other by the sign of the force along z."""
     if k != 4:

@@ -49,6 +49,7 @@ _BIAS, _SCALE, _CROSS, _GAIN = 0.1, 0.03, 0.02, 0.1
 _AWAKE = np.radians(0.2)
 _MOST, _SETTLED = 30, 1e-2  # steps, and standard deviations that the last one may go
 _NOISES = 6  # steps in which the noise is estimated anew
+_AT_ONCE = 2048  # samples of which all columns are held at once
 #: rad, floors of a turn that are weighed.
 _FLOORS = np.radians([0.0, *0.005 * 2.0 ** np.arange(11)])
 _NORMAL = 0.455  # median of the square of a normal number
@@ -295,15 +296,15 @@ def linearised(log: TurnLog, state: State, laws: Laws | None, prior: Array) -> R
     for i, turn in enumerate(log.turns):
         k = turn.rest
         seen, share = moved_by(log, state.drift, turn)
-        rate, columns = exposed(state, seen, state.force(turn.force), turn, laws)
+        force = state.force(turn.force)
+        rate = exposed(state, seen, force, turn, laws)[0] if state.theta.any() else seen
         whole = attitudes(turn.t, rate @ state.gain.T)
         weighted = whole * shares(turn.t)[:, None, None]
         gained = weighted @ state.gain
         q = np.zeros((3, walk + 6))
         q[:, ACCELEROMETER:first] = np.tensordot(weighted, rate, (0, 0)).reshape(3, 9)
-        q[:, first:walk] = -(
-            gained.transpose(1, 0, 2).reshape(3, -1) @ columns.reshape(3 * len(turn.t), m)
-        )
+        if laws is not None:
+            q[:, first:walk] = -_carried(gained, laws, rate, force, turn)
         q[:, walk:] = -np.concatenate(
             [
                 np.tensordot(v, gained, 1)
@@ -323,6 +324,17 @@ def linearised(log: TurnLog, state: State, laws: Laws | None, prior: Array) -> R
         np.concatenate([left.ravel(), off]), np.concatenate([turns.reshape(-1, size), rests]),
         len(log.turns),
     )  # fmt: skip
+
+
+def _carried(gained: Array, laws: Laws, rate: Array, force: Array, turn: Turn) -> Array:
+    """(3, m) the integral of weights (n, 3, 3) times the laws' columns along a turn, a part of the
+    samples at a time: an hour has a million, and a law dozens of columns."""
+    whole: Array | float = 0.0
+    for begin in range(0, len(turn.t), _AT_ONCE):
+        part = slice(begin, begin + _AT_ONCE)
+        columns = turn.moving[part, None, None] * laws(rate[part], force[part], turn.t[part])
+        whole = whole + np.tensordot(gained[part], columns, ((0, 2), (0, 1)))
+    return np.asarray(whole)
 
 
 def _rest_rows(

@@ -126,15 +126,7 @@ def _alone(calibration: Calibration, gyro: Gyroscope, form: str) -> Imu:
     gyro_lower, turn = _lower(
         np.asarray(np.linalg.inv(gyro.gain), np.float64), "the gyroscope", form
     )
-    own = calibration.facts["imu"]
-    root = float(np.sqrt(own["sample_interval_s"]))
     told = calibration.facts.get("noise_density", {})
-    measured = {
-        "accelerometer_noise_density": root * float(np.mean(own["accelerometer_noise_m_per_s2"])),
-        "gyroscope_noise_density": DEG
-        * float(np.mean(own["gyroscope_noise"]["white_deg_per_s_per_root_hz"])),
-        "update_rate": 1.0 / root**2,
-    }
     return Imu(
         name="imu0",
         place=np.zeros(3),
@@ -146,7 +138,7 @@ def _alone(calibration: Calibration, gyro: Gyroscope, form: str) -> Imu:
         gyro_bias=gyro.bias,
         by_force=gyro.by_force @ turn.T,
         elements=np.zeros((3, 3)),
-        noise=measured | dict(next(iter(told.values()), {})),
+        noise=dict(next(iter(told.values()), {})),
     )
 
 
@@ -259,7 +251,10 @@ def noise_lines(imu: Imu, program: str) -> tuple[dict[str, Any], list[str]]:
             remedy="give a recording at rest to `imucal inspect RECORDING --save-noise noise.yaml` "
             "and `--noise noise.yaml` here, or state the walks: --random-walk ACC,GYRO (SI)",
         )
-    found = {"rostopic": f"/{imu.name}/imu", "update_rate": float(imu.noise["update_rate"])}
+    found = {
+        "rostopic": f"/{imu.name}/imu",
+        "update_rate": float(f"{imu.noise['update_rate']:.9g}"),
+    }
     said = []
     for key in _NOISE:
         found[key] = float(imu.noise[key if key in imu.noise else f"{key}_at_most"])

@@ -62,11 +62,10 @@ def _gains(run: ImuRun) -> Table:
 def _facts(run: ImuRun) -> Facts:
     imu = run.details["imu"]
     noise = imu["gyroscope_noise"]
-    keys = ("white_deg_per_s_per_root_hz", "white_95_low", "white_95_high")
-    axes = zip(*(noise[key] for key in keys), strict=True)
-    white = ", ".join(plus_minus(v, (high - low) / 3.92, "") for v, low, high in axes)
+    axes = zip(noise["white_deg_per_s_per_root_hz"], noise["white_sd"], strict=True)
+    white = ", ".join(plus_minus(v, sd, "") for v, sd in axes)
     late, late_sd = (1e3 * imu["gyroscope_late_s"][name] for name in ("value", "sd"))
-    least = max(noise["bias_instability_at_most_deg_per_s"])
+    least = max(noise["bias_instability_deg_per_s"], default=float("nan"))
     word = "at most " if noise["upper_limit"] else ""
     turns = f"{imu['turns']} between {imu['rests']} rests; {len(imu['turns_left_out'])} left out"
     return Facts(

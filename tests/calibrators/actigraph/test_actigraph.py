@@ -30,7 +30,7 @@ from imucalib.core.sphere import even_directions
 from imucalib.effects import families, known, named
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.estimators.least_squares import fit
-from imucalib.recording.recording import Channel, Gap, Recording
+from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.runs import WORN, posture_runs, scan
 from imucalib.units import MG, STANDARD_GRAVITY
 from worlds.places import SAMPLES
@@ -126,16 +126,6 @@ def test_the_scatter_of_windows_is_that_of_what_they_share() -> None:
     means = size[:, None] * np.array([0.0, 0.6, 0.8])
     runs = posture_runs(scan([recorded(means, 10.0)], WORN.window))
     assert runs.window_noise / MG == pytest.approx(2.0, rel=0.2)
-
-
-def test_a_gap_ends_a_run() -> None:
-    whole = recorded(np.array([[0.0, 0.0, 1.0]]), 120.0)
-    channel = whole.channels["imu0/acceleration"]
-    keep = (channel.t < 50.0) | (channel.t >= 53.0)
-    cut = replace(channel, t=channel.t[keep], values=channel.values[keep])
-    gapped = replace(whole, channels={"imu0/acceleration": cut}, gaps=(Gap(50.0, 53.0, "lost"),))
-    runs = posture_runs(scan([gapped], WORN.window))
-    assert runs.windows.tolist() == [5, 6]
 
 
 def test_blocks_give_the_same_runs_as_the_whole() -> None:

@@ -1,8 +1,7 @@
-"""Weak coverage: what the postures leave open stays nominal, and its uncertainty covers."""
+"""Few postures, and two sensors in one recording."""
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +11,6 @@ from click.testing import CliRunner
 from numpy.typing import NDArray
 
 from imucalib import cli
-from imucalib.calibration.file import read as read_calibration
 from imucalib.calibrators.actigraph.observations import (
     NINE,
     base_fit,
@@ -22,7 +20,14 @@ from imucalib.calibrators.actigraph.observations import (
 )
 from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.run import run_of
-from imucalib.calibrators.actigraph.simulation import Week, WeekPlan, simulated_week
+from imucalib.calibrators.actigraph.series import exchange_in
+from imucalib.calibrators.actigraph.simulation import (
+    Week,
+    WeekPlan,
+    code_steps,
+    simulated_blocks,
+    simulated_week,
+)
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.core.prior import Prior, independent
@@ -30,14 +35,18 @@ from imucalib.effects import named
 from imucalib.errors import Undetermined, UnreadableInput
 from imucalib.estimators.least_squares import fit
 from imucalib.loop.held_out import errors, held_out
+from imucalib.rests.runs import PostureRuns, posture_runs, scan
 from imucalib.units import MG, STANDARD_GRAVITY
-from worlds.places import DATA, needs_data
 
 Array = NDArray[np.float64]
-FOLDER = DATA / "actigraph"
-TAS = "read_gt3x_TAS1H30182785_2019-09-17"
+
+
 G = STANDARD_GRAVITY
+
+
 MODEL = Model(tuple(named(name) for name in NINE))
+
+
 TYPICAL = np.array([50.0] * 3 + [0.03] * 3 + [0.02] * 3)
 
 
@@ -98,30 +107,6 @@ def test_held_out_fits_keep_the_prior() -> None:
         assert held_out(found).error[row, 0, 0] == pytest.approx(again, rel=0.1, abs=0.03 * MG)
 
 
-@needs_data
-def test_a_recording_and_its_export_calibrate_alike(tmp_path: Path) -> None:
-    found, pages = [], []
-    for suffix in (".gt3x", ".csv.gz"):
-        out = tmp_path / suffix
-        arguments = ["actigraph", str(FOLDER / f"{TAS}{suffix}"), "-o", str(out)]
-        result = CliRunner().invoke(cli.cli, arguments, standalone_mode=False)
-        assert result.exception is None
-        assert result.return_value == 4
-        found.append(read_calibration(out / "calibration.yaml"))
-        pages.append(json.loads((out / "report.json").read_text(encoding="utf-8")))
-        assert "never x up, y up, y down" in " ".join(result.output.split())
-        assert "data, %" in (out / "report.html").read_text(encoding="utf-8")
-    for one, two in zip(found[0].parameters, found[1].parameters, strict=True):
-        assert abs(one.value - two.value) < 0.5 * np.hypot(one.sd, two.sd)
-    assert found[0].status == pages[0]["status"] == "weak"
-    assert found[0].facts["from_data"]["scale_z"] > 0.99
-    assert found[0].facts["from_data"]["cross_zy"] < 0.05
-    # Nothing is claimed: on postures that were not fitted it is no better than the raw reading.
-    error = pages[0]["error_mg"]
-    assert error["final_held_out"] > error["raw"]
-    assert any("worse than no calibration" in reason for reason in pages[0]["reasons"])
-
-
 def test_nothing_at_rest_is_refused(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     walk = np.sin(np.cumsum(rng.standard_normal((4000, 3)), axis=0))
@@ -147,3 +132,83 @@ def test_clipped_rests_are_left_out_and_said_so() -> None:
     assert runs.n == 2
     run = run_of(runs, scanned, ActigraphRequest(), lambda text: None)
     assert any("60 s of clipped samples left out" in note for note in run.outcome.notes)
+
+
+OTHER = {
+    "bias": (-10.0, 30.0, 5.0),
+    "scale": (-0.02, 0.01, 0.03),
+    "non_orthogonality": (-0.01, 0.004, 0.015),
+}
+
+
+WHEN = 1.4 * 86400.0
+
+
+def two_sensors(seed: int, at: float = WHEN) -> PostureRuns:
+    """Three days of one sensor, with another one's readings from a moment on."""
+    one = simulated_week(WeekPlan(days=3.0), seed)
+    two = simulated_week(WeekPlan(days=3.0, sensor=OTHER), seed)
+    late = one.runs.time >= at
+    return replace(one.runs, mean=np.where(late[:, None], two.runs.mean, one.runs.mean))
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("day", [0.3, 1.4, 2.6])
+def test_the_moment_of_an_exchange_is_named(seed: int, day: float) -> None:
+    runs = two_sensors(seed, day * 86400.0)
+    found = exchange_in(runs)
+    assert found is not None
+    before = runs.time[runs.time < day * 86400.0][-1]
+    after = runs.time[runs.time >= day * 86400.0][0]
+    assert before - 3600.0 < found.time < after + 3600.0
+
+
+@pytest.mark.parametrize(
+    "plan",
+    [
+        WeekPlan(),
+        WeekPlan(scatter=3.0),
+        WeekPlan(plant={"bias_step@302400s": (25.0, -20.0, 15.0)}),
+        WeekPlan(plant={"bias_drift": (60.0, 40.0, -50.0)}),
+        WeekPlan(plant={"scale_drift": (0.02, -0.015, 0.01)}),
+        WeekPlan(plant={"temperature_bias": (3.0, -3.0, 2.0)}),
+        WeekPlan(curve=code_steps(5.0)),
+        WeekPlan(days=0.15),
+    ],
+)
+def test_one_sensor_with_errors_is_no_exchange(plan: WeekPlan) -> None:
+    for seed in range(3):
+        assert exchange_in(simulated_week(plan, seed).runs) is None
+
+
+def test_two_sensors_are_refused_and_their_parts_calibrated() -> None:
+    runs, scanned = two_sensors(1), simulated_week(WeekPlan(days=3.0), 1).scanned
+    with pytest.raises(Undetermined, match="another sensor") as caught:
+        run_of(runs, scanned, ActigraphRequest(loop=False), lambda _: None)
+    assert "--every 33." in caught.value.remedy
+    assert "1 d 09:" in caught.value.what
+    every = ActigraphRequest(loop=False, every=33.6 * 3600.0)
+    run = run_of(runs, scanned, every, lambda _: None)
+    assert run.series is not None
+    first, second = (part.fit for part in run.series.parts[:2])
+    assert first is not None
+    assert second is not None
+    assert np.allclose(first.theta[:3], (25.0, -40.0, 15.0), atol=1.0)
+    assert np.allclose(second.theta[:3], OTHER["bias"], atol=1.0)
+    assert any("another sensor" in reason for reason in run.outcome.reasons)
+
+
+@pytest.mark.parametrize("factor", [2.0, 0.5, 1.0 / 9.80665])
+@pytest.mark.parametrize("day", [0.1, 0.3])
+def test_a_change_of_range_is_named(factor: float, day: float) -> None:
+    blocks = []
+    for block in simulated_blocks(WeekPlan(days=0.5, rate=20.0), 3):
+        channel = block.channels["imu0/acceleration"]
+        values = np.where((channel.t >= day * 86400.0)[:, None], factor, 1.0) * channel.values
+        changed = replace(channel, values=values)
+        blocks.append(replace(block, channels={"imu0/acceleration": changed}))
+    with pytest.raises(UnreadableInput, match="range or the unit changes") as caught:
+        posture_runs(scan(blocks, 10.0))
+    hour = float(caught.value.what.partition("before ")[2].partition(" h")[0])
+    assert abs(hour - 24.0 * day) < 0.2
+    assert "two files" in caught.value.remedy

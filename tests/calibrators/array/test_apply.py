@@ -147,3 +147,21 @@ def test_the_drift_of_the_rests_is_undone_in_the_recording_that_was_calibrated(
         later.channels["imu0/acceleration"].values, want.channels["imu0/acceleration"].values
     )
     assert any("not undone: drift" in note for note in later.notes)
+
+
+def test_one_imu_alone_and_other_names(log: SimulatedLog, run: ArrayRun) -> None:
+    alone = apply_to_recording(run.calibration, log.recording, "imu2")
+    whole = apply_to_recording(run.calibration, log.recording)
+    for name, channel in log.recording.channels.items():
+        want = whole.channels[name] if channel.triad == "imu2" else channel
+        assert np.array_equal(alone.channels[name].values, want.values)
+    renamed = {
+        f"s{name}": replace(c, triad=f"s{c.triad}") for name, c in log.recording.channels.items()
+    }
+    by_order = apply_to_recording(run.calibration, replace(log.recording, channels=renamed))
+    assert np.array_equal(
+        by_order.channels["simu5/acceleration"].values, whole.channels["imu5/acceleration"].values
+    )
+    some = dict(list(renamed.items())[:6])
+    with pytest.raises(UnreadableInput, match="no name fits"):
+        apply_to_recording(run.calibration, replace(log.recording, channels=some))

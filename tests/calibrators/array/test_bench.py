@@ -1,24 +1,32 @@
-"""`imucal array` from a bench log to its files, and what it says of logs that cannot work."""
+"""Boards from log to positions, and logs that cannot give them."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from imucalib.calibrators.array.board import board_names, read_board
+from imucalib.calibrators.array.board import Board, board_names, read_board, undrawn_board
 from imucalib.calibrators.array.calibrate import calibrate_array
+from imucalib.calibrators.array.loop.search import start_state
+from imucalib.calibrators.array.loop.setup import array_setup
+from imucalib.calibrators.array.loop.terms import rest_terms
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.run import ArrayRun
 from imucalib.calibrators.array.simulation import LogPlan, SimulatedLog, simulated_log
-from imucalib.errors import Undetermined, UnreadableInput, UsageError
+from imucalib.errors import ImucalError, Undetermined, UnreadableInput, UsageError
 from imucalib.readers import read
-from imucalib.recording.recording import Recording
+from imucalib.recording.recording import Channel, Recording
+from imucalib.units import DEG
+from worlds.boards import BoardPlan, board_log, made_board
 from worlds.places import SAMPLES
 
 BOARD = read_board("mimu4444_corners")
+
+
 PLAN = LogPlan(poses=14, pose_seconds=3.0, seconds=25.0, gyro_gain=0.0)
 
 
@@ -126,3 +134,175 @@ def test_a_measured_board() -> None:
     assert run.outcome.exit_code == 0
     assert run.outcome.findings is not None
     assert run.outcome.findings.open
+
+
+BAD_INPUT_PLAN = LogPlan(poses=14, pose_seconds=3.0, seconds=20.0, gyro_gain=0.0)
+
+
+Change = Callable[[str, Channel], Channel]
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    return simulated_log(BOARD, BAD_INPUT_PLAN, np.random.default_rng(0)).recording
+
+
+def bad_input_calibrate(recording: Recording) -> ArrayRun:
+    request = ArrayRequest(BOARD, samples=100, loop=False)
+    return calibrate_array(recording, request, lambda _: None)
+
+
+def changed(recording: Recording, change: Change) -> Recording:
+    channels = {name: change(name, c) for name, c in recording.channels.items()}
+    return replace(recording, channels=channels)
+
+
+def scaled(part: str, factor: float) -> Change:
+    """Channels whose name ends with `part` in a unit that nobody said."""
+    return lambda name, c: replace(c, values=c.values * factor) if name.endswith(part) else c
+
+
+def slower(part: str) -> Change:
+    def change(name: str, c: Channel) -> Channel:
+        if not name.endswith(part):
+            return c
+        return Channel(c.t[::2], c.values[::2], c.unit, c.quantity, c.triad, 50.0)
+
+    return change
+
+
+def later(part: str, seconds: float) -> Change:
+    return lambda name, c: replace(c, t=c.t + seconds) if name.endswith(part) else c
+
+
+def held(part: str, axis: int, value: float) -> Change:
+    def change(name: str, c: Channel) -> Channel:
+        return replace(c, values=np.where(np.arange(3) == axis, value, c.values)) if (
+            name.endswith(part)
+        ) else c  # fmt: skip
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "kind", "message", "remedy"),
+    [
+        (scaled("/acceleration", 1 / 9.80665), Undetermined, "0.1 times gravity", "unit"),
+        (scaled("imu3/acceleration", 0.1), Undetermined, "imu3 reads 0.098 times", "unit"),
+        (scaled("/acceleration", 1e3), Undetermined, r"1e\+03 times gravity", "unit"),
+        (scaled("/angular_rate", 1 / DEG), Undetermined, "too little rotation", "gyros' unit"),
+        (scaled("/angular_rate", DEG), Undetermined, "too little rotation", "gyros' unit"),
+        (scaled("imu3/angular_rate", 1 / DEG), Undetermined, "gyro of imu3 reads 57 times", "unit"),
+        (scaled("imu3/angular_rate", DEG), Undetermined, "gyro of imu3 reads 0.017", "57.3"),
+        (slower("imu2/acceleration"), UnreadableInput, "different rates, 50 to 100 Hz", "one rate"),
+        (slower("imu0/angular_rate"), UnreadableInput, "different rates, 50 to 100 Hz", "one rate"),
+        (later("imu2/acceleration", 0.005), UnreadableInput, "within 3 ms", "common clock"),
+        (later("imu2/angular_rate", 1e3), UnreadableInput, "only 0 % of the samples", "clock"),
+        (held("imu5/acceleration", 2, 0.0), UnreadableInput, "axis z never changes", "dead"),
+        (held("imu5/angular_rate", 0, 0.3), UnreadableInput, "axis x never changes", "dead"),
+    ],
+)
+def test_a_fault_is_named(
+    recording: Recording, change: Change, kind: type[ImucalError], message: str, remedy: str
+) -> None:
+    with pytest.raises(kind, match=message) as caught:
+        bad_input_calibrate(changed(recording, change))
+    assert remedy in (caught.value.remedy or "")
+
+
+@pytest.mark.parametrize("gone", ["imu4/acceleration", "imu4/angular_rate"])
+def test_a_missing_sensor_is_named(recording: Recording, gone: str) -> None:
+    left = {name: c for name, c in recording.channels.items() if name != gone}
+    with pytest.raises(UnreadableInput, match="imu4") as caught:
+        bad_input_calibrate(replace(recording, channels=left))
+    assert "--gyro" in (caught.value.remedy or "")
+
+
+def test_exchanged_topics_are_noticed(recording: Recording) -> None:
+    """Two IMUs of opposite sides under each other's name."""
+    other = {"imu2": "imu5", "imu5": "imu2"}
+
+    def change(name: str, c: Channel) -> Channel:
+        if c.triad not in other:
+            return c
+        return replace(recording.channels[f"{other[c.triad]}/{c.quantity}"], triad=c.triad)
+
+    with pytest.raises(Undetermined, match=r"imu2 and imu5 are exchanged"):
+        bad_input_calibrate(changed(recording, change))
+
+
+def test_a_board_of_a_hostile_name_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "board.yaml"
+    lines = ['imus:', '  - {name: "a */ int x;", position: [0, 0, 0], axes: "x,y,z"}',
+             '  - {name: b, position: [9, 0, 0], axes: "x,y,z"}']  # fmt: skip
+    path.write_text("\n".join(lines), encoding="utf-8")
+    with pytest.raises(UnreadableInput, match="';'"):
+        read_board(path)
+
+
+RIGS_PLAN = BoardPlan(twist_s=8.0)
+
+
+CORNERS = read_board("mimu4444_corners")
+
+
+def rig(*places: tuple[float, float, float]) -> Board:
+    at = 1e-3 * np.array(places)
+    k = len(at)
+    return Board("rig", tuple(f"imu{i}" for i in range(k)), at, np.tile(np.eye(3), (k, 1, 1)))
+
+
+def logged(
+    board: Board, seed: int = 1, plan: BoardPlan = RIGS_PLAN
+) -> tuple[Recording, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    parts = made_board(board.positions, board.rotations, board.imus, plan, rng)
+    return board_log(parts, plan, rng).recording, parts.positions
+
+
+def calibrated(recording: Recording, board: Board) -> ArrayRun:
+    return calibrate_array(recording, ArrayRequest(board, loop=False), lambda _: None)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [2, 3])
+def test_a_pair_and_a_line_are_calibrated(count: int) -> None:
+    board = rig(*[(20.0 * i / (count - 1), 0.0, 0.0) for i in range(count)])
+    recording, true = logged(board)
+    run = calibrated(recording, board)
+    assert run.outcome.exit_code == 0
+    value, sd = run.total.distance(0, count - 1)
+    assert sd < 1e-4
+    assert abs(value - np.linalg.norm(true[-1])) < 4.0 * sd
+    assert any("spin about it stays open" in note for note in run.outcome.notes)
+
+
+@pytest.mark.slow
+def test_a_board_is_found_without_a_drawing() -> None:
+    recording, true = logged(CORNERS)
+    drawn, bare = calibrated(recording, CORNERS), calibrated(recording, undrawn_board(8))
+    # In the axes of the first IMU, which are the board's here.
+    one, two = drawn.total.by_motion, bare.total.by_motion
+    left, _, right = np.linalg.svd(two.T @ one)
+    assert two @ left @ right == pytest.approx(one, abs=1e-5)
+    for k in range(1, 8):
+        value, sd = bare.total.distance(0, k)
+        assert abs(value - np.linalg.norm(true[k])) < 4.5 * sd
+    assert bare.board.prior_sd > 0.01
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_the_noise_of_few_imus_keeps_its_shape_and_its_size(count: int) -> None:
+    """The motion takes whole directions of their errors: what it leaves of a pair's forces lies
+    along one line, so that squares of Gaussian errors scatter as those of tails would."""
+    board = rig(*[(20.0 * i, 0.0, 0.0) for i in range(count)])
+    run = calibrated(logged(board)[0], board)
+    moving, rests = run.moving, run.rests
+    setup = array_setup(moving, board, 600, robust=True)
+    assert setup is not None
+    state = start_state(setup, rest_terms(rests))
+    for noise, sigma in zip(
+        state.noise, (RIGS_PLAN.sigma, np.deg2rad(RIGS_PLAN.sigma_gyro)), strict=True
+    ):
+        assert noise.plain
+        assert noise.sigma == pytest.approx(sigma, rel=0.06)

@@ -6,15 +6,11 @@ import json
 from pathlib import Path
 
 import numpy as np
-from click.testing import CliRunner, Result
+import pytest
 from scipy.spatial.transform import Rotation
 
-from imucalib import cli
 from imucalib.calibrators.imu.plan import hand_plan, of_turn
-
-
-def run(*arguments: object) -> Result:
-    return CliRunner().invoke(cli.cli, [str(a) for a in arguments], standalone_mode=False)
+from worlds.command import run
 
 
 def carried(gain: np.ndarray, up: np.ndarray, vector: np.ndarray) -> np.ndarray:
@@ -71,6 +67,7 @@ def test_few_turns_leave_gains_open() -> None:
     assert "stay open" in result.stdout
 
 
+@pytest.mark.slow
 def test_what_is_simulated_is_found(tmp_path: Path) -> None:
     log = tmp_path / "turns.h5"
     words = ("--plant", "gyro_g_sensitivity=0.1", "--late", "0.004", "--seed", "5", "--json")

@@ -1,28 +1,27 @@
-"""`lab --reference direction`: six faces and other directions without dials.
-
-The readings are made here, from the definitions in docs/conventions.md and in plain numpy, not by
-the model that is fitted.
-"""
+"""Six faces and other directions without dials, and intervals that hold with few rows."""
 
 from __future__ import annotations
 
+import importlib.util
 import json
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 
 from gates.bounds import at_most
-from imucalib import cli
 from imucalib.arrays import Array
+from imucalib.calibration.file import check
 from imucalib.calibrators.lab.calibrate import LabSettings
 from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import LabRun, run_lab
 from imucalib.errors import Undetermined, UnreadableInput, UsageError
+from worlds.command import run
+from worlds.places import ROOT
 
 TRUTH = {
     "mounting_x": 0.4, "mounting_y": -0.7, "mounting_z": 1.1,  # deg
@@ -30,7 +29,11 @@ TRUTH = {
     "scale_x": 0.006, "scale_y": -0.004, "scale_z": 0.009,
     "cross_yx": 0.003, "cross_zx": -0.002, "cross_zy": 0.004,
 }  # fmt: skip
+
+
 FACES = ("+x", "+y", "+z", "-x", "-y", "-z")
+
+
 NOISE_MG, TILT_DEG = 1.0, 0.2
 
 
@@ -160,10 +163,6 @@ def _written(folder: Path, repeats: int = 2, faces: tuple[str, ...] = FACES) -> 
     return path
 
 
-def run(*arguments: object) -> Result:
-    return CliRunner().invoke(cli.cli, [str(a) for a in arguments], standalone_mode=False)
-
-
 def test_end_to_end(tmp_path: Path) -> None:
     path, out = _written(tmp_path), tmp_path / "out"
     result = run("lab", path, "--reference", "direction", "-o", out, "--json", "-q")
@@ -177,3 +176,85 @@ def test_end_to_end(tmp_path: Path) -> None:
     assert "tilt" in html
     assert "deg scatter" in html
     assert run("validate", out / "calibration.yaml").return_value == 0
+
+
+def _generator() -> ModuleType:
+    path = ROOT / "benchmarks" / "lab" / "few_rows.py"
+    spec = importlib.util.spec_from_file_location("few_rows", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+SHEETS = _generator()
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "6 rows",
+        "six faces",
+        *(pytest.param(k, marks=pytest.mark.slow) for k in ("9 rows", "12 rows", "twice")),
+    ],
+)
+def test_corrected_vectors_lie_within_what_is_stated(kind: str) -> None:
+    """Of 95 % intervals of 12 sheets at least 88 % hold: below that by chance once in 100, were it
+    95 % and the directions of a sheet one number; before, 6 rows held 74.9 to 81.5 %."""
+    held, z = [], []
+    for seed in range(12):
+        holds, score, *_ = SHEETS.judged(kind, seed, loop=False, usual=(1.0, 0.3))
+        held.append(holds.mean())
+        z.append(np.mean(score**2))
+    assert np.mean(held) > 0.88
+    assert np.sqrt(np.mean(z)) < 1.35
+
+
+def test_six_rows_state_no_certainty() -> None:
+    """Every interval is wider than the noise that such a sheet has at least."""
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        table, reference, *_ = SHEETS.sheet("6 rows", rng, (1.0, 0.3))
+        request = LabRequest(
+            reference=reference, gravity=SHEETS.G, settings=LabSettings(loop=False)
+        )
+        run = run_lab(table, request)
+        bias = [p.sd for p in run.calibration.parameters if p.name.startswith("bias")]
+        assert min(bias) > 0.1
+        assert run.outcome.advice[0].startswith("Take every position twice")
+
+
+def test_six_faces_are_as_good_as_the_size_of_gravity() -> None:
+    """Bias from six faces that are set badly: the tilt of a face is no error of its own axis."""
+    off, stated = [], []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        table, reference, _, bias = SHEETS.sheet("six faces", rng, (1.0, 0.3))
+        request = LabRequest(
+            reference=reference, gravity=SHEETS.G, settings=LabSettings(loop=False)
+        )
+        run = run_lab(table, request)
+        found = {p.name: p for p in run.calibration.parameters}
+        for k, axis in enumerate("xyz"):
+            off.append(found[f"bias_{axis}"].value - bias[k] / SHEETS.MG)
+            stated.append(found[f"bias_{axis}"].sd)
+        assert run.outcome.advice[0].startswith("Take every face twice")
+        check(run.calibration, "of six faces")
+    assert np.median(np.abs(off)) < 1.0
+    assert np.sqrt(np.mean((np.array(off) / stated) ** 2)) < 1.3
+
+
+def test_an_interval_wider_than_a_circle_is_no_number() -> None:
+    """Paper 004's own objective leaves a combination open: that is said, not 867 deg."""
+    from imucalib.calibrators.lab.position_table import read_position_table
+    from imucalib.calibrators.lab.request import as_published
+    from imucalib.report.lab import lab_document
+    from worlds.places import SAMPLES
+
+    table = read_position_table(SAMPLES / "paper_table_1.csv")
+    run = run_lab(table, as_published(LabRequest(fixes=((10, "y", -58593.0),))))
+    card = lab_document(run).card
+    assert card is not None
+    angles = [w.value for w in card.good_to if "one reading" in w.detail]
+    assert angles == ["not determined", "not determined"]

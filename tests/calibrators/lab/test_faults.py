@@ -1,4 +1,4 @@
-"""Slips of hand as a user meets them: told with a line, never passed, settled by pasting it."""
+"""Slips and mistakes as a user meets them: named, never passed, settled by pasting a line."""
 
 from __future__ import annotations
 
@@ -7,15 +7,19 @@ import re
 import shlex
 from pathlib import Path
 
+import jsonschema
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from click.testing import CliRunner, Result
 
+import imucalib
 from imucalib import cli
 from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.calibrators.lab.repairs import Repairs, repaired, repairs_of
+from imucalib.effects import known
 from imucalib.errors import ImucalError, UsageError
 from worlds import sheets
+from worlds.places import ROOT
 
 
 def lab(path: Path, *options: str) -> tuple[int, str, dict]:
@@ -119,3 +123,201 @@ def test_lines_that_are_wrong_are_refused(
     with pytest.raises(UsageError, match=re.escape(words)):
         repaired(table(), repairs_of(swaps, (), shifts, (axes,) if axes else (), None), (), False)
     assert repaired(table(), Repairs(), (), False)[1] == ()
+
+
+def _sheet(path: Path, size: float, kind: str) -> Path:
+    """Thirty-six set attitudes, noise of 0.5 mg, and a supply of 11.5 to 12.5 V that wanders."""
+    rng = np.random.default_rng(4)
+    inclination, tool_face = 10.0 * rng.integers(-8, 9, 36), 30.0 * rng.integers(0, 12, 36)
+    i, t = np.deg2rad(inclination), np.deg2rad(tool_face)
+    supply = rng.uniform(11.5, 12.5, 36)
+    force = np.stack([np.cos(i) * np.sin(t), np.cos(i) * np.cos(t), np.sin(i)], axis=1)
+    along = force if kind == "scale" else np.array([[0.3, -1.0, 0.5]])
+    reading = 1000.0 * force * [1.004, 0.997, 1.002] + [12.0, -7.0, 3.0]
+    reading += 2.0 * size * (supply - 12.0)[:, None] * along + 0.5 * rng.standard_normal((36, 3))
+    rows = np.column_stack([inclination, tool_face, reading, supply])
+    heading = "inclination,tool_face,x_mg,y_mg,z_mg,supply_V"
+    np.savetxt(path, rows, "%.6g", ",", header=heading, comments="")
+    return path
+
+
+def _run(*words: str | Path) -> Result:
+    return CliRunner().invoke(cli.cli, [str(word) for word in words], standalone_mode=False)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["bias", "scale"])
+def test_what_follows_a_named_column_is_found_and_done_without(tmp_path: Path, kind: str) -> None:
+    sheet, out = _sheet(tmp_path / "sheet.csv", 3.0, kind), tmp_path / "out"
+    run = _run("lab", sheet, "--columns", "driver=supply_V", "-o", out)
+    assert run.exit_code == 0, run.stderr
+    (step,) = json.loads((out / "report.json").read_text())["loop"]["steps"]
+    assert step["effect"].startswith(f"follows@{kind}:supply_V:1")
+    assert step["certain"]
+    assert "against column supply_V" in (out / "report.html").read_text()
+    again = _run("check", out / "calibration.yaml", sheet)
+    assert again.return_value in (None, 0), again.output
+    assert "is taken as in the middle" not in again.output
+    rests = tmp_path / "rests.csv"
+    lines = [f"{k / 50},0,0,9.81" for k in range(500)]
+    rests.write_text("\n".join(["time_s,acc_x_m/s2,acc_y_m/s2,acc_z_m/s2", *lines]) + "\n")
+    applied = _run("apply", out / "calibration.yaml", rests, "-o", tmp_path / "applied.csv")
+    assert applied.exit_code == 0, applied.stderr
+    told = " ".join(applied.output.split())
+    assert "the recording has no column supply_V" in told
+    assert "11.5 to 12.5" in told
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        "bias",
+        "bias::1:2",
+        "bias:supply:1:0",
+        "scale:supply:1:x",
+        "bias:supply:1:-1",
+        "gain:supply:1:2",
+    ],
+)
+def test_values_that_name_no_driver(value: str) -> None:
+    assert known(f"follows@{value}") is None
+
+
+SAMPLES = ROOT / "sample_logs"
+
+
+SCHEMAS = Path(imucalib.__file__).parent / "schemas"
+
+
+REPAIR = ("--fix", "10:y=-45.86119676")
+
+
+def run(*arguments: object) -> Result:
+    """The command, with what `main` does about errors."""
+    runner = CliRunner()
+    result = runner.invoke(cli.cli, [str(a) for a in arguments], standalone_mode=False)
+    if isinstance(result.exception, ImucalError):
+        result.exit_code = result.exception.exit_code
+    return result
+
+
+def validated(text: str, name: str) -> dict:
+    content = json.loads(text)
+    schema = json.loads((SCHEMAS / f"{name}.schema.json").read_text(encoding="utf-8"))
+    jsonschema.validate(content, schema)
+    return content
+
+
+def commands_table(path: Path, **columns: object) -> Path:
+    """The sample bench with some columns changed (None drops one)."""
+    lines = (SAMPLES / "bench.csv").read_text().splitlines()
+    names = lines[0].split(",")
+    values = {n: [line.split(",")[k] for line in lines[1:]] for k, n in enumerate(names)}
+    values |= columns  # type: ignore[arg-type]
+    values = {n: v for n, v in values.items() if v is not None}
+    rows = zip(*values.values(), strict=True)
+    path.write_text("\n".join([",".join(values), *(",".join(r) for r in rows)]) + "\n")
+    return path
+
+
+def column(name: str) -> list[str]:
+    lines = (SAMPLES / "bench.csv").read_text().splitlines()
+    k = lines[0].split(",").index(name)
+    return [line.split(",")[k] for line in lines[1:]]
+
+
+def spoilt(name: str, row: int, cell: str) -> list[str]:
+    cells = column(name)
+    cells[row - 1] = cell
+    return cells
+
+
+SWAPPED = {"inclination": column("tool_face"), "tool_face": column("inclination")}
+
+
+@pytest.mark.slow
+def test_a_wrong_record_is_named_and_left_to_the_user(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    result = run("lab", SAMPLES / "bench.csv", "-o", out)
+    assert result.return_value == 5
+    report = validated((out / "report.json").read_text(), "report")
+    assert report["status"] == "marginal"
+    (slip,) = report["faults"]
+    assert (slip["kind"], slip["what"]) == ("cell", "row 10: y lost its sign")
+    assert "--fix 10:y=-45.86119676" in result.stdout.replace("\n", " ")
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert len(page) < 1_000_000
+    assert "http" not in page.replace("http://www.w3.org/2000/svg", "")
+
+
+@pytest.mark.slow
+def test_the_repaired_bench_names_the_dial_and_passes(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    result = run("lab", SAMPLES / "bench.csv", *REPAIR, "-o", out, "--json")
+    assert result.return_value == 0
+    report = validated(result.stdout, "report")
+    assert report == json.loads((out / "report.json").read_text())
+    assert [s["effect"] for s in report["loop"]["steps"]] == ["inclination_zero"]
+    (zero,) = report["loop"]["steps"][0]["parameters"]
+    assert abs(zero["value"] - 0.8) < 4.5 * zero["sd"]
+    error = report["loop"]["errors"][0]["held_out"]
+    assert error["final"] < error["base"] < error["raw"]
+    refused = {r["effect"] for r in report["loop"]["rejected"]}
+    assert {"quadratic", "cubic", "bias_drift"} <= refused
+
+
+@pytest.mark.parametrize(
+    ("change", "code", "words"),
+    [
+        ({"x_mg": None}, 3, "no column for x"),
+        ({"inclination": None}, 3, "no column for inclination"),
+        ({"y_mg": spoilt("y_mg", 5, "oops")}, 3, "row 5, column y_mg: 'oops'"),
+        ({"z_mg": spoilt("z_mg", 7, "")}, 3, "row 7, column z_mg: the cell is empty"),
+        ({"x_mg": spoilt("x_mg", 3, "nan")}, 3, "row 3, column x_mg"),
+        ({"tool_face": spoilt("tool_face", 1, "1e4")}, 2, "row 1, column tool_face"),
+        (SWAPPED, 2, "--swap-angles"),
+        ({"inclination": ["30"] * 32}, 4, "leave open"),
+    ],
+)
+def test_bad_tables(tmp_path: Path, change: dict, code: int, words: str) -> None:
+    path = commands_table(tmp_path / "bad.csv", **change)
+    result = run("lab", path, "-o", tmp_path / "out", "--no-loop")
+    assert isinstance(result.exception, ImucalError), result.exception
+    assert result.exit_code == code
+    assert words in str(result.exception)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "words"),
+    [
+        (("--unit", "m/s2"), 3, "norm would be"),
+        (("--unit", "furlong"), 2, "unknown unit"),
+        (("--unit", "counts"), 2, "--lsb"),
+        (("--declare", "temperature_bias"), 2, "no temperature was recorded"),
+        (("--without", "quadratc"), 2, "did you mean: quadratic"),
+        (("--model", "13"), 2, "unknown model"),
+        (("--convention", "mine"), 2, "unknown convention"),
+        (("--exclude", "40"), 2, "no such row"),
+        (("--fix", "40:y=1"), 2, "no such cell"),
+        (("--train", "1-3"), 4, "positions give"),
+        (("--toolface-sense", "counter-clockwise"), 3, "mirror image"),
+        (("--columns", "x=nope"), 2, "no column is called 'nope'"),
+    ],
+)
+def test_bad_options(tmp_path: Path, options: tuple[str, ...], code: int, words: str) -> None:
+    result = run("lab", SAMPLES / "bench.csv", "-o", tmp_path / "out", "--no-loop", *options)
+    assert isinstance(result.exception, ImucalError), result.exception
+    assert result.exit_code == code
+    assert words in str(result.exception)
+    assert not (tmp_path / "out").exists()
+
+
+def test_missing_file_and_positions_that_do_not_match(tmp_path: Path) -> None:
+    assert run("lab", tmp_path / "none.csv").exit_code == 3
+    short = tmp_path / "short.csv"
+    lines = (SAMPLES / "positions.csv").read_text().splitlines()
+    short.write_text("\n".join(lines[:-2]) + "\n")
+    result = run("lab", short, "--recording", SAMPLES / "rests.mcap")
+    assert result.exit_code == 2
+    assert "22 positions, the recording 24 rests" in str(result.exception)

@@ -1,15 +1,20 @@
-"""What is said of an array's positions: by draws of a known covariance, and what is refused."""
+"""The array's likelihood and its positions, against closed forms."""
 
 from __future__ import annotations
 
 from contextlib import nullcontext
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from imucalib.errors import Undetermined
-from imucalib.estimators.array.problem import ArrayPrior
+from imucalib.estimators.array.audit import importance_gain, quadrature_gain
+from imucalib.estimators.array.likelihood import ArrayPosterior, conditionals
+from imucalib.estimators.array.problem import ArrayData, ArrayPrior, MotionPrior
+from imucalib.estimators.array.rates import inverse, modes
+from imucalib.estimators.array.rotation import full, local
 from imucalib.estimators.array.sampler import (
     ArrayPositions,
     gaussian_positions,
@@ -17,7 +22,7 @@ from imucalib.estimators.array.sampler import (
     refuse_vague,
     scale_of,
 )
-from worlds.array import corners, data_of
+from worlds.array import corners, data_of, skew
 
 
 def drawn(seed: int = 0) -> tuple[ArrayPositions, np.ndarray, np.ndarray]:
@@ -83,3 +88,159 @@ def test_what_the_motion_leaves_open_is_refused(
     told = pytest.raises(Undetermined, match="too little rotation") if vague else nullcontext()
     with told:
         refuse_vague(made)  # type: ignore[arg-type]
+
+
+def packed(matrices: np.ndarray) -> np.ndarray:
+    """(1, 6, T) of symmetric matrices (T, 3, 3): xx, yy, zz, xy, xz, yz."""
+    rows, columns = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]
+    return matrices[:, rows, columns].T[None]
+
+
+def worlds() -> tuple[np.ndarray, np.ndarray]:
+    """Symmetric matrices (4, 3, 3) of which the last two are indefinite, one of them nearly flat;
+    gradients (1, 3, 4)."""
+    rng = np.random.default_rng(4)
+    turns = np.linalg.qr(rng.normal(size=(4, 3, 3)))[0]
+    values = np.array([[1.0, 2.0, 3.0], [5.0, 0.1, 2.0], [4.0, -2.0, 1.0], [-3.0, 1e-9, 2.0]])
+    matrices = np.einsum("nij,nj,nkj->nik", turns, values, turns)
+    return 0.5 * (matrices + matrices.transpose(0, 2, 1)), rng.normal(size=(1, 3, 4))
+
+
+def test_six_numbers_are_the_symmetric_matrix() -> None:
+    matrices, _ = worlds()
+    np.testing.assert_array_equal(full(packed(matrices))[0], matrices.transpose(1, 2, 0))
+
+
+def test_the_inverse_and_which_are_positive() -> None:
+    matrices, _ = worlds()
+    found, det, positive = inverse(packed(matrices))
+    np.testing.assert_allclose(found[0], packed(np.linalg.inv(matrices))[0], rtol=1e-6)
+    np.testing.assert_allclose(det[0], np.linalg.det(matrices), rtol=1e-6, atol=1e-12)
+    assert positive[0].tolist() == [True, True, False, False]
+
+
+def posterior_of(
+    data: ArrayData, motion: MotionPrior = "learned", exponent: float = 0.5, *, noise: bool = False
+) -> ArrayPosterior:
+    prior = ArrayPrior(
+        corners(data.triads), motion=motion, exponent=exponent, motion_scale=3.7e5,
+        estimate_noise=noise,
+    )  # fmt: skip
+    return ArrayPosterior(data, prior, np.ascontiguousarray(data.rate.T))
+
+
+def log_density(y: np.ndarray, mean: np.ndarray, covariance: np.ndarray) -> float:
+    off = y - mean
+    return float(
+        -0.5 * off @ np.linalg.solve(covariance, off)
+        - 0.5 * np.linalg.slogdet(2.0 * np.pi * covariance)[1]
+    )
+
+
+@pytest.mark.parametrize("noise", [False, True])
+def test_learned_motion_equals_the_joint_gaussian_given_the_rate(noise: bool) -> None:
+    """-f(ω) and the constants are log N(y; Ω²r, Q + HΣHᵀ + β 11ᵀ) N(g; ω, P^-1), β large."""
+    rng = np.random.default_rng(3)
+    data, w = data_of(corners(), 4, rng, sigma=0.5, sigma_gyro=20.0, per_sample=True)
+    posterior = posterior_of(data, noise=noise)
+    prior, beta = posterior.prior, 1e7
+    values = []
+    for shift in (0.0, 0.4):
+        x = prior.mean_vector + shift * np.minimum(prior.sd_vector, 1e-3 + 0.2 * shift)
+        r = prior.geometry(x[None])[0]
+        given, geometry = conditionals(data, prior, x[None])
+        inner = -local(given, w.T[None]).value[0].sum()
+        spin = np.linalg.inv(geometry.factor[0] @ geometry.factor[0].T)
+        sigma = data.sigma * np.exp(x[-1] if noise else 0.0)
+        h = np.concatenate([-skew(r), np.broadcast_to(np.eye(3), (len(r), 3, 3))], axis=2)
+        h = h.reshape(-1, 6)
+        cov = np.diag(np.repeat(sigma**2, 3))
+        cov += h @ np.block([[spin, np.zeros((3, 3))], [np.zeros((3, 3)), beta * np.eye(3)]]) @ h.T
+        turn = skew(w) @ skew(w)
+        direct = sum(
+            log_density(data.acceleration[t].ravel(), (r @ turn[t].T).ravel(), cov)
+            + log_density(data.rate[t], w[t], np.linalg.inv(data.rate_precision[t]))
+            for t in range(data.samples)
+        )
+        # f misses the constants that `value` adds around the Laplace integral of ω.
+        at = posterior.value(x[None])[0]
+        laplace = _laplace(posterior, x)
+        off = (x - prior.mean_vector) / prior.sd_vector
+        values.append(at + 0.5 * off @ off - laplace + inner - direct)
+    # The flat s leaves one constant, (2πβ)^(3T/2) and the 2π of ω; it must not depend on x.
+    assert values[0] == pytest.approx(values[1], abs=2e-3)
+
+
+def _laplace(posterior: ArrayPosterior, x: np.ndarray) -> float:
+    given, _ = conditionals(posterior.data, posterior.prior, x[None])
+    here = modes(given, posterior.start).here
+    h = full(here.hessian[0]).transpose(2, 0, 1)
+    return float(-here.value.sum() - 0.5 * np.linalg.slogdet(h)[1].sum())
+
+
+@pytest.mark.parametrize(("exponent", "agrees"), [(0.5, True), (1.0, False)])
+def test_flat_motion_is_the_limit_with_a_square_root(exponent: float, agrees: bool) -> None:
+    """With N(0, β) on ω̇ and s and β large, only |HᵀLH|^-1/2 is right."""
+    rng = np.random.default_rng(4)
+    data, w = data_of(corners(), 1, rng, sigma=0.5)
+    posterior = posterior_of(data, "flat", exponent)
+    prior = posterior.prior
+    beta = 1e10
+    differences = []
+    for x in (prior.mean_vector, 1.3 * prior.mean_vector):
+        r = prior.geometry(x[None])[0]
+        h = np.concatenate([-skew(r), np.broadcast_to(np.eye(3), (len(r), 3, 3))], axis=2)
+        h = h.reshape(-1, 6)
+        cov = np.diag(np.repeat(data.sigma**2, 3)) + beta * h @ h.T
+        mean = (r @ (skew(w[0]) @ skew(w[0])).T).ravel()
+        given, geometry = conditionals(data, prior, x[None])
+        ours = -local(given, w.T[None]).value[0].sum() - exponent * geometry.log_inertia[0]
+        direct = log_density(data.acceleration[0].ravel(), mean, cov)
+        differences.append(ours - direct)
+    close = abs(differences[0] - differences[1]) < 1e-3
+    assert close == agrees
+
+
+@pytest.mark.parametrize("motion", ["learned", "flat"])
+@pytest.mark.parametrize("noise", [False, True])
+@pytest.mark.parametrize(("sigma", "gyro"), [(0.04, 0.06), (0.79, 30.0)])
+def test_gradient(motion: MotionPrior, noise: bool, sigma: float, gyro: float) -> None:
+    rng = np.random.default_rng(5)
+    data, _ = data_of(corners(), 6, rng, sigma=sigma, sigma_gyro=gyro, per_sample=True)
+    posterior = posterior_of(data, motion, noise=noise)
+    prior = posterior.prior
+    x = prior.mean_vector + 0.05 * rng.normal(size=prior.size) * prior.sd_vector
+    step = 1e-4 * np.diag(prior.sd_vector)
+    ends = posterior.value(np.concatenate([x + step, x - step]))
+    numeric = (ends[: prior.size] - ends[prior.size :]) / 2e-4
+    analytic = posterior.value_and_gradient(x[None])[1][0] * prior.sd_vector
+    assert analytic == pytest.approx(numeric, abs=1e-3 + 1e-6 * np.abs(numeric).max())
+
+
+def test_modes_are_found_from_a_bad_start_with_poor_gyros() -> None:
+    rng = np.random.default_rng(6)
+    data, w = data_of(corners(), 40, rng, sigma=0.3, sigma_gyro=150.0)
+    posterior = posterior_of(data)
+    x = posterior.prior.mean_vector[None]
+    far = replace(posterior, start=1.5 * data.rate.T)
+    given, _ = conditionals(data, posterior.prior, x)
+    found = modes(given, data.rate.T)
+    near, here = found.rate, found.here
+    assert np.abs(here.gradient).max() < 1e-3 * np.abs(here.hessian).max()
+    assert np.linalg.eigvalsh(full(here.hessian[0]).transpose(2, 0, 1)).min() > 0.0
+    assert far.modes(x)[0] == pytest.approx(near[0], abs=1e-5)
+    assert np.sqrt(np.mean((near[0].T - w) ** 2)) < np.sqrt(np.mean((data.rate - w) ** 2))
+
+
+def test_laplace_is_good_enough_where_it_is_used() -> None:
+    """The quadrature's correction hardly changes over the posterior, at 0.5 % gyro scatter."""
+    rng = np.random.default_rng(7)
+    data, _ = data_of(corners(), 30, rng, sigma=0.79, sigma_gyro=5.0 * np.sqrt(8))
+    posterior = posterior_of(data)
+    prior = posterior.prior
+    x = prior.mean_vector + 1e-4 * rng.normal(size=(4, prior.size)) * (prior.sd_vector > 0)
+    gain = quadrature_gain(posterior, x)
+    assert np.abs(gain).max() < 1e-2
+    assert np.ptp(gain) < 1e-4
+    draws = [importance_gain(posterior, x[:1], 4, rng)[0] for _ in range(20)]
+    assert np.mean(draws) == pytest.approx(gain[0], abs=4.0 * np.std(draws) / np.sqrt(20) + 1e-6)

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from imucalib import readers
-from imucalib.errors import UnreadableInput
-from imucalib.recording.mapping import from_dict
+from imucalib.errors import ImucalError, UnreadableInput
+from imucalib.recording.mapping import FieldMapping, from_dict
 from imucalib.recording.recording import Recording
 
 START = 1_700_000_000_000_000_000
@@ -184,3 +184,10 @@ def test_no_stamp_takes_the_interpreter_down(tmp_path: Path) -> None:
         assert "line 702: the time stamp" in line
     assert lines[len(ODD)].split()[0] == lines[len(ODD) + 1].split()[0] == str(ROWS)
     assert "'nonsense'" in lines[-1]
+
+
+def test_a_format_passes_over_the_letters_that_it_names(tmp_path: Path) -> None:
+    path = table(tmp_path / "a.csv", "time", clock("%Y-%m-%d %H:%M:%S.%L CST"))
+    same_moments(readers.read(path, FieldMapping(time_format="%Y-%m-%d %H:%M:%S.%f CST")), 0, START)
+    with pytest.raises(ImucalError, match="%Q of the time format"):
+        readers.read(path, FieldMapping(time_format="%Q"))

@@ -1,6 +1,10 @@
 """Text tables: the right numbers or a clear error, in every dialect."""
 
+from __future__ import annotations
+
 import gzip
+import struct
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +13,16 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from imucalib import readers, writers
-from imucalib.errors import ImucalError, UnreadableInput, UsageError
+from imucalib.errors import ImucalError, UnreadableInput
+from imucalib.readers import read
+from imucalib.readers.csv import rows as csv_rows
+from imucalib.readers.csv.reader import without_repeats
+from imucalib.readers.csv.rows import Layout, Rows, parse
+from imucalib.readers.csv.text import Lines
 from imucalib.readers.joining import join
 from imucalib.recording.mapping import FieldMapping
-from imucalib.recording.recording import Channel, Recording
+from imucalib.recording.recording import Channel, Gap, Recording
+from imucalib.rests.runs import WORN, posture_runs, scan
 from imucalib.units import STANDARD_GRAVITY
 from worlds.places import DATA, needs_data
 
@@ -77,6 +87,8 @@ def test_missing_values_become_gaps_and_are_never_filled(tmp_path: Path) -> None
 
 
 STAMPED = [f"{0.01 * k:.2f}," for k in range(500)]
+
+
 DATED = [f"2024-03-01 12:00:{0.01 * k:06.3f}," for k in range(500)]
 
 
@@ -90,7 +102,7 @@ DATED = [f"2024-03-01 12:00:{0.01 * k:06.3f}," for k in range(500)]
         ("\xff\x01,0,0", "is not a number"),
     ],
 )
-@pytest.mark.parametrize("at", [0, 321, 499])
+@pytest.mark.parametrize("at", [0, 499])
 def test_a_bad_row_costs_that_row(
     stamps: list[str], bad: str, words: str, at: int, tmp_path: Path
 ) -> None:
@@ -171,18 +183,6 @@ def test_zero_bytes_complete_no_cut_line(
         np.testing.assert_allclose(acc_of(found), wanted, rtol=1e-14)
         for note in notes:
             assert any(note in n for n in found.notes), found.notes
-
-
-def test_errors_of_the_mapping(tmp_path: Path) -> None:
-    path = put(tmp_path, "\n".join(["x,y,z", *rows(at_rest(100))]) + "\n")
-    with pytest.raises(UsageError, match="no column 'ax'"):
-        readers.read(path, FieldMapping(acc=("ax", "y", "z"), rate=100))
-    with pytest.raises(UsageError, match="do not make triads"):
-        readers.read(path, FieldMapping(acc=("x", "y"), rate=100))
-    with pytest.raises(UnreadableInput, match="--rate"):
-        readers.read(path)
-    with pytest.raises(UsageError, match="unknown unit 'furlong'"):
-        readers.read(path, FieldMapping(rate=100, acc_unit="furlong"))
 
 
 DELIMITERS = st.sampled_from([",", ";", "\t", " ", "|"])
@@ -304,3 +304,187 @@ def test_our_own_table_is_held_against_its_sum(tmp_path: Path) -> None:
     for fine in (data, data.replace(b"\n", b"\r\n"), gzip.compress(data), old):
         path.write_bytes(fine)
         assert readers.read(path, strict=True).notes == ()
+
+
+ODD = (
+    "", "nan", "NaN", "inf", "-Infinity", "1e400", "4.9e-324", "+4", ".5", "5.", " 3", "3 ", "-0",
+    "0x10", "1_0", "1d3", "NA", "null", "1,5", "1\0", "--1", "-", "1e", "true", "\u0661", "007",
+    "9007199254740993", "9223372036854775808", "1.7976931348623159e308", "\t7", "#", "'1'", "1.0",
+    "2.2250738585072011e-308", "2024-01-02 03:04:05.678",
+)  # fmt: skip
+
+
+doubles = st.integers(0, 2**64 - 1).map(lambda n: repr(struct.unpack("d", struct.pack("Q", n))[0]))
+
+
+decimals = st.decimals(allow_nan=False, allow_infinity=False, places=7).map(str)
+
+
+cells = st.one_of(
+    doubles, decimals, st.integers(-(2**63), 2**63 - 1).map(str), st.sampled_from(ODD)
+)
+
+
+stamps = st.one_of(st.integers(0, 2**62).map(str), decimals, st.sampled_from(ODD))
+
+
+def outcome(text: bytes, layout: Layout, arrow: bool) -> Rows | str:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(csv_rows, "arrow_is_installed", lambda: arrow)
+        try:
+            return parse(Lines(text, 1), layout, "file")
+        except ImucalError as error:
+            return str(error)
+
+
+def assert_same(text: bytes, layout: Layout) -> None:
+    one, two = outcome(text, layout, True), outcome(text, layout, False)
+    if isinstance(one, str) or isinstance(two, str):
+        assert one == two
+        return
+    assert one.values.tobytes() == two.values.tobytes() or np.array_equal(
+        one.values, two.values, equal_nan=True
+    )
+    if one.stamps.dtype.kind == "S":
+        assert one.stamps.tolist() == two.stamps.tolist()
+        return
+    assert one.stamps.dtype == two.stamps.dtype
+    assert np.array_equal(one.stamps, two.stamps, equal_nan=one.stamps.dtype.kind == "f")
+
+
+@pytest.mark.slow
+@settings(max_examples=400, deadline=None)
+@given(
+    table=st.lists(st.tuples(stamps, cells, cells, cells), min_size=1, max_size=6),
+    kind=st.sampled_from(("int", "float", "text", "")),
+    delimiter=st.sampled_from((",", ";", "\t")),
+)
+def test_same_rows_or_same_message(table: list[tuple[str, ...]], kind: str, delimiter: str) -> None:
+    text = "".join(delimiter.join(row) + "\n" for row in table).encode()
+    time = (0,) if kind else ()
+    assert_same(text, Layout(delimiter, ".", 4, time, kind, (1, 3)))
+
+
+@pytest.mark.slow
+@settings(max_examples=200, deadline=None)
+@given(rows=st.lists(st.tuples(decimals, doubles, decimals), min_size=1, max_size=20))
+def test_plain_numbers_are_read_by_pyarrow(rows: list[tuple[str, ...]]) -> None:
+    text = "".join(",".join(row) + "\n" for row in rows).encode()
+    found = csv_rows.columns_of(text, ",", 3, ((0,), "float"), (1, 2))
+    assert found is not None
+    assert found[0][0].tolist() == [float(row[0]) for row in rows]
+    assert np.array_equal(
+        found[1], [[float(row[1]), float(row[2])] for row in rows], equal_nan=True
+    )
+
+
+@pytest.mark.parametrize("stamp", ["{k}", "{s:.2f}", "2024-05-06 07:08:09.{ms:03d}"])
+def test_whole_files_are_equal(tmp_path: Path, stamp: str) -> None:
+    rng = np.random.default_rng(2)
+    lines = ["time,x,y,z"]
+    for k in range(900):
+        x, y, z = rng.normal((0.1, 0.2, 0.97), 0.01)
+        time = stamp.format(k=1_700_000_000_000 + 10 * k, s=0.01 * k, ms=k)
+        lines.append(f"{time},{x:.6f},{y:.6f},{z:.6f}" if k != 400 else f"{time},,,")
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(lines) + "\n")
+    found = []
+    for arrow in (True, False):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(csv_rows, "arrow_is_installed", lambda arrow=arrow: arrow)
+            found.append(read(path, FieldMapping(acc_unit="g")))
+    one, two = found
+    assert one.notes == two.notes
+    assert one.gaps == two.gaps
+    assert one.start_ns == two.start_ns
+    for name, channel in one.channels.items():
+        assert np.array_equal(channel.t, two.channels[name].t)
+        assert np.array_equal(channel.values, two.channels[name].values)
+
+
+RATE = 20.0
+
+
+def recording(values: np.ndarray) -> Recording:
+    t = np.arange(len(values)) / RATE
+    channel = Channel(t, values, "m/s2", "acceleration", "imu0", RATE)
+    return Recording({"imu0/acceleration": channel}, "made", "csv", "")
+
+
+def asleep(seconds: list[tuple[int, bool]]) -> np.ndarray:
+    """Seconds of fresh readings, or (True) of the last one repeated."""
+    rng = np.random.default_rng(0)
+    rows = [np.zeros((1, 3))]
+    for length, sleeping in seconds:
+        n = length * int(RATE)
+        fresh = rng.standard_normal((n, 3))
+        rows.append(np.repeat(rows[-1][-1:], n, axis=0) if sleeping else fresh)
+    return np.concatenate(rows)[1:]
+
+
+def in_blocks(whole: Recording, rows: int) -> list[Recording]:
+    channel = whole.channels["imu0/acceleration"]
+    parts = []
+    for a in range(0, channel.t.size, rows):
+        cut = replace(channel, t=channel.t[a : a + rows], values=channel.values[a : a + rows])
+        parts.append(replace(whole, channels={"imu0/acceleration": cut}))
+    return parts
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    st.lists(st.tuples(st.integers(1, 4), st.booleans()), min_size=1, max_size=6),
+    st.integers(1, 130),
+)
+def test_blocks_do_not_matter(seconds: list[tuple[int, bool]], rows: int) -> None:
+    whole = recording(asleep([(1, False), *seconds]))
+    (one,) = without_repeats(iter([whole]))
+    parts = list(without_repeats(iter(in_blocks(whole, rows))))
+    many = [p.channels["imu0/acceleration"] for p in parts]
+    assert np.array_equal(one.channels["imu0/acceleration"].t, np.concatenate([c.t for c in many]))
+    assert one.gaps == tuple(g for p in parts for g in p.gaps)
+    assert one.notes == tuple(n for p in parts for n in p.notes)
+
+
+@pytest.mark.parametrize("rows", [37, 10**6])
+def test_the_rest_before_a_gap_is_a_window(rows: int) -> None:
+    rng = np.random.default_rng(1)
+    rest = STANDARD_GRAVITY * np.array([0.6, 0.0, 0.8])
+    values = rest + 0.04 * rng.standard_normal((int(RATE) * 44, 3))
+    row = np.arange(len(values))
+    moving = (row < 31 * RATE) | (row >= 40 * RATE)
+    values[moving] += 2.0 * rng.standard_normal((int(moving.sum()), 3))
+    whole = recording(values)
+    channel = whole.channels["imu0/acceleration"]
+    keep = (channel.t < 37.0) | (channel.t >= 40.0)
+    cut = replace(channel, t=channel.t[keep], values=channel.values[keep])
+    gap = Gap(36.95, 40.0, "idle sleep")
+    parts = in_blocks(replace(whole, channels={"imu0/acceleration": cut}), rows)
+    first = next(k for k, p in enumerate(parts) if p.channels["imu0/acceleration"].t[-1] >= 40.0)
+    parts = [replace(p, gaps=(gap,) if k == first else ()) for k, p in enumerate(parts)]
+    runs = posture_runs(scan(parts, WORN.window))
+    assert runs.n == 1
+    assert runs.time[0] == pytest.approx(34.5, abs=0.1)
+    assert np.allclose(runs.mean[0], rest, atol=0.02)
+
+
+def test_coarse_stamps_are_spread_and_said(tmp_path: Path) -> None:
+    values = at_rest(30 * 40)
+    lines = [f"2020-01-01 00:00:{k // 30:02d},{r}" for k, r in enumerate(rows(values)) if k >= 12]
+    found = readers.read(put(tmp_path, "\n".join(["time,x,y,z", *lines]) + "\n"))
+    channel = found.channels["imu0/acceleration"]
+    assert channel.rate == pytest.approx(30.0)
+    np.testing.assert_allclose(channel.t, np.arange(12, 1200) / 30, atol=1e-9)
+    assert any("resolution of 1 s" in n for n in found.notes)
+    assert found.gaps == ()
+
+
+def test_bad_stamps_cost_their_rows(tmp_path: Path) -> None:
+    values = at_rest(500)
+    lines = [a + b for a, b in zip(DATED, rows(values), strict=True)]
+    for k in (1, 200, 201):
+        lines[k] = "2024-03-0x" + lines[k][10:]
+    path = put(tmp_path, "\n".join(["time,x,y,z", *lines]) + "\n")
+    found = readers.read(path)
+    np.testing.assert_allclose(acc_of(found), np.delete(values, [1, 200, 201], axis=0) * G)
+    assert any(note.startswith("3 rows left out; line 3") for note in found.notes)

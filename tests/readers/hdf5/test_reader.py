@@ -1,22 +1,32 @@
-"""HDF5: layouts in use are found, damage is located, units are known or asked for."""
+"""HDF5 and its relatives: layouts, clocks, damage, and what is not in the file."""
 
+from __future__ import annotations
+
+import re
 import subprocess
 import sys
+import time
+import zlib
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
+from click.testing import CliRunner
+from scipy.io import savemat
 
-from imucalib import readers, writers
-from imucalib.errors import UnreadableInput
-from imucalib.recording.mapping import FieldMapping
+from imucalib import cli, readers, writers
+from imucalib.errors import ImucalError, UnreadableInput
+from imucalib.readers import blocks, read
+from imucalib.recording.mapping import FieldMapping, from_dict
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.segments import still_segments
 from imucalib.units import DEG, STANDARD_GRAVITY
 from worlds.places import SAMPLES
 
 N = 4000
+
+
 TRUTH = np.array([0.1, -0.2, 9.75]) + np.random.default_rng(0).normal(scale=0.02, size=(N, 3))
 
 
@@ -177,3 +187,252 @@ def test_a_heap_whose_walk_would_not_end_is_refused(tmp_path: Path) -> None:
             [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False
         )
         assert f"byte {at}: a heap of texts is damaged" in run.stderr
+
+
+RELATIVES_N, RATE = 3000, 100.0
+
+
+RNG = np.random.default_rng(0)
+
+
+ACC = np.array([0.2, -0.1, 9.8]) + RNG.normal(scale=0.03, size=(RELATIVES_N, 3))
+
+
+GYRO = RNG.normal(scale=0.01, size=(RELATIVES_N, 3))
+
+
+T = np.arange(RELATIVES_N) / RATE
+
+
+@pytest.mark.parametrize(
+    ("units", "factor"),
+    [
+        ("seconds since 2020-01-01 00:00:00", 1.0),
+        ("milliseconds since 2020-01-01T00:00:00Z", 1000.0),
+        ("microseconds since 2020-1-1 02:00:00 +02:00", 1e6),
+    ],
+)
+def test_netcdfs_clock_units_packing_and_missing_values(
+    units: str, factor: float, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.nc"
+    with h5py.File(path, "w") as file:
+        file["time"] = (T + 5.0) * factor
+        file["time"].attrs["units"] = units
+        packed = np.rint((ACC - 1.0) / 0.001).astype("i2")
+        packed[7] = -32768
+        file["acceleration"] = packed
+        tags = file["acceleration"].attrs
+        tags["units"], tags["scale_factor"], tags["add_offset"] = "m s-2", 0.001, 1.0
+        tags["_FillValue"] = np.array([-32768], "i2")
+        file["angular_velocity"] = np.rad2deg(GYRO)
+        file["angular_velocity"].attrs["units"] = "degree s-1"
+        file["temperature"] = np.full(RELATIVES_N, 293.15)
+        file["temperature"].attrs["units"] = "K"
+    found = read(path)
+    acc, gyro = found.channels["imu0/acceleration"], found.channels["imu0/angular_rate"]
+    np.testing.assert_allclose(acc.values, np.delete(ACC, 7, axis=0), atol=0.0006)
+    np.testing.assert_allclose(gyro.values, GYRO, atol=1e-12)
+    np.testing.assert_allclose(gyro.t, T, atol=1e-6)
+    np.testing.assert_allclose(found.channels["imu0/temperature"].values, 20.0)
+    assert found.start_ns == pytest.approx((1_577_836_800 + 5) * 10**9, abs=1000)
+
+
+@pytest.mark.parametrize("nested", [False, True])
+@pytest.mark.parametrize("packed", [False, True])
+def test_matlab_up_to_version_7(nested: bool, packed: bool, tmp_path: Path) -> None:
+    path = tmp_path / "a.mat"
+    content = {"Accelerometer": ACC, "Gyroscope": GYRO, "Time": T[:, None], "name": "left wrist"}
+    savemat(path, {"data": content} if nested else content, do_compression=packed)
+    found = read(path)
+    names = {n.split("/")[1]: c for n, c in found.channels.items()}
+    np.testing.assert_array_equal(names["acceleration"].values, ACC)
+    np.testing.assert_array_equal(names["angular_rate"].values, GYRO)
+    np.testing.assert_allclose(names["acceleration"].t, T)
+    assert found.format == "matlab"
+    parts = [c for b in blocks(path, block_samples=500) for c in b.channels.values()]
+    assert sum(c.t.size for c in parts if c.quantity == "acceleration") == RELATIVES_N
+
+
+def test_matlabs_rate_and_version_7_3(tmp_path: Path) -> None:
+    """The newer is HDF5 behind a text of 512 bytes."""
+    path = tmp_path / "a.mat"
+    savemat(path, {"acc": ACC.T, "fs": 50.0})
+    acc = read(path).channels["imu0/acceleration"]
+    np.testing.assert_array_equal(acc.values, ACC)
+    assert acc.rate == 50.0
+    with h5py.File(path, "w", userblock_size=512) as file:
+        file["acc"], file["time"] = ACC.T, T[None, :]
+    data = bytearray(path.read_bytes())
+    data[:128] = b"MATLAB 7.3 MAT-file, HDF5 schema 1.00 .".ljust(124) + b"\x00\x02IM"
+    path.write_bytes(bytes(data))
+    acc = read(path).channels["imu0/acceleration"]
+    np.testing.assert_array_equal(acc.values, ACC)
+    np.testing.assert_allclose(acc.t, T)
+
+
+def test_every_cut_of_a_matlab_file_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "a.mat"
+    savemat(path, {"acc": ACC[:40], "time": T[:40, None]}, do_compression=True)
+    whole = path.read_bytes()
+    for size in range(0, len(whole) - 1, 13):
+        path.write_bytes(whole[:size])
+        with pytest.raises(UnreadableInput):
+            read(path)
+
+
+@pytest.mark.slow
+def test_a_matlab_file_made_to_cost_ends_soon(tmp_path: Path) -> None:
+    path = tmp_path / "a.mat"
+    savemat(path, {"acc": np.zeros((1 << 22, 3))}, do_compression=True)
+    assert path.stat().st_size < 1 << 18
+    start = time.process_time()
+    with pytest.raises(UnreadableInput, match="claim"):
+        read(path)
+    assert time.process_time() - start < 5.0
+    assert zlib.crc32(path.read_bytes())  # nothing wrote to it
+
+
+ABSENT_N, CHUNK = 2000, 100
+
+
+ABSENT_TRUTH = np.array([0.1, -0.2, 9.75]) + np.random.default_rng(0).normal(
+    scale=0.02, size=(ABSENT_N, 3)
+)
+
+
+STAMPS = 1_600_000_000_000_000_001 + 10_000_000 * np.arange(ABSENT_N)
+
+
+ALLOWED = from_dict({"allow_external": True})
+
+
+def chunked(path: Path, absent: slice, *, of: str = "acc") -> Path:
+    with h5py.File(path, "w") as file:
+        for name, data, tail in (("acc", ABSENT_TRUTH, (3,)), ("time", STAMPS, ())):
+            options = {"chunks": (CHUNK, *tail), "fletcher32": True, "dtype": data.dtype}
+            held = file.create_dataset(name, shape=data.shape, **options)
+            gone = range(*absent.indices(ABSENT_N)) if of in (name, "both") else range(0)
+            for a in range(0, ABSENT_N, CHUNK):
+                if a not in gone:
+                    held[a : a + CHUNK] = data[a : a + CHUNK]
+        file["acc"].attrs["units"], file["time"].attrs["units"] = "m/s2", "ns"
+    return path
+
+
+def only_truth(found: Recording) -> int:
+    """How many samples were read; every one is what was written at its time."""
+    assert found.start_ns is not None
+    (channel,) = found.channels.values()
+    ns = np.rint(channel.t * 1e9).astype(np.int64) + found.start_ns
+    rows = np.rint((ns - STAMPS[0]) / 10_000_000).astype(int)
+    np.testing.assert_array_equal(channel.values, ABSENT_TRUTH[rows])
+    np.testing.assert_array_equal(ns, STAMPS[rows])
+    return rows.size
+
+
+@pytest.mark.parametrize("of", ["acc", "time", "both"])
+@pytest.mark.parametrize("absent", [slice(300, 700), slice(0, 100), slice(1900, 2000)])
+def test_chunks_that_were_never_written_are_missing(of: str, absent: slice, tmp_path: Path) -> None:
+    path = chunked(tmp_path / "a.h5", absent, of=of)
+    found = readers.read(path)
+    assert only_truth(found) == ABSENT_N - (absent.stop - absent.start)
+    assert any(f"rows {absent.start} to {absent.stop - 1} are not in" in n for n in found.notes)
+    if absent.start == 300:
+        assert found.gaps[0].stop - found.gaps[0].start == pytest.approx(4.01)
+    with pytest.raises(UnreadableInput, match="not in the file"):
+        readers.read(path, strict=True)
+    parts = list(readers.blocks(path, block_samples=150))
+    assert sum(c.t.size for p in parts for c in p.channels.values()) == ABSENT_N - 100 * (
+        (absent.stop - absent.start) // 100
+    )
+
+
+def test_storage_that_was_never_filled_is_missing(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        for name in ("left", "right"):
+            sensor = file.create_dataset(f"{name}/acc", shape=(ABSENT_N, 3), dtype="f8")
+            sensor.attrs["units"] = "m/s2"
+            file[name].attrs["rate"] = 100.0
+            if name == "left":
+                sensor[...] = ABSENT_TRUTH
+    found = readers.read(tmp_path / "a.h5")
+    assert list(found.channels) == ["left/acceleration"]
+    assert any("/right/acc: rows 0 to 1999" in note for note in found.notes)
+
+
+def virtual(path: Path, source: str) -> Path:
+    layout = h5py.VirtualLayout(shape=(ABSENT_N, 3), dtype="f8")
+    layout[:500] = h5py.VirtualSource(source, "x", shape=(500, 3))
+    layout[500:] = h5py.VirtualSource(".", "own", shape=(ABSENT_N - 500, 3))
+    with h5py.File(path, "w") as file:
+        file["own"] = ABSENT_TRUTH[500:]
+        file.create_virtual_dataset("acc", layout)
+        file["acc"].attrs["units"] = "m/s2"
+        file["time"] = STAMPS
+        file["time"].attrs["units"] = "ns"
+    return path
+
+
+def test_a_virtual_dataset_without_its_source_is_missing(tmp_path: Path) -> None:
+    path = virtual(tmp_path / "a.h5", "other.h5")
+    with pytest.raises(UnreadableInput, match=r"other.h5.*--allow-external"):
+        readers.read(path)
+    assert only_truth(readers.read(path, ALLOWED)) == ABSENT_N - 500
+    with h5py.File(tmp_path / "other.h5", "w") as file:
+        file.create_dataset("x", shape=(500, 3), chunks=(100, 3), dtype="f8")[:100] = ABSENT_TRUTH[
+            :100
+        ]
+    assert only_truth(readers.read(path, ALLOWED)) == ABSENT_N - 500
+    with h5py.File(tmp_path / "other.h5", "a") as file:
+        file["x"][...] = ABSENT_TRUTH[:500]
+    assert only_truth(readers.read(path, ALLOWED)) == ABSENT_N
+
+
+def test_external_storage_is_read_only_when_allowed(tmp_path: Path) -> None:
+    secret, path, target = tmp_path / "secret.bin", tmp_path / "a.h5", tmp_path / "b.csv"
+    secret.write_bytes(ABSENT_TRUTH.tobytes())
+    with h5py.File(path, "w") as file:
+        file.create_dataset(
+            "acc", shape=(ABSENT_N, 3), dtype="f8", external=[(str(secret), 0, ABSENT_TRUTH.nbytes)]
+        )
+        file["acc"].attrs["units"], file["time"] = "m/s2", STAMPS
+        file["time"].attrs["units"] = "ns"
+    with pytest.raises(UnreadableInput, match=r"secret.bin.*--allow-external"):
+        readers.read(path)
+    result = CliRunner().invoke(cli.cli, ["convert", str(path), str(target)])
+    assert result.exit_code != 0
+    assert not target.exists()
+    arguments = ["convert", str(path), str(target), "--allow-external"]
+    assert CliRunner().invoke(cli.cli, arguments).exit_code == 0
+    assert only_truth(readers.read(target)) == ABSENT_N
+    secret.write_bytes(b"short")
+    with pytest.raises(ImucalError):
+        readers.read(path, ALLOWED)
+
+
+@pytest.mark.slow
+def test_a_damaged_index_never_gives_wrong_samples(tmp_path: Path) -> None:
+    """Bits of the trees that say where the chunks are; those have checksums, the trees have not."""
+    path = chunked(tmp_path / "a.h5", slice(0, 0))
+    data = path.read_bytes()
+    nodes = [m.start() for m in re.finditer(b"TREE\\x01", data)]  # version 1 trees of chunks
+    assert len(nodes) >= 2
+    inside = np.concatenate([np.arange(at, at + 1200) for at in nodes])
+    rng = np.random.default_rng(1)
+    where = inside[np.frombuffer(data, np.uint8)[inside] > 0]
+    told = 0
+    for at in rng.choice(where, 250, replace=False).tolist():
+        damaged = bytearray(data)
+        damaged[at] ^= 1 << int(rng.integers(8))
+        path.write_bytes(damaged)
+        try:
+            found = readers.read(path, FieldMapping())
+        except ImucalError:
+            told += 1
+            continue
+        channel = next(iter(found.channels.values()))
+        zero = (channel.values == 0).all(axis=1)
+        assert not zero.any(), at
+        told += channel.t.size < ABSENT_N
+    assert told > 20

@@ -29,6 +29,7 @@ from imucalib.calibrators.lab.sessions.joined_tables import joined
 from imucalib.core.effect import Effect
 from imucalib.effects import own_effects
 from imucalib.estimators.turns import TurnFit, carried_error
+from imucalib.inspection.noise import SensorNoise, noise_at_rest
 from imucalib.loop.held_out import Difference, difference
 from imucalib.recording.mapping import UNCHANGED, AxisMap, FieldMapping
 from imucalib.recording.recording import Recording
@@ -112,13 +113,15 @@ class HeldOutTurns:
 
 @dataclass(frozen=True)
 class ImuResult:
-    """accelerometer : by the rests; imu : the log; found : the search; fit : what is corrected;
+    """accelerometer : by the rests; imu : the log; noise : of the longest rest
+    found : the search; fit : what is corrected;
     fitted : (3,) deg rms of the turns that were fitted, as in `HeldOutTurns`
     refused : whether held-out turns refuse what was told"""
 
     recordings: tuple[Recording, ...]
     accelerometer: LabRun
     imu: Imu
+    noise: tuple[SensorNoise, ...]
     found: Searched
     fit: TurnFit
     fitted: tuple[float, float, float]
@@ -142,8 +145,10 @@ def calibrate_imu(
     segments = [found for _, found in read]
     for recording, found in zip(recordings, segments, strict=True):
         gyroscope_of(recording, found.triads[0])
-    plain = imu_of(recordings, segments, request.gravity)
-    demand_axes(plain.turns, str(paths[0]), _matrix(request.gyro_axes))
+    # An hour of samples is not held once more than it has to be.
+    plain = imu_of(recordings, segments, request.gravity).turns
+    demand_axes(plain, str(paths[0]), _matrix(request.gyro_axes))
+    del plain, read
     accelerometer = _accelerometer(recordings, segments, request)
     triads = [found.triads[0] for found in segments]
     # The mark that a correction leaves is not kept: a check sum of its own is not made for it.
@@ -154,7 +159,10 @@ def calibrate_imu(
     ]
     imu = imu_of(corrected, segments, request.gravity)
     say(f"{len(imu.turns.turns)} turns between rests; {len(imu.left_out)} left out")
-    return _result(tuple(recordings), accelerometer, imu, request)
+    result = _result(tuple(recordings), accelerometer, imu, request)
+    pairs = zip(recordings, segments, strict=True)
+    longest, still = max(pairs, key=lambda pair: float(np.max(pair[1].stop - pair[1].start)))
+    return replace(result, noise=noise_at_rest((longest,), still))
 
 
 def _result(
@@ -171,7 +179,7 @@ def _result(
     if refused:
         held, after = replace(held, final=held.base), before
     return ImuResult(
-        recordings=recordings, accelerometer=accelerometer, imu=imu, found=found,
+        recordings=recordings, accelerometer=accelerometer, imu=imu, noise=(), found=found,
         fit=base if refused else found.final, fitted=(raw, before, after), held_out=held,
         refused=refused,
     )  # fmt: skip
@@ -179,6 +187,8 @@ def _result(
 
 def _in_axes(recording: Recording, request: ImuRequest) -> Recording:
     """The recording with its rates in the axes that were stated."""
+    if request.gyro_axes == UNCHANGED:
+        return recording
     channels = {
         name: replace(c, values=request.gyro_axes.apply(c.values))
         if c.quantity == "angular_rate"

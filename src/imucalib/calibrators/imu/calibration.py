@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,17 +13,16 @@ from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.gyroscope import BIAS, GAIN, STAGE
 from imucalib.calibration.outcome import Outcome
 from imucalib.calibrators.imu.calibrate import ImuResult
-from imucalib.calibrators.imu.log import Imu
 from imucalib.estimators.lateness import lateness
 from imucalib.estimators.turns import ACCELEROMETER, LOWER, TurnFit
 from imucalib.estimators.turns import GAIN as GAINS
-from imucalib.inspection.noise import AllanSums
+from imucalib.inspection.noise import SensorNoise, noise_blocks
 from imucalib.units import DEG, MG
 
 #: Effects of the accelerometer that the turns bear on.
 _LINEAR = ("bias", "scale", "non_orthogonality")
-#: Relative step of a derivative, and s of rest from which a bias instability is more than a limit.
-_STEP, _LONG = 1e-6, 600.0
+#: Relative step of a derivative.
+_STEP = 1e-6
 
 
 def imu_calibration(result: ImuResult, outcome: Outcome, details: Mapping[str, Any]) -> Calibration:
@@ -68,6 +67,7 @@ def imu_calibration(result: ImuResult, outcome: Outcome, details: Mapping[str, A
             **{k: v for k, v in made.facts.items() if k not in ("errors", "provenance")},
             "errors": [error.as_dict() for error in outcome.errors],
             "imu": dict(details["imu"]),
+            "noise_density": {"imu0": dict(details["noise_density"])},
             "provenance": outcome.provenance.as_dict(),
         },
     )  # fmt: skip
@@ -128,16 +128,20 @@ def imu_details(result: ImuResult) -> dict[str, Any]:
         **result.accelerometer.details,
         "imu": {
             "frame": "of the accelerometer: x along its x axis, y in the plane of its x and y",
-            "sample_interval_s": imu.interval,
+            "sample_interval_s": 1.0 / result.noise[0].rate if result.noise else None,
             "turns": len(imu.turns.turns),
             "turns_left_out": list(imu.left_out),
             "rests": imu.turns.rests,
-            "gyroscope_noise": noise_block(imu),
-            "accelerometer_noise_m_per_s2": imu.force_noise.tolist(),
+            "gyroscope_noise": _gyro_noise(result.noise),
             "bias_walk_deg_per_s_per_root_s": (fit.noise.walk / DEG).tolist(),
             "gyroscope_late_s": dict(zip(("value", "sd"), lateness(fit), strict=True)),
             "turn_floor_deg": fit.noise.floor / DEG,
             "turn_error_per_angle": fit.noise.per_angle,
+        },
+        "noise_density": {
+            key: value
+            for block in noise_blocks(result.noise).values()
+            for key, value in block.items()
         },
         "held_out_turns_deg": {
             name: getattr(held, name).tolist() for name in ("raw", "base", "final")
@@ -145,21 +149,20 @@ def imu_details(result: ImuResult) -> dict[str, Any]:
     }
 
 
-def noise_block(imu: Imu) -> dict[str, Any]:
-    """Of the gyroscope, from the longest rest: white noise with its 95 % interval, and the bias
-    instability, which under ten minutes is an upper limit."""
-    seconds = len(imu.longest) * imu.interval
-    sums = AllanSums(3)
-    sums.add(imu.longest)
-    curves = sums.curves(imu.interval)
-    first = [c.deviation[0] * np.sqrt(c.tau[0]) for c in curves]
-    ends = np.array([[e[0] * np.sqrt(c.tau[0]) for e in c.interval()] for c in curves])
-    least = [float(c.interval()[1].min()) / 0.664 for c in curves]
+def _gyro_noise(noise: Sequence[SensorNoise]) -> dict[str, Any]:
+    """Of the gyroscope at rest, by axis: white noise, and the bias instability, or what it is at
+    most where the rests are too short to show it."""
+    axes = next((s.axes for s in noise if s.quantity == "angular_rate"), ())
+    shown = [axis.instability.value for axis in axes]
     return {
-        "rest_s": seconds,
-        "white_deg_per_s_per_root_hz": (np.array(first) / DEG).tolist(),
-        "white_95_low": (ends[:, 0] / DEG).tolist(),
-        "white_95_high": (ends[:, 1] / DEG).tolist(),
-        "bias_instability_at_most_deg_per_s": (np.array(least) / DEG).tolist(),
-        "upper_limit": seconds < _LONG,
+        "rest_s": max((axis.curve.longest for axis in axes), default=0.0),
+        "white_deg_per_s_per_root_hz": [
+            (axis.white.value or axis.at_most("white")) / DEG for axis in axes
+        ],
+        "white_sd": [(axis.white.sd or 0.0) / DEG for axis in axes],
+        "bias_instability_deg_per_s": [
+            (value or axis.at_most("instability")) / DEG
+            for value, axis in zip(shown, axes, strict=True)
+        ],
+        "upper_limit": None in shown,
     }

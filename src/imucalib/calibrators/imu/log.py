@@ -58,16 +58,11 @@ class Course:
 class Imu:
     """A log of one IMU, or several: what is fitted, and what was left out of it.
 
-    left_out : one sentence a turn; noise : rad/s and m/s² sd of a sample, (3,) each; interval : s
-    longest : (n, 3) rad/s and its interval, the readings of the longest rest
+    left_out : one sentence a turn
     """
 
     turns: TurnLog
     left_out: tuple[str, ...]
-    rate_noise: Array
-    force_noise: Array
-    interval: float
-    longest: Array
     course: Course
 
 
@@ -137,14 +132,14 @@ def _together(logs: list[Imu]) -> Imu:
     }
     time = np.concatenate([log.turns.time + s for log, s in zip(logs, apart, strict=False)])
     white = float(np.sqrt(np.mean([log.turns.white**2 for log in logs])))
-    first = max(logs, key=lambda log: len(log.longest))
     whole = TurnLog(time=time, linked=linked, turns=tuple(turns), white=white, **parts)
-    return replace(
-        first, turns=whole, left_out=tuple(w for log in logs for w in log.left_out),
+    return Imu(
+        turns=whole,
+        left_out=tuple(w for log in logs for w in log.left_out),
         course=Course(
             float(apart[-1]), time, np.concatenate(warm) if len(warm) == len(logs) else None
         ),
-    )  # fmt: skip
+    )
 
 
 def _of_one(recording: Recording, segments: Segments, gravity: float) -> Imu:
@@ -184,17 +179,13 @@ def _of_one(recording: Recording, segments: Segments, gravity: float) -> Imu:
         else:
             turns.append(turn)
     warm = segments.temperature[:, 0]
-    longest = int(np.argmax(ends[1] - ends[0]))
     log = TurnLog(
         time=t[middle], force=rests[0], rate=rests[1], force_sd=rests[2][:, 0], rate_sd=rests[3],
         linked=np.ones(segments.n - 1, bool), turns=tuple(turns),
         white=float(np.sqrt(np.mean(noise**2) * step)),
     )  # fmt: skip
-    return Imu(
-        turns=log, left_out=tuple(why), rate_noise=noise, force_noise=segments.noise[0],
-        interval=step, longest=rate[ends[0][longest] : ends[1][longest]],
-        course=Course(float(t[-1] - t[0]), t[middle], warm if np.isfinite(warm).all() else None),
-    )  # fmt: skip
+    known = warm if np.isfinite(warm).all() else None
+    return Imu(log, tuple(why), Course(float(t[-1] - t[0]), t[middle], known))
 
 
 def _demand_together(recording: Recording, gyro: Channel, force: Channel) -> None:

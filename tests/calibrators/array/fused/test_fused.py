@@ -1,19 +1,28 @@
-"""The fused instrument against a rigid board in plain numpy, whose truth is known."""
+"""The fused IMU: its noise, its output in every format, and what it must not do."""
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, replace
+from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
+from click.testing import CliRunner, Result
 from numpy.typing import NDArray
 
+from imucalib import cli
+from imucalib.calibration.calibration import Calibration
+from imucalib.calibration.file import write
 from imucalib.calibrators.array.fused.fuse import Fused, Stretch
 from imucalib.calibrators.array.fused.instrument import instrument_of
-from imucalib.calibrators.array.fused.recording import Told, fused_stretch
+from imucalib.calibrators.array.fused.recording import Told, determined, fused_stretch
 from imucalib.calibrators.array.fused.survey import NotFusable, Survey, side_by_side, survey
-from imucalib.errors import UsageError
+from imucalib.errors import ImucalError, UsageError
+from imucalib.readers import read
 from imucalib.recording.recording import Recording
+from imucalib.writers import write as write_recording
 from worlds.rigid_board import (
     DEG,
     Board,
@@ -23,9 +32,12 @@ from worlds.rigid_board import (
     moves,
     readings,
     recording,
+    turned_by,
 )
 
 Array = NDArray[np.float64]
+
+
 STILL, HZ = 12.0, 100.0
 
 
@@ -182,3 +194,179 @@ def test_what_cannot_be_fused_is_refused(plain: World) -> None:
     single = replace(calibration(plain.board), triads=(), calibrator="lab")
     with pytest.raises(UsageError, match="nothing to fuse"):
         instrument_of(single)
+
+
+@dataclass(frozen=True)
+class Files:
+    folder: Path
+    moves: Moves
+
+    def apply(self, target: str, *options: object, source: str = "log.h5") -> Result:
+        given = [self.folder / "c.yaml", self.folder / source, "-o", self.folder / target]
+        arguments = ["apply", *map(str, given), "--force", *map(str, options)]
+        result = CliRunner().invoke(cli.cli, arguments, standalone_mode=False)
+        if isinstance(result.exception, ImucalError):
+            result.return_value = result.exception.exit_code
+        return result
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Files:
+    rng = np.random.default_rng(8)
+    made = board(rng, chips=4, late=1e-3)
+    motion = moves(rng, still=8.0, moving=8.0, hz=100.0, twist=150.0, late=1e-3, fastest=2.0)
+    folder = tmp_path_factory.mktemp("fused")
+    log = recording(made, motion.t, *readings(made, motion, rng))
+    write(calibration(made), folder / "c.yaml")
+    for name in ("log.h5", "log.mcap", "log.csv"):
+        write_recording(log, folder / name)
+    return Files(folder, motion)
+
+
+@pytest.mark.slow
+def test_hdf5_holds_the_nine_and_their_covariances(files: Files) -> None:
+    result = files.apply("fused.h5", "--fused", "--json")
+    assert result.return_value == 0, result.exception
+    notes = json.loads(result.stdout)["notes"]
+    assert any("rest in this recording" in text for text in notes)
+    assert any("mm of the board's frame" in text for text in notes)
+    with h5py.File(files.folder / "fused.h5") as file:
+        assert set(file) == {"fused"}
+        rate = file["fused/angular_rate/values"][:]
+        covariance = file["fused/angular_rate_covariance/values"][:].reshape(-1, 3, 3)
+        assert file["fused/angular_acceleration/values"].attrs["units"] == b"rad/s2"
+        assert np.array_equal(file["fused/acceleration/time"][:], files.moves.t)
+    off = rate - files.moves.rate
+    each = np.einsum("ti,tij,tj->t", off, np.linalg.inv(covariance), off)
+    assert 0.9 < each.mean() / 3.0 < 1.1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("suffix", ["h5", "csv", "mcap"])
+def test_every_format_and_source_gives_the_same(files: Files, suffix: str) -> None:
+    assert files.apply("one.h5", "--fused", "-q").return_value == 0
+    assert files.apply(f"two.{suffix}", "-q", source=f"log.{suffix}").return_value == 0
+    one, two = read(files.folder / "one.h5"), read(files.folder / f"two.{suffix}")
+    assert set(one.channels) == {"fused/acceleration", "fused/angular_rate"}
+    assert set(two.channels) == set(one.channels) | {
+        f"imu{k}/{what}" for k in range(4) for what in ("acceleration", "angular_rate")
+    }
+    for name, channel in one.channels.items():
+        assert np.allclose(two.channels[name].values, channel.values, atol=1e-6), name
+
+
+@pytest.mark.parametrize(
+    "options", [("--at", "1,2"), ("--at", "x,y,z"), ("--no-fused", "--at", "0,0,0"),
+                ("--fused", "--triad", "imu0")],
+)  # fmt: skip
+def test_options_that_make_no_sense_are_refused(files: Files, options: tuple[str, ...]) -> None:
+    result = files.apply("none.h5", *options)
+    assert getattr(result.exception, "exit_code", None) == 2
+    assert not (files.folder / "none.h5").exists()
+
+
+def test_a_log_without_gyros_is_corrected_and_says_why_not_fused(files: Files) -> None:
+    log = read(files.folder / "log.h5")
+    channels = {n: c for n, c in log.channels.items() if c.quantity == "acceleration"}
+    write_recording(type(log)(channels, log.path, log.format, ""), files.folder / "acc.h5")
+    result = files.apply("acc_only.h5", source="acc.h5")
+    assert result.return_value == 0
+    assert "not fused" in result.stderr
+    assert files.apply("acc_only.h5", "--fused", source="acc.h5").return_value == 3
+
+
+def test_a_sample_that_nothing_determines_is_left_out() -> None:
+    covariance = np.tile(np.diag([0.01] * 3 + [1e6] * 3 + [1e-4] * 3), (4, 1, 1))
+    covariance[1, 1, 1] = 700.0**2  # m/s²: most readings clip
+    covariance[2, 8, 8] = 20.0**2  # rad/s
+    assert determined(covariance).tolist() == [True, False, False, True]
+
+
+DOUBT_STILL, DOUBT_HZ = 6.0, 100.0
+
+
+#: m of a coordinate, gain, m/s² of a bias, and of all: gravity, gyros' scale, rad of the frame.
+PLACE, GAIN, BIAS, GRAVITY, SCALE, FRAME = 3e-5, 1e-3, 0.02, 1e-3, 2e-3, 1e-3
+
+
+def wrong(truth: Calibration, rng: np.random.Generator) -> Calibration:
+    """The file of a calibration that is off by draws of what it states."""
+    facts, count = truth.facts, len(truth.triads)
+    places = 1e-3 * np.array([row["mean"] for row in facts["positions_mm"]])
+    k, gravity, turn = SCALE * rng.normal(), GRAVITY * rng.normal(), FRAME * rng.normal(size=3)
+    places[1:] += PLACE * rng.normal(size=(count - 1, 3))
+    # Readings (1 + k) ω and forces (1 + g) f give positions (1 + g) / (1 + k)² as large.
+    found = turned_by(turn, places * (1.0 + gravity) / (1.0 + k) ** 2)
+    own = found[1:].ravel()
+    about = np.stack([np.cross(axis, found[1:]).ravel() for axis in np.eye(3)], axis=1)
+    size = np.hypot(2.0 * SCALE, GRAVITY)
+    covariance = PLACE**2 * np.eye(len(own)) + size**2 * np.outer(own, own)
+    covariance += FRAME**2 * about @ about.T
+    stated = np.diag([GAIN**2] * 9 + [BIAS**2] * 3)
+    triads = []
+    for triad in truth.triads:
+        gain = triad.gain @ (np.eye(3) + GAIN * rng.normal(size=(3, 3))) / (1.0 + gravity)
+        # What is corrected comes out in a frame that is turned.
+        triads.append(replace(
+            triad, gain=turned_by(turn, gain), gyro_gain=turned_by(turn, triad.gyro_gain)
+            / (1.0 + k), bias=triad.bias + BIAS * rng.normal(size=3), covariance=stated,
+        ))  # fmt: skip
+    rows = [{"imu": t.name, "mean": (1e3 * found[i]).tolist()} for i, t in enumerate(triads)]
+    told = {
+        "positions_mm": rows,
+        "size": {"sd_beyond_motion": size, "sd_of_gravity": GRAVITY},
+        "gyro_scale": {"sd": SCALE},
+        "frame": {"sd_deg": [FRAME / DEG] * 3},
+    }
+    return replace(
+        truth, triads=tuple(triads), covariance=1e6 * covariance, facts={**facts, **told}
+    )
+
+
+def z_of(seed: int) -> Array:
+    """(T, 9) errors of force, dω/dt and ω in motion, over what is stated."""
+    rng = np.random.default_rng(seed)
+    made = board(rng)
+    motion = moves(rng, still=DOUBT_STILL, moving=6.0, hz=DOUBT_HZ, twist=400.0)
+    read = readings(made, motion, rng)
+    found = survey([recording(made, motion.t, *read)], instrument_of(wrong(calibration(made), rng)))
+    fused = fused_stretch(found, Stretch(motion.t, *read), Told()).motion
+    at = found.instrument.at[None]
+    force = motion.force + np.cross(motion.rate, np.cross(motion.rate, at))
+    force = force + np.cross(motion.spin, at)
+    off = [fused.force - force, fused.spin - motion.spin, fused.rate - motion.rate]
+    sd = np.sqrt(np.einsum("tii->ti", fused.covariance))
+    return np.asarray((np.concatenate(off, axis=1) / sd)[motion.t > DOUBT_STILL + 2.0])
+
+
+@pytest.mark.slow
+def test_what_the_calibration_leaves_open_is_in_the_covariance() -> None:
+    z = np.stack([z_of(seed) for seed in range(12)])
+    force, spin, rate = (float(np.sqrt(np.mean(z[..., k : k + 3] ** 2))) for k in (0, 3, 6))
+    # One draw a board: twelve of them know an rms to a tenth or two.
+    assert 0.75 < force < 1.3
+    assert 0.75 < rate < 1.3
+    assert 0.75 < spin < 1.3
+
+
+def test_samples_without_a_partner_stay_in(plain: World) -> None:
+    """A chip that loses samples or comes a little late takes part where it can."""
+    log = recording(plain.board, plain.moves.t, *plain.readings)
+    some = log.channels["imu3/angular_rate"]
+    keep = np.arange(len(some.t)) % 5 > 0
+    part = replace(some, t=some.t[keep] + 0.1 / HZ, values=some.values[keep])
+    (stretch,) = side_by_side(
+        [replace(log, channels={**log.channels, "imu3/angular_rate": part})],
+        plain.survey.instrument,
+    )
+    assert len(stretch.t) == len(plain.moves.t)
+    assert np.isnan(stretch.rate[:, 3, 0]).mean() == pytest.approx(0.2, abs=0.01)
+    assert np.isfinite(stretch.rate[:, 2]).all()
+
+
+def test_csv_names_every_column(files: Files) -> None:
+    assert files.apply("fused.csv", "--fused", "-q").return_value == 0
+    lines = (files.folder / "fused.csv").read_text().splitlines()
+    names = next(line for line in lines if line.startswith("time")).split(",")
+    assert len(names) == 1 + 3 * (3 + 9)
+    assert "fused/angular_rate_covariance/xy [rad2/s2]" in names

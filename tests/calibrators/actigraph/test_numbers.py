@@ -1,0 +1,411 @@
+"""What a worn sensor's report says, each number by hand, and the days that are simulated for it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import stats
+
+from imucalib.calibrators.actigraph import coverage, errors, wear
+from imucalib.calibrators.actigraph.closest_point import closest_point
+from imucalib.calibrators.actigraph.observations import (
+    covariates_of,
+    observations_of,
+    quantisation,
+    robust_fit,
+    weighted,
+)
+from imucalib.calibrators.actigraph.published import PointCollector, published_still, two_sets
+from imucalib.calibrators.actigraph.simulation import (
+    WeekPlan,
+    scan_of,
+    simulated_blocks,
+    simulated_week,
+    worn_blocks,
+)
+from imucalib.calibrators.actigraph.wear import Minutes, Wear, activity_of, minutes_of, wear_of
+from imucalib.core.effect import Context
+from imucalib.core.model import Model
+from imucalib.core.observations import Observations
+from imucalib.core.references import KnownNorm
+from imucalib.effects import named
+from imucalib.recording.recording import Channel, Recording
+from imucalib.rests.runs import PostureRuns, Scan, scan
+from imucalib.units import MG, STANDARD_GRAVITY
+
+Array = NDArray[np.float64]
+
+
+G = STANDARD_GRAVITY
+
+
+NINE = ("bias", "scale", "non_orthogonality")
+
+
+def runs_of(n: int = 6, **changed: object) -> PostureRuns:
+    u = np.concatenate([np.eye(3), -np.eye(3)])[np.arange(n) % 6]
+    made: dict[str, object] = {
+        "mean": G * u, "windows": np.arange(1, n + 1), "time": 3600.0 * np.arange(n),
+        "temperature": np.full(n, np.nan), "window_noise": 3.0 * MG, "still": 21, "total": 100,
+        "noise": np.full(3, 2.0 * MG), "resolution": np.zeros(3),
+    }  # fmt: skip
+    return PostureRuns(**{**made, **changed})  # type: ignore[arg-type]
+
+
+def scanned(seconds: float, **changed: object) -> Scan:
+    made = scan_of(np.zeros(0), None, rate=25.0, seconds=seconds)
+    return Scan(**{**vars(made), **changed})  # type: ignore[arg-type]
+
+
+def test_a_runs_noise_is_that_of_its_windows_beside_a_milli_g() -> None:
+    data = observations_of(runs_of(), scanned(6 * 3600.0), G, blocks=3)
+    np.testing.assert_allclose(data.sigma[:, 0, 0] / MG, np.sqrt(1.0 + 9.0 / np.arange(1.0, 7.0)))
+    # Three stretches of equal time between the first run and the last.
+    assert data.group.tolist() == [0, 0, 1, 1, 2, 2]
+    assert data.label[1] == "run at 0 d 01:00"
+
+
+def test_a_step_is_an_error_only_where_noise_does_not_average_it_out() -> None:
+    """Step / √12 of an axis whose noise is below half a step."""
+    coarse = runs_of(noise=np.array([1.9, 2.1, 2.1]) * MG, resolution=np.full(3, 4.0 * MG))
+    assert quantisation(coarse) == pytest.approx(4.0 * MG / np.sqrt(36.0))
+    assert quantisation(runs_of(noise=np.full(3, 2.0 * MG), resolution=np.full(3, 4.0 * MG))) == 0.0
+    data = observations_of(coarse, scanned(6 * 3600.0), G)
+    assert data.sigma[0, 0, 0] / MG == pytest.approx(np.sqrt(1.0 + 16.0 / 36.0 + 9.0))
+
+
+def test_what_effects_may_depend_on_is_there_where_it_varies() -> None:
+    n = 6
+    found = covariates_of(runs_of(), scanned(10 * 3600.0))
+    np.testing.assert_allclose(found["order"], np.arange(n) / 10.0)
+    np.testing.assert_allclose(found["previous_x"], G * np.array([1.0, 1.0, 0.0, 0.0, -1.0, 0.0]))
+    assert "time_of_day" not in found
+    assert "temperature" not in found
+    long = covariates_of(runs_of(), scanned(1.6 * 86400.0, start_ns=6 * 3600 * 10**9))
+    np.testing.assert_allclose(long["time_of_day"], 2.0 * np.pi * (6.0 + np.arange(n)) / 24.0)
+    assert "time_of_day" not in covariates_of(runs_of(), scanned(1.4 * 86400.0))
+    grid = np.arange(0.0, 36000.0, 60.0)
+    for swing, there in ((0.99, False), (1.0, True)):
+        warm = scan_of(grid, 20.0 + grid, rate=25.0, seconds=36000.0)
+        runs = runs_of(temperature=20.0 + swing * np.arange(n) / (n - 1.0))
+        assert ("temperature" in covariates_of(runs, warm)) == there
+
+
+def fitted_nine(seed: int = 1) -> tuple[object, PostureRuns, Scan]:
+    week = simulated_week(WeekPlan(days=0.4, temperature=False), seed)
+    data = observations_of(week.runs, week.scanned, G)
+    model = Model(tuple(named(name) for name in NINE))
+    return robust_fit(model, data, week.runs)[0], week.runs, week.scanned
+
+
+def test_coverage_is_what_was_recorded() -> None:
+    found, runs, scan = fitted_nine()
+    result = SimpleNamespace(runs=runs, final=found, light=3)
+    block = coverage.coverage_of(result, scan, gravity=G, window=10.0)  # type: ignore[arg-type]
+    said = block.as_dict()
+    assert said["hours"] == pytest.approx(9.6)
+    assert said["still_hours"] == pytest.approx(runs.still / 360.0)
+    assert (said["windows"], said["still_windows"], said["posture_runs"]) == (
+        runs.total, runs.still, runs.n)  # fmt: skip
+    assert said["runs_that_count_less"] == 3
+    np.testing.assert_allclose(said["noise_of_a_sample_mg"], 4.0)
+    assert said["axis_range_g"]["y"] == pytest.approx(
+        [runs.mean[:, 1].min() / G, runs.mean[:, 1].max() / G]
+    )
+    assert "temperature_degC" not in said
+    # |a| is known by the parameters: draws of them move the corrected norm as much.
+    rng = np.random.default_rng(0)
+    theta = rng.multivariate_normal(found.theta, found.covariance, 4000)  # type: ignore[attr-defined]
+    u = np.array([0.6, 0.0, 0.8])
+    reading = found.model.predict(found.theta, G * u[None, None], _one()).reading[0, 0]  # type: ignore[attr-defined]
+    size = [np.linalg.norm(_undone(t, reading)) for t in theta]
+    assert errors.norm_sd(found, u[None])[0] == pytest.approx(np.std(size), rel=0.06)  # type: ignore[arg-type]
+    assert block.worst_sd >= block.mean_sd > 0.0
+
+
+def _one() -> object:
+    from imucalib.core.effect import Context
+
+    return Context(1)
+
+
+def _undone(theta: Array, reading: Array) -> Array:
+    gain = np.eye(3) + np.diag(theta[3:6])
+    gain[[1, 2, 2], [0, 0, 1]] = theta[6:]
+    return np.linalg.solve(gain, reading - MG * theta[:3])
+
+
+def test_errors_over_the_sphere_are_those_of_the_nearest_part() -> None:
+    """Six ends and eight corners; a part without a posture has no error, but a deviation."""
+    found, runs, _ = fitted_nine()
+    held = errors.raw_errors(found)  # type: ignore[arg-type]
+    np.testing.assert_allclose(held.error[:, 0, 0], np.linalg.norm(runs.mean, axis=1) - G)
+    cells = errors.sphere_cells(found, found, held)  # type: ignore[arg-type]
+    names = ["+x", "-x", "+y", "-y", "+z", "-z"]
+    assert [c.name for c in cells[:6]] == names
+    assert (cells[6].name, cells[13].name) == ("+x+y+z", "-x-y-z")
+    assert sum(c.runs for c in cells) == runs.n
+    corrected = np.array([_undone(found.theta, v) for v in runs.mean])  # type: ignore[attr-defined]
+    u = corrected / np.linalg.norm(corrected, axis=1)[:, None]
+    signs = [np.array([a, b, c]) / 3**0.5 for a in (1, -1) for b in (1, -1) for c in (1, -1)]
+    centres = np.array([s * np.eye(3)[k] for k in range(3) for s in (1, -1)] + signs)
+    near = np.argmax(u @ centres.T, axis=1)
+    for k, cell in enumerate(cells):
+        own = np.abs(np.linalg.norm(runs.mean[near == k], axis=1) - G) / MG
+        final = np.abs(np.linalg.norm(corrected[near == k], axis=1) - G) / MG
+        assert cell.runs == own.size
+        if own.size:
+            assert cell.raw == cell.held_out == pytest.approx(own.mean())
+            assert cell.base == cell.final == pytest.approx(final.mean())
+        else:
+            assert np.isnan(cell.raw)
+        assert cell.sd > 0.0
+    summary = errors.error_summary(found, found, held, held)  # type: ignore[arg-type]
+    assert (
+        summary.raw
+        == summary.held_out.final
+        == pytest.approx(np.mean(np.abs(np.linalg.norm(runs.mean, axis=1) - G)) / MG)
+    )
+    sigma = found.noise.factor * found.observations.sigma[:, 0, 0]  # type: ignore[attr-defined]
+    # Mean of |normal|.
+    assert summary.floor == pytest.approx(sigma.mean() / MG * np.sqrt(2.0 / np.pi))
+
+
+def test_the_papers_rule_of_stillness_and_its_points() -> None:
+    """max - min below 0.12 g on one axis, and not a stuck one; ends of axes come first."""
+    low = np.zeros((4, 3))
+    high = np.array([[0.119, 9, 9], [0.121, 9, 9], [0.0, 9, 9], [0.01, 9, 9]]) * G
+    assert published_still(SimpleNamespace(low=low, high=high), G).tolist() == [0, 3]  # type: ignore[arg-type]
+    one = PointCollector(1, 1)
+    assert one.offer(np.array([-0.76, 0.1, 0.1]))
+    assert one.missing[0] == "y near -1 g"
+    assert not one.offer(np.array([-0.74, 0.3, 0.3]))
+    points = np.concatenate([np.eye(3), -np.eye(3), np.zeros((3, 3))])
+    first, second = two_sets(np.tile(points, (2, 1)), 1, 1)
+    assert first.ready
+    assert second.ready
+    assert len(first.points) == len(second.points) == 9
+
+
+def test_a_simulated_week_is_as_long_as_asked_and_rests_as_much() -> None:
+    week = simulated_week(WeekPlan(days=2.0, rests=0.6, plant={}), 4)
+    assert week.runs.n == int(0.6 * 2.0 * 86400.0 / 120.0)
+    assert week.scanned.stop == 2.0 * 86400.0
+    time = week.runs.time
+    # Uniform over the whole recording.
+    assert stats.kstest(time / (2.0 * 86400.0), "uniform").pvalue > 1e-3
+    assert week.runs.windows.mean() == pytest.approx(13.0, abs=1.0)
+    np.testing.assert_allclose(np.linalg.norm(week.force, axis=1), G)
+    left = np.linalg.norm(
+        np.array([_undone(np.concatenate(list(week.plan.sensor.values())), v)
+                  for v in week.runs.mean]) - week.force, axis=1)  # fmt: skip
+    sd = np.sqrt(0.4**2 + 16.0 / (10.0 * 100.0) / week.runs.windows)
+    assert np.mean((left / MG / sd) ** 2) == pytest.approx(3.0, rel=0.1)
+
+
+def test_samples_of_a_simulated_day_are_its_sensors() -> None:
+    """Rests read the planted sensor's forward model with the noise asked for; the share of time at
+    rest is that asked for."""
+    plan = WeekPlan(days=0.5, rate=2.0, rests=0.6, noise=4.0)
+    values = np.concatenate([b.channels["imu0/acceleration"].values
+                             for b in simulated_blocks(plan, 1, block=3600.0)])  # fmt: skip
+    assert len(values) == 0.5 * 86400 * 2
+    part = values.reshape(12, 30, 240, 3)
+    spread = part.std(axis=2).mean(axis=2).ravel() / MG
+    still = spread < 20.0
+    assert still.mean() == pytest.approx(0.6, abs=0.07)
+    assert np.median(spread[still]) == pytest.approx(4.0, rel=0.05)
+    assert np.median(spread[~still]) == pytest.approx(124.0, rel=0.05)
+    theta = np.concatenate([plan.sensor[name] for name in NINE])
+    rest = part.mean(axis=2).reshape(-1, 3)[still]
+    size = np.array([np.linalg.norm(_undone(theta, v)) for v in rest])
+    np.testing.assert_allclose(size, G, atol=2.0 * MG)
+
+
+RATE, HOURS = 5.0, 6
+
+
+SCALE, OFFSET = np.array([1.01, 0.985, 1.004]), np.array([0.02, -0.03, 0.01])
+
+
+def log(seed: int = 0) -> Recording:
+    """Postures of three minutes with movement between; from 2 h to 4 h off the body."""
+    rng = np.random.default_rng(seed)
+    n = int(3600 * RATE)
+    t = np.arange(HOURS * n) / RATE
+    posture = (t // 180).astype(int)
+    v = rng.standard_normal((posture.max() + 1, 3))
+    truth = (v / np.linalg.norm(v, axis=1, keepdims=True))[posture]
+    moving = (t % 180) < 40
+    truth = truth + np.where(moving, rng.normal(0.0, 0.2, t.size), 0.0)[:, None]
+    off = (t >= 2 * 3600) & (t < 4 * 3600)
+    truth[off] = [0.0, 0.0, 1.0]
+    reading = truth / SCALE - OFFSET + rng.normal(0.0, 0.001, truth.shape)
+    channel = Channel(t, reading * STANDARD_GRAVITY, "m/s2", "acceleration", "imu0", RATE)
+    return Recording({"imu0/acceleration": channel}, "log", "csv", "0" * 64)
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    return log()
+
+
+@pytest.fixture(scope="module")
+def wear_scanned(recording: Recording) -> Scan:
+    return scan([recording], 10.0)
+
+
+def test_hours_off_the_body_are_found(wear_scanned: Scan) -> None:
+    wear = wear_of(wear_scanned)
+    assert wear.hours == pytest.approx(HOURS, abs=0.02)
+    ((start, stop),) = wear.off
+    assert start == pytest.approx(7200.0, abs=900.0)
+    assert stop == pytest.approx(14400.0, abs=900.0)
+    assert wear.worn == pytest.approx(4.0, abs=0.3)
+    assert list(wear.worn_at(np.array([0.0, 10000.0, 20000.0]))) == [True, False, True]
+
+
+def test_the_fields_rule_finds_what_was_planted(wear_scanned: Scan) -> None:
+    rule = closest_point(wear_scanned)
+    assert rule is not None
+    assert rule.enough
+    np.testing.assert_allclose(rule.scale, SCALE, atol=5e-4)
+    np.testing.assert_allclose(rule.offset, OFFSET, atol=5e-4)
+    assert rule.after < 0.5 < rule.before
+    corrected = SCALE * (wear_scanned.windows.mean / STANDARD_GRAVITY + OFFSET)
+    expected = np.linalg.norm(corrected, axis=1) - 1.0
+    np.testing.assert_allclose(
+        rule.norm_error(wear_scanned.windows.mean) / STANDARD_GRAVITY, expected, atol=2e-3
+    )
+
+
+def test_what_bends_counts_in_enmo_at_the_mean_of_its_minute(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of samples that stand still for a minute that is exact."""
+
+    def bent(_: object, x: np.ndarray) -> np.ndarray:
+        return 1.02 * x + 0.1 + 0.004 * x**2 * np.sign(x)
+
+    monkeypatch.setattr(wear, "corrected_by", bent)
+    rng = np.random.default_rng(3)
+    u = rng.standard_normal((5, 3))
+    each = 1.03 * STANDARD_GRAVITY * u / np.linalg.norm(u, axis=1, keepdims=True)
+    values = np.repeat(each, 60, axis=0)
+    channel = Channel(np.arange(300.0), values, "m/s2", "acceleration", "imu0", 1.0)
+    made = minutes_of([Recording({"a": channel}, "", "", "")], "imu0", None)  # type: ignore[arg-type]
+    assert made.minute.tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
+    assert made.count.tolist() == [60.0] * 5
+    for found, reading in ((made.raw, each), (made.corrected, bent(None, each))):
+        over = np.linalg.norm(reading, axis=1) - STANDARD_GRAVITY
+        assert (over > 0.0).all()
+        np.testing.assert_allclose(found, over)
+
+
+def test_night_is_the_least_active_part_of_the_clock() -> None:
+    """Two days whose five hours from 22:30 are quiet; the recording starts at 6 o'clock."""
+    minute = np.arange(2 * 1440.0)
+    clock = (minute / 60.0 + 6.0) % 24.0
+    quiet = (clock >= 22.5) | (clock < 3.5)
+    value = np.where(quiet, 1.0, 20.0) * MG
+    minutes = Minutes(minute, np.full(minute.size, 60.0), 2.0 * value, value)
+    wear = Wear(48.0, 48.0, np.empty((0, 2)))
+    at = np.array([17.0, 40.0, 3.0]) * 3600.0  # 23:00, 22:00 and 9:00
+    errors = np.array([4.0, 9.0, 9.0]) * MG, np.array([-1.0, 5.0, 5.0]) * MG
+    found = activity_of(minutes, wear, 6.0 * 3600.0, errors, at)
+    assert found.night == pytest.approx((22.5 * 3600, 3.5 * 3600))
+    assert found.enmo["night"] == pytest.approx((2.0, 1.0))
+    assert found.enmo["day"] == pytest.approx((40.0, 20.0))
+    assert found.night_runs == 1
+    assert found.night_error == pytest.approx((4.0, 1.0))
+    few = Minutes(minute[:600], minutes.count[:600], minutes.raw[:600], minutes.corrected[:600])
+    assert activity_of(few, wear, 0.0, errors, at).night is None
+
+
+PLAN = WeekPlan(days=0.5, rests=0.6, noise=4.0, rate=0.5, temperature=True)
+
+
+def values(plan: WeekPlan, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times, readings and temperatures of all blocks."""
+    blocks = list(worn_blocks(plan, seed))
+    assert len(blocks) == 12
+    found = [[b.channels[f"imu0/{q}"] for b in blocks] for q in ("acceleration", "temperature")]
+    t, warm = found[0], found[1]
+    assert all(np.array_equal(a.t, b.t) for a, b in zip(t, warm, strict=True))
+    return (
+        np.concatenate([c.t for c in t]),
+        np.concatenate([c.values for c in t]),
+        np.concatenate([c.values[:, 0] for c in warm]),
+    )
+
+
+def test_postures_of_two_minutes_at_rest_or_in_movement() -> None:
+    ideal = replace(PLAN, sensor={"bias": (0.0,) * 3, "scale": (0.0,) * 3})
+    t, read, _ = values(ideal)
+    np.testing.assert_allclose(t, 2.0 * np.arange(21600))
+    each = read.reshape(-1, 60, 3)  # two minutes
+    scatter = each.std(axis=1) / MG
+    still = scatter.max(axis=1) < 10.0
+    assert still.mean() == pytest.approx(0.6, abs=0.07)
+    assert scatter[still].mean() == pytest.approx(4.0, rel=0.02)
+    assert scatter[~still].mean() == pytest.approx(np.hypot(120.0, 4.0), rel=0.02)
+    size = np.linalg.norm(each[still].mean(axis=1), axis=1)
+    np.testing.assert_allclose(size, ideal.gravity, atol=2.0 * MG)
+
+
+def test_what_is_planted_is_added_by_its_equation() -> None:
+    """Differences of two recordings of one seed: noise and postures fall out."""
+    t, plain, warm = values(PLAN)
+    day = 2.0 * np.pi * t / 86400.0
+    by_hand = {
+        "temperature_bias": ((1.0, 0.0, -2.0), (warm - 25.0)[:, None] * [1.0, 0.0, -2.0]),
+        "bias_drift": ((5.0, 0.0, 3.0), (t / 43200.0 - 0.5)[:, None] * [5.0, 0.0, 3.0]),
+        "time_of_day": (
+            (3.0, 0.0, 0.0, 0.0, 0.0, 2.0),
+            np.column_stack([3.0 * np.cos(day), 0.0 * day, 2.0 * np.sin(day)]),
+        ),
+    }
+    for name, (theta, expected) in by_hand.items():
+        with_it = values(replace(PLAN, plant={name: theta}))[1]
+        np.testing.assert_allclose((with_it - plain) / MG, expected, atol=1e-6)
+
+
+N = 600
+
+
+def world(between: float, seed: int) -> tuple[SimpleNamespace, SimpleNamespace, np.ndarray]:
+    """Runs of 1 to 40 windows whose |a| is off by `between` (m/s²) and their noise, ten of them by
+    thirty times that; the sd of each."""
+    rng = np.random.default_rng(seed)
+    windows = rng.integers(1, 41, N)
+    runs = SimpleNamespace(n=N, windows=windows, window_noise=4.0 * MG * np.ones(N),
+                           noise=np.full(3, 5.0 * MG), resolution=np.full(3, MG))  # fmt: skip
+    sd = np.hypot(between, 4.0 * MG / np.sqrt(windows))
+    misfit = sd * rng.standard_normal(N)
+    misfit[:10] = 30.0 * sd[:10]
+    data = Observations(np.zeros((N, 1, 3)), np.ones((N, 1, 3)), KnownNorm(N, 9.8), Context(N),
+                        np.arange(N), tuple(map(str, range(N))))  # fmt: skip
+    declared = rng.uniform(0.5, 2.0, N)
+    at = SimpleNamespace(residual=misfit / declared, sigma=declared[:, None] * np.ones((N, 3)))
+    return SimpleNamespace(at=at, observations=data), runs, sd
+
+
+@pytest.mark.parametrize("mg", [0.3, 1.0, 3.0, 30.0])
+def test_what_runs_differ_by_is_told_from_their_noise(mg: float) -> None:
+    """The scatter of the size of 600 numbers' median square is 4 %."""
+    fit, runs, sd = world(mg * MG, round(10 * mg))
+    found, heavy = weighted(fit, runs)  # type: ignore[arg-type]
+    usual = found.sigma[10:, 0, 0] / sd[10:]
+    assert np.median(usual) == pytest.approx(1.0, abs=0.12)
+    assert 10 <= heavy <= 12
+
+
+def test_a_run_beyond_four_deviations_counts_as_one_at_four() -> None:
+    fit, runs, sd = world(3.0 * MG, 5)
+    found, _ = weighted(fit, runs)  # type: ignore[arg-type]
+    off = 30.0 * sd[:10] / found.sigma[:10, 0, 0]
+    np.testing.assert_allclose(off, 4.0, rtol=1e-3)

@@ -1,0 +1,340 @@
+"""Worn sensors of plain numpy: what is planted is named, noise is noise, likeness is no proof."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from gates.bounds import at_most
+from imucalib.calibrators.actigraph.calibrate import ActigraphResult, calibrate
+from imucalib.calibrators.actigraph.request import ActigraphRequest
+from imucalib.calibrators.actigraph.simulation import Week, WeekPlan, code_steps, simulated_week
+from imucalib.core.effect import Context, Effect, Parameter, Response, Truth
+from imucalib.units import MG, STANDARD_GRAVITY
+
+WANTED = ActigraphRequest()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("effect", "noise"),
+    [
+        ("temperature_bias", "walk 2 h"),
+        ("temperature_scale", "walk 12 h"),
+        ("bias_drift", "walk 2 h"),
+        ("bias_step", "walk 10 min"),
+        ("cubic", "walk 12 h"),
+    ],
+)
+def test_an_effect_under_a_walk_is_named(worn: ModuleType, effect: str, noise: str) -> None:
+    case = worn.Case(noise, effect, 14.0, 31)
+    result = case.solved(WANTED)
+    loop = result.loop
+    names = {n.partition("@")[0] for s in loop.steps[:1] for n in (s.effect, *s.aliases)}
+    assert effect in names
+    assert len(loop.steps) == 1
+    told = case.solved(ActigraphRequest(declare=(case.oracle_name(),), only=("warm_up",)))
+    assert case.error(result.final) <= 1.3 * case.error(told.final)
+    assert case.error(result.final) < 0.8 * case.error(result.base)
+    assert loop.difference.gain > 0.0
+    assert loop.difference.likely
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mg", [5.0, 10.0, 20.0, 40.0])
+def test_a_step_of_any_size_is_named(worn: ModuleType, mg: float) -> None:
+    """The block that holds its moment cannot say when: it takes no part in the judgement."""
+    case = worn.Case("walk 2 h", "bias_step", 1.0, 31)
+    aim = mg / float(np.abs(case.size).max())
+    result = worn.Case("walk 2 h", "bias_step", aim, 31).solved(WANTED)
+    assert [s.effect.partition("@")[0] for s in result.loop.steps] == ["bias_step"]
+    at = float(result.loop.steps[0].effect.partition("@")[2].removesuffix("s"))
+    inside = np.sort(np.append(case.time, at))
+    moment = 0.57 * worn.SPAN
+    assert np.sum((inside > min(at, moment)) & (inside < max(at, moment))) <= 2
+    assert result.loop.verdict == "explained"
+
+
+def of(worn: ModuleType, monkeypatch: pytest.MonkeyPatch, effect: Any, aim: float) -> Any:
+    """A recording with an effect (direction, °C from 25, share of time, sizes) -> mg."""
+    monkeypatch.setitem(worn.EFFECTS, "planted", effect)
+    return worn.Case("white", "planted", aim, 3)
+
+
+def test_a_swing_of_seven_hours_is_followed(
+    worn: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No effect has its period: to the noise it is a walk, whose course is the sensor's."""
+
+    def swing(x: Any, t: Any, u: Any, c: Any) -> Any:
+        return c * np.sin(2.0 * np.pi * 144.0 / 14.0 * u)[:, None]
+
+    result = (case := of(worn, monkeypatch, swing, 25.0)).solved(WANTED)
+    assert result.loop.wander.followed
+    assert case.error(result.final) < 0.7 * case.error(result.base)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("limit", "refused"), [(0.93, True), (0.95, False)])
+def test_readings_at_a_limit_stop_no_run(
+    worn: ModuleType, monkeypatch: pytest.MonkeyPatch, limit: float, refused: bool
+) -> None:
+    """Beyond its limit the axis reads the same whatever the force is: a fit that follows it has no
+    inverse, at once or once the noise is that beside it."""
+
+    def limited(x: Any, t: Any, u: Any, c: Any) -> Any:
+        return 1e3 * np.eye(3)[2] * (np.clip(x, -limit, limit) - x)
+
+    monkeypatch.setattr(worn, "strength", lambda *_: 30.0)
+    loop = of(worn, monkeypatch, limited, 30.0).solved(WANTED).loop
+    assert loop.verdict != "nothing missing"
+    assert any("no inverse" in why for _, why in loop.rejected) <= refused
+
+
+NOISES = ("white", "walk 10 min", "walk 2 h", "walk 12 h", "t3")
+
+
+@cache
+def _without_effect(worn: ModuleType, noise: str, seed: int) -> Any:
+    return worn.Case(noise, "", 0.0, 500 + seed).solved(WANTED)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", NOISES)
+def test_noise_is_no_effect(worn: ModuleType, noise: str) -> None:
+    for seed in range(4):
+        result = _without_effect(worn, noise, seed)
+        assert not (result.loop.steps and result.loop.verdict == "explained")
+        assert not result.loop.unexplained
+
+
+@pytest.mark.slow
+def test_noise_is_taken_for_an_effect_as_seldom_as_stated(worn: ModuleType) -> None:
+    runs = [_without_effect(worn, noise, seed) for noise in NOISES for seed in range(8)]
+    assert sum(bool(run.loop.steps) for run in runs) <= at_most(40, 0.05).most
+
+
+@pytest.mark.slow
+def test_a_walk_is_measured_and_stated(worn: ModuleType) -> None:
+    """1 mg an axis, 2 h: seen in |a| as 1 mg beside 0.8 mg of scatter; the parameters cover it."""
+    z, sizes, hours = [], [], []
+    for seed in range(12):
+        case = worn.Case("walk 2 h", "", 0.0, 700 + seed)
+        result = case.solved(WANTED)
+        truth = np.concatenate([case.bias, np.diag(case.gain) - 1.0])
+        z.append((result.base.theta[:6] - truth) / result.base.sd[:6])
+        sizes.append(result.loop.wander.size)
+        hours.append(result.loop.wander.hours)
+    assert 0.6 < np.median(sizes) < 1.4
+    assert 0.5 < np.median(hours) < 8.0
+    assert 0.7 < np.std(z) < 1.25
+
+
+#: (direction (n, 3), °C from 25 (n,), share of time from -1/2 (n,), draws (3, 3)) -> (n, 3) mg
+Planted = Callable[[Any, Any, Any, Any], Any]
+
+
+@pytest.fixture
+def loop_of(worn: ModuleType, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
+    """(planted, λ or 0 for its own size, seed, noise) -> the loop of a recording with it."""
+
+    def found(planted: Planted, aim: float, seed: int, noise: str = "white") -> Any:
+        draws = np.random.default_rng((seed, 9)).standard_normal((3, 3))
+
+        def one(x: Any, t: Any, u: Any, c: Any) -> Any:
+            return (np.linalg.norm(c) if aim else 1.0) * planted(x, t, u, draws)
+
+        monkeypatch.setitem(worn.EFFECTS, "planted", one)
+        return worn.Case(noise, "planted", aim or 1.0, seed).solved(ActigraphRequest()).loop
+
+    return found
+
+
+def tilted(x: Any, c: Any) -> Any:
+    """Angles between the axes: y takes x, z takes x and y."""
+    return np.stack([0.0 * x[:, 0], c[0] * x[:, 0], c[1] * x[:, 0] + c[2] * x[:, 1]], axis=1)
+
+
+def late(u: Any) -> Any:
+    return (u > 0.07)[:, None]
+
+
+CHANGES: dict[str, Planted] = {
+    "scale": lambda x, t, u, c: late(u) * c[0] * x,
+    "bias and scale": lambda x, t, u, c: late(u) * (c[0] + c[1] * x),
+    "bias, scale and axes": lambda x, t, u, c: late(u) * (c[0] + c[1] * x + tilted(x, c[2])),
+    "what the bias makes of the warmth": lambda x, t, u, c: late(u) * c[0] * (t[:, None] - 2.0),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("power", [0.5, 1.0])
+def test_only_a_straight_drift_is_certainly_one(loop_of: Callable[..., Any], power: float) -> None:
+    """With the root of time nine of fifteen were a certain drift, some with a certain warm-up."""
+    loop = loop_of(lambda x, t, u, c: (u + 0.5)[:, None] ** power * c[0], 30.0, 3)
+    certain = [step.effect for step in loop.steps if step.certain]
+    assert certain == ["bias_drift"] * (power == 1.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [3, 4])
+@pytest.mark.parametrize("change", CHANGES)
+def test_what_changes_at_a_moment_is_no_certain_step_of_the_bias(
+    loop_of: Callable[..., Any], change: str, seed: int
+) -> None:
+    loop = loop_of(CHANGES[change], 30.0, seed)
+    assert loop.verdict != "nothing missing"
+    assert not any(step.certain for step in loop.steps if step.effect.startswith("bias_step@"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_step_of_the_bias_alone_stays_certain(loop_of: Callable[..., Any], seed: int) -> None:
+    loop = loop_of(lambda x, t, u, c: late(u) * c[0], 30.0, seed)
+    assert [step.effect.partition("@")[0] for step in loop.steps] == ["bias_step"]
+    assert loop.steps[0].certain
+    assert loop.unexplained == ()
+
+
+LEFT: dict[str, Planted] = {
+    "warmth": lambda x, t, u, c: c[0] * x * (t[:, None] - 5.0) ** 2,
+    "bend": lambda x, t, u, c: c[0] * x * u[:, None] ** 2,
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("structure", LEFT)
+def test_what_follows_a_driver_unlisted_is_told(
+    loop_of: Callable[..., Any], structure: str, seed: int
+) -> None:
+    loop = loop_of(LEFT[structure], 30.0, seed)
+    assert loop.verdict != "nothing missing"
+    assert not any(step.certain for step in loop.steps)
+
+
+def behind_play(warm: Any, width: float) -> Any:
+    """°C, moved only at the ends of a play."""
+    at, found = warm[0], []
+    for value in warm:
+        at = min(max(at, value - width / 2.0), value + width / 2.0)
+        found.append(at)
+    return np.array(found)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [2.0, 3.5, 5.0])
+def test_a_play_of_the_temperature_is_no_lag(loop_of: Callable[..., Any], width: float) -> None:
+    loop = loop_of(lambda x, t, u, c: c[0] * behind_play(t, width)[:, None], 30.0, 5)
+    assert loop.steps[0].effect.startswith("thermal_hysteresis@")
+    certain = {s.effect.partition("@")[0] for s in loop.steps if s.certain}
+    assert certain <= {"thermal_hysteresis", "temperature_bias"}
+
+
+def ahead_of_its_inside(warm: Any, hours: Any, minutes: float = 20.0) -> Any:
+    """°C, of a case whose inside trails it by so many minutes."""
+    grid = np.arange(hours[0], hours[-1], 1.0 / 60.0)
+    inside, found = warm[0], []
+    for value in np.interp(grid, hours, warm):
+        inside += (value - inside) / minutes
+        found.append(inside)
+    return warm - np.interp(hours, grid, found)
+
+
+@pytest.mark.slow
+def test_what_the_rate_of_the_temperature_drives_is_no_lag(loop_of: Callable[..., Any]) -> None:
+    """It was a certain temperature_bias beside a lag, or nothing at all."""
+    loop = loop_of(lambda x, t, u, c: c[0] * ahead_of_its_inside(t, 144.0 * u)[:, None], 30.0, 5)
+    assert {step.effect.partition("@")[0] for step in loop.steps} == {"temperature_rate"}
+    assert loop.steps[0].certain
+
+
+Array = NDArray[np.float64]
+
+
+DAYS = 4.0
+
+
+def solved(week: Week, request: ActigraphRequest | None = None) -> ActigraphResult:
+    return calibrate(week.runs, week.scanned, request or ActigraphRequest())
+
+
+def knowing(week: Week, effect: str, extra: dict[str, Effect] | None = None) -> float:
+    """Held-out error (mg) of one who knows which effect it is."""
+    request = ActigraphRequest(declare=(effect,), loop=False, extra_effects=extra or {})
+    return solved(week, request).error.held_out.final
+
+
+def found_names(result: ActigraphResult) -> set[str]:
+    assert result.loop is not None
+    steps = result.loop.steps
+    every = [name for s in steps for name in (s.effect, *s.aliases)]
+    return {name.partition("@")[0] for name in every}
+
+
+STORIES = {
+    "temperature_bias": (0.8, -0.5, 1.2),
+    "bias_step@155555s": (3.0, -2.0, 4.0),
+    "cubic": (6.0, -5.0, 8.0),
+    "thermal_lag@1.5h": (0.8, -0.5, 1.2),
+    "bias_drift": (2.0, 1.0, -3.0),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("effect", STORIES)
+def test_an_undeclared_effect_is_named_and_removed(effect: str) -> None:
+    week = simulated_week(WeekPlan(days=DAYS, plant={effect: STORIES[effect]}), 3)
+    result = solved(week)
+    assert effect.partition("@")[0] in found_names(result)
+    # In the block that is left out nobody can know when within it the bias jumped.
+    error = result.error.final if "step" in effect else result.error.held_out.final
+    assert error <= 1.3 * knowing(week, effect)
+    assert result.error.held_out.final < 0.8 * result.error.held_out.base
+    assert result.loop is not None
+    assert result.loop.verdict == "explained"
+
+
+def the_very_converter() -> Effect:
+    """The planted curve itself, its size on each axis unknown."""
+    shape = code_steps(1.0)
+
+    def basis(truth: Truth, context: Context) -> Array:
+        x = truth.force
+        return np.asarray(np.eye(3) * MG * shape(x / STANDARD_GRAVITY)[..., None])
+
+    def basis_dx(truth: Truth, context: Context) -> Array:
+        x = truth.force
+        out = np.zeros((*x.shape, 3, 3))
+        step = 1e-6
+        slope = (shape(x / STANDARD_GRAVITY + step) - shape(x / STANDARD_GRAVITY - step)) / 2 / step
+        for axis in range(3):
+            out[..., axis, axis, axis] = slope[..., axis] * MG / STANDARD_GRAVITY
+        return out
+
+    each = tuple(Parameter(f"planted_{a}", "mg", 1.0, 30.0) for a in "xyz")
+    return Response("planted", "s", "y = x", "s", "s", each=each, basis=basis, basis_dx=basis_dx)
+
+
+@pytest.mark.slow
+def test_a_converters_curve_is_found_and_removed() -> None:
+    week = simulated_week(WeekPlan(days=DAYS, curve=code_steps(2.4)), 4)
+    result = solved(week)
+    assert result.loop is not None
+    assert result.loop.curves
+    oracle = knowing(week, "planted", {"planted": the_very_converter()})
+    assert result.error.held_out.final <= 1.3 * oracle
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(6))
+def test_a_clean_week_stays_as_it_is(seed: int) -> None:
+    result = solved(simulated_week(WeekPlan(days=2.0), 100 + seed))
+    assert result.loop is not None
+    assert not result.loop.steps

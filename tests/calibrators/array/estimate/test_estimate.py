@@ -1,0 +1,187 @@
+"""What an array's estimate states: errors, what is left, places that follow a drive."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from imucalib.calibration.findings import Findings
+from imucalib.calibration.outcome import Left, Outcome
+from imucalib.calibration.provenance import provenance_of
+from imucalib.calibrators.array.board import Board, read_board
+from imucalib.calibrators.array.estimate.covariance import (
+    Uneven,
+    fitted_on_all,
+    information,
+    samples_taken,
+    stated_covariance,
+    uneven,
+)
+from imucalib.calibrators.array.estimate.left import Accepted, Residual, what_is_left
+from imucalib.calibrators.array.loop.search import start_state
+from imucalib.calibrators.array.loop.setup import array_setup
+from imucalib.calibrators.array.loop.state import ArrayState
+from imucalib.loop.found import Unexplained
+from imucalib.units import DEG
+from worlds.boards import Array, BoardPlan
+from worlds.twisted_board import BOARD, fitted, moved
+
+TWIST = BoardPlan(twist_s=6.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("tails", [3.0, np.inf])
+def test_errors_are_what_is_stated_with_tails_and_without(tails: float) -> None:
+    plan = BoardPlan(twist_s=6.0, tails=tails)
+    stated, weights = [], []
+    for seed in range(12):
+        state, true = fitted(plan, seed, 450)
+        off = (state.r - true)[1:].ravel()
+        for found, covariance in ((stated, stated_covariance(state)), (weights, state.covariance)):
+            found.append(off @ np.linalg.solve(covariance, off) / off.size)
+    z, plain = np.sqrt(np.mean(stated)), np.sqrt(np.mean(weights))
+    # 12 sets of 21 numbers: a standard deviation of 0.045.
+    assert 0.87 < z < 1.2
+    if np.isfinite(tails):
+        assert plain > 1.08 * z  # the weights alone say too little
+    else:
+        assert plain == pytest.approx(z, rel=0.1)
+
+
+def _of_a_pair(state: ArrayState) -> float:
+    """What two accelerometers tell over what their weights say, by hand.
+
+    The motion leaves of two errors their difference e along the line, in units of the scale, and
+    parts it so that (ν + 3) / 2 · Σ log(ν + r²) is least: in halves up to e = 2 √ν, beyond so that
+    r₁ r₂ = ν. The score is (ν + 3) 2 e / (4 ν + e²) and (ν + 3) / e; its slope over itself / e.
+    """
+    noise, inner = state.noise[0], state.setup.inner
+    scale = np.sqrt(noise.variance(np.linalg.norm(state.sampled.rate[inner], axis=1)))
+    off = np.linalg.norm(state.sampled.off.acceleration[inner], axis=2)
+    e2, nu = np.sum(off / scale, axis=1) ** 2, noise.freedom
+    if not np.isfinite(nu):
+        return 1.0
+    halves = e2 < 4.0 * nu
+    weight = np.where(halves, 2.0 / (4.0 * nu + e2), 1.0 / e2)
+    slope = np.where(halves, weight * (4.0 * nu - e2) / (4.0 * nu + e2), -weight)
+    return float(slope.mean() / weight.mean())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [2, 4])
+def test_few_imus_tell_less_than_their_weights_say(count: int) -> None:
+    """Of few chips' errors the motion takes a part, and may lay one on another."""
+    flat = 0.02 * np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0)], dtype=float)[:count]
+    board = Board("flat", BOARD.imus[:count], flat, np.tile(np.eye(3), (count, 1, 1)))
+    plan = BoardPlan(twist_s=8.0, tails=3.0)
+    size, told = [], []
+    for seed in range(16):
+        state, true = fitted(plan, seed, 400, board)
+        off, free = (state.r - true)[1:].ravel(), 3 * (count - 1)
+        covariance = stated_covariance(state)[:free, :free]
+        size.append(off @ np.linalg.solve(covariance, off) / free)
+        due = _of_a_pair(state) if count == 2 else state.noise[0].information
+        told.append(information(state)[0] / due)
+    # 16 sets of 3 and of 9 numbers: standard deviations of 0.10 and 0.06.
+    assert 0.8 < np.sqrt(np.mean(size)) < (1.24 if count == 2 else 1.15)
+    if count == 2:
+        assert np.mean(told) == pytest.approx(1.0, abs=0.03)
+    else:
+        assert 0.6 < np.median(told) < 0.92  # less than of three dimensions apiece
+
+
+def test_all_informative_samples_take_part() -> None:
+    moving, true = moved(TWIST, np.random.default_rng(3))
+    setup = array_setup(moving, BOARD, 150, robust=True)
+    assert setup is not None
+    some = start_state(setup, ())
+    assert samples_taken(moving, None) == len(moving.good)
+    assert samples_taken(moving, 200) == 200
+    every = fitted_on_all(some, moving, len(moving.good))
+    assert np.array_equal(every.setup.rows[every.setup.inner], moving.good)
+    few, all_ = (np.sqrt(np.diag(stated_covariance(s))) for s in (some, every))
+    expected = np.sqrt(len(setup.inner) / len(moving.good))
+    assert np.median(all_ / few) == pytest.approx(expected, rel=0.15)
+    assert np.sqrt(np.mean(((every.r - true)[1:].ravel() / all_) ** 2)) < 1.5
+
+
+LEFT_BOARD = read_board("mimu4444_corners")
+
+
+def outcome(*left: Left) -> Outcome:
+    made = provenance_of(path="log", sha256="", samples=0, mapping={}, settings={})
+    structure = Unexplained("a curve", "time", "probe", 0.998, 20.0)
+    return Outcome("array", (), made, Findings("unexplained", unexplained=(structure,)), left=left)
+
+
+def test_size_decides_and_presence_is_cautioned_where_no_size_is_known() -> None:
+    small, large = Left("gyros", 1.0, 2.0, "deg/s"), Left("gyros", 3.0, 2.0, "deg/s")
+    assert outcome(small).exit_code == 0
+    assert outcome(small).status == "ok"
+    assert outcome(small, large).exit_code == 5
+    assert outcome(small, large).status == "marginal"
+    assert outcome().status == "marginal"
+
+
+@pytest.mark.parametrize(
+    ("noisy", "at_rest", "told"),
+    [(1.2, 0.04, ["accelerometer of imu2 in motion"]),
+     (1.2, 1.2, ["accelerometer of imu2 in motion"]),
+     (0.3, 0.04, [])],
+)  # fmt: skip
+def test_one_imu_of_eight_that_leaves_more_than_is_accepted_is_told(
+    noisy: float, at_rest: float, told: list[str]
+) -> None:
+    """m/s². No median over all shows it; 0.3 m/s² are within the 50 mg that are accepted."""
+    off, still = np.full(8, 0.04), np.full(8, 0.04)
+    off[2], still[2] = noisy, at_rest
+    gyro = np.full(8, 0.2 * DEG)
+    residual = Residual(0.04, 0.2 * DEG, True, (off, gyro), LEFT_BOARD.imus)
+    rests = SimpleNamespace(noise=still, gyro_noise=gyro)
+    left = what_is_left(residual, rests, None, Accepted())  # type: ignore[arg-type]
+    assert [one.name for one in left if one.beyond] == told
+    assert [one.name for one in left[2:]] == told
+    if told:
+        assert left[2].value == pytest.approx(1e3 * 1.2 / 9.80665, rel=1e-2)
+
+
+N, BLOCKS, D = 2400, 12, 6
+
+
+def asked(
+    pulls: Array, rate: Array | None = None, force: Array | None = None, factor: float = 1.0
+) -> Uneven | None:
+    """Of N samples in BLOCKS parts of time."""
+    rng = np.random.default_rng(9)
+    one = rng.normal(size=(N, 3)) if rate is None else rate
+    two = rng.normal(size=(N, 3)) if force is None else force
+    state = SimpleNamespace(
+        setup=SimpleNamespace(inner=np.arange(N), block=np.arange(N) * BLOCKS // N),
+        sampled=SimpleNamespace(rate=one, origin=two),
+    )
+    return uneven(state, pulls, factor)  # type: ignore[arg-type]
+
+
+def pulled(seed: int, places: Array, sigma: float = 1.0) -> Array:
+    """(N, D) pulls of samples that see places (N, D) about their mean, with noise sigma each."""
+    rng = np.random.default_rng(seed)
+    return (places - places.mean(axis=0) + sigma * rng.standard_t(5.0, (N, D))) / N
+
+
+@pytest.mark.parametrize("drive", ["time", "|ω|", "|a|"])
+def test_places_that_follow_a_drive_are_told_with_their_spread(drive: str) -> None:
+    vector = np.random.default_rng(3).normal(size=(N, 3))
+    size = np.linalg.norm(vector, axis=1)
+    driver = np.linspace(-1.0, 1.0, N) if drive == "time" else np.argsort(np.argsort(size)) / N
+    places = np.zeros((N, D))
+    places[:, 2] = 0.5 * driver / np.std(driver)
+    kind = {"|ω|": {"rate": vector}, "|a|": {"force": vector}}.get(drive, {})
+    found = asked(pulled(1, places, 0.3), **kind)
+    assert found is not None
+    assert found.driver == drive
+    assert found.p < 1e-3
+    # Four parts of an even drive hold 0.97 of its sd, twelve nearly all.
+    assert 0.9 < found.spread[2] / 0.5 < 1.05
+    assert np.delete(found.spread, 2).max() < 0.05

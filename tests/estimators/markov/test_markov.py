@@ -1,0 +1,122 @@
+"""Chains: their diagnostics by formula, and a sampler that keeps its draws."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from imucalib.estimators.markov import pmmh
+from imucalib.estimators.markov.convergence import (
+    convergence,
+    effective_size,
+    potential_scale_reduction,
+    reached,
+)
+
+
+def chains(rho: float, m: int, n: int, d: int, seed: int = 0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    x = np.empty((m, n, d))
+    x[:, 0] = rng.standard_normal((m, d))
+    for k in range(1, n):
+        x[:, k] = rho * x[:, k - 1] + np.sqrt(1 - rho**2) * rng.standard_normal((m, d))
+    return x
+
+
+def test_rhat_is_the_formula() -> None:
+    x = chains(0.3, 4, 50, 3)
+    m, n = 4, 50
+    for k in range(3):
+        means = [x[c, :, k].mean() for c in range(m)]
+        b = n / (m - 1) * sum((v - np.mean(means)) ** 2 for v in means)
+        w = np.mean([((x[c, :, k] - means[c]) ** 2).sum() / (n - 1) for c in range(m)])
+        plain = np.sqrt(((n - 1) / n * w + b / n) / w)
+        assert potential_scale_reduction(x)[k] == pytest.approx(plain, rel=1e-12)
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
+def test_size_of_an_autoregression(rho: float) -> None:
+    """The integrated time of AR(1) is (1 + ρ) / (1 - ρ)."""
+    x = chains(rho, 4, 4000, 20)
+    expected = 16000 * (1 - rho) / (1 + rho)
+    size = effective_size(x)
+    assert size.mean() == pytest.approx(expected, rel=0.08)
+
+
+def test_chains_apart_in_place_or_in_width_are_seen() -> None:
+    good = chains(0.0, 4, 400, 1)
+    assert convergence(good).rhat[0] < 1.01
+    apart = good + np.array([0.0, 0.0, 0.0, 1.0])[:, None, None]
+    assert convergence(apart).rhat[0] > 1.05
+    wide = good * np.array([1.0, 1.0, 1.0, 3.0])[:, None, None]
+    assert convergence(wide).rhat[0] > 1.05
+    drifting = good + np.linspace(-1.0, 1.0, 400)[None, :, None]
+    assert convergence(drifting).rhat[0] > 1.05
+
+
+def test_monte_carlo_error_covers_the_mean() -> None:
+    found = [convergence(chains(0.5, 4, 300, 1, seed)) for seed in range(60)]
+    means = [chains(0.5, 4, 300, 1, seed).mean() for seed in range(60)]
+    z = np.array(means) / np.array([f.mcse[0] for f in found])
+    assert 0.75 < z.std() < 1.3
+
+
+@pytest.mark.parametrize("draws", [40, 400, 4000])
+def test_what_is_asked_first_decides_as_all_does(draws: int) -> None:
+    x = chains(0.1, 4, draws, 3)
+    whole, found = convergence(x), reached(x, 1.01, 400.0)
+    assert (found is not None) == whole.reached(1.01, 400.0) == (draws > 40)
+    if found is not None:
+        assert np.array_equal(found.rhat, whole.rhat)
+
+
+Array = NDArray[np.float64]
+
+
+MEAN, SD = np.array([1.0, -2.0]), np.array([0.5, 2.0])
+
+
+SEEN, NOISE = np.array([2.0, 1.0]), np.array([0.25, 3.0])
+
+
+@dataclass(frozen=True)
+class Normal:
+    """Data SEEN of noise NOISE; estimates of the likelihood scatter as the algorithm allows."""
+
+    scatter: float = 0.0
+    count: int = 7
+
+    @property
+    def prior(self) -> SimpleNamespace:
+        return SimpleNamespace(mean_vector=MEAN, sd_vector=SD, size=2)
+
+    def log(self, x: Array, rng: np.random.Generator) -> Array:
+        exact = -0.5 * np.sum(((x - SEEN) / NOISE) ** 2, axis=1)
+        # Unbiased: the mean of the estimate itself, not of its logarithm, is exact.
+        return exact + self.scatter * rng.standard_normal(len(x)) - 0.5 * self.scatter**2
+
+
+WEIGHT = 1.0 / SD**2 + 1.0 / NOISE**2
+
+
+POSTERIOR = (MEAN / SD**2 + SEEN / NOISE**2) / WEIGHT, WEIGHT**-0.5
+
+
+def test_the_run_keeps_every_draw_after_the_burn_in(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pmmh, "_TUNING", 50)
+    monkeypatch.setattr(pmmh, "tuned_count", lambda data, prior, rng: (Normal(0.2), 0.04))
+    prior = SimpleNamespace(size=2)
+    found = pmmh.run_pmmh(None, prior, np.random.default_rng(3), iterations=1500, chains=4)  # type: ignore[arg-type]
+    assert found.draws.shape == (4, 1500, 2)
+    assert found.log_density.shape == (4, 1500)
+    assert (found.monte_carlo, found.variance) == (7, 0.04)
+    moved = np.any(np.diff(found.draws, axis=1) != 0.0, axis=2)
+    assert found.accepted == pytest.approx(moved.mean(), abs=2.0 / 1500)
+    # A draw that was not moved keeps its estimate.
+    assert not np.any(np.diff(found.log_density, axis=1)[~moved])
+    z = (found.draws.mean(axis=(0, 1)) - POSTERIOR[0]) / POSTERIOR[1]
+    assert np.abs(z).max() < 0.3

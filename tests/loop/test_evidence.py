@@ -1,0 +1,323 @@
+"""Evidence of the loop by hand: held-out parts, columns, noise that lasts, verdicts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import cache
+from itertools import groupby
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.stats import t as student
+
+from gates.bounds import at_most
+from imucalib.arrays import Index
+from imucalib.core.fit import Fit
+from imucalib.effects import named
+from imucalib.effects.shape import in_words
+from imucalib.estimators.least_squares import fit as fit_model
+from imucalib.loop import held_out as held_out_module
+from imucalib.loop.candidates import effect_columns
+from imucalib.loop.found import Loop, Step, Unexplained
+from imucalib.loop.held_out import (
+    Difference,
+    difference,
+    errors,
+    fitted,
+    folds_of,
+    held_out,
+    with_density,
+)
+from imucalib.loop.posterior.noise import Point, Terms, terms_of
+from imucalib.loop.record_errors import RecordError
+from worlds.bench import base_model, bench, draw, ordinary_theta
+
+
+def _grouped(n: int, groups: int):  # type: ignore[no-untyped-def]
+    from dataclasses import replace
+
+    data = bench(1, n)
+    return replace(data, group=np.arange(n) * groups // n)
+
+
+@pytest.mark.parametrize(("n", "groups"), [(32, 32), (24, 24), (40, 20), (7, 7), (240, 12)])
+def test_every_row_is_predicted_once_by_data_without_it(n: int, groups: int) -> None:
+    data = _grouped(n, groups)
+    folds = folds_of(data)
+    assert sorted(np.concatenate([f.rows for f in folds])) == list(range(n))
+    for fold in folds:
+        assert not set(fold.rows) & set(fold.rest)
+        assert not set(data.group[fold.rows]) & set(data.group[fold.rest])
+
+
+def test_stretches_have_a_gap() -> None:
+    folds = folds_of(_grouped(240, 12))
+    assert len(folds) == 12
+    for fold in folds[1:-1]:
+        away = np.abs(fold.rest[:, None] - fold.rows[None]).min()
+        assert away == 2  # 3 % of twenty rows, rounded up, are left between
+
+
+@pytest.mark.parametrize(("n", "groups"), [(32, 32), (24, 24), (60, 40)])
+def test_the_order_of_the_rows_is_no_part_of_the_design(n: int, groups: int) -> None:
+    data = _grouped(n, groups)
+    moved = np.random.default_rng(0).permutation(n)
+    one = {frozenset(f.rows.tolist()) for f in folds_of(data)}
+    two = {frozenset(moved[f.rows].tolist()) for f in folds_of(data.take(moved))}
+    assert one == two
+
+
+@pytest.mark.slow
+def test_the_interval_covers_the_gain() -> None:
+    """Independent pairs: the plain interval covers 95 %, the widened one more."""
+    rng = np.random.default_rng(4)
+    inside = proved = 0
+    for _ in range(900):
+        before = np.abs(rng.normal(size=40)) * 2.0
+        after = np.abs(rng.normal(size=40)) * 2.0
+        found = difference(before, after, np.arange(40), 10, "rms")
+        inside += found.low <= 0.0 <= found.high
+        proved += found.proved
+    assert 900 - inside <= at_most(900, 0.004).most
+    assert proved <= at_most(900, 0.004).most
+
+
+def test_the_gain_is_in_the_errors_unit() -> None:
+    before, after = np.full(12, 3.0), np.full(12, 1.0)
+    for metric in ("rms", "mean"):
+        found = difference(before, after, np.arange(12), 10, metric)  # type: ignore[arg-type]
+        assert found.gain == pytest.approx(2.0)
+        assert found.low == pytest.approx(2.0)
+        assert found.high == pytest.approx(2.0)
+        assert found.proved
+
+
+Array = NDArray[np.float64]
+
+
+def _clean(seed: int, n: int = 24) -> Fit:
+    base, data = base_model(), bench(seed, n)
+    return fit_model(base, draw(base, ordinary_theta(base, data, seed), data, 1000 + seed))
+
+
+@cache
+def _one_clean() -> Fit:
+    return _clean(0)
+
+
+def test_columns_are_what_the_effect_does_to_the_balance() -> None:
+    """A candidate's columns against the change of the residual that a small effect makes."""
+    fit = _one_clean()
+    for name in ("cubic", "temperature_scale", "inclination_zero", "tool_face_eccentricity"):
+        effect = named(name)
+        columns = effect_columns(fit, effect)
+        model, context = fit.model.plus(effect), fit.observations.context
+        typical = np.array([p.typical for p in effect.parameters(context)])
+        theta = model.start(context)
+        slices = model.slices(context)
+        for own, part in fit.model.slices(context).items():
+            theta[slices[own]] = fit.theta[part]
+        truth = fit.observations.reference.truth(fit.eta)
+        for k in range(typical.size):
+            both = []
+            for sign in (1.0, -1.0):
+                moved = theta.copy()
+                moved[slices[name].start + k] = sign * 1e-4 * typical[k]
+                reading = model.predict(moved, truth, context).reading
+                both.append((reading / fit.observations.sigma).ravel())
+            slope = (both[0] - both[1]) / 2e-4
+            assert np.allclose(slope, columns[:, k], atol=1e-4 * np.abs(columns).max())
+
+
+def held_out_gap(fit: Fit) -> float:
+    """Largest difference (m/s²) of held-out errors from those of literal refits, over the noise."""
+    found, worst = held_out(fit).error, 0.0
+    for row in range(fit.observations.n):
+        rows = np.array([row])
+        rest = fit_model(
+            fit.model, fit.observations.without(rows), start=fit.theta, noise=fit.noise
+        )
+        literal = errors(rest, rest.theta, fit.observations.take(rows)).error[0]
+        worst = max(worst, float(np.abs(found[row] - literal).max()))
+    return worst / (fit.noise.factor * float(fit.observations.sigma.min()))
+
+
+def test_held_out_errors_are_those_of_literal_refits() -> None:
+    fit = _one_clean()
+    assert held_out_gap(fit) < 0.01
+    assert held_out(fit).rms() > fitted(fit).rms()
+
+
+def test_in_sample_errors_passed_off_as_held_out_are_caught(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def none_left_out(fit: Fit, group: Index) -> Iterator[tuple[Index, Array]]:
+        yield from ((np.flatnonzero(group == key), fit.theta) for key in np.unique(group))
+
+    monkeypatch.setattr(held_out_module, "each_left_out", none_left_out)
+    assert held_out_gap(_one_clean()) > 0.1
+
+
+ROWS = 120
+
+
+@pytest.fixture(scope="module")
+def terms() -> Terms:
+    model, data = base_model(), bench(43, ROWS)
+    return terms_of(fit_model(model, draw(model, ordinary_theta(model, data, 1), data, 42)))
+
+
+def dense(terms: Terms, point: Point) -> np.ndarray:
+    """V of a point without a walk, component by component."""
+    whole = np.eye(terms.order.size)
+    for factor, ratio in zip(terms.ways[point.sharing], point.ratio, strict=True):
+        whole += ratio**2 * ((factor.near @ factor.near.T).toarray() + factor.wide @ factor.wide.T)
+    return whole
+
+
+def of_each_way(terms: Terms) -> list[Point]:
+    """The noisiest point of every way of sharing that has no walk."""
+    still = sorted((p for p in terms.points if not p.walk), key=lambda p: p.sharing)
+    return [max(own, key=lambda p: min(p.ratio)) for _, own in groupby(still, lambda p: p.sharing)]
+
+
+def test_the_inverse_is_that_of_the_whole_matrix(terms: Terms) -> None:
+    for point in of_each_way(terms):
+        whole, found = dense(terms, point), terms.covariance(point)
+        np.testing.assert_allclose(found.solve(whole), np.eye(len(whole)), atol=1e-8)
+        assert found.log_det == pytest.approx(np.linalg.slogdet(whole)[1], rel=1e-9)
+
+
+def test_the_evidence_is_that_of_the_whole_matrix(terms: Terms) -> None:
+    """Also beside what may be there too, and with one axis noisier than the others."""
+    rng = np.random.default_rng(0)
+    n, dof = terms.order.size, 300.0
+    free, lacked = rng.standard_normal((n, 4)), rng.standard_normal((n, 5))
+    known = rng.standard_normal((2, 4))
+    power = np.array([1.0, 4.0, 1.0])
+    points = of_each_way(terms)
+    said = terms.evidence(points, free, known, dof, lacked, power)
+    for point, one in zip(points, said, strict=True):
+        whole = dense(terms, point) + lacked @ lacked.T + np.diag(terms.axes @ (power - 1.0))
+        gram = free.T @ np.linalg.solve(whole, free) + known.T @ known
+        base = np.linalg.slogdet(gram[:-1, :-1])[1]
+        rest = gram[-1, -1] - gram[-1, :-1] @ np.linalg.solve(gram[:-1, :-1], gram[:-1, -1])
+        log_det = np.linalg.slogdet(whole)[1]
+        expected = point.log_prior - 0.5 * (log_det + base + dof * np.log(rest))
+        assert one == pytest.approx(expected, rel=1e-7)
+
+
+def test_a_walk_between_knots_is_nearly_the_walk(terms: Terms) -> None:
+    """What the knots leave out is small beside the noise of a reading."""
+    for memory, factor in terms.walks.items():
+        apart = np.abs(terms.order[:, None] - terms.order)
+        axis = terms.axes[:, None] * terms.axes
+        bias = np.sqrt(axis).sum(axis=-1) * (terms.axes.argmax(1)[:, None] == terms.axes.argmax(1))
+        whole = np.exp(-apart / memory) * bias
+        assert np.abs(factor @ factor.T - whole).max() < 0.05
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("curve@bias:tool_face:0:5.235987756:6", "a curve of the bias against tool face"),
+        ("shape@response:xyz:soft_saturation:0.3", "a soft saturation of the response"),
+        ("follows@scale:supply_V:12:0.5", "scale follows supply_V"),
+        ("converter@xyz", "converter, xyz"),
+        ("squares_across", "squares across"),
+        ("slip@record18:z", "slip, record 18, z"),
+        ("thermal_lag@1.5h", "thermal lag, 1.5 h"),
+        ("thermal_hysteresis@2C", "thermal hysteresis, 2 °C"),
+    ],
+)
+def test_names_for_a_reader(name: str, words: str) -> None:
+    assert in_words(name) == words
+
+
+STEP = Step("cubic", 9.0, (), (), certain=True)
+
+
+CURVE = replace(STEP, effect="curve@bias:order:0:1:4", curve=True)
+
+
+RECORD = RecordError(3, "row 4", "y", 100.0, 3.0, "mg", "lost sign of y", (), 0.999)
+
+
+LEFT = Unexplained("a", "order", "bias", 0.999, 9.0)
+
+
+SURE = Difference(2.0, 1.0, 0.5, 1.5, 0.6, 20)
+
+
+UNSURE = replace(SURE, low=-0.1)
+
+
+@pytest.mark.parametrize(
+    ("loop", "word"),
+    [
+        (Loop(0, 1), "nothing missing"),
+        (Loop(0, 1, steps=(STEP,), difference=SURE), "explained"),
+        (Loop(0, 1, steps=(STEP,)), "explained"),  # nothing was left out, as declared effects
+        (Loop(0, 1, steps=(STEP,), difference=UNSURE), "suspected"),
+        (Loop(0, 1, steps=(STEP, CURVE), difference=SURE), "explained in part"),
+        (Loop(0, 1, steps=(STEP,), unexplained=(LEFT,), difference=SURE), "explained in part"),
+        (Loop(0, 1, steps=(CURVE,), difference=SURE), "unexplained"),
+        (Loop(0, 1, unexplained=(LEFT,)), "unexplained"),
+        (Loop(0, 1, records=(RECORD,)), "explained"),
+        (Loop(0, 1, records=(replace(RECORD, probability=0.9),)), "suspected"),
+        (Loop(0, 1, records=(RECORD, replace(RECORD, probability=0.9))), "suspected"),
+        (Loop(0, 1, records=(RECORD,), unexplained=(LEFT,)), "explained in part"),
+    ],
+)
+def test_the_verdict(loop: Loop[int], word: str) -> None:
+    assert loop.verdict == word
+
+
+@pytest.mark.parametrize(
+    ("found", "proved", "likely", "holds"),
+    [
+        (SURE, True, True, True),
+        (UNSURE, False, True, True),
+        (replace(UNSURE, plain_low=-0.1), False, False, True),
+        (replace(UNSURE, after=2.1, plain_low=-0.3), False, False, False),
+        (replace(UNSURE, nats=3.0, nats_low=0.1), True, True, True),
+        # Without a gain beyond the scatter both error and density have to gain.
+        (replace(UNSURE, plain_low=-0.1, nats=0.1, nats_low=-2.0), False, False, True),
+        (replace(UNSURE, plain_low=-0.1, nats=-0.1, nats_low=-2.0), False, False, False),
+        (replace(UNSURE, after=2.1, plain_low=-0.3, nats=0.1, nats_low=-2.0), False, False, False),
+        # The density proves it where the error moves within its scatter, and not beyond.
+        (replace(UNSURE, after=2.1, plain_low=-0.3, nats=9.0, nats_low=4.0), True, True, True),
+        (replace(UNSURE, after=2.1, plain_low=-0.15, nats=9.0, nats_low=4.0), True, True, False),
+    ],
+)  # fmt: skip
+def test_what_a_gain_allows_to_say(
+    found: Difference, proved: bool, likely: bool, holds: bool
+) -> None:
+    assert (found.proved, found.likely, found.holds) == (proved, likely, holds)
+
+
+@pytest.mark.parametrize("metric", ["mean", "rms"])
+def test_the_interval_of_a_gain_is_students_over_the_parts(metric: str) -> None:
+    """Parts of equal size, of five folds: widened by sqrt(1 + 5 / 4). Of an rms the interval of the
+    mean squares, divided by the sum of both roots."""
+    rng = np.random.default_rng(1)
+    before, after = np.abs(rng.normal(2.0, 0.5, (12, 3))), np.abs(rng.normal(1.5, 0.5, (12, 3)))
+    found = difference(before.ravel(), after.ravel(), np.repeat(np.arange(12), 3), 5, metric)  # type: ignore[arg-type]
+    power = 1 if metric == "mean" else 2
+    each = np.mean(before**power - after**power, axis=1)
+    start, end = (np.mean(e**power) ** (1 / power) for e in (before, after))
+    unit = 1.0 if metric == "mean" else start + end
+    half = student.ppf(0.975, 11) * np.std(each, ddof=1) / np.sqrt(12)
+    assert (found.before, found.after, found.parts) == pytest.approx((start, end, 12))
+    edges = [each.mean() - np.sqrt(2.25) * half, each.mean() + np.sqrt(2.25) * half]
+    assert [found.low, found.high] == pytest.approx([e / unit for e in edges])
+    assert found.plain_low == pytest.approx((each.mean() - half) / unit)
+
+
+def test_the_gain_in_density_has_students_lower_edge() -> None:
+    nats = np.array([1.0, 3.0, -0.5, 2.0, 2.5])
+    found = with_density(SURE, nats)
+    edge = 8.0 - student.ppf(0.975, 4) * np.std(nats, ddof=1) * np.sqrt(5)
+    assert (found.nats, found.nats_low) == pytest.approx((8.0, edge))

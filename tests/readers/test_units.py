@@ -1,0 +1,449 @@
+"""Units, axes and offsets that a file states, lacks or contradicts, in every format."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from imucalib import readers
+from imucalib.cli import cli as root
+from imucalib.errors import UnreadableInput
+from imucalib.readers import read
+from imucalib.readers.conversion import zero_g
+from imucalib.readers.rates import FASTEST, carried
+from imucalib.recording.mapping import FieldMapping, from_dict
+from imucalib.recording.recording import Recording
+from imucalib.units import ACCELERATION_UNITS, DEG, RATE_UNITS
+from worlds.every_format import WRITE
+from worlds.mcap_logs import Reading, cdr, packed, write_log
+from worlds.places import MEASURED
+from worlds.turned import turned
+
+ROWS, RATE = 600, 100.0
+
+
+NAMES = {"acceleration": "acc", "angular_rate": "gyr"}
+
+
+FAMILIES = {"acceleration": ACCELERATION_UNITS, "angular_rate": RATE_UNITS}
+
+
+SI = {"acceleration": "m/s2", "angular_rate": "rad/s"}
+
+
+T = np.arange(ROWS) / RATE
+
+
+QUANTITIES = pytest.mark.parametrize("quantity", NAMES)
+
+
+AXES = pytest.mark.parametrize("axis", range(3))
+
+
+def si(quantity: str) -> np.ndarray:
+    rng = np.random.default_rng(len(quantity))
+    middle = (
+        np.array([2.0, -3.0, 9.1]) if quantity == "acceleration" else np.array([0.1, 0.2, -0.3])
+    )
+    return middle + rng.normal(scale=0.02, size=(ROWS, 3))
+
+
+#: How one axis may differ -> (attributes of it, what is stored of SI values)
+Stored = tuple[dict[str, object], Callable[[np.ndarray], np.ndarray]]
+
+
+DIFFERENT: dict[str, Callable[[str], Stored]] = {
+    "unit": lambda q: ({"units": list(FAMILIES[q])[1]},
+                       lambda v: v / list(FAMILIES[q].values())[1]),
+    "scale": lambda q: ({"units": SI[q], "scale_factor": 0.5}, lambda v: v / 0.5),
+    "offset": lambda q: ({"units": SI[q], "add_offset": -3.25}, lambda v: v + 3.25),
+    "all": lambda q: ({"units": list(FAMILIES[q])[2], "scale": 2.0, "add_offset": 7.0},
+                      lambda v: (v / list(FAMILIES[q].values())[2] - 7.0) / 2.0),
+}  # fmt: skip
+
+
+def put_axes(path: Path, quantity: str, each: list[Stored], layout: str) -> Path:
+    """Three datasets, the columns of a table, or one dataset with a list for every attribute."""
+    columns = [pack(v) for (_, pack), v in zip(each, si(quantity).T, strict=True)]
+    with h5py.File(path, "w") as file:
+        file["time"] = T
+        file["time"].attrs["units"] = "s"
+        if layout == "datasets":
+            for (attributes, _), letter, values in zip(each, "xyz", columns, strict=True):
+                name = f"{NAMES[quantity]}_{letter}"
+                file[name] = values
+                file[name].attrs.update(attributes)
+            return path
+        node = file.create_dataset(quantity, data=np.stack(columns, axis=1))
+        node.attrs["units"] = [str(a.get("units", "")) for a, _ in each]
+        node.attrs["scale"] = [a.get("scale", a.get("scale_factor", 1.0)) for a, _ in each]
+        node.attrs["add_offset"] = [a.get("add_offset", 0.0) for a, _ in each]
+    return path
+
+
+def assert_plain(found: Recording, quantity: str, rows: np.ndarray | slice = slice(None)) -> None:
+    channel = found.channels[f"imu0/{quantity}"]
+    assert channel.unit == SI[quantity]
+    np.testing.assert_allclose(channel.values, si(quantity)[rows], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(channel.t, T[rows], atol=1e-12)
+
+
+@QUANTITIES
+@AXES
+@pytest.mark.parametrize("how", DIFFERENT)
+@pytest.mark.parametrize("layout", ["datasets", "list"])
+def test_hdf5_reads_each_axis_by_its_own_attributes(
+    quantity: str, axis: int, how: str, layout: str, tmp_path: Path
+) -> None:
+    plain: Stored = ({"units": SI[quantity]}, lambda v: v)
+    each = [DIFFERENT[how](quantity) if k == axis else plain for k in range(3)]
+    path = put_axes(tmp_path / "a.h5", quantity, each, layout)
+    assert_plain(readers.read(path), quantity)
+
+
+@AXES
+@pytest.mark.parametrize("how", ["storage", "_FillValue", "missing_value"])
+@pytest.mark.parametrize("layout", ["datasets", "table"])
+def test_hdf5_takes_no_fill_of_any_axis_for_a_reading(
+    axis: int, how: str, layout: str, tmp_path: Path
+) -> None:
+    values = si("acceleration").copy()
+    values[200:300, axis] = -9999.0
+    options = {"fillvalue": -9999.0} if how == "storage" else {}
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["time"] = T
+        if layout == "table":
+            file.create_dataset("acceleration", data=values, chunks=(ROWS, 3), **options)
+        for k in range(3) if layout == "datasets" else ():
+            own = options if k == axis else {}
+            file.create_dataset(f"acc_{'xyz'[k]}", data=values[:, k], chunks=(ROWS,), **own)
+        node = file["acceleration" if layout == "table" else f"acc_{'xyz'[axis]}"]
+        if how != "storage":
+            node.attrs[how] = -9999.0
+    rows = np.r_[0:200, 300:ROWS]
+    found = readers.read(tmp_path / "a.h5", FieldMapping(acc_unit="m/s2", time_unit="s"))
+    assert_plain(found, "acceleration", rows)
+    assert found.gaps
+
+
+@QUANTITIES
+@AXES
+def test_csv_reads_each_axis_by_its_own_heading(quantity: str, axis: int, tmp_path: Path) -> None:
+    for unit, size in FAMILIES[quantity].items():
+        units = [unit if k == axis else SI[quantity] for k in range(3)]
+        sizes = np.array([size if k == axis else 1.0 for k in range(3)])
+        heading = [f"{NAMES[quantity]}_{a} ({u})" for a, u in zip("xyz", units, strict=True)]
+        rows = np.column_stack([T, si(quantity) / sizes])
+        path = tmp_path / "a.csv"
+        lines = [",".join(map(repr, row)) for row in rows.tolist()]
+        path.write_text(",".join(["time (s)", *heading]) + "\n" + "\n".join(lines) + "\n")
+        found = readers.read(path)
+        assert_plain(found, quantity)
+        assert_plain(readers.read(path, from_dict(found.mapping)), quantity)
+
+
+@AXES
+def test_an_axis_without_the_unit_of_the_others_is_refused(axis: int, tmp_path: Path) -> None:
+    heading = [f"acc_{a}" + " (g)" * (k != axis) for k, a in enumerate("xyz")]
+    lines = [",".join(map(repr, row)) for row in np.column_stack([T, si("acceleration")]).tolist()]
+    path = tmp_path / "a.csv"
+    path.write_text(",".join(["time (s)", *heading]) + "\n" + "\n".join(lines) + "\n")
+    with pytest.raises(UnreadableInput, match=rf"{'xyz'[axis]} nothing.*--unit"):
+        readers.read(path)
+    assert_plain(readers.read(path, FieldMapping(acc_unit="m/s2")), "acceleration")
+
+
+@AXES
+def test_a_name_and_an_attribute_that_contradict_are_refused(axis: int, tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["time"] = T
+        for k, values in enumerate(si("acceleration").T):
+            name = f"acc_{'xyz'[k]}_mg" if k == axis else f"acc_{'xyz'[k]}"
+            file[name] = values
+            file[name].attrs["units"] = "m/s2"
+    with pytest.raises(UnreadableInput, match=r"its name says mg.*--unit"):
+        readers.read(tmp_path / "a.h5")
+    found = readers.read(tmp_path / "a.h5", FieldMapping(acc_unit="m/s2"))
+    assert_plain(found, "acceleration")
+
+
+CLOCKS: dict[str, tuple[np.ndarray, dict[str, object], int | None]] = {
+    "packed": (np.arange(ROWS), {"units": "seconds", "scale_factor": 0.01}, None),
+    "packed from an offset": (np.arange(ROWS) - 300, {"units": "s", "scale_factor": 0.01,
+                                                      "add_offset": 3.0}, None),
+    "packed since": (np.arange(ROWS), {"units": "seconds since 2023-11-14T22:13:20Z",
+                                       "scale_factor": 0.01}, 1_700_000_000_000_000_000),
+    "days since": (T / 86_400, {"units": "days since 2023-11-14 22:13:20"},
+                   1_700_000_000_000_000_000),
+    "hours since": (T / 3600 + 1.0, {"units": "hours since 2023-11-14 21:13:20"},
+                    1_700_000_000_000_000_000),
+    "minutes": (T / 60, {"units": "min"}, None),
+    "filetime": (np.rint(T * 1e7).astype(np.int64) + 133_444_736_000_000_000, {},
+                 1_700_000_000_000_000_000),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("form", CLOCKS)
+def test_hdf5_reads_a_clock_by_its_own_attributes(form: str, tmp_path: Path) -> None:
+    stamps, attributes, start = CLOCKS[form]
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["acceleration"] = si("acceleration")
+        file["time"] = stamps
+        file["time"].attrs.update(attributes)
+    found = readers.read(tmp_path / "a.h5", FieldMapping(acc_unit="m/s2"))
+    channel = found.channels["imu0/acceleration"]
+    np.testing.assert_allclose(channel.t, T, atol=1e-6)
+    assert found.start_ns == (start if start is None else pytest.approx(start, abs=1e4))
+
+
+RATES = FieldMapping(gyro_unit="rad/s")
+
+
+BY_FORMAT = pytest.mark.parametrize("name", WRITE)
+
+
+@BY_FORMAT
+@pytest.mark.parametrize("peak", [1.0, 4.0])
+def test_degrees_called_radians_are_refused_with_what_reads_them(
+    name: str, peak: float, tmp_path: Path
+) -> None:
+    t, acc, rate = turned(peak=peak)
+    path = WRITE[name](tmp_path, t, acc, rate / DEG)
+    assert (np.abs(rate / DEG).max() > FASTEST) == (peak > 1.5)
+    for each in (readers.read, lambda *a: list(readers.blocks(*a, block_samples=2000))):
+        with pytest.raises(UnreadableInput, match="--gyro-unit deg/s"):
+            each(path, RATES)
+    found = readers.read(path, replace(RATES, gyro_unit="deg/s"))
+    np.testing.assert_allclose(found.channels["imu0/angular_rate"].values, rate, atol=1e-4)
+
+
+@pytest.mark.parametrize("true", ["rad/s", "mdeg/s", "mrad/s"])
+def test_any_unit_called_another_is_refused(true: str, tmp_path: Path) -> None:
+    t, acc, rate = turned(turns=4)
+    path = WRITE["csv"](tmp_path, t, acc, rate / RATE_UNITS[true])
+    with pytest.raises(UnreadableInput, match="gyro-unit"):
+        readers.read(path, FieldMapping(gyro_unit="deg/s"))
+    readers.read(path, FieldMapping(gyro_unit=true))
+
+
+@pytest.mark.parametrize("true", ["rad/s", "deg/s", "mdeg/s"])
+def test_a_unit_that_nobody_states_is_named_where_turns_prove_it(true: str, tmp_path: Path) -> None:
+    t, acc, rate = turned()
+    path = tmp_path / "log.csv"
+    table = np.column_stack([t, acc, rate / RATE_UNITS[true]])
+    names = [f"{q}_{a}" for q in ("acc", "gyro") for a in "xyz"]
+    np.savetxt(path, table, delimiter=",", header=",".join(["time_s", *names]), comments="")
+    found = readers.read(path)
+    assert found.channels["imu0/angular_rate"].unit == "counts"
+    assert sum(f"give --gyro-unit {true}" in note for note in found.notes) == 1
+    again = readers.read(path, FieldMapping(gyro_unit=true))
+    np.testing.assert_allclose(again.channels["imu0/angular_rate"].values, rate, atol=1e-6)
+    assert not [note for note in again.notes if "--gyro-unit" in note]
+
+
+def test_gravity_is_carried_to_where_it_is_read() -> None:
+    t, acc, rate = turned(turns=8, peak=3.0)
+    errors = np.array(carried(t, acc, rate, np.array([1.0, DEG, 1.0 / DEG])))
+    assert len(errors) == 8
+    assert errors[:, 0].max() < 0.5 * DEG
+    assert np.median(errors[:, 1:], axis=0).min() > 20.0 * DEG
+
+
+@pytest.mark.parametrize("name", ["imu0.log.gz", "imu1.log.gz"])
+def test_a_measured_log_proves_its_unit(name: str) -> None:
+    mapping = FieldMapping(
+        acc=("1", "2", "3"), gyro=("4", "5", "6"), rate=100.0, header=False, acc_unit="m/s2",
+        gyro_unit="rad/s",
+    )  # fmt: skip
+    readers.read(MEASURED / name, mapping)
+    with pytest.raises(UnreadableInput, match="--gyro-unit rad/s"):
+        readers.read(MEASURED / name, replace(mapping, gyro_unit="deg/s"))
+
+
+Array = NDArray[np.float64]
+
+
+_LEVEL, _SCALE = np.array([33123.0, 33276.0, 32360.0]), np.array([4076.0, 4006.0, 4052.0])
+
+
+def _directions(rng: np.random.Generator, count: int) -> Array:
+    out = rng.normal(size=(count, 3))
+    return out / np.linalg.norm(out, axis=1, keepdims=True)
+
+
+def _recording(path: Path) -> Path:
+    """36 rests of 4 s at 50 Hz, half a second of turning between them."""
+    rng = np.random.default_rng(5)
+    rests = [np.repeat(u[None], 200, axis=0) for u in _directions(rng, 36)]
+    turns = [rng.normal(0.0, 0.6, (25, 3)) for _ in rests]
+    truth = np.concatenate([part for both in zip(rests, turns, strict=True) for part in both])
+    counts = np.rint(_LEVEL + _SCALE * truth + rng.normal(0.0, 6.0, truth.shape))
+    np.savetxt(path, np.column_stack([np.arange(len(counts)) / 50.0, counts]), fmt="%.7e")
+    return path
+
+
+def test_a_recording_from_an_offset_is_refused_with_the_options_that_read_it(
+    tmp_path: Path,
+) -> None:
+    log = _recording(tmp_path / "acc.txt")
+    refused = CliRunner().invoke(root, ["inspect", str(log)])
+    assert isinstance(refused.exception, UnreadableInput)
+    told = str(refused.exception)
+    assert "counted from an offset" in told
+    line = told.split("offset. ")[1].split(" counts them", maxsplit=1)[0]
+    assert line.startswith("--unit counts --lsb 40")
+    run = [
+        "lab",
+        str(log),
+        "--reference",
+        "norm",
+        "-o",
+        str(tmp_path / "out"),
+        "--full",
+        *line.split(),
+    ]
+    read = CliRunner().invoke(root, run)
+    assert read.exit_code == 0, read.stderr
+    assert "as the recording was read" in " ".join(read.stdout.split())
+
+
+@given(
+    seed=st.integers(0, 10_000),
+    away=st.floats(1.5, 12.0),
+    size=st.sampled_from([0.33, 66.0, 1024.0, 4096.0]),
+)
+def test_the_level_and_what_a_g_reads_come_back(seed: int, away: float, size: float) -> None:
+    rng = np.random.default_rng(seed)
+    level = away * size * _directions(rng, 1)[0]
+    rest = level + size * _directions(rng, 30) * rng.uniform(0.98, 1.02, (1, 3))
+    found = zero_g(rest)
+    assert found is not None
+    assert found.radius == pytest.approx(size, rel=0.05)
+    assert np.abs(found.level - level).max() < 0.05 * size
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_acceleration_without_gravity_is_said_to_be_that(stated: bool, tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    t = np.arange(2000) / 100.0
+    moved = rng.normal(0.0, 0.02, (2000, 3)) + np.sin(t)[:, None] * (t[:, None] % 4 > 2)
+    head = "t_s,acc_x [m/s2],acc_y [m/s2],acc_z [m/s2]" if stated else "t_s,acc_x,acc_y,acc_z"
+    path = tmp_path / "linear.csv"
+    np.savetxt(path, np.column_stack([t, moved]), delimiter=",", header=head, comments="")
+    with pytest.raises(UnreadableInput, match="gravity was removed"):
+        read(path)
+
+
+PLAUSIBLE_ROWS = 400
+
+
+Put = Callable[[Path, np.ndarray], Path]
+
+
+def acc() -> np.ndarray:
+    rng = np.random.default_rng(0)
+    return np.array([0.3, -0.4, 9.7]) + rng.normal(scale=0.02, size=(PLAUSIBLE_ROWS, 3))
+
+
+def _csv(folder: Path, t: np.ndarray) -> Path:
+    path = folder / "a.csv"
+    lines = [",".join(map(repr, row)) for row in np.column_stack([t, acc()]).tolist()]
+    path.write_text("time (s),acc_x (m/s2),acc_y (m/s2),acc_z (m/s2)\n" + "\n".join(lines) + "\n")
+    return path
+
+
+def _hdf5(folder: Path, t: np.ndarray) -> Path:
+    path = folder / "a.h5"
+    with h5py.File(path, "w") as file:
+        file["acceleration"] = acc()
+        file["acceleration"].attrs["units"] = "m/s2"
+        file["time"] = t
+        file["time"].attrs["units"] = "s"
+    return path
+
+
+def _mcap(folder: Path, t: np.ndarray) -> Path:
+    path = folder / "a.mcap"
+    ns = np.rint(t * 1e9).astype(np.int64) + 1_700_000_000 * 10**9
+    rows = [
+        Reading(int(n), tuple(a), (0.0, 0.0, 0.0), "imu") for n, a in zip(ns, acc(), strict=True)
+    ]
+    write_log(path, {"/imu": packed(rows, cdr)})
+    return path
+
+
+FORMATS = pytest.mark.parametrize("put", [_csv, _hdf5, _mcap], ids=lambda f: f.__name__[1:])
+
+
+@FORMATS
+@pytest.mark.parametrize("step", [2e-6, 30.0])
+def test_a_rate_that_no_sensor_has_is_refused(put: Put, step: float, tmp_path: Path) -> None:
+    path = put(tmp_path, np.arange(PLAUSIBLE_ROWS) * step)
+    with pytest.raises(UnreadableInput, match=r"samples a second.*--time-unit.*--rate"):
+        readers.read(path)
+    with pytest.raises(UnreadableInput, match=r"samples a second"):
+        list(readers.blocks(path, block_samples=50))
+    assert readers.read(path, FieldMapping(rate=50.0)).channels
+
+
+@pytest.mark.parametrize(
+    ("modulus", "unit"),
+    [(2**32, "ms"), (2**32, "us"), (2**16, "ms"), (2**24, "us"), (86_400_000, "ms"), (3600, "s")],
+)
+@pytest.mark.parametrize("put", [_csv, _hdf5], ids=["csv", "hdf5"])
+def test_a_counter_that_wraps_is_unrolled(
+    put: Put, modulus: int, unit: str, tmp_path: Path
+) -> None:
+    size = {"s": 1.0, "ms": 1e-3, "us": 1e-6}[unit]
+    whole = modulus * size
+    t = (whole - 1.5 + 0.02 * np.arange(PLAUSIBLE_ROWS)) % whole
+    path = put(tmp_path, np.round(t, 6))
+    found = readers.read(path)
+    channel = found.channels["imu0/acceleration"]
+    np.testing.assert_allclose(
+        channel.t - channel.t[0], 0.02 * np.arange(PLAUSIBLE_ROWS), atol=1e-5
+    )
+    assert not found.gaps
+    assert any("begin again" in note for note in found.notes)
+    parts = list(readers.blocks(path, block_samples=64))
+    t = np.concatenate([p.channels["imu0/acceleration"].t for p in parts])
+    np.testing.assert_allclose(t - t[0], 0.02 * np.arange(PLAUSIBLE_ROWS), atol=1e-5)
+
+
+def _two_tools(folder: Path, *, time: bool = True) -> Path:
+    lines = ["serial,id," + "time (s)," * time + "acc_x (m/s2),acc_y (m/s2),acc_z (m/s2)"]
+    for k, a in enumerate(acc().tolist()):
+        name, number = ("A12", "1.0") if k < PLAUSIBLE_ROWS // 2 else ("B07", "2.0")
+        stamp = [f"{0.01 * k:.2f}"] * time
+        lines.append(",".join([name, number, *stamp, *map(repr, a)]))
+    path = folder / "two.csv"
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+@pytest.mark.parametrize("where", ["serial=B07", "id=2", "1=B07"])
+@pytest.mark.parametrize("time", [True, False])
+def test_rows_are_selected_by_a_value(where: str, time: bool, tmp_path: Path) -> None:
+    path = _two_tools(tmp_path, time=time)
+    mapping = FieldMapping(where=(where,), rate=None if time else 100.0)
+    found = readers.read(path, mapping)
+    np.testing.assert_array_equal(
+        found.channels["imu0/acceleration"].values, acc()[PLAUSIBLE_ROWS // 2 :]
+    )
+    assert not any("serial" in note for note in found.notes)
+    again = readers.read(path, from_dict(found.mapping))
+    np.testing.assert_array_equal(
+        again.channels["imu0/acceleration"].values, acc()[PLAUSIBLE_ROWS // 2 :]
+    )
+    parts = list(readers.blocks(path, mapping, block_samples=30))
+    values = np.concatenate([p.channels["imu0/acceleration"].values for p in parts])
+    np.testing.assert_array_equal(values, acc()[PLAUSIBLE_ROWS // 2 :])
