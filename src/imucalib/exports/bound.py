@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from imucalib.calibration.calibration import Calibration
-from imucalib.errors import LimitBroken
-from imucalib.exports import Exported
+from imucalib.errors import LimitBroken, UsageError
+from imucalib.exports import Exported, exported
 from imucalib.units import MG
 
 #: Of what the calibration leaves: there, nine tenths of an exported correction's variance are the
@@ -35,6 +35,15 @@ def demand_carried(
             remedy="write it all the same with --force, or allow more with `imucal export "
             f"--largest-loss {math.ceil(made.made.loss)}`; imucal apply carries everything",
         )
+
+
+def carries(calibration: Calibration, form: str) -> bool:
+    """Whether a form is written unasked."""
+    try:
+        demand_carried(exported(calibration, "", form), form, calibration, None)
+    except (LimitBroken, UsageError):
+        return False
+    return True
 
 
 def error_left(calibration: Calibration) -> float:
