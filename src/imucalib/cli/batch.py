@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -109,7 +110,7 @@ def command(
             ):
                 entries.append(entry)
                 advance(free=entry.reused)
-                if not entry.calibrated:
+                if entry.key and not entry.calibrated:
                     note(f"{entry.recording}: {entry.error}", quiet)
     return _summed_up(entries, time.monotonic() - start, output, as_json=as_json, quiet=quiet)
 
@@ -138,6 +139,8 @@ def _summed_up(
     entries: list[Entry], seconds: float, output: Path, *, as_json: bool, quiet: bool
 ) -> int:
     failed = [e for e in entries if not e.calibrated]
+    for why, count in Counter(e.error for e in failed if not e.key).items():
+        note(f"{count} recordings have no entry: {why}", quiet)
     summary = {
         "recordings": len(entries),
         "calibrated": len(entries) - len(failed),

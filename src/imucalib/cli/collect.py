@@ -19,24 +19,33 @@ from imucalib.cli.output import note
     type=click.Path(path_type=Path),
     help="Table to write: .csv, or .parquet (extra parquet).",
 )
+@click.option(
+    "--html",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Page of all recordings, those to look at first.",
+)
 @force_option
 @quiet_option
-def command(folder: Path, output: Path, force: bool, quiet: bool) -> int:
-    """Gather the entries that `imucal batch` wrote into one table, a row a recording.
+def command(folder: Path, output: Path, html: Path | None, force: bool, quiet: bool) -> int:
+    """Gather the entries that `imucal batch`, or --entry of a calibrator, wrote into one table, a
+    row a recording.
 
     \b
-    Example: imucal collect entries -o cohort.csv
+    Example: imucal collect entries -o cohort.csv --html cohort.html
     """
     from imucalib.atomic_file import demand_output
+    from imucalib.calibration.file import write_whole
     from imucalib.cohort.entries import read_entry, rows, write_table
     from imucalib.errors import UnreadableInput
+    from imucalib.report.cohort import cohort_html
 
     if not folder.is_dir():
         raise UnreadableInput(
             "no such folder", where=str(folder), remedy="name that of `imucal batch -o`"
         )
     paths = sorted(folder.glob("*.json"))
-    demand_output(output, paths, force=force)
+    for target in filter(None, (output, html)):
+        demand_output(target, paths, force=force)
     found = [read_entry(path) for path in sorted(paths, key=lambda path: path.stat().st_mtime)]
     read = [entry for entry in found if entry is not None]
     entries = tuple({entry.recording: entry for entry in read}.values())
@@ -46,11 +55,15 @@ def command(folder: Path, output: Path, force: bool, quiet: bool) -> int:
             where=str(folder),
             remedy="`imucal batch MANIFEST -o FOLDER` writes them",
         )
-    write_table(rows(entries), output)
+    table = rows(entries)
+    write_table(table, output)
+    if html is not None:
+        write_whole(html, cohort_html(table, folder.absolute().name))
     if len(read) < len(found):
         note(f"{len(found) - len(read)} files are no entries", quiet)
     if len(entries) < len(read):
         note(f"{len(read) - len(entries)} entries are older ones of the same recording", quiet)
     if not quiet:
-        click.echo(f"wrote {output}: {len(entries)} recordings")
+        for target in filter(None, (output, html)):
+            click.echo(f"wrote {target}: {len(entries)} recordings")
     return 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 
 from options.bench import Bench
-from options.case import Case, Of, ends
+from options.case import Case, Of, both, ends, writes
 from options.outcome import Outcome
 
 BATCH, COLLECT = Of("batch"), Of("collect")
@@ -53,6 +53,15 @@ def _table(without: Outcome, done: Outcome, bench: Bench) -> None:
         assert len(list(csv.DictReader(file))) == 2
 
 
+def _page(without: Outcome, done: Outcome, bench: Bench) -> None:
+    """Every recording of the table stands on it."""
+    with (done.folder / "table.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    page = done.text("page.html")
+    assert len(rows) == 2
+    assert all(row["recording"] in page for row in rows)
+
+
 KEPT = ("batch", "<cohort.txt>", "-o", "<entries>", "--json", "--", "--no-loop")
 CASES: tuple[Case, ...] = (
     BATCH("--output <out>/others", lambda a, b, c: _moved(a, b)),
@@ -62,6 +71,7 @@ CASES: tuple[Case, ...] = (
     BATCH("--shard 3", ends(2, "is not I/N")),
     BATCH("--no-resume", _again, *KEPT),
     COLLECT("--output <out>/other.csv", _table),
+    COLLECT("--html <out>/page.html", both(writes("page.html"), _page)),
 )
 
 

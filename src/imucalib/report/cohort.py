@@ -1,0 +1,163 @@
+"""The page of a cohort: a row a recording, those to look at first, and what all have left."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import PurePath
+from typing import Any
+
+import numpy as np
+
+from imucalib.report.document import Plot, Series, Tone
+from imucalib.report.render.html import SIGNS, WORDS
+from imucalib.report.render.svg import render_svg
+from imucalib.report.render.templates import filled
+
+#: Width of a row's picture, and what its marks stay off the edge.
+_WIDTH, _EDGE = 90.0, 5.0
+_RANK: dict[Tone, int] = {"bad": 0, "warning": 1, "ok": 2, "plain": 3}
+#: Column of the table -> heading; numbers, then texts.
+_NUMBERS = {
+    "error_before": "before",
+    "error_after": "after",
+    "hours_worn": "worn (h)",
+    "posture_runs": "postures",
+}
+_TEXTS = {"axes_seen_both_ways": "axes both ways", "effects_added": "effects"}
+
+
+@dataclass(frozen=True)
+class Row:
+    """One recording: what its cells show.
+
+    numbers, texts : the cells between its status and its picture, and behind that
+    before, after : places of the errors in the picture, None without; order : what it sorts by
+    """
+
+    path: str
+    name: str
+    tone: Tone
+    status: str
+    numbers: tuple[str, ...]
+    before: float | None
+    after: float | None
+    picture: str
+    order: str
+    texts: tuple[str, ...]
+    to_do: str
+
+
+@dataclass(frozen=True)
+class Page:
+    """What stands on the page; ends : of the pictures' scale."""
+
+    title: str
+    verdict: str
+    tone: Tone
+    header: tuple[str, ...]
+    rows: tuple[Row, ...]
+    plot: Plot | None
+    ends: tuple[str, str]
+
+
+def cohort_html(table: Sequence[Mapping[str, Any]], title: str) -> str:
+    """One self-contained HTML page of the rows that `cohort.entries.rows` makes.
+
+    Without a script the table stands sorted: recordings without a calibration, then those whose
+    exit code is not 0, then by the error left, largest first.
+    """
+    page = _page(table, title)
+    return filled("cohort.html.j2", page=page, signs=SIGNS, words=WORDS, svg=render_svg)
+
+
+def _page(table: Sequence[Mapping[str, Any]], title: str) -> Page:
+    errors = [v for row in table for v in (row.get("error_before"), row.get("error_after")) if v]
+    ends = (min(errors), max(errors)) if errors else (1.0, 1.0)
+    units = sorted({str(row["error_unit"]) for row in table if row.get("error_unit")})
+    unit = f" ({units[0]})" if len(units) == 1 else ""
+    ordered = sorted(table, key=lambda row: (_RANK[_tone(row)], -(row.get("error_after") or 0.0)))
+    failed = sum(_tone(row) == "bad" for row in table)
+    doubted = sum(_tone(row) == "warning" for row in table)
+    numbers, texts = (
+        {key: name for key, name in names.items() if any(row.get(key) for row in table)}
+        for names in (_NUMBERS, _TEXTS)
+    )
+    heads = [f"{name}{unit if 'error' in key else ''}" for key, name in numbers.items()]
+    return Page(
+        title=title,
+        verdict=f"{len(table) - failed} of {len(table)} recordings are calibrated; "
+        f"{doubted} of them should be looked at.",
+        tone="bad" if failed else "warning" if doubted else "ok",
+        header=("recording", "status", *heads, "error", *texts.values(), "what to do"),
+        rows=tuple(_row(row, ends, units, (tuple(numbers), tuple(texts))) for row in ordered),
+        plot=_plot(table, unit),
+        ends=(f"{ends[0]:.2g}", f"{ends[1]:.2g}{unit}"),
+    )
+
+
+def _tone(row: Mapping[str, Any]) -> Tone:
+    if row["verdict"] is None:
+        return "bad"
+    return "ok" if row["exit_code"] == 0 else "warning"
+
+
+def _row(
+    row: Mapping[str, Any],
+    ends: tuple[float, float],
+    units: Sequence[str],
+    columns: tuple[tuple[str, ...], tuple[str, ...]],
+) -> Row:
+    before, after = (row.get(f"error_{name}") for name in ("before", "after"))
+    places = [_place(value, ends) if value else None for value in (before, after)]
+    known = None not in places
+    own = str(row.get("error_unit") or "")
+    return Row(
+        path=str(row["recording"]),
+        name=PurePath(str(row["recording"])).name,
+        tone=_tone(row),
+        status=f"{row['status']}, exit {row['exit_code']}" if row["exit_code"] else row["status"],
+        numbers=tuple(
+            _shown(row.get(key), own if "error" in key and len(units) > 1 else "")
+            for key in columns[0]
+        ),
+        before=places[0] if known else None,
+        after=places[1] if known else None,
+        picture=f"{_shown(before)} before, {_shown(after)} {own} after" if known else "",
+        order="" if after is None else f"{after:.6g}",
+        texts=tuple(str(row.get(key) or "") for key in columns[1]),
+        to_do=_to_do(row),
+    )
+
+
+def _to_do(row: Mapping[str, Any]) -> str:
+    """Of what is flagged: why it failed, or the first step."""
+    tone = _tone(row)
+    return "" if tone == "ok" else str(row["reasons" if tone == "bad" else "what_to_do"])
+
+
+def _shown(value: Any, unit: str = "") -> str:
+    return "" if value is None else f"{value:.3g} {unit}".strip()
+
+
+def _place(value: float, ends: tuple[float, float]) -> float:
+    """Of an error on the pictures' scale, which is logarithmic."""
+    low, high = (math.log(end) for end in ends)
+    share = (math.log(value) - low) / (high - low) if high > low else 0.5
+    return _EDGE + share * (_WIDTH - 2.0 * _EDGE)
+
+
+def _plot(table: Sequence[Mapping[str, Any]], unit: str) -> Plot | None:
+    """Errors before and after, each in order; None where fewer than two are known."""
+    series = []
+    for name in ("before", "after"):
+        found = sorted(float(row[f"error_{name}"]) for row in table if row.get(f"error_{name}"))
+        rank = 100.0 * (np.arange(len(found)) + 0.5) / max(len(found), 1)
+        series.append(Series(name, rank, np.array(found), "line"))
+    if min(len(one.x) for one in series) < 2:
+        return None
+    caption = "On held-out data, each line in order: how many recordings are left with how much."
+    label = f"error{unit}"
+    share = "share of the recordings (%)"
+    return Plot("What all have left", share, label, tuple(series), caption, log_y=True)

@@ -1,0 +1,70 @@
+"""The page of a cohort: flagged recordings first, nothing from outside, small also with many."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from imucalib.report.cohort import cohort_html
+
+MOST_BYTES = 2_000_000  # of a page with a thousand recordings
+
+
+def row(name: str, code: int = 0, after: float | None = 1.0, **more: Any) -> dict[str, Any]:
+    """What a table holds of one recording."""
+    found = {
+        "recording": f"/data/site/{name}",
+        "exit_code": code,
+        "status": "ok" if code == 0 else "marginal",
+        "verdict": "all structure explained",
+        "what_to_do": "nothing",
+        "reasons": "",
+        "error_unit": "mg",
+        "error_before": 30.0,
+        "error_after": after,
+        "hours_worn": 20.0,
+    }
+    return found | more
+
+
+def failed(name: str) -> dict[str, Any]:
+    keys = {"status": "unreadable", "what_to_do": "copy it", "reasons": "it is empty. copy it"}
+    return {"recording": name, "exit_code": 3, "verdict": None, **keys}
+
+
+def names_of(page: str) -> list[str]:
+    return re.findall(r"</span>([^<]*)</td>", page)
+
+
+def test_flagged_recordings_come_first_and_then_the_largest_errors() -> None:
+    table = (row("a.csv"), row("b.csv", after=3.0), row("c.csv", 5), failed("d.csv"))
+    page = cohort_html(table, "cohort")
+    assert names_of(page) == ["d.csv", "c.csv", "b.csv", "a.csv"]
+    assert "3 of 4 recordings are calibrated; 1 of them should be looked at" in page
+    assert "it is empty. copy it" in page
+    assert page.count("<circle") == 2 * 3
+
+
+def test_a_cohort_of_failures_and_of_one_have_a_page() -> None:
+    assert names_of(cohort_html((failed("d.csv"),), "c")) == ["d.csv"]
+    assert names_of(cohort_html((row("a.csv", after=None),), "c")) == ["a.csv"]
+
+
+def test_names_are_text_and_nothing_is_loaded() -> None:
+    hostile = "<img src=x onerror=alert(1)>.csv"
+    page = cohort_html((row("a.csv", what_to_do=hostile), failed(hostile)), hostile)
+    assert "<img" not in page
+    assert page.count("<script") == 1
+    assert not re.search(r"""(src|href)=["'](?!#)|url\(|@import|https?://(?!www\.w3\.org)""", page)
+
+
+def test_a_thousand_recordings_fit() -> None:
+    words = "record longer, turn the wrist so that z points up and down, and keep it still. " * 3
+    table = tuple(
+        row(f"subject_{k:04d}_week_1_left_wrist.cwa", k % 2, 1.0 + k, what_to_do=words,
+            axes_seen_both_ways="xyz", effects_added="quadratic hysteresis", posture_runs=123)
+        for k in range(1000)
+    )  # fmt: skip
+    page = cohort_html(table, "a study")
+    assert len(names_of(page)) == 1000
+    assert len(page.encode()) <= MOST_BYTES
