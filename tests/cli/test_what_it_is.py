@@ -68,7 +68,7 @@ def test_the_next_command_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 @pytest.mark.parametrize(
     ("change", "what", "mend"),
     [
-        (lambda r: [*r[:3], r[3] + "0", *r[4:]], "row 3: its |a| is", "--fix 3:z="),
+        (lambda r: [*r[:3], r[3].replace(".20", "2.0"), *r[4:]], "row 3: its |a| is", "--fix 3:z="),
         (lambda r: ["toolface_deg,inclination_deg,raw_x,raw_y,raw_z", *r[1:]], "exchanged",
          "--swap-angles"),
         (lambda r: [r[0], r[1].replace("0", "O", 1), *r[2:]], "is not a number", "--exclude 1"),
