@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import re
 import signal
 import sys
 from collections.abc import Sequence
@@ -122,6 +123,8 @@ def _no_command(args: Sequence[str]) -> str:
     import difflib
 
     word = args[0].lower()
+    if word in ("help", "version"):
+        return f"no command '{args[0]}'. Type: imucal --{word}"
     if word in _CALIBRATE:
         names = ("lab", "actigraph", "imu", "array")
         kinds = "\n".join(f"  imucal {name:9}  {COMMANDS[name]}" for name in names)
@@ -165,6 +168,19 @@ def cli() -> None:
     """
 
 
+def _example(error: click.ClickException) -> str:
+    """A call of the command that was misused, as its help shows it; or how a decimal is written."""
+    ctx = getattr(error, "ctx", None)
+    if ctx is None or ctx.parent is None:
+        return ""
+    number = re.search(r"'(-?\d+),(\d+)' is not a valid float", error.format_message())
+    if number:
+        return f"{number[1]}.{number[2]}, with a point"
+    lines = (ctx.command.help or "").splitlines()
+    typed = (line.strip().removeprefix("Example: ") for line in lines)
+    return next((line for line in typed if line.startswith("imucal ")), "")
+
+
 def told(error: Exception) -> dict[str, Any]:
     """A failure for machines: message, where, remedy and exit code."""
     from imucalib.errors import ImucalError, UnreadableInput
@@ -172,7 +188,9 @@ def told(error: Exception) -> dict[str, Any]:
     if isinstance(error, ImucalError):
         said = error.what, error.where, error.remedy, error.exit_code
     elif isinstance(error, click.ClickException):
-        said = error.format_message(), "", "", error.exit_code
+        example = _example(error)
+        remedy = f"for example: {example}" if example else ""
+        said = error.format_message(), "", remedy, error.exit_code
     else:
         name = str(getattr(error, "filename", None) or "")
         said = str(getattr(error, "strerror", error)), name, "", UnreadableInput.exit_code
@@ -188,7 +206,7 @@ def main() -> None:
     # Temporary files are removed on the way out, as after Ctrl-C.
     signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     try:
-        code = cli.main(standalone_mode=False)
+        code = cli.main(prog_name="imucal", standalone_mode=False)
         sys.stdout.flush()
     except ImucalError as error:
         from imucalib.cli.output import say
@@ -197,6 +215,8 @@ def main() -> None:
         code = error.exit_code
     except click.ClickException as error:
         error.show()
+        if example := _example(error):
+            click.echo(f"For example: {example}", err=True)
         code = error.exit_code
     except click.Abort:
         click.echo("stopped", err=True)
