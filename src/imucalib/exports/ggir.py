@@ -26,12 +26,12 @@ def ggir_csv(calibration: Calibration, filename: str) -> Made:
     start, end = _errors(calibration)
     # Part 2 reads these of every row, as its own quality report has them; NA: not known.
     seen = calibration.facts.get("coverage", {})
-    warm = "TRUE" if np.any(row.slope) else "FALSE"
+    hours = f"{seen['hours']:.6g}" if "hours" in seen else "NA"
     others = {
         "n.10sec.windows": seen.get("still_windows", "NA"),
-        "n.hours.considered": seen.get("hours", "NA"),
+        "n.hours.considered": hours,
         "QCmessage": f"calibrated by imucal: {calibration.status}",
-        "use.temperature": warm,
+        "use.temperature": "TRUE" if np.any(row.slope) else "FALSE",
     }
     numbers = {
         "cal.error.start": start * 1e-3,
