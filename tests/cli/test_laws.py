@@ -196,7 +196,8 @@ def _refused_export(done: Done, form: str, target: Path, words: str) -> None:
 
 def _accepted_export(done: Done, form: str, target: Path) -> None:
     """What loses too much is written by --force, and says the loss with it and without."""
-    walks = ("--random-walk", "1e-3,1e-5") if form in WITH_WALKS else ()
+    stated = "\nnoise_density:" in done.calibration.read_text(encoding="utf-8")
+    walks = ("--random-walk", "1e-3,1e-5") if form in WITH_WALKS and not stated else ()
     given = ("export", done.calibration, "--to", form, *walks)
     if walks:
         refused = run(*given[:-2], "-o", target)

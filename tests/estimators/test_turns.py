@@ -25,6 +25,7 @@ def coning(rate: float, seconds: float = 2.0) -> tuple[np.ndarray, np.ndarray]:
     return t, np.asarray((whole[0].inv() * whole).as_matrix())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate", [100.0, 400.0])
 def test_a_coning_body_is_followed(rate: float) -> None:
     t, true = coning(rate)
@@ -95,6 +96,7 @@ def by_force(rate: np.ndarray, force: np.ndarray, t: np.ndarray) -> np.ndarray:
     return out
 
 
+@pytest.mark.slow
 def test_sensitivity_to_force_is_a_law_of_nine_numbers() -> None:
     planted = np.radians(0.2) * np.random.default_rng(5).normal(size=(3, 3))
     made, log = known(3, by_force=planted)

@@ -82,7 +82,7 @@ def _inspected(path: Path, block: int = 1 << 18) -> Inspection:
 
 
 @pytest.mark.parametrize("name", WRITE)
-@pytest.mark.parametrize("change", [_hold, _fill, _hold_shortly, _copy])
+@pytest.mark.parametrize("change", [_fill, _hold_shortly, _copy])
 def test_every_reader_tells_what_noise_does_not_do(
     name: str, change: Change, tmp_path: Path
 ) -> None:

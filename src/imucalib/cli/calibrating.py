@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import functools
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
+from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -277,12 +278,15 @@ def finish(
     codes = [report.run.outcome.exit_code for report in every]
     click.get_current_context().meta[_CONTENT] = every[-1].content
     if options["output"] is not None:
-        for report in reports:
-            stem = Path(report.run.outcome.provenance.path).stem
-            folder = options["output"] / stem if len(reports) > 1 else options["output"]
-            codes.append(_write(report, folder, options))
+        several = len(reports) > 1
+        folders = [_folder(report, options, several) for report in reports]
+        placed = [_placed(*one, options) for one in zip(reports, folders, strict=True)]
+        codes += [_write(*one, options) for one in zip(placed, folders, strict=True)]
+        reports = placed
         if together:
             codes.append(_write(together.report, options["output"], options))
+    else:
+        reports = [_unwritten(report) for report in reports]
     if options["as_json"]:
         contents = [report.content for report in reports]
         if together:
@@ -295,6 +299,42 @@ def finish(
         if together:
             show(together.report.document, full=options["full"])
     return max(codes)
+
+
+def _folder(report: Report, options: Mapping[str, Any], several: bool) -> Path:
+    """Where a report's files go."""
+    folder: Path = options["output"]
+    return folder / Path(report.run.outcome.provenance.path).stem if several else folder
+
+
+def _placed(report: Report, folder: Path, options: Mapping[str, Any]) -> Report:
+    """The report with its advice in terms of the files that are read and written."""
+    source = report.run.outcome.provenance.path
+    given = next((p for p in _named(options) if p.name == source), Path(source))
+    suffix = next((s for s in (".csv", ".h5") if s in given.suffixes), ".mcap")
+    places = {
+        "calibration": str(folder / "calibration.yaml"),
+        "folder": str(folder),
+        "input": str(given),
+        "suffix": suffix,
+    }
+    return replace(report, document=report.document.placed(places))
+
+
+def _named(options: Mapping[str, Any]) -> Iterator[Path]:
+    """Every file that the line names."""
+    for value in (*click.get_current_context().params.values(), *options.values()):
+        for one in value if isinstance(value, tuple) else (value,):
+            if isinstance(one, Path):
+                yield one
+
+
+def _unwritten(report: Report) -> Report:
+    """The report with what writes it, into a folder that is not there yet."""
+    names = chain(["out"], (f"out_{k}" for k in count(2)))
+    folder = next(name for name in names if not Path(name).exists())
+    command = report.run.outcome.provenance.command
+    return replace(report, document=report.document.unwritten(f"{command} -o {folder}"))
 
 
 def _gated(report: Report, fail_on: Gate | None) -> Report:

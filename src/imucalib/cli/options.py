@@ -352,6 +352,7 @@ RARE = {
         "max_position_sd",
         "fail_on",
     ),
+    "Studies": ("entry",),
 }
 _HEADING = {name: heading for heading, names in RARE.items() for name in names}
 _ASKED = "imucal.help_all"

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from imucalib.calibration.calibration import Calibration
-from imucalib.errors import LimitBroken
-from imucalib.exports import Exported
+from imucalib.errors import LimitBroken, UsageError
+from imucalib.exports import Exported, exported
 from imucalib.units import DEG, MG
 
 #: Of what the calibration leaves: there, nine tenths of an exported correction's variance are the
@@ -35,12 +35,10 @@ def demand_carried(
         (rate, largest_rate, rate_left, "deg/s", f"{allowed},{math.ceil(rate)}"),
     ):
         own = left(calibration)
-        why = (
-            ""
-            if bound is not None
-            else (f", three times the {own:.2g} {unit} that the calibration leaves")
-        )
-        most = _TIMES * own if bound is None else bound
+        most, why = bound, ""
+        if most is None:
+            most = _TIMES * own
+            why = f", three times the {own:.2g} {unit} that the calibration leaves"
         if lost > most:
             raise LimitBroken(
                 f"{form} loses {lost:.3g} {unit}, more than {most:.3g} {unit}{why}: "
@@ -48,6 +46,15 @@ def demand_carried(
                 remedy="write it all the same with --force, or allow more with `imucal export "
                 f"--largest-loss {words}`; imucal apply carries everything",
             )
+
+
+def carries(calibration: Calibration, form: str) -> bool:
+    """Whether a form is written unasked."""
+    try:
+        demand_carried(exported(calibration, "", form), form, calibration, None)
+    except (LimitBroken, UsageError):
+        return False
+    return True
 
 
 def error_left(calibration: Calibration) -> float:

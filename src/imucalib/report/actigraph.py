@@ -77,7 +77,8 @@ def _card(run: ActigraphRun) -> Card:
         (raw, now), (by_day, now_by_day) = enmo["night"], enmo["day"]
         detail = f"raw reading {raw:.2g}; by day {by_day:.2g} raw, {now_by_day:.2g} corrected"
         good.append(Worth("ENMO at night", f"{two_digits(now)} mg", detail))
-    return sections.card_of(run.outcome, tuple(good))
+    ggir = sections.exporting(run.calibration, "For GGIR", "ggir-csv", "ggir.csv")
+    return sections.card_of(run.outcome, tuple(good), uses=(sections.CORRECT, *ggir))
 
 
 def _of_a_kind(run: ActigraphRun) -> Section:
@@ -348,5 +349,6 @@ def published_document(run: PublishedRun) -> Document:
         Section("Points", (Table("Points (g)", ("", "x", "y", "z"), points, "lrrr"),), brief=False),
     )
     title = f"Calibration of {Path(run.scanned.path).name} as published"
-    card = sections.card_of(run.outcome, (sections.error_worth(error, "|a| at rest", "points"),))
+    worth = sections.error_worth(error, "|a| at rest", "points")
+    card = sections.card_of(run.outcome, (worth,), uses=(sections.CORRECT,))
     return sections.calibration_document(title, head, parts, run.outcome, card)

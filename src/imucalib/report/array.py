@@ -13,7 +13,7 @@ from imucalib.calibrators.array.run import ArrayRun
 from imucalib.core.eigen import eigen
 from imucalib.report import sections
 from imucalib.report.array_figures import board_plots, chain_plots, residual_plots
-from imucalib.report.document import Card, Document, Facts, Section, Table, Text, Worth
+from imucalib.report.document import Card, Document, Facts, Section, Table, Text, Use, Worth
 from imucalib.report.plots import gain_plot
 from imucalib.significant_digits import plus_minus, with_sd
 from imucalib.units import DEG
@@ -58,6 +58,12 @@ def array_document(run: ArrayRun) -> Document:
     return sections.calibration_document(title, head, parts, outcome, card)
 
 
+_FUSE = Use(
+    "Correct and fuse the recording into one IMU",
+    ("apply", "{calibration}", "{input}", "--fused", "-o", "{folder}/fused{suffix}"),
+)
+
+
 def array_card(run: ArrayRun, observability: tuple[Text, ...]) -> Card:
     """Worth of positions, gyros and accelerometers in motion.
 
@@ -66,21 +72,21 @@ def array_card(run: ArrayRun, observability: tuple[Text, ...]) -> Card:
     sd, total = 1e3 * run.final.sd[1:], run.total
     k, axis = np.unravel_index(int(np.argmax(sd)), sd.shape)
     worst = f"{run.board.imus[1 + int(k)]} {'xyz'[int(axis)]}, ± {1.96 * sd.max():.2g} mm"
-    size = f"95 %, the median of {sd.size} coordinates; worst {worst}; size and frame included"
+    size = f"95 %, median of {sd.size} coordinates; worst {worst}"
     shape = 1e3 * np.sqrt(np.maximum(np.diag(total.shape), 0.0))
     apart = (
-        f"95 %, the median; one error for all is in the size, ± {196.0 * total.size_sd:.2g} %, and "
-        f"in the frame, ± {1.96 * float(total.frame_sd.max()) / DEG:.2g} deg"
+        f"one error for all is in the size, ± {196.0 * total.size_sd:.2g} %, and in the frame, "
+        f"± {1.96 * float(total.frame_sd.max()) / DEG:.2g} deg"
     )
     names = ("accelerometers in motion", "gyros in motion")
     errors = zip(run.outcome.errors, names, strict=False)
     worths = (
-        Worth("positions", f"± {1.96 * np.median(sd):.2g} mm", size),
-        Worth("their shape alone", f"± {1.96 * np.median(shape):.2g} mm", apart),
+        Worth("positions", f"± {1.96 * np.median(sd):.2g} mm", size, "size and frame included"),
+        Worth("their shape", f"± {1.96 * np.median(shape):.2g} mm", "95 %, median", apart),
         *(sections.error_worth(e, n, "motion") for e, n in errors),
     )
     weak = (t.text for t in observability if t.tone == "warning")
-    return sections.card_of(run.outcome, worths, *weak)
+    return sections.card_of(run.outcome, worths, *weak, uses=(_FUSE,))
 
 
 def _rms(values: Array) -> float:

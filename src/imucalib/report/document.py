@@ -5,6 +5,7 @@ A block says what is shown, not how: `report.render` decides the looks.
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
@@ -97,21 +98,47 @@ class Section:
 @dataclass(frozen=True)
 class Worth:
     """What a sensor is good to in one quantity: "inclination", "± 0.21 deg", and on what data or
-    at which attitude."""
+    at which attitude; more : what a first screen has no room for."""
 
     quantity: str
     value: str
     detail: str
+    more: str = ""
+
+    @property
+    def whole(self) -> str:
+        """All that is said of the value."""
+        return "; ".join(filter(None, (self.detail, self.more)))
+
+
+@dataclass(frozen=True)
+class Use:
+    """A command that a calibration is good for. words : its arguments, in which {calibration},
+    {folder}, {input} and {suffix} stand for what the run wrote and read"""
+
+    purpose: str
+    words: tuple[str, ...]
+
+    def step(self, places: Mapping[str, str]) -> str:
+        """The command as it is typed, with its purpose."""
+        words = (word.format(**places) for word in self.words)
+        return f"{self.purpose}: `{shlex.join(['imucal', *words])}`"
 
 
 @dataclass(frozen=True)
 class Card:
-    """What a reader takes away: the sensor's worth, what was found, what to do, the command."""
+    """What a reader takes away: the sensor's worth, what was found, what to do, the command.
+
+    uses : what the calibration is good for, until it is known where it was written
+    headline : the verdict without its figures; a card that has one is a first screen by itself
+    """
 
     good_to: tuple[Worth, ...]
     found: tuple[Text, ...]
     to_do: tuple[str, ...]
     command: str = ""
+    uses: tuple[Use, ...] = ()
+    headline: str = ""
 
 
 @dataclass(frozen=True)
@@ -133,6 +160,24 @@ class Document:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "sections", tuple(s for s in self.sections if s.blocks))
+
+    def placed(self, places: Mapping[str, str]) -> Document:
+        """The same, with the commands that use what was written: first of a result that passes,
+        else after the most useful step. places : see `Use`"""
+        card, drawn = self.card, f"{places['folder']}/{self.drawn}"
+        if card is not None:
+            used = tuple(use.step(places) for use in card.uses)
+            at = 0 if self.verdict.tone == "ok" else 1
+            card = replace(card, to_do=(*card.to_do[:at], *used, *card.to_do[at:]), uses=())
+        return replace(self, card=card, drawn=drawn)
+
+    def unwritten(self, command: str) -> Document:
+        """The same of a run that wrote nothing, with the command that writes it."""
+        card = self.card
+        if card is not None and card.uses:
+            keep = f"Write the calibration to use it: `{command}`"
+            card = replace(card, to_do=(keep, *card.to_do), uses=())
+        return replace(self, card=card, drawn="")
 
     def calm(self) -> Document:
         """The same, without a tick next to a verdict that is none, and without a caution on the

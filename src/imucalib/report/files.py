@@ -198,7 +198,9 @@ def shown_dict(document: Document) -> dict[str, Any]:
             words = fields(plot, "title x=x_label y=y_label caption")
             plots.append({"section": section.title, **words, "series": series})
     shown = card and {
-        "good_to": [vars(worth) for worth in card.good_to],
+        "good_to": [
+            {**fields(worth, "quantity value"), "detail": worth.whole} for worth in card.good_to
+        ],
         "found": [text.text for text in card.found],
         **fields(card, "to_do command"),
     }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from imucalib.calibration.gyroscope import STAGE
 from imucalib.calibrators.imu.plan import HandPlan
 from imucalib.calibrators.imu.run import ImuRun, heading_drift
 from imucalib.report import sections
-from imucalib.report.document import Card, Document, Facts, Section, Table, Text, Worth
+from imucalib.report.document import Card, Document, Facts, Section, Table, Text, Use, Worth
 from imucalib.report.plots import gain_plot
 from imucalib.significant_digits import plus_minus, two_digits, with_sd
 from imucalib.units import DEG
@@ -41,14 +42,23 @@ def _card(run: ImuRun) -> Card:
     outcome = run.outcome
     median = two_digits(float(np.median(run.result.held_out.final)))
     carried = sections.error_worth(outcome.error, "gravity after a turn", "turns")
-    drift = f"drifts by at most {two_digits(heading_drift(run.result.fit))} deg"
-    how = "95 %, about the worst axis, beside what the bias does meanwhile"
+    drift = f"± {two_digits(heading_drift(run.result.fit))} deg"
+    how = "95 %, worst axis, beside what the bias does"
     good = (
-        Worth(carried.quantity, carried.value, f"{carried.detail}; median {median} deg"),
+        Worth(carried.quantity, carried.value, carried.detail, f"median {median} deg"),
         Worth("heading after 360 deg", drift, how),
         sections.error_worth(outcome.errors[1], "size of a force", "rests"),
     )
-    return sections.card_of(outcome, good)
+    return sections.card_of(outcome, good, uses=(sections.CORRECT, *_for_kalibr(run)))
+
+
+def _for_kalibr(run: ImuRun) -> tuple[Use, ...]:
+    """Its file, with the noise of the same recording, where it carries the calibration."""
+    noise = "{folder}/noise.yaml"
+    measured = Use("Measure its noise", ("inspect", "{input}", "--save-noise", noise))
+    purpose = "With it, for Kalibr and OpenVINS"
+    made = sections.exporting(run.calibration, purpose, "kalibr", "kalibr.yaml")
+    return (measured, *(replace(m, words=(*m.words, "--noise", noise)) for m in made)) * bool(made)
 
 
 def _gains(run: ImuRun) -> Table:

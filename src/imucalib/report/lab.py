@@ -31,6 +31,7 @@ from imucalib.report.document import (
     Series,
     Table,
     Text,
+    Use,
     Worth,
 )
 from imucalib.report.plots import band, gain_plot, sphere_map
@@ -107,7 +108,12 @@ def _card(run: LabRun) -> Card:
             name, size = f"{p.effect} after a power-up", f"± {p.half:.2g} {p.unit}"
             of_effect[p.effect] = Worth(name, size, detail)
         good += of_effect.values()
-    return sections.card_of(run.outcome, (*good, *(_angles(run) if _directed(run) else ())))
+    uses: tuple[Use, ...] = (sections.CORRECT,)
+    if not run.recorded:
+        purpose = "Take the coefficients to the instrument"
+        uses = sections.exporting(run.calibration, purpose, "c-header", "calibration.h")
+    worths = (*good, *(_angles(run) if _directed(run) else ()))
+    return sections.card_of(run.outcome, worths, uses=uses)
 
 
 def _worst(run: LabRun) -> Worth:
@@ -132,12 +138,13 @@ def _angles(run: LabRun) -> tuple[Worth, ...]:
     def worth(name: str, half: Array, where: str, off: Array | None, most: float) -> Worth:
         k = int(np.argmax(half))
         attitude = f"inclination {shown[0][k]:.0f}, tool-face {shown[1][k]:.0f} deg"
-        at = f"one reading, 95 %, worst attitude{where} ({attitude})"
+        at = f"worst{where} ({attitude})"
         if off is not None:
             at += "; positions left out, with how they were set: "
             at += f"{rms(off):.2f} rms, {worst(off):.2f} largest"
         width = _within_a_circle(half[k], most, 2)
-        return Worth(name, f"± {width} deg" if half[k] < most else width, at)
+        value = f"± {width} deg" if half[k] < most else width
+        return Worth(name, value, "95 %, one reading, worst attitude", at)
 
     inclination = np.hypot(found.inclination_95, _NORMAL_95 * found.inclination_reading)
     tool_face = np.hypot(found.tool_face_95, _NORMAL_95 * found.tool_face_reading)

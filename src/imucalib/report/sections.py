@@ -6,6 +6,7 @@ The card says what the result is worth, what was found, and what to do next.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -19,7 +20,19 @@ from imucalib.calibrators.population import Population
 from imucalib.core.fit import Fit
 from imucalib.effects import known
 from imucalib.effects.shape import in_words
-from imucalib.report.document import Block, Card, Document, Facts, Section, Table, Text, Tone, Worth
+from imucalib.exports.bound import carries
+from imucalib.report.document import (
+    Block,
+    Card,
+    Document,
+    Facts,
+    Section,
+    Table,
+    Text,
+    Tone,
+    Use,
+    Worth,
+)
 from imucalib.significant_digits import per_cent, plus_minus, probability, two_digits, with_sd
 from imucalib.units import MG
 
@@ -33,10 +46,9 @@ _WEAK = 3
 _LIKELY, _NAMED = 0.1, 2
 #: What parts a slip from the option that repairs it.
 _DECIDE = "; decide with"
-_USE = (
-    "Use it: `imucal apply calibration.yaml RECORDING -o corrected.mcap`, or "
-    "`imucal export calibration.yaml --to c-header`."
-)
+#: The options that a decision begins with, each with its value, and what else there is to decide.
+_ONE = r"--[^\s,;)]\S*(?: (?!or\b|if\b|--)[^\s(]+)?"
+_OPTIONS = re.compile(rf"(?P<first>{_ONE}(?: {_ONE})*)\s*(?P<rest>.*)", re.S)
 #: How reasons begin that the card says in full.
 _IN_FULL = ("unexplained structure", "structure that no effect")
 _UNPROVED = "held-out data do not prove what was found"
@@ -84,23 +96,68 @@ def standard_document(run: Run) -> Document:
     return calibration_document(title, head, parts, outcome, card)
 
 
-def card_of(outcome: Outcome, good_to: tuple[Worth, ...], *more: str) -> Card:
+def card_of(
+    outcome: Outcome, good_to: tuple[Worth, ...], *more: str, uses: tuple[Use, ...] = ()
+) -> Card:
     """The card of a run.
 
     good_to : what the calibrator can promise; more : advice of the calibrator's own, given last
+    uses : commands that take what was written
     """
     found, slips = outcome.findings or Findings("not run"), _slips(outcome)
-    said = [Text(f"{text.partition(_DECIDE)[0]}.", "bad") for text in slips]
+    said = [Text(f"{_upper(text.partition(_DECIDE)[0])}.", "bad") for text in slips]
     said += _found(found) if not slips or found.verdict != "not run" else ()
+    command = outcome.provenance.command
     if slips:  # until then the rest of the advice is about an error that is none of the sensor's
-        steps = [f"{_upper(text)}." for text in slips[:_STEPS]]
-        steps.append("Then run it again: only then the figures are the sensor's.")
+        steps = [_decision(text, command) for text in slips[:_STEPS]]
     else:
         steps = [*(f"{text}." for text in outcome.broken), *outcome.advice, *more][:_STEPS]
-        usable = outcome.status in ("ok", "marginal") and not outcome.undecided
-        steps += [_USE] * usable
-    command = outcome.provenance.command
-    return Card(good_to, tuple(said), tuple(steps) or ("Nothing to do.",), command)
+        steps = [_decision(text, command) for text in steps]
+    usable = outcome.status in ("ok", "marginal") and not outcome.undecided
+    headline = _headline(outcome)
+    return Card(good_to, tuple(said), tuple(steps), command, uses if usable else (), headline)
+
+
+#: Corrects what was calibrated.
+CORRECT = Use(
+    "Correct the recording",
+    ("apply", "{calibration}", "{input}", "-o", "{folder}/corrected{suffix}"),
+)
+
+
+def exporting(calibration: Calibration, purpose: str, form: str, file: str) -> tuple[Use, ...]:
+    """The command that writes a form, where that carries the calibration."""
+    if not carries(calibration, form):
+        return ()
+    words = ("export", "{calibration}", "--to", form, "-o", f"{{folder}}/{file}")
+    return (Use(purpose, words),)
+
+
+def _decision(text: str, command: str) -> str:
+    """What only the user can decide, as the command that does it; other advice as it is."""
+    what, decide, options = text.partition(_DECIDE)
+    found = _OPTIONS.match(options.strip())
+    if not decide:
+        return text
+    if not (found and command):
+        return f"{_upper(text).rstrip('.')}."
+    typed, rest = found["first"].rstrip(",.;"), found["rest"].strip(" .").removeprefix("or ")
+    if rest.startswith("(") and rest.endswith(")"):
+        rest = rest[1:-1].removeprefix("or: ")
+    other = f"; else {rest}" if rest else ""
+    named = _upper(what.partition(":")[0])
+    return f"{named}: if that is right, type this{other}: `{command} {typed}`"
+
+
+def _headline(outcome: Outcome) -> str:
+    """The verdict in words, without figures."""
+    if outcome.broken:
+        return f"{'; '.join(outcome.broken)}."
+    if outcome.undecided:
+        return "Decide first about what is marked below; then the figures are the sensor's."
+    if why := _why(outcome):
+        return " ".join(f"{_upper(text)}." for text in why)
+    return "Ready to use."
 
 
 def _slips(outcome: Outcome) -> tuple[str, ...]:
@@ -121,17 +178,18 @@ def error_worth(
     if unit == "m/s²":  # people read accelerations in mg
         unit, size = "mg", MG
     final, base, raw = (v / size for v in (held.final, held.base, held.raw))
-    how = error.metric.rpartition(", ")[2]
+    how = error.metric.rpartition(", ")[2].replace("MAD", "median deviation")
     if math.isnan(final):
         fitted = f"{two_digits(error.final / size)} {unit}"
         return Worth(quantity, fitted, f"{how}, fitted; nothing was held out")
-    before = [] if math.isnan(raw) else [f"raw reading {two_digits(raw)}"]
-    before += [] if math.isnan(base) else [f"before the search {two_digits(base)}"]
+    before = [] if math.isnan(raw) else [f"raw {two_digits(raw)}"]
+    searched = not math.isnan(base) and two_digits(base) != two_digits(final)
+    before += [f"before the search {two_digits(base)}"] if searched else []
     like_these = ""
     if like:
-        like_these = f", for {like[0]} like these, {100.0 * like[1]:.0f} % of all directions"
-    detail = f"{how} on {of} held out{like_these}; {', '.join(before)}"
-    return Worth(quantity, f"{two_digits(final)} {unit}", detail.rstrip("; "))
+        like_these = f"for {like[0]} like these, {100.0 * like[1]:.0f} % of all directions"
+    detail = f"{how} on {of} held out; {', '.join(before)}".rstrip("; ")
+    return Worth(quantity, f"{two_digits(final)} {unit}", detail, like_these)
 
 
 def worst_attitude(quantity: str, sd: Array, directions: Array, what: str = "") -> Worth:
@@ -141,9 +199,9 @@ def worst_attitude(quantity: str, sd: Array, directions: Array, what: str = "") 
     """
     k = int(np.argmax(sd))
     towards = ", ".join(f"{a} {v:+.1f}" for a, v in zip("xyz", directions[k], strict=True))
-    average = f"{1.96 * sd.mean():.2g} mg on average over all"
-    detail = f"95 %, {what}with gravity along {towards}; {average}"
-    return Worth(f"{quantity}, worst attitude", f"± {1.96 * sd[k]:.2g} mg", detail)
+    detail = f"95 %; {1.96 * sd.mean():.2g} mg on average"
+    where = f"{what}with gravity along {towards}"
+    return Worth(f"{quantity}, worst attitude", f"± {1.96 * sd[k]:.2g} mg", detail, where)
 
 
 def _found(found: Findings) -> list[Text]:
@@ -151,7 +209,7 @@ def _found(found: Findings) -> list[Text]:
     tones: dict[str, Tone] = {"explained": "ok", "suspected": "warning"}
     lines = []
     for r in found.records:
-        off = f"{r.where}: {r.channel} is {plus_minus(r.size, r.sd, r.unit)} off"
+        off = f"{_upper(r.where)}: {r.channel} is {plus_minus(r.size, r.sd, r.unit)} off"
         lines.append(Text(f"{off} ({r.likely}, {per_cent(r.probability)}).", "bad"))
     for step in found.steps:
         effect, meaning = known(step.effect), ""
@@ -163,8 +221,7 @@ def _found(found: Findings) -> list[Text]:
     if found.gain is not None and found.steps:
         g = found.gain
         aside = ", the wrong records set aside," if found.records else ""
-        dense = "" if math.isnan(g.nats) else f"; {density_words(g)}"
-        gained = f"gain {g.before - g.after:.2g}, 95 % {g.low:.2g} to {g.high:.2g}{dense}."
+        gained = f"gain {g.before - g.after:.2g}, 95 % {g.low:.2g} to {g.high:.2g}."
         words = f"On held-out data{aside} {g.before:.3g} -> {g.after:.3g} {g.unit}: {gained}"
         lines.append(Text(words))
     if nameless := _nameless(found):
@@ -245,6 +302,12 @@ def floor_words(error: ErrorSummary, digits: int = 2) -> str:
 
 def _verdict(outcome: Outcome, head: str) -> Text:
     """A figure, broken limits, what is undecided, and reasons, in the tone of the status."""
+    said = (*outcome.broken, *outcome.undecided, *map(_upper, _why(outcome)))
+    return Text(" ".join([head, *(f"{text}." for text in said)]), _TONE[outcome.status])
+
+
+def _why(outcome: Outcome) -> list[str]:
+    """Reasons for a caution."""
     # A wrong record is said by what is undecided about it, what stays by the card.
     elsewhere = ("record errors",) * bool(outcome.undecided) + _IN_FULL
     why = [r for r in outcome.reasons if not r.startswith(elsewhere)]
@@ -253,8 +316,7 @@ def _verdict(outcome: Outcome, head: str) -> Text:
     if outcome.status == "marginal" and not (why or outcome.undecided):
         suspected = outcome.findings is not None and outcome.findings.verdict == "suspected"
         why.append(_UNPROVED if suspected else _NAMELESS)
-    said = (*outcome.broken, *outcome.undecided, *map(_upper, why))
-    return Text(" ".join([head, *(f"{text}." for text in said)]), _TONE[outcome.status])
+    return why
 
 
 def loop_section(outcome: Outcome) -> Section:

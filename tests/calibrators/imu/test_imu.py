@@ -78,6 +78,7 @@ def test_sensitivity_to_force_is_named_and_undone(tmp_path: Path) -> None:
     assert off[1] < 0.2 * off[0]
 
 
+@pytest.mark.slow
 def test_exports_say_what_the_sensor_reads(tmp_path: Path) -> None:
     """Kalibr's and OpenVINS' equations, by hand, against the calibration's own inverse."""
     rng = np.random.default_rng(4)
@@ -123,7 +124,7 @@ def test_errors_that_grow_with_the_angle_widen_the_intervals(tmp_path: Path) -> 
     assert wide > 4.0 * narrow
 
 
-@pytest.mark.parametrize("late", [0.0, 0.005])
+@pytest.mark.parametrize("late", [0.005, pytest.param(0.0, marks=pytest.mark.slow)])
 def test_a_late_gyroscope_shows_in_the_moving_accelerometer(late: float, tmp_path: Path) -> None:
     rng = np.random.default_rng(5)
     log = turned(chip(rng, late=late), rng)
@@ -135,7 +136,7 @@ def test_a_late_gyroscope_shows_in_the_moving_accelerometer(late: float, tmp_pat
 AXES = {"-x,y,z": (0, 1, 2, -1, 1, 1), "y,-x,z": (1, 0, 2, 1, -1, 1)}
 
 
-@pytest.mark.parametrize("line", ["-x,y,z", "y,-x,z"])
+@pytest.mark.parametrize("line", ["y,-x,z", pytest.param("-x,y,z", marks=pytest.mark.slow)])
 def test_wrong_axes_are_refused_with_the_line_that_undoes_them(line: str, tmp_path: Path) -> None:
     log, _ = made(tmp_path / "right.csv")
     order, sign = np.array(AXES[line][:3]), np.array(AXES[line][3:])

@@ -195,8 +195,10 @@ SHEETS = _generator()
     "kind",
     [
         "6 rows",
-        "six faces",
-        *(pytest.param(k, marks=pytest.mark.slow) for k in ("9 rows", "12 rows", "twice")),
+        *(
+            pytest.param(k, marks=pytest.mark.slow)
+            for k in ("9 rows", "12 rows", "six faces", "twice")
+        ),
     ],
 )
 def test_corrected_vectors_lie_within_what_is_stated(kind: str) -> None:
@@ -225,6 +227,7 @@ def test_six_rows_state_no_certainty() -> None:
         assert run.outcome.advice[0].startswith("Take every position twice")
 
 
+@pytest.mark.slow
 def test_six_faces_are_as_good_as_the_size_of_gravity() -> None:
     """Bias from six faces that are set badly: the tilt of a face is no error of its own axis."""
     off, stated = [], []

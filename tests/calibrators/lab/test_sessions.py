@@ -83,6 +83,7 @@ def test_the_scatter_is_that_of_the_analysis_of_variance(told: LabRun, planted) 
         assert one.sd == pytest.approx(np.sqrt(truth.var(axis=0, ddof=1).mean()), rel=0.06)
 
 
+@pytest.mark.slow
 def test_a_session_that_was_left_out_errs_by_the_scatter(told: LabRun) -> None:
     held = {split.name: split.final.rms() for split in told.result.splits}
     assert held["another session"] > 1.05 * held["held out"]

@@ -24,6 +24,7 @@ from imucalib.calibrators.array.loop.laws import CURVE
 from imucalib.calibrators.array.loop.terms import typical_of
 from imucalib.calibrators.array.loop.told import size_in_words
 from imucalib.calibrators.array.rests import RestFit
+from imucalib.effects.shape import in_words
 from imucalib.estimators.array.noise import SensorNoise
 from imucalib.loop.found import Step
 from imucalib.units import DEG
@@ -51,7 +52,7 @@ def _alone(loop: MotionLoop) -> Iterator[str]:
         counts = float(np.sqrt(np.mean((term.theta / typical) ** 2))) >= _COUNTS
         if at and remedy and counts:
             size = size_in_words(loop.final, term)
-            yield f"{imu} alone has {effect} ({size}): {remedy}. It is corrected here."
+            yield f"{imu} alone has {in_words(effect)} ({size}): {remedy}. It is corrected here."
 
 
 def _noisy(

@@ -66,8 +66,8 @@ def advice(result: LabResult, raw: RawUnit) -> tuple[str, ...]:
     found = _repeat(fit)
     for record in loop.records if loop else ():
         found.append(
-            f"Decide about {record.where}: {fix_option(record, raw)}. Until then the calibration "
-            "takes the record as it stands."
+            f"{record.where}: the calibration takes it as it stands; decide with "
+            f"{fix_option(record, raw)}"
         )
     for step in loop.steps if loop else ():
         effect = known(step.effect)
@@ -166,7 +166,15 @@ def _positions(result: LabResult) -> list[str]:
         x, y, z = unit_vector(*inside)[0]
         word = "direction" if isinstance(reference, KnownDirection) else "gravity along"
         where = f"{word} {x:.2f}, {y:.2f}, {z:.2f}"
-    return [f"One more position at {where} would determine {first.parameter} {gain} better."]
+    return [f"One more position at {where} would determine {_word(first.parameter)} {gain} better."]
+
+
+def _word(parameter: str) -> str:
+    """A parameter's name for a reader: "scale_z" is the scale of z."""
+    what, _, axis = parameter.rpartition("_")
+    if len(axis) == 1:
+        return f"the {what.replace('_', ' ')} of {axis}"
+    return parameter.replace("_", " ")
 
 
 def limits_of(result: LabResult, asked: Mapping[str, float]) -> tuple[Limit, ...]:

@@ -125,8 +125,9 @@ def axes_questions(sheet: Sheet, request: LabRequest) -> tuple[str, ...]:
     if before:
         return ()
     return (
-        f"the sensor would be mounted near 90 or 180 deg in the tool (its axes as {axes.text}): if "
-        f"columns or dial are misread, {' or '.join(lines)}; if it is mounted so, --axes=x,y,z",
+        f"the sensor would be mounted near 90 or 180 deg in the tool (its axes as {axes.text}); "
+        f"decide with {' or '.join(lines)} if columns or dial are misread, or --axes=x,y,z if it "
+        "is mounted so",
     )
 
 
@@ -325,8 +326,8 @@ def _other_sensors(result: LabResult) -> list[str]:
     names = set(result.final.model.names) - set(result.settings.declare)
     numbers = (re.fullmatch(r"session@(\d+):sensor", name) for name in sorted(names))
     return [
-        f"session {n[1]} has scale factors and angles between its axes of its own: leave it out if "
-        f"it was another sensor, or add --declare {n[0]} if it was the same"
+        f"session {n[1]} has scale factors and angles between its axes of its own; decide with "
+        f"--declare {n[0]} if it was the same sensor, or leave it out"
         for n in numbers
         if n is not None
     ]

@@ -46,7 +46,10 @@ from imucalib.significant_digits import per_cent
 
 @dataclass(frozen=True, kw_only=True)
 class LabRun(Run):
-    """A finished run: what all calibrators share, and what only the report of `lab` shows."""
+    """A finished run: what all calibrators share, and what only the report of `lab` shows.
+
+    recorded : the readings are a recording's rests, and no table's
+    """
 
     result: LabResult
     table: PositionTable
@@ -54,6 +57,7 @@ class LabRun(Run):
     request: LabRequest
     excluded: tuple[str, ...]
     faults: Faults
+    recorded: bool = False
     sessions: Sessions | None = None
 
 
@@ -107,6 +111,7 @@ def run_lab(
         request=request,
         excluded=excluded,
         faults=faults,
+        recorded=mapping is not None,
         sessions=sessions,
     )
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 from io import StringIO
@@ -11,13 +13,15 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table as Grid
 from rich.text import Text as Line
 
-from imucalib.report.document import Document, Facts, Plot, Section, Table, Text, Tone
+from imucalib.report.document import Card, Document, Facts, Plot, Section, Table, Text, Tone
 from imucalib.report.render.table import grids
 from imucalib.report.render.terminal import one_line, safe
 
 NARROWEST = 40
 MEASURE = 100  # longest line of running text
 PAGE = 60  # lines of a report
+SCREEN = 25  # lines of a calibration's first screen
+_MOST, _FEWEST = 4, 2  # lines of one thing on it
 LEAST = 3  # rows of a table that stay, however little room there is
 SIGNS: dict[Tone, str] = {"ok": "✓", "warning": "!", "bad": "✗", "plain": ""}
 STYLES: dict[Tone, str] = {"ok": "green", "warning": "yellow", "bad": "red", "plain": ""}
@@ -27,7 +31,8 @@ WORDS: dict[Tone, str] = {"ok": "PASSED", "warning": "CAUTION", "bad": "FAILED",
 def render_text(document: Document, width: int, *, color: bool, full: bool = False) -> str:
     """The brief sections without their plots; no line is wider than `width` cells (at least 40).
 
-    One page: head, card, and of the brief sections those that fit.
+    One page: head, card, and of the brief sections those that fit; of a card with a headline a
+    first screen: what it is good to, what was found, what to do.
     color : ANSI colours; without them every tone still shows as a sign and a word
     full : every section, however long, without its plots
     """
@@ -56,6 +61,8 @@ class _Sheet:
     def printed(self, full: bool) -> str:
         """The page, or all of it."""
         document = self.document
+        if document.card and document.card.headline and not full:
+            return self.put(self.screen(document.card))
         titles = [s.title for s in document.sections]
         drawn = {s.title for s in document.sections if not _written(s)}
         sections = [s for s in document.sections if _written(s) and (s.brief or full)]
@@ -69,7 +76,10 @@ class _Sheet:
         hidden = [title for title in titles if title not in {s.title for s in sections}]
         everything = full or set(hidden) <= drawn
         shown = (part for section in sections for part in self.section(section))
-        lines += self.lines(*shown, *self.foot(footer, hidden, full=everything))
+        return self.put(lines + self.lines(*shown, *self.foot(footer, hidden, full=everything)))
+
+    def put(self, lines: Sequence[Line]) -> str:
+        """Lines as text."""
         for line in lines:
             self.console.print(line, no_wrap=True, overflow="crop", crop=True)
         return self.out.getvalue()
@@ -115,11 +125,79 @@ class _Sheet:
             rows -= 1  # some rows fold
         return [_cut(section, rows) for section in sections]
 
-    def head(self) -> list[RenderableType]:
-        """Title and verdict."""
+    def screen(self, card: Card) -> list[Line]:
+        """The card alone, in `SCREEN` lines of 80 columns: of what has no room the last goes."""
+        for most in range(_MOST, _FEWEST - 1, -1):
+            lists = self.briefly(card, most)
+            head = self.lines(*self.head(self.cut(card.headline, most - 1, 10)))
+            room = SCREEN - len(head) - 2 * len(lists) - len(self.last(PAGE))
+            kept = {name: list(items) for name, items in lists.items()}
+            while sum(map(_height, kept.values())) > room:
+                longer = [items for items in kept.values() if len(items) > 1]
+                if not longer:
+                    break
+                max(longer[-2:], key=_height).pop()  # what it is good to goes last
+            if sum(map(_height, kept.values())) <= room:
+                break
+        lines = head
+        for name, shown in kept.items():
+            lines += self.lines(*self.heading(name))
+            lines += [line for item in shown for line in item]
+        cut = sum(len(items) - len(kept[name]) for name, items in lists.items())
+        return lines + self.last(cut)
+
+    def last(self, cut: int) -> list[Line]:
+        """Where the rest is, with how many things had no room."""
+        where = f"--full{f', or {self.document.drawn}' if self.document.drawn else ''}"
+        more = f"{cut} more, and the details" if cut else "The details"
+        return self.lines(Line(), self.running(Line(f"{more}: {where}", "dim")))
+
+    def briefly(self, card: Card, most: int) -> dict[str, list[list[Line]]]:
+        """What a card says as lines of each thing, none of more than `most` but for commands."""
+        widest = max((cell_len(one_line(w.quantity)) for w in card.good_to), default=0)
+        lead = min(widest, self.measure // 3)
+        worths = [
+            self.lines(
+                self.listed([(one_line(w.quantity), f"{w.value} ({w.detail})")], lead, 2, "dim", "")
+            )
+            for w in card.good_to
+        ]
+        found = [
+            self.lines(self.paragraph(replace(text, text=self.cut(text.text, most, 2))))
+            for text in card.found
+        ]
+        steps = [
+            self.step(k, step, most)
+            for k, step in enumerate(card.to_do or ("Nothing to do.",), start=1)
+        ]
+        return {"Good to": worths, "Found": found, "What to do next": steps}
+
+    def step(self, number: int, text: str, most: int) -> list[Line]:
+        """One step; a command that does not fit beside its purpose on lines of its own, ready to
+        be pasted."""
+        lead, parts = f"{number}.", _spaced(text).split("`")
+        short = self.lines(self.listed([(lead, " ".join(parts))], 2, 1, "", ""))
+        if len(parts) != 3 or not parts[1].startswith("imucal ") or len(short) == 1:
+            return self.lines(self.listed([(lead, self.cut(_spaced(text), most, 3))], 2, 1, "", ""))
+        said = " ".join(f"{parts[0].rstrip(' :')}:{parts[2].rstrip('.')}".split())
+        if parts[2].strip():
+            said = f"{parts[0].rstrip(' :')}.{parts[2]}".rstrip()
+        typed = [("", line) for line in _continued(parts[1], self.measure - 3)]
+        return self.lines(self.listed([(lead, said), *typed], 2, 1, "", ""))
+
+    def cut(self, text: str, most: int, lead: int) -> str:
+        """The first sentences, as many as `most` lines hold behind `lead` cells; at least one."""
+        said = _SENTENCE.split(_spaced(text))
+        width = self.measure - lead
+        while len(said) > 1 and -(-cell_len(" ".join(said)) // width) > most:
+            said.pop()
+        return " ".join(said)
+
+    def head(self, headline: str = "") -> list[RenderableType]:
+        """Title and verdict, or a headline in its place."""
         verdict = self.document.verdict
         mark = f"{SIGNS[verdict.tone]} {WORDS[verdict.tone]}: " if SIGNS[verdict.tone] else ""
-        said = Line(mark + _spaced(verdict.text))
+        said = Line(mark + _spaced(headline or verdict.text))
         said.stylize(f"bold {STYLES[verdict.tone]}".strip(), 0, len(mark))
         title = self.running(Line(one_line(self.document.title), "bold"))
         return [title, Line("═" * self.measure, "dim"), self.running(said)]
@@ -129,8 +207,9 @@ class _Sheet:
         card = self.document.card
         if card is None:
             return []
-        worth = [(w.quantity, f"{w.value} ({w.detail})") for w in card.good_to]
-        steps = [(f"{i}.", _spaced(step)) for i, step in enumerate(card.to_do, start=1)]
+        worth = [(w.quantity, f"{w.value} ({w.whole})") for w in card.good_to]
+        told = card.to_do or ("Nothing to do.",)
+        steps = [(f"{i}.", _spaced(step)) for i, step in enumerate(told, start=1)]
         return [
             *self.heading("Good to"),
             self.facts(worth),
@@ -214,6 +293,26 @@ class _Sheet:
         if not rows:
             return []
         return [Line(), Line("─" * self.measure, "dim"), self.facts(rows, "dim")]
+
+
+#: Between two sentences.
+_SENTENCE = re.compile(r"(?<=[.)]) (?=[A-Z])")
+
+
+def _height(items: Sequence[Sequence[Line]]) -> int:
+    return sum(map(len, items))
+
+
+def _continued(command: str, width: int) -> list[str]:
+    """A command in lines of at most `width` cells that a shell takes as one."""
+    lines = [""]
+    for word in map(shlex.quote, shlex.split(command)):
+        if lines[-1] and cell_len(f"{lines[-1]} {word} \\") > width:
+            lines[-1] += " \\"
+            lines.append(word)
+        else:
+            lines[-1] = f"{lines[-1]} {word}".strip()
+    return lines
 
 
 def _written(section: Section) -> bool:

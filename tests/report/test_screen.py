@@ -1,0 +1,131 @@
+"""A calibrator's first screen: worth, findings and steps; what it advises can be typed as it is."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner, Result
+
+from imucalib import cli
+from imucalib.effects import catalogue
+from imucalib.report.document import Card, Document, Text, Worth
+from imucalib.report.render.text import SCREEN, render_text
+from worlds.places import SAMPLES
+
+TABLE = ("lab", "paper_table_1.csv", "--gravity", "9.8061")
+#: Good, cautioned and refused results, of every calibrator.
+QUICK = {
+    "lab, no search": (*TABLE, "--no-loop"),
+    "lab, a limit broken": (*TABLE, "--no-loop", "--max-error", "1"),
+    "lab, another zero": (*TABLE, "--no-loop", "--toolface-zero-axis=-y"),
+    "lab, norm": ("lab", "cave_ai.csv", "--reference", "norm", "--no-loop"),
+}
+SLOW = {
+    "lab, a wrong row": TABLE,
+    "lab, mended": (*TABLE, "--fix", "10:y=-58593"),
+    "lab, norm, search": ("lab", "cave_ai.csv", "--reference", "norm"),
+    "lab, rests": ("lab", "positions.csv", "--recording", str(SAMPLES / "rests.mcap")),
+    "actigraph": ("actigraph", "wrist_day.csv.gz"),
+    "actigraph, published": ("actigraph", "wrist_day.csv.gz", "--as-published"),
+    "imu": ("imu", "turns.csv.gz", "--latitude", "59.3"),
+    "imu, no search": ("imu", "turns.csv.gz", "--no-loop"),
+    "array": ("array", "board_part.mcap", "--board", "mimu4444_corners", "--gravity", "9.8189"),
+}
+CALLS = [
+    *(pytest.param(call, id=name) for name, call in QUICK.items()),
+    *(pytest.param(call, id=name, marks=pytest.mark.slow) for name, call in SLOW.items()),
+]
+#: An effect's id, a scan's, a parameter's: no word of a language.
+INTERNAL = re.compile(r"\b\w+@\w+|\b[a-z]+_[a-z_]+\b")
+
+
+def run(*words: object) -> Result:
+    line = [str(w) for w in words]
+    return CliRunner().invoke(cli.cli, line, standalone_mode=False, catch_exceptions=False)
+
+
+def located(call: tuple[str, ...]) -> list[str]:
+    """A call with its sample log's whole path."""
+    return [str(SAMPLES / w) if (SAMPLES / w).is_file() else w for w in call]
+
+
+def prose(screen: str) -> str:
+    """A screen without commands and paths."""
+    lines = screen.splitlines()
+    typed = re.compile(r" {3}(imucal |.*/| *--)|.* \\$")
+    said = "\n".join(line for line in lines[1:-1] if not typed.match(line))
+    return re.sub(r"`[^`]*`|\S+/\S+|--[\w-]+\S*", "", said)
+
+
+def typed(steps: list[str]) -> list[list[str]]:
+    """Every command in some advice."""
+    found = (c for step in steps for c in re.findall(r"`(imucal [^`]*)`", step))
+    return [shlex.split(c)[1:] for c in found]
+
+
+@pytest.mark.parametrize("call", CALLS)
+def test_a_first_screen_is_short_in_words_and_its_commands_run(
+    call: tuple[str, ...], tmp_path: Path
+) -> None:
+    out = tmp_path / "made"
+    done = run(*located(call), "-o", out, "-q")
+    card: dict[str, Any] = json.loads((out / "report.json").read_text())["card"]
+    shown = run(*located(call), "-o", out).stdout
+    lines = shown.splitlines()
+    assert len(lines) <= SCREEN
+    order = [shown.index(f"{title} ─") for title in ("Good to", "Found", "What to do next")]
+    assert order == sorted(order)
+    assert not INTERNAL.findall(prose(shown))
+    whole = " ".join([shown, *card["found"], *card["to_do"]])
+    assert "nats" not in whole
+    assert str(out / "report.html") in "".join(shown.split("\n"))
+    commands = typed(card["to_do"])
+    usable = done.return_value in (0, 5) and not any(" --fix" in c for c in card["to_do"])
+    assert commands or not usable
+    for command in commands:
+        assert run(*command).return_value in (0, 5), command
+
+
+def test_a_run_that_writes_nothing_says_how_to_keep_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "out").mkdir()  # another's
+    call = located(QUICK["lab, norm"])
+    shown = run(*call).stdout
+    (step,) = re.findall(r"imucal (?:.|\n)*?(?=\n\S|\n\n)", shown)
+    command = shlex.split(step.replace("\\\n", " "))[1:]
+    assert command[-2:] == ["-o", "out_2"]
+    assert run(*command).return_value == 0
+    assert (tmp_path / "out_2" / "calibration.yaml").is_file()
+
+
+def test_no_effect_of_the_catalogue_is_an_internal_name_in_words() -> None:
+    """The test above would see one."""
+    assert all(INTERNAL.search(name) for name in catalogue() if "_" in name)
+
+
+@pytest.mark.parametrize("count", [1, 5, 40])
+@pytest.mark.parametrize("width", [80, 120])
+def test_what_has_no_room_is_counted(count: int, width: int) -> None:
+    sentence = "Begin" + " with what takes a while to say.  It" * 9
+    card = Card(
+        tuple(Worth(f"quantity {k}", "± 1 mg", "95 %") for k in range(3)),
+        (Text(sentence),) * count,
+        (sentence,) * count,
+        headline="Ready to use.",
+    )
+    document = Document("d", Text("v", "ok"), (), card=card)
+    text = render_text(document, width, color=False)
+    assert len(text.splitlines()) <= SCREEN
+    assert text.count("± 1 mg") == 3
+    told = re.search(r"(\d+) more", text)
+    shown = len(re.findall(r"^Begin", text, flags=re.M)) + len(
+        re.findall(r"^\d+\. ", text, flags=re.M)
+    )
+    assert shown + (int(told[1]) if told else 0) == 2 * count
