@@ -40,6 +40,8 @@ ARRAY_FORMULA = (
     "parts are in the gains and biases; each effect adds what its equation says beyond."
 )
 _SUM = "# imucal calibration, sha256 of the lines below: "
+#: What to do about a file that is no calibration.
+_GIVE = "give the calibration.yaml that a calibrating command wrote, before any recording"
 #: Keys that a file has; all others are facts for people.
 _KEYS = {
     "schema",
@@ -136,7 +138,7 @@ def read(path: Path) -> Calibration:
         remedy = f"name {inside}" if inside.is_file() else "name the calibration's file"
         raise UnreadableInput("a folder, not a calibration", where=str(path), remedy=remedy)
     if not path.is_file():
-        raise UnreadableInput("no such file", where=str(path))
+        raise UnreadableInput("no such file", where=str(path), remedy="check the path")
     first, _, lines = path.read_bytes().partition(b"\n")
     if first.startswith(_SUM.encode()) and first.strip().decode("latin-1") != _SUM + _sum_of(lines):
         raise UnreadableInput(
@@ -144,7 +146,7 @@ def read(path: Path) -> Calibration:
             where=str(path),
             remedy="restore it, or delete its first line if the change is meant",
         )
-    return replace(from_dict(load(path), str(path)), sha256=sha256_of(path))
+    return replace(from_dict(load(path, _GIVE), str(path)), sha256=sha256_of(path))
 
 
 def from_dict(content: Any, where: str) -> Calibration:
@@ -153,7 +155,7 @@ def from_dict(content: Any, where: str) -> Calibration:
         raise UnreadableInput(
             "not a calibration of imucal",
             where=where,
-            remedy=f"its first key must be schema: {SCHEMA}",
+            remedy=_GIVE,
         )
     if content.get("version") != VERSION:
         raise UnreadableInput(

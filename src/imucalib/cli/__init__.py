@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import re
 import signal
 import sys
 from collections.abc import Sequence
@@ -20,7 +21,7 @@ COMMANDS = {
     "imu": "Calibrate one IMU, accelerometer and gyroscope, from rests and turns.",
     "array": "Find the positions of the accelerometers of an inertial sensor array.",
     "design": "Judge a set of positions, and say which added ones help most.",
-    "inspect": "Say what a recording holds and how it would be read.",
+    "inspect": "Say what a file holds and how it would be read; also `imucal FILE`.",
     "check": "Say whether a calibration is still good, from a few rests or positions.",
     "compare": "Compare calibrations: do they differ, what it means, how they drift.",
     "apply": "Correct a recording with a calibration.",
@@ -91,12 +92,48 @@ class LazyGroup(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         if args and args[0] not in COMMANDS and not args[0].startswith("-"):
-            import difflib
-
-            near = difflib.get_close_matches(args[0], COMMANDS, 1)
-            hint = f" Did you mean '{near[0]}'?" if near else f" There are: {', '.join(COMMANDS)}."
-            ctx.fail(f"no command '{args[0]}'.{hint}")
+            if _is_place(args[0]):
+                return "inspect", self.get_command(ctx, "inspect"), args
+            ctx.fail(_no_command(args))
         return super().resolve_command(ctx, args)
+
+
+def _is_place(word: str) -> bool:
+    """Whether a word that is no command names a file, or looks like the name of one."""
+    return os.path.exists(word) or bool(os.path.splitext(word)[1]) or os.sep in word
+
+
+#: What people call what a command does.
+_MEANT = {
+    "lab": ("bench", "tumble", "sixface", "multiposition", "table"),
+    "actigraph": ("worn", "wrist", "autocalibrate", "gravity"),
+    "imu": ("gyro", "gyroscope"),
+    "inspect": ("info", "show", "read", "describe", "open", "view", "print", "summary"),
+    "check": ("verify", "test", "monitor"),
+    "apply": ("correct", "fix", "run", "use"),
+    "compare": ("diff",),
+    "export": ("write", "save"),
+    "design": ("plan", "positions", "recommend"),
+}
+_CALIBRATE = ("calibrate", "calibration", "cal", "calib", "fit")
+
+
+def _no_command(args: Sequence[str]) -> str:
+    """What to type in the place of a command that is none."""
+    import difflib
+
+    word = args[0].lower()
+    if word in ("help", "version"):
+        return f"no command '{args[0]}'. Type: imucal --{word}"
+    if word in _CALIBRATE:
+        names = ("lab", "actigraph", "imu", "array")
+        kinds = "\n".join(f"  imucal {name:9}  {COMMANDS[name]}" for name in names)
+        return f"no command '{args[0]}'. There are four, by what was recorded:\n{kinds}"
+    meant = next((name for name, words in _MEANT.items() if word in words), "")
+    close = difflib.get_close_matches(word, COMMANDS, 1)
+    if meant or close:
+        return f"no command '{args[0]}'. Did you mean '{meant or close[0]}'?"
+    return f"no command '{args[0]}', and no such file. There are: {', '.join(COMMANDS)}."
 
 
 def _version(ctx: click.Context, _: click.Parameter, wanted: bool) -> None:
@@ -131,6 +168,19 @@ def cli() -> None:
     """
 
 
+def _example(error: click.ClickException) -> str:
+    """A call of the command that was misused, as its help shows it; or how a decimal is written."""
+    ctx = getattr(error, "ctx", None)
+    if ctx is None or ctx.parent is None:
+        return ""
+    number = re.search(r"'(-?\d+),(\d+)' is not a valid float", error.format_message())
+    if number:
+        return f"{number[1]}.{number[2]}, with a point"
+    lines = (ctx.command.help or "").splitlines()
+    typed = (line.strip().removeprefix("Example: ") for line in lines)
+    return next((line for line in typed if line.startswith("imucal ")), "")
+
+
 def told(error: Exception) -> dict[str, Any]:
     """A failure for machines: message, where, remedy and exit code."""
     from imucalib.errors import ImucalError, UnreadableInput
@@ -138,7 +188,9 @@ def told(error: Exception) -> dict[str, Any]:
     if isinstance(error, ImucalError):
         said = error.what, error.where, error.remedy, error.exit_code
     elif isinstance(error, click.ClickException):
-        said = error.format_message(), "", "", error.exit_code
+        example = _example(error)
+        remedy = f"for example: {example}" if example else ""
+        said = error.format_message(), "", remedy, error.exit_code
     else:
         name = str(getattr(error, "filename", None) or "")
         said = str(getattr(error, "strerror", error)), name, "", UnreadableInput.exit_code
@@ -154,7 +206,7 @@ def main() -> None:
     # Temporary files are removed on the way out, as after Ctrl-C.
     signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     try:
-        code = cli.main(standalone_mode=False)
+        code = cli.main(prog_name="imucal", standalone_mode=False)
         sys.stdout.flush()
     except ImucalError as error:
         from imucalib.cli.output import say
@@ -163,6 +215,8 @@ def main() -> None:
         code = error.exit_code
     except click.ClickException as error:
         error.show()
+        if example := _example(error):
+            click.echo(f"For example: {example}", err=True)
         code = error.exit_code
     except click.Abort:
         click.echo("stopped", err=True)

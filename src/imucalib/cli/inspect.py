@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from imucalib.cli.options import (
+    READING,
     PagedCommand,
     force_option,
     full_option,
@@ -27,7 +29,7 @@ if TYPE_CHECKING:
     from imucalib.report.document import Document
 
 
-@click.command("inspect", cls=PagedCommand, short_help="Say what a recording holds.")
+@click.command("inspect", cls=PagedCommand, short_help="Say what a file holds.")
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option(
     "--save-mapping",
@@ -68,7 +70,10 @@ def command(
     force: bool,
     **options: Any,
 ) -> int:
-    """Say what a recording holds: channels, units, rates, gaps, norm at rest, what would be used.
+    """Say what a recording or a table of positions holds, what is wrong with it, and what to type.
+
+    Channels, units, rates, gaps and the norm at rest; or columns, rows and sizes of readings. The
+    same as `imucal FILE`.
 
     \b
     Examples:
@@ -82,27 +87,75 @@ def command(
     from imucalib.recording.mapping import from_dict
     from imucalib.recording.mapping import save_mapping as save
     from imucalib.report.inspection import inspection_dict, inspection_document
-    from imucalib.report.render.text import render_text
 
     for output in (save_mapping, save_noise, html):
         if output is not None:
             demand_output(output, inputs_of(options, file), force=force)
+    typed, wanted = _typed(file), (save_mapping, save_noise, rests, noise)
+    if not any(wanted):
+        told = _own(file, typed) or _table(file, typed, options)
+        if told is not None:
+            document, content = told
+            return _shown(document, content, html, options)
     settings = still_of(options)
     with working("reading", quiet=options["quiet"]):
         found = inspect_recording(blocks(file, mapping_of(options), strict=strict), settings)
         seen = _noise(found, file, options, strict) if noise or save_noise else None
-    document = inspection_document(found, rests=rests, noise=seen)
+    document = inspection_document(found, typed, rests=rests, noise=seen)
     if save_noise is not None:
         _save_noise(seen or (), file, save_noise)
         note(f"wrote {save_noise}", options["quiet"])
     if save_mapping is not None:
         save(from_dict(found.mapping), save_mapping)
         note(f"wrote {save_mapping}", options["quiet"])
+    content = inspection_dict(found, typed, rests=rests, noise=seen)
+    return _shown(document, content, html, options)
+
+
+def _typed(file: Path) -> str:
+    """The file and what was typed of its reading, for the next command."""
+    ctx = click.get_current_context()
+    words = [str(file)]
+    for parameter in ctx.command.params:
+        name = parameter.name or ""
+        source = ctx.get_parameter_source(name)
+        if name not in READING or source is not click.core.ParameterSource.COMMANDLINE:
+            continue
+        value = ctx.params[name]
+        for one in value if isinstance(value, tuple) else (value,):
+            words += [parameter.opts[0]] if value is True else [parameter.opts[0], str(one)]
+    return shlex.join(words)
+
+
+def _own(file: Path, typed: str) -> tuple[Document, dict[str, Any]] | None:
+    """What is to be said of a file of this program, or None."""
+    from imucalib.report.inspection import own_document
+
+    return own_document(file, typed) if file.is_file() else None
+
+
+def _table(
+    file: Path, typed: str, options: dict[str, Any]
+) -> tuple[Document, dict[str, Any]] | None:
+    """What is to be said of a table of positions, or None where a file is none."""
+    from imucalib.calibrators.lab.inspected import inspect_table
+    from imucalib.report.inspection import table_dict, table_document
+
+    seen = inspect_table(file, mapping_of(options))
+    return None if seen is None else (table_document(seen, typed), table_dict(seen, typed))
+
+
+def _shown(
+    document: Document, content: dict[str, Any], html: Path | None, options: dict[str, Any]
+) -> int:
+    """Write the page where it is asked for, and print."""
+    from imucalib.report.render.text import render_text
+
     if html is not None:
         _save_page(document, html)
         note(f"wrote {html}", options["quiet"])
     if options["as_json"]:
-        emit_json(inspection_dict(found, rests=rests, noise=seen))
+        emit_json(content)
     elif not options["quiet"]:
         click.echo(render_text(document, width(), color=color(), full=options["full"]), nl=False)
     return 0

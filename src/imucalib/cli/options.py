@@ -98,6 +98,9 @@ _FIELDS = {
 }
 
 
+#: Parameters of `recording_options`.
+READING = ("mapping", *_FIELDS)
+
 #: A fleet as a prior.
 fleet_option = click.option(
     "--fleet",

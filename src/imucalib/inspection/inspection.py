@@ -298,6 +298,42 @@ def _problems(found: Inspection) -> Iterator[str]:
         yield f"gaps take {share:.0f} % of it"
 
 
+#: Of a worn sensor's recording, s; turns of a hand, and rests of an accelerometer alone.
+_WORN, _TURNS, _RESTS = 2 * 3600.0, 5, 6
+
+
+def next_commands(found: Inspection, typed: str) -> tuple[str, ...]:
+    """What to type next, and why. typed : the file and the options of its reading"""
+    sensors = [f for f in _of(found, "acceleration") if f.unit == "m/s2"]
+    still = found.still.n if found.still else 0
+    if not sensors:
+        counts = [f for f in _of(found, "acceleration") if f.norm_at_rest > 0.0]
+        scaled = (
+            f"imucal inspect {typed} --unit counts --lsb {counts[0].norm_at_rest:.0f}"
+            if (counts)
+            else ""
+        )
+        return (f"`{scaled}`: reads it with that many counts a g.",) * bool(scaled)
+    if len(sensors) > 1:
+        return (
+            f"`imucal array {typed} --board BOARD -o out`: where its accelerometers are; BOARD is "
+            "the drawing's file, or one of those that ship.",
+        )
+    if found.span >= _WORN and still:
+        return (f"`imucal actigraph {typed} -o out`: a worn sensor, by gravity at rest.",)
+    if still >= _TURNS and _of(found, "angular_rate"):
+        return (f"`imucal imu {typed} -o out`: accelerometer and gyroscope, by rests and turns.",)
+    if still >= _RESTS:
+        return (
+            f"`imucal lab {typed} --reference norm -o out`: by gravity in its {still} rests; with "
+            "a table of the angles, `--recording` of it.",
+        )
+    return (
+        "Too few rests to calibrate: record again, two seconds of rest in each of a dozen "
+        "attitudes or more, turned by hand between them.",
+    )
+
+
 def advice(found: Inspection) -> tuple[tuple[str, str], ...]:
     """What to give or run next, and why."""
     return tuple(_advice(found))

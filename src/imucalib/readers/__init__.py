@@ -15,6 +15,7 @@ from typing import Protocol
 
 from imucalib.core.discovery import modules_of
 from imucalib.errors import UnreadableInput, UsageError
+from imucalib.readers import known_bytes
 from imucalib.readers.devices.catalogue import refuse_foreign, with_preset
 from imucalib.readers.joining import in_parts, together, with_plausible_clocks
 from imucalib.readers.rates import with_checked_rates
@@ -102,9 +103,12 @@ def reader_for(path: str | os.PathLike[str]) -> Reader:
     named = [reader for reader in readers() if file.name.lower().endswith(reader.suffixes)]
     if len(named) == 1:
         return named[0]
+    kind = known_bytes.named(head, known_bytes.UNREAD)
+    if kind is not None:
+        raise UnreadableInput(f"this is {kind.name}", where=str(path), remedy=kind.remedy)
     formats = ", ".join(f"{r.name} ({' '.join(r.suffixes)})" for r in readers())
     raise UnreadableInput(
-        f"the format is not known; the file starts with {head[:8]!r}",
+        f"the format is not known; the file starts with the bytes {head[:8].hex(' ')}",
         where=str(path),
         remedy=f"readable formats: {formats}",
     )

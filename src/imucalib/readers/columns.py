@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -17,15 +18,27 @@ from imucalib.arrays import Array
 from imucalib.units import ACCELERATION_UNITS, RATE_UNITS, canonical, without_brackets
 
 _ACC = set(
-    str.split("a acc accel acceleration accelerometer accelerations accelero beschleunigung beschl")
+    str.split(
+        """
+        a acc accel acceleration accelerometer accelerations accelero beschleunigung beschl
+        beschleunigungssensor accelerometre aceleracion aceleraciones acelerometro acel
+        """
+    )
 )
-_GYRO = set(str.split("g w gyr gyro gyros gyroscope omega angular angvel angrate drehrate"))
-_TEMPERATURE = {"temp", "temperature", "temps", "temperatur"}
+_GYRO = set(
+    str.split(
+        """
+        g w gyr gyro gyros gyroscope omega angular angvel angrate drehrate gyroskop gyrometre
+        drehgeschwindigkeit giroscopo giro
+        """
+    )
+)
+_TEMPERATURE = {"temp", "temperature", "temps", "temperatur", "temperatura"}
 _TIME = set(
     str.split(
         """
         time timestamp timestamps stamp t datetime seconds secs sec sampletimefine utc epoch
-        elapsed stamps zeit zeitstempel uhrzeit
+        elapsed stamps zeit zeitstempel uhrzeit tiempo hora heure horodatage
         """
     )
 )
@@ -33,7 +46,7 @@ _SILENT = set(
     str.split(
         """
         rs s b field data raw cal calibrated uncal linear angular velocity rate imu sensor sensors
-        axis value values header acceleration meas rot rotation vel speed
+        axis value values header acceleration meas rot rotation vel speed achse axe eje de en la le
         """
     )
 )
@@ -132,10 +145,24 @@ def understand(names: Sequence[str], bare: str = "acceleration") -> list[Column]
     gyroscope), or a rate by their unit, if nothing else is an acceleration.
     """
     columns = [_column(i, name) for i, name in enumerate(names)]
+    if not any(c.quantity == "time" for c in columns):
+        columns = [_french_time(c) for c in columns]
     columns = _of_kalibr(columns)
     if not any(c.quantity == "acceleration" for c in columns):
         columns = [_bare_axis(c, bare) for c in columns]
     return columns
+
+
+def _french_time(column: Column) -> Column:
+    """ "Temps" without a unit: the time, where no other column is one."""
+    bare = _words(column.name) == ["temps"] and not column.unit
+    return replace(column, quantity="time", triad="") if bare else column
+
+
+def unaccented(text: str) -> str:
+    """Letters without their accents; the Spanish ordinal that stands for a degree as one."""
+    parts = unicodedata.normalize("NFD", text.replace("º", "°"))
+    return "".join(c for c in parts if unicodedata.category(c) != "Mn")
 
 
 def without_tex(text: str) -> str:
@@ -197,7 +224,7 @@ def _bare_axis(column: Column, bare: str) -> Column:
 
 def _words(name: str) -> list[str]:
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", name)
-    return [w for w in re.split(r"[^0-9a-zµ]+", spaced.lower()) if w]
+    return [w for w in re.split(r"[^0-9a-zµ]+", unaccented(spaced).lower()) if w]
 
 
 def _column(index: int, text: str) -> Column:
@@ -217,6 +244,8 @@ def _column(index: int, text: str) -> Column:
     column = _vector(index, name, words, unit)
     if column is not None:
         return column
+    if words == ["temps"] and (canonical(unit) in _STAMP_UNITS or unit in _TIME_WORDS):
+        return Column(index, name, "time", unit=unit)  # the French word
     if name == "T" or _TEMPERATURE & set(words):
         words, unit = (words, unit) if unit else _with_unit(words)
         words = [w for w in words if w not in _ACC | _GYRO]

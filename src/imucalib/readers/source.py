@@ -25,8 +25,12 @@ def head_of(path: Path) -> bytes:
             f"the file cannot be opened: {detail}", where=str(path), remedy="check the path"
         ) from error
     if stat.S_ISDIR(mode):
+        inside = sorted(p for p in path.iterdir() if p.is_file() and p.name[0] != ".")
+        names = f"name one file, such as {inside[0]}" if inside else "it holds no file"
         raise UnreadableInput(
-            "this is a directory", where=str(path), remedy="name one recording file inside it"
+            "this is a directory",
+            where=str(path),
+            remedy=f"{names}; a folder of recordings goes to imucal batch",
         )
     if not stat.S_ISREG(mode):
         raise UnreadableInput(

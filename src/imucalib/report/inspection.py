@@ -6,13 +6,16 @@ import math
 import re
 from collections.abc import Sequence
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from imucalib.calibration.plain import fields, listed, plain
-from imucalib.inspection.inspection import ChannelFacts, Inspection, advice, problems
+from imucalib.calibrators.lab.inspected import TableSeen
+from imucalib.inspection.inspection import ChannelFacts, Inspection, advice, next_commands, problems
 from imucalib.inspection.noise import AxisNoise, Coefficient, SensorNoise
+from imucalib.recording.yaml_text import load
 from imucalib.report.document import (
     Block,
     Document,
@@ -24,6 +27,7 @@ from imucalib.report.document import (
     Text,
     Tone,
 )
+from imucalib.report.sections import leading_options
 from imucalib.rests.levels import Candidate, refusals
 from imucalib.rests.segments import Segments
 from imucalib.significant_digits import with_sd
@@ -66,10 +70,17 @@ _NOISE = (
 
 
 def inspection_document(
-    found: Inspection, *, rests: bool = False, noise: Sequence[SensorNoise] | None = None
+    found: Inspection,
+    typed: str,
+    *,
+    rests: bool = False,
+    noise: Sequence[SensorNoise] | None = None,
 ) -> Document:
     """What is in the file, what would be used, what is wrong, and what to do next; on request
-    every candidate for a rest, and the noise of what is still."""
+    every candidate for a rest, and the noise of what is still.
+
+    typed : the file and the options of its reading, as a command takes them
+    """
     losses: list[Block] = [Text(note, "warning") for note in found.losses]
     if found.gap_count:
         losses.append(_gaps(found))
@@ -84,7 +95,7 @@ def inspection_document(
         Section("Losses and gaps", tuple(losses)),
         Section("Notes", tuple(map(Text, notes))),
         Section("How it was read", (Facts(_options(found)),) if found.mapping else ()),
-        Section("Next", (Facts(advice(found)),), kept=True),
+        Section("Next", (*map(Text, next_commands(found, typed)), Facts(advice(found))), kept=True),
     ]
     sensors = sum(f.quantity == "acceleration" for f in found.channels)
     still, wrong = found.still.n if found.still else 0, problems(found)
@@ -93,6 +104,121 @@ def inspection_document(
     said = "; ".join(wrong) or "nothing is wrong"
     verdict = Text(f"{summary}; {said}.", "warning" if wrong else "plain")
     return Document(found.path, verdict, tuple(parts), drawn="--html")
+
+
+_REFERENCES = {
+    "vector": "a table of positions whose inclination and tool-face are known",
+    "direction": "a table of positions whose face or direction is known",
+    "norm": "a table of readings at rest",
+    "plan": "a plan of positions, without readings",
+}
+
+
+def table_document(seen: TableSeen, typed: str) -> Document:
+    """What a table of positions holds, how it would be read, what is wrong, the next command."""
+    table = seen.table
+    rows = tuple(
+        (
+            table.names.get(role, role),
+            role.replace("_", "-"),
+            table.unit.get(role, "-"),
+            f"{np.min(values):.6g}",
+            f"{np.max(values):.6g}",
+        )
+        for role, values in table.columns.items()
+    )
+    header = ("column", "taken as", "unit", "smallest", "largest")
+    wrong = [Text(f"{what}.", "warning") for what, _ in seen.wrong]
+    facts = [("rows", str(table.n)), ("file", f"sha256 {table.sha256[:16]}…")]
+    facts += [("readings", seen.unit)] if seen.unit else []
+    parts = (
+        Section("Table", (Facts(tuple(facts)), Table("", header, rows, "lllrr"))),
+        Section("What is wrong", tuple(wrong), kept=True),
+        Section("Notes", tuple(map(Text, seen.notes))),
+        Section("Next", tuple(map(Text, table_commands(seen, typed))), kept=True),
+    )
+    said = f"{len(wrong)} thing{'s' * (len(wrong) != 1)} to settle" if wrong else "nothing is wrong"
+    verdict = Text(
+        f"{_REFERENCES[seen.kind].capitalize()}: {table.n} rows; {said}.",
+        "warning" if wrong else "plain",
+    )
+    return Document(table.path, verdict, parts, drawn="--html")
+
+
+def own_document(path: Path, typed: str) -> tuple[Document, dict[str, Any]] | None:
+    """What a file is that this program wrote, the next command, and the same for machines; None of
+    another's file. Raises UnreadableInput where it is damaged."""
+    if path.suffix.lower() not in (".yaml", ".yml", ".json"):
+        return None
+    content = load(path)
+    found = content if isinstance(content, dict) else {}
+    kind = str(found.get("schema", ""))
+    if kind == "imucal/calibration":
+        what = f"A calibration by {found.get('calibrator')}, status {found.get('status')}"
+        steps: tuple[str, ...] = (
+            f"`imucal validate {typed}`: whether it is whole.",
+            f"`imucal export {typed} --to c-header`: its coefficients; `imucal apply {typed} "
+            "RECORDING -o corrected.mcap` corrects a recording.",
+        )
+    elif kind.startswith("imucal/"):
+        what, page = f"A report of imucal ({kind})", path.with_name("report.html")
+        steps = (f"{page} shows it." if page.is_file() else "It is for programs; `--full` prints.",)
+    else:
+        return None
+    content = {"schema": "imucal/inspection/1", "path": str(path), "format": kind, "next": steps}
+    section = Section("Next", tuple(map(Text, steps)), kept=True)
+    return Document(str(path), Text(f"{what}."), (section,), drawn="--html"), content
+
+
+def table_commands(seen: TableSeen, typed: str) -> tuple[str, ...]:
+    """What to type next, and why."""
+    if seen.kind == "plan":
+        return (
+            f"`imucal design {typed}`: judges the plan.",
+            f"`imucal lab {typed} --recording LOG -o out`: calibrates, with the log of a recording "
+            "that rests in these positions one after another.",
+        )
+    words = [f"imucal lab {typed}"]
+    words += [f"--reference {seen.kind}"] * (seen.kind != "vector")
+    zero = seen.table.inclination_zero
+    words += [f"--inclination-zero {zero}"] * (zero == "vertical")
+    command = " ".join(words)
+    found = []
+    for what, remedy in seen.wrong:
+        options, rest = leading_options(remedy)
+        name = what.partition(":")[0]
+        if options:
+            other = f" (else {rest})" if rest else ""
+            found.append(f"`{command} {options} -o out`: if it is so, {name}{other}.")
+        elif remedy:
+            found.append(f"{name}: {remedy}.")
+    local = "add --latitude or --gravity for the local gravity"
+    return tuple(found) or (f"`{command} -o out`: calibrates; {local}.",)
+
+
+def table_dict(seen: TableSeen, typed: str) -> dict[str, Any]:
+    """Plain types, ready for JSON."""
+    table = seen.table
+    return dict(
+        plain(
+            {
+                "schema": "imucal/inspection/1",
+                "path": table.path,
+                "format": "positions",
+                "sha256": table.sha256,
+                "reference": seen.kind,
+                "rows": table.n,
+                "columns": [
+                    {"heading": heading, "role": role, "unit": table.unit.get(role)}
+                    for role, heading in table.names.items()
+                ],
+                "readings": seen.unit,
+                "problems": [what for what, _ in seen.wrong],
+                "notes": seen.notes,
+                "next": table_commands(seen, typed),
+            }
+        )
+    )
 
 
 def _options(found: Inspection) -> tuple[tuple[str, str], ...]:
@@ -301,7 +427,11 @@ def _allan(sensors: Sequence[SensorNoise], name: str) -> Plot:
 
 
 def inspection_dict(
-    found: Inspection, *, rests: bool = False, noise: Sequence[SensorNoise] | None = None
+    found: Inspection,
+    typed: str,
+    *,
+    rests: bool = False,
+    noise: Sequence[SensorNoise] | None = None,
 ) -> dict[str, Any]:
     """Plain types, ready for JSON; on request with every candidate for a rest, and the noise."""
     channel = (
@@ -332,6 +462,7 @@ def inspection_dict(
         content["noise"] = [_axis(s, k, axis) for s in noise for k, axis in enumerate(s.axes)]
     content["candidates"] = [{"channel": c, "finding": w} for c, w in found.candidates]
     content["problems"] = problems(found)
+    content["next"] = next_commands(found, typed)
     return dict(plain({**content, **fields(found, "losses mapping notes")}))
 
 

@@ -133,17 +133,26 @@ def exporting(calibration: Calibration, purpose: str, form: str, file: str) -> t
     return (Use(purpose, words),)
 
 
+def leading_options(text: str) -> tuple[str, str]:
+    """The options that a remedy begins with, ready to be typed, and what else it says; no option
+    where it begins with other words."""
+    found = _OPTIONS.match(text.strip())
+    if found is None:
+        return "", text
+    rest = found["rest"].strip(" .").removeprefix("or ")
+    if rest.startswith("(") and rest.endswith(")"):
+        rest = rest[1:-1].removeprefix("or: ")
+    return found["first"].rstrip(",.;"), rest
+
+
 def _decision(text: str, command: str) -> str:
     """What only the user can decide, as the command that does it; other advice as it is."""
     what, decide, options = text.partition(_DECIDE)
-    found = _OPTIONS.match(options.strip())
     if not decide:
         return text
-    if not (found and command):
+    typed, rest = leading_options(options)
+    if not (typed and command):
         return f"{_upper(text).rstrip('.')}."
-    typed, rest = found["first"].rstrip(",.;"), found["rest"].strip(" .").removeprefix("or ")
-    if rest.startswith("(") and rest.endswith(")"):
-        rest = rest[1:-1].removeprefix("or: ")
     other = f"; else {rest}" if rest else ""
     named = _upper(what.partition(":")[0])
     return f"{named}: if that is right, type this{other}: `{command} {typed}`"

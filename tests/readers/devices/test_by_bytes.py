@@ -33,7 +33,7 @@ def _moved(scale: float, count: int = 3000) -> list[tuple[int, ...]]:
         ("a.bin", bytes(512) + b"MDTC" + bytes(4096), "Matrix.*readParmayMatrix"),
         ("A.BIN", b"remarks".ljust(512) + b"MDTC" + bytes(4096), "Matrix.*readParmayMatrix"),
         ("a.bin", bytes(4096), "the format is not known"),
-        ("a.bin", b"\x7fELF" + bytes(4096), "the format is not known"),
+        ("a.bin", b"\x7fELF" + bytes(4096), "this is a program"),
     ],
 )
 def test_a_file_that_is_not_read_is_called_by_its_true_name(

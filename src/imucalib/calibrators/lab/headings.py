@@ -1,4 +1,4 @@
-"""Headings of position tables: which column is what, in the words of the trade and in German."""
+"""Headings of position tables: which column is what, in the words of the trade."""
 
 from __future__ import annotations
 
@@ -10,103 +10,79 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.readers.columns import without_tex
+from imucalib.readers.columns import unaccented, without_tex
 from imucalib.readers.csv.text import is_number
 
-#: What a column can be, and the names under which it is found, as `bare` gives them.
+#: Words for what an accelerometer reads, which an axis follows or precedes.
+_READ = str.split(
+    """
+    raw a acc accel acceleration accelerometer g beschleunigung beschl roh brut brute acel
+    aceleracion crudo bruto
+    """
+)
+
+
+def _axis(letter: str) -> tuple[str, ...]:
+    """Names of a reading's column."""
+    named = (f"{word}_{letter}" for word in _READ)
+    turned = (f"{letter}_{word}" for word in (*_READ, "achse", "axis"))
+    named_axes = (f"{word}_{letter}" for word in ("axis", "achse", "axe", "eje"))
+    return (letter, f"a{letter}", f"raw{letter}", f"g{letter}", *named, *turned, *named_axes)
+
+
+#: What a column can be, and the names under which it is found, as `bare` gives them: without
+#: accents, in the words of the trade in English, German, French and Spanish.
 ROLES: dict[str, tuple[str, ...]] = {
-    "inclination": ("inclination", "incl", "inc", "inclinaison", "neigung", "neigungswinkel"),
+    "inclination": (
+        *("inclination", "incl", "inc", "neigung", "neigungswinkel", "inklination", "inclinaison"),
+        *("angle_d_inclinaison", "inclinacion", "angulo_de_inclinacion"),
+    ),
     "tool_face": (
-        "toolface",
-        "tool_face",
-        "tf",
-        "gtf",
-        "toolface_angle",
-        "tool_face_angle",
-        "gravity_toolface",
-        "gravity_tool_face",
-        "high_side",
-        "highside",
-        "hstf",
-        "hs_tf",
-        "high_side_toolface",
-        "high_side_tool_face",
-        "werkzeuglage",
-        "werkzeugwinkel",
-        "werkzeug_winkel",
-        "werkzeugflaeche",
-        "werkzeugfläche",
+        *("toolface", "tool_face", "tf", "gtf", "toolface_angle", "tool_face_angle"),
+        *("gravity_toolface", "gravity_tool_face", "high_side", "highside", "hstf", "hs_tf"),
+        *("high_side_toolface", "high_side_tool_face"),
+        *("werkzeuglage", "werkzeugwinkel", "werkzeug_winkel", "werkzeugflaeche"),
+        *("werkzeugflache", "werkzeugstellung"),
+        *("face_outil", "face_de_l_outil", "angle_face_outil", "angle_de_face_outil"),
+        *("angle_outil", "orientation_outil"),
+        *("cara_de_herramienta", "cara_de_la_herramienta", "cara_herramienta"),
+        *("angulo_de_herramienta", "angulo_de_la_herramienta"),
     ),
-    "x": (
-        "x",
-        "raw_x",
-        "ax",
-        "a_x",
-        "acc_x",
-        "accel_x",
-        "rawx",
-        "gx",
-        "g_x",
-        "beschleunigung_x",
-        "beschl_x",
-    ),
-    "y": (
-        "y",
-        "raw_y",
-        "ay",
-        "a_y",
-        "acc_y",
-        "accel_y",
-        "rawy",
-        "gy",
-        "g_y",
-        "beschleunigung_y",
-        "beschl_y",
-    ),
-    "z": (
-        "z",
-        "raw_z",
-        "az",
-        "a_z",
-        "acc_z",
-        "accel_z",
-        "rawz",
-        "gz",
-        "g_z",
-        "beschleunigung_z",
-        "beschl_z",
-    ),
-    "temperature": ("temperature", "temp", "t_sensor", "temperatur"),
-    "time": ("time", "t", "zeit"),
+    "x": _axis("x"),
+    "y": _axis("y"),
+    "z": _axis("z"),
+    "temperature": ("temperature", "temp", "t_sensor", "temperatur", "temperatura"),
+    "time": ("time", "t", "zeit", "uhrzeit", "temps", "heure", "tiempo", "hora"),
     "inclination_approach": ("inclination_approach", "incl_approach"),
     "tool_face_approach": ("tool_face_approach", "toolface_approach", "tf_approach"),
     "inclination_setting": ("inclination_setting",),
     "tool_face_setting": ("tool_face_setting", "toolface_setting"),
     "samples": ("samples", "n"),
-    "session": ("session", "power_up", "powerup", "sitzung"),
+    "session": ("session", "power_up", "powerup", "sitzung", "seance", "sesion"),
     "ux": ("ux", "u_x"),
     "uy": ("uy", "u_y"),
     "uz": ("uz", "u_z"),
 }
 _UNIT = re.compile(
-    r"(?:[_\s]*[\[(]\s*|[_\s]+|(?=°))(degrees|degree|deg|grad|rad|degc|c|°|°c|g|mg|ug|m/s2|m/s\^2|"
+    r"(?:[_\s]*[\[(]\s*|[_\s]+|(?=°))(degrees|degree|degres|degre|deg|grados|grado|grad|rad|degc|c|°|°c|g|mg|ug|m/s2|m/s\^2|"
     r"lsb|counts|volts?|mv|v|s)\s*[\])]?$"
 )
 #: A temperature with its unit, which for any other quantity would mean another thing.
 _WARM = re.compile(
-    r"(temperature|temperatur|temp|t_sensor)[\s_\-.]*[\[(]?\s*"
+    r"(temperature|temperatura|temperatur|temp|t_sensor)[\s_\-.]*[\[(]?\s*"
     r"(?:[^\w\s]{1,3}\s*|deg(?:rees?)?[\s_]*)?(c|f|k|celsius|fahrenheit|kelvin)\s*[\])]?"
 )
 _SCALES = {"c": "degC", "f": "degF", "k": "K"}
 #: Roles of columns that may drive what is left: "driver", "driver_2" and so on.
 _DRIVER = re.compile(r"driver(_\d+)?")
-_SPELLINGS = {"degrees": "deg", "degree": "deg"}
+_SPELLINGS = dict.fromkeys(("degrees", "degree", "degres", "degre", "grados", "grado"), "deg")
 #: Beginnings of German headings, where "Grad" is a degree; elsewhere it may be a gon.
-_GERMAN = ("neigung", "werkzeug")
+_GERMAN = ("neigung", "inklination", "werkzeug")
 #: "(deg from vertical)": where the inclination's zero is.
 _ZERO = re.compile(
-    r"\s*\b(?:from|off|to|von|zur|gegen)\s+(?:the\s+|der\s+|die\s+)?"
-    r"(vertical|horizontal|vertikalen?|horizontalen?|senkrechten?|waagerechten?)\b"
+    r"\s*\b(?:from|off|to|von|zur|gegen|de|depuis|desde|par rapport a|respecto a)\s+"
+    r"(?:the\s+|der\s+|die\s+|la\s+|l['’]\s*)?"
+    r"(verticale?|horizontale?|vertikalen?|horizontalen|senkrechten?|waagerechten?)\b"
 )
 _VERTICAL = ("vert", "senk")
 
@@ -122,7 +98,7 @@ class Heading:
 
 def bare(text: str) -> Heading:
     """The parts of a heading such as "Inclination (deg from vertical)"."""
-    name, zero = without_tex(text.strip()).lower(), ""
+    name, zero = unaccented(without_tex(text.strip())).lower(), ""
     warm = _WARM.fullmatch(name)
     if warm:
         return Heading(warm[1], _SCALES[warm[2][0]], "")
@@ -134,7 +110,7 @@ def bare(text: str) -> Heading:
     unit = _UNIT.search(name) if len(name) > 2 else None
     if unit:
         name = name[: unit.start()]
-    name = re.sub(r"[\s\-.]+", "_", name.strip())
+    name = re.sub(r"[\s\-.'’]+", "_", name.strip())
     stated = unit.group(1) if unit else ""
     if stated == "grad" and name.startswith(_GERMAN):
         stated = "deg"

@@ -28,6 +28,7 @@ from imucalib.readers.csv.table import (
     table_cells,
 )
 from imucalib.readers.csv.text import is_blank, is_number, told
+from imucalib.readers.devices.catalogue import refuse_foreign
 from imucalib.readers.hdf5.reader import table_columns
 from imucalib.readers.source import head_of, sha256_of
 from imucalib.recording.mapping import FieldMapping
@@ -222,10 +223,17 @@ def read_position_table(
     )
 
 
+def roles_in(path: Path, mapping: FieldMapping) -> set[str]:
+    """What the columns of a file are, by their headings. Errors as in `read_position_table`."""
+    return set(roles_of(list(_cells_of(path, mapping, ()).columns), {}, str(path)))
+
+
 def _cells_of(path: Path, mapping: FieldMapping, exclude: Collection[int]) -> Cells:
     if not path.is_file():
         raise UnreadableInput("no such file", where=str(path), remedy="check the path")
-    if head_of(path).startswith(_HDF5):
+    head = head_of(path)
+    refuse_foreign(path, head)
+    if head.startswith(_HDF5):
         columns = table_columns(path)
         count = len(next(iter(columns.values()), ()))
         return selected(Cells(columns, tuple(range(1, count + 1)), count), mapping, str(path))
@@ -340,6 +348,10 @@ def _demand(roles: tuple[str, ...], found: Mapping[str, str], have: list[str], w
     if not absent:
         return
     remedy = f"name it: --columns {','.join(f'{role}=HEADING' for role in absent)}"
+    if set("xyz") <= set(absent):
+        remedy += "; or give the log of rests in these positions: --recording LOG"
+    elif {"inclination", "tool_face"} <= set(absent):
+        remedy += "; or, without known angles, add --reference norm"
     if "inclination" in absent and any(h.strip().lower() in _FACE_NAMES for h in have):
         remedy = "add --reference direction where faces stand for angles"
     if "ux" in absent:

@@ -318,7 +318,11 @@ def make_plan(path: Path, mapping: FieldMapping) -> Plan:
     where = str(path)
     pieces = looks(path)
     if not pieces:
-        raise UnreadableInput("the file holds no whole line of text", where=where)
+        raise UnreadableInput(
+            "the file holds no whole line of text",
+            where=where,
+            remedy="copy it again from its source: it is empty, cut off, or packed and damaged",
+        )
     dialect = sniff(pieces, mapping, where)
     facts = facts_of(dialect.preamble, where)
     conditions = tuple(

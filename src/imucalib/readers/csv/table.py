@@ -257,7 +257,8 @@ def _lines(path: Path, skip: int) -> Iterator[tuple[int, str]]:
         raise UnreadableInput(
             "not a text file",
             where=f"{path}, byte {binary.start()}",
-            remedy="give a CSV or HDF5 table; save a spreadsheet as CSV",
+            remedy="give a CSV or HDF5 table, and save a spreadsheet as CSV; of a recording the "
+            "rests are read with --reference norm, or beside a table with --recording",
         )
     text = decoded(data)
     for number, line in enumerate(text.split("\n"), start=1):

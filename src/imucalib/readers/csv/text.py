@@ -400,7 +400,11 @@ def _with_header(shape: _Shape, lines: list[str], mapping: FieldMapping, where: 
     while first < len(lines) and not shape.is_row(lines[first]):
         first += 1
     if first >= len(lines):
-        raise UnreadableInput("no data row was found near the start", where=where)
+        raise UnreadableInput(
+            "no data row was found near the start",
+            where=where,
+            remedy="give --skip, the lines before the heading, where the table comes later",
+        )
     rows = 0 if mapping.skip is not None or mapping.header else rows_of_heading(lines[first:])
     first += rows
     above = [k for k in range(start, first) if lines[k].strip()]

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from imucalib.core.discovery import modules_of
 from imucalib.errors import UnreadableInput, UsageError
+from imucalib.readers.known_bytes import REFUSED, named
 from imucalib.recording.mapping import FieldMapping
 
 
@@ -121,7 +122,11 @@ _KNOWN = (
 
 
 def refuse_foreign(path: Path, head: bytes) -> None:
-    """Raise UnreadableInput, with the true name, for a known format that is not read."""
+    """Raise UnreadableInput, with the true name, for a known format that is not read, and for a
+    file that is no recording."""
+    kind = named(head, REFUSED)
+    if kind is not None:
+        raise UnreadableInput(f"this is {kind.name}", where=str(path), remedy=kind.remedy)
     for one in _KNOWN:
         if one.recognises(head):
             raise UnreadableInput(

@@ -1,0 +1,98 @@
+"""`imucal FILE`: what a file is, how it would be read, what is wrong, and what to type next."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+from imucalib import cli
+from worlds.places import SAMPLES
+
+ROWS, TABLE = (
+    [line for line in (SAMPLES / name).read_text().splitlines() if line[0] != "#"]
+    for name in ("cave_ai.csv", "paper_table_1.csv")
+)
+
+
+def run(*words: object) -> Result:
+    line = [str(w) for w in words]
+    return CliRunner().invoke(cli.cli, line, standalone_mode=False)
+
+
+def said(done: Result) -> str:
+    return done.stdout or str(done.exception)
+
+
+def commands(text: str) -> list[str]:
+    """Every command of a page, whose lines may be folded."""
+    return [" ".join(c.split()) for c in re.findall(r"`(imucal [^`]*)`", text)]
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "command"),
+    [
+        ("paper_table_1.csv", "inclination and tool-face are known", "imucal lab"),
+        ("cave_ai.csv", "readings at rest", "--reference norm"),
+        ("positions.csv", "A plan of positions", "--recording LOG"),
+        ("rests.mcap", "24 still segments", "--reference norm"),
+        ("turns.csv.gz", "24 still segments", "imucal imu"),
+        ("board_part.mcap", "8 accelerometers", "imucal array"),
+        ("wrist_day.csv.gz", "1 accelerometer", "imucal actigraph"),
+    ],
+)
+def test_a_file_is_told_with_the_next_command(name: str, kind: str, command: str) -> None:
+    file = SAMPLES / name
+    page = said(run(file))
+    assert " ".join(page.split()).count(kind) >= 1
+    assert said(run("inspect", file)) == page
+    assert any(command in c and str(file) in c for c in commands(page)), page
+    content = json.loads(run(file, "--json").stdout)
+    assert commands("\n".join(content["next"])) == commands(page)
+
+
+def test_the_next_command_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (command,) = commands(said(run(SAMPLES / "cave_ai.csv")))
+    assert run(*shlex.split(command)[1:], "--no-loop", "-q").return_value == 0
+    page = said(run("out/calibration.yaml"))
+    assert "A calibration by lab, status ok" in page
+    assert run(*shlex.split(commands(page)[0])[1:]).return_value == 0
+    assert "report.html" in said(run("out/report.json"))
+
+
+@pytest.mark.parametrize(
+    ("change", "what", "mend"),
+    [
+        (lambda r: [*r[:3], r[3].replace(".20", "2.0"), *r[4:]], "row 3: its |a| is", "--fix 3:z="),
+        (lambda r: ["toolface_deg,inclination_deg,raw_x,raw_y,raw_z", *r[1:]], "exchanged",
+         "--swap-angles"),
+        (lambda r: [r[0], r[1].replace("0", "O", 1), *r[2:]], "is not a number", "--exclude 1"),
+        (lambda r: [r[0].replace("inclination_deg", "inc (deg from vertical)"), *r[1:]], "",
+         "--inclination-zero"),
+    ],
+    ids=["ten times", "columns", "letter", "zero"],
+)  # fmt: skip
+def test_what_is_wrong_is_said_with_what_mends_it(
+    change: object, what: str, mend: str, tmp_path: Path
+) -> None:
+    assert callable(change)
+    file = tmp_path / "table.csv"
+    file.write_text("\n".join(change(TABLE)) + "\n")
+    page = " ".join(said(run(file)).split())
+    assert what in page
+    assert mend in page
+
+
+def test_counts_are_told_with_their_scale(tmp_path: Path) -> None:
+    lines = [ROWS[0]]
+    for line in ROWS[1:]:
+        lines.append(",".join(f"{16384 * float(c):.0f}" for c in line.split(",")))
+    file = tmp_path / "counts.csv"
+    file.write_text("\n".join(lines) + "\n")
+    page = said(run(file))
+    assert re.search(r"--unit counts\s+--lsb\s+16\d{3}", page)
