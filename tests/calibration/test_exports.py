@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from imucalib.core.effect import Context
 from imucalib.effects import named
 from imucalib.exports import exported
 from imucalib.units import STANDARD_GRAVITY
+from worlds.targets import by_ggir
 
 Array = NDArray[np.float64]
 VALUES = {
@@ -95,16 +97,26 @@ def test_a_c_header_says_in_mg_what_it_lacks(more: tuple[str, ...]) -> None:
 def test_a_row_of_ggir_carries_the_temperature() -> None:
     effects = ("bias", "scale", "temperature_bias")
     made = exported(calibration(*effects), "x.csv", "ggir-csv")
-    names, values = (line.split(",") for line in made.text.splitlines())
-    row = dict(zip(names[1:], map(float, values[1:]), strict=True))
+    row = by_ggir(made.text, "x.csv")
     reading, _ = world(effects)
     rng = np.random.default_rng(0)
     rng.normal(size=(4000, 3))
     warm = rng.uniform(*SPAN, size=(4000, 1))
-    part = {k: np.array([row[f"{k}.{a}"] for a in "xyz"])
-            for k in ("scale", "offset", "temperature.offset")}  # fmt: skip
-    moved = reading + part["offset"] + part["temperature.offset"] * (warm - row["meantempcal"])
-    error = np.abs(np.linalg.norm(part["scale"] * moved, axis=1) - 1.0)
+    moved = reading + row["offset"] + row["temperature.offset"] * (warm - row["meantempcal"])
+    error = np.abs(np.linalg.norm(row["scale"] * moved, axis=1) - 1.0)
     assert error.mean() < 1e-6
     assert row["cal.error.start"] == pytest.approx(0.04)
     assert row["cal.error.end"] == pytest.approx(0.0015)
+    assert row["use.temperature"]
+    assert any(lost.startswith("meantempcal") for lost in made.lost)
+    assert "imucal" in row["QCmessage"]
+    assert np.isnan(row["n.10sec.windows"])
+
+
+def test_a_row_of_ggir_says_what_was_seen() -> None:
+    whole = calibration("bias", "scale")
+    seen = {"still_windows": 3437, "hours": 23.5}
+    known = replace(whole, facts={**whole.facts, "coverage": seen})
+    row = by_ggir(exported(known, "x.csv", "ggir-csv").text, "x.csv")
+    assert (row["n.10sec.windows"], row["n.hours.considered"]) == (3437, 23.5)
+    assert not row["use.temperature"]

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from threading import Thread
 
 import numpy as np
 import pytest
@@ -289,6 +290,28 @@ def test_a_cluster_without_workers_says_so_and_ends(cohort: Path, tmp_path: Path
     assert done.return_value == 3
     assert f"no worker at {address}; start one: dask worker {address}" in done.stderr
     assert not list((tmp_path / "out").glob("*"))
+
+
+@pytest.mark.slow
+def test_a_worker_that_is_killed_loses_nothing(cohort: Path, tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed")
+    out = tmp_path / "out"
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=None
+    ) as cluster:
+        first = cluster.workers[0].pid
+
+        def kill() -> None:
+            while not list(out.glob("*.json")):
+                time.sleep(0.02)
+            os.kill(first, signal.SIGKILL)
+
+        killer = Thread(target=kill, daemon=True)
+        killer.start()
+        summary = batch(cohort, out, "--scheduler", cluster.scheduler_address)
+        killer.join()
+    assert (summary["calibrated"], len(summary["failed"])) == (3, 3)
+    assert len(list(out.glob("*.json"))) == 6
 
 
 @pytest.mark.slow

@@ -22,9 +22,10 @@ from imucalib.errors import LimitBroken, UsageError
 from imucalib.exports import exported
 from imucalib.exports.bound import demand_carried
 from imucalib.exports.imus import with_walks
-from imucalib.exports.per_axis import nearest_row
+from imucalib.exports.per_axis import nearest_row, with_ids
 from worlds.rigid_board import board
 from worlds.rigid_board import calibration as board_calibration
+from worlds.targets import by_qgroundcontrol
 
 Array = NDArray[np.float64]
 
@@ -79,12 +80,10 @@ def read_by(force: Array, *, skew: bool = False, warm: Array | float = 25.0) -> 
 
 
 def ground_station(text: str) -> dict[str, float]:
-    """Five fields between tabs, comments by #: PX4's; name and value: ArduPilot's."""
+    """PX4's form has tabs, ArduPilot's names and values."""
     lines = [x for x in text.splitlines() if not x.startswith("#")]
     if "\t" in lines[0]:
-        fields = [x.split("\t") for x in lines]
-        assert all(f[0] == f[1] == "1" and f[4] == "9" for f in fields)
-        return {f[2]: float(f[3]) for f in fields}
+        return by_qgroundcontrol(text)
     return {name: float(value) for name, value in (x.replace(",", " ").split() for x in lines)}
 
 
@@ -152,6 +151,18 @@ def test_omconvert_corrects_with_the_temperature(tmp_path: Path) -> None:
     raw = read_by(even(), warm=warmth()) / G
     corrected = (raw + v[3:6]) * v[:3] + (warmth() - v[9]) * v[6:9]
     assert corrected == pytest.approx(even() / G, abs=1e-7)
+
+
+@pytest.mark.parametrize(("form", "name"), [("px4", "CAL_ACC0_ID"), ("ardupilot", "INS_ACC_ID")])
+def test_the_sensors_id_is_written_or_asked_for(form: str, name: str) -> None:
+    """A controller passes over parameters of another id."""
+    plain = exported(made(*SIX), "x.csv", form)
+    assert name not in ground_station(plain.text)
+    assert any(f"{name}: " in lost and "--device-id" in lost for lost in plain.lost)
+    known = exported(with_ids(made(*SIX), (1310988, 7)), "x.csv", form)
+    assert ground_station(known.text)[name] == 1310988
+    assert len(ground_station(known.text)) == 7  # there is no gyroscope that 7 would be of
+    assert known.lost == ()
 
 
 def error_model(text: str) -> list[dict[str, str]]:
@@ -255,6 +266,27 @@ def test_a_form_is_refused_beyond_three_times_what_is_left(form: str) -> None:
     demand_carried(made, form, bent(0.0), named_bound)
     with pytest.raises(LimitBroken):
         demand_carried(made, form, bent(100.0), 0.9 * loss)
+
+
+@pytest.mark.parametrize("effect", ["gyro_cubic", "gyro_delay"])
+def test_of_an_array_the_rates_of_motion_count(effect: str) -> None:
+    whole = board_calibration(board(np.random.default_rng(0), chips=3))
+    rate = {"unit": "deg/s", "final": 0.5, "held_out": {"final": 0.4}}
+    facts = {"not_undone": [{"effect": effect, "rms": 9.0, "unit": "deg/s"}], "errors": [rate]}
+    known = with_walks(replace(whole, facts={**whole.facts, "sample_interval_s": 0.01, **facts}),
+                       1e-3, 2e-5)  # fmt: skip
+    for form in ("c-header", "kalibr", "openvins"):
+        made = exported(known, "x", form)
+        assert (made.made.loss, made.made.rate_loss) == (0.0, 9.0)
+        with pytest.raises(LimitBroken, match=r"9 deg/s, more than 1.2.*--largest-loss 0,9`"):
+            demand_carried(made, form, known, None)
+        demand_carried(made, form, known, 0.0, 9.0)
+        with pytest.raises(LimitBroken):
+            demand_carried(made, form, known, None, 8.9)
+    # A frame loses no reading, and the script holds the delay.
+    assert exported(known, "x", "urdf").made.rate_loss == 0.0
+    held = exported(known, "x", "matlab").made.rate_loss
+    assert held == (0.0 if effect == "gyro_delay" else 9.0)
 
 
 def test_of_an_array_the_forces_of_motion_count() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+from io import StringIO
 from typing import Any
 
 import numpy as np
@@ -18,6 +20,39 @@ def by_kalibr(text: str) -> dict[str, Any]:
     for key in (f"{sensor}_{n}" for sensor in ("accelerometer", "gyroscope") for n in _NOISE):
         assert data[key] > 0.0, key
     return data
+
+
+def by_ggir(text: str, recording: str) -> dict[str, Any]:
+    """A recording's row as GGIR's parts 1 and 2 take it (wadpac/GGIR, g.part1.R, backup.cal.coef):
+    triples in the order of their columns, and NA, or a number, where a number is asked for."""
+    head, *lines = csv.reader(StringIO(text))
+    rows = [dict(zip(head, line, strict=True)) for line in lines]
+    (row,) = [r for r in rows if r["filename"] == recording]
+    found: dict[str, Any] = {}
+    for name in ("scale", "offset", "temperature.offset"):
+        columns = [c for c in head if c in [f"{name}.{a}" for a in "xyz"]]
+        assert columns == [f"{name}.{a}" for a in "xyz"]
+        found[name] = np.array([float(row[c]) for c in columns])
+    for name in ("cal.error.start", "cal.error.end", "n.10sec.windows", "n.hours.considered"):
+        found[name] = np.nan if row[name] == "NA" else float(row[name])
+    found["use.temperature"] = {"TRUE": True, "FALSE": False}[row["use.temperature"]]
+    found["QCmessage"] = row["QCmessage"]
+    found["meantempcal"] = float(row["meantempcal"])
+    return found
+
+
+def by_qgroundcontrol(text: str) -> dict[str, float]:
+    """Parameters as QGroundControl's ParameterManager reads a file: five fields between tabs, a
+    value of the type that the last one names (MAV_PARAM_TYPE), 6 an int32 and 9 a float."""
+    found = {}
+    for line in text.splitlines():
+        if line.startswith("#"):
+            continue
+        vehicle, component, name, value, kind = line.split("\t")
+        assert (vehicle, component) == ("1", "1")
+        assert len(name) <= 16
+        found[name] = {"6": int, "9": float}[kind](value)
+    return found
 
 
 def by_opencv(text: str) -> dict[str, Any]:

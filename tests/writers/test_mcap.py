@@ -174,6 +174,7 @@ def test_what_was_not_measured_is_said_to_be_absent(
     assert_equal(replace(made, channels=there), read(path, strict=True))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("loaded", READERS)
 @pytest.mark.parametrize("name", sorted(p.name for p in SAMPLES.glob("*.mcap")))
 def test_others_read_the_sample_logs_and_what_is_written_over_them(

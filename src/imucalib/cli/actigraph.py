@@ -23,9 +23,40 @@ if TYPE_CHECKING:
     from imucalib.calibrators.population import Population
 
 
+def _one_of(ctx: click.Context, _: click.Parameter, recordings: tuple[Path, ...]) -> Path:
+    """The only one, before anything is done. Raises UsageError for several, or a folder, with the
+    command of a study."""
+    from imucalib.errors import UsageError
+
+    first, *others = recordings
+    folder = first.is_dir() and not (first / "metadata.yaml").is_file()
+    if not others and not folder:
+        return first
+    names = {str(path) for path in recordings}
+    words = list(ctx.meta.get(ARGUMENTS, ()))[1:]
+    options = [word for word in words if word not in names]
+    place = "entries"
+    for name in ("-o", "--output"):
+        if name in options[:-1]:
+            at = options.index(name)
+            place, options = options[at + 1], options[:at] + options[at + 2 :]
+    study = ["imucal", "batch", *map(str, recordings), "-o", place]
+    typed = shlex.join([*study, *(["--", *options] if options else [])])
+    what = f"{len(recordings)} recordings" if others else "a folder"
+    raise UsageError(
+        f"it calibrates one recording; given: {what}",
+        remedy=f"for a study, each by itself: {typed}",
+    )
+
+
 @click.command("actigraph", cls=PagedCommand, short_help="Calibrate a worn sensor by gravity.")
 @click.argument(
-    "recordings", metavar="RECORDING", nargs=-1, required=True, type=click.Path(path_type=Path)
+    "recording",
+    metavar="RECORDING",
+    nargs=-1,
+    required=True,
+    type=click.Path(path_type=Path),
+    callback=_one_of,
 )
 @click.option("--triad", help="Which accelerometer, when the recording has several.")
 @click.option("--every", metavar="TIME", help="Calibrate parts too, for example 7d or 12h.")
@@ -40,7 +71,7 @@ if TYPE_CHECKING:
 @fleet_option
 @limit_option("--max-worst-error", "largest held-out error, mg.")
 @calibrating
-def command(recordings: tuple[Path, ...], **options: Any) -> int:
+def command(recording: Path, **options: Any) -> int:
     """Calibrate a worn accelerometer from days of recording: gravity in every posture at rest.
 
     RECORDING is a CSV, HDF5 or MCAP file of raw acceleration. Finds the moments at rest, fits
@@ -55,7 +86,6 @@ def command(recordings: tuple[Path, ...], **options: Any) -> int:
     """
     from imucalib.report.files import Report
 
-    recording = _one_of(recordings)
     request, mapping = request_of(options), mapping_of(options)
     if request.as_published:
         from imucalib.calibrators.actigraph.published import calibrate_as_published
@@ -70,31 +100,6 @@ def command(recordings: tuple[Path, ...], **options: Any) -> int:
     with calibrating_of(options) as say:
         run = calibrate_recording(recording, mapping, request, say)
     return finish([Report(run, actigraph_document(run))], options)
-
-
-def _one_of(recordings: tuple[Path, ...]) -> Path:
-    """The only one. Raises UsageError for several, or a folder, with the command of a study."""
-    from imucalib.errors import UsageError
-
-    first, *others = recordings
-    folder = first.is_dir() and not (first / "metadata.yaml").is_file()
-    if not others and not folder:
-        return first
-    names = {str(path) for path in recordings}
-    words = list(click.get_current_context().meta.get(ARGUMENTS, ()))[1:]
-    options = [word for word in words if word not in names]
-    place = "entries"
-    for name in ("-o", "--output"):
-        if name in options[:-1]:
-            at = options.index(name)
-            place, options = options[at + 1], options[:at] + options[at + 2 :]
-    study = ["imucal", "batch", *map(str, recordings), "-o", place]
-    typed = shlex.join([*study, *(["--", *options] if options else [])])
-    what = f"{len(recordings)} recordings" if others else "a folder"
-    raise UsageError(
-        f"it calibrates one recording; given: {what}",
-        remedy=f"for a study, each by itself: {typed}",
-    )
 
 
 def request_of(options: dict[str, Any]) -> ActigraphRequest:

@@ -52,6 +52,12 @@ if TYPE_CHECKING:
     help="Random walks that the rests do not show: their upper limits, or values in SI.",
 )
 @click.option(
+    "--device-id",
+    metavar="ACC[,GYRO]",
+    help="px4, ardupilot: the sensors' ids, as CAL_ACC0_ID and CAL_GYRO0_ID, or INS_ACC_ID and "
+    "INS_GYR_ID, have them.",
+)
+@click.option(
     "--effects",
     "effects_file",
     type=click.Path(path_type=Path),
@@ -59,10 +65,9 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--largest-loss",
-    type=click.FloatRange(min=0.0),
-    metavar="MG",
-    help="Loss, mg of a force, from which on only --force writes; default: three times "
-    "the error that the calibration leaves.",
+    metavar="MG[,DPS]",
+    help="Loss, mg of a force and deg/s of a rate, from which on only --force writes; default: "
+    "three times the error that the calibration leaves.",
 )
 @force_option
 @json_option
@@ -74,7 +79,8 @@ def command(
     noise: Path | None,
     random_walk: str,
     effects_file: Path | None,
-    largest_loss: float | None,
+    device_id: str | None,
+    largest_loss: str | None,
     force: bool,
     as_json: bool,
     quiet: bool,
@@ -96,16 +102,17 @@ def command(
     from imucalib.exports import exported
     from imucalib.exports.bound import demand_carried
 
+    bounds = _bounds(largest_loss)
     if output is not None:
         demand_output(output, filter(None, (calibration, noise, effects_file)), force=force)
     if effects_file is not None:
         load_file(effects_file)
-    loaded = _with_noise(read(calibration), noise, random_walk)
+    loaded = _with_ids(_with_noise(read(calibration), noise, random_walk), form, device_id)
     check(loaded, str(calibration))
     source = str(dict(loaded.facts.get("provenance", {})).get("input", calibration.name))
     made = exported(loaded, source, form)
     if not force:
-        demand_carried(made, form, loaded, largest_loss)
+        demand_carried(made, form, loaded, *bounds)
     files = _files(made.made, output)
     for path in files:
         if path != output:
@@ -116,7 +123,7 @@ def command(
         note(f"{form} lacks {text}", quiet)
     if as_json:
         place = {"files": [str(path) for path in files]} if files else {"text": made.text}
-        emit_json({"form": form, **place, "lost": list(made.lost), "loss_mg": made.made.loss})
+        emit_json({"form": form, **place, "lost": list(made.lost), **_losses(made.made)})
     elif not quiet or not files:
         said = "\n".join(f"wrote {path}" for path in files)
         click.echo(said or made.text, nl=bool(files))
@@ -130,6 +137,39 @@ def _with_noise(calibration: Calibration, noise: Path | None, walks: str) -> Cal
     if noise is not None:
         calibration = with_noise(calibration, noise)
     return calibration if walks == "limit" else with_walks(calibration, *_two(walks))
+
+
+def _with_ids(calibration: Calibration, form: str, text: str | None) -> Calibration:
+    """With the ids that are stated; raises click's usage errors."""
+    from imucalib.exports.per_axis import FLIGHT, with_ids
+
+    if text is None:
+        return calibration
+    if form not in FLIGHT:
+        raise click.UsageError(f"--device-id is for {' and '.join(FLIGHT)}")
+    words = text.split(",")
+    if len(words) > 2 or not all(word.strip().isdigit() for word in words):
+        said = "give the accelerometer's id, or ACC,GYRO: whole numbers"
+        raise click.BadParameter(said, param_hint="--device-id")
+    return with_ids(calibration, tuple(int(word) for word in words))
+
+
+def _bounds(text: str | None) -> tuple[float | None, float | None]:
+    """mg and deg/s, None where it is not stated; raises click's usage error."""
+    if text is None:
+        return None, None
+    try:
+        first, *more = map(float, text.split(","))
+    except ValueError:
+        first, more = -1.0, []
+    if len(more) > 1 or not all(value >= 0.0 for value in (first, *more)):
+        said = "give MG or MG,DPS: a force in mg, a rate in deg/s, zero or more"
+        raise click.BadParameter(said, param_hint="--largest-loss")
+    return first, more[0] if more else None
+
+
+def _losses(made: Made) -> dict[str, float]:
+    return {"loss_mg": made.loss, "loss_deg_per_s": made.rate_loss}
 
 
 def _two(text: str) -> tuple[float, float]:

@@ -19,18 +19,19 @@ from imucalib.recording.pairing import printable
 class Made:
     """A form's text; what of the calibration it could not carry, in words; and the error of a force
     that this makes, mg: mean over directions and the calibrated ranges, of an array the rms in the
-    motion that was calibrated. files : name -> text, where the other program reads one file an IMU
-    and there are several; the text then holds all."""
+    motion that was calibrated; rate_loss : of a rate there, deg/s. files : name -> text, where the
+    other program reads one file an IMU and there are several; the text then holds all."""
 
     text: str
     lost: tuple[str, ...] = ()
     loss: float = 0.0
+    rate_loss: float = 0.0
     files: Mapping[str, str] = field(default_factory=dict)
 
 
-def of_each(files: Mapping[str, str], lost: tuple[str, ...], loss: float) -> Made:
-    """One file an IMU."""
-    return Made("---\n".join(files.values()), lost, loss, files if len(files) > 1 else {})
+def of_each(files: Mapping[str, str], lost: tuple[str, ...], losses: tuple[float, float]) -> Made:
+    """One file an IMU; losses : of a force, mg, and of a rate, deg/s"""
+    return Made("---\n".join(files.values()), lost, *losses, files if len(files) > 1 else {})
 
 
 @dataclass(frozen=True)

@@ -12,13 +12,14 @@ def ardupilot(calibration: Calibration, filename: str) -> Made:
     and before the board's rotation (ArduPilot, AP_InertialSensor_Backend,
     _rotate_and_correct_accel; limits: AP_InertialSensor_Params). Raises as `flight_of`.
     """
-    flight = flight_of(calibration, "ArduPilot", (0.8, 1.2), 3.5)
+    flight = flight_of(calibration, "ArduPilot", (0.8, 1.2), 3.5, ("INS_ACC_ID", "INS_GYR_ID"))
     lines = [
         *heading(calibration, filename),
         "# For readings with INS_ACCOFFS 0, INS_ACCSCAL 1 and before AHRS_ORIENTATION: x forward,",
         "# y right, z down, z about -9.8 m/s2 at rest and level. Another instance: write INS_ACC2",
         "# for INS_ACC. Restart after loading.",
         *(f"# Not in it: {text}." for text in flight.lost),
+        *(f"{name},{number}" for name, number in flight.ids.items()),
     ]
     for name, values in (("INS_ACCOFFS", flight.offset), ("INS_ACCSCAL", flight.scale)):
         lines += [f"{name}_{axis},{values[k]:.9g}" for k, axis in enumerate("XYZ")]

@@ -10,31 +10,42 @@ import numpy as np
 from imucalib.calibration.calibration import Calibration
 from imucalib.errors import LimitBroken, UsageError
 from imucalib.exports import Exported, exported
-from imucalib.units import MG
+from imucalib.units import DEG, MG
 
 #: Of what the calibration leaves: there, nine tenths of an exported correction's variance are the
 #: form's.
 _TIMES = 3.0
 _TO_MG = {"mg": 1.0, "m/s²": 1.0 / MG}
+_TO_RATE = {"deg/s": 1.0, "rad/s": 1.0 / DEG}
 
 
 def demand_carried(
-    made: Exported, form: str, calibration: Calibration, largest: float | None
+    made: Exported,
+    form: str,
+    calibration: Calibration,
+    largest: float | None,
+    largest_rate: float | None = None,
 ) -> None:
-    """Raise LimitBroken where a form loses more than `largest` mg; None: than three times the error
-    that the calibration itself leaves."""
-    if largest is not None:
-        bound, why = largest, ""
-    else:
-        left = error_left(calibration)
-        bound, why = _TIMES * left, f", three times the {left:.2g} mg that the calibration leaves"
-    if made.made.loss > bound:
-        raise LimitBroken(
-            f"{form} loses {made.made.loss:.3g} mg, more than {bound:.3g} mg{why}: "
-            + "; ".join(made.lost),
-            remedy="write it all the same with --force, or allow more with `imucal export "
-            f"--largest-loss {math.ceil(made.made.loss)}`; imucal apply carries everything",
-        )
+    """Raise LimitBroken where a form loses more than `largest` mg of a force or `largest_rate`
+    deg/s of a rate; None: than three times the error that the calibration itself leaves."""
+    loss, rate = made.made.loss, made.made.rate_loss
+    allowed = str(math.ceil(loss))
+    for lost, bound, left, unit, words in (
+        (loss, largest, error_left, "mg", allowed),
+        (rate, largest_rate, rate_left, "deg/s", f"{allowed},{math.ceil(rate)}"),
+    ):
+        own = left(calibration)
+        most, why = bound, ""
+        if most is None:
+            most = _TIMES * own
+            why = f", three times the {own:.2g} {unit} that the calibration leaves"
+        if lost > most:
+            raise LimitBroken(
+                f"{form} loses {lost:.3g} {unit}, more than {most:.3g} {unit}{why}: "
+                + "; ".join(made.lost),
+                remedy="write it all the same with --force, or allow more with `imucal export "
+                f"--largest-loss {words}`; imucal apply carries everything",
+            )
 
 
 def carries(calibration: Calibration, form: str) -> bool:
@@ -49,15 +60,31 @@ def carries(calibration: Calibration, form: str) -> bool:
 def error_left(calibration: Calibration) -> float:
     """mg that the calibration leaves of a force: held out, else fitted, else the standard deviation
     of its biases; infinite where nothing is known."""
-    for error in calibration.facts.get("errors", ()):
-        if to_mg := _TO_MG.get(error["unit"]):
-            for value in (error["held_out"].get("final"), error.get("final")):
-                if _known(value):
-                    return float(value) * to_mg
+    if (known := _stated(calibration, _TO_MG)) is not None:
+        return known
     if calibration.triads:
         return math.inf
     sd = float(np.linalg.norm(calibration.matrices().bias_mg_sd))
     return sd if sd > 0.0 else math.inf
+
+
+def rate_left(calibration: Calibration) -> float:
+    """deg/s that an array's calibration leaves of a rate: held out, else fitted, else the gyros'
+    noise at rest; infinite where nothing is known."""
+    if (known := _stated(calibration, _TO_RATE)) is not None:
+        return known
+    noise = [triad.gyro_noise / DEG for triad in calibration.triads]
+    return float(np.sqrt(np.mean(np.square(noise)))) if any(noise) else math.inf
+
+
+def _stated(calibration: Calibration, units: dict[str, float]) -> float | None:
+    """The first error in one of the units, in that of the factors."""
+    for error in calibration.facts.get("errors", ()):
+        if factor := units.get(error["unit"]):
+            for value in (error["held_out"].get("final"), error.get("final")):
+                if _known(value):
+                    return float(value) * factor
+    return None
 
 
 def _known(value: Any) -> bool:

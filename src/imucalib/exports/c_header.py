@@ -13,7 +13,7 @@ from imucalib.calibration.gyroscope import gyroscope_of
 from imucalib.core.sphere import even_directions
 from imucalib.exports import Export, Made
 from imucalib.exports.c_functions import ROUNDED, Correction, array, functions, tables
-from imucalib.exports.imus import force_lost, places_of
+from imucalib.exports.imus import losses_of, places_of
 from imucalib.exports.linear import beyond_linear, lost_parts, nearest_linear, sphere_of
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
 
@@ -93,7 +93,7 @@ def _of_array(calibration: Calibration) -> Made:
         "motion that was calibrated"
         for row in calibration.facts.get("not_undone", ())
     )
-    return Made("\n".join(lines), lost, force_lost(calibration, ()))
+    return Made("\n".join(lines), lost, *losses_of(calibration, ()))
 
 
 def _acceleration(M: Array, b: Array, sd: Array, *, single: bool) -> Correction:

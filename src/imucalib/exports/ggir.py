@@ -24,6 +24,15 @@ def ggir_csv(calibration: Calibration, filename: str) -> Made:
     demand_one(calibration, "a row of GGIR")
     row = nearest_row(calibration)
     start, end = _errors(calibration)
+    # Part 2 reads these of every row, as its own quality report has them; NA: not known.
+    seen = calibration.facts.get("coverage", {})
+    hours = f"{seen['hours']:.6g}" if "hours" in seen else "NA"
+    others = {
+        "n.10sec.windows": seen.get("still_windows", "NA"),
+        "n.hours.considered": hours,
+        "QCmessage": f"calibrated by imucal: {calibration.status}",
+        "use.temperature": "TRUE" if np.any(row.slope) else "FALSE",
+    }
     numbers = {
         "cal.error.start": start * 1e-3,
         "cal.error.end": np.hypot(end, row.lost) * 1e-3,
@@ -34,9 +43,14 @@ def ggir_csv(calibration: Calibration, filename: str) -> Made:
     }
     out = StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(["filename", *numbers])
-    writer.writerow([cell(filename), *(f"{v:.9g}" for v in numbers.values())])
+    writer.writerow(["filename", *numbers, *others])
+    writer.writerow([cell(filename), *(f"{v:.9g}" for v in numbers.values()), *others.values()])
     lost = lost_per_axis(calibration, row, " (in cal.error.end)")
+    if np.any(row.slope):
+        lost += (
+            f"meantempcal, {row.middle:.1f} °C, which GGIR passes over where it takes a row: its "
+            "slopes count from the mean temperature of each recording",
+        )
     return Made(out.getvalue(), lost, row.lost)
 
 

@@ -220,11 +220,20 @@ def lost_of(calibration: Calibration, kept: tuple[str, ...] = _KEPT) -> tuple[st
     )
 
 
-def force_lost(calibration: Calibration, kept: tuple[str, ...] = _KEPT) -> float:
-    """Largest rms, mg, of a force's effect that the form has no place for."""
-    kept, rows = (*kept, *_common_delays()), calibration.facts.get("not_undone", ())
-    sizes = [float(r["rms"]) / MG for r in rows if r["unit"] == "m/s²" and r["effect"] not in kept]
-    return max(sizes, default=0.0)
+def losses_of(
+    calibration: Calibration, kept: tuple[str, ...] = _KEPT, *, delay: bool = False
+) -> tuple[float, float]:
+    """Largest rms in the motion that was calibrated of an effect that the form has no place for: on
+    a force, mg, and on a rate, deg/s; delay : whether it has one for a common delay."""
+    aside, found = _common_delays(), {"m/s²": [0.0], "deg/s": [0.0]}
+    for row in calibration.facts.get("not_undone", ()):
+        # A delay is known against the other sensor only: it is a rate's loss.
+        held = row["effect"] in kept or (
+            row["effect"] in aside and (delay or row["unit"] == "m/s²")
+        )
+        if not held and row["unit"] in found:
+            found[row["unit"]].append(float(row["rms"]))
+    return max(found["m/s²"]) / MG, max(found["deg/s"])
 
 
 #: What Kalibr and OpenVINS ask of an IMU's noise.

@@ -7,7 +7,7 @@ from typing import Any
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
 from imucalib.exports import Export, Made, of_each
-from imucalib.exports.imus import Imu, force_lost, imus_of, lost_of, lost_to_filters, noise_lines
+from imucalib.exports.imus import Imu, imus_of, losses_of, lost_of, lost_to_filters, noise_lines
 from imucalib.recording.yaml_text import dump
 
 
@@ -31,7 +31,7 @@ def kalibr(calibration: Calibration, filename: str) -> Made:
             *(f"# Not in it: {text}." for text in lost),
         ]
         files[imu.name] = "\n".join([*lines, dump({**noise, **_block(imu)})])
-    return of_each(files, lost, force_lost(calibration))
+    return of_each(files, lost, losses_of(calibration))
 
 
 def _block(imu: Imu) -> dict[str, Any]:

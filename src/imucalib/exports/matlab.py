@@ -10,7 +10,7 @@ from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.gyroscope import gyroscope_of
 from imucalib.exports import Export, Made
-from imucalib.exports.imus import force_lost, late_of, lost_of, places_of
+from imucalib.exports.imus import late_of, losses_of, lost_of, places_of
 from imucalib.exports.linear import beyond_linear, lost_parts, nearest_linear
 
 
@@ -69,7 +69,7 @@ def _of_array(calibration: Calibration) -> Made:
         f"r_covariance = {_matrix(covariance)};",
         f"gyro_delay = {late_of(calibration):.9g};",
     ]
-    return Made("\n".join(lines), lost_of(calibration, ()), force_lost(calibration, ()))
+    return Made("\n".join(lines), lost_of(calibration, ()), *losses_of(calibration, (), delay=True))
 
 
 def _matrix(values: Array) -> str:

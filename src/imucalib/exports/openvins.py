@@ -8,7 +8,7 @@ import numpy as np
 
 from imucalib.calibration.calibration import Calibration
 from imucalib.exports import Export, Made, of_each
-from imucalib.exports.imus import Imu, force_lost, imus_of, lost_of, lost_to_filters, noise_lines
+from imucalib.exports.imus import Imu, imus_of, losses_of, lost_of, lost_to_filters, noise_lines
 from imucalib.exports.kalibr import rows
 from imucalib.recording.yaml_text import dump
 
@@ -34,7 +34,7 @@ def openvins(calibration: Calibration, filename: str) -> Made:
         ]
         content = dump({"imu0": {**noise, **_block(imu)}}, indented=True)
         files[imu.name] = "\n".join([*lines, content])
-    return of_each(files, lost, force_lost(calibration, kept))
+    return of_each(files, lost, losses_of(calibration, kept))
 
 
 def _block(imu: Imu) -> dict[str, Any]:

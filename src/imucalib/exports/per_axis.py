@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -152,26 +152,44 @@ def lost_per_axis(calibration: Calibration, row: Row, aside: str = "") -> tuple[
     return tuple(words)
 
 
+#: Forms of flight controllers, which hold parameters against the id of a sensor.
+FLIGHT = ("px4", "ardupilot")
+_IDS = "device_ids"
+
+
+def with_ids(calibration: Calibration, ids: tuple[int, ...]) -> Calibration:
+    """A calibration whose accelerometer, and gyroscope, has the id that a controller gives it."""
+    return replace(calibration, facts={**calibration.facts, _IDS: list(ids)})
+
+
 @dataclass(frozen=True)
 class Flight:
     """corrected = scale (raw - offset) of a flight controller, which has no slope over temperature.
 
     offset, scale : (3,), offset in m/s²; rate : (3,) rad/s, the gyroscope's, or None
+    ids : parameter -> id, of those that are known
     lost : in words; loss : mg, of the vector
     """
 
     offset: Array
     scale: Array
     rate: Array | None
+    ids: dict[str, int]
     lost: tuple[str, ...]
     loss: float
 
 
 def flight_of(
-    calibration: Calibration, program: str, scales: tuple[float, float], offset: float
+    calibration: Calibration,
+    program: str,
+    scales: tuple[float, float],
+    offset: float,
+    names: tuple[str, str],
 ) -> Flight:
     """The nearest, for a program that takes scales within `scales` and offsets (m/s²) up to
-    `offset`. Raises UsageError for an array and for what it does not take."""
+    `offset`, and holds them against the ids in the parameters `names`, accelerometer first.
+    Raises UsageError for an array and for what it does not take.
+    """
     demand_one(calibration, program)
     row = nearest_row(calibration, slope=False)
     found = -STANDARD_GRAVITY * row.offset
@@ -188,9 +206,17 @@ def flight_of(
             remedy="check the unit of the readings",
         )
     lost, gyro = lost_per_axis(calibration, row), gyroscope_of(calibration)
+    needed = names if gyro else names[:1]
+    ids = dict(zip(needed, calibration.facts.get(_IDS, ()), strict=False))
+    lost += tuple(
+        f"{name}: it must name this sensor, or {program} passes over these (--device-id)"
+        for name in needed
+        if name not in ids
+    )
     if gyro is None:
-        return Flight(found, row.scale, None, lost, row.vector)
+        return Flight(found, row.scale, None, ids, lost, row.vector)
     off = np.abs(gyro.gain - np.eye(3)).max()
     named = (*(["gyro_g_sensitivity"] if gyro.by_force.any() else []), *gyro.beyond)
     more = f"the gyroscope's gains, up to {100.0 * off:.1f} % of a rate"
-    return Flight(found, row.scale, gyro.bias, (*lost, ", ".join((more, *named))), row.vector)
+    said = (*lost, ", ".join((more, *named)))
+    return Flight(found, row.scale, gyro.bias, ids, said, row.vector)

@@ -8,8 +8,8 @@ from imucalib.calibration.calibration import Calibration
 from imucalib.exports import Export, Made
 from imucalib.exports.per_axis import flight_of, heading
 
-#: MAV_PARAM_TYPE_REAL32.
-_FLOAT = 9
+#: MAV_PARAM_TYPE_REAL32 and _INT32.
+_FLOAT, _INT = 9, 6
 
 
 def px4(calibration: Calibration, filename: str) -> Made:
@@ -17,18 +17,15 @@ def px4(calibration: Calibration, filename: str) -> Made:
     rotation (PX4-Autopilot, src/lib/sensor_calibration/Accelerometer.hpp; limits of the scale:
     src/modules/sensors/module.yaml). Raises as `flight_of`.
     """
-    flight = flight_of(calibration, "PX4", (0.1, 3.0), math.inf)
-    lost = (
-        *flight.lost,
-        "CAL_ACC0_ID: it must name this accelerometer, or PX4 passes over these",
-    )
+    flight = flight_of(calibration, "PX4", (0.1, 3.0), math.inf, ("CAL_ACC0_ID", "CAL_GYRO0_ID"))
     lines = [
         *heading(calibration, filename),
         "# For readings as sensor_accel logs them: x forward, y right, z down, z about -9.8 m/s2",
         "# at rest and level. Another instance: CAL_ACC1 for CAL_ACC0. Restart after loading.",
-        *(f"# Not in it: {text}." for text in lost),
+        *(f"# Not in it: {text}." for text in flight.lost),
         "#",
         "# Vehicle-Id Component-Id Name Value Type",
+        *(f"1\t1\t{name}\t{number}\t{_INT}" for name, number in flight.ids.items()),
     ]
     for k, axis in enumerate("XYZ"):
         for name, value in (("OFF", flight.offset[k]), ("SCALE", flight.scale[k])):
@@ -38,7 +35,7 @@ def px4(calibration: Calibration, filename: str) -> Made:
             f"1\t1\tCAL_GYRO0_{axis}OFF\t{value:.9g}\t{_FLOAT}"
             for axis, value in zip("XYZ", flight.rate, strict=True)
         ]
-    return Made("\n".join([*lines, ""]), lost, flight.loss)
+    return Made("\n".join([*lines, ""]), flight.lost, flight.loss)
 
 
 EXPORT = Export("px4", "imucal_px4.params", px4)

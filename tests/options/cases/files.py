@@ -168,6 +168,14 @@ def _as_ggir(without: Outcome, done: Outcome, bench: Bench) -> None:
     assert "#" not in done.stdout.splitlines()[-1]
 
 
+def _with_id(without: Outcome, done: Outcome, bench: Bench) -> None:
+    """One parameter more, the id, and one thing less that the form lacks."""
+    more = set(done.stdout.splitlines()) - set(without.stdout.splitlines())
+    assert more == {"1\t1\tCAL_ACC0_ID\t1310988\t6"}
+    assert "CAL_ACC0_ID: " in without.stderr
+    assert "CAL_ACC0_ID: " not in done.stderr
+
+
 def _listed(without: Outcome, done: Outcome, bench: Bench) -> None:
     """One effect more: that of the file."""
     names = [{e["name"] for e in o.content["list"]} for o in (without, done)]
@@ -215,6 +223,8 @@ CASES: tuple[Case, ...] = (
           "<out>/corrected.csv"),
     EXPORT("--to urdf", ends(2, "one accelerometer")),
     EXPORT("--to ggir-csv", _as_ggir),
+    EXPORT("--device-id 1310988", _with_id, "export", "<calibration.yaml>", "--to", "px4"),
+    EXPORT("--device-id 7", ends(2, "px4 and ardupilot"), *SIX),
     EXPORT("--largest-loss 1e-9", ends(1, "--force"), *SIX),
     EXPORT("--largest-loss -1", ends(2), *SIX),
     EFFECTS("--effects <own.py>", _listed),

@@ -20,7 +20,7 @@ import numpy as np
 from imucalib.arrays import Array, Index
 from imucalib.effects.record_error import GROSS_MG
 from imucalib.loop.posterior.noise import Point, Terms, below
-from imucalib.loop.posterior.odds import AXES, GROSS, HEARD, REACH, UNEVEN
+from imucalib.loop.posterior.odds import AXES, GROSS, HEARD, REACH, SIZES, UNEVEN
 from imucalib.loop.posterior.problem import Problem
 from imucalib.units import MG
 
@@ -265,20 +265,22 @@ def grams_of(problem: Problem, terms: Terms) -> Grams:
 
 def axis_noise(problem: Problem, terms: Terms) -> Array:
     """(K, 3) likeliest standard deviations of the axes' noise beside each other, in steps, be the
-    base complete or lack every free function at once, with gross errors: neither an effect on one
-    axis nor a wrong record is its noise."""
+    base complete or lack every free function at once or any one of them, however large, with gross
+    errors: neither an effect on one axis nor a wrong record is its noise."""
     rare = float(np.log(UNEVEN / (1.0 - UNEVEN) / len(AXES)))
-    still = [p for p in terms.points if p.walk is None and not p.sharing]
+    still = [p for p in terms.points if p.walk is None]
     best, power = -np.inf, np.ones(terms.axes.shape[1])
     gross = _gross(problem, terms)
-    for lacked in (gross, np.hstack([gross, _rich(problem, len(terms.order))])):
+    every = np.hstack([gross, _rich(problem, len(terms.order))])
+    for lacked in (gross, every, np.hstack([gross, _alone(problem, terms, gross, still)])):
         logs = _evidence(problem, terms, still, lacked)
         own, reached, point = np.ones(power.size), float(logs.max()), still[int(logs.argmax())]
         for axis in np.argsort(-_misfit(problem, terms)):
             for step in AXES:
                 trial = own.copy()
                 trial[axis] = step**2
-                evidence = float(_evidence(problem, terms, [point], lacked, trial)[0])
+                relative = trial / np.exp(np.log(trial).mean())  # all of them are the one factor
+                evidence = float(_evidence(problem, terms, [point], lacked, relative)[0])
                 evidence += rare * np.count_nonzero(trial != 1.0)
                 if evidence > reached:
                     reached, own = evidence, trial
@@ -297,6 +299,23 @@ def _rich(problem: Problem, n: int) -> Array:
     """(N, m) factor of every free function that the base may lack."""
     free = [c.at for c in problem.choices if problem.components[c.component].kind == "free"]
     return REACH * problem.columns[:n, np.unique(np.concatenate([np.zeros(0, np.intp), *free]))]
+
+
+def _alone(problem: Problem, terms: Terms, gross: Array, points: Sequence[Point]) -> Array:
+    """(N, m) factor of the one free function, and its size, beside which the base is likeliest at
+    the noise that is so without any."""
+    n = len(terms.order)
+    point = points[int(_evidence(problem, terms, points, gross).argmax())]
+    best, found = -np.inf, np.zeros((n, 0))
+    for choice in problem.choices:
+        if problem.components[choice.component].kind != "free":
+            continue
+        for size in (REACH, float(SIZES[-1])):
+            factor = size * problem.columns[:n, choice.at]
+            one = _evidence(problem, terms, [point], np.hstack([gross, factor]))[0]
+            if one > best:
+                best, found = float(one), factor
+    return found
 
 
 def _spread(problem: Problem) -> float:
