@@ -75,7 +75,7 @@ def run(example: Example) -> tuple[int, str]:
 
     done = CliRunner().invoke(cli.cli, list(example.arguments), standalone_mode=False)
     if isinstance(done.exception, ImucalError):
-        return done.exception.exit_code, f"{done.stdout}{done.exception}\n"
+        return done.exception.exit_code, f"{done.stdout}error: {done.exception}\n"
     if done.exception is not None:
         raise done.exception
     lines = done.stdout.splitlines()[: example.most]

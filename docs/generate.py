@@ -9,7 +9,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from generators import commands, functions, schemas, troubles
+from generators import commands, functions, schemas
 from imucalib.effects import catalogue, families
 from imucalib.report.catalogue import catalogue_markdown
 
@@ -21,7 +21,6 @@ PAGES = {
     "reference/commands.md": commands.page,
     "reference/functions.md": functions.page,
     "reference/schemas.md": schemas.page,
-    "reference/troubleshooting.md": troubles.page,
 }
 
 

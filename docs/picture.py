@@ -1,4 +1,4 @@
-"""Draw docs/images/report.png, the report of the README's first command; needs Chromium.
+"""Draw docs/images/report.png, the first report that the README writes; needs Chromium.
 
 python docs/picture.py [CHROMIUM]
 """
@@ -22,7 +22,8 @@ _QUIET = (
 def main(browser: str = "chromium") -> None:
     """Run the command, open its report, keep the head of the page."""
     readme = PAGES[0]
-    example = next(e for e in examples(readme.read_text(encoding="utf-8")) if e.shown is not None)
+    shown = (e for e in examples(readme.read_text(encoding="utf-8")) if e.shown is not None)
+    example = next(e for e in shown if "-o" in e.arguments)
     with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryDirectory() as profile:
         with bench(Path(folder), readme):
             run(example)

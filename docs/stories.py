@@ -1,4 +1,4 @@
-"""Write the measured stories of `docs/closed_loop.md`: every figure in them comes from here.
+"""Write the measured stories of `benchmarks/RESULTS.md`: every figure in them comes from here.
 
     python docs/stories.py [--data FOLDER]
 
@@ -21,7 +21,7 @@ from imucalib.significant_digits import per_cent
 
 ROOT = Path(__file__).parents[1]
 SAMPLES = ROOT / "sample_logs"
-PAGE = ROOT / "docs" / "closed_loop.md"
+PAGE = ROOT / "benchmarks" / "RESULTS.md"
 START, END = "<!-- stories: written by docs/stories.py -->", "<!-- end of the stories -->"
 Report = dict[str, Any]
 

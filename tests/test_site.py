@@ -7,12 +7,8 @@ import re
 import sys
 from pathlib import Path
 
-import click
 import pytest
-from click.testing import CliRunner
 
-from imucalib import cli
-from imucalib.errors import ImucalError
 from options.tree import commands, options_of
 
 ROOT = Path(__file__).parents[1]
@@ -58,29 +54,6 @@ def test_readme_names_every_page() -> None:
     named = {(ROOT / target).resolve() for target in site.links(ROOT / "README.md")}
     missing = {p for p in site.pages() if p not in named} - {ROOT / "README.md", ROOT / "VISION.md"}
     assert not missing
-
-
-CALLS = (
-    ("lab", "{folder}/none.csv"),
-    ("apply", "{logs}/cohort.txt", "{logs}/rests.mcap", "-o", "{folder}/x.mcap"),
-    ("effects", "no_such_effect"),
-    ("actigraph", "{logs}/rests.mcap", "--every", "1 fortnight"),
-    ("lab", "{logs}/bench.csv", "--exclude", "1-99"),
-    ("array", "{logs}/rests.mcap", "--board", "mimu4444_corners"),
-)
-
-
-@pytest.mark.parametrize("call", CALLS, ids=lambda c: c[0])
-def test_troubleshooting_holds_what_a_user_meets(call: tuple[str, ...], tmp_path: Path) -> None:
-    words = [w.format(folder=tmp_path, logs=ROOT / "sample_logs") for w in call]
-    failed = CliRunner().invoke(cli.cli, words, standalone_mode=False).exception
-    assert isinstance(failed, ImucalError | click.ClickException)
-    words_of_it = failed.what if isinstance(failed, ImucalError) else failed.message
-    page = (ROOT / "docs" / "reference" / "troubleshooting.md").read_text(encoding="utf-8")
-    part = page[page.index(f"## Exit code {failed.exit_code}") :]
-    rows = [re.split(r"(?<!\\) \| ", row[2:]) for row in re.findall(r"^\| .+$", part, re.MULTILINE)]
-    told = [re.escape(re.sub(r"\\(.)", r"\1", row[0])).replace("…", ".*") for row in rows]
-    assert any(re.fullmatch(text, words_of_it, re.DOTALL) for text in told if text.strip(".* "))
 
 
 def test_the_reference_has_every_option_of_every_command() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from collections import Counter
 
 import click
 
@@ -16,18 +17,38 @@ share stands in [the command line](../cli.md), exit codes among it.
 """
 
 
+_COLUMNS = ("option", "value", "default", "meaning")
+#: Commands from which on an option that is the same in all stands once, at the end.
+_SHARED = 2
+
+
 def page() -> str:
     """The page."""
     context = click.Context(cli.cli, info_name="imucal")
+    commands = {name: cli.cli.get_command(context, name) for name in cli.cli.list_commands(context)}
+    known = [c for c in commands.values() if c is not None]
+    counts = Counter(_row(o) for c in known for o in _options(c))
+    shared = {row for row, count in counts.items() if count >= _SHARED}
     lines = [_HEAD]
-    for name in cli.cli.list_commands(context):
-        command = cli.cli.get_command(context, name)
+    for name, command in commands.items():
         assert command is not None
-        lines += _command(command, f"imucal {name}", 2)
+        lines += _command(command, f"imucal {name}", 2, shared)
+    rows = [row for row in dict.fromkeys(counts) if row in shared]
+    lines += ["## Options of several commands", "", *table(_COLUMNS, rows)]
     return "\n".join(lines)
 
 
-def _command(command: click.Command, name: str, level: int) -> list[str]:
+def _options(command: click.Command) -> list[click.Option]:
+    return [p for p in command.params if isinstance(p, click.Option) and not p.hidden]
+
+
+def _row(option: click.Option) -> tuple[str, str, str, str]:
+    return _names(option), _value(option), _default(option), _meaning(option)
+
+
+def _command(
+    command: click.Command, name: str, level: int, shared: set[tuple[str, str, str, str]]
+) -> list[str]:
     lines = [f"{'#' * level} {name}", ""]
     for paragraph in inspect.cleandoc(command.help or "").split("\n\n"):
         if paragraph.startswith("\b"):
@@ -44,14 +65,15 @@ def _command(command: click.Command, name: str, level: int) -> list[str]:
         *(f"{w}..." if p.nargs < 0 else w for w, p in zip(words, arguments, strict=True)),
     ]
     lines += block(" ".join([*usage, *(["COMMAND"] if below else [])]))
-    options = [p for p in command.params if isinstance(p, click.Option) and not p.hidden]
-    if options:
-        rows = [(_names(p), _value(p), _default(p), _meaning(p)) for p in options]
-        lines += table(("option", "value", "default", "meaning"), rows)
+    rows = [_row(p) for p in _options(command)]
+    if own := [row for row in rows if row not in shared]:
+        lines += table(_COLUMNS, own)
+    if others := [row[0] for row in rows if row in shared]:
+        lines += [f"As [several](#options-of-several-commands): {', '.join(others)}.", ""]
     for one in below:
         found = command.get_command(context, one) if isinstance(command, click.Group) else None
         assert found is not None
-        lines += _command(found, f"{name} {one}", level + 1)
+        lines += _command(found, f"{name} {one}", level + 1, shared)
     return lines
 
 
