@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from html import escape
 from pathlib import Path
 from typing import Any, Literal
 
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.findings import Gain
 from imucalib.calibration.outcome import Run, Status
+from imucalib.effects.shape import in_words
 from imucalib.errors import UsageError
 from imucalib.report.document import Document
 from imucalib.report.files import Report, write_report
@@ -18,7 +21,7 @@ from imucalib.report.files import Report, write_report
 Rows = Literal["parameters", "errors", "candidates"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Result:
     """A finished calibration.
 
@@ -84,6 +87,34 @@ class Result:
                 continue
             return library.DataFrame(table)
         raise UsageError("no library for tables", remedy="pip install pandas, or polars")
+
+    def plot(self, which: str = "") -> Any:
+        """Figures of the report, drawn by matplotlib: those whose title or section holds the words,
+        of none the residual before and after. Raises UsageError where it is not installed, or
+        where no figure is called so."""
+        from imucalib.api.drawn import drawn, matplotlib, plots_of
+
+        return drawn(plots_of(self.document, which), matplotlib())
+
+    def __repr__(self) -> str:
+        """One line: what was calibrated, verdict, error on held-out data, what was found."""
+        outcome, error = self.run.outcome, self.run.outcome.error
+        final = error.final if math.isnan(error.held_out.final) else error.held_out.final
+        names = ", ".join(map(in_words, self.effects))
+        return (
+            f"<imucalib {outcome.calibrator} of {outcome.provenance.path}: {self.status}, "
+            f"{error.metric} {final:.3g} {error.unit}{f'; found: {names}' if names else ''}>"
+        )
+
+    def _repr_html_(self) -> str:
+        """The report's first fold, for a notebook."""
+        from imucalib.report.render.html import render_html
+
+        fold = replace(self.document, sections=(), footer=(), terms=False)
+        return (
+            f'<iframe srcdoc="{escape(render_html(fold))}" title="Calibration report" '
+            'style="width:100%;height:36rem;border:0"></iframe>'
+        )
 
     def __str__(self) -> str:
         """One page, as the command prints it."""

@@ -17,7 +17,7 @@ from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.effects import known
 from imucalib.effects.record_error import is_record_error
-from imucalib.errors import UnreadableInput
+from imucalib.errors import UnreadableInput, UsageError
 from imucalib.units import DEG, MG
 
 
@@ -224,13 +224,22 @@ class Calibration:
         return {name: np.full(count, self.unrecorded(name)) for name in self.valid}
 
     def apply(self, reading: Array, context: Context | None = None) -> Array:
-        """Correct readings (n, 3) in m/s² to specific force (n, 3) in m/s² in the tool's frame.
+        """Correct readings (..., 3) in m/s², one or many, to specific force of the same shape in
+        m/s² in the tool's frame; a DataFrame's three columns too.
 
-        context : covariates that the effects need ("temperature"); raises UnreadableInput when
-        one is missing, NotConverged when a reading lies outside the calibration's range
+        context : covariates of each that the effects need ("temperature"); raises UsageError for
+        other shapes, UnreadableInput when a covariate is missing, NotConverged when a reading lies
+        outside the calibration's range
         """
+        values = np.asarray(reading, np.float64)
+        if not values.ndim or values.shape[-1] != 3:
+            raise UsageError(
+                f"readings of shape {values.shape} are not x, y, z",
+                remedy="give three numbers, or an array (n, 3), in m/s²",
+            )
+        flat = values.reshape(-1, 3)
         model, theta = self.model()
-        known = context or Context(len(reading))
+        known = context or Context(len(flat))
         for effect in model.effects:
             absent = [name for name in effect.needs if name not in known]
             if absent:
@@ -238,7 +247,7 @@ class Calibration:
                     f"effect {effect.name} needs {', '.join(absent)}, which the recording lacks",
                     remedy="record it, or calibrate with --without " + effect.name,
                 )
-        return model.correct(theta, reading[:, None], known)[:, 0]
+        return model.correct(theta, flat[:, None], known)[:, 0].reshape(values.shape)
 
     def matrices(self) -> Matrices:
         """M, b and S, c of the linear part, with intrinsic scales and angles."""
