@@ -146,6 +146,7 @@ FIELDS = {"unit": "acc_unit", "lsb": "lsb_per_g", "gyro_lsb": "lsb_per_dps"}
 READS = {
     "check": ("check", "<calibration.yaml>", "<rests.csv>", "--json"),
     "fleet": ("fleet", "<rests.csv>", "<rests2.csv>", "--reference", "norm", "--json"),
+    "inspect": ("inspect", "<rests.csv>", "--rests", "--json"),
     "lab": ("lab", "<rests.csv>", "--reference", "norm", "--no-loop", "--json"),
 }
 

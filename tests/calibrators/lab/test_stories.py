@@ -256,8 +256,8 @@ def test_the_dial_is_named_and_the_sensor_is_not_blamed(repaired: LabRun) -> Non
     assert not loop.slips
     dial = dial_of(repaired.result, np.array([50.0]))
     assert dial.shift[0] - dial.half[0] <= 1.37 <= dial.shift[0] + dial.half[0]
-    absent = {s.name: s.p for s in loop.scores}
-    assert all(absent[name] > 0.5 for name in ("quadratic", "cubic", "bias_drift", "cross_axis"))
+    there = {s.name: s.probability for s in loop.scores}
+    assert all(there[name] < 0.5 for name in ("quadratic", "cubic", "bias_drift", "cross_axis"))
     # 0.40 deg (docs/lab.md); what hands usually do takes part.
     assert any(
         re.search(r"Tool-face scatters by 0\.(39|40) deg", a) for a in repaired.outcome.advice

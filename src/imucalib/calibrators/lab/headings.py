@@ -25,7 +25,8 @@ _READ = str.split(
 def _axis(letter: str) -> tuple[str, ...]:
     """Names of a reading's column."""
     named = (f"{word}_{letter}" for word in _READ)
-    turned = (f"{letter}_{word}" for word in (*_READ, "achse", "axis"))
+    # x_g is x in g.
+    turned = (f"{letter}_{word}" for word in (*_READ, "achse", "axis") if word != "g")
     named_axes = (f"{word}_{letter}" for word in ("axis", "achse", "axe", "eje"))
     return (letter, f"a{letter}", f"raw{letter}", f"g{letter}", *named, *turned, *named_axes)
 
