@@ -148,7 +148,7 @@ def _with_entry(work: Callable[[], int], options: Mapping[str, Any]) -> int:
 
     from imucalib.atomic_file import demand_output
     from imucalib.cli import told
-    from imucalib.cohort.entries import Entry, kept_of, write_entry
+    from imucalib.cohort.entries import Entry, failure_words, kept_of, write_entry
     from imucalib.errors import CRASH_EXIT_CODE, ImucalError, UsageError
 
     recordings, target, start = _inputs(options), options["entry"], time.monotonic()
@@ -165,10 +165,9 @@ def _with_entry(work: Callable[[], int], options: Mapping[str, Any]) -> int:
         raise
     except (ImucalError, OSError) as error:
         failure = told(error)
-        words = ". ".join(failure[key] for key in ("message", "remedy") if failure[key])
-        write(failure["exit_code"], words, None)
+        write(failure["exit_code"], failure_words(failure), None)
         raise
-    except Exception as error:
+    except Exception as error:  # a study keeps what it was; the caller reports it as a crash
         write(CRASH_EXIT_CODE, f"{type(error).__name__}: {error}", None)
         raise
     write(code, "", click.get_current_context().meta[_CONTENT])

@@ -20,7 +20,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from imucalib.cohort.entries import Entry, kept_of, read_entry, write_entry
+from imucalib.cohort.entries import Entry, failure_words, kept_of, read_entry, write_entry
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.readers import sha256_of
 
@@ -122,8 +122,7 @@ def _told(stdout: str) -> tuple[dict[str, Any] | None, str]:
         return None, ""
     if "error" not in content:
         return kept_of(content), ""
-    failure = content["error"]
-    return None, ". ".join(failure[key] for key in ("message", "remedy") if failure[key])
+    return None, failure_words(content["error"])
 
 
 @dataclass(frozen=True)

@@ -39,6 +39,11 @@ class Entry:
         return self.report is not None
 
 
+def failure_words(failure: Mapping[str, str]) -> str:
+    """What and what to do, of a failure as commands tell it to machines."""
+    return ". ".join(failure[key] for key in ("message", "remedy") if failure[key])
+
+
 def read_entry(path: Path) -> Entry | None:
     """An entry from its file; None when there is none or it is no entry."""
     try:

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -192,17 +192,20 @@ class Whitener:
                 turn = lower.transpose(0, 2, 1) if transposed else lower
                 solved[rows] = (turn @ own).reshape(*rows.shape, *columns.shape[1:])
             elif rows.shape == (1, len(columns)):  # without a copy
-                return _triangular(lower[0], columns, transposed)
+                return below(lower[0], columns, transposed=transposed)
             else:
                 for some, one in zip(rows, lower, strict=True):
-                    solved[some] = _triangular(one, columns[some], transposed)
+                    solved[some] = below(one, columns[some], transposed=transposed)
         return solved
 
 
-def _triangular(lower: Array, columns: Array, transposed: bool) -> Array:
-    # The rows of a lower triangle in C's order are an upper one in Fortran's: no copy.
+def below(lower: NDArray[np.floating[Any]], columns: Array, *, transposed: bool = False) -> Array:
+    """L⁻¹, or L⁻ᵀ, times columns (n, m) or (n,), of a lower triangle L (n, n)."""
     from scipy.linalg.lapack import dtrtrs
 
+    if not lower.size:
+        return np.zeros(columns.shape)
+    # The rows of a lower triangle in C's order are an upper one in Fortran's: no copy.
     return np.asarray(dtrtrs(lower.T, columns, lower=0, trans=0 if transposed else 1)[0])
 
 

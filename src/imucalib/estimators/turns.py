@@ -24,9 +24,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from imucalib.arrays import Array, Flags, Index
+from imucalib.core.balance import below
 from imucalib.core.effect import cross_matrix
 from imucalib.estimators.carried import attitudes, between, shares
 
@@ -466,7 +466,7 @@ def _estimated(
             point = replace(noise, floor=float(floor), per_angle=float(angle))
             own = np.repeat(_of_turns(log, point), 2)[numbers] / every
             root = np.linalg.cholesky(shared + np.diag(own))
-            white = solve_triangular(root, left, lower=True, check_finite=False)
+            white = below(root, left)
             logs[i, j] = -0.5 * float(white @ white) - float(np.log(np.diag(root)).sum())
     likely = np.exp(logs - logs.max()) * ANGLE_PRIOR if size else np.ones(logs.shape)
     likely /= likely.sum()
@@ -485,10 +485,8 @@ def _by_rests(rows: Rows, variance: Array, numbers: Index) -> tuple[Array, Array
     scale = 1.0 / np.sqrt(np.diag(normal))
     root = np.linalg.cholesky(normal * scale[:, None] * scale)
     jacobian = rows.jacobian[numbers] * scale
-    white = solve_triangular(root, jacobian.T, lower=True, check_finite=False)
-    step = solve_triangular(
-        root, scale * (weighted.T @ rows.residual[own:]), lower=True, check_finite=False
-    )
+    white = below(root, jacobian.T)
+    step = below(root, scale * (weighted.T @ rows.residual[own:]))
     return rows.residual[numbers] - white.T @ step, np.asarray(white.T @ white)
 
 

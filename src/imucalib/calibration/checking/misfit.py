@@ -22,6 +22,7 @@ import numpy as np
 from imucalib.arrays import Array, Index
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.triads import Triad
+from imucalib.core.balance import below
 from imucalib.core.eigen import eigen
 from imucalib.core.references import tangents
 from imucalib.errors import UnreadableInput
@@ -320,10 +321,7 @@ class Misfits:
 
     def white(self, columns: Array) -> Array:
         """L⁻¹ columns, V = L Lᵀ."""
-        from scipy.linalg import solve_triangular
-
-        lower = np.linalg.cholesky(self.covariance)
-        return np.asarray(solve_triangular(lower, columns, lower=True, check_finite=False))
+        return below(np.linalg.cholesky(self.covariance), columns)
 
     def drawn(self, rng: np.random.Generator, draws: int) -> Array:
         """(draws, N) whitened misfits of unchanged sensors, each part's true size drawn by what its

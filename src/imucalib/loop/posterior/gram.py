@@ -18,8 +18,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from imucalib.arrays import Array, Index
+from imucalib.core.balance import below
 from imucalib.effects.record_error import GROSS_MG
-from imucalib.loop.posterior.noise import Point, Terms, below
+from imucalib.loop.posterior.noise import Point, Terms
 from imucalib.loop.posterior.odds import AXES, GROSS, HEARD, REACH, SIZES, UNEVEN
 from imucalib.loop.posterior.problem import Problem
 from imucalib.units import MG
@@ -272,8 +273,10 @@ def axis_noise(problem: Problem, terms: Terms) -> Array:
     best, power = -np.inf, np.ones(terms.axes.shape[1])
     gross = _gross(problem, terms)
     every = np.hstack([gross, _rich(problem, len(terms.order))])
-    for lacked in (gross, every, np.hstack([gross, _alone(problem, terms, gross, still)])):
-        logs = _evidence(problem, terms, still, lacked)
+    plain = _evidence(problem, terms, still, gross)
+    alone = np.hstack([gross, _alone(problem, terms, gross, still[int(plain.argmax())])])
+    for lacked in (gross, every, alone):
+        logs = plain if lacked is gross else _evidence(problem, terms, still, lacked)
         own, reached, point = np.ones(power.size), float(logs.max()), still[int(logs.argmax())]
         for axis in np.argsort(-_misfit(problem, terms)):
             for step in AXES:
@@ -301,11 +304,10 @@ def _rich(problem: Problem, n: int) -> Array:
     return REACH * problem.columns[:n, np.unique(np.concatenate([np.zeros(0, np.intp), *free]))]
 
 
-def _alone(problem: Problem, terms: Terms, gross: Array, points: Sequence[Point]) -> Array:
-    """(N, m) factor of the one free function, and its size, beside which the base is likeliest at
-    the noise that is so without any."""
+def _alone(problem: Problem, terms: Terms, gross: Array, point: Point) -> Array:
+    """(N, m) factor of the one free function, at its size, beside which the base is likeliest at
+    a noise."""
     n = len(terms.order)
-    point = points[int(_evidence(problem, terms, points, gross).argmax())]
     best, found = -np.inf, np.zeros((n, 0))
     for choice in problem.choices:
         if problem.components[choice.component].kind != "free":

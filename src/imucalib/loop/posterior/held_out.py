@@ -29,14 +29,12 @@ class LeftOut:
     """Predictions of every observation without its fold, by the base model and by what a search
     finds there
 
-    nats : (K,) of log density that each fold gains by it; agreed : in how many folds the search
-    tells the components of the whole
+    nats : (K,) of log density that each fold gains by it
     """
 
     before: Held
     after: Held
     nats: Array
-    agreed: int
 
 
 def left_out(problem: Problem, posterior: Posterior, folds: Sequence[Fold]) -> LeftOut:
@@ -44,15 +42,13 @@ def left_out(problem: Problem, posterior: Posterior, folds: Sequence[Fold]) -> L
     problem, grams = _narrowed(problem, posterior)
     choices = problem.choices
     whole = swept(grams, *problem.flat)
-    own = told(problem, posterior).hypothesis.components
     every = np.arange(problem.fit.observations.n)
-    deepest = min(FOLD_DEEPEST, len(own) + 1)
-    before, after, nats, agreed = list[Held](), list[Held](), list[float](), 0
+    deepest = min(FOLD_DEEPEST, len(told(problem, posterior).hypothesis.components) + 1)
+    before, after, nats = list[Held](), list[Held](), list[float]()
     for fold in folds:
         kept = without(grams, problem, np.setdiff1d(every, fold.rest))
         found = search(problem, kept, choices, beams=FOLD_BEAMS, deepest=deepest)
         said = told(problem, found).hypothesis
-        agreed += said.components == own
         rest = swept(kept, *problem.flat)
         nats.append(_gained(choices, (whole, posterior.dof), (rest, found.dof), said, found.base))
         held = problem.fit.observations.take(fold.rows)
@@ -60,7 +56,7 @@ def left_out(problem: Problem, posterior: Posterior, folds: Sequence[Fold]) -> L
             one = solved(problem, kept, hypothesis, choices)
             fit = replace(problem.fit, model=one.model, theta=one.theta)
             out.append(errors(fit, one.theta, held))
-    return LeftOut(joined(before, folds), joined(after, folds), np.array(nats), agreed)
+    return LeftOut(joined(before, folds), joined(after, folds), np.array(nats))
 
 
 def foretold(problem: Problem, posterior: Posterior, folds: Sequence[Fold]) -> Held:

@@ -14,13 +14,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Index
-from imucalib.core.balance import Whitener, whitener
+from imucalib.core.balance import Whitener, below, whitener
 from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations, SharedNoise
 from imucalib.core.references import KnownVector
@@ -204,19 +203,19 @@ class _Inside:
         return log_det, np.asarray(self.gram[first:, first:] - taken.T @ taken)
 
 
-def below(lower: NDArray[np.floating[Any]], columns: Array) -> Array:
-    """L⁻¹ times columns, of a lower triangle L."""
-    from scipy.linalg import solve_triangular
-
-    return np.asarray(solve_triangular(lower, columns, lower=True, check_finite=False))
+def diagonal_logs(gram: Array, ridge: float) -> Array:
+    """(..., p) logs of the diagonal of the Cholesky factor of products (..., p, p), scaled to one
+    before a ridge is added, so that no unit matters."""
+    scale = np.sqrt(np.maximum(np.diagonal(gram, axis1=-2, axis2=-1), 1e-24))
+    inner = gram / scale[..., :, None] / scale[..., None, :]
+    root = np.linalg.cholesky(inner + ridge * np.eye(scale.shape[-1]))
+    return np.asarray(np.log(np.diagonal(root, axis1=-2, axis2=-1)) + np.log(scale))
 
 
 def _free(gram: Array, dof: float) -> float:
     """Log evidence of columns with flat priors and of the noise factor; gram : (p + 1, p + 1) their
     products and those with the readings, last"""
-    scale = np.sqrt(np.maximum(np.diag(gram), 1e-24))
-    root = np.linalg.cholesky(gram / np.outer(scale, scale) + _JITTER * np.eye(scale.size))
-    size = np.log(np.diag(root)) + np.log(scale)
+    size = diagonal_logs(gram, _JITTER)
     return -float(size[:-1].sum() + dof * size[-1])
 
 

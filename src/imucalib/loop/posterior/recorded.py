@@ -33,6 +33,7 @@ from imucalib.estimators.least_squares import evaluate
 from imucalib.loop.found import Wander
 from imucalib.loop.posterior.catalogue import Member
 from imucalib.loop.posterior.gram import Grams, Multiplied, Source, beside, log_sum, swept
+from imucalib.loop.posterior.noise import diagonal_logs
 from imucalib.loop.posterior.odds import (
     HEARD,
     OPEN,
@@ -260,10 +261,7 @@ def _evidence(course: Course, every: Array) -> tuple[Array, Array]:
     """(E,) log evidence of free columns under every walk, and (E,) yᵀPy; every : (n, p + 1) columns
     and the misfit"""
     gram, weight = _summed(course, every)
-    scale = np.sqrt(np.einsum("epp->ep", gram)) + 1e-300
-    inner = gram / scale[:, :, None] / scale[:, None]
-    root = np.linalg.cholesky(inner + 1e-12 * np.eye(every.shape[1]))
-    logs = np.log(np.einsum("epp->ep", root)) + np.log(scale)
+    logs = diagonal_logs(gram, 1e-12)
     dof = len(every) - every.shape[1] + 1
     power = np.exp(2.0 * logs[:, -1])
     return weight - logs[:, :-1].sum(axis=1) - dof * logs[:, -1], power
