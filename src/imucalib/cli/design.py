@@ -118,17 +118,29 @@ def by_hand(calibration: Path | None, rests: int | None, options: dict[str, Any]
     metavar="CAL",
     help="Instead of TABLE: what to record next so that a calibration's rivals are told apart.",
 )
-@click.option("--imu", is_flag=True,
-              help="Turns of one IMU by hand: a plan for N rests with --recommend, or with the "
-              "calibration of `imucal imu` as TABLE what to add to its log.")  # fmt: skip
-@click.option("--temperatures", metavar="LOW,HIGH",
-              help="With --separate: temperatures that can be held, degC; default: as recorded.",
-              )  # fmt: skip
-@click.option("--between-sessions", metavar="SIZE",
-              help="With --separate: the recording comes after another power-up, between which the "
-              "bias scatters by this, for example 0.5mg.")  # fmt: skip
-@click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False),
-              help="Write the positions as a table (CSV) for `design` and `lab`.")  # fmt: skip
+@click.option(
+    "--imu",
+    is_flag=True,
+    help="Turns of one IMU by hand: a plan for N rests with --recommend, or with the "
+    "calibration of `imucal imu` as TABLE what to add to its log.",
+)
+@click.option(
+    "--temperatures",
+    metavar="LOW,HIGH",
+    help="With --separate: temperatures that can be held, degC; default: as recorded.",
+)
+@click.option(
+    "--between-sessions",
+    metavar="SIZE",
+    help="With --separate: the recording comes after another power-up, between which the "
+    "bias scatters by this, for example 0.5mg.",
+)
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Write the positions as a table (CSV) for `design` and `lab`.",
+)
 @force_option
 @full_option
 @json_option

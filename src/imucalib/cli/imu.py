@@ -24,8 +24,12 @@ if TYPE_CHECKING:
 @click.argument(
     "recordings", metavar="RECORDING...", nargs=-1, required=True, type=click.Path(path_type=Path)
 )
-@click.option("--gyro-axes", default="", metavar="X,Y,Z",
-              help="Rates that are the gyroscope's x, y, z, for example -y,x,z.")  # fmt: skip
+@click.option(
+    "--gyro-axes",
+    default="",
+    metavar="X,Y,Z",
+    help="Rates that are the gyroscope's x, y, z, for example -y,x,z.",
+)
 @limit_option("--max-force-error", "held-out error of |a|, mg rms.")
 @shortest_rest_option
 @calibrating

@@ -88,6 +88,9 @@ def _of_turn(fit: TurnFit, turn: Turn) -> tuple[Array, Array, Array, Array, floa
     noisy = np.einsum("nij,nkj->ik", gained * (turn.moving**2 / h)[:, None, None], gained)
     slope = np.gradient(true, turn.t, axis=0)
     return (
-        each.sum(axis=0) - span * state.up[k], np.einsum("nij,nj->i", moved, slope), jacobian,
-        log.white**2 * noisy, span + float(h.mean()),
-    )  # fmt: skip
+        each.sum(axis=0) - span * state.up[k],
+        np.einsum("nij,nj->i", moved, slope),
+        jacobian,
+        log.white**2 * noisy,
+        span + float(h.mean()),
+    )

@@ -213,9 +213,17 @@ def fitted(
             break
     rows = linearised(log, state, laws, prior)
     return TurnFit(
-        log=log, state=state, noise=found, rows=rows, covariance=covariance, variance=variance,
-        used=chosen, weight=weight, laws=laws, converged=converged,
-    )  # fmt: skip
+        log=log,
+        state=state,
+        noise=found,
+        rows=rows,
+        covariance=covariance,
+        variance=variance,
+        used=chosen,
+        weight=weight,
+        laws=laws,
+        converged=converged,
+    )
 
 
 def without(fit: TurnFit, out: Flags, sizes: Array | None = None) -> TurnFit:
@@ -233,9 +241,14 @@ def without(fit: TurnFit, out: Flags, sizes: Array | None = None) -> TurnFit:
         weight = _weights(square, variance[: 2 * rows.turns : 2])
         step, covariance = _solved(rows, variance, np.where(chosen, weight, 0.0))
     return replace(
-        fit, state=_moved(fit.state, step), noise=noise, covariance=covariance, variance=variance,
-        used=chosen, weight=weight,
-    )  # fmt: skip
+        fit,
+        state=_moved(fit.state, step),
+        noise=noise,
+        covariance=covariance,
+        variance=variance,
+        used=chosen,
+        weight=weight,
+    )
 
 
 def _padded(state: State, count: int) -> Array:
@@ -321,9 +334,10 @@ def linearised(log: TurnLog, state: State, laws: Laws | None, prior: Array) -> R
         left[i] = back @ state.up[k]  # u_{k+1} is across the plane
     rests, off = _rest_rows(log, state, laws, across, prior, size)
     return Rows(
-        np.concatenate([left.ravel(), off]), np.concatenate([turns.reshape(-1, size), rests]),
+        np.concatenate([left.ravel(), off]),
+        np.concatenate([turns.reshape(-1, size), rests]),
         len(log.turns),
-    )  # fmt: skip
+    )
 
 
 def _carried(gained: Array, laws: Laws, rate: Array, force: Array, turn: Turn) -> Array:
@@ -391,11 +405,14 @@ def variances(log: TurnLog, noise: TurnNoise, prior: Array) -> Array:
             np.repeat(log.force_sd**2 + noise.force**2, 3),
             (log.rate_sd**2).ravel(),
             apart.ravel(),
-            np.repeat([_BIAS, _SCALE, _CROSS, _SCALE, _CROSS, _CROSS, _SCALE, _GAIN],
-                      [3, 1, 1, 1, 1, 1, 1, 9]) ** 2,
+            np.repeat(
+                [_BIAS, _SCALE, _CROSS, _SCALE, _CROSS, _CROSS, _SCALE, _GAIN],
+                [3, 1, 1, 1, 1, 1, 1, 9],
+            )
+            ** 2,
             prior**2,
         ]
-    )  # fmt: skip
+    )
 
 
 def _of_turns(log: TurnLog, noise: TurnNoise) -> Array:

@@ -37,8 +37,9 @@ def demand_axes(log: TurnLog, where: str, written: Array) -> None:
     for P in _mappings():
         sign = round(float(np.linalg.det(P)))
         pure = sign * P
-        carried = np.einsum("ji,njk,nk->ni", pure.T, whole[:, 0 if sign > 0 else 1].swapaxes(1, 2),
-                            before @ pure)  # fmt: skip
+        carried = np.einsum(
+            "ji,njk,nk->ni", pure.T, whole[:, 0 if sign > 0 else 1].swapaxes(1, 2), before @ pure
+        )
         off = between(carried, after)
         found.append((float(-1.5 * np.log1p((off / _OFF) ** 2).sum()), float(np.median(off)), P))
     as_read = next(f for f in found if np.array_equal(f[2], np.eye(3)))

@@ -82,8 +82,11 @@ class ImuRequest:
         own = gyro_effects(AskedTurns(own=self.extra_effects))
         return AskedTurns(
             declare=tuple(n for n in self.declare if n in own),
-            only=self.only, without=self.without, own=self.extra_effects, loop=self.loop,
-        )  # fmt: skip
+            only=self.only,
+            without=self.without,
+            own=self.extra_effects,
+            loop=self.loop,
+        )
 
     @property
     def of_rests(self) -> LabRequest:
@@ -91,13 +94,22 @@ class ImuRequest:
         gyro = gyro_effects(AskedTurns(own=self.extra_effects))
         settings = LabSettings(
             declare=tuple(n for n in self.declare if n not in gyro),
-            only=self.only, without=self.without, loop=self.loop, curves=self.curves,
-            extra_effects=self.extra_effects, partial=True,
-        )  # fmt: skip
+            only=self.only,
+            without=self.without,
+            loop=self.loop,
+            curves=self.curves,
+            extra_effects=self.extra_effects,
+            partial=True,
+        )
         return LabRequest(
-            gravity=self.gravity, gravity_source=self.gravity_source, reference="norm",
-            still=self.still, settings=settings, seed=self.seed, command=self.command,
-        )  # fmt: skip
+            gravity=self.gravity,
+            gravity_source=self.gravity_source,
+            reference="norm",
+            still=self.still,
+            settings=settings,
+            seed=self.seed,
+            command=self.command,
+        )
 
 
 @dataclass(frozen=True)
@@ -179,10 +191,16 @@ def _result(
     if refused:
         held, after = replace(held, final=held.base), before
     return ImuResult(
-        recordings=recordings, accelerometer=accelerometer, imu=imu, noise=(), found=found,
-        fit=base if refused else found.final, fitted=(raw, before, after), held_out=held,
+        recordings=recordings,
+        accelerometer=accelerometer,
+        imu=imu,
+        noise=(),
+        found=found,
+        fit=base if refused else found.final,
+        fitted=(raw, before, after),
+        held_out=held,
         refused=refused,
-    )  # fmt: skip
+    )
 
 
 def _in_axes(recording: Recording, request: ImuRequest) -> Recording:
@@ -209,9 +227,12 @@ def _accelerometer(
     table, joining = joined(tables)
     notes = tuple(dict.fromkeys(n for r in recordings for n in r.notes))
     return run_lab(
-        table, request.of_rests, mapping=recordings[0].mapping,
-        gaps=sum(len(r.gaps) for r in recordings), notes=(*notes, *joining),
-    )  # fmt: skip
+        table,
+        request.of_rests,
+        mapping=recordings[0].mapping,
+        gaps=sum(len(r.gaps) for r in recordings),
+        notes=(*notes, *joining),
+    )
 
 
 def _held_out(found: Searched, imu: Imu, asked: AskedTurns) -> HeldOutTurns:

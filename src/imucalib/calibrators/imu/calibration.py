@@ -55,13 +55,17 @@ def imu_calibration(result: ImuResult, outcome: Outcome, details: Mapping[str, A
     rest = [made.parameters[int(k)] for k in others]
     parameters = (*accelerometer, *rest, *gyro)
     order = np.r_[
-        np.arange(ACCELEROMETER), np.arange(kept.size, len(covariance)),
+        np.arange(ACCELEROMETER),
+        np.arange(kept.size, len(covariance)),
         np.arange(ACCELEROMETER, kept.size),
-    ]  # fmt: skip
+    ]
     covariance = covariance[np.ix_(order, order)]
     return replace(
-        made, calibrator="imu", parameters=parameters,
-        covariance=0.5 * (covariance + covariance.T), status=outcome.status,
+        made,
+        calibrator="imu",
+        parameters=parameters,
+        covariance=0.5 * (covariance + covariance.T),
+        status=outcome.status,
         reasons=(*outcome.reasons, *outcome.undecided),
         facts={
             **{k: v for k, v in made.facts.items() if k not in ("errors", "provenance")},
@@ -70,7 +74,7 @@ def imu_calibration(result: ImuResult, outcome: Outcome, details: Mapping[str, A
             "noise_density": {"imu0": dict(details["noise_density"])},
             "provenance": outcome.provenance.as_dict(),
         },
-    )  # fmt: skip
+    )
 
 
 def _linear(theta: Array, fit: TurnFit, gravity: float) -> Array:

@@ -180,10 +180,15 @@ def _of_one(recording: Recording, segments: Segments, gravity: float) -> Imu:
             turns.append(turn)
     warm = segments.temperature[:, 0]
     log = TurnLog(
-        time=t[middle], force=rests[0], rate=rests[1], force_sd=rests[2][:, 0], rate_sd=rests[3],
-        linked=np.ones(segments.n - 1, bool), turns=tuple(turns),
+        time=t[middle],
+        force=rests[0],
+        rate=rests[1],
+        force_sd=rests[2][:, 0],
+        rate_sd=rests[3],
+        linked=np.ones(segments.n - 1, bool),
+        turns=tuple(turns),
         white=float(np.sqrt(np.mean(noise**2) * step)),
-    )  # fmt: skip
+    )
     known = warm if np.isfinite(warm).all() else None
     return Imu(log, tuple(why), Course(float(t[-1] - t[0]), t[middle], known))
 
@@ -268,8 +273,10 @@ def _unusable(turn: Turn, recording: Recording, flat: Flags, step: float) -> str
         return f"a gap of {1e3 * (gaps[0].stop - gaps[0].start):.0f} ms ({gaps[0].reason})"
     if len(t) < 6 or float(np.diff(t).max()) > 2.5 * step or float(np.diff(t).min()) <= 0.0:
         return "samples are missing"
-    if any(h.channel.endswith("angular_rate") and h.start < t[-1] and h.stop > t[0]
-           for h in recording.held):  # fmt: skip
+    if any(
+        h.channel.endswith("angular_rate") and h.start < t[-1] and h.stop > t[0]
+        for h in recording.held
+    ):
         return "the gyroscope repeats one reading"
     if flat.any():
         return f"the gyroscope is clipped at {np.abs(turn.rate).max() / DEG:.0f} deg/s"

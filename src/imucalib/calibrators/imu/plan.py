@@ -105,9 +105,11 @@ def turns_to_add(calibration: Calibration, count: int = _ADDED) -> HandPlan:
     off = _off(own)
     choices = [
         (np.array(up) / np.linalg.norm(up), sign * ANGLE * np.eye(3)[axis])
-        for up in product((-1.0, 0.0, 1.0), repeat=3) if any(up)
-        for axis in range(3) for sign in (1.0, -1.0)
-    ]  # fmt: skip
+        for up in product((-1.0, 0.0, 1.0), repeat=3)
+        if any(up)
+        for axis in range(3)
+        for sign in (1.0, -1.0)
+    ]
     columns = [of_turn(up, vector) for up, vector in choices]
     turns = []
     for _ in range(count):

@@ -25,8 +25,14 @@ from imucalib.units import DEG
 
 _NORMAL_95 = 1.96
 #: From weakest to strongest, what two searches say together.
-_VERDICTS = ("not run", "nothing missing", "explained", "explained in part", "suspected",
-             "unexplained")  # fmt: skip
+_VERDICTS = (
+    "not run",
+    "nothing missing",
+    "explained",
+    "explained in part",
+    "suspected",
+    "unexplained",
+)
 _PLAN = (
     "turn by 135 deg about x, y and z in turn, every second round backwards, with 2 s of rest on "
     "something hard between"
@@ -53,16 +59,19 @@ def run_imu(
         calibrator="imu",
         errors=(error, *rests.errors),
         provenance=provenance_of(
-            path=rests.provenance.path, sha256=rests.provenance.sha256,
+            path=rests.provenance.path,
+            sha256=rests.provenance.sha256,
             parts=rests.provenance.parts,
             samples=sum(max(len(c.t) for c in r.channels.values()) for r in result.recordings),
-            gaps=rests.provenance.gaps, mapping=rests.provenance.mapping,
-            settings=request.stated(), seed=request.seed, command=request.command,
+            gaps=rests.provenance.gaps,
+            mapping=rests.provenance.mapping,
+            settings=request.stated(),
+            seed=request.seed,
+            command=request.command,
         ),
         findings=_findings(result, request),
-        quality=rests.quality and replace(
-            rests.quality, converged=rests.quality.converged and result.fit.converged
-        ),
+        quality=rests.quality
+        and replace(rests.quality, converged=rests.quality.converged and result.fit.converged),
         reasons=(*rests.reasons, *(f"the turns leave open {words}" for words in open_gains)),
         advice=(*_advice(result, open_gains), *rests.advice),
         undecided=rests.undecided,
@@ -70,22 +79,29 @@ def run_imu(
         notes=(*rests.notes, *_notes(result)),
         weak=bool(open_gains),
         left=rests.left,
-    )  # fmt: skip
+    )
     details = imu_details(result)
     return ImuRun(
-        outcome=outcome, calibration=imu_calibration(result, outcome, details), details=details,
-        result=result, request=request,
-    )  # fmt: skip
+        outcome=outcome,
+        calibration=imu_calibration(result, outcome, details),
+        details=details,
+        result=result,
+        request=request,
+    )
 
 
 def _error(result: ImuResult) -> ErrorSummary:
     held, (raw, base, final) = result.held_out, result.fitted
     noisy = result.imu.turns.white * np.sqrt(np.mean(result.imu.turns.spans[1]))
     return ErrorSummary(
-        metric="gravity carried over a turn, rms", unit="deg", raw=raw, base=base, final=final,
+        metric="gravity carried over a turn, rms",
+        unit="deg",
+        raw=raw,
+        base=base,
+        final=final,
         floor=float(np.hypot(noisy, np.sqrt(2.0) * np.mean(result.imu.turns.force_sd)) / DEG),
         held_out=HeldOutError(_rms(held.raw), _rms(held.base), _rms(held.final)),
-    )  # fmt: skip
+    )
 
 
 def _rms(values: Array) -> float:
@@ -124,20 +140,26 @@ def _findings(result: ImuResult, request: ImuRequest) -> Findings:
         rests,
         verdict=verdict,
         steps=(*steps, *rests.steps),
-        rejected=(*rests.rejected, *((n, "turns that took no part refuse it") for n in names
-                                     if result.refused)),
+        rejected=(
+            *rests.rejected,
+            *((n, "turns that took no part refuse it") for n in names if result.refused),
+        ),
         refuted=(*rests.refuted, *(names if result.refused else ())),
         unexplained=(*left, *rests.unexplained),
         scores=tuple(sorted((*_scores(result), *rests.scores), key=lambda s: -s.probability)),
         missing={**rests.missing, **found.problem.missing},
-        not_testable=(*rests.not_testable, *(
-            Untestable(n, "a typical size", 0.0, "deg") for n in found.problem.absorbed
-            if n not in rests.missing
-        )),
+        not_testable=(
+            *rests.not_testable,
+            *(
+                Untestable(n, "a typical size", 0.0, "deg")
+                for n in found.problem.absorbed
+                if n not in rests.missing
+            ),
+        ),
         declared=(*rests.declared, *((n, "") for n in request.of_turns.declare)),
         gain=_gain(result.held_out.gained) if steps else rests.gain,
         facts=(*rests.facts, ("turns", _noise_words(result.fit))),
-    )  # fmt: skip
+    )
 
 
 def _steps(result: ImuResult) -> list[FoundStep]:
@@ -156,10 +178,12 @@ def _steps(result: ImuResult) -> list[FoundStep]:
                 evidence=place.log_odds,
                 checks=(Check("held-out error, rms", "deg", held.before, held.after, 3),),
                 aliases=tuple(n for n, _ in rivals if n != component.name),
-                size=", ".join(own), certain=place.certain and held.proved,
-                probability=place.probability, rivals=rivals,
+                size=", ".join(own),
+                certain=place.certain and held.proved,
+                probability=place.probability,
+                rivals=rivals,
             )
-        )  # fmt: skip
+        )
     return steps
 
 
@@ -195,9 +219,13 @@ def _without_a_name(result: ImuResult, place: Place) -> Unexplained:
     components = result.found.problem.components
     own = components[place.component]
     return Unexplained(
-        name=own.name, driver=own.driver, kind="probe", probability=place.probability,
-        evidence=0.0, rivals=tuple(components[c].name for c, _ in place.rivals),
-    )  # fmt: skip
+        name=own.name,
+        driver=own.driver,
+        kind="probe",
+        probability=place.probability,
+        evidence=0.0,
+        rivals=tuple(components[c].name for c, _ in place.rivals),
+    )
 
 
 def _scores(result: ImuResult) -> list[Score]:
@@ -205,12 +233,16 @@ def _scores(result: ImuResult) -> list[Score]:
     evidence, inside = of_each(found.posterior, len(found.problem.components))
     return [
         Score(
-            name=c.name, kind="effect" if c.named else "probe", driver=c.driver,
-            evidence=float(evidence[k]), probability=float(inside[k]),
-            left=found.problem.seen[k][0], strength=found.problem.seen[k][1],
+            name=c.name,
+            kind="effect" if c.named else "probe",
+            driver=c.driver,
+            evidence=float(evidence[k]),
+            probability=float(inside[k]),
+            left=found.problem.seen[k][0],
+            strength=found.problem.seen[k][1],
         )
         for k, c in enumerate(found.problem.components)
-    ]  # fmt: skip
+    ]
 
 
 def _gain(found: Difference) -> Gain:

@@ -172,9 +172,12 @@ def joint_fit(
     """The joint fit with terms, of the turns that a start has used."""
     sizes = np.concatenate([np.zeros(0), *(t.sizes for t in terms)])
     return fitted(
-        log, laws_of(terms, course), sizes=sizes,
-        used=None if start is None else start.used, start=None if start is None else start.state,
-    )  # fmt: skip
+        log,
+        laws_of(terms, course),
+        sizes=sizes,
+        used=None if start is None else start.used,
+        start=None if start is None else start.state,
+    )
 
 
 def searched(base: TurnFit, course: Course, asked: AskedTurns) -> Searched:
@@ -193,9 +196,14 @@ def searched(base: TurnFit, course: Course, asked: AskedTurns) -> Searched:
             if not names:
                 final, terms = base, declared
             return Searched(
-                base=base, lacking=lacking, problem=problem, posterior=posterior, said=said,
-                terms=terms, final=final,
-            )  # fmt: skip
+                base=base,
+                lacking=lacking,
+                problem=problem,
+                posterior=posterior,
+                said=said,
+                terms=terms,
+                final=final,
+            )
         seen.add(names)
         terms = (*declared, *new)
         final = joint_fit(base.log, terms, course, base)
@@ -264,9 +272,14 @@ class Lacking:
             seen.append((after / before, float(np.sqrt(after))))
             kept.append(component)
         problem = TurnProblem(
-            components=tuple(kept), odds=log_odds(tuple(kept)), choices=tuple(choices),
-            terms=tuple(chosen), absorbed=tuple(absorbed), missing=self.missing, seen=tuple(seen),
-        )  # fmt: skip
+            components=tuple(kept),
+            odds=log_odds(tuple(kept)),
+            choices=tuple(choices),
+            terms=tuple(chosen),
+            absorbed=tuple(absorbed),
+            missing=self.missing,
+            seen=tuple(seen),
+        )
         return problem, grams
 
     def _grams(self, fit: TurnFit) -> Grams:
@@ -320,9 +333,14 @@ def lacking_of(fit: TurnFit, course: Course, asked: AskedTurns) -> Lacking:
     rows = linearised(fit.log, state, laws_of((*declared, *tried), course), prior)
     rows.jacobian[:, _FIXED + held.size : _FIXED + prior.size] *= sizes
     return Lacking(
-        components=tuple(components), terms=tuple(terms), missing=missing, tried=tried, rows=rows,
-        prior=prior, held=held.size,
-    )  # fmt: skip
+        components=tuple(components),
+        terms=tuple(terms),
+        missing=missing,
+        tried=tried,
+        rows=rows,
+        prior=prior,
+        held=held.size,
+    )
 
 
 def _components(

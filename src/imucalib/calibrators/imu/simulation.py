@@ -59,9 +59,10 @@ def simulated_imu(plan: ImuPlan, rng: np.random.Generator) -> tuple[Recording, A
     channels = {
         f"imu0/{quantity}": Channel(t, values, unit, quantity, "imu0", plan.rate)
         for quantity, unit, values in (
-            ("acceleration", "m/s2", force), ("angular_rate", "rad/s", read),
+            ("acceleration", "m/s2", force),
+            ("angular_rate", "rad/s", read),
         )
-    }  # fmt: skip
+    }
     return Recording(channels, "simulated", "simulated", ""), gain
 
 

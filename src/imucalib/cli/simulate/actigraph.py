@@ -25,8 +25,12 @@ from imucalib.cli.simulate.planting import (
 @click.option("--rate", default=10.0, show_default=True, help="Samples a second.")
 @click.option("--rests", default=0.6, show_default=True, help="Share of the time at rest.")
 @click.option("--noise", default=4.0, show_default=True, help="Noise of a sample, mg.")
-@click.option("--temperature/--no-temperature", default=True, show_default=True,
-              help="Whether a thermometer records.")  # fmt: skip
+@click.option(
+    "--temperature/--no-temperature",
+    default=True,
+    show_default=True,
+    help="Whether a thermometer records.",
+)
 @plant_option
 @fault_option
 @seed_option

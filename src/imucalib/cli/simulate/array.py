@@ -21,16 +21,18 @@ from imucalib.cli.simulate.planting import (
 
 @click.command("array", cls=PagedCommand, short_help="A board's bench log.")
 @click.argument("recording", type=click.Path(path_type=Path))
-@click.option("--board", default="mimu4444_corners", show_default=True,
-              help="Board file (YAML), or a name.")  # fmt: skip
+@click.option(
+    "--board", default="mimu4444_corners", show_default=True, help="Board file (YAML), or a name."
+)
 @click.option("--rests", default=20, show_default=True, help="Attitudes at rest, 5 s each.")
 @click.option("--seconds", default=60.0, show_default=True, help="Length of the motion.")
 @click.option("--rate", default=100.0, show_default=True, help="Samples a second.")
 @click.option("--twist", default=700.0, show_default=True, help="Of each axis, deg/s rms.")
 @click.option("--noise", default=4.0, show_default=True, help="Noise of a sample, mg.")
 @click.option("--gyro-noise", default=0.2, show_default=True, help="Noise of a rate, deg/s.")
-@click.option("--scatter", default=0.2, show_default=True,
-              help="Of the true places about the drawing, mm.")  # fmt: skip
+@click.option(
+    "--scatter", default=0.2, show_default=True, help="Of the true places about the drawing, mm."
+)
 @plant_option
 @fault_option
 @seed_option

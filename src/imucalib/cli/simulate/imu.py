@@ -20,8 +20,13 @@ from imucalib.cli.simulate.planting import (
 
 @click.command("imu", cls=PagedCommand, short_help="A log of one IMU turned by hand.")
 @click.argument("recording", type=click.Path(path_type=Path))
-@click.option("--rests", type=click.IntRange(min=2), default=20, show_default=True,
-              help="Attitudes at rest, 2.5 s each, 135 deg apart.")  # fmt: skip
+@click.option(
+    "--rests",
+    type=click.IntRange(min=2),
+    default=20,
+    show_default=True,
+    help="Attitudes at rest, 2.5 s each, 135 deg apart.",
+)
 @click.option("--rate", default=100.0, show_default=True, help="Samples a second.")
 @click.option("--noise", default=3.0, show_default=True, help="Noise of a sample, mg.")
 @click.option("--gyro-noise", default=0.06, show_default=True, help="Noise of a rate, deg/s.")

@@ -17,10 +17,12 @@ plant_option = click.option(
     "--plant", multiple=True, metavar="EFFECT=VALUE,...", help="Effect to plant, in its own units."
 )
 fault_option = click.option(
-    "--fault", multiple=True, metavar="FAULT",
+    "--fault",
+    multiple=True,
+    metavar="FAULT",
     help="gap@START:LENGTH, freeze@START:LENGTH (s), sign@SENSOR:AXIS, clip@G, "
     "exchange@SENSOR:SENSOR.",
-)  # fmt: skip
+)
 
 
 def planted_of(texts: Sequence[str]) -> dict[str, tuple[float, ...]]:
@@ -57,9 +59,11 @@ def write_recording(made: Recording, path: Path, faults: Sequence[str]) -> None:
 
 
 def tell(
-    written: Sequence[Path], plant: Mapping[str, tuple[float, ...]], options: Mapping[str, Any],
+    written: Sequence[Path],
+    plant: Mapping[str, tuple[float, ...]],
+    options: Mapping[str, Any],
     **truth: Any,
-) -> int:  # fmt: skip
+) -> int:
     """What was written and planted, for people or machines; returns the exit code."""
     faults = list(options.get("fault", ()))
     if options["as_json"]:
