@@ -73,7 +73,7 @@ def _facts(run: ImuRun) -> Facts:
     imu = run.details["imu"]
     noise = imu["gyroscope_noise"]
     axes = zip(noise["white_deg_per_s_per_root_hz"], noise["white_sd"], strict=True)
-    white = ", ".join(plus_minus(v, sd, "") for v, sd in axes)
+    white = ", ".join(plus_minus(v, sd, "") if sd else f"at most {v:.3g}" for v, sd in axes)
     late, late_sd = (1e3 * imu["gyroscope_late_s"][name] for name in ("value", "sd"))
     least = max(noise["bias_instability_deg_per_s"], default=float("nan"))
     word = "at most " if noise["upper_limit"] else ""

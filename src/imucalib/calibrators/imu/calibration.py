@@ -154,8 +154,8 @@ def imu_details(result: ImuResult) -> dict[str, Any]:
 
 
 def _gyro_noise(noise: Sequence[SensorNoise]) -> dict[str, Any]:
-    """Of the gyroscope at rest, by axis: white noise, and the bias instability, or what it is at
-    most where the rests are too short to show it."""
+    """Of the gyroscope at rest, by axis: white noise and the bias instability, or what each is at
+    most where the rests do not show it; such a white noise has no sd."""
     axes = next((s.axes for s in noise if s.quantity == "angular_rate"), ())
     shown = [axis.instability.value for axis in axes]
     return {
@@ -163,7 +163,7 @@ def _gyro_noise(noise: Sequence[SensorNoise]) -> dict[str, Any]:
         "white_deg_per_s_per_root_hz": [
             (axis.white.value or axis.at_most("white")) / DEG for axis in axes
         ],
-        "white_sd": [(axis.white.sd or 0.0) / DEG for axis in axes],
+        "white_sd": [axis.white.sd / DEG if axis.white.sd else None for axis in axes],
         "bias_instability_deg_per_s": [
             (value or axis.at_most("instability")) / DEG
             for value, axis in zip(shown, axes, strict=True)
