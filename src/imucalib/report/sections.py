@@ -19,7 +19,7 @@ from imucalib.calibration.power import hidden
 from imucalib.calibrators.population import Population
 from imucalib.core.fit import Fit
 from imucalib.effects import known
-from imucalib.effects.shape import in_words
+from imucalib.effects.forms import in_words
 from imucalib.exports.bound import carries
 from imucalib.report.document import (
     Block,
