@@ -21,11 +21,13 @@ from imucalib.core.fit import Fit
 from imucalib.effects import known
 from imucalib.effects.shape import in_words
 from imucalib.exports.bound import carries
+from imucalib.report.certificate import certificate_of
 from imucalib.report.document import (
     Block,
     Card,
     Document,
     Facts,
+    Plot,
     Section,
     Table,
     Text,
@@ -67,14 +69,20 @@ _ANEW = (
 
 
 def calibration_document(
-    title: str, head: str, parts: Sequence[Section], outcome: Outcome, card: Card | None
+    title: str,
+    head: str,
+    parts: Sequence[Section],
+    outcome: Outcome,
+    card: Card,
+    calibration: Calibration,
 ) -> Document:
-    """The report of a calibration, with its provenance.
+    """The report of a calibration, with its certificate and its provenance.
 
     head : the figure that leads the verdict
     """
-    footer, terms = outcome.provenance.footer, card is not None
-    return Document(title, _verdict(outcome, head), tuple(parts), footer, card, terms)
+    verdict, footer = _verdict(outcome, head), outcome.provenance.footer
+    certificate = certificate_of(calibration, outcome, card)
+    return Document(title, verdict, tuple(parts), footer, card, certificate)
 
 
 def standard_document(run: Run) -> Document:
@@ -93,16 +101,20 @@ def standard_document(run: Run) -> Document:
     ]
     title = f"Calibration of {outcome.provenance.path} by {outcome.calibrator}"
     card = card_of(outcome, (error_worth(error, error.metric),))
-    return calibration_document(title, head, parts, outcome, card)
+    return calibration_document(title, head, parts, outcome, card, calibration)
 
 
 def card_of(
-    outcome: Outcome, good_to: tuple[Worth, ...], *more: str, uses: tuple[Use, ...] = ()
+    outcome: Outcome,
+    good_to: tuple[Worth, ...],
+    *more: str,
+    uses: tuple[Use, ...] = (),
+    picture: Plot | None = None,
 ) -> Card:
     """The card of a run.
 
     good_to : what the calibrator can promise; more : advice of the calibrator's own, given last
-    uses : commands that take what was written
+    uses : commands that take what was written; picture : see `Card`
     """
     found, slips = outcome.findings or Findings("not run"), _slips(outcome)
     said = [Text(f"{_upper(text.partition(_DECIDE)[0])}.", "bad") for text in slips]
@@ -115,7 +127,8 @@ def card_of(
         steps = [_decision(text, command) for text in steps]
     usable = outcome.status in ("ok", "marginal") and not outcome.undecided
     headline = _headline(outcome)
-    return Card(good_to, tuple(said), tuple(steps), command, uses if usable else (), headline)
+    uses = uses if usable else ()
+    return Card(good_to, tuple(said), tuple(steps), command, uses, headline, picture)
 
 
 #: Corrects what was calibrated.
