@@ -47,7 +47,6 @@ def comparison_document(found: Comparison, paths: Sequence[Path], command: str =
         Section("Between calibrations", _scatter(found)),
         Section("Drift", _drift(found)),
         Section("Control chart", control_chart(found), brief=False),
-        Section("Notes", tuple(Text(f"{n[0].upper()}{n[1:]}.", "warning") for n in found.notes)),
     ]
     title, verdict = f"Comparison of {', '.join(found.names)}", _verdict(found)
     footer, card = (("command", command),) if command else (), _card(found, paths, command)
@@ -106,6 +105,7 @@ def _card(found: Comparison, paths: Sequence[Path], command: str) -> Card:
         lines.append(Text(f"Without {' and '.join(found.odd)} the others agree.", "warning"))
     if found.drift is not None:
         lines.append(_due(found.drift))
+    lines += (Text(f"{n[0].upper()}{n[1:]}.", "warning") for n in found.notes)
     steps, headline = _to_do(found, paths), _HEADLINE[found.verdict]
     return Card(tuple(worths), tuple(lines), steps, command, headline=headline)
 
