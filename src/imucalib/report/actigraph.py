@@ -14,7 +14,7 @@ from imucalib.calibrators.actigraph.run import ActigraphRun
 from imucalib.calibrators.actigraph.series import Series as Calibrations
 from imucalib.core.sphere import covered, even_directions
 from imucalib.exports.per_axis import nearest_row
-from imucalib.report import sections
+from imucalib.report import parameters, sections
 from imucalib.report.document import (
     Card,
     Document,
@@ -56,7 +56,7 @@ def actigraph_document(run: ActigraphRun) -> Document:
         Section("Residual before and after", plots, brief=False),
         Section("Error over the sphere", _sphere_blocks(run), brief=False),
         _rule(run),
-        sections.sensor_section(run.calibration),
+        parameters.sensor_section(run.calibration),
     ]
     if outcome.findings:
         parts.append(sections.candidate_section(outcome.findings))
@@ -98,7 +98,7 @@ def _of_a_kind(run: ActigraphRun) -> Section:
             f"{probability(said.strange, 999)}. The calibration is the recording's own."
         )
         return Section(title, (Text(words, "warning"),))
-    kind = sections.kind_section(said.kind, fit, said.strange, "posture run", said.alone)
+    kind = parameters.kind_section(said.kind, fit, said.strange, "posture run", said.alone)
     before, now = (
         1.96 * float(norm_sd(one, even_directions()).max()) / MG for one in (said.alone, fit)
     )
@@ -348,7 +348,7 @@ def published_document(run: PublishedRun) -> Document:
     points = tuple((f"{k}", *(f"{v:+.4f}" for v in p)) for k, p in enumerate(run.points, start=1))
     parts = (
         Section("Methods", (methods,)),
-        Section("Parameters", (sections.parameter_table(run.calibration, note),)),
+        Section("Parameters", (parameters.parameter_table(run.calibration, note),)),
         Section("Points", (Table("Points (g)", ("", "x", "y", "z"), points, "lrrr"),), brief=False),
     )
     title = f"Calibration of {Path(run.scanned.path).name} as published"

@@ -10,7 +10,7 @@ import numpy as np
 from imucalib.calibration.gyroscope import STAGE
 from imucalib.calibrators.imu.plan import HandPlan
 from imucalib.calibrators.imu.run import ImuRun, heading_drift
-from imucalib.report import sections
+from imucalib.report import parameters, sections
 from imucalib.report.document import (
     Card,
     Document,
@@ -39,9 +39,9 @@ def imu_document(run: ImuRun) -> Document:
         sections.loop_section(outcome),
         Section("Residual before and after", gain_plot(outcome.findings), brief=False),
         Section("Gyroscope", (_gains(run), _facts(run))),
-        Section("Parameters", (sections.parameter_table(run.calibration, ""),), brief=False),
+        Section("Parameters", (parameters.parameter_table(run.calibration, ""),), brief=False),
         sections.advice_section(outcome),
-        sections.sensor_section(run.calibration),
+        parameters.sensor_section(run.calibration),
         Section("Turns", (_turns(run),), brief=False),
         *sections.closing_sections(outcome),
     ]

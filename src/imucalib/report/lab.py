@@ -20,7 +20,7 @@ from imucalib.effects import known
 from imucalib.effects.covariate import COLUMN
 from imucalib.loop.held_out import Held, fitted
 from imucalib.loop.held_out import errors as held_errors
-from imucalib.report import sections
+from imucalib.report import parameters, sections
 from imucalib.report.document import (
     Block,
     Card,
@@ -68,12 +68,12 @@ def lab_document(run: LabRun) -> Document:
         Section("Residual before and after", plots, brief=False),
         _angle_section(run),
         _parameter_section(run),
-        sections.kind_section(settings.population, result.final, result.strange, "position"),
+        parameters.kind_section(settings.population, result.final, result.strange, "position"),
         _bench_section(run),
         _sessions_section(run.sessions),
         _dial_section(run),
         sections.advice_section(outcome),
-        sections.sensor_section(run.calibration, _iscwsa_table(run.calibration)),
+        parameters.sensor_section(run.calibration, _iscwsa_table(run.calibration)),
         _uncertainty_section(run),
         Section("Positions", (_position_table(run),), brief=False),
     ]
@@ -175,7 +175,7 @@ def _parameter_section(run: LabRun) -> Section:
     if reading_noise(run.result.final).own > 0.0:
         note += f" ({factor:.2f} times the declared or assumed one); with the declared noise taken "
         note += f"at its word, divide by {factor:.2f}"
-    return Section("Parameters", (sections.parameter_table(run.calibration, f"{note}."),))
+    return Section("Parameters", (parameters.parameter_table(run.calibration, f"{note}."),))
 
 
 def _angle_section(run: LabRun) -> Section:
