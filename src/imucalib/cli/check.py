@@ -25,7 +25,7 @@ from imucalib.cli.options import (
     shortest_rest_option,
     still_of,
 )
-from imucalib.cli.output import color, emit_json, note, width, working
+from imucalib.cli.output import note, present, working
 
 if TYPE_CHECKING:
     from imucalib.calibration.calibration import Calibration
@@ -167,7 +167,6 @@ def command(calibration: Path, log: Path, **options: Any) -> int:
     from imucalib.effects import load_file
     from imucalib.report.check import check_dict, check_document
     from imucalib.report.files import shown_dict
-    from imucalib.report.render.text import render_text
 
     inputs = inputs_of(options, calibration, log)
     if options["html"] is not None:
@@ -189,14 +188,5 @@ def command(calibration: Path, log: Path, **options: Any) -> int:
     if options["history"] is not None:
         append(options["history"], past, found, content)
         note(f"wrote {options['history']}", options["quiet"])
-    if options["html"] is not None:
-        from imucalib.calibration.file import write_whole
-        from imucalib.report.render.html import render_html
-
-        write_whole(options["html"], render_html(document))
-        note(f"wrote {options['html']}", options["quiet"])
-    if options["as_json"]:
-        emit_json({**content, **shown_dict(document)})
-    elif not options["quiet"]:
-        click.echo(render_text(document, width(), color=color(), full=options["full"]), nl=False)
+    present(document, {**content, **shown_dict(document)}, options, options["html"])
     return found.exit_code

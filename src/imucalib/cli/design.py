@@ -15,7 +15,7 @@ from imucalib.cli.options import (
     pairs,
     quiet_option,
 )
-from imucalib.cli.output import color, emit_json, note, width, working
+from imucalib.cli.output import note, present, working
 
 
 def plan_for(path: Path, options: dict[str, Any]) -> int:
@@ -24,7 +24,6 @@ def plan_for(path: Path, options: dict[str, Any]) -> int:
     from imucalib.calibration.checking.limits import size_of
     from imucalib.calibrators.next_recording import Wish, next_recording
     from imucalib.report.design import separation_dict, separation_document
-    from imucalib.report.render.text import render_text
 
     if options["output"] is not None:
         demand_output(options["output"], [path], force=options["force"])
@@ -34,11 +33,7 @@ def plan_for(path: Path, options: dict[str, Any]) -> int:
         found = next_recording(path, Wish(_temperatures(options["temperatures"]), between))
     if options["output"] is not None and found.table:
         write_table(found.table, options["output"], [path], options)
-    if options["as_json"]:
-        emit_json(separation_dict(found))
-    elif not options["quiet"]:
-        document = separation_document(found, path.name)
-        click.echo(render_text(document, width(), color=color(), full=options["full"]), nl=False)
+    present(separation_document(found, path.name), separation_dict(found), options)
     return found.exit_code
 
 
@@ -71,17 +66,12 @@ def by_hand(calibration: Path | None, rests: int | None, options: dict[str, Any]
     from imucalib.calibration.file import read
     from imucalib.calibrators.imu.plan import hand_plan, turns_to_add
     from imucalib.report.imu import hand_plan_dict, hand_plan_document
-    from imucalib.report.render.text import render_text
 
     for name in ("separate", "output", "temperatures", "between_sessions"):
         if options[name] is not None:
             raise click.UsageError(f"--{name.replace('_', '-')} does not go with --imu")
     plan = hand_plan(rests or 0) if calibration is None else turns_to_add(read(calibration))
-    if options["as_json"]:
-        emit_json(hand_plan_dict(plan))
-    elif not options["quiet"]:
-        document = hand_plan_document(plan)
-        click.echo(render_text(document, width(), color=color(), full=options["full"]), nl=False)
+    present(hand_plan_document(plan), hand_plan_dict(plan), options)
     return 4 if plan.open_gains else 0
 
 
@@ -170,9 +160,8 @@ def command(
     from imucalib.calibrators.lab.design import design_of, recommended
     from imucalib.calibrators.lab.position_table import read_position_table
     from imucalib.report.design import design_dict, design_document
-    from imucalib.report.render.text import render_text
 
-    separate, output, quiet = options["separate"], options["output"], options["quiet"]
+    separate, output = options["separate"], options["output"]
     if sum(given is not None for given in (table, count, separate)) != 1:
         raise click.UsageError("give one of TABLE, --recommend N and --separate CAL")
     if options["imu"]:
@@ -192,9 +181,5 @@ def command(
         rows = zip(plan.inclination.tolist(), plan.tool_face.tolist(), strict=True)
         text = "".join(f"{i:.1f},{t:.1f}\n" for i, t in rows)
         write_table(f"inclination,tool_face\n{text}", output, [table] if table else [], options)
-    if options["as_json"]:
-        emit_json(design_dict(plan))
-    elif not quiet:
-        document = design_document(plan, answer=table is None)
-        click.echo(render_text(document, width(), color=color(), full=options["full"]), nl=False)
+    present(design_document(plan, answer=table is None), design_dict(plan), options)
     return 4 if plan.vector.open_directions else 0
