@@ -294,6 +294,18 @@ def test_corrected_messages_keep_all_their_other_bytes(tmp_path: Path, packing: 
         assert same_bits(back.channels[name].t, channel.t)
 
 
+def test_a_clock_that_is_set_back_keeps_each_message_its_own_vector(tmp_path: Path) -> None:
+    rows = readings(400, rate=100.0)
+    rows = [replace(r, ns=r.ns - (3_600_000_000 if i >= 200 else 0)) for i, r in enumerate(rows)]
+    source = write_log(tmp_path / "a.mcap", {"/imu/data": packed(rows, cdr)}, in_order=False)
+    whole = read(source)
+    channels = {n: replace(c, values=c.values * 2.0) for n, c in whole.channels.items()}
+    write_with_topics_of(replace(whole, channels=channels), source, tmp_path / "c.mcap")
+    back = read(tmp_path / "c.mcap")
+    for name, channel in channels.items():
+        assert same_bits(back.channels[name].values, channel.values)
+
+
 def test_messages_packed_one_by_one_are_written_anew(tmp_path: Path) -> None:
     import zstandard
 

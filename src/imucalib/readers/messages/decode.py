@@ -85,12 +85,14 @@ class Family:
     names: list[list[str]]
     guards: list[tuple[tuple[int, int], ...]]
 
-    def run(self, group: int) -> tuple[int, str] | None:
-        """Offset and byte order of a group that is one run of doubles; None of another."""
-        assert self.dtype.fields is not None
-        kind, offset = self.dtype.fields[self.names[group][0]][:2]
-        one = len(self.names[group]) == 1 and kind.base.kind + str(kind.base.itemsize) == "f8"
-        return (offset, self.layout.order) if one else None
+    def runs(self) -> list[tuple[int, str]] | None:
+        """Offset and byte order of each group, where all are one run of doubles."""
+        if any(len(names) != 1 for names in self.names):
+            return None
+        fields = [self.dtype.fields[names[0]] for names in self.names if self.dtype.fields]
+        if any((kind.base.kind, kind.base.itemsize) != ("f", 8) for kind, *_ in fields):
+            return None
+        return [(offset, self.layout.order) for _, offset, *_ in fields]
 
     def fitting(
         self, block: MessageBlock, rows: NDArray[np.int64]
