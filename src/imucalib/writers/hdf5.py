@@ -25,10 +25,6 @@ class Hdf5Writer:
     name = "hdf5"
     suffixes = (".h5", ".hdf5")
 
-    def write(self, recording: Recording, path: Path) -> None:
-        """Write all channels; a flipped bit in them is found when they are read."""
-        self.write_blocks([recording], path)
-
     def write_blocks(self, blocks: Iterable[Recording], path: Path) -> None:
         """Write block after block; memory holds one."""
         import h5py

@@ -505,13 +505,9 @@ class McapWriter:
     name = "mcap"
     suffixes = (".mcap",)
 
-    def write(self, recording: Recording, path: Path) -> None:
-        """Write all channels; UsageError for one that a sensor_msgs message cannot hold."""
-        self.write_blocks([recording], path)
-
     def write_blocks(self, blocks: Iterable[Recording], path: Path) -> None:
-        """Write block after block; memory holds one. Errors as in `write`, and ChannelsChange where
-        the topics of the first block do not fit a later one."""
+        """Write block after block. Raises UsageError for a channel that no ROS message can hold,
+        and ChannelsChange where the topics of the first block do not fit a later one."""
         outputs: list[Output] = []
         with McapFile(path) as file:
             for recording in blocks:
