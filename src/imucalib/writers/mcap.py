@@ -28,7 +28,7 @@ from imucalib.arrays import Array
 from imucalib.errors import UsageError
 from imucalib.readers.mcap import CORRECTIONS, MAGIC, RECORD_HEADER
 from imucalib.readers.messages.layout import ACCEL_ROS2, IMU_ROS2, TEMPERATURE_ROS2
-from imucalib.readers.messages.records import MESSAGE_HEAD
+from imucalib.readers.messages.records import HEAD_FIELDS, MESSAGE_HEAD, record_type
 from imucalib.readers.messages.select import (
     META_DATED,
     META_ORIGIN,
@@ -269,7 +269,7 @@ class Output:
 
     def __post_init__(self) -> None:
         self.frame = self.metadata[META_TRIAD].encode() + b"\0"
-        self.dtype = _record_type(len(self.frame), MESSAGES[self.message])
+        self.dtype = _message_type(len(self.frame), MESSAGES[self.message])
 
     def take(self, recording: Recording, origin: int) -> None:
         """Go on to a block, of which it may have nothing; origin : ns added to log times.
@@ -299,7 +299,7 @@ class Output:
         ns, log = self.ns[rows], self.log[rows]
         out = np.zeros(ns.size, dtype=self.dtype)
         out["opcode"], out["length"] = Opcode.MESSAGE, self.dtype.itemsize - 9
-        out["channel"], out["log"], out["publish"] = self.number, log, log
+        out["channel"], out["log_time"], out["publish_time"] = self.number, log, log
         out["sequence"] = (self.done + rows.start + np.arange(ns.size)) & 0xFFFF_FFFF
         out["cdr"], out["sec"], out["nanosec"] = 0x0100, ns // 10**9, ns % 10**9
         out["frame_length"], out["frame"] = len(self.frame), np.void(self.frame)
@@ -314,32 +314,21 @@ class Output:
         return list(out.view(f"V{self.dtype.itemsize}").tolist())
 
 
-def _record_type(frame: int, message: _Message) -> np.dtype[np.void]:
+def _message_type(frame: int, message: _Message) -> np.dtype[np.void]:
     """A whole message record: 31 bytes of MCAP, 4 of encapsulation, then the CDR message."""
     head = MESSAGE_HEAD + 4
     begin = head + 12 + frame
     begin += -(begin - head) % 8
-    fields: list[tuple[str, object, int]] = [
-        ("opcode", "u1", 0),
-        ("length", "<u8", 1),
-        ("channel", "<u2", 9),
-        ("sequence", "<u4", 11),
-        ("log", "<u8", 15),
-        ("publish", "<u8", 23),
+    fields = [
+        *HEAD_FIELDS,
         ("cdr", "<u2", MESSAGE_HEAD),
         ("sec", "<i4", head),
         ("nanosec", "<u4", head + 4),
         ("frame_length", "<u4", head + 8),
         ("frame", f"V{frame}", head + 12),
+        *((name, ("<f8", s), begin + at) for name, (at, s) in message.fields.items()),
     ]
-    fields += [(name, ("<f8", s), begin + at) for name, (at, s) in message.fields.items()]
-    columns = {
-        "names": [f[0] for f in fields],
-        "formats": [f[1] for f in fields],
-        "offsets": [f[2] for f in fields],
-        "itemsize": begin + message.size,
-    }
-    return np.dtype(columns)  # type: ignore[call-overload, no-any-return]
+    return record_type(fields, begin + message.size)
 
 
 def _accel(recording: Recording, first: Channel) -> dict[str, Array]:

@@ -21,7 +21,6 @@ from imucalib.readers.messages.layout import (
     Groups,
     Layout,
     LayoutError,
-    compile_layout,
     definition_of,
 )
 from imucalib.readers.messages.records import MessageBlock, Rows, Topic
@@ -83,7 +82,7 @@ class Family:
     layout: Layout
     dtype: np.dtype[np.void]
     names: list[list[str]]
-    guards: list[tuple[tuple[int, int], ...]]
+    guards: list[list[tuple[int, int]]]
 
     def runs(self) -> list[tuple[int, str]] | None:
         """Offset and byte order of each group, where all are one run of doubles."""
@@ -132,7 +131,7 @@ class RosDecoder(Decoder):
     def look(self, payload: bytes) -> Look:
         if payload.startswith(_ZSTD_MAGIC):
             payload = _inflated(payload)
-        layout = compile_layout(self._definition, payload)
+        layout = Layout(self._definition, payload)
         return Look({path: count for path, (*_, count) in layout.fields.items()}, layout.texts)
 
     def decode(self, block: MessageBlock, groups: Groups) -> Decoded:
@@ -170,7 +169,7 @@ class RosDecoder(Decoder):
                 return
         while todo.size:
             try:
-                layout = compile_layout(self._definition, block.payload(int(todo[0])))
+                layout = Layout(self._definition, block.payload(int(todo[0])))
                 family = _admitted(families, layout, groups)
             except LayoutError as error:
                 problems.append(str(error))

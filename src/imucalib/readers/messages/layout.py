@@ -1,8 +1,8 @@
 """ROS message definitions, and their layouts: byte offsets at which whole blocks decode as arrays.
 
 The offsets of a message depend on its contents only through the lengths of its strings and
-sequences. `compile_layout` walks one message, notes those lengths as guards, and its layout then
-holds for every message with the same length fields and size.
+sequences. A `Layout` walks one message, notes those lengths as guards, and then holds for every
+message with the same length fields and size.
 
 Sources: the ROS 1 wiki page "msg"; the ROS 2 interface definition; OMG DDS-XTypes 1.3, section 7.4
 (CDR versions 1 and 2); DDSI-RTPS 2.5, table 10.3 (encapsulation identifiers).
@@ -11,10 +11,12 @@ Sources: the ROS 1 wiki page "msg"; the ROS 2 interface definition; OMG DDS-XTyp
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+
+from imucalib.readers.messages.records import record_type
 
 _PRIMITIVES = {
     word: value
@@ -154,24 +156,107 @@ class Group(NamedTuple):
 Groups = tuple[Group, ...]
 
 
-@dataclass(frozen=True)
+#: encapsulation identifier -> (byte order, largest alignment)
+_ENCAPSULATIONS = {
+    0x00: (">", 8),
+    0x01: ("<", 8),
+    0x06: (">", 4),
+    0x07: ("<", 4),
+    0x10: (">", 4),
+    0x11: ("<", 4),
+}
+
+
 class Layout:
-    """Where the numbers of a message are.
+    """Where the numbers of a message are, and of all that share its lengths.
 
     fields : path ("linear_acceleration.x") -> (byte offset, numpy type, element count)
     texts : path -> string, of the one message that was walked
     guards : (offset, value) of every 4-byte length that the offsets depend on
     head : the encapsulation bytes that the message must begin with
-    end : size of the message; up to `slack` bytes of padding may follow
+    end : size of the message; up to `slack` bytes of padding may follow; order : of its bytes
+    Raises LayoutError for a message that its definition does not fit.
     """
 
-    fields: dict[str, tuple[int, str, int]]
-    texts: dict[str, str]
-    guards: tuple[tuple[int, int], ...]
-    head: bytes
-    end: int
-    slack: int
-    order: str
+    def __init__(self, definition: Definition, data: bytes) -> None:
+        self.fields: dict[str, tuple[int, str, int]] = {}
+        self.texts: dict[str, str] = {}
+        self.guards: list[tuple[int, int]] = []
+        self.order, self.head, self.slack = "<", b"", 0
+        self._definition, self._data = definition, data
+        self._widest = 1  # largest alignment; 1 for none
+        self._origin = self.end = 0 if definition.ros1 else 4
+        self._visited = self._depth = 0
+        if not definition.ros1:
+            if len(data) < 4:
+                raise LayoutError("the message is shorter than its CDR header")
+            if data[0] != 0 or data[1] not in _ENCAPSULATIONS:
+                raise LayoutError(f"the CDR encapsulation {data[:2].hex()} is not a plain one")
+            self.order, self._widest = _ENCAPSULATIONS[data[1]]
+            self.head, self.slack = data[:2], 3
+        self._structure(definition.root, "")
+        if not self.end <= len(data) <= self.end + self.slack:
+            raise LayoutError(f"the message has {len(data)} bytes, its definition {self.end}")
+        del self._data
+
+    def _structure(self, name: str, prefix: str) -> None:
+        """Pass over a type's members."""
+        if name not in self._definition.types:
+            raise LayoutError(f"the type {name} is not defined in the file")
+        members = self._definition.types[name]
+        if self._depth >= _DEEPEST:
+            raise LayoutError(f"its types are nested deeper than {_DEEPEST}, or in a circle")
+        if not members and not self._definition.ros1:
+            self.end += 1  # IDL forbids empty structures, so ROS 2 stores one byte
+        self._depth += 1
+        for member in members:
+            path = prefix + member.name
+            count = self._length() if member.count == 0 else member.count
+            if member.type in _PRIMITIVES:
+                self._numbers(_PRIMITIVES[member.type], abs(count), path)
+                continue
+            if count > _MAX_ELEMENTS:
+                raise LayoutError(f"'{path}' has {count} elements")
+            for i in range(abs(count)):
+                self._element(member.type, path if member.count < 0 else f"{path}.{i}")
+        self._depth -= 1
+
+    def _element(self, kind: str, path: str) -> None:
+        self._visited += 1
+        if self._visited > _MAX_ELEMENTS:
+            raise LayoutError(f"it has more than {_MAX_ELEMENTS} elements")
+        if kind == "string":
+            size = self._length()
+            raw = self._data[self.end : self.end + size]
+            self.texts[path] = raw.rstrip(b"\0").decode("utf-8", "replace")
+            self.end += size
+        elif kind == "wstring":
+            raise LayoutError(f"'{path}' is a wide string, which is not supported")
+        else:
+            self._structure(kind, f"{path}.")
+
+    def _numbers(self, kind: str, count: int, path: str) -> None:
+        if count:
+            self._align(int(kind[1]))
+            self.fields[path] = (self.end, kind, count)
+            self.end += int(kind[1]) * count
+        if self.end > len(self._data):
+            raise LayoutError("the message is shorter than its definition")
+
+    def _length(self) -> int:
+        self._align(4)
+        raw = self._data[self.end : self.end + 4]
+        if len(raw) < 4:
+            raise LayoutError("the message is shorter than its definition")
+        value = int.from_bytes(raw, "little" if self.order == "<" else "big")
+        if value > len(self._data):
+            raise LayoutError("a length inside the message exceeds the message")
+        self.guards.append((self.end, value))
+        self.end += 4
+        return value
+
+    def _align(self, size: int) -> None:
+        self.end += -(self.end - self._origin) % min(size, self._widest)
 
     def pick(self, groups: Groups) -> tuple[np.dtype[np.void], list[list[str]]]:
         """A record type holding the paths of every group, and the field names of each group.
@@ -189,13 +274,7 @@ class Layout:
         spec += [(f"guard{at}", self.order + "u4", at) for at, _ in self.guards]
         if self.head:
             spec.append(("head", f"V{len(self.head)}", 0))
-        columns = {
-            "names": [name for name, *_ in spec],
-            "formats": [form for _, form, _ in spec],
-            "offsets": [offset for *_, offset in spec],
-            "itemsize": self.end,
-        }
-        return np.dtype(columns), names  # type: ignore[call-overload]
+        return record_type(spec, self.end), names
 
     def _merged(self, group: Group) -> list[tuple[int, str, int]]:
         merged: list[tuple[int, str, int]] = []
@@ -213,116 +292,3 @@ class Layout:
         if found != group.width:
             raise LayoutError(f"'{group.paths[0]}' has {found} numbers instead of {group.width}")
         return merged
-
-
-@dataclass
-class _Walk:
-    """The cursor of one walk through a message."""
-
-    definition: Definition
-    data: bytes
-    origin: int
-    widest: int  # largest alignment; 1 for none
-    order: str
-    at: int
-    fields: dict[str, tuple[int, str, int]] = field(default_factory=dict)
-    guards: list[tuple[int, int]] = field(default_factory=list)
-    texts: dict[str, str] = field(default_factory=dict)
-    visited: int = 0
-    depth: int = 0
-
-    def structure(self, name: str, prefix: str) -> None:
-        """Pass over a type's members."""
-        if name not in self.definition.types:
-            raise LayoutError(f"the type {name} is not defined in the file")
-        members = self.definition.types[name]
-        if self.depth >= _DEEPEST:
-            raise LayoutError(f"its types are nested deeper than {_DEEPEST}, or in a circle")
-        if not members and not self.definition.ros1:
-            self.at += 1  # IDL forbids empty structures, so ROS 2 stores one byte
-        self.depth += 1
-        for member in members:
-            path = prefix + member.name
-            count = self._length() if member.count == 0 else member.count
-            if member.type in _PRIMITIVES:
-                self._numbers(_PRIMITIVES[member.type], abs(count), path)
-                continue
-            if count > _MAX_ELEMENTS:
-                raise LayoutError(f"'{path}' has {count} elements")
-            for i in range(abs(count)):
-                self._element(member.type, path if member.count < 0 else f"{path}.{i}")
-        self.depth -= 1
-
-    def _element(self, kind: str, path: str) -> None:
-        self.visited += 1
-        if self.visited > _MAX_ELEMENTS:
-            raise LayoutError(f"it has more than {_MAX_ELEMENTS} elements")
-        if kind == "string":
-            size = self._length()
-            raw = self.data[self.at : self.at + size]
-            self.texts[path] = raw.rstrip(b"\0").decode("utf-8", "replace")
-            self.at += size
-        elif kind == "wstring":
-            raise LayoutError(f"'{path}' is a wide string, which is not supported")
-        else:
-            self.structure(kind, f"{path}.")
-
-    def _numbers(self, kind: str, count: int, path: str) -> None:
-        if count:
-            self._align(int(kind[1]))
-            self.fields[path] = (self.at, kind, count)
-            self.at += int(kind[1]) * count
-        if self.at > len(self.data):
-            raise LayoutError("the message is shorter than its definition")
-
-    def _length(self) -> int:
-        self._align(4)
-        raw = self.data[self.at : self.at + 4]
-        if len(raw) < 4:
-            raise LayoutError("the message is shorter than its definition")
-        value = int.from_bytes(raw, "little" if self.order == "<" else "big")
-        if value > len(self.data):
-            raise LayoutError("a length inside the message exceeds the message")
-        self.guards.append((self.at, value))
-        self.at += 4
-        return value
-
-    def _align(self, size: int) -> None:
-        self.at += -(self.at - self.origin) % min(size, self.widest)
-
-
-#: encapsulation identifier -> (byte order, largest alignment)
-_ENCAPSULATIONS = {
-    0x00: (">", 8),
-    0x01: ("<", 8),
-    0x06: (">", 4),
-    0x07: ("<", 4),
-    0x10: (">", 4),
-    0x11: ("<", 4),
-}
-
-
-def compile_layout(definition: Definition, data: bytes) -> Layout:
-    """The layout of one message, for all that share its lengths. Raises LayoutError."""
-    order, widest, head, slack = "<", 1, b"", 0
-    if not definition.ros1:
-        if len(data) < 4:
-            raise LayoutError("the message is shorter than its CDR header")
-        if data[0] != 0 or data[1] not in _ENCAPSULATIONS:
-            raise LayoutError(f"the CDR encapsulation {data[:2].hex()} is not a plain one")
-        order, widest = _ENCAPSULATIONS[data[1]]
-        head, slack = data[:2], 3
-    begin = 0 if definition.ros1 else 4
-    walk = _Walk(definition, data, begin, widest, order, begin)
-    walk.structure(definition.root, "")
-    if not walk.at <= len(data) <= walk.at + slack:
-        raise LayoutError(f"the message has {len(data)} bytes, its definition {walk.at}")
-    return Layout(
-        fields=walk.fields,
-        texts=walk.texts,
-        guards=tuple(walk.guards),
-        head=head,
-        end=walk.at,
-        slack=slack,
-        order=order,
-    )

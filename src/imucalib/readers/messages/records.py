@@ -18,14 +18,29 @@ from imucalib.recording.recording import Correction
 
 #: What comes before a message's payload in its record, the record's own nine bytes counted.
 MESSAGE_HEAD = 31
-_HEAD = np.dtype(
-    {
-        "names": ["length", "channel", "sequence", "log_time", "publish_time"],
-        "formats": ["<u8", "<u2", "<u4", "<u8", "<u8"],
-        "offsets": [1, 9, 11, 15, 23],
-        "itemsize": MESSAGE_HEAD,
+
+
+def record_type(fields: list[tuple[str, Any, int]], size: int) -> np.dtype[np.void]:
+    """The type of records of `size` bytes with fields (name, numpy type, first byte)."""
+    columns = {
+        "names": [name for name, *_ in fields],
+        "formats": [kind for _, kind, _ in fields],
+        "offsets": [at for *_, at in fields],
+        "itemsize": size,
     }
-)
+    return np.dtype(columns)  # type: ignore[call-overload, no-any-return]
+
+
+#: Fields of a message's record.
+HEAD_FIELDS: list[tuple[str, Any, int]] = [
+    ("opcode", "u1", 0),
+    ("length", "<u8", 1),
+    ("channel", "<u2", 9),
+    ("sequence", "<u4", 11),
+    ("log_time", "<u8", 15),
+    ("publish_time", "<u8", 23),
+]
+_HEAD = record_type(HEAD_FIELDS, MESSAGE_HEAD)
 
 
 @dataclass(frozen=True)
