@@ -61,7 +61,7 @@ def decoder_for(topic: Topic) -> Decoder:
     """The decoder of a topic's encoding; raises LayoutError when there is none."""
     encoding, schema = topic.encoding, topic.schema
     if encoding == "json":
-        return TreeDecoder(_json_parser())
+        return TreeDecoder(_json_trees)
     if encoding not in ("cdr", "ros1", "protobuf"):
         raise LayoutError(f"the message encoding '{encoding}' is not supported")
     if encoding == "protobuf":
@@ -371,33 +371,22 @@ def _is_set(message: Any, name: str) -> bool:
     return any(part.name == name for part, _ in message.ListFields())
 
 
-def _json_parser() -> Parse:
-    """JSON objects; msgspec parses them when it is installed, the standard library otherwise."""
-    loads: Callable[[bytes], Any] = json.loads
+def _json_trees(payloads: Sequence[bytes]) -> list[Any]:
     try:
-        import msgspec  # type: ignore[import-not-found, unused-ignore]
-    except ImportError:
+        trees = json.loads(b"[" + b",".join(payloads) + b"]")
+        # A payload like `{},{}` would shift its neighbours: the count gives it away.
+        if len(trees) == len(payloads):
+            return list(trees)
+    except (ValueError, RecursionError):
         pass
-    else:
-        loads = msgspec.json.Decoder().decode
+    return [_json_tree(payload) for payload in payloads]
 
-    def alone(payload: bytes) -> Any:
-        try:
-            return loads(payload)
-        except (ValueError, RecursionError):
-            return None
 
-    def parse(payloads: Sequence[bytes]) -> list[Any]:
-        try:
-            trees = loads(b"[" + b",".join(payloads) + b"]")
-            # A payload like `{},{}` would shift its neighbours: the count gives it away.
-            if len(trees) == len(payloads):
-                return list(trees)
-        except (ValueError, RecursionError):
-            pass
-        return [alone(payload) for payload in payloads]
-
-    return parse
+def _json_tree(payload: bytes) -> Any:
+    try:
+        return json.loads(payload)
+    except (ValueError, RecursionError):
+        return None
 
 
 def _protobuf_parser(schema: Schema | None) -> Parse:

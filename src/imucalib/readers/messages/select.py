@@ -27,18 +27,11 @@ from imucalib.recording.pairing import distinct_names
 QUANTITIES = ("acc", "gyro", "temperature")
 #: Names of fields, best first, without what is no letter or digit.
 _NAMES = {
-    "acc": re.findall(
-        r"\w+",
-        "linearacceleration acceleration accelerometerms2 accelerometer specificforce linearacc "
-        "accel acc a",
-    ),
-    "gyro": re.findall(
-        r"\w+", "angularvelocity angularrate gyrorad gyroscope gyro gyr rotationrate w g"
-    ),
+    "acc": "linearacceleration acceleration accelerometerms2 accelerometer specificforce linearacc "
+    "accel acc a",
+    "gyro": "angularvelocity angularrate gyrorad gyroscope gyro gyr rotationrate w g",
+    "time": "stamp timestamp timestampns timestampus timestampms timens timeus time t",
 }
-_STAMPS = re.findall(
-    r"\w+", "stamp timestamp timestampns timestampus timestampms timens timeus time t"
-)
 _SECONDS = (("sec", "nanosec"), ("sec", "nsec"), ("secs", "nsecs"), ("seconds", "nanos"))
 _AXES = (("x", "y", "z"), ("0", "1", "2"))
 _CLOCKS = ("log_time", "publish_time")
@@ -133,25 +126,20 @@ def _plain(path: str) -> str:
     return re.sub(r"[^a-z0-9]", "", path.rpartition(".")[2].lower())
 
 
-def _address_of_vector(leaves: Leaves, names: list[str]) -> str:
-    """The address of the 3-vector with the best of these names, or ""."""
-    best: list[tuple[int, int, str]] = []
-    for path in (*_nodes(leaves), *_stars(leaves)):
-        name = _plain(path)
+def _address(leaves: Leaves, quantity: str) -> str:
+    """The address of the field with the best name of a quantity or of the time, or ""."""
+    names = _NAMES.get(quantity, "").split()
+    timed, best = quantity == "time", list[tuple[float, float, str]]()
+    for path in (*_nodes(leaves), *(() if timed else _stars(leaves))):
+        name, depth = _plain(path), path.count(".")
         # One letter means something only beside an axis letter ("ax", "g_x").
-        usable = name in names and (len(name) > 1 or "*" in path)
-        if usable and vector(leaves, path):
-            best.append((names.index(name), path.count("."), path))
-    return min(best)[2] if best else ""
-
-
-def _address_of_time(leaves: Leaves) -> str:
-    """The address of the sensor's own time stamp, or ""."""
-    best: list[tuple[int, int, str]] = []
-    for path in _nodes(leaves):
-        name = _plain(path)
-        if name in _STAMPS and instant(leaves, path):
-            best.append((path.count(".") if name != "stamp" else -1, _STAMPS.index(name), path))
+        if name not in names or not (timed or len(name) > 1 or "*" in path):
+            continue
+        rank = names.index(name)
+        if timed and instant(leaves, path):
+            best.append((depth if rank else -1, rank, path))
+        elif not timed and vector(leaves, path):
+            best.append((rank, depth, path))
     return min(best)[2] if best else ""
 
 
@@ -203,7 +191,7 @@ def _stated(topic: Topic, leaves: Leaves, mapping: FieldMapping, quantity: str) 
         path = split_address(text, topic) if text else None
         if path is None:
             continue
-        address = path or ("" if single else _address_of_vector(leaves, _NAMES[quantity]))
+        address = path or _address(leaves, quantity)
         group = (scalar if single else vector)(leaves, address) if address else None
         if group is None:
             raise UsageError(
@@ -221,7 +209,7 @@ def _found(topic: Topic, leaves: Leaves, quantity: str) -> list[Field]:
     if quantity == "temperature":  # asked for only where a file of this package has it
         number = scalar(leaves, quantity)
         return [Field(quantity, quantity, number, _SI[quantity])] if number else []
-    address = _address_of_vector(leaves, _NAMES[quantity]) if quantity in _NAMES else ""
+    address = _address(leaves, quantity)
     group = vector(leaves, address) if address else None
     return [Field(quantity, address, group, _unit_of(topic, quantity, address))] if group else []
 
@@ -239,7 +227,7 @@ def _time(topic: Topic, leaves: Leaves, mapping: FieldMapping) -> tuple[str, Gro
     if mapping.time in _CLOCKS:
         return mapping.time, None
     if not mapping.time:
-        address = _address_of_time(leaves)
+        address = _address(leaves, "time")
         return address, instant(leaves, address) if address else None
     path = split_address(mapping.time, topic) or mapping.time
     group = instant(leaves, path)
