@@ -25,6 +25,7 @@ from imucalib.readers.devices.packets import (
     Stream,
     head_unpacked,
     opened,
+    packets_of,
     recordings,
     twelve_bits,
 )
@@ -179,11 +180,11 @@ def _packets(
             warm.append(_number(facts.get("Temperature", "")))
             raw.append((samples * 100.0 - offset) / gain)
         if stamps:
-            yield Packets.of_acceleration(
+            yield packets_of(
+                np.concatenate(raw),
                 stamp=np.array(stamps),
-                count=np.full(len(stamps), _PER_PAGE),
+                count=_PER_PAGE,
                 rate=np.array(rates),
-                acc=np.concatenate(raw),
                 warm=np.array(warm),
             )
     loss.finish(stated, number)

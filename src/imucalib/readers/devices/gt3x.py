@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from imucalib.errors import UnreadableInput
 from imucalib.readers.devices.actigraph_archive import Archive, members_of
-from imucalib.readers.devices.packets import Packets, recordings, twelve_bits
+from imucalib.readers.devices.packets import Packets, packets_of, recordings, twelve_bits
 from imucalib.readers.joining import Joined
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
@@ -60,24 +60,20 @@ READER = Gt3xReader()
 def _packets(seconds: Iterator[_Second], archive: Archive, samples: int) -> Iterator[Packets]:
     """Seconds as packets, of about `samples` samples together."""
     group, held = list[_Second](), 0
-    for second in seconds:
+    while True:
+        second = next(seconds, None)
+        if group and (second is None or held >= samples):
+            yield packets_of(
+                np.concatenate([s.counts for s in group]) / archive.scale,
+                stamp=np.array([s.stamp for s in group]) * 1_000_000_000,
+                count=np.array([len(s.counts) for s in group]),
+                rate=archive.rate,
+            )
+            group, held = [], 0
+        if second is None:
+            return
         group.append(second)
         held += len(second.counts)
-        if held >= samples:
-            yield _joined(group, archive)
-            group, held = [], 0
-    if group:
-        yield _joined(group, archive)
-
-
-def _joined(seconds: list[_Second], archive: Archive) -> Packets:
-    counts = np.concatenate([s.counts for s in seconds])
-    return Packets.of_acceleration(
-        stamp=np.array([s.stamp for s in seconds]) * 1_000_000_000,
-        count=np.array([len(s.counts) for s in seconds]),
-        rate=archive.rate,
-        acc=counts / archive.scale,
-    )
 
 
 def _seconds(archive: Archive) -> Iterator[_Second]:

@@ -10,11 +10,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
-
 from imucalib.errors import UnreadableInput
 from imucalib.readers.devices.actigraph_archive import Archive, members_of
-from imucalib.readers.devices.packets import Packets, recordings, twelve_bits
+from imucalib.readers.devices.packets import Packets, packets_of, recordings, twelve_bits
 from imucalib.readers.joining import Joined
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
@@ -67,10 +65,10 @@ def _packets(archive: Archive, start_ns: int, samples: int) -> Iterator[Packets]
         counts, rest = numbers[: used * 2 // _PAIR, [1, 0, 2]], rest[used:]
         if not counts.size:
             return
-        yield Packets.of_acceleration(
-            stamp=np.array([start_ns + round(passed / archive.rate * 1e9)]),
-            count=np.array([len(counts)]),
+        yield packets_of(
+            counts / archive.scale,
+            stamp=start_ns + round(passed / archive.rate * 1e9),
+            count=len(counts),
             rate=archive.rate,
-            acc=counts / archive.scale,
         )
         passed += len(counts)

@@ -13,9 +13,9 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,52 +120,40 @@ _AROUND = 3.0  # s of packets on each side that decide a sample's time
 _GAP = 1.75  # periods
 
 
-@dataclass(frozen=True)
-class Packets:
-    """p packets with n samples in all, in the file's order.
+_PACKET = np.dtype([("stamp", "i8"), ("at", "i8"), ("count", "i8"), ("rate", "f8"), ("warm", "f8")])
 
-    stamp : (p,) ns since 1970 on the device's clock; at : (p,) the sample, from the packet's first,
-    to which it belongs; count : (p,) samples; rate : (p,) Hz as stated; warm : (p,) °C, or NaN
-    acc : (n, 3) g; gyro : (n, 3) deg/s, NaN where there is none
-    """
 
-    stamp: NDArray[np.int64]
-    at: NDArray[np.int64]
-    count: NDArray[np.int64]
-    rate: Array
-    warm: Array
+class Packets(NamedTuple):
+    """p packets with n samples in all, in the file's order; made by `packets_of`."""
+
+    heads: NDArray[np.void]
     acc: Array
     gyro: Array
 
-    @classmethod
-    def of_acceleration(
-        cls,
-        stamp: NDArray[np.int64],
-        count: NDArray[np.int64],
-        rate: Array | float,
-        acc: Array,
-        warm: Array | float = np.nan,
-    ) -> Packets:
-        """Packets without a gyroscope, each stamped with the time of its first sample."""
-        return cls(
-            stamp=stamp,
-            at=np.zeros(stamp.size, dtype=np.int64),
-            count=count,
-            rate=np.broadcast_to(np.float64(rate), stamp.shape),
-            warm=np.broadcast_to(np.float64(warm), stamp.shape),
-            acc=acc,
-            gyro=np.full(acc.shape, np.nan),
-        )
+    @property
+    def first(self) -> NDArray[np.int64]:
+        """(p,) the first sample of each packet."""
+        return np.asarray(np.cumsum(self.heads["count"]) - self.heads["count"])
 
     def part(self, first: int, stop: int) -> Packets:
         """Packets `first` to `stop` with their samples."""
-        edges = np.concatenate([[0], np.cumsum(self.count)])
-        packets, rows = slice(first, stop), slice(int(edges[first]), int(edges[stop]))
-        parts = {
-            f.name: getattr(self, f.name)[rows if f.name in ("acc", "gyro") else packets]
-            for f in fields(self)
-        }
-        return Packets(**parts)
+        a, b = (int(self.heads["count"][:k].sum()) for k in (first, stop))
+        return Packets(self.heads[first:stop], self.acc[a:b], self.gyro[a:b])
+
+
+def packets_of(
+    acc: Array, gyro: Array | None = None, **heads: NDArray[np.generic] | float
+) -> Packets:
+    """Packets of samples.
+
+    acc : (n, 3) g; gyro : (n, 3) deg/s, NaN where there is none
+    heads : (p,) or one for all: stamp, ns since 1970 on the device's clock; at, the sample, from
+    the packet's first (0), to which it belongs; count, samples; rate, Hz as stated; warm, °C (NaN)
+    """
+    found = np.zeros(np.size(heads["stamp"]), dtype=_PACKET)
+    for name, values in {"warm": np.nan, **heads}.items():
+        found[name] = values
+    return Packets(found, acc, np.full(acc.shape, np.nan) if gyro is None else gyro)
 
 
 @dataclass(frozen=True)
@@ -198,7 +186,7 @@ def recordings(log: Log, path: Path, mapping: FieldMapping) -> Iterator[Recordin
     for packets, origin, t in _timed(log.packets, log.drift):
         notes: tuple[str, ...] = ()
         if held is None:
-            rate = float(packets.rate[0])
+            rate = float(packets.heads["rate"][0])
             units = _units(packets, rate, mapping, str(path))
             notes = (*log.notes, *(how.note for how in units.values() if how.note))
         else:
@@ -228,7 +216,7 @@ def _units(
     return {
         "acceleration": acceleration(mapping, Source("g", fixed=True), rest, where),
         "angular_rate": angular_rate(mapping, "deg/s", where),
-        "temperature": temperature(mapping, "degC", packets.warm, where),
+        "temperature": temperature(mapping, "degC", packets.heads["warm"], where),
     }
 
 
@@ -236,13 +224,13 @@ def _channels(
     packets: Packets, t: Array, rate: float, units: dict[str, Conversion]
 ) -> dict[str, Channel]:
     """Acceleration, and angular rate and temperature where there are any."""
+    warm, count = packets.heads["warm"], packets.heads["count"]
     turned = np.isfinite(packets.gyro).all(axis=1)
-    known = np.isfinite(packets.warm) & (packets.count > 0)
-    first = (np.cumsum(packets.count) - packets.count)[known]
+    known = np.isfinite(warm) & (count > 0)
     found = {
         "acceleration": (t, packets.acc, rate),
         "angular_rate": (t[turned], packets.gyro[turned], rate),
-        "temperature": (t[first], packets.warm[known, None], rate / np.median(packets.count)),
+        "temperature": (t[packets.first[known]], warm[known, None], rate / np.median(count)),
     }
     return {
         f"imu0/{quantity}": Channel(
@@ -260,51 +248,42 @@ def _timed(pieces: Iterator[Packets], drift: float) -> Iterator[tuple[Packets, i
     """
     origin: int | None = None
     back, held = list[Packets](), list[Packets]()
-    while True:
+    more = True
+    while more:
         piece = next(pieces, None)
-        held += [piece] if piece is not None and piece.count.size else []
+        more = piece is not None
+        held += [piece] if piece is not None and piece.heads.size else []
         if not held:
-            if piece is None:
-                return
             continue
-        whole, first = _joined([*back, *held]), sum(p.count.size for p in back)
-        around = 2 + int(_AROUND * whole.rate.max() / max(1.0, float(np.median(whole.count))))
-        ready = whole.count.size - (0 if piece is None else around)
+        whole = Packets(*map(np.concatenate, zip(*back, *held, strict=True)))
+        first, rate = sum(p.heads.size for p in back), float(whole.heads["rate"].max())
+        around = 2 + int(_AROUND * rate / max(1.0, float(np.median(whole.heads["count"]))))
+        ready = whole.heads.size - (around if more else 0)
         if ready > first:
-            base = int(whole.stamp[0])
+            base = int(whole.heads["stamp"][0])
             seconds = _times(whole, base, drift)
-            edges = np.concatenate([[0], np.cumsum(whole.count)])
+            a, b = whole.part(0, first).acc.shape[0], whole.part(0, ready).acc.shape[0]
             if origin is None:
-                start = seconds[edges[first]] if edges[first] < seconds.size else 0.0
-                origin = base + round(start * 1e9)
-            t = seconds[edges[first] : edges[ready]] + (base - origin) * 1e-9
-            yield whole.part(first, ready), origin, t
+                origin = base + round(float(seconds[a]) * 1e9 if a < seconds.size else 0.0)
+            yield whole.part(first, ready), origin, seconds[a:b] + (base - origin) * 1e-9
             back = [whole.part(max(0, ready - around), ready)]
-            held = [whole.part(ready, whole.count.size)]
-        if piece is None:
-            return
-
-
-def _joined(parts: list[Packets]) -> Packets:
-    return Packets(
-        **{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Packets)}
-    )
+            held = [whole.part(ready, whole.heads.size)]
 
 
 def _times(packets: Packets, base: int, drift: float) -> Array:
     """Seconds since `base` of every sample."""
-    first = np.cumsum(packets.count) - packets.count
-    index: Array = (first + packets.at).astype(np.float64)
-    stamp = np.asarray((packets.stamp - base) * 1e-9, dtype=np.float64)
-    period: Array = 1.0 / packets.rate
+    heads, first = packets.heads, packets.first
+    index: Array = (first + heads["at"]).astype(np.float64)
+    stamp: Array = (heads["stamp"] - base) * 1e-9
+    period: Array = 1.0 / heads["rate"]
     steps, took = np.diff(index), np.diff(stamp)
-    expected: Array = steps * period[1:]
-    slack: Array = drift * np.abs(expected) + _SLACK * period[1:]
+    expected = steps * period[1:]
+    slack = drift * np.abs(expected) + _SLACK * period[1:]
     follows = (np.abs(took - expected) <= slack) & (steps >= 0) & (period[1:] == period[:-1])
     edges = np.concatenate([[0], np.flatnonzero(~follows) + 1, [index.size]])
-    out = np.empty(int(packets.count.sum()))
+    out = np.empty(packets.acc.shape[0])
     for a, b in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
-        rows = np.arange(first[a], first[b - 1] + packets.count[b - 1])
+        rows = np.arange(first[a], first[b - 1] + heads["count"][b - 1])
         out[rows] = _spread(rows, index[a:b], stamp[a:b], float(period[a]))
     return out
 
