@@ -11,7 +11,7 @@ from __future__ import annotations
 import os
 import struct
 import zlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -24,7 +24,7 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 import imucalib
-from imucalib.arrays import Array
+from imucalib.arrays import Array, Index
 from imucalib.errors import UsageError
 from imucalib.readers.mcap import CORRECTIONS, MAGIC, RECORD_HEADER
 from imucalib.readers.messages.layout import ACCEL_ROS2, IMU_ROS2, TEMPERATURE_ROS2
@@ -294,13 +294,13 @@ class Output:
         if self.message == _ACCEL:
             self.values = _accel(recording, first)
 
-    def records(self, rows: slice) -> list[bytes]:
+    def records(self, rows: Index) -> list[bytes]:
         """The message records of some samples."""
         ns, log = self.ns[rows], self.log[rows]
         out = np.zeros(ns.size, dtype=self.dtype)
         out["opcode"], out["length"] = Opcode.MESSAGE, self.dtype.itemsize - 9
         out["channel"], out["log_time"], out["publish_time"] = self.number, log, log
-        out["sequence"] = (self.done + rows.start + np.arange(ns.size)) & 0xFFFF_FFFF
+        out["sequence"] = (self.done + rows) & 0xFFFF_FFFF
         out["cdr"], out["sec"], out["nanosec"] = 0x0100, ns // 10**9, ns % 10**9
         out["frame_length"], out["frame"] = len(self.frame), np.void(self.frame)
         for name, values in self.values.items():
@@ -438,33 +438,24 @@ def put_block(file: McapFile, outputs: list[Output], recording: Recording, origi
         raise _changed(recording, sorted(unknown))
     for output in outputs:
         output.take(recording, origin)
-    filled = [output for output in outputs if output.ns.size]
-    for parts in _windows(filled):
-        records = [r for output, part in parts for r in output.records(part)]
-        log = np.concatenate([output.log[part] for output, part in parts])
-        numbers = np.repeat(
-            [output.number for output, _ in parts], [part.stop - part.start for _, part in parts]
-        )
-        order = np.argsort(log, kind="stable")
-        file.chunk([records[k] for k in order.tolist()], numbers[order], log[order])
-
-
-def _windows(outputs: list[Output]) -> Iterator[list[tuple[Output, slice]]]:
-    """Rows of each output that go into one chunk, in order of log time."""
-    if not outputs:
+    counts = [output.ns.size for output in outputs]
+    if not any(counts):
         return
-    total = sum(output.ns.size * output.dtype.itemsize for output in outputs)
-    first = min(int(output.log.min()) for output in outputs)
-    last = max(int(output.log.max()) for output in outputs)
-    step, edge = max(1, (last - first) * _CHUNK_BYTES // total), first
-    peaks = [np.maximum.accumulate(output.log) for output in outputs]
-    done = [0] * len(outputs)
-    while any(d < peak.size for d, peak in zip(done, peaks, strict=True)):
-        waiting = [int(peak[d]) for peak, d in zip(peaks, done, strict=True) if d < peak.size]
-        edge = max(edge + step, min(waiting) + 1)
-        stops = [int(np.searchsorted(peak, edge)) for peak in peaks]
-        yield [(o, slice(a, b)) for o, a, b in zip(outputs, done, stops, strict=True)]
-        done = stops
+    log = np.concatenate([output.log for output in outputs])
+    owner, row = (
+        np.repeat(np.arange(len(counts)), counts),
+        np.concatenate(list(map(np.arange, counts))),
+    )
+    order = np.argsort(log, kind="stable")
+    sizes = np.array([output.dtype.itemsize for output in outputs])
+    number = np.array([output.number for output in outputs])
+    chunk = np.cumsum(sizes[owner[order]]) // _CHUNK_BYTES
+    for part in np.split(order, np.flatnonzero(np.diff(chunk)) + 1):
+        records = np.empty(part.size, dtype=object)
+        for k in np.unique(owner[part]).tolist():
+            mine = owner[part] == k
+            records[mine] = outputs[k].records(row[part[mine]])
+        file.chunk(records.tolist(), number[owner[part]], log[part])
 
 
 def define_outputs(file: McapFile, outputs: list[Output], base: int = 0) -> None:
