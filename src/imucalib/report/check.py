@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibration.checking.check import POWER, SIGNIFICANT, Check, SensorCheck
-from imucalib.calibration.checking.e_value import ALPHA
+from imucalib.calibration.checking.check import ALPHA, POWER, SIGNIFICANT, Check, SensorCheck
 from imucalib.calibration.checking.misfit import FAMILIES
 from imucalib.calibration.checking.next_rests import MANY, NextRests
 from imucalib.calibration.checking.statistic import ANYTHING, DRAWS
@@ -92,8 +91,7 @@ def _verdict(check: Check) -> Text:
 
 
 def _card(check: Check, command: str) -> Card:
-    """What it could have seen; what shows, the reading that fits least, and the evidence of all
-    looks; what to do."""
+    """What it could have seen; what shows, and the reading that fits least; what to do."""
     worths = []
     for name, limit in check.limits.items():
         size, unit = max(s.seen[name] for s in check.sensors), FAMILIES[name]
@@ -111,14 +109,7 @@ def _card(check: Check, command: str) -> Card:
     if moved := [s.name or "the gyroscope" for s in check.turned_on if s not in check.drifted]:
         words = f"The gyroscope's bias of {', '.join(moved)} moved, as at every switching on."
         lines.append(Text(words))
-    looks = "this check" if check.looks == 1 else f"{check.looks} checks together"
-    bar = 1.0 / ALPHA
-    said = "enough" if check.e >= bar else "not enough"
-    evidence = (
-        f"Evidence of a change by {looks}: e = {check.e:.3g}, {said}: {bar:.0f} is reached by "
-        f"chance in at most {100 * ALPHA:.0f} % of calibrations, however often one looks."
-    )
-    return Card(tuple(worths), (*lines, Text(evidence)), _to_do(check), command)
+    return Card(tuple(worths), tuple(lines), _to_do(check), command)
 
 
 def _to_do(check: Check) -> tuple[str, ...]:
@@ -138,10 +129,7 @@ def _to_do(check: Check) -> tuple[str, ...]:
         many = None if following is None else following.many
         lead = "No recording decides this" if many is None else f"It would take about {many} rests"
         return (f"{lead}: calibrate again, or accept a wider limit (--limit).",)
-    return (
-        "Use it: `imucal apply CALIBRATION RECORDING -o corrected.mcap`.",
-        "At the next check give --history FILE, so that the evidence of all looks counts.",
-    )[: 1 if check.looks > 1 else 2]
+    return ("Use it: `imucal apply CALIBRATION RECORDING -o corrected.mcap`.",)
 
 
 def _changes(check: Check) -> list[str]:
@@ -314,7 +302,7 @@ def check_dict(check: Check, log: str, calibration: str, sha256: str) -> dict[st
         "calibration": calibration,
         "calibration_sha256": sha256,
         "log": log,
-        **fields(check, "verdict exit_code p e_value=e looks"),
+        **fields(check, "verdict exit_code p"),
         "alpha": ALPHA,
         "power": POWER,
         "limits": {n: {"value": v, "unit": FAMILIES[n]} for n, v in check.limits.items()},

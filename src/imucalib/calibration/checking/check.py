@@ -10,7 +10,6 @@ from typing import Literal
 import numpy as np
 
 from imucalib.calibration.calibration import Calibration
-from imucalib.calibration.checking.e_value import ALPHA, Look, e_value
 from imucalib.calibration.checking.limits import Limits
 from imucalib.calibration.checking.misfit import CheckNoise, GyroRest, Misfits
 from imucalib.calibration.checking.next_rests import NextRests, next_rests, one_reading
@@ -22,6 +21,8 @@ Verdict = Literal["still good", "changed", "undecided"]
 #: Standard deviations of one corrected reading that a change must reach to matter, where no limit
 #: is stated: what is less, single readings of the instrument do not show.
 SIGNIFICANT = 5.0
+#: Level of the test, over all sensors.
+ALPHA = 0.05
 #: Chance with which the change that is told would have been found.
 POWER = 0.9
 #: p below which a kind of change leaves too much unexplained to be the whole story.
@@ -55,7 +56,7 @@ class Check:
     """A finished check.
 
     limits : kind of change -> size in its unit; stated : whether the user gave them
-    p : over all sensors (Bonferroni); e, looks : evidence after so many checks, this one included
+    p : over all sensors (Bonferroni)
     """
 
     verdict: Verdict
@@ -63,8 +64,6 @@ class Check:
     limits: Mapping[str, float]
     stated: bool
     p: float
-    e: float
-    looks: int
     following: NextRests | None
     noise: CheckNoise
     gravity: float
@@ -115,7 +114,6 @@ class Measured:
     misfits: Misfits
     name: str = ""
     gyro: GyroRest | None = None
-    past: tuple[Look, ...] = ()
 
 
 def checked(
@@ -143,15 +141,6 @@ def checked(
         limits=wanted,
         stated=stated,
         p=min(1.0, len(sensors) * min(s.p for s in sensors)),
-        e=float(
-            np.mean(
-                [
-                    _evidence(one, s, noise, calibration)
-                    for one, s in zip(measured, sensors, strict=True)
-                ]
-            )
-        ),
-        looks=1 + len(measured[0].past),
         following=None,
         noise=noise,
         gravity=calibration.gravity,
@@ -223,24 +212,6 @@ def _alone(statistic: Statistic, level: float) -> int | None:
     worst = int(np.argmax(power))
     left = Statistic(misfits.without(worst), seed=statistic.seed)
     return worst if left.p() > level else None
-
-
-def _evidence(
-    one: Measured, judged: SensorCheck, noise: CheckNoise, calibration: Calibration
-) -> float:
-    looks = [*one.past, look_of(one.misfits, judged.p)]
-    return e_value(
-        looks,
-        one.misfits.parameters,
-        reading=noise.reading.sd,
-        dof=one.misfits.dof,
-        gravity=calibration.gravity,
-    )
-
-
-def look_of(misfits: Misfits, p: float) -> Look:
-    """What a history keeps of a check."""
-    return Look(misfits.value, misfits.noise, misfits.jacobian, misfits.changes, p)
 
 
 def _limits(

@@ -306,11 +306,6 @@ class Misfits:
         return np.asarray(np.sum([part.covariance for part in self.parts], axis=0))
 
     @cached_property
-    def noise(self) -> Array:
-        """(N, N) what is not the calibration's error."""
-        return self.covariance - self.jacobian @ self.parameters @ self.jacobian.T
-
-    @cached_property
     def dof(self) -> float:
         """Of the whole covariance's scale: ν = 1 / Σ share² / ν_part (Satterthwaite 1946,
         Biometrics Bulletin 2, 110-114)."""
