@@ -21,8 +21,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import numpy as np
 
 from imucalib.calibration.calibration import Calibration, from_fit
-from imucalib.calibration.checking.misfit import check_noise
-from imucalib.calibration.checking.next_rests import misfits_of
+from imucalib.calibration.checking.misfit import misfits_of
+from imucalib.calibration.checking.noise import check_noise
 from imucalib.calibration.checking.statistic import Statistic
 from imucalib.calibrators.lab.bench import position_observations, still_observations
 from imucalib.calibrators.lab.calibrate import LabSettings, base_model

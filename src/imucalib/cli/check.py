@@ -30,13 +30,12 @@ from imucalib.cli.output import color, emit_json, note, width, working
 if TYPE_CHECKING:
     from imucalib.calibration.calibration import Calibration
     from imucalib.calibration.checking.check import Measured
-    from imucalib.calibration.checking.misfit import CheckNoise
+    from imucalib.calibration.checking.noise import CheckNoise
 
 
 def noise_of(calibration: Calibration, options: dict[str, Any]) -> CheckNoise:
     """What the options and the calibration say of the noise."""
-    from imucalib.calibration.checking.limits import sessions_of, size_of
-    from imucalib.calibration.checking.misfit import check_noise
+    from imucalib.calibration.checking.noise import check_noise, sessions_of, size_of
     from imucalib.units import MG
 
     reading = options["noise"] and MG * size_of(options["noise"], {"mg": "force"})[0]
@@ -126,7 +125,7 @@ def command(calibration: Path, log: Path, **options: Any) -> int:
     """
     from imucalib.atomic_file import demand_output
     from imucalib.calibration.checking.check import checked
-    from imucalib.calibration.checking.limits import limits_of
+    from imucalib.calibration.checking.noise import limits_of
     from imucalib.calibration.file import check, read
     from imucalib.effects import load_file
     from imucalib.report.check import check_dict, check_document

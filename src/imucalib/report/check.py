@@ -9,8 +9,8 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.checking.check import ALPHA, POWER, SIGNIFICANT, Check, SensorCheck
-from imucalib.calibration.checking.misfit import FAMILIES
 from imucalib.calibration.checking.next_rests import MANY, NextRests
+from imucalib.calibration.checking.noise import FAMILIES
 from imucalib.calibration.checking.statistic import ANYTHING, DRAWS
 from imucalib.calibration.plain import fields, plain
 from imucalib.report.document import Block, Card, Document, Section, Table, Text, Tone, Worth
