@@ -216,6 +216,7 @@ def parameter_from(block: Mapping[str, Any]) -> StoredParameter:
 
 def check(calibration: Calibration, where: str) -> None:
     """Raise UnreadableInput unless the content makes sense: a covariance, an invertible model."""
+    _demand_finite(calibration, where)
     covariance = calibration.covariance
     if not np.isfinite(covariance).all() or not np.allclose(covariance, covariance.T, rtol=1e-6):
         raise UnreadableInput("the covariance is not finite and symmetric", where=where)
