@@ -145,7 +145,7 @@ def command(calibration: Path, log: Path, **options: Any) -> int:
         measured, notes = measured_of(loaded, log, noise, options)
         found = checked(loaded, measured, noise, limits, seed=options["seed"], notes=notes)
     content = check_dict(found, log.name, calibration.name, loaded.sha256)
-    document = check_document(found, log.name, calibration.name, command_line())
+    document = check_document(found, log, calibration, command_line())
     if options["html"] is not None:
         from imucalib.calibration.file import write_whole
         from imucalib.report.render.html import render_html
