@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibration.apply import refuse_second
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.checking.check import Measured
-from imucalib.calibration.checking.misfit import CheckNoise, gyro_rest, triad_misfits
-from imucalib.calibration.checking.next_rests import misfits_of
+from imucalib.calibration.checking.misfit import gyro_rest, misfits_of, triad_misfits
+from imucalib.calibration.checking.noise import CheckNoise
+from imucalib.calibration.correction import refuse_second
 from imucalib.calibration.series import BLOCK
 from imucalib.calibration.shared_gravity import held_against_gravity
 from imucalib.calibration.triads import named_triads, pairing_of

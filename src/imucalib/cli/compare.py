@@ -68,7 +68,7 @@ def command(
       imucal compare 20*/calibration.yaml --html chart.html
     """
     from imucalib.atomic_file import demand_output
-    from imucalib.calibration.checking.limits import limits_of, sessions_of
+    from imucalib.calibration.checking.noise import limits_of, sessions_of
     from imucalib.calibration.comparison.compare import compared
     from imucalib.calibration.file import check, read
     from imucalib.effects import load_file

@@ -21,7 +21,7 @@ from imucalib.cli.output import note, present, working
 def plan_for(path: Path, options: dict[str, Any]) -> int:
     """Print the plan of a calibration, and write its table where asked; the exit code."""
     from imucalib.atomic_file import demand_output
-    from imucalib.calibration.checking.limits import size_of
+    from imucalib.calibration.checking.noise import size_of
     from imucalib.calibrators.next_recording import Wish, next_recording
     from imucalib.report.design import separation_dict, separation_document
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.calibration.calibration import Calibration
-from imucalib.calibration.comparison.agreement import Beyond, beyond, beyond_sd
+from imucalib.calibration.comparison.agreement import Beyond, beyond, excess
 from imucalib.calibration.provenance import Provenance
 from imucalib.calibrators.population import Population, Told, ToldNoise
 from imucalib.cohort.fleet.pooled import moderated_axes, of_a_kind
@@ -147,7 +147,7 @@ class Outlier:
 
 def spread_of(name: str, unit: str, values: Array, sds: Array) -> Spread:
     """Of devices with one value each."""
-    scatter = beyond_sd(values, sds**2)
+    scatter = excess(values.size - 1.0, values, sds**2) ** 0.5
     weight = 1.0 / (sds**2 + scatter**2)
     mean = float(weight @ values / weight.sum())
     return Spread(
@@ -167,7 +167,7 @@ def nested_spread(name: str, unit: str, values: Array, sds: Array, device: Index
     A device's value is the mean of its recordings, whose scatter beyond their sds all devices tell
     together.
     """
-    within = beyond(values, sds**2, device)
+    within = beyond(values, sds**2, np.eye(device.max() + 1)[device])
     if np.isnan(within.sd):
         return spread_of(name, unit, values, sds)
     weight = 1.0 / (sds**2 + within.sd**2)

@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from imucalib.arrays import Array, Flags
-from imucalib.calibration.apply import apply_to_recording, mark_of, refuse_second, write_over
+from imucalib.calibration.apply import imus_corrected, write_over
 from imucalib.calibration.calibration import Calibration
+from imucalib.calibration.correction import mark_of, refuse_second
 from imucalib.calibrators.array.fused.fuse import Fused, Stretch, fuse
 from imucalib.calibrators.array.fused.instrument import instrument_of
 from imucalib.calibrators.array.fused.survey import Survey, ages, side_by_side, survey
@@ -134,7 +135,7 @@ def fuse_file(
 
     def fused_blocks(given: Iterable[Recording]) -> Iterator[Recording]:
         corrected = (
-            partial(apply_to_recording, calibration, again=True, partner=found.instrument.partner)
+            partial(imus_corrected, calibration, partner=found.instrument.partner or {})
             if each
             else None
         )
