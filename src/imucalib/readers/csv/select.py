@@ -213,18 +213,14 @@ def select(
     columns = understand(dialect.names, "angular_rate" if gyroscope else "acceleration")
     if gyroscope and any(c.quantity for c in columns) and columns != understand(dialect.names):
         notes.append("x, y, z are taken as an angular rate, by the name of the file")
-    vectors: list[Vector] = []
-    for quantity, stated in (("acceleration", mapping.acc), ("angular_rate", mapping.gyro)):
-        if stated:
-            vectors += _stated(quantity, stated, mapping, columns, dialect)
-        else:
-            vectors += _by_name(quantity, columns, dialect, notes)
-    time, time_unit, order = _time(mapping, columns, dialect)
+    table = _Table(dialect, mapping, facts, pieces, columns, notes)
+    vectors = table.vectors("acceleration") + table.vectors("angular_rate")
+    time, time_unit, order = table.time()
     free = not time and not mapping.rate and not columns
     if vectors and free:
-        time = _first_column(vectors, dialect, facts.device, notes)
+        time = table.time_without_names(vectors)
     if not vectors:
-        vectors, guessed = _by_position(dialect, facts.device, pieces, notes)
+        vectors, guessed = table.by_position()
         time = guessed if free else time
     if not vectors:
         return Selection((), (), "")
@@ -232,29 +228,161 @@ def select(
         names = ", ".join(dialect.names[k] if dialect.names else str(k + 1) for k in time)
         notes.append(f"time: columns {names} taken together")
     vectors = _paired([_with_unit(v, facts) for v in vectors])
-    vectors += _temperatures(mapping, columns, facts.device, dialect)
-    return Selection(tuple(vectors), time, time_unit, tuple(notes), order)
+    every = (*vectors, *table.temperatures())
+    return Selection(every, time, time_unit, tuple(notes), order)
 
 
-def _by_name(
-    quantity: str, columns: Sequence[Column], dialect: Dialect, notes: list[str]
-) -> list[Vector]:
-    groups: dict[str, dict[int, Column]] = {}
-    for column in columns:
-        if column.quantity == quantity and dialect.numeric[column.index]:
-            axes = groups.setdefault(column.triad, {})
-            used = axes.setdefault(column.axis, column)
-            if used is not column:
-                notes.append(f"column '{column.name}' left out: '{used.name}' is used")
-    vectors = []
-    for triad, axes in groups.items():
-        if len(axes) < 3:
-            names = ", ".join(c.name for c in axes.values())
-            notes.append(f"columns {names} left out: a triad needs x, y and z")
-            continue
-        indices = tuple(axes[k].index for k in range(3))
-        vectors.append(Vector(quantity, triad, indices, _common_unit(list(axes.values()))))
-    return vectors
+@dataclass(frozen=True)
+class _Table:
+    """What is known of a table; columns : what its names say; notes : what had to be chosen."""
+
+    dialect: Dialect
+    mapping: FieldMapping
+    facts: HeaderFacts
+    pieces: Sequence[bytes]
+    columns: list[Column]
+    notes: list[str]
+
+    def vectors(self, quantity: str) -> list[Vector]:
+        """The triads of one quantity: those that the user names, or those that the names tell."""
+        stated = self.mapping.acc if quantity == "acceleration" else self.mapping.gyro
+        if stated:
+            return self._stated(quantity, stated)
+        groups: dict[str, dict[int, Column]] = {}
+        for column in self.columns:
+            if column.quantity == quantity and self.dialect.numeric[column.index]:
+                axes = groups.setdefault(column.triad, {})
+                used = axes.setdefault(column.axis, column)
+                if used is not column:
+                    self.notes.append(f"column '{column.name}' left out: '{used.name}' is used")
+        found = []
+        for triad, axes in groups.items():
+            if len(axes) < 3:
+                names = ", ".join(c.name for c in axes.values())
+                self.notes.append(f"columns {names} left out: a triad needs x, y and z")
+                continue
+            found.append(self._vector(quantity, triad, tuple(axes[k].index for k in range(3))))
+        return found
+
+    def _vector(self, quantity: str, triad: str, indices: tuple[int, ...]) -> Vector:
+        units = [self.columns[i].unit for i in indices] if self.columns else [""]
+        unit = units[0] if len(set(units)) == 1 else ",".join(units)
+        return Vector(quantity, triad, indices, unit)
+
+    def _stated(self, quantity: str, stated: Sequence[str]) -> list[Vector]:
+        option = "acc" if quantity == "acceleration" else "gyro"
+        if len(stated) % 3:
+            raise UsageError(
+                f"{len(stated)} columns do not make triads",
+                where=f"mapping: {option}",
+                remedy="name three columns for each sensor",
+            )
+        before = len(self.mapping.acc) // 3 if quantity == "angular_rate" else 0
+        own = before if len(self.mapping.triads) >= before + len(stated) // 3 else 0
+        vectors = []
+        for k in range(len(stated) // 3):
+            three = stated[3 * k : 3 * k + 3]
+            indices = tuple(column_index(s, self.dialect, option) for s in three)
+            vectors.append(self._vector(quantity, self._triad(own + k, k), indices))
+        return vectors
+
+    def _triad(self, at: int, number: int) -> str:
+        return self.mapping.triads[at] if at < len(self.mapping.triads) else f"imu{number}"
+
+    def temperatures(self) -> list[Vector]:
+        """Those that the user names, else those of the device, else the first of each sensor."""
+        if self.mapping.temperature:
+            found = []
+            for k, address in enumerate(self.mapping.temperature):
+                index = column_index(address, self.dialect, "temperature")
+                found.append(self._vector("temperature", self._triad(k, k), (index,)))
+            return found
+        fields = self.facts.device.fields
+        if not self.columns and (known := self._numbered(fields.temperature)):
+            return [Vector("temperature", "imu0", known, fields.temperature_unit)]
+        first: dict[str, Vector] = {}
+        for c in self.columns:
+            if c.quantity == "temperature" and self.dialect.numeric[c.index]:
+                first.setdefault(c.triad, Vector("temperature", c.triad, (c.index,), c.unit))
+        return list(first.values())
+
+    def _numbered(self, addresses: Sequence[str]) -> tuple[int, ...]:
+        """Indices from 0 of a device's columns; none unless all are numbers that the table has."""
+        width = self.dialect.width
+        indices = tuple(int(a) - 1 for a in addresses if a.isdecimal() and int(a) <= width)
+        return indices if len(indices) == len(addresses) else ()
+
+    def time(self) -> tuple[tuple[int, ...], str, str]:
+        """Columns of the stamps, the unit that the heading states, and the order of known parts."""
+        names, columns = self.dialect.names, self.columns
+        if self.mapping.time:
+            indices = _addressed(self.mapping.time, self.dialect)
+            order = parts_of_time([names[k] for k in indices]) if columns else {}
+            known = "".join(order) if list(order.values()) == list(range(len(indices))) else ""
+            return indices, columns[indices[0]].unit if columns else "", known
+        if self.mapping.rate:
+            return (), "", ""
+        parts = parts_of_time(names)
+        found = [c for c in columns if c.quantity == "time" and c.index not in parts.values()]
+        dates = [k for k, name in enumerate(names) if is_date(name)]
+        digits = [len(re.findall(r"\d+", cell)) for cell in self.dialect.example]
+        if parts and not found:
+            return tuple(parts.values()), "", "".join(parts)
+        if not found:
+            return tuple([k for k in dates if digits[k] >= 5][:1]), "", ""
+        best = min(found, key=lambda c: "stamp" not in c.name.lower())
+        at = best.index
+        bare = not self.dialect.numeric[at] and ":" in self.dialect.example[at]
+        if dates and bare and digits[at] <= 4:
+            return (dates[0], at), "", ""
+        return (at,), best.unit, ""
+
+    def time_without_names(self, vectors: Sequence[Vector]) -> tuple[int, ...]:
+        """The time column of a table without names whose other columns the user has named."""
+        used = {c for v in vectors for c in v.columns}
+        known = self._numbered((self.facts.device.fields.time,))
+        if known and known[0] not in used:
+            return known
+        if 0 not in used and (self.dialect.width == 1 + len(used) or not self.dialect.numeric[0]):
+            self.notes.append("no column names: column 1 taken as time")
+            return (0,)
+        return ()
+
+    def by_position(self) -> tuple[list[Vector], tuple[int, ...]]:
+        """Columns of a table without (useful) names: a known device, or [date,] [time,] x, y, z and
+        perhaps the three of the other sensor, which the norm of gravity tells apart."""
+        dialect, fields = self.dialect, self.facts.device.fields
+        if any(c.quantity for c in understand(dialect.names)):
+            return [], ()
+        if known := self._numbered(fields.acc):
+            time = self._numbered((fields.time,))
+            if not time and not dialect.numeric[known[0]]:  # some exports put a stamp in front
+                known, time = tuple(k + 1 for k in known), (known[0],)
+            if known[-1] < dialect.width:
+                return [Vector("acceleration", "imu0", known)], time
+        words = next((k for k, n in enumerate(dialect.numeric) if n), dialect.width)
+        front = words or int(dialect.width in (4, 7))
+        numbers, said = tuple(range(front, dialect.width)), "time, " * bool(front)
+        found: list[Vector] = []
+        if words <= 2 and all(dialect.numeric[words:]):
+            if len(numbers) == 3:
+                self.notes.append(f"no column names: taken as {said}x, y, z")
+                found = [Vector("acceleration", "imu0", numbers)]
+            elif len(numbers) == 6:
+                found = self._two_sensors(numbers, said)
+        return found, tuple(range(front)) if found else ()
+
+    def _two_sensors(self, numbers: tuple[int, ...], said: str) -> list[Vector]:
+        """Two triples of columns, of which one has the norm of gravity; else none."""
+        rows, halves = self.dialect.rows_of(self.pieces), (numbers[:3], numbers[3:])
+        norms = [norm_of(_numbers(rows, at, self.dialect.decimal)) for at in halves]
+        heavy = [Content("", "", 0, norm=norm).like_gravity for norm in norms]
+        if sum(heavy) != 1:
+            return []
+        first = "accelerometer, gyroscope" if heavy[0] else "gyroscope, accelerometer"
+        self.notes.append(f"no column names: taken as {said}{first}, by the norm of gravity")
+        force, turn = halves if heavy[0] else halves[::-1]
+        return [Vector("acceleration", "imu0", force), Vector("angular_rate", "imu0", turn)]
 
 
 def _paired(vectors: list[Vector]) -> list[Vector]:
@@ -280,45 +408,6 @@ def _with_unit(vector: Vector, facts: HeaderFacts) -> Vector:
     return replace(vector, unit=vector.unit or usual)
 
 
-def _numbered(addresses: Sequence[str], dialect: Dialect) -> tuple[int, ...]:
-    """Indices from 0 of a device's columns; none unless all are numbers that the table has."""
-    indices = tuple(int(a) - 1 for a in addresses if a.isdecimal() and int(a) <= dialect.width)
-    return indices if len(indices) == len(addresses) else ()
-
-
-def _common_unit(columns: Sequence[Column]) -> str:
-    units = [c.unit for c in columns]
-    return units[0] if len(set(units)) == 1 else ",".join(units)
-
-
-def _stated(
-    quantity: str,
-    stated: Sequence[str],
-    mapping: FieldMapping,
-    columns: Sequence[Column],
-    dialect: Dialect,
-) -> list[Vector]:
-    option = "acc" if quantity == "acceleration" else "gyro"
-    if len(stated) % 3:
-        raise UsageError(
-            f"{len(stated)} columns do not make triads",
-            where=f"mapping: {option}",
-            remedy="name three columns for each sensor",
-        )
-    vectors = []
-    before = len(mapping.acc) // 3 if quantity == "angular_rate" else 0
-    own = before if len(mapping.triads) >= before + len(stated) // 3 else 0
-    for k in range(len(stated) // 3):
-        indices = tuple(column_index(s, dialect, option) for s in stated[3 * k : 3 * k + 3])
-        unit = _common_unit([columns[i] for i in indices]) if columns else ""
-        vectors.append(Vector(quantity, _triad(mapping, own + k, k), indices, unit))
-    return vectors
-
-
-def _triad(mapping: FieldMapping, at: int, number: int) -> str:
-    return mapping.triads[at] if at < len(mapping.triads) else f"imu{number}"
-
-
 def column_index(address: str, dialect: Dialect, option: str) -> int:
     """Index from 0 of the column with this name (unit optional) or number from 1."""
     wanted = address.strip().lower()
@@ -335,33 +424,6 @@ def column_index(address: str, dialect: Dialect, option: str) -> int:
     )
 
 
-def _time(
-    mapping: FieldMapping, columns: list[Column], dialect: Dialect
-) -> tuple[tuple[int, ...], str, str]:
-    """Columns of the stamps, the unit that the heading states, and the order of known parts."""
-    if mapping.time:
-        indices = _addressed(mapping.time, dialect)
-        order = parts_of_time([dialect.names[k] for k in indices]) if columns else {}
-        known = "".join(order) if list(order.values()) == list(range(len(indices))) else ""
-        return indices, columns[indices[0]].unit if columns else "", known
-    if mapping.rate:
-        return (), "", ""
-    parts = parts_of_time(dialect.names)
-    found = [c for c in columns if c.quantity == "time" and c.index not in parts.values()]
-    dates = [k for k, name in enumerate(dialect.names) if is_date(name)]
-    if parts and not found:
-        return tuple(parts.values()), "", "".join(parts)
-    best = min(found, key=lambda c: "stamp" not in c.name.lower(), default=None)
-    if best is None:
-        alone = [k for k in dates if len(re.findall(r"\d+", dialect.example[k])) >= 5]
-        return tuple(alone[:1]), "", ""
-    clock = dialect.example[best.index]
-    bare = not dialect.numeric[best.index] and ":" in clock
-    if dates and bare and len(re.findall(r"\d+", clock)) <= 4:
-        return (dates[0], best.index), "", ""
-    return (best.index,), best.unit, ""
-
-
 def _addressed(text: str, dialect: Dialect) -> tuple[int, ...]:
     """The columns of a stamp: one name, which may hold a comma, or several."""
     try:
@@ -370,83 +432,3 @@ def _addressed(text: str, dialect: Dialect) -> tuple[int, ...]:
         if "," not in text:
             raise
     return tuple(column_index(part, dialect, "time") for part in text.split(","))
-
-
-def _first_column(
-    vectors: Sequence[Vector], dialect: Dialect, device: Device, notes: list[str]
-) -> tuple[int, ...]:
-    """The time column of a table without names whose other columns the user has named."""
-    used = {c for v in vectors for c in v.columns}
-    known = _numbered((device.fields.time,), dialect)[:1]
-    if known and known[0] not in used:
-        return known
-    if 0 not in used and (dialect.width == 1 + len(used) or not dialect.numeric[0]):
-        notes.append("no column names: column 1 taken as time")
-        return (0,)
-    return ()
-
-
-def _temperatures(
-    mapping: FieldMapping, columns: list[Column], device: Device, dialect: Dialect
-) -> list[Vector]:
-    if mapping.temperature:
-        out = []
-        for k, address in enumerate(mapping.temperature):
-            index = column_index(address, dialect, "temperature")
-            unit = columns[index].unit if columns else ""
-            out.append(Vector("temperature", _triad(mapping, k, k), (index,), unit))
-        return out
-    fields = device.fields
-    if not columns and (known := _numbered(fields.temperature, dialect)):
-        return [Vector("temperature", "imu0", known, fields.temperature_unit)]
-    first: dict[str, Vector] = {}
-    for c in columns:
-        if c.quantity == "temperature" and dialect.numeric[c.index]:
-            first.setdefault(c.triad, Vector("temperature", c.triad, (c.index,), c.unit))
-    return list(first.values())
-
-
-def _by_position(
-    dialect: Dialect, device: Device, pieces: Sequence[bytes], notes: list[str]
-) -> tuple[list[Vector], tuple[int, ...]]:
-    """Columns of a table without (useful) names: a known device, or [date,] [time,] x, y, z and
-    perhaps the three of the other sensor, which the norm of gravity tells apart."""
-    if dialect.names and any(c.quantity for c in understand(dialect.names)):
-        return [], ()
-    if known := _numbered(device.fields.acc, dialect):
-        time = _numbered((device.fields.time,), dialect)[:1]
-        if not time and not dialect.numeric[known[0]]:  # some exports put a stamp in front
-            known, time = tuple(k + 1 for k in known), (known[0],)
-        if known[-1] < dialect.width:
-            return [Vector("acceleration", "imu0", known)], time
-    words = next((k for k, n in enumerate(dialect.numeric) if n), dialect.width)
-    if words > 2 or not all(dialect.numeric[words:]):
-        return [], ()
-    front = words or int(dialect.width in (4, 7))
-    numbers = tuple(range(front, dialect.width))
-    time, said = tuple(range(front)), "time, " * bool(front)
-    if len(numbers) == 3:
-        notes.append(f"no column names: taken as {said}x, y, z")
-        return [Vector("acceleration", "imu0", numbers)], time
-    if len(numbers) == 6 and (found := _two_sensors(dialect, pieces, numbers, said, notes)):
-        return found, time
-    return [], ()
-
-
-def _two_sensors(
-    dialect: Dialect,
-    pieces: Sequence[bytes],
-    numbers: tuple[int, ...],
-    said: str,
-    notes: list[str],
-) -> list[Vector]:
-    """Two triples of columns, of which one has the norm of gravity; else none."""
-    rows, halves = dialect.rows_of(pieces), (numbers[:3], numbers[3:])
-    norms = [norm_of(_numbers(rows, at, dialect.decimal)) for at in halves]
-    heavy = [Content("", "", 0, norm=norm).like_gravity for norm in norms]
-    if sum(heavy) != 1:
-        return []
-    first = "accelerometer, gyroscope" if heavy[0] else "gyroscope, accelerometer"
-    notes.append(f"no column names: taken as {said}{first}, by the norm of gravity")
-    force, turn = halves if heavy[0] else halves[::-1]
-    return [Vector("acceleration", "imu0", force), Vector("angular_rate", "imu0", turn)]
