@@ -113,6 +113,10 @@ class Conversion:
         return np.abs(self.axes.apply(values))
 
 
+#: Numbers that are kept as they are.
+AS_STORED = Conversion(COUNTS, COUNTS, np.ones(1), np.zeros(1))
+
+
 def readings_at_rest(pieces: Sequence[Array], window: int) -> Array:
     """(k, 3) window means of the quietest tenth of all windows.
 
