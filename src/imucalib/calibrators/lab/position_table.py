@@ -19,15 +19,8 @@ from imucalib.arrays import Array
 from imucalib.atomic_file import replaced_atomically
 from imucalib.calibrators.lab.headings import ROLES, bare, roles_of, says_something
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.readers.csv.table import (
-    Cells,
-    and_more,
-    is_spreadsheet,
-    selected,
-    sheet_cells,
-    table_cells,
-)
-from imucalib.readers.csv.text import is_blank, is_number, told
+from imucalib.readers.csv.table import Cells, and_more, selected, table_cells
+from imucalib.readers.csv.text import few_values, is_blank, is_number
 from imucalib.readers.devices.catalogue import refuse_foreign
 from imucalib.readers.hdf5.reader import table_columns
 from imucalib.readers.source import head_of, sha256_of
@@ -128,7 +121,7 @@ class PositionTable:
     @property
     def left_out(self) -> tuple[str, ...]:
         """What is said of rows and columns that take no part."""
-        words = (told(name, [str(c) for c in cells]) for name, cells in self.others.items())
+        words = (few_values(name, [str(c) for c in cells]) for name, cells in self.others.items())
         said = (*self.notes, *filter(None, words))
         if not self.unused:
             return said
@@ -237,7 +230,7 @@ def _cells_of(path: Path, mapping: FieldMapping, exclude: Collection[int]) -> Ce
         columns = table_columns(path)
         count = len(next(iter(columns.values()), ()))
         return selected(Cells(columns, tuple(range(1, count + 1)), count), mapping, str(path))
-    return (sheet_cells if is_spreadsheet(path) else table_cells)(path, mapping, exclude)
+    return table_cells(path, mapping, exclude)
 
 
 def _read(
