@@ -56,17 +56,17 @@ def measured_of(
     from dataclasses import replace
 
     from imucalib.calibration.checking.e_value import counted_once
-    from imucalib.calibrators.check_log import Asked, array_log, sensor_log
+    from imucalib.calibrators.check_log import CheckRequest, array_log, sensor_log
     from imucalib.calibrators.lab.files import LabFiles
 
     files = LabFiles(log, None, pairs(options["columns"], "--columns"), mapping_of(options))
     stated = options["gravity"] is not None or options["latitude"] is not None
     gravity = gravity_of(options)[0] if stated else calibration.gravity
-    asked = Asked(
+    request = CheckRequest(
         gravity, still_of(options), options["unit"], one_scale(options["lsb"]), options["triad"]
     )
     make = array_log if calibration.triads else sensor_log
-    measured, notes = make(replace(calibration, gravity=gravity), files, noise, asked)
+    measured, notes = make(replace(calibration, gravity=gravity), files, noise, request)
     with_past = [
         replace(
             m,

@@ -22,7 +22,7 @@ def plan_for(path: Path, options: dict[str, Any]) -> int:
     """Print the plan of a calibration, and write its table where asked; the exit code."""
     from imucalib.atomic_file import demand_output
     from imucalib.calibration.checking.limits import size_of
-    from imucalib.calibrators.next_recording import Wish, next_recording
+    from imucalib.calibrators.next_recording import next_recording
     from imucalib.report.design import separation_dict, separation_document
     from imucalib.report.render.text import render_text
 
@@ -31,7 +31,7 @@ def plan_for(path: Path, options: dict[str, Any]) -> int:
     size = options["between_sessions"]
     between = 0.0 if size is None else size_of(size, {"mg": "bias"})[0]
     with working("planning", quiet=options["quiet"]):
-        found = next_recording(path, Wish(_temperatures(options["temperatures"]), between))
+        found = next_recording(path, _temperatures(options["temperatures"]), between)
     if options["output"] is not None and found.table:
         write_table(found.table, options["output"], [path], options)
     if options["as_json"]:

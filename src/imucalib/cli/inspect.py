@@ -138,7 +138,7 @@ def _table(
     file: Path, typed: str, options: dict[str, Any]
 ) -> tuple[Document, dict[str, Any]] | None:
     """What is to be said of a table of positions, or None where a file is none."""
-    from imucalib.calibrators.lab.inspected import inspect_table
+    from imucalib.calibrators.lab.files import inspect_table
     from imucalib.report.inspection import table_dict, table_document
 
     seen = inspect_table(file, mapping_of(options))

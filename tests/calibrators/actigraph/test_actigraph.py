@@ -20,7 +20,6 @@ from imucalib.calibrators.actigraph.observations import NINE, observations_of, r
 from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.run import run_of
 from imucalib.calibrators.actigraph.series import series
-from imucalib.calibrators.actigraph.simulation import WeekPlan, simulated_week
 from imucalib.core.balance import Noise
 from imucalib.core.effect import Context
 from imucalib.core.model import Model
@@ -34,6 +33,7 @@ from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.runs import WORN, posture_runs, scan
 from imucalib.units import MG, STANDARD_GRAVITY
 from worlds.places import SAMPLES
+from worlds.week import WeekPlan, simulated_week
 
 Array = NDArray[np.float64]
 WRIST = SAMPLES / "wrist_day.csv.gz"

@@ -10,8 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
-from imucalib.calibrators.actigraph import coverage, errors, wear
-from imucalib.calibrators.actigraph.closest_point import closest_point
+from imucalib.calibrators.actigraph import errors, wear
 from imucalib.calibrators.actigraph.observations import (
     covariates_of,
     observations_of,
@@ -20,14 +19,15 @@ from imucalib.calibrators.actigraph.observations import (
     weighted,
 )
 from imucalib.calibrators.actigraph.published import PointCollector, published_still, two_sets
-from imucalib.calibrators.actigraph.simulation import (
-    WeekPlan,
-    scan_of,
-    simulated_blocks,
-    simulated_week,
-    worn_blocks,
+from imucalib.calibrators.actigraph.simulation import scan_of, worn_blocks
+from imucalib.calibrators.actigraph.wear import (
+    Minutes,
+    Wear,
+    activity_of,
+    closest_point,
+    minutes_of,
+    wear_of,
 )
-from imucalib.calibrators.actigraph.wear import Minutes, Wear, activity_of, minutes_of, wear_of
 from imucalib.core.effect import Context
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
@@ -36,6 +36,7 @@ from imucalib.effects import named
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.runs import PostureRuns, Scan, scan
 from imucalib.units import MG, STANDARD_GRAVITY
+from worlds.week import WeekPlan, simulated_blocks, simulated_week
 
 Array = NDArray[np.float64]
 
@@ -104,8 +105,7 @@ def fitted_nine(seed: int = 1) -> tuple[object, PostureRuns, Scan]:
 
 def test_coverage_is_what_was_recorded() -> None:
     found, runs, scan = fitted_nine()
-    result = SimpleNamespace(runs=runs, final=found, light=3)
-    block = coverage.coverage_of(result, scan, gravity=G, window=10.0)  # type: ignore[arg-type]
+    block = errors.coverage_of(runs, scan, found, gravity=G, window=10.0, downweighted=3)
     said = block.as_dict()
     assert said["hours"] == pytest.approx(9.6)
     assert said["still_hours"] == pytest.approx(runs.still / 360.0)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from imucalib import cli
 from imucalib.calibration.file import read as read_calibration
 from imucalib.calibrators.actigraph.published import PointCollector
-from imucalib.calibrators.actigraph.simulation import WeekPlan, simulated_blocks
+from imucalib.calibrators.actigraph.simulation import WeekPlan
 from imucalib.errors import Undetermined
 from imucalib.estimators.gradient_descent import (
     INT16,
@@ -30,6 +30,7 @@ from imucalib.estimators.gradient_descent import (
 )
 from imucalib.units import MG, STANDARD_GRAVITY
 from imucalib.writers import write
+from worlds.week import simulated_blocks
 
 Array = NDArray[np.float64]
 

@@ -21,13 +21,6 @@ from imucalib.calibrators.actigraph.observations import (
 from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.run import run_of
 from imucalib.calibrators.actigraph.series import exchange_in
-from imucalib.calibrators.actigraph.simulation import (
-    Week,
-    WeekPlan,
-    code_steps,
-    simulated_blocks,
-    simulated_week,
-)
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.core.prior import Prior, independent
@@ -37,6 +30,7 @@ from imucalib.estimators.least_squares import fit
 from imucalib.loop.held_out import errors, held_out
 from imucalib.rests.runs import PostureRuns, posture_runs, scan
 from imucalib.units import MG, STANDARD_GRAVITY
+from worlds.week import Week, WeekPlan, code_steps, simulated_blocks, simulated_week
 
 Array = NDArray[np.float64]
 

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from gates.bounds import at_most
 from imucalib.calibrators.actigraph.calibrate import ActigraphResult, calibrate
 from imucalib.calibrators.actigraph.request import ActigraphRequest
-from imucalib.calibrators.actigraph.simulation import Week, WeekPlan, code_steps, simulated_week
 from imucalib.core.effect import Context, Effect, Parameter, Response, Truth
 from imucalib.units import MG, STANDARD_GRAVITY
+from worlds.week import Week, WeekPlan, code_steps, simulated_week
 
 WANTED = ActigraphRequest()
 

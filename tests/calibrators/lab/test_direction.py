@@ -15,7 +15,6 @@ import pytest
 from gates.bounds import at_most
 from imucalib.arrays import Array
 from imucalib.calibration.file import check
-from imucalib.calibrators.lab.calibrate import LabSettings
 from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import LabRun, run_lab
@@ -82,8 +81,7 @@ def _table(direction: Array, raw: Array) -> PositionTable:
 
 
 def calibrated(table: PositionTable, **changes: object) -> LabRun:
-    settings = LabSettings(**changes)  # type: ignore[arg-type]
-    return run_lab(table, LabRequest(reference="direction", settings=settings))
+    return run_lab(table, LabRequest(reference="direction", **changes))  # type: ignore[arg-type]
 
 
 @cache
@@ -218,10 +216,7 @@ def test_six_rows_state_no_certainty() -> None:
     for seed in range(6):
         rng = np.random.default_rng(seed)
         table, reference, *_ = SHEETS.sheet("6 rows", rng, (1.0, 0.3))
-        request = LabRequest(
-            reference=reference, gravity=SHEETS.G, settings=LabSettings(loop=False)
-        )
-        run = run_lab(table, request)
+        run = run_lab(table, LabRequest(reference=reference, gravity=SHEETS.G, loop=False))
         bias = [p.sd for p in run.calibration.parameters if p.name.startswith("bias")]
         assert min(bias) > 0.1
         assert run.outcome.advice[0].startswith("Take every position twice")
@@ -234,10 +229,7 @@ def test_six_faces_are_as_good_as_the_size_of_gravity() -> None:
     for seed in range(12):
         rng = np.random.default_rng(seed)
         table, reference, _, bias = SHEETS.sheet("six faces", rng, (1.0, 0.3))
-        request = LabRequest(
-            reference=reference, gravity=SHEETS.G, settings=LabSettings(loop=False)
-        )
-        run = run_lab(table, request)
+        run = run_lab(table, LabRequest(reference=reference, gravity=SHEETS.G, loop=False))
         found = {p.name: p for p in run.calibration.parameters}
         for k, axis in enumerate("xyz"):
             off.append(found[f"bias_{axis}"].value - bias[k] / SHEETS.MG)

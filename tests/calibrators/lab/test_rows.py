@@ -10,16 +10,20 @@ import numpy as np
 import pytest
 
 from imucalib.calibrators.lab import advice, dial, faults
-from imucalib.calibrators.lab.attitude import attitude_errors
-from imucalib.calibrators.lab.bench import position_observations, row_numbers, still_observations
-from imucalib.calibrators.lab.calibrate import LabSettings
+from imucalib.calibrators.lab.bench import (
+    implausible_rows,
+    in_celsius,
+    position_observations,
+    row_numbers,
+    still_observations,
+)
 from imucalib.calibrators.lab.calibration import noise_block
-from imucalib.calibrators.lab.checks import refuse_sizes, refuse_temperatures, without_temperature
 from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.calibrators.lab.dial import Dial, dial_of
-from imucalib.calibrators.lab.errors import noise_floor
+from imucalib.calibrators.lab.errors import attitude_errors, noise_floor
 from imucalib.calibrators.lab.faults import sheet_of
 from imucalib.calibrators.lab.position_table import PositionTable
+from imucalib.calibrators.lab.request import LabRequest
 from imucalib.core.effect import Context
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm, KnownVector
@@ -116,7 +120,7 @@ def test_a_sweep_is_a_run_that_holds_one_dial(
 def sheet(made: PositionTable, rows: Sequence[int], **unit: str) -> faults.Sheet:
     """As the search for slips sees some rows: readings in m/s², the table's first rows noisier."""
     whole = still_observations(made, made.raw() * MG, G)
-    return sheet_of(made, whole, np.array(rows), Conventions(), G)
+    return sheet_of(made, whole, np.array(rows), LabRequest(gravity=G))
 
 
 def mixed(**more: Sequence[float]) -> PositionTable:
@@ -168,25 +172,19 @@ def test_the_slip_of_ten_that_explains_a_size(reading: list[float], words: str, 
     rows = np.array([[0.0, 0.0, 1000.0], reading] + [[0.0, 1000.0, 0.0]] * 6)
     made = table(x=rows[:, 0].tolist(), y=rows[:, 1].tolist(), z=rows[:, 2].tolist())
     with pytest.raises(UsageError) as caught:
-        refuse_sizes(made, np.array([1]), np.arange(8))
+        implausible_rows(made, np.arange(8), refuse=True)
     assert words in caught.value.what
     assert caught.value.where.endswith("row 2")
     assert caught.value.remedy == f"{fix}--exclude 2 or --auto-exclude"
-    assert "(so are 1 more)" in _told(made)
-    refuse_sizes(made, np.array([], np.intp), np.arange(8))
-
-
-def _told(made: PositionTable) -> str:
-    with pytest.raises(UsageError) as caught:
-        refuse_sizes(made, np.array([1, 2]), np.arange(8))
-    return caught.value.what
+    assert implausible_rows(made, np.arange(8), refuse=False) == {1: "size of |a|"}
 
 
 @pytest.mark.parametrize("code", [85.0, -127.0])
 def test_what_a_thermometer_says_that_has_not_measured_is_no_temperature(code: float) -> None:
     def bad(*values: float, **unit: str) -> list[int]:
-        made = table(unit or {"temperature": "C"}, temperature=values)
-        return list(without_temperature(made, np.arange(len(values))))
+        plain = {axis: [1.0] * len(values) for axis in "xyz"}
+        made = in_celsius(table(unit or {"temperature": "degC"}, temperature=values, **plain))
+        return list(implausible_rows(made, np.arange(len(values)), refuse=False))
 
     assert bad(20.0, code, 22.0, 23.0, code) == [1, 4]
     assert bad(20.0, 21.0, code + 0.1, 22.0) == []
@@ -194,13 +192,12 @@ def test_what_a_thermometer_says_that_has_not_measured_is_no_temperature(code: f
     assert bad(20.0, 21.0, 22.0, 23.0, 24.0, code, code) == []  # an oven stands there
     assert bad(20.0, code, code + 29.0, 23.0, 20.0) == []
     assert bad(250.0, code, 260.0, 255.0, temperature="K") == []
-    made = table({"temperature": "C"}, temperature=[20.0, code, 22.0])
-    refuse_temperatures(made, np.array([], np.intp))
+    plain = {axis: [1.0] * 3 for axis in "xyz"}
+    made = table({"temperature": "degC"}, temperature=[20.0, code, 22.0], **plain)
     with pytest.raises(UsageError, match="not measured") as caught:
-        refuse_temperatures(made, np.array([1]))
+        implausible_rows(made, np.arange(3), refuse=True)
     assert caught.value.where.endswith("row 2, column temperature")
     assert "--exclude 2" in caught.value.remedy
-    assert without_temperature(table(x=[1, 2]), np.arange(2)).size == 0
 
 
 def held(raw: float, final: float) -> SimpleNamespace:
@@ -323,7 +320,7 @@ def limited(**asked: float) -> tuple[object, ...]:
     result = SimpleNamespace(
         splits=(split("leave one out", [9.0, 9.0]), split("held out", [3.0, -4.0])),
         observations=SimpleNamespace(reference=reference),
-        settings=SimpleNamespace(conventions=Conventions()),
+        request=LabRequest(),
     )
     names = {k.replace("_", "-"): v for k, v in asked.items()}
     return advice.limits_of(result, names)  # type: ignore[arg-type, return-value]
@@ -360,7 +357,8 @@ def test_rivals_share_the_dial_by_their_weights(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(dial, "dial_of_fit", lambda fit, *at: others[fit])
     weights = {"a": 0.5, "b": 0.3, "c": 0.2}
     group = tuple(SimpleNamespace(weight=w, fit=name) for name, w in weights.items())
-    result = SimpleNamespace(final="a", rivals=group, settings=LabSettings())
+    loop = SimpleNamespace(weighed=group)
+    result = SimpleNamespace(final="a", loop=loop, request=LabRequest())
     found = dial_of(result, np.zeros(2))  # type: ignore[arg-type]
     mean = sum(w * others[n].shift for n, w in weights.items())
     between = sum(w * others[n].shift ** 2 for n, w in weights.items()) - mean**2

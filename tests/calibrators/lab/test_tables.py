@@ -15,8 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imucalib.arrays import Array
-from imucalib.calibrators.lab.bench import raw_unit
-from imucalib.calibrators.lab.checks import observations_of, warmth_note
+from imucalib.calibrators.lab.bench import in_celsius, observations_of, raw_unit
 from imucalib.calibrators.lab.files import LabFiles, positions_in
 from imucalib.calibrators.lab.position_table import ROLES, PositionTable, read_position_table
 from imucalib.calibrators.lab.request import LabRequest
@@ -212,20 +211,19 @@ def test_a_temperature_is_read_in_the_unit_of_its_heading(
 ) -> None:
     celsius = np.linspace(18.0, 31.0, 12)
     path = _warm_sheet(tmp_path / "t.csv", heading, of(celsius))
-    table = read_position_table(path)
-    raw = raw_unit(table, None, None)
-    context = observations_of(table, raw, LabRequest()).context
+    table = in_celsius(read_position_table(path))
+    context = observations_of(table, raw_unit(table, None, None), LabRequest()).context
     np.testing.assert_allclose(context["temperature"], celsius, atol=1e-3)
-    assert warmth_note(table) == (() if heading != "temperature" else (
-        "temperature: no unit is stated, taken as degC",))  # fmt: skip
+    guess = ("temperature: no unit is stated, taken as degC",)
+    assert table.notes == (guess if heading == "temperature" else ())
 
 
 def test_a_temperature_that_celsius_cannot_be_is_no_guess(tmp_path: Path) -> None:
     path = _warm_sheet(tmp_path / "t.csv", "temperature", np.linspace(291.0, 304.0, 12))
     table = read_position_table(path)
-    with pytest.raises(UsageError, match="no unit is stated") as told:
-        observations_of(table, raw_unit(table, None, None), LabRequest())
-    assert "temperature_K" in told.value.remedy
+    with pytest.raises(UsageError, match="no unit is stated") as refused:
+        in_celsius(table)
+    assert "temperature_K" in refused.value.remedy
 
 
 def _warm_sheet(path: Path, heading: str, warm: Array) -> Path:

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from imucalib.calibration.findings import Findings, findings_of
 from imucalib.calibration.outcome import Outcome, Run, left_open, quality_of
 from imucalib.calibration.plain import plain
 from imucalib.calibration.provenance import Provenance, provenance_of
@@ -18,29 +17,28 @@ from imucalib.calibrators.actigraph.calibration import (
     limits_of,
     reasons,
 )
-from imucalib.calibrators.actigraph.closest_point import ClosestPoint, closest_point
-from imucalib.calibrators.actigraph.coverage import Coverage, coverage_of
-from imucalib.calibrators.actigraph.errors import raw_errors
+from imucalib.calibrators.actigraph.errors import Coverage, coverage_of, raw_errors
 from imucalib.calibrators.actigraph.observations import quantisation
 from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.series import (
     Exchange,
     Series,
     exchange_in,
-    refuse_exchange,
     series,
     without_found,
 )
 from imucalib.calibrators.actigraph.wear import (
     Activity,
+    ClosestPoint,
     Minutes,
     Wear,
     activity_of,
+    closest_point,
     minutes_of,
     wear_of,
 )
 from imucalib.calibrators.population import not_of_its_kind
-from imucalib.loop.found import FitLoop
+from imucalib.errors import Undetermined
 from imucalib.readers import blocks, stored_blocks
 from imucalib.recording.mapping import FieldMapping
 from imucalib.rests.runs import WORN, PostureRuns, Scan, posture_runs, scan
@@ -97,14 +95,40 @@ def run_of(
     )
     for text in (*scanned.notes, *runs.notes):
         say(f"  {text}")
-    exchange = exchange_in(runs)
-    refuse_exchange(exchange, scanned.path, parts=request.every is not None)
+    exchange = _exchange(runs, scanned, request)
     if exchange is not None:
         say(f"  {exchange.words}")
-    result = calibrate(runs, scanned, request)
-    result = replace(result, loop=result.loop and with_untestable(result.loop, runs))
-    coverage = coverage_of(result, scanned, gravity=request.gravity, window=request.window)
-    outcome = _judged(result, coverage, scanned, request, exchange)
+    result = _with_untestable(calibrate(runs, scanned, request))
+    coverage = coverage_of(
+        runs,
+        scanned,
+        result.final,
+        gravity=request.gravity,
+        window=request.window,
+        downweighted=result.downweighted,
+    )
+    said = result.of_a_kind
+    outcome = Outcome(
+        calibrator="actigraph",
+        errors=(result.error,),
+        provenance=provenance(scanned, request),
+        findings=request.findings(result.loop),
+        quality=quality_of(result.final),
+        reasons=(
+            *((exchange.words,) if exchange else ()),
+            *runs.faults,
+            *reasons(result, coverage),
+        ),
+        advice=advice(result, coverage),
+        limits=limits_of(result, request.limits),
+        notes=(*scanned.notes, *runs.notes),
+        undecided=not_of_its_kind(
+            said.chance if said else float("nan"),
+            "calibrated without --fleet: is it another kind, or was it turned?",
+        ),
+        weak=result.weak,
+        left=left_open(result.loop, result.error),
+    )
     parts = None
     if request.every:
         parts = series(without_found(runs, result.final, request), scanned, request, say)
@@ -121,54 +145,31 @@ def run_of(
     )
 
 
-def _judged(
-    result: ActigraphResult,
-    coverage: Coverage,
-    scanned: Scan,
-    request: ActigraphRequest,
-    exchange: Exchange | None,
-) -> Outcome:
-    said = result.of_a_kind
-    return Outcome(
-        calibrator="actigraph",
-        errors=(result.error,),
-        provenance=provenance(scanned, request),
-        findings=_findings(result.loop, request),
-        quality=quality_of(result.final),
-        reasons=(
-            *((exchange.words,) if exchange else ()),
-            *result.runs.faults,
-            *reasons(result, coverage),
-        ),
-        advice=advice(result, coverage),
-        limits=limits_of(result, request.limits),
-        notes=(*scanned.notes, *result.runs.notes),
-        undecided=()
-        if said is None
-        else not_of_its_kind(
-            said.strange, "calibrated without --fleet: is it another kind, or was it turned?"
-        ),
-        weak=result.weak,
-        left=left_open(result.loop, result.error),
-    )
+def _exchange(runs: PostureRuns, scanned: Scan, request: ActigraphRequest) -> Exchange | None:
+    """Where the sensor is another one. Raises Undetermined where that ends the one calibration that
+    was wanted."""
+    found = exchange_in(runs)
+    if found is not None and request.every is None:
+        raise Undetermined(
+            found.words,
+            where=scanned.path,
+            remedy=f"each sensor needs its own calibration: --every {found.time / 3600.0:.2f}h "
+            "calibrates the parts before and after by themselves",
+        )
+    return found
 
 
-def _findings(loop: FitLoop | None, request: ActigraphRequest) -> Findings | None:
-    if loop is None:
-        return None
-    return findings_of(loop, declared=request.declare, only=request.only, without=request.without)
-
-
-def with_untestable(loop: FitLoop, runs: PostureRuns) -> FitLoop:
+def _with_untestable(result: ActigraphResult) -> ActigraphResult:
     """The search with what it could not test on this sensor's readings, whatever the postures."""
-    size = quantisation(runs)
-    if size == 0.0:
-        return loop
+    size, loop = quantisation(result.runs), result.loop
+    if size == 0.0 or loop is None:
+        return result
     why = (
-        f"a step of {float(runs.resolution.max()) / MG:.2g} mg hides the noise, so no curve of "
-        f"that period can be told from it: {size / MG:.2g} mg stays in each posture's uncertainty"
+        f"a step of {float(result.runs.resolution.max()) / MG:.2g} mg hides the noise, so no curve "
+        f"of that period can be told from it: {size / MG:.2g} mg stays in each posture's "
+        "uncertainty"
     )
-    return replace(loop, missing={**loop.missing, "quantisation": why})
+    return replace(result, loop=replace(loop, missing={**loop.missing, "quantisation": why}))
 
 
 def provenance(scanned: Scan, request: ActigraphRequest) -> Provenance:

@@ -8,19 +8,20 @@ from pathlib import Path
 
 import numpy as np
 
-from imucalib.arrays import Array
 from imucalib.calibration.findings import Check, Findings, FoundStep, Gain, Untestable
 from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Limit, Outcome, Run
 from imucalib.calibration.provenance import provenance_of
-from imucalib.calibrators.imu.calibrate import ImuRequest, ImuResult, calibrate_imu
+from imucalib.calibrators.imu.calibrate import ImuResult, calibrate_imu
 from imucalib.calibrators.imu.calibration import imu_calibration, imu_details
 from imucalib.calibrators.imu.plan import open_words
+from imucalib.calibrators.imu.request import ImuRequest, gyro_effects
+from imucalib.calibrators.lab.errors import rms
 from imucalib.core.sphere import even_directions
 from imucalib.estimators.turns import GAIN, TurnFit
 from imucalib.loop.found import Score, Unexplained
-from imucalib.loop.held_out import Difference
-from imucalib.loop.posterior.words import Place, of_each
+from imucalib.loop.posterior.words import of_each
 from imucalib.recording.mapping import FieldMapping
+from imucalib.significant_digits import plus_minus
 from imucalib.units import DEG
 
 _NORMAL_95 = 1.96
@@ -100,12 +101,8 @@ def _error(result: ImuResult) -> ErrorSummary:
         base=base,
         final=final,
         floor=float(np.hypot(noisy, np.sqrt(2.0) * np.mean(result.imu.turns.force_sd)) / DEG),
-        held_out=HeldOutError(_rms(held.raw), _rms(held.base), _rms(held.final)),
+        held_out=HeldOutError(rms(held.raw), rms(held.base), rms(held.final)),
     )
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def heading_drift(fit: TurnFit) -> float:
@@ -121,110 +118,108 @@ def heading_drift(fit: TurnFit) -> float:
 def _findings(result: ImuResult, request: ImuRequest) -> Findings:
     """What rests and turns say together."""
     rests = result.accelerometer.outcome.findings or Findings("not run")
-    found = result.found
     if not request.loop:
         return replace(rests, only=request.only, without=request.without)
-    steps = () if result.refused else tuple(_steps(result))
-    left = _left(result)
+    problem, gained = result.found.problem, result.held_out.gained
+    steps, unnamed = _steps(result), _unnamed(result)
+    names, refused = tuple(s.effect for s in steps), result.refused
+    steps = () if refused else steps
     turns = "nothing missing"
-    if left:
+    if unnamed:
         turns = "explained in part" if steps else "unexplained"
     if steps:
-        turns = "suspected" if not result.held_out.gained.proved else turns
+        turns = turns if gained.proved else "suspected"
         turns = "explained" if turns == "nothing missing" else turns
     verdict = max(rests.verdict, turns, key=_VERDICTS.index)
     if {rests.verdict, turns} == {"explained", "unexplained"}:
         verdict = "explained in part"
-    names = tuple(s.effect for s in _steps(result))
+    gain, noise = rests.gain, result.fit.noise
+    if steps:
+        sizes = (gained.before, gained.after, gained.low, gained.high)
+        gain = Gain(*sizes, gained.proved, "deg")
+    words = (
+        f"off by {noise.floor / DEG:.2g} deg and {100.0 * noise.per_angle:.2g} % of the angle "
+        f"each; bias walk {float(np.mean(noise.walk)) / DEG:.2g} deg/s per root s"
+    )
+    absorbed = (n for n in problem.absorbed if n not in rests.missing)
+    declared = (n for n in request.declare if n in gyro_effects(request.extra_effects))
     return replace(
         rests,
         verdict=verdict,
         steps=(*steps, *rests.steps),
         rejected=(
             *rests.rejected,
-            *((n, "turns that took no part refuse it") for n in names if result.refused),
+            *((n, "turns that took no part refuse it") for n in names if refused),
         ),
-        refuted=(*rests.refuted, *(names if result.refused else ())),
-        unexplained=(*left, *rests.unexplained),
+        refuted=(*rests.refuted, *(names if refused else ())),
+        unexplained=(*unnamed, *rests.unexplained),
         scores=tuple(sorted((*_scores(result), *rests.scores), key=lambda s: -s.probability)),
-        missing={**rests.missing, **found.problem.missing},
+        missing={**rests.missing, **problem.missing},
         not_testable=(
             *rests.not_testable,
-            *(
-                Untestable(n, "a typical size", 0.0, "deg")
-                for n in found.problem.absorbed
-                if n not in rests.missing
-            ),
+            *(Untestable(n, "a typical size", 0.0, "deg") for n in absorbed),
         ),
-        declared=(*rests.declared, *((n, "") for n in request.of_turns.declare)),
-        gain=_gain(result.held_out.gained) if steps else rests.gain,
-        facts=(*rests.facts, ("turns", _noise_words(result.fit))),
+        declared=(*rests.declared, *((n, "") for n in declared)),
+        gain=gain,
+        facts=(*rests.facts, ("turns", words)),
     )
 
 
-def _steps(result: ImuResult) -> list[FoundStep]:
-    """What is told of the turns and named."""
-    problem, held, steps = result.found.problem, result.held_out.gained, []
-    parameters = imu_parameters(result)
+def _steps(result: ImuResult) -> tuple[FoundStep, ...]:
+    """What the turns show and that has a name."""
+    components, gained = result.found.problem.components, result.held_out.gained
+    check = Check("held-out error, rms", "deg", gained.before, gained.after, 3)
+    sizes, steps = _sizes(result), []
     for place in result.found.said.places:
-        component = problem.components[place.component]
+        component = components[place.component]
         if not component.named:
             continue
-        own = parameters.get(component.name, ())
-        rivals = tuple((problem.components[c].name, share) for c, share in place.rivals)
+        rivals = tuple((components[c].name, share) for c, share in place.rivals)
         steps.append(
             FoundStep(
                 effect=component.name,
                 evidence=place.log_odds,
-                checks=(Check("held-out error, rms", "deg", held.before, held.after, 3),),
+                checks=(check,),
                 aliases=tuple(n for n, _ in rivals if n != component.name),
-                size=", ".join(own),
-                certain=place.certain and held.proved,
+                size=sizes.get(component.name, ""),
+                certain=place.certain and gained.proved,
                 probability=place.probability,
                 rivals=rivals,
             )
         )
-    return steps
+    return tuple(steps)
 
 
-def imu_parameters(result: ImuResult) -> dict[str, tuple[str, ...]]:
+def _sizes(result: ImuResult) -> dict[str, str]:
     """Found effects' numbers in words, by name."""
-    from imucalib.significant_digits import plus_minus
-
-    sd = np.sqrt(np.diag(result.found.final.gains))[GAIN:]
-    out, k = {}, 0
+    final = result.found.final
+    sd = np.sqrt(np.diag(final.gains))[GAIN:]
+    numbers = zip(final.state.theta.tolist(), sd.tolist(), strict=True)
+    found = {}
     for term in result.found.terms:
-        words = []
-        for i in term.own:
-            p = term.effect.each[int(i)]
-            value = float(result.found.final.state.theta[k])
-            axis = p.name.rpartition("_")[2]
-            words.append(f"{axis} {plus_minus(value, float(sd[k]), p.unit)}")
-            k += 1
-        out[term.name] = tuple(words)
-    return out
+        each = [term.effect.each[int(k)] for k in term.own]
+        words = (
+            f"{p.name.rpartition('_')[2]} {plus_minus(*number, p.unit)}"
+            for p, number in zip(each, numbers, strict=False)
+        )
+        found[term.name] = ", ".join(words)
+    return found
 
 
-def _left(result: ImuResult) -> tuple[Unexplained, ...]:
-    """What is told and has no name, or is refused."""
-    problem, left = result.found.problem, []
-    for place in result.found.said.places:
-        component = problem.components[place.component]
-        if not component.named or result.refused:
-            left.append(_without_a_name(result, place))
-    return tuple(left)
-
-
-def _without_a_name(result: ImuResult, place: Place) -> Unexplained:
+def _unnamed(result: ImuResult) -> tuple[Unexplained, ...]:
+    """What the turns show and that has no name, or is refused."""
     components = result.found.problem.components
-    own = components[place.component]
-    return Unexplained(
-        name=own.name,
-        driver=own.driver,
-        kind="probe",
-        probability=place.probability,
-        evidence=0.0,
-        rivals=tuple(components[c].name for c, _ in place.rivals),
+    return tuple(
+        Unexplained(
+            name=components[place.component].name,
+            driver=components[place.component].driver,
+            kind="probe",
+            probability=place.probability,
+            evidence=0.0,
+            rivals=tuple(components[c].name for c, _ in place.rivals),
+        )
+        for place in result.found.said.places
+        if result.refused or not components[place.component].named
     )
 
 
@@ -243,17 +238,6 @@ def _scores(result: ImuResult) -> list[Score]:
         )
         for k, c in enumerate(found.problem.components)
     ]
-
-
-def _gain(found: Difference) -> Gain:
-    return Gain(found.before, found.after, found.low, found.high, found.proved, "deg")
-
-
-def _noise_words(fit: TurnFit) -> str:
-    return (
-        f"off by {fit.noise.floor / DEG:.2g} deg and {100.0 * fit.noise.per_angle:.2g} % of the "
-        f"angle each; bias walk {float(np.mean(fit.noise.walk)) / DEG:.2g} deg/s per root s"
-    )
 
 
 def _limits(request: ImuRequest, error: ErrorSummary, rests: ErrorSummary) -> tuple[Limit, ...]:

@@ -17,8 +17,8 @@ from imucalib.arrays import Array, Flags, Index
 from imucalib.calibrators.array.loop.laws import array_functions, array_laws
 from imucalib.calibrators.array.loop.motion import BoardMotion
 from imucalib.calibrators.imu.log import Course
-from imucalib.core.effect import Context, Effect, Motion, Response, Truth
-from imucalib.effects import catalogue
+from imucalib.calibrators.imu.request import ImuRequest, gyro_effects
+from imucalib.core.effect import Context, Motion, Response, Truth
 from imucalib.estimators.turns import (
     ACCELEROMETER,
     ANGLE_PRIOR,
@@ -112,31 +112,10 @@ class Searched:
     final: TurnFit
 
 
-@dataclass(frozen=True)
-class AskedTurns:
-    """declare : in the base; only, without : names; own : effects of the user"""
-
-    declare: tuple[str, ...] = ()
-    only: tuple[str, ...] = ()
-    without: tuple[str, ...] = ()
-    own: Mapping[str, Effect] | None = None
-    loop: bool = True
-
-
-def gyro_effects(asked: AskedTurns) -> dict[str, Response]:
-    """Effects of a gyroscope that no delay is part of: turns from rest to rest show none."""
-    every = {**catalogue(), **(asked.own or {})}
-    return {
-        name: effect
-        for name, effect in every.items()
-        if isinstance(effect, Response) and effect.channel == "angular_rate" and not effect.lagged
-    }
-
-
-def declared_terms(asked: AskedTurns) -> tuple[Term, ...]:
+def declared_terms(request: ImuRequest) -> tuple[Term, ...]:
     """Those of the base model, held by no more than ten times their usual size."""
-    every = gyro_effects(asked)
-    return tuple(_term(every[n], 10.0) for n in asked.declare if n in every)
+    every = gyro_effects(request.extra_effects)
+    return tuple(_term(every[n], 10.0) for n in request.declare if n in every)
 
 
 def _term(effect: Response, size: float = 1.0) -> Term:
@@ -180,19 +159,19 @@ def joint_fit(
     )
 
 
-def searched(base: TurnFit, course: Course, asked: AskedTurns) -> Searched:
+def searched(base: TurnFit, course: Course, request: ImuRequest) -> Searched:
     """The posterior over what a base fit lacks, at the set that it tells: searched again from where
     that stands, until the same is told."""
-    declared = declared_terms(asked)
+    declared = declared_terms(request)
     final, terms, seen = base, declared, set[tuple[str, ...]]()
     while True:
-        lacking = lacking_of(final, course, asked)
+        lacking = lacking_of(final, course, request)
         problem, grams = lacking.contest(final)
         posterior = climbed(problem, grams)
         said = told(problem, posterior, names_first=True)
         new = problem.terms_of(said.hypothesis)
         names = _names(new)
-        if not asked.loop or names in seen or not names:
+        if not request.loop or names in seen or not names:
             if not names:
                 final, terms = base, declared
             return Searched(
@@ -214,18 +193,18 @@ def _names(terms: Sequence[Term]) -> tuple[str, ...]:
 
 
 def in_fold(
-    found: Searched, out: Flags, course: Course, asked: AskedTurns
+    found: Searched, out: Flags, course: Course, request: ImuRequest
 ) -> tuple[TurnFit, TurnFit]:
     """Base and final fit without some turns (T,), everything chosen anew from the products of the
     others. Where the same is told, the final fit is that of the others, linear about the whole."""
     base = without(found.base, out)
-    if not asked.loop:
+    if not request.loop:
         return base, base
     problem, grams = found.lacking.contest(base)
     new = problem.terms_of(told(problem, climbed(problem, grams), names_first=True).hypothesis)
     if not new:
         return base, base
-    terms = (*declared_terms(asked), *new)
+    terms = (*declared_terms(request), *new)
     if _names(terms) == _names(found.terms):
         sizes = {f"{t.name} {t.own}": t.sizes for t in terms}
         return base, without(
@@ -322,10 +301,10 @@ def _heard(grams: Grams, dof: float) -> Index:
     return np.flatnonzero((logs > logs.max(axis=1)[:, None] - HEARD).any(axis=0))
 
 
-def lacking_of(fit: TurnFit, course: Course, asked: AskedTurns) -> Lacking:
+def lacking_of(fit: TurnFit, course: Course, request: ImuRequest) -> Lacking:
     """All that a fit may lack, linearised where it stands."""
-    components, terms, missing = _components(fit.log, course, asked)
-    declared = declared_terms(asked)
+    components, terms, missing = _components(fit.log, course, request)
+    declared = declared_terms(request)
     tried = tuple(_term(e) for e in dict.fromkeys(t.effect for own in terms for t in own))
     held, sizes = (np.concatenate([np.zeros(0), *(t.sizes for t in p)]) for p in (declared, tried))
     prior = np.concatenate([held, np.full(sizes.size, np.inf)])
@@ -344,7 +323,7 @@ def lacking_of(fit: TurnFit, course: Course, asked: AskedTurns) -> Lacking:
 
 
 def _components(
-    log: TurnLog, course: Course, asked: AskedTurns
+    log: TurnLog, course: Course, request: ImuRequest
 ) -> tuple[list[Component], list[tuple[Term, ...]], dict[str, str]]:
     """Names, unnamed laws and free functions of the gyroscope, and their terms member by member;
     and why effects could not be tried."""
@@ -356,17 +335,19 @@ def _components(
     motion = BoardMotion(truth, context)
     found: dict[str, tuple[Kind, str, list[Response]]] = {}
     missing = {}
-    for name, effect in gyro_effects(asked).items():
-        if name in (*asked.declare, *asked.without) or (asked.only and name not in asked.only):
+    for name, effect in gyro_effects(request.extra_effects).items():
+        if name in (*request.declare, *request.without) or (
+            request.only and name not in request.only
+        ):
             continue
         if reason := effect.missing(context):
             missing[name] = reason
         else:
             found[name] = "name", "", [effect]
-    for driver, law in array_laws(motion) if not asked.only else ():
+    for driver, law in array_laws(motion) if not request.only else ():
         if law.channel == "angular_rate" and not law.lagged:
             found.setdefault(f"another law of {driver}", ("law", driver, []))[2].append(law)
-    for driver, free in array_functions(motion) if not asked.only else ():
+    for driver, free in array_functions(motion) if not request.only else ():
         if free.channel == "angular_rate":
             found[free.name] = "free", driver, [free]
     components, terms = [], []

@@ -11,14 +11,19 @@ import numpy as np
 from imucalib.calibration.ambiguity import KEY
 from imucalib.calibration.calibration import Calibration, from_fit
 from imucalib.calibration.outcome import Outcome
-from imucalib.calibrators.lab.attitude import attitude_errors, rms, worst
+from imucalib.calibration.plain import fields, listed
 from imucalib.calibrators.lab.bench import RawUnit
 from imucalib.calibrators.lab.calibrate import LabResult
 from imucalib.calibrators.lab.dial import dial_of
-from imucalib.calibrators.lab.errors import reading_noise, setting_noise
+from imucalib.calibrators.lab.errors import (
+    attitude_errors,
+    reading_noise,
+    rms,
+    setting_noise,
+    worst,
+)
 from imucalib.calibrators.lab.faults import Faults
-from imucalib.calibrators.lab.request import LabRequest
-from imucalib.calibrators.lab.sessions.between import Sessions
+from imucalib.calibrators.lab.sessions import Sessions
 from imucalib.calibrators.next_recording import recorded_block
 from imucalib.core.fit import Fit
 from imucalib.core.references import KnownVector
@@ -31,18 +36,17 @@ def lab_calibration(
     outcome: Outcome,
     result: LabResult,
     raw: RawUnit,
-    request: LabRequest,
     details: Mapping[str, Any],
 ) -> Calibration:
     """The calibration of a run's final fit, with the blocks that people read beside the numbers."""
     facts = {
-        "gravity_source": request.gravity_source,
+        "gravity_source": result.request.gravity_source,
         "errors": [error.as_dict() for error in outcome.errors],
         "noise": details["noise"],
         "held_out": details["held_out"],
     }
     if "fixture" in details:
-        facts["conventions"] = asdict(result.settings.conventions)
+        facts["conventions"] = asdict(result.request.conventions)
         facts["fixture"] = details["fixture"]
     if "between_sessions" in details:
         facts["between_sessions"] = details["between_sessions"]
@@ -53,7 +57,7 @@ def lab_calibration(
         "lab",
         raw_unit=raw.name,
         raw_to_si=raw.si,
-        gravity=request.gravity,
+        gravity=result.request.gravity,
         status=outcome.status,
         reasons=(*outcome.reasons, *outcome.undecided),
         facts=facts,
@@ -65,21 +69,21 @@ def lab_details(
     excluded: tuple[str, ...],
     undecided: tuple[str, ...],
     faults: Faults,
-    sessions: Sessions | None = None,
+    sessions: Sessions | None,
 ) -> dict[str, Any]:
     """What only a bench has to say, for report.json; the shorter blocks also for the YAML."""
     details: dict[str, Any] = {
         "noise": noise_block(result.final),
-        "held_out": held_out_block(result),
+        "held_out": _held_out_block(result),
         "left_out": list(excluded),
         "positions": _positions(result),
         "undecided": list(undecided),
         "faults": [asdict(fault) for fault in faults.slips],
     }
     if isinstance(result.observations.reference, KnownVector):
-        details["fixture"] = fixture_block(result)
+        details["fixture"] = _fixture_block(result)
     if sessions:
-        details["between_sessions"] = sessions_block(sessions)
+        details["between_sessions"] = _sessions_block(sessions)
     if result.loop is not None:
         fit = result.final
         # What neighbours share is noise of a later rest too.
@@ -88,32 +92,24 @@ def lab_details(
     return details
 
 
-def sessions_block(sessions: Sessions) -> dict[str, Any]:
+def _sessions_block(sessions: Sessions) -> dict[str, Any]:
     """How much power-ups scatter, each session's own offset, and the next one's parameters."""
-    scatter = [
-        {
-            "what": one.name,
-            "unit": one.unit,
-            "sd": one.sd,
-            "low_95": one.interval[0],
-            "high_95": one.interval[1],
-            "offsets": one.offsets.tolist(),
-            "offsets_sd": one.offsets_sd.tolist(),
-        }
-        for one in sessions.between
-    ]
-    following = [
-        {
-            "parameter": p.name,
-            "unit": p.unit,
-            "value": p.value,
-            "sd_of_mean": p.mean,
-            "sd_next_power_up": p.sd,
-            "half_of_95": p.half,
-        }
-        for p in sessions.parameters
-    ]
-    return {"sessions": list(sessions.names), "scatter": scatter, "next_power_up": following}
+    return {
+        "sessions": list(sessions.names),
+        "scatter": [
+            {
+                **fields(one, "what=name unit sd"),
+                "low_95": one.interval[0],
+                "high_95": one.interval[1],
+                **fields(one, "offsets offsets_sd"),
+            }
+            for one in sessions.between
+        ],
+        "next_power_up": listed(
+            sessions.parameters,
+            "parameter=name unit value sd_of_mean=mean sd_next_power_up=sd half_of_95=half",
+        ),
+    }
 
 
 def noise_block(fit: Fit) -> dict[str, Any]:
@@ -130,12 +126,12 @@ def noise_block(fit: Fit) -> dict[str, Any]:
     return block
 
 
-def held_out_block(result: LabResult) -> list[dict[str, Any]]:
+def _held_out_block(result: LabResult) -> list[dict[str, Any]]:
     """Errors on data that was not fitted, largest and rms, per split and model."""
     rows = []
     for split in result.splits:
         for name, held in (("base", split.base), ("final", split.final)):
-            found = attitude_errors(held, result.settings.conventions)
+            found = attitude_errors(held, result.request.conventions)
             row: dict[str, Any] = {"split": split.name, "model": name, "positions": len(split.rows)}
             if isinstance(result.observations.reference, KnownVector):
                 row |= {
@@ -146,7 +142,7 @@ def held_out_block(result: LabResult) -> list[dict[str, Any]]:
     return rows
 
 
-def fixture_block(result: LabResult) -> dict[str, Any]:
+def _fixture_block(result: LabResult) -> dict[str, Any]:
     """What the bench is off by: inclination against the dial with 95 % intervals."""
     fit = result.final
     effects = [e.name for e in fit.model.effects if e.stage == "fixture"]
@@ -169,7 +165,7 @@ def _positions(result: LabResult) -> list[dict[str, Any]]:
     fit, whole = result.final, result.observations
     known = isinstance(whole.reference, KnownVector)
     held = errors(fit, fit.theta, whole)
-    angle = attitude_errors(held, result.settings.conventions)
+    angle = attitude_errors(held, result.request.conventions)
     used = set(result.used.tolist())
     rows = []
     for k, label in enumerate(whole.label):

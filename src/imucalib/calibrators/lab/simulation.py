@@ -7,14 +7,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibration.uncertainty import correcting
 from imucalib.calibrators.lab.bench import position_observations
 from imucalib.calibrators.lab.calibrate import MODELS
 from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.calibrators.lab.design import recommend
 from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.core.balance import Noise
-from imucalib.core.effect import Context
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.core.references import unit_vector
@@ -59,7 +57,7 @@ def simulated_table(plan: BenchPlan, rng: np.random.Generator) -> PositionTable:
     nominal = _blank(plan, inclination, tool_face)
     meant = plan.gravity * unit_vector(*Conventions().inside(inclination, tool_face))
     data = position_observations(nominal, meant, Conventions(), plan.gravity, sigma=plan.noise * MG)
-    model, theta = _planted(plan, data)
+    model, theta = planted(plan, data)
     components = ("inclination setting", "tool-face setting")
     noise = Noise(1.0, components, tuple(a * DEG for a in plan.setting))
     reading = simulate(model, theta, data, noise, rng).reading[:, 0] / MG
@@ -97,7 +95,8 @@ def _blank(plan: BenchPlan, inclination: Array, tool_face: Array) -> PositionTab
     return PositionTable(columns, {}, {}, np.arange(1, plan.positions + 1), "simulated", "")
 
 
-def _planted(plan: BenchPlan, data: Observations) -> tuple[Model, Array]:
+def planted(plan: BenchPlan, data: Observations) -> tuple[Model, Array]:
+    """The planted model and its θ. Raises UsageError for what cannot be planted."""
     model = Model(
         tuple(named(n) for n in (*MODELS["linear12"], *(p for p in plan.plant if p not in _SENSOR)))
     )
@@ -140,13 +139,3 @@ def simulated_recording(
     t = np.arange(len(values)) / rate
     channel = Channel(t, values, "m/s2", "acceleration", "imu0", rate)
     return Recording({"imu0/acceleration": channel}, "simulated", "simulated", "")
-
-
-def planted_truth(plan: BenchPlan, data: Observations, force: Array) -> Array:
-    """Noise-free readings (n, 3) m/s² of the planted sensor at specific forces (n, 3) m/s²."""
-    model, theta = _planted(plan, data)
-    slices = model.slices(data.context)
-    sensor = correcting(model)
-    own = np.concatenate([theta[slices[name]] for name in sensor.names])
-    covariates = {k: np.full(len(force), np.median(v)) for k, v in data.context.covariates.items()}
-    return sensor.predict(own, force[:, None], Context(len(force), covariates)).reading[:, 0]

@@ -119,10 +119,8 @@ def run_fleet(
 
     Raises UsageError for fewer than two devices and for devices of different models.
     """
-    alone = replace(request, settings=replace(request.settings, loop=False))
-    effects = searched(
-        request.settings.only, request.settings.without, request.settings.extra_effects
-    ).effects
+    alone = replace(request, loop=False)
+    effects = searched(request.only, request.without, request.extra_effects).effects
     runs, failed = _calibrated(tables, alone, say)
     if len(runs) < 2:
         why = "; ".join(f"{name}: {text}" for name, text in failed)
@@ -208,7 +206,7 @@ def _members(
             pairs.append((before.size / MG, after.size / MG))
             folds = max(folds, min(len(before.size), 30))
         result = replace(run.result, final=final)
-        made = lab_calibration(run.outcome, result, run.raw, run.request, run.details)
+        made = lab_calibration(run.outcome, result, run.raw, run.details)
         one = Recording(name, run.outcome.provenance, made)
         members.append(Member(name, (one,), base_error, final_error, tuple(others)))
     if not pairs:
