@@ -77,16 +77,7 @@ def run_lab(
         excluded += tuple(bad.values())
         rows = np.setdiff1d(rows, list(bad))
         result, faults = _judged(table, whole, rows, request, first=False)
-    undecided = faults.undecided(_records(result))
-    undecided += tuple(
-        f"{r.where}: {r.channel} is {r.size:.3g} ± {r.sd:.2g} {r.unit} off what the others predict "
-        f"({r.likely}, {per_cent(r.probability)}); decide with {fix_option(r, raw)}"
-        for r in _records(result)
-    )
-    undecided = undecided or doubts(result, raw, request)
-    undecided += not_of_its_kind(
-        result.kind_chance, "calibrate it alone, in 24 positions or more, without --fleet"
-    )
+    undecided = _undecided(result, faults, raw, request)
     outcome = Outcome(
         calibrator="lab",
         errors=(result.error,),
@@ -168,6 +159,20 @@ def _judged(
         ) from error
     slips = (*faults.slips, *(result.loop.slips if result.loop else ()))
     return result, replace(faults, slips=slips).with_axes(request)
+
+
+def _undecided(
+    result: LabResult, faults: Faults, raw: RawUnit, request: LabRequest
+) -> tuple[str, ...]:
+    """What only the user can decide: slips and wrong records, else doubts; a fleet's too."""
+    found = faults.undecided(_records(result))
+    found += tuple(
+        f"{r.where}: {r.channel} is {r.size:.3g} ± {r.sd:.2g} {r.unit} off what the others predict "
+        f"({r.likely}, {per_cent(r.probability)}); decide with {fix_option(r, raw)}"
+        for r in _records(result)
+    )
+    instead = "calibrate it alone, in 24 positions or more, without --fleet"
+    return (found or doubts(result, raw, request)) + not_of_its_kind(result.kind_chance, instead)
 
 
 def _wrong_rows(
