@@ -24,7 +24,8 @@ from imucalib.calibrators.lab.bench import position_observations
 from imucalib.calibrators.lab.calibrate import calibrate
 from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.calibrators.lab.request import LabRequest
-from imucalib.calibrators.lab.simulation import BenchPlan, planted, simulated_table
+from imucalib.calibrators.lab.simulation import SENSOR, BenchPlan, simulated_table
+from imucalib.calibrators.planted import planted_model
 from imucalib.core.effect import Context
 from imucalib.core.observations import Observations
 from imucalib.core.references import angles_of, unit_vector
@@ -36,7 +37,7 @@ OFFSET = 1.0  # deg, the planted inclination offset
 
 def planted_truth(plan: BenchPlan, data: Observations, force: Array) -> Array:
     """Noise-free readings (n, 3) m/s² of the planted sensor at specific forces (n, 3) m/s²."""
-    model, theta = planted(plan, data)
+    model, theta = planted_model({**SENSOR, **plan.plant}, data.context)
     slices = model.slices(data.context)
     sensor = correcting(model)
     own = np.concatenate([theta[slices[name]] for name in sensor.names])

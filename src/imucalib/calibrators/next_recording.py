@@ -21,6 +21,7 @@ from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.checking.next_rests import attitudes
 from imucalib.calibration.file import check, read
 from imucalib.calibrators.lab.conventions import Conventions
+from imucalib.calibrators.lab.design import grid
 from imucalib.core.effect import Context
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
@@ -37,11 +38,10 @@ from imucalib.loop.separation import (
     separation,
     told_apart,
 )
-from imucalib.units import DEG
 
 _KINDS = {KnownVector: "vector", KnownDirection: "direction", KnownNorm: "norm"}
-#: deg between attitudes, and rests after the recording at which drifts are judged.
-_STEP, _LATER = 15.0, 4.0
+#: Rests after the recording at which drifts are judged.
+_LATER = 4.0
 #: °C between which a remedy may vary the temperature.
 _WARM = (10.0, 40.0)
 #: Covariates that follow the temperature late, and what they follow: it changes just before.
@@ -283,7 +283,7 @@ def rests_of(recorded: Recorded, ambiguity: Ambiguity, temperatures: Sequence[fl
     """All candidates for an ambiguity. temperatures : °C that can be held, the ends of those of the
     recording by default; only where an effect depends on it."""
     levels = _levels(recorded, recorded.follows(ambiguity), temperatures)
-    i, t = angles_of(attitudes()) if levels else _grid()
+    i, t = angles_of(attitudes()) if levels else grid()
     combined = list(product(*levels.values()))
     each = np.repeat(np.array(combined).reshape(len(combined), len(levels)), len(i), axis=0)
     return Rests(
@@ -307,17 +307,6 @@ def _levels(
     if "time_of_day" in recordable:
         levels["time_of_day"] = tuple(np.arange(0.0, 2.0 * np.pi, np.pi / 2.0))
     return levels | {name: (-1.0, 1.0) for name in _APPROACHES if name in recordable}
-
-
-def _grid() -> tuple[Array, Array]:
-    """(c,) inclination and tool-face, rad, of a two-axis table's grid."""
-    pairs = [
-        (i, t)
-        for i in np.arange(-90.0, 90.0 + 1e-9, _STEP)
-        for t in (np.arange(0.0, 360.0, _STEP) if abs(i) < 90.0 - 1e-9 else (0.0,))
-    ]
-    inclination, tool_face = np.array(pairs).T
-    return inclination * DEG, tool_face * DEG
 
 
 def pool_of(

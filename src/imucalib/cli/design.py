@@ -94,13 +94,6 @@ def by_hand(calibration: Path | None, rests: int | None, options: dict[str, Any]
     help="Instead of TABLE: a good set of N positions.",
 )
 @click.option(
-    "--axes",
-    type=click.Choice(["1", "2"]),
-    default="2",
-    show_default=True,
-    help="Axes of the table, with --recommend.",
-)
-@click.option(
     "--columns",
     multiple=True,
     metavar="ROLE=NAME,...",
@@ -148,7 +141,6 @@ def by_hand(calibration: Path | None, rests: int | None, options: dict[str, Any]
 def command(
     table: Path | None,
     count: int | None,
-    axes: str,
     columns: tuple[str, ...],
     convention: str,
     **options: Any,
@@ -167,7 +159,7 @@ def command(
       imucal design --imu out/calibration.yaml
     """
     from imucalib.calibrators.lab.conventions import preset
-    from imucalib.calibrators.lab.design import design_of, recommended
+    from imucalib.calibrators.lab.design import design_of, recommend
     from imucalib.calibrators.lab.position_table import read_position_table
     from imucalib.report.design import design_dict, design_document
     from imucalib.report.render.text import render_text
@@ -187,7 +179,7 @@ def command(
         positions = read_position_table(table, pairs(columns, "--columns"), need_raw=False)
         plan = design_of(positions.columns["inclination"], positions.columns["tool_face"], angles)
     else:
-        plan = recommended(count or 0, int(axes), angles)
+        plan = design_of(*angles.outside(*recommend(count or 0)), angles)
     if output is not None:
         rows = zip(plan.inclination.tolist(), plan.tool_face.tolist(), strict=True)
         text = "".join(f"{i:.1f},{t:.1f}\n" for i, t in rows)

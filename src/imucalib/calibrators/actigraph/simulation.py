@@ -8,11 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibrators.actigraph.observations import NINE
+from imucalib.calibrators.planted import planted_model
 from imucalib.core.effect import Context
-from imucalib.core.model import Model
-from imucalib.effects import named
-from imucalib.errors import UsageError
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.runs import Scan
 from imucalib.rests.thermal import REMEMBERED, history_of, remembered
@@ -77,7 +74,7 @@ def worn_blocks(plan: WeekPlan, seed: int) -> Iterator[Recording]:
             thermometer = Channel(t, now[:, None], "degC", "temperature", "imu0", plan.rate)
             channels["imu0/temperature"] = thermometer
         context = Context(t.size, known)
-        model, theta = planted(plan, context)
+        model, theta = planted_model({**plan.sensor, **plan.plant}, context)
         values = model.predict(theta, force[:, None], context).reading[:, 0]
         values = values + plan.noise * MG * rng.standard_normal(values.shape)
         sensor = Channel(t, values, "m/s2", "acceleration", "imu0", plan.rate)
@@ -106,19 +103,6 @@ def postures(n: int, rng: np.random.Generator) -> Array:
     anywhere = rng.random(n) < 0.05
     mixed[anywhere] = rng.standard_normal((int(anywhere.sum()), 3))
     return np.asarray(mixed / np.linalg.norm(mixed, axis=1, keepdims=True))
-
-
-def planted(plan: WeekPlan, context: Context) -> tuple[Model, Array]:
-    """The planted model and its θ. Raises UsageError for a wrong number of parameters."""
-    names = (*NINE, *(name for name in plan.plant if name not in NINE))
-    model = Model(tuple(named(name) for name in names))
-    theta, slices = model.start(context), model.slices(context)
-    for name, values in {**plan.sensor, **plan.plant}.items():
-        part = slices[name]
-        if len(values) != part.stop - part.start:
-            raise UsageError(f"{name} has {part.stop - part.start} parameters, not {len(values)}")
-        theta[part] = values
-    return model, theta
 
 
 def scan_of(grid: Array, warm: Array | None, *, rate: float, seconds: float) -> Scan:

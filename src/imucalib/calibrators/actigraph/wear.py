@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from imucalib.arrays import Array, Flags
+from imucalib.calibration.plain import fields
 from imucalib.calibration.uncertainty import corrected_by
 from imucalib.core.fit import Fit
 from imucalib.recording.recording import Recording
@@ -59,7 +60,7 @@ def wear_of(scanned: Scan) -> Wear:
     w = scanned.windows
     length = float(np.median(w.stop - w.start)) + 1.0 / scanned.rate
     middle = 0.5 * (w.start + w.stop)
-    off = []
+    off = list[tuple[float, float]]()
     for start in np.arange(0.0, max(scanned.stop - _HOUR, 0.0) + _STEP, _STEP):
         rows = slice(*np.searchsorted(middle, [start, start + _HOUR]))
         if middle[rows].size * length < 0.5 * _HOUR:
@@ -67,21 +68,11 @@ def wear_of(scanned: Scan) -> Wear:
         scatter = np.sqrt(w.variance[rows].mean(axis=0) + w.mean[rows].var(axis=0))
         span = w.high[rows].max(axis=0) - w.low[rows].min(axis=0)
         if np.sum((scatter < _SCATTER) & (span < _SPAN)) >= 2:
-            off.append((start, min(start + _HOUR, scanned.stop)))
-    joined = _joined(off)
+            begin = off.pop()[0] if off and start <= off[-1][1] else start
+            off.append((begin, min(start + _HOUR, scanned.stop)))
     hours = middle.size * length / 3600.0
-    lost = sum(float(np.sum((middle >= a) & (middle < b))) * length for a, b in joined)
-    return Wear(hours, hours - lost / 3600.0, np.array(joined).reshape(-1, 2))
-
-
-def _joined(stretches: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    found: list[tuple[float, float]] = []
-    for start, stop in stretches:
-        if found and start <= found[-1][1]:
-            found[-1] = (found[-1][0], stop)
-        else:
-            found.append((start, stop))
-    return found
+    lost = sum(float(np.sum((middle >= a) & (middle < b))) * length for a, b in off)
+    return Wear(hours, hours - lost / 3600.0, np.array(off).reshape(-1, 2))
 
 
 @dataclass(frozen=True)
@@ -113,15 +104,13 @@ class Activity:
 
     def as_dict(self) -> dict[str, Any]:
         """The block of report.json."""
+        night = None if self.night is None else list(self.night)
         return {
-            "hours_recorded": self.wear.hours,
-            "hours_worn": self.wear.worn,
-            "not_worn_s": self.wear.off.tolist(),
-            "night_s_of_day": None if self.night is None else list(self.night),
+            **fields(self, "hours_recorded=wear.hours hours_worn=wear.worn not_worn_s=wear.off"),
+            "night_s_of_day": night,
             "enmo_mg": {k: {"raw": a, "corrected": b} for k, (a, b) in self.enmo.items()},
             "night_error_mg": dict(zip(("raw", "corrected"), self.night_error, strict=True)),
-            "night_posture_runs": self.night_runs,
-            "enmo_by_hour_mg": self.profile.tolist(),
+            **fields(self, "night_posture_runs=night_runs enmo_by_hour_mg=profile"),
         }
 
 
@@ -137,8 +126,7 @@ def minutes_of(blocks: Iterable[Recording], triad: str, fit: Fit) -> Minutes:
                 parts.append(_summed(channel.t, channel.values, slope, origin, fit))
     rows = np.concatenate(parts) if parts else np.empty((0, 4))
     minute, place = np.unique(rows[:, 0], return_inverse=True)
-    sums = (np.bincount(place, rows[:, k]).astype(np.float64) for k in (1, 2, 3))
-    count, raw, corrected = sums
+    count, raw, corrected = (np.bincount(place, v).astype(np.float64) for v in rows[:, 1:].T)
     return Minutes(minute, count, raw / count, corrected / count)
 
 
@@ -152,13 +140,12 @@ def _summed(t: Array, values: Array, slope: Array, origin: Array, fit: Fit) -> A
     linear = values @ slope.T + origin
     shift = np.linalg.norm(corrected_by(fit, mean), axis=1)
     shift -= np.linalg.norm(mean @ slope.T + origin, axis=1)
-    sizes = _size(values), _size(linear) + np.repeat(shift, count)
-    over = (np.add.reduceat(np.maximum(s - STANDARD_GRAVITY, 0.0), starts) for s in sizes)
+    size, corrected = (np.sqrt(np.vecdot(v, v)) for v in (values, linear))
+    over = (
+        np.add.reduceat(np.maximum(s - STANDARD_GRAVITY, 0.0), starts)
+        for s in (size, corrected + np.repeat(shift, count))
+    )
     return np.column_stack([minute[starts], count, *over])
-
-
-def _size(values: Array) -> Array:
-    return np.asarray(np.sqrt(np.vecdot(values, values)), np.float64)
 
 
 def activity_of(
@@ -225,14 +212,8 @@ class ClosestPoint:
 
     def as_dict(self) -> dict[str, Any]:
         """The block of report.json."""
-        return {
-            "scale": self.scale.tolist(),
-            "offset_g": self.offset.tolist(),
-            "windows": self.points,
-            "error_before_mg": self.before,
-            "error_after_mg": self.after,
-            "enough": self.enough,
-        }
+        names = "scale offset_g=offset windows=points"
+        return fields(self, f"{names} error_before_mg=before error_after_mg=after enough")
 
     def norm_error(self, reading: Array) -> Array:
         """(n,) m/s², |corrected| minus 1 g of readings (n, 3) m/s²."""

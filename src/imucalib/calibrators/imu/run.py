@@ -154,7 +154,7 @@ def _findings(result: ImuResult, request: ImuRequest) -> Findings:
         refuted=(*rests.refuted, *(names if refused else ())),
         unexplained=(*unnamed, *rests.unexplained),
         scores=tuple(sorted((*_scores(result), *rests.scores), key=lambda s: -s.probability)),
-        missing={**rests.missing, **problem.missing},
+        missing={**rests.missing, **result.found.lacking.missing},
         not_testable=(
             *rests.not_testable,
             *(Untestable(n, "a typical size", 0.0, "deg") for n in absorbed),

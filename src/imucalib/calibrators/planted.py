@@ -1,12 +1,16 @@
-"""Faults of a set-up, planted into a simulated recording: what a program must tell, not fit."""
+"""What simulations plant: effects into a sensor, and faults of a set-up into a recording."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from imucalib.arrays import Array
+from imucalib.core.effect import Context
+from imucalib.core.model import Model
+from imucalib.effects import named
 from imucalib.errors import UsageError
 from imucalib.recording.recording import Channel, Gap, Recording
 from imucalib.units import STANDARD_GRAVITY
@@ -14,6 +18,22 @@ from imucalib.units import STANDARD_GRAVITY
 _KINDS = "gap@START:LENGTH, freeze@START:LENGTH, sign@SENSOR:AXIS, clip@G, exchange@SENSOR:SENSOR"
 _PARTS = {"gap": 2, "freeze": 2, "sign": 2, "clip": 1, "exchange": 2}
 _NUMBERS = ("gap", "freeze", "clip")
+
+
+def planted_model(sizes: Mapping[str, tuple[float, ...]], context: Context) -> tuple[Model, Array]:
+    """A model of some effects, by name, and its θ of their sizes, in their parameters' units.
+    Raises UsageError for a wrong number of parameters, and for what these data do not carry."""
+    model = Model(tuple(named(name) for name in sizes))
+    theta, slices = model.start(context), model.slices(context)
+    for name, values in sizes.items():
+        effect, part = named(name), slices[name]
+        if len(values) != part.stop - part.start:
+            names = ", ".join(p.name for p in effect.parameters(context))
+            raise UsageError(f"{name} has {part.stop - part.start} parameters: {names}")
+        if reason := effect.missing(context):
+            raise UsageError(f"{name} cannot be planted: {reason}")
+        theta[part] = values
+    return model, theta
 
 
 @dataclass(frozen=True)
