@@ -24,7 +24,6 @@ from imucalib.estimators.gradient_descent import (
     closed_form,
     descend,
     descend_fixed,
-    global_optimum,
     norm_errors,
     objective,
 )
@@ -120,12 +119,6 @@ def test_the_closed_form_is_exact_without_misalignment() -> None:
     assert np.allclose(closed_form(points), p, atol=1e-9)
     with pytest.raises(Undetermined):
         closed_form(np.array([[1.0, 0, 0]] * 18))
-
-
-@pytest.mark.slow
-def test_the_global_optimum_is_no_worse_than_the_descent() -> None:
-    _, points = case(5)
-    assert objective(global_optimum(points), points) <= objective(descend(points), points)
 
 
 @pytest.fixture(scope="module")

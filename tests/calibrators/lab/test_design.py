@@ -36,21 +36,6 @@ def columns(i: np.ndarray, t: np.ndarray) -> np.ndarray:
     return np.stack(every, axis=-1) * typical * unit
 
 
-@pytest.mark.parametrize("pole", [-90.0, 90.0])
-def test_the_position_that_tells_most_is_offered(pole: float) -> None:
-    """Of all on a grid of 15 deg, both poles with it: the largest determinant, one pole here."""
-    rng = np.random.default_rng(1)
-    i, t = -np.sign(pole) * rng.uniform(-20.0, 80.0, 300), rng.uniform(0.0, 360.0, 300)
-    grid = [(a, b) for a in np.arange(-75.0, 76.0, 15.0) for b in np.arange(0.0, 360.0, 15.0)]
-    grid += [(-90.0, 0.0), (90.0, 0.0)]
-    known = columns(i, t).T @ columns(i, t)
-    offered = columns(*np.array(grid).T)
-    worth = [np.linalg.slogdet(known + np.outer(row, row))[1] for row in offered]
-    assert grid[int(np.argmax(worth))] == (pole, 0.0)
-    first = judge(MODEL, np.deg2rad(i), np.deg2rad(t), norm=True).additions[0]
-    assert first.inclination == pytest.approx(pole)
-
-
 def scaled(i: np.ndarray, t: np.ndarray) -> np.ndarray:
     """Information of positions for 1 mg of noise: `columns` are in g."""
     return 1e6 * columns(i, t).T @ columns(i, t)

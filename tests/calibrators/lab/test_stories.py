@@ -102,15 +102,6 @@ def test_structure_outside_the_catalogue_gets_a_formula_but_no_cause() -> None:
 
 
 @pytest.mark.slow
-def test_an_absorbed_effect_is_listed_as_not_testable() -> None:
-    loop = bench(BenchPlan(plant={"tool_face_zero": (2.0,)}), 9).loop
-    assert loop is not None
-    absorbed = {s.name for s in loop.scores if s.absorbed}
-    assert "tool_face_zero" in absorbed
-    assert not loop.steps
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("axis", ["x", "y"])
 def test_a_slip_of_a_factor_ten_is_told_before_anything_is_fitted(axis: str) -> None:
     table = simulated_table(BenchPlan(), np.random.default_rng(3))

@@ -137,7 +137,6 @@ def _every_position(without: Outcome, done: Outcome, bench: Bench) -> None:
     assert "row  inclination  tool-face" not in without.stdout
 
 
-RECOMMEND = ("design", "--recommend", "9", "--json")
 CASES: tuple[Case, ...] = (
     LAB("--recording <out>/rests.csv", _rests_in_order),
     LAB("--layout random", _that(
