@@ -14,10 +14,10 @@ from imucalib.calibrators.lab.bench import (
     position_observations,
     still_observations,
 )
-from imucalib.calibrators.lab.calibration import noise_block
 from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.calibrators.lab.errors import attitude_errors, noise_floor
 from imucalib.calibrators.lab.position_table import PositionTable
+from imucalib.calibrators.lab.run import noise_block
 from imucalib.core.effect import Context
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm, KnownVector

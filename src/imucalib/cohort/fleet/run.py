@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibrators.lab.calibration import lab_calibration
 from imucalib.calibrators.lab.files import LabFiles, calibrate_files
 from imucalib.calibrators.lab.request import LabRequest
-from imucalib.calibrators.lab.run import LabRun
+from imucalib.calibrators.lab.run import LabRun, lab_calibration
 from imucalib.cohort.fleet.left_out import Said, said_by
 from imucalib.cohort.fleet.outcome import (
     Asked,
