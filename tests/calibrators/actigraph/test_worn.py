@@ -59,42 +59,6 @@ def test_a_step_of_any_size_is_named(worn: ModuleType, mg: float) -> None:
     assert result.loop.verdict == "explained"
 
 
-def of(worn: ModuleType, monkeypatch: pytest.MonkeyPatch, effect: Any, aim: float) -> Any:
-    """A recording with an effect (direction, °C from 25, share of time, sizes) -> mg."""
-    monkeypatch.setitem(worn.EFFECTS, "planted", effect)
-    return worn.Case("white", "planted", aim, 3)
-
-
-def test_a_swing_of_seven_hours_is_followed(
-    worn: ModuleType, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """No effect has its period: to the noise it is a walk, whose course is the sensor's."""
-
-    def swing(x: Any, t: Any, u: Any, c: Any) -> Any:
-        return c * np.sin(2.0 * np.pi * 144.0 / 14.0 * u)[:, None]
-
-    result = (case := of(worn, monkeypatch, swing, 25.0)).solved(WANTED)
-    assert result.loop.wander.followed
-    assert case.error(result.final) < 0.7 * case.error(result.base)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("limit", "refused"), [(0.93, True), (0.95, False)])
-def test_readings_at_a_limit_stop_no_run(
-    worn: ModuleType, monkeypatch: pytest.MonkeyPatch, limit: float, refused: bool
-) -> None:
-    """Beyond its limit the axis reads the same whatever the force is: a fit that follows it has no
-    inverse, at once or once the noise is that beside it."""
-
-    def limited(x: Any, t: Any, u: Any, c: Any) -> Any:
-        return 1e3 * np.eye(3)[2] * (np.clip(x, -limit, limit) - x)
-
-    monkeypatch.setattr(worn, "strength", lambda *_: 30.0)
-    loop = of(worn, monkeypatch, limited, 30.0).solved(WANTED).loop
-    assert loop.verdict != "nothing missing"
-    assert any("no inverse" in why for _, why in loop.rejected) <= refused
-
-
 NOISES = ("white", "walk 10 min", "walk 2 h", "walk 12 h", "t3")
 
 

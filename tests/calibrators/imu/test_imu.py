@@ -258,14 +258,3 @@ def test_a_plan_of_135_deg_and_two_logs_together(tmp_path: Path) -> None:
     values = [p["value"] for p in both["parameters"] if p["effect"] == "gyro_gain"]
     sds = [p["sd"] for p in both["parameters"] if p["effect"] == "gyro_gain"]
     assert np.abs((np.array(values) - np.linalg.inv(own.M).ravel()) / sds).max() < 4.0
-
-
-def test_a_later_log_is_checked_and_calibrations_are_compared(tmp_path: Path) -> None:
-    rng = np.random.default_rng(9)
-    own = chip(rng)
-    paths = [turned(own, rng, rests=16).write(tmp_path / f"{k}.csv") for k in range(2)]
-    for k, path in enumerate(paths):
-        assert run("imu", path, "-o", tmp_path / f"out{k}", "-q", "--no-loop").return_value == 0
-    made_of = [tmp_path / f"out{k}/calibration.yaml" for k in range(2)]
-    assert run("check", made_of[0], paths[1], "-q").exception is None
-    assert run("compare", *made_of, "-q").exception is None

@@ -338,15 +338,6 @@ def test_hdf5_columns(tmp_path: Path) -> None:
     assert np.array_equal(table.columns["tool_face"], [0.0, 90.0])
 
 
-def test_hdf5_matrix_and_table(tmp_path: Path) -> None:
-    raw = np.random.default_rng(1).standard_normal((3, 3))
-    path = _hdf5(tmp_path, inclination=[0.0, 1.0, 2.0], tool_face=[3.0, 4.0, 5.0], raw=raw)
-    assert np.array_equal(read_position_table(path).raw(), raw)
-    fields = [(name, "f8") for name in ("inclination", "tool_face", "x", "y", "z")]
-    rows = np.array([(1.0, 2.0, 3.0, 4.0, 5.0)], dtype=fields)
-    assert np.array_equal(read_position_table(_hdf5(tmp_path, rows=rows)).raw(), [[3.0, 4.0, 5.0]])
-
-
 @given(
     st.lists(
         st.lists(
