@@ -20,8 +20,8 @@ from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.core.prior import Prior, independent
 from imucalib.core.references import KnownNorm
-from imucalib.effects.history.previous import covariates_before
-from imucalib.effects.thermal import rate
+from imucalib.effects.table import covariates_before
+from imucalib.effects.thermal import RATE
 from imucalib.errors import NotConverged
 from imucalib.estimators.in_a_population import strangeness
 from imucalib.estimators.least_squares import fit as fit_model
@@ -211,7 +211,7 @@ def covariates_of(runs: PostureRuns, scanned: Scan) -> dict[str, Array]:
             past = remembered(history, name, runs.time)
             # A thermometer that is rounded to some °C does not show a past temperature beside the
             # present one: what a lag smooths is then its steps. A rate (°C/h) they show too.
-            if name.startswith(rate.PREFIX) or tells_apart(warm, past, runs.temperature):
+            if name.startswith(RATE.prefix) or tells_apart(warm, past, runs.temperature):
                 found[name] = past
     return found
 

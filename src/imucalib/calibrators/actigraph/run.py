@@ -47,7 +47,7 @@ from imucalib.calibrators.next_recording import recorded_block
 from imucalib.calibrators.population import not_of_its_kind
 from imucalib.core.effect import CLOCKS
 from imucalib.core.sphere import counted
-from imucalib.effects.shape import in_words
+from imucalib.effects.forms import in_words
 from imucalib.errors import Undetermined
 from imucalib.readers import blocks, stored_blocks
 from imucalib.recording.mapping import FieldMapping

@@ -16,8 +16,8 @@ from imucalib.core.effect import Context
 from imucalib.core.observations import NoisePrior, Observations, with_sessions
 from imucalib.core.references import KnownNorm, KnownVector, Reference
 from imucalib.core.sphere import KnownDirection
-from imucalib.effects.covariate import COLUMN
-from imucalib.effects.history.previous import covariates_before
+from imucalib.effects.scans import COLUMN
+from imucalib.effects.table import covariates_before
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.loop.faults.cells import transposed
 from imucalib.readers.conversion import temperature, zero_g
