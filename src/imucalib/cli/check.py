@@ -52,17 +52,17 @@ def measured_of(
     """The log as misfits, sensor by sensor."""
     from dataclasses import replace
 
-    from imucalib.calibrators.check_log import Asked, array_log, sensor_log
+    from imucalib.calibrators.check_log import CheckRequest, array_log, sensor_log
     from imucalib.calibrators.lab.files import LabFiles
 
     files = LabFiles(log, None, pairs(options["columns"], "--columns"), mapping_of(options))
     stated = options["gravity"] is not None or options["latitude"] is not None
     gravity = gravity_of(options)[0] if stated else calibration.gravity
-    asked = Asked(
+    request = CheckRequest(
         gravity, still_of(options), options["unit"], one_scale(options["lsb"]), options["triad"]
     )
     make = array_log if calibration.triads else sensor_log
-    return make(replace(calibration, gravity=gravity), files, noise, asked)
+    return make(replace(calibration, gravity=gravity), files, noise, request)
 
 
 @click.command("check", cls=PagedCommand, short_help="Is a calibration still good?")

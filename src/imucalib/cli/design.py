@@ -22,7 +22,7 @@ def plan_for(path: Path, options: dict[str, Any]) -> int:
     """Print the plan of a calibration, and write its table where asked; the exit code."""
     from imucalib.atomic_file import demand_output
     from imucalib.calibration.checking.noise import size_of
-    from imucalib.calibrators.next_recording import Wish, next_recording
+    from imucalib.calibrators.next_recording import next_recording
     from imucalib.report.design import separation_dict, separation_document
 
     if options["output"] is not None:
@@ -30,7 +30,7 @@ def plan_for(path: Path, options: dict[str, Any]) -> int:
     size = options["between_sessions"]
     between = 0.0 if size is None else size_of(size, {"mg": "bias"})[0]
     with working("planning", quiet=options["quiet"]):
-        found = next_recording(path, Wish(_temperatures(options["temperatures"]), between))
+        found = next_recording(path, _temperatures(options["temperatures"]), between)
     if options["output"] is not None and found.table:
         write_table(found.table, options["output"], [path], options)
     present(separation_document(found, path.name), separation_dict(found), options)
@@ -84,13 +84,6 @@ def by_hand(calibration: Path | None, rests: int | None, options: dict[str, Any]
     help="Instead of TABLE: a good set of N positions.",
 )
 @click.option(
-    "--axes",
-    type=click.Choice(["1", "2"]),
-    default="2",
-    show_default=True,
-    help="Axes of the table, with --recommend.",
-)
-@click.option(
     "--columns",
     multiple=True,
     metavar="ROLE=NAME,...",
@@ -138,7 +131,6 @@ def by_hand(calibration: Path | None, rests: int | None, options: dict[str, Any]
 def command(
     table: Path | None,
     count: int | None,
-    axes: str,
     columns: tuple[str, ...],
     convention: str,
     **options: Any,
@@ -157,7 +149,7 @@ def command(
       imucal design --imu out/calibration.yaml
     """
     from imucalib.calibrators.lab.conventions import preset
-    from imucalib.calibrators.lab.design import design_of, recommended
+    from imucalib.calibrators.lab.design import design_of, recommend
     from imucalib.calibrators.lab.position_table import read_position_table
     from imucalib.report.design import design_dict, design_document
 
@@ -176,7 +168,7 @@ def command(
         positions = read_position_table(table, pairs(columns, "--columns"), need_raw=False)
         plan = design_of(positions.columns["inclination"], positions.columns["tool_face"], angles)
     else:
-        plan = recommended(count or 0, int(axes), angles)
+        plan = design_of(*angles.outside(*recommend(count or 0)), angles)
     if output is not None:
         rows = zip(plan.inclination.tolist(), plan.tool_face.tolist(), strict=True)
         text = "".join(f"{i:.1f},{t:.1f}\n" for i, t in rows)

@@ -174,7 +174,6 @@ def _demand_usable() -> None:
 
 
 def _request(options: dict[str, Any]) -> Any:
-    from imucalib.calibrators.lab.calibrate import LabSettings
     from imucalib.calibrators.lab.request import LabRequest
 
     gravity, source = gravity_of(options)
@@ -186,10 +185,8 @@ def _request(options: dict[str, Any]) -> Any:
         reference=options["reference"],
         exclude=numbers(options["exclude"], "--exclude"),
         still=still_of(options),
-        settings=LabSettings(
-            only=options["only"],
-            without=options["without"],
-        ),
+        only=options["only"],
+        without=options["without"],
         seed=options["seed"],
         command=command_line(),
     )

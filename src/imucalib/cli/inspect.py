@@ -131,7 +131,7 @@ def _no_recording(
     file: Path, typed: str, options: dict[str, Any]
 ) -> tuple[Document, dict[str, Any]] | None:
     """What is to be said of a file of this program or of a table of positions; None of another."""
-    from imucalib.calibrators.lab.inspected import inspect_table
+    from imucalib.calibrators.lab.files import inspect_table
     from imucalib.report.inspection import own_document, table_dict, table_document
 
     if file.is_file() and (own := own_document(file, typed)):

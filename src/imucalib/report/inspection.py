@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from imucalib.calibration.plain import fields, listed, plain
-from imucalib.calibrators.lab.inspected import TableSeen
+from imucalib.calibrators.lab.files import TableSeen
 from imucalib.inspection.inspection import ChannelFacts, Inspection, advice, next_commands, problems
 from imucalib.inspection.noise import AxisNoise, Coefficient, SensorNoise
 from imucalib.recording.yaml_text import load

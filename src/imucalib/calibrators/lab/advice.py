@@ -10,11 +10,16 @@ import numpy as np
 from imucalib.calibration.outcome import Limit
 from imucalib.calibration.power import advice_of, hidden
 from imucalib.calibration.uncertainty import correcting
-from imucalib.calibrators.lab.attitude import attitude_errors, rms, worst
 from imucalib.calibrators.lab.bench import RawUnit
 from imucalib.calibrators.lab.calibrate import LabResult
 from imucalib.calibrators.lab.design import judge
-from imucalib.calibrators.lab.errors import reading_noise, setting_noise
+from imucalib.calibrators.lab.errors import (
+    attitude_errors,
+    reading_noise,
+    rms,
+    setting_noise,
+    worst,
+)
 from imucalib.calibrators.lab.faults import SCATTER
 from imucalib.core.effect import Described
 from imucalib.core.fit import Fit
@@ -42,7 +47,7 @@ def fix_option(record: RecordError, raw: RawUnit) -> str:
     return " ".join(repair) + (" or " if repair else "") + f"--exclude {row} (or --auto-exclude)"
 
 
-def reasons(result: LabResult, raw: RawUnit) -> tuple[str, ...]:
+def reasons(result: LabResult) -> tuple[str, ...]:
     """Why the status is not "ok": short, machine-stable beginnings."""
     found: list[str] = []
     loop = result.loop
@@ -50,12 +55,12 @@ def reasons(result: LabResult, raw: RawUnit) -> tuple[str, ...]:
         found.append(f"record errors: {', '.join(r.where for r in loop.records)}")
     if loop and loop.unexplained:
         found.append(f"unexplained structure: {in_words(loop.unexplained[0].name)}")
-    if result.settings.objective in OBJECTIVES and result.final.null_directions:
+    if result.request.objective in OBJECTIVES and result.final.null_directions:
         found.append(
-            f"objective '{result.settings.objective}' leaves open on these rows: "
+            f"objective '{result.request.objective}' leaves open on these rows: "
             + "; ".join(result.final.null_directions)
         )
-    if result.settings.sigma is not None and beyond_declared(result.final) < 0.01:
+    if result.request.sigma is not None and beyond_declared(result.final) < 0.01:
         found.append(f"noise not as declared: {result.final.noise.factor:.2f} times --sigma")
     return tuple(found)
 
@@ -160,7 +165,7 @@ def _positions(result: LabResult) -> list[str]:
     gain = f"{first.gain:.1f} times" if np.isfinite(first.gain) else "decisively"
     inside = np.array([first.inclination * DEG]), np.array([first.tool_face * DEG])
     if isinstance(reference, KnownVector):
-        shown = result.settings.conventions.outside(*inside)
+        shown = result.request.conventions.outside(*inside)
         where = f"inclination {shown[0][0]:.0f}, tool-face {shown[1][0]:.0f}"
     else:  # whoever has no dials cannot set them
         x, y, z = unit_vector(*inside)[0]
@@ -184,7 +189,7 @@ def limits_of(result: LabResult, asked: Mapping[str, float]) -> tuple[Limit, ...
     if not asked:
         return ()
     split = result.splits[-1]
-    angles = attitude_errors(split.final, result.settings.conventions)
+    angles = attitude_errors(split.final, result.request.conventions)
     found = []
     angles_known = isinstance(result.observations.reference, KnownVector)
     for name, limit in asked.items():
