@@ -1,9 +1,9 @@
 """Log posterior of an array's positions with the motion integrated out, and its gradient.
 
-ω̇ and s in closed form, ω by Laplace's method at its conditional mode (`array_audit` checks it by
-quadrature and by importance draws). The determinant's exponent is 1/2: a Gaussian of covariance M
-carries |2πM|^-1/2, and as the motion's prior widens |M| tends to a constant times |HᵀLH|, with L
-the accelerometers' precision; (25) and (26) of paper 001 as printed lack the square root.
+ω̇ and s in closed form, ω by Laplace's method at its conditional mode. The determinant's exponent
+is 1/2: a Gaussian of covariance M carries |2πM|^-1/2, and as the motion's prior widens |M| tends to
+a constant times |HᵀLH|, with L the accelerometers' precision; (25) and (26) of paper 001 as printed
+lack the square root.
 """
 
 from __future__ import annotations

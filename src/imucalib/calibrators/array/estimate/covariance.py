@@ -233,16 +233,16 @@ def samples_taken(moving: Moving, asked: int | None) -> int:
     return min(len(moving.good), asked or max(READINGS // moving.gyros.triads, 1))
 
 
-def on_all(state: ArrayState, moving: Moving, most: int) -> ArrayState:
+def on_all(state: ArrayState, most: int) -> ArrayState:
     """The state at `most` of all informative samples, not settled there. Samples without
     neighbours serve unless a term needs the force's derivative."""
-    beside = any("jerk" in term.effect.needs for term in state.terms)
-    return transferred(state, every_sample(moving, state.setup, most, beside=beside))
+    neighbours = any("jerk" in term.effect.needs for term in state.terms)
+    return transferred(state, every_sample(state.setup, most, neighbours=neighbours))
 
 
-def fitted_on_all(state: ArrayState, moving: Moving, most: int) -> ArrayState:
+def fitted_on_all(state: ArrayState, most: int) -> ArrayState:
     """The joint fit at `most` of all informative samples, with the noise in the shape it has."""
-    return settled_there(on_all(state, moving, most))
+    return settled_there(on_all(state, most))
 
 
 def settled_there(state: ArrayState) -> ArrayState:
