@@ -14,8 +14,7 @@ from scipy.special import logsumexp
 from imucalib.errors import Undetermined
 from imucalib.estimators.array.likelihood import ArrayPosterior, conditionals
 from imucalib.estimators.array.problem import ArrayData, ArrayPrior, MotionPrior
-from imucalib.estimators.array.rates import inverse, modes
-from imucalib.estimators.array.rotation import full, local
+from imucalib.estimators.array.rates import inverse, local, modes
 from imucalib.estimators.array.sampler import (
     ArrayPositions,
     gaussian_positions,
@@ -91,31 +90,14 @@ def test_what_the_motion_leaves_open_is_refused(
         refuse_vague(made)  # type: ignore[arg-type]
 
 
-def packed(matrices: np.ndarray) -> np.ndarray:
-    """(1, 6, T) of symmetric matrices (T, 3, 3): xx, yy, zz, xy, xz, yz."""
-    rows, columns = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]
-    return matrices[:, rows, columns].T[None]
-
-
-def worlds() -> tuple[np.ndarray, np.ndarray]:
-    """Symmetric matrices (4, 3, 3) of which the last two are indefinite, one of them nearly flat;
-    gradients (1, 3, 4)."""
-    rng = np.random.default_rng(4)
-    turns = np.linalg.qr(rng.normal(size=(4, 3, 3)))[0]
+def test_the_inverse_and_which_are_positive() -> None:
+    """Of four symmetric matrices the last two are indefinite, one of them nearly flat."""
+    turns = np.linalg.qr(np.random.default_rng(4).normal(size=(4, 3, 3)))[0]
     values = np.array([[1.0, 2.0, 3.0], [5.0, 0.1, 2.0], [4.0, -2.0, 1.0], [-3.0, 1e-9, 2.0]])
     matrices = np.einsum("nij,nj,nkj->nik", turns, values, turns)
-    return 0.5 * (matrices + matrices.transpose(0, 2, 1)), rng.normal(size=(1, 3, 4))
-
-
-def test_six_numbers_are_the_symmetric_matrix() -> None:
-    matrices, _ = worlds()
-    np.testing.assert_array_equal(full(packed(matrices))[0], matrices.transpose(1, 2, 0))
-
-
-def test_the_inverse_and_which_are_positive() -> None:
-    matrices, _ = worlds()
-    found, det, positive = inverse(packed(matrices))
-    np.testing.assert_allclose(found[0], packed(np.linalg.inv(matrices))[0], rtol=1e-6)
+    matrices = 0.5 * (matrices + matrices.transpose(0, 2, 1))
+    found, det, positive = inverse(matrices.transpose(1, 2, 0)[None])
+    np.testing.assert_allclose(found[0].transpose(2, 0, 1), np.linalg.inv(matrices), rtol=1e-6)
     np.testing.assert_allclose(det[0], np.linalg.det(matrices), rtol=1e-6, atol=1e-12)
     assert positive[0].tolist() == [True, True, False, False]
 
@@ -175,7 +157,7 @@ def test_learned_motion_equals_the_joint_gaussian_given_the_rate(noise: bool) ->
 def _laplace(posterior: ArrayPosterior, x: np.ndarray) -> float:
     given, _ = conditionals(posterior.data, posterior.prior, x[None])
     here = modes(given, posterior.start).here
-    h = full(here.hessian[0]).transpose(2, 0, 1)
+    h = here.hessian[0].transpose(2, 0, 1)
     return float(-here.value.sum() - 0.5 * np.linalg.slogdet(h)[1].sum())
 
 
@@ -228,8 +210,8 @@ def test_modes_are_found_from_a_bad_start_with_poor_gyros() -> None:
     found = modes(given, data.rate.T)
     near, here = found.rate, found.here
     assert np.abs(here.gradient).max() < 1e-3 * np.abs(here.hessian).max()
-    assert np.linalg.eigvalsh(full(here.hessian[0]).transpose(2, 0, 1)).min() > 0.0
-    assert far.modes(x)[0] == pytest.approx(near[0], abs=1e-5)
+    assert np.linalg.eigvalsh(here.hessian[0].transpose(2, 0, 1)).min() > 0.0
+    assert far.mode(x).rate[0] == pytest.approx(near[0], abs=1e-5)
     assert np.sqrt(np.mean((near[0].T - w) ** 2)) < np.sqrt(np.mean((data.rate - w) ** 2))
 
 
@@ -239,7 +221,7 @@ def quadrature_gain(posterior: ArrayPosterior, x: np.ndarray) -> float:
     mass = np.log(weights / np.sqrt(2.0 * np.pi))
     given, _ = conditionals(posterior.data, posterior.prior, x[None])
     found = modes(given, posterior.start)
-    hessian = full(found.here.hessian[0]).transpose(2, 0, 1)
+    hessian = found.here.hessian[0].transpose(2, 0, 1)
     root = np.linalg.cholesky(np.linalg.inv(hessian))
     parts = []
     for at in product(range(5), repeat=3):
