@@ -93,7 +93,7 @@ class Normal:
 def test_the_run_keeps_every_draw_after_the_burn_in(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pmmh, "_TUNING", 50)
     monkeypatch.setattr(pmmh, "tuned_count", lambda data, prior, rng: (Normal(0.2), 0.04))
-    prior = SimpleNamespace(size=2)
+    prior = Normal().prior
     found = pmmh.run_pmmh(None, prior, np.random.default_rng(3), iterations=1500, chains=4)  # type: ignore[arg-type]
     assert found.draws.shape == (4, 1500, 2)
     assert found.log_density.shape == (4, 1500)
