@@ -10,7 +10,13 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.calibrators.array.loop.setup import Setup, every_sample, motion_at
-from imucalib.calibrators.array.loop.state import ArrayState, corrected, followed, settled
+from imucalib.calibrators.array.loop.state import (
+    ArrayState,
+    corrected,
+    followed,
+    sampled_at,
+    settled,
+)
 from imucalib.calibrators.array.loop.terms import lagging
 from imucalib.calibrators.array.moving import Moving
 from imucalib.core.eigen import eigen
@@ -252,9 +258,6 @@ def settled_there(state: ArrayState) -> ArrayState:
 
 def transferred(state: ArrayState, setup: Setup) -> ArrayState:
     """What was found, at other samples; to be settled there."""
-    ones = np.ones(setup.readings.rate.shape[:2])
-    weights = Weights(ones / state.noise[0].sigma ** 2, ones / state.noise[1].sigma ** 2)
-    rate = np.median(setup.readings.rate, axis=1)
-    sampled = fit_samples(setup.readings, weights, state.r, rate)
+    sampled = sampled_at(setup, state.r, state.noise)
     motion = motion_at(setup, sampled, None, courses=bool(lagging(state.terms)))
     return replace(state, setup=setup, sampled=sampled, motion=motion)

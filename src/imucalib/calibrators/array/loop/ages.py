@@ -10,11 +10,11 @@ import numpy as np
 from imucalib.arrays import Array, Flags, Index
 from imucalib.calibrators.array.loop.motion import board_motion
 from imucalib.calibrators.array.loop.setup import Setup, with_neighbours
-from imucalib.calibrators.array.loop.state import ArrayState
+from imucalib.calibrators.array.loop.state import ArrayState, sampled_at
 from imucalib.calibrators.array.loop.terms import Term
 from imucalib.core.effect import Context, Response, Truth
 from imucalib.estimators.array.sample_age import SampleAge, fit_sample_age
-from imucalib.estimators.array.samples import Readings, Sampled, Weights, fit_samples
+from imucalib.estimators.array.samples import Readings, Sampled, fit_samples
 
 _GROUP = 8  # samples that learn or vote together where all are in the search
 _READINGS = 20_000  # samples times IMUs that are worked on at a time
@@ -139,10 +139,7 @@ def _everywhere(state: ArrayState, rows: Index) -> tuple[Array, Array]:
 def _fitted_at(state: ArrayState, rows: Index) -> Sampled:
     """The motion of other samples under what was found."""
     setup = replace(state.setup, rows=rows)
-    ones = np.ones((len(rows), setup.triads))
-    weights = Weights(ones / state.noise[0].sigma ** 2, ones / state.noise[1].sigma ** 2)
-    readings = setup.readings
-    sampled = fit_samples(readings, weights, state.r, np.median(readings.rate, axis=1))
+    readings, sampled = setup.readings, sampled_at(setup, state.r, state.noise)
     plain = [term for term in state.terms if not term.aged]
     for _ in range(2 if plain else 0):
         motion = board_motion(
@@ -159,5 +156,5 @@ def _fitted_at(state: ArrayState, rows: Index) -> Sampled:
         for term in plain:
             columns = term.columns(motion)
             (rate if columns.gyro else acceleration)[...] -= term.reading(columns)
-        sampled = fit_samples(Readings(acceleration, rate), weights, state.r, sampled.rate)
+        sampled = fit_samples(Readings(acceleration, rate), sampled.weights, state.r, sampled.rate)
     return sampled

@@ -19,7 +19,7 @@ from imucalib.calibrators.array.loop.ages import voting, with_clock
 from imucalib.calibrators.array.loop.setup import FEWEST, Setup, part_of
 from imucalib.calibrators.array.loop.state import ArrayState, followed
 from imucalib.loop.found import Checked
-from imucalib.loop.held_out import Difference
+from imucalib.loop.held_out import Difference, difference
 from imucalib.units import DEG
 
 #: Standard deviation of normal errors over their median absolute deviation.
@@ -136,30 +136,21 @@ def difference_of_medians(before: Array, after: Array, block: Index, folds: int)
     """Median absolute deviations before and after, and the interval of their difference.
 
     What changes from block to block is how the board moves, and both errors with it; their ratio
-    stays. So the interval is that of the mean logarithm of the ratio over blocks (Student's
-    distribution), at the error before, widened for the training data that folds share as in
-    `loop/difference`.
+    stays. So the interval is that of the mean logarithm of the ratio over blocks (`difference`), at
+    the error before.
 
     before, after : (n, m) sizes of the errors of n samples; block : (n,) of samples that belong
     together
     """
-    from scipy.special import stdtrit
-
-    every, count = np.unique(block, return_counts=True)
-    n, share = every.size, count / count.sum()
+    every, of = np.unique(block, return_inverse=True)
     ratio = np.array([_log_ratio(before[block == one], after[block == one]) for one in every])
-    off = share * (ratio - share @ ratio)
-    error = float(np.sqrt(n / (n - 1) * np.sum(off**2))) if n > 1 else np.inf
-    reach = float(stdtrit(max(n - 1, 1), 0.975)) * error
-    wide = float(np.sqrt(1.0 + folds / (folds - 1)))
+    mean = difference(ratio[of], np.zeros(len(of)), block, folds, "mean")
     start, end = float(np.median(before)), float(np.median(after))
-    middle = _log_ratio(before, after)
-
-    def gain(log_ratio: float) -> float:
-        return start * -float(np.expm1(-log_ratio))
-
-    low, high = gain(middle - wide * reach), gain(middle + wide * reach)
-    return Difference(start, end, low, high, gain(middle - reach), n)
+    away = _log_ratio(before, after) - mean.gain
+    low, high, plain_low = (
+        start * -float(np.expm1(-(edge + away))) for edge in (mean.low, mean.high, mean.plain_low)
+    )
+    return Difference(start, end, low, high, plain_low, mean.parts)
 
 
 def _log_ratio(before: Array, after: Array) -> float:

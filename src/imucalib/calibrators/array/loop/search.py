@@ -28,7 +28,12 @@ from imucalib.calibrators.array.loop.catalogue import (
 )
 from imucalib.calibrators.array.loop.laws import Candidate, Candidates, candidates_of
 from imucalib.calibrators.array.loop.setup import Setup, looked_at, motion_at
-from imucalib.calibrators.array.loop.state import ArrayState, settled, shared_by_neighbours
+from imucalib.calibrators.array.loop.state import (
+    ArrayState,
+    sampled_at,
+    settled,
+    shared_by_neighbours,
+)
 from imucalib.calibrators.array.loop.terms import (
     Term,
     determined,
@@ -39,7 +44,7 @@ from imucalib.core.effect import Response
 from imucalib.errors import Undetermined
 from imucalib.estimators.array.gram import Columns, gram, inverse_root, taken_out
 from imucalib.estimators.array.noise import SensorNoise, log_density
-from imucalib.estimators.array.samples import Weights, fit_samples, reweighed
+from imucalib.estimators.array.samples import reweighed
 from imucalib.loop.posterior.catalogue import Component, log_odds
 from imucalib.loop.posterior.gram import Grams, Multiplied
 from imucalib.loop.posterior.odds import FINE_SIZES
@@ -306,10 +311,7 @@ def start_state(setup: Setup, terms: tuple[Term, ...]) -> ArrayState:
     """Fitted with the drawing and plain noise as the start."""
     one = np.ones(setup.triads)
     noise = SensorNoise(0.2, 0.0, np.inf, one), SensorNoise(5e-3, 0.0, np.inf, one)
-    rate = np.median(setup.readings.rate, axis=1)
-    ones = np.ones(setup.readings.rate.shape[:2])
-    weights = Weights(ones / noise[0].sigma ** 2, ones / noise[1].sigma ** 2)
-    sampled = fit_samples(setup.readings, weights, setup.board.drawn, rate)
+    sampled = sampled_at(setup, setup.board.drawn, noise)
     drawn = ArrayState(
         setup=setup,
         r=setup.board.drawn,

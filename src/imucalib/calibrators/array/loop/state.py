@@ -96,6 +96,13 @@ class ArrayState:
         return np.asarray(term.live @ self.covariance[own, own] @ term.live.T)
 
 
+def sampled_at(setup: Setup, r: Array, noise: tuple[SensorNoise, SensorNoise]) -> Sampled:
+    """The motion of samples for positions alone, each kind of sensor weighted by its size."""
+    ones = np.ones((len(setup.rows), setup.triads))
+    weights = Weights(ones / noise[0].sigma ** 2, ones / noise[1].sigma ** 2)
+    return fit_samples(setup.readings, weights, r, np.median(setup.readings.rate, axis=1))
+
+
 def settled(state: ArrayState, *, shaped: bool = True) -> ArrayState:
     """The joint fit of everything, and the noise in the shape that held-out halves ask for.
 
