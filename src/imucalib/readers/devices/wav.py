@@ -111,7 +111,18 @@ def _head(raw: bytes, where: str) -> tuple[dict[str, str], _Head]:
     if not columns["Accel"]:
         raise UnreadableInput(f"no three accelerations among {', '.join(channels)}", where=where)
     aux = [k for k, name in enumerate(channels) if name == "Aux"][:1]
-    return facts, _Head(float(rate), scales, start, *data, aux, columns["Accel"], columns["Gyro"])
+    at, size = data
+    head = _Head(
+        float(rate),
+        scales,
+        start,
+        at=at,
+        size=size,
+        aux=aux,
+        acc=columns["Accel"],
+        gyro=columns["Gyro"],
+    )
+    return facts, head
 
 
 def _chunks(raw: bytes, at: int) -> Iterator[tuple[bytes, int, int]]:
