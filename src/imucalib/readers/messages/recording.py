@@ -188,8 +188,9 @@ def _decide(stream: TopicStream) -> Plan:
         raise _no_imu(stream)
     used = list(dict.fromkeys(topic for triad in triads for topic, _ in triad.parts.values()))
     clocks = _clocks([sources[name] for name in used], mapping, str(log.path))
+    where = str(log.path)
     parts = [
-        _part(triad, quantity, sources[topic], column, clocks[topic], mapping, str(log.path))
+        _part(triad, quantity, sources[topic], column, clocks[topic], mapping=mapping, where=where)
         for triad in triads
         for quantity, (topic, column) in triad.parts.items()
     ]
