@@ -45,6 +45,7 @@ def left_out(problem: Problem, posterior: Posterior, folds: Sequence[Fold]) -> L
     every = np.arange(problem.fit.observations.n)
     deepest = min(FOLD_DEEPEST, len(told(problem, posterior).hypothesis.components) + 1)
     before, after, nats = list[Held](), list[Held](), list[float]()
+    rows = [fold.rows for fold in folds]
     for fold in folds:
         kept = without(grams, problem, np.setdiff1d(every, fold.rest))
         found = search(problem, kept, choices, beams=FOLD_BEAMS, deepest=deepest)
@@ -56,7 +57,7 @@ def left_out(problem: Problem, posterior: Posterior, folds: Sequence[Fold]) -> L
             one = solved(problem, kept, hypothesis, choices)
             fit = replace(problem.fit, model=one.model, theta=one.theta)
             out.append(errors(fit, one.theta, held))
-    return LeftOut(joined(before, folds), joined(after, folds), np.array(nats))
+    return LeftOut(joined(before, rows), joined(after, rows), np.array(nats))
 
 
 def foretold(problem: Problem, posterior: Posterior, folds: Sequence[Fold]) -> Held:
@@ -70,7 +71,7 @@ def foretold(problem: Problem, posterior: Posterior, folds: Sequence[Fold]) -> H
         one = solved(brief, kept, posterior.base)
         fit = replace(problem.fit, model=one.model, theta=one.theta)
         out.append(errors(fit, one.theta, problem.fit.observations.take(fold.rows)))
-    return joined(out, folds)
+    return joined(out, [fold.rows for fold in folds])
 
 
 def _gained(

@@ -204,7 +204,7 @@ def close_recording(plain: Fit, asked: Searched, known: Array, *, curves: bool =
         as_recorded=loop.final,
         weighed=rivals_of(found.problem, found.posterior),
         wander=wander,
-        ambiguous=ambiguities(loop, course.white(loop.final.at.unit)),
+        ambiguous=ambiguities(loop.final, loop.alternatives, course.white(loop.final.at.unit)),
         sums=sums_of(found.problem, found.posterior, base, *size),
     )
     return Closed(loop, course, before, after)

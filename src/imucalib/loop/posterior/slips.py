@@ -29,7 +29,7 @@ from imucalib.loop.posterior.odds import ACCUSED, OPEN
 from imucalib.loop.posterior.problem import known_sd
 from imucalib.loop.posterior.solution import Explored, explored
 from imucalib.loop.posterior.space import Pick, block_logs, blocks_of
-from imucalib.loop.record_errors import foreseen, set_aside
+from imucalib.loop.record_errors import set_aside
 from imucalib.units import DEG, MG
 
 #: Slips of one sheet, sheets that are refitted and that are searched again for each, and rows up to
@@ -194,8 +194,7 @@ def _sets(found: Explored) -> dict[tuple[Pick, ...], float]:
 def _solved_again(base: Fit, trial: _Trial, written: Written | None) -> Fit | None:
     """The base model of the sheet that a trial would leave, or None where it cannot be fitted."""
     if trial.sheet is None or written is None:
-        other = set_aside(base, trial.row)
-        return other if foreseen(base, other) else None
+        return set_aside(base, trial.row)
     data = _observed(base.observations, written.sheet, trial.sheet)
     other = fit_model(base.model, data, start=base.theta)
     return other if other.converged else None
