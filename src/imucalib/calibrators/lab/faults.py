@@ -168,14 +168,12 @@ def sheet_of(table: PositionTable, whole: Observations, rows: Index, request: La
             return np.unique(columns[f"{role}_setting"][rows], return_inverse=True)[1]
         return held_settings(dial[role]) if ordered else np.arange(rows.size)
 
-    sigma = whole.sigma[rows, 0, 0]
     return Sheet(
         reading=whole.reading[rows, 0] / MG,
         inclination=dial["inclination"],
         tool_face=dial["tool_face"],
         row=table.row[rows],
         place=rows,
-        sigma=sigma / np.median(sigma),
         gravity=request.gravity / MG,
         inclination_setting=held("inclination"),
         tool_face_setting=held("tool_face"),

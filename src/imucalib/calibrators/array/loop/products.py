@@ -156,7 +156,7 @@ def _grams(matrix: Array, numbers: float) -> Grams:
     """With as many numbers as their weights say."""
     return Grams(
         products=Multiplied(matrix[None]),
-        taken=np.zeros((1, 0, len(matrix))),
+        removed=np.zeros((1, 0, len(matrix))),
         log_weight=np.zeros(1),
         numbers=numbers,
         points=(),
