@@ -122,7 +122,7 @@ class Part:
 @dataclass(frozen=True)
 class NextRecording:
     """what : is recorded, "rests" or "postures"; parts : of every ambiguity, none where a name
-    stands alone; table : as CSV, to be filled in, or empty; between : mg, as planned for"""
+    has no rival; table : as CSV, to be filled in, or empty; between : mg, as planned for"""
 
     calibrator: str
     what: str
