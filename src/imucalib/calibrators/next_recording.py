@@ -32,11 +32,10 @@ from imucalib.effects import named
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.loop.separation import (
     Ambiguity,
-    Pool,
     Separation,
     columns_of,
+    separable,
     separation,
-    told_apart,
 )
 
 _KINDS = {KnownVector: "vector", KnownDirection: "direction", KnownNorm: "norm"}
@@ -123,7 +122,7 @@ class Part:
 @dataclass(frozen=True)
 class NextRecording:
     """what : is recorded, "rests" or "postures"; parts : of every ambiguity, none where a name
-    stands alone; table : as CSV, to be filled in, or empty; between : mg, as planned for"""
+    has no rival; table : as CSV, to be filled in, or empty; between : mg, as planned for"""
 
     calibrator: str
     what: str
@@ -238,7 +237,7 @@ def next_recording(
     )
 
 
-def _later(ambiguity: Ambiguity, pool: Pool, drift: float) -> tuple[Ambiguity, Pool]:
+def _later(ambiguity: Ambiguity, pool: Array, drift: float) -> tuple[Ambiguity, Array]:
     """The same for rests whose bias is off by `drift` (mg, sd) beside the recording's."""
     if drift <= 0.0:
         return ambiguity, pool
@@ -248,7 +247,7 @@ def _later(ambiguity: Ambiguity, pool: Pool, drift: float) -> tuple[Ambiguity, P
         turn[k, ambiguity.columns.index(parameter.name)] = 1.0
     whole = np.concatenate([turn, np.eye(len(ambiguity.columns))])
     later = ambiguity.after_a_power_up(drift, [p.typical for p in bias])
-    return later, Pool(whole @ pool.gram @ whole.T)
+    return later, np.asarray(whole @ pool @ whole.T)
 
 
 def _remedies(
@@ -264,7 +263,7 @@ def _remedies(
 
     def ends(after: Recorded, rests: Rests) -> bool:
         pool = pool_of(after, calibration, ambiguity, rests)
-        return bool(told_apart(ambiguity, pool)[inseparable].all())
+        return bool(separable(ambiguity, pool)[inseparable].all())
 
     known = replace(recorded, reference="direction")
     if recorded.reference == "norm" and ends(known, rests_of(recorded, ambiguity)):
@@ -311,7 +310,7 @@ def _levels(
 
 def pool_of(
     recorded: Recorded, calibration: Calibration, ambiguity: Ambiguity, rests: Rests
-) -> Pool:
+) -> Array:
     """What every rest would tell."""
     model = Model(tuple(named(name) for name in ambiguity.base))
     context = _context(recorded, rests)
@@ -335,7 +334,7 @@ def pool_of(
     )
     rivals = [named(name) for name in ambiguity.blocks]
     rows = columns_of(model, theta, rivals, data, recorded.settings)
-    return Pool(rows.transpose(0, 2, 1) @ rows)
+    return np.asarray(rows.transpose(0, 2, 1) @ rows)
 
 
 def _context(recorded: Recorded, rests: Rests) -> Context:

@@ -60,7 +60,7 @@ class ActigraphResult:
 
     @property
     def beside_fleet(self) -> bool:
-        """Whether the calibration stands on what a fleet said."""
+        """Whether the calibration rests on what a fleet said."""
         return self.of_a_kind is not None and self.of_a_kind.used
 
     @property
@@ -81,7 +81,7 @@ class ActigraphResult:
 def calibrate(runs: PostureRuns, scanned: Scan, request: ActigraphRequest) -> ActigraphResult:
     """Fit, search for what is missing, and measure the error on time that was not fitted.
 
-    Where the postures leave parameters open, these stay near their nominal values (see
+    Where the postures leave parameters open, these stay close to their nominal values (see
     `is_weak`) and nothing is searched for; nor is it in fewer than two runs a parameter. Raises
     NotConverged.
     """

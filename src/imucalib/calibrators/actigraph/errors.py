@@ -111,7 +111,7 @@ class Coverage:
     those that count less; window : s; noise, resolution : (3,) mg; quantisation : mg
     span : (2, 3) least and largest reading of each axis, local g; temperature : °C, or None
     mean_sd, worst_sd : mg, of the corrected |a| over all directions
-    unseen : ends of the axes that gravity never came near, in words
+    unseen : ends of the axes that gravity never came close to, in words
     """
 
     hours: float

@@ -124,7 +124,7 @@ def open_words(fit: Fit) -> str:
 class OfAKind:
     """What a fleet said of a device. alone : the fit without it
     chance : that one of the kind is as far off, NaN where the fleet was not needed
-    used : whether the calibration stands on it"""
+    used : whether the calibration rests on it"""
 
     kind: Population
     alone: Fit

@@ -247,8 +247,8 @@ def _advice(result: ImuResult, open_gains: tuple[str, ...]) -> tuple[str, ...]:
     """What next: what the turns leave open, or how the gains become better."""
     if open_gains:
         return (f"Turn about other axes: {_PLAN}.",)
-    left = result.imu.left_out
-    words = (f"Record again what was left out: {left[0]}.",) if left else ()
+    lost = result.imu.left_out
+    words = (f"Record again what was left out: {lost[0]}.",) if lost else ()
     few = len(result.imu.turns.turns) < 12
     return (*words, *((f"Take more turns, a dozen or two: {_PLAN}.",) if few else ()))
 
@@ -258,9 +258,8 @@ def _notes(result: ImuResult) -> tuple[str, ...]:
         "gravity does not show a turn about the vertical, nor a filter of the gyroscope: a motion "
         "from rest to rest turns the same angle"
     )
-    left = result.imu.left_out
-    count = (f"{len(left)} turns were left out", *left) if left else ()
-    return (unseen, *count)
+    lost = result.imu.left_out
+    return (unseen, f"{len(lost)} turns were left out", *lost) if lost else (unseen,)
 
 
 #: Effects of the accelerometer that the turns bear on.

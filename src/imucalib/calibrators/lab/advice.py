@@ -109,22 +109,24 @@ def _repeat(fit: Fit) -> list[str]:
 def _of_structure(item: Unexplained) -> str:
     by = f", driven by {item.driver}" if item.driver else ""
     words = f"Structure without a name{by}: {in_words(item.name)}"
-    alike = [effect for name in item.rivals if (effect := known(name)) is not None]
-    if alike:
+    rivals = [effect for name in item.rivals if (effect := known(name)) is not None]
+    if rivals:
         how = "To tell them apart" if item.kind == "noise" else "To settle it"
-        return f"{words}. {how}: {' '.join(effect.identify for effect in alike)}"
+        return f"{words}. {how}: {' '.join(effect.identify for effect in rivals)}"
     if item.driver:
         return f"{words}. Record with {item.driver} varied on its own."
     return f"{words}; no quantity drives it."
 
 
 def _by_row(sentence: str, fit: Fit) -> str:
-    """A sentence that counts records, with the name that the table has for the one it tells."""
-    told = re.search(r"record (\d+)", sentence)
-    if told is None or "record" not in fit.observations.context:
+    """A sentence that counts records, with the name that the table has for its own."""
+    counted = re.search(r"record (\d+)", sentence)
+    if counted is None or "record" not in fit.observations.context:
         return sentence
-    at = np.flatnonzero(fit.observations.context["record"] == int(told[1]) - 1)
-    return sentence.replace(told[0], fit.observations.label[int(at[0])]) if at.size else sentence
+    at = np.flatnonzero(fit.observations.context["record"] == int(counted[1]) - 1)
+    if not at.size:
+        return sentence
+    return sentence.replace(counted[0], fit.observations.label[int(at[0])])
 
 
 def _settings(fit: Fit) -> list[str]:
@@ -182,27 +184,28 @@ def _word(parameter: str) -> str:
     return parameter.replace("_", " ")
 
 
-def limits_of(result: LabResult, asked: Mapping[str, float]) -> tuple[Limit, ...]:
-    """The user's limits against held-out errors."""
-    if not result.splits and asked:
-        raise UsageError("limits need held-out data", remedy="use another objective, or --train")
-    if not asked:
+def limits_of(result: LabResult, limits: Mapping[str, float]) -> tuple[Limit, ...]:
+    """The user's limits against held-out errors. Raises UsageError for what was not held out."""
+    if not limits:
         return ()
+    if not result.splits:
+        raise UsageError("limits need held-out data", remedy="use another objective, or --train")
     split = result.splits[-1]
     angles = attitude_errors(split.final, result.request.conventions)
-    found = []
-    angles_known = isinstance(result.observations.reference, KnownVector)
-    for name, limit in asked.items():
-        if not angles_known and name in ("max-inclination-error", "max-toolface-error"):
+    values = {
+        "max-error": (split.final.rms() / MG, "mg rms"),
+        "max-norm-error": (rms(angles.norm), "mg rms"),
+    }
+    if isinstance(result.observations.reference, KnownVector):
+        values["max-inclination-error"] = (worst(angles.inclination), "deg")
+        values["max-toolface-error"] = (worst(angles.tool_face), "deg")
+    for name in limits:
+        if name not in values:
             raise UsageError(f"--{name} needs known angles", remedy="use --max-error")
-        value, unit = {
-            "max-error": (split.final.rms() / MG, "mg rms"),
-            "max-inclination-error": (worst(angles.inclination), "deg"),
-            "max-toolface-error": (worst(angles.tool_face), "deg"),
-            "max-norm-error": (rms(angles.norm), "mg rms"),
-        }[name]
-        found.append(Limit(f"{name}, {split.name}", value, limit, unit))
-    return tuple(found)
+    return tuple(
+        Limit(f"{name}, {split.name}", values[name][0], limit, values[name][1])
+        for name, limit in limits.items()
+    )
 
 
 def beyond_declared(fit: Fit) -> float:

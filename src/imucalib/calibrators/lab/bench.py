@@ -349,8 +349,8 @@ def _so_are(bad: Index) -> str:
 
 
 def refuse_units(table: PositionTable, rows: Index) -> None:
-    """Raise UsageError where some rows read another size of gravity than the others, each alike:
-    two units in one column."""
+    """Raise UsageError where some rows read another size of gravity than all others: two units in
+    one column."""
     if rows.size < 2:  # nothing to compare
         return
     size = np.linalg.norm(table.raw()[rows], axis=1)
@@ -359,9 +359,9 @@ def refuse_units(table: PositionTable, rows: Index) -> None:
     at = int(np.argmax(steps)) + 1
     few, many = sorted((order[:at], order[at:]), key=len)
     ratio = float(np.median(size[few]) / np.median(size[many]))
-    alike = all(np.ptp(size[part]) <= _FAR * np.median(size[part]) for part in (few, many))
+    uniform = all(np.ptp(size[part]) <= _FAR * np.median(size[part]) for part in (few, many))
     rare = len(few) <= max(_SLIPS, rows.size // 8 if not _units_of(ratio) else 0)
-    if steps[at - 1] < _OTHER_UNIT or not alike or rare:
+    if steps[at - 1] < _OTHER_UNIT or not uniform or rare:
         return
     numbers = ranges(table.row[rows[np.sort(few)]]).replace(" ", "")
     raise UsageError(

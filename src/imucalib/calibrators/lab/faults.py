@@ -82,7 +82,7 @@ def _options(stated: Conventions, other: Conventions) -> list[str]:
 
 
 def _standing_straight(sheet: Sheet, like: Conventions) -> Conventions | None:
-    """The conventions nearest to some under which the sensor stands straight in the tool."""
+    """The conventions nearest to some under which the sensor is straight in the tool."""
     hints = get_type_hints(Conventions)
     values = [get_args(hints[name]) for name in _SILENT]
     every = [replace(like, **dict(zip(_SILENT, v, strict=True))) for v in product(*values)]
@@ -168,14 +168,12 @@ def sheet_of(table: PositionTable, whole: Observations, rows: Index, request: La
             return np.unique(columns[f"{role}_setting"][rows], return_inverse=True)[1]
         return held_settings(dial[role]) if ordered else np.arange(rows.size)
 
-    sigma = whole.sigma[rows, 0, 0]
     return Sheet(
         reading=whole.reading[rows, 0] / MG,
         inclination=dial["inclination"],
         tool_face=dial["tool_face"],
         row=table.row[rows],
         place=rows,
-        sigma=sigma / np.median(sigma),
         gravity=request.gravity / MG,
         inclination_setting=held("inclination"),
         tool_face_setting=held("tool_face"),
@@ -185,7 +183,7 @@ def sheet_of(table: PositionTable, whole: Observations, rows: Index, request: La
 
 
 def _order_note(table: PositionTable, rows: Index) -> tuple[str, ...]:
-    """Of rows in no order of work whose neighbours were taken to share a setting."""
+    """Of rows in no order of work whose neighbours count as sharing a setting."""
     guessed = [
         role
         for role in ("inclination", "tool_face")
@@ -247,11 +245,11 @@ def _converter_questions(
     for end in ends:
         ranges.setdefault(f"{abs(end.value):.1f}", []).append(end)
     found = []
-    for size, alike in ranges.items():
-        cut = rows_of(alike)
+    for size, found_ends in ranges.items():
+        cut = rows_of(found_ends)
         numbers = ",".join(str(int(table.row[rows[k]])) for k in cut)
-        axes = ", ".join(dict.fromkeys("xyz"[end.axis] for end in alike))
-        signs = {np.sign(end.value) for end in alike}
+        axes = ", ".join(dict.fromkeys("xyz"[end.axis] for end in found_ends))
+        signs = {np.sign(end.value) for end in found_ends}
         sign = "±" if len(signs) == 2 else "-" if -1.0 in signs else ""
         found.append(
             f"{axes} ends at {sign}{size} mg in rows {numbers}: the sensor is saturated there; "

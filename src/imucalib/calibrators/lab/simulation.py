@@ -12,9 +12,7 @@ from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.calibrators.lab.design import recommend
 from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.calibrators.planted import planted_model
-from imucalib.core.balance import Noise
 from imucalib.core.references import unit_vector
-from imucalib.core.simulate import simulate
 from imucalib.errors import UsageError
 from imucalib.recording.recording import Channel, Recording
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
@@ -59,9 +57,13 @@ def simulated_table(plan: BenchPlan, rng: np.random.Generator) -> PositionTable:
     meant = plan.gravity * unit_vector(*Conventions().inside(inclination, tool_face))
     data = position_observations(nominal, meant, Conventions(), plan.gravity, sigma=plan.noise * MG)
     model, theta = planted_model({**SENSOR, **plan.plant}, data.context)
-    components = ("inclination setting", "tool-face setting")
-    noise = Noise(1.0, components, tuple(a * DEG for a in plan.setting))
-    reading = simulate(model, theta, data, noise, rng).reading[:, 0] / MG
+    reference = data.reference
+    eta = np.zeros(reference.eta_size)
+    for sd, index in zip(plan.setting, reference.directions(eta).index.T, strict=True):
+        used = np.unique(index)
+        eta[used] = sd * DEG * rng.standard_normal(used.size)
+    clean = model.predict(theta, reference.truth(eta), data.context).reading[:, 0]
+    reading = (clean + data.sigma[:, 0] * rng.standard_normal(clean.shape)) / MG
     for row, axis in plan.slips:
         if axis not in "xyz" or not 1 <= row <= plan.positions:
             raise UsageError(f"slip {row}:{axis}: no such cell")
