@@ -169,7 +169,7 @@ def products(
     )
     grams = Grams(
         products=Multiplied(matrix[None]),
-        taken=np.zeros((1, 0, len(matrix))),
+        removed=np.zeros((1, 0, len(matrix))),
         log_weight=np.zeros(1),
         numbers=found.power,  # as many as their weights say
         points=(),
