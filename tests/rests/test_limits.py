@@ -10,7 +10,8 @@ import pytest
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests import windows
 from imucalib.rests.runs import two_ranges
-from imucalib.rests.segments import Segments, StillSettings, find_segments, still_segments
+from imucalib.rests.segments import Segments, find_segments, still_segments
+from imucalib.rests.stillness import StillSettings
 
 RATE, G = 100.0, 9.80665
 
@@ -334,8 +335,9 @@ def test_two_ranges_have_five_windows_each_and_a_factor_of_1_3(
 ) -> None:
     found = two_ranges(sizes(before, after, ratio))
     assert found is not None
-    assert found.row == before
-    assert found.after / found.before == pytest.approx(ratio, rel=5e-3)
+    row, first, second = found
+    assert row == before
+    assert second / first == pytest.approx(ratio, rel=5e-3)
 
 
 @pytest.mark.parametrize(("before", "after", "ratio"), [(4, 5, 2.0), (3, 3, 4.0), (20, 20, 1.25)])

@@ -21,7 +21,7 @@ import numpy as np
 from imucalib.arrays import Array, Flags, Index
 from imucalib.effects.thermal import LAG, PLAY, RATE, ROWS
 from imucalib.recording.recording import Channel, Recording
-from imucalib.rests.windows import COLUMNS, WindowBuilder, Windows, in_order
+from imucalib.rests.windows import WindowBuilder, Windows, in_order
 
 _RANGE = (-55.0, 125.0)  # °C that common thermometers can read
 _FASTEST = 0.2  # °C/s: a case of one minute's time constant, moved by 12 °C at once
@@ -51,13 +51,9 @@ def believed(w: Windows | None) -> Believed:
     why = "that jump and come back faster than a case can, or that are none"
     if bad.mean() > _HALF:
         return Believed(None, words=(f"temperature: not used, for {count} are {why}",))
-    kept = replace(w, **{name: getattr(w, name)[~bad] for name in COLUMNS})
-    half = 0.5 * _interval(w)
-    middle = 0.5 * (w.start + w.stop)[bad]
-    own = 0.5 * (w.stop - w.start)[bad]
-    reach = np.maximum(own, half)
-    gone = np.column_stack([middle - reach, middle + reach])
-    return Believed(kept, gone, (f"temperature: {count} left out {why}",))
+    reach = np.maximum(0.5 * (w.stop - w.start), 0.5 * _interval(w))
+    gone = np.column_stack([w.middle - reach, w.middle + reach])[bad]
+    return Believed(w.take(~bad), gone, (f"temperature: {count} left out {why}",))
 
 
 def temperature_in(w: Windows | None, gone: Array, start: Array, stop: Array) -> Array:
@@ -66,7 +62,7 @@ def temperature_in(w: Windows | None, gone: Array, start: Array, stop: Array) ->
     if w is None:
         return np.full(start.size, np.nan)
     middle = 0.5 * (start + stop)
-    found = np.interp(middle, 0.5 * (w.start + w.stop), w.mean[:, 0])
+    found = np.interp(middle, w.middle, w.mean[:, 0])
     found[is_gone(gone, middle)] = np.nan
     return np.asarray(found)
 
@@ -206,7 +202,7 @@ def _trailing(values: Array, share: float) -> Array:
 
 def history_of(windows: Windows) -> ThermalHistory:
     """From the windows of a temperature channel."""
-    return ThermalHistory(0.5 * (windows.start + windows.stop), windows.mean[:, 0])
+    return ThermalHistory(windows.middle, windows.mean[:, 0])
 
 
 def thermal_history(blocks: Iterable[Recording], triad: str) -> ThermalHistory | None:
