@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import h5py
@@ -108,26 +109,17 @@ def test_statistics_of_stored_numbers(
         assert np.allclose(found, known, rtol=1e-5 if name == "variance" else 1e-12, atol=1e-7)
 
 
-def test_windows_given_away_stay_when_more_follow() -> None:
+def test_windows_of_blocks_are_those_of_the_whole() -> None:
     rng = np.random.default_rng(1)
-    builder = WindowBuilder(10)
-    parts = []
-    for k in range(12):
-        t = np.arange(40 * k, 40 * (k + 1)) / 10.0
-        values = rng.standard_normal((40, 3))
-        builder.add(Channel(t, values, "m/s2", "acceleration", "imu0", 10.0), [])
-        parts.append(values)
-        if k == 5:
-            half = builder.windows()
-            assert half is not None
-            kept = half.mean.copy()
-    whole = builder.windows()
-    assert whole is not None
-    assert np.array_equal(half.mean, kept)
-    mean = np.concatenate(parts).reshape(-1, 10, 3).mean(axis=1)
-    assert np.allclose(whole.mean, mean, rtol=0.0, atol=1e-14)
-    assert np.array_equal(whole.mean[: len(kept)], kept)
-    assert np.array_equal(whole.first, 10 * np.arange(48))
+    values, builder = rng.standard_normal((480, 3)), WindowBuilder(10)
+    for a, b in pairwise([0, 3, 40, 44, 47, 160, 475, 480]):
+        t = np.arange(a, b) / 10.0
+        builder.add(Channel(t, values[a:b], "m/s2", "acceleration", "imu0", 10.0), [])
+    found = builder.windows()
+    assert found is not None
+    np.testing.assert_allclose(found.mean, values.reshape(-1, 10, 3).mean(axis=1), atol=1e-14)
+    assert np.array_equal(found.first, 10 * np.arange(48))
+    assert np.array_equal(found.start, np.arange(48.0))
 
 
 def test_a_scan_tells_what_was_recorded() -> None:
@@ -148,11 +140,7 @@ def test_a_scan_tells_what_was_recorded() -> None:
 
 
 Array = NDArray[np.float64]
-
-
 G = 9.80665
-
-
 MG = 1e-3 * G
 
 

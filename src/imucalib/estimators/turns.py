@@ -194,29 +194,28 @@ def fitted(
     """
     chosen = np.ones(len(log.turns), bool) if used is None else used
     prior = np.zeros(0) if sizes is None else sizes
-    count = prior.size
-    state = _started(log, count) if start is None else replace(start, theta=_padded(start, count))
-    found = TurnNoise(0.0, 0.0, np.ones(3), 0.0) if noise is None else noise
-    converged, covariance = False, np.zeros((0, 0))
-    weight = np.ones(len(log.turns))
+    if start is None:  # plain readings: the norm's own fit is a few Gauss-Newton steps away
+        up = log.force / np.linalg.norm(log.force, axis=1)[:, None]
+        start = State(np.zeros(3), np.eye(3), np.eye(3), np.zeros(prior.size), log.rate.copy(), up)
+    elif start.theta.size != prior.size:
+        start = replace(start, theta=np.zeros(prior.size))
+    state, found, held = start, TurnNoise(0.0, 0.0, np.ones(3), 0.0), noise
+    weight, covariance, converged = np.ones(len(log.turns)), np.zeros((0, 0)), False
     for k in range(_MOST):
         rows = linearised(log, state, laws, prior)
-        square = _squares(rows, rows.residual, covariance)
-        if noise is None and k < _NOISES:
-            found = _estimated(log, state, laws, rows, prior, np.where(chosen, weight, 0.0))
-        variance = variances(log, found, prior)
-        weight = _weights(square, variance[: 2 * rows.turns : 2])
-        step, covariance = _solved(rows, variance, np.where(chosen, weight, 0.0))
+        found, variance, weight, step, covariance = _round(
+            log, state, laws, rows, prior, chosen, weight, covariance, held
+        )
+        held = found if k >= _NOISES - 1 else held
         state = _moved(state, step)
         if np.max(np.abs(step) / np.sqrt(np.diag(covariance))) < _SETTLED:
             converged = True
             break
-    rows = linearised(log, state, laws, prior)
     return TurnFit(
         log=log,
         state=state,
         noise=found,
-        rows=rows,
+        rows=linearised(log, state, laws, prior),
         covariance=covariance,
         variance=variance,
         used=chosen,
@@ -229,20 +228,19 @@ def fitted(
 def without(fit: TurnFit, out: Flags, sizes: Array | None = None) -> TurnFit:
     """The fit without some turns, linear about where it stands: what a refit would end at, to the
     second order in what these turns move. out : (T,); sizes : (m,) sd of θ, or as it was"""
-    log, rows, m = fit.log, fit.rows, fit.state.theta.size
-    chosen, step, covariance = fit.used & ~out, np.zeros(rows.jacobian.shape[1]), fit.covariance
+    rows, m = fit.rows, fit.state.theta.size
+    chosen, whole = fit.used & ~out, np.zeros(rows.jacobian.shape[1])
     prior = np.sqrt(fit.variance[len(fit.variance) - m :]) if sizes is None else sizes
-    noise, variance, weight = fit.noise, fit.variance, fit.weight
+    noise, variance, weight, covariance = fit.noise, fit.variance, fit.weight, fit.covariance
     for _ in range(_NOISES):
-        moved = replace(rows, residual=rows.residual + rows.jacobian @ step)
-        square = _squares(rows, moved.residual, covariance)
-        noise = _estimated(log, fit.state, fit.laws, moved, prior, np.where(chosen, weight, 0.0))
-        variance = variances(log, noise, prior)
-        weight = _weights(square, variance[: 2 * rows.turns : 2])
-        step, covariance = _solved(rows, variance, np.where(chosen, weight, 0.0))
+        moved = replace(rows, residual=rows.residual + rows.jacobian @ whole)
+        noise, variance, weight, step, covariance = _round(
+            fit.log, fit.state, fit.laws, moved, prior, chosen, weight, covariance
+        )
+        whole = whole + step
     return replace(
         fit,
-        state=_moved(fit.state, step),
+        state=_moved(fit.state, whole),
         noise=noise,
         covariance=covariance,
         variance=variance,
@@ -251,14 +249,38 @@ def without(fit: TurnFit, out: Flags, sizes: Array | None = None) -> TurnFit:
     )
 
 
-def _padded(state: State, count: int) -> Array:
-    return state.theta if state.theta.size == count else np.zeros(count)
-
-
-def _started(log: TurnLog, count: int) -> State:
-    """Plain readings: the norm's own fit is a few Gauss-Newton steps away."""
-    up = log.force / np.linalg.norm(log.force, axis=1)[:, None]
-    return State(np.zeros(3), np.eye(3), np.eye(3), np.zeros(count), log.rate.copy(), up)
+def _round(
+    log: TurnLog,
+    state: State,
+    laws: Laws | None,
+    rows: Rows,
+    prior: Array,
+    chosen: Flags,
+    weight: Array,
+    covariance: Array,
+    noise: TurnNoise | None = None,
+) -> tuple[TurnNoise, Array, Array, Array, Array]:
+    """The noise where none is given, the variances of the rows, the turns' weights, the step and
+    its covariance, from the weights and the covariance before."""
+    # What a turn is off, squared, over its two numbers: that of its residual, and what the unknowns
+    # may still move it (the E step of Dempster, Laird and Rubin 1977). Directions of rests follow a
+    # turn, so that residuals alone are too small.
+    own = 2 * rows.turns
+    square = rows.residual[:own] ** 2
+    if covariance.size:
+        square = square + np.sum((rows.jacobian[:own] @ covariance) * rows.jacobian[:own], axis=1)
+    if noise is None:
+        noise = _estimated(log, state, laws, rows, prior, np.where(chosen, weight, 0.0))
+    variance = variances(log, noise, prior)
+    # Of Student's distribution, over a turn's two numbers together.
+    weight = (_NU + 2.0) / (_NU + square.reshape(-1, 2).sum(axis=1) / variance[:own:2])
+    inverse = 1.0 / variance
+    inverse[:own] *= np.repeat(np.where(chosen, weight, 0.0), 2)
+    weighted = rows.jacobian * inverse[:, None]
+    normal = rows.jacobian.T @ weighted
+    scale = 1.0 / np.sqrt(np.diag(normal))
+    covariance = np.linalg.inv(normal * scale[:, None] * scale) * scale[:, None] * scale
+    return noise, variance, weight, -covariance @ (weighted.T @ rows.residual), covariance
 
 
 def tangents(up: Array) -> Array:
@@ -420,34 +442,6 @@ def _of_turns(log: TurnLog, noise: TurnNoise) -> Array:
     span, noisy, path = log.spans
     walk = float(np.mean(noise.walk**2)) * span**3 / 12.0
     return np.asarray(log.white**2 * noisy + walk + noise.floor**2 + (noise.per_angle * path) ** 2)
-
-
-def _squares(rows: Rows, residual: Array, covariance: Array) -> Array:
-    """(T,) expected square of what a turn is off, over its two numbers: that of its residual, and
-    what the unknowns may still move it (the E step of Dempster, Laird and Rubin 1977). Directions
-    of rests follow a turn, so that residuals alone are too small."""
-    own = 2 * rows.turns
-    square = residual[:own] ** 2
-    if covariance.size:
-        jacobian = rows.jacobian[:own]
-        square = square + np.sum((jacobian @ covariance) * jacobian, axis=1)
-    return np.asarray(square.reshape(-1, 2).sum(axis=1))
-
-
-def _weights(square: Array, variance: Array) -> Array:
-    """(T,) of Student's distribution, over a turn's two numbers together."""
-    return np.asarray((_NU + 2.0) / (_NU + square / variance))
-
-
-def _solved(rows: Rows, variance: Array, weight: Array) -> tuple[Array, Array]:
-    """The step and its covariance."""
-    inverse = 1.0 / variance
-    inverse[: 2 * rows.turns] *= np.repeat(weight, 2)
-    weighted = rows.jacobian * inverse[:, None]
-    normal = rows.jacobian.T @ weighted
-    scale = 1.0 / np.sqrt(np.diag(normal))
-    covariance = np.linalg.inv(normal * scale[:, None] * scale) * scale[:, None] * scale
-    return -covariance @ (weighted.T @ rows.residual), covariance
 
 
 def _moved(state: State, step: Array) -> State:

@@ -297,7 +297,8 @@ def kinds_of(sensor: Sensor) -> Kinds:
     w, ratio = sensor.windows, sensor.settings.variance_ratio
     still, notes = still_windows(sensor)
     none = np.zeros_like(still)
-    kinds = Kinds(still, none, none, none, none, none, tuple(notes))
+    others = dict.fromkeys(("louder", "other", "shaking", "slow", "spiky"), none)
+    kinds = Kinds(still=still, notes=tuple(notes), **others)
     if still.all():
         return kinds
     spiky, moving = _spiky(sensor), every(w.high > w.low)

@@ -210,11 +210,9 @@ def thermal_history(blocks: Iterable[Recording], triad: str) -> ThermalHistory |
     that no case can follow are left out; where more than half are jumps, all is gone."""
     builder: WindowBuilder | None = None
     for block in blocks:
-        for channel in block.channels.values():
-            if channel.quantity == "temperature" and channel.triad in (triad, ""):
-                builder = builder or WindowBuilder(max(1, round(_WINDOW * channel.rate)))
-                builder.add(channel, block.gaps)
-                break
+        if (channel := thermometer_of(block, triad)) is not None:
+            builder = builder or WindowBuilder(max(1, round(_WINDOW * channel.rate)))
+            builder.add(channel, block.gaps)
     windows = builder.windows() if builder else None
     if windows is None:
         return None
@@ -268,7 +266,10 @@ def with_thermometer(
     seen = start = -np.inf
     for block in blocks:
         new = thermometer_of(block, triad)
-        track = _joined(track, new) if new is not None else track
+        if new is not None and track is not None:
+            t = np.concatenate([track.t, new.t])
+            new = replace(new, t=t, values=np.concatenate([track.values, new.values]))
+        track = track if new is None else new
         times = [c.t[-1] for c in block.channels.values() if c.quantity == "acceleration"]
         seen = max([seen, *map(float, times)])
         start = start if np.isfinite(start) else seen
@@ -283,13 +284,6 @@ def with_thermometer(
                 track = replace(track, t=track.t[near:], values=track.values[near:])
     for block, _ in waiting:
         yield block, track
-
-
-def _joined(before: Channel | None, new: Channel) -> Channel:
-    if before is None:
-        return new
-    t, values = np.concatenate([before.t, new.t]), np.concatenate([before.values, new.values])
-    return replace(new, t=t, values=values)
 
 
 #: Covariates that a recording with a clock and a thermometer has.
