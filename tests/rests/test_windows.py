@@ -21,6 +21,7 @@ from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.candidates import Noise, colour_of, whiteness
 from imucalib.rests.runs import Scan, grouped, scan
 from imucalib.rests.stillness import Sensor, StillSettings
+from imucalib.rests.thermal import ThermalHistory
 from imucalib.rests.windows import WindowBuilder, Windows, window_statistics
 
 KINDS = ("f4", "f8", "i2", "u1", "i4", "i8", "f2")
@@ -100,8 +101,7 @@ def test_statistics_of_stored_numbers(
         with h5py.File(path, "w") as file:
             file["accelerometer"] = numbers
         one, two = (scan(make(path, mapping), 10.0) for make in (blocks, stored_blocks))
-    assert replace(one, windows=two.windows, no_temperature=two.no_temperature) == two
-    assert np.array_equal(one.no_temperature, two.no_temperature)
+    assert replace(one, windows=two.windows) == two
     for name in ("first", "run", "start", "stop"):
         assert np.array_equal(getattr(one.windows, name), getattr(two.windows, name))
     for name in ("mean", "low", "high", "variance", "finest"):
@@ -190,7 +190,7 @@ def test_whiteness_is_von_neumanns_ratio() -> None:
     assert whiteness(np.ones((5, 3))) == 1.0
 
 
-def scanned(w: Windows, warm: Windows | None = None) -> Scan:
+def scanned(w: Windows, warm: ThermalHistory | None = None) -> Scan:
     return Scan(w, warm, "imu0", 100.0, 450, 4.5, 0, "", "", "", 0, ())
 
 
@@ -199,7 +199,7 @@ def test_a_run_is_the_mean_of_its_windows() -> None:
     w = windows(level(9), MG, finest=np.array([0.1, np.inf, 0.2]))
     w.mean[:, 2] += MG * np.array([0, 3, 0, 3, 0, 3, 0, 3, 0.0])
     w.mean[6:, :] = w.mean[6:, [2, 1, 0]]
-    warm = replace(windows(np.zeros((9, 1))), mean=20.0 + np.arange(9.0)[:, None])
+    warm = ThermalHistory(w.middle, 20.0 + np.arange(9.0))
     found = grouped(scanned(w, warm), np.arange(9), np.full(3, MG))
     assert found.windows.tolist() == [6, 3]
     np.testing.assert_allclose(found.mean, [[0, 0, G + 1.5 * MG], [G + MG, 0, 0]], atol=1e-12)

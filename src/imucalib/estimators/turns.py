@@ -199,88 +199,64 @@ def fitted(
         start = State(np.zeros(3), np.eye(3), np.eye(3), np.zeros(prior.size), log.rate.copy(), up)
     elif start.theta.size != prior.size:
         start = replace(start, theta=np.zeros(prior.size))
-    state, found, held = start, TurnNoise(0.0, 0.0, np.ones(3), 0.0), noise
-    weight, covariance, converged = np.ones(len(log.turns)), np.zeros((0, 0)), False
-    for k in range(_MOST):
-        rows = linearised(log, state, laws, prior)
-        found, variance, weight, step, covariance = _round(
-            log, state, laws, rows, prior, chosen, weight, covariance, held
-        )
-        held = found if k >= _NOISES - 1 else held
-        state = _moved(state, step)
-        if np.max(np.abs(step) / np.sqrt(np.diag(covariance))) < _SETTLED:
-            converged = True
-            break
-    return TurnFit(
+    fit = TurnFit(
         log=log,
-        state=state,
-        noise=found,
-        rows=linearised(log, state, laws, prior),
-        covariance=covariance,
-        variance=variance,
+        state=start,
+        noise=noise or TurnNoise(0.0, 0.0, np.ones(3), 0.0),
+        rows=linearised(log, start, laws, prior),
+        covariance=np.zeros((0, 0)),
+        variance=np.zeros(0),
         used=chosen,
-        weight=weight,
+        weight=np.ones(len(log.turns)),
         laws=laws,
-        converged=converged,
+        converged=False,
     )
+    for k in range(_MOST):
+        fit, step = _round(fit, prior, held=noise is not None or k >= _NOISES)
+        state = _moved(fit.state, step)
+        fit = replace(fit, state=state, rows=linearised(log, state, laws, prior))
+        if np.max(np.abs(step) / np.sqrt(np.diag(fit.covariance))) < _SETTLED:
+            return replace(fit, converged=True)
+    return fit
 
 
 def without(fit: TurnFit, out: Flags, sizes: Array | None = None) -> TurnFit:
     """The fit without some turns, linear about where it stands: what a refit would end at, to the
     second order in what these turns move. out : (T,); sizes : (m,) sd of θ, or as it was"""
     rows, m = fit.rows, fit.state.theta.size
-    chosen, whole = fit.used & ~out, np.zeros(rows.jacobian.shape[1])
     prior = np.sqrt(fit.variance[len(fit.variance) - m :]) if sizes is None else sizes
-    noise, variance, weight, covariance = fit.noise, fit.variance, fit.weight, fit.covariance
+    found, whole = replace(fit, used=fit.used & ~out), np.zeros(rows.jacobian.shape[1])
     for _ in range(_NOISES):
         moved = replace(rows, residual=rows.residual + rows.jacobian @ whole)
-        noise, variance, weight, step, covariance = _round(
-            fit.log, fit.state, fit.laws, moved, prior, chosen, weight, covariance
-        )
+        found, step = _round(replace(found, rows=moved), prior, held=False)
         whole = whole + step
-    return replace(
-        fit,
-        state=_moved(fit.state, whole),
-        noise=noise,
-        covariance=covariance,
-        variance=variance,
-        used=chosen,
-        weight=weight,
-    )
+    return replace(found, rows=rows, state=_moved(fit.state, whole))
 
 
-def _round(
-    log: TurnLog,
-    state: State,
-    laws: Laws | None,
-    rows: Rows,
-    prior: Array,
-    chosen: Flags,
-    weight: Array,
-    covariance: Array,
-    noise: TurnNoise | None = None,
-) -> tuple[TurnNoise, Array, Array, Array, Array]:
-    """The noise where none is given, the variances of the rows, the turns' weights, the step and
-    its covariance, from the weights and the covariance before."""
+def _round(fit: TurnFit, prior: Array, *, held: bool) -> tuple[TurnFit, Array]:
+    """The fit with its noise, unless that is held, its rows' variances and its turns' weights as
+    its rows and the covariance before tell them, and the step from there; prior : (m,) sd of θ"""
     # What a turn is off, squared, over its two numbers: that of its residual, and what the unknowns
     # may still move it (the E step of Dempster, Laird and Rubin 1977). Directions of rests follow a
     # turn, so that residuals alone are too small.
-    own = 2 * rows.turns
+    rows, own, noise = fit.rows, 2 * fit.rows.turns, fit.noise
     square = rows.residual[:own] ** 2
-    if covariance.size:
-        square = square + np.sum((rows.jacobian[:own] @ covariance) * rows.jacobian[:own], axis=1)
-    if noise is None:
-        noise = _estimated(log, state, laws, rows, prior, np.where(chosen, weight, 0.0))
-    variance = variances(log, noise, prior)
+    if fit.covariance.size:
+        jacobian = rows.jacobian[:own]
+        square = square + np.sum((jacobian @ fit.covariance) * jacobian, axis=1)
+    if not held:
+        noise = _estimated(fit, prior)
+    variance = variances(fit.log, noise, prior)
     # Of Student's distribution, over a turn's two numbers together.
     weight = (_NU + 2.0) / (_NU + square.reshape(-1, 2).sum(axis=1) / variance[:own:2])
     inverse = 1.0 / variance
-    inverse[:own] *= np.repeat(np.where(chosen, weight, 0.0), 2)
+    inverse[:own] *= np.repeat(np.where(fit.used, weight, 0.0), 2)
     weighted = rows.jacobian * inverse[:, None]
     normal = rows.jacobian.T @ weighted
     scale = 1.0 / np.sqrt(np.diag(normal))
     covariance = np.linalg.inv(normal * scale[:, None] * scale) * scale[:, None] * scale
-    return noise, variance, weight, -covariance @ (weighted.T @ rows.residual), covariance
+    found = replace(fit, noise=noise, covariance=covariance, variance=variance, weight=weight)
+    return found, -covariance @ (weighted.T @ rows.residual)
 
 
 def tangents(up: Array) -> Array:
@@ -461,15 +437,14 @@ def _moved(state: State, step: Array) -> State:
     )
 
 
-def _estimated(
-    log: TurnLog, state: State, laws: Laws | None, rows: Rows, prior: Array, weight: Array
-) -> TurnNoise:
+def _estimated(fit: TurnFit, prior: Array) -> TurnNoise:
     """Walk and the rests' scatter by their moments; floor and κ as the means of their squares under
     the likelihood of the turns with all unknowns integrated out, at their prior."""
-    noise = TurnNoise(0.0, 0.0, _walk(log, state, laws), _scatter(log, state))
-    variance = variances(log, noise, prior)
+    log, state = fit.log, fit.state
+    noise = TurnNoise(0.0, 0.0, _walk(log, state, fit.laws), _scatter(log, state))
+    variance, weight = variances(log, noise, prior), np.where(fit.used, fit.weight, 0.0)
     numbers = np.flatnonzero(np.repeat(weight > 0.0, 2))
-    left, shared = _by_rests(rows, variance, numbers)
+    left, shared = _by_rests(fit.rows, variance, numbers)
     every, size = np.repeat(weight, 2)[numbers], len(numbers)
     logs = np.empty((len(_FLOORS), len(ANGLES)))
     for i, floor in enumerate(_FLOORS):

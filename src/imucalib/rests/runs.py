@@ -25,7 +25,7 @@ from imucalib.arrays import Array, Flags, Index
 from imucalib.errors import Undetermined, UnreadableInput, UsageError
 from imucalib.recording.recording import Channel, Gap, Held, Recording
 from imucalib.rests.stillness import Sensor, StillSettings, every, some, still_windows
-from imucalib.rests.thermal import believed, mean_of_known, temperature_in
+from imucalib.rests.thermal import ThermalHistory, believed, mean_of_known
 from imucalib.rests.windows import (
     WindowBuilder,
     Windows,
@@ -298,11 +298,10 @@ class Scan:
     """What one pass over a recording leaves: windows of the accelerometer and the temperature.
 
     samples : of the accelerometer; rate : Hz; stop : s, time of the last sample
-    no_temperature : (k, 2) s, from and to of what the thermometer did not measure
     """
 
     windows: Windows
-    temperature: Windows | None
+    temperature: ThermalHistory | None
     triad: str
     rate: float
     samples: int
@@ -314,7 +313,6 @@ class Scan:
     start_ns: int | None
     notes: tuple[str, ...]
     mapping: Mapping[str, object] = field(default_factory=dict)
-    no_temperature: Array = field(default_factory=lambda: np.empty((0, 2)))
 
     def without_windows(self) -> Scan:
         """The rest, once the runs are made: the windows are most of the memory."""
@@ -391,10 +389,10 @@ def scan(blocks: Iterable[Recording], window: float, triad: str | None = None) -
     )
     notes += [f"{lost} windows left out: time had stepped back"] * bool(lost)
     warm = builders["temperature"].windows() if "temperature" in builders else None
-    heat = believed(in_order(warm)[0] if warm else None)
+    temperature, words = believed(in_order(warm)[0] if warm else None)
     return Scan(
         windows=ordered,
-        temperature=heat.windows,
+        temperature=temperature,
         triad=name,
         rate=rate,
         samples=samples,
@@ -405,8 +403,7 @@ def scan(blocks: Iterable[Recording], window: float, triad: str | None = None) -
         sha256=first.sha256,
         start_ns=first.start_ns,
         mapping=first.mapping,
-        notes=tuple(dict.fromkeys([*notes, *heat.words])),
-        no_temperature=heat.gone,
+        notes=tuple(dict.fromkeys([*notes, *words])),
     )
 
 
@@ -496,8 +493,9 @@ def grouped(scanned: Scan, chosen: Index, noise: Array, notes: tuple[str, ...] =
         total = np.add.reduceat(values, starts, axis=0)
         return np.asarray((total.T / count).T)
 
-    begin, end = w.start[chosen], w.stop[chosen]
-    warm = temperature_in(scanned.temperature, scanned.no_temperature, begin, end)
+    warm = np.full(chosen.size, np.nan)
+    if scanned.temperature is not None:
+        warm = scanned.temperature.temperature(w.middle[chosen])
     inside = np.setdiff1d(np.arange(1, chosen.size), starts)
     steps = np.square(size[inside] - size[inside - 1])
     # Median of a squared normal number is 0.455 of its variance; a difference has twice it.

@@ -15,7 +15,7 @@ from imucalib.effects import named
 from imucalib.errors import UsageError
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.runs import PostureRuns, Scan
-from imucalib.rests.thermal import REMEMBERED, ThermalHistory, history_of, remembered
+from imucalib.rests.thermal import REMEMBERED, ThermalHistory, remembered
 from imucalib.rests.windows import Windows
 from imucalib.units import MG, STANDARD_GRAVITY
 
@@ -57,9 +57,7 @@ def worn_blocks(plan: WeekPlan, seed: int) -> Iterator[Recording]:
     seconds = plan.days * _DAY_S
     grid = np.arange(5.0, seconds + 60.0, 60.0)
     warm = temperature_at(grid, seed)
-    windows = scan_of(grid, warm, rate=plan.rate, seconds=seconds).temperature
-    assert windows is not None
-    world = _World(plan, grid, warm, history_of(windows))
+    world = _World(plan, grid, warm, ThermalHistory(grid, warm))
     for start in np.arange(0.0, seconds, _HOUR):
         n = round(min(_HOUR, seconds - start) * plan.rate)
         yield _block(world, start + np.arange(n) / plan.rate, rng)
@@ -220,7 +218,7 @@ def scan_of(grid: Array, warm: Array | None, *, rate: float, seconds: float) -> 
     )
     return Scan(
         windows=empty,
-        temperature=None if warm is None else _thermometer(grid, warm),
+        temperature=None if warm is None else ThermalHistory(grid, warm),
         triad="imu0",
         rate=rate,
         samples=int(seconds * rate),
@@ -231,22 +229,6 @@ def scan_of(grid: Array, warm: Array | None, *, rate: float, seconds: float) -> 
         sha256="",
         start_ns=0,
         notes=(),
-    )
-
-
-def _thermometer(grid: Array, warm: Array) -> Windows:
-    column = warm[:, None]
-    return Windows(
-        samples=1,
-        first=np.arange(grid.size),
-        run=np.zeros(grid.size, np.intp),
-        start=grid,
-        stop=grid,
-        mean=column,
-        variance=0.0 * column,
-        low=column,
-        high=column,
-        finest=np.zeros(1),
     )
 
 
