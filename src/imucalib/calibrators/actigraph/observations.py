@@ -26,7 +26,7 @@ from imucalib.errors import NotConverged
 from imucalib.estimators.in_a_population import strangeness
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.rests.runs import PostureRuns, Scan
-from imucalib.rests.thermal import REMEMBERED, history_of, remembered, tells_apart
+from imucalib.rests.thermal import REMEMBERED, ThermalHistory, remembered
 from imucalib.units import MG
 
 NINE = ("bias", "scale", "non_orthogonality")
@@ -206,14 +206,15 @@ def covariates_of(runs: PostureRuns, scanned: Scan) -> dict[str, Array]:
     warm = scanned.temperature
     if warm is not None and np.ptp(runs.temperature) >= _LEAST_WARMTH:  # False for NaN
         found["temperature"] = runs.temperature
-        history = history_of(warm)
-        for name in REMEMBERED:
-            past = remembered(history, name, runs.time)
-            # A thermometer that is rounded to some °C does not show a past temperature beside the
-            # present one: what a lag smooths is then its steps. A rate (°C/h) they show too.
-            if name.startswith(RATE.prefix) or tells_apart(warm, past, runs.temperature):
-                found[name] = past
+        past = {name: remembered(warm, name, runs.time) for name in REMEMBERED}
+        found |= {n: v for n, v in past.items() if _is_shown(n, v, runs.temperature, warm)}
     return found
+
+
+def _is_shown(name: str, past: Array, now: Array, warm: ThermalHistory) -> bool:
+    """Whether a thermometer shows a past temperature beside the present one: rounded to some °C it
+    does not, and what a lag smooths is then its steps. A rate (°C/h) is shown by them too."""
+    return name.startswith(RATE.prefix) or warm.shows(past, now)
 
 
 def _with_temperature(data: Observations, runs: PostureRuns) -> Observations:
