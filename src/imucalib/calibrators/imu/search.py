@@ -33,10 +33,10 @@ from imucalib.estimators.turns import (
     variances,
     without,
 )
-from imucalib.loop.posterior.catalogue import Component, Kind, Member, log_odds
+from imucalib.loop.posterior.catalogue import Component, Kind, Member
 from imucalib.loop.posterior.gram import Grams, Multiplied, swept
-from imucalib.loop.posterior.odds import HEARD, SIZES, TOGETHER
-from imucalib.loop.posterior.problem import Choice
+from imucalib.loop.posterior.odds import HEARD, TOGETHER
+from imucalib.loop.posterior.problem import Choice, Contest
 from imucalib.loop.posterior.space import Hypothesis, Posterior, climbed
 from imucalib.loop.posterior.words import Told, told
 from imucalib.units import DEG, STANDARD_GRAVITY
@@ -61,34 +61,19 @@ class Term:
         return self.effect.name
 
 
-@dataclass(frozen=True)
-class TurnProblem:
-    """What turns may lack; see `Contest`. terms : of every choice; absorbed : names whose columns
-    the gains take up, and why effects could not be tried; seen : of each component the share of its
-    columns that the gains leave, and their length in units of the noise"""
+@dataclass(frozen=True, kw_only=True)
+class TurnProblem(Contest):
+    """What turns may lack beside accelerometer and gains.
 
-    components: tuple[Component, ...]
-    odds: Array
-    choices: tuple[Choice, ...]
+    terms : of every choice; absorbed : names whose columns the gains take up; missing : why effects
+    could not be tried; seen : of each component the share of its columns that the gains leave, and
+    their length in units of the noise
+    """
+
     terms: tuple[Term, ...]
     absorbed: tuple[str, ...]
     missing: Mapping[str, str]
     seen: tuple[tuple[float, float], ...]
-
-    @property
-    def base(self) -> int:
-        """Accelerometer and gains."""
-        return _FIXED
-
-    @property
-    def flat(self) -> tuple[Index, float]:
-        """They are free, but for what their rows say."""
-        return np.arange(_FIXED), np.inf
-
-    @property
-    def sizes(self) -> Array:
-        """Those of a component."""
-        return SIZES
 
     def terms_of(self, hypothesis: Hypothesis) -> tuple[Term, ...]:
         """What a set takes into the model, at its sizes; laws without a name are not corrected."""
@@ -273,8 +258,8 @@ class Lacking:
             kept.append(component)
         problem = TurnProblem(
             components=tuple(kept),
-            odds=log_odds(tuple(kept)),
             choices=tuple(choices),
+            base=_FIXED,
             terms=tuple(chosen),
             absorbed=tuple(absorbed),
             missing=self.missing,

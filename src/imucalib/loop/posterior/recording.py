@@ -31,7 +31,6 @@ from imucalib.loop.candidates import Searched
 from imucalib.loop.found import FitLoop
 from imucalib.loop.held_out import (
     Difference,
-    Fold,
     Held,
     difference,
     folds_of,
@@ -39,9 +38,9 @@ from imucalib.loop.held_out import (
     with_density,
 )
 from imucalib.loop.posterior.catalogue import Member, components_of
-from imucalib.loop.posterior.closed import correctable, empty, judged, refused
+from imucalib.loop.posterior.closed import judged, started
 from imucalib.loop.posterior.explored import Explored, heard, refined, values_found
-from imucalib.loop.posterior.held_out import LeftOut, base_left_out, left_out
+from imucalib.loop.posterior.held_out import LeftOut, base_left_out
 from imucalib.loop.posterior.odds import FOLD_BEAMS, FOLD_DEEPEST
 from imucalib.loop.posterior.problem import problem_of
 from imucalib.loop.posterior.recorded import (
@@ -180,35 +179,28 @@ def close_recording(plain: Fit, asked: Searched, known: Array, *, curves: bool =
     known : (n,) m²/s⁴, the part of each run's variance that its windows and the resolution explain
     """
     found, course, said = _explored(plain, asked, known)
+    problem, posterior = found.problem, found.posterior
     data = _in_units(found.base.observations, course)
-    nothing = solved(found.problem, found.posterior.grams, found.posterior.base)
-    base = _at(nothing, data)
-    loop = replace(empty(plain, found, asked, said), base=base, final=base, as_recorded=base)
-    folds, final = folds_of(data), base
-    after = before = base_left_out(found.problem, found.posterior, folds)
-    if not correctable(found, said, curves=curves):
-        loop = refused(loop, found, said, None)
-    elif said.places:
-        try:
-            final = _at(solved(found.problem, found.posterior.grams, said.hypothesis), data)
-            left = left_out(found.problem, found.posterior, folds)
-        except NotConverged:  # a response that has no inverse
-            loop = refused(loop, found, said, None)
-        else:
-            gain = _gain(left, folds, final, data.context["time"])
-            loop = judged(loop, found, said, final, left, gain)
-            after = left.after if loop.steps else before
+    base = _at(solved(problem, posterior.grams, posterior.base), data)
+    loop, left = judged(
+        replace(started(base, plain, found, asked, said), as_recorded=base),
+        found,
+        said,
+        lambda one: _at(one, data),
+        _gain,
+        curves=curves,
+    )
+    before = left.before if left else base_left_out(problem, posterior, folds_of(data))
     course, wander = course_of(loop.final, known, course)
-    size = (wander.scatter, wander.size)
     loop = replace(
         loop,
         as_recorded=loop.final,
-        weighed=rivals_of(found.problem, found.posterior),
+        weighed=rivals_of(problem, posterior),
         wander=wander,
         ambiguous=ambiguities(loop.final, loop.alternatives, course.white(loop.final.at.unit)),
-        sums=sums_of(found.problem, found.posterior, base, *size),
+        sums=sums_of(problem, posterior, base, wander.scatter, wander.size),
     )
-    return Closed(loop, course, before, after)
+    return Closed(loop, course, before, left.after if left else before)
 
 
 def _explored(plain: Fit, asked: Searched, known: Array) -> tuple[Explored, Course, Told]:
@@ -268,19 +260,18 @@ def _at(one: Solved, data: Observations) -> Fit:
     return fit_at(one.model, data, one.theta, one.covariance)
 
 
-def _gain(left: LeftOut, folds: Sequence[Fold], final: Fit, time: Array) -> Difference:
+def _gain(final: Fit, left: LeftOut) -> Difference:
     """What blocks of time gain but for those that hold a moment at which something changes: without
     one nobody knows when within it that was."""
-    part = parts_of(tuple(folds))
-    hidden = [k for k, fold in enumerate(folds) if _holds_a_moment(final, fold, time)]
+    folds, time = folds_of(final.observations), final.observations.context["time"]
+    part, every = parts_of(folds), np.arange(time.size)
+    moments = np.array([moment_of(name) for name in final.model.names])
+    hidden = []
+    for k, fold in enumerate(folds):
+        gone = time[np.setdiff1d(every, fold.rest)]
+        if np.any((moments >= gone.min()) & (moments <= gone.max())):
+            hidden.append(k)
     good = ~np.isin(part, [folds[k].rows[0] for k in hidden])
     sizes = left.before.size[good], left.after.size[good]
-    count = len(folds) - len(hidden)
-    gain = difference(*sizes, part[good], count, "mean")
+    gain = difference(*sizes, part[good], len(folds) - len(hidden), "mean")
     return with_density(gain, np.delete(left.nats, hidden))
-
-
-def _holds_a_moment(final: Fit, fold: Fold, time: Array) -> bool:
-    gone = time[np.setdiff1d(np.arange(time.size), fold.rest)]
-    moments = np.array([moment_of(name) for name in final.model.names])
-    return bool(np.any((moments >= gone.min()) & (moments <= gone.max())))

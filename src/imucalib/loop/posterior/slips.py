@@ -25,7 +25,7 @@ from imucalib.loop.faults.angles import angles
 from imucalib.loop.faults.cells import base_of, blocks, cells, exchanges, other_axes, prior_of
 from imucalib.loop.faults.sheet import Fault, Hypothesis, Sheet
 from imucalib.loop.posterior.explored import Explored, explored
-from imucalib.loop.posterior.gram import Grams, Multiplied, source_of, swept
+from imucalib.loop.posterior.gram import Grams, Multiplied, log_sum, source_of, swept
 from imucalib.loop.posterior.odds import ACCUSED, OPEN
 from imucalib.loop.posterior.problem import known_sd
 from imucalib.loop.posterior.space import Pick, block_logs, blocks_of
@@ -173,44 +173,38 @@ def _sets(found: Explored) -> dict[tuple[Pick, ...], float]:
 
 
 def _given_each(found: Explored, sets: Iterable[tuple[Pick, ...]]) -> list[Grams]:
-    """Of each set the products beside the base model and it: of the columns of all sets, of one
-    column for each number of a reading by itself, and y. A number that is free is as good as one
+    """Of each set the products beside the base model and it: of one column for each number of a
+    reading by itself, of the columns of all sets, and y. A number that is free is as good as one
     that is not there."""
-    every = [blocks_of(found.problem.choices, picks) for picks in sets]
-    columns = np.unique(
+    problem, source, p = found.problem, source_of(found.every), found.problem.base
+    every = [blocks_of(problem.choices, picks) for picks in sets]
+    used = np.unique(
         np.concatenate([np.zeros(0, np.intp), *(at for one in every for at, _ in one)])
     )
-    flat = _with_free_numbers(found, columns)
-    return [swept(flat, *((np.searchsorted(columns, at), s) for at, s in one)) for one in every]
-
-
-def _with_free_numbers(found: Explored, columns: Index) -> Grams:
-    """The products beside the base model, multiplied out."""
-    problem, source, p = found.problem, source_of(found.every), found.problem.base
-    n, own = len(source.columns), np.concatenate([np.arange(p), columns])
-    every = np.column_stack([source.columns[:, own], np.eye(n), source.columns[:, -1]])
-    known = np.zeros((len(problem.columns) - n, every.shape[1]))
-    known[:, : own.size], known[:, -1] = problem.columns[n:, own], problem.columns[n:, -1]
-    matrix = np.array([every.T @ solve(every) for solve in source.solves]) + known.T @ known
-    nothing = np.zeros((len(matrix), 0, every.shape[1]))
+    own, n = np.r_[:p, used, source.columns.shape[1] - 1], len(source.columns)
+    inverse = np.array([solve(np.eye(n)) for solve in source.solves])
+    weighted, known = found.every.weighted[:, :, own], problem.columns[n:, own]
+    inner = source.columns[:, own].T @ weighted + known.T @ known
+    matrix = np.block([[inverse, weighted], [weighted.swapaxes(1, 2), inner]])
+    nothing = np.zeros((len(matrix), 0, len(matrix[0])))
     whole = replace(found.every, products=Multiplied(matrix), removed=nothing, source=None)
-    rest = swept(whole, problem.flat)
-    given_base = rest.rows(np.arange(p, every.shape[1]))[:, :, p:]
-    return replace(rest, products=Multiplied(given_base), removed=nothing[:, :, p:])
+    base = swept(whole, (n + np.arange(p), np.inf))
+    kept = np.r_[:n, n + p : len(matrix[0])]
+    products = Multiplied(base.rows(kept)[:, :, kept])
+    rest = replace(base, products=products, removed=nothing[:, :, kept])
+    return [swept(rest, *((n + np.searchsorted(used, at), s) for at, s in one)) for one in every]
 
 
 def _gains_of_records(found: Explored, sheets: Sequence[Grams]) -> Array:
     """(sets, n) nats that freeing each record gains beside each set, before anything is solved
-    again; sheets : the products beside each, the readings' own numbers before y"""
+    again; sheets : the products beside each, the readings' own numbers first"""
     dof, fit = found.posterior.dof, found.base
-    single = sheets[0].along.shape[1] - 1 - len(fit.at.owner) + np.arange(len(fit.at.owner))
-    rows = single.reshape(fit.observations.n, -1)
+    rows = np.arange(len(fit.at.owner)).reshape(fit.observations.n, -1)
     size = np.array([GROSS_MG * MG / float(np.median(fit.at.unit)) / fit.noise.factor])
     whole = sheets[0].products.blocks(rows)
     logs = [block_logs(one, rows, size, dof, whole)[0][..., 0] for one in sheets]
     now = np.array([one.evidence(dof) for one in sheets])
-    gains = np.array([np.logaddexp.reduce(each) for each in logs]) - now[:, None]
-    return np.asarray(gains)
+    return np.asarray(np.array([log_sum(each) for each in logs]) - now[:, None])
 
 
 def _solved_again(base: Fit, trial: Hypothesis, written: Written | None) -> Fit | None:

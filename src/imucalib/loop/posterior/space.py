@@ -18,7 +18,7 @@ import numpy as np
 from imucalib.arrays import Array, Index
 from imucalib.core.eigen import eigen
 from imucalib.loop.posterior.catalogue import log_set_prior, log_size_prior
-from imucalib.loop.posterior.gram import Block, Grams, swept
+from imucalib.loop.posterior.gram import Block, Grams, log_sum, swept
 from imucalib.loop.posterior.odds import BEAMS, DEEPEST, OPEN, WIDTH
 from imucalib.loop.posterior.problem import Choice, Contest
 
@@ -189,7 +189,7 @@ class _Space:
         score, raw = self._scores(own)
         for component in np.setdiff1d(self._component, one.components):
             rows = np.flatnonzero(self._component == component)
-            total = float(np.logaddexp.reduce(score[rows].ravel()))
+            total = float(log_sum(score[rows].ravel()))
             if not np.isfinite(total):
                 continue
             a, b = np.unravel_index(np.argmax(score[rows]), (rows.size, problem.sizes.size))
@@ -209,16 +209,16 @@ class _Space:
         out = np.full((2, self._weight.size, sizes.size), -np.inf)
         for which, index, whole in self._by_width:
             logs, factor = block_logs(grams, index, sizes, self._dof, whole)
-            weighed = np.logaddexp.reduce(logs + log_size_prior(sizes * factor))
+            weighed = log_sum(logs + log_size_prior(sizes * factor))
             out[0, which] = weighed + self._weight[which, None]
-            out[1, which] = np.logaddexp.reduce(logs)
+            out[1, which] = log_sum(logs)
         return out[0], out[1]
 
     def posterior(self, found: _Found) -> Posterior:
         """Of all sets that were found."""
         ranked = _likeliest_first(found)
         logs = np.array([h.log_posterior for h in ranked])
-        whole = float(np.logaddexp.reduce(logs))
+        whole = float(log_sum(logs))
         return Posterior(tuple(ranked), np.exp(logs - whole), self._grams, self._dof, whole)
 
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imucalib.arrays import Array, Index
+from imucalib.arrays import Array
 from imucalib.calibrators.array.estimate.base import Base
 from imucalib.calibrators.array.loop.declared import shared_by_neighbours
 from imucalib.calibrators.array.loop.laws import Way, components_of
@@ -24,45 +24,31 @@ from imucalib.calibrators.array.loop.terms import typical_of
 from imucalib.estimators.array.gram import Columns, gram, starts_of
 from imucalib.estimators.array.reduced import inverse_root
 from imucalib.estimators.array.samples import reweighed
-from imucalib.loop.posterior.catalogue import Component, log_odds
 from imucalib.loop.posterior.gram import Grams, Multiplied
 from imucalib.loop.posterior.odds import FINE_SIZES
-from imucalib.loop.posterior.problem import Choice
+from imucalib.loop.posterior.problem import Choice, Contest
 from imucalib.loop.posterior.space import Hypothesis, Pick, blocks_of
 
 
-@dataclass(frozen=True)
-class MotionProblem:
-    """What a motion may lack.
+@dataclass(frozen=True, kw_only=True)
+class MotionProblem(Contest):
+    """What a motion may lack; what is fitted beside components is integrated out already.
 
-    components, odds, choices : as in a `Problem`; ways : of every choice
+    ways : of every choice
     missing : why effects could not be tried
     seen : (q,) squares of the columns beside the motion, and what free positions leave of them
     moves : (d, q) m by which each column moves free positions at typical size
     """
 
-    components: tuple[Component, ...]
-    odds: Array
-    choices: tuple[Choice, ...]
     ways: tuple[Way, ...]
     missing: dict[str, str]
     seen: tuple[Array, Array]
     moves: Array
 
     @property
-    def base(self) -> int:
-        """Columns that are free before any component."""
-        return 0
-
-    @property
     def sizes(self) -> Array:
         """Those of a component: a motion has thousands of readings."""
         return FINE_SIZES
-
-    @property
-    def flat(self) -> tuple[Index, float]:
-        """Nothing: what is fitted beside components is taken out already."""
-        return np.arange(0), np.inf
 
     def named(self, name: str) -> bool:
         """Whether a way names a cause."""
@@ -142,8 +128,8 @@ def products(
     carried, square = loose.T @ found.matrix[:b, b:], np.diag(found.matrix)[b:]
     problem = MotionProblem(
         components=every.components,
-        odds=log_odds(every.components),
         choices=tuple(choices),
+        base=0,
         ways=tuple(ways),
         missing=every.missing,
         seen=(square, square - np.sum(carried**2, axis=0)),
