@@ -225,7 +225,7 @@ def values_found(found: Explored) -> dict[str, list[str]]:
     """Values of scans that stand in likely sets, by component."""
     values: dict[str, list[str]] = {}
     problem, posterior = found.problem, found.posterior
-    for hypothesis, p in zip(posterior.hypotheses, posterior.probability, strict=True):
+    for hypothesis, p in posterior.weighed:
         for pick in hypothesis.picks if p > _LIKELY else ():
             choice = problem.choices[pick.choice]
             name = problem.components[choice.component].name

@@ -84,8 +84,7 @@ def _narrowed(problem: Problem, posterior: Posterior) -> tuple[Problem, Grams]:
 
 def _rivals(problem: Problem, posterior: Posterior) -> tuple[Choice, ...]:
     """Members of every component that any data have a say for."""
-    pairs = zip(posterior.hypotheses, posterior.probability, strict=True)
-    used = {c for h, p in pairs if p > _SEEN for c in h.components}
+    used = {c for h, p in posterior.weighed if p > _SEEN for c in h.components}
     single = [h for h in posterior.hypotheses if len(h.components) == 1][:_SINGLES]
     used |= {h.components[0] for h in single}
     return tuple(c for c in problem.choices if c.component in used)

@@ -75,6 +75,11 @@ class Posterior:
     evidence: float
 
     @property
+    def weighed(self) -> list[tuple[Hypothesis, float]]:
+        """Each set and its probability."""
+        return list(zip(self.hypotheses, self.probability.tolist(), strict=True))
+
+    @property
     def best(self) -> Hypothesis:
         return self.hypotheses[0]
 
