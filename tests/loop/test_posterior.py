@@ -28,7 +28,7 @@ from imucalib.loop.posterior.recorded import Course, course_of, fit_at, recorded
 from imucalib.loop.posterior.recording import close_recording, followed
 from imucalib.loop.posterior.solution import solved
 from imucalib.loop.posterior.space import search
-from imucalib.loop.posterior.words import told
+from imucalib.loop.posterior.words import concluded
 from imucalib.units import MG
 from worlds.bench import base_model
 
@@ -177,7 +177,7 @@ def test_the_mean_of_what_is_likely_against_a_clean_recording_is_one() -> None:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_a_clean_recording_lacks_nothing(seed: int) -> None:
-    assert not told(found(seed, 0.0).problem, found(seed, 0.0).posterior).places
+    assert not concluded(found(seed, 0.0).problem, found(seed, 0.0).posterior).places
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -214,7 +214,7 @@ def test_the_same_recording_gives_the_same_answer_in_any_order() -> None:
 
 def test_the_linear_solution_is_the_fit_where_all_is_linear() -> None:
     one = found()
-    said = told(one.problem, one.posterior).hypothesis
+    said = concluded(one.problem, one.posterior).hypothesis
     linear = solved(one.problem, one.posterior.grams, said)
     again = fit(linear.model, one.base.observations, start=linear.theta, shrink=linear.shrink)
     off = np.abs(again.theta - linear.theta) / np.sqrt(np.diag(linear.covariance))

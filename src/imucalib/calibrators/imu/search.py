@@ -38,7 +38,7 @@ from imucalib.loop.posterior.gram import Grams, Multiplied, swept
 from imucalib.loop.posterior.odds import HEARD, TOGETHER
 from imucalib.loop.posterior.problem import Choice, Contest
 from imucalib.loop.posterior.space import Hypothesis, Posterior, climbed
-from imucalib.loop.posterior.words import Told, told
+from imucalib.loop.posterior.words import Conclusion, concluded
 from imucalib.units import DEG, STANDARD_GRAVITY
 
 _FIXED = ACCELEROMETER + GAIN
@@ -92,7 +92,7 @@ class Searched:
     lacking: Lacking
     problem: TurnProblem
     posterior: Posterior
-    said: Told
+    said: Conclusion
     terms: tuple[Term, ...]
     final: TurnFit
 
@@ -174,7 +174,7 @@ def searched(base: TurnFit, course: Course, asked: AskedTurns) -> Searched:
         lacking = lacking_of(final, course, asked)
         problem, grams = lacking.contest(final)
         posterior = climbed(problem, grams)
-        said = told(problem, posterior, names_first=True)
+        said = concluded(problem, posterior, names_first=True)
         new = problem.terms_of(said.hypothesis)
         names = _names(new)
         if not asked.loop or names in seen or not names:
@@ -207,7 +207,7 @@ def in_fold(
     if not asked.loop:
         return base, base
     problem, grams = found.lacking.contest(base)
-    new = problem.terms_of(told(problem, climbed(problem, grams), names_first=True).hypothesis)
+    new = problem.terms_of(concluded(problem, climbed(problem, grams), names_first=True).hypothesis)
     if not new:
         return base, base
     terms = (*declared_terms(asked), *new)

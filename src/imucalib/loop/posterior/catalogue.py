@@ -116,18 +116,18 @@ _OF_RESPONSE = (
 
 
 def components_of(
-    model: Model, data: Observations, asked: Searched, *, walks: bool = False
+    model: Model, data: Observations, wanted: Searched, *, walks: bool = False
 ) -> tuple[Component, ...]:
     """Everything that may be missing from a model of some observations.
 
-    asked : effects and scans that are wanted; where the user limited them, no free function or law
+    wanted : effects and scans that are wanted; where the user limited them, no free function or law
         is left out, so that no name is certain for want of a rival
     walks : whether the noise holds any course of the bias over time, as in a recording, whose rows
         are enough to try a part of a name by itself
     """
     return (
-        *_names(model, data, asked.effects, parts=walks),
-        *(c for family in asked.families if (c := scan_of(data, family)) is not None),
+        *_names(model, data, wanted.effects, parts=walks),
+        *(c for family in wanted.families if (c := scan_of(data, family)) is not None),
         *_functions(data, walks=walks),
         *_laws(data),
     )

@@ -23,7 +23,7 @@ from imucalib.loop.posterior.noise import Point, shared_bias
 from imucalib.loop.posterior.odds import OPEN
 from imucalib.loop.posterior.slips import Mended, Written, mended
 from imucalib.loop.posterior.solution import Solved, change, fit_of, noises_of, solved
-from imucalib.loop.posterior.words import Told, name_of, rivals_of, scores_of, told
+from imucalib.loop.posterior.words import Conclusion, concluded, name_of, rivals_of, scores_of
 from imucalib.loop.record_errors import accused, record_names, reduced
 from imucalib.units import MG
 
@@ -45,7 +45,7 @@ class Closed:
 def close_loop(
     model: Model,
     observations: Observations,
-    asked: Searched,
+    wanted: Searched,
     start: Array | None = None,
     written: Written | None = None,
     *,
@@ -60,20 +60,20 @@ def close_loop(
     every record as it stands.
     """
     plain = fit_model(model, observations, start=start)
-    begun = Start.of(plain, asked)
+    begun = Start.of(plain, wanted)
     uneven = begun.axis_noise()
     if np.any(uneven != 1.0):
         observations = replace(observations, sigma=observations.sigma * uneven)
         plain = fit_model(model, observations, start=plain.theta)
-        begun = Start.of(plain, asked)
-    state = mended(begun.explored(), asked, written)
+        begun = Start.of(plain, wanted)
+    state = mended(begun.explored(), wanted, written)
     found = state.found
-    said = told(found.problem, found.posterior)
+    said = concluded(found.problem, found.posterior)
     data, base = _walking(found, said), found.base
     if data is not base.observations:
         base = fit_model(base.model, data, start=base.theta)
     loop, left = judged(
-        started(base, plain, found, asked, said),
+        started(base, plain, found, wanted, said),
         found,
         said,
         lambda one: fit_of(found.problem, one, data),
@@ -89,7 +89,7 @@ def close_loop(
     return Closed(replace(loop, as_recorded=_as_recorded(loop, state)), found, left)
 
 
-def _walking(found: Explored, said: Told) -> Observations:
+def _walking(found: Explored, said: Conclusion) -> Observations:
     """The observations, with the bias that walks as a noise of theirs where it more likely does
     than not beside what is told: readings that share an error are worth fewer."""
     data, posterior = found.base.observations, found.posterior
@@ -127,10 +127,10 @@ def _as_recorded(loop: FitLoop, state: Mended) -> Fit:
     return fit_model(one.model, loop.plain.observations, start=one.theta, shrink=one.shrink)
 
 
-def started(base: Fit, plain: Fit, found: Explored, asked: Searched, said: Told) -> FitLoop:
+def started(base: Fit, plain: Fit, found: Explored, wanted: Searched, said: Conclusion) -> FitLoop:
     """The loop before anything is corrected."""
     context = plain.observations.context
-    reasons = {name: effect.missing(context) for name, effect in asked.effects.items()}
+    reasons = {name: effect.missing(context) for name, effect in wanted.effects.items()}
     scores = scores_of(found.problem, found.posterior)
     return FitLoop(
         base=base,
@@ -147,7 +147,7 @@ def started(base: Fit, plain: Fit, found: Explored, asked: Searched, said: Told)
 def judged(
     loop: FitLoop,
     found: Explored,
-    said: Told,
+    said: Conclusion,
     fitted: Callable[[Solved], Fit],
     gain_of: Callable[[Fit, LeftOut], Difference],
     *,
@@ -180,7 +180,7 @@ def judged(
     return replace(loop, open_size=size), left
 
 
-def _steps(found: Explored, said: Told, left: LeftOut) -> tuple[Step, ...]:
+def _steps(found: Explored, said: Conclusion, left: LeftOut) -> tuple[Step, ...]:
     steps = []
     for place in said.places:
         named = [(_name(found, said, c), share) for c, share in place.rivals]
@@ -199,11 +199,11 @@ def _steps(found: Explored, said: Told, left: LeftOut) -> tuple[Step, ...]:
     return tuple(steps)
 
 
-def _name(found: Explored, said: Told, component: int) -> str:
+def _name(found: Explored, said: Conclusion, component: int) -> str:
     return name_of(found.problem, found.posterior, said, component)
 
 
-def _refused(loop: FitLoop, found: Explored, said: Told, gain: Difference | None) -> FitLoop:
+def _refused(loop: FitLoop, found: Explored, said: Conclusion, gain: Difference | None) -> FitLoop:
     """Nothing is corrected; what is missing beyond doubt stays without a name."""
     why = "it has no inverse, no fit settles with it, or curves are not wanted"
     if gain is not None:

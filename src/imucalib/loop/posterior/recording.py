@@ -50,7 +50,7 @@ from imucalib.loop.posterior.recorded import (
 )
 from imucalib.loop.posterior.solution import Solved, solved
 from imucalib.loop.posterior.space import search
-from imucalib.loop.posterior.words import Told, rivals_of, told
+from imucalib.loop.posterior.words import Conclusion, concluded, rivals_of
 from imucalib.loop.separation import ambiguities
 from imucalib.loop.sums import sums_of
 from imucalib.units import MG
@@ -77,12 +77,12 @@ class Closed:
     after: Held
 
 
-def close_recording(plain: Fit, asked: Searched, known: Array, *, curves: bool = True) -> Closed:
+def close_recording(plain: Fit, wanted: Searched, known: Array, *, curves: bool = True) -> Closed:
     """Search beside a fitted base model, and judge on blocks of time what that was worth.
 
     known : (n,) m²/s⁴, the part of each run's variance that its windows and the resolution explain
     """
-    found, course, said = _explored(plain, asked, known)
+    found, course, said = _explored(plain, wanted, known)
     problem, posterior = found.problem, found.posterior
     data = found.base.observations
     own = course.scatter * np.sqrt(course.variance)  # of each run, beside the walk
@@ -93,7 +93,7 @@ def close_recording(plain: Fit, asked: Searched, known: Array, *, curves: bool =
 
     base = fitted(solved(problem, posterior.grams, posterior.base))
     loop, left = judged(
-        replace(started(base, plain, found, asked, said), as_recorded=base),
+        replace(started(base, plain, found, wanted, said), as_recorded=base),
         found,
         said,
         fitted,
@@ -113,24 +113,24 @@ def close_recording(plain: Fit, asked: Searched, known: Array, *, curves: bool =
     return Closed(loop, course, before, left.after if left else before)
 
 
-def _explored(plain: Fit, asked: Searched, known: Array) -> tuple[Explored, Course, Told]:
+def _explored(plain: Fit, wanted: Searched, known: Array) -> tuple[Explored, Course, Conclusion]:
     """The posterior where it stands still: at what it tells, and at the noise beside that."""
     data, fit = plain.observations, plain
-    first = components_of(plain.model, data, asked, walks=True)
+    first = components_of(plain.model, data, wanted, walks=True)
     values: dict[str, list[str]] = {}
     before: tuple[tuple[Member, float], ...] = ()
     course, _ = course_of(fit, known)
     for _ in range(_ROUNDS):
         scaled = replace(data, sigma=np.full_like(data.sigma, course.scatter))
         at = fit_at(fit.model, scaled, fit.theta, fit.covariance)
-        problem = problem_of(at, refined(first, values, data, asked), plain.model)
+        problem = problem_of(at, refined(first, values, data, wanted), plain.model)
         every = recorded_grams(problem, course)
         kept, leading = looked(problem, every, before)
         grams = every.of(kept)
         del every  # the products of all walks are most of the memory
         brief = search(problem, grams, beams=FOLD_BEAMS, deepest=FOLD_DEEPEST)
         found = Explored(replace(plain, observations=scaled), problem, brief, grams)
-        hypothesis = told(problem, brief).hypothesis
+        hypothesis = concluded(problem, brief).hypothesis
         likely = values_found(found)
         more = {
             name: sorted({*leading.get(name, ()), *likely.get(name, ())})
@@ -149,7 +149,7 @@ def _explored(plain: Fit, asked: Searched, known: Array) -> tuple[Explored, Cour
         course, _ = course_of(fit, known, course)
     whole = replace(found, posterior=search(problem, grams))
     posterior = heard(whole)
-    return replace(whole, posterior=posterior), course, told(problem, posterior)
+    return replace(whole, posterior=posterior), course, concluded(problem, posterior)
 
 
 def _gain(final: Fit, left: LeftOut) -> Difference:

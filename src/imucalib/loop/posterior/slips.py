@@ -59,7 +59,7 @@ class Mended:
     aside: tuple[tuple[int, float], ...] = ()
 
 
-def mended(found: Explored, asked: Searched, written: Written | None = None) -> Mended:
+def mended(found: Explored, wanted: Searched, written: Written | None = None) -> Mended:
     """The posterior of a table with everything that is likelier wrong in it than not set right.
 
     found : that of the table as it stands
@@ -67,7 +67,7 @@ def mended(found: Explored, asked: Searched, written: Written | None = None) -> 
     """
     state = Mended(found)
     for _ in range(_MOST):
-        best = _best(state, asked, written)
+        best = _best(state, wanted, written)
         if best is None:
             break
         state, sheet = best
@@ -83,14 +83,14 @@ def log_density(found: Explored) -> float:
 
 
 def _best(
-    state: Mended, asked: Searched, written: Written | None
+    state: Mended, wanted: Searched, written: Written | None
 ) -> tuple[Mended, Sheet | None] | None:
     """The likeliest of the sheets that are solved again, where the sheet as it stands is less
     likely than all of them together."""
     trials = [t for t in _trials(state, written) if t.fault.score > -OPEN / 3.0]
     now, odds = log_density(state.found), []
     for trial, base in _likeliest(trials, state, written):
-        found = explored(base, asked)
+        found = explored(base, wanted)
         odds.append((log_density(found) - now + trial.prior, trial, found))
     odds.sort(key=lambda o: -o[0])
     whole = float(np.logaddexp.reduce([o for o, _, _ in odds])) if odds else -np.inf

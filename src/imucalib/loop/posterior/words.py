@@ -1,9 +1,9 @@
 """What the posterior says, in names and probabilities.
 
-Something is missing where the base model is unlikely. Told is the simplest set that the best does
-not beat by more than chance (Occam's window); in each of its places stands everything that could,
-with its share. A name is certain where it is in nearly all of the posterior, and no free function
-or unnamed law is likelier than not to stand in for what it leaves.
+Something is missing where the base model is unlikely. Concluded is the simplest set that the best
+does not beat by more than chance (Occam's window); in each of its places is everything that could
+be there, with its share. A name is certain where it is in nearly all of the posterior, and no free
+function or unnamed law is likelier than not to replace it.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.loop.found import Rival, Score
 from imucalib.loop.posterior.gram import swept
-from imucalib.loop.posterior.odds import CERTAIN, COMPLETE, TOLD
+from imucalib.loop.posterior.odds import CERTAIN, COMPLETE, OCCAM
 from imucalib.loop.posterior.problem import Contest, Problem
 from imucalib.loop.posterior.solution import solved
 from imucalib.loop.posterior.space import Hypothesis, Posterior
@@ -93,7 +93,7 @@ def of_each(posterior: Posterior, count: int) -> tuple[Array, Array]:
 class Place:
     """One thing that is missing.
 
-    component : that is told; probability : that it is there, in its place or beside others
+    component : that is concluded; probability : that it is there, in its place or beside others
     rivals : (component, share of this place) of all that could stand there, likeliest first, until
         they are 95 %; certain : whether it is a cause beyond doubt
     """
@@ -111,8 +111,8 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Told:
-    """complete : probability that nothing is missing; hypothesis : the set that is told and
+class Conclusion:
+    """complete : probability that nothing is missing; hypothesis : the set that is concluded and
     corrected; places : its components, likeliest first"""
 
     complete: float
@@ -120,10 +120,10 @@ class Told:
     places: tuple[Place, ...]
 
 
-def told(problem: Contest, posterior: Posterior, *, names_first: bool = False) -> Told:
-    """The words of a posterior.
+def concluded(problem: Contest, posterior: Posterior, *, names_first: bool = False) -> Conclusion:
+    """The simplest set that explains the data, and what else could be in each of its places.
 
-    names_first : whether a set of names is told before one of its size that has no name in it, and
+    names_first : whether a set of names comes before one of its size that has no name in it, and
         does not beat it by more than chance: where what has no name is not corrected
     """
 
@@ -132,8 +132,8 @@ def told(problem: Contest, posterior: Posterior, *, names_first: bool = False) -
 
     complete = sum(p for h, p in posterior.weighed if not h.components)
     if complete >= COMPLETE:
-        return Told(complete, posterior.base, ())
-    bar = np.exp(-TOLD) * posterior.probability[0]
+        return Conclusion(complete, posterior.base, ())
+    bar = np.exp(-OCCAM) * posterior.probability[0]
     said, _ = min(
         ((h, p) for h, p in posterior.weighed if p > bar and h.components),
         key=lambda one: (len(one[0].components), names_first and nameless(one[0]), -one[1]),
@@ -146,11 +146,11 @@ def told(problem: Contest, posterior: Posterior, *, names_first: bool = False) -
         alone = len(rivals) == 1 and likely > CERTAIN and without_name < 0.5
         certain = alone and problem.components[component].named
         places.append(Place(component, likely, rivals, certain))
-    return Told(complete, said, tuple(sorted(places, key=lambda p: -p.probability)))
+    return Conclusion(complete, said, tuple(sorted(places, key=lambda p: -p.probability)))
 
 
-def name_of(problem: Contest, posterior: Posterior, said: Told, component: int) -> str:
-    """The effect that stands for a component in what is told, or in its likeliest set."""
+def name_of(problem: Contest, posterior: Posterior, said: Conclusion, component: int) -> str:
+    """The effect of a component in what is concluded, or in its likeliest set."""
     sets = (said.hypothesis, *posterior.hypotheses)
     own = next(h for h in sets if component in h.components)
     picked = (problem.choices[p.choice] for p in own.picks)

@@ -30,7 +30,7 @@ from imucalib.estimators.array.noise import SensorNoise, log_density
 from imucalib.estimators.array.samples import Weights, fit_samples
 from imucalib.loop.posterior.gram import Grams
 from imucalib.loop.posterior.space import Posterior, climbed
-from imucalib.loop.posterior.words import Told, told
+from imucalib.loop.posterior.words import Conclusion, concluded
 
 #: Times that twins are told apart, where some have gone to another name.
 _PASSES = 3
@@ -152,7 +152,7 @@ class Explored:
     problem: MotionProblem
     grams: Grams
     posterior: Posterior
-    said: Told
+    said: Conclusion
     first: tuple[MotionProblem, Posterior]
     rejected: tuple[tuple[str, str], ...] = ()
 
@@ -195,7 +195,7 @@ def _searched(
 ) -> Explored:
     posterior = climbed(problem, grams, problem.picks(apart.state))
     first = (problem, posterior) if before is None else before.first
-    said = told(problem, posterior, names_first=names_first)
+    said = concluded(problem, posterior, names_first=names_first)
     return Explored(
         base=base,
         apart=apart,
