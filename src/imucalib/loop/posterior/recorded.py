@@ -27,7 +27,7 @@ from imucalib.core.observations import Observations
 from imucalib.estimators.least_squares import evaluate
 from imucalib.loop.found import Wander
 from imucalib.loop.posterior.catalogue import Member
-from imucalib.loop.posterior.gram import Grams, Multiplied, Source, log_sum, swept
+from imucalib.loop.posterior.gram import Grams, Multiplied, log_sum, swept
 from imucalib.loop.posterior.noise import diagonal_logs
 from imucalib.loop.posterior.odds import (
     HEARD,
@@ -272,7 +272,8 @@ def recorded_grams(problem: Problem, course: Course) -> Grams:
         numbers=problem.numbers,
         points=course.walks,
         spread=np.inf,
-        source=Source(problem.columns, course.walks, inverse),
+        columns=problem.columns,
+        inverse=inverse,
     )
 
 

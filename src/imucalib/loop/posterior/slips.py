@@ -25,7 +25,7 @@ from imucalib.loop.faults.angles import angles
 from imucalib.loop.faults.cells import base_of, blocks, cells, exchanges, other_axes, prior_of
 from imucalib.loop.faults.sheet import Fault, Hypothesis, Sheet
 from imucalib.loop.posterior.explored import Explored, explored
-from imucalib.loop.posterior.gram import Grams, Multiplied, log_sum, source_of, swept
+from imucalib.loop.posterior.gram import Grams, Multiplied, log_sum, swept
 from imucalib.loop.posterior.odds import ACCUSED, OPEN
 from imucalib.loop.posterior.problem import known_sd
 from imucalib.loop.posterior.space import Pick, block_logs, blocks_of
@@ -176,18 +176,18 @@ def _given_each(found: Explored, sets: Iterable[tuple[Pick, ...]]) -> list[Grams
     """Of each set the products beside the base model and it: of one column for each number of a
     reading by itself, of the columns of all sets, and y. A number that is free is as good as one
     that is not there."""
-    problem, source, p = found.problem, source_of(found.every), found.problem.base
+    problem, grams, p = found.problem, found.every, found.problem.base
     every = [blocks_of(problem.choices, picks) for picks in sets]
     used = np.unique(
         np.concatenate([np.zeros(0, np.intp), *(at for one in every for at, _ in one)])
     )
-    own, n = np.r_[:p, used, source.columns.shape[1] - 1], len(source.columns)
-    inverse = np.array([solve(np.eye(n)) for solve in source.solves])
-    weighted, known = found.every.weighted[:, :, own], problem.columns[n:, own]
-    inner = source.columns[:, own].T @ weighted + known.T @ known
+    own, n = np.r_[:p, used, grams.columns.shape[1] - 1], len(grams.columns)
+    inverse = np.array([solve(np.eye(n)) for solve in grams.solves])
+    weighted, known = grams.weighted[:, :, own], problem.columns[n:, own]
+    inner = grams.columns[:, own].T @ weighted + known.T @ known
     matrix = np.block([[inverse, weighted], [weighted.swapaxes(1, 2), inner]])
     nothing = np.zeros((len(matrix), 0, len(matrix[0])))
-    whole = replace(found.every, products=Multiplied(matrix), removed=nothing, source=None)
+    whole = replace(grams, products=Multiplied(matrix), removed=nothing, inverse=None)
     base = swept(whole, (n + np.arange(p), np.inf))
     kept = np.r_[:n, n + p : len(matrix[0])]
     products = Multiplied(base.rows(kept)[:, :, kept])
