@@ -178,21 +178,26 @@ def _given_each(found: Explored, sets: Iterable[tuple[Pick, ...]]) -> list[Grams
     that is not there."""
     problem, grams, p = found.problem, found.every, found.problem.base
     every = [blocks_of(problem.choices, picks) for picks in sets]
-    used = np.unique(
-        np.concatenate([np.zeros(0, np.intp), *(at for one in every for at, _ in one)])
-    )
+    used = np.array(sorted({int(k) for one in every for at, _ in one for k in at}), np.intp)
     own, n = np.r_[:p, used, grams.columns.shape[1] - 1], len(grams.columns)
     inverse = np.array([solve(np.eye(n)) for solve in grams.solves])
     weighted, known = grams.weighted[:, :, own], problem.columns[n:, own]
     inner = grams.columns[:, own].T @ weighted + known.T @ known
-    matrix = np.block([[inverse, weighted], [weighted.swapaxes(1, 2), inner]])
-    nothing = np.zeros((len(matrix), 0, len(matrix[0])))
-    whole = replace(grams, products=Multiplied(matrix), removed=nothing, inverse=None)
-    base = swept(whole, (n + np.arange(p), np.inf))
-    kept = np.r_[:n, n + p : len(matrix[0])]
-    products = Multiplied(base.rows(kept)[:, :, kept])
-    rest = replace(base, products=products, removed=nothing[:, :, kept])
-    return [swept(rest, *((n + np.searchsorted(used, at), s) for at, s in one)) for one in every]
+    # The base model leaves as in `swept`, multiplied out.
+    lower = np.linalg.cholesky(inner[:, :p, :p])
+    across = np.concatenate([weighted[:, :, :p].swapaxes(1, 2), inner[:, :p, p:]], axis=2)
+    across, weighted = np.linalg.solve(lower, across), weighted[:, :, p:]
+    matrix = np.block([[inverse, weighted], [weighted.swapaxes(1, 2), inner[:, p:, p:]]])
+    matrix -= across.swapaxes(1, 2) @ across
+    log_size = np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1)
+    base = replace(
+        grams,
+        products=Multiplied(matrix),
+        removed=across[:, :0],
+        log_weight=grams.log_weight - log_size,
+        inverse=None,
+    )
+    return [swept(base, *((n + np.searchsorted(used, at), s) for at, s in one)) for one in every]
 
 
 def _gains_of_records(found: Explored, sheets: Sequence[Grams]) -> Array:

@@ -233,10 +233,9 @@ def block_logs(
     """(E, m, T) log evidence of each block of columns index (m, w) at each size (T,) over the noise
     factor, and that factor; whole : the blocks' own products, where they are there."""
     inner, along = grams.blocks(index, whole), grams.along[:, index]
-    logs, taken = (_by_factors if index.shape[1] > NARROW else _by_values)(
-        grams, inner, along, size
-    )
-    rest = np.maximum(grams.power[:, None, None] - taken, 1e-9)
+    by_factors = index.shape[1] > NARROW or size.size == 1
+    logs, explained = (_by_factors if by_factors else _by_values)(grams, inner, along, size)
+    rest = np.maximum(grams.power[:, None, None] - explained, 1e-9)
     logs = logs + grams.log_weight[:, None, None] + grams.log_noise(rest, dof)
     return logs, np.sqrt(rest / dof)
 
@@ -250,22 +249,22 @@ def _by_values(grams: Grams, inner: Array, along: Array, size: Array) -> tuple[A
         values, vectors = eigen(inner)
         along = np.einsum("emij,emi->emj", vectors, along)
     values, square = np.maximum(values, 0.0), size**2
-    taken = along[..., None] ** 2 / (values[..., None] + 1.0 / square)
-    return -0.5 * np.log1p(values[..., None] * square).sum(axis=2), taken.sum(axis=2)
+    explained = along[..., None] ** 2 / (values[..., None] + 1.0 / square)
+    return -0.5 * np.log1p(values[..., None] * square).sum(axis=2), explained.sum(axis=2)
 
 
 def _by_factors(grams: Grams, inner: Array, along: Array, size: Array) -> tuple[Array, Array]:
-    """The same of wide blocks by a Cholesky factor of each size, a below it, which is quicker."""
+    """The same of wide blocks, or for one size, by Cholesky factors, which are quicker there."""
     e, m, w, _ = inner.shape
-    logs, taken = np.empty((2, e, m, size.size))
+    logs, explained = np.empty((2, e, m, size.size))
     whole = np.empty((e, m, w + 1, w + 1))
     whole[..., :w, :w], whole[..., w, :w], whole[..., :w, w] = inner, along, along
-    whole[..., w, w] = 2.0 * grams.power[:, None] + 1.0  # any number above what is taken serves
+    whole[..., w, w] = 2.0 * grams.power[:, None] + 1.0  # any number above what is explained serves
     some = np.arange(w)
     values = inner[..., some, some]
     for t, tau in enumerate(size):
         whole[..., some, some] = values * (1.0 + _ROUNDING) + tau**-2.0
         root = np.linalg.cholesky(whole)
         logs[..., t] = -np.log(root[..., some, some] * tau).sum(axis=2)
-        taken[..., t] = np.sum(root[..., w, :w] ** 2, axis=2)
-    return logs, taken
+        explained[..., t] = np.sum(root[..., w, :w] ** 2, axis=2)
+    return logs, explained
