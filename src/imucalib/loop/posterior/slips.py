@@ -23,7 +23,7 @@ from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.loop.candidates import Searched
 from imucalib.loop.faults.angles import angles
 from imucalib.loop.faults.cells import base_of, blocks, cells, exchanges, other_axes, prior_of
-from imucalib.loop.faults.sheet import Fault, Hypothesis, Sheet
+from imucalib.loop.faults.sheet import Fault, Sheet, Trial
 from imucalib.loop.posterior.explored import Explored, explored
 from imucalib.loop.posterior.gram import Grams, Multiplied, log_sum, swept
 from imucalib.loop.posterior.odds import ACCUSED, OPEN
@@ -107,11 +107,11 @@ def _best(
 
 
 def _likeliest(
-    trials: Sequence[Hypothesis], state: Mended, written: Written | None
-) -> list[tuple[Hypothesis, Fit]]:
+    trials: Sequence[Trial], state: Mended, written: Written | None
+) -> list[tuple[Trial, Fit]]:
     """The trials whose sheets the base model fits best, refitted: the first of every class, since
     a glance is off by more in one class than in another, then the others that are close."""
-    first, others = dict[str, Hypothesis](), list[Hypothesis]()
+    first, others = dict[str, Trial](), list[Trial]()
     ranked = sorted(trials, key=lambda t: -t.fault.score)
     for trial in ranked:
         among_best = trial.fault.score > ranked[0].fault.score - OPEN
@@ -126,7 +126,7 @@ def _likeliest(
     return [(trial, base) for _, trial, base in fits[:_TRIED]]
 
 
-def _trials(state: Mended, written: Written | None) -> Iterator[Hypothesis]:
+def _trials(state: Mended, written: Written | None) -> Iterator[Trial]:
     """Records that may be set aside, and every slip at its best, at first glance beside nothing and
     beside the sets where a record counts most."""
     found = state.found
@@ -141,11 +141,11 @@ def _trials(state: Mended, written: Written | None) -> Iterator[Hypothesis]:
     aside = {row for row, _ in state.aside}
     for row in map(int, np.argsort(-best)[:_TRIED]):
         if row not in aside:
-            yield Hypothesis(Fault("record", "", (row,), float(best[row]), ""), None, prior)
+            yield Trial(Fault("record", "", (row,), float(best[row]), ""), None, prior)
     if written is None:
         return
     touched = {row for fault in state.slips for row in fault.rows}
-    slips = dict[str, Hypothesis]()
+    slips = dict[str, Trial]()
     for k in dict.fromkeys((0, *map(int, order[:2]))):
         base = base_of(found, written.sheet, sheets[k])
         for slip in (
@@ -212,7 +212,7 @@ def _gains_of_records(found: Explored, sheets: Sequence[Grams]) -> Array:
     return np.asarray(np.array([log_sum(each) for each in logs]) - now[:, None])
 
 
-def _solved_again(base: Fit, trial: Hypothesis, written: Written | None) -> Fit | None:
+def _solved_again(base: Fit, trial: Trial, written: Written | None) -> Fit | None:
     """The base model of the sheet that a trial would leave, or None where it cannot be fitted."""
     if trial.repaired is None or written is None:
         return set_aside(base, trial.fault.rows[0])
