@@ -420,11 +420,11 @@ def test_hysteresis_is_left_out_with_its_size() -> None:
     span = {f"previous_{a}": (-9.8, 9.8) for a in "xyz"}
     found = apply_to_recording(undo_calibration((*UNDO_NINE, "hysteresis"), span), recorded(50))
     (note,) = [n for n in found.notes if "hysteresis" in n]
-    model, theta = sensor((*UNDO_NINE, "hysteresis"))
+    theta = sensor((*UNDO_NINE, "hysteresis"))[1]
     largest = float(np.linalg.norm(theta[-3:]))  # mg/g at 1 g on every axis
     size = float(note.partition("up to ")[2].partition(" mg")[0])
     assert size == pytest.approx(largest, rel=0.05)
-    without = model.minus("hysteresis").correct(
+    without = sensor(UNDO_NINE)[0].correct(
         theta[:-3], recorded(50).channels["acc"].values[:, None], Context(50)
     )
     assert np.allclose(found.channels["acc"].values, without[:, 0], atol=1e-6)
