@@ -1,7 +1,7 @@
 """Recordings in MCAP: ROS 2, ROS 1, JSON and protobuf messages.
 
-Every topic of type sensor_msgs/Imu becomes a triad; without any, topics whose field names tell of
-an acceleration do. Split accelerometer and gyroscope topics are joined into one triad.
+Every topic of type sensor_msgs/Imu becomes a triad; without any, topics with a field that is
+named like an acceleration do. Split accelerometer and gyroscope topics are joined into one triad.
 
 The scan is linear, needs no index and survives damage: every chunk is checked against its CRC, size
 and time span. A damaged part costs only itself: the scan goes on at the next chunk whose two
@@ -47,7 +47,7 @@ RECORD_HEADER = struct.Struct("<BQ")
 #: Name of the Metadata record that marks a corrected recording.
 CORRECTIONS = "imucal corrections"
 #: Bytes of a packed chunk's records unless --max-chunk says otherwise; writers use 1 to 4 MiB. A
-#: header may lie, and 4 bytes of zstd may stand for 128 KiB.
+#: header may lie, and 4 bytes of zstd may unpack to 128 KiB.
 MAX_CHUNK = 64 << 20
 _CUT_PIECE = 1 << 13  # bytes that are unpacked at a time where a chunk breaks off
 #: The fewest bytes that the content of each record type has, from 0x01 on.

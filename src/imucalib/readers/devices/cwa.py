@@ -2,7 +2,7 @@
 
 A header of 1024 bytes ("MD"), then sectors of 512 bytes ("AX"), each with its own time stamp and a
 checksum: its 16-bit words add up to zero. Layout: Open Movement, Docs/ax3/cwa.h and
-ax3-technical.md. Sectors are told by their mark and checksum and ordered by the file, never by
+ax3-technical.md. Sectors are known by their mark and checksum and ordered by the file, never by
 their counter, which restarts.
 """
 

@@ -1,4 +1,4 @@
-"""Axivity .wav: a .cwa as omconvert resamples it, 16-bit samples behind headers with its facts.
+"""Axivity .wav: a .cwa as omconvert resamples it, 16-bit samples after headers with its facts.
 
 RIFF chunks; LIST/INFO holds texts of "name: value" lines, ICMT the channels and their scales (a
 full-scale sample, g), ICRD the time of the first sample. The auxiliary channel says what is
@@ -91,7 +91,7 @@ def _head(raw: bytes, where: str) -> tuple[dict[str, str], _Head]:
                 text = raw[begin : begin + length].rstrip(b"\0 \r\n")
                 texts[name] = text.decode("latin-1")
     else:
-        raise UnreadableInput("no samples behind its headers", where=where)
+        raise UnreadableInput("no samples after its headers", where=where)
     lines = (line.partition(":") for text in texts.values() for line in text.splitlines())
     facts = {name.strip(): value.strip() for name, mark, value in lines if mark}
     try:

@@ -14,7 +14,7 @@ from imucalib.readers.messages.layout import Group, Groups
 _PIECE = 4096  # rows of one stretch that is kept to judge the norm at rest
 #: Stretches that are kept: the start in detail, the rest now and then.
 _STRETCHES = (0, *range(1, 4), *(1 << k for k in range(2, 40)))
-_HEAD = 1 << 15  # rows that the sampling period is taken from
+_HEAD = 1 << 15  # rows that give the sampling period
 
 Stamps = NDArray[Any]  # int64 or float64, as the file has it
 
