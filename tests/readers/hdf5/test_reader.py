@@ -346,19 +346,38 @@ def virtual(path: Path, source: str) -> Path:
     return path
 
 
-def test_a_virtual_dataset_without_its_source_is_missing(tmp_path: Path) -> None:
+def test_a_virtual_dataset_needs_its_sources_whole(tmp_path: Path) -> None:
     path = virtual(tmp_path / "a.h5", "other.h5")
     with pytest.raises(UnreadableInput, match=r"other.h5.*--allow-external"):
         readers.read(path)
-    assert only_truth(readers.read(path, ALLOWED)) == ABSENT_N - 500
+    with pytest.raises(UnreadableInput, match=r"needs x of other.h5, which is not whole"):
+        readers.read(path, ALLOWED)
     with h5py.File(tmp_path / "other.h5", "w") as file:
-        file.create_dataset("x", shape=(500, 3), chunks=(100, 3), dtype="f8")[:100] = ABSENT_TRUTH[
-            :100
-        ]
-    assert only_truth(readers.read(path, ALLOWED)) == ABSENT_N - 500
+        part = file.create_dataset("x", shape=(500, 3), chunks=(100, 3), dtype="f8")
+        part[:100] = ABSENT_TRUTH[:100]
+    with pytest.raises(UnreadableInput, match=r"which is not whole"):
+        readers.read(path, ALLOWED)
     with h5py.File(tmp_path / "other.h5", "a") as file:
         file["x"][...] = ABSENT_TRUTH[:500]
     assert only_truth(readers.read(path, ALLOWED)) == ABSENT_N
+
+
+def test_a_virtual_dataset_that_claims_more_or_itself_is_refused(tmp_path: Path) -> None:
+    layout = h5py.VirtualLayout(shape=(ABSENT_N, 3), dtype="f8")
+    layout[:500] = h5py.VirtualSource(".", "own", shape=(500, 3))
+    again = h5py.VirtualLayout(shape=(500, 3), dtype="f8")
+    again[:] = h5py.VirtualSource(".", "gyro", shape=(500, 3))
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["own"] = ABSENT_TRUTH[:500]
+        file.attrs["sampling_rate"] = 100.0
+        file.create_virtual_dataset("acc", layout)
+    with pytest.raises(UnreadableInput, match=r"claims 6000 values, and its sources hold 1500"):
+        readers.read(tmp_path / "a.h5")
+    with h5py.File(tmp_path / "a.h5", "a") as file:
+        del file["acc"]
+        file.create_virtual_dataset("gyro", again)
+    with pytest.raises(UnreadableInput, match=r"is a part of itself"):
+        readers.read(tmp_path / "a.h5", FieldMapping(gyro_unit="rad/s"))
 
 
 def test_external_storage_is_read_only_when_allowed(tmp_path: Path) -> None:
