@@ -24,7 +24,7 @@ from imucalib.calibrators.array.loop.search import (
     MotionProblem,
     explored,
     started,
-    with_candidates,
+    with_members,
 )
 from imucalib.calibrators.array.loop.setup import Setup
 from imucalib.calibrators.array.loop.state import ArrayState, remembered, shared_by_neighbours
@@ -133,7 +133,7 @@ def _named(found: Explored, asked: Asked, *, curves: bool) -> ArrayState | None:
     known = {term.name for term in found.state.found}
     if known == {one.name for one in named} | (known & set(asked.declare)):
         return found.state
-    return with_candidates(found.state, named, asked)
+    return with_members(found.state, named, asked)
 
 
 def _as_far_as_known(state: ArrayState, shifts: Iterable[Array]) -> ArrayState:
