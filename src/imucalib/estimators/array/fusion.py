@@ -34,7 +34,7 @@ class Sensed:
     """What K triads say in T samples, in board axes.
 
     force, rate : (T, K, 3) m/s² and rad/s; force_precision, rate_precision : (T, K, 3, 3) inverse
-        covariances, without rank along axes that are left out
+        covariances, without rank along axes that do not count
     late : (T, K, 3, 3) s or None: a gyro reads ω + late dω/dt
     spin, spin_precision : (T, 3) what else is known of dω/dt, rad/s² and its inverse variance
     """
@@ -101,7 +101,7 @@ def precision_of(axes: Array, weight: Array) -> Array:
     """(T, K, 3, 3) inverse covariances in board axes.
 
     axes : (K, 3, 3), in its rows what each axis senses of a vector in board axes
-    weight : (T, K, 3) inverse variances of the axes' readings, zero for one that is left out
+    weight : (T, K, 3) inverse variances of the axes' readings, zero for one that does not count
     """
     squares = (axes[:, :, :, None] * axes[:, :, None, :]).reshape(len(axes), 3, 9)
     made = np.matmul(weight.transpose(1, 0, 2), squares)

@@ -17,7 +17,7 @@ from imucalib.arrays import Array, Index
 from imucalib.core.effect import cross_matrix
 
 _ROUNDS = 12
-#: rad/s, a last step: forces are linear in all but ω, and of its square 1e-8 m/s² is left.
+#: rad/s, a last step: forces are linear in all but ω, and of its square 1e-8 m/s² remains.
 _LAST = 1e-3
 #: (rad/s²)^-2, of dω/dt about zero: 3e6 deg/s², a hundred times what hands do. IMUs on one line say
 #: nothing of the spin about it, and this alone keeps that one number finite.
@@ -112,11 +112,11 @@ class Kept:
     numbers: Array
 
 
-def _kept(taken: Array) -> Kept:
-    """taken : (T, K, 9) what the motion takes of a triad's covariance, over that of one axis"""
-    left = np.eye(3).ravel() - taken
-    whole = left[..., 0] + left[..., 4] + left[..., 8]
-    square = np.einsum("tki,tki->tk", left, left)
+def _kept(lost: Array) -> Kept:
+    """lost : (T, K, 9) what the motion takes of a triad's covariance, over that of one axis"""
+    own = np.eye(3).ravel() - lost
+    whole = own[..., 0] + own[..., 4] + own[..., 8]
+    square = np.einsum("tki,tki->tk", own, own)
     floor = 0.02
     return Kept(np.maximum(whole / 3.0, floor), np.clip(whole**2 / square, 1.0, 3.0))
 
@@ -243,7 +243,7 @@ def fit_samples(
     """Best motion of every sample; start : (T, 3) rad/s, or the motion of a fit nearby; rounds :
     steps at most, one where the weights are about to change.
 
-    Raises numpy.linalg.LinAlgError where a sample runs away: no motion near the start fits its
+    Raises numpy.linalg.LinAlgError where a sample runs away: no motion close to the start fits its
     readings.
     """
     if isinstance(start, Sampled):

@@ -24,7 +24,7 @@ def test_a_beat_is_the_steady_part_of_a_sawtooth() -> None:
     assert one.frequency == pytest.approx(-0.7, abs=0.002)
     assert one.phase == pytest.approx(0.3, abs=0.03)
     assert one.at == 3.0
-    assert one.wander == pytest.approx(0.05 / np.sqrt(2.0), rel=0.15)
+    assert one.scatter == pytest.approx(0.05 / np.sqrt(2.0), rel=0.15)
 
 
 @pytest.mark.parametrize("frequency", [1.3, -0.8])

@@ -240,7 +240,7 @@ def _member(found: Explored, component: int) -> str:
 
 
 def scores_of(problem: MotionProblem, posterior: Posterior) -> tuple[Score, ...]:
-    """Every component, likeliest first, by its first member at typical size: its evidence beside
+    """Every component, likeliest first, by its first member at typical size: its evidence with
     the base model alone, and the probability that it is there."""
     evidence, inside = of_each(posterior, len(problem.components))
     found = []
