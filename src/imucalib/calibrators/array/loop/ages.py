@@ -123,8 +123,8 @@ def phases_of(clock: Response) -> Response:
 
 
 def _everywhere(state: ArrayState, rows: Index) -> tuple[Array, Array]:
-    """(N, K, 3) gyro residuals and (N, 3) dω/dt at some samples, with the clocks still in them; zero
-    elsewhere."""
+    """(N, K, 3) gyro residuals and (N, 3) dω/dt at some samples, with the clocks still in them, and
+    zero elsewhere."""
     n, k = len(state.setup.moving.t), state.setup.triads
     off, spin = np.zeros((n, k, 3)), np.zeros((n, 3))
     some = max(_READINGS // k, 1)
