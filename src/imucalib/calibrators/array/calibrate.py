@@ -43,7 +43,7 @@ from imucalib.calibrators.array.linear_part import (
 from imucalib.calibrators.array.log import ArrayLog, array_log, of_board
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop, close_array_loop
 from imucalib.calibrators.array.loop.declared import shared_by_neighbours, with_declared
-from imucalib.calibrators.array.loop.motion import BoardMotion, motion_at_rest
+from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
 from imucalib.calibrators.array.loop.search import start_state
 from imucalib.calibrators.array.loop.setup import array_setup
 from imucalib.calibrators.array.loop.state import ArrayState
@@ -71,7 +71,9 @@ def held_against_rests(loop: MotionLoop, force: Array, rate: Array, t: Array) ->
     if len(force) < ATTITUDES:
         return loop
     state = loop.final
-    motion = motion_at_rest(state.setup.imus, state.setup.board.rotations, force, t)
+    motion = board_motion(
+        imus=state.setup.imus, rotations=state.setup.board.rotations, t=t, force=force
+    )
     wrong = {term.name for term in state.found if _contradicted(term, motion, rate)}
     if not wrong:
         return loop

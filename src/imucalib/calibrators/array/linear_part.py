@@ -80,17 +80,12 @@ def slope_at_rest(
     k, h, gyro = len(imus), 1e-4, term.effect.channel == "angular_rate"
     small = np.zeros((4, 3))
     small[1:] = h * np.eye(3)
-    zero, still = np.zeros((4, k, 3)), np.zeros((4, 3))
-    force = zero if gyro else np.broadcast_to(small[:, None], (4, k, 3)).copy()
     seen = board_motion(
         imus=imus,
         rotations=rotations,
         t=np.full(4, at),
-        order=np.full(4, 0.5),
-        rate=small if gyro else still,
-        spin=still,
-        force=force,
-        jerk=zero,
+        rate=small if gyro else None,
+        force=None if gyro else small,
         age=np.zeros((4, k)),
     )
     made = term.reading(term.columns(seen))

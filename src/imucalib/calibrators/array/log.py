@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucalib.arrays import Array, Flags
+from imucalib.arrays import Array, Flags, Index
 from imucalib.calibrators.array.board import Board
 from imucalib.errors import UnreadableInput
 from imucalib.recording.pairing import listed, names_in, paired
@@ -201,7 +200,7 @@ def _channel(recording: Recording, triad: str, quantity: str) -> Channel:
     )
 
 
-def _common_times(channels: list[Channel], path: str) -> tuple[Array, list[NDArray[np.intp]], str]:
+def _common_times(channels: list[Channel], path: str) -> tuple[Array, list[Index], str]:
     """Instants that all channels have, and the sample of each channel there."""
     base = channels[0]
     if all(c.t.shape == base.t.shape and np.array_equal(c.t, base.t) for c in channels):
@@ -219,12 +218,10 @@ def _common_times(channels: list[Channel], path: str) -> tuple[Array, list[NDArr
     good = np.concatenate([[True], np.diff(base.t) > 0.0])
     indices, widest = [], 0.0
     for channel in channels:
-        after = np.clip(np.searchsorted(channel.t, base.t), 1, channel.t.size - 1)
-        nearer = np.abs(channel.t[after - 1] - base.t) <= np.abs(channel.t[after] - base.t)
-        index = after - nearer
+        index = nearest(channel.t, base.t)
         apart = np.abs(channel.t[index] - base.t)
         good &= apart <= tolerance
-        indices.append(index.astype(np.intp))
+        indices.append(index)
         widest = max(widest, float(np.median(apart)))
     # Stamps that agree tell readings that are missing from clocks that meet by chance.
     if good.mean() < _KEPT and widest > _SAME * tolerance:
@@ -237,6 +234,13 @@ def _common_times(channels: list[Channel], path: str) -> tuple[Array, list[NDArr
     note = f"samples matched by their stamps (median difference {1e3 * widest:.3g} ms), "
     note += f"{int((~good).sum())} without a partner left out"
     return base.t[good], [i[good] for i in indices], note
+
+
+def nearest(own: Array, t: Array) -> Index:
+    """(n,) which of the instants `own` is nearest to each of t (n,)."""
+    after = np.clip(np.searchsorted(own, t), min(1, len(own) - 1), len(own) - 1)
+    before = np.maximum(after - 1, 0)
+    return np.where(np.abs(own[before] - t) <= np.abs(own[after] - t), before, after)
 
 
 def _refuse_dead(values: Array, triad: str, quantity: str, path: str) -> None:

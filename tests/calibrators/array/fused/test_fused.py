@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from imucalib import cli
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.file import write
-from imucalib.calibrators.array.fused.fuse import Fused, Stretch
-from imucalib.calibrators.array.fused.instrument import instrument_of
-from imucalib.calibrators.array.fused.recording import Told, determined, fused_stretch
+from imucalib.calibrators.array.fused.fuse import Fused
+from imucalib.calibrators.array.fused.instrument import Stretch, instrument_of
+from imucalib.calibrators.array.fused.recording import determined, fused_stretch
 from imucalib.calibrators.array.fused.survey import NotFusable, Survey, side_by_side, survey
 from imucalib.errors import ImucalError, UsageError
 from imucalib.readers import read
@@ -84,7 +84,7 @@ def world(
     log = recording(made, motion.t, *read)
     found = survey([log], instrument_of(calibration(made), at))
     stretch = Stretch(motion.t, *read)
-    return World(made, motion, read, found, fused_stretch(found, stretch, Told()))
+    return World(made, motion, read, found, fused_stretch(found, stretch))
 
 
 def rms(values: Array) -> float:
@@ -123,7 +123,7 @@ def test_missing_stuck_and_clipped_readings_are_left_out() -> None:
     found = survey(
         [recording(made, motion.t, acceleration, rate)], instrument_of(calibration(made))
     )
-    fused = fused_stretch(found, Stretch(motion.t, acceleration, rate), Told())
+    fused = fused_stretch(found, Stretch(motion.t, acceleration, rate))
     at = found.instrument.at
     off = fused.motion.rate - motion.rate
     assert rms(off[2020:2600]) < 1.2 * 0.2 * DEG / np.sqrt(7)
@@ -146,7 +146,7 @@ def test_biases_are_taken_anew_at_rest() -> None:
     old = instrument_of(calibration(made.board))
     found = survey([recording(moved, made.moves.t, *read)], old)
     assert found.rests > 0.5 * STILL
-    fused = fused_stretch(found, Stretch(made.moves.t, *read), Told())
+    fused = fused_stretch(found, Stretch(made.moves.t, *read))
     assert rms(fused.motion.rate - made.moves.rate) < 1.1 * 0.2 * DEG / np.sqrt(8)
     # Without a rest they are the calibration's.
     late = made.moves.t > STILL + 3.0
@@ -179,7 +179,7 @@ def test_a_log_in_uneven_blocks_is_the_same(plain: World) -> None:
     assert np.array_equal(whole, plain.readings[1])
     joined = fused_stretch(plain.survey, Stretch(plain.moves.t[:900], *(
         r[:900] for r in plain.readings
-    )), Told())  # fmt: skip
+    )))  # fmt: skip
     assert joined.motion.rate[:850] == pytest.approx(plain.fused.motion.rate[:850], abs=1e-6)
 
 
@@ -330,7 +330,7 @@ def z_of(seed: int) -> Array:
     motion = moves(rng, still=DOUBT_STILL, moving=6.0, hz=DOUBT_HZ, twist=400.0)
     read = readings(made, motion, rng)
     found = survey([recording(made, motion.t, *read)], instrument_of(wrong(calibration(made), rng)))
-    fused = fused_stretch(found, Stretch(motion.t, *read), Told()).motion
+    fused = fused_stretch(found, Stretch(motion.t, *read)).motion
     at = found.instrument.at[None]
     force = motion.force + np.cross(motion.rate, np.cross(motion.rate, at))
     force = force + np.cross(motion.spin, at)

@@ -247,4 +247,4 @@ def test_lags_over_time_are_not_those_of_the_first_order(
     first = tone.imag[:, None] + np.matmul(late, (pace * tone).imag[:, None, :, None])[..., 0]
     inner = slice(20, -20)
     assert np.abs(first - read)[inner].max() > 0.05
-    assert np.abs(first + made.added(motion)[1] - read)[inner].max() < 0.004
+    assert np.abs(first + made.added_by_lags(motion)[1] - read)[inner].max() < 0.004
