@@ -9,14 +9,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibrators.array.board import Board
-from imucalib.calibrators.array.drawing.check import compared, refuse_contradiction, sketched
-from imucalib.calibrators.array.drawing.streams import (
-    Streams,
-    noisy_alone,
-    refuse_streams,
-    stream_notes,
-    streams,
-)
+from imucalib.calibrators.array.drawing import compared, refuse_contradiction, sketched
 from imucalib.calibrators.array.effect_blocks import with_rests
 from imucalib.calibrators.array.estimate.covariance import (
     Uneven,
@@ -52,6 +45,13 @@ from imucalib.calibrators.array.moving import Moving, moving_part
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.rests import RestFit, fit_rests
 from imucalib.calibrators.array.run import ArrayRun, finished
+from imucalib.calibrators.array.streams import (
+    Streams,
+    noisy_alone,
+    refuse_streams,
+    stream_notes,
+    streams,
+)
 from imucalib.errors import Undetermined, UsageError
 from imucalib.loop.found import Unexplained
 from imucalib.recording.recording import Recording
