@@ -158,8 +158,8 @@ def test_the_frame_is_known_by_how_the_packages_turns_scatter() -> None:
 
 def test_the_size_is_the_regression_on_the_drawing() -> None:
     root = np.random.default_rng(1).normal(size=(9, 9)) * 1e-5
-    total = total_of(1.01 * PLACES, root @ root.T, scale=0.0, scale_sd=2e-3, gravity_sd=1e-3,
-                     frame_sd=2e-3)  # fmt: skip
+    open_ = GyroScale(0.0, 2e-3, 2e-3, None)
+    total = total_of(1.01 * PLACES, root @ root.T, gyros=open_, gravity_sd=1e-3, frame_sd=2e-3)
     own = PLACES[1:].ravel()
     value, sd, motion_sd = size_over(PLACES + 5.0, total)
     row = own / np.sum(own**2)
@@ -167,7 +167,7 @@ def test_the_size_is_the_regression_on_the_drawing() -> None:
     assert sd == pytest.approx(np.sqrt(row @ total.covariance @ row))
     assert motion_sd == pytest.approx(np.sqrt(row @ root @ root.T @ row))
     board = replace(undrawn_board(4), imus=NAMES, positions=PLACES)
-    turns = Turns(0.01, 0.001, 9, 0.02, 1.0)
+    turns = Turns(0.01, 0.001, 9, 0.02)
     block = size_block(total, GyroScale(0.008, 0.0009, 0.002, turns), board)
     assert [row["from"] + row["to"] for row in block["distances_mm"]] == ["ab", "ac", "ad"]
     assert block["distances_mm"][0]["distance"] == pytest.approx(20.2)

@@ -7,6 +7,7 @@ import pytest
 
 from imucalib.calibrators.array.estimate.total import (
     Distance,
+    GyroScale,
     Total,
     gyro_scale,
     total_of,
@@ -50,7 +51,7 @@ def test_turns_between_rests_show_the_common_scale() -> None:
 
 
 def test_turns_and_data_sheets_are_weighed() -> None:
-    seen = Turns(0.004, 0.003, 20, 0.005, 1.0)
+    seen = Turns(0.004, 0.003, 20, 0.005)
     both = gyro_scale(0.003, seen)
     assert both.value == pytest.approx(0.002)
     assert both.sd == pytest.approx(0.003 / np.sqrt(2.0))
@@ -61,7 +62,7 @@ def total(*distances: Distance, scale: float = 0.002) -> Total:
     r = corners(5)
     root = np.random.default_rng(1).normal(size=(12, 12)) * 1e-5
     return total_of(
-        r, root @ root.T, scale=scale, scale_sd=1e-3, gravity_sd=5e-4, frame_sd=2e-3,
+        r, root @ root.T, gyros=GyroScale(scale, 1e-3, 1e-3, None), gravity_sd=5e-4, frame_sd=2e-3,
         distances=distances,
     )  # fmt: skip
 

@@ -24,13 +24,12 @@ _HEAVY = 4.0  # degrees of freedom of the turns' errors
 @dataclass(frozen=True)
 class Turns:
     """scale, sd : relative error k of the gyros' common scale, reading = (1 + k) ω; count : of the
-    turns; misfit : rad, rms of what is left of a turn; angle : rad, their median"""
+    turns; misfit : rad, rms of what a turn misses"""
 
     scale: float
     sd: float
     count: int
     misfit: float
-    angle: float
 
 
 def common_scale(
@@ -57,7 +56,7 @@ def common_scale(
         slope.append((more - less) / (2.0 * _STEP))
     if len(off) < _FEWEST:
         return None
-    return _fitted(np.array(off), np.array(slope), up)
+    return _fitted(np.array(off), np.array(slope))
 
 
 def between(t: Array, start: Array, stop: Array, gap: float) -> list[Index]:
@@ -89,22 +88,15 @@ def _carried(t: Array, rate: Array, vector: Array) -> Array:
     return np.asarray(composed(Rotation.from_rotvec(-small).as_matrix()) @ vector)
 
 
-def _fitted(off: Array, slope: Array, up: Array) -> Turns:
+def _fitted(off: Array, slope: Array) -> Turns:
     scale = _robust(off, slope)
     n = len(off)
     each = np.arange(n)
     without = np.array([_robust(off[each != k], slope[each != k]) for k in range(n)])
     # The jackknife of n turns; its own doubt as in Student's distribution.
     variance = (n - 1) / n * float(np.sum((without - without.mean()) ** 2)) * (n - 1) / (n - 3)
-    left = off - scale * slope
-    angle = np.arccos(np.clip(np.sum(up[1:] * up[:-1], axis=1), -1.0, 1.0))
-    return Turns(
-        scale,
-        float(np.sqrt(variance)),
-        n,
-        float(np.sqrt(np.mean(np.sum(left**2, axis=1)))),
-        float(np.median(angle)),
-    )
+    misfit = np.sqrt(np.mean(np.sum((off - scale * slope) ** 2, axis=1)))
+    return Turns(scale, float(np.sqrt(variance)), n, float(misfit))
 
 
 def _robust(off: Array, slope: Array) -> float:

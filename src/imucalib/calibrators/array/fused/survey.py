@@ -17,9 +17,9 @@ from imucalib.calibration.triads import pairing_of
 from imucalib.calibrators.array.fused.fuse import fuse, turning
 from imucalib.calibrators.array.fused.instrument import Biases, Instrument, Stretch, along
 from imucalib.calibrators.array.fused.noise import ChipNoise, at_rest, fitted_noise
-from imucalib.calibrators.array.gyros import ATTITUDES, contradicted
 from imucalib.calibrators.array.log import nearest
 from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
+from imucalib.calibrators.array.rests import ATTITUDES, contradicted
 from imucalib.errors import Undetermined, UnreadableInput
 from imucalib.estimators.array.sample_age import fit_sample_age
 from imucalib.recording.recording import Channel, Recording
