@@ -8,6 +8,9 @@ import tomllib
 from fnmatch import fnmatch
 from pathlib import Path
 
+from imucalib.effects import catalogue, families
+from imucalib.recording.yaml_text import load
+
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
@@ -59,3 +62,32 @@ def test_what_the_image_drops_is_no_part_of_the_program() -> None:
     folders = [p.name for p in (ROOT / "src").rglob("*") if p.is_dir()]
     assert folders
     assert not [name for name in folders if fnmatch(name, dropped[1])]
+
+
+def test_the_conda_recipe_states_what_the_package_states() -> None:
+    recipe = load(ROOT / ".ci" / "conda" / "recipe.yaml")
+    stated = {
+        re.split(r"[>;]", one)[0].replace("lz4", "python-lz4"): re.findall(r">=([\d.]+)", one)[0]
+        for one in PROJECT["dependencies"]
+    } | {"python": PROJECT["requires-python"].removeprefix(">=")}
+    run = (line.split(" >=") for line in recipe["requirements"]["run"])
+    assert {name: version for name, version in run} == stated
+    assert recipe["context"]["version"] == PROJECT["version"]
+
+
+def test_every_unit_has_its_code() -> None:
+    """Of the effects' parameters, in the page that maps them to the standard's."""
+    page = (ROOT / "docs" / "terms.md").read_text(encoding="utf-8").partition("## Units")[2]
+    coded = set(re.findall(r"`([^`]+)`", page))
+    effects = [*catalogue().values(), *(f.member(f.example) for f in families().values())]
+    units = {p.unit for e in effects for p in getattr(e, "each", ()) or ()}
+    assert len(units) > 9
+    assert units <= coded
+
+
+def test_the_tests_run_on_every_platform_that_is_promised() -> None:
+    jobs = load(ROOT / ".github" / "workflows" / "ci.yml")["jobs"]
+    assert jobs["run"]["runs-on"] == "ubuntu-latest"
+    assert jobs["platforms"]["strategy"]["matrix"]["os"] == ["macos-latest", "windows-latest"]
+    pythons = jobs["run"]["strategy"]["matrix"]["python"]
+    assert pythons[0] == PROJECT["requires-python"].removeprefix(">=")

@@ -6,18 +6,26 @@ import importlib.util
 import re
 import sys
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
 from options.tree import commands, options_of
 
 ROOT = Path(__file__).parents[1]
-_SPEC = importlib.util.spec_from_file_location("pages", ROOT / "docs" / "site" / "pages.py")
-assert _SPEC is not None
-assert _SPEC.loader is not None
-site = importlib.util.module_from_spec(_SPEC)
-sys.modules["pages"] = site
-_SPEC.loader.exec_module(site)
+
+
+def script(name: str) -> ModuleType:
+    """A file of docs/ that makes pages."""
+    spec = importlib.util.spec_from_file_location(Path(name).stem, ROOT / "docs" / name)
+    assert spec is not None
+    assert spec.loader is not None
+    made = sys.modules[Path(name).stem] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(made)
+    return made
+
+
+site = script("site/pages.py")
 
 _FENCED = re.compile(r"^```.*?^```$", re.DOTALL | re.MULTILINE)
 
@@ -92,3 +100,11 @@ def test_the_benchmarks_page_names_what_is_there() -> None:
     called = {name for name, path in here.items() if "__main__" in path.read_text(encoding="utf-8")}
     assert named <= set(here)
     assert {name for name in called if not name.startswith(whole)} <= named
+
+
+def test_the_picture_shows_what_the_readme_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "docs"))
+    said = script("picture.py").description((ROOT / "docs/images/report.png").read_bytes())
+    readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
+    for line in said.splitlines():
+        assert " ".join(line.split()) in readme

@@ -91,6 +91,54 @@ def test_a_first_screen_is_short_in_words_and_its_commands_run(
         assert run(*command).return_value in (0, 5), command
 
 
+@pytest.fixture(scope="module")
+def devices(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with calibrations of two devices, and four rests of the first."""
+    folder = tmp_path_factory.mktemp("devices")
+    for name in ("cave_ai", "cave_bi"):
+        run(*located(("lab", f"{name}.csv", "--reference", "norm")), "--no-loop", "-q", "-o",
+            folder / name)  # fmt: skip
+    rows = (SAMPLES / "cave_ai.csv").read_text().splitlines()
+    (folder / "rests.csv").write_text("\n".join(rows[:5]) + "\n")
+    return folder
+
+
+AI, BI = "{}/cave_ai/calibration.yaml", "{}/cave_bi/calibration.yaml"
+NORM = ("--reference", "norm")
+OTHERS = {
+    "check, good": ("check", AI, "{}/rests.csv", "--limit", "20mg"),
+    "check, changed": ("check", AI, "cave_bi.csv"),
+    "check, undecided": ("check", AI, "{}/rests.csv", "--limit", "0.02mg"),
+    "compare, differ": ("compare", AI, BI),
+    "compare, agree": ("compare", AI, BI, "--limit", "90mg", "--limit", "9deg"),
+    "fleet": ("fleet", "cave_ai.csv", "cave_bi.csv", "cave_fb.csv", *NORM, "--draws", "99"),
+}
+
+
+@pytest.mark.parametrize("call", OTHERS.values(), ids=OTHERS)
+def test_every_card_is_a_short_screen_in_words(call: tuple[str, ...], devices: Path) -> None:
+    shown = run(*located(tuple(word.replace("{}", str(devices)) for word in call))).stdout
+    assert len(shown.splitlines()) <= SCREEN
+    order = [shown.index(f"{title} ─") for title in ("Good to", "Found", "What to do next")]
+    assert order == sorted(order)
+    assert not INTERNAL.findall(re.sub(r"cave_\w+", "", prose(shown)))
+    assert not re.search(r"nats|CALIBRATION|FOLDER|\.\.|,\.", prose(shown))
+
+
+def test_a_calibration_prints_a_certificate_and_shows_its_residual(tmp_path: Path) -> None:
+    run(*located((*TABLE, "--no-loop")), "-q", "-o", tmp_path)
+    page = (tmp_path / "report.html").read_text()
+    certificate = page[page.index('class="certificate"') : page.index("<header>")]
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["provenance"]["sha256"] in certificate
+    assert report["provenance"]["time"] in certificate
+    assert "k = 2" in certificate
+    assert "a thousandth of standard gravity" in page
+    assert certificate.count("<tr>") == 1 + len(report["parameters"])
+    assert page.index("<figure>") < page.index("<nav")
+    assert {s["label"] for s in report["figures"][0]["series"]} >= {"before", "after"}
+
+
 def test_a_run_that_writes_nothing_says_how_to_keep_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -22,7 +22,9 @@ def plots_of(document: Document, which: str) -> tuple[Plot, ...]:
 
     Raises UsageError with the titles that there are.
     """
-    every = [(s.title, b) for s in document.sections for b in s.blocks if isinstance(b, Plot)]
+    picture = document.card.picture if document.card else None
+    every = [("", picture)] if picture else []
+    every += [(s.title, b) for s in document.sections for b in s.blocks if isinstance(b, Plot)]
     wanted = which.lower() or "residual before and after"
     found = tuple(p for title, p in every if wanted in f"{title} {p.title}".lower())
     if not found:

@@ -110,7 +110,7 @@ class Result:
         """The report's first fold, for a notebook."""
         from imucalib.report.render.html import render_html
 
-        fold = replace(self.document, sections=(), footer=(), terms=False)
+        fold = replace(self.document, sections=(), footer=(), certificate=None)
         return (
             f'<iframe srcdoc="{escape(render_html(fold))}" title="Calibration report" '
             'style="width:100%;height:36rem;border:0"></iframe>'

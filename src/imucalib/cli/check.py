@@ -185,7 +185,7 @@ def command(calibration: Path, log: Path, **options: Any) -> int:
         measured, notes = measured_of(loaded, log, noise, options, past)
         found = checked(loaded, measured, noise, limits, seed=options["seed"], notes=notes)
     content = check_dict(found, log.name, calibration.name, loaded.sha256)
-    document = check_document(found, log.name, calibration.name, command_line())
+    document = check_document(found, log, calibration, command_line())
     if options["history"] is not None:
         append(options["history"], past, found, content)
         note(f"wrote {options['history']}", options["quiet"])

@@ -92,7 +92,7 @@ def command(
         dates.split(",") if dates else (),
         sessions_of(between),
     )
-    document = comparison_document(found, command_line())
+    document = comparison_document(found, calibrations, command_line())
     if html is not None:
         write_whole(html, render_html(document))
         note(f"wrote {html}", options["quiet"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -100,6 +101,10 @@ def command(inputs: tuple[Path, ...], **options: Any) -> int:
     with working("calibrating", quiet=quiet, verbose=options["verbose"]) as say:
         fleet = _fleet(inputs, options, say)
     document = fleet_document(fleet)
+    if folder is None:
+        document = document.unwritten(f"{fleet.asked.command} -o fleet")
+    else:
+        document = document.placed({"folder": shlex.quote(str(folder))})
     content = {**fleet_dict(fleet), **shown_dict(document)}
     if folder is not None:
         _write(fleet, document, content, folder, quiet)

@@ -188,7 +188,10 @@ def write_table(rows: tuple[dict[str, Any], ...], path: Path) -> None:
         return
     if path.suffix != ".csv":
         raise UsageError(f"no table format for '{path.suffix}'", remedy="use .csv or .parquet")
-    with replaced_atomically(path) as temporary, temporary.open("w", newline="") as file:
+    with (
+        replaced_atomically(path) as temporary,
+        temporary.open("w", newline="", encoding="utf-8") as file,
+    ):
         writer = csv.DictWriter(file, columns, lineterminator="\n")
         writer.writerow({name: cell(name) for name in columns})
         writer.writerows({k: cell(v) for k, v in row.items()} for row in rows)

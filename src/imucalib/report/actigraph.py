@@ -14,7 +14,7 @@ from imucalib.calibrators.actigraph.run import ActigraphRun
 from imucalib.calibrators.actigraph.series import Series as Calibrations
 from imucalib.core.sphere import covered, even_directions
 from imucalib.exports.per_axis import nearest_row
-from imucalib.report import sections
+from imucalib.report import parameters, sections
 from imucalib.report.document import (
     Card,
     Document,
@@ -43,7 +43,8 @@ def actigraph_document(run: ActigraphRun) -> Document:
         f"Error at rest on held-out time {error.held_out.raw:.2f} mg raw, "
         f"{error.held_out.base:.2f} with nine parameters, {error.held_out.final:.2f} final."
     )
-    plots = (*gain_plot(outcome.findings), *_residual_plots(run))
+    picture, *others = _residual_plots(run)
+    plots = (*gain_plot(outcome.findings), *others)
     parts = [
         _of_a_kind(run),
         _activity(run),
@@ -55,15 +56,16 @@ def actigraph_document(run: ActigraphRun) -> Document:
         Section("Residual before and after", plots, brief=False),
         Section("Error over the sphere", _sphere_blocks(run), brief=False),
         _rule(run),
-        sections.sensor_section(run.calibration),
+        parameters.sensor_section(run.calibration),
     ]
     if outcome.findings:
         parts.append(sections.candidate_section(outcome.findings))
     title = f"Calibration of {Path(run.scanned.path).name} by gravity"
-    return sections.calibration_document(title, head, parts, outcome, _card(run))
+    card = _card(run, picture)
+    return sections.calibration_document(title, head, parts, outcome, card, run.calibration)
 
 
-def _card(run: ActigraphRun) -> Card:
+def _card(run: ActigraphRun, picture: Plot) -> Card:
     """|a| at rest, and in the worst direction."""
     directions = even_directions()
     sd = norm_sd(run.result.final, directions) / MG
@@ -78,7 +80,8 @@ def _card(run: ActigraphRun) -> Card:
         detail = f"raw reading {raw:.2g}; by day {by_day:.2g} raw, {now_by_day:.2g} corrected"
         good.append(Worth("ENMO at night", f"{two_digits(now)} mg", detail))
     ggir = sections.exporting(run.calibration, "For GGIR", "ggir-csv", "ggir.csv")
-    return sections.card_of(run.outcome, tuple(good), uses=(sections.CORRECT, *ggir))
+    uses = (sections.CORRECT, *ggir)
+    return sections.card_of(run.outcome, tuple(good), uses=uses, picture=picture)
 
 
 def _of_a_kind(run: ActigraphRun) -> Section:
@@ -95,7 +98,7 @@ def _of_a_kind(run: ActigraphRun) -> Section:
             f"{probability(said.strange, 999)}. The calibration is the recording's own."
         )
         return Section(title, (Text(words, "warning"),))
-    kind = sections.kind_section(said.kind, fit, said.strange, "posture run", said.alone)
+    kind = parameters.kind_section(said.kind, fit, said.strange, "posture run", said.alone)
     before, now = (
         1.96 * float(norm_sd(one, even_directions()).max()) / MG for one in (said.alone, fit)
     )
@@ -345,10 +348,10 @@ def published_document(run: PublishedRun) -> Document:
     points = tuple((f"{k}", *(f"{v:+.4f}" for v in p)) for k, p in enumerate(run.points, start=1))
     parts = (
         Section("Methods", (methods,)),
-        Section("Parameters", (sections.parameter_table(run.calibration, note),)),
+        Section("Parameters", (parameters.parameter_table(run.calibration, note),)),
         Section("Points", (Table("Points (g)", ("", "x", "y", "z"), points, "lrrr"),), brief=False),
     )
     title = f"Calibration of {Path(run.scanned.path).name} as published"
     worth = sections.error_worth(error, "|a| at rest", "points")
     card = sections.card_of(run.outcome, (worth,), uses=(sections.CORRECT,))
-    return sections.calibration_document(title, head, parts, run.outcome, card)
+    return sections.calibration_document(title, head, parts, run.outcome, card, run.calibration)

@@ -13,7 +13,7 @@ from imucalib.calibrators.array.run import ArrayRun
 from imucalib.core.eigen import eigen
 from imucalib.report import sections
 from imucalib.report.array_figures import board_plots, chain_plots, residual_plots
-from imucalib.report.document import Card, Document, Facts, Section, Table, Text, Use, Worth
+from imucalib.report.document import Card, Document, Facts, Plot, Section, Table, Text, Use, Worth
 from imucalib.report.plots import gain_plot
 from imucalib.significant_digits import plus_minus, with_sd
 from imucalib.units import DEG
@@ -33,7 +33,8 @@ def array_document(run: ArrayRun) -> Document:
     more = tuple(", ".join(f"{v:+.2f}" for v in one) for one in off)
     positions = ("Positions of the accelerometers", run.board, run.total, "minus drawing", more)
     known = _known(run.total, run.gyros, run.board, run.request)
-    residuals = (*gain_plot(outcome.findings), *residual_plots(run))
+    figures = residual_plots(run)
+    residuals = (*gain_plot(outcome.findings), *figures[1:])
     chains = (
         (
             "sampler",
@@ -54,8 +55,8 @@ def array_document(run: ArrayRun) -> Document:
         Section("The chains", (Facts(chains), *chain_plots(run)), brief=False),
     ]
     title = f"Positions of {run.board.name} from {outcome.provenance.path}"
-    card = array_card(run, observability)
-    return sections.calibration_document(title, head, parts, outcome, card)
+    card = _card(run, observability, figures[0] if figures else None)
+    return sections.calibration_document(title, head, parts, outcome, card, run.calibration)
 
 
 _FUSE = Use(
@@ -64,7 +65,7 @@ _FUSE = Use(
 )
 
 
-def array_card(run: ArrayRun, observability: tuple[Text, ...]) -> Card:
+def _card(run: ArrayRun, observability: tuple[Text, ...], picture: Plot | None) -> Card:
     """Worth of positions, gyros and accelerometers in motion.
 
     observability : what the motion did not determine, in words
@@ -86,7 +87,7 @@ def array_card(run: ArrayRun, observability: tuple[Text, ...]) -> Card:
         *(sections.error_worth(e, n, "motion") for e, n in errors),
     )
     weak = (t.text for t in observability if t.tone == "warning")
-    return sections.card_of(run.outcome, worths, *weak, uses=(_FUSE,))
+    return sections.card_of(run.outcome, worths, *weak, uses=(_FUSE,), picture=picture)
 
 
 def _rms(values: Array) -> float:
@@ -232,7 +233,9 @@ def board_document(run: BoardRun) -> Document:
         *sections.closing_sections(run.outcome),
     ]
     title = f"{board.name} from {names}"
-    return sections.calibration_document(title, head, parts, run.outcome, None)
+    worth = Worth("positions", f"± {1.96 * sd:.2g} mm", "95 %, median; size and frame included")
+    card = sections.card_of(run.outcome, (worth,))
+    return sections.calibration_document(title, head, parts, run.outcome, card, run.calibration)
 
 
 def _agreement(run: BoardRun) -> Section:

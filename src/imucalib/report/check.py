@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import shlex
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,11 +22,16 @@ from imucalib.units import MG
 
 SCHEMA = "imucal/check/1"
 _TONE: dict[str, Tone] = {"still good": "ok", "changed": "bad", "undecided": "warning"}
+_HEADLINE = {
+    "still good": "Still good.",
+    "changed": "The sensor is not what the calibration says.",
+    "undecided": "Undecided: these readings are too few, or one of them is off.",
+}
 #: Rests that a card names.
 _RESTS = 6
 
 
-def check_document(check: Check, log: str, calibration: str, command: str = "") -> Document:
+def check_document(check: Check, log: Path, calibration: Path, command: str = "") -> Document:
     """Verdict and card, what changed or could have hidden, every rest, what to record next.
 
     command : the line that was typed
@@ -40,8 +47,9 @@ def check_document(check: Check, log: str, calibration: str, command: str = "") 
     lines = (f"{t[0].upper()}{t[1:]}." for t in (*check.noise.words, *check.notes))
     parts.append(Section("Notes", tuple(map(Text, lines))))
     typed = (("command", command),) if command else ()
-    footer = (("calibration", calibration), ("log", log), *typed)
-    title, card = f"Check of {calibration} with {log}", _card(check, command)
+    footer = (("calibration", str(calibration)), ("log", str(log)), *typed)
+    title = f"Check of {calibration.name} with {log.name}"
+    card = _card(check, calibration, command)
     return Document(title, _verdict(check), tuple(parts), footer, card, drawn="--html")
 
 
@@ -91,7 +99,7 @@ def _verdict(check: Check) -> Text:
     return Text(words, tone)
 
 
-def _card(check: Check, command: str) -> Card:
+def _card(check: Check, calibration: Path, command: str) -> Card:
     """What it could have seen; what shows, the reading that fits least, and the evidence of all
     looks; what to do."""
     worths = []
@@ -118,14 +126,16 @@ def _card(check: Check, command: str) -> Card:
         f"Evidence of a change by {looks}: e = {check.e:.3g}, {said}: {bar:.0f} is reached by "
         f"chance in at most {100 * ALPHA:.0f} % of calibrations, however often one looks."
     )
-    return Card(tuple(worths), (*lines, Text(evidence)), _to_do(check), command)
+    steps = _to_do(check, shlex.quote(str(calibration)))
+    found = (*lines, Text(evidence))
+    return Card(tuple(worths), found, steps, command, headline=_HEADLINE[check.verdict])
 
 
-def _to_do(check: Check) -> tuple[str, ...]:
+def _to_do(check: Check, calibration: str) -> tuple[str, ...]:
     if check.verdict == "changed":
         return (
             "Calibrate again; recordings since the last good check are in doubt.",
-            "See what has changed: `imucal compare CALIBRATION NEW`.",
+            f"See then what has changed: `imucal compare {calibration} NEW`.",
         )
     if check.disturbed:
         return ("Hold that attitude again, and check all readings together.",)
@@ -139,7 +149,7 @@ def _to_do(check: Check) -> tuple[str, ...]:
         lead = "No recording decides this" if many is None else f"It would take about {many} rests"
         return (f"{lead}: calibrate again, or accept a wider limit (--limit).",)
     return (
-        "Use it: `imucal apply CALIBRATION RECORDING -o corrected.mcap`.",
+        f"Go on with it: `imucal apply {calibration} RECORDING -o corrected.mcap`.",
         "At the next check give --history FILE, so that the evidence of all looks counts.",
     )[: 1 if check.looks > 1 else 2]
 

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+import shlex
+from collections.abc import Sequence
 from datetime import timedelta
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,13 +28,18 @@ _QUANTITY = {
     "deg/s": "the bias of the gyroscope",
 }
 _WORTH = {"mg": "force", "deg": "direction", "mm": "place", "deg/s": "rate"}
+_HEADLINE = {
+    "agree": "They agree within the limit.",
+    "differ": "They differ by more than the limit.",
+    "undecided": "Undecided: they differ by more than the limit, but each is no surer than that.",
+}
 _TONE: dict[str, Tone] = {"agree": "ok", "differ": "bad", "undecided": "warning"}
 
 
-def comparison_document(found: Comparison, command: str = "") -> Document:
+def comparison_document(found: Comparison, paths: Sequence[Path], command: str = "") -> Document:
     """Verdict and card, what differs, parameter by parameter, scatter, drift, control chart.
 
-    command : the line that was typed
+    paths : of the calibrations; command : the line that was typed
     """
     parts = [
         Section("What it means", (_meanings(found),)),
@@ -39,10 +47,9 @@ def comparison_document(found: Comparison, command: str = "") -> Document:
         Section("Between calibrations", _scatter(found)),
         Section("Drift", _drift(found)),
         Section("Control chart", control_chart(found), brief=False),
-        Section("Notes", tuple(Text(f"{n[0].upper()}{n[1:]}.", "warning") for n in found.notes)),
     ]
     title, verdict = f"Comparison of {', '.join(found.names)}", _verdict(found)
-    footer, card = (("command", command),) if command else (), _card(found, command)
+    footer, card = (("command", command),) if command else (), _card(found, paths, command)
     return Document(title, verdict, tuple(parts), footer, card, drawn="--html")
 
 
@@ -77,7 +84,7 @@ def _words(found: Comparison, meaning: Meaning) -> str:
     return f"{_QUANTITY[worst.unit]}{name} by {size} {worst.unit} at most{pair}"
 
 
-def _card(found: Comparison, command: str) -> Card:
+def _card(found: Comparison, paths: Sequence[Path], command: str) -> Card:
     """To how much the calibrations agree, what shows, and what to do."""
     worths = []
     for meaning in found.meanings:
@@ -98,20 +105,22 @@ def _card(found: Comparison, command: str) -> Card:
         lines.append(Text(f"Without {' and '.join(found.odd)} the others agree.", "warning"))
     if found.drift is not None:
         lines.append(_due(found.drift))
-    return Card(tuple(worths), tuple(lines), _to_do(found), command)
+    lines += (Text(f"{n[0].upper()}{n[1:]}.", "warning") for n in found.notes)
+    steps, headline = _to_do(found, paths), _HEADLINE[found.verdict]
+    return Card(tuple(worths), tuple(lines), steps, command, headline=headline)
 
 
-def _to_do(found: Comparison) -> tuple[str, ...]:
+def _to_do(found: Comparison, paths: Sequence[Path]) -> tuple[str, ...]:
     if found.verdict == "undecided":
         return (
-            "Calibrate from more positions: `imucal design` says which.",
+            "Calibrate from more positions; this says which: `imucal design --recommend 24`.",
             "Or accept a wider limit (--limit).",
         )
     if found.verdict == "differ":
-        doubted = " and ".join(found.odd) if found.odd else "each"
+        first = dict(zip(found.names, paths, strict=True))[(*found.odd, found.names[-1])[0]]
         return (
-            f"Find out which holds: record four rests and check {doubted} with them, `imucal check "
-            "CALIBRATION RESTS`.",
+            "Record four rests to find out which holds, then check each with them: "
+            f"`imucal check {shlex.quote(str(first))} RESTS`.",
             "Correct every recording with the calibration that is nearest to it in time.",
         )
     steps = [f"Go on with any of them; {found.names[-1]} is the last that was named."]

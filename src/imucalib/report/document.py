@@ -130,7 +130,8 @@ class Card:
     """What a reader takes away: the sensor's worth, what was found, what to do, the command.
 
     uses : what the calibration is good for, until it is known where it was written
-    headline : the verdict without its figures; a card that has one is a first screen by itself
+    headline : the verdict without its figures
+    picture : the residual before and after what was found, where there is one
     """
 
     good_to: tuple[Worth, ...]
@@ -139,6 +140,16 @@ class Card:
     command: str = ""
     uses: tuple[Use, ...] = ()
     headline: str = ""
+    picture: Plot | None = None
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What a calibration states of one instrument, for one printed page: device, date, reference,
+    conditions, method and input as facts; results with their expanded uncertainty as a table."""
+
+    facts: Facts
+    results: Table
 
 
 @dataclass(frozen=True)
@@ -146,8 +157,8 @@ class Document:
     """A whole report: headline, one-sentence verdict with its tone, the card, sections that hold
     anything, provenance.
 
-    terms : whether a page says what the words of a calibration mean; drawn : where the figures are,
-    for a terminal
+    certificate : of a calibration, whose page also says what its words mean
+    drawn : where the figures are, for a terminal
     """
 
     title: str
@@ -155,7 +166,7 @@ class Document:
     sections: tuple[Section, ...]
     footer: tuple[tuple[str, str], ...] = ()
     card: Card | None = None
-    terms: bool = False
+    certificate: Certificate | None = None
     drawn: str = "report.html"
 
     def __post_init__(self) -> None:

@@ -192,11 +192,12 @@ def _why(score: Score, found: Findings) -> str:
 def shown_dict(document: Document) -> dict[str, Any]:
     """What only the document holds: its card, and its figures as series, five digits each."""
     card, plots = document.card, []
-    for section in document.sections:
-        for plot in (b for b in section.blocks if isinstance(b, Plot)):
-            series = [_series(s) for s in plot.series]
-            words = fields(plot, "title x=x_label y=y_label caption")
-            plots.append({"section": section.title, **words, "series": series})
+    drawn = [("", card.picture)] if card and card.picture else []
+    drawn += [(s.title, b) for s in document.sections for b in s.blocks if isinstance(b, Plot)]
+    for title, plot in drawn:
+        series = [_series(s) for s in plot.series]
+        words = fields(plot, "title x=x_label y=y_label caption")
+        plots.append({"section": title, **words, "series": series})
     shown = card and {
         "good_to": [
             {**fields(worth, "quantity value"), "detail": worth.whole} for worth in card.good_to

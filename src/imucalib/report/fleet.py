@@ -11,7 +11,19 @@ from imucalib.calibration.plain import fields, listed, plain
 from imucalib.cohort.fleet.outcome import Fleet
 from imucalib.core.effect import Context
 from imucalib.effects import named
-from imucalib.report.document import Card, Document, Plot, Section, Series, Table, Text, Tone, Worth
+from imucalib.effects.shape import in_words
+from imucalib.report.document import (
+    Card,
+    Document,
+    Plot,
+    Section,
+    Series,
+    Table,
+    Text,
+    Tone,
+    Use,
+    Worth,
+)
 from imucalib.significant_digits import plus_minus
 
 _TONE: dict[str, Tone] = {"explained": "ok", "suspected": "warning", "unexplained": "warning"}
@@ -80,7 +92,39 @@ def _verdict(fleet: Fleet) -> Text:
 def _card(fleet: Fleet) -> Card:
     """What a device is good to, on positions held out by what the other devices say; what they
     share; and what to do."""
-    return Card(_worth(fleet), _found(fleet), _to_do(fleet), fleet.asked.command)
+    return Card(
+        _worth(fleet),
+        _found(fleet),
+        _to_do(fleet),
+        fleet.asked.command,
+        _uses(fleet),
+        _headline(fleet),
+    )
+
+
+def _headline(fleet: Fleet) -> str:
+    """The verdict without its figures."""
+    if fleet.search is None:
+        return f"{len(fleet.members)} devices compared by their parameters."
+    names = ", ".join(" or ".join(map(in_words, (f.effect, *f.rivals))) for f in fleet.search.found)
+    if not names:
+        return "Nothing that the devices share shows."
+    return f"{fleet.verdict.capitalize()}: all devices have {names}."
+
+
+def _uses(fleet: Fleet) -> tuple[Use, ...]:
+    """What a device's own calibration, and the fleet's, are for."""
+    made = [m.name for m in fleet.members if any(r.calibration for r in m.recordings)]
+    own, next_ = f"{{folder}}/{made[0]}/calibration.yaml" if made else "", "{folder}/fleet.yaml"
+    wanted = "TABLE" if fleet.asked.calibrator == "lab" else "RECORDING"
+    each = Use(
+        f"Correct a recording of {made[0] if made else ''}, and so for each device",
+        ("apply", own, "RECORDING", "-o", "corrected.mcap"),
+    )
+    another = Use(
+        "Calibrate another device of the kind", (fleet.asked.calibrator, wanted, "--fleet", next_)
+    )
+    return (*[each] * bool(made), *[another] * bool(fleet.following))
 
 
 def _worth(fleet: Fleet) -> tuple[Worth, ...]:
@@ -108,9 +152,9 @@ def _worth(fleet: Fleet) -> tuple[Worth, ...]:
 def _found(fleet: Fleet) -> tuple[Text, ...]:
     tone, lines = _TONE.get(fleet.verdict, "plain"), []
     for one in fleet.search.found if fleet.search else ():
-        rivals = f"; or {' or '.join(one.rivals)}".replace("_", " ") if one.rivals else ""
+        rivals = f"; or {' or '.join(map(in_words, one.rivals))}" if one.rivals else ""
         words = (
-            f"{one.effect.replace('_', ' ').capitalize()}, in every device with a size of its own: "
+            f"{in_words(one.effect).capitalize()}, in every device with a size of its own: "
             f"{int(np.sum(one.nats > 0.0))} of {len(one.able)} gain by what the others say{rivals}."
         )
         lines.append(Text(words, tone))
@@ -139,14 +183,6 @@ def _to_do(fleet: Fleet) -> tuple[str, ...]:
     if fleet.verdict in ("suspected", "unexplained"):
         more = "positions of each: `imucal design TABLE`" if lab else "recordings of each"
         steps.append(f"Record more devices, or more {more}.")
-    if any(r.calibration for m in fleet.members for r in m.recordings):
-        steps.append(
-            "Use each device's own: `imucal apply FOLDER/DEVICE/calibration.yaml RECORDING -o "
-            "corrected.mcap`, FOLDER as -o names it."
-        )
-    if fleet.following:
-        command = f"imucal {fleet.asked.calibrator} {'TABLE' if lab else 'RECORDING'}"
-        steps.append(f"Another device of the kind: `{command} --fleet FOLDER/fleet.yaml`.")
     return tuple(steps)
 
 

@@ -10,8 +10,19 @@ import numpy as np
 from imucalib.calibration.gyroscope import STAGE
 from imucalib.calibrators.imu.plan import HandPlan
 from imucalib.calibrators.imu.run import ImuRun, heading_drift
-from imucalib.report import sections
-from imucalib.report.document import Card, Document, Facts, Section, Table, Text, Use, Worth
+from imucalib.report import parameters, sections
+from imucalib.report.document import (
+    Card,
+    Document,
+    Facts,
+    Plot,
+    Section,
+    Series,
+    Table,
+    Text,
+    Use,
+    Worth,
+)
 from imucalib.report.plots import gain_plot
 from imucalib.significant_digits import plus_minus, two_digits, with_sd
 from imucalib.units import DEG
@@ -28,14 +39,15 @@ def imu_document(run: ImuRun) -> Document:
         sections.loop_section(outcome),
         Section("Residual before and after", gain_plot(outcome.findings), brief=False),
         Section("Gyroscope", (_gains(run), _facts(run))),
-        Section("Parameters", (sections.parameter_table(run.calibration, ""),), brief=False),
+        Section("Parameters", (parameters.parameter_table(run.calibration, ""),), brief=False),
         sections.advice_section(outcome),
-        sections.sensor_section(run.calibration),
+        parameters.sensor_section(run.calibration),
         Section("Turns", (_turns(run),), brief=False),
         *sections.closing_sections(outcome),
     ]
     title = f"IMU calibration of {outcome.provenance.path}"
-    return sections.calibration_document(title, head, parts, outcome, _card(run))
+    card = _card(run)
+    return sections.calibration_document(title, head, parts, outcome, card, run.calibration)
 
 
 def _card(run: ImuRun) -> Card:
@@ -49,7 +61,8 @@ def _card(run: ImuRun) -> Card:
         Worth("heading after 360 deg", drift, how),
         sections.error_worth(outcome.errors[1], "size of a force", "rests"),
     )
-    return sections.card_of(outcome, good, uses=(sections.CORRECT, *_for_kalibr(run)))
+    uses = (sections.CORRECT, *_for_kalibr(run))
+    return sections.card_of(outcome, good, uses=uses, picture=_picture(run))
 
 
 def _for_kalibr(run: ImuRun) -> tuple[Use, ...]:
@@ -91,6 +104,18 @@ def _facts(run: ImuRun) -> Facts:
             ("turns", turns),
         )
     )
+
+
+def _picture(run: ImuRun) -> Plot:
+    """By how much gravity is off after every turn, as read and corrected."""
+    held, path = run.result.held_out, run.result.imu.turns.spans[2] / DEG
+    shown = (("as read", held.raw), ("with gains", held.base), ("corrected", held.final))
+    series = tuple(Series(name, path, off, "points") for name, off in shown)
+    caption = (
+        "One point a turn, carried over by a model that was searched for and fitted without it."
+    )
+    labels = ("Gravity after a turn", "path of the turn (deg)", "gravity off by (deg)")
+    return Plot(*labels, series, caption, log_y=True)
 
 
 def _turns(run: ImuRun) -> Table:

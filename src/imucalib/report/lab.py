@@ -20,7 +20,7 @@ from imucalib.effects import known
 from imucalib.effects.covariate import COLUMN
 from imucalib.loop.held_out import Held, fitted
 from imucalib.loop.held_out import errors as held_errors
-from imucalib.report import sections
+from imucalib.report import parameters, sections
 from imucalib.report.document import (
     Block,
     Card,
@@ -61,18 +61,19 @@ def lab_document(run: LabRun) -> Document:
         f"Held-out error {error.held_out.raw:.2f} raw, {error.held_out.base:.2f} base, "
         f"{error.held_out.final:.2f} {error.unit} rms final {sections.floor_words(error)}."
     )
-    plots = (*gain_plot(outcome.findings), *_residual_plots(run), _attitude_map(run))
+    picture, *others = _residual_plots(run)
+    plots = (*gain_plot(outcome.findings), *others, _attitude_map(run))
     parts = [
         sections.loop_section(outcome),
         Section("Residual before and after", plots, brief=False),
         _angle_section(run),
         _parameter_section(run),
-        sections.kind_section(settings.population, result.final, result.strange, "position"),
+        parameters.kind_section(settings.population, result.final, result.strange, "position"),
         _bench_section(run),
         _sessions_section(run.sessions),
         _dial_section(run),
         sections.advice_section(outcome),
-        sections.sensor_section(run.calibration, _iscwsa_table(run.calibration)),
+        parameters.sensor_section(run.calibration, _iscwsa_table(run.calibration)),
         _uncertainty_section(run),
         Section("Positions", (_position_table(run),), brief=False),
     ]
@@ -81,7 +82,8 @@ def lab_document(run: LabRun) -> Document:
     if settings.objective == "paper":
         parts.append(Section("As published", (_published_table(run),), brief=False))
     title = f"Lab calibration of {outcome.provenance.path}"
-    return sections.calibration_document(title, head, parts, outcome, _card(run))
+    card = _card(run, picture)
+    return sections.calibration_document(title, head, parts, outcome, card, run.calibration)
 
 
 def _directed(run: LabRun) -> bool:
@@ -94,7 +96,7 @@ def _errors_of(run: LabRun, held: Held) -> AttitudeErrors:
     return attitude_errors(held, run.request.settings.conventions)
 
 
-def _card(run: LabRun) -> Card:
+def _card(run: LabRun, picture: Plot) -> Card:
     """Errors on positions held out, angles at the worst attitude."""
     metric = "vector" if _directed(run) else run.outcome.error.metric.partition(",")[0]
     like = ("attitudes", covered(run.result.final.observations.reading[:, 0]))
@@ -113,7 +115,7 @@ def _card(run: LabRun) -> Card:
         purpose = "Take the coefficients to the instrument"
         uses = sections.exporting(run.calibration, purpose, "c-header", "calibration.h")
     worths = (*good, *(_angles(run) if _directed(run) else ()))
-    return sections.card_of(run.outcome, worths, uses=uses)
+    return sections.card_of(run.outcome, worths, uses=uses, picture=picture)
 
 
 def _worst(run: LabRun) -> Worth:
@@ -173,7 +175,7 @@ def _parameter_section(run: LabRun) -> Section:
     if reading_noise(run.result.final).own > 0.0:
         note += f" ({factor:.2f} times the declared or assumed one); with the declared noise taken "
         note += f"at its word, divide by {factor:.2f}"
-    return Section("Parameters", (sections.parameter_table(run.calibration, f"{note}."),))
+    return Section("Parameters", (parameters.parameter_table(run.calibration, f"{note}."),))
 
 
 def _angle_section(run: LabRun) -> Section:

@@ -16,16 +16,17 @@ from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.findings import Findings, FoundStep, Gain
 from imucalib.calibration.outcome import ErrorSummary, Outcome, Run, Status
 from imucalib.calibration.power import hidden
-from imucalib.calibrators.population import Population
-from imucalib.core.fit import Fit
 from imucalib.effects import known
 from imucalib.effects.shape import in_words
 from imucalib.exports.bound import carries
+from imucalib.report import parameters
+from imucalib.report.certificate import certificate_of
 from imucalib.report.document import (
     Block,
     Card,
     Document,
     Facts,
+    Plot,
     Section,
     Table,
     Text,
@@ -33,7 +34,7 @@ from imucalib.report.document import (
     Use,
     Worth,
 )
-from imucalib.significant_digits import per_cent, plus_minus, probability, two_digits, with_sd
+from imucalib.significant_digits import per_cent, plus_minus, two_digits
 from imucalib.units import MG
 
 #: Parameters of one effect that a card names, steps of advice that it gives, names still open.
@@ -67,14 +68,20 @@ _ANEW = (
 
 
 def calibration_document(
-    title: str, head: str, parts: Sequence[Section], outcome: Outcome, card: Card | None
+    title: str,
+    head: str,
+    parts: Sequence[Section],
+    outcome: Outcome,
+    card: Card,
+    calibration: Calibration,
 ) -> Document:
-    """The report of a calibration, with its provenance.
+    """The report of a calibration, with its certificate and its provenance.
 
     head : the figure that leads the verdict
     """
-    footer, terms = outcome.provenance.footer, card is not None
-    return Document(title, _verdict(outcome, head), tuple(parts), footer, card, terms)
+    verdict, footer = _verdict(outcome, head), outcome.provenance.footer
+    certificate = certificate_of(calibration, outcome, card)
+    return Document(title, verdict, tuple(parts), footer, card, certificate)
 
 
 def standard_document(run: Run) -> Document:
@@ -86,23 +93,27 @@ def standard_document(run: Run) -> Document:
     )
     parts = [
         loop_section(outcome),
-        Section("Parameters", (parameter_table(calibration, ""),)),
+        Section("Parameters", (parameters.parameter_table(calibration, ""),)),
         advice_section(outcome),
-        *([] if calibration.triads else [sensor_section(calibration)]),
+        *([] if calibration.triads else [parameters.sensor_section(calibration)]),
         *closing_sections(outcome),
     ]
     title = f"Calibration of {outcome.provenance.path} by {outcome.calibrator}"
     card = card_of(outcome, (error_worth(error, error.metric),))
-    return calibration_document(title, head, parts, outcome, card)
+    return calibration_document(title, head, parts, outcome, card, calibration)
 
 
 def card_of(
-    outcome: Outcome, good_to: tuple[Worth, ...], *more: str, uses: tuple[Use, ...] = ()
+    outcome: Outcome,
+    good_to: tuple[Worth, ...],
+    *more: str,
+    uses: tuple[Use, ...] = (),
+    picture: Plot | None = None,
 ) -> Card:
     """The card of a run.
 
     good_to : what the calibrator can promise; more : advice of the calibrator's own, given last
-    uses : commands that take what was written
+    uses : commands that take what was written; picture : see `Card`
     """
     found, slips = outcome.findings or Findings("not run"), _slips(outcome)
     said = [Text(f"{_upper(text.partition(_DECIDE)[0])}.", "bad") for text in slips]
@@ -115,7 +126,15 @@ def card_of(
         steps = [_decision(text, command) for text in steps]
     usable = outcome.status in ("ok", "marginal") and not outcome.undecided
     headline = _headline(outcome)
-    return Card(good_to, tuple(said), tuple(steps), command, uses if usable else (), headline)
+    return Card(
+        good_to,
+        tuple(said),
+        tuple(steps),
+        command,
+        uses=uses if usable else (),
+        headline=headline,
+        picture=picture,
+    )
 
 
 #: Corrects what was calibrated.
@@ -525,65 +544,6 @@ def closing_sections(outcome: Outcome) -> tuple[Section, ...]:
     """The candidates, where there was a search, and the notes."""
     found = (candidate_section(outcome.findings),) if outcome.findings else ()
     return (*found, Section("Notes", tuple(map(Text, outcome.notes)), brief=False))
-
-
-def parameter_table(calibration: Calibration, note: str) -> Table:
-    """Every parameter with its standard deviation."""
-    rows = tuple(
-        (p.name, p.effect, *with_sd(p.value, p.sd), p.unit) for p in calibration.parameters
-    )
-    return Table("Parameters", ("parameter", "effect", "value", "sd", "unit"), rows, "llrrl", note)
-
-
-def sensor_section(calibration: Calibration, *more: Table) -> Section:
-    """M, b and the scales, and the angles between the sensing axes."""
-    linear = calibration.matrices()
-    rows = tuple(
-        (
-            letter,
-            "  ".join(f"{v:+.6f}" for v in linear.M[k]),
-            f"{linear.b[k] / MG:+.3f}",
-            *with_sd(linear.scale[k], linear.scale_sd[k]),
-        )
-        for k, letter in enumerate("xyz")
-    )
-    header = ("axis", "M", "b, mg", "scale", "sd")
-    note = "The linear part. Scale: sensitivity of each axis, free of the frame."
-    table = Table("corrected = M raw + b", header, rows, "llrrr", note)
-    angles = zip(("xy", "xz", "yz"), linear.angle, linear.angle_sd, strict=True)
-    facts = Facts(tuple((f"angle {p}", plus_minus(a, s, "deg")) for p, a, s in angles))
-    return Section("The sensor", (table, facts, *more), brief=False)
-
-
-def kind_section(
-    kind: Population | None, fit: Fit, chance: float, what: str, alone: Fit | None = None
-) -> Section:
-    """Empty without a fleet. chance : that one of the kind is as far from it; what : was recorded,
-    in words; alone : the fit without the fleet, where there is one"""
-    prior = fit.prior
-    if kind is None or prior is None:
-        return Section("The fleet's word", ())
-    own = {p.name: sd for p, sd in zip(alone.parameters, alone.sd, strict=True)} if alone else {}
-    before = np.sqrt(np.diag(prior.covariance))
-    rows = []
-    for p, m, b, v, s in zip(fit.parameters, prior.mean, before, fit.theta, fit.sd, strict=True):
-        cells = [plus_minus(m, b, p.unit), plus_minus(v, s, p.unit)]
-        cells.append(f"{100.0 * max(0.0, 1.0 - (s / b) ** 2):.0f}")
-        if own:
-            sd = f"{own[p.name]:.2g} {p.unit.removeprefix('1')}" if p.name in own else "-"
-            cells.append(sd.rstrip())
-        rows.append((p.name.replace("_", " "), *cells))
-    count = fit.observations.n
-    words = (
-        f"{kind.devices} devices of its kind say what to expect, {count} {what}"
-        f"{'s' * (count != 1)} of this one the rest. Chance that one of the kind is as far from "
-        f"the others: {probability(chance, 999)}."
-    )
-    header = ("", "of its kind", "this device", "from its own, %", *["sd without"] * bool(own))
-    note = "From its own: share of the variance of its kind that its data have taken away."
-    note += " Without: by its own data and the typical sizes alone." if own else ""
-    table = Table("", header, tuple(rows), "", note)
-    return Section("The fleet's word", (Text(words), table))
 
 
 def _upper(text: str) -> str:

@@ -29,10 +29,10 @@ WORDS: dict[Tone, str] = {"ok": "PASSED", "warning": "CAUTION", "bad": "FAILED",
 
 
 def render_text(document: Document, width: int, *, color: bool, full: bool = False) -> str:
-    """The brief sections without their plots; no line is wider than `width` cells (at least 40).
+    """What a reader needs first; no line is wider than `width` cells (at least 40).
 
-    One page: head, card, and of the brief sections those that fit; of a card with a headline a
-    first screen: what it is good to, what was found, what to do.
+    Of a document with a card a first screen: what it is good to, what was found, what to do; of
+    another one page: its head and of the brief sections those that fit, without plots.
     color : ANSI colours; without them every tone still shows as a sign and a word
     full : every section, however long, without its plots
     """
@@ -61,22 +61,19 @@ class _Sheet:
     def printed(self, full: bool) -> str:
         """The page, or all of it."""
         document = self.document
-        if document.card and document.card.headline and not full:
+        if document.card and not full:
             return self.put(self.screen(document.card))
         titles = [s.title for s in document.sections]
         drawn = {s.title for s in document.sections if not _written(s)}
         sections = [s for s in document.sections if _written(s) and (s.brief or full)]
         lines = self.lines(*self.head(), *self.card())
-        footer = document.footer
         if not full:
-            if document.card:  # of the footer what one page holds
-                footer = tuple(row for row in footer if row[0] in ("input", "command"))
-            foot = self.lines(*self.foot(footer, titles, full=False))
+            foot = self.lines(*self.foot(titles, full=False))
             sections = self.fitting(sections, PAGE - len(lines) - len(foot))
         hidden = [title for title in titles if title not in {s.title for s in sections}]
         everything = full or set(hidden) <= drawn
         shown = (part for section in sections for part in self.section(section))
-        return self.put(lines + self.lines(*shown, *self.foot(footer, hidden, full=everything)))
+        return self.put(lines + self.lines(*shown, *self.foot(hidden, full=everything)))
 
     def put(self, lines: Sequence[Line]) -> str:
         """Lines as text."""
@@ -129,7 +126,8 @@ class _Sheet:
         """The card alone, in `SCREEN` lines of 80 columns: of what has no room the last goes."""
         for most in range(_MOST, _FEWEST - 1, -1):
             lists = self.briefly(card, most)
-            head = self.lines(*self.head(self.cut(card.headline, most - 1, 10)))
+            headline = card.headline or self.document.verdict.text
+            head = self.lines(*self.head(self.cut(headline, most - 1, 10)))
             room = SCREEN - len(head) - 2 * len(lists) - len(self.last(PAGE))
             kept = {name: list(items) for name, items in lists.items()}
             while sum(map(_height, kept.values())) > room:
@@ -179,9 +177,7 @@ class _Sheet:
         short = self.lines(self.listed([(lead, " ".join(parts))], 2, 1, "", ""))
         if len(parts) != 3 or not parts[1].startswith("imucal ") or len(short) == 1:
             return self.lines(self.listed([(lead, self.cut(_spaced(text), most, 3))], 2, 1, "", ""))
-        said = " ".join(f"{parts[0].rstrip(' :')}:{parts[2].rstrip('.')}".split())
-        if parts[2].strip():
-            said = f"{parts[0].rstrip(' :')}.{parts[2]}".rstrip()
+        said = parts[0].rstrip(" :") + (f".{parts[2]}".rstrip() if parts[2].strip(" .") else ":")
         typed = [("", line) for line in _continued(parts[1], self.measure - 3)]
         return self.lines(self.listed([(lead, said), *typed], 2, 1, "", ""))
 
@@ -279,17 +275,13 @@ class _Sheet:
             grid.add_row(Line(name), Line(text))
         return grid
 
-    def foot(
-        self, footer: Sequence[tuple[str, str]], hidden: Sequence[str], *, full: bool
-    ) -> list[RenderableType]:
+    def foot(self, hidden: Sequence[str], *, full: bool) -> list[RenderableType]:
         """The footer, and what is not shown."""
-        document, rows = self.document, [*footer]
+        document, rows = self.document, [*self.document.footer]
         if hidden:
-            where = [] if full else ["--full shows all"]
-            where += [f"{document.drawn} draws {'it' if len(hidden) == 1 else 'them'}"]
-            where = where if full or document.card else where[:1]
+            drawn = f"{document.drawn} draws {'it' if len(hidden) == 1 else 'them'}"
             titles = ", ".join(map(one_line, hidden))
-            rows.append(("Not shown here", f"{titles}; {', '.join(where)}"))
+            rows.append(("Not shown here", f"{titles}; {drawn if full else '--full shows all'}"))
         if not rows:
             return []
         return [Line(), Line("─" * self.measure, "dim"), self.facts(rows, "dim")]
