@@ -108,8 +108,9 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
             "where readings clip or freeze",
         ) from error
     if fit.loop is not None:
-        fit = fit._replace(loop=_held_against_rests(fit.loop, laid, rests))
-        say("found: " + (", ".join(s.effect for s in fit.loop.steps) or "nothing"))
+        loop = _held_against_rests(fit.loop, laid, rests)
+        fit = fit._replace(loop=loop)
+        say("found: " + (", ".join(s.effect for s in loop.steps) or "nothing"))
     return finished(_stated(laid, request, rests, moving, fit, say))
 
 
