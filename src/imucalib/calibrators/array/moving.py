@@ -166,22 +166,18 @@ def spread_over(rows: Index, count: int) -> Index:
     return rows[np.linspace(0, len(rows) - 1, count).round().astype(np.intp)]
 
 
-def samples_of(
-    moving: Moving, rows: Index, sigma: Array, covariance: GyroCovariance = "scatter"
-) -> ArrayData:
+def samples_of(moving: Moving, rows: Index, sigma: Array, covariance: GyroCovariance) -> ArrayData:
     """What the sampler gets: rows of the moving part with accelerometer sigmas (K,).
 
     covariance : "scatter" is that of the triads about their mean, pooled over the motion, over
         their number; "sample" is equation (30b) of the paper, one sample's scatter over the triads
     """
-    k = moving.gyros.triads
+    gyros = moving.gyros
+    doubt = gyros.covariance / gyros.triads
     if covariance == "sample":
-        inverse = np.linalg.inv(moving.gyros.gain)
-        corrected = np.einsum("kij,nkj->nki", inverse, moving.rate[rows])
-        off = corrected - corrected.mean(axis=1, keepdims=True)
-        each = np.einsum("nki,nkj->nij", off, off) / (k - 1)
-        floor = 1e-3 * np.trace(moving.gyros.covariance) / 3.0
-        precision = np.linalg.inv(each + floor * np.eye(3))
-    else:
-        precision = np.linalg.inv(moving.gyros.covariance / k)
-    return ArrayData(moving.acceleration[rows], sigma, moving.gyros.mean[rows], precision)
+        rate = moving.levelled.rate[rows]
+        off = rate - rate.mean(axis=1, keepdims=True)
+        each = np.einsum("nki,nkj->nij", off, off) / (gyros.triads - 1)
+        doubt = each + 1e-3 * np.trace(gyros.covariance) / 3.0 * np.eye(3)
+    precision = np.asarray(np.linalg.inv(doubt), np.float64)
+    return ArrayData(moving.acceleration[rows], sigma, gyros.mean[rows], precision)
