@@ -18,7 +18,7 @@ from imucalib.calibration.calibration import Calibration, taken_at
 from imucalib.calibration.series import CalibrationPart, part_at, parts_of
 from imucalib.calibration.undo import Undo
 from imucalib.core.effect import Context, Effect, Truth
-from imucalib.effects.thermal.lag import PREFIX, counts_rows
+from imucalib.effects.thermal import LAG, ROWS
 from imucalib.errors import UnreadableInput
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.thermal import (
@@ -55,7 +55,7 @@ class Correction:
         self._undo = [Undo(model, theta) for model, theta in self._models]
         models = [model for model, _ in self._models]
         self.needs = {n for model in models for effect in model.effects for n in effect.needs}
-        self._by_rows = {n for n in self.needs if n.startswith(PREFIX) and counts_rows(n)}
+        self._by_rows = {n for n in self.needs if n.startswith(LAG.prefix) and n.endswith(ROWS)}
         self._bent = any(undo.bent for undo in self._undo)
         self._samples = self._far = self._unsettled = self._unheard = 0
         self._left: dict[str, tuple[int, float, float]] = {}

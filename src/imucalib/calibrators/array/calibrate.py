@@ -29,11 +29,10 @@ from imucalib.calibrators.array.findings import residual_in_motion
 from imucalib.calibrators.array.linear_part import GYRO_FRAME, LinearPart, linear_part
 from imucalib.calibrators.array.log import ArrayLog, array_log, of_board
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop, close_array_loop
-from imucalib.calibrators.array.loop.declared import shared_by_neighbours, with_declared
 from imucalib.calibrators.array.loop.motion import board_motion
-from imucalib.calibrators.array.loop.search import start_state
+from imucalib.calibrators.array.loop.search import start_state, with_declared
 from imucalib.calibrators.array.loop.setup import array_setup
-from imucalib.calibrators.array.loop.state import ArrayState
+from imucalib.calibrators.array.loop.state import ArrayState, shared_by_neighbours
 from imucalib.calibrators.array.loop.terms import rest_terms
 from imucalib.calibrators.array.moving import Moving, moving_part
 from imucalib.calibrators.array.request import ArrayRequest
@@ -234,13 +233,12 @@ def _fitted(moving: Moving, rests: RestFit, board: Board, request: ArrayRequest)
     terms = rest_terms(rests)
     if not searched:
         # What gyros share against the accelerometers no comparison shows, and every board has it.
-        start = with_declared(start_state(setup, terms), (GYRO_FRAME,), part)
-        state = fitted_on_all(start, part, most)
+        start = with_declared(start_state(setup, terms), (GYRO_FRAME,))
+        state = fitted_on_all(start, most)
         return _Fit(None, *with_uneven(state, shared_by_neighbours(state, gyro=False)))
     loop = close_array_loop(
         setup,
         terms,
-        moving,
         curves=request.curves,
         halved=array_setup(moving, board, min(most, HALVED_SAMPLES), robust=robust),
         most=most,
