@@ -110,8 +110,17 @@ def _head(raw: bytes, where: str) -> tuple[dict[str, str], _Head]:
     columns = {word: _columns(channels, word) for word in ("Accel", "Gyro")}
     if not columns["Accel"]:
         raise UnreadableInput(f"no three accelerations among {', '.join(channels)}", where=where)
-    aux = [k for k, name in enumerate(channels) if name == "Aux"][:1]
-    return facts, _Head(float(rate), scales, start, *data, aux, columns["Accel"], columns["Gyro"])
+    head = _Head(
+        rate=float(rate),
+        scales=scales,
+        start=start,
+        at=data[0],
+        size=data[1],
+        aux=[k for k, name in enumerate(channels) if name == "Aux"][:1],
+        acc=columns["Accel"],
+        gyro=columns["Gyro"],
+    )
+    return facts, head
 
 
 def _chunks(raw: bytes, at: int) -> Iterator[tuple[bytes, int, int]]:
