@@ -110,15 +110,13 @@ def _head(raw: bytes, where: str) -> tuple[dict[str, str], _Head]:
     columns = {word: _columns(channels, word) for word in ("Accel", "Gyro")}
     if not columns["Accel"]:
         raise UnreadableInput(f"no three accelerations among {', '.join(channels)}", where=where)
-    aux = [k for k, name in enumerate(channels) if name == "Aux"][:1]
-    at, size = data
     head = _Head(
-        float(rate),
-        scales,
-        start,
-        at=at,
-        size=size,
-        aux=aux,
+        rate=float(rate),
+        scales=scales,
+        start=start,
+        at=data[0],
+        size=data[1],
+        aux=[k for k, name in enumerate(channels) if name == "Aux"][:1],
         acc=columns["Accel"],
         gyro=columns["Gyro"],
     )

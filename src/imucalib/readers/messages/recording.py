@@ -188,12 +188,14 @@ def _decide(stream: TopicStream) -> Plan:
         raise _no_imu(stream)
     used = list(dict.fromkeys(topic for triad in triads for topic, _ in triad.parts.values()))
     clocks = _clocks([sources[name] for name in used], mapping, str(log.path))
-    where = str(log.path)
-    parts = [
-        _part(triad, quantity, sources[topic], column, clocks[topic], mapping=mapping, where=where)
-        for triad in triads
-        for quantity, (topic, column) in triad.parts.items()
-    ]
+    parts = []
+    for triad in triads:
+        for quantity, (topic, column) in triad.parts.items():
+            where = f"{log.path}, topic {topic}"
+            how = _conversion(
+                quantity, sources[topic], column, clocks[topic].period, mapping, where
+            )
+            parts.append(_part(triad, quantity, sources[topic], column, clocks[topic], how))
     notes = _clock_notes(triads, sources, clocks)
     notes += [f"{p.channel.triad}: {p.conversion.note}" for p in parts if p.conversion.note]
     marks = tuple(dict.fromkeys(log.corrections))
@@ -253,38 +255,40 @@ def _clocks(sources: list[Source], mapping: FieldMapping, where: str) -> dict[st
     return clocks(f"the stamps of its topics count from epochs {apart * 1e-9:.6g} s apart")
 
 
-def _part(
-    triad: Triad,
+def _conversion(
     quantity: str,
     source: Source,
     column: int,
-    clock: Clock,
+    period: float,
     mapping: FieldMapping,
     where: str,
-) -> Part:
-    """The channel of one quantity of a triad; its unit from what is stated and from its values."""
+) -> Conversion:
+    """How the values of a field become SI, from what is stated and from the values."""
     stated, pieces = source.fields[column].unit, source.rest_pieces(column)
-    where = f"{where}, topic {source.name}"
     if quantity == "acc":
-        window = int(np.clip(0.5e9 / clock.period, 16, 1024)) if clock.period else 16
+        window = int(np.clip(0.5e9 / period, 16, 1024)) if period else 16
         rest = conversion.readings_at_rest(pieces, window)
-        convert = conversion.acceleration(mapping, stated, rest, where)
-    elif quantity == "gyro":
-        convert = conversion.angular_rate(mapping, stated, where)
-    else:
-        convert = conversion.temperature(mapping, stated, np.concatenate(pieces), where)
+        return conversion.acceleration(mapping, stated, rest, where)
+    if quantity == "gyro":
+        return conversion.angular_rate(mapping, stated, where)
+    return conversion.temperature(mapping, stated, np.concatenate(pieces), where)
+
+
+def _part(
+    triad: Triad, quantity: str, source: Source, column: int, clock: Clock, how: Conversion
+) -> Part:
+    """The channel of one quantity of a triad."""
     channel = Channel(
         t=np.empty(0),
         values=np.empty((0, source.fields[column].group.width)),
-        unit=convert.unit,
+        unit=how.unit,
         quantity=_CHANNEL_NAMES[quantity],
         triad=triad.name,
         rate=1e9 / clock.period if clock.period else 0.0,
         names=(source.name, source.frame) if source.frame else (source.name,),
         numbered=triad.numbered,
     )
-    name = f"{triad.name}/{channel.quantity}"
-    return Part(name, source.name, column, convert, channel)
+    return Part(f"{triad.name}/{channel.quantity}", source.name, column, how, channel)
 
 
 def _clock_notes(
