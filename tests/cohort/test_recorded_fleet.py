@@ -20,7 +20,7 @@ from imucalib.calibration.sums import KEY
 from imucalib.calibrators.population import read as read_population
 from imucalib.cli import cli
 from imucalib.cohort.fleet.outcome import Fleet, nested_spread
-from imucalib.cohort.fleet.recorded.run import Wanted, run_recorded
+from imucalib.cohort.fleet.recorded import Wanted, run_recorded
 from imucalib.cohort.fleet.search import Rules
 from imucalib.core.effect import Context
 from imucalib.effects import named

@@ -39,8 +39,19 @@ from imucalib.loop.posterior.odds import ABSORBED
 
 #: λ of a candidate at typical size below which it is rounding.
 _SHOWN = 1e-6
-#: Devices from which on their noise is compared, and degrees of freedom that stand for all alike.
-_MODERATED, _ALL_ALIKE = 3, 1e4
+#: Devices from which on their noise is compared, and degrees of freedom that mean "all the same".
+_MODERATED, _ALL_THE_SAME = 3, 1e4
+#: Standard deviation of the log of an axis' scatter about that of its kind, as between power-ups.
+_UNLIKE = 0.5
+#: Sizes of the scatter τ between devices and of the common size γ, in typical sizes.
+_TAU = (0.0, 0.1, 0.3, 1.0, 3.0)
+_GAMMA = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0)
+#: Of the estimate of τ: its range in sds of one device's own size, values, and a flat prior of μ.
+_ALLOWED, _SIZES, _WIDE = (0.03, 30.0), 40, 30.0
+#: Share of the largest eigenvalue of products below which a direction is rounding.
+_ROUNDING = 1e-9
+#: Groups of devices, at most, each of which the others predict.
+GROUPS = 20
 
 
 @dataclass(frozen=True)
@@ -103,16 +114,12 @@ def moderated(devices: Sequence[Device]) -> tuple[Device, ...]:
         fleet = 2.0 * inverse_trigamma(spread)
         size = np.exp(own.mean() + psi(fleet / 2.0) - np.log(fleet / 2.0))
     else:
-        fleet, size = _ALL_ALIKE, float(np.sum(dof * square) / np.sum(dof))
+        fleet, size = _ALL_THE_SAME, float(np.sum(dof * square) / np.sum(dof))
     better = (fleet * size + dof * square) / (fleet + dof)
     return tuple(
         replace(d, gram=d.gram * share, along=d.along * share, borrowed=float(fleet))
         for d, share in zip(devices, square / better, strict=True)
     )
-
-
-#: Standard deviation of the log of an axis' scatter about that of its kind, as between power-ups.
-_UNLIKE = 0.5
 
 
 def of_a_kind(names: Sequence[str]) -> list[list[int]]:
@@ -141,20 +148,12 @@ def moderated_axes(
 
 
 def inverse_trigamma(value: float) -> float:
+    """Of the second derivative of the log of the gamma function."""
     from scipy.optimize import brentq
     from scipy.special import polygamma
 
     found = brentq(lambda log_x: float(polygamma(1, np.exp(log_x))) - value, -12.0, 12.0)
     return float(np.exp(found))
-
-
-#: Sizes of the scatter τ between devices and of the common size γ, in typical sizes.
-_TAU = (0.0, 0.1, 0.3, 1.0, 3.0)
-_GAMMA = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0)
-#: Of the estimate of τ: its range in sds of one device's own size, values, and a flat prior of μ.
-_ALLOWED, _SIZES, _WIDE = (0.03, 30.0), 40, 30.0
-#: Share of the largest eigenvalue of products below which a direction is rounding.
-_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -183,23 +182,34 @@ class Sizes:
     each: Array
     covariance: Array
 
+    @property
+    def another(self) -> tuple[Array, Array]:
+        """Mean (k,) and covariance (k, k) of the size in another device of the kind."""
+        return self.common, self.common_covariance + self.scatter**2 * np.eye(self.common.size)
+
+
+def products(devices: Sequence[Device], effect: str) -> tuple[tuple[str, ...], Array, Array]:
+    """Devices that can show an effect, the products of its columns (devices, k, k), and those with
+    the residual (devices, k)."""
+    able = [(d, d.columns[effect]) for d in devices if effect in d.columns]
+    gram = np.stack([d.gram[np.ix_(at, at)] for d, at in able])
+    return tuple(d.name for d, _ in able), gram, np.stack([d.along[at] for d, at in able])
+
 
 def pooled(devices: Sequence[Device], rng: np.random.Generator, draws: int) -> tuple[Pooled, ...]:
     """Every effect that two devices or more can show, best first."""
     names = dict.fromkeys(name for device in devices for name in device.columns)
-    drawn = _nulls(devices, rng, draws)
-    data = [np.column_stack([d.along, null]) for d, null in zip(devices, drawn, strict=True)]
+    drawn = zip(devices, _nulls(devices, rng, draws), strict=True)
+    # The data, and beside them draws of what lacks nothing.
+    data = [replace(d, along=np.column_stack([d.along, null])) for d, null in drawn]
     found, null = list[tuple[str, float, float, int]](), np.zeros(draws)
     for name in names:
-        able = [(d, a) for d, a in zip(devices, data, strict=True) if name in d.columns]
-        if len(able) < 2:
-            continue
-        gram = np.stack([d.gram[np.ix_(d.columns[name], d.columns[name])] for d, _ in able])
-        along = np.stack([a[d.columns[name]] for d, a in able])
-        stands = outstanding(gram, along)
-        nats = float(evidence(gram, along[..., :1])[0])
-        found.append((name, nats, float(stands[0]), len(able)))
-        null = np.maximum(null, stands[1:])
+        able, gram, along = products(data, name)
+        if len(able) > 1:
+            stands = outstanding(gram, along)
+            nats = float(evidence(gram, along[..., :1])[0])
+            found.append((name, nats, float(stands[0]), len(able)))
+            null = np.maximum(null, stands[1:])
     best = [
         Pooled(name, nats, float((1 + np.sum(null >= own)) / (draws + 1)), count, draws)
         for name, nats, own, count in found
@@ -226,14 +236,9 @@ def outstanding(gram: Array, along: Array) -> Array:
 
 def evidence(gram: Array, along: Array) -> Array:
     """(draws,) nats of one effect. gram : (devices, k, k); along : (devices, k, draws)"""
-    nats = [
-        _nats(*sums, gamma)
-        for tau in _TAU
-        for sums in [_sums(gram, along, tau)]
-        for gamma in _GAMMA
-        if tau or gamma
-    ]
-    every = np.stack(nats)
+    sums = {tau: _sums(gram, along, tau) for tau in _TAU}
+    grid = [(tau, gamma) for tau in _TAU for gamma in _GAMMA if tau or gamma]
+    every = np.stack([_nats(*sums[tau], gamma) for tau, gamma in grid])
     top = every.max(axis=0)
     return np.asarray(top + np.log(np.mean(np.exp(every - top), axis=0)))
 
@@ -260,21 +265,18 @@ def sizes(gram: Array, along: Array) -> Sizes:
     return Sizes(common, np.asarray(spread, np.float64), scatter, each, own)
 
 
-def told_by_others(gram: Array, along: Array, groups: int) -> tuple[tuple[Array, Array], ...]:
+def by_others(gram: Array, along: Array) -> list[tuple[Array, Array]]:
     """Mean (k,) and covariance (k, k) of each device's size, by the devices of other groups."""
-    group = np.arange(len(gram)) % groups
-    every = []
-    for k in range(groups):
-        said = sizes(gram[group != k], along[group != k])
-        spread = said.common_covariance + said.scatter**2 * np.eye(gram.shape[1])
-        every.append((said.common, spread))
-    return tuple(every[k] for k in group)
+    group = np.arange(len(gram)) % min(len(gram), GROUPS)
+    every = [
+        sizes(gram[group != k], along[group != k]).another for k in range(int(group.max()) + 1)
+    ]
+    return [every[k] for k in group]
 
 
-def predictive(gram: Array, along: Array, groups: int) -> Array:
+def predictive(gram: Array, along: Array) -> Array:
     """(devices,) nats that each device's data gain by what the others say of the effect."""
-    told = told_by_others(gram, along, groups)
-    every = zip(gram, along, told, strict=True)
+    every = zip(gram, along, by_others(gram, along), strict=True)
     return np.array([gained(own, sums, *said) for own, sums, said in every])
 
 
