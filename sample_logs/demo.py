@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from imucalib.effects.shape import in_words
+from imucalib.effects.forms import in_words
 from imucalib.readers import read
 from imucalib.rests.segments import still_segments
 from imucalib.significant_digits import per_cent

@@ -9,7 +9,7 @@ from imucalib.core.course import course_of, slope_of
 from imucalib.core.effect import Context, Response, Truth
 from imucalib.effects import families
 from imucalib.effects.array.low_pass import slowed
-from imucalib.effects.worn.posture import centres, posture
+from imucalib.effects.strap import centres, posture
 from imucalib.units import MG, STANDARD_GRAVITY
 
 H = 0.01

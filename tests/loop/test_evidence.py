@@ -16,7 +16,7 @@ from gates.bounds import at_most
 from imucalib.arrays import Index
 from imucalib.core.fit import Fit
 from imucalib.effects import named
-from imucalib.effects.shape import in_words
+from imucalib.effects.forms import in_words
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.loop import held_out as held_out_module
 from imucalib.loop.candidates import effect_columns

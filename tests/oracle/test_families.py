@@ -11,7 +11,7 @@ import pytest
 
 from imucalib.core.effect import Context, Truth
 from imucalib.effects import families, named
-from imucalib.effects.shape import FORMS
+from imucalib.effects.forms import FORMS
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
 
 N = 60
@@ -73,7 +73,7 @@ def added(name: str, theta: np.ndarray, force: np.ndarray, context: Context) -> 
 
 
 def test_every_form_stands_here_as_it_is_printed() -> None:
-    assert {kind: equation for kind, (_, equation, _) in FORMS.items()} == {
+    assert {kind: form.equation for kind, form in FORMS.items()} == {
         kind: equation for kind, (equation, _) in FORMULAS.items()
     }
 

@@ -13,7 +13,7 @@ from typing import Any, Literal
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.findings import Gain
 from imucalib.calibration.outcome import Run, Status
-from imucalib.effects.shape import in_words
+from imucalib.effects.forms import in_words
 from imucalib.errors import UsageError
 from imucalib.report.document import Document
 from imucalib.report.files import Report, write_report

@@ -21,7 +21,7 @@ from imucalib.calibration.gyroscope import gyroscope_of, with_rates_corrected
 from imucalib.calibration.series import part_at, parts_of
 from imucalib.calibration.undo import Undo
 from imucalib.core.effect import Context, Effect, Truth
-from imucalib.effects.thermal.lag import PREFIX, counts_rows
+from imucalib.effects.thermal import LAG, ROWS
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.recording.recording import Channel, Recording
 from imucalib.recording.recording import Correction as Mark
@@ -65,7 +65,7 @@ class Correction:
         self._undo = [Undo(model, theta) for model, theta in self._models]
         models = [model for model, _ in self._models]
         self._needs = {n for model in models for effect in model.effects for n in effect.needs}
-        self._by_rows = {n for n in self._needs if n.startswith(PREFIX) and counts_rows(n)}
+        self._by_rows = {n for n in self._needs if n.startswith(LAG.prefix) and n.endswith(ROWS)}
         # What the temperature's past tells, and whether its present tells something.
         self._remembered = sorted(filter(is_remembered, self._needs))
         self._warm = "temperature" in self._needs or bool(self._by_rows)

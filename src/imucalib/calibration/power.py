@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from imucalib.effects import known
-from imucalib.effects.shape import in_words
+from imucalib.effects.forms import in_words
 from imucalib.loop.found import Score
 from imucalib.units import MG
 

@@ -26,7 +26,7 @@ from imucalib.calibrators.lab.request import LabRequest
 from imucalib.core.effect import Context
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm
-from imucalib.effects.covariate import COLUMN
+from imucalib.effects.scans import COLUMN
 from imucalib.errors import UsageError
 from imucalib.recording.recording import Recording
 from imucalib.rests.segments import Segments, StillSettings

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from imucalib.core.effect import Action, Context, Effect, Motion, Parameter, Truth
+from imucalib.core.effect import CLOCKS, Action, Context, Effect, Motion, Parameter, Truth
 from imucalib.errors import UsageError
 from imucalib.units import STANDARD_GRAVITY
 
@@ -18,24 +18,6 @@ _EXAMPLE = "docs/own_effect.md has an example"
 _WORDS = ("name", "sentence", "equation", "source", "identify")
 _STAGES = ("fixture", "mounting", "sensor")
 _CHANNELS = ("acceleration", "angular_rate")
-_COVARIATES = (
-    "record",
-    "order",
-    "time",
-    "temperature",
-    "time_of_day",
-    "inclination",
-    "tool_face",
-    "sweep",
-    "inclination_approach",
-    "tool_face_approach",
-    "previous_x",
-    "previous_y",
-    "previous_z",
-    "approach_x",
-    "approach_y",
-    "approach_z",
-)
 _ROWS = 5
 
 
@@ -82,20 +64,11 @@ def _check_words(effect: Any, number: int, where: str) -> None:
     for word in _WORDS:
         if not isinstance(getattr(effect, word, None), str):
             raise _wrong(name, f"its {word} is missing or no text", where)
-    if getattr(effect, "stage", None) not in _STAGES:
-        raise _wrong(
-            name,
-            f"its stage is {getattr(effect, 'stage', None)!r}",
-            where,
-            f"use one of: {', '.join(_STAGES)}",
-        )
-    if getattr(effect, "channel", None) not in _CHANNELS:
-        raise _wrong(
-            name,
-            f"its channel is {getattr(effect, 'channel', None)!r}",
-            where,
-            f"use one of: {', '.join(_CHANNELS)}",
-        )
+    for field, allowed in (("stage", _STAGES), ("channel", _CHANNELS)):
+        value = getattr(effect, field, None)
+        if value not in allowed:
+            remedy = f"use one of: {', '.join(allowed)}"
+            raise _wrong(name, f"its {field} is {value!r}", where, remedy)
     needs = getattr(effect, "needs", None)
     if not isinstance(needs, tuple) or not all(isinstance(n, str) for n in needs):
         raise _wrong(name, "its needs are not a tuple of names", where, 'such as ("temperature",)')
@@ -105,10 +78,9 @@ def _check_words(effect: Any, number: int, where: str) -> None:
 
 
 def _check_action(effect: Effect, where: str) -> None:
-    """Run the effect at zero and at its typical size, on observations with every covariate."""
-    names = dict.fromkeys((*_COVARIATES, *effect.needs))
+    """Run the effect at zero and at its typical size, on observations with what it needs."""
     spread = np.linspace(0.0, 1.0, _ROWS)
-    known = {**dict.fromkeys(names, spread), "sample_age": spread[:, None] - 0.5}
+    known = dict.fromkeys((*CLOCKS, *effect.needs), spread) | {"sample_age": spread[:, None] - 0.5}
     context = Context(_ROWS, known, sweeps=2, moving=True)
     try:
         reason = effect.missing(context)

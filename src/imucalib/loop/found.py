@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Generic, Literal, TypeVar
 
 from imucalib.core.fit import Fit
-from imucalib.effects.shape import is_form
+from imucalib.effects.forms import is_form
 from imucalib.loop.faults.sheet import Fault
 from imucalib.loop.held_out import Difference
 from imucalib.loop.posterior.odds import ABSORBED, CERTAIN

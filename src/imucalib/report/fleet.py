@@ -11,7 +11,7 @@ from imucalib.calibration.plain import fields, listed, plain
 from imucalib.cohort.fleet.outcome import Fleet
 from imucalib.core.effect import Context
 from imucalib.effects import named
-from imucalib.effects.shape import in_words
+from imucalib.effects.forms import in_words
 from imucalib.report.document import (
     Card,
     Document,

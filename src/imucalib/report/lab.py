@@ -17,7 +17,7 @@ from imucalib.calibrators.lab.sessions.between import Between, Sessions
 from imucalib.core.references import KnownVector, angles_of
 from imucalib.core.sphere import covered, even_directions
 from imucalib.effects import known
-from imucalib.effects.covariate import COLUMN
+from imucalib.effects.scans import COLUMN
 from imucalib.loop.held_out import Held, fitted
 from imucalib.loop.held_out import errors as held_errors
 from imucalib.report import parameters, sections

@@ -17,7 +17,7 @@ from imucalib.calibration.findings import Findings, FoundStep, Gain
 from imucalib.calibration.outcome import ErrorSummary, Outcome, Run, Status
 from imucalib.calibration.power import hidden
 from imucalib.effects import known
-from imucalib.effects.shape import in_words
+from imucalib.effects.forms import in_words
 from imucalib.exports.bound import carries
 from imucalib.report import parameters
 from imucalib.report.certificate import certificate_of

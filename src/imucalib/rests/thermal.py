@@ -13,14 +13,13 @@ meanwhile has no temperature.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
-from imucalib.effects.thermal import hysteresis as play
-from imucalib.effects.thermal import lag, rate
+from imucalib.effects.thermal import LAG, PLAY, RATE, ROWS
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.windows import COLUMNS, WindowBuilder, Windows, in_order
 
@@ -298,61 +297,52 @@ def _joined(before: Channel | None, new: Channel) -> Channel:
 
 
 #: Covariates that a recording with a clock and a thermometer has.
-REMEMBERED = (
-    *map(lag.covariate, lag.LAGS),
-    *map(play.covariate, play.WIDTHS),
-    *map(rate.covariate, rate.TIMES),
-)
-#: Of a play the power that the temperature itself tells, from which on it is that but for noise.
+REMEMBERED = tuple(past.covariate(value) for past in (LAG, PLAY, RATE) for value in past.values)
+#: Of a play the power that the temperature itself shows, from which on it is that but for noise.
 _PLAIN = 0.97
 
 
 def is_remembered(name: str) -> bool:
-    """Whether a history of the temperature tells the covariate."""
-    past = name.startswith((lag.PREFIX, play.PREFIX, rate.PREFIX))
-    return past and not lag.counts_rows(name)
+    """Whether a history of the temperature gives the covariate."""
+    return name.startswith((LAG.prefix, PLAY.prefix, RATE.prefix)) and not name.endswith(ROWS)
 
 
 def remembered(history: ThermalHistory, name: str, at: Array) -> Array:
     """The covariate (°C) at times (s)."""
-    if name.startswith(rate.PREFIX):
-        return history.rate(rate.time_of(name.removeprefix(rate.PREFIX)), at)
-    if name.startswith(play.PREFIX):
-        return history.behind_play(play.width_of(name.removeprefix(play.PREFIX)), at)
-    return history.lagged(lag.hours_of(name.removeprefix(lag.PREFIX)), at)
+    of = {LAG: history.lagged, PLAY: history.behind_play, RATE: history.rate}
+    past = next(past for past in of if name.startswith(past.prefix))
+    return of[past](past.size(name.removeprefix(past.prefix)), at)
 
 
 def remembered_in_rows(temperature: Array, time: Array | None, session: Array) -> dict[str, Array]:
     """Covariates (n,) of a table: lags and rates by its clock (s), or in rows, and plays of a width
     that its temperatures show: on one way alone, or between two of them, a play is an offset. Each
     session (n,) begins in equilibrium, amid the play."""
-    by_rows = time is None
     at = 3600.0 * np.arange(len(temperature)) if time is None else time
     every = float(np.median(np.abs(np.diff(at)))) / 3600.0
     if every <= 0.0:
         return {}
-    rows = [r for r in lag.ROWS if 4 * r <= len(temperature)]
-    lags = {lag.covariate(lag.in_rows(r) if by_rows else f"{r * every:.2g}h"): r for r in rows}
-    rates = {
-        rate.covariate(lag.in_rows(r) if by_rows else f"{60.0 * r * every:.2g}min"): r
-        for r in rate.ROWS
-    }
-    crossed = [w for w in play.WIDTHS if 2.0 * play.width_of(w) <= np.ptp(temperature)]
-    plays = {play.covariate(w): play.width_of(w) for w in crossed}
-    found = {name: np.empty(len(temperature)) for name in (*lags, *rates, *plays)}
+    sizes: dict[str, tuple[Callable[[ThermalHistory, float, Array], Array], float]] = {}
+    for rows in (r for r in LAG.rows if 4 * r <= len(temperature)):
+        value = f"{rows}{ROWS}" if time is None else f"{rows * every:.2g}h"
+        sizes[LAG.covariate(value)] = ThermalHistory.lagged, rows * every
+    for rows in RATE.rows:
+        value = f"{rows}{ROWS}" if time is None else f"{60.0 * rows * every:.2g}min"
+        sizes[RATE.covariate(value)] = ThermalHistory.rate, rows * every
+    for value in PLAY.values:
+        if 2.0 * PLAY.size(value) <= np.ptp(temperature):
+            sizes[PLAY.covariate(value)] = ThermalHistory.behind_play, PLAY.size(value)
+    found = {name: np.empty(len(temperature)) for name in sizes}
     for one in np.unique(session):
         of = session == one
         history = ThermalHistory(at[of], temperature[of])
-        for name, r in lags.items():
-            found[name][of] = history.lagged(r * every, at[of])
-        for name, r in rates.items():
-            found[name][of] = history.rate(r * every, at[of])
-        for name, width in plays.items():
-            found[name][of] = history.behind_play(width, at[of])
-    return {n: v for n, v in found.items() if n not in plays or _is_another(v, temperature)}
+        for name, (behind, size) in sizes.items():
+            found[name][of] = behind(history, size, at[of])
+    plain = {n for n, v in found.items() if n.startswith(PLAY.prefix) and _is_plain(v, temperature)}
+    return {name: values for name, values in found.items() if name not in plain}
 
 
-def _is_another(values: Array, temperature: Array) -> bool:
-    """Whether what follows the temperature is more than it, a scale and an offset."""
+def _is_plain(values: Array, temperature: Array) -> bool:
+    """Whether what follows the temperature is no more than it, a scale and an offset."""
     spread = float(np.std(values))
-    return spread > 0.0 and float(np.corrcoef(values, temperature)[0, 1] ** 2) < _PLAIN
+    return spread <= 0.0 or float(np.corrcoef(values, temperature)[0, 1] ** 2) >= _PLAIN

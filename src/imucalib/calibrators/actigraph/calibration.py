@@ -24,7 +24,7 @@ from imucalib.calibrators.next_recording import recorded_block
 from imucalib.core.effect import CLOCKS
 from imucalib.core.fit import Fit
 from imucalib.core.sphere import counted
-from imucalib.effects.shape import in_words
+from imucalib.effects.forms import in_words
 from imucalib.loop.found import FitLoop
 from imucalib.rests.runs import Scan
 from imucalib.units import MG

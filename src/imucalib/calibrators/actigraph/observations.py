@@ -20,8 +20,8 @@ from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.core.prior import Prior, independent
 from imucalib.core.references import KnownNorm
-from imucalib.effects.history.previous import covariates_before
-from imucalib.effects.thermal import rate
+from imucalib.effects.table import covariates_before
+from imucalib.effects.thermal import RATE
 from imucalib.errors import NotConverged
 from imucalib.estimators.in_a_population import strangeness
 from imucalib.estimators.least_squares import fit as fit_model
@@ -228,7 +228,7 @@ def covariates_of(runs: PostureRuns, scanned: Scan) -> dict[str, Array]:
 def _is_shown(name: str, past: Array, now: Array, warm: Windows) -> bool:
     """Whether a thermometer shows a past temperature beside the present one: rounded to some °C it
     does not, and what a lag smooths is then its steps. A rate (°C/h) is shown by them too."""
-    return name.startswith(rate.PREFIX) or tells_apart(warm, past, now)
+    return name.startswith(RATE.prefix) or tells_apart(warm, past, now)
 
 
 def with_temperature(data: Observations, runs: PostureRuns) -> Observations:

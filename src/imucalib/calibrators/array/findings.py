@@ -24,7 +24,7 @@ from imucalib.calibrators.array.loop.laws import CURVE
 from imucalib.calibrators.array.loop.terms import typical_of
 from imucalib.calibrators.array.loop.told import size_in_words
 from imucalib.calibrators.array.rests import RestFit
-from imucalib.effects.shape import in_words
+from imucalib.effects.forms import in_words
 from imucalib.estimators.array.noise import SensorNoise
 from imucalib.loop.found import Step
 from imucalib.units import DEG

@@ -22,7 +22,7 @@ from imucalib.core.model import Model
 from imucalib.core.references import KnownVector, angles_of, unit_vector
 from imucalib.core.sphere import KnownDirection
 from imucalib.effects import known
-from imucalib.effects.shape import in_words
+from imucalib.effects.forms import in_words
 from imucalib.errors import UsageError
 from imucalib.estimators.corrected import OBJECTIVES
 from imucalib.loop.found import Unexplained

@@ -16,7 +16,7 @@ from imucalib.core.effect import Context
 from imucalib.core.observations import NoisePrior, Observations
 from imucalib.core.references import KnownNorm, KnownVector
 from imucalib.core.sphere import KnownDirection
-from imucalib.effects.covariate import COLUMN
+from imucalib.effects.scans import COLUMN
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.readers.conversion import zero_g
 from imucalib.rests.thermal import remembered_in_rows

@@ -25,8 +25,7 @@ from imucalib.core.effect import DAILY, Context, Effect, Family
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.effects import known
-from imucalib.effects.curve import curve
-from imucalib.effects.shape import shape
+from imucalib.effects.forms import curve, shape
 from imucalib.loop.candidates import Searched
 from imucalib.loop.posterior.odds import KNOWN, LOOSE, MISSING, SCANNED, SPREAD, TOGETHER
 

@@ -24,8 +24,8 @@ from imucalib.arrays import Array
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
-from imucalib.effects.curve import curve
-from imucalib.effects.history.step import moment_of
+from imucalib.effects.forms import curve
+from imucalib.effects.scans import moment_of
 from imucalib.errors import NotConverged
 from imucalib.loop.candidates import Searched
 from imucalib.loop.found import FitLoop

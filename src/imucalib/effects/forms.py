@@ -1,0 +1,301 @@
+"""Forms of one number that bend a bias, a scale, the response of an axis or an angle of the bench:
+a formula, or a smooth curve, without a cause.
+
+The number is an axis' own input in g, or a covariate (of forms, angles in degrees). A form has up
+to three numbers that a search scans or takes from the range; its sizes are fitted. A curve stands
+over the range that was recorded; beyond it, that of a covariate keeps its value at the edge.
+"""
+
+import inspect
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from imucalib.arrays import Array, Index
+from imucalib.core.effect import Action, Context, Effect, Parameter, Response, Rotation, Truth
+from imucalib.effects.parts import BIAS, INCLINATION, SCALE, TOOL_FACE, Part, linear, turned
+from imucalib.units import MG, STANDARD_GRAVITY
+
+#: What is bent -> words for it.
+KINDS = {
+    "bias": "bias",
+    "scale": "scale",
+    "response": "response",
+    "inclination": "inclination error",
+    "tool_face": "tool-face error",
+}
+_REACH = 1.06  # g, of an axis' own input
+
+
+@dataclass(frozen=True)
+class Bend:
+    """values : (...) -> (..., m) of the number; slope : the same of its derivative, needed for a
+    response; labels : (m,) of the parameters, typical : their sizes in mg"""
+
+    values: Callable[[Array], Array]
+    slope: Callable[[Array], Array]
+    labels: tuple[str, ...] = ("",)
+    typical: tuple[float, ...] = (1.0,)
+
+    def sizes(self, prefix: str, axes: str, unit: str, plausible: float) -> tuple[Parameter, ...]:
+        """Parameters of some axes, each with all of its own in a row."""
+        return tuple(
+            Parameter(f"{prefix}_{axis}{label}", unit, typical, plausible)
+            for axis in axes
+            for label, typical in zip(self.labels, self.typical, strict=True)
+        )
+
+
+@dataclass(frozen=True)
+class OwnInput(Response):
+    """What some axes, by their letters, make of their own input in g, as a bend has it."""
+
+    axes: str = ""
+    bend: Bend = Bend(np.square, np.square)
+
+    def act(self, theta: Array, truth: Truth, context: Context) -> Action:
+        """Each axis depends on one input alone: its slope needs no (n, 3, m, 3)."""
+        if truth.shape[1] != 1 or not theta.any():
+            return super().act(theta, truth, context)
+        basis, d_x = self.basis(truth, context), np.zeros((*truth.shape, 3))
+        for letter, own in zip(self.axes, theta.reshape(len(self.axes), -1), strict=True):
+            axis = "xyz".index(letter)
+            steep = self.bend.slope(truth.force[..., axis] / STANDARD_GRAVITY) @ own
+            d_x[..., axis, axis] = MG / STANDARD_GRAVITY * steep
+        return Action(np.asarray(basis @ theta), basis, d_x)
+
+
+def own_input(
+    words: tuple[str, str, str, str, str], axes: str, bend: Bend, each: tuple[Parameter, ...]
+) -> OwnInput:
+    """The response of axes "x" or "xyz" to their own input; words : as `Described` has them.
+    ValueError where a letter is no axis."""
+    columns = ["xyz".index(letter) for letter in axes]
+
+    def basis(truth: Truth, context: Context) -> Array:
+        out = np.zeros((*truth.shape, len(columns), len(bend.labels)))
+        for k, axis in enumerate(columns):
+            out[..., axis, k, :] = MG * bend.values(truth.force[..., axis] / STANDARD_GRAVITY)
+        return out.reshape(*truth.shape, -1)
+
+    def basis_dx(truth: Truth, context: Context) -> Array:
+        out = np.zeros((*truth.shape, len(columns), len(bend.labels), 3))
+        for k, axis in enumerate(columns):
+            steep = bend.slope(truth.force[..., axis] / STANDARD_GRAVITY)
+            out[..., axis, k, :, axis] = MG / STANDARD_GRAVITY * steep
+        return out.reshape(*truth.shape, -1, 3)
+
+    return OwnInput(*words, each=each, basis=basis, basis_dx=basis_dx, axes=axes, bend=bend)
+
+
+#: What a covariate bends -> the part, what its parameters' names have before the covariate's, and
+#: how much of one is still believed.
+_BENT: dict[str, tuple[Part, str, float]] = {
+    "bias": (BIAS, "", 300.0),
+    "scale": (SCALE, "scale_", 50.0),
+    "inclination": (INCLINATION, "inclination_", 10.0),
+    "tool_face": (TOOL_FACE, "tool_face_", 10.0),
+}
+
+
+def _bent(
+    words: tuple[str, str, str, str, str], prefix: str, what: str, against: str, bend: Bend
+) -> Effect:
+    """`against` names a covariate, or axes ("x", "xyz") whose input bends their response; prefix :
+    of the parameters' names."""
+    if what == "response":
+        return own_input(words, against, bend, bend.sizes(prefix, against, "mg", 300.0))
+    part, own, plausible = _BENT[what]
+
+    def values(context: Context) -> Array:
+        return bend.values(context[against])
+
+    name = f"{prefix}_{own}{against}"
+    if part.axes:
+        each = tuple(Parameter(name + k, "deg", 0.1, plausible) for k in bend.labels)
+        needs = tuple(dict.fromkeys((against, "tool_face")))
+        return Rotation(*words, needs, named=each, turns=turned(part.axes, values))
+    basis, basis_dx = linear(part.columns, values, part.unit, inside=True)
+    sizes = bend.sizes(name, "xyz", part.unit, plausible)
+    return Response(*words, (against,), each=sizes, basis=basis, basis_dx=basis_dx)
+
+
+@dataclass(frozen=True)
+class Form:
+    """equation : with places for the numbers; values, slope : of the number and those"""
+
+    equation: str
+    values: Callable[..., Array]
+    slope: Callable[..., Array]
+    labels: tuple[str, ...] = ("",)
+
+
+def _waves(u: Array, period: float) -> Array:
+    k = 2.0 * np.pi / period
+    return np.stack([np.sin(k * u), np.cos(k * u)], axis=-1)
+
+
+def _beyond(u: Array, at: float) -> Array:
+    """0 up to a limit and 1 at 1 g."""
+    return np.maximum(np.abs(u) - at, 0.0) / (1.0 - at)
+
+
+FORMS = {
+    "sine": Form(
+        "a sin(2π u / P) + b cos(2π u / P), P = {0}",
+        _waves,
+        lambda u, p: 2.0 * np.pi / p * _waves(u, p)[..., ::-1] * [1.0, -1.0],
+        ("a", "b"),
+    ),
+    "power": Form(
+        "a ((u - {1}) / {2})^{0}",
+        lambda u, n, middle, reach: ((u - middle) / reach) ** int(n),
+        lambda u, n, middle, reach: int(n) / reach * ((u - middle) / reach) ** (int(n) - 1),
+    ),
+    "odd_power": Form(
+        "a sign(u) |u|^{0}",
+        lambda u, n: np.sign(u) * np.abs(u) ** n,
+        lambda u, n: n * np.abs(u) ** (n - 1.0),
+    ),
+    "even_power": Form(
+        "a |u|^{0}",
+        lambda u, n: np.abs(u) ** n,
+        lambda u, n: n * np.sign(u) * np.abs(u) ** (n - 1.0),
+    ),
+    "kink": Form("a |u - {0}|", lambda u, at: np.abs(u - at), lambda u, at: np.sign(u - at)),
+    "step": Form("a [u >= {0}]", lambda u, at: 1.0 * (u >= at), lambda u, at: np.zeros(u.shape)),
+    "saturation": Form(
+        "a sign(u) max(|u| - {0}, 0) / (1 - {0})",
+        lambda u, at: np.sign(u) * _beyond(u, at),
+        lambda u, at: (np.abs(u) > at) / (1.0 - at),
+    ),
+    "soft_saturation": Form(
+        "a sign(u) max(|u| - {0}, 0)² / (1 - {0})²",
+        lambda u, at: np.sign(u) * _beyond(u, at) ** 2,
+        lambda u, at: 2.0 / (1.0 - at) * _beyond(u, at),
+    ),
+    "saw_tooth": Form(
+        "a ((u / {0} + {1}) mod 1 - 1/2)",
+        lambda u, period, phase: np.mod(u / period + phase, 1.0) - 0.5,
+        lambda u, period, phase: np.full(u.shape, 1.0 / period),
+    ),
+    "exponential": Form(
+        "a exp(-(u - {1}) / {0})",
+        lambda u, scale, start: np.exp(-(u - start) / scale),
+        lambda u, scale, start: -np.exp(-(u - start) / scale) / scale,
+    ),
+}
+
+
+def shape(value: str) -> Effect:
+    """The form "what:against:kind:number[:number ...]", for example "response:xyz:sine:0.4" or
+    "tool_face:tool_face:sine:120"; ValueError otherwise."""
+    what, against, kind, *rest = value.split(":")
+    if what not in KINDS or kind not in FORMS:
+        raise ValueError(f"'{value}' is no form")
+    form, numbers = FORMS[kind], [float(r) for r in rest]
+    if len(numbers) != len(inspect.signature(form.values).parameters) - 1:
+        raise ValueError(f"{kind} does not take {len(rest)} numbers")
+    unit = 180.0 / np.pi if what != "response" and against in ("tool_face", "inclination") else 1.0
+
+    def columns(of: Callable[..., Array], u: Array) -> Array:
+        found = of(u * unit, *numbers)
+        return found if len(form.labels) > 1 else found[..., None]
+
+    covariate = against.replace("_", " ")
+    words = (
+        f"shape@{value}",
+        f"{KINDS[what]} against {covariate}: {kind.replace('_', ' ')}.",
+        f"y = x + f(u), u = {covariate}: f = " + form.equation.format(*rest),
+        "the form that the data themselves have, without a cause",
+        f"Record with {covariate} varied finely, and find what repeats so.",
+    )
+    bend = Bend(
+        lambda u: columns(form.values, u),
+        lambda u: unit * columns(form.slope, u),
+        form.labels,
+        (1.0,) * len(form.labels),
+    )
+    prefix = f"{kind}_{'_'.join(rest)}".replace("-", "m").replace(".", "p")
+    return _bent(words, prefix, what, against, bend)
+
+
+def curve(value: str) -> Effect:
+    """The curve "what:against:low:high:terms", for example "bias:order:0:1:6" or
+    "response:xyz:-1:1:8"; ValueError otherwise."""
+    what, against, *rest = value.split(":")
+    if what not in KINDS or len(rest) != 3:
+        raise ValueError(f"'{value}' is no curve")
+    low, high, terms = float(rest[0]), float(rest[1]), int(rest[2])
+    around = against == "tool_face"  # a response has axes there
+    terms += terms % 2 if around else 0
+    words = (
+        f"curve@{value}",
+        f"{KINDS[what]} against {against.replace('_', ' ')}: a smooth curve without a name.",
+        "y_i = x_i + Σ_k a_k sin(k t) + b_k cos(k t)"
+        if around
+        else "y_i = x_i + Σ_k c_k cos(k π u),  u from 0 to 1 over the range",
+        "what was found in the data themselves",
+        f"Record with {against.replace('_', ' ')} varied on its own, and find the cause.",
+    )
+    if what == "response":
+        bend = _of_input(np.arange(2, terms + 2))
+    else:
+        bend = _of_covariate(against, low, high, terms)
+    return _bent(words, "curve", what, against, bend)
+
+
+def _of_input(order: Index) -> Bend:
+    """Cosines over the range, whose constant and line are bias and scale."""
+
+    def phase(u: Array) -> Array:
+        return np.asarray(0.5 * np.pi * order * (u[..., None] / _REACH + 1.0))
+
+    return Bend(
+        lambda u: np.asarray(np.cos(phase(u))),
+        lambda u: np.asarray(-np.sin(phase(u)) * 0.5 * np.pi * order / _REACH),
+        tuple(str(k) for k in order),
+        (1.0,) * len(order),
+    )
+
+
+def _of_covariate(name: str, low: float, high: float, terms: int) -> Bend:
+    def values(v: Array) -> Array:
+        if name == "tool_face":  # periodic
+            k = np.arange(1, terms // 2 + 1) * v[:, None]
+            return np.concatenate([np.sin(k), np.cos(k)], axis=1)
+        unit = np.clip((v - low) / (high - low), 0.0, 1.0)
+        return np.asarray(np.cos(np.pi * np.arange(1, terms + 1) * unit[..., None]))
+
+    # What drifts without end is the smaller the quicker.
+    typical = tuple(1.0 / k if name == "time" else 1.0 for k in range(1, terms + 1))
+    return Bend(values, values, tuple(str(k) for k in range(terms)), typical)
+
+
+def is_form(name: str) -> bool:
+    """Whether an effect's name is that of a form."""
+    return name.startswith("shape@")
+
+
+#: Between a word and its number, a number and its unit: record17, 12min, 2C.
+_UNIT = re.compile(r"(?<=^record)(?=\d)|(?<=\d)(?=[A-Za-z]+$)")
+
+
+def in_words(name: str) -> str:
+    """An effect's name for a reader: of a form or a curve its kind and what it bends, and of what
+    follows a column both, without their numbers; of another scan its value in words."""
+    family, _, value = name.partition("@")
+    what, against, kind, *_ = (*value.split(":"), "", "")
+    if family == "follows":
+        return f"{what} follows {against}"
+    kind = "curve" if family == "curve" else kind.replace("_", " ")
+    if what not in KINDS or not kind:
+        parts = (_UNIT.sub(" ", part).replace(" C", " °C") for part in value.split(":"))
+        return ", ".join([family.replace("_", " "), *(part for part in parts if part)])
+    article = "an" if kind[0] in "aeiou" else "a"
+    covariate = f" against {against.replace('_', ' ')}"
+    if what == "response":
+        covariate = f" of {against}" if len(against) == 1 else ""
+    return f"{article} {kind} of the {KINDS[what]}{covariate}"

@@ -1,1 +1,0 @@
-"""What a reading owes to when it was taken, and to what the sensor read before it."""
