@@ -93,21 +93,13 @@ class Gain:
         )
 
 
-def gain_of(found: Difference | None) -> Gain | None:
+def _gain_of(found: Difference | None) -> Gain | None:
     """A difference in m/s² as one in mg."""
     if found is None:
         return None
-    before, after, low, high = (v / MG for v in (found.before, found.after, found.low, found.high))
-    return Gain(
-        before=before,
-        after=after,
-        low=low,
-        high=high,
-        proved=found.proved,
-        unit="mg",
-        nats=found.nats,
-        nats_low=found.nats_low,
-    )
+    sizes = {n: getattr(found, n) / MG for n in ("before", "after", "low", "high")}
+    dense = {"nats": found.nats, "nats_low": found.nats_low}
+    return Gain(**sizes, **dense, proved=found.proved, unit="mg")
 
 
 @dataclass(frozen=True)
@@ -160,7 +152,7 @@ def findings_of(
         unexplained=loop.unexplained,
         scores=loop.scores,
         missing=loop.missing,
-        gain=gain_of(loop.difference),
+        gain=_gain_of(loop.difference),
         facts=_facts(loop),
         declared=tuple((name, _size(loop.final, name)) for name in declared),
         only=only,
@@ -191,19 +183,14 @@ def _bent(curve: str) -> str:
 
 def _step(step: Step, loop: FitLoop) -> FoundStep:
     before, after = step.checked[0].before, step.checked[0].after
-    check = Check("held-out error, rms", "mg", before / MG, after / MG)
-    curve = ""
-    if step.curve:
-        curve = _bent(step.effect)
-    own = tuple(p for p in stored_parameters(loop.final) if p.effect == step.effect)
     form = known(step.effect) if step.formed else None
     return FoundStep(
         effect=step.effect,
         evidence=step.evidence,
-        checks=(check,),
+        checks=(Check("held-out error, rms", "mg", before / MG, after / MG),),
         aliases=step.aliases,
-        parameters=own,
-        curve=curve,
+        parameters=tuple(p for p in stored_parameters(loop.final) if p.effect == step.effect),
+        curve=_bent(step.effect) if step.curve else "",
         formula=f"{form.sentence.rstrip('.')}, {form.equation}" if form else "",
         certain=step.certain and not loop.suspected,
         probability=step.probability,

@@ -46,8 +46,7 @@ class ErrorSummary:
 
     def as_dict(self) -> dict[str, Any]:
         """The block of calibration.yaml and report.json."""
-        found: dict[str, Any] = plain({**vars(self), "held_out": vars(self.held_out)})
-        return found
+        return dict(plain(self))
 
 
 @dataclass(frozen=True)
@@ -91,20 +90,14 @@ class Left:
         return f"{self.name}: {self.value:.2g} {self.unit}, {more} the {self.accepted:g} accepted"
 
 
-def open_question(size: float, error: ErrorSummary) -> Left:
-    """What is not explained against what the calibration is good to.
-
-    size : in the error's unit, rms, by how much it changes a corrected reading; accepted is the
-        error on held-out data, of the fit where nothing was held out
-    """
-    good_to = error.final if math.isnan(error.held_out.final) else error.held_out.final
-    return Left("what stays open in a reading", size, good_to, error.unit)
-
-
 def left_open(loop: FitLoop | None, error: ErrorSummary) -> tuple[Left, ...]:
-    """What a search leaves open of readings whose error is in mg; nothing where all is settled."""
-    size = loop.open_size if loop else 0.0
-    return (open_question(size / MG, error),) if size else ()
+    """By how much what a search leaves open changes a corrected reading, rms, against what the
+    calibration is good to: the error (mg) on held-out data, of the fit where nothing was held out.
+    Nothing where all is settled."""
+    if loop is None or not loop.open_size:
+        return ()
+    good_to = error.final if math.isnan(error.held_out.final) else error.held_out.final
+    return (Left("what stays open in a reading", loop.open_size / MG, good_to, error.unit),)
 
 
 @dataclass(frozen=True)
@@ -185,12 +178,12 @@ class Outcome:
     @property
     def _gated(self) -> bool:
         found = self.findings or Findings("not run")
-        return {
-            None: False,
+        gates = {
             "suspected": found.verdict == "suspected",
             "unexplained": found.open,
             "caution": self.status != "ok",
-        }[self.fail_on]
+        }
+        return self.fail_on is not None and gates[self.fail_on]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -159,13 +159,12 @@ def inverse_trigamma(value: float) -> float:
 @dataclass(frozen=True)
 class Pooled:
     """An effect over a fleet. evidence : nats; p : family-wise, of fleets that lack nothing
-    devices : how many can show it; draws : of the null"""
+    devices : how many can show it"""
 
     effect: str
     evidence: float
     p: float
     devices: int
-    draws: int
 
 
 @dataclass(frozen=True)
@@ -173,14 +172,11 @@ class Sizes:
     """What a fleet says of an effect's size, in typical sizes.
 
     common, common_covariance : (k,), (k, k) of μ; scatter : τ, root of its mean square
-    each, covariance : (devices, k), (devices, k, k) of the devices, with the whole fleet's word
     """
 
     common: Array
     common_covariance: Array
     scatter: float
-    each: Array
-    covariance: Array
 
     @property
     def another(self) -> tuple[Array, Array]:
@@ -211,7 +207,7 @@ def pooled(devices: Sequence[Device], rng: np.random.Generator, draws: int) -> t
             found.append((name, nats, float(stands[0]), len(able)))
             null = np.maximum(null, stands[1:])
     best = [
-        Pooled(name, nats, float((1 + np.sum(null >= own)) / (draws + 1)), count, draws)
+        Pooled(name, nats, float((1 + np.sum(null >= own)) / (draws + 1)), count)
         for name, nats, own, count in found
     ]
     return tuple(sorted(best, key=lambda one: -one.evidence))
@@ -256,13 +252,7 @@ def sizes(gram: Array, along: Array) -> Sizes:
     scatter = float(np.sqrt(weight @ tau**2 / weight.sum()))
     _, w, inside = _sums(gram, along[..., None], scatter)
     spread = np.linalg.inv(inside + np.eye(len(inside)) / _WIDE**2)
-    common = spread @ w[:, 0]
-    # Given μ each device is N((1/τ² + G)⁻¹ (μ/τ² + a), ...); the doubt about μ comes on top.
-    eye = np.eye(gram.shape[1])
-    shrink = np.linalg.inv(eye + scatter**2 * gram)
-    each = np.einsum("dij,dj->di", shrink, scatter**2 * along + common)
-    own = scatter**2 * shrink + np.einsum("dij,jk,dlk->dil", shrink, spread, shrink)
-    return Sizes(common, np.asarray(spread, np.float64), scatter, each, own)
+    return Sizes(spread @ w[:, 0], np.asarray(spread, np.float64), scatter)
 
 
 def by_others(gram: Array, along: Array) -> list[tuple[Array, Array]]:
