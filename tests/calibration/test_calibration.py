@@ -232,8 +232,6 @@ def test_an_interrupted_write_leaves_nothing(
 
 
 ERROR = ErrorSummary("error, rms", "mg", 9.0, 3.0, 1.0, 0.5, HeldOutError(9.0, 3.0, 2.0))
-
-
 NAMELESS = Unexplained("slow changes", "order", "probe", 0.99, 9.0)
 
 

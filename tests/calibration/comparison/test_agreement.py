@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -22,13 +21,10 @@ from imucalib.calibration.comparison.agreement import (
 from imucalib.calibration.comparison.basis import (
     Basis,
     Seen,
-    Worst,
     worst_size,
     worst_turn,
 )
 from imucalib.calibration.comparison.compare import (
-    Comparison,
-    Meaning,
     array_meanings,
     due,
     slope_of,
@@ -174,28 +170,6 @@ def test_the_worst_of_all_pairs_and_attitudes() -> None:
     assert other.value == pytest.approx(0.5)
     assert other.sd == pytest.approx(np.sqrt(2.0 * (0.64 * 0.04 + 0.36 * 0.09)))
     assert found.largest_sd == pytest.approx((0.3, 0.3))
-
-
-@pytest.mark.parametrize(
-    ("p", "value", "stated", "verdict", "code"),
-    [
-        (0.049, 1.1, True, "differ", 1),
-        (0.051, 1.1, True, "undecided", 5),
-        (0.051, 1.1, False, "agree", 0),
-        (0.049, 0.9, True, "agree", 0),
-    ],
-)
-def test_beyond_a_limit_and_beyond_chance_at_5_of_100(
-    p: float, value: float, stated: bool, verdict: str, code: int
-) -> None:
-    worst = Worst((0, 1), value, 0.1, "mg", np.array([0.0, 0.0, 1.0]))
-    made = basis()
-    found = replace(agreement(made), p=p)
-    names = ("a", "b", "c", "d")
-    one = Comparison(names, made, found, None, (Meaning(worst, 1.0),), {}, None, stated, ())
-    assert one.verdict == verdict
-    assert one.exit_code == code
-    assert one.differ == (p <= 0.05)
 
 
 def test_an_arrays_places_and_gyros_that_differ_most() -> None:
