@@ -9,7 +9,6 @@ import pytest
 from numpy.typing import NDArray
 from scipy import optimize, stats
 
-from imucalib.calibration.checking.noise import Limits
 from imucalib.calibration.comparison.agreement import (
     Beyond,
     agreement,
@@ -185,7 +184,7 @@ def test_an_arrays_places_and_gyros_that_differ_most() -> None:
     root = 0.1 * rng.normal(size=(3, 9, 9))
     covariance = root @ root.swapaxes(1, 2)
     made = Basis(("p",) * 9, ("mm",) * 9, places.reshape(3, 9), covariance, np.full(3, 9.0), "")
-    (place, rate), (said,) = array_meanings(boards, made, Limits(position=0.5, rate=0.7))  # type: ignore[arg-type]
+    (place, rate), (said,) = array_meanings(boards, made, {"mm": 0.5, "deg/s": 0.7})  # type: ignore[arg-type]
     away = places[:, None] - places[None]
     far = np.linalg.norm(away, axis=3)
     i, j, k = (int(v) for v in np.unravel_index(np.argmax(far), far.shape))
@@ -203,5 +202,5 @@ def test_an_arrays_places_and_gyros_that_differ_most() -> None:
     assert rate.sensor == f"imu{k}"
     assert f"{apart.max():.2g} deg/s at most (imu{k}, {'xyz'[axis]})" in said
     # Without limits: twice the largest stated sd of a coordinate.
-    (place,), _ = array_meanings(boards, made, Limits())  # type: ignore[arg-type]
+    (place,), _ = array_meanings(boards, made, {})  # type: ignore[arg-type]
     assert place.limit == pytest.approx(2.0 * np.sqrt(np.einsum("kii->ki", covariance).max()))

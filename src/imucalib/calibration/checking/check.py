@@ -12,7 +12,7 @@ import numpy as np
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.checking.misfit import GyroRest, Misfits
 from imucalib.calibration.checking.next_rests import NextRests, next_rests, one_reading
-from imucalib.calibration.checking.noise import UNITS, CheckNoise, Limits
+from imucalib.calibration.checking.noise import CheckNoise, Limits
 from imucalib.calibration.checking.statistic import ANYTHING, FamilyTest, Statistic
 from imucalib.errors import UNEXPLAINED_EXIT_CODE, LimitBroken, UsageError
 from imucalib.units import DEG, MG
@@ -144,7 +144,7 @@ def checked(
         following=None,
         noise=noise,
         gravity=calibration.gravity,
-        rate_limit=limits.rate,
+        rate_limit=limits.get("deg/s"),
         notes=notes,
     )
     if found.changed or found.drifted:
@@ -161,11 +161,10 @@ def checked(
 def _demand_tested(limits: Limits, *, directed: bool, gyros: bool) -> None:
     """Raise UsageError where limits are stated and none can be tested: "still good" would be by
     another one."""
-    stated = {unit for unit, of in UNITS.items() if getattr(limits, of) is not None}
-    tested = {"mg"} | ({"deg"} if directed else set()) | ({"deg/s"} if gyros else set())
-    if stated and not stated & tested:
+    tested = {"mg": True, "deg": directed, "deg/s": gyros, "mm": False}
+    if limits and not any(tested[unit] for unit in limits):
         raise UsageError(
-            f"nothing here tests a limit in {', '.join(u for u in UNITS if u in stated)}",
+            f"nothing here tests a limit in {', '.join(limits)}",
             remedy="a limit in mg is tested by any rests; deg by known directions, if the "
             "calibration holds a mounting; deg/s by an array's gyros",
         )
@@ -213,7 +212,7 @@ def _limits(
     calibration: Calibration, misfits: Misfits, noise: CheckNoise, limits: Limits
 ) -> tuple[dict[str, float], bool]:
     """Per kind of change; where nothing is stated, `SIGNIFICANT` sd of one corrected reading."""
-    force, direction = limits.force, limits.direction if misfits.directed else None
+    force, direction = limits.get("mg"), limits.get("deg") if misfits.directed else None
     stated = force is not None or direction is not None
     if not stated and calibration.triads:
         carried = float(np.sqrt(np.max(np.diag(misfits.covariance))))

@@ -231,9 +231,8 @@ class Meaning:
 def meanings_of(found: Mapping[str, Seen], limits: Limits, *, turns: bool) -> tuple[Meaning, ...]:
     """Force, and where it can be compared direction, of the sensor where it is largest."""
     sds = [one.largest_sd for one in found.values()]
-    force = limits.force
-    direction = limits.direction
-    if limits == Limits():
+    force, direction = limits.get("mg"), limits.get("deg")
+    if not limits:
         force, direction = (SIGNIFICANT * max(column) for column in zip(*sds, strict=True))
     made = []
     for limit, worst in ((force, worst_size), (direction if turns else None, worst_turn)):
@@ -248,8 +247,8 @@ def array_meanings(
     calibrations: Sequence[Calibration], basis: Basis, limits: Limits
 ) -> tuple[tuple[Meaning, ...], tuple[str, ...]]:
     """Positions in mm and biases of gyroscopes in deg/s, of which the files state no sd."""
-    limit = limits.position
-    if limits == Limits():
+    limit = limits.get("mm")
+    if not limits:
         limit = SIGNIFICANT * float(np.sqrt(np.einsum("kii->ki", basis.covariance).max()))
     made = () if limit is None else (_places(calibrations, basis, limit),)
     rates = np.array([[t.gyro_bias / DEG for t in c.triads] for c in calibrations])
@@ -260,9 +259,9 @@ def array_meanings(
         f"the gyroscopes' biases differ by {away:.2g} deg/s at most ({name}, {'xyz'[axis]}); the "
         "files state no uncertainty of these, so they are told and not tested"
     )
-    if limits.rate is not None:
+    if "deg/s" in limits:
         worst = Worst(pair, away, math.nan, "deg/s", np.eye(3)[axis])
-        made = (*made, Meaning(worst, limits.rate, name))
+        made = (*made, Meaning(worst, limits["deg/s"], name))
     return made, (said,)
 
 
@@ -420,7 +419,7 @@ def compared(
     sensors: dict[str, int | None] = {**imus} or {"": None}
     found = {name: seen(calibrations, imu, gravity) for name, imu in sensors.items()}
     turns = framed and not arrays
-    if limits.direction is not None and not turns:
+    if "deg" in limits and not turns:
         raise UsageError(
             "directions of these calibrations cannot be compared: not all tie a frame to a tool",
             remedy="give the limit in mg, or calibrate all with known angles",
@@ -441,7 +440,7 @@ def compared(
         meanings=meanings,
         seen=found,
         drift=None if when is None else _drift(when, basis, found, meanings),
-        stated=limits != Limits(),
+        stated=bool(limits),
         notes=notes,
     )
 
