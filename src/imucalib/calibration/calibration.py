@@ -43,7 +43,7 @@ LINEAR = ("mounting", "bias", "scale", "non_orthogonality")
 
 
 def taken_at(covariate: str) -> str:
-    """In words, where in what was calibrated a covariate is taken that was not recorded."""
+    """In words, where in what was calibrated a covariate acts that was not recorded."""
     return "at the end" if covariate in PASSING else "in the middle"
 
 

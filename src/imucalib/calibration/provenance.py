@@ -37,7 +37,7 @@ class Provenance:
 
     @property
     def footer(self) -> tuple[tuple[str, str], ...]:
-        """What stands at the foot of every report."""
+        """What is at the foot of every report."""
         return (
             ("input", f"{self.path}, sha256 {self.sha256[:16]}…"),
             *((("command", self.command),) if self.command else ()),

@@ -1,4 +1,4 @@
-"""Calibrations of consecutive parts of a recording, kept beside the one of the whole."""
+"""Calibrations of consecutive parts of a recording, kept with the one of the whole."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def parts_of(calibration: Calibration, use: str | None = None) -> tuple[Calibrat
     """The parts to apply, in order of time; none where the calibration of the whole is to be used.
 
     use : "parts" or "whole"; by default what the calibration says. A part that could not be
-    calibrated has the calibration of the whole. Raises UsageError when "parts" is asked for and
+    calibrated has the calibration of the whole. Raises UsageError when "parts" are wanted and
     there are none, UnreadableInput when the block is damaged.
     """
     block = calibration.facts.get(BLOCK)

@@ -22,7 +22,7 @@ _PRIOR = log(100.0)
 #: m/s² that no accelerometer's bias changes by while it works: zero-g levels of data sheets, over
 #: life and temperature, stay below a tenth of g; another axis or sign is worth more than half of g.
 _ANOTHER_SENSOR = 0.25 * STANDARD_GRAVITY
-_SURE = 5.0  # standard deviations from which a change is told
+_SURE = 5.0  # standard deviations from which a change is stated
 
 
 def held_against_gravity(

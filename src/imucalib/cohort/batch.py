@@ -72,7 +72,7 @@ def plan(
 ) -> tuple[Task, ...]:
     """The tasks of one shard (i of n, from 1). Raises UsageError for an impossible shard.
 
-    folder : of the entries, made absolute: a worker elsewhere stands in another one
+    folder : of the entries, made absolute: a worker elsewhere is in another one
     """
     index, count = shard
     if not 1 <= index <= count:

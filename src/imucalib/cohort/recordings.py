@@ -51,7 +51,7 @@ def _absolute(path: Path) -> Path:
 
 
 def _globbed(text: str) -> list[Path]:
-    """The path itself, or what a pattern that the shell left alone matches."""
+    """The path itself, or what a pattern that the shell did not expand matches."""
     if os.path.exists(text) or not glob.has_magic(text):
         return [Path(text)]
     matches = [Path(name) for name in sorted(glob.glob(text, recursive=True))]
@@ -80,17 +80,17 @@ def _in_folder(folder: Path) -> tuple[list[Path], list[str]]:
     itself where it is a bag."""
     if (folder / "metadata.yaml").is_file():
         return [_absolute(folder)], []
-    taken, left = list[Path](), list[str]()
+    found, other = list[Path](), list[str]()
     for path in _files(folder):
         if path.is_dir() or (_named_so(path) and not _mere_text(path)):
-            taken.append(_absolute(path))
+            found.append(_absolute(path))
         else:
-            left.append(path.name)
-    words = f"{folder}: {len(taken)} recordings"
-    if left:
-        shown = ", ".join(left[:3]) + (", ..." if len(left) > 3 else "")
-        words += f"; left out, as they are none: {shown} ({len(left)})"
-    return taken, [words]
+            other.append(path.name)
+    words = f"{folder}: {len(found)} recordings"
+    if other:
+        shown = ", ".join(other[:3]) + (", ..." if len(other) > 3 else "")
+        words += f"; left out, as they are none: {shown} ({len(other)})"
+    return found, [words]
 
 
 def _files(folder: Path) -> Iterator[Path]:

@@ -45,7 +45,7 @@ _UNITS = {"bias": "m/s2", "scale": "-", "misalignment": "rad"}
 def iscwsa(calibration: Calibration, filename: str) -> Made:
     """Rows without a code: what each axis reads too much, value and standard deviation, reading =
     force + bias + scale force + misalignment x force of the axis `towards`. Rows with a code: one
-    standard deviation of what the corrected tool has left of it, the rms over its axes, as a tool
+    standard deviation of what the corrected tool still has of it, the rms over its axes, as a tool
     code takes it (OWSG tool codes; gyro: SPE 90408). Raises UsageError for an array.
     """
     demand_one(calibration, "an error model")

@@ -45,7 +45,7 @@ class Row:
 
 def nearest_row(calibration: Calibration, *, slope: bool = True) -> Row:
     """The coefficients that make the norm right, by least squares: as postures were recorded where
-    the calibration tells them, else in all alike.
+    the calibration tells them, else in all by the same weight.
 
     slope : whether the form has one over temperature; without, offsets are those of the middle.
     """
@@ -129,7 +129,7 @@ def heading(calibration: Calibration, filename: str) -> tuple[str, ...]:
 
 
 def lost_per_axis(calibration: Calibration, row: Row, aside: str = "") -> tuple[str, ...]:
-    """What a row does not carry, in words; aside : of the form, behind the effects' names."""
+    """What a row does not carry, in words; aside : of the form, after the effects' names."""
     carried = ("mounting", "bias", "scale", *(["temperature_bias"] if np.any(row.slope) else []))
     names, words = calibration.model()[0].names, list[str]()
     if beyond := ", ".join(n for n in names if n not in carried):

@@ -23,7 +23,7 @@ Verdict = Literal["still good", "changed", "undecided"]
 SIGNIFICANT = 5.0
 #: Level of the test, over all sensors.
 ALPHA = 0.05
-#: Chance with which the change that is told would have been found.
+#: Chance with which the change that is stated would have been found.
 POWER = 0.9
 #: p below which a kind of change leaves too much unexplained to be the whole story.
 _LEFT = 0.05
@@ -204,8 +204,8 @@ def _alone(statistic: Statistic, level: float) -> int | None:
         pull = inverse[own] @ misfits.value
         power.append(float(pull @ np.linalg.solve(part, pull)))
     worst = int(np.argmax(power))
-    left = Statistic(misfits.take(np.delete(np.arange(misfits.n), worst)), seed=statistic.seed)
-    return worst if left.p() > level else None
+    others = Statistic(misfits.take(np.delete(np.arange(misfits.n), worst)), seed=statistic.seed)
+    return worst if others.p() > level else None
 
 
 def _limits(

@@ -19,7 +19,7 @@ from imucalib.units import DEG, MG
 FAMILIES: dict[str, str] = {"bias": "mg", "scale": "mg/g", "mounting": "deg"}
 #: What a calibration of several sessions calls the errors that they share.
 _CHANGES = {"session bias": "bias", "session mounting": "mounting"}
-#: Degrees of freedom of a standard deviation that is taken at its word.
+#: Degrees of freedom of a standard deviation that is believed as stated.
 KNOWN = 1e6
 #: Degrees of freedom that a setting's scatter has at least: below, its law has no mean, and one
 #: component that hardly counts would hide every change.
@@ -32,7 +32,7 @@ UNITS = ("mg", "deg", "deg/s", "mm")
 
 @dataclass(frozen=True)
 class Scatter:
-    """One standard deviation (m/s² or rad) and the degrees of freedom behind it."""
+    """One standard deviation (m/s² or rad) and its degrees of freedom."""
 
     sd: float
     dof: float = KNOWN

@@ -472,7 +472,7 @@ def _sensors(imus: tuple[str, ...]) -> str:
 
 
 def _dof(calibration: Calibration) -> float:
-    """Degrees of freedom behind the covariance's scale, by the noise that the file states."""
+    """Degrees of freedom of the covariance's scale, by the noise that the file states."""
     try:
         return check_noise(calibration).reading.dof
     except UnreadableInput:

@@ -84,7 +84,7 @@ def demand_new(one: Provenance, others: Sequence[tuple[str, Provenance]], what: 
 
 
 def _reports(path: Path) -> Iterator[Path]:
-    """The JSON files that a path stands for. Raises UnreadableInput where there are none."""
+    """The JSON files that a path means. Raises UnreadableInput where there are none."""
     if path.is_file() and path.suffix.lower() == ".json":
         yield path
         return

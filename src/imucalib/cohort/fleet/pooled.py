@@ -1,7 +1,7 @@
 """Evidence of an effect in a whole fleet: it exists in all devices or in none, and each device has
 its own size of it.
 
-Device d says of the sizes θ_d (typical sizes, base model taken out) exp(a_dᵀθ - θᵀG_dθ/2). With
+Device d says of the sizes θ_d (typical sizes, without the base model) exp(a_dᵀθ - θᵀG_dθ/2). With
 
     θ_d ~ N(μ, τ² 1),   μ ~ N(0, γ² 1)
 
@@ -9,8 +9,8 @@ everything is closed: w = Σ (1 + τ²G)⁻¹ a and Λ = Σ (1 + τ²G)⁻¹ G o
 
     ln m = Σ [τ² aᵀ(1 + τ²G)⁻¹a - ln det(1 + τ²G)] / 2 + wᵀ(Λ + γ⁻²)⁻¹w / 2 - ln det(1 + γ²Λ) / 2
 
-The evidence is the mean of m over a grid of τ and γ: all alike, all different, and between. It
-ranks effects. Whether the best is chance is asked of what stands out most, one size for all (χ² of
+The evidence is the mean of m over a grid of τ and γ: all the same, all different, and between. It
+ranks effects. Whether the best is chance is tested by what stands out most, one size for all (χ² of
 k) or each device its own (χ² of devices times k), on fleets that lack nothing, drawn with each
 device's own products of all candidates and its noise estimated anew, through the same code.
 
@@ -18,8 +18,8 @@ Scatter between devices of one axis, drawn towards that of the other axes of its
 
 Few devices say little of a scatter: of five, the four that judge the fifth leave three degrees of
 freedom, and Student's t asks for 22 of it at one in a hundred of 45 numbers. Axes of a kind scatter
-alike within a factor, log-normal about what they share, so that the others count as ν₀ degrees of
-freedom: s² = (ν₀ s₀² + ν s_a²) / (ν₀ + ν), with trigamma(ν₀ / 2) the variance of log s₀² about it
+the same within a factor, log-normal about what they share, so that the others count as ν₀ degrees
+of freedom: s² = (ν₀ s₀² + ν s_a²) / (ν₀ + ν), with trigamma(ν₀ / 2) the variance of log s₀² about it
 (moderated variances; Smyth 2004, section 6.2).
 """
 
@@ -62,7 +62,7 @@ class Device:
         borrowed : how many the fleet adds
     columns : effect -> (k,) where its parameters stand in `gram`
     gram : (m, m) products of all candidates' columns in units of the noise, at typical sizes, with
-        the base model's parameters taken out; along : (m,) their products with the residual
+        the base model's parameters projected out; along : (m,) their products with the residual
     """
 
     name: str
@@ -83,8 +83,8 @@ def device_of(name: str, fit: Fit, effects: Mapping[str, Effect]) -> Device:
     for candidate in candidates:
         whole = white(candidate.columns) / fit.noise.factor
         rest = whole - q @ (q.T @ whole)
-        left = float(np.linalg.norm(rest))
-        if left < ABSORBED * float(np.linalg.norm(whole)) or left < _SHOWN:
+        size = float(np.linalg.norm(rest))
+        if size < ABSORBED * float(np.linalg.norm(whole)) or size < _SHOWN:
             continue
         columns[candidate.name] = np.arange(at, at + rest.shape[1])
         kept.append(rest)
@@ -196,16 +196,16 @@ def pooled(devices: Sequence[Device], rng: np.random.Generator, draws: int) -> t
     """Every effect that two devices or more can show, best first."""
     names = dict.fromkeys(name for device in devices for name in device.columns)
     drawn = zip(devices, _nulls(devices, rng, draws), strict=True)
-    # The data, and beside them draws of what lacks nothing.
+    # The data, and next to them draws of what lacks nothing.
     data = [replace(d, along=np.column_stack([d.along, null])) for d, null in drawn]
     found, null = list[tuple[str, float, float, int]](), np.zeros(draws)
     for name in names:
         able, gram, along = products(data, name)
         if len(able) > 1:
-            stands = outstanding(gram, along)
+            scores = outstanding(gram, along)
             nats = float(evidence(gram, along[..., :1])[0])
-            found.append((name, nats, float(stands[0]), len(able)))
-            null = np.maximum(null, stands[1:])
+            found.append((name, nats, float(scores[0]), len(able)))
+            null = np.maximum(null, scores[1:])
     best = [
         Pooled(name, nats, float((1 + np.sum(null >= own)) / (draws + 1)), count)
         for name, nats, own, count in found
@@ -214,7 +214,7 @@ def pooled(devices: Sequence[Device], rng: np.random.Generator, draws: int) -> t
 
 
 def outstanding(gram: Array, along: Array) -> Array:
-    """(draws,) -ln p of an effect alike in all devices or of each device's own, the smaller p.
+    """(draws,) -ln p of an effect the same in all devices or of each device's own, the smaller p.
 
     Shapes as of `evidence`.
     """
@@ -225,9 +225,9 @@ def outstanding(gram: Array, along: Array) -> Array:
         return np.asarray(np.einsum("...in,...ij,...jn->...n", sums, inverse, sums))
 
     k = gram.shape[1]
-    alike = chdtrc(k, square(gram.sum(axis=0), along.sum(axis=0)))
+    shared = chdtrc(k, square(gram.sum(axis=0), along.sum(axis=0)))
     own = chdtrc(k * len(gram), square(gram, along).sum(axis=0))
-    return np.asarray(-np.log(np.maximum(np.minimum(alike, own), 1e-300)))
+    return np.asarray(-np.log(np.maximum(np.minimum(shared, own), 1e-300)))
 
 
 def evidence(gram: Array, along: Array) -> Array:
@@ -243,7 +243,7 @@ def sizes(gram: Array, along: Array) -> Sizes:
     """The sizes of an effect. gram : (devices, k, k); along : (devices, k)
 
     The scatter is the root of its mean square over what the data allow, with the prior
-    1 / (τ + sd of a device's own size): few devices that look alike are not taken for equal.
+    1 / (τ + sd of a device's own size): few devices that look equal are not believed to be.
     """
     alone = float(np.sqrt(np.mean(1.0 / np.maximum(np.einsum("dii->di", gram), 1e-12))))
     tau = np.concatenate([[0.0], alone * np.geomspace(*_ALLOWED, _SIZES)])
@@ -281,11 +281,11 @@ def gained(gram: Array, along: Array, mean: Array, spread: Array) -> float:
 def _sums(gram: Array, along: Array, tau: float) -> tuple[Array, Array, Array]:
     """(draws,) the part without μ, (k, draws) w and (k, k) Λ."""
     shrunk = np.linalg.inv(np.eye(gram.shape[1]) + tau**2 * gram)
-    near = np.einsum("dij,djn->din", shrunk, along)
-    own = 0.5 * tau**2 * np.einsum("din,din->n", along, near)
+    pulled = np.einsum("dij,djn->din", shrunk, along)
+    own = 0.5 * tau**2 * np.einsum("din,din->n", along, pulled)
     own = own + 0.5 * float(np.linalg.slogdet(shrunk)[1].sum())
     inside = np.einsum("dij,djk->ik", shrunk, gram)
-    return own, near.sum(axis=0), 0.5 * (inside + inside.T)
+    return own, pulled.sum(axis=0), 0.5 * (inside + inside.T)
 
 
 def _nats(own: Array, w: Array, inside: Array, gamma: float) -> Array:

@@ -206,7 +206,7 @@ class Wanted:
         }
 
 
-#: Status of a calibration that stands on a prior as much as on its postures.
+#: Status of a calibration that rests on a prior as much as on its postures.
 _WEAK = "weak"
 
 
@@ -297,7 +297,7 @@ def _members(
 
 def _gain(own: Sequence[Device], said: Said) -> Difference:
     """Of devices of the kind: each is one number, predicted by the others. The density decides: an
-    effect that is small beside the noise of one posture is sure by hundreds of them."""
+    effect that is small against the noise of one posture is sure by hundreds of them."""
     pairs = [predicted(device, said.unseen.get(device.name, {})) for device in own]
     after, nats = np.array(pairs).T
     before = np.array([device.noise for device in own])

@@ -77,7 +77,7 @@ Priors = Mapping[str, Prior]
 @dataclass(frozen=True)
 class Said:
     """What a fleet says. search : what it found; by_others : of each device what the others say of
-    it; unseen : the same where the others have found it too, empty where that was not asked;
+    it; unseen : the same where the others have found it too, empty where that was not wanted;
     following : of the next device"""
 
     search: Search
@@ -127,7 +127,7 @@ def search(devices: Sequence[Device], rules: Rules, rng: np.random.Generator) ->
 
 
 def _without(device: Device, effect: str, said: Sizes) -> Device:
-    """A device with an effect taken out, whose size is N(μ, τ²) before its data are seen."""
+    """A device without an effect, whose size is N(μ, τ²) before its data are seen."""
     if effect not in device.columns:
         return device
     k = device.columns[effect]
