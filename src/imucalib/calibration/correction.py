@@ -60,7 +60,7 @@ class Correction:
     ) -> None:
         self._calibration, self._triad, self._again = calibration, triad, again
         self._parts = parts_of(calibration, use)
-        chosen = [part.calibration for part in self._parts] or [calibration]
+        chosen = [own for _, own in self._parts] or [calibration]
         self._models = [one.model() for one in chosen]
         self._undo = [Undo(model, theta) for model, theta in self._models]
         models = [model for model, _ in self._models]

@@ -19,8 +19,8 @@ Scatter between devices of one axis, drawn towards that of the other axes of its
 Few devices say little of a scatter: of five, the four that judge the fifth leave three degrees of
 freedom, and Student's t asks for 22 of it at one in a hundred of 45 numbers. Axes of a kind scatter
 the same within a factor, log-normal about what they share, so that the others count as ν₀ degrees
-of freedom: s² = (ν₀ s₀² + ν s_a²) / (ν₀ + ν), with trigamma(ν₀ / 2) the variance of log s₀² about it
-(moderated variances; Smyth 2004, section 6.2).
+of freedom: s² = (ν₀ s₀² + ν s_a²) / (ν₀ + ν), with trigamma(ν₀ / 2) the variance of log s₀² about
+it (moderated variances; Smyth 2004, section 6.2).
 """
 
 from __future__ import annotations
