@@ -143,6 +143,10 @@ def findings_of(
     without: tuple[str, ...] = (),
 ) -> Findings:
     """The shared loop's search."""
+    facts, walk = [], loop.wander  # the walk that the noise holds
+    if walk is not None and (walk.counts or walk.followed):
+        what = "which the calibration follows" if walk.followed else "which nothing follows"
+        facts.append(("noise", f"{walk.words}, {what}"))
     return Findings(
         verdict=loop.verdict,
         steps=tuple(_step(step, loop) for step in loop.steps),
@@ -153,7 +157,7 @@ def findings_of(
         scores=loop.scores,
         missing=loop.missing,
         gain=_gain_of(loop.difference),
-        facts=_facts(loop),
+        facts=tuple(facts),
         declared=tuple((name, _size(loop.final, name)) for name in declared),
         only=only,
         without=without,
@@ -163,15 +167,6 @@ def findings_of(
             if h.absorbed
         ),
     )
-
-
-def _facts(loop: FitLoop) -> tuple[tuple[str, str], ...]:
-    """The walk that the noise holds."""
-    found = []
-    if loop.wander is not None and (loop.wander.counts or loop.wander.followed):
-        what = "which the calibration follows" if loop.wander.followed else "which nothing follows"
-        found.append(("noise", f"{loop.wander.words}, {what}"))
-    return tuple(found)
 
 
 def _bent(curve: str) -> str:

@@ -66,7 +66,6 @@ class Check:
     p: float
     following: NextRests | None
     noise: CheckNoise
-    gravity: float
     rate_limit: float | None = None
     notes: tuple[str, ...] = ()
 
@@ -143,7 +142,6 @@ def checked(
         p=min(1.0, len(sensors) * min(s.p for s in sensors)),
         following=None,
         noise=noise,
-        gravity=calibration.gravity,
         rate_limit=limits.get("deg/s"),
         notes=notes,
     )

@@ -139,15 +139,14 @@ def remarks(
         )
     gravities = [c.gravity for c in calibrations]
     if np.ptp(gravities) > 1e-9:
-        size = np.ptp(gravities) / MG
+        size, each = np.ptp(gravities) / MG, ", ".join(f"{g:.5f}" for g in gravities)
         notes.append(
-            f"they assume gravities {size:.2g} mg apart ({_each(gravities)} m/s²): right where "
+            f"they assume gravities {size:.2g} mg apart ({each} m/s²): right where "
             "they were recorded in different places, else this difference is in all scales"
         )
-    units = [f"{c.raw_unit}" for c in calibrations]
-    scales = {c.raw_to_si for c in calibrations}
-    if len(scales) > 1:
-        notes.append(f"their readings are in {', '.join(units)}: compared in m/s²")
+    if len({c.raw_to_si for c in calibrations}) > 1:
+        units = ", ".join(c.raw_unit for c in calibrations)
+        notes.append(f"their readings are in {units}: compared in m/s²")
     makers = [c.calibrator for c in calibrations]
     if len(set(makers)) > 1:
         notes.append(f"they were made by {', '.join(makers)}")
@@ -163,10 +162,6 @@ def remarks(
         if c.status != "ok"
     ]
     return tuple(notes)
-
-
-def _each(gravities: Sequence[float]) -> str:
-    return ", ".join(f"{g:.5f}" for g in gravities)
 
 
 def with_power_ups(
