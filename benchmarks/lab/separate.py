@@ -186,7 +186,7 @@ def trial(kind: str, truth: str, size: float, seed: int) -> Trial | None:
     one = device(kind, truth, size, np.random.default_rng((seed, len(kind), len(truth))))
     table = first_table(kind, one)
     loop = search(kind, table)
-    found = [a for a in ambiguities(loop) if truth in a.rivals]
+    found = [a for a in ambiguities(loop.final, loop.alternatives) if truth in a.rivals]
     if not found or len(loop.steps) != 1:
         return None
     fit = loop.as_recorded

@@ -70,41 +70,6 @@ def _projected(jacobian: Array, covariance: Array, data: Array) -> tuple[Array, 
     return np.einsum("nd,nm,md->d", data, project, data), float(logs)
 
 
-#: Which of a rig's components there are, and ratios of each.
-_GRIDS: dict[tuple[int, ...], list[tuple[float, ...]]] = {
-    (): [()],
-    (1,): [(0.0,), (2.0,), (0.3,)],
-    (2,): [(0.5,), (4.0,)],
-    (0, 1): [(a, b) for a in (0.0, 0.1, 3.0) for b in (0.2, 0.0, 5.0)],
-    (0, 1, 2): [(a, b, c) for a in (0.0, 2.0) for b in (0.2, 1.0) for c in (0.0, 0.7)],
-    (0, 1, 0): [(a, b, 0.4) for a in (0.6, 2.0) for b in (0.2, 1.0)] + [(0.3, 0.9, 0.0)],
-    (3,): [(0.5,), (4.0,)],
-    (0, 3): [(a, b) for a in (0.0, 0.1, 3.0) for b in (0.2, 0.0, 5.0)],
-    (0, 1, 3): [(a, b, c) for a in (0.6, 2.0) for b in (0.2, 1.0) for c in (0.0, 9.0)],
-}
-
-
-@pytest.mark.parametrize("which", _GRIDS, ids=str)
-@pytest.mark.parametrize("most", [1, 2, 100])
-def test_a_grid_of_noises_is_each_by_itself(which: tuple[int, ...], most: int) -> None:
-    """Every point comes once, whatever has the most columns and however many are made at a time."""
-    jacobian, components, data = _rig(1)
-    components = (*components, _settings(1))
-    some, points = tuple(components[k] for k in which), _GRIDS[which]
-    left, found = restricted(jacobian, some), []
-    for part in left.over(np.array(points), most):
-        rest, along = part.split(left.turned(data))
-        power = (rest**2).sum(axis=1)[:, None] + part.weight @ along**2
-        assert len(power) <= most
-        found += list(zip(part.log_det.ravel(), power.reshape(-1, data.shape[1]), strict=True))
-    assert len(found) == len(points)
-    for point in points:
-        power, logs = _projected(jacobian, _dense((*some, np.zeros((30, 1))), (*point, 0.0)), data)
-        near = min(found, key=lambda one: float(np.abs(one[1] / power - 1.0).max()))
-        assert near[1] == pytest.approx(power, rel=1e-9)
-        assert near[0] == pytest.approx(logs, rel=1e-9, abs=1e-9)
-
-
 def test_what_large_settings_leave_is_not_lost() -> None:
     """Settings that scatter by a million times the noise: the rest is known to a part in 1e6."""
     jacobian, components, data = _rig(2)
@@ -116,9 +81,6 @@ def test_what_large_settings_leave_is_not_lost() -> None:
     expected = pytest.approx((rest**2).sum(axis=0) + column.shape[1], rel=1e-5)
     found = left.at(np.array([1e6]))
     assert [found.power(found.solve(one)) for one in moved.T] == expected
-    (grid,) = left.over(np.array([[1e6]]), 1)
-    square, along = grid.split(moved)
-    assert (square**2).sum(axis=1)[0] + grid.weight[0, 0] @ along[0] ** 2 == expected
 
 
 def test_a_direction_that_the_data_leave_open_is_no_parameter() -> None:

@@ -16,7 +16,7 @@ from imucalib.effects import catalogue, families, load_file, named
 from imucalib.effects.record_error import is_record_error, record_error
 from imucalib.errors import UsageError
 from imucalib.estimators.least_squares import fit
-from imucalib.loop.candidates import effect_candidates
+from imucalib.loop.candidates import effect_columns
 from imucalib.units import MG
 from worlds.bench import GRAVITY, base_model, bench, draw, ordinary_theta
 
@@ -288,8 +288,7 @@ def test_recovered_within_its_uncertainty(effect: Effect) -> None:
     if "Absorbed" in effect.identify:
         assert any(effect.name in words for words in found.null_directions)
         alone = fit(base, draw(base, ordinary_theta(base, data, 12), data, 13))
-        candidates, _ = effect_candidates(alone, [effect])
-        (columns,) = [c.columns for c in candidates]
+        columns = effect_columns(alone, effect)
         absorbed = alone.at.jacobian @ np.linalg.lstsq(alone.at.jacobian, columns)[0]
         np.testing.assert_allclose(absorbed, columns, atol=1e-5 * np.abs(columns).max())
     else:

@@ -31,6 +31,7 @@ from imucalib.loop.held_out import (
     with_density,
 )
 from imucalib.loop.posterior.noise import Point, Terms, terms_of
+from imucalib.loop.posterior.problem import problem_of
 from imucalib.loop.record_errors import RecordError
 from worlds.bench import base_model, bench, draw, ordinary_theta
 
@@ -166,14 +167,15 @@ ROWS = 120
 @pytest.fixture(scope="module")
 def terms() -> Terms:
     model, data = base_model(), bench(43, ROWS)
-    return terms_of(fit_model(model, draw(model, ordinary_theta(model, data, 1), data, 42)))
+    found = fit_model(model, draw(model, ordinary_theta(model, data, 1), data, 42))
+    return terms_of(problem_of(found, ()))
 
 
 def dense(terms: Terms, point: Point) -> np.ndarray:
     """V of a point without a walk, component by component."""
     whole = np.eye(terms.order.size)
     for factor, ratio in zip(terms.ways[point.sharing], point.ratio, strict=True):
-        whole += ratio**2 * ((factor.near @ factor.near.T).toarray() + factor.wide @ factor.wide.T)
+        whole += ratio**2 * ((factor.few @ factor.few.T).toarray() + factor.many @ factor.many.T)
     return whole
 
 
@@ -198,7 +200,8 @@ def test_the_evidence_is_that_of_the_whole_matrix(terms: Terms) -> None:
     known = rng.standard_normal((2, 4))
     power = np.array([1.0, 4.0, 1.0])
     points = of_each_way(terms)
-    said = terms.evidence(points, free, known, dof, lacked, power)
+    own = replace(terms, base=free, known=known, dof=dof)
+    said = own.evidence(points, lacked, power)
     for point, one in zip(points, said, strict=True):
         whole = dense(terms, point) + lacked @ lacked.T + np.diag(terms.axes @ (power - 1.0))
         gram = free.T @ np.linalg.solve(whole, free) + known.T @ known

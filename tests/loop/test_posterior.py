@@ -20,12 +20,13 @@ from imucalib.estimators.least_squares import fit
 from imucalib.loop.candidates import Searched, searched
 from imucalib.loop.posterior.catalogue import components_of, log_odds, log_set_prior, log_size_prior
 from imucalib.loop.posterior.closed import close_loop
-from imucalib.loop.posterior.gram import Grams, beside, source_of, swept, without
+from imucalib.loop.posterior.explored import Explored, explored
+from imucalib.loop.posterior.gram import Grams, source_of, swept, without
 from imucalib.loop.posterior.odds import SIZES
 from imucalib.loop.posterior.problem import Problem, problem_of
 from imucalib.loop.posterior.recorded import Course, course_of, fit_at, recorded_grams, whitener
 from imucalib.loop.posterior.recording import close_recording, followed
-from imucalib.loop.posterior.solution import Explored, explored, solved
+from imucalib.loop.posterior.solution import solved
 from imucalib.loop.posterior.space import search
 from imucalib.loop.posterior.words import told
 from imucalib.units import MG
@@ -66,7 +67,7 @@ def found(seed: int = 1, bend: float = 3.0) -> Explored:
 
 
 def log_evidence(problem: Problem, grams: Grams, blocks: list[tuple[np.ndarray, float]]) -> float:
-    return beside(grams, (problem.flat, *blocks)).evidence(grams.numbers - problem.base)
+    return swept(grams, problem.flat, *blocks).evidence(grams.numbers - problem.base)
 
 
 def test_the_evidence_of_a_set_does_not_depend_on_its_order() -> None:
@@ -106,7 +107,7 @@ def test_rows_left_out_are_as_good_as_never_taken() -> None:
     one = found()
     problem, grams = one.problem, one.posterior.grams.of(np.array([0]))
     rows = np.array([3, 7, 21])
-    kept = swept(without(grams, problem, rows), np.arange(problem.base), np.inf)
+    kept = swept(without(grams, problem, rows), problem.flat)
     n = len(problem.fit.at.owner)
     inverse = source_of(grams).solves[0](np.eye(n))
     rest = np.setdiff1d(np.arange(n), np.flatnonzero(np.isin(problem.owner, rows)))
@@ -224,7 +225,7 @@ def test_fewer_choices_give_the_same_sets() -> None:
     one = found()
     best = one.posterior.best
     some = tuple(c for c in one.problem.choices if c.component in best.components)
-    again = search(one.problem, one.posterior.grams, some)
+    again = search(replace(one.problem, choices=some), one.posterior.grams)
     same = next(h for h in again.hypotheses if h.components == best.components)
     assert same.evidence == pytest.approx(best.evidence, abs=1e-9)
 

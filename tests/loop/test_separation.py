@@ -19,7 +19,6 @@ from imucalib.loop.separation import (
     CERTAIN,
     FEWEST,
     Ambiguity,
-    Pool,
     ambiguities,
     apart,
     columns_of,
@@ -54,7 +53,7 @@ def searched(seed: int = 3, noise: float = 0.3) -> FitLoop:
 
 
 def ambiguity() -> Ambiguity:
-    found = ambiguities(searched())
+    found = ambiguities(searched().final, searched().alternatives)
     assert len(found) == 1
     return found[0]
 
@@ -71,13 +70,13 @@ def columns(u: Array) -> dict[str, Array]:
     }
 
 
-def pool(directions: Array, one: Ambiguity) -> Pool:
+def pool(directions: Array, one: Ambiguity) -> Array:
     """Rests by hand, in the units of the recording's noise."""
     scale = searched().final.noise.factor
     parts = columns(directions)
     names = ["base", *one.blocks]
     rows = np.column_stack([parts[name] for name in names]) / scale
-    return Pool(rows[:, :, None] * rows[:, None])
+    return rows[:, :, None] * rows[:, None]
 
 
 def grid() -> Array:
@@ -136,7 +135,7 @@ def test_what_is_promised_is_had(count: int) -> None:
     rng = np.random.default_rng(1)
     base, a, b = rng.normal(size=(count, 2)), *rng.normal(size=(2, count))
     rows = np.column_stack([base, a, a + 0.4 * b])
-    promised = separation(one, Pool(rows.T[None] @ rows / FEWEST)).ends["a"]
+    promised = separation(one, rows.T[None] @ rows / FEWEST).ends["a"]
     certain = 0
     old = np.linalg.cholesky(one.gram).T  # as many columns as products: the recording itself
     every = np.vstack([old, rows])
@@ -154,8 +153,8 @@ def test_a_plan_beats_random_rests() -> None:
     able = [k for k, pair in enumerate(one.pairs) if pair in made.pairs]
     rng = np.random.default_rng(0)
     for _ in range(20):
-        some = rng.integers(0, len(seen.gram), len(made.plan))
-        other = apart(one, one.gram + seen.gram[some].sum(axis=0))[able]
+        some = rng.integers(0, len(seen), len(made.plan))
+        other = apart(one, one.gram + seen[some].sum(axis=0))[able]
         assert made.then.min() > 1.1 * np.quantile(other, 0.15, axis=-1).min()
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.calibrators.lab.simulation import simulate
 from imucalib.core.balance import Noise
 from imucalib.core.effect import Context
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm, KnownVector, Reference, unit_vector
-from imucalib.core.simulate import simulate
 from imucalib.effects import named
 from imucalib.units import DEG, MG
 

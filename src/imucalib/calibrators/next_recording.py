@@ -31,11 +31,10 @@ from imucalib.effects import named
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.loop.separation import (
     Ambiguity,
-    Pool,
     Separation,
     columns_of,
+    separable,
     separation,
-    told_apart,
 )
 from imucalib.units import DEG
 
@@ -241,7 +240,7 @@ def _planned(
     return found, rests.take(np.array(found.plan, np.intp)), remedies
 
 
-def _later(ambiguity: Ambiguity, pool: Pool, drift: float) -> tuple[Ambiguity, Pool]:
+def _later(ambiguity: Ambiguity, pool: Array, drift: float) -> tuple[Ambiguity, Array]:
     """The same for rests whose bias is off by `drift` (mg, sd) beside the recording's."""
     if drift <= 0.0:
         return ambiguity, pool
@@ -251,7 +250,7 @@ def _later(ambiguity: Ambiguity, pool: Pool, drift: float) -> tuple[Ambiguity, P
         turn[k, ambiguity.columns.index(parameter.name)] = 1.0
     whole = np.concatenate([turn, np.eye(len(ambiguity.columns))])
     later = ambiguity.after_a_power_up(drift, [p.typical for p in bias])
-    return later, Pool(whole @ pool.gram @ whole.T)
+    return later, np.asarray(whole @ pool @ whole.T)
 
 
 def _remedies(
@@ -267,7 +266,7 @@ def _remedies(
     if recorded.reference == "norm":
         known = replace(recorded, reference="direction")
         pool = pool_of(known, calibration, ambiguity, rests_of(recorded, ambiguity))
-        if told_apart(ambiguity, pool)[asked].all():
+        if separable(ambiguity, pool)[asked].all():
             return (
                 "rests in known directions: faces and edges of a fixture (`lab --reference "
                 "direction`) or a two-axis table",
@@ -275,7 +274,7 @@ def _remedies(
     warm = rests_of(recorded, ambiguity, _WARM)
     if "temperature" in warm.levels:
         pool = pool_of(recorded, calibration, ambiguity, warm)
-        if told_apart(ambiguity, pool)[asked].all():
+        if separable(ambiguity, pool)[asked].all():
             return (f"rests at temperatures as far apart as {_WARM[0]:g} and {_WARM[1]:g} degC",)
     words = dict.fromkeys(named(name).identify for pair in never for name in pair)
     return tuple(text[0].lower() + text[1:].rstrip(".") for text in words)
@@ -328,7 +327,7 @@ def _grid() -> tuple[Array, Array]:
 
 def pool_of(
     recorded: Recorded, calibration: Calibration, ambiguity: Ambiguity, rests: Rests
-) -> Pool:
+) -> Array:
     """What every rest would tell."""
     model = Model(tuple(named(name) for name in ambiguity.base))
     context = _context(recorded, rests)
@@ -345,7 +344,7 @@ def pool_of(
     )
     rivals: list[Effect] = [named(name) for name in ambiguity.blocks]
     rows = columns_of(model, theta, rivals, data, recorded.settings)
-    return Pool(rows.transpose(0, 2, 1) @ rows)
+    return np.asarray(rows.transpose(0, 2, 1) @ rows)
 
 
 def _reference(recorded: Recorded, rests: Rests) -> Reference:

@@ -38,8 +38,6 @@ class Reference(Protocol):
     @property
     def eta_size(self) -> int: ...
     @property
-    def eta_unit(self) -> str: ...
-    @property
     def directed(self) -> bool:
         """Whether the truth at η = 0 is what was meant, or its direction is unknown."""
         ...
@@ -106,7 +104,6 @@ class KnownVector:
     setting_errors: bool = True
 
     COMPONENTS = ("inclination setting", "tool-face setting")
-    eta_unit = "rad"
     directed = True
 
     @property
@@ -179,7 +176,6 @@ class KnownNorm:
     gravity: float
     attitude: Array | None = None
 
-    eta_unit = "rad"
     directed = False
 
     @property

@@ -6,15 +6,14 @@ left in it. The component with most columns is made diagonal once, the others ar
 
     V(ratio) = diag(1 + ρ_w² Λ) + U U',   U = [ρ_c K'N_c]
 
-Over a grid of ratios one of them is diagonal too, beside each choice of the others. Where the
-widest joins few readings at a time, as settings do, it is made diagonal block by block, and K is
-never formed: J stands beside U, with an infinite variance. Noise that all neighbours share is one
+Where the widest joins few readings at a time, as settings do, it is made diagonal block by block,
+and K is never formed: J joins U, with an infinite variance. Noise that all neighbours share is one
 block, and there K comes first.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
@@ -59,87 +58,10 @@ class Restricted:
 
     def at(self, ratio: Array) -> Covariance:
         """The covariance at ratios sd_c / s (components,)."""
-        return Covariance(self._diagonal(ratio), self.out, self.columns, ratio[self.owner])
-
-    def _diagonal(self, ratio: Array) -> Array:
-        one = np.ones((*ratio.shape[:-1], self.frame.shape[1]))
-        return one + ratio[..., [self.wide]] ** 2 * self.spread if self.wide >= 0 else one
-
-    def over(self, ratio: Array, most: int) -> Iterator[Covariances]:
-        """The covariances at distinct ratios (P, components), up to so many at a time of all but
-        the component that follows at once: the narrow one of most columns."""
-        count = np.bincount(self.owner, minlength=ratio.shape[1])
-        fast = int(np.argmax(count)) if self.owner.size else -1
-        slow = np.where(np.arange(ratio.shape[1]) == fast, 0.0, ratio)
-        points, of = np.unique(slow, axis=0, return_inverse=True)
-        sizes = [ratio[of == k, fast] if fast >= 0 else np.zeros(1) for k in range(len(points))]
-        alike: dict[tuple[float, ...], list[int]] = {}
-        for k, own in enumerate(sizes):
-            alike.setdefault(tuple(own.tolist()), []).append(k)
-        for some in alike.values():
-            for a in range(0, len(some), most):
-                yield self._beside(points[some[a : a + most]], fast, sizes[some[0]])
-
-    def _beside(self, slow: Array, fast: int, sizes: Array) -> Covariances:
-        """slow : (P, components); sizes : (F,) ratios of the fast one."""
-        root, held = np.sqrt(self._diagonal(slow)), self.owner != fast
-        columns = self.columns / root[..., None]
-        turn, size, _ = np.linalg.svd(
-            columns[..., held] * slow[:, None, self.owner[held]], full_matrices=False
-        )
-        every = np.concatenate([self.out / root[..., None], columns[..., ~held]], axis=2)
-        # One orthonormal basis of both: singular vectors of what the parameters have taken away
-        # would be square to them by chance only.
-        basis, corner = np.linalg.qr(_shrunk(every, turn, size))
-        r = self.out.shape[1]
-        rotated, spread, _ = np.linalg.svd(corner[:, r:, r:], full_matrices=False)
-        along = basis[..., r:] @ rotated
-        weight = 1.0 / (1.0 + (sizes[:, None] * spread[:, None]) ** 2)
-        log_det = 2.0 * np.log(root).sum(axis=1) + np.log1p(size**2).sum(axis=1)
-        taken = np.diagonal(corner[:, :r, :r], axis1=1, axis2=2)
-        log_det += 2.0 * np.log(np.abs(taken)).sum(axis=1)
-        both = np.concatenate([basis[..., :r], along], axis=2)
-        logs = log_det[:, None] - np.log(weight).sum(axis=2)
-        return Covariances(root, turn, size, both, weight, logs)
-
-
-def _shrunk(data: Array, turn: Array, size: Array) -> Array:
-    """(P, n, D) of (1 + turn size² turn')^-½ data, data (P, n, D)."""
-    if not size.size:
-        return data
-    less = (1.0 - 1.0 / np.sqrt(1.0 + size**2))[..., None]
-    return np.asarray(data - turn @ (less * (turn.swapaxes(-1, -2) @ data)))
-
-
-@dataclass(frozen=True)
-class Covariances:
-    """V / s² = W⁻¹ (1 + L r² σ² L') W⁻¹' at P ratios of all components but one, each with F of that
-    one: a change of its ratio r changes weights and nothing else.
-
-    root : (P, n) standard deviations without the narrow components; turn, size : (P, n, q), (P, q)
-    of the slow ones of these; basis : (P, n, r + f) orthonormal, what of the parameters is still to
-    be taken out, and L; weight : (P, F, f) 1 / (1 + r² σ²); log_det : (P, F)
-    """
-
-    root: Array
-    turn: Array
-    size: Array
-    basis: Array
-    weight: Array
-    log_det: Array
-
-    def split(self, data: Array) -> tuple[Array, Array]:
-        """Data (n, D) in units of all but the fast component, square to L (P, n, D) and along it
-        (P, f, D): y'V⁻¹y is the sum of squares of the first and of the weighted ones of the
-        second, which loses no digits however large settings are."""
-        white = _shrunk(data / self.root[..., None], self.turn, self.size)
-        within = self.basis.swapaxes(-1, -2) @ white
-        white -= self.basis @ within
-        return white, within[:, within.shape[1] - self.weight.shape[2] :]
-
-    def sizes(self, data: Array) -> Array:
-        """(P, D) squared length of data (n, D), the narrow components not yet seen."""
-        return np.asarray((1.0 / self.root**2) @ data**2)
+        diagonal = np.ones(self.frame.shape[1])
+        if self.wide >= 0:
+            diagonal += ratio[self.wide] ** 2 * self.spread
+        return Covariance(diagonal, self.out, self.columns, ratio[self.owner])
 
 
 @dataclass(frozen=True)

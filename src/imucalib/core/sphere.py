@@ -36,7 +36,6 @@ class KnownDirection:
     tilts: bool = True
 
     COMPONENTS = ("tilt", "tilt")
-    eta_unit = "rad"
     directed = True
 
     @property

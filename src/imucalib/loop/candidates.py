@@ -1,16 +1,16 @@
-"""What could be missing: catalogue effects, smooth probes, correlated noise and single records."""
+"""What a search tries: effects and scans of the catalogue, and what each does to a fit."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.core.effect import MOTION, Effect, Family, Truth
+from imucalib.core.effect import MOTION, Context, Effect, Family, Truth
 from imucalib.core.fit import Fit
-from imucalib.core.model import Prediction
+from imucalib.core.model import Model, Prediction
 from imucalib.effects import catalogue, families, named
 
 
@@ -50,36 +50,23 @@ def _at_rest(effect: Effect) -> bool:
     return effect.channel == "acceleration" and not set(effect.needs) & set(MOTION)
 
 
-#: Name of an error that all triads of one rigid body share.
-ALL_TRIADS = "all"
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """An effect of the catalogue; columns : (N, m) in the balance's units, at typical sizes."""
-
-    name: str
-    columns: Array
-
-
-def effect_columns(fit: Fit, effect: Effect, prediction: Prediction | None = None) -> Array:
-    """(N, m) columns of a catalogue effect at θ = 0, scaled by its typical sizes."""
+def effect_columns(fit: Fit, effect: Effect) -> Array:
+    """(N, m) columns of a catalogue effect at θ = 0, in the balance's units at typical sizes."""
     typical = np.array([p.typical for p in effect.parameters(fit.observations.context)])
-    return np.asarray(effect_slopes(fit, effect, prediction) * typical)
+    return np.asarray(effect_slopes(fit, effect, fitted_prediction(fit)) * typical)
 
 
-def effect_slopes(fit: Fit, effect: Effect, prediction: Prediction | None = None) -> Array:
+def effect_slopes(fit: Fit, effect: Effect, prediction: Prediction) -> Array:
     """(N, m) what a catalogue effect does at θ = 0, per unit of each parameter.
 
     The effect's own derivative at the fitted truth, chained through what acts after it.
-    prediction : of the fit, when it is there: an effect that does nothing at its start needs no new
-        one
+    prediction : of the fit: an effect that does nothing at its start needs no new one
     """
-    context = fit.observations.context
+    context, reference = fit.observations.context, fit.observations.reference
     start = np.array([p.start for p in effect.parameters(context)])
     if effect.stage == "mounting" or start.any():
-        return fit.at.columns(_beside(fit, effect))
-    prediction = prediction or fitted_prediction(fit)
+        truth = reference.truth(fit.eta)
+        return fit.at.columns(slopes_within(fit.model, fit.theta, effect, truth, context))
     if effect.stage == "sensor":
         slope = effect.act(start, Truth(prediction.force), context).d_theta
     else:
@@ -88,36 +75,26 @@ def effect_slopes(fit: Fit, effect: Effect, prediction: Prediction | None = None
     return fit.at.columns(slope)
 
 
-def _beside(fit: Fit, effect: Effect) -> Array:
-    """(n, K, 3, p) slopes of an effect at its start in the model that has it."""
-    extended = fit.model.plus(effect)
-    context, reference = fit.observations.context, fit.observations.reference
-    slices = extended.slices(context)
-    theta = extended.start(context)
-    for name, part in fit.model.slices(context).items():
-        theta[slices[name]] = fit.theta[part]
-    prediction = extended.predict(theta, reference.truth(fit.eta), context)
-    return prediction.d_theta[..., slices[effect.name]]
+def slopes_within(
+    model: Model, theta: Array, effect: Effect, truth: Array, context: Context
+) -> Array:
+    """(n, K, 3, p) slopes of an effect at its start in a model at θ that has it."""
+    grown = model.plus(effect)
+    slices, start = grown.slices(context), grown.start(context)
+    for name, part in model.slices(context).items():
+        start[slices[name]] = theta[part]
+    return grown.predict(start, truth, context).d_theta[..., slices[effect.name]]
 
 
-def effect_candidates(
-    fit: Fit, effects: Iterable[Effect]
-) -> tuple[tuple[Candidate, ...], dict[str, str]]:
-    """Candidates of all effects that the context can carry, and why the others cannot be tested."""
-    found, missing = [], {}
-    prediction = fitted_prediction(fit)
+def testable(fit: Fit, effects: Iterable[Effect]) -> Iterator[Effect]:
+    """Effects that the model lacks and the context can carry. By the size of gravity alone a part
+    of another effect shows no more than that one."""
+    data = fit.observations
     for effect in effects:
-        if effect.name in fit.model.names:
-            continue
-        reason = effect.missing(fit.observations.context)
-        if effect.part_of and not fit.observations.reference.directed:
-            reason = f"by the size of gravity alone it is a part of {effect.part_of}"
-        if reason or not effect.parameters(fit.observations.context):
-            missing[effect.name] = reason or "it has no parameter on these data"
-            continue
-        columns = effect_columns(fit, effect, prediction)
-        found.append(Candidate(effect.name, columns))
-    return tuple(found), missing
+        part = effect.part_of and not data.reference.directed
+        usable = not part and not effect.missing(data.context)
+        if usable and effect.name not in fit.model.names and effect.parameters(data.context):
+            yield effect
 
 
 def fitted_prediction(fit: Fit) -> Prediction:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Generic, Literal, TypeVar
+from typing import Generic, Literal, TypeVar
 
 from imucalib.core.fit import Fit
 from imucalib.effects.forms import is_form
@@ -13,10 +13,8 @@ from imucalib.loop.faults.sheet import Fault
 from imucalib.loop.held_out import Difference
 from imucalib.loop.posterior.odds import ABSORBED, CERTAIN
 from imucalib.loop.record_errors import RecordError
+from imucalib.loop.separation import Ambiguity
 from imucalib.loop.sums import Sums
-
-if TYPE_CHECKING:
-    from imucalib.loop.separation import Ambiguity
 
 Kind = Literal["effect", "probe"]
 
@@ -172,6 +170,11 @@ class Loop(Generic[S]):
     wander: Wander | None = None
     complete: float = math.nan
     open_size: float = 0.0
+
+    @property
+    def alternatives(self) -> tuple[tuple[str, ...], ...]:
+        """Of each step, its effect and those that the data cannot tell it from."""
+        return tuple((step.effect, *step.aliases) for step in self.steps)
 
     @property
     def named(self) -> tuple[Step, ...]:

@@ -66,7 +66,11 @@ def folds_of(data: Observations) -> tuple[Fold, ...]:
     every = np.arange(data.n)
     if data.n >= _STRETCH * groups.size:
         gap = int(np.ceil(_GAP * data.n / groups.size))
-        return tuple(_stretch(np.flatnonzero(group == k), every, gap) for k in range(groups.size))
+        stretches = [np.flatnonzero(group == k) for k in range(groups.size)]
+        return tuple(
+            Fold(rows, every[(every < rows[0] - gap) | (every > rows[-1] + gap)], stretch=True)
+            for rows in stretches
+        )
     count = groups.size if groups.size <= _ALONE else _FOLDS
     dealt = np.random.default_rng(groups.size).permutation(np.arange(groups.size) % count)
     key = dealt[_rank(data, group)]
@@ -80,11 +84,6 @@ def _rank(data: Observations, group: Index) -> Index:
     place = np.empty(mean.shape[1], dtype=np.intp)
     place[np.lexsort(mean)] = np.arange(place.size)
     return place[group]
-
-
-def _stretch(rows: Index, every: Index, gap: int) -> Fold:
-    near = (every >= rows[0] - gap) & (every <= rows[-1] + gap)
-    return Fold(rows, every[~near], stretch=True)
 
 
 def parts_of(folds: tuple[Fold, ...]) -> Index:
@@ -263,57 +262,41 @@ def errors(fit: Fit, theta: Array, observations: Observations) -> Held:
     context, reference = observations.context, observations.reference
     corrected = fit.model.correct(theta, observations.reading, context)
     if reference.directed:
-        nominal = reference.truth(np.zeros(reference.eta_size))
-        expected = _through_fixture(fit, theta, nominal, observations)
+        expected, slices = reference.truth(np.zeros(reference.eta_size)), fit.model.slices(context)
+        for effect in fit.model.effects:
+            if effect.stage == "fixture":
+                own = theta[slices[effect.name]]
+                expected = expected + effect.act(own, Truth(expected), context).delta
         return Held(corrected, expected, corrected - expected)
     size = np.linalg.norm(corrected, axis=-1, keepdims=True)
     gravity = np.linalg.norm(reference.truth(reference.start(corrected)), axis=-1, keepdims=True)
     return Held(corrected, corrected / size * gravity, size - gravity)
 
 
-def _through_fixture(fit: Fit, theta: Array, x: Array, observations: Observations) -> Array:
-    slices = fit.model.slices(observations.context)
-    for effect in fit.model.effects:
-        if effect.stage == "fixture":
-            own = theta[slices[effect.name]]
-            x = x + effect.act(own, Truth(x), observations.context).delta
-    return x
+def held_out(fit: Fit) -> Held:
+    """Leave each group out in turn and predict it."""
+    return _joined_at(fit, list(each_left_out(fit, fit.observations.group)))
 
 
-def held_out(fit: Fit, observations: Observations | None = None) -> Held:
-    """Leave each group out in turn and predict it.
-
-    observations : the same observations with other readings or none left free (default: the
-        fit's own); lets a record that was set aside still be judged as recorded
-    """
-    data = observations or fit.observations
-    n = data.n
-    parts = [
-        (rows, errors(fit, without_records(fit, theta), data.take(rows)))
-        for rows, theta in each_left_out(fit, data.group)
-    ]
-    shapes = [parts[0][1].corrected.shape[1:], parts[0][1].error.shape[1:]]
-    corrected, expected = np.zeros((n, *shapes[0])), np.zeros((n, *shapes[0]))
-    error = np.zeros((n, *shapes[1]))
-    for rows, held in parts:
-        corrected[rows], expected[rows], error[rows] = held.corrected, held.expected, held.error
-    return Held(corrected, expected, error)
-
-
-def by_folds(fit: Fit, folds: tuple[Fold, ...]) -> Held:
+def by_folds(fit: Fit, folds: Sequence[Fold]) -> Held:
     """Held-out predictions by the folds of a design, of a model that nothing was chosen for."""
+    every = np.arange(fit.observations.n)
+    gone = [np.setdiff1d(every, fold.rest) for fold in folds]
+    return _joined_at(
+        fit, [(f.rows, theta_without(fit, g)) for f, g in zip(folds, gone, strict=True)]
+    )
+
+
+def _joined_at(fit: Fit, parts: Sequence[tuple[Index, Array]]) -> Held:
+    """Predictions of some rows by a θ, part by part."""
     data = fit.observations
-    every = np.arange(data.n)
-    parts = []
-    for fold in folds:
-        theta = without_records(fit, theta_without(fit, np.setdiff1d(every, fold.rest)))
-        parts.append(errors(fit, theta, data.take(fold.rows)))
-    return joined(parts, folds)
+    found = [errors(fit, without_records(fit, theta), data.take(rows)) for rows, theta in parts]
+    return joined(found, [rows for rows, _ in parts])
 
 
-def joined(parts: Sequence[Held], folds: Sequence[Fold]) -> Held:
-    """Predictions of every fold in the order of the observations."""
-    order = np.argsort(np.concatenate([fold.rows for fold in folds]))
+def joined(parts: Sequence[Held], rows: Sequence[Index]) -> Held:
+    """Predictions part by part in the order of the observations; rows : of each part"""
+    order = np.argsort(np.concatenate(rows))
 
     def each(name: str) -> Array:
         return np.asarray(np.concatenate([getattr(part, name) for part in parts])[order])

@@ -12,7 +12,7 @@ probability Φ(μ/2 - log 19 / μ). Sizes are those that the recording allows, w
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -27,8 +27,7 @@ from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.effects import known, names_a_cause
 from imucalib.effects.record_error import is_record_error
-from imucalib.loop.candidates import effect_columns
-from imucalib.loop.found import FitLoop, Step
+from imucalib.loop.candidates import effect_columns, slopes_within
 from imucalib.loop.record_errors import reduced
 
 #: Log odds at which a name is certain: 95 to 5.
@@ -165,13 +164,6 @@ def _without(gram: Array, out: Index, kept: Index, little: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Pool:
-    """What could be recorded. gram : (c, P, P) products of each candidate"""
-
-    gram: Array
-
-
-@dataclass(frozen=True)
 class Separation:
     """A plan: candidates in the order of choosing.
 
@@ -196,10 +188,13 @@ class Separation:
         return bool(self.plan) and ends and not self.never
 
 
-def separation(one: Ambiguity, pool: Pool) -> Separation:
-    """The fewest candidates of a pool, each as often as it pays, that end an ambiguity: added one
-    by one where the pair told apart worst gains most, then exchanged while that helps."""
-    able = told_apart(one, pool)
+def separation(one: Ambiguity, pool: Array) -> Separation:
+    """The fewest candidates, each as often as it pays, that end an ambiguity: added one by one
+    where the pair that is separated worst gains most, then exchanged while that helps.
+
+    pool : (c, P, P) products of each candidate, of what could be recorded
+    """
+    able = separable(one, pool)
     plan: tuple[int, ...] = ()
     ends: Mapping[str, float] = {}
 
@@ -212,8 +207,8 @@ def separation(one: Ambiguity, pool: Pool) -> Separation:
     while able.any() and len(plan) < MOST and min(ends.values(), default=0.0) < ENOUGH:
         plan = _grown(pool, plan, worth)
         if len(plan) >= FEWEST:
-            ends = _ends(one, able, pool.gram[list(plan)].sum(axis=0))
-    total = pool.gram[list(plan)].sum(axis=0)
+            ends = _ends(one, able, pool[list(plan)].sum(axis=0))
+    total = pool[list(plan)].sum(axis=0)
     return Separation(
         effect=one.effect,
         rivals=one.rivals,
@@ -226,9 +221,9 @@ def separation(one: Ambiguity, pool: Pool) -> Separation:
     )
 
 
-def told_apart(one: Ambiguity, pool: Pool) -> Array:
+def separable(one: Ambiguity, pool: Array) -> Array:
     """(pairs,) bool, whether any number of candidates would tell the truth from its rival."""
-    gram = one.gram + _ANY_NUMBER * pool.gram.mean(axis=0)
+    gram = one.gram + _ANY_NUMBER * pool.mean(axis=0)
     alone = _without(gram, one.own, np.arange(len(gram)), np.zeros(one.own.size))
     size = {
         name: np.einsum("kd,kl,ld->d", drawn, alone[np.ix_(at, at)], drawn)
@@ -258,15 +253,15 @@ def _ends(one: Ambiguity, able: Array, added: Array) -> Mapping[str, float]:
     return found
 
 
-def _grown(pool: Pool, plan: tuple[int, ...], worth: Callable[[Array], Array]) -> tuple[int, ...]:
+def _grown(pool: Array, plan: tuple[int, ...], worth: Callable[[Array], Array]) -> tuple[int, ...]:
     """A plan with one candidate more, then each exchanged while that helps."""
-    each = worth(pool.gram[list(plan)].sum(axis=0) + pool.gram)
+    each = worth(pool[list(plan)].sum(axis=0) + pool)
     chosen, now = [*plan, int(np.argmax(each))], float(each.max())
     for _ in range(_ROUNDS):
         before = now
         for place in range(len(chosen)):
             rest = chosen[:place] + chosen[place + 1 :]
-            each = worth(pool.gram[rest].sum(axis=0) + pool.gram)
+            each = worth(pool[rest].sum(axis=0) + pool)
             if float(each.max()) > now * (1.0 + 1e-6) + 1e-12:
                 chosen[place], now = int(np.argmax(each)), float(each.max())
         if now <= before * (1.0 + 1e-3):
@@ -275,42 +270,45 @@ def _grown(pool: Pool, plan: tuple[int, ...], worth: Callable[[Array], Array]) -
 
 
 def ambiguities(
-    loop: FitLoop, white: Callable[[Array], Array] | None = None
+    fit: Fit, steps: Iterable[Sequence[str]], white: Callable[[Array], Array] | None = None
 ) -> tuple[Ambiguity, ...]:
-    """Of every effect that was added where two causes or more would do as well.
+    """Of every effect that was added to a fit where two causes or more would do as well.
 
+    steps : of each, its name and those of its aliases
     white : of columns in units of the declared noise, where that is more than settings
     """
-    found = (_of_step(loop, step, white) for step in loop.steps)
+    found = (_of_step(fit, names, white) for names in steps)
     return tuple(one for one in found if one is not None)
 
 
-def _of_step(loop: FitLoop, step: Step, white: Callable[[Array], Array] | None) -> Ambiguity | None:
-    causes = filter(names_a_cause, (step.effect, *step.aliases))
+def _of_step(
+    fit: Fit, names: Sequence[str], white: Callable[[Array], Array] | None
+) -> Ambiguity | None:
+    causes = filter(names_a_cause, names)
     named = [e for name in causes if (e := known(name)) is not None]
-    if len(named) < 2 or step.effect not in loop.final.model.names:
+    if len(named) < 2 or names[0] not in fit.model.names:
         return None
-    without = reduced(loop.final, (step.effect,))
+    without = reduced(fit, names[:1])
     context = without.observations.context
     effects = [e for e in named if e.name not in without.model.names and not e.missing(context)]
     if len(effects) < 2:
         return None
-    held = replace(without, noise=loop.final.noise)
+    held = replace(without, noise=fit.noise)
     blocks = [effect_columns(without, e) for e in effects]
     typical = np.array([p.typical for p in held.parameters])
     white = white or whitener(held.at.settings, held.noise.ratio)
     factor = held.noise.factor
     whole = white(held.at.jacobian * typical) / factor
     base, rest = _without_records(held, whole)
-    names = [p.name for p, kept in zip(held.parameters, base, strict=True) if kept]
+    own = [p.name for p, kept in zip(held.parameters, base, strict=True) if kept]
     seen = rest(white(np.column_stack(blocks)) / factor)
     columns = np.column_stack([rest(whole)[:, base], seen])
     data = rest(white(held.at.residual)[:, None] / factor)[:, 0]
-    ends = np.cumsum([len(names), *(b.shape[1] for b in blocks)])
+    ends = np.cumsum([len(own), *(b.shape[1] for b in blocks)])
     return Ambiguity(
-        effect=step.effect,
+        effect=names[0],
         base=tuple(n for n in without.model.names if not is_record_error(n)),
-        columns=(*names, *(p.name for e in effects for p in e.parameters(context))),
+        columns=(*own, *(p.name for e in effects for p in e.parameters(context))),
         rivals=tuple(e.name for e in effects),
         blocks={e.name: np.arange(a, b) for e, a, b in zip(effects, ends, ends[1:], strict=False)},
         gram=columns.T @ columns,
@@ -349,11 +347,7 @@ def columns_of(
     blocks = [at.jacobian * typical]
     truth = data.reference.truth(eta)
     for effect in rivals:
-        grown = model.plus(effect)
-        slices, start = grown.slices(data.context), grown.start(data.context)
-        for name, part in model.slices(data.context).items():
-            start[slices[name]] = theta[part]
-        slope = grown.predict(start, truth, data.context).d_theta[..., slices[effect.name]]
+        slope = slopes_within(model, theta, effect, truth, data.context)
         size = np.array([p.typical for p in effect.parameters(data.context)])
         blocks.append(at.columns(slope * size))
     every = np.column_stack(blocks)

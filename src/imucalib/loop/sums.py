@@ -75,7 +75,7 @@ def sums_of(problem: Problem, posterior: Posterior, base: Fit, noise: float, wan
     """
     grams, p = posterior.grams, problem.base
     weight = noises_of(problem, grams, ())
-    one = swept(grams, *problem.flat)
+    one = swept(grams, problem.flat)
     own = {
         problem.components[c.component].name: c.at
         for c in reversed(problem.choices)

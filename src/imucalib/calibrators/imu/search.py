@@ -255,7 +255,7 @@ class Lacking:
         grams = self._grams(fit)
         first = _FIXED + np.cumsum([0, *(t.own.size for t in self.tried)])
         place = {t.name: int(k) for t, k in zip(self.tried, first, strict=False)}
-        one = swept(grams, np.arange(_FIXED), np.inf)
+        one = swept(grams, (np.arange(_FIXED), np.inf))
         one = one.of(np.array([int(np.argmax(one.log_weight))]))
         choices, chosen, absorbed, seen = [], [], [], []
         kept = list[Component]()
@@ -305,7 +305,7 @@ class Lacking:
         numbers = float(used.sum()) + 4.0 * fit.log.rests - 3.0
         grams = Grams(
             products=Multiplied(np.array(matrices)),
-            taken=np.zeros((len(matrices), 0, kept.size)),
+            removed=np.zeros((len(matrices), 0, kept.size)),
             log_weight=np.array(logs) - max(logs),
             numbers=numbers,
             points=(None,) * len(matrices),
@@ -316,8 +316,8 @@ class Lacking:
 
 def _heard(grams: Grams, dof: float) -> Index:
     """Noise points that neither the base model excludes nor one that lacks everything."""
-    base = swept(grams, np.arange(_FIXED), np.inf)
-    rich = swept(base, np.arange(_FIXED, grams.taken.shape[2] - 1), 1.0)
+    base = swept(grams, (np.arange(_FIXED), np.inf))
+    rich = swept(base, (np.arange(_FIXED, grams.removed.shape[2] - 1), 1.0))
     logs = np.array([g.log_weight + g.log_noise(g.power, dof) for g in (base, rich)])
     return np.flatnonzero((logs > logs.max(axis=1)[:, None] - HEARD).any(axis=0))
 

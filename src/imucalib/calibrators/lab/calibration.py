@@ -83,7 +83,8 @@ def lab_details(
     if result.loop is not None:
         fit = result.final
         # What neighbours share is noise of a later rest too.
-        reading, found = reading_noise(fit).whole, ambiguities(result.loop)
+        reading = reading_noise(fit).whole
+        found = ambiguities(result.loop.final, result.loop.alternatives)
         details[KEY] = recorded_block(fit, found, reading=reading, settings=setting_noise(fit))
     return details
 

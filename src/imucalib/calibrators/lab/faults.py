@@ -198,14 +198,12 @@ def sheet_of(
         else np.arange(rows.size)
         for role in dial
     }
-    sigma = whole.sigma[rows, 0, 0]
     return Sheet(
         reading=whole.reading[rows, 0] / MG,
         inclination=dial["inclination"][rows],
         tool_face=dial["tool_face"][rows],
         row=np.asarray(table.row[rows], np.intp),
         place=rows,
-        sigma=sigma / np.median(sigma),
         gravity=gravity / MG,
         inclination_setting=held["inclination"].astype(np.intp),
         tool_face_setting=held["tool_face"].astype(np.intp),

@@ -18,7 +18,6 @@ from imucalib.core.effect import Context
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.core.references import unit_vector
-from imucalib.core.simulate import simulate
 from imucalib.effects import named
 from imucalib.errors import UsageError
 from imucalib.recording.recording import Channel, Recording
@@ -150,3 +149,28 @@ def planted_truth(plan: BenchPlan, data: Observations, force: Array) -> Array:
     own = np.concatenate([theta[slices[name]] for name in sensor.names])
     covariates = {k: np.full(len(force), np.median(v)) for k, v in data.context.covariates.items()}
     return sensor.predict(own, force[:, None], Context(len(force), covariates)).reading[:, 0]
+
+
+def simulate(
+    model: Model,
+    theta: Array,
+    observations: Observations,
+    noise: Noise,
+    rng: np.random.Generator,
+) -> Observations:
+    """Draw new readings for the reference and context of `observations`: the model run forwards.
+
+    The settings' errors are drawn with the components' standard deviations and shared as the
+    reference says; a reference without components keeps its truth at `start` of the readings.
+    """
+    reference, context = observations.reference, observations.context
+    eta = reference.start(observations.reading)
+    directions = reference.directions(eta)
+    if any(directions.component):
+        for column, component in enumerate(directions.component):
+            sd = noise.sd[noise.component.index(component)] if component else 0.0
+            used = np.unique(directions.index[:, column])
+            eta[used] = sd * rng.standard_normal(used.size)
+    clean = model.predict(theta, reference.truth(eta), context).reading
+    spread = noise.factor * observations.sigma
+    return observations.with_reading(clean + spread * rng.standard_normal(clean.shape))

@@ -34,7 +34,7 @@ from imucalib.arrays import Array, Index
 from imucalib.core.effect import Effect
 from imucalib.core.eigen import eigen
 from imucalib.core.fit import Fit
-from imucalib.loop.candidates import effect_candidates
+from imucalib.loop.candidates import effect_columns, testable
 from imucalib.loop.posterior.odds import ABSORBED
 
 #: λ of a candidate at typical size below which it is rounding.
@@ -76,17 +76,16 @@ class Device:
 
 def device_of(name: str, fit: Fit, effects: Mapping[str, Effect]) -> Device:
     """All effects that the data can carry and the base model does not absorb."""
-    candidates, _ = effect_candidates(fit, effects.values())
     white, q = fit.white_basis()
     residual = white(fit.at.residual) / fit.noise.factor
     kept, columns, at = list[Array](), dict[str, Index](), 0
-    for candidate in candidates:
-        whole = white(candidate.columns) / fit.noise.factor
+    for effect in testable(fit, effects.values()):
+        whole = white(effect_columns(fit, effect)) / fit.noise.factor
         rest = whole - q @ (q.T @ whole)
         size = float(np.linalg.norm(rest))
         if size < ABSORBED * float(np.linalg.norm(whole)) or size < _SHOWN:
             continue
-        columns[candidate.name] = np.arange(at, at + rest.shape[1])
+        columns[effect.name] = np.arange(at, at + rest.shape[1])
         kept.append(rest)
         at += rest.shape[1]
     every = np.column_stack(kept) if kept else np.zeros((residual.size, 0))

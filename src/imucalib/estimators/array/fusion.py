@@ -9,11 +9,18 @@ made once whatever the number of IMUs; Gauss-Newton runs on these (equations 4a 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.estimators.array.samples import slope_of, turning
+from imucalib.estimators.array.samples import (
+    inverse_roots,
+    places,
+    slope_of,
+    solved,
+    turning,
+)
 
 #: rad/s² and rad/s, standard deviations about zero and the start: far beyond what moves by hand, so
 #: that they only matter where the readings leave a direction open.
@@ -41,18 +48,9 @@ class Sensed:
     spin_precision: Array | None = None
 
     def take(self, rows: Index) -> Sensed:
-        late, spin, own = (
-            None if v is None else v[rows] for v in (self.late, self.spin, self.spin_precision)
-        )
-        return Sensed(
-            force=self.force[rows],
-            rate=self.rate[rows],
-            force_precision=self.force_precision[rows],
-            rate_precision=self.rate_precision[rows],
-            late=late,
-            spin=spin,
-            spin_precision=own,
-        )
+        """What they say in some of the samples."""
+        values: list[Any] = [None if v is None else v[rows] for v in vars(self).values()]
+        return Sensed(*values)
 
 
 @dataclass(frozen=True)
@@ -70,22 +68,19 @@ class FusedMotion:
         return np.asarray(self.force[:, None] + r @ turning(self.rate, self.spin).swapaxes(1, 2))
 
     def take(self, rows: slice | Index) -> FusedMotion:
-        return FusedMotion(
-            self.force[rows], self.spin[rows], self.rate[rows], self.covariance[rows]
-        )
+        """The motion of some samples."""
+        return FusedMotion(*(v[rows] for v in vars(self).values()))
 
     def put(self, rows: Index, other: FusedMotion) -> FusedMotion:
         """With other motions of some samples."""
-        whole = [v.copy() for v in (self.force, self.spin, self.rate, self.covariance)]
-        parts = (other.force, other.spin, other.rate, other.covariance)
-        for v, part in zip(whole, parts, strict=True):
+        whole = [v.copy() for v in vars(self).values()]
+        for v, part in zip(whole, vars(other).values(), strict=True):
             v[rows] = part
         return FusedMotion(*whole)
 
     def doubt(self, r: Array) -> Array:
         """(T, K) mean variance of an axis of `felt`, (m/s²)²."""
-        place = np.concatenate([np.ones((len(r), 1)), r], axis=1)
-        slope = slope_of(self.rate)
+        place, slope = places(r)[0], slope_of(self.rate)
         whole = slope @ self.covariance @ slope.swapaxes(1, 2)
         each = np.einsum("tiaib->tab", whole.reshape(-1, 3, 4, 3, 4))
         return np.asarray(np.einsum("ka,tab,kb->tk", place, each, place, optimize=True) / 3.0)
@@ -130,29 +125,24 @@ def fused_motion(sensed: Sensed, r: Array, start: Array) -> FusedMotion:
     r : (K, 3) m, positions about the point whose force is wanted; start : (T, 3) rad/s
     """
     said = _said(sensed, r, start)
-    rate = start.copy()
-    x = np.concatenate([np.zeros((len(start), 6)), rate], axis=1)
-    matrix = np.empty((len(start), 9, 9))
+    x = np.concatenate([np.zeros((len(start), 6)), start], axis=1)
+    root = np.empty((len(start), 9, 9))
     rows: Index = np.arange(len(start))
     for _ in range(_ROUNDS):
-        matrix[rows], gradient = _newton(x[rows], said, rows)
-        step = _solved(matrix[rows], gradient)
+        matrix, gradient = _newton(x[rows], said, rows)
+        root[rows] = inverse_roots(matrix)
+        step = solved(root[rows], gradient)
         moved = np.linalg.norm(step[:, 6:], axis=1)
-        short = np.minimum(1.0, _LONGEST / np.maximum(moved, 1e-300))
-        x[rows] += np.where(short < 1.0, short, 1.0)[:, None] * step
+        x[rows] += np.minimum(1.0, _LONGEST / np.maximum(moved, 1e-300))[:, None] * step
         rows = rows[moved > _CLOSE]
         if not len(rows):
             break
-    scale = 1.0 / np.sqrt(np.einsum("tii->ti", matrix))
-    unit = matrix * scale[:, :, None] * scale[:, None]
-    covariance = np.linalg.inv(unit) * scale[:, :, None] * scale[:, None]
-    return FusedMotion(x[:, :3], x[:, 3:6], x[:, 6:], np.asarray(covariance))
+    return FusedMotion(x[:, :3], x[:, 3:6], x[:, 6:], root @ root.transpose(0, 2, 1))
 
 
 def _said(sensed: Sensed, r: Array, start: Array) -> _Said:
     t, k = sensed.force.shape[:2]
-    place = np.concatenate([np.ones((k, 1)), r], axis=1)
-    pairs = (place[:, :, None] * place[:, None, :]).reshape(k, 16)
+    place, pairs = places(r)
     weights = sensed.force_precision.reshape(t, k, 9).transpose(0, 2, 1)
     normal = np.matmul(weights, pairs).reshape(t, 3, 3, 4, 4).transpose(0, 1, 3, 2, 4)
     pulled = np.matmul(sensed.force_precision, sensed.force[..., None])[..., 0]
@@ -192,9 +182,3 @@ def _newton(x: Array, said: _Said, rows: Index) -> tuple[Array, Array]:
     matrix[:, 3:, 3:] += said.own[rows]
     gradient[:, 3:] += said.pull[rows] - np.matmul(said.own[rows], x[:, 3:, None])[..., 0]
     return matrix, gradient
-
-
-def _solved(matrix: Array, gradient: Array) -> Array:
-    scale = 1.0 / np.sqrt(np.einsum("tii->ti", matrix))
-    unit = matrix * scale[:, :, None] * scale[:, None]
-    return np.asarray(np.linalg.solve(unit, (gradient * scale)[..., None])[..., 0] * scale)

@@ -101,11 +101,10 @@ def sample_positions(
     chosen = start_prior(data, prior)
     frame = laplace_frame(data, chosen)
     refuse_collapse(chosen.geometry(frame.mode[None])[0], chosen.nominal)
-    posterior, root = frame.posterior.leaning(frame.mode, frame.root), frame.root
 
     def target(z: Array) -> tuple[Array, Array]:
-        value, gradient = posterior.value_and_gradient(frame.place(z))
-        return value - frame.value, gradient @ root
+        value, gradient = frame.posterior.value_and_gradient(frame.place(z))
+        return value - frame.value, gradient @ frame.root
 
     count = chains or (8 if data.samples < 300 else 4)
     found = sample(

@@ -1,10 +1,9 @@
 """The motion of each sample given positions, with every reading weighted by itself.
 
 Nine unknowns a sample: s (specific force of the first triad), dω/dt and ω, by Gauss-Newton. What is
-kept of it (`Sampled`) is all that a score test needs to take the motion out of any column.
-
-The nine unknowns of a sample's motion: factors, roots and solutions of thousands of matrices at
-once, the matrices last in memory. A library call for each costs ten times what its few sums do.
+kept of it (`Sampled`) is all that a score test needs to take the motion out of any column. What the
+accelerometers say of (s, W), a force being (s, W) times (1, r), are twelve numbers and a matrix,
+whatever the number of IMUs; each step runs on these.
 """
 
 from __future__ import annotations
@@ -17,79 +16,6 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array
 from imucalib.core.effect import cross_matrix
-
-
-@dataclass(frozen=True)
-class Factor:
-    """Matrices (T, 9, 9) on their way to their inverses. All accelerometers see s alike, so that
-    its block is a number `own` (T,) times one, and six unknowns are left when s is taken out by
-    `across` (T, 3, 6): in like units, size (6, T), they have the lower triangle (6, 6, T)."""
-
-    own: Array
-    across: Array
-    size: Array
-    lower: Array
-
-
-def factored(matrix: Array) -> Factor:
-    """Of positive matrices (T, 9, 9); NaN where one is not."""
-    own = matrix[:, 0, 0]
-    across = matrix[:, :3, 3:] / own[:, None, None]
-    taken = np.matmul(across.transpose(0, 2, 1), matrix[:, :3, 3:])
-    left = np.ascontiguousarray((matrix[:, 3:, 3:] - taken).transpose(1, 2, 0))
-    # In like units: a spin that only its prior holds is a small number beside the others.
-    size = 1.0 / np.sqrt(np.einsum("iit->it", left))
-    left *= size[:, None]
-    left *= size
-    return Factor(own, across, size, _lower(left))
-
-
-def root_of(factor: Factor) -> Array:
-    """(T, 9, 9) with root rootᵀ the inverse of each matrix, upper triangular."""
-    six = (_inverse(factor.lower) * factor.size).transpose(2, 1, 0)
-    root = np.zeros((len(six), 9, 9))
-    root[:, range(3), range(3)] = 1.0 / np.sqrt(factor.own)[:, None]
-    root[:, 3:, 3:] = six
-    root[:, :3, 3:] = -np.matmul(factor.across, six)
-    return root
-
-
-def solved(factor: Factor, right: Array) -> Array:
-    """(T, 9) solutions of such systems."""
-    pull = right[:, 3:] - np.matmul(right[:, None, :3], factor.across)[:, 0]
-    six = (_solution(factor.lower, pull.T * factor.size) * factor.size).T
-    first = right[:, :3] / factor.own[:, None] - np.matmul(factor.across, six[..., None])[..., 0]
-    return np.concatenate([first, six], axis=1)
-
-
-def _lower(matrix: Array) -> Array:
-    """(n, n, T) lower triangles L with L Lᵀ the positive matrices (n, n, T), of which only the
-    lower half is read; NaN where one is not positive."""
-    out = np.zeros_like(matrix)
-    for j in range(len(matrix)):
-        column = matrix[j:, j] - np.einsum("kt,ikt->it", out[j, :j], out[j:, :j])
-        out[j:, j] = column / np.sqrt(column[0])
-    return out
-
-
-def _inverse(lower: Array) -> Array:
-    """(n, n, T) inverses of lower triangles (n, n, T)."""
-    out = np.zeros_like(lower)
-    for i in range(len(lower)):
-        out[i, i] = 1.0 / lower[i, i]
-        out[i, :i] = np.einsum("kt,kjt->jt", lower[i, :i], out[:i, :i]) * -out[i, i]
-    return out
-
-
-def _solution(lower: Array, right: Array) -> Array:
-    """(n, T) solutions x of L Lᵀ x = right (n, T)."""
-    out = right.copy()
-    for i in range(len(out)):
-        out[i] = (out[i] - np.einsum("kt,kt->t", lower[i, :i], out[:i])) / lower[i, i]
-    for i in reversed(range(len(out))):
-        out[i] = (out[i] - np.einsum("kt,kt->t", lower[i + 1 :, i], out[i + 1 :])) / lower[i, i]
-    return out
-
 
 _ROUNDS = 12
 #: rad/s, a last step: forces are linear in all but ω, and of its square 1e-8 m/s² is left.
@@ -159,15 +85,16 @@ class Sampled:
     @cached_property
     def arms(self) -> Array:
         """(T, K, 3, 9) derivative of the forces by s, dω/dt, ω."""
-        return _arms(self.rate, self.r)
+        slope = slope_of(self.rate).reshape(-1, 3, 4, 9)
+        return np.asarray(np.einsum("ka,tiaj->tkij", places(self.r)[0], slope))
 
     @cached_property
     def kept(self) -> tuple[Kept, Kept]:
         """What the motion leaves of the errors of accelerometers and of gyros."""
-        t, place = len(self.rate), _place(self.r)
+        t, pairs = len(self.rate), places(self.r)[1]
         reach = np.matmul(slope_of(self.rate), self.root)
         moved = np.matmul(reach, reach.transpose(0, 2, 1)).reshape(t, 3, 4, 3, 4)
-        moved = moved.transpose(0, 1, 3, 2, 4).reshape(t, 9, 16) @ _pairs(place).T
+        moved = moved.transpose(0, 1, 3, 2, 4).reshape(t, 9, 16) @ pairs.T
         turned = self.root[:, 6:] @ self.root[:, 6:].transpose(0, 2, 1)
         weights = self.weights
         return (
@@ -209,18 +136,6 @@ def turning_slope(rate: Array, spin: Array, bend: Array) -> Array:
     return np.asarray(mixed + mixed.transpose(0, 2, 1) - trace + cross_matrix(bend))
 
 
-def _arms(rate: Array, r: Array) -> Array:
-    """(T, K, 3, 9) derivative of s + W r by s, dω/dt and ω."""
-    t, k = len(rate), len(r)
-    out = np.zeros((t, k, 3, 9))
-    out[..., :3] = np.eye(3)
-    out[..., 3:6] = -cross_matrix(r)
-    along = (rate @ r.T)[..., None, None] * np.eye(3)
-    outer = rate[:, None, :, None] * r[:, None, :]
-    out[..., 6:] = along + outer - 2.0 * outer.swapaxes(2, 3)
-    return out
-
-
 def slope_of(rate: Array) -> Array:
     """(T, 12, 9) derivative of (s, W), row by row, by s, dω/dt and ω."""
     out = np.zeros((len(rate), 3, 4, 9))
@@ -233,20 +148,46 @@ def slope_of(rate: Array) -> Array:
     return out.reshape(-1, 12, 9)
 
 
-def _place(r: Array) -> Array:
-    """(K, 4): a force is (s, W) times (1, r)."""
-    return np.concatenate([np.ones((len(r), 1)), r], axis=1)
+def places(r: Array) -> tuple[Array, Array]:
+    """(K, 4) and (K, 16): (1, r), and the products of the four."""
+    place = np.concatenate([np.ones((len(r), 1)), r], axis=1)
+    return place, (place[:, :, None] * place[:, None, :]).reshape(len(place), 16)
 
 
-def _pairs(place: Array) -> Array:
-    """(K, 16) products of the four."""
-    return np.asarray((place[:, :, None] * place[:, None, :]).reshape(len(place), 16))
+def lower_triangle(matrix: Array) -> Array:
+    """(n, n, T) lower triangles L with L Lᵀ the positive matrices (n, n, T), of which only the
+    lower half is read; NaN where one is not positive."""
+    out = np.zeros_like(matrix)
+    for j in range(len(matrix)):
+        column = matrix[j:, j] - np.einsum("kt,ikt->it", out[j, :j], out[j:, :j])
+        out[j:, j] = column / np.sqrt(column[0])
+    return out
+
+
+def inverse_roots(matrix: Array) -> Array:
+    """(T, n, n) upper triangles with root rootᵀ the inverse of each positive matrix (T, n, n); NaN
+    where one is not. The samples are last in memory: a library call for each would cost ten times
+    what its few sums do."""
+    last = matrix.transpose(1, 2, 0)
+    # In like units: a spin that only its prior holds is a small number beside the others.
+    size = 1.0 / np.sqrt(np.einsum("iit->it", last))
+    lower = lower_triangle(last * size[:, None] * size)
+    out = np.zeros_like(lower)
+    for i in range(len(lower)):
+        out[i, i] = 1.0 / lower[i, i]
+        out[i, :i] = np.einsum("kt,kjt->jt", lower[i, :i], out[:i, :i]) * -out[i, i]
+    return np.asarray((out * size).transpose(2, 1, 0))
+
+
+def solved(root: Array, right: Array) -> Array:
+    """(T, n) solutions of systems with such roots of their inverses."""
+    return np.asarray(np.matmul(root, np.matmul(right[:, None], root).swapaxes(1, 2))[..., 0])
 
 
 def _normal(weights: Weights, r: Array) -> Array:
     """(T, 12, 12) what all accelerometers together say of (s, W): its size does not grow with
     their number."""
-    pairs = (weights.acceleration @ _pairs(_place(r))).reshape(-1, 4, 4)
+    pairs = (weights.acceleration @ places(r)[1]).reshape(-1, 4, 4)
     out = np.zeros((len(pairs), 3, 4, 3, 4))
     for i in range(3):
         out[:, i, :, i] = pairs
@@ -267,16 +208,15 @@ def fit_samples(
     """Best motion of every sample; start : (T, 3) rad/s, or the motion of a fit nearby; rounds :
     steps at most, one where the weights are about to change.
 
-    What the accelerometers say of (s, W) are twelve numbers and a matrix, made once; each step runs
-    on these. Raises numpy.linalg.LinAlgError where a sample runs away: no motion near the start
-    fits its readings.
+    Raises numpy.linalg.LinAlgError where a sample runs away: no motion near the start fits its
+    readings.
     """
     rate = start.rate if isinstance(start, Sampled) else start
     x = np.zeros((len(rate), 9))
     x[:, 6:] = rate
     if isinstance(start, Sampled):
         x[:, :3], x[:, 3:6] = start.origin, start.spin
-    place, own = _place(r), weights.rate.sum(axis=1)[:, None]
+    place, own = places(r)[0], weights.rate.sum(axis=1)[:, None]
     normal = _normal(weights, r)
     heavy = (readings.acceleration * weights.acceleration[..., None]).transpose(0, 2, 1)
     along = np.matmul(heavy, place).reshape(-1, 12)
@@ -289,17 +229,13 @@ def fit_samples(
         right[:, 3:6] -= _SPIN * x[:, 3:6]
         right[:, 6:] += pulled - own * x[:, 6:]
         with np.errstate(invalid="ignore"):
-            factor = factored(_matrix(normal, slope, weights))
-        step = solved(factor, right)
+            root = inverse_roots(_matrix(normal, slope, weights))
+        step = solved(root, right)
         x = x + step
         if not np.isfinite(step).all():
             raise np.linalg.LinAlgError("the motion of a sample runs away")
         if float(np.abs(step[:, 6:]).max(initial=0.0)) < _LAST:
             break
-    return _at(x, readings, weights, r, root_of(factor))
-
-
-def _at(x: Array, readings: Readings, weights: Weights, r: Array, root: Array) -> Sampled:
     rate, turn = x[:, 6:], turning(x[:, 6:], x[:, 3:6])
     force = x[:, None, :3] + r @ turn.transpose(0, 2, 1)
     return Sampled(
@@ -319,4 +255,4 @@ def reweighed(sampled: Sampled, acceleration: float, rate: float) -> Sampled:
     """The same motion with all weights of each kind of sensor times a factor."""
     weights = Weights(sampled.weights.acceleration * acceleration, sampled.weights.rate * rate)
     matrix = _matrix(_normal(weights, sampled.r), slope_of(sampled.rate), weights)
-    return replace(sampled, weights=weights, root=root_of(factored(matrix)))
+    return replace(sampled, weights=weights, root=inverse_roots(matrix))

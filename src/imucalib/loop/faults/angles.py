@@ -14,7 +14,7 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.core.references import unit_vector
-from imucalib.loop.faults.cells import Base, by_rows, leading, prior_of
+from imucalib.loop.faults.cells import Base, leading, prior_of
 from imucalib.loop.faults.sheet import Fault, Hypothesis, Sheet
 
 #: A typo is at least this far (deg) from what the sheet has.
@@ -39,32 +39,30 @@ def angles(base: Base, unit: tuple[float, float] = (1.0, 1.0)) -> Iterator[Hypot
             for k in leading(tops):
                 dial, score, prior = tried[k]
                 at = int(np.argmax(score))
-                one = _told(base, groups[k], column, float(dial[at]), float(tops[k]), unit[column])
-                yield replace(one, prior=float(prior[at]))
+                fault, mended = _mended(base, groups[k], column, dial[at], score[at], unit[column])
+                yield Hypothesis(fault, mended, float(prior[at]))
 
 
 def _shared(sheet: Sheet, column: int) -> list[Index]:
     """The rows of every setting that neighbours share, with as many rows beside it as in it."""
-    held = (sheet.inclination_setting, sheet.tool_face_setting)[column]
+    held = getattr(sheet, f"{_NAMES[column]}_setting")
     runs = np.split(np.arange(sheet.n), np.flatnonzero(np.diff(held)) + 1)
-    alone = [int(np.sum(held == held[rows[0]])) == len(rows) for rows in runs]
-    every = [r for r, whole in zip(runs, alone, strict=True) if whole]
-    return [r for r in every if 2 <= len(r) <= sheet.n // 2]
+    whole = [rows for rows in runs if np.sum(held == held[rows[0]]) == len(rows)]
+    return [rows for rows in whole if 2 <= len(rows) <= sheet.n // 2]
 
 
 def _over_the_dial(
     base: Base, rows: Index, column: int, groups: float
 ) -> tuple[Array, Array, Array]:
     """Degrees (d,), the nats (d,) that the rows gain there, and the log prior odds (d,) in them."""
-    sheet = base.sheet
-    own = (sheet.inclination, sheet.tool_face)[column]
+    own = getattr(base.sheet, _NAMES[column])
     dial = dial_of(column, own)
     seen = np.isin(dial, np.round(own))
     share = np.where(seen, 0.5 / max(seen.sum(), 1), 0.5 / len(dial))
     prior = prior_of(groups) + np.log(share)
     score = base.gain(_misfit(base, rows, column, dial), groups) + np.log(share)
-    near = apart(dial, float(own[rows[0]]), column) < _NEAREST
-    return dial, np.where(near, -np.inf, score), prior
+    same = apart(dial, float(own[rows[0]]), column) < _NEAREST
+    return dial, np.where(same, -np.inf, score), prior
 
 
 def _misfit(base: Base, rows: Index, column: int, dial: Array) -> Array:
@@ -74,34 +72,36 @@ def _misfit(base: Base, rows: Index, column: int, dial: Array) -> Array:
     both[column] = np.repeat(dial[:, None], len(rows), axis=1)
     force = unit_vector(*sheet.inside(both[0].ravel(), both[1].ravel()))
     moved = force.reshape(len(dial), len(rows), 3) - sheet.truth()[rows] / sheet.gravity
-    change = -sheet.gravity * moved @ base.response.T
-    blocks, pulled = by_rows(base)
-    own = blocks[:, rows[:, None], rows]
-    bent = np.einsum("dka,Gklab,dlb->Gd", change, own, change, optimize=True)
-    return np.asarray(
-        base.rss[:, None] + 2.0 * np.einsum("dka,Gka->Gd", change, pulled[:, rows]) + bent
-    )
+    return base.misfit(rows, -sheet.gravity * moved @ base.response.T)
 
 
-def _told(base: Base, rows: Index, column: int, at: float, score: float, unit: float) -> Hypothesis:
+def _mended(
+    base: Base, rows: Index, column: int, at: float, score: float, unit: float
+) -> tuple[Fault, Sheet]:
     sheet, name = base.sheet, _NAMES[column]
-    own = (sheet.inclination, sheet.tool_face)[column]
+    dial, settings = getattr(sheet, name).copy(), getattr(sheet, f"{name}_setting").copy()
+    own = float(dial[rows[0]])
     value, sd = _refined(base, rows, column, at)
-    shown = rounded(value, sd, np.delete(own, rows))
-    if apart(np.array([shown]), float(own[rows[0]]), column)[0] < _NEAREST:
+    shown = rounded(value, sd, np.delete(dial, rows))
+    if apart(np.array([shown]), own, column)[0] < _NEAREST:
         shown = round(value, 1)  # the dial's step would lead back to what the sheet has
     numbers = tuple(int(row) for row in sheet.row[rows])
-    single = len(numbers) == 1
-    where = f"row {numbers[0]}" if single else f"rows {numbers[0]} to {numbers[-1]}"
-    lines = f"{numbers[0]}" if single else f"{numbers[0]}-{numbers[-1]}"
-    says = "reading says" if single else "readings say"
+    where, lines, says = f"row {numbers[0]}", f"{numbers[0]}", "reading says"
+    if len(numbers) > 1:
+        where, says = f"rows {numbers[0]} to {numbers[-1]}", "readings say"
+        lines = f"{numbers[0]}-{numbers[-1]}"
     what = (
-        f"{where}: {name.replace('_', '-')} is {own[rows[0]]:g} on the sheet where the {says} "
+        f"{where}: {name.replace('_', '-')} is {own:g} on the sheet where the {says} "
         f"{value:.2f} ± {sd:.2g} deg"
     )
     line = f"--fix {lines}:{name}={shown * unit:.10g}"
-    fault = Fault("angle" if single else "setting", what, numbers, score, line)
-    return Hypothesis(fault, _with_angle(sheet, rows, column, shown))
+    fault = Fault("angle" if len(numbers) == 1 else "setting", what, numbers, float(score), line)
+    dial[rows] = shown
+    if sheet.ordered:
+        settings = np.concatenate([[0], np.cumsum(np.diff(dial) != 0.0)]).astype(np.intp)
+    else:
+        settings[rows] = settings.max() + 1
+    return fault, replace(sheet, **{name: dial, f"{name}_setting": settings})
 
 
 def _refined(base: Base, rows: Index, column: int, at: float) -> tuple[float, float]:
@@ -112,17 +112,6 @@ def _refined(base: Base, rows: Index, column: int, at: float) -> tuple[float, fl
     value = at + float(np.clip((low - high) / bend, -1.0, 1.0))
     left = max(float(_misfit(base, rows, column, np.array([value]))[k, 0]), 1e-12)
     return value, float(np.sqrt(2.0 * left / base.dof / bend))
-
-
-def _with_angle(sheet: Sheet, rows: Index, column: int, value: float) -> Sheet:
-    name = _NAMES[column]
-    dial, groups = getattr(sheet, name).copy(), getattr(sheet, f"{name}_setting").copy()
-    dial[rows] = value
-    if sheet.ordered:
-        groups = np.concatenate([[0], np.cumsum(np.diff(dial) != 0.0)]).astype(np.intp)
-    else:
-        groups[rows] = groups.max() + 1
-    return replace(sheet, **{name: dial, f"{name}_setting": groups})
 
 
 def dial_of(column: int, set_to: Array) -> Array:

@@ -21,8 +21,10 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.estimators.starting_point import concentrated
-from imucalib.loop.faults.sheet import ENOUGH, Fault, Sheet
+from imucalib.loop.faults.sheet import Fault, Sheet
 
+#: Nats beyond the sheet as it stands below which nothing is said.
+ENOUGH = 5.0
 #: Share of the rows that make the map.
 _SHARE = 0.75
 #: Misfit (mg) that any fixture may have: bias, tilt and noise.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +17,6 @@ from imucalib.significant_digits import per_cent
 Kind = Literal[
     "exchange", "move", "shift", "cell", "angle", "setting", "axes", "convention", "record"
 ]
-
-#: Nats beyond the sheet as it stands, the number of hypotheses of the class paid: below, nothing is
-#: said. Hypotheses that are not farther apart than this are named together.
-ENOUGH = 5.0
 
 
 @dataclass(frozen=True)
@@ -59,12 +55,13 @@ class Fault:
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A fault that was tried, and the sheet that its repair would give; its score is what it gains
-    at first glance, with `prior`, the log odds of its class and place."""
+    """A fault that is tried, and the sheet that its repair would give, None where a record is set
+    aside; its score is what it gains at first glance, with `prior`, the log odds of its class and
+    place."""
 
     fault: Fault
-    repaired: Sheet
-    prior: float = 0.0
+    repaired: Sheet | None
+    prior: float
 
 
 #: Dial angles (deg) to inclination and tool-face in rad, each angle on its own.
@@ -77,8 +74,7 @@ class Sheet:
 
     reading : (n, 3) mg; inclination, tool_face : (n,) deg, as on the sheet; row : (n,) its numbers
     place : (n,) where each stands in the whole table, from 0
-    sigma : (n,) noise of a row relative to the others; gravity : mg
-    inclination_setting, tool_face_setting : (n,) id of the setting of each row
+    gravity : mg; inclination_setting, tool_face_setting : (n,) id of the setting of each row
     inside : the convention of the angles; ordered : the rows stand in the order of the work
     """
 
@@ -87,7 +83,6 @@ class Sheet:
     tool_face: Array
     row: Index
     place: Index
-    sigma: Array
     gravity: float
     inclination_setting: Index
     tool_face_setting: Index
@@ -110,19 +105,9 @@ class Sheet:
         return replace(self, reading=reading)
 
     def take(self, rows: Index) -> Sheet:
-        columns = {
-            name: getattr(self, name)[rows]
-            for name in (
-                "reading",
-                "inclination",
-                "tool_face",
-                "row",
-                "place",
-                "sigma",
-                "inclination_setting",
-                "tool_face_setting",
-            )
-        }
+        """Some of the rows."""
+        every = vars(self).items()
+        columns: dict[str, Any] = {n: v[rows] for n, v in every if isinstance(v, np.ndarray)}
         return replace(self, **columns)
 
     def copied(self) -> NDArray[np.bool_]:
@@ -130,9 +115,9 @@ class Sheet:
         _, which, count = np.unique(self.reading, axis=0, return_inverse=True, return_counts=True)
         return np.asarray(count[which.ravel()] > 1)
 
-    def beside(self) -> Index:
-        """(n - 1,) 1 where no row of the table is left out between two neighbours, else 0."""
-        return np.asarray(np.diff(self.place) == 1, np.intp)
+    def runs(self) -> Index:
+        """(n,) number of each row's run of neighbours in the table, none of which is left out."""
+        return np.concatenate([[0], np.cumsum(np.diff(self.place) != 1)])
 
 
 def in_order(inclination: Array, tool_face: Array, draws: int = 199) -> bool:

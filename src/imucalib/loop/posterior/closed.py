@@ -16,11 +16,12 @@ from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.loop.candidates import Searched
 from imucalib.loop.found import Checked, FitLoop, Step, Unexplained
 from imucalib.loop.held_out import Difference, Fold, difference, folds_of, parts_of, with_density
+from imucalib.loop.posterior.explored import Explored, Start
 from imucalib.loop.posterior.held_out import LeftOut, left_out
 from imucalib.loop.posterior.noise import Point, shared_bias
 from imucalib.loop.posterior.odds import OPEN
 from imucalib.loop.posterior.slips import Mended, Written, mended
-from imucalib.loop.posterior.solution import Explored, axes_of, change, fit_of, noises_of, solved
+from imucalib.loop.posterior.solution import change, fit_of, noises_of, solved
 from imucalib.loop.posterior.words import Place, Told, name_of, rivals_of, scores_of, told
 from imucalib.loop.record_errors import accused, record_names, reduced
 from imucalib.units import MG
@@ -58,11 +59,13 @@ def close_loop(
     every record as it stands.
     """
     plain = fit_model(model, observations, start=start)
-    uneven = axes_of(plain, asked)
+    begun = Start.of(plain, asked)
+    uneven = begun.axis_noise()
     if np.any(uneven != 1.0):
         observations = replace(observations, sigma=observations.sigma * uneven)
         plain = fit_model(model, observations, start=plain.theta)
-    state = mended(plain, asked, written)
+        begun = Start.of(plain, asked)
+    state = mended(begun.explored(), asked, written)
     found = state.found
     said = told(found.problem, found.posterior)
     data = _walking(found, said)

@@ -13,11 +13,11 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.loop.held_out import Fold, Held, errors, joined
-from imucalib.loop.posterior.gram import Grams, beside, narrowed, swept, without
+from imucalib.loop.posterior.gram import Grams, narrowed, swept, without
 from imucalib.loop.posterior.odds import FOLD_BEAMS, FOLD_DEEPEST
 from imucalib.loop.posterior.problem import Choice, Problem
 from imucalib.loop.posterior.solution import solved
-from imucalib.loop.posterior.space import Hypothesis, Posterior, blocks_of, search
+from imucalib.loop.posterior.space import Posterior, blocks_of, search
 from imucalib.loop.posterior.words import told
 
 #: Probability of the sets whose components are searched anew, and single ones beside them.
@@ -40,56 +40,32 @@ class LeftOut:
 def left_out(problem: Problem, posterior: Posterior, folds: Sequence[Fold]) -> LeftOut:
     """Every fold of a design, in the order of the observations."""
     problem, grams = _narrowed(problem, posterior)
-    choices = problem.choices
-    whole = swept(grams, *problem.flat)
-    every = np.arange(problem.fit.observations.n)
+    every, whole = np.arange(problem.fit.observations.n), swept(grams, problem.flat)
     deepest = min(FOLD_DEEPEST, len(told(problem, posterior).hypothesis.components) + 1)
     before, after, nats = list[Held](), list[Held](), list[float]()
     for fold in folds:
         kept = without(grams, problem, np.setdiff1d(every, fold.rest))
-        found = search(problem, kept, choices, beams=FOLD_BEAMS, deepest=deepest)
+        found = search(problem, kept, beams=FOLD_BEAMS, deepest=deepest)
         said = told(problem, found).hypothesis
-        rest = swept(kept, *problem.flat)
-        nats.append(_gained(choices, (whole, posterior.dof), (rest, found.dof), said, found.base))
+        # The fold's rows given all others, by the set that is told over the base model.
+        blocks = blocks_of(problem.choices, said.picks)
+        gains = [
+            swept(given, *blocks).evidence(dof) - given.evidence(dof)
+            for given, dof in ((whole, posterior.dof), (swept(kept, problem.flat), found.dof))
+        ]
+        nats.append(gains[0] - gains[1])
         held = problem.fit.observations.take(fold.rows)
         for hypothesis, out in ((found.base, before), (said, after)):
-            one = solved(problem, kept, hypothesis, choices)
+            one = solved(problem, kept, hypothesis)
             fit = replace(problem.fit, model=one.model, theta=one.theta)
             out.append(errors(fit, one.theta, held))
-    return LeftOut(joined(before, folds), joined(after, folds), np.array(nats))
+    rows = [fold.rows for fold in folds]
+    return LeftOut(joined(before, rows), joined(after, rows), np.array(nats))
 
 
-def foretold(problem: Problem, posterior: Posterior, folds: Sequence[Fold]) -> Held:
+def base_left_out(problem: Problem, posterior: Posterior, folds: Sequence[Fold]) -> Held:
     """Predictions of every observation without its fold by the base model alone."""
-    used = np.r_[np.arange(problem.base), problem.columns.shape[1] - 1]
-    brief = replace(problem, columns=problem.columns[:, used], choices=())
-    grams = narrowed(posterior.grams, used)
-    out, every = list[Held](), np.arange(problem.fit.observations.n)
-    for fold in folds:
-        kept = without(grams, brief, np.setdiff1d(every, fold.rest))
-        one = solved(brief, kept, posterior.base)
-        fit = replace(problem.fit, model=one.model, theta=one.theta)
-        out.append(errors(fit, one.theta, problem.fit.observations.take(fold.rows)))
-    return joined(out, folds)
-
-
-def _gained(
-    choices: Sequence[Choice],
-    whole: tuple[Grams, float],
-    rest: tuple[Grams, float],
-    said: Hypothesis,
-    base: Hypothesis,
-) -> float:
-    """Nats by which a fold's rows given all others are foretold better by the set that is told than
-    by the base model; whole, rest : all data and those without the fold, beside the base model,
-    each with its degrees of freedom."""
-
-    def under(hypothesis: Hypothesis) -> float:
-        blocks = blocks_of(choices, hypothesis.picks)
-        one, other = (beside(grams, blocks).evidence(dof) for grams, dof in (whole, rest))
-        return one - other
-
-    return under(said) - under(base)
+    return left_out(replace(problem, choices=()), posterior, folds).before
 
 
 def _narrowed(problem: Problem, posterior: Posterior) -> tuple[Problem, Grams]:

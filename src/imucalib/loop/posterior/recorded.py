@@ -32,7 +32,7 @@ from imucalib.core.observations import Observations
 from imucalib.estimators.least_squares import evaluate
 from imucalib.loop.found import Wander
 from imucalib.loop.posterior.catalogue import Member
-from imucalib.loop.posterior.gram import Grams, Multiplied, Source, beside, log_sum, swept
+from imucalib.loop.posterior.gram import Grams, Multiplied, Source, swept
 from imucalib.loop.posterior.noise import diagonal_logs
 from imucalib.loop.posterior.odds import (
     HEARD,
@@ -222,7 +222,7 @@ def _settled(course: Course, every: Array, known: Array) -> tuple[Course, Wander
     n, p = len(every), every.shape[1] - 1
     logs, power = _evidence(course, every)
     # Walks stand together against none.
-    best = 1 + int(np.argmax(logs[1:])) if float(log_sum(logs[1:])) > logs[0] else 0
+    best = 1 + int(np.argmax(logs[1:])) if float(np.logaddexp.reduce(logs[1:])) > logs[0] else 0
     scatter = course.scatter
     walk = course.walks[best]
     alone = _beside(course, best, every)
@@ -232,7 +232,7 @@ def _settled(course: Course, every: Array, known: Array) -> tuple[Course, Wander
         size=float(np.sqrt(np.mean((alone - left) ** 2))) * scatter / MG,
         hours=walk.memory / 3600.0,
         scatter=factor * scatter / MG,
-        evidence=float(log_sum(logs[1:]) - logs[0]) if best else 0.0,
+        evidence=float(np.logaddexp.reduce(logs[1:]) - logs[0]) if best else 0.0,
         sd=factor * scatter / MG * float(walk.size[0]),
     )
     size = np.abs(left) / np.sqrt(1.0 + known / scatter**2)
@@ -284,7 +284,7 @@ def recorded_grams(problem: Problem, course: Course) -> Grams:
 
     return Grams(
         products=Multiplied(gram),
-        taken=np.zeros((len(gram), 0, gram.shape[1])),
+        removed=np.zeros((len(gram), 0, gram.shape[1])),
         log_weight=log_weight,
         numbers=problem.numbers,
         points=course.walks,
@@ -309,9 +309,9 @@ def looked(problem: Problem, grams: Grams, told: Sequence[tuple[Member, float]] 
     """One look at every member under every walk; told : members and their sizes"""
     place = {c.member.free: c.at for c in problem.choices}
     blocks = [(place[m.free], size) for m, size in told if m.free in place]
-    base = swept(grams, *problem.flat)
+    base = swept(grams, problem.flat)
     found, values = np.zeros(len(grams.points), bool), dict[str, list[str]]()
-    for one in (base, beside(base, blocks)) if blocks else (base,):
+    for one in (base, swept(base, *blocks)) if blocks else (base,):
         every, logs = _profiles(problem, one)
         likely = logs.max(axis=0) > logs.max() - HEARD
         found |= (logs[:, likely] > logs[:, likely].max(axis=0) - HEARD).any(axis=1)

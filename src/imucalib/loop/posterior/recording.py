@@ -40,7 +40,8 @@ from imucalib.loop.held_out import (
 )
 from imucalib.loop.posterior.catalogue import Member, components_of
 from imucalib.loop.posterior.closed import correctable, empty, judged, refused
-from imucalib.loop.posterior.held_out import LeftOut, foretold, left_out
+from imucalib.loop.posterior.explored import Explored, heard, refined, values_found
+from imucalib.loop.posterior.held_out import LeftOut, base_left_out, left_out
 from imucalib.loop.posterior.odds import FOLD_BEAMS, FOLD_DEEPEST
 from imucalib.loop.posterior.problem import problem_of
 from imucalib.loop.posterior.recorded import (
@@ -51,7 +52,7 @@ from imucalib.loop.posterior.recorded import (
     recorded_grams,
     whitener,
 )
-from imucalib.loop.posterior.solution import Explored, Solved, heard, near_values, refined, solved
+from imucalib.loop.posterior.solution import Solved, solved
 from imucalib.loop.posterior.space import search
 from imucalib.loop.posterior.words import Told, rivals_of, told
 from imucalib.loop.separation import ambiguities
@@ -184,7 +185,7 @@ def close_recording(plain: Fit, asked: Searched, known: Array, *, curves: bool =
     base = _at(nothing, data)
     loop = replace(empty(plain, found, asked, said), base=base, final=base, as_recorded=base)
     folds, final = folds_of(data), base
-    after = before = foretold(found.problem, found.posterior, folds)
+    after = before = base_left_out(found.problem, found.posterior, folds)
     if not correctable(found, said, curves=curves):
         loop = refused(loop, found, said, None)
     elif said.places:
@@ -204,7 +205,7 @@ def close_recording(plain: Fit, asked: Searched, known: Array, *, curves: bool =
         as_recorded=loop.final,
         weighed=rivals_of(found.problem, found.posterior),
         wander=wander,
-        ambiguous=ambiguities(loop, course.white(loop.final.at.unit)),
+        ambiguous=ambiguities(loop.final, loop.alternatives, course.white(loop.final.at.unit)),
         sums=sums_of(found.problem, found.posterior, base, *size),
     )
     return Closed(loop, course, before, after)
@@ -227,7 +228,7 @@ def _explored(plain: Fit, asked: Searched, known: Array) -> tuple[Explored, Cour
         brief = search(problem, grams, beams=FOLD_BEAMS, deepest=FOLD_DEEPEST)
         found = Explored(replace(plain, observations=at.observations), problem, brief, grams)
         hypothesis = told(problem, brief).hypothesis
-        closer = _together(look.values, near_values(found))
+        closer = _together(look.values, values_found(found))
         now = tuple((problem.choices[p.choice].member, p.size) for p in hypothesis.picks)
         still = {m.free for m, _ in now} == {m.free for m, _ in before}
         if still and closer.keys() <= near.keys():

@@ -23,13 +23,13 @@ from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.loop.candidates import Searched
 from imucalib.loop.faults.angles import angles
 from imucalib.loop.faults.cells import base_of, blocks, cells, exchanges, other_axes, prior_of
-from imucalib.loop.faults.sheet import Fault, Sheet
-from imucalib.loop.posterior.gram import Grams, beside, freed, log_sum
+from imucalib.loop.faults.sheet import Fault, Hypothesis, Sheet
+from imucalib.loop.posterior.explored import Explored, explored
+from imucalib.loop.posterior.gram import Grams, Multiplied, source_of, swept
 from imucalib.loop.posterior.odds import ACCUSED, OPEN
 from imucalib.loop.posterior.problem import known_sd
-from imucalib.loop.posterior.solution import Explored, explored
 from imucalib.loop.posterior.space import Pick, block_logs, blocks_of
-from imucalib.loop.record_errors import foreseen, set_aside
+from imucalib.loop.record_errors import set_aside
 from imucalib.units import DEG, MG
 
 #: Slips of one sheet, sheets that are refitted and that are searched again for each, and rows up to
@@ -59,25 +59,13 @@ class Mended:
     aside: tuple[tuple[int, float], ...] = ()
 
 
-@dataclass(frozen=True)
-class _Trial:
-    """score : nats at first glance; prior : log odds; row : that is set aside, or -1
-    fault, sheet : the slip and the sheet without it, of anything else
-    """
-
-    score: float
-    prior: float
-    row: int = -1
-    fault: Fault | None = None
-    sheet: Sheet | None = None
-
-
-def mended(base: Fit, asked: Searched, written: Written | None = None) -> Mended:
+def mended(found: Explored, asked: Searched, written: Written | None = None) -> Mended:
     """The posterior of a table with everything that is likelier wrong in it than not set right.
 
+    found : that of the table as it stands
     written : the sheet, where its angles are known; without one only records are asked
     """
-    state = Mended(explored(base, asked))
+    state = Mended(found)
     for _ in range(_MOST):
         best = _best(state, asked, written)
         if best is None:
@@ -90,8 +78,8 @@ def mended(base: Fit, asked: Searched, written: Written | None = None) -> Mended
 def log_density(found: Explored) -> float:
     """Log evidence of a sheet over all sets and noises, with the priors of what is free in it."""
     sd = known_sd(found.base)
-    told = np.isfinite(sd)
-    return found.posterior.evidence + float(np.log(found.base.noise.factor / sd[told]).sum())
+    known = np.isfinite(sd)
+    return found.posterior.evidence + float(np.log(found.base.noise.factor / sd[known]).sum())
 
 
 def _best(
@@ -99,40 +87,38 @@ def _best(
 ) -> tuple[Mended, Sheet | None] | None:
     """The likeliest of the sheets that are solved again, where the sheet as it stands is less
     likely than all of them together."""
-    trials = [t for t in _trials(state, written) if t.score > -OPEN / 3.0]
+    trials = [t for t in _trials(state, written) if t.fault.score > -OPEN / 3.0]
     now, odds = log_density(state.found), []
     for trial, base in _likeliest(trials, state, written):
         found = explored(base, asked)
         odds.append((log_density(found) - now + trial.prior, trial, found))
     odds.sort(key=lambda o: -o[0])
-    whole = float(log_sum(np.array([o for o, _, _ in odds]))) if odds else -np.inf
+    whole = float(np.logaddexp.reduce([o for o, _, _ in odds])) if odds else -np.inf
     if whole < np.log(ACCUSED):
         return None
     nats, trial, found = odds[0]
     share = float(np.exp(nats - np.logaddexp(0.0, whole)))
-    if trial.fault is None:
-        aside = (*state.aside, (trial.row, share))
-        return replace(state, found=found, aside=aside), _sheet(written)
-    near = (t.fault.line for o, t, _ in odds[1:] if t.fault and o > nats - OPEN / 3.0)
-    fault = replace(trial.fault, probability=share, rivals=tuple(dict.fromkeys(near)))
-    return replace(state, found=found, slips=(*state.slips, fault)), trial.sheet
+    if trial.repaired is None:
+        aside = (*state.aside, (trial.fault.rows[0], share))
+        return replace(state, found=found, aside=aside), written.sheet if written else None
+    close = (t.fault.line for o, t, _ in odds[1:] if t.repaired and o > nats - OPEN / 3.0)
+    fault = replace(trial.fault, probability=share, rivals=tuple(dict.fromkeys(close)))
+    return replace(state, found=found, slips=(*state.slips, fault)), trial.repaired
 
 
 def _likeliest(
-    trials: Sequence[_Trial], state: Mended, written: Written | None
-) -> list[tuple[_Trial, Fit]]:
+    trials: Sequence[Hypothesis], state: Mended, written: Written | None
+) -> list[tuple[Hypothesis, Fit]]:
     """The trials whose sheets the base model fits best, refitted: the first of every class, since
-    a glance is off by more in one class than in another, then the others that are near."""
-    first, others, seen = list[_Trial](), list[_Trial](), set[str]()
-    for trial in sorted(trials, key=lambda t: -t.score):
-        kind = trial.fault.kind if trial.fault else "record"
-        if kind not in seen:
-            first.append(trial)
-        elif trial.score > first[0].score - OPEN:
+    a glance is off by more in one class than in another, then the others that are close."""
+    first, others = dict[str, Hypothesis](), list[Hypothesis]()
+    ranked = sorted(trials, key=lambda t: -t.fault.score)
+    for trial in ranked:
+        among_best = trial.fault.score > ranked[0].fault.score - OPEN
+        if first.setdefault(trial.fault.kind, trial) is not trial and among_best:
             others.append(trial)
-        seen.add(kind)
     fits = []
-    for trial in (*first, *others)[:_REFITTED]:
+    for trial in (*first.values(), *others)[:_REFITTED]:
         base = _solved_again(state.found.base, trial, written)
         if base is not None:
             fits.append((base.log_likelihood + trial.prior, trial, base))
@@ -140,63 +126,98 @@ def _likeliest(
     return [(trial, base) for _, trial, base in fits[:_TRIED]]
 
 
-def _sheet(written: Written | None) -> Sheet | None:
-    return written.sheet if written else None
-
-
-def _trials(state: Mended, written: Written | None) -> Iterator[_Trial]:
+def _trials(state: Mended, written: Written | None) -> Iterator[Hypothesis]:
+    """Records that may be set aside, and every slip at its best, at first glance beside nothing and
+    beside the sets where a record counts most."""
     found = state.found
     n = found.base.observations.n
     if n > _LONGEST:
         return
     sets = _sets(found)
-    sheets = _beside_each(found, sets)
-    gains = np.array([_freed(found, one) for one in sheets])
+    sheets = _given_each(found, sets)
+    gains = _gains_of_records(found, sheets)
     order = np.argsort(-gains.max(axis=1) - [*sets.values()])
-    leading = dict.fromkeys((0, *map(int, order[:2])))
-    touched = {row for fault in state.slips for row in fault.rows}
-    taken = {row for row, _ in state.aside}
-    alone = gains.max(axis=0) + prior_of(n)
-    for row in map(int, np.argsort(-alone)[:_TRIED]):
-        if row not in taken:
-            yield _Trial(float(alone[row]), prior_of(n), row=row)
+    best, prior = gains.max(axis=0) + prior_of(n), prior_of(n)
+    aside = {row for row, _ in state.aside}
+    for row in map(int, np.argsort(-best)[:_TRIED]):
+        if row not in aside:
+            yield Hypothesis(Fault("record", "", (row,), float(best[row]), ""), None, prior)
     if written is None:
         return
-    best: dict[str, _Trial] = {}
-    for k in leading:
+    touched = {row for fault in state.slips for row in fault.rows}
+    slips = dict[str, Hypothesis]()
+    for k in dict.fromkeys((0, *map(int, order[:2]))):
         base = base_of(found, written.sheet, sheets[k])
-        own = written.cell[written.sheet.place]
-        every = (
+        for slip in (
             *exchanges(base),
-            *cells(base, own),
+            *cells(base, written.cell[written.sheet.place]),
             *blocks(base),
             *angles(base, written.unit),
             *other_axes(base),
-        )
-        for slip in every:
-            fault, old = slip.fault, best.get(slip.fault.line)
-            better = old is None or fault.score > old.score
-            if better and not touched & set(fault.rows):
-                best[fault.line] = _Trial(fault.score, slip.prior, fault=fault, sheet=slip.repaired)
-    yield from best.values()
+        ):
+            old = slips.get(slip.fault.line)
+            better = old is None or slip.fault.score > old.fault.score
+            if better and not touched & set(slip.fault.rows):
+                slips[slip.fault.line] = slip
+    yield from slips.values()
 
 
 def _sets(found: Explored) -> dict[tuple[Pick, ...], float]:
     """Sets beside which a record may be wrong, the base model first, and how many nats each is
-    behind the likeliest: what a record hides leads only once it is set right."""
+    from the likeliest: what a record hides leads only once it is set right."""
     posterior = found.posterior
-    behind = np.log(np.maximum(posterior.probability / posterior.probability[0], 1e-300))
-    known = {h.picks: float(b) for h, b in zip(posterior.hypotheses, behind, strict=True)}
+    nats = np.log(np.maximum(posterior.probability / posterior.probability[0], 1e-300))
+    known = {h.picks: float(b) for h, b in zip(posterior.hypotheses, nats, strict=True)}
     base = posterior.base.picks
     return {base: known[base]} | {p: b for p, b in known.items() if b > -OPEN}
 
 
-def _solved_again(base: Fit, trial: _Trial, written: Written | None) -> Fit | None:
+def _given_each(found: Explored, sets: Iterable[tuple[Pick, ...]]) -> list[Grams]:
+    """Of each set the products beside the base model and it: of the columns of all sets, of one
+    column for each number of a reading by itself, and y. A number that is free is as good as one
+    that is not there."""
+    every = [blocks_of(found.problem.choices, picks) for picks in sets]
+    columns = np.unique(
+        np.concatenate([np.zeros(0, np.intp), *(at for one in every for at, _ in one)])
+    )
+    flat = _with_free_numbers(found, columns)
+    return [swept(flat, *((np.searchsorted(columns, at), s) for at, s in one)) for one in every]
+
+
+def _with_free_numbers(found: Explored, columns: Index) -> Grams:
+    """The products beside the base model, multiplied out."""
+    problem, source, p = found.problem, source_of(found.every), found.problem.base
+    n, own = len(source.columns), np.concatenate([np.arange(p), columns])
+    every = np.column_stack([source.columns[:, own], np.eye(n), source.columns[:, -1]])
+    known = np.zeros((len(problem.columns) - n, every.shape[1]))
+    known[:, : own.size], known[:, -1] = problem.columns[n:, own], problem.columns[n:, -1]
+    matrix = np.array([every.T @ solve(every) for solve in source.solves]) + known.T @ known
+    nothing = np.zeros((len(matrix), 0, every.shape[1]))
+    whole = replace(found.every, products=Multiplied(matrix), removed=nothing, source=None)
+    rest = swept(whole, problem.flat)
+    given_base = rest.rows(np.arange(p, every.shape[1]))[:, :, p:]
+    return replace(rest, products=Multiplied(given_base), removed=nothing[:, :, p:])
+
+
+def _gains_of_records(found: Explored, sheets: Sequence[Grams]) -> Array:
+    """(sets, n) nats that freeing each record gains beside each set, before anything is solved
+    again; sheets : the products beside each, the readings' own numbers before y"""
+    dof, fit = found.posterior.dof, found.base
+    single = sheets[0].along.shape[1] - 1 - len(fit.at.owner) + np.arange(len(fit.at.owner))
+    rows = single.reshape(fit.observations.n, -1)
+    size = np.array([GROSS_MG * MG / float(np.median(fit.at.unit)) / fit.noise.factor])
+    whole = sheets[0].products.blocks(rows)
+    logs = [block_logs(one, rows, size, dof, whole)[0][..., 0] for one in sheets]
+    now = np.array([one.evidence(dof) for one in sheets])
+    gains = np.array([np.logaddexp.reduce(each) for each in logs]) - now[:, None]
+    return np.asarray(gains)
+
+
+def _solved_again(base: Fit, trial: Hypothesis, written: Written | None) -> Fit | None:
     """The base model of the sheet that a trial would leave, or None where it cannot be fitted."""
-    if trial.sheet is None or written is None:
-        other = set_aside(base, trial.row)
-        return other if foreseen(base, other) else None
-    data = _observed(base.observations, written.sheet, trial.sheet)
+    if trial.repaired is None or written is None:
+        return set_aside(base, trial.fault.rows[0])
+    data = _observed(base.observations, written.sheet, trial.repaired)
     other = fit_model(base.model, data, start=base.theta)
     return other if other.converged else None
 
@@ -240,25 +261,3 @@ def _turned(context: Context, sheet: Sheet) -> Context:
     dials = {"inclination_dial": sheet.inclination, "tool_face_dial": sheet.tool_face}
     found |= {name: value * DEG for name, value in dials.items() if name in context}
     return replace(context, covariates=found)
-
-
-def _beside_each(found: Explored, sets: Iterable[tuple[Pick, ...]]) -> list[Grams]:
-    """Of each set the Grams beside the base model and it: of the columns of all sets, then the
-    readings' own numbers and y."""
-    every = [blocks_of(found.problem.choices, picks) for picks in sets]
-    columns = np.unique(
-        np.concatenate([np.zeros(0, np.intp), *(c for one in every for c, _ in one)])
-    )
-    flat = freed(found.every, found.problem, columns)
-    return [beside(flat, ((np.searchsorted(columns, c), s) for c, s in one)) for one in every]
-
-
-def _freed(found: Explored, one: Grams) -> Array:
-    """(n,) nats that freeing each record gains beside a set, before anything is solved again; one :
-    the Grams beside it, the readings' own numbers before y"""
-    dof, fit = found.posterior.dof, found.base
-    first = one.along.shape[1] - 1 - len(fit.at.owner)
-    rows = [first + np.flatnonzero(fit.at.owner == row) for row in range(fit.observations.n)]
-    size = GROSS_MG * MG / float(np.median(fit.at.unit)) / fit.noise.factor
-    logs = block_logs(one, np.array(rows), np.array([size]), dof)[0][..., 0]
-    return log_sum(logs) - one.evidence(dof)

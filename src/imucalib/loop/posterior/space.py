@@ -10,7 +10,7 @@ the evidence of a set does not depend on the order in which it was built.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +18,7 @@ import numpy as np
 from imucalib.arrays import Array, Index
 from imucalib.core.eigen import eigen
 from imucalib.loop.posterior.catalogue import log_set_prior, log_size_prior
-from imucalib.loop.posterior.gram import Grams, beside, log_sum, swept
+from imucalib.loop.posterior.gram import Block, Grams, swept
 from imucalib.loop.posterior.odds import BEAMS, DEEPEST, OPEN, WIDTH
 from imucalib.loop.posterior.problem import Choice, Contest
 
@@ -38,7 +38,7 @@ class Pick:
     size: float
 
 
-def blocks_of(choices: Sequence[Choice], picks: Sequence[Pick]) -> list[tuple[Index, float]]:
+def blocks_of(choices: Sequence[Choice], picks: Sequence[Pick]) -> list[Block]:
     """The columns and the size of each pick."""
     return [(choices[p.choice].at, p.size) for p in picks]
 
@@ -84,171 +84,142 @@ class Posterior:
         return next(h for h in self.hypotheses if not h.components)
 
 
-@dataclass(frozen=True)
-class _State:
-    """A hypothesis that is opened, with its own Grams."""
-
-    hypothesis: Hypothesis
-    grams: Grams
-
-
-@dataclass(frozen=True)
-class _Blocks:
-    """Blocks of columns by their width: which of `count`, index (m, w), and those of all data."""
-
-    count: int
-    by_width: tuple[tuple[Index, Index, Array], ...]
-
-
-def _blocks(grams: Grams, columns: Sequence[Index]) -> _Blocks:
-    widths = np.array([c.size for c in columns])
-    every = []
-    for width in np.unique(widths):
-        which = np.flatnonzero(widths == width)
-        index = np.array([columns[int(j)] for j in which])
-        every.append((which, index, grams.products.blocks(index)))
-    return _Blocks(len(columns), tuple(every))
+#: Sets by their components, each at its likeliest picks.
+_Found = dict[tuple[int, ...], Hypothesis]
 
 
 def search(
-    problem: Contest,
-    grams: Grams,
-    choices: tuple[Choice, ...] | None = None,
-    *,
-    beams: tuple[int, ...] = BEAMS,
-    deepest: int = DEEPEST,
+    problem: Contest, grams: Grams, *, beams: tuple[int, ...] = BEAMS, deepest: int = DEEPEST
 ) -> Posterior:
-    """The posterior over sets of components by a beam search; choices : those of the problem by
-    default, with their columns in these Grams; beams : sets that are opened at each depth."""
-    every = problem.choices if choices is None else choices
-    dof = grams.numbers - problem.base
-    base = swept(grams, *problem.flat)
-    nothing = Hypothesis((), (), base.evidence(dof), 0.0)
-    found: dict[tuple[int, ...], Hypothesis] = {(): nothing}
-    level = [_State(nothing, base)]
-    blocks = _blocks(grams, [c.at for c in every])
+    """The posterior over sets of components by a beam search; beams : sets that are opened at each
+    depth."""
+    space = _Space(problem, grams)
+    nothing = space.hypothesis((), (), space.base)
+    found: _Found = {(): nothing}
+    level = [nothing]
     for depth in range(deepest):
-        born: dict[tuple[int, ...], tuple[Hypothesis, _State]] = {}
-        for state in level:
-            for one in _opened(problem, state, every, blocks, dof):
-                key = one.components
-                if key not in found and (key not in born or one.evidence > born[key][0].evidence):
-                    born[key] = one, state
+        born: _Found = {}
+        for one in level:
+            _keep(born, (h for h in space.opened(one) if h.components not in found))
+        top = _likeliest_first(born)
         best = max(h.log_posterior for h in found.values())
-        top = sorted(born.values(), key=lambda b: -b[0].log_posterior)
-        found.update({h.components: h for h, _ in top[:_KEPT]})
-        if not top or top[0][0].log_posterior < best - OPEN / 3.0:
+        found.update({h.components: h for h in top[:_KEPT]})
+        if not top or top[0].log_posterior < best - OPEN / 3.0:
             break
-        bar = max(best, top[0][0].log_posterior) - OPEN
+        bar = max(best, top[0].log_posterior) - OPEN
         width = beams[min(depth, len(beams) - 1)]
-        level = [_state(h, s, every) for h, s in top[:width] if h.log_posterior > bar]
-    return _ranked(found, grams, dof)
+        level = [h for h in top[:width] if h.log_posterior > bar]
+    return space.posterior(found)
 
 
 def climbed(problem: Contest, grams: Grams, start: Sequence[Pick] = ()) -> Posterior:
     """The posterior by opening the likeliest sets: everything beside each, and then everything in
     the place of each of its components, until none of the likeliest is new. Where sets are large, a
     beam from nothing goes a long way; start : picks of a set that is likely."""
-    every, dof = problem.choices, grams.numbers - problem.base
-    base = swept(grams, *problem.flat)
-    blocks = _blocks(grams, [c.at for c in every])
-    found: dict[tuple[int, ...], Hypothesis] = {}
-    opened = set[tuple[tuple[Pick, ...], bool]]()
+    space, found, opened = _Space(problem, grams), _Found(), set[tuple[tuple[Pick, ...], bool]]()
 
-    def at(picks: tuple[Pick, ...], added: tuple[float, ...]) -> _State:
-        own = beside(base, blocks_of(every, picks))
-        key = tuple(sorted(every[p.choice].component for p in picks))
-        evidence = own.evidence(dof) + sum(added)
-        return _State(
-            Hypothesis(key, picks, evidence, log_set_prior(problem.odds, key), added), own
-        )
+    def keep(picks: tuple[Pick, ...], added: tuple[float, ...], *, open_it: bool) -> None:
+        own = swept(space.base, *blocks_of(problem.choices, picks))
+        one = space.hypothesis(picks, added, own)
+        _keep(found, (one, *(space.opened(one, own) if open_it else ())))
 
-    def keep(state: _State, *, open_it: bool = True) -> None:
-        more = _opened(problem, state, every, blocks, dof) if open_it else ()
-        for one in (state.hypothesis, *more):
-            old = found.get(one.components)
-            if old is None or one.evidence > old.evidence:
-                found[one.components] = one
-
-    keep(at((), ()), open_it=bool(start))
+    keep((), (), open_it=bool(start))
     if start:
         prior = log_size_prior(problem.sizes)
         level = [int(np.argmin(np.abs(np.log(problem.sizes / p.size)))) for p in start]
-        weight = [every[p.choice].log_weight for p in start]
+        weight = [problem.choices[p.choice].log_weight for p in start]
         added = tuple(float(prior[k]) + w for k, w in zip(level, weight, strict=True))
-        keep(at(tuple(start), added), open_it=False)
+        keep(tuple(start), added, open_it=False)
     while True:
-        top = sorted(found.values(), key=lambda h: -h.log_posterior)[:WIDTH]
-        steps = ((h, aside) for h in top for aside in (False, True))
-        new = next(((h, a) for h, a in steps if (h.picks, a) not in opened), None)
+        top = _likeliest_first(found)[:WIDTH]
+        steps = ((h, shorter) for h in top for shorter in (False, True))
+        new = next(((h, s) for h, s in steps if (h.picks, s) not in opened), None)
         if new is None:
-            return _ranked(found, grams, dof)
-        opened.add((new[0].picks, new[1]))
-        for state in _aside(*new, at):
-            keep(state)
+            return space.posterior(found)
+        one, shorter = new
+        opened.add((one.picks, shorter))
+        # The whole set, or it without each of its components.
+        for k in range(len(one.picks)) if shorter else (len(one.picks),):
+            picks = one.picks[:k] + one.picks[k + 1 :]
+            keep(picks, one.added[:k] + one.added[k + 1 :], open_it=True)
 
 
-def _aside(
-    one: Hypothesis, aside: bool, at: Callable[[tuple[Pick, ...], tuple[float, ...]], _State]
-) -> Iterator[_State]:
-    """A set, or it without each of its components."""
-    if not aside:
-        yield at(one.picks, one.added)
-        return
-    for k in range(len(one.picks)):
-        yield at(one.picks[:k] + one.picks[k + 1 :], one.added[:k] + one.added[k + 1 :])
+def _keep(found: _Found, some: Iterator[Hypothesis] | Sequence[Hypothesis]) -> None:
+    """Of equal components the likelier picks stay."""
+    for one in some:
+        old = found.get(one.components)
+        if old is None or one.evidence > old.evidence:
+            found[one.components] = one
 
 
-def _ranked(found: dict[tuple[int, ...], Hypothesis], grams: Grams, dof: float) -> Posterior:
-    ranked = sorted(found.values(), key=lambda h: -h.log_posterior)
-    logs = np.array([h.log_posterior for h in ranked])
-    whole = float(log_sum(logs))
-    return Posterior(tuple(ranked), np.exp(logs - whole), grams, dof, whole)
+def _likeliest_first(found: Mapping[tuple[int, ...], Hypothesis]) -> list[Hypothesis]:
+    return sorted(found.values(), key=lambda h: -h.log_posterior)
 
 
-def _state(hypothesis: Hypothesis, source: _State, choices: tuple[Choice, ...]) -> _State:
-    pick = hypothesis.picks[-1]
-    return _State(hypothesis, swept(source.grams, choices[pick.choice].at, pick.size))
+class _Space:
+    """Sets of a problem's components at its products; base : these with the base integrated out."""
 
+    def __init__(self, problem: Contest, grams: Grams) -> None:
+        self.base = swept(grams, problem.flat)
+        self._problem, self._grams = problem, grams
+        self._dof = grams.numbers - problem.base
+        self._component = np.array([c.component for c in problem.choices], dtype=int)
+        self._weight = np.array([c.log_weight for c in problem.choices])
+        # Members by the width of their columns: which, index (m, w), and the products of all data.
+        widths = np.array([c.at.size for c in problem.choices], dtype=int)
+        self._by_width = list[tuple[Index, Index, Array]]()
+        for width in np.unique(widths):
+            which = np.flatnonzero(widths == width)
+            index = np.array([problem.choices[int(j)].at for j in which])
+            self._by_width.append((which, index, grams.products.blocks(index)))
 
-def _opened(
-    problem: Contest, state: _State, choices: tuple[Choice, ...], blocks: _Blocks, dof: float
-) -> list[Hypothesis]:
-    """Every set with one component more."""
-    own = state.hypothesis
-    score, raw = _scores(state, blocks, problem.sizes, dof)
-    score = score + np.array([c.log_weight for c in choices])[:, None]
-    of = np.array([c.component for c in choices])
-    found = []
-    for component in np.setdiff1d(of, own.components):
-        rows = np.flatnonzero(of == component)
-        part = score[rows]
-        total = float(log_sum(part.ravel()))
-        if not np.isfinite(total):
-            continue
-        a, b = np.unravel_index(np.argmax(part), part.shape)
-        key = tuple(sorted((*own.components, int(component))))
-        found.append(
-            Hypothesis(
+    def hypothesis(
+        self, picks: tuple[Pick, ...], added: tuple[float, ...], own: Grams
+    ) -> Hypothesis:
+        """A set at its picks; own : the products beside them."""
+        problem = self._problem
+        key = tuple(sorted(problem.choices[p.choice].component for p in picks))
+        prior = log_set_prior(problem.odds, key)
+        return Hypothesis(key, picks, own.evidence(self._dof) + sum(added), prior, added)
+
+    def opened(self, one: Hypothesis, own: Grams | None = None) -> Iterator[Hypothesis]:
+        """Every set with one component more; own : the products beside this one, if there are."""
+        problem = self._problem
+        own = own or swept(self.base, *blocks_of(problem.choices, one.picks))
+        score, raw = self._scores(own)
+        for component in np.setdiff1d(self._component, one.components):
+            rows = np.flatnonzero(self._component == component)
+            total = float(np.logaddexp.reduce(score[rows].ravel()))
+            if not np.isfinite(total):
+                continue
+            a, b = np.unravel_index(np.argmax(score[rows]), (rows.size, problem.sizes.size))
+            key = tuple(sorted((*one.components, int(component))))
+            yield Hypothesis(
                 components=key,
-                picks=(*own.picks, Pick(int(rows[a]), float(problem.sizes[b]))),
-                evidence=total + sum(own.added),
+                picks=(*one.picks, Pick(int(rows[a]), float(problem.sizes[b]))),
+                evidence=total + sum(one.added),
                 prior=log_set_prior(problem.odds, key),
-                added=(*own.added, total - float(raw[rows[a], b])),
+                added=(*one.added, total - float(raw[rows[a], b])),
             )
-        )
-    return found
 
+    def _scores(self, grams: Grams) -> tuple[Array, Array]:
+        """(M, T) log evidence of each member at each size, over all noises, with the priors of
+        member and size and without."""
+        sizes = self._problem.sizes
+        out = np.full((2, self._weight.size, sizes.size), -np.inf)
+        for which, index, whole in self._by_width:
+            logs, factor = block_logs(grams, index, sizes, self._dof, whole)
+            weighed = np.logaddexp.reduce(logs + log_size_prior(sizes * factor))
+            out[0, which] = weighed + self._weight[which, None]
+            out[1, which] = np.logaddexp.reduce(logs)
+        return out[0], out[1]
 
-def _scores(state: _State, opened: _Blocks, sizes: Array, dof: float) -> tuple[Array, Array]:
-    """(M, T) log evidence of each block at each size, over all noises, with the prior of the size
-    and without."""
-    out = np.full((2, opened.count, sizes.size), -np.inf)
-    for which, index, whole in opened.by_width:
-        logs, factor = block_logs(state.grams, index, sizes, dof, whole)
-        out[0, which] = log_sum(logs + log_size_prior(sizes * factor))
-        out[1, which] = log_sum(logs)
-    return out[0], out[1]
+    def posterior(self, found: _Found) -> Posterior:
+        """Of all sets that were found."""
+        ranked = _likeliest_first(found)
+        logs = np.array([h.log_posterior for h in ranked])
+        whole = float(np.logaddexp.reduce(logs))
+        return Posterior(tuple(ranked), np.exp(logs - whole), self._grams, self._dof, whole)
 
 
 def block_logs(

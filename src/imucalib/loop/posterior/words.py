@@ -53,7 +53,7 @@ def scores_of(problem: Problem, posterior: Posterior) -> tuple[Score, ...]:
     the base model leaves of it at the likeliest noise.
     """
     grams = posterior.grams
-    base = swept(grams, *problem.flat)
+    base = swept(grams, problem.flat)
     logs = base.log_weight + base.log_noise(base.power, posterior.dof)
     noise = np.array([int(np.argmax(logs))])
     one, n = base.of(noise), len(problem.fit.at.owner)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from imucalib.arrays import Array
-from imucalib.calibrators.array.loop.ages import Ages, beats
+from imucalib.calibrators.array.loop.ages import beats
 from imucalib.calibrators.array.loop.catalogue import array_catalogue
 from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
 from imucalib.calibrators.array.loop.terms import Term, columns_of, determined, lost, sensed
@@ -24,7 +24,7 @@ def test_a_beat_is_the_steady_part_of_a_sawtooth() -> None:
     turns = -0.7 * (t - 3.0) + 0.3 + 0.05 * np.sin(2.0 * np.pi * t / 10.0)
     wave = np.stack([turns - np.floor(turns) - 0.5, np.zeros(t.size)], axis=1)
     clock = SampleAge(wave, np.array([-0.7, np.nan]), np.zeros(2))
-    one, none = beats(Ages(wave, np.ones(t.size, bool), clock), t)
+    one, none = beats(clock, t, np.arange(t.size))
     assert none is None
     assert one is not None
     assert one.frequency == pytest.approx(-0.7, abs=0.002)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imucalib.calibrators.array.loop.ages import found_ages, voting
+from imucalib.calibrators.array.loop.ages import found_clock, voting
 from imucalib.calibrators.array.loop.cross_fit import Gained, difference_of_medians
 from imucalib.calibrators.array.loop.search import start_state
 from imucalib.calibrators.array.loop.setup import Setup, array_setup, part_of
@@ -44,14 +44,14 @@ def test_halves_share_no_sample_and_no_clock_learns_of_them(clean: Recording) ->
         setup.rows[setup.inner],
     )
     state = start_state(one, rest_terms(rests))
-    before = found_ages(state, moving)
-    silent = two.rows[two.inner][voting(two, moving)]
+    before = found_clock(state)
+    silent = two.rows[two.inner][voting(two)]
     rate = moving.rate.copy()
     rate[silent] *= 1.5
-    after = found_ages(state, replace(moving, rate=rate))
+    after = found_clock(replace(state, setup=replace(one, moving=replace(moving, rate=rate))))
     assert before is not None
     assert after is not None
-    assert np.array_equal(before.clock.frequency, after.clock.frequency)
+    assert np.array_equal(before.frequency, after.frequency)
     assert len(silent) > 30
 
 

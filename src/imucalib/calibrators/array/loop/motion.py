@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 
@@ -33,11 +32,10 @@ class BoardMotion:
         attitude = self.context.attitude
         assert attitude is not None
         t, k, _, m = basis.shape
-        out = np.empty((k, t, 3, m))
-        for (triad, i), ((first, own), *others) in _products(attitude.shape, attitude.tobytes()):
-            np.multiply(basis[:, triad, first], own, out=out[triad, :, i])
-            for j, share in others:
-                out[triad, :, i] += share * basis[:, triad, j]
+        out = np.zeros((k, t, 3, m))
+        # Mountings are mostly signed permutations: of nine products three are there.
+        for triad, i, j in np.argwhere(attitude):
+            out[triad, :, i] += attitude[triad, i, j] * basis[:, triad, j]
         return out
 
     def aged(self, age: Array | None) -> BoardMotion:
@@ -82,19 +80,6 @@ class BoardMotion:
         return self.context.covariates.get("sample_age")
 
 
-@lru_cache(maxsize=8)
-def _products(
-    shape: tuple[int, ...], attitude: bytes
-) -> tuple[tuple[tuple[int, ...], list[tuple[int, float]]], ...]:
-    """Of each row of each triad's attitude its place and the columns that are not zero, with what
-    they hold. Mountings are mostly signed permutations: of nine products three are left."""
-    whole = np.frombuffer(attitude).reshape(shape)
-    return tuple(
-        (at, [(int(j), float(whole[at][j])) for j in np.flatnonzero(whole[at])])
-        for at in np.ndindex(shape[:2])
-    )
-
-
 def board_motion(
     *,
     imus: tuple[str, ...],
@@ -112,11 +97,10 @@ def board_motion(
     rotations : (K, 3, 3), package axes to board axes; t : (T,) s; order : (T,) 0..1 over the motion
     rate, spin : (T, 3) rad/s, rad/s²; force, jerk : (T, K, 3) m/s², m/s³; age : (T, K) or None
     """
-    shape = (len(t), len(imus), 3)
 
     def seen(vector: Array) -> Array:
-        whole = np.broadcast_to(vector[:, None] if vector.ndim == 2 else vector, shape)
-        return np.asarray(np.matmul(whole[:, :, None], rotations)[:, :, 0])
+        each = vector if vector.ndim == 3 else vector[:, None]
+        return np.asarray((each[:, :, None] @ rotations)[:, :, 0])
 
     truth = Truth(seen(force), Motion(seen(rate), seen(spin), seen(jerk)))
     context = Context(len(t), {"order": order, "time": t}, imus, attitude=rotations, moving=True)
@@ -125,12 +109,12 @@ def board_motion(
 
 def motion_at_rest(imus: tuple[str, ...], rotations: Array, force: Array, t: Array) -> BoardMotion:
     """The board at rest under forces (n, K, 3) m/s² in board axes; t : (n,) s."""
-    n, still = len(force), np.zeros((len(force), 3))
+    still = np.zeros((len(force), 3))
     return board_motion(
         imus=imus,
         rotations=rotations,
         t=t,
-        order=np.full(n, 0.5),
+        order=np.full(len(force), 0.5),
         rate=still,
         spin=still,
         force=force,

@@ -1,0 +1,246 @@
+"""The posterior at a fitted base model: what may be missing, at all noises that may be.
+
+Before the search the noises are dropped that the data exclude, be the base complete or lack every
+free function at once, with gross errors: what a model lacks looks like noise, and what it holds
+does not. After it, scans are refined around the values that stand in likely sets.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from imucalib.arrays import Array, Index
+from imucalib.core.balance import Noise, balance
+from imucalib.core.fit import Fit
+from imucalib.core.observations import Observations
+from imucalib.effects.record_error import GROSS_MG
+from imucalib.estimators.least_squares import fit as fit_model
+from imucalib.estimators.starting_point import alike_rows, full_matrix_start
+from imucalib.loop.candidates import Searched
+from imucalib.loop.posterior.catalogue import Component, components_of, scan_of
+from imucalib.loop.posterior.gram import Grams, grams_of
+from imucalib.loop.posterior.noise import Point, Terms, terms_of
+from imucalib.loop.posterior.odds import AXES, FAR, GROSS, HEARD, REACH, SIZES, UNEVEN
+from imucalib.loop.posterior.problem import Problem, problem_of
+from imucalib.loop.posterior.solution import noises_of
+from imucalib.loop.posterior.space import Posterior, search
+from imucalib.units import MG
+
+#: Probability from which on a scan is refined around what it found.
+_LIKELY = 0.05
+#: Rows whose own precision is formed at once.
+_AT_ONCE = 64
+
+
+@dataclass(frozen=True)
+class Explored:
+    """A base fit with the posterior over what it lacks, at the noises that its leading sets give a
+    say; every : Grams at all noises that the data do not exclude, be a record what it may"""
+
+    base: Fit
+    problem: Problem
+    posterior: Posterior
+    every: Grams
+
+
+@dataclass(frozen=True)
+class Start:
+    """A base fit before the search: the problem with all that may be missing, and what its noise
+    may be; asked : what is searched for"""
+
+    base: Fit
+    asked: Searched
+    problem: Problem
+    terms: Terms
+
+    @staticmethod
+    def of(fit: Fit, asked: Searched) -> Start:
+        base = _anchored(fit)
+        problem = problem_of(base, components_of(base.model, base.observations, asked))
+        return Start(base, asked, problem, terms_of(problem))
+
+    def explored(self) -> Explored:
+        """The posterior, scans refined where they count."""
+        found = self._searched()
+        values = values_found(found)
+        if values:
+            data = self.base.observations
+            components = components_of(self.base.model, data, self.asked)
+            finer = refined(components, values, data, self.asked)
+            found = replace(self, problem=problem_of(self.base, finer))._searched()
+        return replace(found, posterior=heard(found))
+
+    def _searched(self) -> Explored:
+        nothing = np.zeros((len(self.terms.order), 0))
+        points, found = self.terms.points, np.zeros(len(self.terms.points), bool)
+        for logs in (self.terms.evidence(points, nothing), self._lacking_all):
+            found |= logs > logs.max() - HEARD
+        grams = grams_of(self.problem, self.terms, [points[k] for k in np.flatnonzero(found)])
+        return Explored(self.base, self.problem, search(self.problem, grams), grams)
+
+    def axis_noise(self) -> Array:
+        """(K, 3) likeliest standard deviations of the axes' noise over each other, in steps, be the
+        base complete or lack every free function at once or any one of them, however large, with
+        gross errors: neither an effect on one axis nor a wrong record is its noise."""
+        terms = self.terms
+        still = [k for k, p in enumerate(terms.points) if p.walk is None]
+        points = [terms.points[k] for k in still]
+        plain = terms.evidence(points, self._gross)
+        alone = self._one_function(points[int(plain.argmax())])
+        best, power = -np.inf, np.ones(terms.axes.shape[1])
+        for lacked, logs in (
+            (self._gross, plain),
+            (self._everything, self._lacking_all[still]),
+            (alone, terms.evidence(points, alone)),
+        ):
+            reached, own = self._uneven(lacked, points[int(logs.argmax())], float(logs.max()))
+            if reached > best:
+                best, power = reached, own
+        return np.asarray(np.sqrt(power).reshape(-1, 3))
+
+    def _uneven(self, lacked: Array, point: Point, reached: float) -> tuple[float, Array]:
+        """Log evidence and variances (K 3,) of the axes, climbed axis by axis from even ones, at
+        one noise."""
+        terms, rare = self.terms, float(np.log(UNEVEN / (1.0 - UNEVEN) / len(AXES)))
+        own = np.ones(terms.axes.shape[1])
+        misfit = terms.base[:, -1] ** 2 @ terms.axes / np.maximum(terms.axes.sum(axis=0), 1e-12)
+        for axis in np.argsort(-misfit):
+            for step in AXES:
+                trial = own.copy()
+                trial[axis] = step**2
+                relative = trial / np.exp(np.log(trial).mean())  # all of them are the one factor
+                evidence = float(terms.evidence([point], lacked, relative)[0])
+                evidence += rare * np.count_nonzero(trial != 1.0)
+                if evidence > reached:
+                    reached, own = evidence, trial
+        return reached, own
+
+    @cached_property
+    def _gross(self) -> Array:
+        """(N, m) factor of gross errors of the records, and of the setting of each dial, that
+        belong least to the others."""
+        return _gross_errors(self.base)
+
+    @cached_property
+    def _everything(self) -> Array:
+        """(N, m) factor of every free function that the base may lack, and of gross errors."""
+        free = np.unique(np.concatenate([np.zeros(0, np.intp), *self._functions]))
+        return np.hstack([REACH * self.problem.columns[: len(self._gross), free], self._gross])
+
+    @cached_property
+    def _lacking_all(self) -> Array:
+        """(P,) log evidence of the base at every noise that lacks everything."""
+        return self.terms.evidence(self.terms.points, self._everything)
+
+    @property
+    def _functions(self) -> list[Index]:
+        """Columns of every free function."""
+        components, choices = self.problem.components, self.problem.choices
+        return [c.at for c in choices if components[c.component].kind == "free"]
+
+    def _one_function(self, point: Point) -> Array:
+        """(N, m) factor of gross errors and of the one free function, at its size, beside which the
+        base is likeliest at a noise."""
+        columns = self.problem.columns[: len(self._gross)]
+        factors = [size * columns[:, at] for at in self._functions for size in (REACH, SIZES[-1])]
+        every = [np.hstack([self._gross, f]) for f in (np.zeros((len(columns), 0)), *factors)]
+        logs = [float(self.terms.evidence([point], one)[0]) for one in every[1:]]
+        return every[1 + int(np.argmax(logs))] if logs else every[0]
+
+
+def explored(fit: Fit, asked: Searched) -> Explored:
+    """The posterior at a fitted base model, scans refined where they count."""
+    return Start.of(fit, asked).explored()
+
+
+def _anchored(fit: Fit) -> Fit:
+    """The fit as it stands at the angles that were meant: a tilt that was fitted would be told from
+    the reading that it explains, and give a response the blame. Where settings were fitted to
+    scatter beyond what hands do, rows are in the wrong place: there θ is that of the larger part
+    of the rows that are alike."""
+    data, at, prior = fit.observations, fit.at, fit.observations.noise_prior
+    if not at.free:
+        return fit
+    theta, noise = fit.theta, fit.noise
+    if prior is not None and max(noise.sd[: at.free], default=0.0) > FAR * prior.setting:
+        held = [min(sd, prior.setting) for sd in noise.sd[: at.free]]
+        noise = Noise(max(noise.factor, 1.0), at.component, (*held, *noise.sd[at.free :]))
+        alike, start = data.take(alike_rows(data)), full_matrix_start(fit.model, data)
+        again = fit_model(fit.model, alike, start=start, noise=noise)
+        theta = theta if again.null_directions else again.theta
+    meant = np.zeros_like(fit.eta)
+    return replace(
+        fit, theta=theta, eta=meant, noise=noise, at=balance(fit.model, theta, meant, data)
+    )
+
+
+def _gross_errors(fit: Fit) -> Array:
+    at, n = fit.at, fit.observations.n
+    white, basis = fit.white_basis()
+
+    def projected(columns: Array) -> Array:
+        own = white(columns)
+        return np.asarray(own - basis @ (basis.T @ own))
+
+    pulled = white.back(projected(at.residual[:, None]))[:, 0]
+    rows = np.arange(at.owner.size).reshape(n, -1)
+    width, size = rows.shape[1], np.empty(n)
+    for some in np.array_split(np.arange(n), -(-n // _AT_ONCE)):
+        own = np.zeros((at.owner.size, some.size * width))
+        own[rows[some].ravel(), np.arange(some.size * width)] = 1.0
+        block = projected(own).reshape(-1, some.size, width).transpose(1, 2, 0)
+        inner = block @ block.transpose(0, 2, 1) + 1e-9 * np.eye(width)
+        pull = pulled[rows[some]]
+        size[some] = np.sum(pull * np.linalg.solve(inner, pull[..., None])[..., 0], axis=1)
+    worst = rows[np.argsort(size)[-GROSS:]].ravel()
+    free = np.zeros((at.owner.size, worst.size))
+    free[worst, np.arange(worst.size)] = GROSS_MG * MG / at.unit[worst]
+    factors = [free]
+    for settings in at.settings[: at.free]:
+        power = np.sum(projected(settings) ** 2, axis=0)
+        k = int(np.argmax((settings.T @ pulled) ** 2 / (power + 1e-9)))
+        factors.append(settings[:, k : k + 1])
+    return np.hstack(factors)
+
+
+def refined(
+    components: tuple[Component, ...],
+    values: Mapping[str, Sequence[str]],
+    data: Observations,
+    asked: Searched,
+) -> tuple[Component, ...]:
+    """The components, scans with finer values around some."""
+    own = {f"{f.name}@": f for f in asked.families}
+    return tuple(
+        scan_of(data, own[c.name], values[c.name]) or c if c.name in values else c
+        for c in components
+    )
+
+
+def values_found(found: Explored) -> dict[str, list[str]]:
+    """Values of scans that stand in likely sets, by component."""
+    values: dict[str, list[str]] = {}
+    problem, posterior = found.problem, found.posterior
+    for hypothesis, p in zip(posterior.hypotheses, posterior.probability, strict=True):
+        for pick in hypothesis.picks if p > _LIKELY else ():
+            choice = problem.choices[pick.choice]
+            name = problem.components[choice.component].name
+            value = choice.member.name.removeprefix(name)
+            if name.endswith("@") and value not in values.get(name, []):
+                values.setdefault(name, []).append(value)
+    return values
+
+
+def heard(found: Explored) -> Posterior:
+    """The posterior at the noises that any leading set still gives a say."""
+    posterior, problem = found.posterior, found.problem
+    weights = [
+        noises_of(problem, posterior.grams, h.picks)
+        for h in (*posterior.hypotheses[:4], posterior.base)
+    ]
+    kept = np.flatnonzero(np.max(weights, axis=0) > np.exp(-HEARD / 2.0))
+    return replace(posterior, grams=posterior.grams.of(kept))
