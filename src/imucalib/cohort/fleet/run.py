@@ -155,7 +155,7 @@ def _held_out(fit: Fit, said: Priors, effects: Mapping[str, Effect]) -> tuple[He
         rest = fit.observations.take(fold.rest)
         own = fit_model(model, rest, start=start, noise=fit.noise)
         parts.append(errors(own, _combined(own, said).theta, fit.observations.take(fold.rows)))
-    return before, joined(parts, folds)
+    return before, joined(parts, [fold.rows for fold in folds])
 
 
 def _with_priors(fit: Fit, said: Priors, effects: Mapping[str, Effect]) -> Fit:
