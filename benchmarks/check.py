@@ -25,10 +25,11 @@ from imucalib.calibration.checking.misfit import misfits_of
 from imucalib.calibration.checking.noise import check_noise
 from imucalib.calibration.checking.statistic import Statistic
 from imucalib.calibrators.lab.bench import position_observations, still_observations
-from imucalib.calibrators.lab.calibrate import LabSettings, base_model
-from imucalib.calibrators.lab.calibration import noise_block
+from imucalib.calibrators.lab.calibrate import base_model
 from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.calibrators.lab.position_table import PositionTable
+from imucalib.calibrators.lab.request import LabRequest
+from imucalib.calibrators.lab.run import noise_block
 from imucalib.core.observations import Observations
 from imucalib.estimators.least_squares import fit
 from worlds.instrument import Array, Bench, G, Instrument, four, instrument, positions
@@ -71,7 +72,7 @@ def recorded(
 def calibrated(world: World, tool: Instrument, rng: np.random.Generator) -> Calibration:
     """By the program, without its search."""
     data = recorded(world, tool, positions(world.calibrated, rng), rng)
-    made = fit(base_model(LabSettings(), data), data)
+    made = fit(base_model(LabRequest(), data), data)
     facts = {"noise": noise_block(made)}
     return from_fit(
         made, "lab", raw_unit="m/s2", raw_to_si=1.0, gravity=G, status="ok", reasons=(), facts=facts

@@ -238,7 +238,7 @@ def _demand_finite(calibration: Calibration, where: str) -> None:
     """Raise UnreadableInput for a number that is none, wherever in the file it stands."""
     numbers: dict[str, Any] = {
         **{p.name: (p.value, p.sd) for p in calibration.parameters},
-        "raw.to_m_per_s2": calibration.raw_to_si,
+        "to_m_per_s2": calibration.raw_to_si,
         "gravity_m_per_s2": calibration.gravity,
         "valid": list(calibration.valid.values()),
         **{f"the triad {t.name}": 0.0 if t.finite else np.nan for t in calibration.triads},

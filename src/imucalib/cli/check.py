@@ -25,7 +25,7 @@ from imucalib.cli.options import (
     shortest_rest_option,
     still_of,
 )
-from imucalib.cli.output import color, emit_json, note, width, working
+from imucalib.cli.output import present, working
 
 if TYPE_CHECKING:
     from imucalib.calibration.calibration import Calibration
@@ -52,17 +52,17 @@ def measured_of(
     """The log as misfits, sensor by sensor."""
     from dataclasses import replace
 
-    from imucalib.calibrators.check_log import Asked, array_log, sensor_log
+    from imucalib.calibrators.check_log import CheckRequest, array_log, sensor_log
     from imucalib.calibrators.lab.files import LabFiles
 
     files = LabFiles(log, None, pairs(options["columns"], "--columns"), mapping_of(options))
     stated = options["gravity"] is not None or options["latitude"] is not None
     gravity = gravity_of(options)[0] if stated else calibration.gravity
-    asked = Asked(
+    request = CheckRequest(
         gravity, still_of(options), options["unit"], one_scale(options["lsb"]), options["triad"]
     )
     make = array_log if calibration.triads else sensor_log
-    return make(replace(calibration, gravity=gravity), files, noise, asked)
+    return make(replace(calibration, gravity=gravity), files, noise, request)
 
 
 @click.command("check", cls=PagedCommand, short_help="Is a calibration still good?")
@@ -130,7 +130,6 @@ def command(calibration: Path, log: Path, **options: Any) -> int:
     from imucalib.effects import load_file
     from imucalib.report.check import check_dict, check_document
     from imucalib.report.files import shown_dict
-    from imucalib.report.render.text import render_text
 
     inputs = inputs_of(options, calibration, log)
     if options["html"] is not None:
@@ -146,14 +145,5 @@ def command(calibration: Path, log: Path, **options: Any) -> int:
         found = checked(loaded, measured, noise, limits, seed=options["seed"], notes=notes)
     content = check_dict(found, log.name, calibration.name, loaded.sha256)
     document = check_document(found, log, calibration, command_line())
-    if options["html"] is not None:
-        from imucalib.calibration.file import write_whole
-        from imucalib.report.render.html import render_html
-
-        write_whole(options["html"], render_html(document))
-        note(f"wrote {options['html']}", options["quiet"])
-    if options["as_json"]:
-        emit_json({**content, **shown_dict(document)})
-    elif not options["quiet"]:
-        click.echo(render_text(document, width(), color=color(), full=options["full"]), nl=False)
+    present(document, {**content, **shown_dict(document)}, options, options["html"])
     return found.exit_code

@@ -11,7 +11,7 @@ from imucalib.arrays import Array, Index
 from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.comparison.agreement import Beyond, beyond, excess
 from imucalib.calibration.provenance import Provenance
-from imucalib.calibrators.population import Population, Told, ToldNoise
+from imucalib.calibrators.population import Population, PriorNoise, PriorParameter
 from imucalib.cohort.fleet.pooled import moderated_axes, of_a_kind
 from imucalib.cohort.fleet.search import Priors, Search
 from imucalib.core.effect import Context
@@ -174,7 +174,7 @@ def population_of(
     count = len(base[0].values)
     if count < FEWEST:
         return None
-    every = [Told(one.name, one.unit, one.mean, one.next_sd) for one in base]
+    every = [PriorParameter(one.name, one.unit, one.mean, one.next_sd) for one in base]
     blocks = [np.array([[one.sd**2]]) for one in every]
     for name, prior in effects.items():
         parameters = named(name).parameters(context)
@@ -182,7 +182,7 @@ def population_of(
         own = grown(count) * prior.covariance * np.outer(typical, typical)
         blocks.append(own)
         every += [
-            Told(p.name, p.unit, float(m * p.typical), float(np.sqrt(v)))
+            PriorParameter(p.name, p.unit, float(m * p.typical), float(np.sqrt(v)))
             for p, m, v in zip(parameters, prior.mean, np.diag(own), strict=True)
         ]
     return Population(
@@ -207,13 +207,13 @@ def noise_of(fits: Sequence[Fit]) -> dict[str, Sizes]:
     return every
 
 
-def _noise(name: str, sizes: Array, sds: Array) -> ToldNoise:
+def _noise(name: str, sizes: Array, sds: Array) -> PriorNoise:
     """A noise that vanished in a device was at most a tenth of the usual, and that is unsure."""
     least = _VANISHED * float(np.median(sizes[sizes > 0.0]))
     gone = sizes < least
     logs = np.log(np.maximum(sizes, least))
     one = spread_of(name, "log", logs, np.where(gone, 1.0, np.maximum(sds, _SURE)))
-    return ToldNoise(name, float(np.exp(one.mean)), max(one.next_sd, _SURE))
+    return PriorNoise(name, float(np.exp(one.mean)), max(one.next_sd, _SURE))
 
 
 @dataclass(frozen=True)

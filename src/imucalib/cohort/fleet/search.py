@@ -27,7 +27,7 @@ from imucalib.cohort.fleet.pooled import (
     sizes,
 )
 from imucalib.core.prior import Prior, correlated
-from imucalib.loop.posterior.odds import TOLD
+from imucalib.loop.posterior.odds import OCCAM
 
 #: Simulated fleets of a search without some of the devices: enough for alpha.
 _DRAWS = 199
@@ -120,7 +120,7 @@ def search(devices: Sequence[Device], rules: Rules, rng: np.random.Generator) ->
             continue
         said = sizes(gram, along)
         rivals = tuple(
-            s.effect for s in rest[1:] if s.p <= rules.alpha and s.evidence > best.evidence - TOLD
+            s.effect for s in rest[1:] if s.p <= rules.alpha and s.evidence > best.evidence - OCCAM
         )
         found.append(Found(best, rivals, nats, able, said))
         now = tuple(_without(device, best.effect, said) for device in now)
