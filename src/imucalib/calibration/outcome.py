@@ -101,26 +101,11 @@ def left_open(loop: FitLoop | None, error: ErrorSummary) -> tuple[Left, ...]:
 
 
 @dataclass(frozen=True)
-class FitQuality:
-    """How a least-squares fit went; see `Fit`."""
-
-    converged: bool
-    chi2: float
-    dof: int
-    noise_factor: float
-    condition: float
-
-
-def quality_of(fit: Fit) -> FitQuality:
-    """The quality of a fit."""
-    return FitQuality(fit.converged, fit.chi2, fit.dof, fit.noise.factor, fit.condition)
-
-
-@dataclass(frozen=True)
 class Outcome:
     """How a calibration went: what the search found, and how far to trust the result.
 
     errors : the principal metric first; findings : None where nothing was searched for
+    fit : by least squares, where it is one
     undecided : what only the user can decide; weak : the data leave parameters open, which stay
     near their nominal values
     left : sizes of what is not explained, and what of each is accepted
@@ -131,7 +116,7 @@ class Outcome:
     errors: tuple[ErrorSummary, ...]
     provenance: Provenance
     findings: Findings | None = None
-    quality: FitQuality | None = None
+    fit: Fit | None = None
     reasons: tuple[str, ...] = ()
     advice: tuple[str, ...] = ()
     undecided: tuple[str, ...] = ()
@@ -158,7 +143,7 @@ class Outcome:
 
     @property
     def status(self) -> Status:
-        if self.broken or (self.quality is not None and not self.quality.converged):
+        if self.broken or (self.fit is not None and not self.fit.converged):
             return "failed"
         if self.weak:
             return "weak"

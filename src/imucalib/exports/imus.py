@@ -35,7 +35,6 @@ _KEPT = ("gyro_g_sensitivity", "sensing_elements")
 class Imu:
     """place : (3,) m in the board's frame; frame : (3, 3) board axes to the IMU's
     accelerometer, gyro : (3, 3) L of each; gyro_turn : (3, 3) IMU's frame to the gyro's
-    bias, gyro_bias : (3,) m/s² and rad/s, in the readings
     by_force : (3, 3) rad/s per m/s², of forces in the gyro's frame
     elements : (3, 3) m, in its rows where the axes x, y and z sense, from the place, in the IMU's
         frame
@@ -48,8 +47,6 @@ class Imu:
     accelerometer: Array
     gyro: Array
     gyro_turn: Array
-    bias: Array
-    gyro_bias: Array
     by_force: Array
     elements: Array
     noise: dict[str, Any]
@@ -107,8 +104,6 @@ def _imu(calibration: Calibration, triad: Triad, place: Array, form: str) -> Imu
         accelerometer=lower,
         gyro=gyro_lower,
         gyro_turn=gyro_frame @ frame.T,
-        bias=back @ triad.bias,
-        gyro_bias=back @ triad.gyro_bias,
         by_force=sensitivity @ back @ gyro_frame.T,
         elements=elements @ (frame @ triad.rotation).T,
         noise=_noise(calibration, triad),
@@ -130,8 +125,6 @@ def _alone(calibration: Calibration, gyro: Gyroscope, form: str) -> Imu:
         accelerometer=lower,
         gyro=gyro_lower,
         gyro_turn=turn @ frame.T,
-        bias=linear.c,
-        gyro_bias=gyro.bias,
         by_force=gyro.by_force @ turn.T,
         elements=np.zeros((3, 3)),
         noise=dict(next(iter(known.values()), {})),

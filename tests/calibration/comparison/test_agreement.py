@@ -188,17 +188,17 @@ def test_an_arrays_places_and_gyros_that_differ_most() -> None:
     away = places[:, None] - places[None]
     far = np.linalg.norm(away, axis=3)
     i, j, k = (int(v) for v in np.unravel_index(np.argmax(far), far.shape))
-    assert set(place.worst.pair) == {i, j}
-    assert place.worst.value == pytest.approx(far.max())
+    assert set(place.pair) == {i, j}
+    assert place.value == pytest.approx(far.max())
     assert place.sensor == f"imu{k + 1}"
     assert place.limit == 0.5
     along = away[i, j, k] / far.max()
     own = covariance[[i, j], 3 * k : 3 * k + 3, 3 * k : 3 * k + 3].sum(axis=0)
-    assert place.worst.sd == pytest.approx(np.sqrt(along @ own @ along))
+    assert place.sd == pytest.approx(np.sqrt(along @ own @ along))
     apart = np.abs(rates[:, None] - rates[None])
     i, j, k, axis = (int(v) for v in np.unravel_index(np.argmax(apart), apart.shape))
-    assert set(rate.worst.pair) == {i, j}
-    assert rate.worst.value == pytest.approx(apart.max())
+    assert set(rate.pair) == {i, j}
+    assert rate.value == pytest.approx(apart.max())
     assert rate.sensor == f"imu{k}"
     assert f"{apart.max():.2g} deg/s at most (imu{k}, {'xyz'[axis]})" in said
     # Without limits: twice the largest stated sd of a coordinate.

@@ -57,13 +57,20 @@ class Seen:
 @dataclass(frozen=True)
 class Worst:
     """The largest difference of a pair. pair : numbers of the calibrations; value, sd : in `unit`;
-    attitude : (3,) unit vector of the specific force"""
+    attitude : (3,) unit vector of the specific force; sensor : IMU of an array; limit : what of it
+    matters"""
 
     pair: tuple[int, int]
     value: float
     sd: float
     unit: str
     attitude: Array
+    sensor: str = ""
+    limit: float = np.inf
+
+    @property
+    def beyond(self) -> bool:
+        return self.value > self.limit
 
 
 def seen(calibrations: Sequence[Calibration], imu: int | None, gravity: float) -> Seen:

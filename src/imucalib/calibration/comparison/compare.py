@@ -210,20 +210,7 @@ def _pooled(stated: Sequence[Mapping[str, Scatter]]) -> dict[str, Scatter]:
     return found
 
 
-@dataclass(frozen=True)
-class Meaning:
-    """The largest difference of one kind, and the size that matters. sensor : IMU of an array"""
-
-    worst: Worst
-    limit: float
-    sensor: str = ""
-
-    @property
-    def beyond(self) -> bool:
-        return self.worst.value > self.limit
-
-
-def meanings_of(found: Mapping[str, Seen], limits: Limits, *, turns: bool) -> tuple[Meaning, ...]:
+def meanings_of(found: Mapping[str, Seen], limits: Limits, *, turns: bool) -> tuple[Worst, ...]:
     """Force, and where it can be compared direction, of the sensor where it is largest."""
     sds = [one.largest_sd for one in found.values()]
     force, direction = limits.get("mg"), limits.get("deg")
@@ -232,15 +219,14 @@ def meanings_of(found: Mapping[str, Seen], limits: Limits, *, turns: bool) -> tu
     made = []
     for limit, worst in ((force, worst_size), (direction if turns else None, worst_turn)):
         if limit is not None:
-            pairs = [(worst(one), name) for name, one in found.items()]
-            largest, name = max(pairs, key=lambda pair: pair[0].value)
-            made.append(Meaning(largest, limit, name))
+            every = [replace(worst(one), sensor=name, limit=limit) for name, one in found.items()]
+            made.append(max(every, key=lambda one: one.value))
     return tuple(made)
 
 
 def array_meanings(
     calibrations: Sequence[Calibration], basis: Basis, limits: Limits
-) -> tuple[tuple[Meaning, ...], tuple[str, ...]]:
+) -> tuple[tuple[Worst, ...], tuple[str, ...]]:
     """Positions in mm and biases of gyroscopes in deg/s, of which the files state no sd."""
     limit = limits.get("mm")
     if not limits:
@@ -255,12 +241,11 @@ def array_meanings(
         "files state no uncertainty of these, so they are told and not tested"
     )
     if "deg/s" in limits:
-        worst = Worst(pair, away, math.nan, "deg/s", np.eye(3)[axis])
-        made = (*made, Meaning(worst, limits["deg/s"], name))
+        made = (*made, Worst(pair, away, math.nan, "deg/s", np.eye(3)[axis], name, limits["deg/s"]))
     return made, (said,)
 
 
-def _places(calibrations: Sequence[Calibration], basis: Basis, limit: float) -> Meaning:
+def _places(calibrations: Sequence[Calibration], basis: Basis, limit: float) -> Worst:
     """The IMU whose position differs most."""
     places = basis.value.reshape(len(calibrations), -1, 3)
     pair, value, k = worst_pair(
@@ -270,7 +255,7 @@ def _places(calibrations: Sequence[Calibration], basis: Basis, limit: float) -> 
     along = (places[pair[1], k] - places[pair[0], k]) / max(value, 1e-300)
     sd = float(np.sqrt(along @ own @ along))
     name = calibrations[0].triads[k + 1].name
-    return Meaning(Worst(pair, value, sd, "mm", along), limit, name)
+    return Worst(pair, value, sd, "mm", along, name, limit)
 
 
 @dataclass(frozen=True)
@@ -352,7 +337,7 @@ class Comparison:
     basis: Basis
     agreement: Agreement
     scatter: ParameterScatter | None
-    meanings: tuple[Meaning, ...]
+    meanings: tuple[Worst, ...]
     seen: Mapping[str, Seen]
     drift: Drift | None
     stated: bool
@@ -475,13 +460,13 @@ def _dof(calibration: Calibration) -> float:
 
 
 def _drift(
-    dates: Dates, basis: Basis, found: Mapping[str, Seen], meanings: tuple[Meaning, ...]
+    dates: Dates, basis: Basis, found: Mapping[str, Seen], meanings: tuple[Worst, ...]
 ) -> Drift:
     variance = np.einsum("kii->ik", basis.covariance)
     slopes = tuple(
         slope_of(dates.days, value, own) for value, own in zip(basis.value.T, variance, strict=True)
     )
-    force = next((m for m in meanings if m.worst.unit == "mg"), None)
+    force = next((m for m in meanings if m.unit == "mg"), None)
     limit = force.limit if force else SIGNIFICANT * max(s.largest_sd[0] for s in found.values())
     reached = [
         due(dates.days, one.size, one.size_sd**2, one.attitude, limit, sensors=len(found))
