@@ -18,7 +18,7 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.calibration.calibration import from_fit
-from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Limit, Outcome, Run, quality_of
+from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Limit, Outcome, Run
 from imucalib.calibration.plain import fields
 from imucalib.calibrators.actigraph.observations import NINE
 from imucalib.calibrators.actigraph.request import ActigraphRequest
@@ -153,7 +153,7 @@ def calibrate_as_published(
         calibrator="actigraph",
         errors=(error,),
         provenance=provenance(scanned, request),
-        quality=quality_of(found),
+        fit=found,
         reasons=() if len(second) else ("no second set of points to verify with",),
         limits=tuple(
             # Against the second set of points; no other limit has a value here.
