@@ -24,8 +24,7 @@ from imucalib.calibration.undo import Undo
 from imucalib.calibrators.actigraph.observations import NINE
 from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.run import run_of
-from imucalib.calibrators.actigraph.simulation import SENSOR, WeekPlan, simulated_week
-from imucalib.calibrators.lab.calibrate import LabSettings
+from imucalib.calibrators.actigraph.simulation import SENSOR
 from imucalib.calibrators.lab.position_table import read_position_table
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import run_lab
@@ -47,6 +46,7 @@ from imucalib.rests.thermal import (
 )
 from imucalib.units import MG, STANDARD_GRAVITY
 from worlds.sheets import Sheet, direction
+from worlds.week import WeekPlan, simulated_week
 
 Array = NDArray[np.float64]
 
@@ -490,8 +490,7 @@ def later_readings_calibrated(declared: str, course: Array, folder: Path) -> Cal
     reading = 1000.0 * direction(i, t) + BIAS + course[:, None] * CHANGE
     reading = reading + 0.05 * rng.standard_normal((36, 3))
     path = Sheet(i, t, reading).write(folder / "sheet.csv")
-    settings = LabSettings(loop=False, declare=(declared,))
-    request = LabRequest(unit="mg", settings=settings, seed=0)
+    request = LabRequest(unit="mg", loop=False, declare=(declared,))
     return run_lab(read_position_table(path), request).calibration
 
 

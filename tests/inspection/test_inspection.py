@@ -56,15 +56,15 @@ def recording(unit: str = "m/s2") -> Recording:
 def test_facts() -> None:
     found = inspect_recording([recording()])
     acc, gyro = found.channels
-    assert (acc.samples, acc.unit, acc.clock.duplicates, acc.clock.back_steps) == (
+    assert (acc.samples, acc.unit, acc.duplicates, acc.back_steps) == (
         2400,
         "m/s2",
         1,
         0,
     )
-    assert acc.clock.rate == pytest.approx(RATE)
-    assert acc.clock.longest_step == pytest.approx(3.01)
-    assert acc.clock.jitter < 1e-9
+    assert acc.rate == pytest.approx(RATE)
+    assert acc.longest_step == pytest.approx(3.01)
+    assert acc.jitter < 1e-9
     assert acc.norm_at_rest == pytest.approx(STANDARD_GRAVITY, rel=1e-3)
     np.testing.assert_allclose(acc.noise, 0.01, rtol=0.1)
     assert gyro.norm_at_rest == pytest.approx(0.02, rel=0.05)
@@ -94,8 +94,8 @@ def test_blocks_and_whole_agree(tmp_path: object) -> None:
     many = inspect_recording(readers.blocks(path, block_samples=100))
     for a, b in zip(one.channels, many.channels, strict=True):
         assert (a.name, a.samples, a.norm_at_rest) == (b.name, b.samples, b.norm_at_rest)
-        assert (a.clock.duplicates, a.clock.longest_step) == (
-            b.clock.duplicates, b.clock.longest_step,
+        assert (a.duplicates, a.longest_step) == (
+            b.duplicates, b.longest_step,
         )  # fmt: skip
         np.testing.assert_array_equal(a.low, b.low)
     assert one.gaps == many.gaps

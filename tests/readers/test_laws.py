@@ -73,7 +73,7 @@ def written(pair: Pair, folder: Path, n: int) -> Example:
     if isinstance(writer, BagWriter):  # a bag's thermometer is not told from other numbers
         channels = {k: c for k, c in recording.channels.items() if c.quantity != "temperature"}
         recording = replace(recording, channels=channels)
-        writer.write(recording, path)
+        writer.write_blocks([recording], path)
     else:
         writers.write(recording, path)
     return Example(path, recording)

@@ -14,16 +14,15 @@ from google.protobuf import descriptor_pb2
 
 from imucalib.errors import UnreadableInput
 from imucalib.readers import read
-from imucalib.readers.mcap import MAX_CHUNK
-from imucalib.readers.messages.layout import LayoutError, compile_layout, parse_definition
-from imucalib.readers.messages.records import CHUNK, MAGIC, RECORD_HEADER
+from imucalib.readers.mcap import MAGIC, MAX_CHUNK, RECORD_HEADER
+from imucalib.readers.messages.layout import Layout, LayoutError, parse_definition
 from worlds.mcap_logs import START, write_log
 
 
 def chunk(packed: bytes, size: int, compression: bytes) -> bytes:
     head = struct.pack("<QQQI", START, START, size, 0) + struct.pack("<I", len(compression))
     content = head + compression + struct.pack("<Q", len(packed)) + packed
-    return RECORD_HEADER.pack(CHUNK, len(content)) + content
+    return RECORD_HEADER.pack(6, len(content)) + content
 
 
 def refused_cheaply(path: Path) -> str:
@@ -68,7 +67,7 @@ def test_nested_arrays_of_empty_structures_end() -> None:
     definition = parse_definition("p/Root", nested("Root", "T", 6), ros1=True)
     start = time.process_time()
     with pytest.raises(LayoutError, match="elements"):
-        compile_layout(definition, bytes(8))
+        Layout(definition, bytes(8))
     assert time.process_time() - start < 2.0
 
 

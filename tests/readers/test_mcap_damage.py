@@ -16,7 +16,7 @@ from mcap.writer import CompressionType
 
 from imucalib.errors import ImucalError, UnreadableInput
 from imucalib.readers import blocks, read
-from imucalib.readers.mcap import Scanner
+from imucalib.readers.mcap import McapLog
 from imucalib.recording.recording import Recording
 from worlds.mcap_logs import START, imu_log, readings, same_bits, values, write_log
 from worlds.places import MEASURED
@@ -25,9 +25,9 @@ COMPRESSIONS = [CompressionType.NONE, CompressionType.LZ4, CompressionType.ZSTD]
 Message = tuple[int, int, int, int, bytes]
 
 
-def messages(path: Path) -> tuple[list[Message], Scanner]:
+def messages(path: Path) -> tuple[list[Message], McapLog]:
     """Channel, sequence, log time, publish time and payload of every message."""
-    scanner = Scanner(path)
+    scanner = McapLog(path)
     found: list[Message] = []
     for block in scanner.blocks():
         names = ("channel", "sequence", "log_time", "publish_time")
@@ -160,7 +160,7 @@ def test_truncation_keeps_all_before_the_cut(tmp_path: Path, compression: Compre
 
 def by_chunk(path: Path) -> list[list[bytes]]:
     """Payloads by chunk."""
-    return [block.payloads() for block in Scanner(path).blocks()]
+    return [block.payloads() for block in McapLog(path).blocks()]
 
 
 def test_a_bad_chunk_costs_only_itself(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from imucalib.errors import UsageError
 from imucalib.readers import read
-from imucalib.readers.mcap import Scanner
+from imucalib.readers.mcap import McapLog
 from imucalib.recording.mapping import FieldMapping, from_dict
 from imucalib.recording.recording import Channel, Recording
 from imucalib.writers import write
@@ -198,7 +198,7 @@ def test_a_definition_with_short_lines_between_types_is_mended(tmp_path: Path) -
 
 def test_messages_are_in_time_order_across_chunks(tmp_path: Path) -> None:
     write(recording(["a", "b", "c"], 5000), tmp_path / "a.mcap")
-    scanner = Scanner(tmp_path / "a.mcap", strict=True)
+    scanner = McapLog(tmp_path / "a.mcap", strict=True)
     times = [block.header("log_time").astype(np.int64) for block in scanner.blocks()]
     assert len(times) > 3
     assert (np.diff(np.concatenate(times)) >= 0).all()
@@ -206,7 +206,7 @@ def test_messages_are_in_time_order_across_chunks(tmp_path: Path) -> None:
 
 def raw_messages(path: Path) -> set[tuple[str, int, int, int, bytes]]:
     """Topic, times, sequence and payload of every message."""
-    scanner = Scanner(path, strict=True)
+    scanner = McapLog(path, strict=True)
     found = set()
     for block in scanner.blocks():
         names = ("channel", "log_time", "publish_time", "sequence")
@@ -245,7 +245,7 @@ def test_other_topics_are_copied_untouched(tmp_path: Path, date: int) -> None:
 def full_messages(path: Path) -> list[tuple[int, int, int, bytes]]:
     """Log time, publish time, sequence and payload of /imu/data, in file order."""
     rows = []
-    scanner = Scanner(path, strict=True)
+    scanner = McapLog(path, strict=True)
     for block in scanner.blocks():
         names = ("channel", "log_time", "publish_time", "sequence")
         columns = zip(*(block.header(n).tolist() for n in names), strict=True)
@@ -292,6 +292,18 @@ def test_corrected_messages_keep_all_their_other_bytes(tmp_path: Path, packing: 
     for name, channel in channels.items():
         assert same_bits(back.channels[name].values, channel.values)
         assert same_bits(back.channels[name].t, channel.t)
+
+
+def test_a_clock_that_is_set_back_keeps_each_message_its_own_vector(tmp_path: Path) -> None:
+    rows = readings(400, rate=100.0)
+    rows = [replace(r, ns=r.ns - (3_600_000_000 if i >= 200 else 0)) for i, r in enumerate(rows)]
+    source = write_log(tmp_path / "a.mcap", {"/imu/data": packed(rows, cdr)}, in_order=False)
+    whole = read(source)
+    channels = {n: replace(c, values=c.values * 2.0) for n, c in whole.channels.items()}
+    write_with_topics_of(replace(whole, channels=channels), source, tmp_path / "c.mcap")
+    back = read(tmp_path / "c.mcap")
+    for name, channel in channels.items():
+        assert same_bits(back.channels[name].values, channel.values)
 
 
 def test_messages_packed_one_by_one_are_written_anew(tmp_path: Path) -> None:

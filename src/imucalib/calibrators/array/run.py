@@ -16,8 +16,7 @@ from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.outcome import Limit, Outcome, Run
 from imucalib.calibration.provenance import provenance_of
-from imucalib.calibration.rest_drift import DRIFT, drift_block
-from imucalib.calibration.triads import Triad
+from imucalib.calibration.triads import DRIFT, Triad, drift_block
 from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.effect_blocks import effect_blocks, rest_blocks
 from imucalib.calibrators.array.estimate.covariance import Uneven

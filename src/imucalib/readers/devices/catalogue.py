@@ -13,7 +13,7 @@ from pathlib import Path
 
 from imucalib.core.discovery import modules_of
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.readers.known_bytes import REFUSED, named
+from imucalib.readers.source import REFUSED, named
 from imucalib.recording.mapping import FieldMapping
 
 
@@ -92,43 +92,9 @@ def with_preset(mapping: FieldMapping) -> FieldMapping:
     return mapping.filled_from(replace(device.fields, preset=device.name))
 
 
-@dataclass(frozen=True)
-class _Foreign:
-    """A device whose own files are not read, but known by their bytes.
-
-    name : of the format; export : what to do; recognises : whether a file's first bytes are of
-    it"""
-
-    name: str
-    export: str
-    recognises: Callable[[bytes], bool]
-
-
-_CSV = "and read that: imucal inspect FILE.csv"
-_KNOWN = (
-    # The first GENEA of Unilever Discover: five letters, "name:value" lines, then binary pages.
-    _Foreign(
-        "a GENEA recording (.bin of the device before GENEActiv)",
-        f"convert it to CSV, for example with the R package GGIRread (readGenea), {_CSV}",
-        lambda head: head.startswith(b"GENEA") and b"\0" in head,
-    ),
-    # Parmay Tech: 512 bytes of remarks, then the recognition string.
-    _Foreign(
-        "a Matrix recording (.bin of Parmay Tech)",
-        f"export it as CSV with the maker's program or GGIRread (readParmayMatrix), {_CSV}",
-        lambda head: head[512:516] == b"MDTC",
-    ),
-)
-
-
 def refuse_foreign(path: Path, head: bytes) -> None:
     """Raise UnreadableInput, with the true name, for a known format that is not read, and for a
     file that is no recording."""
     kind = named(head, REFUSED)
     if kind is not None:
         raise UnreadableInput(f"this is {kind.name}", where=str(path), remedy=kind.remedy)
-    for one in _KNOWN:
-        if one.recognises(head):
-            raise UnreadableInput(
-                f"this is {one.name}, which is not read", where=str(path), remedy=one.export
-            )

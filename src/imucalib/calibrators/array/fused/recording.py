@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from imucalib.arrays import Array, Flags
-from imucalib.calibration.apply import apply_to_recording, mark_of, refuse_second, write_over
+from imucalib.calibration.apply import imus_corrected, write_over
 from imucalib.calibration.calibration import Calibration
+from imucalib.calibration.correction import mark_of, refuse_second
 from imucalib.calibrators.array.fused.fuse import Fused, fuse, joined
 from imucalib.calibrators.array.fused.instrument import Stretch, instrument_of
 from imucalib.calibrators.array.fused.survey import Survey, ages, side_by_side, survey
@@ -122,9 +123,9 @@ class _Work:
             yield replace(last[0], channels=self._channels(stretch))
 
     def _each(self, given: Iterable[Recording]) -> Iterator[Recording]:
-        partner = self.found.instrument.partner
+        partner = self.found.instrument.partner or {}
         for block in given:
-            made = apply_to_recording(self.calibration, block, again=True, partner=partner)
+            made = imus_corrected(self.calibration, block, partner=partner)
             channels = dict(made.channels)
             for stretch in side_by_side([block], self.found.instrument):
                 channels |= self._channels(stretch)
