@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from imucalib.calibration.plain import fields, listed, plain
-from imucalib.calibrators.lab.inspected import TableSeen
+from imucalib.calibrators.lab.files import TableSeen
 from imucalib.inspection.inspection import ChannelFacts, Inspection, advice, next_commands, problems
 from imucalib.inspection.noise import AxisNoise, Coefficient, SensorNoise
 from imucalib.recording.yaml_text import load
@@ -28,7 +28,7 @@ from imucalib.report.document import (
     Tone,
 )
 from imucalib.report.sections import leading_options
-from imucalib.rests.levels import Candidate, refusals
+from imucalib.rests.candidates import Candidate, refusals
 from imucalib.rests.segments import Segments
 from imucalib.significant_digits import with_sd
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
