@@ -18,13 +18,12 @@ from imucalib.calibrators.array.board import read_board
 from imucalib.calibrators.array.log import array_log, of_board
 from imucalib.calibrators.array.loop.catalogue import array_catalogue
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop, close_array_loop
-from imucalib.calibrators.array.loop.declared import beside_the_fit, declared_term, with_declared
 from imucalib.calibrators.array.loop.motion import board_motion
-from imucalib.calibrators.array.loop.search import start_state
+from imucalib.calibrators.array.loop.search import new_term, own_gram, start_state, with_declared
 from imucalib.calibrators.array.loop.setup import Setup, array_setup
 from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.calibrators.array.loop.terms import Term, rest_terms, typical_of
-from imucalib.calibrators.array.moving import Moving, moving_part
+from imucalib.calibrators.array.moving import moving_part
 from imucalib.calibrators.array.rests import fit_rests
 from imucalib.calibrators.array.simulation import LogPlan, lever_arm, simulated_motion
 from imucalib.errors import Undetermined
@@ -69,21 +68,21 @@ def sizes(name: str) -> tuple[float, ...]:
     and the typical size itself."""
     if "sample_age" in array_catalogue()[name].needs:
         return (0.35, 1.0, 3.0)  # a beat line has to stand out first
-    expected = float(np.sqrt(np.trace(beside_the_fit(_reference(name), array_catalogue()[name]))))
+    expected = float(np.sqrt(np.trace(own_gram(_reference(name), array_catalogue()[name]))))
     return (*(round(value / expected, 4) for value in LAMBDAS), 1.0)
 
 
 def trial(job: Job) -> Trial:
     """Simulate a log, close the loop on it, and judge."""
     log = _Log(job, np.random.default_rng(job.seed))
-    setup, terms, moving = _ready(log.recording)
+    setup, terms = _ready(log.recording)
     started = time.process_time()
-    loop = close_array_loop(setup, terms, moving, curves=job.outside is not None)
+    loop = close_array_loop(setup, terms, curves=job.outside is not None)
     seconds = time.process_time() - started
     strength: tuple[float, ...] = ()
     oracle = loop.base
     try:
-        oracle = with_declared(loop.base, tuple(log.planted), moving)
+        oracle = with_declared(loop.base, tuple(log.planted))
         strength = tuple(_strength(oracle, name, theta) for name, theta in log.planted.items())
     except Undetermined:  # the motion shows nothing of what was planted
         pass
@@ -188,17 +187,16 @@ class _Log:
         return np.where(self.moving[:, None], odd, plain)
 
 
-def _ready(recording: Recording) -> tuple[Setup, tuple[Term, ...], Moving]:
+def _ready(recording: Recording) -> tuple[Setup, tuple[Term, ...]]:
     """All that the command does before the loop."""
     recording, board = of_board(recording, BOARD)
     segments = still_segments(recording)
     log = array_log(recording, board)
     order = [segments.triads.index(name) for name in board.imus]
     rests = fit_rests(segments, board, order, STANDARD_GRAVITY)
-    moving = moving_part(log, rests)
-    setup = array_setup(moving, board, SAMPLES, robust=True)
+    setup = array_setup(moving_part(log, rests), board, SAMPLES, robust=True)
     assert setup is not None
-    return setup, rest_terms(rests), moving
+    return setup, rest_terms(rests)
 
 
 @cache
@@ -206,7 +204,7 @@ def _reference(name: str) -> ArrayState:
     """A log that lacks nothing, but shows the chips' clocks to an effect that needs them."""
     aged = "sample_age" in array_catalogue()[name].needs
     log = _Log(Job("array", "reference", 0), np.random.default_rng(0))
-    setup, terms, _ = _ready(log.recording)
+    setup, terms = _ready(log.recording)
     state = start_state(setup, terms)
     age = log.motion.age
     assert age is not None
@@ -217,7 +215,7 @@ def _reference(name: str) -> ArrayState:
 @cache
 def _shown(name: str) -> Array:
     """(p, q) the directions of an effect's typical sizes that the data can determine."""
-    term = declared_term(_reference(name), name)
+    term = new_term(_reference(name), name, array_catalogue()[name])
     return term.live / typical_of(term.effect, len(term.live))[:, None]
 
 
@@ -248,7 +246,7 @@ def _strength(oracle: ArrayState, name: str, theta: Array) -> float:
     rest = replace(oracle, terms=tuple(t for t in oracle.terms if t.name != name))
     effect = array_catalogue()[name]
     z = theta / typical_of(effect, len(theta))
-    return float(np.sqrt(z @ beside_the_fit(rest, effect) @ z))
+    return float(np.sqrt(z @ own_gram(rest, effect) @ z))
 
 
 def _error(state: ArrayState, positions: Array) -> float:

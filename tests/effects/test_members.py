@@ -8,7 +8,7 @@ import pytest
 from imucalib.core.course import course_of, slope_of
 from imucalib.core.effect import Context, Response, Truth
 from imucalib.effects import families
-from imucalib.effects.array.low_pass import slowed
+from imucalib.effects.array.timing import slowed
 from imucalib.effects.strap import centres, posture
 from imucalib.units import MG, STANDARD_GRAVITY
 

@@ -119,7 +119,7 @@ def closed(recording: Recording, samples: int = 300, board: Board = BOARD) -> Mo
     moving, rests = moving_of(recording, board)
     setup = array_setup(moving, board, samples, robust=True)
     assert setup is not None
-    return close_array_loop(setup, rest_terms(rests), moving)
+    return close_array_loop(setup, rest_terms(rests))
 
 
 def named(found: MotionLoop) -> set[str]:

@@ -15,7 +15,7 @@ from imucalib.calibrators.array.loop.closed_loop import MotionLoop
 from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
 from imucalib.errors import UsageError
 from imucalib.estimators.array.gram import Columns, gram
-from imucalib.estimators.array.noise import Squares, chosen_noise, fitted_noise
+from imucalib.estimators.array.noise import Squares, chosen_noise, plain_noise
 from imucalib.estimators.array.samples import Readings, Weights, fit_samples
 from imucalib.significant_digits import plus_minus
 from worlds.array import corners, skew
@@ -77,18 +77,16 @@ def test_heavy_tails_are_taken_in() -> None:
     plain = rng.standard_normal((400, 8, 3))
     speed, first = rng.uniform(5.0, 30.0, 400), np.arange(400) % 2 == 0
     square = squares(plain)
-    assert chosen_noise(square, speed, first, robust=True).plain
+    assert chosen_noise(square, speed, first).gained == 0.0
     # Independent tails on three axes are lighter than those of one vector.
-    found = chosen_noise(squares(tails), speed, first, robust=True)
+    found = chosen_noise(squares(tails), speed, first)
     assert found.freedom <= 10.0
     grown = squares(plain * np.hypot(1.0, speed / 10.0)[:, None, None])
-    noise = chosen_noise(grown, speed, first, robust=True)
+    noise = chosen_noise(grown, speed, first)
     assert noise.growth > 0.0
     assert not np.isfinite(noise.freedom)
     assert noise.variance(np.array([20.0]))[0, 0] == pytest.approx(5.0, rel=0.3)
-    assert fitted_noise(square, speed, growth=False, tails=False).sigma == pytest.approx(
-        1.0, rel=0.03
-    )
+    assert plain_noise(square, speed).sigma == pytest.approx(1.0, rel=0.03)
 
 
 def test_the_motion_is_taken_out_exactly() -> None:

@@ -42,11 +42,10 @@ from imucalib.calibrators.array.linear_part import (
 )
 from imucalib.calibrators.array.log import ArrayLog, array_log, of_board
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop, close_array_loop
-from imucalib.calibrators.array.loop.declared import shared_by_neighbours, with_declared
 from imucalib.calibrators.array.loop.motion import BoardMotion, motion_at_rest
-from imucalib.calibrators.array.loop.search import start_state
+from imucalib.calibrators.array.loop.search import start_state, with_declared
 from imucalib.calibrators.array.loop.setup import array_setup
-from imucalib.calibrators.array.loop.state import ArrayState
+from imucalib.calibrators.array.loop.state import ArrayState, shared_by_neighbours
 from imucalib.calibrators.array.loop.terms import Term, rest_terms
 from imucalib.calibrators.array.moving import Moving, moving_part
 from imucalib.calibrators.array.request import ArrayRequest
@@ -307,7 +306,6 @@ def _fitted(moving: Moving, rests: RestFit, board: Board, request: ArrayRequest)
     loop = close_array_loop(
         setup,
         terms,
-        moving,
         curves=request.curves,
         halved=array_setup(moving, board, min(most, HALVED_SAMPLES), robust=robust),
         most=most,
@@ -324,5 +322,5 @@ def _unsearched(
     the accelerometers no comparison of gyros shows, and every board has it."""
     setup = array_setup(moving, board, min(most, SEARCH_SAMPLES), robust=robust)
     assert setup is not None
-    start = with_declared(start_state(setup, terms), (GYRO_FRAME,), moving)
-    return fitted_on_all(start, moving, most)
+    start = with_declared(start_state(setup, terms), (GYRO_FRAME,))
+    return fitted_on_all(start, most)

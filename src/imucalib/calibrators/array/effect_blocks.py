@@ -116,9 +116,9 @@ def parameters_of(loop: MotionLoop, term: Term) -> Iterator[StoredParameter]:
 
 def _beats(loop: MotionLoop, term: Term) -> dict[str, Any]:
     """Clocks of the gyros in this recording: they start anew with the power."""
-    if not term.aged or loop.ages is None:
+    setup, clock = loop.final.setup, loop.final.clock
+    if not term.aged or clock is None:
         return {}
-    setup = loop.final.setup
     return {
         "beats": [
             None
@@ -128,9 +128,9 @@ def _beats(loop: MotionLoop, term: Term) -> dict[str, Any]:
                 "hz": beat.frequency,
                 "phase_turns": beat.phase,
                 "at_s": beat.at,
-                "wander_turns": beat.wander,
+                "wander_turns": beat.scatter,
             }
-            for imu, beat in zip(setup.imus, beats(loop.ages, setup.t), strict=True)
+            for imu, beat in zip(setup.imus, beats(clock, setup.t, setup.rows), strict=True)
         ]
     }
 

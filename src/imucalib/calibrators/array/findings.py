@@ -18,11 +18,10 @@ from imucalib.calibration.outcome import ErrorSummary, HeldOutError
 from imucalib.calibrators.array.effect_blocks import AT_REST, parameters_of
 from imucalib.calibrators.array.estimate.left import NOISY, Residual
 from imucalib.calibrators.array.loop.catalogue import array_catalogue
-from imucalib.calibrators.array.loop.closed_loop import MotionLoop
+from imucalib.calibrators.array.loop.closed_loop import MotionLoop, size_in_words
 from imucalib.calibrators.array.loop.cross_fit import Gained
 from imucalib.calibrators.array.loop.laws import CURVE
 from imucalib.calibrators.array.loop.terms import typical_of
-from imucalib.calibrators.array.loop.told import size_in_words
 from imucalib.calibrators.array.rests import RestFit
 from imucalib.effects.forms import in_words
 from imucalib.estimators.array.noise import SensorNoise
@@ -239,5 +238,5 @@ def noise_block(loop: MotionLoop) -> dict[str, Any]:
         for name, noise in shapes.items()
     }
     block["shared_by_neighbours"] = loop.dispersion
-    block["beats_hz"] = [] if loop.ages is None else loop.ages.clock.frequency
+    block["beats_hz"] = [] if loop.final.clock is None else loop.final.clock.frequency
     return block

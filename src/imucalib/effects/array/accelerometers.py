@@ -1,40 +1,52 @@
-"""Accelerometer errors that only motion tells from the rests' own, and what all share."""
+"""Accelerometers: what only motion tells from the rests' errors, and where their axes are."""
+
+from __future__ import annotations
 
 import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.core.effect import Context, Parameter, Response, Truth
-from imucalib.units import MG
+from imucalib.effects.array.parts import (
+    FORCE,
+    OTHERS,
+    all_axes,
+    by_force,
+    displaced,
+    elements,
+    other_axes,
+    times,
+)
+from imucalib.units import DEG, MG, STANDARD_GRAVITY
 
-_CROSS = tuple((i, j) for i in range(3) for j in range(3) if i != j)
-
-
-def _misalignment(truth: Truth, context: Context) -> Array:
-    out = np.zeros((*truth.shape, 6))
-    for column, (i, j) in enumerate(_CROSS):
-        out[..., i, column] = 0.01 * truth.force[..., j]
-    return out
-
-
-def _misalignment_dx(truth: Truth, context: Context) -> Array:
-    out = np.zeros((*truth.shape, 6, 3))
-    for column, (i, j) in enumerate(_CROSS):
-        out[..., i, column, j] = 0.01
-    return out
-
-
-def _common_scale(truth: Truth, context: Context) -> Array:
-    return np.asarray(0.01 * truth.force[..., None])
-
-
-def _common_scale_dx(truth: Truth, context: Context) -> Array:
-    return np.broadcast_to(0.01 * np.eye(3)[:, None], (*truth.shape, 1, 3))
+_FAST = 1000.0 * DEG
+_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
 def _common_bias(truth: Truth, context: Context) -> Array:
-    one = np.broadcast_to(MG * np.eye(3), (truth.shape[0], 1, 3, 3))
-    return context.in_own(one)
+    return context.in_own(np.broadcast_to(MG * np.eye(3), (len(truth.force), 1, 3, 3)))
 
+
+def _sensing_elements(truth: Truth, context: Context) -> Array:
+    """Axis i senses at d_i (package axes) off the triad's position: a_i += (W d_i)_i."""
+    return elements(displaced(truth, context))
+
+
+def _flexing(truth: Truth, context: Context) -> Array:
+    """A spring is as stiff both ways: C is symmetric."""
+    arm = displaced(truth, context) / STANDARD_GRAVITY
+    out = np.zeros((*truth.shape, len(_PAIRS)))
+    for column, (i, j) in enumerate(_PAIRS):
+        out[..., column] = arm[..., i] * truth.force[..., j, None]
+        if i != j:
+            out[..., column] += arm[..., j] * truth.force[..., i, None]
+    return out
+
+
+def _fast(truth: Truth, context: Context) -> Array:
+    return np.asarray(np.sum(truth.turning.rate**2, axis=-1) / _FAST**2)
+
+
+_MISALIGNMENT, _SCALE = other_axes(FORCE, 0.01), all_axes(FORCE, 0.01)
 
 EFFECTS = (
     Response(
@@ -44,9 +56,9 @@ EFFECTS = (
         "5 mrad after calibration at rest",
         "More rests, in more attitudes.",
         ("rate",),
-        tuple(Parameter(f"misalignment_{'xyz'[i]}{'xyz'[j]}", "%", 0.3, 10.0) for i, j in _CROSS),
-        _misalignment,
-        _misalignment_dx,
+        tuple(Parameter(f"misalignment_{'xyz'[i]}{'xyz'[j]}", "%", 0.3, 10.0) for i, j in OTHERS),
+        _MISALIGNMENT,
+        by_force(_MISALIGNMENT),
         scan=True,
     ),
     Response(
@@ -57,8 +69,8 @@ EFFECTS = (
         "State the local gravity.",
         ("rate",),
         (Parameter("common_accelerometer_scale", "%", 0.3, 10.0),),
-        _common_scale,
-        _common_scale_dx,
+        _SCALE,
+        by_force(_SCALE),
         shared=True,
     ),
     Response(
@@ -70,6 +82,40 @@ EFFECTS = (
         ("rate",),
         tuple(Parameter(f"common_bias_{a}", "mg", 2.0, 500.0) for a in "xyz"),
         _common_bias,
+        shared=True,
+    ),
+    Response(
+        "flexing",
+        "Each IMU's place gives way to the force, as on a spring.",
+        "y = a + ω × (ω × d) + dω/dt × d,  d = C a, C symmetric",
+        "a loose screw, foam, a thin board: 0.05 mm/g",
+        "Twist fast while shaking; fasten the IMU and compare.",
+        ("rate", "spin"),
+        tuple(Parameter(f"flexing_{'xyz'[i]}{'xyz'[j]}", "mm/g", 0.05, 10.0) for i, j in _PAIRS),
+        _flexing,
+        by_force(_flexing),
+        remedy="it gives way to the force: fasten it, or stiffen the board there",
+    ),
+    Response(
+        "moved_by_rate",
+        "Each IMU's place moves with the square of the rate, as what is loose flies outwards.",
+        "y = a + ω × (ω × d) + dω/dt × d,  d = c (|ω| / 1000 deg/s)²",
+        "a part that sits loose: 0.05 mm at 1000 deg/s",
+        "Twist slowly and fast; fasten the IMU and compare.",
+        ("rate", "spin"),
+        tuple(Parameter(f"moved_by_rate_{a}", "mm", 0.05, 10.0) for a in "xyz"),
+        times(displaced, _fast),
+        remedy="it moves outwards with the rate: fasten it",
+    ),
+    Response(
+        "sensing_elements",
+        "The three axes of an accelerometer sense at different points, alike in every package.",
+        "y_i = a_i + (ω × (ω × d_i) + dω/dt × d_i)_i,  d_i the same in all packages",
+        "0.3-1 mm in a 4 x 4 x 1 mm package; the size effect of Kalibr",
+        "Packages in two or more attitudes on the board; their common part is the position.",
+        ("rate", "spin"),
+        tuple(Parameter(f"element_{i}_at_{j}", "mm", 0.5, 5.0) for i in "xyz" for j in "xyz"),
+        _sensing_elements,
         shared=True,
     ),
 )

@@ -15,13 +15,13 @@ from imucalib.core.eigen import eigen
 from imucalib.errors import NotConverged
 from imucalib.estimators.array.likelihood import ArrayPosterior, conditionals
 from imucalib.estimators.array.problem import ArrayData, ArrayPrior
-from imucalib.estimators.array.rotation import cross
+from imucalib.estimators.array.rates import cross
 
 _FEW = 300  # samples on which the first steps are taken
 _REFRESHES = 25
 _LONGEST = 1.0  # prior standard deviations of a step
 _NOTICED = 0.1  # whitened slope of the Laplace determinant that costs acceptance
-_TOLD = 0.05  # of three, what the accelerometers add to the gyros' knowledge of the rate
+_ADDED = 0.05  # of three, what the accelerometers add to the gyros' knowledge of the rate
 _WIDEST = np.deg2rad(3e6) ** 2  # (rad/s²)², ω̇ that no hand exceeds
 _CLOSE = 0.05  # Newton decrement at which a point counts as the mode
 
@@ -68,7 +68,7 @@ def laplace_frame(data: ArrayData, prior: ArrayPrior) -> Frame:
         root = root * np.sqrt(few.samples / data.samples)
     posterior = _posterior(data, prior, x)
     x, root = _climb(posterior, x, root, fresh=few is data)
-    exact = replace(posterior.at(x), moments=True)
+    exact = ArrayPosterior(data, prior, posterior.mode(x[None]).rate[0])
     cheap = replace(exact, moments=False)
     value, slope = exact.value_and_gradient(x[None])
     missed = slope - cheap.value_and_gradient(x[None])[1]
@@ -82,11 +82,9 @@ def laplace_frame(data: ArrayData, prior: ArrayPrior) -> Frame:
 def _posterior(data: ArrayData, prior: ArrayPrior, x: Array) -> ArrayPosterior:
     """With the conditional search from what x implies, and the exact gradient where the
     accelerometers say enough about the rate for it to matter."""
-    found = ArrayPosterior(data, prior, np.ascontiguousarray(data.rate.T)).at(x)
-    assert found.metric is not None
-    inner = found.metric * data.precision
-    determined = inner[:3].sum(axis=0) + 2.0 * inner[3:].sum(axis=0)
-    return replace(found, moments=float(np.mean(3.0 - determined)) > _TOLD)
+    mode = ArrayPosterior(data, prior, data.rate.T).mode(x[None])
+    determined = np.einsum("ijt,jit->t", mode.covariance[0], data.precision)
+    return ArrayPosterior(data, prior, mode.rate[0], float(np.mean(3.0 - determined)) > _ADDED)
 
 
 def _climb(

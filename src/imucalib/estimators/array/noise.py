@@ -9,15 +9,21 @@ acts as weights (ν + 3)/(ν + d²) on the samples (Lange, Little, Taylor 1989, 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
+from imucalib.estimators.array.samples import Sampled
 
 _NU = (3.0, 4.0, 6.0, 10.0, 25.0)
 _GROWTH = (0.3, 0.7, 1.5, 3.0, 7.0, 20.0)
 HELD_OUT_NATS = 4.0
+#: Share of a gyro's errors below which the motion follows it more than all others together.
+_FOLLOWED = 0.5
+_FEWEST = 3  # gyros that tell which of them is noisy
+_MEDIAN = 2.36597  # of the squared length of three numbers of variance one
 
 
 @dataclass(frozen=True)
@@ -34,10 +40,6 @@ class Squares:
     @property
     def count(self) -> float:
         return float(len(self.length) * self.numbers.sum())
-
-    def flat(self) -> tuple[Array, Array]:
-        """Both (T K,)."""
-        return self.length.ravel(), np.tile(self.numbers, len(self.length))
 
 
 @dataclass(frozen=True)
@@ -71,14 +73,6 @@ class SensorNoise:
             return 1.0
         return (self.freedom + 3.0) / (self.freedom + 5.0)
 
-    @property
-    def plain(self) -> bool:
-        return (
-            self.growth == 0.0
-            and not np.isfinite(self.freedom)
-            and bool(np.all(self.factor == 1.0))
-        )
-
 
 def log_density(noise: SensorNoise, square: Squares, speed: Array) -> Array:
     """(T, K) log density of residuals."""
@@ -95,133 +89,100 @@ def log_density(noise: SensorNoise, square: Squares, speed: Array) -> Array:
 def scaled(noise: SensorNoise, square: Squares, speed: Array) -> SensorNoise:
     """The same with its most likely scale: a few steps of expectation maximisation."""
     unit = square.length / (noise.variance(speed) / noise.sigma**2)
-    numbers = square.flat()[1]
-    size = _sizes(np.array([noise.freedom]), unit.reshape(1, -1), numbers, np.array([noise.sigma]))
-    return replace(noise, sigma=float(size[0]))
-
-
-def _sizes(freedom: Array, unit: Array, numbers: Array, start: Array) -> Array:
-    """(n,) most likely scales of n shapes, whose squares over σ² = 1 are unit (n, N) or (1, N), of
-    numbers (N,)."""
-    whole = float(numbers.sum())
-    sigma = np.sqrt(np.sum(unit, axis=1) / whole) * np.ones(len(freedom))
-    tailed = np.flatnonzero(np.isfinite(freedom))
-    sigma[tailed] = start[tailed]
+    if not np.isfinite(noise.freedom):
+        return replace(noise, sigma=float(np.sqrt(unit.sum() / square.count)))
+    sigma, nu = noise.sigma, noise.freedom
     for _ in range(12):
-        if not len(tailed):
+        heavy = np.sum(unit / (nu + unit / sigma**2), axis=0) @ (nu + square.numbers)
+        before, sigma = sigma, float(np.sqrt(heavy / square.count))
+        if abs(sigma / before - 1.0) < 1e-3:
             break
-        nu, own = freedom[tailed], unit if len(unit) == 1 else unit[tailed]
-        before = sigma[tailed]
-        heavy = own / (nu[:, None] + own / before[:, None] ** 2)
-        sigma[tailed] = np.sqrt((nu * np.sum(heavy, axis=1) + heavy @ numbers) / whole)
-        tailed = tailed[np.abs(sigma[tailed] / before - 1.0) >= 1e-3]
-    return np.asarray(sigma)
+    return replace(noise, sigma=sigma)
 
 
-def _levels(freedom: Array, unit: Array, square: Squares, base: Array, sigma: Array) -> Array:
-    """(n,) log densities of n shapes at those scales; base : (n,) or (1,) sums of the logarithms of
-    the variances over σ², one for each number."""
-    from scipy.special import gammaln
-
-    (samples, triads), (_, numbers) = square.length.shape, square.flat()
-    flat = ~np.isfinite(freedom)
-    nu = np.where(flat, 1.0, freedom)
-    whole = 0.5 * base + square.count * np.log(sigma)
-    d = unit / sigma[:, None] ** 2
-    level = samples * gammaln(0.5 * (nu[:, None] + square.numbers)).sum(axis=1)
-    level -= samples * triads * gammaln(0.5 * nu) + 0.5 * square.count * np.log(nu * np.pi)
-    far = np.log1p(d / nu[:, None])
-    tails = level - 0.5 * (nu * np.sum(far, axis=1) + far @ numbers)
-    plain = -0.5 * np.sum(d, axis=1) - 0.5 * square.count * np.log(2.0 * np.pi)
-    return np.asarray(np.where(flat, plain, tails) - whole)
-
-
-def _best(options: list[SensorNoise], square: Squares, speed: Array) -> SensorNoise:
-    """The most likely of shapes that differ in tails or in growth, each at its best scale."""
-    alike = all(o.growth == options[0].growth for o in options)
-    shown = options[:1] if alike else options
-    relative = np.stack([(o.variance(speed) / o.sigma**2).ravel() for o in shown])
-    length, numbers = square.flat()
-    unit = length / relative
-    freedom = np.array([o.freedom for o in options])
-    sigma = _sizes(freedom, unit, numbers, np.array([o.sigma for o in options]))
-    levels = _levels(freedom, unit, square, np.log(relative) @ numbers, sigma)
-    best = int(np.argmax(levels))
-    return replace(options[best], sigma=float(sigma[best]))
-
-
-def fitted_noise(
-    square: Squares, speed: Array, *, growth: bool, tails: bool, each: bool = False
-) -> SensorNoise:
-    """Most likely noise of residuals, of the shapes allowed."""
-    noise = _shaped(_plain(square, speed), square, speed, growth=growth, tails=tails)
-    return _of_each(noise, square, speed) if each else noise
-
-
-def _plain(square: Squares, speed: Array) -> SensorNoise:
+def plain_noise(square: Squares, speed: Array) -> SensorNoise:
+    """Gaussian noise of one size."""
     start = float(np.sqrt(np.median(square.length / square.numbers)))
     noise = SensorNoise(max(start, 1e-12), 0.0, np.inf, np.ones(len(square.numbers)))
     return scaled(noise, square, speed)
 
 
-def _shaped(
-    noise: SensorNoise, square: Squares, speed: Array, *, growth: bool, tails: bool
-) -> SensorNoise:
+def _every_shape(square: Squares, speed: Array) -> Iterator[SensorNoise]:
+    """The most likely noise of each shape, from the simplest: without growth and with it, each
+    without tails and with them, each without a factor of single triads and with it."""
+    plain = plain_noise(square, speed)
     unit = 1.0 / max(float(np.median(speed)), 1e-9)
-    for _ in range(2 if growth and tails else 1):
-        if growth:
-            noise = _best(
-                [noise, *(replace(noise, growth=g * unit) for g in _GROWTH)], square, speed
-            )
-        if tails:
-            noise = _best([noise, *(replace(noise, freedom=nu) for nu in _NU)], square, speed)
-    return noise
+    for growth in ((), tuple(g * unit for g in _GROWTH)):
+        for tails in ((), _NU):
+            noise = plain
+            for _ in range(2 if growth and tails else 1):
+                grown = [noise, *(replace(noise, growth=g) for g in growth)]
+                noise = _likeliest(grown, square, speed)
+                tailed = [noise, *(replace(noise, freedom=nu) for nu in tails)]
+                noise = _likeliest(tailed, square, speed)
+            yield noise
+            yield replace(noise, factor=np.sqrt(_power_of_each(noise, square, speed)))
 
 
-def _of_each(noise: SensorNoise, square: Squares, speed: Array) -> SensorNoise:
-    return replace(noise, factor=np.sqrt(power_of_each(noise, square, speed)))
+def _likeliest(options: list[SensorNoise], square: Squares, speed: Array) -> SensorNoise:
+    if len(options) == 1:
+        return options[0]
+    found = [scaled(one, square, speed) for one in options]
+    return max(found, key=lambda one: float(log_density(one, square, speed).sum()))
 
 
-def power_of_each(noise: SensorNoise, square: Squares, speed: Array) -> Array:
+def _power_of_each(noise: SensorNoise, square: Squares, speed: Array) -> Array:
     """(K,) mean weighted square of one number of each triad: one where the noise is as stated."""
     d, nu = square.length / noise.variance(speed), noise.freedom
     heavy = d if not np.isfinite(nu) else (nu + square.numbers) / (nu + d) * d
     return np.asarray(np.mean(heavy, axis=0) / square.numbers)
 
 
-def _every_shape(square: Squares, speed: Array) -> list[SensorNoise]:
-    """The most likely noise of each of `_SHAPES`: what they share is fitted once."""
-    plain = _plain(square, speed)
-    found = []
-    for growth in (False, True):
-        for tails in (False, True):
-            noise = _shaped(plain, square, speed, growth=growth, tails=tails)
-            found += [noise, _of_each(noise, square, speed)]
-    return found
-
-
-#: Growth, tails and factors of each, in the order of `_every_shape`.
-_SHAPES = [
-    {"growth": g, "tails": t, "each": e}
-    for g in (False, True)
-    for t in (False, True)
-    for e in (False, True)
-]
-
-
-def chosen_noise(square: Squares, speed: Array, first: Flags, *, robust: bool) -> SensorNoise:
+def chosen_noise(square: Squares, speed: Array, first: Flags) -> SensorNoise:
     """The simplest shape that no other beats by `HELD_OUT_NATS` on held-out halves, both ways.
 
     first : (T,) which half each sample belongs to
     """
-    if not robust or min(int(first.sum()), int((~first).sum())) < 10:
-        return fitted_noise(square, speed, growth=False, tails=False)
-    totals = np.zeros(len(_SHAPES))
+    if min(int(first.sum()), int((~first).sum())) < 10:
+        return plain_noise(square, speed)
+    gain = np.zeros(8)
     for one, two in ((first, ~first), (~first, first)):
         found = _every_shape(square[one], speed[one])
-        totals += [float(log_density(n, square[two], speed[two]).sum()) for n in found]
-    best, chosen = 0.0, _SHAPES[0]
-    for shape, gain in zip(_SHAPES[1:], totals[1:] - totals[0], strict=True):
-        if gain > best + HELD_OUT_NATS:
-            best, chosen = float(gain), shape
-    return replace(fitted_noise(square, speed, **chosen), gained=best)
+        gain += [float(log_density(n, square[two], speed[two]).sum()) for n in found]
+    gain -= gain[0]
+    best = 0
+    for shape in range(1, len(gain)):
+        if gain[shape] > gain[best] + HELD_OUT_NATS:
+            best = shape
+    return replace(list(_every_shape(square, speed))[best], gained=float(gain[best]))
+
+
+def not_followed(noise: SensorNoise, sampled: Sampled, rows: Index) -> SensorNoise:
+    """The noise of gyros, in which one that the motion follows is no quieter than the gyros'
+    differences at some samples say.
+
+    A residual over the root of the share that the motion leaves of it says how noisy a gyro is, as
+    long as something remains. Of few gyros one that counts more leaves less, seems quieter and
+    counts more still: one whose errors were the least before any effect was known kept 2 % of its
+    noise for good. Differences between gyros hold no motion, however it was weighed (Gray and Allan
+    1974, the three-cornered hat).
+    """
+    share = np.mean(sampled.kept[1].share[rows], axis=0)
+    followed = (share < _FOLLOWED) & (noise.factor < 1.0)
+    if not followed.any() or len(share) < _FEWEST:
+        return noise
+    own = _power_apart(sampled.off.rate[rows])
+    least = np.where(followed, np.sqrt(own / np.mean(own)), 0.0)
+    return replace(noise, factor=np.maximum(noise.factor, least))
+
+
+def _power_apart(off: Array) -> Array:
+    """(K,) mean squares of one number of each triad's errors; by medians, which tails do not move.
+
+    off : (T, K, 3) residuals about one motion of all
+    """
+    count = off.shape[1]
+    square = np.sum((off[:, :, None] - off[:, None]) ** 2, axis=3)
+    pair = np.median(square, axis=0) / _MEDIAN
+    whole = pair.sum() / (2.0 * (count - 1))
+    return np.asarray(np.maximum((pair.sum(axis=1) - whole) / (count - 2), 0.0))

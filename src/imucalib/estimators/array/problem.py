@@ -82,11 +82,10 @@ class ArrayData:
         centred = self.acceleration - self.mean[:, None]
         return np.asarray(np.einsum("tai,tai,a->t", centred, centred, self.weight))
 
-    @cached_property
+    @property
     def precision(self) -> Array:
-        """(6, T or 1): xx, yy, zz, xy, xz, yz of the precision, samples last."""
-        whole = self.rate_precision.reshape(-1, 9)
-        return np.ascontiguousarray(whole[:, (0, 4, 8, 1, 2, 5)].T)
+        """(3, 3, T or 1) of the rate, samples last."""
+        return self.rate_precision.reshape(-1, 3, 3).transpose(1, 2, 0)
 
     @cached_property
     def log_precision(self) -> float:

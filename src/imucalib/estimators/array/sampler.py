@@ -101,11 +101,10 @@ def sample_positions(
     chosen = start_prior(data, prior)
     frame = laplace_frame(data, chosen)
     refuse_collapse(chosen.geometry(frame.mode[None])[0], chosen.nominal)
-    posterior, root = frame.posterior.leaning(frame.mode, frame.root), frame.root
 
     def target(z: Array) -> tuple[Array, Array]:
-        value, gradient = posterior.value_and_gradient(frame.place(z))
-        return value - frame.value, gradient @ root
+        value, gradient = frame.posterior.value_and_gradient(frame.place(z))
+        return value - frame.value, gradient @ frame.root
 
     count = chains or (8 if data.samples < 300 else 4)
     found = sample(
@@ -129,7 +128,7 @@ def gaussian_positions(
     data: ArrayData, prior: ArrayPrior, mean: Array, covariance: Array, rng: np.random.Generator
 ) -> ArrayPositions:
     """Independent draws of positions (d,) m with covariance (d, d) m², for IMUs on one line: the
-    spin about it is in no reading, and a chain that learns its size would wander for ever.
+    spin about it is in no reading, and a chain that learns its size would drift for ever.
 
     Raises as `sample_positions` does.
     """

@@ -1,10 +1,9 @@
 """The motion of each sample given positions, with every reading weighted by itself.
 
 Nine unknowns a sample: s (specific force of the first triad), dω/dt and ω, by Gauss-Newton. What is
-kept of it (`Sampled`) is all that a score test needs to take the motion out of any column.
-
-The nine unknowns of a sample's motion: factors, roots and solutions of thousands of matrices at
-once, the matrices last in memory. A library call for each costs ten times what its few sums do.
+kept of it (`Sampled`) is all that a score test needs to take the motion out of any column. What the
+accelerometers say of (s, W), a force being (s, W) times (1, r), are twelve numbers and a matrix,
+whatever the number of IMUs; each step runs on these.
 """
 
 from __future__ import annotations
@@ -13,90 +12,16 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucalib.arrays import Array
+from imucalib.arrays import Array, Index
 from imucalib.core.effect import cross_matrix
 
-
-@dataclass(frozen=True)
-class Factor:
-    """Matrices (T, 9, 9) on their way to their inverses. All accelerometers see s alike, so that
-    its block is a number `own` (T,) times one, and six unknowns are left when s is taken out by
-    `across` (T, 3, 6): in like units, size (6, T), they have the lower triangle (6, 6, T)."""
-
-    own: Array
-    across: Array
-    size: Array
-    lower: Array
-
-
-def factored(matrix: Array) -> Factor:
-    """Of positive matrices (T, 9, 9); NaN where one is not."""
-    own = matrix[:, 0, 0]
-    across = matrix[:, :3, 3:] / own[:, None, None]
-    taken = np.matmul(across.transpose(0, 2, 1), matrix[:, :3, 3:])
-    left = np.ascontiguousarray((matrix[:, 3:, 3:] - taken).transpose(1, 2, 0))
-    # In like units: a spin that only its prior holds is a small number beside the others.
-    size = 1.0 / np.sqrt(np.einsum("iit->it", left))
-    left *= size[:, None]
-    left *= size
-    return Factor(own, across, size, _lower(left))
-
-
-def root_of(factor: Factor) -> Array:
-    """(T, 9, 9) with root rootᵀ the inverse of each matrix, upper triangular."""
-    six = (_inverse(factor.lower) * factor.size).transpose(2, 1, 0)
-    root = np.zeros((len(six), 9, 9))
-    root[:, range(3), range(3)] = 1.0 / np.sqrt(factor.own)[:, None]
-    root[:, 3:, 3:] = six
-    root[:, :3, 3:] = -np.matmul(factor.across, six)
-    return root
-
-
-def solved(factor: Factor, right: Array) -> Array:
-    """(T, 9) solutions of such systems."""
-    pull = right[:, 3:] - np.matmul(right[:, None, :3], factor.across)[:, 0]
-    six = (_solution(factor.lower, pull.T * factor.size) * factor.size).T
-    first = right[:, :3] / factor.own[:, None] - np.matmul(factor.across, six[..., None])[..., 0]
-    return np.concatenate([first, six], axis=1)
-
-
-def _lower(matrix: Array) -> Array:
-    """(n, n, T) lower triangles L with L Lᵀ the positive matrices (n, n, T), of which only the
-    lower half is read; NaN where one is not positive."""
-    out = np.zeros_like(matrix)
-    for j in range(len(matrix)):
-        column = matrix[j:, j] - np.einsum("kt,ikt->it", out[j, :j], out[j:, :j])
-        out[j:, j] = column / np.sqrt(column[0])
-    return out
-
-
-def _inverse(lower: Array) -> Array:
-    """(n, n, T) inverses of lower triangles (n, n, T)."""
-    out = np.zeros_like(lower)
-    for i in range(len(lower)):
-        out[i, i] = 1.0 / lower[i, i]
-        out[i, :i] = np.einsum("kt,kjt->jt", lower[i, :i], out[:i, :i]) * -out[i, i]
-    return out
-
-
-def _solution(lower: Array, right: Array) -> Array:
-    """(n, T) solutions x of L Lᵀ x = right (n, T)."""
-    out = right.copy()
-    for i in range(len(out)):
-        out[i] = (out[i] - np.einsum("kt,kt->t", lower[i, :i], out[:i])) / lower[i, i]
-    for i in reversed(range(len(out))):
-        out[i] = (out[i] - np.einsum("kt,kt->t", lower[i + 1 :, i], out[i + 1 :])) / lower[i, i]
-    return out
-
-
 _ROUNDS = 12
-#: rad/s, a last step: forces are linear in all but ω, and of its square 1e-8 m/s² is left.
+#: rad/s, a last step: forces are linear in all but ω, and of its square 1e-8 m/s² remains.
 _LAST = 1e-3
 #: (rad/s²)^-2, of dω/dt about zero: 3e6 deg/s², a hundred times what hands do. IMUs on one line say
 #: nothing of the spin about it, and this alone keeps that one number finite.
-_SPIN = np.deg2rad(3e6) ** -2.0
+SPIN = np.deg2rad(3e6) ** -2.0
 
 
 @dataclass(frozen=True)
@@ -106,7 +31,7 @@ class Readings:
     acceleration: Array
     rate: Array
 
-    def take(self, rows: NDArray[np.intp]) -> Readings:
+    def take(self, rows: Index) -> Readings:
         return Readings(self.acceleration[rows], self.rate[rows])
 
     def less(self, other: Readings) -> Readings:
@@ -142,7 +67,7 @@ class Sampled:
     r: Array
     root: Array
 
-    def take(self, rows: NDArray[np.intp]) -> Sampled:
+    def take(self, rows: Index) -> Sampled:
         weights = Weights(self.weights.acceleration[rows], self.weights.rate[rows])
         return Sampled(
             rate=self.rate[rows],
@@ -159,15 +84,16 @@ class Sampled:
     @cached_property
     def arms(self) -> Array:
         """(T, K, 3, 9) derivative of the forces by s, dω/dt, ω."""
-        return _arms(self.rate, self.r)
+        slope = slope_of(self.rate).reshape(-1, 3, 4, 9)
+        return np.asarray(np.einsum("ka,tiaj->tkij", places(self.r)[0], slope))
 
     @cached_property
     def kept(self) -> tuple[Kept, Kept]:
         """What the motion leaves of the errors of accelerometers and of gyros."""
-        t, place = len(self.rate), _place(self.r)
+        t, pairs = len(self.rate), places(self.r)[1]
         reach = np.matmul(slope_of(self.rate), self.root)
         moved = np.matmul(reach, reach.transpose(0, 2, 1)).reshape(t, 3, 4, 3, 4)
-        moved = moved.transpose(0, 1, 3, 2, 4).reshape(t, 9, 16) @ _pairs(place).T
+        moved = moved.transpose(0, 1, 3, 2, 4).reshape(t, 9, 16) @ pairs.T
         turned = self.root[:, 6:] @ self.root[:, 6:].transpose(0, 2, 1)
         weights = self.weights
         return (
@@ -186,11 +112,11 @@ class Kept:
     numbers: Array
 
 
-def _kept(taken: Array) -> Kept:
-    """taken : (T, K, 9) what the motion takes of a triad's covariance, over that of one axis"""
-    left = np.eye(3).ravel() - taken
-    whole = left[..., 0] + left[..., 4] + left[..., 8]
-    square = np.einsum("tki,tki->tk", left, left)
+def _kept(lost: Array) -> Kept:
+    """lost : (T, K, 9) what the motion takes of a triad's covariance, over that of one axis"""
+    own = np.eye(3).ravel() - lost
+    whole = own[..., 0] + own[..., 4] + own[..., 8]
+    square = np.einsum("tki,tki->tk", own, own)
     floor = 0.02
     return Kept(np.maximum(whole / 3.0, floor), np.clip(whole**2 / square, 1.0, 3.0))
 
@@ -209,18 +135,6 @@ def turning_slope(rate: Array, spin: Array, bend: Array) -> Array:
     return np.asarray(mixed + mixed.transpose(0, 2, 1) - trace + cross_matrix(bend))
 
 
-def _arms(rate: Array, r: Array) -> Array:
-    """(T, K, 3, 9) derivative of s + W r by s, dω/dt and ω."""
-    t, k = len(rate), len(r)
-    out = np.zeros((t, k, 3, 9))
-    out[..., :3] = np.eye(3)
-    out[..., 3:6] = -cross_matrix(r)
-    along = (rate @ r.T)[..., None, None] * np.eye(3)
-    outer = rate[:, None, :, None] * r[:, None, :]
-    out[..., 6:] = along + outer - 2.0 * outer.swapaxes(2, 3)
-    return out
-
-
 def slope_of(rate: Array) -> Array:
     """(T, 12, 9) derivative of (s, W), row by row, by s, dω/dt and ω."""
     out = np.zeros((len(rate), 3, 4, 9))
@@ -233,32 +147,94 @@ def slope_of(rate: Array) -> Array:
     return out.reshape(-1, 12, 9)
 
 
-def _place(r: Array) -> Array:
-    """(K, 4): a force is (s, W) times (1, r)."""
-    return np.concatenate([np.ones((len(r), 1)), r], axis=1)
+def places(r: Array) -> tuple[Array, Array]:
+    """(K, 4) and (K, 16): (1, r), and the products of the four."""
+    place = np.concatenate([np.ones((len(r), 1)), r], axis=1)
+    return place, (place[:, :, None] * place[:, None, :]).reshape(len(place), 16)
 
 
-def _pairs(place: Array) -> Array:
-    """(K, 16) products of the four."""
-    return np.asarray((place[:, :, None] * place[:, None, :]).reshape(len(place), 16))
+def lower_triangle(matrix: Array) -> Array:
+    """(n, n, T) lower triangles L with L Lᵀ the positive matrices (n, n, T), of which only the
+    lower half is read; NaN where one is not positive."""
+    out = np.zeros_like(matrix)
+    for j in range(len(matrix)):
+        column = matrix[j:, j] - np.einsum("kt,ikt->it", out[j, :j], out[j:, :j])
+        out[j:, j] = column / np.sqrt(column[0])
+    return out
 
 
-def _normal(weights: Weights, r: Array) -> Array:
-    """(T, 12, 12) what all accelerometers together say of (s, W): its size does not grow with
-    their number."""
-    pairs = (weights.acceleration @ _pairs(_place(r))).reshape(-1, 4, 4)
-    out = np.zeros((len(pairs), 3, 4, 3, 4))
-    for i in range(3):
-        out[:, i, :, i] = pairs
-    return out.reshape(-1, 12, 12)
+def inverse_roots(matrix: Array) -> Array:
+    """(T, n, n) upper triangles with root rootᵀ the inverse of each positive matrix (T, n, n); NaN
+    where one is not. The samples are last in memory: a library call for each would cost ten times
+    what its few sums do."""
+    last = matrix.transpose(1, 2, 0)
+    # In like units: a spin that only its prior holds is a small number beside the others.
+    size = 1.0 / np.sqrt(np.einsum("iit->it", last))
+    lower = lower_triangle(last * size[:, None] * size)
+    out = np.zeros_like(lower)
+    for i in range(len(lower)):
+        out[i, i] = 1.0 / lower[i, i]
+        out[i, :i] = np.einsum("kt,kjt->jt", lower[i, :i], out[:i, :i]) * -out[i, i]
+    return np.asarray((out * size).transpose(2, 1, 0))
 
 
-def _matrix(normal: Array, slope: Array, weights: Weights) -> Array:
-    """(T, 9, 9) information on the nine."""
-    out = np.matmul(slope.transpose(0, 2, 1), np.matmul(normal, slope))
-    out[:, range(3, 6), range(3, 6)] += _SPIN
-    out[:, range(6, 9), range(6, 9)] += weights.rate.sum(axis=1)[:, None]
-    return np.asarray(out)
+@dataclass(frozen=True)
+class Information:
+    """What the readings of T samples say. normal, along : (T, 12, 12) and (T, 12) of (s, W), row by
+    row; own, pull : (T, 6, 6) and (T, 6) of dω/dt and ω by themselves, weak priors included"""
+
+    normal: Array
+    along: Array
+    own: Array
+    pull: Array
+
+    def roots(self, rate: Array, rows: Index | slice = slice(None)) -> Array:
+        """(n, 9, 9) with root rootᵀ the covariance of the nine of some samples that turn by rate
+        (n, 3)."""
+        slope = slope_of(rate)
+        matrix = np.matmul(slope.transpose(0, 2, 1), np.matmul(self.normal[rows], slope))
+        matrix[:, 3:, 3:] += self.own[rows]
+        with np.errstate(invalid="ignore"):
+            return inverse_roots(matrix)
+
+    def fitted(
+        self, start: Array, rounds: int, close: float, longest: float = np.inf
+    ) -> tuple[Array, Array]:
+        """The nine (T, 9) of every sample and the roots of their covariances, by Gauss-Newton.
+
+        close : rad/s, a last step; longest : rad/s, of one step
+        """
+        x, root = start.copy(), np.empty((len(start), 9, 9))
+        rows: Index = np.arange(len(start))
+        for _ in range(rounds):
+            at = x[rows]
+            root[rows] = own = self.roots(at[:, 6:], rows)
+            state = np.concatenate([at[:, :3, None], turning(at[:, 6:], at[:, 3:6])], axis=2)
+            off = self.along[rows] - np.matmul(self.normal[rows], state.reshape(-1, 12, 1))[..., 0]
+            right = np.matmul(off[:, None], slope_of(at[:, 6:]))
+            right[:, 0, 3:] += self.pull[rows]
+            right[:, 0, 3:] -= np.matmul(self.own[rows], at[:, 3:, None])[..., 0]
+            step = np.matmul(own, np.matmul(right, own).swapaxes(1, 2))[..., 0]
+            moved = np.linalg.norm(step[:, 6:], axis=1)
+            x[rows] += np.minimum(1.0, longest / np.maximum(moved, 1e-300))[:, None] * step
+            rows = rows[moved > close]
+            if not len(rows):
+                break
+        return x, root
+
+
+def _information(readings: Readings, weights: Weights, r: Array) -> Information:
+    """Of triads whose three axes count alike."""
+    t, (place, pairs) = len(readings.rate), places(r)
+    normal = np.zeros((t, 3, 4, 3, 4))
+    normal[:, range(3), :, range(3)] = (weights.acceleration @ pairs).reshape(t, 4, 4)
+    heavy = (readings.acceleration * weights.acceleration[..., None]).transpose(0, 2, 1)
+    own, pull = np.zeros((t, 6, 6)), np.zeros((t, 6))
+    own[:, range(3), range(3)] = SPIN
+    own[:, range(3, 6), range(3, 6)] = weights.rate.sum(axis=1)[:, None]
+    pull[:, 3:] = np.einsum("tk,tki->ti", weights.rate, readings.rate)
+    along = np.matmul(heavy, place)
+    return Information(normal.reshape(t, 12, 12), along.reshape(t, 12), own, pull)
 
 
 def fit_samples(
@@ -267,39 +243,16 @@ def fit_samples(
     """Best motion of every sample; start : (T, 3) rad/s, or the motion of a fit nearby; rounds :
     steps at most, one where the weights are about to change.
 
-    What the accelerometers say of (s, W) are twelve numbers and a matrix, made once; each step runs
-    on these. Raises numpy.linalg.LinAlgError where a sample runs away: no motion near the start
-    fits its readings.
+    Raises numpy.linalg.LinAlgError where a sample runs away: no motion close to the start fits its
+    readings.
     """
-    rate = start.rate if isinstance(start, Sampled) else start
-    x = np.zeros((len(rate), 9))
-    x[:, 6:] = rate
     if isinstance(start, Sampled):
-        x[:, :3], x[:, 3:6] = start.origin, start.spin
-    place, own = _place(r), weights.rate.sum(axis=1)[:, None]
-    normal = _normal(weights, r)
-    heavy = (readings.acceleration * weights.acceleration[..., None]).transpose(0, 2, 1)
-    along = np.matmul(heavy, place).reshape(-1, 12)
-    pulled = np.einsum("tk,tki->ti", weights.rate, readings.rate)
-    for _ in range(rounds):
-        slope = slope_of(x[:, 6:])
-        state = np.concatenate([x[:, :3, None], turning(x[:, 6:], x[:, 3:6])], axis=2)
-        off = along - np.matmul(normal, state.reshape(-1, 12, 1))[..., 0]
-        right = np.matmul(off[:, None], slope)[:, 0]
-        right[:, 3:6] -= _SPIN * x[:, 3:6]
-        right[:, 6:] += pulled - own * x[:, 6:]
-        with np.errstate(invalid="ignore"):
-            factor = factored(_matrix(normal, slope, weights))
-        step = solved(factor, right)
-        x = x + step
-        if not np.isfinite(step).all():
-            raise np.linalg.LinAlgError("the motion of a sample runs away")
-        if float(np.abs(step[:, 6:]).max(initial=0.0)) < _LAST:
-            break
-    return _at(x, readings, weights, r, root_of(factor))
-
-
-def _at(x: Array, readings: Readings, weights: Weights, r: Array, root: Array) -> Sampled:
+        first = np.concatenate([start.origin, start.spin, start.rate], axis=1)
+    else:
+        first = np.concatenate([np.zeros((len(start), 6)), start], axis=1)
+    x, root = _information(readings, weights, r).fitted(first, rounds, _LAST)
+    if not np.isfinite(x).all():
+        raise np.linalg.LinAlgError("the motion of a sample runs away")
     rate, turn = x[:, 6:], turning(x[:, 6:], x[:, 3:6])
     force = x[:, None, :3] + r @ turn.transpose(0, 2, 1)
     return Sampled(
@@ -318,5 +271,6 @@ def _at(x: Array, readings: Readings, weights: Weights, r: Array, root: Array) -
 def reweighed(sampled: Sampled, acceleration: float, rate: float) -> Sampled:
     """The same motion with all weights of each kind of sensor times a factor."""
     weights = Weights(sampled.weights.acceleration * acceleration, sampled.weights.rate * rate)
-    matrix = _matrix(_normal(weights, sampled.r), slope_of(sampled.rate), weights)
-    return replace(sampled, weights=weights, root=root_of(factored(matrix)))
+    rest = Readings(sampled.force, sampled.off.rate)  # whatever they read, they say as much
+    root = _information(rest, weights, sampled.r).roots(sampled.rate)
+    return replace(sampled, weights=weights, root=root)

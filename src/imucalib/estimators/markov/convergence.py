@@ -39,15 +39,6 @@ class Convergence:
         )
 
 
-def reached(draws: Array, rhat: float, ess: float) -> Convergence | None:
-    """The diagnostics of draws (chains, draws, d) where they meet both limits, else None: R-hat of
-    the bulk is most often what is open, and costs a fifth of all."""
-    if not np.all(potential_scale_reduction(rank_normalised(split(draws))) < rhat):
-        return None
-    found = convergence(draws)
-    return found if found.reached(rhat, ess) else None
-
-
 def convergence(draws: Array) -> Convergence:
     """All diagnostics of draws (chains, draws, d); at least 8 draws a chain."""
     halves = split(draws)
@@ -72,23 +63,11 @@ def split(draws: Array) -> Array:
 def rank_normalised(draws: Array) -> Array:
     """Normal scores of the ranks over all chains, average ranks for ties (eq. 14)."""
     from scipy.special import ndtri
+    from scipy.stats import rankdata
 
     m, n, d = draws.shape
-    flat = draws.reshape(m * n, d).T
-    order = np.argsort(flat, axis=1)
-    ordered = np.take_along_axis(flat, order, axis=1)
-    place = np.arange(m * n)
-    new = np.ones(ordered.shape, bool)
-    new[:, 1:] = ordered[:, 1:] != ordered[:, :-1]
-    first = np.maximum.accumulate(np.where(new, place, 0), axis=1)
-    ends = np.ones(ordered.shape, bool)
-    ends[:, :-1] = new[:, 1:]
-    last = np.where(ends, place, m * n)[:, ::-1]
-    last = np.minimum.accumulate(last, axis=1)[:, ::-1]
-    scores = ndtri((np.arange(2, 2 * m * n + 1) * 0.5 - 0.375) / (m * n + 0.25))
-    out = np.empty_like(flat)
-    np.put_along_axis(out, order, scores[first + last], axis=1)
-    return np.asarray(out.T.reshape(m, n, d))
+    ranks = rankdata(draws.reshape(m * n, d), axis=0)
+    return np.asarray(ndtri((ranks - 0.375) / (m * n + 0.25)).reshape(m, n, d))
 
 
 def potential_scale_reduction(draws: Array) -> Array:

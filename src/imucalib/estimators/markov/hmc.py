@@ -8,16 +8,16 @@ gives nearly independent draws for one or two gradients each.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucalib.arrays import Array
+from imucalib.arrays import Array, Flags
 from imucalib.errors import NotConverged, UnreadableInput
-from imucalib.estimators.markov.convergence import Convergence, convergence, reached
+from imucalib.estimators.markov.convergence import Convergence, convergence
 
 #: (chains, d) in the frame -> log density (chains,) and its gradient (chains, d)
 Target = Callable[[Array], tuple[Array, Array]]
@@ -74,19 +74,18 @@ def sample(
     rule = stop or Stop()
     run = _resumed(checkpoint, d, chains, rng) or _begin(target, d, rng, chains)
     while True:
-        enough = run.draws.shape[1] >= 2 * rule.block
-        found = reached(seen(run.draws), rule.rhat, rule.ess) if enough else None
-        if found:
-            return Chains(run.draws, run.accepted, run.steps, found)
-        if enough and run.draws.shape[1] >= rule.most:
-            told = convergence(seen(run.draws)).sentence
-            raise NotConverged(
-                f"the chains do not agree after {run.draws.shape[1]} draws each: {told}",
-                remedy="too little rotation, or samples that contradict each other: record a more "
-                "varied motion, or use more samples",
-            )
-        state, draws, accepted = _block(target, run.state, run.steps, rule.block, rng)
         count = run.draws.shape[1]
+        if count >= 2 * rule.block:
+            found = convergence(seen(run.draws))
+            if found.reached(rule.rhat, rule.ess):
+                return Chains(run.draws, run.accepted, run.steps, found)
+            if count >= rule.most:
+                raise NotConverged(
+                    f"the chains do not agree after {count} draws each: {found.sentence}",
+                    remedy="too little rotation, or samples that contradict each other: record a "
+                    "more varied motion, or use more samples",
+                )
+        state, draws, accepted = _block(target, run.state, run.steps, rule.block, rng)
         mean = run.accepted * count + float(accepted.mean()) * rule.block
         mean /= count + rule.block
         run = replace(run, state=state, draws=np.concatenate([run.draws, draws], 1), accepted=mean)
@@ -126,15 +125,13 @@ def _block(
     draws = np.empty((len(state.z), count, state.z.shape[1]))
     accepted = np.zeros(len(state.z))
     for k in range(count):
-        state, taken = step(target, state, steps, rng)
+        state, moved = step(target, state, steps, rng)
         draws[:, k] = state.z
-        accepted += taken
+        accepted += moved
     return state, draws, accepted / count
 
 
-def step(
-    target: Target, state: State, steps: int, rng: np.random.Generator
-) -> tuple[State, NDArray[np.bool_]]:
+def step(target: Target, state: State, steps: int, rng: np.random.Generator) -> tuple[State, Flags]:
     """One trajectory of a quarter turn for every chain, and which accepted."""
     momentum = rng.standard_normal(state.z.shape)
     angle = 0.5 * np.pi / steps
@@ -148,14 +145,15 @@ def step(
         momentum = momentum + 0.5 * angle * (gradient + z)
     after = value - 0.5 * np.sum(momentum * momentum, axis=1)
     with np.errstate(invalid="ignore"):
-        taken = np.log(rng.random(len(z))) < after - before
-    taken &= np.isfinite(value) & np.isfinite(gradient).all(axis=1)
-    keep = taken[:, None]
-    return State(
+        accepted = np.log(rng.random(len(z))) < after - before
+    accepted &= np.isfinite(value) & np.isfinite(gradient).all(axis=1)
+    keep = accepted[:, None]
+    moved = State(
         np.where(keep, z, state.z),
-        np.where(taken, value, state.value),
+        np.where(accepted, value, state.value),
         np.where(keep, gradient, state.gradient),
-    ), np.asarray(taken)
+    )
+    return moved, np.asarray(accepted)
 
 
 def _keep(path: Path, run: _Run, rng: np.random.Generator) -> None:
@@ -164,26 +162,16 @@ def _keep(path: Path, run: _Run, rng: np.random.Generator) -> None:
     with replaced_atomically(path) as temporary, open(temporary, "wb") as file:
         np.savez(
             file,
-            z=run.state.z,
-            value=run.state.value,
-            gradient=run.state.gradient,
+            **vars(run.state),
             draws=run.draws,
             steps=run.steps,
             accepted=run.accepted,
-            generator=np.array(_text(rng)),
+            generator=np.array(json.dumps(rng.bit_generator.state)),
         )
-
-
-def _text(rng: np.random.Generator) -> str:
-    import json
-
-    return json.dumps(rng.bit_generator.state)
 
 
 def _resumed(path: Path | None, d: int, chains: int, rng: np.random.Generator) -> _Run | None:
     """The run of a checkpoint, with `rng` set to where it was; None when there is none."""
-    import json
-
     if path is None or not path.is_file():
         return None
     try:

@@ -12,17 +12,16 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucalib.arrays import Array
+from imucalib.arrays import Array, Flags
 from imucalib.errors import NotConverged
 from imucalib.estimators.array.likelihood import conditionals, constants
 from imucalib.estimators.array.problem import ArrayData, ArrayPrior
-from imucalib.estimators.array.rotation import local
+from imucalib.estimators.array.rates import local
 
 ACCEPTANCE = (0.07, 0.23)
 VARIANCE = 0.1
-_REPEATS = 100  # likelihoods from which a variance is told
+_REPEATS = 100  # likelihoods from which a variance is estimated
 _MOST = 20_000  # rates drawn for a sample, beyond which (26) is not usable
 _TUNING = 200  # iterations between two looks at the acceptance
 
@@ -31,7 +30,7 @@ _TUNING = 200  # iterations between two looks at the acceptance
 class PmmhResult:
     """draws (chains, n, size) of the unknowns after the burn-in; log_density (chains, n);
     monte_carlo: N; variance of the log likelihood with it; step: σ_q in prior sds; accepted;
-    burn_in: iterations left out."""
+    burn_in: iterations before the draws."""
 
     draws: Array
     log_density: Array
@@ -56,19 +55,19 @@ class MonteCarloLikelihood:
 
         given, geometry = conditionals(self.data, self.prior, x)
         b, t, n = len(x), self.data.samples, self.count
-        free = replace(given, precision=np.zeros((6, 1))).repeated(n)
-        u = rng.standard_normal((b * n, 3, t))
-        value = local(free, self._rates(u), curvature=False).value.reshape(n, b, t)
+        free = replace(given, precision=np.zeros((3, 3, 1))).repeated(n)
+        # Rates given the gyros.
+        root = np.linalg.cholesky(np.linalg.inv(self.data.rate_precision.reshape(-1, 3, 3)))
+        spread = np.einsum("tij,mjt->mit", root, rng.standard_normal((b * n, 3, t)))
+        value = local(free, self.data.rate.T + spread, curvature=False).value.reshape(n, b, t)
         total = (logsumexp(-value, axis=0) - np.log(n)).sum(axis=1)
         level = constants(self.data, self.prior, geometry) - 0.5 * self.data.log_precision
         return np.asarray(total + level)
 
-    def _rates(self, u: Array) -> Array:
-        """Draws (m, 3, T) of the rates given the gyros, from unit normals."""
-        covariance = np.linalg.inv(self.data.rate_precision)
-        root = np.linalg.cholesky(covariance)
-        spread = np.matmul(root, u) if root.ndim == 2 else np.einsum("tij,mjt->mit", root, u)
-        return np.asarray(self.data.rate.T + spread)
+    def log_posterior(self, x: Array, rng: np.random.Generator) -> Array:
+        """(B,) the same with the prior."""
+        off = (x - self.prior.mean_vector) / self.prior.sd_vector
+        return np.asarray(self.log(x, rng) - 0.5 * np.sum(off * off, axis=1))
 
 
 def run_pmmh(
@@ -81,15 +80,16 @@ def run_pmmh(
 ) -> PmmhResult:
     """Algorithm 1. Raises NotConverged when N or the burn-in cannot be found."""
     likelihood, variance = tuned_count(data, prior, rng)
-    walk = _start(likelihood, rng, chains)
+    x = prior.mean_vector + prior.sd_vector * rng.standard_normal((chains, prior.size))
+    walk = _Walk(x, likelihood.log_posterior(x, rng), 0.01)
     walk, burn_in = _burned_in(walk, likelihood, rng, iterations)
     draws = np.empty((chains, iterations, prior.size))
     level = np.empty((chains, iterations))
     accepted = 0.0
     for k in range(iterations):
-        walk, taken = _iterate(walk, likelihood, rng)
+        walk, moved = _iterate(walk, likelihood, rng)
         draws[:, k], level[:, k] = walk.x, walk.level
-        accepted += float(taken.mean())
+        accepted += float(moved.mean())
     return PmmhResult(
         draws=draws,
         log_density=level,
@@ -128,26 +128,14 @@ class _Walk:
     step: float
 
 
-def _start(likelihood: MonteCarloLikelihood, rng: np.random.Generator, chains: int) -> _Walk:
-    prior = likelihood.prior
-    x = prior.mean_vector + prior.sd_vector * rng.standard_normal((chains, prior.size))
-    return _Walk(x, _level(likelihood, x, rng), 0.01)
-
-
-def _level(likelihood: MonteCarloLikelihood, x: Array, rng: np.random.Generator) -> Array:
-    off = (x - likelihood.prior.mean_vector) / likelihood.prior.sd_vector
-    return np.asarray(likelihood.log(x, rng) - 0.5 * np.sum(off * off, axis=1))
-
-
 def _iterate(
     walk: _Walk, likelihood: MonteCarloLikelihood, rng: np.random.Generator
-) -> tuple[_Walk, NDArray[np.bool_]]:
-    move = walk.step * likelihood.prior.sd_vector * rng.standard_normal(walk.x.shape)
-    there = walk.x + move
-    level = _level(likelihood, there, rng)
-    taken = np.log(rng.random(len(level))) < level - walk.level
-    x = np.where(taken[:, None], there, walk.x)
-    return _Walk(x, np.where(taken, level, walk.level), walk.step), np.asarray(taken)
+) -> tuple[_Walk, Flags]:
+    there = walk.x + walk.step * likelihood.prior.sd_vector * rng.standard_normal(walk.x.shape)
+    level = likelihood.log_posterior(there, rng)
+    moved = np.log(rng.random(len(level))) < level - walk.level
+    x = np.where(moved[:, None], there, walk.x)
+    return _Walk(x, np.where(moved, level, walk.level), walk.step), np.asarray(moved)
 
 
 def _burned_in(
@@ -159,9 +147,9 @@ def _burned_in(
     for k in range(max(most // _TUNING, 20) * 5):
         levels, accepted = [], 0.0
         for _ in range(_TUNING):
-            walk, taken = _iterate(walk, likelihood, rng)
+            walk, moved = _iterate(walk, likelihood, rng)
             levels.append(walk.level)
-            accepted += float(taken.mean()) / _TUNING
+            accepted += float(moved.mean()) / _TUNING
         mean, spread = np.mean(levels, axis=0), np.std(levels, axis=0).mean() + 1.0
         level = np.ptp(mean) < 2.0 * spread and np.all(mean - before < spread)
         settled = settled + 1 if level and ACCEPTANCE[0] <= accepted <= ACCEPTANCE[1] else 0

@@ -99,7 +99,7 @@ def test_all_informative_samples_take_part() -> None:
     some = start_state(setup, ())
     assert samples_taken(moving, None) == len(moving.good)
     assert samples_taken(moving, 200) == 200
-    every = fitted_on_all(some, moving, len(moving.good))
+    every = fitted_on_all(some, len(moving.good))
     assert np.array_equal(every.setup.rows[every.setup.inner], moving.good)
     few, all_ = (np.sqrt(np.diag(stated_covariance(s))) for s in (some, every))
     expected = np.sqrt(len(setup.inner) / len(moving.good))

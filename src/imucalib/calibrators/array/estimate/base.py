@@ -11,7 +11,6 @@ one chip's on another, and then the share is another: of four chips less still. 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cached_property
 
 import numpy as np
 
@@ -19,8 +18,7 @@ from imucalib.arrays import Array
 from imucalib.calibrators.array.loop.motion import BoardMotion
 from imucalib.calibrators.array.loop.setup import Setup
 from imucalib.calibrators.array.loop.terms import Term
-from imucalib.estimators.array.gram import Columns, gram
-from imucalib.estimators.array.reduced import Gram, Reduced, reduced
+from imucalib.estimators.array.gram import Columns, Gram
 from imucalib.estimators.array.samples import Readings, Sampled
 
 
@@ -48,16 +46,6 @@ class Base:
         self.rests = np.concatenate([0.0 * flat, *held])
         self.pull = self.prior * np.concatenate([off, *(term.value for term in terms)])
 
-    @cached_property
-    def halves(self) -> tuple[Gram, Gram]:
-        """Of the free coordinates, over the samples of each held-out half."""
-        setup, sampled = self.setup, self.sampled
-        one, two = (
-            self.free(gram(sampled, self.blocks, setup.inner[rows]))
-            for rows in (setup.first, ~setup.first)
-        )
-        return one, two
-
     def free(self, found: Gram) -> Gram:
         """The Gram matrix with the raw columns of the base replaced by its coordinates, in its
         place: of many IMUs a copy would be large."""
@@ -67,8 +55,7 @@ class Base:
         matrix = found.matrix[raw - n :, raw - n :]
         matrix[:n, :n], matrix[:n, n:], matrix[n:, :n] = own, beside, beside.T
         along = np.concatenate([turn.T @ found.along[:raw], found.along[raw:]])
-        whole = np.concatenate([np.diag(matrix)[:n], found.whole[raw:]])
-        return Gram(matrix, along, found.power, found.numbers, whole)
+        return Gram(matrix, along, found.power)
 
     @property
     def _turn(self) -> Array:
@@ -90,7 +77,3 @@ class Base:
             target = rate if block.gyro else acceleration
             target += block.at(live @ part)
         return Readings(acceleration, rate)
-
-    def solved(self, found: Gram) -> Reduced:
-        """One Gauss-Newton step of the base alone, from its free coordinates."""
-        return reduced(found, self.prior, self.pull)

@@ -10,7 +10,13 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.calibrators.array.loop.setup import Setup, every_sample, motion_at
-from imucalib.calibrators.array.loop.state import ArrayState, corrected, followed, settled
+from imucalib.calibrators.array.loop.state import (
+    ArrayState,
+    corrected,
+    followed,
+    sampled_at,
+    settled,
+)
 from imucalib.calibrators.array.loop.terms import lagging
 from imucalib.calibrators.array.moving import Moving
 from imucalib.core.eigen import eigen
@@ -233,16 +239,16 @@ def samples_taken(moving: Moving, asked: int | None) -> int:
     return min(len(moving.good), asked or max(READINGS // moving.gyros.triads, 1))
 
 
-def on_all(state: ArrayState, moving: Moving, most: int) -> ArrayState:
+def on_all(state: ArrayState, most: int) -> ArrayState:
     """The state at `most` of all informative samples, not settled there. Samples without
     neighbours serve unless a term needs the force's derivative."""
-    beside = any("jerk" in term.effect.needs for term in state.terms)
-    return transferred(state, every_sample(moving, state.setup, most, beside=beside))
+    neighbours = any("jerk" in term.effect.needs for term in state.terms)
+    return transferred(state, every_sample(state.setup, most, neighbours=neighbours))
 
 
-def fitted_on_all(state: ArrayState, moving: Moving, most: int) -> ArrayState:
+def fitted_on_all(state: ArrayState, most: int) -> ArrayState:
     """The joint fit at `most` of all informative samples, with the noise in the shape it has."""
-    return settled_there(on_all(state, moving, most))
+    return settled_there(on_all(state, most))
 
 
 def settled_there(state: ArrayState) -> ArrayState:
@@ -252,9 +258,6 @@ def settled_there(state: ArrayState) -> ArrayState:
 
 def transferred(state: ArrayState, setup: Setup) -> ArrayState:
     """What was found, at other samples; to be settled there."""
-    ones = np.ones(setup.readings.rate.shape[:2])
-    weights = Weights(ones / state.noise[0].sigma ** 2, ones / state.noise[1].sigma ** 2)
-    rate = np.median(setup.readings.rate, axis=1)
-    sampled = fit_samples(setup.readings, weights, state.r, rate)
+    sampled = sampled_at(setup, state.r, state.noise)
     motion = motion_at(setup, sampled, None, courses=bool(lagging(state.terms)))
     return replace(state, setup=setup, sampled=sampled, motion=motion)

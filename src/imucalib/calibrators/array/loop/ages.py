@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Flags, Index
 from imucalib.calibrators.array.loop.motion import board_motion
 from imucalib.calibrators.array.loop.setup import Setup, with_neighbours
-from imucalib.calibrators.array.loop.state import ArrayState
+from imucalib.calibrators.array.loop.state import ArrayState, sampled_at
 from imucalib.calibrators.array.loop.terms import Term
-from imucalib.calibrators.array.moving import Moving
 from imucalib.core.effect import Context, Response, Truth
 from imucalib.estimators.array.sample_age import SampleAge, fit_sample_age
-from imucalib.estimators.array.samples import Readings, Sampled, Weights, fit_samples
+from imucalib.estimators.array.samples import Readings, Sampled, fit_samples
 
 _GROUP = 8  # samples that learn or vote together where all are in the search
 _READINGS = 20_000  # samples times IMUs that are worked on at a time
 _TRAIN = 0.5  # share of the informative samples outside of the search from which they suffice
-
+_FEWEST = 100  # samples from which a clock is learned
 
 #: Turns by which the phase of a gyro's clock is known: blocks of a few seconds vote for it among
 #: steps of an eightieth (`estimators/array/sample_age`).
@@ -28,83 +27,69 @@ PHASE = 0.01
 
 
 @dataclass(frozen=True)
-class Ages:
-    """wave : (T, K) unit sawtooths at the search's samples; voting : (T,) samples from which they
-    were not learned; clock : frequencies and lines"""
-
-    wave: Array
-    voting: Flags
-    clock: SampleAge
-
-
-@dataclass(frozen=True)
 class Beat:
     """Steady part of a sawtooth: φ(t) = frequency (t - at) + phase, in turns; Hz, negative when the
-    age falls with time; wander : rms turns by which the phase leaves that line"""
+    age falls with time; scatter : rms turns by which the phase leaves that line"""
 
     frequency: float
     phase: float
     at: float
-    wander: float
+    scatter: float
 
 
-def beats(ages: Ages, t: Array) -> tuple[Beat | None, ...]:
-    """The beat of each gyro at the times (T,) s of its sawtooth; None without one."""
+def beats(clock: SampleAge, t: Array, rows: Index) -> Iterator[Beat | None]:
+    """The beat of each gyro over rows of the clock's samples, at times t (T,) s; None without
+    one."""
     at = float(t[0])
-    found: list[Beat | None] = []
-    for f, wave in zip(ages.clock.frequency, ages.wave.T, strict=True):
+    for f, wave in zip(clock.frequency, clock.wave[rows].T, strict=True):
         if not np.isfinite(f):
-            found.append(None)
+            yield None
             continue
         off = np.unwrap(2.0 * np.pi * (wave + 0.5 - f * (t - at))) / (2.0 * np.pi)
         slope, start = np.polyfit(t - at, off, 1)
-        wander = float(np.sqrt(np.mean((off - start - slope * (t - at)) ** 2)))
-        found.append(Beat(float(f + slope), float(start % 1.0), at, wander))
-    return tuple(found)
+        scatter = float(np.sqrt(np.mean((off - start - slope * (t - at)) ** 2)))
+        yield Beat(float(f + slope), float(start % 1.0), at, scatter)
 
 
-def found_ages(state: ArrayState, moving: Moving, *, all_rows: bool = False) -> Ages | None:
-    """Sawtooth ages from the samples outside of the search; None where no gyro shows a line."""
-    setup = state.setup
-    near, learning, voting = _learning(setup, moving)
-    if all_rows:
-        learning, voting = near, np.ones(len(moving.t), dtype=np.bool_)
-    if len(learning) < 100:
+def found_clock(state: ArrayState, *, every: bool = False) -> SampleAge | None:
+    """Sawtooth ages from the samples outside of the search, or from every one; None where no gyro
+    shows a line."""
+    amid = with_neighbours(state.setup.moving)
+    learning = amid if every else _learning(state.setup)[0]
+    if len(learning) < _FEWEST:
         return None
-    off, spin = _everywhere(state, moving, near)
-    clock = fit_sample_age(moving.t, off, spin, learning)
-    if not np.isfinite(clock.frequency).any():
-        return None
-    return Ages(clock.wave[setup.rows], voting[setup.rows], clock)
+    off, spin = _everywhere(state, amid)
+    clock = fit_sample_age(state.setup.moving.t, off, spin, learning)
+    return clock if np.isfinite(clock.frequency).any() else None
 
 
-def _learning(setup: Setup, moving: Moving) -> tuple[Index, Index, Flags]:
-    """Samples with neighbours, those of them that learn, and (N,) those that vote."""
-    near = with_neighbours(moving)
-    looked = np.zeros(len(moving.t), dtype=np.bool_)
-    looked[setup.apart] = True
-    learning = near[~looked[near]]
-    if len(learning) >= _TRAIN * len(near):
-        return near, learning, np.ones(len(moving.t), dtype=np.bool_)
-    turn = (np.arange(len(moving.t)) // _GROUP) % 2 == 0
-    return near, near[turn[near]], ~turn
+def _learning(setup: Setup) -> tuple[Index, Flags]:
+    """Samples from which clocks are learned, and (T,) those of the setup that vote on them."""
+    amid = with_neighbours(setup.moving)
+    learning = amid[~np.isin(amid, setup.chosen)]
+    if len(learning) >= _TRAIN * len(amid):
+        return learning, np.ones(len(setup.rows), dtype=np.bool_)
+    return amid[(amid // _GROUP) % 2 == 0], (setup.rows // _GROUP) % 2 != 0
 
 
-def voting(setup: Setup, moving: Moving) -> Flags:
+def voting(setup: Setup) -> Flags:
     """(inner,) samples of which no clock is ever learned."""
-    return np.asarray(_learning(setup, moving)[2][setup.rows[setup.inner]])
+    return np.asarray(_learning(setup)[1][setup.inner])
 
 
-def ages_elsewhere(ages: Ages, setup: Setup, moving: Moving) -> Ages:
-    """The same clocks at other samples."""
-    told = _learning(setup, moving)[2]
-    return Ages(ages.clock.wave[setup.rows], told[setup.rows], ages.clock)
+def with_clock(state: ArrayState, clock: SampleAge, *, voting: bool) -> ArrayState:
+    """The state with the ages of a clock; while voting, samples that it was learned from are
+    silent."""
+    wave = clock.wave[state.setup.rows]
+    if voting:
+        wave = np.where(_learning(state.setup)[1][:, None], wave, 0.0)
+    return replace(state, clock=clock, motion=state.motion.aged(wave))
 
 
-def kept_ages(state: ArrayState, ages: Ages, *, voting: bool) -> ArrayState:
-    """The state with the ages; while voting, samples that they were learned from are silent."""
-    wave = np.where(ages.voting[:, None], ages.wave, 0.0) if voting else ages.wave
-    return replace(state, motion=state.motion.aged(wave))
+def with_found_clock(state: ArrayState) -> ArrayState:
+    """With the clocks that it shows, or as it was."""
+    clock = found_clock(state)
+    return state if clock is None else with_clock(state, clock, voting=True)
 
 
 def with_phases(state: ArrayState) -> ArrayState:
@@ -137,35 +122,31 @@ def phases_of(clock: Response) -> Response:
     return replace(clock, name="phases", each=each, shared=False, basis=basis)
 
 
-def _everywhere(state: ArrayState, moving: Moving, rows: NDArray[np.intp]) -> tuple[Array, Array]:
-    """(N, K, 3) gyro residuals and (N, 3) dω/dt at all informative samples, the clocks not yet
-    taken out; zero elsewhere."""
-    n, k = len(moving.t), state.setup.triads
+def _everywhere(state: ArrayState, rows: Index) -> tuple[Array, Array]:
+    """(N, K, 3) gyro residuals and (N, 3) dω/dt at some samples, with the clocks still in them, and
+    zero elsewhere."""
+    n, k = len(state.setup.moving.t), state.setup.triads
     off, spin = np.zeros((n, k, 3)), np.zeros((n, 3))
     some = max(_READINGS // k, 1)
     for a in range(0, len(rows), some):  # of many IMUs the columns of all samples would be large
         part = rows[a : a + some]
-        sampled = _fitted_at(state, moving, part)
+        sampled = _fitted_at(state, part)
         off[part] = sampled.off.rate - sampled.off.rate.mean(axis=1, keepdims=True)
         spin[part] = sampled.spin
     return off, spin
 
 
-def _fitted_at(state: ArrayState, moving: Moving, rows: NDArray[np.intp]) -> Sampled:
+def _fitted_at(state: ArrayState, rows: Index) -> Sampled:
     """The motion of other samples under what was found."""
-    t, span = moving.t[rows], float(max(np.ptp(state.setup.t), 1e-9))
-    readings = Readings(moving.acceleration[rows], moving.rate[rows])
-    ones = np.ones((len(rows), state.setup.triads))
-    weights = Weights(ones / state.noise[0].sigma ** 2, ones / state.noise[1].sigma ** 2)
-    order = (t - state.setup.t[0]) / span
-    sampled = fit_samples(readings, weights, state.r, np.median(readings.rate, axis=1))
+    setup = replace(state.setup, rows=rows)
+    readings, sampled = setup.readings, sampled_at(setup, state.r, state.noise)
     plain = [term for term in state.terms if not term.aged]
     for _ in range(2 if plain else 0):
         motion = board_motion(
-            imus=state.setup.imus,
-            rotations=state.setup.board.rotations,
-            t=t,
-            order=order,
+            imus=setup.imus,
+            rotations=setup.board.rotations,
+            t=setup.t,
+            order=setup.order,
             rate=sampled.rate,
             spin=sampled.spin,
             force=sampled.force,
@@ -175,5 +156,5 @@ def _fitted_at(state: ArrayState, moving: Moving, rows: NDArray[np.intp]) -> Sam
         for term in plain:
             columns = term.columns(motion)
             (rate if columns.gyro else acceleration)[...] -= term.reading(columns)
-        sampled = fit_samples(Readings(acceleration, rate), weights, state.r, sampled.rate)
+        sampled = fit_samples(Readings(acceleration, rate), sampled.weights, state.r, sampled.rate)
     return sampled

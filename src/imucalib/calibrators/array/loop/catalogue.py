@@ -1,4 +1,4 @@
-"""Effects of an array, and what the user declares of them or keeps out of the search."""
+"""Effects of an array, and which of them the user declares or keeps out of the search."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from imucalib.effects import catalogue
 from imucalib.errors import UsageError
 
 #: Typical sizes of what the rests have calibrated already, each in its own unit.
-_LEFT_BY_RESTS = {
+_AFTER_RESTS = {
     "scale": 2e-3,
     "bias": 2.0,
     "quadratic": 0.3,
@@ -21,65 +21,54 @@ _LEFT_BY_RESTS = {
     "scale_drift": 2.0,
     "warm_up": 2.0,
 }
-
-
 #: Effects that are a part of others, which are tried.
 _WITHIN = ("non_orthogonality",)
 
 
 def array_catalogue() -> dict[str, Response]:
-    """Every effect of the catalogue that acts on a sensor and is linear in its parameters."""
-    return {name: sized(effect) for name, effect in _linear().items()}
-
-
-def _linear() -> dict[str, Response]:
+    """Every effect of the catalogue that acts on a sensor and is linear in its parameters, at the
+    size that the rests leave of it, tried on each IMU alone too: what one IMU does is no error of
+    all."""
     return {
-        name: effect
+        name: _sized(effect)
         for name, effect in catalogue().items()
         if isinstance(effect, Response) and name not in _WITHIN
     }
 
 
+def _sized(effect: Response) -> Response:
+    typical = _AFTER_RESTS.get(effect.name)
+    each = [p if typical is None else replace(p, typical=typical) for p in effect.each]
+    return replace(effect, each=tuple(each), scan=not effect.shared)
+
+
 def twins_of(name: str) -> tuple[str, ...]:
-    """Effects of the same IMUs whose columns are those of the named one: in a search one stands for
-    all, and a refit tells them apart."""
+    """Effects of the same IMUs whose columns are those of the named one: in a search one is there
+    for all, and a refit tells them apart."""
     family, at, imu = name.partition("@")
-    effects = _linear()
+    effects = array_catalogue()
     if family not in effects:
         return ()
-    one = effects[family].twin or family
-    alike = (n for n, e in effects.items() if one in (n, e.twin) and n != family)
-    return tuple(f"{n}{at}{imu}" for n in alike)
+    first = effects[family].twin or family
+    twins = (n for n, e in effects.items() if first in (n, e.twin) and n != family)
+    return tuple(f"{n}{at}{imu}" for n in twins)
 
 
-def sized(effect: Response) -> Response:
-    """An effect at the size that the rests leave of it, tried on each IMU alone too: what one IMU
-    does is not to be told of all."""
-    typical = _LEFT_BY_RESTS.get(effect.name)
-    each = effect.each
-    if typical is not None:
-        each = tuple(replace(p, typical=typical) for p in each)
-    return replace(effect, each=each, scan=not effect.shared)
-
-
-def named_effect(name: str, imus: Sequence[str]) -> tuple[Response, int | None]:
-    """The effect and the one IMU that a name such as "gyro_scale@imu3" means.
+def named_effect(name: str, imus: Sequence[str]) -> Response:
+    """The effect that a name means, such as "gyro_scale@imu3" of one IMU.
 
     Raises UsageError for an unknown effect or IMU.
     """
     family, at, imu = name.partition("@")
-    catalogue = array_catalogue()
-    if family not in catalogue:
+    effect = array_catalogue().get(family)
+    if effect is None:
         raise UsageError(
             f"no array effect is called '{family}'", remedy="`imucal effects` lists them"
         )
-    effect = catalogue[family]
-    if not at:
-        return effect, None
-    if effect.shared or imu not in imus:
+    if at and (effect.shared or imu not in imus):
         reason = "acts on all IMUs alike" if effect.shared else f"has no IMU '{imu}' to act on"
         raise UsageError(f"'{name}': {family} {reason}", remedy=f"IMUs: {', '.join(imus)}")
-    return effect, list(imus).index(imu)
+    return effect
 
 
 @dataclass(frozen=True)
@@ -96,19 +85,15 @@ class Asked:
         """All effects that the search shall not try. Raises UsageError for an unknown name."""
         for name in (*self.only, *self.without):
             named_effect(name, imus)
-        every = {
-            name
-            for effect in array_catalogue().values()
-            for name in (effect.name, *(f"{effect.name}@{imu}" for imu in imus))
-        }
-        if not self.search:
-            return frozenset(every)
+        every = [n + end for n in array_catalogue() for end in ("", *(f"@{i}" for i in imus))]
 
         def meant(name: str, chosen: Sequence[str]) -> bool:
             return name in chosen or name.partition("@")[0] in chosen
 
         return frozenset(
-            n for n in every if meant(n, self.without) or (self.only and not meant(n, self.only))
+            n
+            for n in every
+            if not self.search or meant(n, self.without) or (self.only and not meant(n, self.only))
         )
 
 

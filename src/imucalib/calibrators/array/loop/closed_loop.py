@@ -1,4 +1,4 @@
-"""The array's closed loop: search, tell twins apart, hold out each half, and fit all samples."""
+"""The array's closed loop: search, hold out each half, fit all samples, and say what was found."""
 
 from __future__ import annotations
 
@@ -16,17 +16,24 @@ from imucalib.calibrators.array.estimate.covariance import (
     settled_there,
     with_uneven,
 )
-from imucalib.calibrators.array.loop.ages import Ages, found_ages, kept_ages
+from imucalib.calibrators.array.loop.ages import found_clock, with_clock
 from imucalib.calibrators.array.loop.catalogue import NOTHING_ASKED, Asked
-from imucalib.calibrators.array.loop.cross_fit import Fitted, Gained, cross_fitted
-from imucalib.calibrators.array.loop.declared import remembered, shared_by_neighbours
-from imucalib.calibrators.array.loop.search import Explored, explored, started, with_ways
+from imucalib.calibrators.array.loop.cross_fit import Gained, cross_fitted
+from imucalib.calibrators.array.loop.search import (
+    Explored,
+    MotionProblem,
+    explored,
+    started,
+    with_members,
+)
 from imucalib.calibrators.array.loop.setup import Setup
-from imucalib.calibrators.array.loop.state import ArrayState
-from imucalib.calibrators.array.loop.terms import Term
-from imucalib.calibrators.array.loop.told import absorbed, left_over, scores_of, steps_of
-from imucalib.calibrators.array.moving import Moving
-from imucalib.loop.found import FitLoop, Loop, Step, Unexplained
+from imucalib.calibrators.array.loop.state import ArrayState, remembered, shared_by_neighbours
+from imucalib.calibrators.array.loop.terms import OPEN, Term
+from imucalib.loop.found import FitLoop, Loop, Score, Step, Unexplained
+from imucalib.loop.posterior.odds import ABSORBED, CERTAIN
+from imucalib.loop.posterior.space import Posterior
+from imucalib.loop.posterior.words import name_of, of_each
+from imucalib.significant_digits import plus_minus
 
 _REFUSED = "motion that took no part in the search refuses it"
 
@@ -35,15 +42,14 @@ _REFUSED = "motion that took no part in the search refuses it"
 class MotionLoop(Loop[ArrayState]):
     """The search over a motion.
 
-    ages : clocks of the gyros, or None; gained : what motion that took no part in any choice says,
-    None where it is too short for that; impact : what cannot
-    be seen, with the m rms by which its typical size moves the positions; moved : the same of what
-    is left; dispersion : how many times fewer accelerometer samples the noise that neighbours share
-    leaves; asked : what the user declared; rests : the search at rest, of which `with_rests` made
-    a part of this one
+    gained : what motion that took no part in any choice says, None where it is too short for that
+    impact : what cannot be seen, with the m rms by which its typical size moves the positions;
+    moved : the same of what has no name; dispersion : how many times fewer accelerometer samples
+        noise that neighbours share leaves
+    asked : what the user declared; rests : the search at rest, of which `with_rests` made a part of
+        this one
     """
 
-    ages: Ages | None
     gained: Gained | None
     impact: Mapping[str, float]
     moved: Mapping[str, float]
@@ -62,7 +68,6 @@ class MotionLoop(Loop[ArrayState]):
 def close_array_loop(
     setup: Setup,
     terms: tuple[Term, ...],
-    moving: Moving,
     *,
     curves: bool = False,
     halved: Setup | None = None,
@@ -77,60 +82,58 @@ def close_array_loop(
     asked : effects that the user declares, or keeps out of the search
     """
 
-    def searched(chosen: Setup) -> tuple[Explored, ArrayState]:
-        found = explored(*started(chosen, terms, moving, asked), moving, asked, curves=curves)
-        return found, _named(found, asked, curves=curves)
+    def searched(chosen: Setup) -> tuple[ArrayState, ArrayState, Explored]:
+        base = started(chosen, terms, asked)
+        found = explored(base, asked, curves=curves)
+        return base, _named(found, asked, curves=curves) or base, found
 
-    def halves(chosen: Setup) -> tuple[Fitted, Fitted]:
-        found, state = searched(chosen)
-        return (found.base, found.ages), (state, found.ages)
-
-    found, path = searched(setup)
-    gained = cross_fitted(halved or setup, moving, halves)
-    steps = steps_of(found, path, gained)
-    shifts = left_over(found, path)
-    left = {one: float(np.sqrt(np.mean(moved**2))) for one, moved in shifts.items()}
+    base, final, found = searched(setup)
+    gained = cross_fitted(halved or setup, lambda chosen: searched(chosen)[:2])
+    steps = steps_of(found, final, gained)
+    shifts = _unnamed(found, final)
+    open_ends = {one: float(np.sqrt(np.mean(moved**2))) for one, moved in shifts.items()}
     refused: tuple[tuple[str, str], ...] = ()
     if steps and gained is not None and gained.refutes:
         refused = tuple((step.effect, _REFUSED) for step in steps)
-        left = {_as_structure(step): 0.0 for step in steps} | left
-        path, steps = found.base, ()
-    final, ages = _on_all(path, found.ages, moving, most)
-    left |= dict.fromkeys(remembered(final) if asked.search else (), 0.0)
+        open_ends = {_as_structure(step): 0.0 for step in steps} | open_ends
+        final, steps = base, ()
+    final = _on_all(final, most)
+    open_ends |= dict.fromkeys(remembered(final) if asked.search else (), 0.0)
     dispersion = shared_by_neighbours(final, gyro=False)
     final, uneven = with_uneven(final, dispersion)
     final = _as_far_as_known(final, shifts.values())
     if uneven is not None:
-        left = {_as_positions(uneven): float(uneven.spread.max())} | left
+        open_ends = {_as_positions(uneven): float(uneven.spread.max())} | open_ends
+    first, posterior = found.first
     return MotionLoop(
-        base=found.base,
+        base=base,
         final=final,
         steps=steps,
         rejected=(*found.rejected, *refused),
         refuted=tuple(name for name, _ in refused),
-        unexplained=tuple(left),
+        unexplained=tuple(open_ends),
         scores=scores_of(found.problem, found.posterior),
-        first_scores=scores_of(*found.first),
+        first_scores=scores_of(first, posterior),
         missing=found.problem.missing,
         difference=None if gained is None else gained.principal,
         complete=found.said.complete,
-        ages=ages,
         gained=gained,
-        impact=absorbed(found.first[0]),
-        moved={one.name: move for one, move in left.items()},
+        impact=absorbed(first),
+        moved={one.name: move for one, move in open_ends.items()},
         dispersion=dispersion,
         asked=asked,
     )
 
 
-def _named(found: Explored, asked: Asked, *, curves: bool) -> ArrayState:
-    """The fit without laws, which have no name, unless they are to be corrected."""
-    ways = found.problem.ways_of(found.said.hypothesis)
-    known = {term.name for term in found.apart.state.found}
-    named = tuple(w for w in ways if curves or found.problem.named(w.name))
-    if known == {w.name for w in named} | (known & set(asked.declare)):
-        return found.apart.state
-    return with_ways(found.apart.state, named, asked)[0] or found.base
+def _named(found: Explored, asked: Asked, *, curves: bool) -> ArrayState | None:
+    """The fit without laws, which have no name, unless they are to be corrected; None where it runs
+    away."""
+    chosen = found.problem.of_set(found.said.hypothesis)
+    named = [one for one in chosen if curves or found.problem.named(one.name)]
+    known = {term.name for term in found.state.found}
+    if known == {one.name for one in named} | (known & set(asked.declare)):
+        return found.state
+    return with_members(found.state, named, asked)
 
 
 def _as_far_as_known(state: ArrayState, shifts: Iterable[Array]) -> ArrayState:
@@ -151,14 +154,116 @@ def _as_structure(step: Step) -> Unexplained:
     return Unexplained(step.effect, step.effect, "effect", step.probability, step.evidence)
 
 
-def _on_all(
-    state: ArrayState, ages: Ages | None, moving: Moving, most: int | None
-) -> tuple[ArrayState, Ages | None]:
+def _on_all(state: ArrayState, most: int | None) -> ArrayState:
     """The final fit on all samples; accepted clocks with their phases from all of the motion."""
     if not any(term.aged for term in state.terms):
-        return (state if most is None else fitted_on_all(state, moving, most)), None
-    moved = state if most is None else on_all(state, moving, most)
-    again = found_ages(moved, moving, all_rows=True)
-    if again is None:
-        return state, ages
-    return settled_there(kept_ages(moved, again, voting=False)), again
+        state = replace(state, clock=None)
+        return state if most is None else fitted_on_all(state, most)
+    moved = state if most is None else on_all(state, most)
+    clock = found_clock(moved, every=True)
+    if clock is None:
+        return state
+    return settled_there(with_clock(moved, clock, voting=False))
+
+
+def size_in_words(state: ArrayState, term: Term) -> str:
+    """The one value with its deviation, or the rms of many."""
+    parameters = term.parameters(state.setup.imus)
+    unit = parameters[0].unit
+    if len(parameters) == 1:
+        return plus_minus(float(term.theta[0]), float(state.sd_of(term)[0]), unit)
+    if len(parameters) <= 3:
+        return f"{', '.join(f'{v:.3g}' for v in term.theta)} {unit}"
+    rms = float(np.sqrt(np.mean(term.theta**2)))
+    return f"{rms:.2g} {unit} rms, {term.live.shape[1]} of {len(parameters)} determined"
+
+
+def steps_of(found: Explored, final: ArrayState, gained: Gained | None) -> tuple[Step, ...]:
+    """What is told and corrected, likeliest first; a place that twins share is theirs together.
+
+    final : the fit with what is corrected
+    """
+    steps = []
+    for place in found.said.places:
+        name = _member(found, place.component)
+        twins = next((s for s in found.shares.values() if name in dict(s)), ((name, 1.0),))
+        term = next((t for t in final.found if t.name == twins[0][0]), None)
+        if term is None:
+            continue
+        rivals = [
+            (own, share * part)
+            for c, share in place.rivals
+            for own, part in (twins if c == place.component else ((_member(found, c), 1.0),))
+        ]
+        likely = [r for r in rivals if r[1] > 1.0 - CERTAIN or r[0] == term.name]
+        step = Step(
+            effect=term.name,
+            evidence=place.log_odds,
+            checked=() if gained is None else gained.checked,
+            aliases=tuple(n for n, _ in likely if n != term.name),
+            value=size_in_words(final, term),
+            curve=not found.problem.named(name),
+            probability=place.probability,
+            rivals=tuple(sorted(likely, key=lambda r: -r[1])),
+            certain=place.certain and twins[0][1] > CERTAIN,
+        )
+        steps.append(step)
+    return tuple(steps)
+
+
+def _unnamed(found: Explored, final: ArrayState) -> dict[Unexplained, Array]:
+    """What is told and has no name, be it corrected or not: laws, and effects of which the data
+    determine no size; with the (d,) m by which each moves the positions, where it is not corrected.
+
+    final : the fit with what is corrected
+    """
+    shifts, own = {}, {term.name for term in final.found}
+    for place in found.said.places:
+        name = _member(found, place.component)
+        if found.problem.named(name) and name in own:
+            continue
+        moved = found.problem.moved(found.grams, found.said.hypothesis, place.component)
+        one = Unexplained(
+            name=name,
+            driver=found.problem.components[place.component].driver,
+            kind="probe",
+            probability=place.probability,
+            evidence=0.0,
+            rivals=tuple(_member(found, c) for c, _ in place.rivals),
+        )
+        shifts[one] = 0.0 * moved if name in own else moved
+    return shifts
+
+
+def _member(found: Explored, component: int) -> str:
+    return name_of(found.problem, found.posterior, found.said, component)
+
+
+def scores_of(problem: MotionProblem, posterior: Posterior) -> tuple[Score, ...]:
+    """Every component, likeliest first, by its first member at typical size: its evidence with
+    the base model alone, and the probability that it is there."""
+    evidence, inside = of_each(posterior, len(problem.components))
+    found = []
+    for c, component in enumerate(problem.components):
+        share, strength, _ = problem.shown(c)
+        score = Score(
+            name=component.name,
+            kind="effect" if component.named else "probe",
+            driver=component.driver,
+            evidence=float(evidence[c]),
+            probability=float(inside[c]),
+            left=share if strength > OPEN else 0.0,
+            strength=strength,
+        )
+        found.append(score)
+    return tuple(sorted(found, key=lambda s: -s.probability))
+
+
+def absorbed(problem: MotionProblem) -> dict[str, float]:
+    """What no motion shows, and by how many m rms its typical size moves the positions."""
+    found = {}
+    for c, component in enumerate(problem.components):
+        share, strength, moves = problem.shown(c)
+        if component.named and (strength <= OPEN or share < ABSORBED):
+            found[component.name] = moves
+    return found

@@ -9,31 +9,26 @@ between that are never predicted. Base and final model stand on the same samples
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
 from imucalib.calibrators.array.estimate.covariance import transferred
-from imucalib.calibrators.array.loop.ages import Ages, ages_elsewhere, kept_ages, voting
+from imucalib.calibrators.array.loop.ages import voting, with_clock
 from imucalib.calibrators.array.loop.setup import FEWEST, Setup, part_of
 from imucalib.calibrators.array.loop.state import ArrayState, followed
-from imucalib.calibrators.array.moving import Moving
 from imucalib.loop.found import Checked
-from imucalib.loop.held_out import Difference
+from imucalib.loop.held_out import Difference, difference
 from imucalib.units import DEG
 
-#: A fitted state with the clocks that it has.
-Fitted = tuple[ArrayState, Ages | None]
-Searching = Callable[[Setup], tuple[Fitted, Fitted]]
 #: Standard deviation of normal errors over their median absolute deviation.
 NORMAL_MAD = 1.4826
 _HALVES = 2
 _FOLLOWED = 3  # rounds of the motion, with its weights, under a model that does not move
-_COUNTS = (
-    0.1  # share of an error from which on a loss of one sensor counts against the other's gain
-)
-_HARM = 0.01  # the same of a loss that speaks against all that was found
+#: Share of an error from which on a loss of one sensor counts against the other's gain, and the
+#: same of a loss that speaks against all that was found.
+_COUNTS, _HARM = 0.1, 0.01
 _NO_ERROR = 1e-12  # m/s² or rad/s
 
 
@@ -96,22 +91,22 @@ class Gained:
         return self.principal.gain < 0.0 and any(grown)
 
 
-def cross_fitted(setup: Setup, moving: Moving, searched: Searching) -> Gained | None:
+def cross_fitted(
+    setup: Setup, searched: Callable[[Setup], tuple[ArrayState, ArrayState]]
+) -> Gained | None:
     """Predict each half by what a search of the other finds; None where the halves are too small.
 
-    searched : from samples to the fitted base and to where the search ends
+    searched : from samples to the fitted base and to the end of the search
     """
-    parts: list[list[Array]] = []
-    blocks: list[Index] = []
+    sizes, blocks = list[list[Array]](), list[Index]()
     for half in (setup.first, ~setup.first):
         train, test = part_of(setup, half), part_of(setup, ~half)
-        silent = voting(test, moving)
+        silent = voting(test)
         if min(len(train.inner), int(silent.sum())) < FEWEST // _HALVES:
             return None
-        ends = [_predicted(end, test, moving) for end in searched(train)]
-        parts.append([_sizes(end, silent) for end in ends])
+        sizes.append([_sizes(_predicted(end, test), silent) for end in searched(train)])
         blocks.append(test.block[silent])
-    before, after = (np.concatenate(sizes, axis=1) for sizes in zip(*parts, strict=True))
+    before, after = (np.concatenate(parts, axis=1) for parts in zip(*sizes, strict=True))
     block = np.concatenate(blocks)
     acceleration, rate, *own = (
         difference_of_medians(one, two, block, _HALVES)
@@ -120,52 +115,42 @@ def cross_fitted(setup: Setup, moving: Moving, searched: Searching) -> Gained | 
     return Gained(acceleration, rate, (own[0], own[1]))
 
 
-def _predicted(fitted: Fitted, setup: Setup, moving: Moving) -> ArrayState:
+def _predicted(state: ArrayState, setup: Setup) -> ArrayState:
     """The motion at other samples under positions, terms and noise that were found without them."""
-    state, ages = fitted
-    moved = transferred(replace(state, motion=state.motion.aged(None)), setup)
-    if ages is not None and state.motion.age is not None:
-        moved = kept_ages(moved, ages_elsewhere(ages, setup, moving), voting=False)
+    moved = transferred(state, setup)
+    if state.clock is not None:
+        moved = with_clock(moved, state.clock, voting=False)
     return followed(moved, _FOLLOWED)
 
 
 def _sizes(state: ArrayState, rows: Flags) -> Array:
-    """(4, n, 3 K) m/s² and rad/s: what is left of the samples `rows` (inner,) of accelerometers and
+    """(4, n, 3 K) m/s² and rad/s: what remains of the samples `rows` (inner,) of accelerometers and
     gyros, and the same over the root of the share that the motion leaves."""
     off, inner = state.sampled.off, state.setup.inner[rows]
-    left = np.abs([off.acceleration[inner], off.rate[inner]])
+    rest = np.abs([off.acceleration[inner], off.rate[inner]])
     share = np.stack([kept.share[inner] for kept in state.sampled.kept])[..., None]
-    return np.concatenate([left, left / np.sqrt(share)]).reshape(4, len(inner), -1)
+    return np.concatenate([rest, rest / np.sqrt(share)]).reshape(4, len(inner), -1)
 
 
 def difference_of_medians(before: Array, after: Array, block: Index, folds: int) -> Difference:
     """Median absolute deviations before and after, and the interval of their difference.
 
     What changes from block to block is how the board moves, and both errors with it; their ratio
-    stays. So the interval is that of the mean logarithm of the ratio over blocks (Student's
-    distribution), at the error before, widened for the training data that folds share as in
-    `loop/difference`.
+    stays. So the interval is that of the mean logarithm of the ratio over blocks (`difference`), at
+    the error before.
 
     before, after : (n, m) sizes of the errors of n samples; block : (n,) of samples that belong
     together
     """
-    from scipy.special import stdtrit
-
-    every, count = np.unique(block, return_counts=True)
-    n, share = every.size, count / count.sum()
+    every, of = np.unique(block, return_inverse=True)
     ratio = np.array([_log_ratio(before[block == one], after[block == one]) for one in every])
-    off = share * (ratio - share @ ratio)
-    error = float(np.sqrt(n / (n - 1) * np.sum(off**2))) if n > 1 else np.inf
-    reach = float(stdtrit(max(n - 1, 1), 0.975)) * error
-    wide = float(np.sqrt(1.0 + folds / (folds - 1)))
+    mean = difference(ratio[of], np.zeros(len(of)), block, folds, "mean")
     start, end = float(np.median(before)), float(np.median(after))
-    middle = _log_ratio(before, after)
-
-    def gain(log_ratio: float) -> float:
-        return start * -float(np.expm1(-log_ratio))
-
-    low, high = gain(middle - wide * reach), gain(middle + wide * reach)
-    return Difference(start, end, low, high, gain(middle - reach), n)
+    away = _log_ratio(before, after) - mean.gain
+    low, high, plain_low = (
+        start * -float(np.expm1(-(edge + away))) for edge in (mean.low, mean.high, mean.plain_low)
+    )
+    return Difference(start, end, low, high, plain_low, mean.parts)
 
 
 def _log_ratio(before: Array, after: Array) -> float:

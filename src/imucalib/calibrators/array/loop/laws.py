@@ -1,14 +1,14 @@
-"""What an array's sensors may follow without a name: unnamed laws, and free functions.
+"""What an array's motion may lack: names of the catalogue, unnamed laws, and free functions.
 
 A law is as simple as a name, but of another shape: one number an axis of each IMU, as names of
-drifts and of non-linearity have it. What such a law of a driver explains as well has no certain
-name. A free function is any smooth course of a driver, alike in all packages.
+drifts and of non-linearity have it. What such a law of a covariate explains as well has no certain
+name. A free function is any smooth course of a covariate, the same in all packages.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -16,140 +16,131 @@ from imucalib.arrays import Array, Index
 from imucalib.calibrators.array.loop.ages import PHASE, phases_of
 from imucalib.calibrators.array.loop.catalogue import array_catalogue
 from imucalib.calibrators.array.loop.motion import BoardMotion
-from imucalib.calibrators.array.loop.terms import Term, columns_of
+from imucalib.calibrators.array.loop.terms import Term, typical_columns
 from imucalib.core.course import delayed
 from imucalib.core.effect import (
+    Basis,
     Channel,
     Context,
     Parameter,
     Response,
     Truth,
     cross_matrix,
-    own_axis,
     three,
 )
-from imucalib.effects.array.sensing_elements import across
+from imucalib.effects.array.parts import (
+    FORCE,
+    RATE,
+    SPIN,
+    Quantity,
+    all_axes,
+    displaced,
+    each_axis,
+    one,
+    times,
+)
 from imucalib.estimators.array.gram import Columns
 from imucalib.loop.posterior.catalogue import Component, Kind, Member
 from imucalib.loop.posterior.odds import TOGETHER
+from imucalib.loop.posterior.problem import Choice
 from imucalib.units import DEG, MG
 
 
 @dataclass(frozen=True)
-class Way:
-    """A member as the array's model takes it in: an effect of all IMUs, or of one; part : its
-    columns among those of its block"""
+class Candidates:
+    """components : with their members, of which choices has each with its columns; blocks : the
+    columns in typical sizes, one after the other; missing : why effects could not be tried"""
 
-    name: str
-    effect: Response
-    only: int | None
-    block: int
-    part: Index
+    components: list[Component] = field(default_factory=list)
+    choices: list[Choice] = field(default_factory=list)
+    blocks: list[Columns] = field(default_factory=list)
+    missing: dict[str, str] = field(default_factory=dict)
 
-
-@dataclass(frozen=True)
-class Components:
-    """components, with a way for each of their members in order; columns : (blocks,) in typical
-    sizes; missing : why effects could not be tried"""
-
-    components: tuple[Component, ...]
-    ways: tuple[tuple[Way, ...], ...]
-    columns: tuple[Columns, ...]
-    missing: dict[str, str]
+    @property
+    def width(self) -> int:
+        """How many columns there are."""
+        return sum(block.size for block in self.blocks)
 
 
-def components_of(
-    motion: BoardMotion, terms: tuple[Term, ...], left_out: frozenset[str]
-) -> Components:
+def candidates_of(
+    motion: BoardMotion, terms: Sequence[Term], skipped: Collection[str]
+) -> Candidates:
     """Every effect and every law.
 
-    terms : of the model; where one has a twin in it, that stands for both; left_out : names that
+    terms : of the model; where one has a twin in it, that is there for both; skipped : names that
     are not tried
     """
-    every, missing = _every(motion, terms)
-    blocks, found = list[Columns](), list[tuple[Component, tuple[Way, ...]]]()
-    for name, (kind, driver, forms) in every.items():
-        members, ways = list[Member](), list[Way]()
+    out = Candidates()
+    for name, (kind, covariate, forms) in _every(motion, terms, out.missing).items():
+        found = list[tuple[Member, Index]]()
         for effect in forms:
-            own = _ways(effect, motion.context.triads, len(blocks))
-            columns = _owned(effect, motion)
-            kept = [(way, share) for way, share in own if way.name not in left_out]
-            if kept and np.isfinite(columns.basis).all() and columns.basis.any():
-                blocks.append(columns)
-                ways += [way for way, _ in kept]
-                members += [_member(way, share) for way, share in kept]
-        if ways:
-            share = np.log(sum(np.exp(m.log_weight) for m in members))
-            fair = (replace(m, log_weight=float(m.log_weight - share)) for m in members)
-            found.append((Component(name, kind, tuple(fair), driver), tuple(ways)))
-    return Components(
-        tuple(c for c, _ in found), tuple(w for _, w in found), tuple(blocks), missing
-    )
+            every = _members(effect, motion.context.triads)
+            members = [one for one in every if one.name not in skipped]
+            columns = _with_phases(effect, motion)
+            if members and np.isfinite(columns.basis).all() and columns.basis.any():
+                found += [(one, out.width + one.effects[0][1]) for one in members]
+                out.blocks.append(columns)
+        if found:
+            whole = float(np.log(sum(np.exp(member.log_weight) for member, _ in found)))
+            fair = [replace(m, log_weight=m.log_weight - whole) for m, _ in found]
+            out.choices.extend(
+                Choice(len(out.components), m, at, m.log_weight)
+                for m, (_, at) in zip(fair, found, strict=True)
+            )
+            out.components.append(Component(name, kind, tuple(fair), covariate))
+    return out
 
 
-Forms = tuple[Kind, str, list[Response]]
-
-
-def _every(motion: BoardMotion, terms: tuple[Term, ...]) -> tuple[dict[str, Forms], dict[str, str]]:
-    """Kind, driver and effects of every component, and why others cannot be tried."""
-    every, missing = dict[str, Forms](), dict[str, str]()
-    held = [term.effect for term in terms]
+def _every(
+    motion: BoardMotion, terms: Sequence[Term], missing: dict[str, str]
+) -> dict[str, tuple[Kind, str, list[Response]]]:
+    """Kind, covariate and effects of every component; of others, why they cannot be tried."""
+    every = dict[str, tuple[Kind, str, list[Response]]]()
+    # Ranges of laws are the motion's: what is in the model stays as it is there.
+    held = {term.family: term.effect for term in terms}
     for effect in array_catalogue().values():
         if effect.twin:
             continue
-        reason = effect.missing(motion.context)
-        if reason:
+        if reason := effect.missing(motion.context):
             missing[effect.name] = reason
         else:
-            stands = next((e for e in held if e.twin == effect.name), effect)
-            every[effect.name] = "name", "", [stands]
-    # Their ranges are the motion's: what is in the model stays as it is there.
-    same = {effect.name: effect for effect in held}
-    for driver, law in array_laws(motion):
+            twin = next((e for e in held.values() if e.twin == effect.name), effect)
+            every[effect.name] = "name", "", [twin]
+    for covariate, law in array_laws(motion):
         if not law.missing(motion.context):
-            forms = every.setdefault(f"another law of {driver}", ("law", driver, []))[2]
-            forms.append(same.get(law.name, law))
-    for driver, function in array_functions(motion):
-        every[function.name] = "free", driver, [same.get(function.name, function)]
-    return every, missing
+            forms = every.setdefault(f"another law of {covariate}", ("law", covariate, []))[2]
+            forms.append(held.get(law.name, law))
+    for covariate, function in array_functions(motion):
+        every[function.name] = "free", covariate, [held.get(function.name, function)]
+    return every
 
 
-def _ways(effect: Response, imus: tuple[str, ...], block: int) -> Iterator[tuple[Way, float]]:
-    """All IMUs together and one alone, each with its share in logs."""
-    size, each = len(effect.each), len(effect.each) * len(imus)
+def _members(effect: Response, imus: tuple[str, ...]) -> list[Member]:
+    """All IMUs together and one alone, each with its columns among those of the effect."""
+    size, k = len(effect.each), len(imus)
     if effect.shared:
-        owned = size + (len(imus) * len(phases_of(effect).each) if _aged(effect) else 0)
-        yield Way(effect.name, effect, None, block, np.arange(owned)), 0.0
-        return
-    yield Way(effect.name, effect, None, block, np.arange(each)), float(np.log(TOGETHER))
-    for k, imu in enumerate(imus):
-        part = np.arange(k * size, (k + 1) * size)
-        share = float(np.log((1.0 - TOGETHER) / len(imus)))
-        yield Way(f"{effect.name}@{imu}", effect, k, block, part), share
+        phases = k * len(phases_of(effect).each) if _aged(effect) else 0
+        return [_member(effect, "", np.arange(size + phases), 1.0)]
+    parts = [np.arange(i * size, (i + 1) * size) for i in range(k)]
+    share = (1.0 - TOGETHER) / k
+    alone = [_member(effect, f"@{i}", part, share) for i, part in zip(imus, parts, strict=True)]
+    return [_member(effect, "", np.concatenate(parts), TOGETHER), *alone]
 
 
-def _member(way: Way, share: float) -> Member:
-    each = np.array([p.typical for p in way.effect.each])
-    effect = replace(way.effect, name=way.name)
-    return Member(((effect, way.part, np.resize(each, way.part.size)),), share)
+def _member(effect: Response, of: str, part: Index, share: float) -> Member:
+    sizes = np.resize([p.typical for p in effect.each], part.size)
+    return Member(((replace(effect, name=effect.name + of), part, sizes),), float(np.log(share)))
 
 
-def typical_columns(effect: Response, motion: BoardMotion, only: int | None = None) -> Columns:
-    """Its columns in units of typical sizes, of all IMUs or of one."""
-    columns = columns_of(effect, motion, only)
-    columns.basis[...] *= np.array([p.typical for p in effect.each])
-    return columns
-
-
-def _owned(effect: Response, motion: BoardMotion) -> Columns:
-    """The same with what belongs to it: of clocks what their phases leave of each gyro."""
+def _with_phases(effect: Response, motion: BoardMotion) -> Columns:
+    """Its columns in typical sizes, and of clocks what their phases leave of each gyro."""
     own = typical_columns(effect, motion)
     if not _aged(effect):
         return own
     phases = PHASE * typical_columns(phases_of(effect), motion).basis
     k, t, _, m = phases.shape
     apart = np.zeros((k, t, 3, k, m))
-    apart[np.arange(k), :, :, np.arange(k)] = phases
+    apart[range(k), :, :, range(k)] = phases
     basis = np.concatenate([own.basis, apart.reshape(k, t, 3, k * m)], axis=3)
     return Columns(basis, own.gyro, own.shared)
 
@@ -162,213 +153,142 @@ def _aged(effect: Response) -> bool:
 CURVE = "curve of "
 
 Shape = Callable[[Array], Array]
-Driver = Callable[[Truth], Array]
 
 
-def _power(p: float) -> Shape:
-    return lambda x: np.asarray(np.sign(x) * np.abs(x) ** p)
-
-
-def _even(p: float) -> Shape:
-    return lambda x: np.asarray(np.abs(x) ** p)
-
-
-def _end(at: float) -> Shape:
-    return lambda x: np.sign(x) * np.maximum(np.abs(x) - at, 0.0)
-
-
-def _soft_end(at: float) -> Shape:
-    return lambda x: np.asarray(np.sign(x) * np.maximum(np.abs(x) - at, 0.0) ** 2)
-
-
-def _settling(u: Array) -> Array:
-    return np.exp(-8.0 * u)
-
-
-def _straight(u: Array) -> Array:
-    return 2.0 * u - 1.0
-
-
-def _bent(u: Array) -> Array:
-    return 6.0 * u * (u - 1.0) + 1.0
-
-
-#: Of what a sensor reads over the most in this motion; and of time over the motion, 0..1.
-_OF_INPUT = {
-    "to the power 1.5": _power(1.5),
-    "beyond a half": _end(0.5),
-    "softly beyond a half": _soft_end(0.5),
-    "cubed, without sign": _even(3.0),
-}
-_OF_TIME = {"as it settles": _settling, "bent": _bent}
-#: The same where even a straight line has no name.
-_OF_PLACE = {"straight": _straight, "bent": _bent}
-#: Terms of a free function, Σ_k c_k √2 cos(π k u) / k of its driver scaled to u = 0..1.
-_TERMS = 4
+def _tilted(quantity: Quantity) -> Basis:
+    """Three numbers, deg: what is sensed is turned about the axes."""
+    return lambda truth, context: DEG * cross_matrix(-quantity(truth))
 
 
 @dataclass(frozen=True)
 class _Error:
-    """What is off, in words; the unit and the typical size of a number of it; whose reading."""
+    """What is off, in words; the unit and the typical size of a number of it; whose reading; what
+    one of it does, where that does not go by a shape of what is sensed."""
 
     words: str
     unit: str
     typical: float
     channel: Channel = "acceleration"
+    part: Basis = displaced
 
 
-_OF_GYRO = _Error("gyro error", "deg/s", 4.0, "angular_rate")
-_OF_FORCE = _Error("force error", "mg", 5.0)
-_BY_FORCE = _Error("gyro error", "deg/s", 1.0, "angular_rate")
-_GYRO_OFFSET = _Error("gyro offset", "deg/s", 0.1, "angular_rate")
-_GYRO_SCALE = _Error("gyro scale", "%", 0.2, "angular_rate")
-_OFFSET, _SCALE = _Error("offset", "mg", 2.0), _Error("scale", "%", 0.1)
+_GYRO: Channel = "angular_rate"
 _PLACE = _Error("position", "mm", 0.05)
-_DELAY = _Error("gyro delay", "ms", 0.05, "angular_rate")
-_TILT = _Error("attitude", "deg", 0.1), _Error("gyro attitude", "deg", 0.1, "angular_rate")
-_FREE = _Error("force error", "m/s2", 0.1), _Error("gyro error", "deg/s", 0.3, "angular_rate")
+#: Of what a sensor reads over the most in this motion.
+_OF_INPUT: dict[str, Shape] = {
+    "to the power 1.5": lambda x: np.sign(x) * np.abs(x) ** 1.5,
+    "beyond a half": lambda x: np.sign(x) * np.maximum(np.abs(x) - 0.5, 0.0),
+    "softly beyond a half": lambda x: np.sign(x) * np.maximum(np.abs(x) - 0.5, 0.0) ** 2,
+    "cubed, without sign": lambda x: np.abs(x) ** 3.0,
+}
+#: Covariate, what is sensed, what is off by it, and the unit of that.
+_INPUTS = (
+    ("rate", RATE, _Error("gyro error", "deg/s", 4.0, _GYRO), DEG),
+    ("force", FORCE, _Error("force error", "mg", 5.0), MG),
+    ("force", FORCE, _Error("gyro error", "deg/s", 1.0, _GYRO), DEG),
+)
+#: Of time over the motion, 0..1.
+_OF_TIME: dict[str, Shape] = {
+    "as it settles": lambda u: np.exp(-8.0 * u),
+    "straight": lambda u: 2.0 * u - 1.0,
+    "bent": lambda u: 6.0 * u * (u - 1.0) + 1.0,
+}
+#: What is off by time, and the shapes that have no name.
+_DRIFTS, _LINES = ("as it settles", "bent"), ("straight", "bent")
+_TIMED = (
+    (_Error("gyro offset", "deg/s", 0.1, _GYRO, each_axis(one, DEG)), _DRIFTS),
+    (_Error("gyro scale", "%", 0.2, _GYRO, each_axis(RATE, 0.01)), _DRIFTS),
+    (_Error("offset", "mg", 2.0, part=each_axis(one, MG)), _DRIFTS),
+    (_Error("scale", "%", 0.1, part=each_axis(FORCE, 0.01)), _DRIFTS),
+    (_Error("attitude", "deg", 0.1, part=_tilted(FORCE)), _LINES[:1]),
+    (_Error("gyro attitude", "deg", 0.1, _GYRO, _tilted(RATE)), _LINES[:1]),
+    (_PLACE, _LINES),
+    (_Error("gyro delay", "ms", 0.05, _GYRO, all_axes(SPIN, -1e-3)), _LINES),
+)
+_FREE = _Error("force error", "m/s2", 0.1), _Error("gyro error", "deg/s", 0.3, _GYRO)
+#: Terms of a free function, Σ_k c_k √2 cos(π k u) / k of its covariate scaled to u = 0..1.
+_TERMS = 4
 
 
 def array_laws(motion: BoardMotion) -> Iterator[tuple[str, Response]]:
-    """Driver and law."""
-    fast = float(np.abs(motion.truth.turning.rate).max())
-    strong = float(np.abs(motion.truth.force).max())
-    for words, shape in _OF_INPUT.items():
-        yield _law("rate", _OF_GYRO, words, _by_rate(shape, fast))
-        yield _law("force", _OF_FORCE, words, _by_force(shape, strong, MG))
-        yield _law("force", _BY_FORCE, words, _by_force(shape, strong, DEG))
-    for words, shape in _OF_TIME.items():
-        yield _law("time", _GYRO_OFFSET, words, _offset(shape, DEG))
-        yield _law("time", _GYRO_SCALE, words, _scale(shape, "rate"))
-        yield _law("time", _OFFSET, words, _offset(shape, MG))
-        yield _law("time", _SCALE, words, _scale(shape, "force"))
+    """Covariate and law."""
+    for covariate, quantity, error, unit in _INPUTS:
+        most = float(np.abs(quantity(motion.truth)).max())
+        for words, shape in _OF_INPUT.items():
+            basis = each_axis(_shaped(quantity, shape, most), unit)
+            yield _law(covariate, error, words, basis)
+    for error, names in _TIMED:
+        for words in names:
+            yield _law("time", error, words, times(error.part, _over_time(_OF_TIME[words])))
     for k, axis in enumerate("xyz"):
-        yield _law("force", _PLACE, f"by the sign of its {axis}", _to_one_side(k))
-    for error in _TILT:
-        yield _law("time", error, "straight", _tilting(_straight, error.channel))
-    for words, shape in _OF_PLACE.items():
-        yield _law("time", _PLACE, words, _place(shape))
-        yield _law("time", _DELAY, words, _delay(shape))
+        basis = times(_PLACE.part, _side(k))
+        yield _law("force", _PLACE, f"by the sign of its {axis}", basis)
 
 
-def array_functions(motion: BoardMotion) -> Iterator[tuple[str, Response]]:
-    """Driver and free function: each axis' error against the size of rate and force. Against what
-    all axes themselves read, positions would follow it."""
-    for error in _FREE:
-        for driver, of in (("|ω|", _speed), ("|a|", _strength)):
-            yield driver, _function(error, driver, of, motion)
+def _shaped(quantity: Quantity, shape: Shape, most: float) -> Quantity:
+    return lambda truth: np.asarray(shape(quantity(truth) / most))
 
 
-def _function(error: _Error, driver: str, of: Driver, motion: BoardMotion) -> Response:
-    values = of(motion.truth)
-    low, high = float(values.min()), float(values.max())
-    k, scale = np.arange(1, _TERMS + 1), DEG if error.channel == "angular_rate" else 1.0
-
-    def basis(truth: Truth, context: Context) -> Array:
-        unit = np.clip((of(truth) - low) / max(high - low, 1e-300), 0.0, 1.0)
-        curves = scale * np.sqrt(2.0) * np.cos(np.pi * k * unit[..., None]) / k
-        return np.asarray(np.einsum("tkc,ij->tkijc", curves, np.eye(3)).reshape(*truth.shape, -1))
-
-    equation = (
-        f"error_i = Σ_k c_ik √2 cos(π k u) / k, u = (v - {low:.6g}) / {high - low:.6g} in 0..1, "
-        f"v = {driver} (SI)"
-    )
-    return Response(
-        name=f"{CURVE}{error.words} against {driver}",
-        sentence="A curve without a name.",
-        equation=equation,
-        source="",
-        identify="",
-        needs=("rate",),
-        each=tuple(
-            Parameter(f"{axis}_{j}", error.unit, error.typical, np.inf) for axis in "xyz" for j in k
-        ),
-        basis=basis,
-        channel=error.channel,
-        shared=True,
-    )
+def _over_time(shape: Shape) -> Callable[[Truth, Context], Array]:
+    return lambda truth, context: shape(context["order"])
 
 
-def _law(
-    driver: str, error: _Error, words: str, basis: Callable[[Truth, Context], Array]
-) -> tuple[str, Response]:
+def _side(axis: int) -> Callable[[Truth, Context], Array]:
+    return lambda truth, context: np.sign(truth.force[..., axis])
+
+
+def _law(covariate: str, error: _Error, words: str, basis: Basis) -> tuple[str, Response]:
     late = error.unit == "ms"  # of a triad, not of an axis
     each = three("law", error.unit, error.typical, np.inf)
     found = Response(
-        name=f"{CURVE}{error.words} against {driver}, {words}",
+        name=f"{CURVE}{error.words} against {covariate}, {words}",
         sentence="A law without a name.",
-        equation=f"error_i = c_i h(v), h {words}, v {driver}",
+        equation=f"error_i = c_i h(v), h {words}, v {covariate}",
         source="",
         identify="",
-        needs=("order",) if driver == "time" else ("rate",),
+        needs=("order",) if covariate == "time" else ("rate",),
         each=each[:1] if late else each,
         basis=basis,
         channel=error.channel,
         lagged=delayed if late else None,
     )
-    sensors = "gyros" if error.channel == "angular_rate" else "accelerometers"
-    return f"{driver} in {sensors}", found
+    sensors = "gyros" if error.channel == _GYRO else "accelerometers"
+    return f"{covariate} in {sensors}", found
 
 
-def _speed(truth: Truth) -> Array:
-    return np.asarray(np.linalg.norm(truth.turning.rate, axis=2))
+def array_functions(motion: BoardMotion) -> Iterator[tuple[str, Response]]:
+    """Covariate and free function: each axis' error against the size of rate and force. Against
+    what all axes themselves read, positions would follow it."""
+    for error in _FREE:
+        for covariate, quantity in (("|ω|", RATE), ("|a|", FORCE)):
+            yield covariate, _function(error, covariate, quantity, motion)
 
 
-def _strength(truth: Truth) -> Array:
-    return np.asarray(np.linalg.norm(truth.force, axis=2))
+def _function(error: _Error, covariate: str, quantity: Quantity, motion: BoardMotion) -> Response:
+    sizes = np.linalg.norm(quantity(motion.truth), axis=2)
+    low, high = float(sizes.min()), float(sizes.max())
+    k, scale = np.arange(1, _TERMS + 1), DEG if error.channel == _GYRO else 1.0
 
-
-def _by_rate(shape: Shape, most: float) -> Callable[[Truth, Context], Array]:
-    return lambda truth, context: own_axis(DEG * shape(truth.turning.rate / most))
-
-
-def _by_force(shape: Shape, most: float, unit: float) -> Callable[[Truth, Context], Array]:
-    return lambda truth, context: own_axis(unit * shape(truth.force / most))
-
-
-def _offset(shape: Shape, unit: float) -> Callable[[Truth, Context], Array]:
     def basis(truth: Truth, context: Context) -> Array:
-        course = unit * shape(context["order"])[:, None, None]
-        return own_axis(np.broadcast_to(course, truth.shape))
+        size = np.linalg.norm(quantity(truth), axis=2)
+        unit = np.clip((size - low) / max(high - low, 1e-300), 0.0, 1.0)
+        curves = scale * np.sqrt(2.0) * np.cos(np.pi * k * unit[..., None]) / k
+        return np.asarray(np.einsum("tkc,ij->tkijc", curves, np.eye(3)).reshape(*truth.shape, -1))
 
-    return basis
-
-
-def _scale(shape: Shape, what: str) -> Callable[[Truth, Context], Array]:
-    def basis(truth: Truth, context: Context) -> Array:
-        seen = truth.turning.rate if what == "rate" else truth.force
-        return own_axis(0.01 * shape(context["order"])[:, None, None] * seen)
-
-    return basis
-
-
-def _tilting(shape: Shape, channel: Channel) -> Callable[[Truth, Context], Array]:
-    def basis(truth: Truth, context: Context) -> Array:
-        seen = truth.force if channel == "acceleration" else truth.turning.rate
-        turned = cross_matrix(-seen.reshape(-1, 3)).reshape(*truth.shape, 3)
-        return np.asarray(DEG * turned * shape(context["order"])[:, None, None, None])
-
-    return basis
-
-
-def _place(shape: Shape) -> Callable[[Truth, Context], Array]:
-    def basis(truth: Truth, context: Context) -> Array:
-        return np.asarray(1e-3 * across(truth) * shape(context["order"])[:, None, None, None])
-
-    return basis
-
-
-def _to_one_side(axis: int) -> Callable[[Truth, Context], Array]:
-    def basis(truth: Truth, context: Context) -> Array:
-        side = np.sign(truth.force[..., axis])
-        return np.asarray(1e-3 * across(truth) * side[..., None, None])
-
-    return basis
-
-
-def _delay(shape: Shape) -> Callable[[Truth, Context], Array]:
-    def basis(truth: Truth, context: Context) -> Array:
-        late = -1e-3 * shape(context["order"])[:, None, None, None]
-        return np.asarray(late * truth.turning.spin[..., None])
-
-    return basis
+    equation = (
+        f"error_i = Σ_k c_ik √2 cos(π k u) / k, u = (v - {low:.6g}) / {high - low:.6g} in 0..1, "
+        f"v = {covariate} (SI)"
+    )
+    each = [f"{axis}_{j}" for axis in "xyz" for j in k]
+    return Response(
+        name=f"{CURVE}{error.words} against {covariate}",
+        sentence="A curve without a name.",
+        equation=equation,
+        source="",
+        identify="",
+        needs=("rate",),
+        each=tuple(Parameter(n, error.unit, error.typical, np.inf) for n in each),
+        basis=basis,
+        channel=error.channel,
+        shared=True,
+    )

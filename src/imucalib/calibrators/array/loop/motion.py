@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from imucalib.core.effect import Channel, Context, Motion, Truth
 
 @dataclass(frozen=True)
 class BoardMotion:
-    """The truth at T instants as K triads see it, and what is known beside it; of_gyros : the
+    """The truth at T instants as K triads see it, and what else is known of it; of_gyros : the
     same for gyros, where they or the accelerometers lag; courses : of the rate and of the specific
     force as they are, where sensors may lag"""
 
@@ -33,11 +32,10 @@ class BoardMotion:
         attitude = self.context.attitude
         assert attitude is not None
         t, k, _, m = basis.shape
-        out = np.empty((k, t, 3, m))
-        for (triad, i), ((first, own), *others) in _products(attitude.shape, attitude.tobytes()):
-            np.multiply(basis[:, triad, first], own, out=out[triad, :, i])
-            for j, share in others:
-                out[triad, :, i] += share * basis[:, triad, j]
+        out = np.zeros((k, t, 3, m))
+        # Mountings are mostly signed permutations: of nine products three are there.
+        for triad, i, j in np.argwhere(attitude):
+            out[triad, :, i] += attitude[triad, i, j] * basis[:, triad, j]
         return out
 
     def aged(self, age: Array | None) -> BoardMotion:
@@ -46,14 +44,14 @@ class BoardMotion:
         known = rest if age is None else {**rest, "sample_age": age}
         return replace(self, context=replace(self.context, covariates=known))
 
-    def coursed(self, beside: Flags) -> BoardMotion:
+    def coursed(self, neighbours: Flags) -> BoardMotion:
         """With the courses of rate and force, of which lagging sensors meet a part.
 
-        beside : (T, 2) whether the sample before and the one after are neighbours
+        neighbours : (T, 2) whether the sample before and the one after are next to it
         """
         turning, t = self.truth.turning, self.context["time"]
         rate, force = (
-            course_of(value, slope, t, beside)
+            course_of(value, slope, t, neighbours)
             for value, slope in ((turning.rate, turning.spin), (self.truth.force, turning.jerk))
         )
         return replace(self, courses=(rate, force))
@@ -82,19 +80,6 @@ class BoardMotion:
         return self.context.covariates.get("sample_age")
 
 
-@lru_cache(maxsize=8)
-def _products(
-    shape: tuple[int, ...], attitude: bytes
-) -> tuple[tuple[tuple[int, ...], list[tuple[int, float]]], ...]:
-    """Of each row of each triad's attitude its place and the columns that are not zero, with what
-    they hold. Mountings are mostly signed permutations: of nine products three are left."""
-    whole = np.frombuffer(attitude).reshape(shape)
-    return tuple(
-        (at, [(int(j), float(whole[at][j])) for j in np.flatnonzero(whole[at])])
-        for at in np.ndindex(shape[:2])
-    )
-
-
 def board_motion(
     *,
     imus: tuple[str, ...],
@@ -112,11 +97,10 @@ def board_motion(
     rotations : (K, 3, 3), package axes to board axes; t : (T,) s; order : (T,) 0..1 over the motion
     rate, spin : (T, 3) rad/s, rad/s²; force, jerk : (T, K, 3) m/s², m/s³; age : (T, K) or None
     """
-    shape = (len(t), len(imus), 3)
 
     def seen(vector: Array) -> Array:
-        whole = np.broadcast_to(vector[:, None] if vector.ndim == 2 else vector, shape)
-        return np.asarray(np.matmul(whole[:, :, None], rotations)[:, :, 0])
+        each = vector if vector.ndim == 3 else vector[:, None]
+        return np.asarray((each[:, :, None] @ rotations)[:, :, 0])
 
     truth = Truth(seen(force), Motion(seen(rate), seen(spin), seen(jerk)))
     context = Context(len(t), {"order": order, "time": t}, imus, attitude=rotations, moving=True)
@@ -125,12 +109,12 @@ def board_motion(
 
 def motion_at_rest(imus: tuple[str, ...], rotations: Array, force: Array, t: Array) -> BoardMotion:
     """The board at rest under forces (n, K, 3) m/s² in board axes; t : (n,) s."""
-    n, still = len(force), np.zeros((len(force), 3))
+    still = np.zeros((len(force), 3))
     return board_motion(
         imus=imus,
         rotations=rotations,
         t=t,
-        order=np.full(n, 0.5),
+        order=np.full(len(force), 0.5),
         rate=still,
         spin=still,
         force=force,

@@ -1,84 +1,329 @@
-"""The search over a motion: settle a set, make its products, search from it, until it stands.
+"""The search over a motion: fit a set, make its products, search from it, until it stays the same.
 
-Effects whose columns are the same to the first order, told apart by refits: delays and
-low-passes.
+The products are those of what is fitted, of all that may be missing, and of the readings,
+
+    A = Zᵀ V⁻¹ Z,  Z = [positions and what the rests did not determine | components | y]
+
+with the nine unknowns of every sample taken out. All is in absolute numbers: y is what the readings
+would be off with everything at its prior's mean, so that products at two linearisations speak of
+the same thing. Noise that neighbours share and tails lessen the weights before. Effects whose
+columns are the same to the first order, delays and low-passes, are told apart by refits.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imucalib.arrays import Array
-from imucalib.calibrators.array.loop.ages import Ages, found_ages, kept_ages, with_phases
-from imucalib.calibrators.array.loop.catalogue import Asked, array_catalogue, twins_of
-from imucalib.calibrators.array.loop.declared import (
-    beside_the_fit,
-    shared_by_neighbours,
-    with_declared,
+from imucalib.arrays import Array, Index
+from imucalib.calibrators.array.estimate.base import Base
+from imucalib.calibrators.array.loop.ages import with_found_clock, with_phases
+from imucalib.calibrators.array.loop.catalogue import (
+    Asked,
+    array_catalogue,
+    named_effect,
+    twins_of,
 )
-from imucalib.calibrators.array.loop.laws import Way
-from imucalib.calibrators.array.loop.products import MotionProblem, products
-from imucalib.calibrators.array.loop.setup import Setup, motion_at
-from imucalib.calibrators.array.loop.state import ArrayState, settled
-from imucalib.calibrators.array.loop.terms import Term, determined
-from imucalib.calibrators.array.moving import Moving
-from imucalib.core.effect import Response
+from imucalib.calibrators.array.loop.laws import Candidates, candidates_of
+from imucalib.calibrators.array.loop.setup import Setup, looked_at, motion_at
+from imucalib.calibrators.array.loop.state import (
+    ArrayState,
+    sampled_at,
+    settled,
+    shared_by_neighbours,
+)
+from imucalib.calibrators.array.loop.terms import (
+    Term,
+    determined,
+    typical_columns,
+    typical_of,
+)
+from imucalib.core.effect import Effect, Response
+from imucalib.errors import Undetermined
+from imucalib.estimators.array.gram import Columns, gram, inverse_root, taken_out
 from imucalib.estimators.array.noise import SensorNoise, log_density
-from imucalib.estimators.array.samples import Weights, fit_samples
-from imucalib.loop.posterior.gram import Grams
-from imucalib.loop.posterior.space import Posterior, climbed
+from imucalib.estimators.array.samples import reweighed
+from imucalib.loop.posterior.catalogue import Component, Member, log_odds
+from imucalib.loop.posterior.gram import Grams, Multiplied
+from imucalib.loop.posterior.odds import FINE_SIZES
+from imucalib.loop.posterior.problem import Choice
+from imucalib.loop.posterior.space import Hypothesis, Pick, Posterior, blocks_of, climbed
 from imucalib.loop.posterior.words import Told, told
 
 #: Times that twins are told apart, where some have gone to another name.
 _PASSES = 3
+#: Times that a set is settled and searched from: two do, three at most on measured motions.
+_ROUNDS = 5
+DIVERGED = "its refit did not converge"
 
 
 @dataclass(frozen=True)
-class Apart:
-    """state : with the likeliest of every effect's twins; shares : name in it -> (twin, share) of
-    what may stand there, itself first"""
+class MotionProblem:
+    """What a motion may lack: a `Contest`.
+
+    missing : why effects could not be tried
+    seen : (q,) squares of the columns without the motion, and what free positions leave of them
+    moves : (d, q) m by which each column moves free positions at typical size
+    """
+
+    components: tuple[Component, ...]
+    odds: Array
+    choices: tuple[Choice, ...]
+    missing: dict[str, str]
+    seen: tuple[Array, Array]
+    moves: Array
+
+    @property
+    def base(self) -> int:
+        """Columns that are free before any component: what is fitted is taken out already."""
+        return 0
+
+    @property
+    def sizes(self) -> Array:
+        """Those of a component: a motion has thousands of readings."""
+        return FINE_SIZES
+
+    @property
+    def flat(self) -> tuple[Index, float]:
+        """The free columns."""
+        return np.arange(0), np.inf
+
+    def named(self, name: str) -> bool:
+        """Whether a candidate of this name is a cause."""
+        own = next(choice for choice in self.choices if choice.member.name == name)
+        return self.components[own.component].named
+
+    def shown(self, component: int) -> tuple[float, float, float]:
+        """Of a component's first member at typical size: the share of its columns that free
+        positions leave, their length in units of the noise, and the m rms by which it moves the
+        positions."""
+        at = next(c.at for c in self.choices if c.component == component)
+        before, after = (float(one[at].sum()) for one in self.seen)
+        moves = float(np.sqrt(np.sum(np.mean(self.moves[:, at] ** 2, axis=0))))
+        return after / max(before, 1e-300), float(np.sqrt(max(after, 0.0))), moves
+
+    def of_set(self, hypothesis: Hypothesis) -> tuple[Member, ...]:
+        """What a set adds to the model."""
+        return tuple(self.choices[p.choice].member for p in hypothesis.picks)
+
+    def picks(self, state: ArrayState) -> tuple[Pick, ...]:
+        """The effects of a state as a set, at their sizes."""
+        at = {choice.member.name: k for k, choice in enumerate(self.choices)}
+        return tuple(Pick(at[t.name], float(t.sd[0])) for t in state.found if t.name in at)
+
+    def moved(self, grams: Grams, hypothesis: Hypothesis, component: int) -> Array:
+        """(d,) m by which a component of a set moves the positions."""
+        blocks = blocks_of(self.choices, hypothesis.picks)
+        columns = np.concatenate([at for at, _ in blocks])
+        sizes = np.concatenate([np.full(at.size, size) for at, size in blocks])
+        rows = grams.rows(columns)[0]
+        value = np.linalg.solve(rows[:, columns] + np.diag(sizes**-2.0), rows[:, -1])
+        own = next(
+            self.choices[p.choice].at
+            for p in hypothesis.picks
+            if self.choices[p.choice].component == component
+        )
+        mine = np.isin(columns, own)
+        return np.asarray(self.moves[:, columns[mine]] @ value[mine])
+
+
+def products(
+    state: ArrayState, skipped: frozenset[str], declared: Sequence[str] = ()
+) -> tuple[MotionProblem, Grams]:
+    """At a fitted state. skipped : names that are not tried; declared : terms that are no question
+    of the search"""
+    motion, setup = state.motion, state.setup
+    rows = setup.inner[looked_at(setup)]
+    clock = any(t.aged for t in state.found if t.name in declared)
+    own = tuple(
+        t for t in state.terms if t.name in declared or not (t.found or (t.aged and not clock))
+    )
+    every = candidates_of(motion.take(rows), state.terms, skipped.union(declared))
+    base = Base(setup, state.sampled, motion, state.r, own)
+    kappa = [shared_by_neighbours(state, gyro=gyro) for gyro in (False, True)]
+    a, g = (n.information / k for n, k in zip(state.noise, kappa, strict=True))
+    sampled = reweighed(state.sampled.take(rows), a, g)
+    blocks = [Columns(b.basis[:, rows], b.gyro, b.shared) for b in base.blocks]
+    found = base.free(gram(sampled, [*blocks, *every.blocks], np.arange(len(rows))))
+    b = len(base.prior)
+    theta = np.concatenate([base.pull / base.prior, _held(state, every)])
+    toward = found.matrix @ theta
+    along = (found.along + toward)[:, None]
+    power = found.power + 2.0 * float(theta @ found.along) + float(theta @ toward)
+    whole = np.block([[found.matrix, along], [along.T, np.array([[power]])]])
+    matrix = taken_out(whole, base.prior)
+    loose = inverse_root(found.matrix[:b, :b] + np.diag(base.rests))
+    carried, square = loose.T @ found.matrix[:b, b:], np.diag(found.matrix)[b:]
+    problem = MotionProblem(
+        components=tuple(every.components),
+        odds=log_odds(tuple(every.components)),
+        choices=tuple(every.choices),
+        missing=every.missing,
+        seen=(square, square - np.sum(carried**2, axis=0)),
+        moves=loose[: state.positions] @ carried,
+    )
+    grams = Grams(
+        products=Multiplied(matrix[None]),
+        removed=np.zeros((1, 0, len(matrix))),
+        log_weight=np.zeros(1),
+        numbers=found.power,  # as many as their weights say
+        points=(),
+        spread=np.inf,
+    )
+    return problem, grams
+
+
+def _held(state: ArrayState, every: Candidates) -> Array:
+    """(q,) what the state has of the candidates' columns, in typical sizes."""
+    theta = np.zeros(every.width)
+    at = {choice.member.name: choice.at for choice in every.choices}
+    phases = [t.value for t in state.terms if t.aged and not t.found]
+    for term in state.found:
+        if term.name in at:
+            value = term.theta / typical_of(term.effect, len(term.theta))
+            theta[at[term.name]] = np.concatenate([value, *(phases if term.aged else ())])
+    return theta
+
+
+@dataclass(frozen=True)
+class Explored:
+    """The end of a search.
+
+    state : with what is told in the model, twins told apart
+    shares : name in it -> (twin, share) of what may be in its place, itself first
+    problem, grams, posterior, said : of the last search, and first : of the first
+    rejected : (name, reason) of what the model could not take in
+    """
 
     state: ArrayState
     shares: Mapping[str, tuple[tuple[str, float], ...]]
+    problem: MotionProblem
+    grams: Grams
+    posterior: Posterior
+    said: Told
+    first: tuple[MotionProblem, Posterior]
+    rejected: tuple[tuple[str, str], ...] = ()
 
 
-def told_apart(state: ArrayState, left_out: Collection[str]) -> Apart:
-    """Of a settled fit, every found effect that has twins against these, each fitted anew in its
-    place; again where one has gone to a twin, for beside a wrong one another seems right.
+def explored(base: ArrayState, asked: Asked, *, curves: bool = False) -> Explored:
+    """The posterior over what a fitted state lacks, at the set that it tells.
 
-    left_out : names that are not tried. A twin whose fit is lost keeps the share it had before:
-    nothing is known against it.
+    asked : declared effects stay in the model; curves : whether what has no name is corrected
     """
-    for _ in range(_PASSES):
-        shares = dict[str, tuple[tuple[str, float], ...]]()
-        names = [t.name for t in state.found]
-        for name in names:
-            twins = [twin for twin in twins_of(name) if twin not in left_out]
-            if twins:
-                state, known = _against(state, name, twins)
-                shares[known[0][0]] = known
-        if names == [t.name for t in state.found]:
+    skipped = asked.skipped(base.setup.imus)
+    state, seen = base, set[frozenset[str]]()
+    shares: Mapping[str, tuple[tuple[str, float], ...]] = {}
+    first: tuple[MotionProblem, Posterior] | None = None
+    rejected: tuple[tuple[str, str], ...] = ()
+    for _ in range(_ROUNDS):
+        problem, grams = products(state, skipped, asked.declare)
+        posterior = climbed(problem, grams, problem.picks(state))
+        first = first or (problem, posterior)
+        said = told(problem, posterior, names_first=not curves)
+        chosen = problem.of_set(said.hypothesis)
+        names = frozenset(one.name for one in chosen)
+        held = {t.name for t in state.found}
+        if names == held.difference(asked.declare) or names in seen:
             break
-    return Apart(state, shares)
+        seen.add(names)
+        grown = with_members(state, chosen, asked)
+        if grown is None:
+            rejected = tuple((one.name, DIVERGED) for one in chosen if one.name not in held)
+            break
+        state = refitted(with_found_clock(grown)) or grown
+        state, shares = told_apart(state, skipped)
+    assert first is not None
+    return Explored(
+        state=state,
+        shares=shares,
+        problem=problem,
+        grams=grams,
+        posterior=posterior,
+        said=said,
+        first=first,
+        rejected=rejected,
+    )
 
 
-def _against(
-    state: ArrayState, name: str, twins: list[str]
-) -> tuple[ArrayState, tuple[tuple[str, float], ...]]:
-    """The fit with the likeliest of an effect and its twins, and the share of each."""
-    possible = [twin for twin in twins if _possible(state, name, twin)]
-    fits: dict[str, ArrayState | None] = {name: state}
-    fits |= {twin: _in_place(state, name, twin) for twin in possible}
-    level = _nats(state, name)
-    nats = np.array([_nats(s, n) - level if s else 0.0 for n, s in fits.items()])
-    share = np.exp(nats - nats.max())
-    order = np.argsort(-share, kind="stable")
-    names = [list(fits)[k] for k in order]
-    known = zip(names, share[order] / share.sum(), strict=True)
-    return fits[names[0]] or state, tuple((n, float(s)) for n, s in known)
+def with_members(state: ArrayState, chosen: Sequence[Member], asked: Asked) -> ArrayState | None:
+    """The joint fit with these and what is declared, and no others; None where it runs away."""
+    names = {*asked.declare, *(one.name for one in chosen)}
+    grown = replace(state, terms=tuple(t for t in state.terms if not t.found or t.name in names))
+    for one in chosen:
+        if one.name not in {t.name for t in grown.terms}:
+            term = new_term(grown, one.name, one.effects[0][0])
+            if term.value.size:
+                grown = replace(grown, terms=(*grown.terms, term))
+    try:
+        grown = settled(with_phases(grown))
+    except np.linalg.LinAlgError:
+        return None
+    return grown if grown.converged else None
+
+
+def with_declared(state: ArrayState, names: Sequence[str]) -> ArrayState:
+    """The joint fit with the named effects in the model.
+
+    Raises UsageError for unknown names, Undetermined where the motion cannot carry one.
+    """
+    for name in names:
+        effect = named_effect(name, state.setup.imus)
+        if "sample_age" in effect.needs and state.motion.age is None:
+            state = with_found_clock(state)
+        reason = effect.missing(state.motion.context)
+        term = None if reason else new_term(state, name, effect)
+        if term is None or term.value.size == 0:
+            raise Undetermined(
+                f"{name} was declared, and this motion does not show it"
+                + (f": {reason}" if reason else ""),
+                remedy=effect.identify,
+            )
+        state = replace(state, terms=(*state.terms, term))
+    return settled(with_phases(state)) if names else state
+
+
+def new_term(state: ArrayState, name: str, effect: Effect) -> Term:
+    """An effect as a new term of a fitted state: what these data can determine of it, at zero.
+
+    name : with "@imu3" where it is of one IMU alone
+    """
+    family, _, imu = name.partition("@")
+    assert isinstance(effect, Response)
+    own, only = replace(effect, name=family), state.setup.imus.index(imu) if imu else None
+    return determined(name, own, only, own_gram(state, own, only), state.found)
+
+
+def own_gram(state: ArrayState, effect: Response, only: int | None = None) -> Array:
+    """(p, p) Gram matrix, in units of the noise, of an effect's columns in typical sizes, with
+    motion, positions and terms taken out."""
+    columns, base = typical_columns(effect, state.motion, only), state.base
+    found = base.free(gram(state.sampled, [*base.blocks, columns], state.setup.inner))
+    return taken_out(found.matrix, base.rests)
+
+
+def started(setup: Setup, terms: tuple[Term, ...], asked: Asked) -> ArrayState:
+    """The base model on some samples, with what is declared, and the clocks that it shows."""
+    return with_found_clock(with_declared(start_state(setup, terms), asked.declare))
+
+
+def start_state(setup: Setup, terms: tuple[Term, ...]) -> ArrayState:
+    """Fitted with the drawing and plain noise as the start."""
+    one = np.ones(setup.triads)
+    noise = SensorNoise(0.2, 0.0, np.inf, one), SensorNoise(5e-3, 0.0, np.inf, one)
+    sampled = sampled_at(setup, setup.board.drawn, noise)
+    drawn = ArrayState(
+        setup=setup,
+        r=setup.board.drawn,
+        terms=terms,
+        noise=noise,
+        sampled=sampled,
+        motion=motion_at(setup, sampled, None),
+        covariance=np.empty((0, 0)),
+        converged=False,
+    )
+    return settled(drawn)
 
 
 def refitted(state: ArrayState) -> ArrayState | None:
@@ -90,21 +335,49 @@ def refitted(state: ArrayState) -> ArrayState | None:
     return found if found.converged else None
 
 
-def _in_place(state: ArrayState, name: str, twin: str) -> ArrayState | None:
-    terms = (_as_twin(t, twin) if t.name == name else t for t in state.terms)
-    return refitted(replace(state, terms=tuple(terms)))
+def told_apart(
+    state: ArrayState, skipped: Collection[str]
+) -> tuple[ArrayState, Mapping[str, tuple[tuple[str, float], ...]]]:
+    """Of a settled fit, every found effect that has twins against these, each fitted anew in its
+    place; again where one has gone to a twin, for with a wrong one another seems right. And name ->
+    (twin, share) of all that may be there.
+
+    skipped : names that are not tried. A twin whose fit is lost keeps the share it had before:
+    nothing is known against it.
+    """
+    for _ in range(_PASSES):
+        shares = dict[str, tuple[tuple[str, float], ...]]()
+        names = [t.name for t in state.found]
+        for name in names:
+            twins = [twin for twin in twins_of(name) if twin not in skipped]
+            if twins:
+                state, known = _against(state, name, twins)
+                shares[known[0][0]] = known
+        if names == [t.name for t in state.found]:
+            break
+    return state, shares
 
 
-def _possible(state: ArrayState, name: str, twin: str) -> bool:
-    """Whether the values of an effect are those that its twin could have: no filter has a negative
-    time."""
+def _against(
+    state: ArrayState, name: str, twins: list[str]
+) -> tuple[ArrayState, tuple[tuple[str, float], ...]]:
+    """The fit with the likeliest of an effect and its twins, and the share of each."""
+    fits: dict[str, ArrayState | None] = {name: state}
     term = next(t for t in state.terms if t.name == name)
-    least = _each(_as_twin(term, twin), "least")
-    return bool(np.all(_as_twin(term, twin).theta + 3.0 * state.sd_of(term) >= least))
-
-
-def _each(term: Term, what: str) -> Array:
-    return np.resize([getattr(p, what) for p in term.effect.each], len(term.theta))
+    for twin in twins:
+        other = _as_twin(term, twin)
+        least = np.resize([p.least for p in other.effect.each], len(other.theta))
+        # No filter has a negative time.
+        if np.all(other.theta + 3.0 * state.sd_of(term) >= least):
+            terms = (other if t is term else t for t in state.terms)
+            fits[twin] = refitted(replace(state, terms=tuple(terms)))
+    level = _nats(state, name)
+    nats = np.array([_nats(s, n) - level if s else 0.0 for n, s in fits.items()])
+    share = np.exp(nats - nats.max())
+    order = np.argsort(-share, kind="stable")
+    names = [list(fits)[k] for k in order]
+    known = zip(names, share[order] / share.sum(), strict=True)
+    return fits[names[0]] or state, tuple((n, float(s)) for n, s in known)
 
 
 def _effect(name: str) -> Response:
@@ -129,148 +402,3 @@ def _nats(state: ArrayState, name: str) -> float:
         for noise, square, gyro in zip(state.noise, squares, (False, True), strict=True)
         if effect.shared or gyro == (effect.channel == "angular_rate")
     )
-
-
-#: Times that a set is settled and searched from: two do, three at most on measured motions.
-_ROUNDS = 5
-DIVERGED = "its refit did not converge"
-
-
-@dataclass(frozen=True)
-class Explored:
-    """Where a search stands.
-
-    base : the fit before it; apart : with what is told in the model, twins told apart; ages : of
-        the gyros' clocks
-    problem, grams, posterior, said : of the last search, and first : of the first
-    rejected : (name, reason) of what the model could not take in
-    """
-
-    base: ArrayState
-    apart: Apart
-    ages: Ages | None
-    problem: MotionProblem
-    grams: Grams
-    posterior: Posterior
-    said: Told
-    first: tuple[MotionProblem, Posterior]
-    rejected: tuple[tuple[str, str], ...] = ()
-
-
-def explored(
-    base: ArrayState, ages: Ages | None, moving: Moving, asked: Asked, *, curves: bool = False
-) -> Explored:
-    """The posterior over what a fitted state lacks, at the set that it tells.
-
-    asked : declared effects stay in the model; curves : whether what has no name is corrected
-    """
-    left_out = asked.skipped(base.setup.imus)
-    apart, seen, found = Apart(base, {}), set[frozenset[str]](), None
-    for _ in range(_ROUNDS):
-        problem, grams = products(apart.state, left_out, asked.declare)
-        found = _searched(base, apart, ages, problem, grams, found, names_first=not curves)
-        ways = problem.ways_of(found.said.hypothesis)
-        names = frozenset(w.name for w in ways)
-        if names == _names(apart.state, asked) or names in seen:
-            break
-        seen.add(names)
-        grown, lost = with_ways(apart.state, ways, asked)
-        if grown is None:
-            return replace(found, rejected=tuple((name, DIVERGED) for name in lost))
-        state, ages = _aged(grown, ages, moving)
-        apart = told_apart(refitted(state) or grown, left_out)
-    assert found is not None
-    return replace(found, apart=apart, ages=ages)
-
-
-def _searched(
-    base: ArrayState,
-    apart: Apart,
-    ages: Ages | None,
-    problem: MotionProblem,
-    grams: Grams,
-    before: Explored | None,
-    *,
-    names_first: bool,
-) -> Explored:
-    posterior = climbed(problem, grams, problem.picks(apart.state))
-    first = (problem, posterior) if before is None else before.first
-    said = told(problem, posterior, names_first=names_first)
-    return Explored(
-        base=base,
-        apart=apart,
-        ages=ages,
-        problem=problem,
-        grams=grams,
-        posterior=posterior,
-        said=said,
-        first=first,
-    )
-
-
-def _names(state: ArrayState, asked: Asked) -> frozenset[str]:
-    return frozenset(t.name for t in state.found if t.name not in asked.declare)
-
-
-def with_ways(
-    state: ArrayState, ways: tuple[Way, ...], asked: Asked
-) -> tuple[ArrayState | None, tuple[str, ...]]:
-    """The joint fit with these and what is declared, and no others; or None, with the names that
-    it was to take in."""
-    names = {way.name for way in ways}
-    kept = (t for t in state.terms if not t.found or t.name in names or t.name in asked.declare)
-    grown = replace(state, terms=tuple(kept))
-    new = [way for way in ways if way.name not in {t.name for t in grown.terms}]
-    for way in new:
-        term = _term(grown, way)
-        if term.value.size:
-            grown = replace(grown, terms=(*grown.terms, term))
-    try:
-        grown = settled(with_phases(grown))
-    except np.linalg.LinAlgError:
-        return None, tuple(way.name for way in new)
-    return (grown if grown.converged else None), tuple(way.name for way in new)
-
-
-def _term(state: ArrayState, way: Way) -> Term:
-    matrix = beside_the_fit(state, way.effect, way.only)
-    return determined(way.name, way.effect, way.only, matrix, state.found)
-
-
-def _aged(state: ArrayState, ages: Ages | None, moving: Moving) -> tuple[ArrayState, Ages | None]:
-    """Clocks again, once what had hidden them is known."""
-    again = found_ages(state, moving)
-    if again is None:
-        return state, ages
-    return kept_ages(state, again, voting=True), again
-
-
-def started(
-    setup: Setup, terms: tuple[Term, ...], moving: Moving, asked: Asked
-) -> tuple[ArrayState, Ages | None]:
-    """The base model on some samples, with what is declared, and the clocks that it shows."""
-    base = with_declared(start_state(setup, terms), asked.declare, moving)
-    ages = found_ages(base, moving)
-    return (base if ages is None else kept_ages(base, ages, voting=True)), ages
-
-
-def start_state(setup: Setup, terms: tuple[Term, ...]) -> ArrayState:
-    """Fitted with the drawing and plain noise as the start."""
-    one = np.ones(setup.triads)
-    noise = SensorNoise(0.2, 0.0, np.inf, one), SensorNoise(5e-3, 0.0, np.inf, one)
-    rate = np.median(setup.readings.rate, axis=1)
-    ones = np.ones(setup.readings.rate.shape[:2])
-    weights = Weights(ones / noise[0].sigma ** 2, ones / noise[1].sigma ** 2)
-    sampled = fit_samples(setup.readings, weights, setup.board.drawn, rate)
-    drawn = ArrayState(
-        setup=setup,
-        r=setup.board.drawn,
-        terms=terms,
-        noise=noise,
-        sampled=sampled,
-        motion=motion_at(setup, sampled, None),
-        covariance=np.empty((0, 0)),
-        density=-np.inf,
-        converged=False,
-    )
-    return settled(drawn)

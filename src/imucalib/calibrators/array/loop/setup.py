@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucalib.arrays import Array, Index
+from imucalib.arrays import Array, Flags, Index
 from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
 from imucalib.calibrators.array.moving import Moving
@@ -18,35 +18,48 @@ _STRETCH = 16  # consecutive samples, so that neighbours are there for derivativ
 _BLOCK = 5.0  # s, parts of the motion that are held out together
 FEWEST = 60
 _READINGS, _LEAST, _MOST = 5000, 200, 625  # IMUs times samples that a search looks at
-#: Sample intervals from one neighbour to the other below which they are neighbours.
-_NEAR = 2.6
+#: Sample intervals from one neighbour to the next below which they are neighbours.
+_NEXT = 1.3
 
 
 @dataclass(frozen=True)
 class Setup:
-    """What does not change in the search.
+    """T samples of a motion and their neighbours, which a search does not change.
 
-    readings : calibrated by the rests, at T samples and their neighbours; t : (T,) s
-    inner : samples that have both neighbours; block : (inner,) of a few seconds, in order of time;
-    first : (inner,) whether in the first held-out half: every other block
-    apart : of the moving part, samples of which no clock may be learned: what was chosen to be
-        looked at, also where only a part of it is
-    order : (T,) 0..1 over the motion; board : with the drawing and its sd
-    robust : whether tails and growth of the noise may be taken in
-    rows : (T,) of the moving part; interval : s, of consecutive samples
+    board : with the drawing and its sd; robust : whether the noise may have tails and grow
+    rows : (T,) of the moving part; inner : those of them with both neighbours, which are fitted to
+    block : (inner,) of a few seconds, in order of time; first : (inner,) whether in the first
+        held-out half: every other block
+    chosen : rows of the moving part of which no clock may be learned: what a search looks at, also
+        where this is only a part of it
+    start, span : s, the first time of the motion and its length
     """
 
-    readings: Readings
-    t: Array
-    order: Array
-    inner: Index
-    block: Index
-    first: NDArray[np.bool_]
-    apart: Index
+    moving: Moving
     board: Board
     robust: bool
     rows: Index
-    interval: float
+    inner: Index
+    block: Index
+    first: Flags
+    chosen: Index
+    start: float
+    span: float
+
+    @cached_property
+    def readings(self) -> Readings:
+        """Calibrated by the rests."""
+        return Readings(self.moving.acceleration[self.rows], self.moving.rate[self.rows])
+
+    @cached_property
+    def t(self) -> Array:
+        """(T,) s."""
+        return self.moving.t[self.rows]
+
+    @property
+    def order(self) -> Array:
+        """(T,) 0..1 over the motion."""
+        return (self.t - self.start) / self.span
 
     @property
     def triads(self) -> int:
@@ -60,61 +73,55 @@ class Setup:
 def array_setup(moving: Moving, board: Board, samples: int, *, robust: bool) -> Setup | None:
     """At most `samples` informative samples whose neighbours are informative too; None when
     there are too few."""
-    near = with_neighbours(moving)
-    if len(near) < FEWEST:
+    amid = with_neighbours(moving)
+    if len(amid) < FEWEST:
         return None
-    return _setup(moving, board, stretches(near, samples), robust=robust, beside=True)
+    chosen = stretches(amid, samples)
+    return _setup(moving, board, chosen, _around(chosen), robust=robust)
 
 
-def every_sample(moving: Moving, setup: Setup, samples: int, *, beside: bool) -> Setup:
+def every_sample(setup: Setup, samples: int, *, neighbours: bool) -> Setup:
     """The same with all informative samples, at most `samples` of them.
 
-    beside : whether only those whose neighbours are informative too
+    neighbours : whether only those whose neighbours are informative too
     """
-    rows = with_neighbours(moving) if beside else moving.good
-    return _setup(moving, setup.board, stretches(rows, samples), robust=setup.robust, beside=beside)
+    moving = setup.moving
+    chosen = stretches(with_neighbours(moving) if neighbours else moving.good, samples)
+    rows = _around(chosen) if neighbours else chosen
+    return _setup(moving, setup.board, chosen, rows, robust=setup.robust)
 
 
-def _setup(moving: Moving, board: Board, chosen: Index, *, robust: bool, beside: bool) -> Setup:
-    around = [chosen - 1, chosen, chosen + 1] if beside else [chosen]
-    rows = np.unique(np.concatenate(around))
-    inner = np.searchsorted(rows, chosen)
+def _setup(moving: Moving, board: Board, chosen: Index, rows: Index, *, robust: bool) -> Setup:
     t = moving.t[rows]
     span = float(max(np.ptp(t), 1e-9))
-    block = ((t[inner] - t[0]) / min(_BLOCK, span / 8.0)).astype(np.intp)
-    readings = Readings(moving.acceleration[rows], moving.rate[rows])
+    block = ((moving.t[chosen] - t[0]) / min(_BLOCK, span / 8.0)).astype(np.intp)
     return Setup(
-        readings=readings,
-        t=t,
-        order=(t - t[0]) / span,
-        inner=inner,
-        block=block,
-        first=block % 2 == 0,
-        apart=rows[inner],
+        moving=moving,
         board=board,
         robust=robust,
         rows=rows,
-        interval=moving.interval,
-    )
-
-
-def part_of(setup: Setup, chosen: NDArray[np.bool_]) -> Setup:
-    """Some of the samples (inner,) in whole blocks, with their neighbours; the halves of what is
-    left are made of its own blocks, in turn."""
-    middle, block = setup.inner[chosen], setup.block[chosen]
-    rows = np.unique(np.concatenate([middle - 1, middle, middle + 1]))
-    readings = Readings(setup.readings.acceleration[rows], setup.readings.rate[rows])
-    turn = np.unique(block, return_inverse=True)[1]
-    return replace(
-        setup,
-        readings=readings,
-        t=setup.t[rows],
-        order=setup.order[rows],
-        inner=np.searchsorted(rows, middle),
+        inner=np.searchsorted(rows, chosen),
         block=block,
-        first=turn % 2 == 0,
-        rows=setup.rows[rows],
+        first=block % 2 == 0,
+        chosen=chosen,
+        start=float(t[0]),
+        span=span,
     )
+
+
+def part_of(setup: Setup, some: Flags) -> Setup:
+    """Some of the samples (inner,) in whole blocks, with their neighbours; the halves of what
+    remains are made of its own blocks, in turn."""
+    middle, block = setup.rows[setup.inner[some]], setup.block[some]
+    rows = _around(middle)
+    turn = np.unique(block, return_inverse=True)[1]
+    inner = np.searchsorted(rows, middle)
+    return replace(setup, rows=rows, inner=inner, block=block, first=turn % 2 == 0)
+
+
+def _around(rows: Index) -> Index:
+    """Samples and their neighbours, each once."""
+    return np.unique(np.concatenate([rows - 1, rows, rows + 1]))
 
 
 def looked_at(setup: Setup) -> Index:
@@ -126,43 +133,38 @@ def looked_at(setup: Setup) -> Index:
 
 def with_neighbours(moving: Moving) -> Index:
     """Informative samples whose two neighbours are informative and at the usual interval."""
-    flag = np.zeros(len(moving.t) + 2, dtype=np.bool_)
-    flag[1 + moving.good] = True
-    steps = np.diff(moving.t)
-    regular = np.concatenate([[False], np.abs(steps - moving.interval) < 0.3 * moving.interval])
-    near = flag[1:-1] & flag[:-2] & flag[2:]
-    near &= regular & np.concatenate([regular[1:], [False]])
-    return np.flatnonzero(near)
+    good = np.zeros(len(moving.t) + 2, dtype=np.bool_)
+    good[1 + moving.good] = True
+    regular = np.abs(np.diff(moving.t) - moving.interval) < 0.3 * moving.interval
+    amid = good[1:-1] & good[:-2] & good[2:]
+    return np.flatnonzero(amid & np.append(False, regular) & np.append(regular, False))
 
 
-def stretches(near: Index, samples: int) -> Index:
+def stretches(rows: Index, samples: int) -> Index:
     """At most `samples` of the rows, in stretches of consecutive ones over all of them."""
-    if len(near) <= samples:
-        return near
+    if len(rows) <= samples:
+        return rows
     count = max(samples // _STRETCH, 8)
     size = samples // count
-    starts = np.linspace(0, len(near) - size, count).astype(np.intp)
-    return near[np.unique(starts[:, None] + np.arange(size))]
+    starts = np.linspace(0, len(rows) - size, count).astype(np.intp)
+    return rows[np.unique(starts[:, None] + np.arange(size))]
 
 
 def motion_at(
     setup: Setup, sampled: Sampled, age: Array | None, *, courses: bool = False
 ) -> BoardMotion:
-    """The fitted motion as effects take it; its jerk by the motion of the neighbours, zero where a
+    """The fitted motion as effects have it; its jerk by the motion of the neighbours, zero where a
     sample has none. How the board turns is known with its derivative, the force amid the IMUs is
     not: only there are differences all that there is.
 
-    courses : whether sensors may lag behind it
+    courses : whether sensors may lag
     """
-    near = np.diff(setup.t) < 0.5 * _NEAR * setup.interval
-    beside = np.column_stack([np.append(False, near), np.append(near, False)])
-    bend, _ = bends_of(sampled.rate, sampled.spin, setup.t, beside)
+    follows = np.diff(setup.t) < _NEXT * setup.moving.interval
+    sides = np.column_stack([np.append(False, follows), np.append(follows, False)])
+    bend, _ = bends_of(sampled.rate, sampled.spin, setup.t, sides)
     amid = np.mean(sampled.r, axis=0)
-    common = slope_of(sampled.origin + sampled.turn @ amid, setup.t, beside)
-    turning = (
-        turning_slope(sampled.rate, sampled.spin, bend)
-        * np.any(beside, axis=1, keepdims=True)[..., None]
-    )
+    common = slope_of(sampled.origin + sampled.turn @ amid, setup.t, sides)
+    turning = turning_slope(sampled.rate, sampled.spin, bend) * np.any(sides, axis=1)[:, None, None]
     jerk = common[:, None] + (sampled.r - amid) @ turning.transpose(0, 2, 1)
     found = board_motion(
         imus=setup.imus,
@@ -175,4 +177,4 @@ def motion_at(
         jerk=jerk,
         age=age,
     )
-    return found.coursed(beside) if courses else found
+    return found.coursed(sides) if courses else found

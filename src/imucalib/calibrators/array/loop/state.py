@@ -1,4 +1,4 @@
-"""Where the array's loop stands: positions, terms, noise and motion, fitted together.
+"""The array's model as fitted: positions, terms, noise and motion together.
 
 Positions and terms by Gauss-Newton with the motion of every sample taken out, weights by the noise,
 which is estimated along. Every basis is taken at the fitted motion.
@@ -6,6 +6,7 @@ which is estimated along. Every basis is taken at the fitted motion.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -16,34 +17,37 @@ from imucalib.calibrators.array.estimate.base import Base
 from imucalib.calibrators.array.loop.motion import BoardMotion
 from imucalib.calibrators.array.loop.setup import Setup, motion_at
 from imucalib.calibrators.array.loop.terms import Term, lagging, lost, sensed
-from imucalib.estimators.array.followed import not_followed
-from imucalib.estimators.array.gram import beside_motion, gradient, gram
-from imucalib.estimators.array.noise import SensorNoise, Squares, chosen_noise, log_density, scaled
-from imucalib.estimators.array.reduced import inverse_root
+from imucalib.estimators.array.gram import gradient, gram, inverse_root, without_motion
+from imucalib.estimators.array.noise import (
+    SensorNoise,
+    Squares,
+    chosen_noise,
+    not_followed,
+    scaled,
+)
+from imucalib.estimators.array.sample_age import SampleAge
 from imucalib.estimators.array.samples import Readings, Sampled, Weights, fit_samples
+from imucalib.loop.found import Unexplained
+from imucalib.loop.posterior.odds import COMPLETE
 
 #: Newton steps at most, those before which the matrix is made again in any case, and the squared
 #: steps at which a fit is settled: one in the search, which compares nats, and one that is stated.
-_ROUNDS, _AGAIN, _NEAR, _CLOSE = 30, (0, 8, 16, 24), 0.4, 0.05
+_ROUNDS, _AGAIN, _ROUGH, _CLOSE = 30, (0, 8, 16, 24), 0.4, 0.05
 #: Change of the noise from which the matrix no longer serves.
 _STALE = 0.1
 #: Rounds of a motion with the weights that its residuals ask for, at one step of what is fitted.
 _WEIGHED = 2
-#: Of a lost fit: step of a position in its prior's sd, growth of a squared step; of a stray one.
-_RUNAWAY, _GROWN, _AWAY = 10.0, 1e3, 2.0
-#: Nats that may still come: squared steps, of which a quadratic has a half; and by other widths.
-_AHEAD, _WIDTHS = 5.0, 30.0
-
-
-class Behind(Exception):
-    """A fit cannot have the density that it is asked for."""
+#: Of a lost fit: step of a position in its prior's sd, growth of a squared step.
+_RUNAWAY, _GROWN = 10.0, 1e3
+#: Samples from which the shape of the noise is chosen.
+_SHAPED_BY = 250
 
 
 @dataclass(frozen=True)
 class ArrayState:
     """r : (K, 3) m, the first at zero; terms; noise of accelerometers and gyros; sampled : the
     fitted motion; motion : the same for effects; covariance : of positions and terms' coordinates;
-    density : nats, of the data with positions and terms integrated out (Laplace)"""
+    clock : of the gyros, where one shows"""
 
     setup: Setup
     r: Array
@@ -52,22 +56,17 @@ class ArrayState:
     sampled: Sampled
     motion: BoardMotion
     covariance: Array
-    density: float
     converged: bool
+    clock: SampleAge | None = None
 
     @property
     def positions(self) -> int:
+        """How many coordinates are free."""
         return 3 * (self.setup.triads - 1)
 
     @cached_property
     def base(self) -> Base:
         return Base(self.setup, self.sampled, self.motion, self.r, self.terms)
-
-    def measured(self, covariance: Array, density: float) -> ArrayState:
-        """The same with these: nothing that its base stands on has moved."""
-        same = replace(self, covariance=covariance, density=density)
-        same.__dict__["base"] = self.base
-        return same
 
     @property
     def found(self) -> tuple[Term, ...]:
@@ -90,40 +89,42 @@ class ArrayState:
 
     def covariance_of(self, term: Term) -> Array:
         """(p, p) posterior covariance of a term's parameters."""
-        at = self.positions
-        for other in self.terms:
-            if other.name == term.name:
-                break
-            at += len(other.value)
-        part = self.covariance[at : at + len(term.value), at : at + len(term.value)]
-        return np.asarray(term.live @ part @ term.live.T)
+        names = [other.name for other in self.terms]
+        ends = self.positions + np.cumsum([0, *(len(other.value) for other in self.terms)])
+        start = int(ends[names.index(term.name)])
+        own = slice(start, start + len(term.value))
+        return np.asarray(term.live @ self.covariance[own, own] @ term.live.T)
 
 
-def settled(
-    state: ArrayState, *, shaped: bool = True, lost: bool = False, least: float = -np.inf
-) -> ArrayState:
+def sampled_at(setup: Setup, r: Array, noise: tuple[SensorNoise, SensorNoise]) -> Sampled:
+    """The motion of samples for positions alone, each kind of sensor weighted by its size."""
+    ones = np.ones((len(setup.rows), setup.triads))
+    weights = Weights(ones / noise[0].sigma ** 2, ones / noise[1].sigma ** 2)
+    return fit_samples(setup.readings, weights, r, np.median(setup.readings.rate, axis=1))
+
+
+def settled(state: ArrayState, *, shaped: bool = True) -> ArrayState:
     """The joint fit of everything, and the noise in the shape that held-out halves ask for.
 
-    shaped : whether they are asked, or the shape is kept, as where the search is over; lost :
-    whether a fit that does not converge is of no use, and nothing more is asked of it; least :
-    density that it has to reach. Raises Behind where it is clear that it ends below.
+    shaped : whether these choose it, or it keeps its shape, as where the search is over
     """
-    state = _climbed(_with_scale(state), _NEAR if shaped else _CLOSE, least)
-    if lost and not state.converged:
-        return state
+    state = _climbed(_with_scale(state), _ROUGH if shaped else _CLOSE)
     if state.setup.robust and shaped:
-        # Which shape only shows once the fit is near; the fit then moves a little with it.
+        # Which shape only shows once the fit is close; the fit then moves a little with it.
         for _ in range(3):
             noise = _shaped(state)
-            same = all(_alike(a, b) for a, b in zip(noise, state.noise, strict=True))
+            same = all(_same(a, b) for a, b in zip(noise, state.noise, strict=True))
             state = replace(state, noise=noise)
             if same:
                 break
-            state = _climbed(state, _NEAR)
-    return _measured(state)
+            state = _climbed(state, _ROUGH)
+    base = state.base
+    inner = base.free(gram(state.sampled, base.blocks, state.setup.inner))
+    root = inverse_root(inner.matrix + np.diag(base.prior))
+    return replace(state, covariance=root @ root.T)
 
 
-def _alike(one: SensorNoise, two: SensorNoise) -> bool:
+def _same(one: SensorNoise, two: SensorNoise) -> bool:
     # Growth is in units of the median speed, which moves a little with every fit.
     a, b = ((x.growth, *x.factor) for x in (one, two))
     return one.freedom == two.freedom and bool(np.allclose(a, b, rtol=_STALE, atol=0.0))
@@ -137,13 +138,13 @@ def _with_scale(state: ArrayState, off: Readings | None = None) -> ArrayState:
 
 def _shaped(state: ArrayState) -> tuple[SensorNoise, SensorNoise]:
     a, g, speed = state.squares()
-    some = np.linspace(0, len(speed) - 1, min(len(speed), 250)).astype(np.intp)
+    some = np.linspace(0, len(speed) - 1, min(len(speed), _SHAPED_BY)).astype(np.intp)
     first, rows = state.setup.first[some], state.setup.inner[some]
-    one, two = (chosen_noise(x[some], speed[some], first, robust=True) for x in (a, g))
+    one, two = (chosen_noise(x[some], speed[some], first) for x in (a, g))
     return scaled(one, a, speed), scaled(not_followed(two, state.sampled, rows), g, speed)
 
 
-def _climbed(state: ArrayState, close: float, least: float = -np.inf) -> ArrayState:
+def _climbed(state: ArrayState, close: float) -> ArrayState:
     """Newton with the matrix of the start: what changes on the way is the residual."""
     converged, matrix, made, shortest = False, np.empty((0, 0)), np.zeros(2), np.inf
     base: Base | None = None
@@ -158,14 +159,13 @@ def _climbed(state: ArrayState, close: float, least: float = -np.inf) -> ArraySt
             matrix = base.free(gram(state.sampled, base.blocks, state.setup.inner)).matrix
         along = base.along(gradient(state.sampled, base.blocks, state.setup.inner))
         inner = matrix + np.diag(base.prior)
-        pull = along - base.pull
         # Weights that follow residuals answer less than they say, so a step goes farther.
-        step = np.linalg.solve(share * matrix + np.diag(base.prior), pull)
+        step = np.linalg.solve(share * matrix + np.diag(base.prior), along - base.pull)
         if not float(np.abs(step[: state.positions]).max()) < _RUNAWAY * state.setup.board.prior_sd:
             break
         variance = np.sum(inverse_root(inner) ** 2, axis=1)
         # Weights go by the residuals after the step, not by those that led to it.
-        change = beside_motion(state.sampled, base.reading(step, off.rate.shape), slice(None))
+        change = without_motion(state.sampled, base.reading(step, off.rate.shape))
         off = state.sampled.off.less(change)
         state = _with_scale(_moved(state, step, variance), off)
         moved = np.array([noise.sigma for noise in state.noise]) / sigma - 1.0
@@ -174,40 +174,16 @@ def _climbed(state: ArrayState, close: float, least: float = -np.inf) -> ArraySt
         shortest = min(shortest, square)
         if converged or square > _GROWN * shortest:
             break
-        if np.isfinite(least) and square <= _AWAY * shortest:
-            ahead = _AHEAD * square + _WIDTHS - 0.5 * float(np.linalg.slogdet(inner)[1])
-            if _of_values(state, off) + ahead < least:  # where the step leads
-                raise Behind
     return replace(moved_motion(state, base, off), converged=converged)
 
 
-def _measured(state: ArrayState) -> ArrayState:
-    """With the covariance and the density of where it is."""
-    one, two = state.base.halves
-    covariance = state.base.solved(one + two).covariance
-    density = _of_values(state) + 0.5 * float(np.linalg.slogdet(covariance)[1])
-    return state.measured(covariance, density)
-
-
-def _of_values(state: ArrayState, off: Readings | None = None) -> float:
-    """Nats of the data and of the terms' values; off : other residuals than those of the state."""
-    a, g, speed = state.squares(off)
-    nats = sum(float(log_density(*x, speed).sum()) for x in zip(state.noise, (a, g), strict=True))
-    for term in state.terms:
-        nats -= 0.5 * float(np.sum((term.value / term.sd) ** 2) + 2.0 * np.log(term.sd).sum())
-    return nats
-
-
 def _moved(state: ArrayState, step: Array, variance: Array) -> ArrayState:
-    at = state.positions
+    ends = state.positions + np.cumsum([0, *(len(term.value) for term in state.terms)])
     r = state.r.copy()
-    r[1:] += step[:at].reshape(-1, 3)
-    terms = []
-    for term in state.terms:
-        part = slice(at, at + len(term.value))
-        terms.append(term.moved(step[part], variance[part]))
-        at = part.stop
-    return replace(state, r=r, terms=tuple(terms))
+    r[1:] += step[: state.positions].reshape(-1, 3)
+    parts = zip(state.terms, ends, ends[1:], strict=False)
+    terms = tuple(term.moved(step[a:b], variance[a:b]) for term, a, b in parts)
+    return replace(state, r=r, terms=terms)
 
 
 def moved_motion(
@@ -220,14 +196,14 @@ def moved_motion(
     """
     readings, sampled, off = corrected(state, base), state.sampled, off or state.sampled.off
     tailed = any(np.isfinite(noise.freedom) for noise in state.noise)
-    for left in reversed(range(_WEIGHED if tailed else 1)):
+    for more in reversed(range(_WEIGHED if tailed else 1)):
         speed = np.linalg.norm(sampled.rate, axis=1)
         weights = Weights(
             state.noise[0].weight(np.sum(off.acceleration**2, axis=2), speed),
             state.noise[1].weight(np.sum(off.rate**2, axis=2), speed),
         )
         # With weights that are made anew at once, the motion need not be at its end.
-        sampled = fit_samples(readings, weights, state.r, sampled, *([1] if left else []))
+        sampled = fit_samples(readings, weights, state.r, sampled, *([1] if more else []))
         off = sampled.off
     motion = motion_at(state.setup, sampled, state.motion.age, courses=bool(lagging(state.terms)))
     return replace(state, sampled=sampled, motion=sensed(state.terms, motion))
@@ -246,15 +222,71 @@ def corrected(state: ArrayState, base: Base | None = None) -> Readings:
     own = None if base is None else base.blocks[1:]
     acceleration = state.setup.readings.acceleration.copy()
     rate = state.setup.readings.rate.copy()
-    apart = lagging(state.terms) if state.motion.courses is not None else ()
-    if apart:
-        force, turned = lost(apart, state.motion)
+    late = lagging(state.terms) if state.motion.courses is not None else ()
+    if late:
+        force, turned = lost(late, state.motion)
         acceleration += force
         rate += turned
     for k, term in enumerate(state.terms):
-        if apart and term.effect.lagged:
+        if late and term.effect.lagged:
             continue
         columns = own[k] if own is not None else term.columns(state.motion)
         target = rate if columns.gyro else acceleration
         target -= term.reading(columns)
     return Readings(acceleration, rate)
+
+
+#: Samples over which a sum of residuals is taken, and the farthest neighbours that are compared.
+_RUN, _FAR = 16, 6
+#: Pairs of neighbours below which nothing is known of what they share, and standard deviations of
+#: chance below which it is nothing.
+_FEWEST, _CHANCE = 50, 2.0
+
+
+def _shared(state: ArrayState, *, gyro: bool) -> Iterator[tuple[float, float]]:
+    """Correlation of the weighted residuals of samples 1, 2, ... apart, and how many independent
+    products it is the mean of; until there are few."""
+    setup, sampled = state.setup, state.sampled
+    values, weight = (
+        (sampled.off.rate, sampled.weights.rate)
+        if gyro
+        else (
+            sampled.off.acceleration,
+            sampled.weights.acceleration,
+        )
+    )
+    white = (values * np.sqrt(weight)[..., None])[setup.inner]
+    follows = np.diff(setup.rows[setup.inner]) == 1
+    power = float(np.mean(white**2))
+    # The motion has its share of the numbers of every sample.
+    numbers = max(3 * white.shape[1] - (3 if gyro else 6), 1)
+    for k in range(1, _FAR + 1):
+        together = np.convolve(follows, np.ones(k), "valid") == k
+        if together.sum() < _FEWEST or power == 0.0:
+            return
+        product = float(np.mean((white[:-k] * white[k:])[together]))
+        yield product / power, float(together.sum() * numbers)
+
+
+def shared_by_neighbours(state: ArrayState, *, gyro: bool) -> float:
+    """How many times fewer samples noise with memory is worth: the variance of a sum over a run
+    of samples over that of independent ones, 1 + 2 Σ ρ_k (1 - k / run), up to the first neighbour
+    that shares nothing beyond chance."""
+    factor = 1.0
+    for k, (rho, n) in enumerate(_shared(state, gyro=gyro), 1):
+        if rho * np.sqrt(n) < _CHANCE:
+            break
+        factor += 2.0 * rho * (1.0 - k / _RUN)
+    return factor
+
+
+def remembered(state: ArrayState) -> Iterator[Unexplained]:
+    """Sensors whose noise follows its own past, where noise without memory is unlikely at even odds
+    (Schwarz 1978): something goes on from sample to sample that the model does not have."""
+    for sensor, gyro in (("accelerometer", False), ("gyroscope", True)):
+        rho, n = next(_shared(state, gyro=gyro), (0.0, 1.0))
+        nats = 0.5 * n * max(rho, 0.0) ** 2 - 0.5 * float(np.log(n))
+        p = 1.0 / (1.0 + float(np.exp(min(nats, 700.0))))
+        if p < COMPLETE:
+            name = f"{sensor} noise correlated in time"
+            yield Unexplained(name, "time", "noise", 1.0 - p, nats)

@@ -1,4 +1,4 @@
-"""What an array's model holds beside the positions: errors of the rests, and accepted effects."""
+"""What an array's model holds beyond the positions: errors of the rests, and accepted effects."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from imucalib.arrays import Array
 from imucalib.calibrators.array.loop.motion import BoardMotion
 from imucalib.calibrators.array.rests import RestFit
 from imucalib.core.course import Course
-from imucalib.core.effect import Channel, Context, Motion, Parameter, Response, Truth
+from imucalib.core.effect import Basis, Channel, Context, Motion, Parameter, Response, Truth
 from imucalib.core.eigen import eigen
 from imucalib.estimators.array.gram import Columns
 
@@ -27,7 +27,7 @@ class Term:
     live : (p, q) its parameters per unit of the q coordinates that the data can determine; the
         others are held at zero
     value, sd : (q,) the coordinates and their prior standard deviations
-    found : whether the loop accepted it; otherwise it stands for what the rests left open
+    found : whether the loop accepted it; otherwise it is what the rests did not determine
     """
 
     name: str
@@ -42,6 +42,11 @@ class Term:
     def theta(self) -> Array:
         """(p,) in the parameters' units."""
         return np.asarray(self.live @ self.value)
+
+    @property
+    def family(self) -> str:
+        """The effect's name, be it of one IMU or of all."""
+        return self.name.partition("@")[0]
 
     @property
     def aged(self) -> bool:
@@ -59,11 +64,6 @@ class Term:
     def reading(self, columns: Columns) -> Array:
         """(T, K, 3) what it adds to the readings of its sensors."""
         return columns.at(self.theta)
-
-    def met(self, course: Course, motion: BoardMotion) -> Course:
-        """What its sensors meet of a course, by how much it lets them lag."""
-        by = self.lag(motion)[..., None]
-        return self.effect.lagged(course, by) if self.effect.lagged and by.any() else course
 
     def lag(self, motion: BoardMotion) -> Array:
         """(T, K) s by which its sensors lag: its answer to a change by one a second; zero of what
@@ -102,47 +102,47 @@ def sensed(terms: Sequence[Term], motion: BoardMotion) -> BoardMotion:
     if motion.courses is None or not late:
         return motion
     rate, force = motion.courses
-    met = {"angular_rate": (rate, force), "acceleration": (rate, force)}
+
+    def met(channel: Channel) -> tuple[Course, Course]:
+        return _met(late, rate, motion, channel), _met(late, force, motion, channel)
+
+    return motion.met(met("angular_rate"), met("acceleration"))
+
+
+def _met(late: Sequence[Term], course: Course, motion: BoardMotion, channel: Channel) -> Course:
+    """What sensors of one kind meet of a course."""
     for term in late:
-        channel = term.effect.channel
-        one, two = met[channel]
-        met[channel] = (term.met(one, motion), term.met(two, motion))
-    return motion.met(met["angular_rate"], met["acceleration"])
+        lag = term.lag(motion)[..., None]
+        if term.effect.channel == channel and term.effect.lagged and lag.any():
+            course = term.effect.lagged(course, lag)
+    return course
 
 
 def lost(terms: Sequence[Term], motion: BoardMotion) -> tuple[Array, Array]:
     """(T, K, 3) in board axes: what lagging accelerometers and gyros read less than there is, where
     the motion has its courses."""
     assert motion.courses is not None
-    found = []
-    for channel, course in (
-        ("acceleration", motion.courses[1]),
-        ("angular_rate", motion.courses[0]),
-    ):
-        met = course
-        for term in lagging(terms):
-            if term.effect.channel == channel:
-                met = term.met(met, motion)
-        found.append(motion.context.in_common(course.value - met.value))
-    return found[0], found[1]
+    rate, force = motion.courses
+    late, common = lagging(terms), motion.context.in_common
+    return (
+        common(force.value - _met(late, force, motion, "acceleration").value),
+        common(rate.value - _met(late, rate, motion, "angular_rate").value),
+    )
 
 
 def determined(
-    name: str, effect: Response, only: int | None, matrix: Array, beside: Sequence[Term] = ()
+    name: str, effect: Response, only: int | None, matrix: Array, others: Sequence[Term] = ()
 ) -> Term:
     """A new term at zero, with the directions that the data can determine.
 
     matrix : (p, p) Gram of its columns in typical sizes, with all else that is fitted taken out;
-    beside : the terms that are
+    others : the terms that are there
     """
-    if (
-        effect.lagged
-        and only is None
-        and any(
-            t.only is None and not t.aged and t.effect.channel != effect.channel
-            for t in lagging(beside)
-        )
-    ):
+    opposite = any(
+        t.only is None and not t.aged and t.effect.channel != effect.channel
+        for t in lagging(others)
+    )
+    if effect.lagged and only is None and opposite:
         # Delays of both kinds of sensor: what all share is the time itself, which none can show.
         apart = np.eye(len(matrix)) - 1.0 / len(matrix)
         matrix = apart @ matrix @ apart
@@ -155,8 +155,7 @@ def determined(
 
 def typical_of(effect: Response, count: int) -> Array:
     """(count,) typical sizes of its columns."""
-    each = np.array([p.typical for p in effect.each])
-    return np.tile(each, count // len(each))
+    return np.resize([p.typical for p in effect.each], count)
 
 
 def columns_of(effect: Response, motion: BoardMotion, only: int | None = None) -> Columns:
@@ -170,6 +169,36 @@ def columns_of(effect: Response, motion: BoardMotion, only: int | None = None) -
     return Columns(alone, gyro, shared=True)
 
 
+def typical_columns(effect: Response, motion: BoardMotion, only: int | None = None) -> Columns:
+    """Its columns in units of typical sizes, of all IMUs or of one."""
+    columns = columns_of(effect, motion, only)
+    columns.basis[...] *= typical_of(effect, len(effect.each))
+    return columns
+
+
+def rest_terms(rests: RestFit) -> tuple[Term, ...]:
+    """Errors of gains and offsets with the covariance that the rests give them, in package axes."""
+    k = len(rests.gain)
+    values, vectors = eigen(rests.covariance.reshape(12 * k, 12 * k))
+    back = np.zeros((k, 3, k, 3))
+    back[range(k), :, range(k)] = rests.rotations.transpose(0, 2, 1)
+    gains = vectors * np.sqrt(np.maximum(values, 0.0))
+    offsets = back.reshape(3 * k, 3 * k) * rests.gyro_bias_sd.ravel()
+    return (
+        _of_rests("rests", "acceleration", _gain_and_offset, gains),
+        _of_rests("rests_gyro", "angular_rate", _offset, offsets),
+    )
+
+
+def _of_rests(name: str, channel: Channel, basis: Basis, live: Array) -> Term:
+    effect = Response(name, "What the rests did not determine.", "", "", "", channel=channel)
+    width = 12 if channel == "acceleration" else 3
+    each = tuple(Parameter(f"{name}_{k}", "SI", 1.0, np.inf) for k in range(width))
+    effect = replace(effect, each=each, basis=basis)
+    n = live.shape[1]
+    return Term(name, effect, None, live, np.zeros(n), np.ones(n), found=False)
+
+
 def _gain_and_offset(truth: Truth, context: Context) -> Array:
     out = np.zeros((*truth.shape, 12))
     for i in range(3):
@@ -180,38 +209,3 @@ def _gain_and_offset(truth: Truth, context: Context) -> Array:
 
 def _offset(truth: Truth, context: Context) -> Array:
     return np.broadcast_to(np.eye(3), (*truth.shape, 3))
-
-
-def _rest(name: str, channel: Channel, each: int) -> Response:
-    parameters = tuple(Parameter(f"{name}_{k}", "SI", 1.0, np.inf) for k in range(each))
-    basis = _gain_and_offset if channel == "acceleration" else _offset
-    return Response(
-        name,
-        "What the rests left open.",
-        "",
-        "",
-        "",
-        each=parameters,
-        basis=basis,
-        channel=channel,
-    )
-
-
-def rest_terms(rests: RestFit) -> tuple[Term, ...]:
-    """Errors of gains and offsets with the covariance that the rests left, in package axes."""
-    size = 12 * len(rests.gain)
-    values, vectors = eigen(rests.covariance.reshape(size, size))
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    count = 3 * len(rests.gain)
-    back = np.zeros((count // 3, 3, count // 3, 3))
-    every = np.arange(count // 3)
-    back[every, :, every] = rests.rotations.transpose(0, 2, 1)
-    slow = back.reshape(count, count) * rests.gyro_bias_sd.ravel()
-    terms = []
-    for effect, live in (
-        (_rest("rests", "acceleration", 12), root),
-        (_rest("rests_gyro", "angular_rate", 3), slow),
-    ):
-        n = live.shape[1]
-        terms.append(Term(effect.name, effect, None, live, np.zeros(n), np.ones(n), found=False))
-    return tuple(terms)
