@@ -144,17 +144,14 @@ def calibrate_as_published(
     chosen = next(m for m in methods if m.name == ARITHMETIC[request.arithmetic])
     found = published_fit(chosen.p, first, request.gravity)
     error = _error(chosen, found, first, second)
+    held = {"max-error": error.held_out.final}  # no other limit has a value here
     outcome = Outcome(
         calibrator="actigraph",
         errors=(error,),
         provenance=provenance(scanned, request),
         quality=quality_of(found),
         reasons=() if len(second) else ("no second set of points to verify with",),
-        limits=tuple(
-            # Against the second set of points; no other limit has a value here.
-            Limit(name, error.held_out.final if name == "max-error" else np.nan, limit, "mg")
-            for name, limit in request.limits.items()
-        ),
+        limits=tuple(Limit(n, held.get(n, np.nan), v, "mg") for n, v in request.limits.items()),
         notes=scanned.notes,
     )
     blocks_of = {m.name: _method_block(m) for m in methods}
