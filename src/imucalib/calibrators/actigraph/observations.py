@@ -23,7 +23,7 @@ from imucalib.core.references import KnownNorm
 from imucalib.effects.table import covariates_before
 from imucalib.effects.thermal import RATE
 from imucalib.errors import NotConverged
-from imucalib.estimators.in_a_population import strangeness
+from imucalib.estimators.in_a_population import p_value_in_kind
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.rests.runs import PostureRuns, Scan
 from imucalib.rests.thermal import REMEMBERED, ThermalHistory, remembered
@@ -158,7 +158,7 @@ def fit_of_a_kind(kind: Population, alone: Fit, runs: PostureRuns) -> tuple[OfAK
     model = Model(tuple(every.values()))
     prior = kind.prior(model, data, ())
     found, light = beside(prior, model, data, runs)
-    strange = strangeness(found)
+    strange = p_value_in_kind(found)
     if strange < STRANGE:
         return OfAKind(kind, alone, strange, False), alone, 0
     return OfAKind(kind, alone, strange, True), found, light

@@ -29,7 +29,7 @@ from imucalib.core.sphere import KnownDirection
 from imucalib.effects import catalogue, named
 from imucalib.errors import NotConverged, Undetermined, UsageError
 from imucalib.estimators.corrected import OBJECTIVES, fit_corrected
-from imucalib.estimators.in_a_population import strangeness
+from imucalib.estimators.in_a_population import p_value_in_kind
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.estimators.noise_mixture import with_noise_integrated
 from imucalib.estimators.starting_point import full_matrix_start, linear_map
@@ -153,7 +153,7 @@ def calibrate(
         splits=splits,
         angles=angles,
         settings=settings,
-        strange=float("nan") if settings.population is None else strangeness(final),
+        strange=float("nan") if settings.population is None else p_value_in_kind(final),
     )
 
 

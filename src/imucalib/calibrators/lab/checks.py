@@ -22,7 +22,7 @@ from imucalib.errors import UsageError
 from imucalib.loop.faults.cells import transposed
 from imucalib.readers.conversion import Conversion, temperature
 from imucalib.recording.mapping import FieldMapping
-from imucalib.rests.thermal import told_by_code
+from imucalib.rests.thermal import is_power_up_code
 from imucalib.units import ACCELERATION_UNITS, DEG, MG
 
 #: A reading at rest differs from the others' size by a tenth at most, through bias and scale.
@@ -117,7 +117,7 @@ def without_temperature(table: PositionTable, rows: Index) -> Index:
     made = _warmth(table)
     if made is None or made.unit != "degC":
         return rows[:0]
-    return rows[told_by_code(made.apply(table.columns["temperature"][rows]))]
+    return rows[is_power_up_code(made.apply(table.columns["temperature"][rows]))]
 
 
 def refuse_temperatures(table: PositionTable, bad: Index) -> None:
