@@ -76,9 +76,9 @@ def rests_in(ways: np.ndarray, samples: int = 25) -> tuple[Segments, np.ndarray]
     nothing = np.zeros((n, 1, 3))
     return Segments(
         start=10.0 * np.arange(n), stop=10.0 * np.arange(n) + 4.0, triads=("imu0",), first=first,
-        last=first + samples, samples=np.full((n, 1), samples), mean=nothing, variance=nothing,
+        last=first + samples, samples=np.full((n, 1), samples), mean=nothing,
         rate=nothing, temperature=np.zeros((n, 1)), noise=np.array([[1.0, 2.0, 3.0]]) * MG,
-        rate_noise=np.zeros((1, 3)), step=np.zeros((1, 3)), rate_step=np.zeros((1, 3)), moving=0.0,
+        rate_noise=np.zeros((1, 3)), step=np.zeros((1, 3)), rate_step=np.zeros((1, 3)),
     ), force  # fmt: skip
 
 

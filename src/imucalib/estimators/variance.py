@@ -64,7 +64,7 @@ def _independent(at: Balanced, start: Noise, *, fixed: bool) -> NoiseEstimate:
     q, r = np.linalg.qr(at.jacobian)
     rest = at.residual - q @ (q.T @ at.residual)
     chi2, dof = float(rest @ rest), size - p
-    factor = start.factor if fixed else _one_factor(chi2, dof, at.prior)
+    factor = start.factor if fixed else _factor_at(chi2, dof, np.zeros(0), at)
     inverse = np.linalg.pinv(r.T @ r, rcond=1e-14)
     covariance = factor**2 * inverse
     log_det = float(np.log(np.maximum(np.abs(np.diag(r)), 1e-300)).sum())
@@ -81,20 +81,6 @@ def _independent(at: Balanced, start: Noise, *, fixed: bool) -> NoiseEstimate:
         log_likelihood=float(likelihood),
         white_jacobian=at.jacobian,
     )
-
-
-def _one_factor(chi2: float, dof: int, prior: NoisePrior | None) -> float:
-    """The factor at which χ²/s² + 2 dof log s, and the prior's (log s / spread)², are least."""
-    if prior is None:
-        return float(np.sqrt(max(chi2 / max(dof, 1), 1e-30)))
-    weight, log = prior.spread**-2, 0.0
-    for _ in range(60):  # Newton on a convex function of log s
-        power = chi2 * np.exp(-2.0 * log)
-        step = (power - dof - weight * log) / (2.0 * power + weight)
-        log += float(np.clip(step, -2.0, 2.0))
-        if abs(step) < 1e-12:
-            break
-    return float(np.exp(log))
 
 
 def estimate_with_prior(at: Balanced, start: Noise, prior: Prior, theta: Array) -> NoiseEstimate:
@@ -173,7 +159,7 @@ def _search(at: Balanced, start: Noise) -> Noise:
 def _factor_at(power: float, dof: int, ratio: Array, at: Balanced) -> float:
     """The factor at its best for ratios sd_c / s."""
     if at.prior is None:
-        return float(np.sqrt(max(power / dof, 1e-30)))
+        return float(np.sqrt(max(power / max(dof, 1), 1e-30)))
     log, own = 0.0, ratio[: at.free]
     for _ in range(100):
         share = _cauchy_slopes(np.exp(log) * own, at.prior)
