@@ -48,11 +48,10 @@ class State:
 
 @dataclass(frozen=True)
 class Chains:
-    """draws (chains, n, d) in the frame; accepted: mean acceptance; steps: of a trajectory."""
+    """draws (chains, n, d) in the frame; accepted: mean acceptance."""
 
     draws: Array
     accepted: float
-    steps: int
     convergence: Convergence
 
 
@@ -78,7 +77,7 @@ def sample(
         if count >= 2 * rule.block:
             found = convergence(seen(run.draws))
             if found.reached(rule.rhat, rule.ess):
-                return Chains(run.draws, run.accepted, run.steps, found)
+                return Chains(run.draws, run.accepted, found)
             if count >= rule.most:
                 raise NotConverged(
                     f"the chains do not agree after {count} draws each: {found.sentence}",

@@ -130,7 +130,7 @@ class MotionProblem:
 
 
 def products(
-    state: ArrayState, skipped: frozenset[str], declared: Sequence[str] = ()
+    state: ArrayState, skipped: frozenset[str], declared: Sequence[str]
 ) -> tuple[MotionProblem, Grams]:
     """At a fitted state. skipped : names that are not tried; declared : terms that are no question
     of the search"""
