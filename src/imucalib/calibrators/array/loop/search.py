@@ -113,12 +113,12 @@ class MotionProblem:
         at = {choice.member.name: k for k, choice in enumerate(self.choices)}
         return tuple(Pick(at[t.name], float(t.sd[0])) for t in state.found if t.name in at)
 
-    def moved(self, grams: Grams, hypothesis: Hypothesis, component: int) -> Array:
+    def moved(self, posterior: Posterior, hypothesis: Hypothesis, component: int) -> Array:
         """(d,) m by which a component of a set moves the positions."""
         blocks = blocks_of(self.choices, hypothesis.picks)
         columns = np.concatenate([at for at, _ in blocks])
         sizes = np.concatenate([np.full(at.size, size) for at, size in blocks])
-        rows = grams.rows(columns)[0]
+        rows = posterior.grams.rows(columns)[0]
         value = np.linalg.solve(rows[:, columns] + np.diag(sizes**-2.0), rows[:, -1])
         own = next(
             self.choices[p.choice].at
@@ -193,14 +193,13 @@ class Explored:
 
     state : with what is told in the model, twins told apart
     shares : name in it -> (twin, share) of what may be in its place, itself first
-    problem, grams, posterior, said : of the last search, and first : of the first
+    problem, posterior, said : of the last search, and first : of the first
     rejected : (name, reason) of what the model could not take in
     """
 
     state: ArrayState
     shares: Mapping[str, tuple[tuple[str, float], ...]]
     problem: MotionProblem
-    grams: Grams
     posterior: Posterior
     said: Told
     first: tuple[MotionProblem, Posterior]
@@ -239,7 +238,6 @@ def explored(base: ArrayState, asked: Asked, *, curves: bool = False) -> Explore
         state=state,
         shares=shares,
         problem=problem,
-        grams=grams,
         posterior=posterior,
         said=said,
         first=first,
