@@ -12,7 +12,7 @@ columns are the same to the first order, delays and low-passes, are told apart b
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -57,6 +57,8 @@ _PASSES = 3
 #: Times that a set is settled and searched from: two do, three at most on measured motions.
 _ROUNDS = 5
 DIVERGED = "its refit did not converge"
+#: Name in a model -> (twin, share) of what may be in its place, itself first.
+Shares = dict[str, tuple[tuple[str, float], ...]]
 
 
 @dataclass(frozen=True)
@@ -192,13 +194,13 @@ class Explored:
     """The end of a search.
 
     state : with what is told in the model, twins told apart
-    shares : name in it -> (twin, share) of what may be in its place, itself first
+    shares : of what is in it
     problem, posterior, said : of the last search, and first : of the first
     rejected : (name, reason) of what the model could not take in
     """
 
     state: ArrayState
-    shares: Mapping[str, tuple[tuple[str, float], ...]]
+    shares: Shares
     problem: MotionProblem
     posterior: Posterior
     said: Told
@@ -212,8 +214,7 @@ def explored(base: ArrayState, asked: Asked, *, curves: bool = False) -> Explore
     asked : declared effects stay in the model; curves : whether what has no name is corrected
     """
     skipped = asked.skipped(base.setup.imus)
-    state, seen = base, set[frozenset[str]]()
-    shares: Mapping[str, tuple[tuple[str, float], ...]] = {}
+    state, seen, shares = base, set[frozenset[str]](), Shares()
     first: tuple[MotionProblem, Posterior] | None = None
     rejected: tuple[tuple[str, str], ...] = ()
     for _ in range(_ROUNDS):
@@ -333,18 +334,15 @@ def refitted(state: ArrayState) -> ArrayState | None:
     return found if found.converged else None
 
 
-def told_apart(
-    state: ArrayState, skipped: Collection[str]
-) -> tuple[ArrayState, Mapping[str, tuple[tuple[str, float], ...]]]:
+def told_apart(state: ArrayState, skipped: Collection[str]) -> tuple[ArrayState, Shares]:
     """Of a settled fit, every found effect that has twins against these, each fitted anew in its
-    place; again where one has gone to a twin, for with a wrong one another seems right. And name ->
-    (twin, share) of all that may be there.
+    place; again where one has gone to a twin, for with a wrong one another seems right.
 
     skipped : names that are not tried. A twin whose fit is lost keeps the share it had before:
     nothing is known against it.
     """
     for _ in range(_PASSES):
-        shares = dict[str, tuple[tuple[str, float], ...]]()
+        shares = Shares()
         names = [t.name for t in state.found]
         for name in names:
             twins = [twin for twin in twins_of(name) if twin not in skipped]
