@@ -18,6 +18,7 @@ class Kind:
 
 _TABLE = "export the table as CSV, and give that"
 _OTHER = "give the recording or table itself"
+_READ = "and read that: imucal inspect FILE.csv"
 _UNPACK = "unpack it, and give one file of it"
 
 
@@ -54,6 +55,16 @@ REFUSED = _kinds(
         (rb"\x93NUMPY", "an array of NumPy (.npy)", "write it with numpy.savetxt, or as HDF5"),
         (rb"\x80[\x02-\x05]", "a pickle of Python", _TABLE + "; a pickle may hold code"),
         (rb"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "a document of Office 97 (.xls, .doc)", _TABLE),
+        (
+            rb"GENEA.*\0",  # the device of Unilever Discover: five letters, text, binary pages
+            "a GENEA recording (.bin of the device before GENEActiv), which is not read",
+            "convert it to CSV, for example with the R package GGIRread (readGenea), " + _READ,
+        ),
+        (
+            rb".{512}MDTC",  # remarks, then the recognition string
+            "a Matrix recording (.bin of Parmay Tech), which is not read",
+            "export it as CSV with the maker's program or GGIRread (readParmayMatrix), " + _READ,
+        ),
         (rb"7z\xbc\xaf|Rar!|.{257}ustar|BZh\d1AY|\xfd7zXZ", "a packed archive", _UNPACK),
     ]
 )
