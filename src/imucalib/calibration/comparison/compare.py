@@ -241,7 +241,9 @@ def array_meanings(
         "files state no uncertainty of these, so they are told and not tested"
     )
     if "deg/s" in limits:
-        made = (*made, Worst(pair, away, math.nan, "deg/s", np.eye(3)[axis], name, limits["deg/s"]))
+        along, limit = np.eye(3)[axis], limits["deg/s"]
+        worst = Worst(pair, away, math.nan, "deg/s", along, sensor=name, limit=limit)
+        made = (*made, worst)
     return made, (said,)
 
 
@@ -255,7 +257,7 @@ def _places(calibrations: Sequence[Calibration], basis: Basis, limit: float) -> 
     along = (places[pair[1], k] - places[pair[0], k]) / max(value, 1e-300)
     sd = float(np.sqrt(along @ own @ along))
     name = calibrations[0].triads[k + 1].name
-    return Worst(pair, value, sd, "mm", along, name, limit)
+    return Worst(pair, value, sd, "mm", along, sensor=name, limit=limit)
 
 
 @dataclass(frozen=True)
