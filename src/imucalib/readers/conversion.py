@@ -76,6 +76,7 @@ COUNTS = "counts"
 _IMPLAUSIBLE = 3.0  # a stated unit is refused when the norm at rest is off by this factor
 _NEAR_SCALE = 1.25  # the same for a device that has a few known scales
 _LIKE_1024 = (1012.0, 1037.0)  # norms that 1024 counts a g explain better than mg
+_REST_SECONDS = 0.5  # window of the look for rest
 _STILL_SHARE = 0.1  # the quietest windows that stand for "at rest"
 
 
@@ -204,6 +205,24 @@ def acceleration(
         si = float(np.median(np.linalg.norm((rest - offset) * factor, axis=1)))
         _refuse_wrong(unit, norm, si / units.STANDARD_GRAVITY, bool(mapping.acc_unit), where)
     return found(unit, factor)
+
+
+def of_looks(
+    quantity: str,
+    mapping: FieldMapping,
+    source: Source,
+    looks: Sequence[Array],
+    *,
+    rate: float,
+    where: str,
+) -> Conversion:
+    """Conversion of any quantity. looks : raw values (n, k), all finite; rate : Hz"""
+    if quantity == "acceleration":
+        rest = readings_at_rest(looks, max(3, round(_REST_SECONDS * rate)))
+        return acceleration(mapping, source, rest, where)
+    if quantity == "angular_rate":
+        return angular_rate(mapping, source.unit, where)
+    return temperature(mapping, source.unit, np.concatenate(looks)[:, 0], where)
 
 
 class _Quantity(Protocol):
