@@ -52,14 +52,8 @@ Array = NDArray[np.float64]
 
 
 G = STANDARD_GRAVITY
-
-
 MODEL = Model(tuple(named(name) for name in NINE))
-
-
 SECONDS = FieldMapping(time_unit="s")
-
-
 THETA = np.concatenate([SENSOR[name] for name in NINE])
 
 
@@ -237,11 +231,7 @@ def test_each_sample_gets_the_part_valid_at_its_time(stepped: tuple[Path, Calibr
 
 
 T = np.arange(6000.0)
-
-
 WARM = 30.0 + 2.0 * np.sin(T / 1500.0)
-
-
 PER_DEGREE = np.array([1.5, -2.0, 1.0])
 
 
@@ -343,11 +333,7 @@ def test_a_thermometer_that_seldom_answers_is_as_none() -> None:
 
 
 UNDO_NINE = ("bias", "scale", "non_orthogonality")
-
-
 TEMPERATURE = ("temperature_bias", "temperature_scale")
-
-
 SETS = [
     UNDO_NINE,
     (*UNDO_NINE, "converter@y"),

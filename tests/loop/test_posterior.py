@@ -223,7 +223,7 @@ def test_the_linear_solution_is_the_fit_where_all_is_linear() -> None:
 
 def test_fewer_choices_give_the_same_sets() -> None:
     one = found()
-    best = one.posterior.best
+    best = one.posterior.hypotheses[0]
     some = tuple(c for c in one.problem.choices if c.component in best.components)
     again = search(replace(one.problem, choices=some), one.posterior.grams)
     same = next(h for h in again.hypotheses if h.components == best.components)

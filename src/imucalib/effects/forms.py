@@ -9,7 +9,7 @@ over the range that was recorded; beyond it, that of a covariate keeps its value
 import inspect
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -52,8 +52,8 @@ class Bend:
 class OwnInput(Response):
     """What some axes, by their letters, make of their own input in g, as a bend has it."""
 
-    axes: str = ""
-    bend: Bend = Bend(np.square, np.square)
+    axes: str = field(kw_only=True)
+    bend: Bend = field(kw_only=True)
 
     def act(self, theta: Array, truth: Truth, context: Context) -> Action:
         """Each axis depends on one input alone: its slope needs no (n, 3, m, 3)."""

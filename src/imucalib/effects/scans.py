@@ -63,14 +63,14 @@ def _columns(context: Context) -> tuple[str, ...]:
 
 #: What a period is counted in -> the covariate, and how its angle counts.
 _CLOCKS = {"rows": ("record", "(row - 1)"), "s": ("time", "time")}
-#: Rows of a table from which on more than one swing can be told from all else.
+#: Rows of a table from which on more than one swing can be separated from all else.
 _FEWEST_SWINGING = 20
 #: Swings of a table: at least one and a half, else it is a drift, and at most this many a row;
 #: steps of half a swing a table, between which a wave keeps nine tenths of its amplitude.
 _SLOWEST, _QUICKEST, _STEP = 1.5, 0.4, 0.5
 _FINER = 5
 #: Spread of the steps of time, relative, from which a pace is uneven; and how many swings a row can
-#: be told then, where an even pace takes a quick one for a slow one.
+#: be counted then, where an even pace takes a quick one for a slow one.
 _PACE, _UNEVEN = 0.2, 0.8
 
 
@@ -125,7 +125,7 @@ def _all_periods(context: Context) -> tuple[str, ...]:
     return _periods(np.arange(_SLOWEST, _QUICKEST * rows, _STEP), float(rows), "rows")
 
 
-def _near_period(context: Context, value: str) -> tuple[str, ...]:
+def _finer_periods(context: Context, value: str) -> tuple[str, ...]:
     period, unit = _period(value)
     span = float(_rows(context)) if unit == "rows" else float(np.ptp(context["time"]))
     finer = _STEP * np.linspace(-1.0, 1.0, 2 * _FINER + 1)
@@ -254,7 +254,7 @@ def _times(context: Context) -> tuple[str, ...]:
     return tuple(f"{t:.10g}s" for t in every[picked])
 
 
-def _near_time(context: Context, value: str) -> tuple[str, ...]:
+def _finer_times(context: Context, value: str) -> tuple[str, ...]:
     if value.startswith("record"):
         return ()
     every = _between(context)
@@ -298,7 +298,7 @@ def temperature_rate(value: str) -> Effect:
 _PARTS = (0.25, 0.5, 0.75)
 #: °C between two turning points that are tried, at first and near the best one.
 _COARSE, _FINE = 1.0, 0.2
-#: What a line leaves of the square, in ranges squared, from which on the two can be told apart:
+#: What a line leaves of the square, in ranges squared, from which on the two can be separated:
 #: 0.075 of temperatures spread evenly, 0.04 of two that are each held within a twentieth.
 _BENT = 0.05
 
@@ -314,7 +314,7 @@ def temperature_square(value: str) -> Effect:
     """About the turning point given as "22C"; ValueError otherwise.
 
     About any other temperature the square has a linear part as well, which `temperature_bias`
-    holds: where both are taken, the turning point of each axis follows from the two.
+    holds: where both are in a model, the turning point of each axis follows from the two.
     """
     at = _turning_point(value)
     square = Covariate(("temperature",), lambda context: (context["temperature"] - at) ** 2)
@@ -335,11 +335,11 @@ def _turning_points(context: Context) -> tuple[str, ...]:
 def _bend(share: Array) -> float:
     """What a line leaves of the square of the temperature, (n,) in parts of its range."""
     line = np.stack([np.ones_like(share), share], axis=1)
-    left = share**2 - line @ np.linalg.lstsq(line, share**2, rcond=None)[0]
-    return float(np.std(left))
+    misfit = share**2 - line @ np.linalg.lstsq(line, share**2, rcond=None)[0]
+    return float(np.std(misfit))
 
 
-def _near_turning_point(context: Context, value: str) -> tuple[str, ...]:
+def _finer_turning_points(context: Context, value: str) -> tuple[str, ...]:
     at, reach = _turning_point(value), _PARTS[0] * float(np.ptp(context["temperature"]))
     steps = np.arange(1, int(reach / _FINE) + 1) * _FINE
     return tuple(f"{at + step:.4g}C" for step in np.concatenate([-steps[::-1], [0.0], steps]))
@@ -348,10 +348,10 @@ def _near_turning_point(context: Context, value: str) -> tuple[str, ...]:
 FAMILIES = (
     scan("follows", follows, _columns),
     scan("curve", curve, lambda context: (), free=True),
-    scan("cycle", cycle, _all_periods, _near_period, unfounded=True),
-    scan("scale_cycle", scale_cycle, _all_periods, _near_period, unfounded=True),
+    scan("cycle", cycle, _all_periods, _finer_periods, unfounded=True),
+    scan("scale_cycle", scale_cycle, _all_periods, _finer_periods, unfounded=True),
     scan("session", session, _sessions),
-    scan("bias_step", bias_step, _times, _near_time),
+    scan("bias_step", bias_step, _times, _finer_times),
     scan(
         "scale_step",
         scale_step,
@@ -369,5 +369,5 @@ FAMILIES = (
     scan("thermal_hysteresis", thermal_hysteresis, PLAY.recorded),
     scan("thermal_lag", thermal_lag, LAG.recorded),
     scan("temperature_rate", temperature_rate, RATE.recorded),
-    scan("temperature_square", temperature_square, _turning_points, _near_turning_point),
+    scan("temperature_square", temperature_square, _turning_points, _finer_turning_points),
 )

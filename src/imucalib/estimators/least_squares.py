@@ -71,7 +71,7 @@ def fit(
         theta, eta, at = solution.state.theta, solution.state.eta, solution.state.at
         steps += solution.iterations
         if prior is None:
-            whole = at if shrink is None else _beside(at, shrinking(shrink, first - theta))
+            whole = at if shrink is None else _with_rows(at, shrinking(shrink, first - theta))
             estimate = estimate_noise(whole, current, fixed=noise is not None)
         elif prior.noise is None:
             estimate = estimate_with_prior(at, current, prior, theta)
@@ -171,8 +171,8 @@ class _Problem:
     def _moved(self, point: Point, step: Array) -> Point:
         eta, at = point.eta, point.at
         if self._settled:  # where the settings go with the step, to first order
-            left = at.residual - at.jacobian @ step
-            eta = setting_errors(at, point.white, self.noise.ratio, left)
+            misfit = at.residual - at.jacobian @ step
+            eta = setting_errors(at, point.white, self.noise.ratio, misfit)
         return self._at(point.theta + step, eta)
 
     def _at(self, theta: Array, eta: Array) -> Point:
@@ -195,7 +195,7 @@ class _Problem:
         return point
 
 
-def _beside(at: Balanced, rows: Array) -> Balanced:
+def _with_rows(at: Balanced, rows: Array) -> Balanced:
     """The balance with what shrinks the parameters, (k, 1 + p), behind the readings' numbers."""
     settings = tuple(np.vstack([m, np.zeros((len(rows), m.shape[1]))]) for m in at.settings)
     return replace(

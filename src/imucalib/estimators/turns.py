@@ -303,7 +303,7 @@ def linearised(log: TurnLog, state: State, laws: Laws | None, prior: Array) -> R
     walk, ups = first + m, state.first_up
     size = ups + 2 * n
     turns = np.zeros((len(log.turns), 2, size))
-    left = np.zeros((len(log.turns), 2))
+    misfit = np.zeros((len(log.turns), 2))
     for i, turn in enumerate(log.turns):
         k = turn.rest
         seen, share = moved_by(log, state.drift, turn)
@@ -315,7 +315,7 @@ def linearised(log: TurnLog, state: State, laws: Laws | None, prior: Array) -> R
         q = np.zeros((3, walk + 6))
         q[:, ACCELEROMETER:first] = np.tensordot(weighted, rate, (0, 0)).reshape(3, 9)
         if laws is not None:
-            q[:, first:walk] = -_carried(gained, laws, rate, force, turn)
+            q[:, first:walk] = -_integrated(gained, laws, rate, force, turn)
         q[:, walk:] = -np.concatenate(
             [
                 np.tensordot(v, gained, 1)
@@ -329,16 +329,16 @@ def linearised(log: TurnLog, state: State, laws: Laws | None, prior: Array) -> R
         turns[i, :, walk + 3 * k : walk + 3 * k + 6] = own[:, walk:]
         turns[i, :, ups + 2 * k : ups + 2 * k + 2] = back @ across[k]
         turns[i, :, ups + 2 * k + 2 : ups + 2 * k + 4] = -np.eye(2)
-        left[i] = back @ state.up[k]  # u_{k+1} is across the plane
+        misfit[i] = back @ state.up[k]  # u_{k+1} is across the plane
     rests, off = _rest_rows(log, state, laws, across, prior, size)
     return Rows(
-        np.concatenate([left.ravel(), off]),
+        np.concatenate([misfit.ravel(), off]),
         np.concatenate([turns.reshape(-1, size), rests]),
         len(log.turns),
     )
 
 
-def _carried(gained: Array, laws: Laws, rate: Array, force: Array, turn: Turn) -> Array:
+def _integrated(gained: Array, laws: Laws, rate: Array, force: Array, turn: Turn) -> Array:
     """(3, m) the integral of weights (n, 3, 3) times the laws' columns along a turn, a part of the
     samples at a time: an hour has a million, and a law dozens of columns."""
     whole: Array | float = 0.0
@@ -444,7 +444,7 @@ def _estimated(fit: TurnFit, prior: Array) -> TurnNoise:
     noise = TurnNoise(0.0, 0.0, _walk(log, state, fit.laws), _scatter(log, state))
     variance, weight = variances(log, noise, prior), np.where(fit.used, fit.weight, 0.0)
     numbers = np.flatnonzero(np.repeat(weight > 0.0, 2))
-    left, shared = _by_rests(fit.rows, variance, numbers)
+    misfit, shared = _by_rests(fit.rows, variance, numbers)
     every, size = np.repeat(weight, 2)[numbers], len(numbers)
     logs = np.empty((len(_FLOORS), len(ANGLES)))
     for i, floor in enumerate(_FLOORS):
@@ -452,7 +452,7 @@ def _estimated(fit: TurnFit, prior: Array) -> TurnNoise:
             point = replace(noise, floor=float(floor), per_angle=float(angle))
             own = np.repeat(_of_turns(log, point), 2)[numbers] / every
             root = np.linalg.cholesky(shared + np.diag(own))
-            white = below(root, left)
+            white = below(root, misfit)
             logs[i, j] = -0.5 * float(white @ white) - float(np.log(np.diag(root)).sum())
     likely = np.exp(logs - logs.max()) * ANGLE_PRIOR if size else np.ones(logs.shape)
     likely /= likely.sum()

@@ -33,8 +33,8 @@ _CHANCE = 6.5  # standard errors between the highest and the lowest of a hundred
 _PART = 0.25  # s, of the means, at least
 _PARTS = 120  # means, at most
 _LATE = 0.3  # of a stretch, at both ends, whose means are compared
-_PAIRS = 10  # neighbouring windows from which the colour of the noise is told
-_PAIRS_LOOKED_AT = 5000  # pairs, about, that it is told from
+_PAIRS = 10  # neighbouring windows from which the colour of the noise is estimated
+_PAIRS_LOOKED_AT = 5000  # pairs, about, that it is estimated from
 _REDDEST = 3.0
 _WHITE = 0.6  # share of the variance that successive differences of white noise keep, at least
 
@@ -87,7 +87,8 @@ class Noise:
 def colour_of(sensor: Sensor, still: Flags) -> float:
     """How much more the means of windows scatter than white noise would let them; 1 to 3.
 
-    A low-pass filter in the chip makes neighbouring samples alike: their mean is worth less.
+    A low-pass filter in the chip makes neighbouring samples depend on each other, so that their
+    mean is worth less.
     """
     w = sensor.windows
     pairs = np.flatnonzero(still[1:] & still[:-1] & w.following)
@@ -141,13 +142,13 @@ class Group:
     """Windows (n,) that follow one another without a jump of the mean.
 
     louder : most of them are at more than the quietest noise
-    wandering : a short piece of what goes on, without a moving window or a jump, further than a
+    drifting : a short piece of what goes on, without a moving window or a jump, further than a
         rest may
     """
 
     windows: Index
     louder: bool
-    wandering: bool
+    drifting: bool
 
 
 def _groups(sensor: Sensor, kinds: Kinds) -> list[Group]:
@@ -161,7 +162,7 @@ def _groups(sensor: Sensor, kinds: Kinds) -> list[Group]:
     change = np.abs(np.diff(w.mean[chosen], axis=0))
     limit = sensor.settings.drift_ratio * size + 6.0 * size * np.sqrt(2.0 / w.samples)
     next_to = (np.diff(chosen) == 1) & (np.diff(w.run[chosen]) == 0)
-    wandering = np.zeros(chosen.size, dtype=np.bool_)
+    drifting = np.zeros(chosen.size, dtype=np.bool_)
     if not sensor.turns:
         # A turn is judged as a whole: a noise of a few µg must not cut it into rests.
         limit = np.maximum(limit, _STEP * sensor.gravity(kinds.still))
@@ -169,19 +170,19 @@ def _groups(sensor: Sensor, kinds: Kinds) -> list[Group]:
     if not sensor.turns:
         # What moves between still windows by more than their range is a jump.
         linked = next_to & every(change <= np.maximum(sensor.settings.range_ratio * size, limit))
-        wandering = _wandering(sensor, chosen, together, linked)
-        together |= linked & wandering[1:] & wandering[:-1]
+        drifting = _drifting(sensor, chosen, together, linked)
+        together |= linked & drifting[1:] & drifting[:-1]
     return [
-        Group(chosen[part], bool(kinds.louder[chosen[part]].mean() > 0.5), bool(wandering[part[0]]))
+        Group(chosen[part], bool(kinds.louder[chosen[part]].mean() > 0.5), bool(drifting[part[0]]))
         for part in np.split(np.arange(chosen.size), np.flatnonzero(~together) + 1)
     ]
 
 
-def _wandering(sensor: Sensor, chosen: Index, together: Flags, linked: Flags) -> Flags:
+def _drifting(sensor: Sensor, chosen: Index, together: Flags, linked: Flags) -> Flags:
     """Still windows (m,) of short groups in chains of several that go further than a rest may."""
-    wandering = np.zeros(chosen.size, dtype=np.bool_)
+    drifting = np.zeros(chosen.size, dtype=np.bool_)
     if not np.any(linked & ~together):
-        return wandering
+        return drifting
     w, error = sensor.windows, sensor.allowed / np.sqrt(sensor.windows.samples)
     owner = np.cumsum(np.append(0, ~together))
     short = np.bincount(owner) * w.samples < _ALONE * sensor.rate
@@ -191,8 +192,8 @@ def _wandering(sensor: Sensor, chosen: Index, together: Flags, linked: Flags) ->
         mean, seconds = w.mean[chosen[chain]], w.stop[chosen[chain[-1]]] - w.start[chosen[chain[0]]]
         limit = (_TILT + _WARMING * seconds) * float(np.linalg.norm(mean.mean(axis=0)))
         if np.any(np.ptp(mean, axis=0) > limit + _CHANCE * error):
-            wandering[chain] = short[owner[chain]]
-    return wandering
+            drifting[chain] = short[owner[chain]]
+    return drifting
 
 
 _FAR = 5.0  # standard deviations of a sample, or of a short mean, that end a rest
@@ -384,7 +385,7 @@ def _agreeing(values: Array, noise: Noise, rate: float) -> tuple[int, int]:
     return (first, last) if 2 * (last - first) >= len(values) else (0, len(values))
 
 
-_FEW = 5  # rests from which a gyroscope's bias at rest is told
+_FEW = 5  # rests from which a gyroscope's bias at rest is known
 _BIAS = 0.1 * DEG  # rad/s that a bias at rest may differ from the others' in any case
 _SPREAD = 6.0  # standard deviations (by the median) that it may differ
 _LONG = 10.0  # s
@@ -402,7 +403,7 @@ def candidates_of(every: Sequence[Seen]) -> tuple[tuple[Candidate, ...], tuple[s
         pieces = 1 if longest is None else max(1, int(np.ceil((b - a) / longest)))
         ends = np.linspace(a, b, pieces + 1).tolist()
         found += [_judged(part, every) for part in pairwise(ends)]
-    found = _beside_bias(found, every)
+    found = _off_bias(found, every)
     for one in every:
         if not one.sensor.turns:
             found = _with_refused(found, one)
@@ -421,7 +422,7 @@ def _judged(inside: Interval, every: Sequence[Seen]) -> Candidate:
         goes, turns = _drift(means, each, noise, length)
         drift, deviation = max(drift, goes), max(deviation, float(noise.sd.max()))
         # Louder samples must be nearly as white as the sensor's usual noise.
-        turning |= turns or group.wandering
+        turning |= turns or group.drifting
         turning |= group.louder and white < _WHITE * min(one.usual, 1.0)
         # Without its samples, only long steadiness tells a louder noise from a slow motion.
         unsure |= group.louder and not whole and length < _LONG
@@ -438,7 +439,7 @@ def _judged(inside: Interval, every: Sequence[Seen]) -> Candidate:
     return Candidate(*inside, drift, deviation, reason)
 
 
-def _beside_bias(found: list[Candidate], every: Sequence[Seen]) -> list[Candidate]:
+def _off_bias(found: list[Candidate], every: Sequence[Seen]) -> list[Candidate]:
     """A rest at which a gyroscope reads another rate than at the others is a turn."""
     rests = [i for i, c in enumerate(found) if not c.reason]
     turning: set[int] = set()

@@ -77,10 +77,10 @@ def two_ranges(size: Array) -> tuple[int, float, float] | None:
     total = np.cumsum(x)[rows - 1]
     explained = total**2 / rows + total**2 / (n - rows)
     best = int(np.argmax(explained))
-    row, left = int(rows[best]), float(np.sum(x**2) - explained[best])
+    row, unexplained = int(rows[best]), float(np.sum(x**2) - explained[best])
     before, after = float(np.median(size[:row])), float(np.median(size[row:]))
     far = max(before, after) > _RATIO * min(before, after)
-    return (row, before, after) if far and _CLEARER * left < float(np.sum(x**2)) else None
+    return (row, before, after) if far and _CLEARER * unexplained < float(np.sum(x**2)) else None
 
 
 def _refuse_two_ranges(w: Windows, path: str) -> None:
@@ -206,8 +206,8 @@ def _stuck(sensor: Sensor) -> tuple[Flags, list[str]]:
             "of the rests"
         )
         found |= held
-    beside = np.append(False, found[:-1]) | np.append(found[1:], False)
-    return found | beside, words
+    neighbours = np.append(False, found[:-1]) | np.append(found[1:], False)
+    return found | neighbours, words
 
 
 def _dead(sensor: Sensor, axis: int, constant: Flags, frozen: Flags) -> Flags:

@@ -22,7 +22,7 @@ _FROZEN_SECONDS = 60.0
 _LOUDEST = 0.03
 _LOUDEST_STEPS = 2.0
 _ZONE = 3  # stretches of one number that make a gyroscope's dead zone
-_WITNESSES = 5000  # windows that the size of gravity is told from
+_WITNESSES = 5000  # windows that the size of gravity is estimated from
 _POSTURES = 5  # different constant readings of gravity's size that a dead sensor does not have
 _SINGLE = 3  # windows in which one axis stands still beside others, as in none of a live sensor
 _SIZE = 0.2  # share of gravity by which the size of a reading at rest may be off
@@ -308,11 +308,11 @@ def kinds_of(sensor: Sensor) -> Kinds:
     base, louder = sensor.allowed, none.copy()
     top = np.minimum(_LOUDER * base, np.maximum(sensor.loudest(still), base))
     for _ in range(_LEVELS):
-        left = steady & ~louder & every(w.variance <= ratio * top**2)
-        if left.sum() < _SHARED:
+        rest = steady & ~louder & every(w.variance <= ratio * top**2)
+        if rest.sum() < _SHARED:
             break
-        level = np.maximum(sensor.level(left), base)
-        found = left & sensor.quieter_than(level)
+        level = np.maximum(sensor.level(rest), base)
+        found = rest & sensor.quieter_than(level)
         if np.any(level > top) or found.sum() < _SHARED:
             break
         louder |= found

@@ -67,7 +67,7 @@ def mean_of_known(values: Array, starts: Index) -> Array:
     return np.asarray(np.where(count > 0.0, total / np.maximum(count, 1.0), np.nan))
 
 
-def told_by_code(values: Array) -> Flags:
+def is_power_up_code(values: Array) -> Flags:
     """(n,) whether a reading of a table, °C, is what a thermometer says that has not measured: just
     that number, not in two rows that follow each other, and far from the rows that measured."""
     code = np.isin(values, _CODES)
@@ -264,8 +264,8 @@ def with_thermometer(
             first, end = waiting.popleft()
             yield first, track
             if track is not None:  # from the last reading before the next block on
-                near = max(int(np.searchsorted(track.t, end, side="right")) - 1, 0)
-                track = replace(track, t=track.t[near:], values=track.values[near:])
+                first_kept = max(int(np.searchsorted(track.t, end, side="right")) - 1, 0)
+                track = replace(track, t=track.t[first_kept:], values=track.values[first_kept:])
     for block, _ in waiting:
         yield block, track
 
@@ -310,8 +310,8 @@ def remembered_in_rows(temperature: Array, time: Array | None, session: Array) -
     for one in np.unique(session):
         of = session == one
         history = ThermalHistory(at[of], temperature[of])
-        for name, (behind, size) in sizes.items():
-            found[name][of] = behind(history, size, at[of])
+        for name, (course, size) in sizes.items():
+            found[name][of] = course(history, size, at[of])
     plain = {n for n, v in found.items() if n.startswith(PLAY.prefix) and _is_plain(v, temperature)}
     return {name: values for name, values in found.items() if name not in plain}
 

@@ -77,8 +77,8 @@ class Samples:
 
     def breaks(self, t: Array) -> Index:
         """Where a stretch of samples at times t is broken by a gap or a step back of time."""
-        near = [g for g in self._gaps if t.size and g.stop > t.min() and g.start < t.max()]
-        return breaks(t, near)
+        within = [g for g in self._gaps if t.size and g.stop > t.min() and g.start < t.max()]
+        return breaks(t, within)
 
 
 _COLUMNS = ("first", "run", "start", "stop", "mean", "variance", "low", "high")

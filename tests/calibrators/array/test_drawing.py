@@ -91,7 +91,7 @@ def test_a_board_without_a_drawing_is_sketched_in_the_axes_of_its_first() -> Non
     proper = SIGNED[np.linalg.det(SIGNED) > 0.0]
     own = np.stack([np.eye(3), *proper[[3, 11, 20]]])
     log, segments = seen(own, own)
-    board = sketched(log, segments, undrawn_board(4), [0, 1, 2, 3])  # type: ignore[arg-type]
+    board = sketched(log, segments, undrawn_board(4))  # type: ignore[arg-type]
     np.testing.assert_array_equal(board.rotations, own)
     assert np.abs(board.positions - (PLACES - PLACES.mean(axis=0))).max() < 1e-3
     np.testing.assert_array_equal(board.accelerometer_axes, np.tile(np.eye(3), (4, 1, 1)))
@@ -168,7 +168,7 @@ def recording() -> Recording:
 def check_seen(recording: Recording, board: Board) -> Drawn:
     wired, board = of_board(recording, board)
     log = array_log(wired, board)
-    return compared(log, still_segments(wired), board, list(range(board.count)))
+    return compared(log, still_segments(wired), board)
 
 
 def wired(recording: Recording, imus: str, quantity: str, turn: Matrix) -> Recording:

@@ -59,16 +59,12 @@ HALVED_SAMPLES = 800  # moving samples of which each half is searched again
 
 @dataclass(frozen=True)
 class _Laid:
-    """A recording laid out as the board is: its IMUs side by side, and where it rests.
-
-    order : the board's IMUs in the segments' triads
-    """
+    """A recording laid out as the board is: its IMUs side by side, and where they rest."""
 
     recording: Recording
     board: Board
     log: ArrayLog
     segments: Segments
-    order: list[int]
     notes: tuple[str, ...]
 
 
@@ -94,7 +90,7 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
     laid = _laid(recording, request, say)
     del recording  # from here on a log is side by side: held twice, one of many IMUs is large
     board, asked = laid.board, replace(request.asked, search=request.loop)
-    rests = fit_rests(laid.segments, board, laid.order, request.gravity, asked=asked)
+    rests = fit_rests(laid.segments, board, request.gravity, asked=asked)
     say(f"{rests.poses} rests: triads fit gravity to {1e3 * rests.residual:.2f} mm/s² rms")
     moving = moving_part(laid.log, rests, board.imus)
     say("moving samples: " + ", ".join(f"{n} {name}" for name, n in moving.counts.items()))
@@ -137,7 +133,6 @@ def _stated(
         laid.log,
         laid.segments,
         rests,
-        laid.order,
         moving.gyros.gain if linear is None else linear.gyro_gain,
         np.ones(board.count) if state is None else state.noise[1].factor,
     )
@@ -178,14 +173,13 @@ def _laid(recording: Recording, request: ArrayRequest, say: Say) -> _Laid:
         say(note)
     log, segments = array_log(recording, board), still_segments(recording, request.still)
     _refuse_restless(segments, board, recording, log)
-    order = [segments.triads.index(name) for name in board.imus]
     if board.undrawn:
-        recording, board = of_board(recording, sketched(log, segments, board, order))
+        recording, board = of_board(recording, sketched(log, segments, board))
         log, segments = array_log(recording, board), still_segments(recording, request.still)
     seen = streams(log)
     if not request.as_drawn:
         refuse_streams(seen, board.imus, log.interval)
-        refuse_contradiction(compared(log, segments, board, order), request.agreeing)
+        refuse_contradiction(compared(log, segments, board), request.agreeing)
     log = replace(log, clipped=log.clipped | seen.held)
     notes = (*recording.notes, *segments.notes, *log.notes, *stream_notes(seen, board.imus))
     # What the recording is called and how long it is, but no readings.
@@ -193,7 +187,7 @@ def _laid(recording: Recording, request: ArrayRequest, say: Say) -> _Laid:
         name: replace(c, values=np.broadcast_to(np.nan, c.values.shape))
         for name, c in recording.channels.items()
     }
-    return _Laid(replace(recording, channels=channels), board, log, segments, order, notes)
+    return _Laid(replace(recording, channels=channels), board, log, segments, notes)
 
 
 def _refuse_restless(segments: Segments, board: Board, recording: Recording, log: ArrayLog) -> None:
@@ -265,8 +259,7 @@ def _held_against_rests(loop: MotionLoop, laid: _Laid, rests: RestFit) -> Motion
         return loop
     t, turns = 0.5 * (segments.start + segments.stop), laid.board.rotations
     read, rate = (
-        np.einsum("kij,nkj->nki", turns, values[:, laid.order])
-        for values in (segments.mean, segments.rate)
+        np.einsum("kij,nkj->nki", turns, values) for values in (segments.mean, segments.rate)
     )
     force = rests.corrected(read, t)
     motion = board_motion(imus=laid.board.imus, rotations=turns, t=t, force=force)

@@ -191,13 +191,13 @@ def _in_another_order(seen: Array, drawn: Array, mounted: Array) -> tuple[Index,
 _WIDE = 0.02
 
 
-def sketched(log: ArrayLog, segments: Segments, board: Board, order: list[int]) -> Board:
+def sketched(log: ArrayLog, segments: Segments, board: Board) -> Board:
     """The board in the axes of its first IMU. log : of the undrawn board, in the packages' axes.
 
     Raises Undetermined where axes are no signed permutations of each other, or where the motion
     does not show the places.
     """
-    still, offset = segments.mean[:, order], segments.rate[:, order].mean(axis=0)
+    still, offset = segments.mean, segments.rate.mean(axis=0)
     usable = _usable(log)
     acceleration, gyro = (
         signed[0].T @ signed  # relative to the first IMU's, which are the board's
@@ -336,15 +336,15 @@ def _signed(matrix: Array) -> Array:
     return np.asarray(np.where(np.abs(matrix - whole).max() < 1e-6, whole, matrix))
 
 
-def compared(log: ArrayLog, segments: Segments, board: Board, order: list[int]) -> Drawn:
-    """The board file as the log sees it. order : the board's IMUs in the segments' triads."""
+def compared(log: ArrayLog, segments: Segments, board: Board) -> Drawn:
+    """The board file as the log sees it."""
     turns, same = board.rotations, np.tile(np.eye(3), (board.count, 1, 1))
     back = turns.transpose(0, 2, 1)
     if segments.n < _FEW:
         return Drawn(board, same, same)
-    still = _turned(segments.mean[:, order], turns)
+    still = _turned(segments.mean, turns)
     acceleration = relative_axes(still, turns)
-    offset = _turned(segments.rate[:, order], turns).mean(axis=0)
+    offset = _turned(segments.rate, turns).mean(axis=0)
     usable = _usable(log)
     rows = np.flatnonzero(usable)
     if len(rows) < _SAMPLES // 100:

@@ -60,9 +60,7 @@ def rest_context(t: Array, start: float, stop: float, triads: tuple[str, ...]) -
     return Context(len(t), covariates, triads)
 
 
-def observations_of(
-    segments: Segments, board: Board, order: list[int], gravity: float
-) -> Observations:
+def observations_of(segments: Segments, board: Board, gravity: float) -> Observations:
     """One observation a rest, in order of time; sigma is that of no weights yet, 1 mg for all.
 
     Raises Undetermined where there are too few, or where an IMU reads another unit.
@@ -74,7 +72,7 @@ def observations_of(
             remedy="hold the board still in nine or more attitudes; `imucal inspect FILE --rests` "
             "lists what counts as a rest and what was refused",
         )
-    reading = segments.mean[:, order]
+    reading = segments.mean
     ratio = np.median(np.linalg.norm(reading, axis=2), axis=0) / gravity
     worst = int(np.argmax(np.abs(np.log(np.maximum(ratio, 1e-9)))))
     if not 0.5 < ratio[worst] < 2.0:  # offsets do not double or halve gravity
@@ -95,11 +93,11 @@ def observations_of(
     )
 
 
-def own_noise(segments: Segments, order: list[int]) -> Array:
+def own_noise(segments: Segments) -> Array:
     """(n, K, 3) m/s², what its samples' noise and their rounding leave of each rest's mean."""
-    noise = np.maximum(segments.noise[order], _QUIET * np.median(segments.noise[order]))
-    averaged = noise / np.sqrt(segments.samples[:, order])[..., None]
-    return np.hypot(averaged, rounding(segments.step[order], segments.noise[order]))
+    noise = np.maximum(segments.noise, _QUIET * np.median(segments.noise))
+    averaged = noise / np.sqrt(segments.samples)[..., None]
+    return np.hypot(averaged, rounding(segments.step, segments.noise))
 
 
 def rounding(step: Array, noise: Array, *, alike: bool = False) -> Array:
@@ -316,20 +314,15 @@ class RestFit:
 
 
 def fit_rests(
-    segments: Segments,
-    board: Board,
-    order: list[int],
-    gravity: float,
-    *,
-    asked: Asked = NOTHING_ASKED,
+    segments: Segments, board: Board, gravity: float, *, asked: Asked = NOTHING_ASKED
 ) -> RestFit:
     """Fit all triads and search for what is missing.
 
-    order : the board's IMUs in the segments' triads. Raises Undetermined when there are too few or
-    too similar rests, NotConverged.
+    segments : of the board's IMUs, in its order. Raises Undetermined when there are too few or too
+    similar rests, NotConverged.
     """
-    unweighted = observations_of(segments, board, order, gravity)
-    data, model = weighted(unweighted, own_noise(segments, order)), base_model()
+    unweighted = observations_of(segments, board, gravity)
+    data, model = weighted(unweighted, own_noise(segments)), base_model()
     loop = _searched(model, data, asked) if asked.search else None
     fit = fit_model(model, data) if loop is None else loop.final
     if (fit if loop is None else loop.plain).null_directions:
@@ -339,30 +332,23 @@ def fit_rests(
     gain, covariance = in_the_mean_frame(fit, board.rotations)
     _refuse_vague(gain, covariance, board)
     middle = data.context["time"]
-    drift, drift_sd = _gyro_drift(segments, board, order, middle)
+    turn = board.rotations
+    drift, sd = gyro_drift(np.einsum("kij,nkj->nki", turn, segments.rate), middle)
+    # What rounding leaves of the gyros is the same in every rest.
+    coarse = rounding(segments.rate_step, segments.rate_noise, alike=True)
     return RestFit(
         fit=fit,
         loop=loop,
         gain=gain,
         covariance=covariance,
-        noise=np.sqrt(np.mean(segments.noise[order] ** 2, axis=1)),
-        gyro_noise=np.sqrt(np.mean(segments.rate_noise[order] ** 2, axis=1)),
+        noise=np.sqrt(np.mean(segments.noise**2, axis=1)),
+        gyro_noise=np.sqrt(np.mean(segments.rate_noise**2, axis=1)),
         gyro_bias=drift,
-        gyro_bias_sd=drift_sd,
-        rotations=board.rotations,
+        gyro_bias_sd=np.sqrt(sd**2 + np.einsum("kij,kj->ki", turn**2, coarse**2)),
+        rotations=turn,
         start=float(middle[0]),
         stop=float(middle[-1]),
     )
-
-
-def _gyro_drift(
-    segments: Segments, board: Board, order: list[int], t: Array
-) -> tuple[Array, Array]:
-    """As `gyro_drift` has it, in board axes; with what rounding leaves, the same in every rest."""
-    turn = board.rotations
-    drift, sd = gyro_drift(np.einsum("kij,nkj->nki", turn, segments.rate[:, order]), t)
-    coarse = rounding(segments.rate_step[order], segments.rate_noise[order], alike=True)
-    return drift, np.sqrt(sd**2 + np.einsum("kij,kj->ki", turn**2, coarse**2))
 
 
 def _searched(model: Model, data: Observations, asked: Asked) -> FitLoop:

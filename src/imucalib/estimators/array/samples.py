@@ -31,6 +31,10 @@ class Readings:
     acceleration: Array
     rate: Array
 
+    def of(self, *, gyro: bool) -> Array:
+        """Those of one kind of sensor."""
+        return self.rate if gyro else self.acceleration
+
     def take(self, rows: Index) -> Readings:
         return Readings(self.acceleration[rows], self.rate[rows])
 
@@ -44,6 +48,10 @@ class Weights:
 
     acceleration: Array
     rate: Array
+
+    def of(self, *, gyro: bool) -> Array:
+        """Those of one kind of sensor."""
+        return self.rate if gyro else self.acceleration
 
 
 @dataclass(frozen=True)

@@ -28,15 +28,12 @@ _TUNING = 200  # iterations between two looks at the acceptance
 
 @dataclass(frozen=True)
 class PmmhResult:
-    """draws (chains, n, size) of the unknowns after the burn-in; log_density (chains, n);
-    monte_carlo: N; variance of the log likelihood with it; step: σ_q in prior sds; accepted;
-    burn_in: iterations before the draws."""
+    """draws (chains, n, size) of the unknowns after the burn-in; monte_carlo: N; variance of the
+    log likelihood with it; accepted; burn_in: iterations before the draws."""
 
     draws: Array
-    log_density: Array
     monte_carlo: int
     variance: float
-    step: float
     accepted: float
     burn_in: int
 
@@ -83,22 +80,12 @@ def run_pmmh(
     x = prior.mean_vector + prior.sd_vector * rng.standard_normal((chains, prior.size))
     walk = _Walk(x, likelihood.log_posterior(x, rng), 0.01)
     walk, burn_in = _burned_in(walk, likelihood, rng, iterations)
-    draws = np.empty((chains, iterations, prior.size))
-    level = np.empty((chains, iterations))
-    accepted = 0.0
+    draws, accepted = np.empty((chains, iterations, prior.size)), 0.0
     for k in range(iterations):
         walk, moved = _iterate(walk, likelihood, rng)
-        draws[:, k], level[:, k] = walk.x, walk.level
-        accepted += float(moved.mean())
-    return PmmhResult(
-        draws=draws,
-        log_density=level,
-        monte_carlo=likelihood.count,
-        variance=variance,
-        step=walk.step,
-        accepted=accepted / iterations,
-        burn_in=burn_in,
-    )
+        draws[:, k] = walk.x
+        accepted += float(moved.mean()) / iterations
+    return PmmhResult(draws, likelihood.count, variance, accepted, burn_in)
 
 
 def tuned_count(

@@ -19,7 +19,7 @@ from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations
 from imucalib.effects.record_error import GROSS_MG
 from imucalib.estimators.least_squares import fit as fit_model
-from imucalib.estimators.starting_point import alike_rows, full_matrix_start
+from imucalib.estimators.starting_point import consistent_rows, full_matrix_start
 from imucalib.loop.candidates import Searched
 from imucalib.loop.posterior.catalogue import Component, components_of, scan_of
 from imucalib.loop.posterior.gram import Grams, grams_of
@@ -169,7 +169,7 @@ def _anchored(fit: Fit) -> Fit:
     if prior is not None and max(noise.sd[: at.free], default=0.0) > FAR * prior.setting:
         held = [min(sd, prior.setting) for sd in noise.sd[: at.free]]
         noise = Noise(max(noise.factor, 1.0), at.component, (*held, *noise.sd[at.free :]))
-        alike, start = data.take(alike_rows(data)), full_matrix_start(fit.model, data)
+        alike, start = data.take(consistent_rows(data)), full_matrix_start(fit.model, data)
         again = fit_model(fit.model, alike, start=start, noise=noise)
         theta = theta if again.null_directions else again.theta
     meant = np.zeros_like(fit.eta)

@@ -80,10 +80,6 @@ class Posterior:
         return list(zip(self.hypotheses, self.probability.tolist(), strict=True))
 
     @property
-    def best(self) -> Hypothesis:
-        return self.hypotheses[0]
-
-    @property
     def base(self) -> Hypothesis:
         """That nothing is missing."""
         return next(h for h in self.hypotheses if not h.components)

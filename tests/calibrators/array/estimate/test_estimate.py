@@ -7,10 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from imucalib.calibration.findings import Findings
-from imucalib.calibration.outcome import Left, Outcome
-from imucalib.calibration.provenance import provenance_of
-from imucalib.calibrators.array.board import Board, read_board
+from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.estimate.covariance import (
     Uneven,
     fitted_on_all,
@@ -24,7 +21,6 @@ from imucalib.calibrators.array.loop.search import start_state
 from imucalib.calibrators.array.loop.setup import array_setup
 from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.calibrators.array.request import Accepted
-from imucalib.loop.found import Unexplained
 from imucalib.units import DEG
 from worlds.boards import Array, BoardPlan
 from worlds.twisted_board import BOARD, fitted, moved
@@ -108,24 +104,6 @@ def test_all_informative_samples_take_part() -> None:
     assert np.sqrt(np.mean(((every.r - true)[1:].ravel() / all_) ** 2)) < 1.5
 
 
-LEFT_BOARD = read_board("mimu4444_corners")
-
-
-def outcome(*left: Left) -> Outcome:
-    made = provenance_of(path="log", sha256="", samples=0, mapping={}, settings={})
-    structure = Unexplained("a curve", "time", "probe", 0.998, 20.0)
-    return Outcome("array", (), made, Findings("unexplained", unexplained=(structure,)), left=left)
-
-
-def test_size_decides_and_presence_is_cautioned_where_no_size_is_known() -> None:
-    small, large = Left("gyros", 1.0, 2.0, "deg/s"), Left("gyros", 3.0, 2.0, "deg/s")
-    assert outcome(small).exit_code == 0
-    assert outcome(small).status == "ok"
-    assert outcome(small, large).exit_code == 5
-    assert outcome(small, large).status == "marginal"
-    assert outcome().status == "marginal"
-
-
 @pytest.mark.parametrize(
     ("noisy", "at_rest", "told"),
     [(1.2, 0.04, ["accelerometer of imu2 in motion"]),
@@ -141,7 +119,7 @@ def test_one_imu_of_eight_that_leaves_more_than_is_accepted_is_told(
     gyro = np.full(8, 0.2 * DEG)
     residual = Residual(0.04, 0.2 * DEG, True, (off, gyro))
     rests = SimpleNamespace(noise=still, gyro_noise=gyro)
-    left = unexplained(residual, rests, LEFT_BOARD.imus, Accepted(), None)  # type: ignore[arg-type]
+    left = unexplained(residual, rests, BOARD.imus, Accepted(), None)  # type: ignore[arg-type]
     assert [one.name for one in left if one.beyond] == told
     assert [one.name for one in left[2:]] == told
     if told:

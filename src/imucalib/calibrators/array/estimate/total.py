@@ -183,7 +183,7 @@ def gyro_scale(tolerance: float, turns: Turns | None) -> GyroScale:
 
 
 def scale_by_turns(
-    log: ArrayLog, segments: Segments, rests: RestFit, order: list[int], gain: Array, factor: Array
+    log: ArrayLog, segments: Segments, rests: RestFit, gain: Array, factor: Array
 ) -> GyroScale:
     """The common scale of the gyros, each corrected by its own gain.
 
@@ -192,13 +192,12 @@ def scale_by_turns(
     motion's rate did not. Data sheets leave the mean of all axes uniform within each one's
     tolerance.
 
-    order : the board's IMUs in the segments' triads; gain : (K, 3, 3), reading = gain · rate;
-    factor : (K,) of each gyro's noise in motion
+    gain : (K, 3, 3), reading = gain · rate; factor : (K,) of each gyro's noise in motion
     """
     weight = factor**-2 / np.sum(factor**-2)
     rate = np.einsum("kij,nkj->ni", weight[:, None, None] * np.linalg.inv(gain), log.rate)
     middle = 0.5 * (segments.start + segments.stop)
-    still = np.einsum("kij,nkj->nki", rests.rotations, segments.mean[:, order])
+    still = np.einsum("kij,nkj->nki", rests.rotations, segments.mean)
     up = rests.corrected(still, middle).mean(axis=1)
     up /= np.linalg.norm(up, axis=1, keepdims=True)
     turns = common_scale(log.t, rate, ~log.clipped, up, segments.start, segments.stop)

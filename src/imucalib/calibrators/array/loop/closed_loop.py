@@ -222,7 +222,7 @@ def _unnamed(found: Explored, final: ArrayState) -> dict[Unexplained, Array]:
         name = _member(found, place.component)
         if found.problem.named(name) and name in own:
             continue
-        moved = found.problem.moved(found.grams, found.said.hypothesis, place.component)
+        moved = found.problem.moved(found.posterior, found.said.hypothesis, place.component)
         one = Unexplained(
             name=name,
             driver=found.problem.components[place.component].driver,

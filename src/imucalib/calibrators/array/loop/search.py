@@ -12,7 +12,7 @@ columns are the same to the first order, delays and low-passes, are told apart b
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -57,6 +57,8 @@ _PASSES = 3
 #: Times that a set is settled and searched from: two do, three at most on measured motions.
 _ROUNDS = 5
 DIVERGED = "its refit did not converge"
+#: Name in a model -> (twin, share) of what may be in its place, itself first.
+Shares = dict[str, tuple[tuple[str, float], ...]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,12 +102,12 @@ class MotionProblem(Contest):
         at = {choice.member.name: k for k, choice in enumerate(self.choices)}
         return tuple(Pick(at[t.name], float(t.sd[0])) for t in state.found if t.name in at)
 
-    def moved(self, grams: Grams, hypothesis: Hypothesis, component: int) -> Array:
+    def moved(self, posterior: Posterior, hypothesis: Hypothesis, component: int) -> Array:
         """(d,) m by which a component of a set moves the positions."""
         blocks = blocks_of(self.choices, hypothesis.picks)
         columns = np.concatenate([at for at, _ in blocks])
         sizes = np.concatenate([np.full(at.size, size) for at, size in blocks])
-        rows = grams.rows(columns)[0]
+        rows = posterior.grams.rows(columns)[0]
         value = np.linalg.solve(rows[:, columns] + np.diag(sizes**-2.0), rows[:, -1])
         own = next(
             self.choices[p.choice].at
@@ -117,7 +119,7 @@ class MotionProblem(Contest):
 
 
 def products(
-    state: ArrayState, skipped: frozenset[str], declared: Sequence[str] = ()
+    state: ArrayState, skipped: frozenset[str], declared: Sequence[str]
 ) -> tuple[MotionProblem, Grams]:
     """At a fitted state. skipped : names that are not tried; declared : terms that are no question
     of the search"""
@@ -179,15 +181,14 @@ class Explored:
     """The end of a search.
 
     state : with what is told in the model, twins told apart
-    shares : name in it -> (twin, share) of what may be in its place, itself first
-    problem, grams, posterior, said : of the last search, and first : of the first
+    shares : of what is in it
+    problem, posterior, said : of the last search, and first : of the first
     rejected : (name, reason) of what the model could not take in
     """
 
     state: ArrayState
-    shares: Mapping[str, tuple[tuple[str, float], ...]]
+    shares: Shares
     problem: MotionProblem
-    grams: Grams
     posterior: Posterior
     said: Conclusion
     first: tuple[MotionProblem, Posterior]
@@ -200,8 +201,7 @@ def explored(base: ArrayState, asked: Asked, *, curves: bool = False) -> Explore
     asked : declared effects stay in the model; curves : whether what has no name is corrected
     """
     skipped = asked.skipped(base.setup.imus)
-    state, seen = base, set[frozenset[str]]()
-    shares: Mapping[str, tuple[tuple[str, float], ...]] = {}
+    state, seen, shares = base, set[frozenset[str]](), Shares()
     first: tuple[MotionProblem, Posterior] | None = None
     rejected: tuple[tuple[str, str], ...] = ()
     for _ in range(_ROUNDS):
@@ -226,7 +226,6 @@ def explored(base: ArrayState, asked: Asked, *, curves: bool = False) -> Explore
         state=state,
         shares=shares,
         problem=problem,
-        grams=grams,
         posterior=posterior,
         said=said,
         first=first,
@@ -322,18 +321,15 @@ def refitted(state: ArrayState) -> ArrayState | None:
     return found if found.converged else None
 
 
-def told_apart(
-    state: ArrayState, skipped: Collection[str]
-) -> tuple[ArrayState, Mapping[str, tuple[tuple[str, float], ...]]]:
+def told_apart(state: ArrayState, skipped: Collection[str]) -> tuple[ArrayState, Shares]:
     """Of a settled fit, every found effect that has twins against these, each fitted anew in its
-    place; again where one has gone to a twin, for with a wrong one another seems right. And name ->
-    (twin, share) of all that may be there.
+    place; again where one has gone to a twin, for with a wrong one another seems right.
 
     skipped : names that are not tried. A twin whose fit is lost keeps the share it had before:
     nothing is known against it.
     """
     for _ in range(_PASSES):
-        shares = dict[str, tuple[tuple[str, float], ...]]()
+        shares = Shares()
         names = [t.name for t in state.found]
         for name in names:
             twins = [twin for twin in twins_of(name) if twin not in skipped]
