@@ -32,7 +32,7 @@ from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.run import run_of
 from imucalib.calibrators.actigraph.simulation import postures, scan_of
 from imucalib.calibrators.population import UNLIKELY, Population, read, to_yaml
-from imucalib.cohort.fleet.recorded.run import Wanted, run_recorded
+from imucalib.cohort.fleet.recorded import Wanted, run_recorded
 from imucalib.core.effect import Context
 from imucalib.core.sphere import even_directions
 from imucalib.effects import named

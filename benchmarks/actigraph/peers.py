@@ -16,6 +16,7 @@ import subprocess
 import sys
 import tempfile
 import warnings
+from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
@@ -143,7 +144,8 @@ def detection(path: Path, rate: float) -> dict[str, Any]:
     builder.add(Channel(t, values, "m/s2", "acceleration", "imu0", rate), [])
     windows = builder.windows()
     assert windows is not None
-    decision = fastest(lambda: still_windows(Sensor("imu0", "acceleration", rate, windows), WORN))
+    sensor = Sensor("imu0", "acceleration", rate, windows, WORN)
+    decision = fastest(lambda: still_windows(replace(sensor)))
     return {"once": once, "statistics": statistics, "decision": decision}
 
 

@@ -52,14 +52,8 @@ Array = NDArray[np.float64]
 
 
 G = STANDARD_GRAVITY
-
-
 MODEL = Model(tuple(named(name) for name in NINE))
-
-
 SECONDS = FieldMapping(time_unit="s")
-
-
 THETA = np.concatenate([SENSOR[name] for name in NINE])
 
 
@@ -237,11 +231,7 @@ def test_each_sample_gets_the_part_valid_at_its_time(stepped: tuple[Path, Calibr
 
 
 T = np.arange(6000.0)
-
-
 WARM = 30.0 + 2.0 * np.sin(T / 1500.0)
-
-
 PER_DEGREE = np.array([1.5, -2.0, 1.0])
 
 
@@ -343,11 +333,7 @@ def test_a_thermometer_that_seldom_answers_is_as_none() -> None:
 
 
 UNDO_NINE = ("bias", "scale", "non_orthogonality")
-
-
 TEMPERATURE = ("temperature_bias", "temperature_scale")
-
-
 SETS = [
     UNDO_NINE,
     (*UNDO_NINE, "converter@y"),
@@ -420,11 +406,11 @@ def test_hysteresis_is_left_out_with_its_size() -> None:
     span = {f"previous_{a}": (-9.8, 9.8) for a in "xyz"}
     found = apply_to_recording(undo_calibration((*UNDO_NINE, "hysteresis"), span), recorded(50))
     (note,) = [n for n in found.notes if "hysteresis" in n]
-    model, theta = sensor((*UNDO_NINE, "hysteresis"))
+    theta = sensor((*UNDO_NINE, "hysteresis"))[1]
     largest = float(np.linalg.norm(theta[-3:]))  # mg/g at 1 g on every axis
     size = float(note.partition("up to ")[2].partition(" mg")[0])
     assert size == pytest.approx(largest, rel=0.05)
-    without = model.minus("hysteresis").correct(
+    without = sensor(UNDO_NINE)[0].correct(
         theta[:-3], recorded(50).channels["acc"].values[:, None], Context(50)
     )
     assert np.allclose(found.channels["acc"].values, without[:, 0], atol=1e-6)

@@ -25,7 +25,7 @@ _LEAST = 0.05
 
 @dataclass(frozen=True)
 class Angles:
-    """Of n samples or rests. t : (n,) s; inclination, tool_face : (n,) rad, the tool-face NaN near
+    """Of n samples or rests. t : (n,) s; inclination, tool_face : (n,) rad, the tool-face NaN at
     the vertical; *_sd : (n,) deg, of calibration and noise; *_calibration_sd : (n,) deg, of the
     calibration alone; norm_error : (n,) mg, |a| minus local gravity; still : (n,)"""
 
@@ -88,7 +88,7 @@ def _angles(calibration: Calibration, force: Array, noise: Array, t: Array, stil
 def _uncertainty(calibration: Calibration, force: Array, noise: Array) -> Array:
     """(2, 2, n) deg: by the calibration and in all; of inclination and tool-face."""
     model, theta = calibration.model()
-    # Attitude alone counts: what moves beside gravity is no rest.
+    # Attitude alone counts: what moves is no rest.
     direction = force / np.maximum(np.linalg.norm(force, axis=1, keepdims=True), 1e-9)
     truth = STANDARD_GRAVITY * direction
     slope, inverse = force_slopes(model, theta, truth, calibration.context(len(force)))

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from imucalib.arrays import Array, Index
+from imucalib.calibration.plain import fields
 from imucalib.calibration.triads import Triad
 from imucalib.calibration.uncertainty import correcting, force_slopes
 from imucalib.core.effect import Context
@@ -42,7 +43,7 @@ LINEAR = ("mounting", "bias", "scale", "non_orthogonality")
 
 
 def taken_at(covariate: str) -> str:
-    """In words, where in what was calibrated a covariate is taken that was not recorded."""
+    """In words, where in what was calibrated a covariate acts that was not recorded."""
     return "at the end" if covariate in PASSING else "in the middle"
 
 
@@ -72,22 +73,12 @@ class Matrices:
     def as_dict(self) -> dict[str, Any]:
         """The block of calibration.yaml and report.json."""
         pairs = ("xy", "xz", "yz")
+        corrected = {"formula": "a = M raw + b, m/s2", **fields(self, "M b M_sd b_sd")}
         return {
-            "corrected_from_raw": {
-                "formula": "a = M raw + b, m/s2",
-                "M": self.M.tolist(),
-                "b": self.b.tolist(),
-                "M_sd": self.M_sd.tolist(),
-                "b_sd": self.b_sd.tolist(),
-            },
-            "raw_from_corrected": {
-                "formula": "raw = S a + c, m/s2",
-                "S": self.S.tolist(),
-                "c": self.c.tolist(),
-            },
+            "corrected_from_raw": corrected,
+            "raw_from_corrected": {"formula": "raw = S a + c, m/s2", **fields(self, "S c")},
             "intrinsic": {
-                "scale": self.scale.tolist(),
-                "scale_sd": self.scale_sd.tolist(),
+                **fields(self, "scale scale_sd"),
                 "axis_angle_deg": dict(zip(pairs, self.angle.tolist(), strict=True)),
                 "axis_angle_sd_deg": dict(zip(pairs, self.angle_sd.tolist(), strict=True)),
             },

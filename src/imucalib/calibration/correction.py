@@ -3,7 +3,7 @@ how far it reaches.
 
 An effect whose covariate was not recorded acts as in the middle of what was calibrated, which
 leaves the least of it, or as at its end where time drives it; that, and samples beyond the
-calibrated range, are counted and told.
+calibrated range, are counted and said.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Correction:
     ) -> None:
         self._calibration, self._triad, self._again = calibration, triad, again
         self._parts = parts_of(calibration, use)
-        chosen = [part.calibration for part in self._parts] or [calibration]
+        chosen = [own for _, own in self._parts] or [calibration]
         self._models = [one.model() for one in chosen]
         self._undo = [Undo(model, theta) for model, theta in self._models]
         models = [model for model, _ in self._models]
@@ -260,7 +260,7 @@ def _held_words(effect: str, lost: list[str], valid: Spans, size: float) -> str:
 
 
 def _swing(effect: Effect, theta: Array, calibration: Calibration, lost: list[str]) -> float:
-    """m/s², how far the effect goes from where it is taken to act to the ends of its covariates'
+    """m/s², how far the effect goes from where it acts to the ends of its covariates'
     ranges, at most, with gravity along any axis."""
     valid, usual = calibration.valid, calibration.unrecorded
     ends = np.array(list(product(*[(usual(n), *valid[n]) for n in lost])))

@@ -1,9 +1,9 @@
-"""Calibrations of consecutive parts of a recording, kept beside the one of the whole."""
+"""Calibrations of consecutive parts of a recording, kept with the one of the whole."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,13 +23,8 @@ from imucalib.errors import UnreadableInput, UsageError
 BLOCK = "series"
 
 
-@dataclass(frozen=True)
-class CalibrationPart:
-    """start, stop : s on the calibration's clock; calibration : valid from start to stop."""
-
-    start: float
-    stop: float
-    calibration: Calibration
+#: s on the calibration's clock from which on each one is valid, in order of time.
+Parts = tuple[tuple[float, Calibration], ...]
 
 
 def series_facts(
@@ -55,11 +50,11 @@ def series_facts(
     return {BLOCK: {"use": "parts" if differ else "whole", "parts": rows}}
 
 
-def parts_of(calibration: Calibration, use: str | None = None) -> tuple[CalibrationPart, ...]:
-    """The parts to apply, in order of time; none where the calibration of the whole is to be used.
+def parts_of(calibration: Calibration, use: str | None = None) -> Parts:
+    """The parts to apply; none where the calibration of the whole is to be used.
 
     use : "parts" or "whole"; by default what the calibration says. A part that could not be
-    calibrated has the calibration of the whole. Raises UsageError when "parts" is asked for and
+    calibrated has the calibration of the whole. Raises UsageError when "parts" are wanted and
     there are none, UnreadableInput when the block is damaged.
     """
     block = calibration.facts.get(BLOCK)
@@ -78,17 +73,16 @@ def parts_of(calibration: Calibration, use: str | None = None) -> tuple[Calibrat
         raise UnreadableInput(f"the parts of the calibration are damaged: {error!r}") from None
 
 
-def _part(whole: Calibration, row: dict[str, Any]) -> CalibrationPart:
-    span = float(row["start_s"]), float(row["stop_s"])
+def _part(whole: Calibration, row: dict[str, Any]) -> tuple[float, Calibration]:
     if "parameters" not in row:
-        return CalibrationPart(*span, whole)
+        return float(row["start_s"]), whole
     parameters = tuple(map(parameter_from, row["parameters"]))
     covariance = np.array(row["covariance"], dtype=float).reshape(2 * (len(parameters),))
     own = replace(whole, parameters=parameters, covariance=covariance)
-    return CalibrationPart(*span, own)
+    return float(row["start_s"]), own
 
 
-def part_at(parts: tuple[CalibrationPart, ...], time: Array) -> NDArray[np.intp]:
+def part_at(parts: Parts, time: Array) -> NDArray[np.intp]:
     """Number of the part that is valid at each time (s); beyond the ends, of the nearest."""
-    starts = np.array([p.start for p in parts])
+    starts = np.array([start for start, _ in parts])
     return np.maximum(np.searchsorted(starts, time, side="right") - 1, 0)

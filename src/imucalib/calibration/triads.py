@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from imucalib.arrays import Array
+from imucalib.calibration.plain import fields
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.recording.pairing import Pairing, paired
 from imucalib.recording.recording import Channel, Recording
@@ -63,15 +64,10 @@ class Triad:
         """The block of calibration.yaml and report.json."""
         sd = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         return {
-            "imu": self.name,
-            **({"channel": self.channel} if self.channel else {}),
-            "rotation": self.rotation.tolist(),
-            "gain": self.gain.tolist(),
+            **fields(self, "imu=name channel" if self.channel else "imu=name"),
+            **fields(self, "rotation gain"),
             "gain_sd": sd[:9].reshape(3, 3).tolist(),
-            "bias_m_per_s2": self.bias.tolist(),
-            "covariance": self.covariance.tolist(),
-            "noise_m_per_s2": self.noise,
-            "gyro_gain": self.gyro_gain.tolist(),
+            **fields(self, "bias_m_per_s2=bias covariance noise_m_per_s2=noise gyro_gain"),
             "gyro_bias_deg_per_s": (self.gyro_bias / DEG).tolist(),
             "gyro_noise_deg_per_s": self.gyro_noise / DEG,
         }

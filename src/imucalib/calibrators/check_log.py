@@ -27,7 +27,8 @@ from imucalib.core.references import KnownNorm
 from imucalib.effects.scans import COLUMN
 from imucalib.errors import UsageError
 from imucalib.recording.recording import Recording
-from imucalib.rests.segments import Segments, StillSettings
+from imucalib.rests.segments import Segments
+from imucalib.rests.stillness import StillSettings
 from imucalib.units import STANDARD_GRAVITY
 
 _DIRECTION = {"ux", "uy", "uz"}

@@ -232,7 +232,7 @@ def next_recording(
         calibrator=calibration.calibrator,
         what="postures" if calibration.calibrator == "actigraph" else "rests",
         parts=tuple(parts),
-        table=_table(every, [str(headings.get(axis, axis)) for axis in "xyz"]),
+        table=plan_table(every, [str(headings.get(axis, axis)) for axis in "xyz"]),
         between=between,
     )
 
@@ -369,8 +369,11 @@ def _columns(recorded: Recorded, calibration: Calibration, rests: Rests) -> dict
     return values
 
 
-def _table(every: Sequence[dict[str, list[str]]], readings: Sequence[str]) -> str:
-    """All rests, with empty cells for the readings under the recording's own headings."""
+def plan_table(every: Sequence[Mapping[str, Sequence[str]]], readings: Sequence[str]) -> str:
+    """Rests as CSV, with empty cells for the readings under the recording's own headings.
+
+    every : of each ambiguity, its rests' cells by role; what one does not set is empty there
+    """
     names = list(dict.fromkeys(name for values in every for name in values))
     lines = [
         ",".join((*(values[name][k] if name in values else "" for name in names), "", "", ""))

@@ -38,7 +38,7 @@ def noise_of(calibration: Calibration, options: dict[str, Any]) -> CheckNoise:
     from imucalib.calibration.checking.noise import check_noise, sessions_of, size_of
     from imucalib.units import MG
 
-    reading = options["noise"] and MG * size_of(options["noise"], {"mg": "force"})[0]
+    reading = options["noise"] and MG * size_of(options["noise"], ("mg",))[0]
     session = sessions_of(options["between_sessions"])
     return check_noise(calibration, reading=reading, session=session)
 

@@ -28,7 +28,7 @@ def plan_for(path: Path, options: dict[str, Any]) -> int:
     if options["output"] is not None:
         demand_output(options["output"], [path], force=options["force"])
     size = options["between_sessions"]
-    between = 0.0 if size is None else size_of(size, {"mg": "bias"})[0]
+    between = 0.0 if size is None else size_of(size, ("mg",))[0]
     with working("planning", quiet=options["quiet"]):
         found = next_recording(path, _temperatures(options["temperatures"]), between)
     if options["output"] is not None and found.table:

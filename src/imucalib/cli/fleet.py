@@ -101,7 +101,7 @@ def command(inputs: tuple[Path, ...], **options: Any) -> int:
         fleet = _fleet(inputs, options, say)
     document = fleet_document(fleet)
     if folder is None:
-        document = document.unwritten(f"{fleet.asked.command} -o fleet")
+        document = document.unwritten(f"{fleet.settings.command} -o fleet")
     else:
         document = document.placed({"folder": shlex.quote(str(folder))})
     content = {**fleet_dict(fleet), **shown_dict(document)}
@@ -114,8 +114,8 @@ def command(inputs: tuple[Path, ...], **options: Any) -> int:
 def _fleet(inputs: tuple[Path, ...], options: dict[str, Any], say: Say) -> Fleet:
     """Of tables, or of calibrations; raises UsageError where they are mixed."""
     from imucalib.calibrators.lab.files import LabFiles
-    from imucalib.cohort.fleet.recorded.calibrated import is_calibrated
-    from imucalib.cohort.fleet.recorded.run import Wanted, run_recorded
+    from imucalib.cohort.fleet.calibrated import is_calibrated
+    from imucalib.cohort.fleet.recorded import Wanted, run_recorded
     from imucalib.cohort.fleet.run import run_fleet
     from imucalib.cohort.fleet.search import Rules
     from imucalib.errors import UsageError
@@ -226,6 +226,6 @@ def _write(
         **made,
     }
     write_together(texts)
-    next_ = f"imucal {fleet.asked.calibrator} --fleet"
+    next_ = f"imucal {fleet.settings.calibrator} --fleet"
     told = f", fleet.yaml for the next device ({next_})" if fleet.following else ""
     note(f"wrote {folder}: report.html, report.json, {len(made)} calibrations{told}", quiet)

@@ -28,7 +28,7 @@ def demand_carried(
     """Raise LimitBroken where a form loses more than `largest` mg of a force or `largest_rate`
     deg/s of a rate; None: than three times the error that the calibration itself leaves."""
     allowed = str(math.ceil(made.loss))
-    for lost, bound, left, unit, words in (
+    for lost, bound, own, unit, words in (
         (made.loss, largest, _error_left(calibration), "mg", allowed),
         (
             made.rate_loss,
@@ -40,8 +40,8 @@ def demand_carried(
     ):
         most, why = bound, ""
         if most is None:
-            most = _TIMES * left
-            why = f", three times the {left:.2g} {unit} that the calibration leaves"
+            most = _TIMES * own
+            why = f", three times the {own:.2g} {unit} that the calibration leaves"
         if lost > most:
             raise LimitBroken(
                 f"{form} loses {lost:.3g} {unit}, more than {most:.3g} {unit}{why}: "

@@ -35,7 +35,6 @@ _KEPT = ("gyro_g_sensitivity", "sensing_elements")
 class Imu:
     """place : (3,) m in the board's frame; frame : (3, 3) board axes to the IMU's
     accelerometer, gyro : (3, 3) L of each; gyro_turn : (3, 3) IMU's frame to the gyro's
-    bias, gyro_bias : (3,) m/s² and rad/s, in the readings
     by_force : (3, 3) rad/s per m/s², of forces in the gyro's frame
     elements : (3, 3) m, in its rows where the axes x, y and z sense, from the place, in the IMU's
         frame
@@ -48,8 +47,6 @@ class Imu:
     accelerometer: Array
     gyro: Array
     gyro_turn: Array
-    bias: Array
-    gyro_bias: Array
     by_force: Array
     elements: Array
     noise: dict[str, Any]
@@ -107,8 +104,6 @@ def _imu(calibration: Calibration, triad: Triad, place: Array, form: str) -> Imu
         accelerometer=lower,
         gyro=gyro_lower,
         gyro_turn=gyro_frame @ frame.T,
-        bias=back @ triad.bias,
-        gyro_bias=back @ triad.gyro_bias,
         by_force=sensitivity @ back @ gyro_frame.T,
         elements=elements @ (frame @ triad.rotation).T,
         noise=_noise(calibration, triad),
@@ -122,7 +117,7 @@ def _alone(calibration: Calibration, gyro: Gyroscope, form: str) -> Imu:
     gyro_lower, turn = _lower(
         np.asarray(np.linalg.inv(gyro.gain), np.float64), "the gyroscope", form
     )
-    told = calibration.facts.get("noise_density", {})
+    known = calibration.facts.get("noise_density", {})
     return Imu(
         name="imu0",
         place=np.zeros(3),
@@ -130,11 +125,9 @@ def _alone(calibration: Calibration, gyro: Gyroscope, form: str) -> Imu:
         accelerometer=lower,
         gyro=gyro_lower,
         gyro_turn=turn @ frame.T,
-        bias=linear.c,
-        gyro_bias=gyro.bias,
         by_force=gyro.by_force @ turn.T,
         elements=np.zeros((3, 3)),
-        noise=dict(next(iter(told.values()), {})),
+        noise=dict(next(iter(known.values()), {})),
     )
 
 
@@ -182,21 +175,21 @@ def _common_delays() -> dict[str, float]:
 
 
 def _noise(calibration: Calibration, triad: Triad) -> dict[str, Any]:
-    """What was told of it (`--noise`), else the density of its noise at rest, as white."""
-    told = dict(calibration.facts.get("noise_density", {}).get(triad.name, {}))
+    """What was stated of it (`--noise`), else the density of its noise at rest, as white."""
+    known = dict(calibration.facts.get("noise_density", {}).get(triad.name, {}))
     interval = calibration.facts.get("sample_interval_s")
     if interval is None:
-        return told
+        return known
     root = float(np.sqrt(interval))
     return {
         "accelerometer_noise_density": triad.noise * root,
         "gyroscope_noise_density": triad.gyro_noise * root,
         "update_rate": 1.0 / float(interval),
-    } | told
+    } | known
 
 
 def lost_of(calibration: Calibration, kept: tuple[str, ...] = _KEPT) -> tuple[str, ...]:
-    """Effects that the form has no place for, beside a common delay (`late_of`)."""
+    """Effects that the form has no place for, but for a common delay (`late_of`)."""
     kept = (*kept, *_common_delays())
     gyro = gyroscope_of(calibration)
     own = (*gyro.beyond, *filter(None, [beyond_linear(calibration)])) if gyro else ()
@@ -279,9 +272,9 @@ def _noise_lines(imu: Imu, program: str) -> tuple[dict[str, Any], list[str]]:
 def with_walks(calibration: Calibration, accelerometer: float, gyroscope: float) -> Calibration:
     """A calibration whose random walks are stated, m/s³/√Hz and rad/s²/√Hz."""
     names = [t.name for t in calibration.triads] or ["imu0"]
-    told = calibration.facts.get("noise_density", {})
+    known = calibration.facts.get("noise_density", {})
     walks = {"accelerometer_random_walk": accelerometer, "gyroscope_random_walk": gyroscope}
-    stated = {name: {**told.get(name, {}), **walks} for name in names}
+    stated = {name: {**known.get(name, {}), **walks} for name in names}
     return replace(calibration, facts={**calibration.facts, "noise_density": stated})
 
 
@@ -290,13 +283,13 @@ def with_noise(calibration: Calibration, path: Path) -> Calibration:
 
     Raises UnreadableInput for a file that is none, or that names none of the calibration's IMUs.
     """
-    told = read_noise(path)
+    known = read_noise(path)
     names = [t.name for t in calibration.triads] or ["imu0"]
-    if "" in told:  # of one sensor: the like of all
-        told = dict.fromkeys(names, told[""])
-    if not set(told) & set(names):
+    if "" in known:  # of one sensor: so of all
+        known = dict.fromkeys(names, known[""])
+    if not set(known) & set(names):
         raise UnreadableInput(
-            f"it has the noise of {', '.join(told)}, the calibration is of {', '.join(names)}",
+            f"it has the noise of {', '.join(known)}, the calibration is of {', '.join(names)}",
             where=str(path),
         )
-    return replace(calibration, facts={**calibration.facts, "noise_density": told})
+    return replace(calibration, facts={**calibration.facts, "noise_density": known})

@@ -16,8 +16,9 @@ from imucalib.arrays import Array
 from imucalib.errors import ImucalError
 from imucalib.readers.conversion import zero_g
 from imucalib.recording.recording import Channel, Gap, Recording
-from imucalib.rests.levels import refusals
-from imucalib.rests.segments import Segments, StillSettings, find_segments
+from imucalib.rests.candidates import refusals
+from imucalib.rests.segments import Segments, find_segments
+from imucalib.rests.stillness import StillSettings
 from imucalib.units import STANDARD_GRAVITY
 
 _KEPT = 10  # candidates and gaps that are listed; the rest is counted

@@ -136,7 +136,7 @@ def _whole(data: NDArray[np.uint8], layouts: _Layouts, *, last: bool) -> tuple[I
         size[kind] = dtype.itemsize
     header = header[size[data[header + 2]] > 0]
     length = size[data[header + 2]]
-    # A message is one where another begins at its end: what lost bytes is not taken for a sample.
+    # A message is one where another begins at its end: what lost bytes is no sample.
     ends = np.append(header, data.size) if last else header
     closed = np.isin(header + length, ends)
     header, length = header[closed], length[closed]
@@ -144,7 +144,7 @@ def _whole(data: NDArray[np.uint8], layouts: _Layouts, *, last: bool) -> tuple[I
     header, length = header[keep], length[keep]
     if last:
         return header, length, data.size
-    # Of what is longer than a message, what comes next tells nothing.
+    # Of what is longer than a message, what comes next says nothing.
     done = int(header[-1] + length[-1]) if header.size else 0
     return header, length, max(done, data.size - _LONGEST)
 

@@ -1,7 +1,7 @@
 """Recordings in MCAP: ROS 2, ROS 1, JSON and protobuf messages.
 
-Every topic of type sensor_msgs/Imu becomes a triad; without any, topics whose field names tell of
-an acceleration do. Split accelerometer and gyroscope topics are joined into one triad.
+Every topic of type sensor_msgs/Imu becomes a triad; without any, topics with a field that is
+named like an acceleration do. Split accelerometer and gyroscope topics are joined into one triad.
 
 The scan is linear, needs no index and survives damage: every chunk is checked against its CRC, size
 and time span. A damaged part costs only itself: the scan goes on at the next chunk whose two
@@ -27,7 +27,7 @@ import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
-from mcap.records import Channel, DataEnd, Footer, Metadata, Schema
+from mcap.records import Channel, DataEnd, Footer, Metadata, Schema, Statistics
 from numpy.typing import NDArray
 
 from imucalib.errors import UnreadableInput
@@ -47,7 +47,7 @@ RECORD_HEADER = struct.Struct("<BQ")
 #: Name of the Metadata record that marks a corrected recording.
 CORRECTIONS = "imucal corrections"
 #: Bytes of a packed chunk's records unless --max-chunk says otherwise; writers use 1 to 4 MiB. A
-#: header may lie, and 4 bytes of zstd may stand for 128 KiB.
+#: header may lie, and 4 bytes of zstd may unpack to 128 KiB.
 MAX_CHUNK = 64 << 20
 _CUT_PIECE = 1 << 13  # bytes that are unpacked at a time where a chunk breaks off
 #: The fewest bytes that the content of each record type has, from 0x01 on.
@@ -116,7 +116,15 @@ class ChunkHead(NamedTuple):
             return None
         compression = content[32 : body - 8].decode("ascii", "replace")
         packed = int.from_bytes(content[body - 8 : body], "little")
-        return cls(first, last, size, crc, compression, body=body, packed=packed)
+        return cls(
+            first_ns=first,
+            last_ns=last,
+            size=size,
+            crc=crc,
+            compression=compression,
+            body=body,
+            packed=packed,
+        )
 
     def plausible(self, length: int, slack: int = 0) -> bool:
         """Whether this heads a chunk record of a length: 64 bits that noise does not match."""
@@ -307,7 +315,7 @@ class McapLog(MessageLog):
 
     def indexed_topics(self) -> dict[int, Topic]:
         """Topics of the file's summary; none where it is absent, cut or damaged."""
-        found = _Definitions({})
+        found, counts = _Definitions({}), dict[int, int]()
         with self.path.open("rb") as file:
             size = file.seek(0, 2)
             file.seek(max(size - 37, 0))
@@ -325,11 +333,14 @@ class McapLog(MessageLog):
         try:
             while at + 9 <= len(data):
                 opcode, length = RECORD_HEADER.unpack_from(data, at)
-                found.add(opcode, data[at + 9 : at + 9 + length])
+                content = data[at + 9 : at + 9 + length]
+                found.add(opcode, content)
+                if opcode == Opcode.STATISTICS:
+                    counts = parsed(Statistics, content).channel_message_counts
                 at += 9 + length
         except MalformedRecordError:
             return {}
-        return found.topics
+        return {n: replace(topic, count=counts.get(n, 0)) for n, topic in found.topics.items()}
 
     # -- one record ---------------------------------------------------------------------------
 

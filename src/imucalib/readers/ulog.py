@@ -151,7 +151,7 @@ def _chosen(topics: Sequence[Any]) -> tuple[list[Any], tuple[str, ...]]:
 
 
 def _rate(topic: Any) -> float:
-    """Samples a second; 0 where its stamps tell none."""
+    """Samples a second; 0 where its stamps give none."""
     t = _seconds(topic.data)
     span = float(t[-1] - t[0]) if t.size > 1 else 0.0
     return (t.size - 1) / span if span > 0.0 else 0.0

@@ -129,13 +129,13 @@ def report_dict(run: Run) -> dict[str, Any]:
 
 
 def _covariance(run: Run) -> dict[str, Any]:
-    covariance, quality = run.calibration.covariance, run.outcome.quality
-    if quality is None:
+    covariance, fit = run.calibration.covariance, run.outcome.fit
+    if fit is None:
         return {"estimated_noise": covariance}
     return {
         "estimated_noise": covariance,
-        "declared_noise": covariance / quality.noise_factor**2,
-        **fields(quality, "chi2 dof noise_factor condition"),
+        "declared_noise": covariance / fit.noise.factor**2,
+        **fields(fit, "chi2 dof noise_factor=noise.factor condition"),
     }
 
 

@@ -28,7 +28,7 @@ from imucalib.report.document import (
     Tone,
 )
 from imucalib.report.sections import leading_options
-from imucalib.rests.levels import Candidate, refusals
+from imucalib.rests.candidates import Candidate, refusals
 from imucalib.rests.segments import Segments
 from imucalib.significant_digits import with_sd
 from imucalib.units import DEG, MG, STANDARD_GRAVITY

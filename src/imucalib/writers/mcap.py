@@ -2,7 +2,7 @@
 
 A triad whose numbers are counts gets a message of the same layout under another name, and times
 that no message can share get topics of their own. What a ROS message cannot say (the triad, units,
-the date of t = 0) stands in the channel's metadata. Records are those of the package mcap, but for
+the date of t = 0) is in the channel's metadata. Records are those of the package mcap, but for
 messages and their indexes, which are made as whole arrays.
 """
 
@@ -41,7 +41,7 @@ from imucalib.writers import ChannelsChange
 
 #: Some 380 messages of one IMU: what one damaged byte costs. (1 MiB packs 12 % better on a board.)
 _CHUNK_BYTES = 1 << 17
-#: What stands first in the covariance of a quantity without an estimate (sensor_msgs/msg/Imu).
+#: What comes first in the covariance of a quantity without an estimate (sensor_msgs/msg/Imu).
 _NOT_MEASURED = -1.0
 _SPUN, _DOUBTED = "angular_acceleration", "_covariance"
 #: Of each quantity the unit that messages have, how many numbers, and its word in topics.

@@ -61,14 +61,12 @@ def simulated(seed: int, n: int = 20, warm: float = 0.0) -> tuple[Segments, Boar
         last=count,
         samples=count,
         mean=mean,
-        variance=1e-4 * np.ones_like(mean),
         rate=rate,
         temperature=np.full((n, K), np.nan),
         noise=0.02 * ones,
         rate_noise=1e-3 * ones,
         step=0.0 * ones,
         rate_step=0.0 * ones,
-        moving=0.1,
     )
     return segments, board, gain, offset
 

@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 from imucalib.calibrators.lab.files import LabFiles, calibrate_files
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import LabRun
+from imucalib.calibrators.lab.simulation import BenchPlan, simulated_recording, simulated_table
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.readers.source import sha256_of
+from imucalib.writers import write as write_recording
 
 HEADER = ("session", "inclination", "tool_face", "x (mg)", "y (mg)", "z (mg)")
 
@@ -110,6 +112,18 @@ def test_rests_have_sessions_too(planted, tmp_path: Path) -> None:
     assert [one.effect for one in found.between] == ["bias"]
     truth = np.sqrt(planted[0].var(axis=0, ddof=1).mean())
     assert found.between[0].sd == pytest.approx(truth, rel=0.25)
+
+
+def test_recordings_at_rest_are_sessions_read_as_recordings(tmp_path: Path) -> None:
+    rng, paths = np.random.default_rng(0), [tmp_path / f"{k}.csv" for k in range(2)]
+    for path in paths:
+        table = simulated_table(BenchPlan("rings", 12), rng)
+        write_recording(simulated_recording(table, rng, rate=50.0, rest=2.0), path)
+    found = run(*paths, request=replace(REQUEST, reference="norm"))
+    assert found.recorded
+    assert found.raw.sentence == "m/s², as the recording was read"
+    assert found.sessions is not None
+    assert found.sessions.names == ("0", "1")
 
 
 def test_what_is_mistaken_is_told(planted, tmp_path: Path) -> None:

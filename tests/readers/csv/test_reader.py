@@ -21,10 +21,8 @@ from imucalib.readers.csv.rows import Layout, parse
 from imucalib.readers.csv.text import Lines, is_blank
 from imucalib.readers.joining import join
 from imucalib.recording.mapping import FieldMapping
-from imucalib.recording.recording import Channel, Gap, Recording
-from imucalib.rests.runs import WORN, posture_runs, scan
+from imucalib.recording.recording import Channel, Recording
 from imucalib.units import STANDARD_GRAVITY
-from worlds.places import DATA, needs_data
 
 G = STANDARD_GRAVITY
 
@@ -272,15 +270,6 @@ def test_a_damaged_table_is_right_or_refused(
     assert "a.csv" in said
 
 
-@needs_data
-def test_real_actigraph_export_reads_as_its_header_says() -> None:
-    found = readers.read(DATA / "actigraph" / "read_gt3x_TAS1H30182785_2019-09-17.csv.gz")
-    channel = found.channels["imu0/acceleration"]
-    np.testing.assert_allclose(channel.values[1], np.array([0.016, 0, 1.008]) * G, rtol=1e-14)
-    assert channel.rate == 100.0
-    assert found.start_ns == 1_568_745_600_000_000_000
-
-
 def test_our_own_table_is_held_against_its_sum(tmp_path: Path) -> None:
     t = np.arange(300) / 100.0
     values = at_rest(300) * G
@@ -401,28 +390,6 @@ def test_blocks_do_not_matter(seconds: list[tuple[int, bool]], rows: int) -> Non
     assert one.notes == tuple(n for p in parts for n in p.notes)
 
 
-@pytest.mark.parametrize("rows", [37, 10**6])
-def test_the_rest_before_a_gap_is_a_window(rows: int) -> None:
-    rng = np.random.default_rng(1)
-    rest = STANDARD_GRAVITY * np.array([0.6, 0.0, 0.8])
-    values = rest + 0.04 * rng.standard_normal((int(RATE) * 44, 3))
-    row = np.arange(len(values))
-    moving = (row < 31 * RATE) | (row >= 40 * RATE)
-    values[moving] += 2.0 * rng.standard_normal((int(moving.sum()), 3))
-    whole = recording(values)
-    channel = whole.channels["imu0/acceleration"]
-    keep = (channel.t < 37.0) | (channel.t >= 40.0)
-    cut = replace(channel, t=channel.t[keep], values=channel.values[keep])
-    gap = Gap(36.95, 40.0, "idle sleep")
-    parts = in_blocks(replace(whole, channels={"imu0/acceleration": cut}), rows)
-    first = next(k for k, p in enumerate(parts) if p.channels["imu0/acceleration"].t[-1] >= 40.0)
-    parts = [replace(p, gaps=(gap,) if k == first else ()) for k, p in enumerate(parts)]
-    runs = posture_runs(scan(parts, WORN.window))
-    assert runs.n == 1
-    assert runs.time[0] == pytest.approx(34.5, abs=0.1)
-    assert np.allclose(runs.mean[0], rest, atol=0.02)
-
-
 def test_coarse_stamps_are_spread_and_said(tmp_path: Path) -> None:
     values = at_rest(30 * 40)
     lines = [f"2020-01-01 00:00:{k // 30:02d},{r}" for k, r in enumerate(rows(values)) if k >= 12]
@@ -432,14 +399,3 @@ def test_coarse_stamps_are_spread_and_said(tmp_path: Path) -> None:
     np.testing.assert_allclose(channel.t, np.arange(12, 1200) / 30, atol=1e-9)
     assert any("resolution of 1 s" in n for n in found.notes)
     assert found.gaps == ()
-
-
-def test_bad_stamps_cost_their_rows(tmp_path: Path) -> None:
-    values = at_rest(500)
-    lines = [a + b for a, b in zip(DATED, rows(values), strict=True)]
-    for k in (1, 200, 201):
-        lines[k] = "2024-03-0x" + lines[k][10:]
-    path = put(tmp_path, "\n".join(["time,x,y,z", *lines]) + "\n")
-    found = readers.read(path)
-    np.testing.assert_allclose(acc_of(found), np.delete(values, [1, 200, 201], axis=0) * G)
-    assert any(note.startswith("3 rows left out; line 3") for note in found.notes)

@@ -12,7 +12,7 @@ import numpy as np
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.checking.misfit import GyroRest, Misfits
 from imucalib.calibration.checking.next_rests import NextRests, next_rests, one_reading
-from imucalib.calibration.checking.noise import UNITS, CheckNoise, Limits
+from imucalib.calibration.checking.noise import CheckNoise, Limits
 from imucalib.calibration.checking.statistic import ANYTHING, FamilyTest, Statistic
 from imucalib.errors import UNEXPLAINED_EXIT_CODE, LimitBroken, UsageError
 from imucalib.units import DEG, MG
@@ -23,7 +23,7 @@ Verdict = Literal["still good", "changed", "undecided"]
 SIGNIFICANT = 5.0
 #: Level of the test, over all sensors.
 ALPHA = 0.05
-#: Chance with which the change that is told would have been found.
+#: Chance with which the change that is stated would have been found.
 POWER = 0.9
 #: p below which a kind of change leaves too much unexplained to be the whole story.
 _LEFT = 0.05
@@ -66,7 +66,6 @@ class Check:
     p: float
     following: NextRests | None
     noise: CheckNoise
-    gravity: float
     rate_limit: float | None = None
     notes: tuple[str, ...] = ()
 
@@ -143,8 +142,7 @@ def checked(
         p=min(1.0, len(sensors) * min(s.p for s in sensors)),
         following=None,
         noise=noise,
-        gravity=calibration.gravity,
-        rate_limit=limits.rate,
+        rate_limit=limits.get("deg/s"),
         notes=notes,
     )
     if found.changed or found.drifted:
@@ -161,11 +159,10 @@ def checked(
 def _demand_tested(limits: Limits, *, directed: bool, gyros: bool) -> None:
     """Raise UsageError where limits are stated and none can be tested: "still good" would be by
     another one."""
-    stated = {unit for unit, of in UNITS.items() if getattr(limits, of) is not None}
-    tested = {"mg"} | ({"deg"} if directed else set()) | ({"deg/s"} if gyros else set())
-    if stated and not stated & tested:
+    tested = {"mg": True, "deg": directed, "deg/s": gyros, "mm": False}
+    if limits and not any(tested[unit] for unit in limits):
         raise UsageError(
-            f"nothing here tests a limit in {', '.join(u for u in UNITS if u in stated)}",
+            f"nothing here tests a limit in {', '.join(limits)}",
             remedy="a limit in mg is tested by any rests; deg by known directions, if the "
             "calibration holds a mounting; deg/s by an array's gyros",
         )
@@ -205,15 +202,15 @@ def _alone(statistic: Statistic, level: float) -> int | None:
         pull = inverse[own] @ misfits.value
         power.append(float(pull @ np.linalg.solve(part, pull)))
     worst = int(np.argmax(power))
-    left = Statistic(misfits.take(np.delete(np.arange(misfits.n), worst)), seed=statistic.seed)
-    return worst if left.p() > level else None
+    others = Statistic(misfits.take(np.delete(np.arange(misfits.n), worst)), seed=statistic.seed)
+    return worst if others.p() > level else None
 
 
 def _limits(
     calibration: Calibration, misfits: Misfits, noise: CheckNoise, limits: Limits
 ) -> tuple[dict[str, float], bool]:
     """Per kind of change; where nothing is stated, `SIGNIFICANT` sd of one corrected reading."""
-    force, direction = limits.force, limits.direction if misfits.directed else None
+    force, direction = limits.get("mg"), limits.get("deg") if misfits.directed else None
     stated = force is not None or direction is not None
     if not stated and calibration.triads:
         carried = float(np.sqrt(np.max(np.diag(misfits.covariance))))

@@ -1,6 +1,6 @@
 """Misfits of a later recording, linearised once, with the parts of their covariance.
 
-    misfit = reading - foretold = J (θ - θ̂) + N η + noise + C (change)
+    misfit = reading - predicted = J (θ - θ̂) + N η + noise + C (change)
 
 With the calibration's full covariance Cθ the misfits of an unchanged sensor have the covariance
 V = s² W + J Cθ Jᵀ + Σ sd² N Nᵀ + Σ session² C Cᵀ. Each part's size was estimated with degrees of
@@ -39,7 +39,7 @@ READING = "reading"
 
 @dataclass(frozen=True)
 class Part:
-    """covariance : (N, N) (m/s²)²; dof : degrees of freedom behind its size"""
+    """covariance : (N, N) (m/s²)²; dof : degrees of freedom of its size"""
 
     covariance: Array
     dof: float

@@ -23,9 +23,9 @@ from imucalib.core.references import KnownNorm, Reference
 from imucalib.core.sphere import KnownDirection
 
 #: Rests that are proposed at most, and numbers beyond, all round, of which the first that does is
-#: told.
+#: named.
 MOST, MANY = 12, (16, 24, 32, 48, 64, 96, 128, 192, 256)
-#: Simulated recordings behind the change that a plan could see.
+#: Simulated recordings for the change that a plan could see.
 _DRAWS = 2000
 
 
@@ -92,7 +92,7 @@ def _many(now: Misfits, pool: Misfits, limits: Mapping[str, float]) -> int | Non
 
 
 def _pool(calibration: Calibration, noise: CheckNoise, directed: bool) -> Misfits:
-    """One rest in each attitude, read as the calibration foretells; session noise is added when
+    """One rest in each attitude, read as the calibration predicts; session noise is added when
     rests are joined."""
     along, n = attitudes(), len(attitudes())
     context, (model, theta) = calibration.context(n), calibration.model()

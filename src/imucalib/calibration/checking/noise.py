@@ -19,18 +19,20 @@ from imucalib.units import DEG, MG
 FAMILIES: dict[str, str] = {"bias": "mg", "scale": "mg/g", "mounting": "deg"}
 #: What a calibration of several sessions calls the errors that they share.
 _CHANGES = {"session bias": "bias", "session mounting": "mounting"}
-#: Degrees of freedom of a standard deviation that is taken at its word.
+#: Degrees of freedom of a standard deviation that is believed as stated.
 KNOWN = 1e6
 #: Degrees of freedom that a setting's scatter has at least: below, its law has no mean, and one
 #: component that hardly counts would hide every change.
 _FEWEST = 4.0
-#: What a size of each unit is about.
-UNITS: dict[str, str] = {"mg": "force", "deg": "direction", "deg/s": "rate", "mm": "position"}
+#: What matters, by its unit: mg of a force or bias, deg of a direction, deg/s of a rate, mm of a
+#: position.
+Limits = Mapping[str, float]
+UNITS = ("mg", "deg", "deg/s", "mm")
 
 
 @dataclass(frozen=True)
 class Scatter:
-    """One standard deviation (m/s² or rad) and the degrees of freedom behind it."""
+    """One standard deviation (m/s² or rad) and its degrees of freedom."""
 
     sd: float
     dof: float = KNOWN
@@ -157,20 +159,7 @@ def _stated(block: Mapping[str, Any], name: str, unit: str, si: float) -> Scatte
     return Scatter(sd, max(0.5 * (sd / spread) ** 2, 1.0) if spread > 0.0 and sd > 0.0 else KNOWN)
 
 
-@dataclass(frozen=True)
-class Limits:
-    """What matters, by what it is about; None where nothing was stated.
-
-    force : mg; direction : deg; rate : deg/s; position : mm
-    """
-
-    force: float | None = None
-    direction: float | None = None
-    rate: float | None = None
-    position: float | None = None
-
-
-def size_of(text: str, units: Mapping[str, str] = UNITS) -> tuple[float, str]:
+def size_of(text: str, units: Sequence[str] = UNITS) -> tuple[float, str]:
     """Number and unit of "2mg". Raises UsageError."""
     match = re.fullmatch(r"\s*([0-9.eE+-]+)\s*(\S+)\s*", text)
     try:
@@ -180,24 +169,23 @@ def size_of(text: str, units: Mapping[str, str] = UNITS) -> tuple[float, str]:
     if match is None or match[2] not in units or not 0.0 < number < math.inf:
         raise UsageError(
             f"'{text}' is no size above zero with one of the units {', '.join(units)}",
-            remedy=f"write it as one word, for example 0.5{next(iter(units))}",
+            remedy=f"write it as one word, for example 0.5{units[0]}",
         )
     return number, match[2]
 
 
 def limits_of(texts: Sequence[str]) -> Limits:
     """The limits that a user stated, each once. Raises UsageError."""
-    found: dict[str, float] = {}
-    for text in texts:
-        number, unit = size_of(text)
-        if UNITS[unit] in found:
-            raise UsageError(f"two limits in {unit}", remedy="state each once")
-        found[UNITS[unit]] = number
-    return Limits(**found)
+    sizes = [size_of(text) for text in texts]
+    found = {unit: number for number, unit in sizes}
+    if len(found) < len(sizes):
+        twice = next(unit for _, unit in sizes if [u for _, u in sizes].count(unit) > 1)
+        raise UsageError(f"two limits in {twice}", remedy="state each once")
+    return found
 
 
 def sessions_of(texts: Sequence[str]) -> dict[str, float]:
     """Scatter between power-ups by the kind of change: bias (mg), mounting (deg). Raises
     UsageError."""
-    sizes = [size_of(text, {"mg": "bias", "deg": "mounting"}) for text in texts]
+    sizes = [size_of(text, ("mg", "deg")) for text in texts]
     return {"bias" if unit == "mg" else "mounting": size for size, unit in sizes}

@@ -38,7 +38,7 @@ _NONE = 1e-6
 class FamilyTest:
     """f, p : of one family by itself; rank : of its columns here
     size : (3,) estimated change per axis in the family's unit, sd : (3,); NaN where it is open
-    rest : p of what the family leaves unexplained; 1 where nothing can be left
+    rest : p of what the family leaves unexplained; 1 where nothing can be
     """
 
     f: float
@@ -88,8 +88,8 @@ class Statistic:
         found = {}
         for name, basis in self._bases.items():
             rank, power = basis.shape[1], float(np.sum((basis.T @ inside) ** 2))
-            left = n - rank
-            rest = float(fdtrc(left, dof, (whole - power) / left)) if left else 1.0
+            free = n - rank
+            rest = float(fdtrc(free, dof, (whole - power) / free)) if free else 1.0
             p = float(fdtrc(rank, dof, power / rank)) if rank else 1.0
             found[name] = FamilyTest(power / max(rank, 1), p, rank, *self._estimate(name), rest)
         p = float(fdtrc(n, dof, whole / n))
@@ -97,10 +97,10 @@ class Statistic:
         return found | {ANYTHING: FamilyTest(whole / n, p, n, empty, empty, 1.0)}
 
     def rest_of_all(self) -> float | None:
-        """p of what all families together leave unexplained; None where nothing can be left."""
-        left, inside = self._beyond, self._span.T @ self.white
+        """p of what all families together leave unexplained; None where nothing can be."""
+        free, inside = self._beyond, self._span.T @ self.white
         power = float(self.white @ self.white - inside @ inside)
-        return float(fdtrc(left, self.misfits.dof, power / left)) if left else None
+        return float(fdtrc(free, self.misfits.dof, power / free)) if free else None
 
     def _estimate(self, name: str) -> tuple[Array, Array]:
         """Generalised least squares of a family alone; NaN where a direction is open."""
@@ -172,7 +172,7 @@ class Statistic:
 
 def _basis(columns: Array) -> Array:
     """Orthonormal basis, without directions that are only rounding. Columns of families in other
-    units count alike: each is scaled to length one first."""
+    units weigh the same: each is scaled to length one first."""
     length = np.linalg.norm(columns, axis=0)
     scaled = columns[:, length > 0.0] / length[length > 0.0]
     if not scaled.size:

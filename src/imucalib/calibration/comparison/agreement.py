@@ -72,7 +72,7 @@ def excess(wanted: float, value: Array, variance: Array, design: Array | None = 
 
 
 def weighted_line(value: Array, variance: Array, design: Array) -> tuple[Array, Array, float]:
-    """b (k,) of weighted least squares, its covariance (k, k), and the weighted squares left."""
+    """b (k,) of weighted least squares, its covariance (k, k), and the squares that remain."""
     weighted = design.T / variance
     covariance = np.asarray(np.linalg.inv(weighted @ design), np.float64)
     b = covariance @ (weighted @ value)
@@ -86,7 +86,7 @@ def _design(value: Array, design: Array | None) -> Array:
 @dataclass(frozen=True)
 class Agreement:
     """mean, mean_sd : (p,) of all; z : (m, p) of each against the mean of the others, by its whole
-    sd; chi2, dof, p : that all agree; noise_dof : behind the covariances' scale
+    sd; chi2, dof, p : that all agree; noise_dof : of the covariances' scale
     without : (m,) p of each calibration against the others, all parameters together
     """
 

@@ -57,13 +57,20 @@ class Seen:
 @dataclass(frozen=True)
 class Worst:
     """The largest difference of a pair. pair : numbers of the calibrations; value, sd : in `unit`;
-    attitude : (3,) unit vector of the specific force"""
+    attitude : (3,) unit vector of the specific force; sensor : IMU of an array; limit : what of it
+    matters"""
 
     pair: tuple[int, int]
     value: float
     sd: float
     unit: str
     attitude: Array
+    sensor: str = ""
+    limit: float = np.inf
+
+    @property
+    def beyond(self) -> bool:
+        return self.value > self.limit
 
 
 def seen(calibrations: Sequence[Calibration], imu: int | None, gravity: float) -> Seen:
@@ -119,7 +126,7 @@ def worst_turn(found: Seen) -> Worst:
 
 @dataclass(frozen=True)
 class PowerUps:
-    """share : of each covariance, what power-ups bring; dof : behind its scale, one for all"""
+    """share : of each covariance, what power-ups bring; dof : of its scale, one for all"""
 
     share: Sequence[Array]
     dof: float
@@ -127,7 +134,7 @@ class PowerUps:
 
 @dataclass(frozen=True)
 class Basis:
-    """p numbers of m calibrations. value : (m, p); covariance : (m, p, p); dof : (m,) behind each
+    """p numbers of m calibrations. value : (m, p); covariance : (m, p, p); dof : (m,) of each
     covariance's scale; words : what the numbers are, one sentence
     power_ups : of the covariances, None where nothing tells what they bring
     """
@@ -170,8 +177,8 @@ def basis_of(
     own = [[(c.parameters[k].name, c.parameters[k].unit) for k in ks] for c, ks in pairs]
     shares = [np.zeros_like(c.covariance) for c in calibrations]
     shares = shares if power_ups is None else list(power_ups.share)
-    alike = all(one == own[0] for one in own[1:])
-    if alike:
+    same = all(one == own[0] for one in own[1:])
+    if same:
         value = [np.array([c.parameters[k].value for k in ks]) for c, ks in pairs]
         slopes = [np.eye(len(c.parameters))[ks] for c, ks in pairs]
         names, units = zip(*own[0], strict=True)
@@ -190,7 +197,7 @@ def basis_of(
 
     covariance, share = carried([c.covariance for c in calibrations]), carried(shares)
     largest = np.einsum("kii->ki", covariance).max(axis=0)
-    touched = np.flatnonzero((largest > _ROUNDING**2) | alike)
+    touched = np.flatnonzero((largest > _ROUNDING**2) | same)
     both = np.ix_(np.arange(len(own)), touched, touched)
     return Basis(
         names=tuple(names[k] for k in touched),
@@ -224,7 +231,7 @@ def _linear_names(framed: bool) -> tuple[tuple[str, ...], tuple[str, ...]]:
 def _linear(calibration: Calibration, *, framed: bool) -> tuple[Array, Array]:
     """The numbers (q,) of one calibration, and their derivatives (q, p) by all of its parameters.
 
-    Every direction stands with its opposite: what is even in the force is none of S.
+    Every direction has its opposite: what is even in the force is none of S.
     """
     half = even_directions(60)
     force = calibration.gravity * np.concatenate([half, -half])

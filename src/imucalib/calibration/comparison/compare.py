@@ -139,15 +139,14 @@ def remarks(
         )
     gravities = [c.gravity for c in calibrations]
     if np.ptp(gravities) > 1e-9:
-        size = np.ptp(gravities) / MG
+        size, each = np.ptp(gravities) / MG, ", ".join(f"{g:.5f}" for g in gravities)
         notes.append(
-            f"they assume gravities {size:.2g} mg apart ({_each(gravities)} m/s²): right where "
+            f"they assume gravities {size:.2g} mg apart ({each} m/s²): right where "
             "they were recorded in different places, else this difference is in all scales"
         )
-    units = [f"{c.raw_unit}" for c in calibrations]
-    scales = {c.raw_to_si for c in calibrations}
-    if len(scales) > 1:
-        notes.append(f"their readings are in {', '.join(units)}: compared in m/s²")
+    if len({c.raw_to_si for c in calibrations}) > 1:
+        units = ", ".join(c.raw_unit for c in calibrations)
+        notes.append(f"their readings are in {units}: compared in m/s²")
     makers = [c.calibrator for c in calibrations]
     if len(set(makers)) > 1:
         notes.append(f"they were made by {', '.join(makers)}")
@@ -163,10 +162,6 @@ def remarks(
         if c.status != "ok"
     ]
     return tuple(notes)
-
-
-def _each(gravities: Sequence[float]) -> str:
-    return ", ".join(f"{g:.5f}" for g in gravities)
 
 
 def with_power_ups(
@@ -215,41 +210,26 @@ def _pooled(stated: Sequence[Mapping[str, Scatter]]) -> dict[str, Scatter]:
     return found
 
 
-@dataclass(frozen=True)
-class Meaning:
-    """The largest difference of one kind, and the size that matters. sensor : IMU of an array"""
-
-    worst: Worst
-    limit: float
-    sensor: str = ""
-
-    @property
-    def beyond(self) -> bool:
-        return self.worst.value > self.limit
-
-
-def meanings_of(found: Mapping[str, Seen], limits: Limits, *, turns: bool) -> tuple[Meaning, ...]:
+def meanings_of(found: Mapping[str, Seen], limits: Limits, *, turns: bool) -> tuple[Worst, ...]:
     """Force, and where it can be compared direction, of the sensor where it is largest."""
     sds = [one.largest_sd for one in found.values()]
-    force = limits.force
-    direction = limits.direction
-    if limits == Limits():
+    force, direction = limits.get("mg"), limits.get("deg")
+    if not limits:
         force, direction = (SIGNIFICANT * max(column) for column in zip(*sds, strict=True))
     made = []
     for limit, worst in ((force, worst_size), (direction if turns else None, worst_turn)):
         if limit is not None:
-            pairs = [(worst(one), name) for name, one in found.items()]
-            largest, name = max(pairs, key=lambda pair: pair[0].value)
-            made.append(Meaning(largest, limit, name))
+            every = [replace(worst(one), sensor=name, limit=limit) for name, one in found.items()]
+            made.append(max(every, key=lambda one: one.value))
     return tuple(made)
 
 
 def array_meanings(
     calibrations: Sequence[Calibration], basis: Basis, limits: Limits
-) -> tuple[tuple[Meaning, ...], tuple[str, ...]]:
+) -> tuple[tuple[Worst, ...], tuple[str, ...]]:
     """Positions in mm and biases of gyroscopes in deg/s, of which the files state no sd."""
-    limit = limits.position
-    if limits == Limits():
+    limit = limits.get("mm")
+    if not limits:
         limit = SIGNIFICANT * float(np.sqrt(np.einsum("kii->ki", basis.covariance).max()))
     made = () if limit is None else (_places(calibrations, basis, limit),)
     rates = np.array([[t.gyro_bias / DEG for t in c.triads] for c in calibrations])
@@ -260,13 +240,14 @@ def array_meanings(
         f"the gyroscopes' biases differ by {away:.2g} deg/s at most ({name}, {'xyz'[axis]}); the "
         "files state no uncertainty of these, so they are told and not tested"
     )
-    if limits.rate is not None:
-        worst = Worst(pair, away, math.nan, "deg/s", np.eye(3)[axis])
-        made = (*made, Meaning(worst, limits.rate, name))
+    if "deg/s" in limits:
+        along, limit = np.eye(3)[axis], limits["deg/s"]
+        worst = Worst(pair, away, math.nan, "deg/s", along, sensor=name, limit=limit)
+        made = (*made, worst)
     return made, (said,)
 
 
-def _places(calibrations: Sequence[Calibration], basis: Basis, limit: float) -> Meaning:
+def _places(calibrations: Sequence[Calibration], basis: Basis, limit: float) -> Worst:
     """The IMU whose position differs most."""
     places = basis.value.reshape(len(calibrations), -1, 3)
     pair, value, k = worst_pair(
@@ -276,7 +257,7 @@ def _places(calibrations: Sequence[Calibration], basis: Basis, limit: float) -> 
     along = (places[pair[1], k] - places[pair[0], k]) / max(value, 1e-300)
     sd = float(np.sqrt(along @ own @ along))
     name = calibrations[0].triads[k + 1].name
-    return Meaning(Worst(pair, value, sd, "mm", along), limit, name)
+    return Worst(pair, value, sd, "mm", along, sensor=name, limit=limit)
 
 
 @dataclass(frozen=True)
@@ -358,7 +339,7 @@ class Comparison:
     basis: Basis
     agreement: Agreement
     scatter: ParameterScatter | None
-    meanings: tuple[Meaning, ...]
+    meanings: tuple[Worst, ...]
     seen: Mapping[str, Seen]
     drift: Drift | None
     stated: bool
@@ -420,7 +401,7 @@ def compared(
     sensors: dict[str, int | None] = {**imus} or {"": None}
     found = {name: seen(calibrations, imu, gravity) for name, imu in sensors.items()}
     turns = framed and not arrays
-    if limits.direction is not None and not turns:
+    if "deg" in limits and not turns:
         raise UsageError(
             "directions of these calibrations cannot be compared: not all tie a frame to a tool",
             remedy="give the limit in mg, or calibrate all with known angles",
@@ -441,7 +422,7 @@ def compared(
         meanings=meanings,
         seen=found,
         drift=None if when is None else _drift(when, basis, found, meanings),
-        stated=limits != Limits(),
+        stated=bool(limits),
         notes=notes,
     )
 
@@ -473,7 +454,7 @@ def _sensors(imus: tuple[str, ...]) -> str:
 
 
 def _dof(calibration: Calibration) -> float:
-    """Degrees of freedom behind the covariance's scale, by the noise that the file states."""
+    """Degrees of freedom of the covariance's scale, by the noise that the file states."""
     try:
         return check_noise(calibration).reading.dof
     except UnreadableInput:
@@ -481,13 +462,13 @@ def _dof(calibration: Calibration) -> float:
 
 
 def _drift(
-    dates: Dates, basis: Basis, found: Mapping[str, Seen], meanings: tuple[Meaning, ...]
+    dates: Dates, basis: Basis, found: Mapping[str, Seen], meanings: tuple[Worst, ...]
 ) -> Drift:
     variance = np.einsum("kii->ik", basis.covariance)
     slopes = tuple(
         slope_of(dates.days, value, own) for value, own in zip(basis.value.T, variance, strict=True)
     )
-    force = next((m for m in meanings if m.worst.unit == "mg"), None)
+    force = next((m for m in meanings if m.unit == "mg"), None)
     limit = force.limit if force else SIGNIFICANT * max(s.largest_sd[0] for s in found.values())
     reached = [
         due(dates.days, one.size, one.size_sd**2, one.attitude, limit, sensors=len(found))

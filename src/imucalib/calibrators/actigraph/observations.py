@@ -23,10 +23,10 @@ from imucalib.core.references import KnownNorm
 from imucalib.effects.table import covariates_before
 from imucalib.effects.thermal import RATE
 from imucalib.errors import NotConverged
-from imucalib.estimators.in_a_population import strangeness
+from imucalib.estimators.in_a_population import p_value_in_kind
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.rests.runs import PostureRuns, Scan
-from imucalib.rests.thermal import REMEMBERED, history_of, remembered, tells_apart
+from imucalib.rests.thermal import REMEMBERED, ThermalHistory, remembered
 from imucalib.units import MG
 
 NINE = ("bias", "scale", "non_orthogonality")
@@ -146,7 +146,7 @@ def fit_of_a_kind(kind: Population, alone: Fit, runs: PostureRuns) -> tuple[OfAK
     effects = (*alone.model.effects, *kind.shared_effects(data.context))
     model = Model(tuple({e.name: e for e in effects}.values()))
     found, fewer = robust_fit(model, data, runs, kind.prior(model, data, ()))
-    chance = strangeness(found)
+    chance = p_value_in_kind(found)
     return OfAKind(kind, alone, chance, used=chance >= UNLIKELY), found, fewer
 
 
@@ -206,14 +206,15 @@ def covariates_of(runs: PostureRuns, scanned: Scan) -> dict[str, Array]:
     warm = scanned.temperature
     if warm is not None and np.ptp(runs.temperature) >= _LEAST_WARMTH:  # False for NaN
         found["temperature"] = runs.temperature
-        history = history_of(warm)
-        for name in REMEMBERED:
-            past = remembered(history, name, runs.time)
-            # A thermometer that is rounded to some °C does not show a past temperature beside the
-            # present one: what a lag smooths is then its steps. A rate (°C/h) they show too.
-            if name.startswith(RATE.prefix) or tells_apart(warm, past, runs.temperature):
-                found[name] = past
+        past = {name: remembered(warm, name, runs.time) for name in REMEMBERED}
+        found |= {n: v for n, v in past.items() if _is_shown(n, v, runs.temperature, warm)}
     return found
+
+
+def _is_shown(name: str, past: Array, now: Array, warm: ThermalHistory) -> bool:
+    """Whether a thermometer shows a past temperature beside the present one: rounded to some °C it
+    does not, and what a lag smooths is then its steps. A rate (°C/h) is shown by them too."""
+    return name.startswith(RATE.prefix) or warm.shows(past, now)
 
 
 def _with_temperature(data: Observations, runs: PostureRuns) -> Observations:

@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from imucalib.arrays import Array, Index
+from imucalib.arrays import Array
 from imucalib.calibration.calibration import from_fit
-from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Limit, Outcome, Run, quality_of
+from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Limit, Outcome, Run
 from imucalib.calibration.plain import fields
 from imucalib.calibrators.actigraph.observations import NINE
 from imucalib.calibrators.actigraph.request import ActigraphRequest
@@ -35,7 +35,6 @@ from imucalib.estimators.least_squares import evaluate
 from imucalib.readers import blocks
 from imucalib.recording.mapping import FieldMapping
 from imucalib.rests.runs import Scan, scan
-from imucalib.rests.windows import Windows
 from imucalib.units import MG
 
 #: The paper's rule of stillness: seconds of a segment, and max - min (g) on one axis.
@@ -43,12 +42,6 @@ SECONDS, RANGE_G = 5.0, 0.12
 _HALF_WIDTH, _EACH = 0.25, 2
 #: (axis, centre in g), ends first.
 BINS = tuple((axis, c) for c in (-1.0, 1.0, 0.0) for axis in range(3))
-
-
-def published_still(windows: Windows, unit: float) -> Index:
-    """Windows whose max - min along x is below 0.12 g; `unit` is 1 g in the windows' unit."""
-    spread = windows.high[:, 0] - windows.low[:, 0]
-    return np.flatnonzero((spread > 0.0) & (spread < RANGE_G * unit))
 
 
 @dataclass
@@ -132,9 +125,11 @@ def calibrate_as_published(
 
     Raises Undetermined with the bins that stayed empty.
     """
-    request = replace(request, window=5.0, as_published=True, loop=False)
+    request = replace(request, window=SECONDS, as_published=True, loop=False)
     scanned = scan(blocks(path, mapping), request.window, request.triad)
-    still = published_still(scanned.windows, request.gravity)
+    # At rest are segments whose max - min along x is below 0.12 g, and that are not stuck.
+    spread = scanned.windows.high[:, 0] - scanned.windows.low[:, 0]
+    still = np.flatnonzero((spread > 0.0) & (spread < RANGE_G * request.gravity))
     points, control = two_sets(scanned.windows.mean[still] / request.gravity)
     say(f"read {scanned.path}: {still.size} segments at rest by the paper's rule")
     if not points.ready:
@@ -149,17 +144,14 @@ def calibrate_as_published(
     chosen = next(m for m in methods if m.name == ARITHMETIC[request.arithmetic])
     found = published_fit(chosen.p, first, request.gravity)
     error = _error(chosen, found, first, second)
+    held = {"max-error": error.held_out.final}  # no other limit has a value here
     outcome = Outcome(
         calibrator="actigraph",
         errors=(error,),
         provenance=provenance(scanned, request),
-        quality=quality_of(found),
+        fit=found,
         reasons=() if len(second) else ("no second set of points to verify with",),
-        limits=tuple(
-            # Against the second set of points; no other limit has a value here.
-            Limit(name, error.held_out.final if name == "max-error" else np.nan, limit, "mg")
-            for name, limit in request.limits.items()
-        ),
+        limits=tuple(Limit(n, held.get(n, np.nan), v, "mg") for n, v in request.limits.items()),
         notes=scanned.notes,
     )
     blocks_of = {m.name: _method_block(m) for m in methods}
@@ -220,17 +212,11 @@ def compared(first: Array, second: Array) -> tuple[PublishedMethod, ...]:
     return tuple(found)
 
 
-def published_theta(p: Array, gravity: float) -> Array:
-    """θ of bias (mg), scale and non-orthogonality for the paper's p: S = K⁻¹, c = -o."""
-    gain = np.array([[p[0], 0.0, 0.0], [p[3], p[1], 0.0], [p[4], p[5], p[2]]])
-    sensitivity = np.linalg.inv(gain)
-    bias = -p[6:] * gravity / MG
-    lower = [sensitivity[1, 0], sensitivity[2, 0], sensitivity[2, 1]]
-    return np.concatenate([bias, np.diag(sensitivity) - 1.0, lower])
-
-
 def published_fit(p: Array, points: Array, gravity: float) -> Fit:
-    """The paper's result as a fit: covariance as least squares on these points would have it."""
+    """The paper's result as a fit: covariance as least squares on these points would have it.
+
+    θ is of bias (mg), scale and non-orthogonality: S = K⁻¹, c = -o for the paper's p.
+    """
     model = Model(tuple(named(name) for name in NINE))
     n = len(points)
     data = Observations(
@@ -241,7 +227,10 @@ def published_fit(p: Array, points: Array, gravity: float) -> Fit:
         np.arange(n, dtype=np.intp),
         tuple(f"point {k + 1}" for k in range(n)),
     )
-    theta = published_theta(p, gravity)
+    gain = np.array([[p[0], 0.0, 0.0], [p[3], p[1], 0.0], [p[4], p[5], p[2]]])
+    inner = np.linalg.inv(gain)
+    lower = [inner[1, 0], inner[2, 0], inner[2, 1]]
+    theta = np.concatenate([-p[6:] * gravity / MG, np.diag(inner) - 1.0, lower])
     rough = evaluate(model, data, theta, np.eye(9))
     inverse = np.linalg.pinv(rough.at.jacobian.T @ rough.at.jacobian, rcond=1e-14)
     return replace(rough, covariance=np.asarray(rough.noise.factor**2 * inverse))

@@ -12,7 +12,7 @@ import numpy as np
 from imucalib.calibration import sums
 from imucalib.calibration.ambiguity import KEY
 from imucalib.calibration.calibration import Calibration, from_fit
-from imucalib.calibration.outcome import Limit, Outcome, Run, left_open, quality_of
+from imucalib.calibration.outcome import Limit, Outcome, Run, left_open
 from imucalib.calibration.plain import fields, listed, plain
 from imucalib.calibration.power import advice_of, hidden
 from imucalib.calibration.provenance import Provenance, provenance_of
@@ -118,7 +118,7 @@ def run_of(
         errors=(result.error,),
         provenance=provenance(scanned, request),
         findings=request.findings(result.loop),
-        quality=quality_of(result.final),
+        fit=result.final,
         reasons=(
             *((exchange.words,) if exchange else ()),
             *runs.faults,

@@ -12,7 +12,7 @@ from imucalib.calibrators.planted import planted_model
 from imucalib.core.effect import Context
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.runs import Scan
-from imucalib.rests.thermal import REMEMBERED, history_of, remembered
+from imucalib.rests.thermal import REMEMBERED, ThermalHistory, remembered
 from imucalib.rests.windows import Windows
 from imucalib.units import MG, STANDARD_GRAVITY
 
@@ -52,7 +52,7 @@ def worn_blocks(plan: WeekPlan, seed: int) -> Iterator[Recording]:
     seconds = plan.days * _DAY
     grid = np.arange(5.0, seconds + 60.0, 60.0)
     warm = temperature_at(grid, seed)
-    history = history_of(_thermometer(grid, warm))
+    history = ThermalHistory(grid, warm)
     per = round(plan.rate * _POSTURE)
     for start in np.arange(0.0, seconds, _HOUR):
         t = start + np.arange(round(min(_HOUR, seconds - start) * plan.rate)) / plan.rate
@@ -109,8 +109,19 @@ def scan_of(grid: Array, warm: Array | None, *, rate: float, seconds: float) -> 
     """A scan that no samples made: its thermometer reads `warm` (t,) in °C at `grid` (t,) in s."""
     nothing = np.zeros((0, 3))
     return Scan(
-        windows=_windows(1000, np.zeros(0), nothing),
-        temperature=None if warm is None else _thermometer(grid, warm),
+        windows=Windows(
+            samples=1000,
+            first=np.zeros(0, np.intp),
+            run=np.zeros(0, np.intp),
+            start=np.zeros(0),
+            stop=np.zeros(0),
+            mean=nothing,
+            variance=nothing,
+            low=nothing,
+            high=nothing,
+            finest=np.zeros(3),
+        ),
+        temperature=None if warm is None else ThermalHistory(grid, warm),
         triad="imu0",
         rate=rate,
         samples=int(seconds * rate),
@@ -121,23 +132,4 @@ def scan_of(grid: Array, warm: Array | None, *, rate: float, seconds: float) -> 
         sha256="",
         start_ns=0,
         notes=(),
-    )
-
-
-def _thermometer(grid: Array, warm: Array) -> Windows:
-    return _windows(1, grid, warm[:, None])
-
-
-def _windows(samples: int, at: Array, values: Array) -> Windows:
-    return Windows(
-        samples=samples,
-        first=np.arange(at.size),
-        run=np.zeros(at.size, np.intp),
-        start=at,
-        stop=at,
-        mean=values,
-        variance=0.0 * values,
-        low=values,
-        high=values,
-        finest=np.zeros(values.shape[1]),
     )

@@ -47,7 +47,7 @@ from imucalib.calibrators.array.streams import (
 from imucalib.errors import Undetermined, UsageError
 from imucalib.loop.found import Unexplained
 from imucalib.recording.recording import Recording
-from imucalib.rests.levels import refusals
+from imucalib.rests.candidates import refusals
 from imucalib.rests.segments import Segments, still_segments
 
 Say = Callable[[str], None]

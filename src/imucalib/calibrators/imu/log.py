@@ -94,7 +94,8 @@ def imu_of(recordings: Sequence[Recording], segments: Sequence[Segments], gravit
     """
     logs = [_of_one(r, s, gravity) for r, s in zip(recordings, segments, strict=True)]
     whole = logs[0] if len(logs) == 1 else _together(logs)
-    tilts = [_tilt(whole.turns, turn) for turn in whole.turns.turns]
+    force = whole.turns.force
+    tilts = [float(between(*force[t.rest : t.rest + 2])) for t in whole.turns.turns]
     if sum(tilt > _TILT for tilt in tilts) < FEWEST:
         why = f"; {len(whole.left_out)} left out: {whole.left_out[0]}" if whole.left_out else ""
         few = f"{len(tilts)} turns between rests can be used"
@@ -107,10 +108,6 @@ def imu_of(recordings: Sequence[Recording], segments: Sequence[Segments], gravit
             "rest between, every second round backwards",
         )
     return whole
-
-
-def _tilt(log: TurnLog, turn: Turn) -> float:
-    return float(between(log.force[turn.rest], log.force[turn.rest + 1]))
 
 
 def _together(logs: list[Imu]) -> Imu:

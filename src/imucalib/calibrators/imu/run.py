@@ -62,16 +62,14 @@ def run_imu(
     open_gains = open_words(result.fit.gains[:GAIN, :GAIN])
     error = _error(result)
     samples = sum(max(len(c.t) for c in r.channels.values()) for r in result.recordings)
-    quality = rests.quality
-    if quality is not None:
-        quality = replace(quality, converged=quality.converged and result.fit.converged)
+    both = rests.fit is not None and rests.fit.converged and result.fit.converged
     outcome = replace(
         rests,
         calibrator="imu",
         errors=(error, *rests.errors),
         provenance=replace(rests.provenance, samples=samples, settings=request.stated()),
         findings=_findings(result, request),
-        quality=quality,
+        fit=rests.fit and replace(rests.fit, converged=both),
         reasons=(*rests.reasons, *(f"the turns leave open {words}" for words in open_gains)),
         advice=(*_advice(result, open_gains), *rests.advice),
         limits=_limits(request, error, rests.errors[0]),

@@ -34,12 +34,12 @@ from imucalib.estimators.turns import (
     variances,
     without,
 )
-from imucalib.loop.posterior.catalogue import Component, Kind, Member, log_odds
+from imucalib.loop.posterior.catalogue import Component, Kind, Member
 from imucalib.loop.posterior.gram import Grams, Multiplied, swept
-from imucalib.loop.posterior.odds import HEARD, SIZES, TOGETHER
-from imucalib.loop.posterior.problem import Choice
+from imucalib.loop.posterior.odds import HEARD, TOGETHER
+from imucalib.loop.posterior.problem import Choice, Contest
 from imucalib.loop.posterior.space import Hypothesis, Posterior, climbed
-from imucalib.loop.posterior.words import Told, told
+from imucalib.loop.posterior.words import Conclusion, concluded
 from imucalib.units import DEG, STANDARD_GRAVITY
 
 _FIXED = ACCELEROMETER + GAIN
@@ -72,32 +72,14 @@ def _term_of(member: Member) -> Term:
     return Term(effect, own, sizes)
 
 
-@dataclass(frozen=True)
-class TurnProblem:
-    """What turns may lack; see `Contest`. absorbed : names whose columns the gains take up; seen :
-    of each component the share of its columns that the gains leave, and their length in units of
-    the noise"""
+@dataclass(frozen=True, kw_only=True)
+class TurnProblem(Contest):
+    """What turns may lack beside accelerometer and gains. absorbed : names whose columns the gains
+    take up; seen : of each component the share of its columns that the gains leave, and their
+    length in units of the noise"""
 
-    components: tuple[Component, ...]
-    odds: Array
-    choices: tuple[Choice, ...]
     absorbed: tuple[str, ...]
     seen: tuple[tuple[float, float], ...]
-
-    @property
-    def base(self) -> int:
-        """Accelerometer and gains."""
-        return _FIXED
-
-    @property
-    def flat(self) -> tuple[Index, float]:
-        """They are free, but for what their rows say."""
-        return np.arange(_FIXED), np.inf
-
-    @property
-    def sizes(self) -> Array:
-        """Those of a component."""
-        return SIZES
 
     def terms_of(self, hypothesis: Hypothesis) -> tuple[Term, ...]:
         """What a set takes into the model, at its sizes; laws without a name are not corrected."""
@@ -118,7 +100,7 @@ class Searched:
     lacking: Lacking
     problem: TurnProblem
     posterior: Posterior
-    said: Told
+    said: Conclusion
     terms: tuple[Term, ...]
     final: TurnFit
 
@@ -179,7 +161,7 @@ def searched(base: TurnFit, course: Course, request: ImuRequest) -> Searched:
         lacking = lacking_of(final, course, request)
         problem, grams = lacking.contest(final)
         posterior = climbed(problem, grams)
-        said = told(problem, posterior, names_first=True)
+        said = concluded(problem, posterior, names_first=True)
         new = problem.terms_of(said.hypothesis)
         if not request.loop or not new or _keys(new) in seen:
             break
@@ -212,7 +194,7 @@ def in_fold(
     if not request.loop:
         return base, base
     problem, grams = found.lacking.contest(base)
-    new = problem.terms_of(told(problem, climbed(problem, grams), names_first=True).hypothesis)
+    new = problem.terms_of(concluded(problem, climbed(problem, grams), names_first=True).hypothesis)
     if not new:
         return base, base
     terms = (*declared_terms(request), *new)
@@ -263,8 +245,8 @@ class Lacking:
             kept.append(component)
         problem = TurnProblem(
             components=tuple(kept),
-            odds=log_odds(tuple(kept)),
             choices=tuple(choices),
+            base=_FIXED,
             absorbed=tuple(absorbed),
             seen=tuple(seen),
         )

@@ -22,7 +22,7 @@ from imucalib.errors import UnreadableInput, UsageError
 from imucalib.loop.faults.cells import transposed
 from imucalib.readers.conversion import temperature, zero_g
 from imucalib.recording.mapping import FieldMapping
-from imucalib.rests.thermal import remembered_in_rows, told_by_code
+from imucalib.rests.thermal import is_power_up_code, remembered_in_rows
 from imucalib.units import (
     ACCELERATION_UNITS,
     DEG,
@@ -328,7 +328,7 @@ def implausible_rows(table: PositionTable, rows: Index, *, refuse: bool) -> dict
     far = rows[off] if off.sum() <= max(1, rows.size // 8) else rows[:0]
     cold = rows[:0]
     if "temperature" in table:
-        cold = rows[told_by_code(table.columns["temperature"][rows])]
+        cold = rows[is_power_up_code(table.columns["temperature"][rows])]
     if refuse and far.size:
         _refuse_size(table, far, float(np.median(size)))
     if refuse and cold.size:

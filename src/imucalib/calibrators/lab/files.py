@@ -28,8 +28,9 @@ from imucalib.errors import ImucalError, UnreadableInput, UsageError
 from imucalib.readers import read
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
-from imucalib.rests.levels import refusals
-from imucalib.rests.segments import Segments, StillSettings, still_segments
+from imucalib.rests.candidates import refusals
+from imucalib.rests.segments import Segments, still_segments
+from imucalib.rests.stillness import StillSettings
 from imucalib.units import ACCELERATION_UNITS
 
 ANGLES = {"inclination", "tool_face"}

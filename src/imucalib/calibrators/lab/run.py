@@ -11,7 +11,7 @@ import numpy as np
 from imucalib.arrays import Index
 from imucalib.calibration.ambiguity import KEY
 from imucalib.calibration.calibration import Calibration, from_fit
-from imucalib.calibration.outcome import Outcome, Run, left_open, quality_of
+from imucalib.calibration.outcome import Outcome, Run, left_open
 from imucalib.calibration.plain import fields, listed
 from imucalib.calibration.provenance import provenance_of
 from imucalib.calibrators.lab.advice import advice, fix_option, limits_of, reasons
@@ -110,7 +110,7 @@ def run_lab(
             command=request.command,
         ),
         findings=request.findings(result.loop),
-        quality=quality_of(result.final),
+        fit=result.final,
         reasons=reasons(result) + worthless(result, whole),
         advice=advice(result, raw),
         undecided=undecided,

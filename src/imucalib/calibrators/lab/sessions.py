@@ -15,9 +15,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.core.balance import Balanced, Noise, whitener
+from imucalib.core.balance import Noise, whitener
 from imucalib.core.fit import Fit
 from imucalib.core.observations import BIAS, MOUNTING, session_of
+from imucalib.estimators.variance import estimate_noise
 from imucalib.loop.held_out import Fold
 from imucalib.units import DEG, MG
 
@@ -25,7 +26,6 @@ from imucalib.units import DEG, MG
 _CARRIED = {BIAS: ("bias", "mg", MG), MOUNTING: ("mounting", "deg", DEG)}
 _SIZES, _REACH = 36, (0.05, 30.0)
 _LEVEL = 0.95
-_OPEN = 1e-9  # share of the largest singular value below which a direction is not determined
 #: Standard deviation of the log of an axis' scatter about that of all: 60 power-ups of an MPU-9250
 #: have 0.46, 0.25 and 0.63 mg.
 _UNLIKE = 0.5
@@ -142,7 +142,8 @@ def _nats(fit: Fit, k: int, axis: int, size: float) -> float:
     settings = (*at.settings[:k], whole[:, ~own], *at.settings[k + 1 :], whole[:, own])
     component = (*noise.component, noise.component[k])
     parted = Noise(noise.factor, component, (*noise.sd, size))
-    return restricted(replace(at, settings=settings, component=component), parted)
+    balanced = replace(at, settings=settings, component=component)
+    return estimate_noise(balanced, parted, fixed=True).log_likelihood
 
 
 def _offsets(fit: Fit, k: int) -> tuple[Array, Array]:
@@ -176,15 +177,3 @@ def _half(sd: Array, weights: Array) -> float:
         return float(weights @ (2.0 * ndtr(half / sd) - 1.0)) - _LEVEL
 
     return float(brentq(missing, 0.0, 50.0 * float(sd.max())))
-
-
-def restricted(at: Balanced, noise: Noise) -> float:
-    """Restricted log likelihood (nats, up to a constant) at a given noise."""
-    white = whitener(at.settings, noise.ratio)
-    columns, residual = white(at.jacobian) / noise.factor, white(at.residual) / noise.factor
-    left, size, _ = np.linalg.svd(columns, full_matrices=False)
-    use = size > _OPEN * max(float(size.max(initial=0.0)), 1e-300)
-    rest = residual - left[:, use] @ (left[:, use].T @ residual)
-    log_det = white.log_det + 2.0 * residual.size * np.log(noise.factor)
-    log_det += 2.0 * float(np.log(size[use]).sum())
-    return float(-0.5 * (log_det + rest @ rest))

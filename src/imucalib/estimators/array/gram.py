@@ -16,7 +16,7 @@ from imucalib.arrays import Array, Index
 from imucalib.core.eigen import eigen
 from imucalib.estimators.array.samples import Readings, Sampled
 
-_ROWS = 600  # samples that are worked on at a time, near the processor
+_ROWS = 600  # samples that are worked on at a time, within the processor's cache
 
 
 @dataclass(frozen=True)
@@ -78,8 +78,8 @@ def _add(
     residual, power = np.zeros((n, 9)), 0.0
     for gyro in (False, True):
         mine = [(b, start) for b, start in zip(blocks, starts, strict=False) if b.gyro is gyro]
-        weight = np.sqrt((sampled.weights.rate if gyro else sampled.weights.acceleration)[rows])
-        off = (sampled.off.rate if gyro else sampled.off.acceleration)[rows] * weight[..., None]
+        weight = np.sqrt(sampled.weights.of(gyro=gyro)[rows])
+        off = sampled.off.of(gyro=gyro)[rows] * weight[..., None]
         power += float(np.sum(off * off))
         for triad in range(k):
             arms = root[:, 6:] if gyro else np.matmul(sampled.arms[rows, triad], root)
@@ -131,9 +131,8 @@ def scores(sampled: Sampled, blocks: Sequence[Columns], rows: Index) -> Array:
 
 def _heavy(sampled: Sampled, rows: Index, *, gyro: bool) -> Array:
     """(K, rows, 3) weighted residuals of one kind of sensor."""
-    weight = sampled.weights.rate if gyro else sampled.weights.acceleration
-    off = sampled.off.rate if gyro else sampled.off.acceleration
-    return np.asarray((off[rows] * weight[rows][..., None]).swapaxes(0, 1))
+    weight = sampled.weights.of(gyro=gyro)[rows][..., None]
+    return np.asarray((sampled.off.of(gyro=gyro)[rows] * weight).swapaxes(0, 1))
 
 
 def without_motion(sampled: Sampled, change: Readings) -> Readings:

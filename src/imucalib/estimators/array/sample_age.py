@@ -16,7 +16,7 @@ from imucalib.arrays import Array, Index
 #: s over which a beat's phase follows its line. Of four measured motions the gyros' held-out error
 #: is 0.66 deg/s with 3 s, 0.56 with 12 s and 0.55 with 20 s.
 _BLOCK = 12.0
-_PASSES = 2  # of a phase and a delay, each beside the other
+_PASSES = 2  # of a phase and a delay in turn
 _CYCLES = 4.0  # of a beat over the motion, below which it is a delay that drifts
 _LINE = 30.0  # power of a spectral line over the spectrum's median from which it counts
 
@@ -24,12 +24,10 @@ _LINE = 30.0  # power of a spectral line over the spectrum's median from which i
 @dataclass(frozen=True)
 class SampleAge:
     """wave : (N, K) sawtooths of unit span about zero, zero for a gyro without a beat;
-    frequency : (K,) Hz of the beat, negative when the age falls with time, NaN without one;
-    line : (K,) power of the line over the spectrum's median"""
+    frequency : (K,) Hz of the beat, negative when the age falls with time, NaN without one"""
 
     wave: Array
     frequency: Array
-    line: Array
 
 
 def fit_sample_age(t: Array, off: Array, slope: Array, rows: Index) -> SampleAge:
@@ -37,17 +35,13 @@ def fit_sample_age(t: Array, off: Array, slope: Array, rows: Index) -> SampleAge
 
     off : (N, K, 3) rad/s, gyros less their mean; slope : (N, 3) dω/dt, rad/s²
     """
-    triads = off.shape[1]
-    waves = np.zeros(off.shape[:2])
-    frequency, line = np.full(triads, np.nan), np.zeros(triads)
-    for k in range(triads):
-        # A reading of age a is off by -a dω/dt.
-        waves[:, k], frequency[k], line[k] = _wave(t, -off[:, k], slope, rows)
-    return SampleAge(waves, frequency, line)
+    # A reading of age a is off by -a dω/dt.
+    found = [_wave(t, -one, slope, rows) for one in off.swapaxes(0, 1)]
+    return SampleAge(np.stack([wave for wave, _ in found], axis=1), np.array([f for _, f in found]))
 
 
-def _wave(t: Array, off: Array, slope: Array, rows: Index) -> tuple[Array, float, float]:
-    """Unit sawtooth (N,), signed frequency, and the line's power; zeros when there is no line."""
+def _wave(t: Array, off: Array, slope: Array, rows: Index) -> tuple[Array, float]:
+    """Unit sawtooth (N,) and signed frequency; zeros and NaN when there is no line."""
     step = float(np.median(np.diff(t)))
     at = np.round((t[rows] - t[rows[0]]) / step).astype(np.intp)
     series = np.zeros(int(at[-1]) + 1)
@@ -61,25 +55,21 @@ def _wave(t: Array, off: Array, slope: Array, rows: Index) -> tuple[Array, float
     frequencies = np.fft.rfftfreq(padded, step)
     spectrum[frequencies < _CYCLES / (t[rows[-1]] - t[rows[0]])] = 0.0
     top = int(np.argmax(spectrum))
-    line = float(spectrum[top] / max(float(np.median(spectrum)), 1e-300))
-    if line < _LINE:
-        return np.zeros(len(t)), float("nan"), line
+    if spectrum[top] < _LINE * max(float(np.median(spectrum)), 1e-300):
+        return np.zeros(len(t)), float("nan")
     f = float(frequencies[top])
     turns = f * t + _phase(t, t[rows], series[at], f) / (2.0 * np.pi)
-    best = (np.zeros(len(t)), f, -np.inf)
-    for sign in (1.0, -1.0):
-        # Both directions share the fundamental; the harmonics tell them apart.
-        wave, gain = _settled(t, turns - 0.25 * sign, sign, rows, along, power)
-        if gain > best[2]:
-            best = (wave, sign * f, gain)
-    return best[0], best[1], line
+    # Both directions share the fundamental; the harmonics tell them apart.
+    found = [(*_settled(t, turns - 0.25 * s, s, rows, along, power), s * f) for s in (1.0, -1.0)]
+    wave, _, signed = max(found, key=lambda one: one[1])
+    return wave, signed
 
 
 def _settled(
     t: Array, turns: Array, sign: float, rows: Index, along: Array, power: Array
 ) -> tuple[Array, float]:
     """A sawtooth with its phase where it fits best, and how much it explains. A slow one is partly
-    a delay and its drift: these are taken out beside it, and the phase is sought again."""
+    a delay and its drift: these are fitted with it, and the phase is sought again."""
     own = turns
     for _ in range(_PASSES):
         wave = sign * _sawtooth(own[rows])

@@ -26,7 +26,7 @@ class ArrayPositions:
 
     unknowns : (chains, n, size) positions (m), then Σ and the noise as in `ArrayPrior`
     frame : the mode and the Gaussian there; None for a chain that has none
-    accepted, steps : of the sampler; convergence : of every unknown; sampler : its name
+    accepted : share of proposals; convergence : of every unknown; sampler : its name
     """
 
     data: ArrayData
@@ -34,7 +34,6 @@ class ArrayPositions:
     unknowns: Array
     frame: Frame | None
     accepted: float
-    steps: int
     convergence: Convergence
     sampler: str = "hmc"
     notes: tuple[str, ...] = field(default_factory=tuple)
@@ -116,7 +115,6 @@ def sample_positions(
         unknowns=frame.place(found.draws),
         frame=frame,
         accepted=found.accepted,
-        steps=found.steps,
         convergence=found.convergence,
     )
     refuse_collapse(positions.mean, chosen.nominal)
@@ -128,7 +126,7 @@ def gaussian_positions(
     data: ArrayData, prior: ArrayPrior, mean: Array, covariance: Array, rng: np.random.Generator
 ) -> ArrayPositions:
     """Independent draws of positions (d,) m with covariance (d, d) m², for IMUs on one line: the
-    spin about it is in no reading, and a chain that learns its size would wander for ever.
+    spin about it is in no reading, and a chain that learns its size would drift for ever.
 
     Raises as `sample_positions` does.
     """
@@ -141,7 +139,6 @@ def gaussian_positions(
         unknowns=unknowns,
         frame=None,
         accepted=1.0,
-        steps=1,
         convergence=convergence(unknowns),
         sampler="gaussian",
         notes=("IMUs on one line: the spin about it stays open, positions by the joint fit alone",),

@@ -21,6 +21,8 @@ from imucalib.estimators.markov.convergence import Convergence, convergence
 
 #: (chains, d) in the frame -> log density (chains,) and its gradient (chains, d)
 Target = Callable[[Array], tuple[Array, Array]]
+#: Chains at a moment: z (c, d), log density (c,), gradient (c, d).
+State = tuple[Array, Array, Array]
 #: Steps of a trajectory with the acceptance wished for, of all chains and of the worst. One
 #: step costs half of two and may be refused more often, but must not hold a chain in the tails.
 _STEPS = ((1, 0.85, 0.6), (2, 0.9, 0.0), (3, 0.9, 0.0), (4, 0.9, 0.0), (6, 0.0, 0.0))
@@ -38,21 +40,11 @@ class Stop:
 
 
 @dataclass(frozen=True)
-class State:
-    """Chains at a moment: z (c, d), log density (c,), gradient (c, d)."""
-
-    z: Array
-    value: Array
-    gradient: Array
-
-
-@dataclass(frozen=True)
 class Chains:
-    """draws (chains, n, d) in the frame; accepted: mean acceptance; steps: of a trajectory."""
+    """draws (chains, n, d) in the frame; accepted: mean acceptance."""
 
     draws: Array
     accepted: float
-    steps: int
     convergence: Convergence
 
 
@@ -78,7 +70,7 @@ def sample(
         if count >= 2 * rule.block:
             found = convergence(seen(run.draws))
             if found.reached(rule.rhat, rule.ess):
-                return Chains(run.draws, run.accepted, run.steps, found)
+                return Chains(run.draws, run.accepted, found)
             if count >= rule.most:
                 raise NotConverged(
                     f"the chains do not agree after {count} draws each: {found.sentence}",
@@ -104,13 +96,13 @@ class _Run:
 def _begin(target: Target, d: int, rng: np.random.Generator, chains: int) -> _Run:
     """Overdispersed starts, and the number of steps by the acceptance of a first trial."""
     z = 1.3 * rng.standard_normal((chains, d))
-    state = State(z, *target(z))
+    state = z, *target(z)
     for _ in range(20):
-        bad = ~np.isfinite(state.value)
+        bad = ~np.isfinite(state[1])
         if not bad.any():
             break
         z = np.where(bad[:, None], 0.5 * z, z)
-        state = State(z, *target(z))
+        state = z, *target(z)
     for steps, wished, least in _STEPS:
         state, _, accepted = _block(target, state, steps, _TRIAL, rng)
         if accepted.mean() >= wished and accepted.min() >= least:
@@ -122,21 +114,21 @@ def _block(
     target: Target, state: State, steps: int, count: int, rng: np.random.Generator
 ) -> tuple[State, Array, Array]:
     """The chains `count` draws on, those draws, and the share each chain accepted."""
-    draws = np.empty((len(state.z), count, state.z.shape[1]))
-    accepted = np.zeros(len(state.z))
+    chains, d = state[0].shape
+    draws, accepted = np.empty((chains, count, d)), np.zeros(chains)
     for k in range(count):
         state, moved = step(target, state, steps, rng)
-        draws[:, k] = state.z
+        draws[:, k] = state[0]
         accepted += moved
     return state, draws, accepted / count
 
 
 def step(target: Target, state: State, steps: int, rng: np.random.Generator) -> tuple[State, Flags]:
     """One trajectory of a quarter turn for every chain, and which accepted."""
-    momentum = rng.standard_normal(state.z.shape)
+    z, value, gradient = state
+    momentum = rng.standard_normal(z.shape)
     angle = 0.5 * np.pi / steps
     c, s = np.cos(angle), np.sin(angle)
-    z, gradient, value = state.z, state.gradient, state.value
     before = value - 0.5 * np.sum(momentum * momentum, axis=1)
     for _ in range(steps):
         momentum = momentum + 0.5 * angle * (gradient + z)
@@ -148,12 +140,8 @@ def step(target: Target, state: State, steps: int, rng: np.random.Generator) -> 
         accepted = np.log(rng.random(len(z))) < after - before
     accepted &= np.isfinite(value) & np.isfinite(gradient).all(axis=1)
     keep = accepted[:, None]
-    moved = State(
-        np.where(keep, z, state.z),
-        np.where(accepted, value, state.value),
-        np.where(keep, gradient, state.gradient),
-    )
-    return moved, np.asarray(accepted)
+    z, gradient = np.where(keep, z, state[0]), np.where(keep, gradient, state[2])
+    return (z, np.where(accepted, value, state[1]), gradient), np.asarray(accepted)
 
 
 def _keep(path: Path, run: _Run, rng: np.random.Generator) -> None:
@@ -162,7 +150,9 @@ def _keep(path: Path, run: _Run, rng: np.random.Generator) -> None:
     with replaced_atomically(path) as temporary, open(temporary, "wb") as file:
         np.savez(
             file,
-            **vars(run.state),
+            z=run.state[0],
+            value=run.state[1],
+            gradient=run.state[2],
             draws=run.draws,
             steps=run.steps,
             accepted=run.accepted,
@@ -176,16 +166,16 @@ def _resumed(path: Path | None, d: int, chains: int, rng: np.random.Generator) -
         return None
     try:
         with np.load(path, allow_pickle=False) as kept:
-            state = State(kept["z"], kept["value"], kept["gradient"])
-            run = _Run(state, kept["draws"], int(kept["steps"]), float(kept["accepted"]))
+            z, steps, accepted = kept["z"], int(kept["steps"]), float(kept["accepted"])
+            run = _Run((z, kept["value"], kept["gradient"]), kept["draws"], steps, accepted)
             rng.bit_generator.state = json.loads(str(kept["generator"]))
     except (OSError, ValueError, KeyError) as error:
         raise UnreadableInput(
             f"not a checkpoint: {error}", where=str(path), remedy="remove it to begin anew"
         ) from None
-    if state.z.shape != (chains, d):
+    if z.shape != (chains, d):
         raise UnreadableInput(
-            f"the checkpoint holds {state.z.shape[0]} chains of {state.z.shape[1]} unknowns, "
+            f"the checkpoint holds {z.shape[0]} chains of {z.shape[1]} unknowns, "
             f"not {chains} of {d}",
             where=str(path),
             remedy="remove it to begin anew",

@@ -1,10 +1,10 @@
-"""Whole blocks of rows to numbers, by numpy's C parser; row by row to name a bad cell."""
+"""Whole blocks of rows to numbers: by numpy's C parser where all are plain, else row by row."""
 
 from __future__ import annotations
 
-import csv
 import io
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,11 +17,6 @@ from imucalib.readers.csv.stamps import MISSING
 from imucalib.readers.csv.text import Lines, cells_of, count_of, is_blank, is_number
 
 _COMMA_TO_POINT = bytes.maketrans(b",", b".")
-_ERRORS = rb"#(?:value|ref|div/0|num|null)!|#name\?"  # of a spreadsheet
-_MISSING = re.compile(
-    rb"(?i)(?<=[,;\t| \n])(?:na|n/a|#n/a|null|none|--?|\?|" + _ERRORS + rb")(?=[,;\t| \n])"
-)
-_LARGEST_EXACT = 2.0**53
 _INTEGER = re.compile(r"[+-]?\d{1,18}(\.0*)?|[+-]?\d{19}")
 
 
@@ -62,52 +57,42 @@ class Rows:
 
 
 def parse(lines: Lines, layout: Layout, where: str) -> Rows:
-    """Parse a block of whole lines; blank cells become NaN.
+    """Parse a block of whole lines; blank cells become NaN, and so do infinite values.
 
     Blank lines are dropped in a file with time stamps and mean a missing row otherwise; so are
     bad ones, which `Rows.bad` names. Raises UnreadableInput when more than half of them are bad.
     """
-    rows, numbers, bad = _whole(lines.data, layout), lines.numbers, list[UnreadableInput]()
-    if rows is None:
-        text, numbers, bad = _good_lines(lines, layout, where)
-        rows = _whole(text, layout)
-        if rows is None or 2 * len(bad) > len(numbers) + len(bad):
-            last = lines.first_line + lines.data.count(b"\n")
-            span = f"{where}: lines {lines.first_line} to {last}"
-            what, remedy = "a row cannot be read", "look for odd characters"
-            raise bad[0] if bad else UnreadableInput(what, where=span, remedy=remedy)
-    at = np.array(numbers, dtype=np.intp)
-    fits = at.size == rows.values.shape[0] and (at.size or bad)
-    return replace(rows, bad=tuple(bad), lines=at if fits else None)
-
-
-def _whole(text: bytes, layout: Layout) -> Rows | None:
-    """The rows, if every line is one."""
-    delimiter = layout.dialect.delimiter
-    if b'"' in text:
-        text, delimiter = _unquoted(text, layout.dialect)
-    if layout.dialect.decimal == ",":
+    text, dialect = lines.data.replace(b'"', b""), layout.dialect
+    plain = dialect.decimal != dialect.delimiter
+    if dialect.decimal == "," and plain:
         text = text.translate(_COMMA_TO_POINT)
-    rows = _attempt(text, delimiter, layout, layout.kind)
-    if rows is not None:
-        return rows
-    text = _completed(text, delimiter, layout)
-    if layout.kind != "int":
-        return _attempt(text, delimiter, layout, layout.kind)
-    rows = _attempt(text, delimiter, layout, "text")
-    stamps = None if rows is None else _integers(rows.stamps)
-    return None if rows is None or stamps is None else replace(rows, stamps=stamps)
+    rows = _plain(text, layout) if plain else None
+    if rows is None and plain and dialect.delimiter != " ":
+        rows = _plain(_filled(text, dialect.delimiter.encode()), layout)
+    if rows is None:
+        rows = _by_lines(lines, layout, where)
+    elif lines.numbers:
+        rows = replace(rows, lines=np.array(lines.numbers, dtype=np.intp))
+    finite = np.isfinite(rows.values)
+    return rows if finite.all() else replace(rows, values=np.where(finite, rows.values, np.nan))
 
 
-def _attempt(text: bytes, delimiter: str, layout: Layout, kind: str) -> Rows | None:
-    """The C parser's result if every line has all its cells and all wanted cells are numbers."""
-    count = count_of(text, b"\n")
-    if not _complete(text, delimiter, layout.dialect.width, count):
+def _filled(text: bytes, mark: bytes) -> bytes:
+    """The text with nan in its empty cells."""
+    text = b"\n" + text
+    for _ in range(2):
+        text = text.replace(mark + mark, mark + b"nan" + mark)
+    return text.replace(mark + b"\n", mark + b"nan\n").replace(b"\n" + mark, b"\nnan" + mark)[1:]
+
+
+def _plain(text: bytes, layout: Layout) -> Rows | None:
+    """The rows if every line has all its cells and all wanted cells are numbers."""
+    count, delimiter = count_of(text, b"\n"), layout.dialect.delimiter
+    dtype = np.dtype(
+        [("t", _type_of(layout), (len(layout.time),)), ("v", "f8", (len(layout.values),))]
+    )
+    if not count or not _complete(text, delimiter, layout.dialect.width, count):
         return None
-    of_kind = {"int": "i8", "float": "f8", "text": f"S{layout.text_width}", "": "i8"}[kind]
-    dtype = np.dtype([("t", of_kind, (len(layout.time),)), ("v", "f8", (len(layout.values),))])
-    if count == 0:
-        return Rows(np.empty(0, dtype=of_kind), np.empty((0, len(layout.values))))
     try:
         table = np.loadtxt(
             io.BytesIO(text),
@@ -121,16 +106,18 @@ def _attempt(text: bytes, delimiter: str, layout: Layout, kind: str) -> Rows | N
         return None
     if table.size != count:
         return None
-    values: Array = table["v"].reshape(count, len(layout.values))
-    finite = np.isfinite(values)
-    return Rows(_joined(table["t"]), values if finite.all() else np.where(finite, values, np.nan))
+    stamps = table["t"]
+    if stamps.shape[1] > 1:
+        stamps = _joined(stamps)
+    return Rows(np.ascontiguousarray(stamps.reshape(-1)), np.ascontiguousarray(table["v"]))
 
 
-def _joined(parts: NDArray[np.generic]) -> NDArray[np.generic]:
-    """Stamps (n,) of one column, or of the parts (n, k) in several; blank where a part is."""
-    if parts.shape[1] < 2:
-        return np.ascontiguousarray(parts.reshape(-1))
-    texts = parts.astype(np.bytes_)
+def _type_of(layout: Layout) -> str:
+    return {"int": "i8", "float": "f8", "text": f"S{layout.text_width}", "": "i8"}[layout.kind]
+
+
+def _joined(texts: NDArray[np.bytes_]) -> NDArray[np.bytes_]:
+    """Stamps whose parts (n, k) are in several columns; blank where a part is."""
     whole = texts[:, 0]
     for part in texts.T[1:]:
         whole = np.char.add(np.char.add(whole, b" "), part)
@@ -146,85 +133,51 @@ def _complete(text: bytes, delimiter: str, width: int, count: int) -> bool:
     return starts == count * width
 
 
-def _unquoted(text: bytes, dialect: Dialect) -> tuple[bytes, str]:
-    """The text without quotes, and its delimiter (a quoted cell may hold the original one)."""
-    count, bare, delimiter = text.count(b"\n"), text.replace(b'"', b""), dialect.delimiter
-    if dialect.decimal != delimiter and _complete(bare, delimiter, dialect.width, count):
-        return bare, delimiter
-    rows = csv.reader(io.StringIO(text.decode("utf-8", errors="replace")), delimiter=delimiter)
-    try:
-        out = "".join("\t".join(c.strip() for c in row) + "\n" for row in rows)
-    except csv.Error:
-        return bare, delimiter
-    return out.encode(), "\t"
-
-
-def _completed(text: bytes, delimiter: str, layout: Layout) -> bytes:
-    """Blank cells and the words for missing values as nan; blank lines dropped or all nan."""
-    missing = b"" if layout.time else _missing_row(delimiter, layout.dialect.width) + b"\n"
-    if delimiter == " ":
-        return _MISSING.sub(b"nan", re.sub(rb"(?m)^[ \t]*\n", missing, text))
-    mark = delimiter.encode()
-    text = b"\n" + re.sub(rb"(?m)^[ ]*\n", missing, text)
-    text = re.sub(rb"[ ]*(" + re.escape(mark) + rb"|\n)[ ]*", rb"\1", text)
-    text = _MISSING.sub(b"nan", text)
-    for _ in range(2):
-        text = text.replace(mark + mark, mark + b"nan" + mark)
-    text = text.replace(mark + b"\n", mark + b"nan\n").replace(b"\n" + mark, b"\nnan" + mark)
-    return text[1:]
-
-
-def _missing_row(delimiter: str, width: int) -> bytes:
-    """A row without any value."""
-    return b" ".join([b"nan"] * width) if delimiter == " " else delimiter.encode() * (width - 1)
-
-
-def _integers(stamps: NDArray[np.generic]) -> NDArray[np.int64] | None:
-    """Stamps as text, whole numbers all of them; MISSING where blank."""
-    texts = np.char.strip(stamps.astype(np.bytes_))
-    blank = np.isin(texts, [b"nan", b"NaN", b""])
-    out = np.full(texts.shape, MISSING, dtype=np.int64)
-    try:
-        out[~blank] = [_integer(text) for text in texts[~blank].tolist()]
-    except (ValueError, OverflowError):
-        return None
-    return out
-
-
-def _integer(text: bytes) -> int:
-    try:
-        return int(text)
-    except ValueError:
-        number = float(text)
-        if not number.is_integer() or abs(number) >= _LARGEST_EXACT:
-            raise
-        return int(number)
-
-
-def _good_lines(
-    lines: Lines, layout: Layout, where: str
-) -> tuple[bytes, tuple[int, ...], list[UnreadableInput]]:
-    """The lines without the bad ones, their numbers, and what is wrong with the others."""
-    kept, numbers, bad = list[bytes](), list[int](), list[UnreadableInput]()
-    missing = _missing_row(layout.dialect.delimiter, layout.dialect.width)
+def _by_lines(lines: Lines, layout: Layout, where: str) -> Rows:
+    """The rows that are good, and what is wrong with the others."""
+    stamps, values, numbers = list[float | bytes](), list[list[float]](), list[int]()
+    bad: list[UnreadableInput] = []
     texts = lines.data.split(b"\n")[:-1]
     every = lines.numbers or range(lines.first_line, lines.first_line + len(texts))
     for number, line in zip(every, texts, strict=True):
-        wrong = line.strip() and _wrong(line.decode("utf-8", errors="replace"), layout)
+        row = cells_of(line.decode("utf-8", errors="replace"), layout.dialect.delimiter)
+        blank = not line.strip()
+        wrong = None if blank else _wrong(row, layout)
         if wrong:
             what, column = wrong
             at = f"{where}: line {number}" + (f", column {column + 1}" if column >= 0 else "")
             bad.append(UnreadableInput(what, where=at, remedy="correct or delete that line"))
-        if layout.time and (wrong or not line.strip()):
-            continue
-        kept.append((missing if wrong else line) + b"\n")
+        if wrong or blank:
+            if layout.time:
+                continue
+            row = [""] * layout.dialect.width
         numbers.append(number)
-    return b"".join(kept), tuple(numbers), bad
+        values.append([_number(row[k], layout) for k in layout.values])
+        stamps.append(_stamp([row[k] for k in layout.time], layout))
+    if 2 * len(bad) > len(numbers) + len(bad):
+        raise bad[0]
+    return Rows(
+        np.array(stamps if layout.time else [], dtype=_type_of(layout)),
+        np.array(values, dtype=np.float64).reshape(len(values), len(layout.values)),
+        tuple(bad),
+        np.array(numbers, dtype=np.intp),
+    )
 
 
-def _wrong(line: str, layout: Layout) -> tuple[str, int] | None:
+def _number(cell: str, layout: Layout) -> float:
+    return np.nan if is_blank(cell) else float(cell.replace(layout.dialect.decimal, "."))
+
+
+def _stamp(cells: Sequence[str], layout: Layout) -> float | bytes:
+    if layout.kind == "text":
+        return b"" if any(map(is_blank, cells)) else " ".join(cells).encode()
+    if layout.kind == "int":
+        return MISSING if is_blank(cells[0]) else int(cells[0].partition(".")[0])
+    return _number(cells[0], layout) if cells else 0.0
+
+
+def _wrong(row: Sequence[str], layout: Layout) -> tuple[str, int] | None:
     """What is wrong with a row, and in which column (-1: in all)."""
-    row = cells_of(line, layout.dialect.delimiter)
     if len(row) != layout.dialect.width:
         return f"{len(row)} cells where the other rows have {layout.dialect.width}", -1
     stamps = layout.time if layout.kind in ("int", "float") else ()
@@ -232,6 +185,7 @@ def _wrong(line: str, layout: Layout) -> tuple[str, int] | None:
         cell = row[column]
         integer = column in stamps and layout.kind == "int"
         bad = not is_number(cell, layout.dialect.decimal)
-        if (bad or (integer and not _INTEGER.fullmatch(cell))) and not is_blank(cell):
+        bad = bad or (integer and not (_INTEGER.fullmatch(cell) and abs(float(cell)) < 2.0**63))
+        if bad and not is_blank(cell):
             return f"'{cell[:40]}' is not {'an integer' if integer else 'a number'}", column
     return None

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Flags, Index
 from imucalib.errors import UnreadableInput, UsageError
+from imucalib.readers.columns import by_word
 
 Int = NDArray[np.int64]
 Codes = NDArray[np.uint8]
@@ -30,9 +31,8 @@ _SILENT_DIRECTIVES = "pzZ"
 _LONGEST = {"Y": 4, "C": 8, "H": 6, "f": 9, "i": 3, "u": 6}
 #: Hours east of UTC. RFC 2822, 4.3, and Europe's; those that name two zones (CST, IST, BST) are
 #: left out.
-_ZONES = {
-    name.encode(): hours
-    for hours, names in {
+_ZONES = by_word(
+    {
         0: "z utc ut gmt wet",
         1: "west cet met mez",
         2: "cest mest mesz eet",
@@ -43,13 +43,12 @@ _ZONES = {
         -7: "mst pdt",
         -6: "mdt",
         -8: "pst",
-    }.items()
-    for name in names.split()
-}
+    }
+)
 _HALF = rb"(?:\s*([ap])\.?\s?m\.?)"
 #: What ends a stamp after a digit or a half of the day: a zone, and its name in brackets.
 _TAIL = re.compile(
-    rb"(?<=[\dm.])(\s*(?:(" + b"|".join(sorted(_ZONES, reverse=True)) + rb")|"
+    rb"(?<=[\dm.])(\s*(?:(" + "|".join(sorted(_ZONES, reverse=True)).encode() + rb")|"
     rb"(?:utc|gmt)?([+-])(\d{1,2})(?::?(\d\d))?)\s*(?:\[[^\]]*\])?\s*)$"
 )
 #: An offset follows a time of day; "-15" after a month is a day.
@@ -135,7 +134,7 @@ def _form_of(stamp: bytes, layout: TextTime) -> _Form | None:
         if found is None or not (found[2] or _TIMED.search(stamp[: found.start(1)].rstrip())):
             return None
         if found[2]:
-            east = _ZONES[found[2]] * _PER_HOUR
+            east = _ZONES[found[2].decode()] * _PER_HOUR
         else:
             sign, hours = (-1 if found[3] == b"-" else 1), found.span(4)
             minutes = found.span(5) if found[5] else (0, 0)

@@ -117,7 +117,7 @@ class Archive:
 
     def _pieces(self, name: str) -> Iterator[bytes]:
         """A member, unpacked while it is read. Raises what `_DAMAGED` holds, and where it breaks
-        off only behind all that comes before."""
+        off only after all that comes before."""
         if self._whole:
             with zipfile.ZipFile(self.path) as archive, archive.open(name) as stream:
                 yield from iter(lambda: stream.read(_PIECE), b"")

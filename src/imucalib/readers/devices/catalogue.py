@@ -1,7 +1,7 @@
 """What is known of devices: each module of this folder that has a `DEVICE` describes one.
 
 A device is found by its file being here: how the lines above its tables name it, what its columns
-and units are where a file does not say, and what only its header tells.
+and units are where a file does not say, and what only its header says.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from imucalib.recording.mapping import FieldMapping
 class Start:
     """start_ns : start of the recording as in Recording, or None; notes : what was supposed
 
-    rate : Hz, where only the device's own form of the header tells it
+    rate : Hz, where only the device's own form of the header says it
     """
 
     start_ns: int | None = None
@@ -38,7 +38,7 @@ class Device:
     words : any of these above a table, in lower case, names the device; none: never recognised
     heading : how many of the first lines are a heading although they look like rows, which names
         the device too
-    start : the start time from the lines above the table; None where they do not tell it
+    start : the start time from the lines above the table; None where they do not say it
     scales : counts a g that its models have, where the files do not say which
     refuse : (those lines, where) -> raises UnreadableInput for exports that hold no raw data
     sleeps : rows of zeros, or the last reading repeated, mean "not recorded"

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.readers.columns import understand
+from imucalib.readers.columns import by_word, understand
 from imucalib.recording.mapping import FieldMapping
 from imucalib.units import canonical
 
@@ -45,23 +45,32 @@ def unit_of(node: Any, column: str = "") -> str:
 def _each(node: Any, value: Any, column: str) -> list[Any]:
     """The values of an attribute that belong to a column of a table, or to each of three axes."""
     values = np.asarray(value).reshape(-1)
-    names = node.dtype.names or ()
+    names = (column and node.dtype.names) or ()
     if column in names and values.size == len(names):
         return [values[names.index(column)]]
-    return list(values) if values.size == 3 and 3 in node.shape[-2:] else list(values[:1]) or [""]
+    axes = values.size == 3 and 3 in getattr(node, "shape", ())[-2:]
+    return list(values) if axes else list(values[:1]) or [""]
 
 
-def _numbers_of(node: Any, column: str, names: tuple[str, ...], usual: float) -> tuple[float, ...]:
-    """The first attribute of these names, one number or one an axis; else the usual one."""
+def _numbers_of(node: Any, column: str, names: Sequence[str], *, zero: bool) -> tuple[float, ...]:
+    """The first attribute of these names that is finite, one number or one an axis; () for none.
+
+    zero : whether it may be that
+    """
     for name in names:
         if name in node.attrs:
             try:
                 found = tuple(float(v) for v in _each(node, node.attrs[name], column))
             except (TypeError, ValueError):
                 continue
-            if found and np.isfinite(found).all() and all(v != 0.0 for v in found if usual):
+            if np.isfinite(found).all() and (zero or all(found)):
                 return found
-    return (usual,)
+    return ()
+
+
+def number_of(node: Any, *names: str) -> float | None:
+    """The first attribute of these names that is a finite number."""
+    return next(iter(_numbers_of(node, "", names, zero=True)), None)
 
 
 def fills_of(node: Any, column: str = "") -> list[Any]:
@@ -74,27 +83,9 @@ def fills_of(node: Any, column: str = "") -> list[Any]:
     return [*fills, own] if np.asarray(own).dtype.kind in "iuf" and own else fills
 
 
-def number_of(node: Any, *names: str) -> float | None:
-    """The first attribute of these names that is a finite number."""
-    for name in names:
-        if name in node.attrs:
-            try:
-                number = float(np.asarray(node.attrs[name]).flat[0])
-            except (TypeError, ValueError, IndexError):
-                continue
-            if np.isfinite(number):
-                return number
-    return None
-
-
-TIME_NAMES = tuple(
-    str.split(
-        """
-        time timestamp timestamps t times stamp time_ns timestamp_ns time_us timestamp_us time_ms
-        timestamp_ms
-        """
-    )
-)
+_TIME_NAMES = {"t", "times", "timestamps", "stamp"} | {
+    name + unit for name in ("time", "timestamp") for unit in ("", "_ns", "_us", "_ms")
+}
 
 
 @dataclass(frozen=True)
@@ -127,8 +118,9 @@ def place_of(
     unit = unit_of(node, column)
     if unit and named not in ("", "counts") and canonical(named) != canonical(unit):
         unit = f"{unit} (its name says {named})"  # no unit that is known: the reader refuses it
-    scale = _numbers_of(node, column, ("scale", "scale_factor", "Scale"), 1.0)
-    offset = _numbers_of(node, column, ("add_offset",), 0.0)
+    names = ("scale", "scale_factor", "Scale")
+    scale = _numbers_of(node, column, names, zero=False) or (1.0,)
+    offset = _numbers_of(node, column, ("add_offset",), zero=True) or (0.0,)
     return Place(
         node.name, column, triad, transposed, unit=unit or named, scale=scale, offset=offset
     )
@@ -223,7 +215,7 @@ def _with_clock(field: Found, nodes: dict[str, Any], file: Any, mapping: FieldMa
         for path, stamps in nodes.items():
             head, _, name = path.rpartition("/")
             fits = stamps.size == field.rows and stamps.dtype.kind in "iuf"
-            if head == folder and name.lower() in TIME_NAMES and fits:
+            if head == folder and name.lower() in _TIME_NAMES and fits:
                 suffix = name.lower().rpartition("_")[2]
                 named = field.time_unit or (suffix if suffix in ("ns", "us", "ms") else "")
                 return stamped(_stamps(stamps), named)
@@ -239,15 +231,13 @@ def _stamps(node: Any) -> Place:
     return place_of(node, transposed=len(node.shape) == 2 and node.shape[0] == 1 < node.shape[1])
 
 
-_QUANTITY = {
-    word: value
-    for value, words in {
+_QUANTITY = by_word(
+    {
         "acceleration": "accelerometer acceleration accel acc linear_acceleration accelerations",
         "angular_rate": "gyroscope gyro gyr angular_velocity angular_rate angular_velocities omega",
         "temperature": "temperature temp",
-    }.items()
-    for word in words.split()
-}
+    }
+)
 _GENERIC = {""} | set(
     str.split("sensors data raw calibrated imu readings table value values processed x")
 )
@@ -355,7 +345,7 @@ def _vectors(node: Any) -> Iterator[Found]:
     """The channels in one dataset whose path names the quantity."""
     quantity, at = _quantity_of(node.name)
     words, shape = words_of(node.name), node.shape
-    if node.dtype.kind not in "iuf" or not quantity or words[-1].lower() in TIME_NAMES:
+    if node.dtype.kind not in "iuf" or not quantity or words[-1].lower() in _TIME_NAMES:
         return
     if quantity == "temperature":
         if len(shape) == 1 or (len(shape) == 2 and shape[1] == 1):

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -69,8 +69,6 @@ def _ends(data: bytes, start: int) -> bool:
 
 Spans = NDArray[np.int64]  #: (k, 2) first row and end of each stretch that is held, in order
 _DEEPEST = 8  # virtual datasets of virtual datasets
-#: Rows that a virtual dataset may claim for each that its sources hold, beyond some thousand.
-_MOST_RATIO, _FEW = 2000, 1 << 16
 _NONE: Spans = np.empty((0, 2), dtype=np.int64)
 
 
@@ -102,7 +100,7 @@ class Walk:
         at: one that is met again then is a part of itself, which the library reads until it dies
     """
 
-    path: Path
+    where: str
     external: bool = False
     found: dict[tuple[str, str, int], Spans | None] = field(default_factory=dict)
 
@@ -110,7 +108,7 @@ class Walk:
         """The rows along `axis` that are there; sources of virtual datasets are opened.
 
         Raises UnreadableInput for data elsewhere, where that is not allowed, and for virtual
-        datasets that have no end.
+        datasets that have no end or lack a source.
         """
         key = (str(path.resolve()), node.name, axis)
         if key in self.found:
@@ -120,91 +118,54 @@ class Walk:
             return known
         other = "" if self.external else _outside(node, path)
         if other:
-            raise UnreadableInput(
-                f"{node.name} lies in another file, {other}",
-                where=str(self.path),
-                remedy="read it with --allow-external if you trust this file",
-            )
+            remedy = "read it with --allow-external if you trust this file"
+            raise self._refused(node, f"lies in another file, {other}", remedy)
         self.found[key] = None
-        if node.is_virtual:
-            held = self._virtual(node, path, axis, depth)
-        elif node.chunks is not None:
+        if node.chunks is not None and not node.is_virtual:
             held = _chunked(node, axis)
         else:
             # 0 bytes: storage that is allocated at the first write, which never came.
-            whole = _external_is_whole(node) if node.external else node.id.get_storage_size()
+            whole = node.is_virtual or node.external or node.id.get_storage_size()
+            if node.is_virtual:
+                self._demand_sources(node, path, depth)
+            elif node.external:
+                whole = _external_is_whole(node)
             held = np.array([[0, node.shape[axis]]] if whole else _NONE, dtype=np.int64)
         self.found[key] = held
         return held
 
     def _refused(self, node: Any, what: str, remedy: str) -> UnreadableInput:
-        return UnreadableInput(f"{node.name} {what}", where=str(self.path), remedy=remedy)
+        return UnreadableInput(f"{node.name} {what}", where=self.where, remedy=remedy)
 
-    def _virtual(self, node: Any, path: Path, axis: int, depth: int) -> Spans:
-        rows = int(node.shape[axis])
-        width = int(np.prod(node.shape, dtype=object)) // max(1, rows)
-        blocks = []  # first row, end, and values a row of what each whole source fills
+    def _demand_sources(self, node: Any, path: Path, depth: int) -> None:
+        """Raise UnreadableInput unless the sources of a virtual dataset fill all of it."""
+        filled = 0
         for source in node.virtual_sources():
-            try:
-                low, high = source.vspace.get_select_bounds()
-            except ValueError:  # it has no end
-                low, high = (0,) * len(node.shape), tuple(n - 1 for n in node.shape)
-            block = np.array(high) - np.array(low) + 1
-            points = int(source.vspace.get_select_npoints())
-            # A selection with holes is not taken for whole; what it refers to is looked at anyway.
-            whole = points == int(np.prod(block, dtype=object))
-            if self._source_is_whole(source, node, path, depth) and whole:
-                blocks.append((int(low[axis]), int(high[axis]) + 1, points // int(block[axis])))
-        first, end, each = np.array(blocks, dtype=np.int64).reshape(-1, 3).T
-        edges = np.unique([first, end])
-        covered = [int(each[(first <= e) & (e < end)].sum()) >= width for e in edges]
-        held = _joined(edges, np.array(covered, dtype=np.bool_))
-        there = int((held[:, 1] - held[:, 0]).sum())
-        if rows > _MOST_RATIO * max(there, _FEW):
-            raise self._refused(
-                node,
-                f"claims {rows} rows, and its sources hold {there}",
-                "write the rows that there are to a file",
-            )
-        return held
+            if not self._is_whole(source, node, path, depth):
+                what = f"needs {source.dset_name} of {source.file_name}, which is not whole"
+                raise self._refused(node, what, "copy the files again, together")
+            filled += int(source.vspace.get_select_npoints())
+        if filled < node.size:
+            what = f"claims {node.size} values, and its sources hold {filled}"
+            raise self._refused(node, what, "write the values that there are to a file")
 
-    def _source_is_whole(self, source: Any, node: Any, path: Path, depth: int) -> bool:
+    def _is_whole(self, source: Any, node: Any, path: Path, depth: int) -> bool:
         import h5py
 
+        other = path if _is_own(source.file_name, path) else path.parent / source.file_name
         try:
-            if _is_own(source.file_name, path):
-                return self._has_all(source, node.file, path, depth)
-            other = path.parent / source.file_name
-            with h5py.File(other, "r") as file:
-                return self._has_all(source, file, other, depth)
-        except (OSError, RuntimeError, KeyError, ValueError):
+            with h5py.File(other, "r") if other != path else nullcontext(node.file) as file:
+                found = file[source.dset_name]
+                held = self.spans(found, other, 0, depth + 1)
+                if _mask_of(held, 0, int(found.shape[0])) is not None:
+                    return False
+                try:
+                    _, high = source.src_space.get_select_bounds()
+                except ValueError:  # all of it, of a size that the library has not looked up
+                    return bool(source.vspace.get_select_npoints() == found.size)
+                return len(high) == len(found.shape) and bool((high < np.array(found.shape)).all())
+        except (OSError, RuntimeError, KeyError, ValueError, AttributeError, IndexError):
             return False
-
-    def _has_all(self, source: Any, file: Any, path: Path, depth: int) -> bool:
-        """Whether the source has every row that it is asked for."""
-        found = file.get(source.dset_name)
-        if found is None or not getattr(found, "shape", ()):
-            return False
-        held = self.spans(found, path, 0, depth + 1)
-        try:
-            low, high = source.src_space.get_select_bounds()
-        except ValueError:  # all of it, of a size that the library has not looked up
-            return int(source.vspace.get_select_npoints()) == found.size and (
-                _mask_of(held, 0, int(found.shape[0])) is None
-            )
-        if len(high) != len(found.shape) or any(
-            h >= n for h, n in zip(high, found.shape, strict=True)
-        ):
-            return False
-        return _mask_of(held, int(low[0]), int(high[0]) + 1) is None
-
-
-def _joined(edges: NDArray[np.int64], held: Flags) -> Spans:
-    """Stretches between edges, the neighbours of those that are held in one."""
-    if not edges.size:
-        return _NONE
-    change = np.flatnonzero(np.diff(held.astype(np.int8), prepend=0, append=0))
-    return np.asarray(edges[change[: change.size // 2 * 2]].reshape(-1, 2))
 
 
 def _chunked(node: Any, axis: int) -> Spans:
@@ -222,8 +183,8 @@ def _chunked(node: Any, axis: int) -> Spans:
     with suppress(OSError, RuntimeError):
         node.id.chunk_iter(add)
     whole = count >= int(np.prod(across, dtype=np.int64))
-    edges = np.minimum(np.arange(count.size + 1) * step, rows)
-    return _joined(edges, np.append(whole, False))
+    edges = np.flatnonzero(np.diff(whole.astype(np.int8), prepend=0, append=0))
+    return np.asarray(np.minimum(edges * step, rows), np.int64).reshape(-1, 2)
 
 
 def _external_is_whole(node: Any) -> bool:
@@ -304,7 +265,7 @@ class File:
         key, rows = (node.name, axis), int(node.shape[axis])
         if key not in self.held:
             path = Path(self.where)
-            self.held[key] = found = Walk(path, self.external).spans(node, path, axis)
+            self.held[key] = found = Walk(self.where, self.external).spans(node, path, axis)
             edges = np.concatenate([[0], found.reshape(-1), [rows]]).reshape(-1, 2)
             lost = edges[edges[:, 1] > edges[:, 0]].tolist()
             if lost:

@@ -48,7 +48,7 @@ def _content(node: Any, path: Path) -> Content:
     kind = f"{shape + ' ' if shape else ''}{node.dtype if not fields else 'records'}{fields}"
     found = Content(node.name, f"{kind} in {unit}" if unit else kind, node.shape[0])
     try:
-        Walk(path).spans(node, path)
+        Walk(str(path)).spans(node, path)
         if not fields and node.dtype.kind in "iuf" and node.shape[1:] in ((), (3,)):
             values = np.asarray(node[:: max(1, node.shape[0] // _ROWS)], dtype=np.float64)
             if values.ndim == 2:

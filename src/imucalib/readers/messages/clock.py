@@ -97,8 +97,15 @@ def choose_clock(source: Source, mapping: FieldMapping, where: str, apart: str =
     log, stamps = source.log, source.stamps
     if mapping.rate:
         note = f"time from the stated rate of {mapping.rate:g} Hz"
-        first, period = int(log.first), 1e9 / mapping.rate
-        return Clock("rate", 1, 0, period, np.inf, first=first, notes=(note,))
+        return Clock(
+            source="rate",
+            factor=1,
+            late=0,
+            period=1e9 / mapping.rate,
+            longest=np.inf,
+            first=int(log.first),
+            notes=(note,),
+        )
     factor, why = 1, ""
     if source.instant and source.instant.width == 1:
         factor, why = _unit(stamps, log, mapping.time_unit)

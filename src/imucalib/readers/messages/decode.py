@@ -1,6 +1,6 @@
 """Messages of a block decoded into columns: ROS by compiled layouts, JSON and protobuf by parsing.
 
-A path is the names of fields joined by dots; a number stands for a place in a list.
+A path is the names of fields joined by dots; a number is a place in a list.
 """
 
 from __future__ import annotations

@@ -32,6 +32,7 @@ from imucalib.recording.recording import Channel, Recording
 
 _CHANNEL_NAMES = {"acc": "acceleration", "gyro": "angular_rate", "temperature": "temperature"}
 _HOUR = 3_600_000_000_000  # ns
+_FEWEST_ROWS = 1 << 12  # that an array has room for
 
 
 @dataclass(frozen=True)
@@ -69,32 +70,52 @@ class FirstPass:
 
     def __init__(self, log: MessageLog, mapping: FieldMapping, *, keep: bool) -> None:
         self.stream = TopicStream(log, mapping)
-        self._kept: dict[str, list[list[NDArray[Any]]]] = {}  # pieces of stamps, log, columns
+        self._kept: dict[str, list[_Growing]] = {}  # log times, columns, stamps
         with _readable(log):
             for samples in self.stream.samples():
                 samples.source.survey(samples)
                 if keep:
                     self._keep(samples)
             self.plan = _decide(self.stream)
+        for source in self.stream.sources.values():
+            source.pieces.clear()
 
     def _keep(self, samples: Samples) -> None:
-        parts: list[NDArray[Any] | None] = [samples.stamps, samples.log, *samples.columns]
-        kept = self._kept.setdefault(samples.source.name, [[] for _ in parts])
-        for pieces, part in zip(kept, parts, strict=True):
-            if part is not None:
-                pieces.append(part)
+        name, parts = samples.source.name, [samples.log, *samples.columns]
+        parts += [] if samples.stamps is None else [samples.stamps]
+        if name not in self._kept:
+            self._kept[name] = [_Growing(p, self.stream.expected(name)) for p in parts]
+        for kept, part in zip(self._kept[name], parts, strict=True):
+            kept.append(part)
 
     def samples(self, topic: str) -> Samples:
-        """All samples of a topic, handed over: only one column at a time is held twice."""
+        """All samples of a topic, handed over."""
         source = self.stream.sources[topic]
-        stamps, log, *columns = (_emptied(pieces) for pieces in self._kept.pop(topic))
-        return Samples(source, stamps if source.instant else None, log, columns)
+        log, *columns = (kept.whole() for kept in self._kept.pop(topic))
+        return Samples(source, columns.pop() if source.instant else None, log, columns)
 
 
-def _emptied(pieces: list[NDArray[Any]]) -> NDArray[Any]:
-    whole = np.concatenate(pieces) if pieces else np.empty(0)
-    pieces.clear()
-    return whole
+class _Growing:
+    """Rows that become one array: memory is moved by the system rather than copied."""
+
+    def __init__(self, like: NDArray[Any], expected: int) -> None:
+        rows = max(expected, _FEWEST_ROWS)
+        self._rows = np.empty((rows, *like.shape[1:]), dtype=like.dtype)
+        self._size = 0
+
+    def append(self, rows: NDArray[Any]) -> None:
+        """Copy rows to the end."""
+        size = self._size + len(rows)
+        if size > len(self._rows):
+            most = max(size, len(self._rows) * 5 // 4)
+            self._rows.resize((most, *rows.shape[1:]), refcheck=False)
+        self._rows[self._size : size] = rows
+        self._size = size
+
+    def whole(self) -> NDArray[Any]:
+        """All rows, handed over."""
+        self._rows.resize((self._size, *self._rows.shape[1:]), refcheck=False)
+        return self._rows
 
 
 @contextmanager
@@ -188,12 +209,14 @@ def _decide(stream: TopicStream) -> Plan:
         raise _no_imu(stream)
     used = list(dict.fromkeys(topic for triad in triads for topic, _ in triad.parts.values()))
     clocks = _clocks([sources[name] for name in used], mapping, str(log.path))
-    where = str(log.path)
-    parts = [
-        _part(triad, quantity, sources[topic], column, clocks[topic], mapping=mapping, where=where)
-        for triad in triads
-        for quantity, (topic, column) in triad.parts.items()
-    ]
+    parts = []
+    for triad in triads:
+        for quantity, (topic, column) in triad.parts.items():
+            where = f"{log.path}, topic {topic}"
+            how = _conversion(
+                quantity, sources[topic], column, clocks[topic].period, mapping, where
+            )
+            parts.append(_part(triad, quantity, sources[topic], column, clocks[topic], how))
     notes = _clock_notes(triads, sources, clocks)
     notes += [f"{p.channel.triad}: {p.conversion.note}" for p in parts if p.conversion.note]
     marks = tuple(dict.fromkeys(log.corrections))
@@ -253,38 +276,40 @@ def _clocks(sources: list[Source], mapping: FieldMapping, where: str) -> dict[st
     return clocks(f"the stamps of its topics count from epochs {apart * 1e-9:.6g} s apart")
 
 
-def _part(
-    triad: Triad,
+def _conversion(
     quantity: str,
     source: Source,
     column: int,
-    clock: Clock,
+    period: float,
     mapping: FieldMapping,
     where: str,
-) -> Part:
-    """The channel of one quantity of a triad; its unit from what is stated and from its values."""
+) -> Conversion:
+    """How the values of a field become SI, from what is stated and from the values."""
     stated, pieces = source.fields[column].unit, source.rest_pieces(column)
-    where = f"{where}, topic {source.name}"
     if quantity == "acc":
-        window = int(np.clip(0.5e9 / clock.period, 16, 1024)) if clock.period else 16
+        window = int(np.clip(0.5e9 / period, 16, 1024)) if period else 16
         rest = conversion.readings_at_rest(pieces, window)
-        convert = conversion.acceleration(mapping, stated, rest, where)
-    elif quantity == "gyro":
-        convert = conversion.angular_rate(mapping, stated, where)
-    else:
-        convert = conversion.temperature(mapping, stated, np.concatenate(pieces), where)
+        return conversion.acceleration(mapping, stated, rest, where)
+    if quantity == "gyro":
+        return conversion.angular_rate(mapping, stated, where)
+    return conversion.temperature(mapping, stated, np.concatenate(pieces), where)
+
+
+def _part(
+    triad: Triad, quantity: str, source: Source, column: int, clock: Clock, how: Conversion
+) -> Part:
+    """The channel of one quantity of a triad."""
     channel = Channel(
         t=np.empty(0),
         values=np.empty((0, source.fields[column].group.width)),
-        unit=convert.unit,
+        unit=how.unit,
         quantity=_CHANNEL_NAMES[quantity],
         triad=triad.name,
         rate=1e9 / clock.period if clock.period else 0.0,
         names=(source.name, source.frame) if source.frame else (source.name,),
         numbered=triad.numbered,
     )
-    name = f"{triad.name}/{channel.quantity}"
-    return Part(name, source.name, column, convert, channel)
+    return Part(f"{triad.name}/{channel.quantity}", source.name, column, how, channel)
 
 
 def _clock_notes(

@@ -51,7 +51,7 @@ Leaves = Mapping[str, int]  # path -> how many numbers
 class Triad:
     """One sensor: its name and, by quantity, the topic and the place in that topic's fields.
 
-    numbered : whether the name is only a number, since topics do not tell the sensors apart
+    numbered : whether the name is only a number, since topics do not name the sensors
     """
 
     name: str
@@ -83,7 +83,7 @@ def split_address(text: str, topic: Topic) -> str | None:
 
 
 def vector(leaves: Leaves, address: str) -> Group | None:
-    """The 3-vector at an address; "acc_*" stands for acc_x, acc_y, acc_z."""
+    """The 3-vector at an address; "acc_*" is short for acc_x, acc_y, acc_z."""
     if "*" in address:
         paths = tuple(address.replace("*", axis) for axis in "xyz")
         return Group(paths, 3) if all(leaves.get(p) == 1 for p in paths) else None
@@ -132,7 +132,7 @@ def _address(leaves: Leaves, quantity: str) -> str:
     timed, best = quantity == "time", list[tuple[float, float, str]]()
     for path in (*_nodes(leaves), *(() if timed else _stars(leaves))):
         name, depth = _plain(path), path.count(".")
-        # One letter means something only beside an axis letter ("ax", "g_x").
+        # One letter means something only with an axis letter ("ax", "g_x").
         if name not in names or not (timed or len(name) > 1 or "*" in path):
             continue
         rank = names.index(name)
@@ -206,7 +206,7 @@ def _stated(topic: Topic, leaves: Leaves, mapping: FieldMapping, quantity: str) 
 
 def _found(topic: Topic, leaves: Leaves, quantity: str) -> list[Field]:
     """The field of a quantity by its name, or none."""
-    if quantity == "temperature":  # asked for only where a file of this package has it
+    if quantity == "temperature":  # read only where a file of this package has it
         number = scalar(leaves, quantity)
         return [Field(quantity, quantity, number, _SI[quantity])] if number else []
     address = _address(leaves, quantity)
@@ -255,7 +255,7 @@ _Parts = dict[str, tuple[str, int]]
 
 def triads_of(mapping: FieldMapping, sources: Mapping[str, Source]) -> list[Triad]:
     """The triads, in the natural order of topics, named as the mapping does, as the file does, or
-    by the part of the topic that is theirs alone; a single one, or where topics do not tell, imu0,
+    by the part of the topic that is theirs alone; a single one, or where topics do not say, imu0,
     imu1, ...
 
     A vector that is always zero is a part of a split topic, or was never filled: it is left out
@@ -340,7 +340,7 @@ def _found_parts(mapping: FieldMapping, sources: Mapping[str, Source]) -> list[_
 
 # -- what a log holds -------------------------------------------------------------------------
 
-_SAMPLED = 2000  # messages of a topic that its norms are taken from, a stretch of each block
+_SAMPLED = 2000  # messages of a topic that give its norms, a stretch of each block
 _STRETCH = 50
 
 

@@ -14,7 +14,7 @@ from imucalib.readers.messages.layout import Group, Groups
 _PIECE = 4096  # rows of one stretch that is kept to judge the norm at rest
 #: Stretches that are kept: the start in detail, the rest now and then.
 _STRETCHES = (0, *range(1, 4), *(1 << k for k in range(2, 40)))
-_HEAD = 1 << 15  # rows that the sampling period is taken from
+_HEAD = 1 << 15  # rows that give the sampling period
 
 Stamps = NDArray[Any]  # int64 or float64, as the file has it
 
@@ -86,6 +86,7 @@ class Source:
     rows : samples that were read; bad, problem : messages that could not be, and why the last
     marks : rows before which a part of the file is damaged
     alive : of each field, whether any value differs from zero
+    pieces : stretches of raw samples from all over the recording, by number, each in parts
     """
 
     name: str
@@ -104,7 +105,7 @@ class Source:
     stamps: ClockFacts = field(default_factory=ClockFacts)
     log: ClockFacts = field(default_factory=ClockFacts)
     alive: list[bool] = field(default_factory=list)
-    _pieces: dict[int, list[list[Array]]] = field(default_factory=dict)
+    pieces: dict[int, list[list[Array]]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.alive = [False] * len(self.fields)
@@ -128,11 +129,11 @@ class Source:
             if first < stop and last > start:
                 part = slice(max(first - start, 0), last - start)
                 kept = [column[part].copy() for column in samples.columns]
-                self._pieces.setdefault(number, []).append(kept)
+                self.pieces.setdefault(number, []).append(kept)
 
     def rest_pieces(self, column: int) -> list[Array]:
         """Stretches of consecutive raw samples from all over the recording."""
-        return [np.concatenate([p[column] for p in parts]) for parts in self._pieces.values()]
+        return [np.concatenate([p[column] for p in parts]) for parts in self.pieces.values()]
 
 
 class Samples(NamedTuple):

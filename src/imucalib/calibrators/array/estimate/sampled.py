@@ -160,7 +160,6 @@ def _by_pmmh(
         unknowns=found.draws[:, ::thin],
         frame=None,
         accepted=found.accepted,
-        steps=1,
         convergence=checked,
         sampler="pmmh",
         notes=(note,),

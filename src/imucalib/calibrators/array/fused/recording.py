@@ -125,7 +125,7 @@ class _Work:
     def _each(self, given: Iterable[Recording]) -> Iterator[Recording]:
         partner = self.found.instrument.partner or {}
         for block in given:
-            made = imus_corrected(self.calibration, block, partner=partner)
+            made = imus_corrected(self.calibration, block, partner)
             channels = dict(made.channels)
             for stretch in side_by_side([block], self.found.instrument):
                 channels |= self._channels(stretch)

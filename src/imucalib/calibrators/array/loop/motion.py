@@ -13,7 +13,7 @@ from imucalib.core.effect import Channel, Context, Motion, Truth
 
 @dataclass(frozen=True)
 class BoardMotion:
-    """The truth at T instants as K triads see it, and what is known beside it; of_gyros : the
+    """The truth at T instants as K triads see it, and what else is known of it; of_gyros : the
     same for gyros, where they or the accelerometers lag; courses : of the rate and of the specific
     force as they are, where sensors may lag"""
 
@@ -44,14 +44,14 @@ class BoardMotion:
         known = rest if age is None else {**rest, "sample_age": age}
         return replace(self, context=replace(self.context, covariates=known))
 
-    def coursed(self, beside: Flags) -> BoardMotion:
+    def coursed(self, neighbours: Flags) -> BoardMotion:
         """With the courses of rate and force, of which lagging sensors meet a part.
 
-        beside : (T, 2) whether the sample before and the one after are neighbours
+        neighbours : (T, 2) whether the sample before and the one after are next to it
         """
         turning, t = self.truth.turning, self.context["time"]
         rate, force = (
-            course_of(value, slope, t, beside)
+            course_of(value, slope, t, neighbours)
             for value, slope in ((turning.rate, turning.spin), (self.truth.force, turning.jerk))
         )
         return replace(self, courses=(rate, force))

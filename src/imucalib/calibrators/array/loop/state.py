@@ -106,7 +106,7 @@ def sampled_at(setup: Setup, r: Array, noise: tuple[SensorNoise, SensorNoise]) -
 def settled(state: ArrayState, *, shaped: bool = True) -> ArrayState:
     """The joint fit of everything, and the noise in the shape that held-out halves ask for.
 
-    shaped : whether they are asked, or the shape is kept, as where the search is over
+    shaped : whether these choose it, or it keeps its shape, as where the search is over
     """
     state = _climbed(_with_scale(state), _ROUGH if shaped else _CLOSE)
     if state.setup.robust and shaped:
@@ -247,15 +247,8 @@ def _shared(state: ArrayState, *, gyro: bool) -> Iterator[tuple[float, float]]:
     """Correlation of the weighted residuals of samples 1, 2, ... apart, and how many independent
     products it is the mean of; until there are few."""
     setup, sampled = state.setup, state.sampled
-    values, weight = (
-        (sampled.off.rate, sampled.weights.rate)
-        if gyro
-        else (
-            sampled.off.acceleration,
-            sampled.weights.acceleration,
-        )
-    )
-    white = (values * np.sqrt(weight)[..., None])[setup.inner]
+    root = np.sqrt(sampled.weights.of(gyro=gyro))[..., None]
+    white = (sampled.off.of(gyro=gyro) * root)[setup.inner]
     follows = np.diff(setup.rows[setup.inner]) == 1
     power = float(np.mean(white**2))
     # The motion has its share of the numbers of every sample.
