@@ -210,7 +210,7 @@ def test_modules_have_names_with_a_meaning() -> None:
 
 @pytest.mark.parametrize("module", ["imucalib", "imucalib.cli"])
 def test_importing_is_light(module: str) -> None:
-    heavy = ("numpy", "scipy", "h5py", "mcap", "backports", "lz4", "rich", "ruamel", "jinja2")
+    heavy = ("numpy", "scipy", "h5py", "mcap", "zstandard", "lz4", "rich", "ruamel", "jinja2")
     code = f"import sys, {module}; print([m for m in {heavy!r} if m in sys.modules])"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "[]"

@@ -215,7 +215,7 @@ def _reference(name: str) -> ArrayState:
 @cache
 def _shown(name: str) -> Array:
     """(p, q) the directions of an effect's typical sizes that the data can determine."""
-    term = new_term(_reference(name), name, array_catalogue()[name], None)
+    term = new_term(_reference(name), name, array_catalogue()[name])
     return term.live / typical_of(term.effect, len(term.live))[:, None]
 
 

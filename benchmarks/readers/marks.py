@@ -121,14 +121,14 @@ def table(path: Path, rows: int) -> None:
 def worn(path: Path, hours: float) -> None:
     """100 Hz, three axes and a clock, as this package writes it."""
     from imucalib.recording.recording import Channel, Recording
-    from imucalib.writers import writer_for
+    from imucalib.writers import write
 
     n, rng = int(hours * 360_000), np.random.default_rng(0)
     values = rng.normal((0, 0, 9.81), 0.05, (n, 3))
     t = np.arange(n) / 100.0
     channel = Channel(t, values, "m/s2", "acceleration", "imu0", 100.0)
     recording = Recording({"imu0/acceleration": channel}, "", "", "")
-    writer_for(path).write(recording, path)
+    write(recording, path)
 
 
 def main() -> None:

@@ -58,7 +58,7 @@ def plain(made: Board) -> Calibration:
 
 def loaded(made: Board, form: str) -> dict[str, Any]:
     """By IMU what its target reads of its file."""
-    files = exported(with_walks(plain(made), 1e-3, 2e-5), "log.mcap", form).made.files
+    files = exported(with_walks(plain(made), 1e-3, 2e-5), "log.mcap", form).files
     assert list(files) == [t.name for t in plain(made).triads]
     for text in files.values():
         assert "log.mcap" in text
@@ -127,7 +127,7 @@ def test_noise_is_what_was_measured(made: Board, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="needs gyroscope_random_walk of"):
         exported(with_noise(plain(made), path), "log.mcap", "kalibr")
     path.write_text(path.read_text() + "gyroscope_random_walk_at_most: 2.0e-5\n")
-    for text in exported(with_noise(plain(made), path), "log.mcap", "kalibr").made.files.values():
+    for text in exported(with_noise(plain(made), path), "log.mcap", "kalibr").files.values():
         block = by_kalibr(text)
         assert block["accelerometer_random_walk"] == 1.5e-4
         assert block["update_rate"] == 200.0

@@ -121,9 +121,7 @@ def test_what_is_lost_in_flight_is_what_is_told(form: str) -> None:
     assert mean == pytest.approx(norm.mean(), rel=0.03)
     assert worst == pytest.approx(norm.max(), rel=0.05)
     assert angle == pytest.approx(np.degrees(np.arccos(cosine.min())), rel=0.05)
-    assert whole.made.loss == pytest.approx(
-        1e3 * np.linalg.norm(got - due, axis=1).mean() / G, rel=0.03
-    )
+    assert whole.loss == pytest.approx(1e3 * np.linalg.norm(got - due, axis=1).mean() / G, rel=0.03)
 
 
 OMCONVERT = f"""#!{sys.executable}
@@ -254,7 +252,7 @@ def bent(left: float | None) -> Calibration:
                                   "matlab", "iscwsa-csv"])  # fmt: skip
 def test_a_form_is_refused_beyond_three_times_what_is_left(form: str) -> None:
     made = exported(bent(1.0), "x.csv", form)
-    loss = made.made.loss
+    loss = made.loss
     assert 0.5 < loss < 20.0
     demand_carried(made, form, bent(loss / 2.9), None)
     with pytest.raises(LimitBroken, match=r"quadratic.*--force.*--largest-loss") as refused:
@@ -277,15 +275,15 @@ def test_of_an_array_the_rates_of_motion_count(effect: str) -> None:
                        1e-3, 2e-5)  # fmt: skip
     for form in ("c-header", "kalibr", "openvins"):
         made = exported(known, "x", form)
-        assert (made.made.loss, made.made.rate_loss) == (0.0, 9.0)
+        assert (made.loss, made.rate_loss) == (0.0, 9.0)
         with pytest.raises(LimitBroken, match=r"9 deg/s, more than 1.2.*--largest-loss 0,9`"):
             demand_carried(made, form, known, None)
         demand_carried(made, form, known, 0.0, 9.0)
         with pytest.raises(LimitBroken):
             demand_carried(made, form, known, None, 8.9)
     # A frame loses no reading, and the script holds the delay.
-    assert exported(known, "x", "urdf").made.rate_loss == 0.0
-    held = exported(known, "x", "matlab").made.rate_loss
+    assert exported(known, "x", "urdf").rate_loss == 0.0
+    held = exported(known, "x", "matlab").rate_loss
     assert held == (0.0 if effect == "gyro_delay" else 9.0)
 
 
@@ -296,7 +294,7 @@ def test_of_an_array_the_forces_of_motion_count() -> None:
              "errors": [{"unit": "m/s²", "final": 0.05, "held_out": {"final": 0.05}}]}  # fmt: skip
     facts = {**whole.facts, "sample_interval_s": 0.01, **facts}
     known = with_walks(replace(whole, facts=facts), 1e-3, 2e-5)
-    loss = {f: exported(known, "x", f).made.loss for f in ("kalibr", "urdf", "c-header", "matlab")}
+    loss = {f: exported(known, "x", f).loss for f in ("kalibr", "urdf", "c-header", "matlab")}
     # Kalibr has a place for the elements, a frame none for any of it.
     assert loss["kalibr"] == loss["urdf"] == 0.0
     assert loss["c-header"] == loss["matlab"] == pytest.approx(0.3 / 9.80665e-3)

@@ -6,6 +6,7 @@ import copy
 import gzip
 import json
 import os
+import struct
 import subprocess
 import sys
 import zipfile
@@ -13,10 +14,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 import h5py
+import lz4.frame
 import numpy as np
 import pytest
+import zstandard
+from google.protobuf import descriptor_pb2
 
 from imucalib.readers import readers
+from imucalib.readers.mcap import MAGIC
 from worlds.every_format import WRITE
 from worlds.logger_files import GENE_HEADER, ax_header
 from worlds.mcap_logs import SEPARATOR, write_log
@@ -98,6 +103,34 @@ def zipped(content: bytes) -> Callable[[Path], None]:
     return lambda path: (path.write_bytes(gzip.compress(content, 6)), None)[1]
 
 
+def chunk(compression: str, claims: int, share: float) -> Callable[[Path], None]:
+    """An MCAP file whose one chunk unpacks to two gigabytes, the end cut off where share < 1."""
+
+    def make(path: Path) -> None:
+        if compression == "zstd":
+            packed = zstandard.compress(bytes(1 << 24)) * 128
+        else:
+            packed = lz4.frame.compress(bytes(1 << 28))
+        name = compression.encode()
+        head = struct.pack("<QQQII", 1, 1, claims, 0, len(name)) + name
+        content = head + struct.pack("<Q", len(packed)) + packed
+        data = struct.pack("<BQ", 6, len(content)) + content
+        path.write_bytes(MAGIC + data[: int(share * len(data))])
+
+    return make
+
+
+def own_type(path: Path) -> None:
+    """A protobuf message of twelve of its own type."""
+    files = descriptor_pb2.FileDescriptorSet()
+    kind = files.file.add(name="p.proto", package="p", syntax="proto3").message_type.add(name="Imu")
+    for k in range(12):
+        kind.field.add(name=f"f{k}", number=k + 1, label=1, type=11, type_name=".p.Imu")
+    kind.field.add(name="n", number=100, label=1, type=1)
+    schema = ("p.Imu", "protobuf", files.SerializeToString())
+    write_log(path, {"/imu": [(1, b"")]}, schema=schema, encoding="protobuf")
+
+
 PAGES = GENE_HEADER.format(rate=50, zone="+01:00", pages=1).encode()
 FILES: dict[str, Callable[[Path], None]] = {
     "self.mcap": ros(types("a/A child\nfloat64 x\n")),
@@ -109,6 +142,13 @@ FILES: dict[str, Callable[[Path], None]] = {
               "float64 x\n")
     ),
     "sequence.mcap": ros(types("a/B0[] b\n", "uint8[] c\n"), b"\xff" * 4 + bytes(64)),
+    **{
+        f"{compression}_{claims >> 20}_{share}.mcap": chunk(compression, claims, share)
+        for compression in ("zstd", "lz4")
+        for claims in (1 << 20, 2 << 30)
+        for share in (0.9, 1.0)
+    },
+    "own_type.mcap": own_type,
     "many.h5": many_datasets,
     "deep.h5": deep_groups,
     "chunk.h5": one_chunk,
@@ -137,9 +177,14 @@ NEEDS_LINUX = pytest.mark.skipif(
 )
 
 
-@pytest.mark.slow
+#: Of each way of costing one file in the fast tier.
+FAST = {"circle.mcap", "empty.mcap", "own_type.mcap", "zstd_1_0.9.mcap", "lz4_2048_1.0.mcap"}
+
+
 @NEEDS_LINUX
-@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=() if n in FAST else pytest.mark.slow) for n in FILES]
+)
 def test_a_file_made_to_cost_ends_soon(name: str, tmp_path: Path) -> None:
     path = tmp_path / name
     FILES[name](path)

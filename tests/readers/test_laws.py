@@ -7,6 +7,7 @@ import random
 import subprocess
 import sys
 import tracemalloc
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -73,7 +74,7 @@ def written(pair: Pair, folder: Path, n: int) -> Example:
     if isinstance(writer, BagWriter):  # a bag's thermometer is not told from other numbers
         channels = {k: c for k, c in recording.channels.items() if c.quantity != "temperature"}
         recording = replace(recording, channels=channels)
-        writer.write(recording, path)
+        writer.write_blocks([recording], path)
     else:
         writers.write(recording, path)
     return Example(path, recording)
@@ -98,6 +99,7 @@ def test_what_was_written_is_read_back(pair: Pair, tmp_path: Path) -> None:
     example = written(pair, tmp_path, 700)
     back = readers.read(example.path)
     same(example.recording, back)
+    same(back, readers.read(example.path, from_dict(back.mapping)))
     assert back.start_ns == example.recording.start_ns
     assert back.gaps == ()
     assert back.sha256 == readers.sha256_of(example.path)
@@ -112,13 +114,6 @@ def test_blocks_joined_are_the_whole(pair: Pair, tmp_path: Path) -> None:
     for name, channel in example.recording.channels.items():
         pieces = [p.channels[name] for p in parts if name in p.channels]
         np.testing.assert_array_equal(np.concatenate([p.values for p in pieces]), channel.values)
-
-
-@BY_FORMAT
-def test_the_resolved_mapping_reads_the_same(pair: Pair, tmp_path: Path) -> None:
-    example = written(pair, tmp_path, 300)
-    first = readers.read(example.path)
-    same(first, readers.read(example.path, from_dict(first.mapping)))
 
 
 def outcome(path: Path) -> Recording | ImucalError:
@@ -202,37 +197,28 @@ def test_random_bytes_after_a_true_start_are_no_traceback(
         assert isinstance(outcome(path), UnreadableInput)
 
 
-def test_an_empty_file_is_named(tmp_path: Path) -> None:
-    path = tmp_path / "empty.csv"
-    path.touch()
-    with pytest.raises(UnreadableInput, match=r"empty\.csv: the file is empty"):
-        readers.read(path)
+def bag_folder(path: Path) -> None:
+    path.mkdir()
+    (path / "metadata.yaml").write_text("rosbag2_bagfile_information: {version: 9}\n")
 
 
 @pytest.mark.parametrize("suffix", ["", *(r.suffixes[0] for r in readers.readers())])
-def test_a_directory_is_named(suffix: str, tmp_path: Path) -> None:
-    folder = tmp_path / f"folder{suffix}"
-    folder.mkdir()
-    with pytest.raises(UnreadableInput, match=r"folder.*directory"):
-        readers.read(folder)
-
-
-def test_a_bag_folder_without_its_files_is_named(tmp_path: Path) -> None:
-    (tmp_path / "metadata.yaml").write_text("rosbag2_bagfile_information: {version: 9}\n")
-    with pytest.raises(UnreadableInput, match="bag cannot be opened"):
-        readers.read(tmp_path)
-
-
-def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(UnreadableInput, match=r"absent\.csv.*No such file"):
-        readers.read(tmp_path / "absent.csv")
-
-
-@pytest.mark.parametrize("suffix", [r.suffixes[0] for r in readers.readers()])
-def test_a_pipe_does_not_block(suffix: str, tmp_path: Path) -> None:
-    path = tmp_path / f"pipe{suffix}"
-    os.mkfifo(path)
-    with pytest.raises(UnreadableInput, match="not a regular file"):
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (Path.touch, "the file is empty"),
+        (Path.mkdir, "directory"),
+        (os.mkfifo, "not a regular file"),
+        (bag_folder, "bag cannot be opened"),
+        (lambda path: None, "No such file"),
+    ],
+)
+def test_what_is_no_recording_is_named(
+    make: Callable[[Path], object], words: str, suffix: str, tmp_path: Path
+) -> None:
+    path = tmp_path / f"odd{suffix}"
+    make(path)
+    with pytest.raises(UnreadableInput, match=f"odd{suffix}.*{words}"):
         readers.read(path)
 
 

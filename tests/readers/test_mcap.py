@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -106,20 +108,21 @@ def test_every_plain_cdr(tmp_path: Path, order: str, version: int, frame: str) -
 
 
 @pytest.mark.parametrize("frame", ["imu", "imulink"])
-def test_ros1(tmp_path: Path, frame: str) -> None:
+@pytest.mark.parametrize(
+    ("pack", "options"),
+    [
+        (ros1, {"schema": ROS1, "encoding": "ros1"}),
+        (lambda r: zstandard.compress(cdr(r)), {}),  # as rosbag2 compresses message by message
+    ],
+)
+def test_other_packings(
+    pack: Callable[[Reading], bytes], options: dict[str, Any], frame: str, tmp_path: Path
+) -> None:
     rows = readings(300, frame=frame)
-    logs = {"/imu": packed(rows, ros1)}
-    recording = read(write_log(tmp_path / "a.mcap", logs, schema=ROS1, encoding="ros1"))
+    path = write_log(tmp_path / "a.mcap", {"/imu": packed(rows, pack)}, **options)
+    recording = read(path, strict=True)
     assert same_bits(recording.channels["imu0/acceleration"].values, values(rows, "acc"))
     assert recording.start_ns == START
-
-
-def test_compressed_messages(tmp_path: Path) -> None:
-    rows = readings(300)
-    squeeze = zstandard.ZstdCompressor().compress
-    logs = {"/imu": packed(rows, lambda r: squeeze(cdr(r)))}
-    recording = read(write_log(tmp_path / "a.mcap", logs), strict=True)
-    assert same_bits(recording.channels["imu0/acceleration"].values, values(rows, "acc"))
 
 
 def test_split_topics_become_one_triad(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -67,8 +68,9 @@ class BagWriter:
     suffixes: tuple[str, ...]
     name: str = "rosbag"
 
-    def write(self, recording: Recording, path: Path) -> None:
+    def write_blocks(self, blocks: Iterable[Recording], path: Path) -> None:
         """Write `path` anew."""
+        (recording,) = blocks
         path.unlink(missing_ok=True)
         if self.suffixes == (".bag",):
             ros1_bag(path, _topics(recording))

@@ -20,7 +20,7 @@ Write = Callable[[Path, Array, Array, Array], Path]
 def _written(writer: writers.Writer | BagWriter) -> Write:
     def write(folder: Path, t: Array, acc: Array, rate: Array) -> Path:
         path = folder / f"log{writer.suffixes[0]}"
-        writer.write(recording_of(t, acc, rate), path)
+        writer.write_blocks([recording_of(t, acc, rate)], path)
         return path
 
     return write

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import zstandard
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
@@ -20,7 +21,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from imucalib.errors import UsageError
 from imucalib.readers import read
-from imucalib.readers.mcap import Scanner
+from imucalib.readers.mcap import McapLog
 from imucalib.recording.mapping import FieldMapping, from_dict
 from imucalib.recording.recording import Channel, Recording
 from imucalib.writers import write
@@ -30,7 +31,6 @@ from worlds.mcap_logs import (
     IMU_ROS2,
     START,
     cdr,
-    imu_log,
     packed,
     readings,
     ros1,
@@ -196,23 +196,15 @@ def test_a_definition_with_short_lines_between_types_is_mended(tmp_path: Path) -
     assert len(by_rosbags(tmp_path / "b.mcap")) == len(rows)
 
 
-def test_messages_are_in_time_order_across_chunks(tmp_path: Path) -> None:
-    write(recording(["a", "b", "c"], 5000), tmp_path / "a.mcap")
-    scanner = Scanner(tmp_path / "a.mcap", strict=True)
-    times = [block.header("log_time").astype(np.int64) for block in scanner.blocks()]
-    assert len(times) > 3
-    assert (np.diff(np.concatenate(times)) >= 0).all()
-
-
-def raw_messages(path: Path) -> set[tuple[str, int, int, int, bytes]]:
-    """Topic, times, sequence and payload of every message."""
-    scanner = Scanner(path, strict=True)
-    found = set()
-    for block in scanner.blocks():
+def raw_messages(path: Path) -> list[tuple[str, int, int, int, bytes]]:
+    """Topic, times, sequence and payload of every message, in file order."""
+    log = McapLog(path, strict=True)
+    found = []
+    for block in log.blocks():
         names = ("channel", "log_time", "publish_time", "sequence")
         columns = zip(*(block.header(n).tolist() for n in names), strict=True)
         for (number, *rest), payload in zip(columns, block.payloads(), strict=True):
-            found.add((scanner.topics[number].name, *rest, payload))
+            found.append((log.topics[number].name, *rest, payload))
     return found
 
 
@@ -229,7 +221,7 @@ def test_other_topics_are_copied_untouched(tmp_path: Path, date: int) -> None:
     whole = read(write_log(tmp_path / "b.mcap", {"/imu/data": packed(rows, cdr)}))
     channels = {n: replace(c, values=c.values * 1.01) for n, c in whole.channels.items()}
     write_with_topics_of(replace(whole, channels=channels), source, tmp_path / "c.mcap")
-    before, after = raw_messages(source), raw_messages(tmp_path / "c.mcap")
+    before, after = (set(raw_messages(p)) for p in (source, tmp_path / "c.mcap"))
     replaced = {m for m in before if m[0] == "/imu/data"}
     assert before - replaced <= after
     assert len(after) == len(before)
@@ -240,19 +232,6 @@ def test_other_topics_are_copied_untouched(tmp_path: Path, date: int) -> None:
         back.channels["imu0/acceleration"].values, channels["imu0/acceleration"].values
     )
     assert back.start_ns == whole.start_ns
-
-
-def full_messages(path: Path) -> list[tuple[int, int, int, bytes]]:
-    """Log time, publish time, sequence and payload of /imu/data, in file order."""
-    rows = []
-    scanner = Scanner(path, strict=True)
-    for block in scanner.blocks():
-        names = ("channel", "log_time", "publish_time", "sequence")
-        columns = zip(*(block.header(n).tolist() for n in names), strict=True)
-        for (number, *rest), payload in zip(columns, block.payloads(), strict=True):
-            if scanner.topics[number].name == "/imu/data":
-                rows.append((*rest, payload))
-    return rows
 
 
 PACKINGS = {
@@ -280,26 +259,37 @@ def test_corrected_messages_keep_all_their_other_bytes(tmp_path: Path, packing: 
         for n, c in whole.channels.items()
     }
     write_with_topics_of(replace(whole, channels=channels), source, tmp_path / "c.mcap")
-    before, after = full_messages(source), full_messages(tmp_path / "c.mcap")
+    before, after = raw_messages(source), raw_messages(tmp_path / "c.mcap")
     assert len(before) == len(after) == 400
     for one, two, reading in zip(before, after, rows, strict=True):
-        assert one[:3] == two[:3]
-        new = np.array(reading.acc) * 1.5 + 1
-        tail = struct.pack(f"{order}3d", *new)
-        at = len(one[3]) - 12 * 8
-        assert two[3] == one[3][:at] + tail + one[3][at + 24 :]
+        (*head, payload), (*same, patched) = one, two
+        assert head == same
+        tail = struct.pack(f"{order}3d", *(np.array(reading.acc) * 1.5 + 1))
+        at = len(payload) - 12 * 8
+        assert patched == payload[:at] + tail + payload[at + 24 :]
     back = read(tmp_path / "c.mcap", strict=True)
     for name, channel in channels.items():
         assert same_bits(back.channels[name].values, channel.values)
         assert same_bits(back.channels[name].t, channel.t)
 
 
-def test_messages_packed_one_by_one_are_written_anew(tmp_path: Path) -> None:
-    import zstandard
+def set_back(count: int) -> list[tuple[int, bytes]]:
+    """Messages whose clock was set back by seconds on the way."""
+    rows = [replace(r, ns=r.ns - (3_600_000_000 if i >= 200 else 0))
+            for i, r in enumerate(readings(count, rate=100.0))]  # fmt: skip
+    return packed(rows, cdr)
 
-    squeeze = zstandard.ZstdCompressor().compress
-    logs = {"/imu/data": [(r.ns, squeeze(cdr(r))) for r in readings(300)]}
-    source = write_log(tmp_path / "a.mcap", logs)
+
+def packed_alone(count: int) -> list[tuple[int, bytes]]:
+    """Messages that are compressed one by one, which are written anew."""
+    return packed(readings(count), lambda r: zstandard.compress(cdr(r)))
+
+
+@pytest.mark.parametrize("messages", [set_back, packed_alone])
+def test_every_message_gets_its_own_vector(
+    messages: Callable[[int], list[tuple[int, bytes]]], tmp_path: Path
+) -> None:
+    source = write_log(tmp_path / "a.mcap", {"/imu/data": messages(400)}, in_order=False)
     whole = read(source)
     channels = {n: replace(c, values=c.values * 2.0) for n, c in whole.channels.items()}
     write_with_topics_of(replace(whole, channels=channels), source, tmp_path / "c.mcap")
@@ -344,7 +334,7 @@ def test_attachments_metadata_and_a_thermometer_are_kept(tmp_path: Path) -> None
         assert (metadata.name, metadata.metadata) == ("rig", {"table": "7", "operator": "x"})
         statistics = reader.get_summary().statistics
         assert (statistics.attachment_count, statistics.metadata_count) == (1, 1)
-    assert raw_messages(tmp_path / "c.mcap") == raw_messages(packed_file)
+    assert set(raw_messages(tmp_path / "c.mcap")) == set(raw_messages(packed_file))
     assert_equal(whole, read(tmp_path / "c.mcap", strict=True))
 
 
@@ -357,15 +347,6 @@ def test_a_channel_without_a_message_is_refused_and_nothing_is_left(tmp_path: Pa
         write(replace(made, channels={**made.channels, "imu0/magnetic_field": odd}), target)
     assert target.read_bytes() == b"old"
     assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]
-
-
-def test_copying_needs_a_readable_source(tmp_path: Path) -> None:
-    source = tmp_path / "a.mcap"
-    source.write_bytes(b"no mcap at all")
-    whole = read(imu_log(tmp_path / "b.mcap", 20))
-    with pytest.raises(Exception, match="not an MCAP file"):
-        write_with_topics_of(whole, source, tmp_path / "c.mcap")
-    assert not (tmp_path / "c.mcap").exists()
 
 
 def test_a_damaged_byte_costs_a_few_hundred_messages(tmp_path: Path) -> None:

@@ -10,7 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.arrays import Array
-from imucalib.calibration.calibration import Calibration, StoredParameter, from_fit
+from imucalib.calibration.calibration import (
+    Calibration,
+    stored_covariance,
+    stored_parameters,
+)
+from imucalib.calibration.file import parameter_from
 from imucalib.core.fit import Fit
 from imucalib.errors import UnreadableInput, UsageError
 
@@ -39,14 +44,11 @@ def series_facts(
     for start, stop, fit in parts:
         row: dict[str, Any] = {"start_s": start, "stop_s": stop}
         if fit is not None:
-            found = from_fit(
-                fit, "", raw_unit="", raw_to_si=1.0, gravity=1.0, status="", reasons=(), facts={}
-            )
-            own = {p.name: p for p in found.parameters}
+            own = {p.name: p for p in stored_parameters(fit)}
             at = np.array([names.index(name) for name in own])
             covariance = whole.covariance.copy()
             covariance[at], covariance[:, at] = 0.0, 0.0
-            covariance[np.ix_(at, at)] = found.covariance
+            covariance[np.ix_(at, at)] = stored_covariance(fit)
             row["parameters"] = [vars(own.get(p.name, p)) for p in whole.parameters]
             row["covariance"] = covariance.tolist()
         rows.append(row)
@@ -80,7 +82,7 @@ def _part(whole: Calibration, row: dict[str, Any]) -> CalibrationPart:
     span = float(row["start_s"]), float(row["stop_s"])
     if "parameters" not in row:
         return CalibrationPart(*span, whole)
-    parameters = tuple(StoredParameter(**p) for p in row["parameters"])
+    parameters = tuple(map(parameter_from, row["parameters"]))
     covariance = np.array(row["covariance"], dtype=float).reshape(2 * (len(parameters),))
     own = replace(whole, parameters=parameters, covariance=covariance)
     return CalibrationPart(*span, own)

@@ -46,31 +46,31 @@ def command(
     """
     from imucalib.atomic_file import demand_output
     from imucalib.readers import blocks, read_together
-    from imucalib.writers import ChannelsChange, Told, write, write_blocks, writer_for
+    from imucalib.writers import ChannelsChange, Noted, write_blocks, writer_for
 
     writer_for(target)
     demand_output(target, inputs_of(options, *sources), force=force)
     mapping = mapping_of(options)
     if len(sources) == 1:
-        told = Told(blocks(sources[0], mapping, strict=strict))
+        noted = Noted(blocks(sources[0], mapping, strict=strict))
     else:
-        told = Told([read_together(sources, mapping, strict=strict)])
+        noted = Noted([read_together(sources, mapping, strict=strict)])
     with working("converting", quiet=options["quiet"]):
         try:
-            write_blocks(told, target)
+            write_blocks(noted, target)
         except ChannelsChange:  # a table must know its columns first: then all of it is held
-            told = Told([read_together(sources, mapping, strict=strict)])
-            write(next(iter(told)), target)
-    for text in told.notes:
+            noted = Noted([read_together(sources, mapping, strict=strict)])
+            write_blocks(noted, target)
+    for text in noted.notes:
         note(text, options["quiet"])
     if options["as_json"]:
         emit_json(
             {
                 "output": str(target),
-                "channels": list(told.channels),
-                "notes": list(told.notes),
+                "channels": list(noted.channels),
+                "notes": list(noted.notes),
             }
         )
     elif not options["quiet"]:
-        say(f"wrote {target}: {', '.join(told.channels)}")
+        say(f"wrote {target}: {', '.join(noted.channels)}")
     return 0

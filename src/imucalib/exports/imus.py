@@ -8,6 +8,7 @@ that in which its accelerometer's matrix is L_a: Q_a turns the board's axes into
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from imucalib.calibration.triads import Triad
 from imucalib.core.effect import Response
 from imucalib.effects import catalogue
 from imucalib.errors import UnreadableInput, UsageError
+from imucalib.exports import Made
 from imucalib.exports.linear import beyond_linear
 from imucalib.inspection.noise import read_noise
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
@@ -55,14 +57,8 @@ class Imu:
     @property
     def from_board(self) -> Array:
         """(4, 4) that takes places in the board's frame into the IMU's, m."""
-        return homogeneous(self.frame, -self.frame @ self.place)
-
-
-def homogeneous(turn: Array, shift: Array) -> Array:
-    """(4, 4) of a rotation and a translation."""
-    out = np.eye(4)
-    out[:3, :3], out[:3, 3] = turn, shift
-    return out
+        moved = np.column_stack([self.frame, -self.frame @ self.place])
+        return np.vstack([moved, [0.0, 0.0, 0.0, 1.0]])
 
 
 def imus_of(calibration: Calibration, form: str) -> tuple[Imu, ...]:
@@ -199,14 +195,6 @@ def _noise(calibration: Calibration, triad: Triad) -> dict[str, Any]:
     } | told
 
 
-def lost_to_filters(calibration: Calibration, program: str) -> tuple[str, ...]:
-    """What a program that filters estimates by itself, or has no place for."""
-    words = [f"the biases: {program} estimates them in every recording"]
-    if late := late_of(calibration):
-        words.append(f"the gyros' delay of {1e3 * late:.3f} ms against the accelerometers")
-    return tuple(words)
-
-
 def lost_of(calibration: Calibration, kept: tuple[str, ...] = _KEPT) -> tuple[str, ...]:
     """Effects that the form has no place for, beside a common delay (`late_of`)."""
     kept = (*kept, *_common_delays())
@@ -225,24 +213,18 @@ def losses_of(
 ) -> tuple[float, float]:
     """Largest rms in the motion that was calibrated of an effect that the form has no place for: on
     a force, mg, and on a rate, deg/s; delay : whether it has one for a common delay."""
-    aside, found = _common_delays(), {"m/s²": [0.0], "deg/s": [0.0]}
+    aside, largest = _common_delays(), {"m/s²": 0.0, "deg/s": 0.0}
     for row in calibration.facts.get("not_undone", ()):
+        effect, unit = row["effect"], row["unit"]
         # A delay is known against the other sensor only: it is a rate's loss.
-        held = row["effect"] in kept or (
-            row["effect"] in aside and (delay or row["unit"] == "m/s²")
-        )
-        if not held and row["unit"] in found:
-            found[row["unit"]].append(float(row["rms"]))
-    return max(found["m/s²"]) / MG, max(found["deg/s"])
+        held = effect in kept or (effect in aside and (delay or unit == "m/s²"))
+        if not held and unit in largest:
+            largest[unit] = max(largest[unit], float(row["rms"]))
+    return largest["m/s²"] / MG, largest["deg/s"]
 
 
-#: What Kalibr and OpenVINS ask of an IMU's noise.
-_NOISE = tuple(
-    f"{sensor}_{term}"
-    for sensor in ("accelerometer", "gyroscope")
-    for term in ("noise_density", "random_walk")
-)
-_UNITS = {
+#: What Kalibr and OpenVINS ask of an IMU's noise, and its units.
+_NOISE = {
     "accelerometer_noise_density": "m/s2/sqrt(Hz)",
     "accelerometer_random_walk": "m/s3/sqrt(Hz)",
     "gyroscope_noise_density": "rad/s/sqrt(Hz)",
@@ -250,9 +232,34 @@ _UNITS = {
 }
 
 
-def noise_lines(imu: Imu, program: str) -> tuple[dict[str, Any], list[str]]:
+def file_an_imu(
+    calibration: Calibration,
+    program: str,
+    text: Callable[[Imu, dict[str, Any], list[str]], str],
+    lost: tuple[str, ...],
+    losses: tuple[float, float],
+) -> Made:
+    """What a program that filters reads, which estimates biases by itself and has no place for a
+    delay.
+
+    text : of an IMU's file, from its noise and what is said in comments; lost, losses : in words,
+    and of a force, mg, and of a rate, deg/s
+    Raises as `imus_of`, and UsageError where nothing is known of one of its noises.
+    """
+    words = [f"the biases: {program} estimates them in every recording"]
+    if late := late_of(calibration):
+        words.append(f"the gyros' delay of {1e3 * late:.3f} ms against the accelerometers")
+    lost = (*words, *lost)
+    files = {}
+    for imu in imus_of(calibration, program):
+        noise, said = _noise_lines(imu, program)
+        files[imu.name] = text(imu, noise, [*said, *(f"# Not in it: {one}." for one in lost)])
+    return Made("---\n".join(files.values()), lost, *losses, files if len(files) > 1 else {})
+
+
+def _noise_lines(imu: Imu, program: str) -> tuple[dict[str, Any], list[str]]:
     """The keys that a program asks for, and a comment of each that only an upper limit is known of,
-    which then stands in its place. Raises UsageError where nothing is known of one."""
+    which then stands in its place."""
     missing = [k for k in (*_NOISE, "update_rate") if not {k, f"{k}_at_most"} & set(imu.noise)]
     if missing:
         raise UsageError(
@@ -260,15 +267,12 @@ def noise_lines(imu: Imu, program: str) -> tuple[dict[str, Any], list[str]]:
             remedy="give a recording at rest to `imucal inspect RECORDING --save-noise noise.yaml` "
             "and `--noise noise.yaml` here, or state the walks: --random-walk ACC,GYRO (SI)",
         )
-    found = {
-        "rostopic": f"/{imu.name}/imu",
-        "update_rate": float(f"{imu.noise['update_rate']:.9g}"),
-    }
-    said = []
-    for key in _NOISE:
+    rate = float(f"{imu.noise['update_rate']:.9g}")
+    found, said = {"rostopic": f"/{imu.name}/imu", "update_rate": rate}, []
+    for key, unit in _NOISE.items():
         found[key] = float(imu.noise[key if key in imu.noise else f"{key}_at_most"])
         if key not in imu.noise:
-            said.append(f"# {key}: an upper limit (95 %), {_UNITS[key]}; the rests show no more.")
+            said.append(f"# {key}: an upper limit (95 %), {unit}; the rests show no more.")
     return found, said
 
 

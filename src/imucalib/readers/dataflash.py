@@ -7,15 +7,14 @@ LogStructure.h (accelerations m/s², rates rad/s, T in °C, TimeUS and SampleUS 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.arrays import Index
+from imucalib.arrays import Array, Index
 from imucalib.errors import UnreadableInput
 from imucalib.readers.hdf5.reader import blocks_in_memory, put_channel
 from imucalib.readers.joining import Joined
@@ -44,24 +43,20 @@ _LETTERS = {
     }.items()
     for letter in letters
 }
-#: Names of messages, best first: samples as they came from the sensor, then those that were fused.
-_ACCELERATION = (("ACC", ("AccX", "AccY", "AccZ")), ("IMU", ("AccX", "AccY", "AccZ")))
-_RATE = (("GYR", ("GyrX", "GyrY", "GyrZ")), ("IMU", ("GyrX", "GyrY", "GyrZ")))
-_US = 1e-6
+#: Quantity, unit and fields of the messages that hold it, best first: samples as they came from the
+#: sensor, then those that were fused.
+_QUANTITIES = (
+    ("acceleration", "m/s2", ("AccX", "AccY", "AccZ"), ("ACC", "IMU")),
+    ("angular_rate", "rad/s", ("GyrX", "GyrY", "GyrZ"), ("GYR", "IMU")),
+)
+_INERTIAL = {"IMU", "ACC", "GYR"}  # without the digits that older logs number sensors with
+_CLOCKS = (("SampleUS", 1e-6), ("TimeUS", 1e-6), ("TimeMS", 1e-3))  # s in one unit
 #: Bytes read at a time; of two messages, which state their length in one byte; and bytes without a
 #: message after which a file is no log.
 _PIECE, _LONGEST, _MOST_WASTE = 16 << 20, 512, 64 << 20
 
-
-@dataclass(frozen=True)
-class _Messages:
-    """rows : structured messages of each name; lost : bytes that belong to no message"""
-
-    rows: Mapping[str, NDArray[Any]]
-    lost: int
-
-
 _Layouts = dict[int, tuple[str, np.dtype[Any]]]
+_Rows = dict[str, NDArray[Any]]  # structured messages by their name
 
 
 class DataflashReader(Joined):
@@ -82,14 +77,14 @@ class DataflashReader(Joined):
         self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool
     ) -> Iterator[Recording]:
         """Yield blocks of about `block_samples` rows; the inertial messages are held in memory."""
-        found = _messages(path)
+        rows, lost = _messages(path)
         notes: tuple[str, ...] = ()
-        if found.lost:
-            notes = (f"{found.lost} bytes belong to no message: what they held is missing",)
+        if lost:
+            notes = (f"{lost} bytes belong to no message: what they held is missing",)
             if strict:
                 raise UnreadableInput(notes[0], where=str(path), remedy="read it without --strict")
         yield from blocks_in_memory(
-            lambda held: _fill(held, found.rows, path),
+            lambda held: _fill(held, rows, path),
             path,
             mapping,
             block_samples=block_samples,
@@ -102,8 +97,8 @@ class DataflashReader(Joined):
 READER = DataflashReader()
 
 
-def _messages(path: Path) -> _Messages:
-    """Every inertial message, from pieces of the file."""
+def _messages(path: Path) -> tuple[_Rows, int]:
+    """Every inertial message, from pieces of the file, and the bytes that belong to no message."""
     layouts: _Layouts = {}
     rows: dict[str, list[NDArray[Any]]] = {}
     lost, good, rest, more = 0, 0, np.empty(0, np.uint8), True
@@ -115,7 +110,7 @@ def _messages(path: Path) -> _Messages:
             kinds = data[header + 2]
             for kind, (name, dtype) in layouts.items():
                 at = header[kinds == kind]
-                if at.size and name.rstrip("123") in {"IMU", "ACC", "GYR"}:
+                if at.size and name.rstrip("123") in _INERTIAL:
                     packed = data[at[:, None] + np.arange(dtype.itemsize)]
                     rows.setdefault(name, []).append(np.ascontiguousarray(packed).view(dtype)[:, 0])
             good, lost = good + int(length.sum()), lost + end - int(length.sum())
@@ -125,7 +120,7 @@ def _messages(path: Path) -> _Messages:
                 lost += path.stat().st_size - stream.tell() + data.size - end
                 break
             rest = data[end:]
-    return _Messages({name: np.concatenate(parts) for name, parts in rows.items()}, lost)
+    return {name: np.concatenate(parts) for name, parts in rows.items()}, lost
 
 
 def _whole(data: NDArray[np.uint8], layouts: _Layouts, *, last: bool) -> tuple[Index, Index, int]:
@@ -141,7 +136,7 @@ def _whole(data: NDArray[np.uint8], layouts: _Layouts, *, last: bool) -> tuple[I
         size[kind] = dtype.itemsize
     header = header[size[data[header + 2]] > 0]
     length = size[data[header + 2]]
-    # A message is one where another begins at its end: what lost bytes is not taken for a sample.
+    # A message is one where another begins at its end: what lost bytes is no sample.
     ends = np.append(header, data.size) if last else header
     closed = np.isin(header + length, ends)
     header, length = header[closed], length[closed]
@@ -149,7 +144,7 @@ def _whole(data: NDArray[np.uint8], layouts: _Layouts, *, last: bool) -> tuple[I
     header, length = header[keep], length[keep]
     if last:
         return header, length, data.size
-    # Of what is longer than a message, what comes next tells nothing.
+    # Of what is longer than a message, what comes next says nothing.
     done = int(header[-1] + length[-1]) if header.size else 0
     return header, length, max(done, data.size - _LONGEST)
 
@@ -189,34 +184,25 @@ def _text(raw: bytes) -> str:
     return raw.split(b"\0")[0].decode("ascii", "replace")
 
 
-def _fill(held: Any, rows: Mapping[str, NDArray[Any]], path: Path) -> None:
-    found = 0
-    for quantity, names, unit in (
-        ("acceleration", _ACCELERATION, "m/s2"),
-        ("angular_rate", _RATE, "rad/s"),
-    ):
-        for kind, axes in names:
-            for name, triad, some in _sensors(rows, kind):
-                channel = f"{triad}/{quantity}"
-                if channel not in held and all(_is_number(some, a) for a in axes):
+def _fill(held: Any, rows: _Rows, path: Path) -> None:
+    for quantity, unit, axes, kinds in _QUANTITIES:
+        for kind in kinds:
+            for triad, some in _sensors(rows, kind):
+                name = f"{triad}/{quantity}"
+                if name not in held and all(_is_number(some, a) for a in axes):
                     values = np.column_stack([some[a] for a in axes]).astype(np.float64)
-                    put_channel(held, channel, _seconds(some, path), values, unit)
-                    found += 1
-                if name.startswith("IMU") and f"{triad}/temperature" not in held:
-                    _put_temperature(held, triad, some, path)
-    if not found:
+                    put_channel(held, name, _seconds(some, path), values, unit)
+    if not len(held):
         raise UnreadableInput(
             "the log has no IMU, ACC or GYR messages",
             where=str(path),
             remedy="set LOG_BITMASK so that IMU or raw IMU messages are logged",
         )
-
-
-def _put_temperature(held: Any, triad: str, some: NDArray[Any], path: Path) -> None:
-    for name in ("T", "Temp"):
-        if _is_number(some, name):
-            warm = some[name].astype(np.float64)
-            put_channel(held, f"{triad}/temperature", _seconds(some, path), warm, "degC")
+    for triad, some in _sensors(rows, "IMU"):
+        warm = next((name for name in ("T", "Temp") if _is_number(some, name)), None)
+        if warm is not None and f"{triad}/temperature" not in held:
+            values = some[warm].astype(np.float64)
+            put_channel(held, f"{triad}/temperature", _seconds(some, path), values, "degC")
 
 
 def _is_number(some: NDArray[Any], name: str) -> bool:
@@ -225,24 +211,21 @@ def _is_number(some: NDArray[Any], name: str) -> bool:
     return known and some.dtype[name].kind in "fiu" and some.dtype[name].shape == ()
 
 
-def _sensors(
-    rows: Mapping[str, NDArray[Any]], kind: str
-) -> Iterator[tuple[str, str, NDArray[Any]]]:
+def _sensors(rows: _Rows, kind: str) -> Iterator[tuple[str, NDArray[Any]]]:
     """Messages sensor by sensor: numbered by a field `I`, or in older logs by their name."""
     for name in sorted(n for n in rows if n.rstrip("123") == kind):
         some = rows[name]
         if _is_number(some, "I"):
             for number in np.unique(some["I"]):
-                yield name, f"imu{number}", some[some["I"] == number]
+                yield f"imu{number}", some[some["I"] == number]
         else:
-            yield name, f"imu{int(name[len(kind) :] or 1) - 1}", some
+            yield f"imu{int(name[len(kind) :] or 1) - 1}", some
 
 
-def _seconds(some: NDArray[Any], path: Path) -> NDArray[np.float64]:
+def _seconds(some: NDArray[Any], path: Path) -> Array:
     """When a sample was taken, where the message says so, else when it was logged."""
-    for name, unit in (("SampleUS", _US), ("TimeUS", _US), ("TimeMS", 1e-3)):
-        whole = _is_number(some, name) and some.dtype[name].kind in "iu"
-        if whole and np.any(some[name]):
+    for name, unit in _CLOCKS:
+        if _is_number(some, name) and some.dtype[name].kind in "iu" and np.any(some[name]):
             return np.asarray(some[name].astype(np.float64) * unit)
     raise UnreadableInput(
         "its inertial messages have no time (SampleUS, TimeUS or TimeMS)",

@@ -9,51 +9,47 @@ import hashlib
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from mcap.opcode import Opcode
+from mcap.records import Schema
 
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.readers.messages.recording import log_blocks, read_log
 from imucalib.readers.messages.records import (
-    MESSAGE,
-    MESSAGE_HEADER_SIZE,
+    MESSAGE_HEAD,
     Damage,
     MessageBlock,
-    Schema,
-    Summary,
+    MessageLog,
     Topic,
-    message_block,
 )
 from imucalib.readers.source import sha256_of
 from imucalib.recording.mapping import FieldMapping
-from imucalib.recording.recording import Correction, Recording
+from imucalib.recording.recording import Recording
 
 SQLITE = b"SQLite format 3\0"
+_ROS1 = b"#ROSBAG V"
 _BATCH = 4096  # messages of a block
 _BATCH_BYTES = 1 << 22  # a block ends early where messages are large (images)
 _RECORD = struct.Struct("<BQHIQQ")
 _FORMATS = {"MSG": "ros2msg", "IDL": "ros2idl", "NONE": ""}
 
 
-class BagScan:
-    """One pass over a bag file or folder, in order of time; see `messages.records.Scan`.
+class BagLog(MessageLog):
+    """A bag file or folder as a log of messages, in order of time.
 
     A bag is read through its index, so a damaged index makes it unreadable, and damage met on the
     way ends the pass: what came before is kept, what was lost is in `damages`.
     """
 
-    def __init__(self, path: Path, *, strict: bool) -> None:
-        self.path, self.strict = path, strict
-        self.topics: dict[int, Topic] = {}
-        self.damages: list[Damage] = []
-        self.corrections: tuple[Correction, ...] = ()  # bags are not written here
+    format = "rosbag"
 
     def blocks(self) -> Iterator[MessageBlock]:
         """The messages, some thousand at a time."""
+        self._begin()
         with self._opened() as (bag, connections):
             self.topics = {n: _topic(n, c) for n, c in enumerate(connections)}
             total, done = sum(c.msgcount for c in connections), 0
@@ -63,11 +59,19 @@ class BagScan:
                 done += len(batch)
                 yield _block(batch)
 
-    def summary(self) -> Summary:
-        """Topics and counts of the index."""
+    def indexed_topics(self) -> dict[int, Topic]:
+        """Topics of the bag's index."""
         with self._opened() as (_, connections):
-            topics = {n: _topic(n, c) for n, c in enumerate(connections)}
-            return Summary(topics, {n: c.msgcount for n, c in enumerate(connections)})
+            return {n: _topic(n, c) for n, c in enumerate(connections)}
+
+    def sha256(self) -> str:
+        """Hash of the file; of a folder, the hash over its files' names and hashes, in order."""
+        if not self.path.is_dir():
+            return super().sha256()
+        whole = hashlib.sha256()
+        for file in sorted(p for p in self.path.iterdir() if p.is_file()):
+            whole.update(f"{sha256_of(file)}  {file.name}\n".encode())
+        return whole.hexdigest()
 
     def _batch(
         self, messages: Iterator[Any], keys: dict[tuple[str, int], int], done: int, total: int
@@ -83,17 +87,11 @@ class BagScan:
                     break
         except Exception as error:  # rosbags raises almost anything on damaged bytes
             lost = max(total - done - len(batch), 0)
-            self._report(f"{type(error).__name__}: {error}"[:160], lost)
+            self.report(Damage(-1, 0, f"{type(error).__name__}: {error}"[:160], messages=lost))
         if not batch and done < total and not self.damages:
-            self._report("the bag ends before its index does", total - done)
+            reason = "the bag ends before its index does"
+            self.report(Damage(-1, 0, reason, messages=total - done))
         return batch
-
-    def _report(self, reason: str, lost: int) -> None:
-        if self.strict:
-            raise UnreadableInput(
-                f"damaged: {reason}", where=str(self.path), remedy="read it without strict"
-            )
-        self.damages.append(Damage(-1, 0, reason, messages=lost))
 
     @contextmanager
     def _opened(self) -> Iterator[tuple[Any, list[Any]]]:
@@ -125,7 +123,7 @@ def _reader(path: Path) -> Any:
     try:
         if not path.is_dir():
             with path.open("rb") as file:
-                if file.read(9) == b"#ROSBAG V":
+                if file.read(len(_ROS1)) == _ROS1:
                     return rosbag1.Reader(path)
         return rosbag2.Reader(path)
     except Exception as error:  # as above: whatever it raises, the bag cannot be opened
@@ -168,7 +166,7 @@ def _topic(number: int, connection: Any) -> Topic:
     definition = connection.msgdef
     encoding = getattr(connection.ext, "serialization_format", "ros1")
     kind = "ros1msg" if encoding == "ros1" else _FORMATS[definition.format.name]
-    schema = Schema(number + 1, connection.msgtype, kind, definition.data.encode())
+    schema = Schema(number + 1, definition.data.encode(), kind, connection.msgtype)
     return Topic(number, connection.topic, encoding, schema)
 
 
@@ -176,39 +174,10 @@ def _block(batch: list[tuple[int, int, int, bytes]]) -> MessageBlock:
     """Messages (channel, sequence, time in ns, payload) as records."""
     parts = []
     for channel, row, time, data in batch:
-        size = MESSAGE_HEADER_SIZE + len(data)
-        parts += [_RECORD.pack(MESSAGE, size, channel, row & 0xFFFFFFFF, time, time), data]
-    lengths = np.array([31 + len(b[3]) for b in batch], dtype=np.int64)
-    return message_block(b"".join(parts), np.cumsum(lengths) - lengths, 0)
-
-
-_ROS1 = b"#ROSBAG V"
-
-
-@dataclass(frozen=True)
-class BagLog:
-    """A bag file or folder as a log of messages."""
-
-    path: Path
-    format: str = "rosbag"
-
-    def scan(self, *, strict: bool) -> BagScan:
-        """A pass in order of time, as the bag's index gives it."""
-        return BagScan(self.path, strict=strict)
-
-    def summary(self) -> Summary:
-        """Topics and their counts, from the bag's index."""
-        return BagScan(self.path, strict=False).summary()
-
-    def sha256(self) -> str:
-        """Hash of the file; of a folder, the hash over its files' names and hashes, in order."""
-        if not self.path.is_dir():
-            return sha256_of(self.path)
-        files = sorted(p for p in self.path.iterdir() if p.is_file())
-        whole = hashlib.sha256()
-        for file in files:
-            whole.update(f"{sha256_of(file)}  {file.name}\n".encode())
-        return whole.hexdigest()
+        size = MESSAGE_HEAD - 9 + len(data)
+        parts += [_RECORD.pack(Opcode.MESSAGE, size, channel, row & 0xFFFFFFFF, time, time), data]
+    lengths = np.array([MESSAGE_HEAD + len(b[3]) for b in batch], dtype=np.int64)
+    return MessageBlock.of_records(b"".join(parts), np.cumsum(lengths) - lengths)
 
 
 class RosbagReader:
@@ -225,13 +194,14 @@ class RosbagReader:
 
     def read(self, path: Path, mapping: FieldMapping, *, strict: bool) -> Recording:
         """Read all samples in one pass."""
-        return read_log(BagLog(path), mapping, strict=strict)
+        return read_log(BagLog(path, strict=strict), mapping)
 
     def blocks(
         self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool
     ) -> Iterator[Recording]:
         """Read the bag twice, in bounded memory."""
-        yield from log_blocks(BagLog(path), mapping, block_samples=block_samples, strict=strict)
+        log = BagLog(path, strict=strict)
+        yield from log_blocks(log, mapping, block_samples=block_samples)
 
 
 READER = RosbagReader()

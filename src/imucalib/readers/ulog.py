@@ -28,14 +28,16 @@ _LONGEST_MESSAGE = 3 + (1 << 16)  # bytes
 #: The filter is fed each sample once, or some raw samples integrated to one: raw sensors that are
 #: logged at less than a third of its rate were thinned out.
 _THINNED = 1.0 / 3.0
-#: Topic, quantity, its three fields, its unit.
-_TOPICS = (
+#: Topic, quantity, its fields, its unit.
+_RAW = (
     ("sensor_accel", "acceleration", ("x", "y", "z"), "m/s2"),
+    ("sensor_accel", "temperature", ("temperature",), "degC"),
     ("sensor_gyro", "angular_rate", ("x", "y", "z"), "rad/s"),
 )
+_COMBINED = "sensor_combined"
 _FILTERED = (
-    ("acceleration", tuple(f"accelerometer_m_s2[{k}]" for k in range(3)), "m/s2"),
-    ("angular_rate", tuple(f"gyro_rad[{k}]" for k in range(3)), "rad/s"),
+    (_COMBINED, "acceleration", tuple(f"accelerometer_m_s2[{k}]" for k in range(3)), "m/s2"),
+    (_COMBINED, "angular_rate", tuple(f"gyro_rad[{k}]" for k in range(3)), "rad/s"),
 )
 
 
@@ -86,7 +88,7 @@ def _log(path: Path) -> tuple[Any, str]:
         with contextlib.redirect_stdout(said), _WithoutZeros(path) as content:
             log = ULog(
                 io.BufferedReader(content, 1 << 16),
-                ["sensor_accel", "sensor_gyro", "sensor_combined"],
+                sorted({topic for topic, *_ in (*_RAW, *_FILTERED)}),
             )
         return log, said.getvalue()
     except Exception as error:  # what the package raises on damage depends on where the damage is
@@ -138,48 +140,44 @@ def _damage(log: Any, said: str, path: Path, *, strict: bool) -> tuple[str, ...]
 
 def _chosen(topics: Sequence[Any]) -> tuple[list[Any], tuple[str, ...]]:
     """The topics to read, and a sentence on those that are left out for their rate."""
-    fed = max((_rate(d) for d in topics if d.name == "sensor_combined"), default=0.0)
-    raw = [d for d in topics if d.name != "sensor_combined"]
+    fed = max((_rate(d) for d in topics if d.name == _COMBINED), default=0.0)
+    raw = [d for d in topics if d.name != _COMBINED]
     slow = [d for d in raw if _rate(d) < _THINNED * fed]
     if not slow:
         return list(topics), ()
     names = ", ".join(f"{d.name} {d.multi_id} ({_rate(d):.3g} Hz)" for d in slow)
-    note = f"logged more slowly than sensor_combined ({fed:.4g} Hz), and left out: {names}"
+    note = f"logged more slowly than {_COMBINED} ({fed:.4g} Hz), and left out: {names}"
     return [d for d in topics if d not in slow], (note,)
 
 
 def _rate(topic: Any) -> float:
-    """Samples a second; 0 where its stamps tell none."""
+    """Samples a second; 0 where its stamps give none."""
     t = _seconds(topic.data)
     span = float(t[-1] - t[0]) if t.size > 1 else 0.0
     return (t.size - 1) / span if span > 0.0 else 0.0
 
 
 def _fill(held: Any, topics: Sequence[Any], path: Path) -> None:
-    found = 0
-    for topic, quantity, axes, unit in _TOPICS:
-        for one in (d for d in topics if d.name == topic):
-            found += _put(held, f"imu{one.multi_id}/{quantity}", one, axes, unit)
-            if quantity == "acceleration" and "temperature" in one.data:
-                _put(held, f"imu{one.multi_id}/temperature", one, ("temperature",), "degC")
-    if not found:
-        for one in (d for d in topics if d.name == "sensor_combined"):
-            for quantity, fields, unit in _FILTERED:
-                found += _put(held, f"imu{one.multi_id}/{quantity}", one, fields, unit)
-    if not found:
-        raise UnreadableInput(
-            "the log has no samples of sensor_accel, sensor_gyro or sensor_combined",
-            where=str(path),
-            remedy="log raw sensors: set the parameter SDLOG_PROFILE so that it includes them",
-        )
-
-
-def _put(held: Any, name: str, one: Any, fields: Sequence[str], unit: str) -> bool:
-    if name in held or not set(fields) <= set(one.data):
-        return False
-    values = np.column_stack([one.data[f] for f in fields]).astype(np.float64)
-    put_channel(held, name, _seconds(one.data), values if len(fields) > 1 else values[:, 0], unit)
-    return True
+    for table in (_RAW, _FILTERED):
+        for topic, quantity, fields, unit in table:
+            for one in (d for d in topics if d.name == topic):
+                name = f"imu{one.multi_id}/{quantity}"
+                if name not in held and set(fields) <= set(one.data):
+                    values = np.column_stack([one.data[f] for f in fields]).astype(np.float64)
+                    put_channel(
+                        held,
+                        name,
+                        _seconds(one.data),
+                        values if len(fields) > 1 else values[:, 0],
+                        unit,
+                    )
+        if len(held):
+            return
+    raise UnreadableInput(
+        "the log has no samples of sensor_accel, sensor_gyro or sensor_combined",
+        where=str(path),
+        remedy="log raw sensors: set the parameter SDLOG_PROFILE so that it includes them",
+    )
 
 
 def _seconds(data: Any) -> Array:

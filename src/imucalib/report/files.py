@@ -22,7 +22,7 @@ from imucalib.calibration.findings import Findings, FoundStep
 from imucalib.calibration.outcome import Run
 from imucalib.calibration.plain import fields, listed, plain
 from imucalib.errors import ImucalError, UsageError
-from imucalib.exports import Exported
+from imucalib.exports import Made
 from imucalib.loop.found import Score
 from imucalib.recording.yaml_text import load
 from imucalib.report.document import Document, Plot, Series
@@ -83,9 +83,7 @@ def demand_folder(folder: Path, inputs: Sequence[Path]) -> None:
         )
 
 
-def write_report(
-    report: Report, folder: Path, exported: Sequence[Exported] = ()
-) -> tuple[Path, ...]:
+def write_report(report: Report, folder: Path, exported: Sequence[Made] = ()) -> tuple[Path, ...]:
     """Write calibration.yaml, report.json, report.html and exports into a folder, all or none;
     returns their paths."""
     from imucalib.report.render.html import render_html

@@ -9,28 +9,18 @@ import os
 from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 from imucalib.atomic_file import replaced_atomically
 from imucalib.core.discovery import modules_of
 from imucalib.errors import UsageError
-from imucalib.readers.joining import join
 from imucalib.recording.recording import Recording
 
-__all__ = [
-    "BlockWriter",
-    "ChannelsChange",
-    "Told",
-    "Writer",
-    "write",
-    "write_blocks",
-    "writer_for",
-    "writers",
-]
+__all__ = ["ChannelsChange", "Noted", "Writer", "write", "write_blocks", "writer_for", "writers"]
 
 
 class Writer(Protocol):
-    """One output format. `write` fills `path`, a temporary file that is renamed when complete."""
+    """One output format; its memory is bounded by a block."""
 
     @property
     def name(self) -> str:
@@ -42,17 +32,12 @@ class Writer(Protocol):
         """Lower-case file name endings that select this writer, with the dot."""
         ...
 
-    def write(self, recording: Recording, path: Path) -> None:
-        """Write all channels so that the reader of the same name gives them back bit for bit."""
-        ...
-
-
-@runtime_checkable
-class BlockWriter(Protocol):
-    """A writer whose memory is bounded by a block."""
-
     def write_blocks(self, blocks: Iterable[Recording], path: Path) -> None:
-        """Write blocks as `readers.blocks` yields them."""
+        """Write blocks, as `readers.blocks` yields them, so that the reader of the same name gives
+        all channels back bit for bit.
+
+        path : a temporary file that is renamed when complete
+        """
         ...
 
 
@@ -60,20 +45,22 @@ class ChannelsChange(UsageError):
     """A block has channels that the format had to know from the first on."""
 
 
-class Told:
-    """Blocks on their way to a writer, and what they told: their notes and channels, each once."""
+class Noted:
+    """Blocks on their way to a writer; notes, channels : of those that passed, each once."""
 
     def __init__(self, blocks: Iterable[Recording]) -> None:
         self._blocks = blocks
         self.notes, self.channels = dict[str, None](), dict[str, None]()
 
     def __iter__(self) -> Iterator[Recording]:
+        where = ""
         for block in self._blocks:
+            where = block.path
             self.notes.update(dict.fromkeys(block.notes))
             self.channels.update(dict.fromkeys(block.channels))
             yield block
         if not self.channels:
-            raise UsageError("the recording has no channels to write")
+            raise UsageError("the recording has no channels to write", where=where)
 
 
 @cache
@@ -92,25 +79,17 @@ def writer_for(path: str | os.PathLike[str]) -> Writer:
 
 
 def write(recording: Recording, path: str | os.PathLike[str]) -> None:
-    """Write a recording in the format of the suffix; the old file stays whole until the end.
-
-    Raises UsageError for an unknown suffix, an unwritable place or a recording without channels.
-    """
-    writer = writer_for(path)
-    if not recording.channels:
-        raise UsageError("the recording has no channels to write", where=recording.path)
-    with replaced_atomically(path) as temporary:
-        writer.write(recording, temporary)
+    """Write a recording in the format of the suffix; errors as in `write_blocks`."""
+    write_blocks([recording], path)
 
 
 def write_blocks(blocks: Iterable[Recording], path: str | os.PathLike[str]) -> None:
-    """Write a recording that comes in blocks, in the format of the suffix; errors as in `write`.
+    """Write a recording that comes in blocks, in the format of the suffix; the old file stays whole
+    until the end.
 
-    A format that cannot grow block by block takes the whole recording into memory.
+    Raises UsageError for an unknown suffix, an unwritable place, a recording without channels and
+    what the format cannot hold, ChannelsChange where a format must know all channels first.
     """
     writer = writer_for(path)
     with replaced_atomically(path) as temporary:
-        if isinstance(writer, BlockWriter):
-            writer.write_blocks(blocks, temporary)
-        else:
-            writer.write(join(blocks, str(path)), temporary)
+        writer.write_blocks(Noted(blocks), temporary)

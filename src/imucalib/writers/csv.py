@@ -31,52 +31,38 @@ class CsvWriter:
     name = "csv"
     suffixes = (".csv",)
 
-    def write(self, recording: Recording, path: Path) -> None:
-        """Write all channels. Raises UsageError when channels differ in times that step back."""
-        self.write_blocks([recording], path)
-
     def write_blocks(self, blocks: Iterable[Recording], path: Path) -> None:
-        """Write block after block; memory holds one. Errors as in `write`, and UsageError for a
-        channel that the first block does not have: the heading is written by then."""
-        count, first = 0, dict[str, Channel]()
-        names: tuple[str, ...] = ()
+        """Write block after block. Raises UsageError when channels differ in times that step back,
+        ChannelsChange for a channel that the first block does not have: the heading is written."""
+        count, start_ns = 0, None
+        empty: dict[str, Channel] = {}  # the first block's channels, without samples
         with path.open("wb") as file:
             out = _Summed(file)
             for recording in blocks:
-                channels = dict(recording.channels)
-                if not names:
-                    first = channels
-                    names = tuple(channels)
-                    file.write(_head(0, recording.start_ns, 0))
+                channels, start_ns = recording.channels, recording.start_ns
+                if channels and not empty:
+                    empty = {
+                        name: replace(c, t=c.t[:0], values=c.values[:0])
+                        for name, c in channels.items()
+                    }
+                    file.write(_head(0, start_ns, 0))
                     marks = "".join(f"# corrected: {c.to_text()}\n" for c in recording.corrections)
-                    out.write(marks + ",".join(_names(channels)) + "\n")
-                missing = [n for n in names if n not in channels]
-                if missing:
-                    channels = _with_empty(channels, first, missing)
-                if set(channels) != set(names):
+                    out.write(marks + ",".join(_names(empty)) + "\n")
+                if not set(channels) <= set(empty):
                     raise ChannelsChange(
-                        f"channels change within the recording: {', '.join(names)}, then "
+                        f"channels change within the recording: {', '.join(empty)}, then "
                         f"{', '.join(channels)}",
                         where=recording.path,
                         remedy="write HDF5 (.h5) instead",
                     )
-                ordered = {n: channels[n] for n in names}
-                count += _append(out, ordered, recording.path)
-                last = recording.start_ns
-            if names:
+                if channels:
+                    count += _append(out, {**empty, **channels}, recording.path)
+            if empty:
                 file.seek(0)
-                file.write(_head(count, last, out.crc))
+                file.write(_head(count, start_ns, out.crc))
 
 
 WRITER = CsvWriter()
-
-
-def _with_empty(
-    channels: dict[str, Channel], first: dict[str, Channel], missing: list[str]
-) -> dict[str, Channel]:
-    """The channels, and no samples of those that this block lacks."""
-    empty = {n: replace(first[n], t=first[n].t[:0], values=first[n].values[:0]) for n in missing}
-    return {**channels, **empty}
 
 
 class _Summed:

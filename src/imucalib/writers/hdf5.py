@@ -8,7 +8,7 @@ corrections. The `units` attribute is the rule of NeXus (manual, "Rules for Stor
 from __future__ import annotations
 
 from collections.abc import Iterable
-from io import FileIO, RawIOBase
+from io import FileIO
 from pathlib import Path
 from typing import Any
 
@@ -25,16 +25,11 @@ class Hdf5Writer:
     name = "hdf5"
     suffixes = (".h5", ".hdf5")
 
-    def write(self, recording: Recording, path: Path) -> None:
-        """Write all channels; a flipped bit in them is found when they are read."""
-        self.write_blocks([recording], path)
-
     def write_blocks(self, blocks: Iterable[Recording], path: Path) -> None:
         """Write block after block; memory holds one."""
         import h5py
 
-        with path.open("w+b", buffering=0) as raw:
-            out = _Output(raw)
+        with _Output(path, "w+b") as out:
             try:
                 with h5py.File(out, "w") as file:
                     _put(file, "format", FORMAT)
@@ -102,41 +97,28 @@ def _append(dataset: Any, rows: Array) -> None:
     dataset[first:] = rows
 
 
-class _Output(RawIOBase):
+class _Output(FileIO):
     """A file for h5py that keeps the first error of writing and drops what follows.
 
     A library that cannot finish its file tries again when the process ends, and takes it down.
     """
 
-    def __init__(self, file: FileIO) -> None:
-        self._file = file
-        self.error: OSError | None = None
+    error: OSError | None = None
 
     def write(self, data: Any, /) -> int:
         """Write all of it, or note why not."""
         view = memoryview(data).cast("B")
         try:
             while view and self.error is None:
-                view = view[self._file.write(view) :]
+                view = view[super().write(view) :]
         except OSError as error:
             self.error = error
         return len(data)
 
-    def readinto(self, buffer: Any, /) -> int:
-        """Read as much as there is."""
-        return self._file.readinto(buffer)
-
-    def seek(self, at: int, whence: int = 0, /) -> int:
-        """Move."""
-        return self._file.seek(at, whence)
-
     def truncate(self, size: int | None = None, /) -> int:
         """Cut or extend."""
         try:
-            return self._file.truncate(size)
+            return super().truncate(size)
         except OSError as error:
             self.error = self.error or error
             return size or 0
-
-    def flush(self) -> None:
-        """Nothing is buffered."""

@@ -9,9 +9,8 @@ import pytest
 
 from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.checking.check import Check, Measured, checked
-from imucalib.calibration.checking.limits import Limits
-from imucalib.calibration.checking.misfit import Misfits, check_noise, triad_misfits
-from imucalib.calibration.checking.next_rests import misfits_of
+from imucalib.calibration.checking.misfit import Misfits, misfits_of, triad_misfits
+from imucalib.calibration.checking.noise import Limits, check_noise
 from imucalib.calibration.checking.statistic import Statistic
 from imucalib.calibration.triads import Triad
 from imucalib.core.effect import Context

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import optimize, stats
 
-from imucalib.calibration.checking.limits import Limits
+from imucalib.calibration.checking.noise import Limits
 from imucalib.calibration.comparison.agreement import (
     Beyond,
     agreement,
@@ -23,8 +23,6 @@ from imucalib.calibration.comparison.basis import (
     Basis,
     Seen,
     Worst,
-    largest_sd,
-    pairs_of,
     worst_size,
     worst_turn,
 )
@@ -175,8 +173,7 @@ def test_the_worst_of_all_pairs_and_attitudes() -> None:
     assert other.pair == (1, 2)
     assert other.value == pytest.approx(0.5)
     assert other.sd == pytest.approx(np.sqrt(2.0 * (0.64 * 0.04 + 0.36 * 0.09)))
-    assert largest_sd(found) == pytest.approx((0.3, 0.3))
-    assert pairs_of(3) == [(0, 1), (0, 2), (1, 2)]
+    assert found.largest_sd == pytest.approx((0.3, 0.3))
 
 
 @pytest.mark.parametrize(

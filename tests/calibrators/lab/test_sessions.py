@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from imucalib.calibrators.lab.calibrate import LabSettings
 from imucalib.calibrators.lab.files import LabFiles, calibrate_files
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import LabRun
@@ -23,7 +22,7 @@ HEADER = ("session", "inclination", "tool_face", "x (mg)", "y (mg)", "z (mg)")
 SETTINGS = [(i, t + i / 2.0) for i in (-60.0, -20.0, 20.0, 60.0) for t in (0.0, 90.0, 180.0, 270.0)]
 
 
-REQUEST = replace(LabRequest(), settings=replace(LabRequest().settings, loop=False))
+REQUEST = LabRequest(loop=False)
 
 
 def rows_of(bias: np.ndarray, turn: np.ndarray, seed: int = 0, noise: float = 0.2) -> list[tuple]:
@@ -179,8 +178,8 @@ def _run(folder: Path, sheets: list[str], *declare: str) -> LabRun:
     paths = [folder / f"day_{k}.csv" for k in range(len(sheets))]
     for path, text in zip(paths, sheets, strict=True):
         path.write_text(text)
-    request = replace(LabRequest(), settings=LabSettings(declare=declare))
-    return calibrate_files(LabFiles(paths[0], others=tuple(paths[1:])), request, lambda text: None)
+    files = LabFiles(paths[0], others=tuple(paths[1:]))
+    return calibrate_files(files, LabRequest(declare=declare), lambda text: None)
 
 
 @pytest.mark.slow

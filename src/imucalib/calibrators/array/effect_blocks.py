@@ -128,7 +128,7 @@ def _beats(loop: MotionLoop, term: Term) -> dict[str, Any]:
                 "hz": beat.frequency,
                 "phase_turns": beat.phase,
                 "at_s": beat.at,
-                "wander_turns": beat.wander,
+                "wander_turns": beat.scatter,
             }
             for imu, beat in zip(setup.imus, beats(clock, setup.t, setup.rows), strict=True)
         ]

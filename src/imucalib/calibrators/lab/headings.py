@@ -74,8 +74,8 @@ _WARM = re.compile(
     r"(?:[^\w\s]{1,3}\s*|deg(?:rees?)?[\s_]*)?(c|f|k|celsius|fahrenheit|kelvin)\s*[\])]?"
 )
 _SCALES = {"c": "degC", "f": "degF", "k": "K"}
-#: Roles of columns that may drive what is left: "driver", "driver_2" and so on.
-_DRIVER = re.compile(r"driver(_\d+)?")
+#: Roles of columns that bias and scale may follow: "driver", "driver_2" and so on.
+_COVARIATE = re.compile(r"driver(_\d+)?")
 _SPELLINGS = dict.fromkeys(("degrees", "degree", "degres", "degre", "grados", "grado"), "deg")
 #: Beginnings of German headings, where "Grad" is a degree; elsewhere it may be a gon.
 _GERMAN = ("neigung", "inklination", "werkzeug")
@@ -118,13 +118,13 @@ def bare(text: str) -> Heading:
     return Heading(name, _SPELLINGS.get(stated, stated), zero)
 
 
-def is_driver(role: str) -> bool:
-    """Whether a column's role is to be looked at as a driver of what is left."""
-    return _DRIVER.fullmatch(role) is not None
+def is_covariate(role: str) -> bool:
+    """Whether bias and scale may follow a column of this role."""
+    return _COVARIATE.fullmatch(role) is not None
 
 
-def driver_name(heading: str) -> str:
-    """A driver's heading as names of effects hold it, whose parts colons separate."""
+def covariate_name(heading: str) -> str:
+    """A covariate's heading as names of effects hold it, whose parts colons separate."""
     return heading.strip().replace(":", " ")
 
 
@@ -136,11 +136,11 @@ def roles_of(headings: list[str], chosen: Mapping[str, str], where: str) -> dict
     names: dict[str, str] = {}
     for role, called in chosen.items():
         heading = called
-        if role not in ROLES and not is_driver(role):
+        if role not in ROLES and not is_covariate(role):
             remedy = f"use: {', '.join(ROLES)}, driver, driver_2"
             raise UsageError(f"unknown column role '{role}'", remedy=remedy)
-        if heading not in headings and is_driver(role):  # as a calibration names it
-            heading = next((h for h in headings if driver_name(h) == heading), heading)
+        if heading not in headings and is_covariate(role):  # as a calibration names it
+            heading = next((h for h in headings if covariate_name(h) == heading), heading)
         if heading not in headings:
             remedy = f"there are: {', '.join(headings)}"
             raise UsageError(f"no column is called '{heading}'", where=where, remedy=remedy)

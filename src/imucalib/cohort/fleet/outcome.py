@@ -9,9 +9,9 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.calibration.calibration import Calibration
-from imucalib.calibration.comparison.agreement import Beyond, beyond, beyond_sd
+from imucalib.calibration.comparison.agreement import Beyond, beyond, excess
 from imucalib.calibration.provenance import Provenance
-from imucalib.calibrators.population import Population, Told, ToldNoise
+from imucalib.calibrators.population import Population, PriorNoise, PriorParameter
 from imucalib.cohort.fleet.pooled import moderated_axes, of_a_kind
 from imucalib.cohort.fleet.search import Search
 from imucalib.core.effect import Context
@@ -46,24 +46,24 @@ def population_of(
     count = len(base[0].values)
     if count < FEWEST:
         return None
-    told = [Told(one.name, one.unit, one.mean, one.next_sd()) for one in base]
-    blocks = [np.array([[one.sd**2]]) for one in told]
+    known = [PriorParameter(one.name, one.unit, one.mean, one.next_sd()) for one in base]
+    blocks = [np.array([[one.sd**2]]) for one in known]
     for name, prior in effects.items():
         parameters = named(name).parameters(context)
         typical = np.array([p.typical for p in parameters])
         own = grown(count) * prior.covariance * np.outer(typical, typical)
         blocks.append(own)
-        told += [
-            Told(p.name, p.unit, float(m * p.typical), float(np.sqrt(v)))
+        known += [
+            PriorParameter(p.name, p.unit, float(m * p.typical), float(np.sqrt(v)))
             for p, m, v in zip(parameters, prior.mean, np.diag(own), strict=True)
         ]
     return Population(
         devices=count,
         reference=reference,
         effects=tuple(effects),
-        parameters=tuple(told),
+        parameters=tuple(known),
         covariance=np.asarray(block_diag(*blocks)),
-        noise=tuple(_told(name, *sizes) for name, sizes in noise.items()),
+        noise=tuple(_prior_noise(name, *sizes) for name, sizes in noise.items()),
     )
 
 
@@ -82,13 +82,13 @@ def noise_of(fits: Sequence[Fit]) -> dict[str, Sizes]:
     return every
 
 
-def _told(name: str, sizes: Array, sds: Array) -> ToldNoise:
+def _prior_noise(name: str, sizes: Array, sds: Array) -> PriorNoise:
     """A noise that vanished in a device was at most a tenth of the usual, and that is unsure."""
     least = _VANISHED * float(np.median(sizes[sizes > 0.0]))
     gone = sizes < least
     logs = np.log(np.maximum(sizes, least))
     one = spread_of(name, "log", logs, np.where(gone, 1.0, np.maximum(sds, _SURE)))
-    return ToldNoise(name, float(np.exp(one.mean)), max(one.next_sd(), _SURE))
+    return PriorNoise(name, float(np.exp(one.mean)), max(one.next_sd(), _SURE))
 
 
 #: Family-wise chance of an outlying device where none is, and devices from which on one is told.
@@ -147,7 +147,7 @@ class Outlier:
 
 def spread_of(name: str, unit: str, values: Array, sds: Array) -> Spread:
     """Of devices with one value each."""
-    scatter = beyond_sd(values, sds**2)
+    scatter = excess(values.size - 1.0, values, sds**2) ** 0.5
     weight = 1.0 / (sds**2 + scatter**2)
     mean = float(weight @ values / weight.sum())
     return Spread(
@@ -167,7 +167,7 @@ def nested_spread(name: str, unit: str, values: Array, sds: Array, device: Index
     A device's value is the mean of its recordings, whose scatter beyond their sds all devices tell
     together.
     """
-    within = beyond(values, sds**2, device)
+    within = beyond(values, sds**2, np.eye(device.max() + 1)[device])
     if np.isnan(within.sd):
         return spread_of(name, unit, values, sds)
     weight = 1.0 / (sds**2 + within.sd**2)

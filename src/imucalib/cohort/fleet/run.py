@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibrators.lab.calibration import lab_calibration
 from imucalib.calibrators.lab.files import LabFiles, calibrate_files
 from imucalib.calibrators.lab.request import LabRequest
-from imucalib.calibrators.lab.run import LabRun
+from imucalib.calibrators.lab.run import LabRun, lab_calibration
 from imucalib.cohort.fleet.left_out import Said, said_by
 from imucalib.cohort.fleet.outcome import (
     Asked,
@@ -119,10 +118,8 @@ def run_fleet(
 
     Raises UsageError for fewer than two devices and for devices of different models.
     """
-    alone = replace(request, settings=replace(request.settings, loop=False))
-    effects = searched(
-        request.settings.only, request.settings.without, request.settings.extra_effects
-    ).effects
+    alone = replace(request, loop=False)
+    effects = searched(request.only, request.without, request.extra_effects).effects
     runs, failed = _calibrated(tables, alone, say)
     if len(runs) < 2:
         why = "; ".join(f"{name}: {text}" for name, text in failed)
@@ -208,7 +205,7 @@ def _members(
             pairs.append((before.size / MG, after.size / MG))
             folds = max(folds, min(len(before.size), 30))
         result = replace(run.result, final=final)
-        made = lab_calibration(run.outcome, result, run.raw, run.request, run.details)
+        made = lab_calibration(run.outcome, result, run.raw, run.details)
         one = Recording(name, run.outcome.provenance, made)
         members.append(Member(name, (one,), base_error, final_error, tuple(others)))
     if not pairs:

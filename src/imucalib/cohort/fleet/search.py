@@ -18,7 +18,7 @@ from imucalib.cohort.fleet.pooled import (
     told_by_others,
 )
 from imucalib.core.prior import Prior, correlated
-from imucalib.loop.posterior.odds import TOLD
+from imucalib.loop.posterior.odds import OCCAM
 
 #: Families of devices beyond which a device is foretold by whole groups of the others.
 _GROUPS = 20
@@ -77,7 +77,7 @@ def search(devices: Sequence[Device], rules: Rules, rng: np.random.Generator) ->
             continue
         said = sizes(gram, along)
         rivals = tuple(
-            s.effect for s in left[1:] if s.p <= rules.alpha and s.evidence > best.evidence - TOLD
+            s.effect for s in left[1:] if s.p <= rules.alpha and s.evidence > best.evidence - OCCAM
         )
         found.append(Found(best, rivals, nats, able, said))
         now = tuple(_without(device, best.effect, said) for device in now)

@@ -15,16 +15,16 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.estimators.array.samples import (
-    inverse_roots,
+    SPIN,
+    Information,
     places,
     slope_of,
-    solved,
     turning,
 )
 
-#: rad/s² and rad/s, standard deviations about zero and the start: far beyond what moves by hand, so
-#: that they only matter where the readings leave a direction open.
-_SPIN, _RATE = 5e4, 200.0
+#: rad/s, standard deviation about the start: far beyond what moves by hand, so that it only matters
+#: where the readings leave a direction open.
+_RATE = 200.0
 _ROUNDS, _CLOSE = 25, 1e-6  # steps at most, and rad/s at which a rate is settled
 _LONGEST = 5.0  # rad/s of one step where the rate hangs on its square
 
@@ -34,7 +34,7 @@ class Sensed:
     """What K triads say in T samples, in board axes.
 
     force, rate : (T, K, 3) m/s² and rad/s; force_precision, rate_precision : (T, K, 3, 3) inverse
-        covariances, without rank along axes that are left out
+        covariances, without rank along axes that do not count
     late : (T, K, 3, 3) s or None: a gyro reads ω + late dω/dt
     spin, spin_precision : (T, 3) what else is known of dω/dt, rad/s² and its inverse variance
     """
@@ -97,22 +97,11 @@ class FusedMotion:
         return np.asarray(own + (2.0 * cross + inner) / 3.0)
 
 
-@dataclass(frozen=True)
-class _Said:
-    """normal, along : (T, 12, 12), (T, 12) of (s, W) row by row; own, pull : (T, 6, 6), (T, 6) of
-    dω/dt and ω by themselves, weak priors included"""
-
-    normal: Array
-    along: Array
-    own: Array
-    pull: Array
-
-
 def precision_of(axes: Array, weight: Array) -> Array:
     """(T, K, 3, 3) inverse covariances in board axes.
 
     axes : (K, 3, 3), in its rows what each axis senses of a vector in board axes
-    weight : (T, K, 3) inverse variances of the axes' readings, zero for one that is left out
+    weight : (T, K, 3) inverse variances of the axes' readings, zero for one that does not count
     """
     squares = (axes[:, :, :, None] * axes[:, :, None, :]).reshape(len(axes), 3, 9)
     made = np.matmul(weight.transpose(1, 0, 2), squares)
@@ -124,37 +113,22 @@ def fused_motion(sensed: Sensed, r: Array, start: Array) -> FusedMotion:
 
     r : (K, 3) m, positions about the point whose force is wanted; start : (T, 3) rad/s
     """
-    said = _said(sensed, r, start)
-    x = np.concatenate([np.zeros((len(start), 6)), start], axis=1)
-    root = np.empty((len(start), 9, 9))
-    rows: Index = np.arange(len(start))
-    for _ in range(_ROUNDS):
-        matrix, gradient = _newton(x[rows], said, rows)
-        root[rows] = inverse_roots(matrix)
-        step = solved(root[rows], gradient)
-        moved = np.linalg.norm(step[:, 6:], axis=1)
-        x[rows] += np.minimum(1.0, _LONGEST / np.maximum(moved, 1e-300))[:, None] * step
-        rows = rows[moved > _CLOSE]
-        if not len(rows):
-            break
-    return FusedMotion(x[:, :3], x[:, 3:6], x[:, 6:], root @ root.transpose(0, 2, 1))
-
-
-def _said(sensed: Sensed, r: Array, start: Array) -> _Said:
-    t, k = sensed.force.shape[:2]
-    place, pairs = places(r)
+    (t, k), (place, pairs) = sensed.force.shape[:2], places(r)
     weights = sensed.force_precision.reshape(t, k, 9).transpose(0, 2, 1)
     normal = np.matmul(weights, pairs).reshape(t, 3, 3, 4, 4).transpose(0, 1, 3, 2, 4)
     pulled = np.matmul(sensed.force_precision, sensed.force[..., None])[..., 0]
     along = np.matmul(pulled.transpose(0, 2, 1), place)
     own, pull = _turning_alone(sensed, start)
-    return _Said(normal.reshape(t, 12, 12), along.reshape(t, 12), own, pull)
+    said = Information(normal.reshape(t, 12, 12), along.reshape(t, 12), own, pull)
+    first = np.concatenate([np.zeros((t, 6)), start], axis=1)
+    x, root = said.fitted(first, _ROUNDS, _CLOSE, _LONGEST)
+    return FusedMotion(x[:, :3], x[:, 3:6], x[:, 6:], root @ root.transpose(0, 2, 1))
 
 
 def _turning_alone(sensed: Sensed, start: Array) -> tuple[Array, Array]:
     """What gyros and priors say of dω/dt and ω: (T, 6, 6) and (T, 6)."""
     own, pull = np.zeros((len(start), 6, 6)), np.zeros((len(start), 6))
-    own[:, range(3), range(3)] = _SPIN**-2
+    own[:, range(3), range(3)] = SPIN
     own[:, 3:, 3:] = sensed.rate_precision.sum(axis=1) + np.eye(3) / _RATE**2
     pulled = np.matmul(sensed.rate_precision, sensed.rate[..., None])
     pull[:, 3:] = pulled[..., 0].sum(axis=1) + start / _RATE**2
@@ -169,16 +143,3 @@ def _turning_alone(sensed: Sensed, start: Array) -> tuple[Array, Array]:
         own[:, range(3), range(3)] += sensed.spin_precision
         pull[:, :3] += sensed.spin_precision * sensed.spin
     return own, pull
-
-
-def _newton(x: Array, said: _Said, rows: Index) -> tuple[Array, Array]:
-    """Matrix (n, 9, 9) and gradient (n, 9) of a step from the motions x (n, 9)."""
-    slope = slope_of(x[:, 6:])
-    state = np.concatenate([x[:, :3, None], turning(x[:, 6:], x[:, 3:6])], axis=2).reshape(-1, 12)
-    heavy = np.matmul(said.normal[rows], slope)
-    matrix = np.matmul(slope.transpose(0, 2, 1), heavy)
-    left = said.along[rows] - np.matmul(said.normal[rows], state[..., None])[..., 0]
-    gradient = np.matmul(slope.transpose(0, 2, 1), left[..., None])[..., 0]
-    matrix[:, 3:, 3:] += said.own[rows]
-    gradient[:, 3:] += said.pull[rows] - np.matmul(said.own[rows], x[:, 3:, None])[..., 0]
-    return matrix, gradient

@@ -16,7 +16,7 @@ from imucalib.arrays import Array, Index
 from imucalib.core.eigen import eigen
 from imucalib.estimators.array.samples import Readings, Sampled
 
-_ROWS = 600  # samples that are worked on at a time, near the processor
+_ROWS = 600  # samples that are worked on at a time, within the processor's cache
 
 
 @dataclass(frozen=True)

@@ -190,9 +190,9 @@ def _gradient(
         parts.append(prior.factor_gradient(geometry.factor, slope))
     if prior.estimate_noise:
         fitted = np.einsum("baj,baj->b", first, geometry.centred) * geometry.weight
-        left = 0.5 * geometry.weight * data.power.sum() - fitted
-        left += 0.5 * np.einsum("bij,bij->b", square, geometry.spread)
-        by_log = 1.5 * t * a - 3.0 * prior.exponent * t - left
+        rest = 0.5 * geometry.weight * data.power.sum() - fitted
+        rest += 0.5 * np.einsum("bij,bij->b", square, geometry.spread)
+        by_log = 1.5 * t * a - 3.0 * prior.exponent * t - rest
         by_log = by_log - prior.exponent * t * np.einsum("bij,bij->b", gain, given.inertia)
         parts.append(-2.0 * by_log[:, None])
     return np.concatenate(parts, axis=1)

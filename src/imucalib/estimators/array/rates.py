@@ -85,7 +85,7 @@ def times(matrix: Array, vector: Array) -> Array:
 
 
 def local(given: Conditionals, w: Array, *, curvature: bool = True) -> Local:
-    """f, its gradient and (if asked) its Hessian at w (B, 3, T)."""
+    """f, its gradient and (with curvature) its Hessian at w (B, 3, T)."""
     jw = given.inertia @ w
     v = given.torque - cross(w, jw)
     spin = given.gain @ v

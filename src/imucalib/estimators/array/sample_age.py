@@ -16,7 +16,7 @@ from imucalib.arrays import Array, Index
 #: s over which a beat's phase follows its line. Of four measured motions the gyros' held-out error
 #: is 0.66 deg/s with 3 s, 0.56 with 12 s and 0.55 with 20 s.
 _BLOCK = 12.0
-_PASSES = 2  # of a phase and a delay, each beside the other
+_PASSES = 2  # of a phase and a delay in turn
 _CYCLES = 4.0  # of a beat over the motion, below which it is a delay that drifts
 _LINE = 30.0  # power of a spectral line over the spectrum's median from which it counts
 
@@ -79,7 +79,7 @@ def _settled(
     t: Array, turns: Array, sign: float, rows: Index, along: Array, power: Array
 ) -> tuple[Array, float]:
     """A sawtooth with its phase where it fits best, and how much it explains. A slow one is partly
-    a delay and its drift: these are taken out beside it, and the phase is sought again."""
+    a delay and its drift: these are fitted with it, and the phase is sought again."""
     own = turns
     for _ in range(_PASSES):
         wave = sign * _sawtooth(own[rows])

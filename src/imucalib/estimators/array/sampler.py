@@ -128,7 +128,7 @@ def gaussian_positions(
     data: ArrayData, prior: ArrayPrior, mean: Array, covariance: Array, rng: np.random.Generator
 ) -> ArrayPositions:
     """Independent draws of positions (d,) m with covariance (d, d) m², for IMUs on one line: the
-    spin about it is in no reading, and a chain that learns its size would wander for ever.
+    spin about it is in no reading, and a chain that learns its size would drift for ever.
 
     Raises as `sample_positions` does.
     """

@@ -12,17 +12,16 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucalib.arrays import Array
+from imucalib.arrays import Array, Index
 from imucalib.core.effect import cross_matrix
 
 _ROUNDS = 12
-#: rad/s, a last step: forces are linear in all but ω, and of its square 1e-8 m/s² is left.
+#: rad/s, a last step: forces are linear in all but ω, and of its square 1e-8 m/s² remains.
 _LAST = 1e-3
 #: (rad/s²)^-2, of dω/dt about zero: 3e6 deg/s², a hundred times what hands do. IMUs on one line say
 #: nothing of the spin about it, and this alone keeps that one number finite.
-_SPIN = np.deg2rad(3e6) ** -2.0
+SPIN = np.deg2rad(3e6) ** -2.0
 
 
 @dataclass(frozen=True)
@@ -32,7 +31,7 @@ class Readings:
     acceleration: Array
     rate: Array
 
-    def take(self, rows: NDArray[np.intp]) -> Readings:
+    def take(self, rows: Index) -> Readings:
         return Readings(self.acceleration[rows], self.rate[rows])
 
     def less(self, other: Readings) -> Readings:
@@ -68,7 +67,7 @@ class Sampled:
     r: Array
     root: Array
 
-    def take(self, rows: NDArray[np.intp]) -> Sampled:
+    def take(self, rows: Index) -> Sampled:
         weights = Weights(self.weights.acceleration[rows], self.weights.rate[rows])
         return Sampled(
             rate=self.rate[rows],
@@ -113,11 +112,11 @@ class Kept:
     numbers: Array
 
 
-def _kept(taken: Array) -> Kept:
-    """taken : (T, K, 9) what the motion takes of a triad's covariance, over that of one axis"""
-    left = np.eye(3).ravel() - taken
-    whole = left[..., 0] + left[..., 4] + left[..., 8]
-    square = np.einsum("tki,tki->tk", left, left)
+def _kept(lost: Array) -> Kept:
+    """lost : (T, K, 9) what the motion takes of a triad's covariance, over that of one axis"""
+    own = np.eye(3).ravel() - lost
+    whole = own[..., 0] + own[..., 4] + own[..., 8]
+    square = np.einsum("tki,tki->tk", own, own)
     floor = 0.02
     return Kept(np.maximum(whole / 3.0, floor), np.clip(whole**2 / square, 1.0, 3.0))
 
@@ -179,27 +178,63 @@ def inverse_roots(matrix: Array) -> Array:
     return np.asarray((out * size).transpose(2, 1, 0))
 
 
-def solved(root: Array, right: Array) -> Array:
-    """(T, n) solutions of systems with such roots of their inverses."""
-    return np.asarray(np.matmul(root, np.matmul(right[:, None], root).swapaxes(1, 2))[..., 0])
+@dataclass(frozen=True)
+class Information:
+    """What the readings of T samples say. normal, along : (T, 12, 12) and (T, 12) of (s, W), row by
+    row; own, pull : (T, 6, 6) and (T, 6) of dω/dt and ω by themselves, weak priors included"""
+
+    normal: Array
+    along: Array
+    own: Array
+    pull: Array
+
+    def roots(self, rate: Array, rows: Index | slice = slice(None)) -> Array:
+        """(n, 9, 9) with root rootᵀ the covariance of the nine of some samples that turn by rate
+        (n, 3)."""
+        slope = slope_of(rate)
+        matrix = np.matmul(slope.transpose(0, 2, 1), np.matmul(self.normal[rows], slope))
+        matrix[:, 3:, 3:] += self.own[rows]
+        with np.errstate(invalid="ignore"):
+            return inverse_roots(matrix)
+
+    def fitted(
+        self, start: Array, rounds: int, close: float, longest: float = np.inf
+    ) -> tuple[Array, Array]:
+        """The nine (T, 9) of every sample and the roots of their covariances, by Gauss-Newton.
+
+        close : rad/s, a last step; longest : rad/s, of one step
+        """
+        x, root = start.copy(), np.empty((len(start), 9, 9))
+        rows: Index = np.arange(len(start))
+        for _ in range(rounds):
+            at = x[rows]
+            root[rows] = own = self.roots(at[:, 6:], rows)
+            state = np.concatenate([at[:, :3, None], turning(at[:, 6:], at[:, 3:6])], axis=2)
+            off = self.along[rows] - np.matmul(self.normal[rows], state.reshape(-1, 12, 1))[..., 0]
+            right = np.matmul(off[:, None], slope_of(at[:, 6:]))
+            right[:, 0, 3:] += self.pull[rows]
+            right[:, 0, 3:] -= np.matmul(self.own[rows], at[:, 3:, None])[..., 0]
+            step = np.matmul(own, np.matmul(right, own).swapaxes(1, 2))[..., 0]
+            moved = np.linalg.norm(step[:, 6:], axis=1)
+            x[rows] += np.minimum(1.0, longest / np.maximum(moved, 1e-300))[:, None] * step
+            rows = rows[moved > close]
+            if not len(rows):
+                break
+        return x, root
 
 
-def _normal(weights: Weights, r: Array) -> Array:
-    """(T, 12, 12) what all accelerometers together say of (s, W): its size does not grow with
-    their number."""
-    pairs = (weights.acceleration @ places(r)[1]).reshape(-1, 4, 4)
-    out = np.zeros((len(pairs), 3, 4, 3, 4))
-    for i in range(3):
-        out[:, i, :, i] = pairs
-    return out.reshape(-1, 12, 12)
-
-
-def _matrix(normal: Array, slope: Array, weights: Weights) -> Array:
-    """(T, 9, 9) information on the nine."""
-    out = np.matmul(slope.transpose(0, 2, 1), np.matmul(normal, slope))
-    out[:, range(3, 6), range(3, 6)] += _SPIN
-    out[:, range(6, 9), range(6, 9)] += weights.rate.sum(axis=1)[:, None]
-    return np.asarray(out)
+def _information(readings: Readings, weights: Weights, r: Array) -> Information:
+    """Of triads whose three axes count alike."""
+    t, (place, pairs) = len(readings.rate), places(r)
+    normal = np.zeros((t, 3, 4, 3, 4))
+    normal[:, range(3), :, range(3)] = (weights.acceleration @ pairs).reshape(t, 4, 4)
+    heavy = (readings.acceleration * weights.acceleration[..., None]).transpose(0, 2, 1)
+    own, pull = np.zeros((t, 6, 6)), np.zeros((t, 6))
+    own[:, range(3), range(3)] = SPIN
+    own[:, range(3, 6), range(3, 6)] = weights.rate.sum(axis=1)[:, None]
+    pull[:, 3:] = np.einsum("tk,tki->ti", weights.rate, readings.rate)
+    along = np.matmul(heavy, place)
+    return Information(normal.reshape(t, 12, 12), along.reshape(t, 12), own, pull)
 
 
 def fit_samples(
@@ -208,34 +243,16 @@ def fit_samples(
     """Best motion of every sample; start : (T, 3) rad/s, or the motion of a fit nearby; rounds :
     steps at most, one where the weights are about to change.
 
-    Raises numpy.linalg.LinAlgError where a sample runs away: no motion near the start fits its
+    Raises numpy.linalg.LinAlgError where a sample runs away: no motion close to the start fits its
     readings.
     """
-    rate = start.rate if isinstance(start, Sampled) else start
-    x = np.zeros((len(rate), 9))
-    x[:, 6:] = rate
     if isinstance(start, Sampled):
-        x[:, :3], x[:, 3:6] = start.origin, start.spin
-    place, own = places(r)[0], weights.rate.sum(axis=1)[:, None]
-    normal = _normal(weights, r)
-    heavy = (readings.acceleration * weights.acceleration[..., None]).transpose(0, 2, 1)
-    along = np.matmul(heavy, place).reshape(-1, 12)
-    pulled = np.einsum("tk,tki->ti", weights.rate, readings.rate)
-    for _ in range(rounds):
-        slope = slope_of(x[:, 6:])
-        state = np.concatenate([x[:, :3, None], turning(x[:, 6:], x[:, 3:6])], axis=2)
-        off = along - np.matmul(normal, state.reshape(-1, 12, 1))[..., 0]
-        right = np.matmul(off[:, None], slope)[:, 0]
-        right[:, 3:6] -= _SPIN * x[:, 3:6]
-        right[:, 6:] += pulled - own * x[:, 6:]
-        with np.errstate(invalid="ignore"):
-            root = inverse_roots(_matrix(normal, slope, weights))
-        step = solved(root, right)
-        x = x + step
-        if not np.isfinite(step).all():
-            raise np.linalg.LinAlgError("the motion of a sample runs away")
-        if float(np.abs(step[:, 6:]).max(initial=0.0)) < _LAST:
-            break
+        first = np.concatenate([start.origin, start.spin, start.rate], axis=1)
+    else:
+        first = np.concatenate([np.zeros((len(start), 6)), start], axis=1)
+    x, root = _information(readings, weights, r).fitted(first, rounds, _LAST)
+    if not np.isfinite(x).all():
+        raise np.linalg.LinAlgError("the motion of a sample runs away")
     rate, turn = x[:, 6:], turning(x[:, 6:], x[:, 3:6])
     force = x[:, None, :3] + r @ turn.transpose(0, 2, 1)
     return Sampled(
@@ -254,5 +271,6 @@ def fit_samples(
 def reweighed(sampled: Sampled, acceleration: float, rate: float) -> Sampled:
     """The same motion with all weights of each kind of sensor times a factor."""
     weights = Weights(sampled.weights.acceleration * acceleration, sampled.weights.rate * rate)
-    matrix = _matrix(_normal(weights, sampled.r), slope_of(sampled.rate), weights)
-    return replace(sampled, weights=weights, root=inverse_roots(matrix))
+    rest = Readings(sampled.force, sampled.off.rate)  # whatever they read, they say as much
+    root = _information(rest, weights, sampled.r).roots(sampled.rate)
+    return replace(sampled, weights=weights, root=root)

@@ -21,7 +21,7 @@ from imucalib.estimators.array.rates import local
 
 ACCEPTANCE = (0.07, 0.23)
 VARIANCE = 0.1
-_REPEATS = 100  # likelihoods from which a variance is told
+_REPEATS = 100  # likelihoods from which a variance is estimated
 _MOST = 20_000  # rates drawn for a sample, beyond which (26) is not usable
 _TUNING = 200  # iterations between two looks at the acceptance
 
@@ -30,7 +30,7 @@ _TUNING = 200  # iterations between two looks at the acceptance
 class PmmhResult:
     """draws (chains, n, size) of the unknowns after the burn-in; log_density (chains, n);
     monte_carlo: N; variance of the log likelihood with it; step: σ_q in prior sds; accepted;
-    burn_in: iterations left out."""
+    burn_in: iterations before the draws."""
 
     draws: Array
     log_density: Array
@@ -87,9 +87,9 @@ def run_pmmh(
     level = np.empty((chains, iterations))
     accepted = 0.0
     for k in range(iterations):
-        walk, taken = _iterate(walk, likelihood, rng)
+        walk, moved = _iterate(walk, likelihood, rng)
         draws[:, k], level[:, k] = walk.x, walk.level
-        accepted += float(taken.mean())
+        accepted += float(moved.mean())
     return PmmhResult(
         draws=draws,
         log_density=level,
@@ -133,9 +133,9 @@ def _iterate(
 ) -> tuple[_Walk, Flags]:
     there = walk.x + walk.step * likelihood.prior.sd_vector * rng.standard_normal(walk.x.shape)
     level = likelihood.log_posterior(there, rng)
-    taken = np.log(rng.random(len(level))) < level - walk.level
-    x = np.where(taken[:, None], there, walk.x)
-    return _Walk(x, np.where(taken, level, walk.level), walk.step), np.asarray(taken)
+    moved = np.log(rng.random(len(level))) < level - walk.level
+    x = np.where(moved[:, None], there, walk.x)
+    return _Walk(x, np.where(moved, level, walk.level), walk.step), np.asarray(moved)
 
 
 def _burned_in(
@@ -147,9 +147,9 @@ def _burned_in(
     for k in range(max(most // _TUNING, 20) * 5):
         levels, accepted = [], 0.0
         for _ in range(_TUNING):
-            walk, taken = _iterate(walk, likelihood, rng)
+            walk, moved = _iterate(walk, likelihood, rng)
             levels.append(walk.level)
-            accepted += float(taken.mean()) / _TUNING
+            accepted += float(moved.mean()) / _TUNING
         mean, spread = np.mean(levels, axis=0), np.std(levels, axis=0).mean() + 1.0
         level = np.ptp(mean) < 2.0 * spread and np.all(mean - before < spread)
         settled = settled + 1 if level and ACCEPTANCE[0] <= accepted <= ACCEPTANCE[1] else 0

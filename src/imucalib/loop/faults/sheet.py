@@ -54,7 +54,7 @@ class Fault:
 
 
 @dataclass(frozen=True)
-class Hypothesis:
+class Trial:
     """A fault that is tried, and the sheet that its repair would give, None where a record is set
     aside; its score is what it gains at first glance, with `prior`, the log odds of its class and
     place."""

@@ -50,18 +50,18 @@ class Explored:
 @dataclass(frozen=True)
 class Start:
     """A base fit before the search: the problem with all that may be missing, and what its noise
-    may be; asked : what is searched for"""
+    may be; wanted : what is searched for"""
 
     base: Fit
-    asked: Searched
+    wanted: Searched
     problem: Problem
     terms: Terms
 
     @staticmethod
-    def of(fit: Fit, asked: Searched) -> Start:
+    def of(fit: Fit, wanted: Searched) -> Start:
         base = _anchored(fit)
-        problem = problem_of(base, components_of(base.model, base.observations, asked))
-        return Start(base, asked, problem, terms_of(problem))
+        problem = problem_of(base, components_of(base.model, base.observations, wanted))
+        return Start(base, wanted, problem, terms_of(problem))
 
     def explored(self) -> Explored:
         """The posterior, scans refined where they count."""
@@ -69,8 +69,8 @@ class Start:
         values = values_found(found)
         if values:
             data = self.base.observations
-            components = components_of(self.base.model, data, self.asked)
-            finer = refined(components, values, data, self.asked)
+            components = components_of(self.base.model, data, self.wanted)
+            finer = refined(components, values, data, self.wanted)
             found = replace(self, problem=problem_of(self.base, finer))._searched()
         return replace(found, posterior=heard(found))
 
@@ -152,9 +152,9 @@ class Start:
         return every[1 + int(np.argmax(logs))] if logs else every[0]
 
 
-def explored(fit: Fit, asked: Searched) -> Explored:
+def explored(fit: Fit, wanted: Searched) -> Explored:
     """The posterior at a fitted base model, scans refined where they count."""
-    return Start.of(fit, asked).explored()
+    return Start.of(fit, wanted).explored()
 
 
 def _anchored(fit: Fit) -> Fit:
@@ -211,10 +211,10 @@ def refined(
     components: tuple[Component, ...],
     values: Mapping[str, Sequence[str]],
     data: Observations,
-    asked: Searched,
+    wanted: Searched,
 ) -> tuple[Component, ...]:
     """The components, scans with finer values around some."""
-    own = {f"{f.name}@": f for f in asked.families}
+    own = {f"{f.name}@": f for f in wanted.families}
     return tuple(
         scan_of(data, own[c.name], values[c.name]) or c if c.name in values else c
         for c in components
@@ -225,7 +225,7 @@ def values_found(found: Explored) -> dict[str, list[str]]:
     """Values of scans that stand in likely sets, by component."""
     values: dict[str, list[str]] = {}
     problem, posterior = found.problem, found.posterior
-    for hypothesis, p in zip(posterior.hypotheses, posterior.probability, strict=True):
+    for hypothesis, p in posterior.weighed:
         for pick in hypothesis.picks if p > _LIKELY else ():
             choice = problem.choices[pick.choice]
             name = problem.components[choice.component].name

@@ -1,8 +1,8 @@
 """ActiGraph's archives: a zip of info.txt, text with a "name: value" a line, and of the samples.
 
-What is damaged in one, and how it is told. An archive that was cut has lost the directory at its
-end; every member begins with a header of its own, by which it is found and unpacked then (PKWARE,
-APPNOTE.TXT, 4.3.7). Layout: ActiGraph's public GT3X file format.
+An archive that was cut has lost the directory at its end; every member begins with a header of its
+own, by which it is found and unpacked then (PKWARE, APPNOTE.TXT, 4.3.7). Layout: ActiGraph's public
+GT3X file format.
 """
 
 from __future__ import annotations
@@ -12,18 +12,15 @@ import struct
 import zipfile
 import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Protocol
-
-import numpy as np
+from typing import BinaryIO, NamedTuple
 
 from imucalib.errors import UnreadableInput
+from imucalib.readers.devices.packets import Log, Packets
 from imucalib.readers.source import small_directory
 
 #: What a damaged archive raises, depending on where the damage is.
-DAMAGED = (
+_DAMAGED = (
     zipfile.BadZipFile,
     zlib.error,
     KeyError,
@@ -44,42 +41,136 @@ _LOCAL, _LOCAL_HEADER, _DESCRIPTOR = b"PK\x03\x04", struct.Struct("<6xHH4xII4xHH
 _NO_SIZE, _MOST_MEMBERS, _PACKED = 0xFFFF_FFFF, 1000, 1 << 12
 
 
-@dataclass
-class Loss:
-    """damaged : bytes of log.bin in no sound record; late : records whose stamp is not later than
-    the one before; broken : why the archive ends too early
+def members_of(path: Path, head: bytes) -> frozenset[str]:
+    """Names of an archive's members, with its directory or without; none where the head is no
+    archive's."""
+    if not head.startswith(_LOCAL):
+        return frozenset()
+    if not _sound(path):
+        return frozenset(_by_headers(path))
+    with zipfile.ZipFile(path) as archive:
+        return frozenset(archive.namelist())
+
+
+class Archive:
+    """An archive, and what its info.txt says.
+
+    rate : Hz; scale : counts a g; lost : sentences on what was damaged, filled meanwhile
+    Raises UnreadableInput for a damaged info.txt and for what no device writes; with `strict` for
+    any damage.
     """
 
-    where: str
-    strict: bool
-    damaged: int = 0
-    late: int = 0
-    first_late: int = 0
-    broken: str = ""
-    told: tuple[str, ...] = ()
+    def __init__(self, path: Path, data: str, *, strict: bool) -> None:
+        self.path, self.strict, self.lost = path, strict, list[str]()
+        self._data = data  # the member that holds the samples
+        self._whole = _sound(path)
+        try:
+            raw = b""
+            for piece in self._pieces("info.txt"):
+                raw += piece
+                if len(raw) > _INFO_BYTES:
+                    what = f"info.txt is longer than {_INFO_BYTES} bytes"
+                    raise UnreadableInput(what, where=str(path))
+            if self._whole:
+                self._demand_likely()
+        except _DAMAGED as error:
+            raise UnreadableInput(
+                f"the archive cannot be opened: {error}",
+                where=str(path),
+                remedy="copy it from the device again",
+            ) from None
+        lines = raw.decode("utf-8-sig", errors="replace").splitlines()
+        pairs = (line.split(": ", 1) for line in lines if ": " in line)
+        self.info = {name.strip(): value.strip() for name, value in pairs}
+        self.rate, self.scale = self._facts()
+        if not self._whole:
+            if strict:
+                raise UnreadableInput("the archive has no directory", where=str(path))
+            self.lost.append("the archive has lost its directory: its members were found without")
+
+    def log(self, name: str, packets: Iterator[Packets]) -> Log:
+        """The packets of a format with what info.txt says."""
+        serial, zone = self.info.get("Serial Number", "of unknown number"), self._zone()
+        notes = [f"ActiGraph {serial}, {self.rate:g} Hz, {self.scale:g} counts a g"]
+        if zone is None:
+            notes.append("the time zone is not in the file: times are the wearer's")
+        return Log(name, packets, tuple(notes), self.lost, 0.0, zone or 0)
+
+    def pieces(self) -> Iterator[bytes]:
+        """The samples' bytes; what a damaged archive still gives.
+
+        A failure ends the pieces, and the one that was on its way is lost.
+        """
+        passed = 0
+        try:
+            for piece in self._pieces(self._data):
+                passed += len(piece)
+                yield piece
+        except _DAMAGED as error:
+            self.refuse(f"the archive breaks off: {error}", passed)
+            self.lost.append(f"{self._data} breaks off after {passed} bytes: {error}")
 
     def refuse(self, what: str, at: int) -> None:
         """Raise UnreadableInput where a damaged file is not wanted."""
         if self.strict:
-            raise UnreadableInput(what, where=f"{self.where}, byte {at} of log.bin")
+            raise UnreadableInput(what, where=f"{self.path}, byte {at} of {self._data}")
 
-    def not_later(self, at: int) -> None:
-        """Count a record that the clock does not place; raises with `strict`."""
-        self.refuse("the stamp of a record is not later than the one before", at)
-        self.late, self.first_late = self.late + 1, self.first_late if self.late else at
+    def _pieces(self, name: str) -> Iterator[bytes]:
+        """A member, unpacked while it is read. Raises what `_DAMAGED` holds, and where it breaks
+        off only after all that comes before."""
+        if self._whole:
+            with zipfile.ZipFile(self.path) as archive, archive.open(name) as stream:
+                yield from iter(lambda: stream.read(_PIECE), b"")
+            return
+        found = _by_headers(self.path)[name]
+        with self.path.open("rb") as raw:
+            raw.seek(found.at)
+            yield from (_inflated if found.deflated else _stored)(raw, found)
 
-    def tell(self) -> None:
-        """Put the sentences that the recording carries into `told`, when all has been read."""
-        late = f"{self.late} records whose stamp is not later than the one before were left out, "
-        self.told = (
-            *(f"{self.damaged} damaged bytes of log.bin were left out",) * bool(self.damaged),
-            *(f"{late}the first at byte {self.first_late} of log.bin",) * bool(self.late),
-            *(self.broken,) * bool(self.broken),
-        )
+    def _demand_likely(self) -> None:
+        with zipfile.ZipFile(self.path) as archive:
+            member = archive.getinfo(self._data)
+        if member.file_size > max(_LARGE, _RATIO * member.compress_size):
+            size, packed = member.file_size, member.compress_size
+            what = f"{self._data} claims {size} bytes in {packed}: no recording is so even"
+            raise UnreadableInput(what, where=str(self.path))
+
+    def _facts(self) -> tuple[float, float]:
+        """Sample rate (Hz) and counts a g."""
+        where = str(self.path)
+        try:
+            rate = float(self.info["Sample Rate"].replace(",", "."))
+            scale = float(self.info.get("Acceleration Scale", "").replace(",", ".") or 341.0)
+        except (KeyError, ValueError):
+            what = "info.txt states no sample rate or scale"
+            raise UnreadableInput(what, where=where) from None
+        if not (0.0 < rate <= _MOST_RATE and 0.0 < scale < float("inf")):
+            raise UnreadableInput(f"sample rate {rate:g} and scale {scale:g}", where=where)
+        return rate, scale
+
+    def _zone(self) -> int | None:
+        """The offset of the wearer's clock from UTC, s."""
+        zone = self.info.get("TimeZone", "")
+        try:
+            hours, minutes, seconds = map(int, zone.lstrip("+-").split(":"))
+        except ValueError:
+            return None
+        size = 3600 * hours + 60 * minutes + seconds
+        return -size if zone.startswith("-") else size
 
 
-@dataclass(frozen=True)
-class _Member:
+def _sound(path: Path) -> bool:
+    """Whether the archive has a directory of usual size that can be read."""
+    try:
+        if not small_directory(path):
+            return False
+        with zipfile.ZipFile(path):
+            return True
+    except _DAMAGED:
+        return False
+
+
+class _Member(NamedTuple):
     """A member by its own header: where its bytes begin, how many they are when packed (None:
     unknown), whether they are deflated, and their checksum (None: it follows them)."""
 
@@ -110,170 +201,28 @@ def _by_headers(path: Path) -> dict[str, _Member]:
     return found
 
 
-class Unpacked(Protocol):
-    """Bytes of a member."""
-
-    def read(self, size: int, /) -> bytes:
-        """The next bytes, at most `size`; none at the end."""
-        ...
-
-
-@contextmanager
-def member(path: Path, name: str) -> Iterator[Unpacked]:
-    """A member of an archive, unpacked while it is read, with its directory or without.
-
-    Raises what `DAMAGED` holds, and where it breaks off only behind all that comes before.
-    """
-    if _sound(path):
-        with zipfile.ZipFile(path) as archive, archive.open(name) as stream:
-            yield stream
-        return
-    found = _by_headers(path)[name]
-    with path.open("rb") as raw:
-        raw.seek(found.at)
-        yield _Alone(raw, found)
+def _inflated(raw: BinaryIO, found: _Member) -> Iterator[bytes]:
+    unpacker, crc = zlib.decompressobj(-15), 0
+    while not unpacker.eof:
+        packed = unpacker.unconsumed_tail or raw.read(_PACKED)
+        if not packed:
+            raise EOFError("the archive ends within it")
+        piece = unpacker.decompress(packed, _PIECE)
+        crc = zlib.crc32(piece, crc)
+        yield piece
+    after = (unpacker.unused_data + raw.read(8)).removeprefix(_DESCRIPTOR)
+    stated = int.from_bytes(after[:4], "little") if len(after) >= 4 else crc
+    if crc != (stated if found.crc is None else found.crc):
+        raise zipfile.BadZipFile("its checksum differs")
 
 
-class _Alone:
-    """A member without a directory, up to its own end. Behind all that comes before, raises
-    EOFError where that end is missing and BadZipFile where the checksum is another."""
-
-    def __init__(self, raw: IO[bytes], found: _Member) -> None:
-        self._raw, self._found, self._unpacker = raw, found, zlib.decompressobj(-15)
-        self._left, self._crc = found.packed, 0
-        self._fault: Exception | None = None
-
-    def read(self, size: int, /) -> bytes:
-        """The next bytes, at most `size`; none at the end."""
-        whole = self._inflated(size) if self._found.deflated else self._stored(size)
-        self._crc = zlib.crc32(whole, self._crc)
-        if not whole and self._fault is None and self._stated() not in (None, self._crc):
-            self._fault = zipfile.BadZipFile("its checksum differs")
-        if not whole and self._fault is not None:
-            raise self._fault
-        return whole
-
-    def _inflated(self, size: int) -> bytes:
-        parts, held = list[bytes](), 0
-        while held < size and not self._unpacker.eof and self._fault is None:
-            try:
-                piece = self._unpacker.unconsumed_tail or self._raw.read(_PACKED)
-                data = self._unpacker.decompress(piece, size - held)
-                if not piece:
-                    self._fault = EOFError("the archive ends within it")
-            except zlib.error as error:
-                self._fault, data = error, b""
-            parts.append(data)
-            held += len(data)
-        return b"".join(parts)
-
-    def _stored(self, size: int) -> bytes:
-        data = self._raw.read(size if self._left is None else min(size, self._left))
-        self._left = None if self._left is None else self._left - len(data)
-        if self._left and not data:
-            self._fault = EOFError("the archive ends within it")
-        return data
-
-    def _stated(self) -> int | None:
-        """The checksum of the header, or of what follows; None where that is cut off."""
-        if self._found.crc is not None:
-            return self._found.crc
-        after = (self._unpacker.unused_data + self._raw.read(8)).removeprefix(_DESCRIPTOR)
-        return int.from_bytes(after[:4], "little") if len(after) >= 4 else None
-
-
-def _sound(path: Path) -> bool:
-    """Whether the archive has a directory of usual size that can be read."""
-    try:
-        if not small_directory(path):
-            return False
-        with zipfile.ZipFile(path):
-            return True
-    except DAMAGED:
-        return False
-
-
-def without_directory(path: Path, *, strict: bool) -> str:
-    """What to tell of an archive that has lost its directory, empty of a sound one; raises
-    UnreadableInput with `strict`."""
-    if _sound(path):
-        return ""
-    if strict:
-        raise UnreadableInput("the archive has no directory", where=str(path))
-    return "the archive has lost its directory: its members were found without"
-
-
-def members_of(path: Path, head: bytes) -> frozenset[str]:
-    """Names of an archive's members, with its directory or without; none where the head is no
-    archive's."""
-    if not head.startswith(_LOCAL):
-        return frozenset()
-    if not _sound(path):
-        return frozenset(_by_headers(path))
-    with zipfile.ZipFile(path) as archive:
-        return frozenset(archive.namelist())
-
-
-def info_of(path: Path, data: str) -> dict[str, str]:
-    """The lines of info.txt by name; `data` is the member that holds the samples.
-
-    Raises UnreadableInput for a damaged archive and for what no device writes.
-    """
-    try:
-        with member(path, "info.txt") as stream:
-            raw = stream.read(_INFO_BYTES + 1)
-            raw += stream.read(1)  # the end, where the checksum is seen
-        if _sound(path):
-            with zipfile.ZipFile(path) as archive:
-                log = archive.getinfo(data)
-                size, packed = log.file_size, log.compress_size
-        else:
-            size, packed = 0, 0  # it is counted while it is unpacked
-    except DAMAGED as error:
-        remedy = "copy it from the device again"
-        raise UnreadableInput(
-            f"the archive cannot be opened: {error}", where=str(path), remedy=remedy
-        ) from None
-    if len(raw) > _INFO_BYTES:
-        raise UnreadableInput(f"info.txt is longer than {_INFO_BYTES} bytes", where=str(path))
-    if size > max(_LARGE, _RATIO * packed):
-        what = f"{data} claims {size} bytes in {packed}: no recording is so even"
-        raise UnreadableInput(what, where=str(path))
-    text = raw.decode("utf-8-sig", errors="replace")
-    pairs = (line.split(": ", 1) for line in text.splitlines() if ": " in line)
-    return {name.strip(): value.strip() for name, value in pairs}
-
-
-def facts_of(info: dict[str, str], where: str) -> tuple[float, float, int | None]:
-    """Sample rate (Hz), counts a g, and the zone's offset from UTC (s)."""
-    try:
-        rate = float(info["Sample Rate"].replace(",", "."))
-        scale = float(info.get("Acceleration Scale", "").replace(",", ".") or 341.0)
-    except (KeyError, ValueError):
-        raise UnreadableInput("info.txt states no sample rate or scale", where=where) from None
-    if not (0.0 < rate <= _MOST_RATE and 0.0 < scale < np.inf):
-        raise UnreadableInput(f"sample rate {rate:g} and scale {scale:g}", where=where)
-    zone = info.get("TimeZone", "")
-    try:
-        hours, minutes, seconds = zone.lstrip("+-").split(":")
-        size = 3600 * int(hours) + 60 * int(minutes) + int(seconds)
-    except ValueError:
-        return rate, scale, None
-    return rate, scale, -size if zone.startswith("-") else size
-
-
-def pieces_of(path: Path, loss: Loss) -> Iterator[bytes]:
-    """log.bin piece by piece; what a damaged archive still gives.
-
-    A failure ends the pieces, and the one that was on its way is lost.
-    """
-    passed = 0
-    try:
-        loss.broken = without_directory(path, strict=loss.strict)
-        with member(path, "log.bin") as log:
-            while piece := log.read(_PIECE):
-                passed += len(piece)
-                yield piece
-    except DAMAGED as error:
-        loss.refuse(f"the archive breaks off: {error}", passed)
-        loss.broken = f"log.bin breaks off after {passed} bytes: {error}"
+def _stored(raw: BinaryIO, found: _Member) -> Iterator[bytes]:
+    missing, crc = found.packed, 0
+    while piece := raw.read(_PIECE if missing is None else min(missing, _PIECE)):
+        missing = None if missing is None else missing - len(piece)
+        crc = zlib.crc32(piece, crc)
+        yield piece
+    if missing:
+        raise EOFError("the archive ends within it")
+    if found.crc not in (None, crc):
+        raise zipfile.BadZipFile("its checksum differs")

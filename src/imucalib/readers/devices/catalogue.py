@@ -1,7 +1,7 @@
 """What is known of devices: each module of this folder that has a `DEVICE` describes one.
 
 A device is found by its file being here: how the lines above its tables name it, what its columns
-and units are where a file does not say, and what only its header tells.
+and units are where a file does not say, and what only its header says.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pathlib import Path
 
 from imucalib.core.discovery import modules_of
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.readers.known_bytes import REFUSED, named
+from imucalib.readers.source import REFUSED, named
 from imucalib.recording.mapping import FieldMapping
 
 
@@ -21,7 +21,7 @@ from imucalib.recording.mapping import FieldMapping
 class Start:
     """start_ns : start of the recording as in Recording, or None; notes : what was supposed
 
-    rate : Hz, where only the device's own form of the header tells it
+    rate : Hz, where only the device's own form of the header says it
     """
 
     start_ns: int | None = None
@@ -38,7 +38,7 @@ class Device:
     words : any of these above a table, in lower case, names the device; none: never recognised
     heading : how many of the first lines are a heading although they look like rows, which names
         the device too
-    start : the start time from the lines above the table; None where they do not tell it
+    start : the start time from the lines above the table; None where they do not say it
     scales : counts a g that its models have, where the files do not say which
     refuse : (those lines, where) -> raises UnreadableInput for exports that hold no raw data
     sleeps : rows of zeros, or the last reading repeated, mean "not recorded"
@@ -92,43 +92,9 @@ def with_preset(mapping: FieldMapping) -> FieldMapping:
     return mapping.filled_from(replace(device.fields, preset=device.name))
 
 
-@dataclass(frozen=True)
-class _Foreign:
-    """A device whose own files are not read, but known by their bytes.
-
-    name : of the format; export : what to do; recognises : whether a file's first bytes are of
-    it"""
-
-    name: str
-    export: str
-    recognises: Callable[[bytes], bool]
-
-
-_CSV = "and read that: imucal inspect FILE.csv"
-_KNOWN = (
-    # The first GENEA of Unilever Discover: five letters, "name:value" lines, then binary pages.
-    _Foreign(
-        "a GENEA recording (.bin of the device before GENEActiv)",
-        f"convert it to CSV, for example with the R package GGIRread (readGenea), {_CSV}",
-        lambda head: head.startswith(b"GENEA") and b"\0" in head,
-    ),
-    # Parmay Tech: 512 bytes of remarks, then the recognition string.
-    _Foreign(
-        "a Matrix recording (.bin of Parmay Tech)",
-        f"export it as CSV with the maker's program or GGIRread (readParmayMatrix), {_CSV}",
-        lambda head: head[512:516] == b"MDTC",
-    ),
-)
-
-
 def refuse_foreign(path: Path, head: bytes) -> None:
     """Raise UnreadableInput, with the true name, for a known format that is not read, and for a
     file that is no recording."""
     kind = named(head, REFUSED)
     if kind is not None:
         raise UnreadableInput(f"this is {kind.name}", where=str(path), remedy=kind.remedy)
-    for one in _KNOWN:
-        if one.recognises(head):
-            raise UnreadableInput(
-                f"this is {one.name}, which is not read", where=str(path), remedy=one.export
-            )

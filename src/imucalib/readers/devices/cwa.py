@@ -2,7 +2,7 @@
 
 A header of 1024 bytes ("MD"), then sectors of 512 bytes ("AX"), each with its own time stamp and a
 checksum: its 16-bit words add up to zero. Layout: Open Movement, Docs/ax3/cwa.h and
-ax3-technical.md. Sectors are told by their mark and checksum and ordered by the file, never by
+ax3-technical.md. Sectors are known by their mark and checksum and ordered by the file, never by
 their counter, which restarts.
 """
 
@@ -17,7 +17,15 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
-from imucalib.readers.devices.packets import Log, Packets, Stream, head_unpacked, opened, recordings
+from imucalib.readers.devices.packets import (
+    Log,
+    Packets,
+    Stream,
+    head_unpacked,
+    opened,
+    packets_of,
+    recordings,
+)
 from imucalib.readers.joining import Joined
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
@@ -159,18 +167,15 @@ def _packets(sectors: Bytes) -> Packets:
     rate = _rates(fields, stamp)
     fraction = np.where(fields["fraction"] & 0x8000, (fields["fraction"] & 0x7FFF) / 32768.0, 0.0)
     count = fields["count"].astype(np.int64)
-    acc, gyro = _values(fields, count)
-    return Packets(
+    warm = fields["warm"] & 1023
+    return packets_of(
+        *_values(fields, count),
         stamp=stamp * 1_000_000_000 + np.rint(fraction * 1e9).astype(np.int64),
         # The device moves the index to the whole second: the fraction's samples belong to it again.
         at=fields["at"].astype(np.int64) + np.floor(fraction * rate).astype(np.int64),
         count=count,
         rate=rate,
-        warm=np.where(
-            fields["warm"] & 1023, (fields["warm"] & 1023) * (75.0 / 256.0) - 50.0, np.nan
-        ),
-        acc=acc,
-        gyro=gyro,
+        warm=np.where(warm, warm * (75.0 / 256.0) - 50.0, np.nan),
     )
 
 
@@ -209,30 +214,22 @@ def _values(fields: NDArray[np.void], count: NDArray[np.int64]) -> tuple[Array, 
     first, n = np.cumsum(count) - count, int(count.sum())
     acc, gyro = np.empty((n, 3)), np.full((n, 3), np.nan)
     for axes in np.unique(fields["axes"]).tolist():
-        some = np.flatnonzero(fields["axes"] == axes)
-        rows, inside = _rows(first[some], count[some])
+        some = fields["axes"] == axes
+        filled = np.arange(_SAMPLES) < count[some, None]  # places of each sector
+        rows = (first[some, None] + np.arange(_SAMPLES))[filled]
         data = np.ascontiguousarray(fields["data"][some])
         if axes & 15 == 0:
-            acc[rows] = _unpacked(data.view("<u4"))[inside] / 256.0
+            acc[rows] = _unpacked(data.view("<u4"))[filled] / 256.0
             continue
         wide = axes >> 4
-        words = data[:, : 480 // (2 * wide) * 2 * wide].view("<i2").reshape(some.size, -1, wide)
-        scales = fields["scales"][some].astype(np.int64)
-        lsb = np.repeat(2.0 ** -(8 + (scales >> 13)), count[some])[:, None]
-        turn = np.repeat(8000.0 / 2.0 ** (scales >> 10 & 7) / 32768.0, count[some])[:, None]
-        samples = words[:, : inside.shape[1]][inside[:, : words.shape[1]]]
-        acc[rows] = samples[:, (0 if wide == 3 else 3) : (3 if wide == 3 else 6)] * lsb
+        places = 480 // (2 * wide)
+        words = data[:, : places * 2 * wide].view("<i2").reshape(-1, places, wide)
+        samples = words[:, :_SAMPLES][filled[:, :places]]
+        scales = np.repeat(fields["scales"][some].astype(np.int64), count[some])[:, None]
+        acc[rows] = samples[:, (0 if wide == 3 else 3) :][:, :3] * 2.0 ** -(8 + (scales >> 13))
         if wide > 3:
-            gyro[rows] = samples[:, :3] * turn
+            gyro[rows] = samples[:, :3] * (8000.0 / 2.0 ** (scales >> 10 & 7) / 32768.0)
     return acc, gyro
-
-
-def _rows(
-    first: NDArray[np.int64], count: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """The output's rows of these sectors' samples, and which of each sector's places they fill."""
-    inside = np.arange(_SAMPLES) < count[:, None]
-    return (first[:, None] + np.arange(_SAMPLES))[inside], inside
 
 
 def _unpacked(words: NDArray[np.uint32]) -> NDArray[np.int64]:

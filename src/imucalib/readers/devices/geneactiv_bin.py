@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -19,7 +19,16 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
-from imucalib.readers.devices.packets import Log, Packets, Stream, head_unpacked, opened, recordings
+from imucalib.readers.devices.packets import (
+    Log,
+    Packets,
+    Stream,
+    head_unpacked,
+    opened,
+    packets_of,
+    recordings,
+    twelve_bits,
+)
 from imucalib.readers.joining import Joined
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
@@ -32,50 +41,38 @@ _DRIFT = 0.01  # a quartz sets the pace
 _MOST_HEADER, _MOST_WASTE = 1 << 16, 16 << 20
 
 
-@dataclass(frozen=True)
-class _Header:
-    """gain, offset : (3,) of the calibration; zone_s : of the clock, east of UTC, or None;
-    pages : that the file states, or None
-    """
-
-    gain: Array
-    offset: Array
-    zone_s: int | None
-    serial: str
-    pages: int | None
-
-
 @dataclass
 class _Loss:
-    """Pages that could not be read, why the first, and bytes in no page."""
+    """Pages that could not be read, and why the first; lost : the sentences on them."""
 
+    strict: bool
+    where: str
+    lost: list[str]
     pages: int = 0
     why: str = ""
-    strict: bool = False
-    where: str = ""
-    lost: list[str] = field(default_factory=list)
+
+    def refuse(self, what: str, number: int | None = None) -> None:
+        """Raise UnreadableInput where a damaged file is not wanted."""
+        if self.strict:
+            page = "" if number is None else f", page {number}"
+            raise UnreadableInput(what, where=self.where + page)
 
     def page(self, why: str, number: int) -> None:
-        """Count a damaged page; raises with `strict`."""
-        if self.strict:
-            raise UnreadableInput(why, where=f"{self.where}, page {number}")
+        """Count a damaged page."""
+        self.refuse(why, number)
         if self.pages > _MOST_BAD:
             raise UnreadableInput("hardly a page of it is whole", where=self.where)
         self.pages, self.why = self.pages + 1, self.why or f"page {number}: {why}"
 
-    def told(self, stated: int | None, found: int) -> None:
-        """The sentences that the recording carries; raises with `strict` where pages are missing.
-
-        A device that stopped by itself states its pages as it found them: fewer are a cut.
-        """
+    def finish(self, stated: str, found: int) -> None:
+        """Sum it up. A device that stopped by itself states its pages as it found them: fewer are
+        a cut."""
         if self.pages:
             self.lost.append(f"{self.pages} pages left out; {self.why}")
-        if stated is None or found >= stated:
-            return
-        what = f"the header states {stated} pages, {found} were found"
-        if self.strict:
-            raise UnreadableInput(what, where=self.where)
-        self.lost.append(what)
+        if stated.isdecimal() and found < int(stated):
+            what = f"the header states {int(stated)} pages, {found} were found"
+            self.refuse(what)
+            self.lost.append(what)
 
 
 class GeneactivReader(Joined):
@@ -93,14 +90,17 @@ class GeneactivReader(Joined):
         self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool
     ) -> Iterator[Recording]:
         """Read in blocks of whole pages; damage costs its page."""
-        loss = _Loss(strict=strict, where=str(path))
+        loss = _Loss(strict, str(path), [])
         with opened(path, strict=strict, lost=loss.lost) as stream:
             pages = _pages(stream, _PAGE_BYTES * max(1, block_samples // _PER_PAGE), str(path))
-            header = _header(next(pages, [b""])[0], str(path))
-            clock = "the time zone is not in the file: times are the wearer's"
-            notes = (f"GENEActiv {header.serial}",) + (clock,) * (header.zone_s is None)
-            packets = _packets(pages, header, loss)
-            log = Log(self.name, packets, notes, loss.lost, _DRIFT, header.zone_s or 0)
+            facts = _facts(next(pages, [b""])[0])
+            gain, offset = _calibration(facts, str(path))
+            zone_s = _zone(facts.get("Time Zone", ""))
+            notes = [f"GENEActiv {facts.get('Device Unique Serial Code', 'of unknown number')}"]
+            if zone_s is None:
+                notes.append("the time zone is not in the file: times are the wearer's")
+            packets = _packets(pages, gain, offset, facts.get("Number of Pages", ""), loss)
+            log = Log(self.name, packets, tuple(notes), loss.lost, _DRIFT, zone_s or 0)
             yield from recordings(log, path, mapping)
 
 
@@ -126,8 +126,13 @@ def _pages(stream: Stream, size: int, where: str) -> Iterator[list[bytes]]:
         rest = rest if not headed or found or rest else b""
 
 
-def _header(text: bytes, where: str) -> _Header:
-    facts = _facts(text.decode("latin-1"))
+def _facts(text: bytes) -> dict[str, str]:
+    pairs = (line.split(":", 1) for line in text.decode("latin-1").splitlines() if ":" in line)
+    return {name.strip(): value.strip() for name, value in pairs}
+
+
+def _calibration(facts: dict[str, str], where: str) -> tuple[Array, Array]:
+    """Gain and offset (3,) each."""
     try:
         gain = np.array([float(facts[f"{a} gain"]) for a in "xyz"])
         offset = np.array([float(facts[f"{a} offset"]) for a in "xyz"])
@@ -139,32 +144,29 @@ def _header(text: bytes, where: str) -> _Header:
             where=where,
             remedy="copy the file from the device again",
         )
-    zone = re.search(r"([+-])(\d{1,2}):(\d{2})", facts.get("Time Zone", ""))
-    size = 3600 * int(zone[2]) + 60 * int(zone[3]) if zone else None
-    serial = facts.get("Device Unique Serial Code", "of unknown number")
-    pages = facts.get("Number of Pages", "")
-    return _Header(
-        gain=gain,
-        offset=offset,
-        serial=serial,
-        pages=int(pages) if pages.isdecimal() else None,
-        zone_s=-size if size and zone and zone[1] == "-" else size,
-    )
+    return gain, offset
 
 
-def _facts(text: str) -> dict[str, str]:
-    pairs = (line.split(":", 1) for line in text.splitlines() if ":" in line)
-    return {name.strip(): value.strip() for name, value in pairs}
+def _zone(text: str) -> int | None:
+    """Of the clock, s east of UTC."""
+    zone = re.search(r"([+-])(\d{1,2}):(\d{2})", text)
+    if zone is None:
+        return None
+    size = 3600 * int(zone[2]) + 60 * int(zone[3])
+    return -size if zone[1] == "-" else size
 
 
-def _packets(pages: Iterator[list[bytes]], header: _Header, loss: _Loss) -> Iterator[Packets]:
+def _packets(
+    pages: Iterator[list[bytes]], gain: Array, offset: Array, stated: str, loss: _Loss
+) -> Iterator[Packets]:
+    """stated : how many pages the header says there are"""
     number = 0
     for group in pages:
         stamps, rates, warm, raw = list[int](), list[float](), list[float](), list[Array]()
         for page in group:
             number += 1
             try:
-                facts, samples = _page(page)
+                samples, facts = _samples(page), _facts(page)
                 stamp = datetime.strptime(facts["Page Time"], "%Y-%m-%d %H:%M:%S:%f")
                 rate = float(facts["Measurement Frequency"].split()[0].replace(",", "."))
             except (KeyError, ValueError, IndexError) as error:
@@ -176,20 +178,16 @@ def _packets(pages: Iterator[list[bytes]], header: _Header, loss: _Loss) -> Iter
             stamps.append(round(stamp.replace(tzinfo=UTC).timestamp() * 1000) * 1_000_000)
             rates.append(rate)
             warm.append(_number(facts.get("Temperature", "")))
-            raw.append((samples * 100.0 - header.offset) / header.gain)
+            raw.append((samples * 100.0 - offset) / gain)
         if stamps:
-            acc = np.concatenate(raw)
-            count = np.full(len(stamps), _PER_PAGE)
-            yield Packets(
+            yield packets_of(
+                np.concatenate(raw),
                 stamp=np.array(stamps),
-                at=np.zeros_like(count),
-                count=count,
+                count=_PER_PAGE,
                 rate=np.array(rates),
                 warm=np.array(warm),
-                acc=acc,
-                gyro=np.full(acc.shape, np.nan),
             )
-    loss.told(header.pages, number)
+    loss.finish(stated, number)
 
 
 def _number(text: str) -> float:
@@ -199,20 +197,10 @@ def _number(text: str) -> float:
         return float("nan")
 
 
-def _page(page: bytes) -> tuple[dict[str, str], NDArray[np.int64]]:
-    """The lines of a page, and its raw samples (300, 3). Raises ValueError."""
+def _samples(page: bytes) -> NDArray[np.int16]:
+    """The raw samples (300, 3) of a page. Raises ValueError."""
     lines = page.split()
     digits = lines[-1] if lines else b""
     if len(digits) != _DIGITS:
         raise ValueError(f"{len(digits)} of {_DIGITS} digits")
-    codes = np.frombuffer(bytes.fromhex(digits.decode("ascii")), np.uint8).reshape(-1, 6)
-    wide = codes.astype(np.int64)
-    axes = np.stack(
-        [
-            wide[:, 0] << 4 | wide[:, 1] >> 4,
-            (wide[:, 1] & 15) << 8 | wide[:, 2],
-            wide[:, 3] << 4 | wide[:, 4] >> 4,
-        ],
-        axis=1,
-    )
-    return _facts(page.decode("latin-1")), np.where(axes > 2047, axes - 4096, axes)
+    return twelve_bits(bytes.fromhex(digits.decode("ascii"))).reshape(-1, 4)[:, :3]

@@ -9,33 +9,25 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.errors import UnreadableInput
-from imucalib.readers.conversion import Source, acceleration, readings_at_rest
-from imucalib.readers.devices.actigraph_archive import (
-    Loss,
-    facts_of,
-    info_of,
-    members_of,
-    pieces_of,
-)
+from imucalib.readers.devices.actigraph_archive import Archive, members_of
+from imucalib.readers.devices.packets import Packets, packets_of, recordings, twelve_bits
 from imucalib.readers.joining import Joined
-from imucalib.readers.source import sha256_of
 from imucalib.recording.mapping import FieldMapping
-from imucalib.recording.recording import Channel, Gap, Recording
+from imucalib.recording.recording import Recording
 
 _PACKED, _WHOLE = 0, 26
 _HEAD = struct.Struct("<BBIH")
 _MOST_BAD = 100_000  # places that look like a record and are none
 
 
-@dataclass(frozen=True)
-class _Second:
+class _Second(NamedTuple):
     """The samples of one second: stamp (s since 1970, wearer's clock) and raw counts (k, 3)."""
 
     stamp: int
@@ -56,56 +48,41 @@ class Gt3xReader(Joined):
     def blocks(
         self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool
     ) -> Iterator[Recording]:
-        """Read in blocks of whole seconds; seconds without samples are gaps (idle sleep)."""
-        info = info_of(path, "log.bin")
-        rate, scale, zone = facts_of(info, str(path))
-        digest, origin, conversion, before = sha256_of(path), None, None, None
-        loss = Loss(str(path), strict)
-        for seconds in _grouped(_seconds(path, loss), block_samples):
-            counts = np.concatenate([s.counts for s in seconds]) / scale
-            notes: list[str] = []
-            if origin is None or conversion is None:
-                origin = seconds[0].stamp
-                rest = readings_at_rest([counts], round(rate))
-                conversion = acceleration(mapping, Source("g", fixed=True), rest, str(path))
-                serial = info.get("Serial Number", "of unknown number")
-                notes.append(f"ActiGraph {serial}, {rate:g} Hz, {scale:g} counts a g")
-                notes += [conversion.note] * bool(conversion.note)
-                if zone is None:
-                    notes.append("the time zone is not in the file: times are the wearer's")
-            t = np.concatenate(
-                [s.stamp - origin + np.arange(len(s.counts)) / rate for s in seconds]
-            )
-            gaps = _gaps(seconds, origin, before)
-            before = seconds[-1].stamp
-            values = conversion.apply(counts)
-            channel = Channel(t, values, conversion.unit, "acceleration", "imu0", rate)
-            yield Recording(
-                channels={"imu0/acceleration": channel},
-                path=str(path),
-                format=self.name,
-                sha256=digest,
-                start_ns=(origin - (zone or 0)) * 1_000_000_000,
-                gaps=gaps,
-                notes=(*notes, *loss.told),
-                mapping={"acc_unit": conversion.source_unit, "rate": rate},
-            )
-        if origin is None:
-            what = "; ".join(["no samples in it", *loss.told])
-            raise UnreadableInput(what, where=str(path), remedy="copy it from the device again")
+        """Read in blocks of whole seconds; seconds without samples (idle sleep) are gaps."""
+        archive = Archive(path, "log.bin", strict=strict)
+        packets = _packets(_seconds(archive), archive, block_samples)
+        yield from recordings(archive.log(self.name, packets), path, mapping)
 
 
 READER = Gt3xReader()
 
 
-def _seconds(path: Path, loss: Loss) -> Iterator[_Second]:
+def _packets(seconds: Iterator[_Second], archive: Archive, samples: int) -> Iterator[Packets]:
+    """Seconds as packets, of about `samples` samples together."""
+    group, held = list[_Second](), 0
+    while True:
+        second = next(seconds, None)
+        if group and (second is None or held >= samples):
+            yield packets_of(
+                np.concatenate([s.counts for s in group]) / archive.scale,
+                stamp=np.array([s.stamp for s in group]) * 1_000_000_000,
+                count=np.array([len(s.counts) for s in group]),
+                rate=archive.rate,
+            )
+            group, held = [], 0
+        if second is None:
+            return
+        group.append(second)
+        held += len(second.counts)
+
+
+def _seconds(archive: Archive) -> Iterator[_Second]:
     """Walk the records; a damaged one costs itself, and the walk goes on at the next mark."""
-    probes, stamp, passed, buffer = 0, -1, 0, b""
-    pieces = pieces_of(path, loss)
-    more = True
+    stamp, passed, buffer, more = -1, 0, b"", True
+    damaged, probes, late = 0, 0, list[int]()  # bytes, places, places
+    pieces = archive.pieces()
     while more or len(buffer) >= 9:
-        at = 0
-        whole = np.frombuffer(buffer, dtype=np.uint8)
+        at, whole = 0, np.frombuffer(buffer, dtype=np.uint8)
         while at + 9 <= len(buffer):
             mark, kind, time, size = _HEAD.unpack_from(buffer, at)
             end = at + 8 + size
@@ -118,59 +95,33 @@ def _seconds(path: Path, loss: Loss) -> Iterator[_Second]:
                         stamp = time
                         yield _Second(time, _counts(buffer[at + 8 : end], kind))
                     else:
-                        loss.not_later(passed + at)
+                        what = "the stamp of a record is not later than the one before"
+                        archive.refuse(what, passed + at)
+                        late.append(passed + at)
                 at = end + 1
                 continue
-            loss.refuse("a record is damaged", passed + at)
+            archive.refuse("a record is damaged", passed + at)
             probes += 1
             if probes > _MOST_BAD:
-                raise UnreadableInput("log.bin holds no records", where=str(path))
+                raise UnreadableInput("log.bin holds no records", where=str(archive.path))
             following = buffer.find(b"\x1e", at + 1)
             following = following if following >= 0 else len(buffer)
-            loss.damaged, at = loss.damaged + following - at, following
+            damaged, at = damaged + following - at, following
         piece = next(pieces, b"")
         more = bool(piece)
         passed, buffer = passed + at, buffer[at:] + piece
-    loss.damaged += len(buffer)
-    loss.tell()
+    damaged += len(buffer)
+    if damaged:
+        archive.lost.append(f"{damaged} damaged bytes of log.bin were left out")
+    if late:
+        archive.lost.append(
+            f"{len(late)} records whose stamp is not later than the one before were left out, "
+            f"the first at byte {late[0]} of log.bin"
+        )
 
 
 def _counts(payload: bytes, kind: int) -> NDArray[np.int16]:
-    """(k, 3) counts, axes x y z."""
+    """(k, 3) counts, axes x y z; an odd rest is left out."""
     if kind == _WHOLE:
         return np.frombuffer(payload[: len(payload) // 6 * 6], "<i2").reshape(-1, 3)
-    return unpacked(payload)
-
-
-def unpacked(payload: bytes) -> NDArray[np.int16]:
-    """(k, 3) counts, axes x y z, of 12-bit numbers in the order y x z; an odd rest is left out."""
-    raw = np.frombuffer(payload[: len(payload) // 9 * 9], np.uint8).reshape(-1, 3).astype(np.int16)
-    numbers = np.empty((raw.shape[0], 2), np.int16)
-    numbers[:, 0] = raw[:, 0] << 4 | raw[:, 1] >> 4
-    numbers[:, 1] = (raw[:, 1] & 15) << 8 | raw[:, 2]
-    signed = np.where(numbers > 2047, numbers - 4096, numbers)
-    return signed.reshape(-1, 3)[:, [1, 0, 2]].astype(np.int16)
-
-
-def _grouped(seconds: Iterator[_Second], samples: int) -> Iterator[list[_Second]]:
-    group: list[_Second] = []
-    held = 0
-    for second in seconds:
-        if held >= samples:  # not before more is there: the last group comes when all is told
-            yield group
-            group, held = [], 0
-        group.append(second)
-        held += len(second.counts)
-    if group:
-        yield group
-
-
-def _gaps(seconds: list[_Second], origin: int, before: int | None) -> tuple[Gap, ...]:
-    stamps = np.array(([before] if before is not None else []) + [s.stamp for s in seconds])
-    breaks = np.flatnonzero(np.diff(stamps) > 1)
-    return tuple(
-        Gap(
-            float(stamps[k] + 1 - origin), float(stamps[k + 1] - origin), "idle sleep or no samples"
-        )
-        for k in breaks
-    )
+    return twelve_bits(payload[: len(payload) // 9 * 9]).reshape(-1, 3)[:, [1, 0, 2]]

@@ -1,7 +1,7 @@
 """Packets of samples under one time stamp each, as loggers write them: bytes, clock and channels.
 
 The file is a stream, plain or gzipped. gzip ends with a checksum and the length of what it holds
-(RFC 1952): a stream that is cut, be it between two sectors, or whose bytes changed is told, and
+(RFC 1952): a stream that is cut, be it between two sectors, or whose bytes changed is reported, and
 gives what comes before. A stamp names one sample of its packet. Between the stamps of packets that
 follow each other the samples are evenly spread, so a sensor that is faster or slower than it says
 keeps the logger's time. A packet that does not follow the one before, whatever its number says,
@@ -13,9 +13,9 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +36,7 @@ from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Recording
 
 _GZIP, _GZIP_BITS = b"\x1f\x8b", 31
-_FEED = 1 << 10  # packed bytes at a time: what stands before damage in them is lost with them
+_FEED = 1 << 10  # packed bytes at a time: what comes before damage in them is lost with them
 _PLAIN = 1 << 16
 
 
@@ -48,35 +48,29 @@ class Stream:
     where: str
     strict: bool
     lost: list[str]
-    ahead: bytes = b""
-    passed: int = 0
+    _ahead: bytes = b""
+    _passed: int = 0
 
     def read(self, size: int) -> bytes:
         """The next `size` bytes; fewer at the end, or where the packing breaks off.
 
         Raises UnreadableInput there with `strict`.
         """
-        held, parts = len(self.ahead), [self.ahead]
-        while held < size and (piece := self._next()) is not None:
-            parts.append(piece)
-            held += len(piece)
-        whole = b"".join(parts)
-        self.ahead = whole[size:]
-        return whole[:size]
-
-    def _next(self) -> bytes | None:
+        held, parts = len(self._ahead), [self._ahead]
         try:
-            piece = next(self.pieces, None)
+            while held < size and (piece := next(self.pieces, None)) is not None:
+                parts.append(piece)
+                held += len(piece)
+                self._passed += len(piece)
         except (OSError, EOFError, zlib.error) as error:
-            what = f"the file breaks off after {self.passed} bytes of its content: {error}"
+            what = f"the file breaks off after {self._passed} bytes of its content: {error}"
             if self.strict:
-                raise UnreadableInput(
-                    what, where=self.where, remedy="copy the file from the device again"
-                ) from None
+                remedy = "copy the file from the device again"
+                raise UnreadableInput(what, where=self.where, remedy=remedy) from None
             self.lost.append(what)
-            return None
-        self.passed += len(piece or b"")
-        return piece
+        whole = b"".join(parts)
+        self._ahead = whole[size:]
+        return whole[:size]
 
 
 def head_unpacked(head: bytes, size: int) -> bytes:
@@ -107,46 +101,59 @@ def _unpacked(raw: BinaryIO) -> Iterator[bytes]:
             if unpacker.eof:
                 unpacker = zlib.decompressobj(_GZIP_BITS)
             yield unpacker.decompress(piece)
-            # Zeros behind the end fill a block of a tape or a disk.
+            # Zeros after the end fill a block of a tape or a disk.
             piece = unpacker.unused_data.lstrip(b"\0") if unpacker.eof else b""
     if not unpacker.eof:
         raise EOFError("gzip's end mark is missing")
 
 
+def twelve_bits(raw: bytes | NDArray[np.uint8]) -> NDArray[np.int16]:
+    """(n,) numbers of twelve bits in two's complement, two in each three bytes."""
+    codes = np.frombuffer(raw, np.uint8).reshape(-1, 3).astype(np.int16)
+    first = codes[:, 0] << 4 | codes[:, 1] >> 4
+    numbers = np.stack([first, (codes[:, 1] & 15) << 8 | codes[:, 2]], axis=1).reshape(-1)
+    return np.where(numbers > 2047, numbers - 4096, numbers).astype(np.int16)
+
+
 _SLACK = 2.0  # samples that a stamp may be off
-_NEAR = 3.0  # s of packets on each side that decide a sample's time
+_AROUND = 3.0  # s of packets on each side that decide a sample's time
 _GAP = 1.75  # periods
 
 
-@dataclass(frozen=True)
-class Packets:
-    """p packets with n samples in all, in the file's order.
+_PACKET = np.dtype([("stamp", "i8"), ("at", "i8"), ("count", "i8"), ("rate", "f8"), ("warm", "f8")])
 
-    stamp : (p,) ns since 1970 on the device's clock; at : (p,) the sample, from the packet's first,
-    to which it belongs; count : (p,) samples; rate : (p,) Hz as stated; warm : (p,) °C, or NaN
-    acc : (n, 3) g; gyro : (n, 3) deg/s, NaN where there is none
-    """
 
-    stamp: NDArray[np.int64]
-    at: NDArray[np.int64]
-    count: NDArray[np.int64]
-    rate: Array
-    warm: Array
+class Packets(NamedTuple):
+    """p packets with n samples in all, in the file's order; made by `packets_of`."""
+
+    heads: NDArray[np.void]
     acc: Array
     gyro: Array
 
+    @property
+    def first(self) -> NDArray[np.int64]:
+        """(p,) the first sample of each packet."""
+        return np.asarray(np.cumsum(self.heads["count"]) - self.heads["count"])
+
     def part(self, first: int, stop: int) -> Packets:
         """Packets `first` to `stop` with their samples."""
-        edges = np.concatenate([[0], np.cumsum(self.count)])
-        rows = slice(int(edges[first]), int(edges[stop]))
-        return Packets(
-            **{
-                f.name: getattr(self, f.name)[
-                    rows if f.name in ("acc", "gyro") else slice(first, stop)
-                ]
-                for f in fields(self)
-            }
-        )
+        a, b = (int(self.heads["count"][:k].sum()) for k in (first, stop))
+        return Packets(self.heads[first:stop], self.acc[a:b], self.gyro[a:b])
+
+
+def packets_of(
+    acc: Array, gyro: Array | None = None, **heads: NDArray[np.generic] | float
+) -> Packets:
+    """Packets of samples.
+
+    acc : (n, 3) g; gyro : (n, 3) deg/s, NaN where there is none
+    heads : (p,) or one for all: stamp, ns since 1970 on the device's clock; at, the sample, from
+    the packet's first (0), to which it belongs; count, samples; rate, Hz as stated; warm, °C (NaN)
+    """
+    found = np.zeros(np.size(heads["stamp"]), dtype=_PACKET)
+    for name, values in {"warm": np.nan, **heads}.items():
+        found[name] = values
+    return Packets(found, acc, np.full(acc.shape, np.nan) if gyro is None else gyro)
 
 
 @dataclass(frozen=True)
@@ -173,127 +180,110 @@ def recordings(log: Log, path: Path, mapping: FieldMapping) -> Iterator[Recordin
     """
     digest = sha256_of(path)
     before: float | None = None
-    units: _Units | None = None
+    units: dict[str, Conversion] = {}
     held: Recording | None = None
-    origin = 0
-    for packets, stamps, t in _timed(log.packets, log.drift):
-        if units is None:
-            origin = int(stamps[0])
-            rate = float(packets.rate[0])
+    rate = 0.0
+    for packets, origin, t in _timed(log.packets, log.drift):
+        notes: tuple[str, ...] = ()
+        if held is None:
+            rate = float(packets.heads["rate"][0])
             units = _units(packets, rate, mapping, str(path))
-        if held is not None:
+            notes = (*log.notes, *(how.note for how in units.values() if how.note))
+        else:
             yield held
-        gaps = find_gaps(t, range(t.size), _GAP / units.rate, before)
+        gaps = find_gaps(t, range(t.size), _GAP / rate, before)
         before = float(t[-1]) if t.size else before
         held = Recording(
-            channels=_channels(packets, t, units),
+            channels=_channels(packets, t, rate, units),
             path=str(path),
             format=log.format,
             sha256=digest,
             start_ns=origin - log.zone_s * 1_000_000_000,
             gaps=tuple(gaps),
-            notes=() if held is not None else (*log.notes, *units.notes),
-            mapping={"acc_unit": units.acc.source_unit},
+            notes=notes,
+            mapping={"acc_unit": units["acceleration"].source_unit},
         )
     if held is None:
-        remedy = "copy the file from the device again"
-        raise UnreadableInput("no samples with times in it", where=str(path), remedy=remedy)
+        what = "; ".join(["no samples with times in it", *log.lost])
+        raise UnreadableInput(what, where=str(path), remedy="copy the file from the device again")
     yield replace(held, notes=(*held.notes, *log.lost))
 
 
-@dataclass(frozen=True)
-class _Units:
-    rate: float
-    acc: Conversion
-    gyro: Conversion
-    warm: Conversion
-    notes: tuple[str, ...]
-
-
-def _units(packets: Packets, rate: float, mapping: FieldMapping, where: str) -> _Units:
+def _units(
+    packets: Packets, rate: float, mapping: FieldMapping, where: str
+) -> dict[str, Conversion]:
     rest = readings_at_rest([packets.acc], max(3, round(rate)))
-    acc = acceleration(mapping, Source("g", fixed=True), rest, where)
-    gyro = angular_rate(mapping, "deg/s", where)
-    warm = temperature(mapping, "degC", packets.warm, where)
-    return _Units(rate, acc, gyro, warm, tuple(c.note for c in (acc, gyro, warm) if c.note))
+    return {
+        "acceleration": acceleration(mapping, Source("g", fixed=True), rest, where),
+        "angular_rate": angular_rate(mapping, "deg/s", where),
+        "temperature": temperature(mapping, "degC", packets.heads["warm"], where),
+    }
 
 
-def _channels(packets: Packets, t: Array, units: _Units) -> dict[str, Channel]:
-    def channel(quantity: str, at: Array, raw: Array, how: Conversion, rate: float) -> Channel:
-        return Channel(at, how.apply(raw), how.unit, quantity, "imu0", rate)
-
-    found = {"imu0/acceleration": channel("acceleration", t, packets.acc, units.acc, units.rate)}
+def _channels(
+    packets: Packets, t: Array, rate: float, units: dict[str, Conversion]
+) -> dict[str, Channel]:
+    """Acceleration, and angular rate and temperature where there are any."""
+    warm, count = packets.heads["warm"], packets.heads["count"]
     turned = np.isfinite(packets.gyro).all(axis=1)
-    if turned.any():
-        gyro = channel("angular_rate", t[turned], packets.gyro[turned], units.gyro, units.rate)
-        found["imu0/angular_rate"] = gyro
-    known = np.isfinite(packets.warm) & (packets.count > 0)
-    if known.any():
-        at = t[(np.cumsum(packets.count) - packets.count)[known]]
-        rate = units.rate / float(np.median(packets.count))
-        warm = channel("temperature", at, packets.warm[known, None], units.warm, rate)
-        found["imu0/temperature"] = warm
-    return found
+    known = np.isfinite(warm) & (count > 0)
+    found = {
+        "acceleration": (t, packets.acc, rate),
+        "angular_rate": (t[turned], packets.gyro[turned], rate),
+        "temperature": (t[packets.first[known]], warm[known, None], rate / np.median(count)),
+    }
+    return {
+        f"imu0/{quantity}": Channel(
+            at, units[quantity].apply(raw), units[quantity].unit, quantity, "imu0", float(own)
+        )
+        for quantity, (at, raw, own) in found.items()
+        if at.size or quantity == "acceleration"
+    }
 
 
-def _joined(parts: list[Packets]) -> Packets:
-    return Packets(
-        **{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Packets)}
-    )
-
-
-def _timed(
-    pieces: Iterator[Packets], drift: float
-) -> Iterator[tuple[Packets, NDArray[np.int64], Array]]:
-    """Packets, the stamps from the log's first on, and the time of every sample since that first.
+def _timed(pieces: Iterator[Packets], drift: float) -> Iterator[tuple[Packets, int, Array]]:
+    """Packets, the time of the log's first sample (ns), and that of every sample since it.
 
     Packets on both sides of a piece take part in its times, so that pieces do not matter.
     """
-    origin: NDArray[np.int64] | None = None
+    origin: int | None = None
     back, held = list[Packets](), list[Packets]()
-    while True:
+    more = True
+    while more:
         piece = next(pieces, None)
-        held += [piece] if piece is not None and piece.count.size else []
+        more = piece is not None
+        held += [piece] if piece is not None and piece.heads.size else []
         if not held:
-            if piece is None:
-                return
             continue
-        whole = _joined([*back, *held])
-        first, near = (
-            sum(p.count.size for p in back),
-            2 + int(_NEAR * whole.rate.max() / max(1.0, float(np.median(whole.count)))),
-        )
-        ready = whole.count.size - (0 if piece is None else near)
+        whole = Packets(*map(np.concatenate, zip(*back, *held, strict=True)))
+        first, rate = sum(p.heads.size for p in back), float(whole.heads["rate"].max())
+        around = 2 + int(_AROUND * rate / max(1.0, float(np.median(whole.heads["count"]))))
+        ready = whole.heads.size - (around if more else 0)
         if ready > first:
-            seconds = _times(whole, int(whole.stamp[0]), drift)
-            edges = np.concatenate([[0], np.cumsum(whole.count)])
-            start = seconds[edges[first]] if edges[first] < seconds.size else 0.0
-            base = int(whole.stamp[0])
+            base = int(whole.heads["stamp"][0])
+            seconds = _times(whole, base, drift)
+            a, b = whole.part(0, first).acc.shape[0], whole.part(0, ready).acc.shape[0]
             if origin is None:
-                origin = np.array([base + round(start * 1e9)], dtype=np.int64)
-            t = seconds[edges[first] : edges[ready]] + (base - int(origin[0])) * 1e-9
-            yield whole.part(first, ready), origin, t
-            back = [whole.part(max(0, ready - near), ready)]
-            held = [whole.part(ready, whole.count.size)]
-        if piece is None:
-            return
+                origin = base + round(float(seconds[a]) * 1e9 if a < seconds.size else 0.0)
+            yield whole.part(first, ready), origin, seconds[a:b] + (base - origin) * 1e-9
+            back = [whole.part(max(0, ready - around), ready)]
+            held = [whole.part(ready, whole.heads.size)]
 
 
 def _times(packets: Packets, base: int, drift: float) -> Array:
     """Seconds since `base` of every sample."""
-    first = np.cumsum(packets.count) - packets.count
-    index: Array = (first + packets.at).astype(np.float64)
-    stamp = np.asarray((packets.stamp - base) * 1e-9, dtype=np.float64)
-    period: Array = 1.0 / packets.rate
-    steps: Array = np.diff(index)
-    took: Array = np.diff(stamp)
-    expected: Array = steps * period[1:]
-    slack: Array = drift * np.abs(expected) + _SLACK * period[1:]
+    heads, first = packets.heads, packets.first
+    index: Array = (first + heads["at"]).astype(np.float64)
+    stamp: Array = (heads["stamp"] - base) * 1e-9
+    period: Array = 1.0 / heads["rate"]
+    steps, took = np.diff(index), np.diff(stamp)
+    expected = steps * period[1:]
+    slack = drift * np.abs(expected) + _SLACK * period[1:]
     follows = (np.abs(took - expected) <= slack) & (steps >= 0) & (period[1:] == period[:-1])
     edges = np.concatenate([[0], np.flatnonzero(~follows) + 1, [index.size]])
-    out = np.empty(int(packets.count.sum()))
+    out = np.empty(packets.acc.shape[0])
     for a, b in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
-        rows = np.arange(first[a], first[b - 1] + packets.count[b - 1])
+        rows = np.arange(first[a], first[b - 1] + heads["count"][b - 1])
         out[rows] = _spread(rows, index[a:b], stamp[a:b], float(period[a]))
     return out
 

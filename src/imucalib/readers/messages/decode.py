@@ -1,218 +1,327 @@
 """Messages of a block decoded into columns: ROS by compiled layouts, JSON and protobuf by parsing.
 
-Every decoder answers which numeric fields a message has (`leaves`), what their values are in all
-messages of a block (`decode`), and what a string of one message says (`text`). A path is the field
-names joined by dots; a number stands for a place in a list.
+A path is the names of fields joined by dots; a number is a place in a list.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
+from mcap.records import Schema
 from numpy.typing import NDArray
 
 from imucalib.errors import UsageError
-from imucalib.readers.csv.stamps import MISSING, TextTime, text_to_ns
 from imucalib.readers.messages.layout import (
     Definition,
     Groups,
     Layout,
     LayoutError,
-    compile_layout,
     definition_of,
 )
-from imucalib.readers.messages.records import MessageBlock, Schema, Topic
+from imucalib.readers.messages.records import MessageBlock, Rows, Topic
 
-Widths = tuple[int, ...]  # numbers in each group
-ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-_MOST_INFLATED = 1 << 26  # of one message: no sensor reading is larger
+_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+_MOST_INFLATED = 1 << 26  # bytes of one message: no sensor reading is larger
+_MOST_LAYOUTS = 16  # that are remembered for each definition
 
 
-@dataclass(frozen=True)
-class Decoded:
+class Decoded(NamedTuple):
     """columns : (n, k) for each group, in the file's numeric types; good : (n,) decoded at all."""
 
-    columns: tuple[NDArray[Any], ...]
+    columns: list[NDArray[Any]]
     good: NDArray[np.bool_]
     problem: str = ""
 
 
-class Rows:
-    """Record fields at given byte positions; an even spacing needs no gathering."""
+class Look(NamedTuple):
+    """What one message holds, by path: how many numbers, and texts."""
 
-    def __init__(self, data: bytes, starts: NDArray[np.int64], dtype: np.dtype[np.void]) -> None:
-        self._starts: NDArray[np.int64] | None = starts
-        self.count = starts.size
-        steps = np.diff(starts)
-        if starts.size > 1 and (steps == steps[0]).all() and steps[0] > 0:
-            step = int(steps[0])
-            self._view = np.ndarray((starts.size,), dtype, data, int(starts[0]), (step,))
-            self._starts = None
-        else:
-            self._view = np.ndarray((len(data) - dtype.itemsize + 1,), dtype, data, 0, (1,))
-
-    def column(self, name: str) -> NDArray[Any]:
-        """(n,) or (n, k) values of one field."""
-        part = self._view[name]
-        return part if self._starts is None else part[self._starts]
-
-    def vectors(self, name: str) -> NDArray[Any]:
-        """(n, k): a scalar field is one column."""
-        part = self.column(name)
-        return part[:, None] if part.ndim == 1 else part
+    leaves: dict[str, int]
+    texts: dict[str, str]
 
 
-class Filler:
-    """Columns of one block while its messages are decoded in any order."""
+class Decoder(ABC):
+    """Decodes the messages of one schema."""
 
-    def __init__(self, size: int, widths: Widths) -> None:
-        self.size, self._widths = size, widths
-        self.columns: list[NDArray[Any] | None] = [None] * len(widths)
+    @abstractmethod
+    def look(self, payload: bytes) -> Look:
+        """What one message holds; raises LayoutError."""
+
+    @abstractmethod
+    def decode(self, block: MessageBlock, groups: Groups) -> Decoded:
+        """The values of the groups in every message of the block."""
+
+
+def decoder_for(topic: Topic) -> Decoder:
+    """The decoder of a topic's encoding; raises LayoutError when there is none."""
+    encoding, schema = topic.encoding, topic.schema
+    if encoding == "json":
+        return TreeDecoder(_json_trees)
+    if encoding not in ("cdr", "ros1", "protobuf"):
+        raise LayoutError(f"the message encoding '{encoding}' is not supported")
+    if encoding == "protobuf":
+        return TreeDecoder(_protobuf_parser(schema))
+    if schema is None:
+        raise LayoutError("it has no schema")
+    kind = "ros1msg" if encoding == "ros1" else schema.encoding
+    return RosDecoder(definition_of(schema.name, kind, schema.data.decode("utf-8", "replace")))
+
+
+@dataclass
+class Family:
+    """Layouts that differ in the lengths they expect, but have the wanted fields in one place.
+
+    dtype, names : of a message's fields, and those of each group, by `Layout.pick`
+    """
+
+    layout: Layout
+    dtype: np.dtype[np.void]
+    names: list[list[str]]
+    guards: list[list[tuple[int, int]]]
+
+    def runs(self) -> list[tuple[int, str]] | None:
+        """Offset and byte order of each group, where all are one run of doubles."""
+        if any(len(names) != 1 for names in self.names):
+            return None
+        fields = [self.dtype.fields[names[0]] for names in self.names if self.dtype.fields]
+        if any((kind.base.kind, kind.base.itemsize) != ("f", 8) for kind, *_ in fields):
+            return None
+        return [(offset, self.layout.order) for _, offset, *_ in fields]
+
+    def fitting(
+        self, block: MessageBlock, rows: NDArray[np.int64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], Rows]:
+        """The messages among `rows` that it fits, the others, and the fields of the former."""
+        lengths, end = block.lengths[rows], self.layout.end
+        fits = (lengths >= end) & (lengths <= end + self.layout.slack)
+        some = rows[fits]
+        fields = Rows(block.data, block.starts[some], self.dtype)
+        agrees = self._agrees(fields, some.size)
+        if not agrees.all():
+            fits[fits] = agrees
+            some = rows[fits]
+            fields = Rows(block.data, block.starts[some], self.dtype)
+        return some, rows[~fits], fields
+
+    def _agrees(self, fields: Rows, count: int) -> NDArray[np.bool_]:
+        found = {at: fields[f"guard{at}"] for at, _ in self.layout.guards}
+        agrees = np.zeros(count, dtype=np.bool_)
+        for guards in self.guards:
+            one = np.ones(count, dtype=np.bool_)
+            for at, value in guards:
+                one &= found[at] == value
+            agrees |= one
+        if self.layout.head:
+            agrees &= fields["head"] == np.void(self.layout.head)
+        return agrees
+
+
+class RosDecoder(Decoder):
+    """ROS 1 and ROS 2 messages. Compiled layouts are kept and tried on each block first."""
+
+    def __init__(self, definition: Definition) -> None:
+        self._definition = definition
+        self._families: dict[Groups, list[Family]] = {}
+
+    def look(self, payload: bytes) -> Look:
+        if payload.startswith(_ZSTD_MAGIC):
+            payload = _inflated(payload)
+        layout = Layout(self._definition, payload)
+        return Look({path: count for path, (*_, count) in layout.fields.items()}, layout.texts)
+
+    def decode(self, block: MessageBlock, groups: Groups) -> Decoded:
+        size = block.starts.size
+        out, problems = _Columns(size, groups), list[str]()
+        for rows, family, fields in self.fitting(block, groups, problems):
+            parts = [[fields[name] for name in names] for names in family.names]
+            out.put(rows, [p[0] if len(p) == 1 else np.hstack(p) for p in parts])
+        packed = [
+            row
+            for row in np.flatnonzero(~out.good).tolist()
+            if block.payload(row).startswith(_ZSTD_MAGIC)
+        ]
+        if packed:
+            inner = self.decode(_unpacked(block.take(np.array(packed))), groups)
+            out.put(np.array(packed), inner.columns)
+            out.good[packed] = inner.good
+            problems.append(inner.problem)
+        return Decoded(out.whole(), out.good, problems[-1] if problems else "")
+
+    def fitting(
+        self, block: MessageBlock, groups: Groups, problems: list[str]
+    ) -> Iterator[tuple[NDArray[np.int64], Family, Rows]]:
+        """The messages that have the groups, with their fields; one family after the other.
+
+        problems : gets a sentence for each of the others
+        """
+        todo = np.arange(block.starts.size)
+        families = self._families.setdefault(groups, [])
+        for family in tuple(families):
+            rows, todo, fields = family.fitting(block, todo)
+            if rows.size:
+                yield rows, family, fields
+            if not todo.size:
+                return
+        while todo.size:
+            try:
+                layout = Layout(self._definition, block.payload(int(todo[0])))
+                family = _admitted(families, layout, groups)
+            except LayoutError as error:
+                problems.append(str(error))
+                todo = todo[1:]
+                continue
+            rows, todo, fields = family.fitting(block, todo)
+            yield rows, family, fields
+
+
+def _admitted(families: list[Family], layout: Layout, groups: Groups) -> Family:
+    """The family of a new layout; a new one comes to the front of the list."""
+    dtype, names = layout.pick(groups)
+    for family in families:
+        same = (family.layout.head, family.layout.slack) == (layout.head, layout.slack)
+        if same and family.dtype == dtype and len(family.guards) < _MOST_LAYOUTS:
+            family.guards.append(layout.guards)
+            return family
+    families.insert(0, Family(layout, dtype, names, [layout.guards]))
+    del families[_MOST_LAYOUTS:]
+    return families[0]
+
+
+class _Columns:
+    """The columns of one block while its messages are decoded in any order."""
+
+    def __init__(self, size: int, groups: Groups) -> None:
+        self._size, self._groups = size, groups
+        self._columns: list[NDArray[Any]] = []
         self.good = np.zeros(size, dtype=np.bool_)
-        self.problem = ""
 
-    def put_column(self, rows: NDArray[np.int64], index: int, values: NDArray[Any]) -> None:
-        """One group's values of some messages."""
-        current = self.columns[index]
-        if current is None and rows.size == self.size:
-            self.columns[index] = values
+    def put(self, rows: NDArray[np.int64], columns: list[NDArray[Any]]) -> None:
+        """The values of all groups in some messages."""
+        self.good[rows] = True
+        if rows.size == self._size:
+            self._columns = columns
             return
-        if current is None:
-            current = np.zeros((self.size, values.shape[1]), dtype=values.dtype.newbyteorder("="))
-        current[rows] = values
-        self.columns[index] = current
+        if not self._columns:
+            shapes = [((self._size, c.shape[1]), c.dtype.newbyteorder("=")) for c in columns]
+            self._columns = [np.zeros(*shape) for shape in shapes]
+        for column, values in zip(self._columns, columns, strict=True):
+            column[rows] = values
 
-    def put(self, rows: NDArray[np.int64], decoded: Decoded) -> None:
-        """All groups of some messages, decoded elsewhere."""
-        for i, values in enumerate(decoded.columns):
-            self.put_column(rows, i, values)
-        self.good[rows] = decoded.good
-        self.problem = self.problem or decoded.problem
-
-    def decoded(self) -> Decoded:
-        """All columns; what was never put is zero and not good."""
-        pairs = zip(self.columns, self._widths, strict=True)
-        columns = tuple(np.zeros((self.size, w)) if c is None else c for c, w in pairs)
-        return Decoded(columns, self.good, self.problem)
+    def whole(self) -> list[NDArray[Any]]:
+        """(n, k) for each group; zero where nothing was put."""
+        return self._columns or [np.zeros((self._size, group.width)) for group in self._groups]
 
 
-def inflate(payload: bytes) -> bytes:
+def _inflated(payload: bytes) -> bytes:
     """A zstd-compressed payload, unpacked; raises LayoutError."""
-    from imucalib.readers import zstd
+    import zstandard
 
     try:
-        data = zstd.first_frame(payload, _MOST_INFLATED)
-    except (zstd.ZstdError, MemoryError) as error:
+        if zstandard.frame_content_size(payload) > _MOST_INFLATED:
+            raise LayoutError("a compressed message is larger than any sensor's")
+        data = zstandard.ZstdDecompressor().decompress(payload, max_output_size=_MOST_INFLATED)
+    except (zstandard.ZstdError, MemoryError) as error:
         raise LayoutError("a compressed message is damaged") from error
-    if data[:4] == ZSTD_MAGIC:
+    if data.startswith(_ZSTD_MAGIC):
         raise LayoutError("a message is compressed twice")
     return data
 
 
-def inflated(block: MessageBlock) -> MessageBlock:
-    """The block with every zstd-compressed payload unpacked; a damaged one becomes empty."""
+def _unpacked(block: MessageBlock) -> MessageBlock:
+    """A block of zstd-compressed payloads, unpacked; a damaged one becomes empty."""
     pieces = []
     for payload in block.payloads():
         try:
-            pieces.append(inflate(payload) if payload[:4] == ZSTD_MAGIC else payload)
+            pieces.append(_inflated(payload))
         except LayoutError:
             pieces.append(b"")
     lengths = np.array([len(p) for p in pieces], dtype=np.int64)
-    return MessageBlock(b"".join(pieces), np.cumsum(lengths) - lengths, lengths, block.offset)
+    return MessageBlock(b"".join(pieces), np.cumsum(lengths) - lengths, lengths)
 
 
 _UNREADABLE = (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError)
 _DEEPEST, _MOST_FIELDS = 12, 1000
+_DEEPEST_UNSET = 4  # of a protobuf's fields that the message does not have
+#: Payloads to trees, None for one that cannot be parsed.
 Parse = Callable[[Sequence[bytes]], list[Any]]
 
 
-class TreeDecoder:
-    """Messages that parse into trees.
+class TreeDecoder(Decoder):
+    """Messages that are parsed into trees of objects, lists and numbers."""
 
-    parse : payloads -> trees, None for one that cannot be parsed
-    flatten : tree -> (path, count) of its numbers
-    step : one step down a tree
-    """
+    def __init__(self, parse: Parse) -> None:
+        self._parse = parse
 
-    def __init__(
-        self,
-        parse: Parse,
-        flatten: Callable[[Any], dict[str, int]],
-        step: Callable[[Any, str], Any],
-    ) -> None:
-        self._parse, self._flatten, self._step = parse, flatten, step
-
-    def leaves(self, payload: bytes) -> dict[str, int]:
-        return self._flatten(self._tree(payload))
-
-    def text(self, payload: bytes, path: str) -> str:
-        try:
-            (value,) = self._walk(tuple(path.split(".")), {(): [self._tree(payload)]})
-        except _UNREADABLE:
-            return ""
-        return value if isinstance(value, str) else ""
-
-    def _tree(self, payload: bytes) -> Any:
+    def look(self, payload: bytes) -> Look:
         (tree,) = self._parse([payload])
         if tree is None:
             raise LayoutError("a message cannot be parsed")
-        return tree
+        found = Look({}, {})
+        _descend(tree, "", found, 0)
+        return found
 
-    def decode(self, block: MessageBlock, groups: Groups, widths: Widths) -> Decoded:
+    def decode(self, block: MessageBlock, groups: Groups) -> Decoded:
         trees = self._parse(block.payloads())
         good = np.array([tree is not None for tree in trees], dtype=np.bool_)
         try:
-            return Decoded(self._columns(trees, groups, widths), good)
+            return Decoded(_columns(trees, groups), good)
         except _UNREADABLE:
             # One message spoils the block: find it, and decode the others.
-            good = np.array([self._readable(t, groups, widths) for t in trees], dtype=np.bool_)
-        kept = [tree for tree, ok in zip(trees, good, strict=True) if ok]
-        columns = tuple(np.zeros((len(trees), width)) for width in widths)
-        if kept:
-            columns = tuple(_spread(c, good) for c in self._columns(kept, groups, widths))
-        return Decoded(columns, good, "not parsable, or a field is missing or no number")
+            good = np.array([_readable(tree, groups) for tree in trees], dtype=np.bool_)
+        out, kept = _Columns(len(trees), groups), np.flatnonzero(good)
+        if kept.size:
+            out.put(kept, _columns([trees[row] for row in kept.tolist()], groups))
+        return Decoded(out.whole(), good, "not parsable, or a field is missing or no number")
 
-    def _readable(self, tree: Any, groups: Groups, widths: Widths) -> bool:
-        try:
-            self._columns([tree], groups, widths)
-        except _UNREADABLE:
-            return False
-        return True
 
-    def _columns(
-        self, trees: list[Any], groups: Groups, widths: Widths
-    ) -> tuple[NDArray[Any], ...]:
-        reached: dict[tuple[str, ...], list[Any]] = {(): trees}
-        columns = []
-        for group, width in zip(groups, widths, strict=True):
-            parts = [_numbers(self._walk(tuple(path.split(".")), reached)) for path in group]
-            columns.append(parts[0] if len(parts) == 1 else np.hstack(parts))
-            if columns[-1].shape[1] != width:
-                raise ValueError("a field has another number of elements")
-        return tuple(columns)
+def _columns(trees: list[Any], groups: Groups) -> list[NDArray[Any]]:
+    reached: dict[tuple[str, ...], list[Any]] = {(): trees}
+    columns = []
+    for group in groups:
+        column = np.hstack([_numbers(_at(p.split("."), reached)) for p in group.paths])
+        if column.shape[1] != group.width:
+            raise ValueError("a field has another number of elements")
+        columns.append(column)
+    return columns
 
-    def _walk(self, keys: tuple[str, ...], reached: dict[tuple[str, ...], list[Any]]) -> list[Any]:
-        if keys not in reached:
-            step, key = self._step, keys[-1]
-            reached[keys] = [step(tree, key) for tree in self._walk(keys[:-1], reached)]
-        return reached[keys]
+
+def _readable(tree: Any, groups: Groups) -> bool:
+    try:
+        _columns([tree], groups)
+    except _UNREADABLE:
+        return False
+    return True
+
+
+def _at(keys: Sequence[str], reached: dict[tuple[str, ...], list[Any]]) -> list[Any]:
+    """What lies at a path in every tree; `reached` is filled with what lies on the way."""
+    path = tuple(keys)
+    if path not in reached:
+        reached[path] = [_child(tree, keys[-1]) for tree in _at(keys[:-1], reached)]
+    return reached[path]
+
+
+def _child(tree: Any, key: str) -> Any:
+    if isinstance(tree, dict):
+        return tree[key]
+    return tree[int(key)] if key.isdigit() else getattr(tree, key)
 
 
 def _numbers(values: list[Any]) -> NDArray[Any]:
-    """(n, k) numbers; ISO 8601 text becomes int64 nanoseconds since 1970."""
+    """(n, k) numbers; ISO 8601 text in UTC becomes int64 nanoseconds since 1970."""
     if values and isinstance(values[0], str):
         if not all(value.endswith(("Z", "+00:00")) for value in values):
             raise ValueError("a text time must be UTC and end in Z")
-        bare = (value.removesuffix("Z").removesuffix("+00:00") for value in values)
-        texts = [value.replace("T", " ") for value in bare]
-        ns, wrong = text_to_ns(np.array(texts, dtype=np.bytes_), TextTime("YMDhmsf", True))
-        if wrong.any() or (ns == MISSING).any():
-            raise ValueError(f"'{texts[int(np.argmax(wrong | (ns == MISSING)))]}' is no date")
-        return ns[:, None]
+        texts = [value.removesuffix("Z").removesuffix("+00:00") for value in values]
+        times = np.array(texts, dtype="datetime64[ns]")
+        if np.isnat(times).any():
+            raise ValueError("a text time is no date")
+        return times.astype(np.int64)[:, None]
     array = np.array([v if isinstance(v, int | float) else tuple(v) for v in values])
     if array.dtype.kind not in "iuf":
         raise TypeError("not numbers")
@@ -221,77 +330,66 @@ def _numbers(values: list[Any]) -> NDArray[Any]:
     return array[:, None] if array.ndim == 1 else array.reshape(len(values), -1)
 
 
-def _spread(values: NDArray[Any], good: NDArray[np.bool_]) -> NDArray[Any]:
-    out = np.zeros((good.size, values.shape[1]), dtype=values.dtype)
-    out[good] = values
-    return out
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-# -- JSON -------------------------------------------------------------------------------------
+def _descend(tree: Any, path: str, found: Look, depth: int) -> None:
+    """Note the numbers and texts below a place of a tree."""
+    if depth > _DEEPEST or len(found.leaves) > _MOST_FIELDS:
+        return
+    if isinstance(tree, str):
+        found.texts[path] = tree
+    if path and (_is_number(tree) or isinstance(tree, str)):
+        found.leaves[path] = 1
+        return
+    children = _children(tree, depth)
+    if children and isinstance(children[0][0], int) and all(_is_number(v) for _, v in children):
+        found.leaves[path] = len(children)
+        return
+    for key, value in children:
+        _descend(value, f"{path}.{key}" if path else str(key), found, depth + 1)
 
 
-def json_decoder() -> TreeDecoder:
-    """JSON objects; msgspec parses them when it is installed, the standard library otherwise."""
+def _children(tree: Any, depth: int) -> list[tuple[str | int, Any]]:
+    """What an object or a list holds, by name or place."""
+    if isinstance(tree, Mapping):
+        return [(key, value) for key, value in tree.items() if "." not in str(key)]
+    if hasattr(tree, "DESCRIPTOR"):  # what a type holds of itself only where the message has it
+        kind = tree.DESCRIPTOR
+        return [
+            (part.name, getattr(tree, part.name))
+            for part in kind.fields
+            if part.message_type is None
+            or (part.message_type is not kind and depth <= _DEEPEST_UNSET)
+            or _is_set(tree, part.name)
+        ]
+    return list(enumerate(tree)) if isinstance(tree, Sequence) and not isinstance(tree, str) else []
+
+
+def _is_set(message: Any, name: str) -> bool:
+    return any(part.name == name for part, _ in message.ListFields())
+
+
+def _json_trees(payloads: Sequence[bytes]) -> list[Any]:
     try:
-        import msgspec  # type: ignore[import-not-found, unused-ignore]
-    except ImportError:
-        return TreeDecoder(_bulk(json.loads), _flatten_json, _json_step)
-    return TreeDecoder(_bulk(msgspec.json.Decoder().decode), _flatten_json, _json_step)
+        trees = json.loads(b"[" + b",".join(payloads) + b"]")
+        # A payload like `{},{}` would shift its neighbours: the count gives it away.
+        if len(trees) == len(payloads):
+            return list(trees)
+    except (ValueError, RecursionError):
+        pass
+    return [_json_tree(payload) for payload in payloads]
 
 
-def _bulk(loads: Callable[[bytes], Any]) -> Parse:
-    def parse(payloads: Sequence[bytes]) -> list[Any]:
-        try:
-            trees = loads(b"[" + b",".join(payloads) + b"]")
-            # A payload like `{},{}` would shift its neighbours: the count gives it away.
-            if len(trees) == len(payloads):
-                return list(trees)
-        except (ValueError, RecursionError):
-            pass
-        return [_alone(loads, payload) for payload in payloads]
-
-    return parse
-
-
-def _alone(loads: Callable[[bytes], Any], payload: bytes) -> Any:
+def _json_tree(payload: bytes) -> Any:
     try:
-        return loads(payload)
+        return json.loads(payload)
     except (ValueError, RecursionError):
         return None
 
 
-def _json_step(tree: Any, key: str) -> Any:
-    return tree[int(key)] if isinstance(tree, list) else tree[key]
-
-
-def _flatten_json(tree: Any) -> dict[str, int]:
-    found: dict[str, int] = {}
-    _descend(tree, "", found)
-    return found
-
-
-def _descend(tree: Any, path: str, found: dict[str, int], depth: int = 0) -> None:
-    if depth > _DEEPEST or len(found) > _MOST_FIELDS:
-        return
-    prefix = f"{path}." if path else ""
-    if isinstance(tree, dict):
-        for key, value in tree.items():
-            if "." not in key:
-                _descend(value, prefix + key, found, depth + 1)
-    elif isinstance(tree, list):
-        if tree and all(isinstance(v, int | float) and not isinstance(v, bool) for v in tree):
-            found[path] = len(tree)
-        else:
-            for i, value in enumerate(tree):
-                _descend(value, f"{prefix}{i}", found, depth + 1)
-    elif isinstance(tree, int | float | str) and not isinstance(tree, bool) and path:
-        found[path] = 1
-
-
-# -- protobuf ---------------------------------------------------------------------------------
-
-
-def protobuf_decoder(schema: Schema | None) -> TreeDecoder:
+def _protobuf_parser(schema: Schema | None) -> Parse:
     """Messages of a FileDescriptorSet schema. Raises UsageError without the protobuf package."""
     try:
         from google.protobuf import (  # type: ignore[import-untyped, unused-ignore]
@@ -308,250 +406,22 @@ def protobuf_decoder(schema: Schema | None) -> TreeDecoder:
     if schema is None:
         raise LayoutError("it has no schema")
     try:
-        files = descriptor_pb2.FileDescriptorSet.FromString(schema.data)
-        pool = descriptor_pool.DescriptorPool()
-        for file in _dependencies_first(list(files.file)):
-            pool.Add(file)
+        files = descriptor_pb2.FileDescriptorSet.FromString(schema.data).file
+        pool, waiting = descriptor_pool.DescriptorPool(), {file.name: file for file in files}
+        while waiting:
+            ready = [f for f in waiting.values() if not waiting.keys() & set(f.dependency)]
+            if not ready:
+                raise ValueError("the files depend on each other in a circle")
+            for file in ready:
+                pool.Add(waiting.pop(file.name))
         kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
     except (message.DecodeError, KeyError, TypeError, ValueError) as error:
         raise LayoutError(f"its protobuf schema does not define {schema.name}") from error
 
-    def parse(payloads: Sequence[bytes]) -> list[Any]:
-        return [one(payload) for payload in payloads]
-
-    def one(payload: bytes) -> Any:
+    def parse(payload: bytes) -> Any:
         try:
             return kind.FromString(payload)
         except message.DecodeError:
             return None
 
-    def flatten(tree: Any) -> dict[str, int]:
-        found: dict[str, int] = {}
-        _descend_protobuf(tree, "", found)
-        return found
-
-    return TreeDecoder(
-        parse, flatten, lambda tree, key: tree[int(key)] if key.isdigit() else getattr(tree, key)
-    )
-
-
-def _dependencies_first(files: list[Any]) -> list[Any]:
-    ordered: list[Any] = []
-    names: set[str] = set()
-    present = {file.name for file in files}
-    while files:
-        ready = [f for f in files if all(d in names or d not in present for d in f.dependency)]
-        if not ready:
-            raise ValueError("the files depend on each other in a circle")
-        ordered += ready
-        names |= {f.name for f in ready}
-        files = [f for f in files if f.name not in names]
-    return ordered
-
-
-def _descend_protobuf(tree: Any, path: str, found: dict[str, int], depth: int = 0) -> None:
-    prefix = f"{path}." if path else ""
-    if len(found) > _MOST_FIELDS:
-        raise LayoutError(f"it has more than {_MOST_FIELDS} fields")
-    for part in tree.DESCRIPTOR.fields:
-        value = getattr(tree, part.name)
-        here = prefix + part.name
-        if hasattr(value, "DESCRIPTOR"):
-            # What a type holds of itself is left out unless the message has it.
-            own = part.message_type is tree.DESCRIPTOR or depth > 4
-            if depth < _DEEPEST and (not own or tree.HasField(part.name)):
-                _descend_protobuf(value, here, found, depth + 1)
-        elif isinstance(value, int | float) and not isinstance(value, bool):
-            found[here] = 1
-        elif hasattr(value, "__len__") and len(value) and isinstance(value[0], int | float):
-            found[here] = len(value)
-
-
-_MOST_LAYOUTS = 16  # that are remembered for each definition
-
-
-class Decoder(Protocol):
-    """Decodes the messages of one schema."""
-
-    def leaves(self, payload: bytes) -> dict[str, int]:
-        """Path of every number in a message, with its element count; raises LayoutError."""
-        ...
-
-    def text(self, payload: bytes, path: str) -> str:
-        """A string of a message, empty where it has none; raises LayoutError."""
-        ...
-
-    def decode(self, block: MessageBlock, groups: Groups, widths: Widths) -> Decoded:
-        """The values of the groups, of known widths, in every message of the block."""
-        ...
-
-
-def decoder_for(topic: Topic) -> Decoder:
-    """The decoder of a topic's encoding; raises LayoutError when there is none."""
-    encoding, schema = topic.encoding, topic.schema
-    if encoding in ("cdr", "ros1"):
-        if schema is None:
-            raise LayoutError("it has no schema")
-        kind = "ros1msg" if encoding == "ros1" else schema.encoding
-        return RosDecoder(definition_of(schema.name, kind, schema.data.decode("utf-8", "replace")))
-    if encoding == "json":
-        return json_decoder()
-    if encoding == "protobuf":
-        return protobuf_decoder(schema)
-    raise LayoutError(f"the message encoding '{encoding}' is not supported")
-
-
-class RosDecoder:
-    """ROS 1 and ROS 2 messages. Compiled layouts are kept and tried on each block first."""
-
-    def __init__(self, definition: Definition) -> None:
-        self._definition = definition
-        self._families: dict[Groups, list[_Family]] = {}
-
-    def leaves(self, payload: bytes) -> dict[str, int]:
-        return {path: count for path, (_, _, count) in self._layout(payload).fields.items()}
-
-    def text(self, payload: bytes, path: str) -> str:
-        return self._layout(payload).texts.get(path, "")
-
-    def _layout(self, payload: bytes) -> Layout:
-        if payload[:4] == ZSTD_MAGIC:
-            payload = inflate(payload)
-        return compile_layout(self._definition, payload)
-
-    def decode(self, block: MessageBlock, groups: Groups, widths: Widths) -> Decoded:
-        filler = Filler(block.starts.size, widths)
-        todo = np.arange(block.starts.size)
-        families = self._families.setdefault(groups, [])
-        for family in tuple(families):
-            todo = _apply(family, block, todo, filler)
-            if todo.size == 0:
-                return filler.decoded()
-        while todo.size:
-            first = int(todo[0])
-            start, size = int(block.starts[first]), int(block.lengths[first])
-            payload = block.data[start : start + size]
-            try:
-                if payload[:4] == ZSTD_MAGIC:
-                    inner = inflated(block.take(todo))
-                    filler.put(todo, self.decode(inner, groups, widths))
-                    break
-                layout = compile_layout(self._definition, payload)
-                _check_widths(layout, groups, widths)
-            except LayoutError as error:
-                filler.problem = str(error)
-                todo = todo[1:]
-                continue
-            todo = _apply(_admit(families, layout, groups), block, todo, filler)
-        return filler.decoded()
-
-    def located(
-        self, block: MessageBlock, group: tuple[str, ...]
-    ) -> Iterator[tuple[NDArray[np.int64], int, str]]:
-        """Messages whose group is one run of doubles: rows, offset in the payload, byte order."""
-        todo = np.arange(block.starts.size)
-        for family in tuple(self._families.get((group,), [])):
-            rows, todo, _ = _fitting(family, block, todo)
-            yield rows, *_run(family)
-        while todo.size:
-            first = int(todo[0])
-            start, size = int(block.starts[first]), int(block.lengths[first])
-            try:
-                layout = compile_layout(self._definition, block.data[start : start + size])
-                _check_widths(layout, (group,), (len(group),))
-            except LayoutError:
-                todo = todo[1:]
-                continue
-            family = _admit(self._families.setdefault((group,), []), layout, (group,))
-            rows, todo, _ = _fitting(family, block, todo)
-            yield rows, *_run(family)
-
-
-@dataclass
-class _Family:
-    """Layouts that differ in the lengths they expect, but have the wanted fields in one place."""
-
-    layout: Layout
-    dtype: np.dtype[np.void]
-    names: list[list[str]]
-    guards: list[tuple[tuple[int, int], ...]]
-
-
-def _run(family: _Family) -> tuple[int, str]:
-    """Offset and byte order of a family's only group; offset -1 when it is no run of doubles."""
-    names = family.names[0]
-    assert family.dtype.fields is not None
-    kind, offset = family.dtype.fields[names[0]][:2]
-    one_run = len(names) == 1 and kind.base.kind == "f" and kind.base.itemsize == 8
-    return (offset if one_run else -1), family.layout.order
-
-
-def _admit(families: list[_Family], layout: Layout, groups: Groups) -> _Family:
-    """The family of a new layout, at the front of the list."""
-    dtype, names = layout.pick(groups)
-    for family in families:
-        same = (family.layout.head, family.layout.slack) == (layout.head, layout.slack)
-        if same and family.dtype == dtype and len(family.guards) < _MOST_LAYOUTS:
-            family.guards.append(layout.guards)
-            return family
-    families.insert(0, _Family(layout, dtype, names, [layout.guards]))
-    del families[_MOST_LAYOUTS:]
-    return families[0]
-
-
-def _fitting(
-    family: _Family, block: MessageBlock, todo: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64], Rows | None]:
-    """The messages among `todo` that the family fits, the rest, and the fields of the former."""
-    whole = todo.size == block.starts.size
-    lengths = block.lengths if whole else block.lengths[todo]
-    end = family.layout.end
-    fits = (lengths >= end) & (lengths <= end + family.layout.slack)
-    rest = todo[:0]
-    if not fits.all():
-        todo, rest = todo[fits], todo[~fits]
-        if todo.size == 0:
-            return todo, rest, None
-        whole = False
-    rows = Rows(block.data, block.starts if whole else block.starts[todo], family.dtype)
-    agrees = _agrees(family, rows)
-    if not agrees.all():
-        rest = np.sort(np.concatenate([rest, todo[~agrees]]))
-        todo = todo[agrees]
-        rows = Rows(block.data, block.starts[todo], family.dtype)
-    return todo, rest, rows
-
-
-def _apply(
-    family: _Family, block: MessageBlock, todo: NDArray[np.int64], filler: Filler
-) -> NDArray[np.int64]:
-    """Decode what the family fits among `todo`; returns the rest."""
-    todo, rest, rows = _fitting(family, block, todo)
-    if rows is None:
-        return rest
-    for i, parts in enumerate(family.names):
-        columns = [rows.vectors(name) for name in parts]
-        filler.put_column(todo, i, columns[0] if len(columns) == 1 else np.hstack(columns))
-    filler.good[todo] = True
-    return rest
-
-
-def _check_widths(layout: Layout, groups: Groups, widths: Widths) -> None:
-    dtype, names = layout.pick(groups)
-    for group, parts, width in zip(groups, names, widths, strict=True):
-        found = sum(int(np.prod(dtype[name].shape)) for name in parts)
-        if found != width:
-            raise LayoutError(f"'{group[0]}' has {found} numbers instead of {width}")
-
-
-def _agrees(family: _Family, rows: Rows) -> NDArray[np.bool_]:
-    found = {at: rows.column(f"guard{at}") for at, _ in family.layout.guards}
-    agrees: NDArray[np.bool_] | np.bool_ = np.False_
-    for guards in family.guards:
-        one: NDArray[np.bool_] | np.bool_ = np.True_
-        for at, value in guards:
-            one = one & (found[at] == value)
-        agrees = agrees | one
-    if family.layout.head:
-        agrees = agrees & (rows.column("head") == np.void(family.layout.head))
-    return np.broadcast_to(agrees, (rows.count,))
+    return lambda payloads: [parse(payload) for payload in payloads]

@@ -1,8 +1,8 @@
 """ROS message definitions, and their layouts: byte offsets at which whole blocks decode as arrays.
 
 The offsets of a message depend on its contents only through the lengths of its strings and
-sequences. `compile_layout` walks one message, notes those lengths as guards, and its layout then
-holds for every message with the same length fields and size.
+sequences. A `Layout` walks one message, notes those lengths as guards, and then holds for every
+message with the same length fields and size.
 
 Sources: the ROS 1 wiki page "msg"; the ROS 2 interface definition; OMG DDS-XTypes 1.3, section 7.4
 (CDR versions 1 and 2); DDSI-RTPS 2.5, table 10.3 (encapsulation identifiers).
@@ -11,12 +11,14 @@ Sources: the ROS 1 wiki page "msg"; the ROS 2 interface definition; OMG DDS-XTyp
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
-from functools import cache
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-PRIMITIVES = {
+from imucalib.readers.messages.records import record_type
+
+_PRIMITIVES = {
     word: value
     for value, words in {
         "u1": "bool byte char octet boolean uint8",
@@ -32,11 +34,10 @@ PRIMITIVES = {
     }.items()
     for word in words.split()
 }
-_FIELD = re.compile(r"^(\S+)\s+(\w+)\s*(=?)")
-_TYPE = re.compile(r"^([\w/]+)(?:<=\d+)?(\[(?:<=)?\d*\])?$")
-_VECTOR = "float64 x\nfloat64 y\nfloat64 z"
-#: sensor_msgs/Imu, for a file that names the type without defining it in ROS's own syntax.
-_NEXT = "=" * 80  # between types; readers of others look for exactly this
+_NEXT = "=" * 80  # between types; other readers look for exactly this
+_VECTOR = f"{_NEXT}\nMSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n"
+_HEADER = f"{_NEXT}\nMSG: std_msgs/Header\n"
+_HEADER_ROS2 = _HEADER + "builtin_interfaces/Time stamp\nstring frame_id\n"
 _IMU = f"""std_msgs/Header header
 geometry_msgs/Quaternion orientation
 float64[9] orientation_covariance
@@ -46,19 +47,15 @@ geometry_msgs/Vector3 linear_acceleration
 float64[9] linear_acceleration_covariance
 {_NEXT}
 MSG: geometry_msgs/Quaternion
-{_VECTOR}
+float64 x
+float64 y
+float64 z
 float64 w
-{_NEXT}
-MSG: geometry_msgs/Vector3
-{_VECTOR}
-{_NEXT}
-MSG: std_msgs/Header
-"""
-IMU_ROS2 = _IMU + "builtin_interfaces/Time stamp\nstring frame_id\n"
-TEMPERATURE_ROS2 = (
-    "std_msgs/Header header\nfloat64 temperature\nfloat64 variance\n"
-    + IMU_ROS2[IMU_ROS2.rindex(_NEXT) :]
-)
+{_VECTOR}"""
+#: sensor_msgs/Imu, also for a file that names the type without defining it in ROS's own syntax.
+IMU_ROS2 = _IMU + _HEADER_ROS2
+_IMU_ROS1 = _IMU + _HEADER + "uint32 seq\ntime stamp\nstring frame_id\n"
+TEMPERATURE_ROS2 = "std_msgs/Header header\nfloat64 temperature\nfloat64 variance\n" + _HEADER_ROS2
 #: geometry_msgs/AccelWithCovarianceStamped, the covariance 6 x 6 in rows, linear before angular.
 ACCEL_ROS2 = f"""std_msgs/Header header
 geometry_msgs/AccelWithCovariance accel
@@ -70,11 +67,7 @@ float64[36] covariance
 MSG: geometry_msgs/Accel
 geometry_msgs/Vector3 linear
 geometry_msgs/Vector3 angular
-{_NEXT}
-MSG: geometry_msgs/Vector3
-{_VECTOR}
-""" + IMU_ROS2[IMU_ROS2.rindex(_NEXT) :]
-IMU_ROS1 = _IMU + "uint32 seq\ntime stamp\nstring frame_id\n"
+{_VECTOR}{_HEADER_ROS2}"""
 
 
 class LayoutError(ValueError):
@@ -95,54 +88,39 @@ class Definition:
     """A message type with every type that it uses, by full name ("pkg/Type")."""
 
     root: str
-    types: dict[str, tuple[Member, ...]]
+    types: dict[str, list[Member]]
     ros1: bool
+
+
+_FIELD = re.compile(r"([\w/]+)(?:<=\d+)?(\[(?:<=)?(\d*)\])?\s+(\w+)\s*(=?)")
+_BOUND = "[<="  # begins a sequence of at most so many
 
 
 def parse_definition(name: str, text: str, ros1: bool) -> Definition:
     """Parse a concatenated ROS definition; raises LayoutError for a syntax that it is not."""
     root = _full(name, "")
-    types: dict[str, tuple[Member, ...]] = {}
-    stamp = (Member("sec", "int32"), Member("nanosec", "uint32"))
-    if not ros1:
-        types["builtin_interfaces/Time"] = types["builtin_interfaces/Duration"] = stamp
-    current = root
-    members: list[Member] = []
+    types: dict[str, list[Member]] = {}
+    for kind, word in (("time", "uint32"), ("duration", "int32")) if ros1 else ():
+        types[kind] = [Member("sec", word), Member("nanosec", word)]
+    for kind in () if ros1 else ("builtin_interfaces/Time", "builtin_interfaces/Duration"):
+        types[kind] = [Member("sec", "int32"), Member("nanosec", "uint32")]
+    current, members = root, types.setdefault(root, [])
     for raw in text.splitlines():
-        line = raw.split("#", 1)[0].strip()
-        if line.startswith("==="):
-            types.setdefault(current, tuple(members))
-            current, members = "", []
-        elif line.startswith("MSG:"):
-            current, members = _full(line[4:].strip(), ""), []
-        elif line:
-            members += _member(line, current)
-    types.setdefault(current, tuple(members))
+        line = raw.partition("#")[0].strip()
+        if line.startswith("MSG:"):
+            current = _full(line[4:].strip(), "")
+            members = [] if current in types else types.setdefault(current, [])
+        elif line and not line.startswith("==="):
+            found = _FIELD.match(line)
+            if found is None:
+                raise LayoutError(f"the definition line '{line[:60]}' is not understood")
+            base, array, size, field_name, constant = found.groups()
+            if constant:
+                continue
+            count = -1 if array is None else 0 if array.startswith(_BOUND) else int(size or 0)
+            known = base in _PRIMITIVES or base in ("string", "wstring", "time", "duration")
+            members.append(Member(field_name, base if known else _full(base, current), count))
     return Definition(root, types, ros1)
-
-
-def whole_definition(text: bytes, encoding: str) -> bytes:
-    """A concatenated ROS definition as other readers split it: at lines of 80 signs of equality
-    (MCAP specification, appendix "ros1msg" and "ros2msg"); another encoding as it is."""
-    if encoding not in ("ros1msg", "ros2msg"):
-        return text
-    return re.sub(rb"^={3,}(?=\r?$)", _NEXT.encode(), text, flags=re.MULTILINE)
-
-
-def _member(line: str, owner: str) -> list[Member]:
-    match = _FIELD.match(line)
-    if not match:
-        raise LayoutError(f"the definition line '{line[:60]}' is not understood")
-    spelled, name, constant = match.groups()
-    kind = _TYPE.match(spelled)
-    if constant or kind is None:
-        if constant:
-            return []
-        raise LayoutError(f"the type '{spelled[:60]}' is not understood")
-    base, array = kind.groups()
-    count = -1 if array is None else int(array[1:-1]) if array[1:-1].isdigit() else 0
-    known = base in PRIMITIVES or base in ("string", "wstring", "time", "duration")
-    return [Member(name, base if known else _full(base, owner), count)]
 
 
 def _full(name: str, owner: str) -> str:
@@ -153,163 +131,29 @@ def _full(name: str, owner: str) -> str:
     return "/".join(parts)
 
 
-@cache
 def definition_of(name: str, encoding: str, text: str) -> Definition:
     """The definition in a schema record; sensor_msgs/Imu is also known without one."""
     ros1 = encoding == "ros1msg"
     if encoding in ("ros1msg", "ros2msg") and text.strip():
         return parse_definition(name, text, ros1)
     if _full(name, "") == "sensor_msgs/Imu":
-        return parse_definition(name, IMU_ROS1 if ros1 else IMU_ROS2, ros1)
+        return parse_definition(name, _IMU_ROS1 if ros1 else IMU_ROS2, ros1)
     raise LayoutError(f"its schema is '{encoding}', and {name} is not known without ros2msg text")
 
 
 #: Structures in a message, and how deep: beyond it a message is no sensor reading. Also what ends
 #: a type that contains itself.
 _MAX_ELEMENTS, _DEEPEST = 4096, 32
-#: Field paths, grouped into the columns that are read together (the axes of a vector).
-Groups = tuple[tuple[str, ...], ...]
 
 
-@dataclass(frozen=True)
-class Layout:
-    """Where the numbers of a message are.
+class Group(NamedTuple):
+    """Field paths that are read together (the axes of a vector), and their numbers in all."""
 
-    fields : path ("linear_acceleration.x") -> (byte offset, numpy type, element count)
-    texts : path -> string, of the one message that was walked
-    guards : (offset, value) of every 4-byte length that the offsets depend on
-    head : the encapsulation bytes that the message must begin with
-    end : size of the message; up to `slack` bytes of padding may follow
-    """
-
-    fields: dict[str, tuple[int, str, int]]
-    guards: tuple[tuple[int, int], ...]
-    head: bytes
-    end: int
-    slack: int
-    order: str
-    texts: dict[str, str] = field(default_factory=dict)
-
-    def pick(self, groups: Groups) -> tuple[np.dtype[np.void], list[list[str]]]:
-        """A record type holding the paths of every group, and the field names of each group.
-
-        Neighbours of one type become one field, so that a vector is read at once. Fields "head"
-        and "guards" are there too. Raises LayoutError for a path that the message lacks.
-        """
-        spec: list[tuple[str, str | tuple[str, tuple[int]], int]] = []
-        names: list[list[str]] = []
-        for group in groups:
-            names.append([])
-            for offset, kind, count in self._merged(group):
-                names[-1].append(f"f{len(spec)}")
-                form = self.order + kind
-                spec.append((names[-1][-1], (form, (count,)), offset))
-        spec += [(f"guard{at}", self.order + "u4", at) for at, _ in self.guards]
-        if self.head:
-            spec.append(("head", f"V{len(self.head)}", 0))
-        columns = {
-            "names": [s[0] for s in spec],
-            "formats": [s[1] for s in spec],
-            "offsets": [s[2] for s in spec],
-            "itemsize": self.end,
-        }
-        return np.dtype(columns), names  # type: ignore[call-overload]
-
-    def _merged(self, group: tuple[str, ...]) -> list[tuple[int, str, int]]:
-        merged: list[tuple[int, str, int]] = []
-        for path in group:
-            if path not in self.fields:
-                raise LayoutError(f"the message has no field '{path}'")
-            offset, kind, count = self.fields[path]
-            if merged:
-                last, same, before = merged[-1]
-                if same == kind and last + before * int(kind[1]) == offset:
-                    merged[-1] = (last, kind, before + count)
-                    continue
-            merged.append((offset, kind, count))
-        return merged
+    paths: tuple[str, ...]
+    width: int
 
 
-@dataclass
-class _Walk:
-    """The cursor of one walk through a message."""
-
-    definition: Definition
-    data: bytes
-    at: int
-    origin: int
-    widest: int  # largest alignment; 1 for none
-    order: str
-    fields: dict[str, tuple[int, str, int]] = field(default_factory=dict)
-    guards: list[tuple[int, int]] = field(default_factory=list)
-    texts: dict[str, str] = field(default_factory=dict)
-    visited: int = 0
-    depth: int = 0
-
-    def align(self, size: int) -> None:
-        step = min(size, self.widest)
-        self.at += -(self.at - self.origin) % step
-
-    def length(self) -> int:
-        self.align(4)
-        raw = self.data[self.at : self.at + 4]
-        if len(raw) < 4:
-            raise LayoutError("the message is shorter than its definition")
-        value = int.from_bytes(raw, "little" if self.order == "<" else "big")
-        if value > len(self.data):
-            raise LayoutError("a length inside the message exceeds the message")
-        self.guards.append((self.at, value))
-        self.at += 4
-        return value
-
-    def structure(self, name: str, prefix: str) -> None:
-        if name not in self.definition.types:
-            raise LayoutError(f"the type {name} is not defined in the file")
-        members = self.definition.types[name]
-        if self.depth >= _DEEPEST:
-            raise LayoutError(f"its types are nested deeper than {_DEEPEST}, or in a circle")
-        if not members and not self.definition.ros1:
-            self.at += 1  # IDL forbids empty structures, so ROS 2 stores one byte
-        self.depth += 1
-        for member in members:
-            self.member(member, prefix + member.name)
-        self.depth -= 1
-
-    def member(self, member: Member, path: str) -> None:
-        count = self.length() if member.count == 0 else member.count
-        if member.type in PRIMITIVES:
-            self.primitive(PRIMITIVES[member.type], 1 if count < 0 else count, path)
-            return
-        if count > _MAX_ELEMENTS:
-            raise LayoutError(f"'{path}' has {count} elements")
-        for i in range(1 if count < 0 else count):
-            self.element(member.type, path if count < 0 else f"{path}.{i}")
-
-    def primitive(self, kind: str, count: int, path: str) -> None:
-        if count == 0:
-            return
-        self.align(int(kind[1]))
-        self.fields[path] = (self.at, kind, count)
-        self.at += int(kind[1]) * count
-        if self.at > len(self.data):
-            raise LayoutError("the message is shorter than its definition")
-
-    def element(self, kind: str, path: str) -> None:
-        self.visited += 1
-        if self.visited > _MAX_ELEMENTS:
-            raise LayoutError(f"it has more than {_MAX_ELEMENTS} elements")
-        if kind == "string":
-            size = self.length()
-            raw = self.data[self.at : self.at + size]
-            self.texts[path] = raw.rstrip(b"\0").decode("utf-8", "replace")
-            self.at += size
-        elif kind == "wstring":
-            raise LayoutError(f"'{path}' is a wide string, which is not supported")
-        elif kind in ("time", "duration"):
-            self.primitive("u4" if kind == "time" else "i4", 1, f"{path}.sec")
-            self.primitive("u4" if kind == "time" else "i4", 1, f"{path}.nanosec")
-        else:
-            self.structure(kind, f"{path}.")
+Groups = tuple[Group, ...]
 
 
 #: encapsulation identifier -> (byte order, largest alignment)
@@ -323,28 +167,128 @@ _ENCAPSULATIONS = {
 }
 
 
-def compile_layout(definition: Definition, data: bytes) -> Layout:
-    """The layout of one message, for all that share its lengths. Raises LayoutError."""
-    if definition.ros1:
-        walk = _Walk(definition, data, 0, 0, 1, "<")
-    else:
-        if len(data) < 4:
-            raise LayoutError("the message is shorter than its CDR header")
-        if data[0] != 0 or data[1] not in _ENCAPSULATIONS:
-            raise LayoutError(f"the CDR encapsulation {data[:2].hex()} is not a plain one")
-        order, widest = _ENCAPSULATIONS[data[1]]
-        walk = _Walk(definition, data, 4, 4, widest, order)
-    walk.structure(definition.root, "")
-    slack = 0 if definition.ros1 else 3
-    if not walk.at <= len(data) <= walk.at + slack:
-        raise LayoutError(f"the message has {len(data)} bytes, its definition {walk.at}")
-    head = b"" if definition.ros1 else data[:2]
-    return Layout(
-        fields=walk.fields,
-        guards=tuple(walk.guards),
-        head=head,
-        end=walk.at,
-        slack=slack,
-        order=walk.order,
-        texts=walk.texts,
-    )
+class Layout:
+    """Where the numbers of a message are, and of all that share its lengths.
+
+    fields : path ("linear_acceleration.x") -> (byte offset, numpy type, element count)
+    texts : path -> string, of the one message that was walked
+    guards : (offset, value) of every 4-byte length that the offsets depend on
+    head : the encapsulation bytes that the message must begin with
+    end : size of the message; up to `slack` bytes of padding may follow; order : of its bytes
+    Raises LayoutError for a message that its definition does not fit.
+    """
+
+    def __init__(self, definition: Definition, data: bytes) -> None:
+        self.fields: dict[str, tuple[int, str, int]] = {}
+        self.texts: dict[str, str] = {}
+        self.guards: list[tuple[int, int]] = []
+        self.order, self.head, self.slack = "<", b"", 0
+        self._definition, self._data = definition, data
+        self._widest = 1  # largest alignment; 1 for none
+        self._origin = self.end = 0 if definition.ros1 else 4
+        self._visited = self._depth = 0
+        if not definition.ros1:
+            if len(data) < 4:
+                raise LayoutError("the message is shorter than its CDR header")
+            if data[0] != 0 or data[1] not in _ENCAPSULATIONS:
+                raise LayoutError(f"the CDR encapsulation {data[:2].hex()} is not a plain one")
+            self.order, self._widest = _ENCAPSULATIONS[data[1]]
+            self.head, self.slack = data[:2], 3
+        self._structure(definition.root, "")
+        if not self.end <= len(data) <= self.end + self.slack:
+            raise LayoutError(f"the message has {len(data)} bytes, its definition {self.end}")
+        del self._data
+
+    def _structure(self, name: str, prefix: str) -> None:
+        """Pass over a type's members."""
+        if name not in self._definition.types:
+            raise LayoutError(f"the type {name} is not defined in the file")
+        members = self._definition.types[name]
+        if self._depth >= _DEEPEST:
+            raise LayoutError(f"its types are nested deeper than {_DEEPEST}, or in a circle")
+        if not members and not self._definition.ros1:
+            self.end += 1  # IDL forbids empty structures, so ROS 2 stores one byte
+        self._depth += 1
+        for member in members:
+            path = prefix + member.name
+            count = self._length() if member.count == 0 else member.count
+            if member.type in _PRIMITIVES:
+                self._numbers(_PRIMITIVES[member.type], abs(count), path)
+                continue
+            if count > _MAX_ELEMENTS:
+                raise LayoutError(f"'{path}' has {count} elements")
+            for i in range(abs(count)):
+                self._element(member.type, path if member.count < 0 else f"{path}.{i}")
+        self._depth -= 1
+
+    def _element(self, kind: str, path: str) -> None:
+        self._visited += 1
+        if self._visited > _MAX_ELEMENTS:
+            raise LayoutError(f"it has more than {_MAX_ELEMENTS} elements")
+        if kind == "string":
+            size = self._length()
+            raw = self._data[self.end : self.end + size]
+            self.texts[path] = raw.rstrip(b"\0").decode("utf-8", "replace")
+            self.end += size
+        elif kind == "wstring":
+            raise LayoutError(f"'{path}' is a wide string, which is not supported")
+        else:
+            self._structure(kind, f"{path}.")
+
+    def _numbers(self, kind: str, count: int, path: str) -> None:
+        if count:
+            self._align(int(kind[1]))
+            self.fields[path] = (self.end, kind, count)
+            self.end += int(kind[1]) * count
+        if self.end > len(self._data):
+            raise LayoutError("the message is shorter than its definition")
+
+    def _length(self) -> int:
+        self._align(4)
+        raw = self._data[self.end : self.end + 4]
+        if len(raw) < 4:
+            raise LayoutError("the message is shorter than its definition")
+        value = int.from_bytes(raw, "little" if self.order == "<" else "big")
+        if value > len(self._data):
+            raise LayoutError("a length inside the message exceeds the message")
+        self.guards.append((self.end, value))
+        self.end += 4
+        return value
+
+    def _align(self, size: int) -> None:
+        self.end += -(self.end - self._origin) % min(size, self._widest)
+
+    def pick(self, groups: Groups) -> tuple[np.dtype[np.void], list[list[str]]]:
+        """A record type holding the paths of every group, and the field names of each group.
+
+        Neighbours of one type become one field, so that a vector is read at once. Fields "head"
+        and "guard<offset>" are there too. Raises LayoutError for a group that the message lacks.
+        """
+        spec: list[tuple[str, object, int]] = []
+        names: list[list[str]] = []
+        for group in groups:
+            names.append([])
+            for offset, kind, count in self._merged(group):
+                names[-1].append(f"f{len(spec)}")
+                spec.append((names[-1][-1], (self.order + kind, (count,)), offset))
+        spec += [(f"guard{at}", self.order + "u4", at) for at, _ in self.guards]
+        if self.head:
+            spec.append(("head", f"V{len(self.head)}", 0))
+        return record_type(spec, self.end), names
+
+    def _merged(self, group: Group) -> list[tuple[int, str, int]]:
+        merged: list[tuple[int, str, int]] = []
+        for path in group.paths:
+            if path not in self.fields:
+                raise LayoutError(f"the message has no field '{path}'")
+            offset, kind, count = self.fields[path]
+            if merged:
+                last, same, before = merged[-1]
+                if same == kind and last + before * int(kind[1]) == offset:
+                    merged[-1] = (last, kind, before + count)
+                    continue
+            merged.append((offset, kind, count))
+        found = sum(count for *_, count in merged)
+        if found != group.width:
+            raise LayoutError(f"'{group.paths[0]}' has {found} numbers instead of {group.width}")
+        return merged

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput, UsageError
@@ -18,119 +20,297 @@ from imucalib.readers.messages.clock import Clock, Timeline, choose_clock
 from imucalib.readers.messages.records import MessageLog
 from imucalib.readers.messages.select import (
     QUANTITIES,
-    TopicFields,
     Triad,
     contents_of,
-    resolved,
     split_address,
     triads_of,
 )
-from imucalib.readers.messages.stream import Store, TopicStream, checked
+from imucalib.readers.messages.stream import GATHER, TopicStream
+from imucalib.readers.messages.topics import Samples, Source
 from imucalib.recording.mapping import FieldMapping
-from imucalib.recording.recording import Channel, Gap, Recording
+from imucalib.recording.recording import Channel, Recording
 
-CHANNEL_NAMES = {"acc": "acceleration", "gyro": "angular_rate", "temperature": "temperature"}
-_HOUR = 3_600_000_000_000
+_CHANNEL_NAMES = {"acc": "acceleration", "gyro": "angular_rate", "temperature": "temperature"}
+_HOUR = 3_600_000_000_000  # ns
 
 
 @dataclass(frozen=True)
 class Part:
-    """One channel to be: its name and triad, where its values come from, how they become SI; frame:
-    the frame_id of its messages, or empty."""
+    """One channel to be: its name, where its values come from, how they become SI; channel : all
+    but its samples."""
 
     name: str
-    triad: str
-    quantity: str
     topic: str
     column: int
     conversion: Conversion
-    numbered: bool
-    frame: str
+    channel: Channel
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What the first pass decided for the whole file."""
+    """What the first pass decided for the whole file.
 
-    head: Recording  # without channels; its notes and mapping are those of the file
+    head : without channels; its notes and mapping are those of the file
+    """
+
+    head: Recording
     parts: tuple[Part, ...]
     clocks: dict[str, Clock]
     start_ns: int
 
     def timelines(self) -> dict[str, Timeline]:
-        labels = {part.topic: part.triad for part in reversed(self.parts)}
+        """The clocks at work, by topic."""
+        labels = {part.topic: part.channel.triad for part in reversed(self.parts)}
         return {t: Timeline(c, self.start_ns, labels[t]) for t, c in self.clocks.items()}
 
 
-class _Topics(NamedTuple):
-    fields: dict[str, TopicFields]
-    clocks: dict[str, Clock]
+class FirstPass:
+    """One whole pass: what was decided, and with `keep` every sample."""
+
+    def __init__(self, log: MessageLog, mapping: FieldMapping, *, keep: bool) -> None:
+        self.stream = TopicStream(log, mapping)
+        self._kept: dict[str, list[list[NDArray[Any]]]] = {}  # pieces of stamps, log, columns
+        with _readable(log):
+            for samples in self.stream.samples():
+                samples.source.survey(samples)
+                if keep:
+                    self._keep(samples)
+            self.plan = _decide(self.stream)
+
+    def _keep(self, samples: Samples) -> None:
+        parts: list[NDArray[Any] | None] = [samples.stamps, samples.log, *samples.columns]
+        kept = self._kept.setdefault(samples.source.name, [[] for _ in parts])
+        for pieces, part in zip(kept, parts, strict=True):
+            if part is not None:
+                pieces.append(part)
+
+    def samples(self, topic: str) -> Samples:
+        """All samples of a topic, handed over: only one column at a time is held twice."""
+        source = self.stream.sources[topic]
+        stamps, log, *columns = (_emptied(pieces) for pieces in self._kept.pop(topic))
+        return Samples(source, stamps if source.instant else None, log, columns)
 
 
-def decide(log: MessageLog, mapping: FieldMapping, stream: TopicStream, store: Store) -> Plan:
+def _emptied(pieces: list[NDArray[Any]]) -> NDArray[Any]:
+    whole = np.concatenate(pieces) if pieces else np.empty(0)
+    pieces.clear()
+    return whole
+
+
+@contextmanager
+def _readable(log: MessageLog) -> Iterator[None]:
+    """Raises UnreadableInput where the operating system cannot read the log."""
+    try:
+        yield
+    except OSError as error:
+        detail = error.strerror or str(error) or type(error).__name__
+        raise UnreadableInput(
+            f"the file cannot be read: {detail}",
+            where=str(log.path),
+            remedy="check the disk or share",
+        ) from error
+
+
+def read_log(log: MessageLog, mapping: FieldMapping) -> Recording:
+    """Read all samples in one pass; peak memory is the result and one spare channel."""
+    first = FirstPass(log, mapping, keep=True)
+    plan = first.plan
+    kept = (first.samples(topic) for topic in plan.clocks)
+    (whole,) = _recordings(plan, kept, block_samples=math.inf)
+    return whole
+
+
+def log_blocks(
+    log: MessageLog, mapping: FieldMapping, *, block_samples: int
+) -> Iterator[Recording]:
+    """Read the log twice: what holds for all of it first, then the samples in blocks."""
+    plan = FirstPass(log, mapping, keep=False).plan
+    with _readable(log):
+        stream = TopicStream(log, mapping, gather=min(block_samples, GATHER))
+        yield from _recordings(plan, stream.samples(), block_samples=block_samples)
+
+
+def _recordings(
+    plan: Plan, samples: Iterable[Samples], *, block_samples: float
+) -> Iterator[Recording]:
+    timelines = plan.timelines()
+    notes, waiting = plan.head.notes, 0  # samples of all topics: that is what takes memory
+    for some in samples:
+        if some.source.name not in timelines:
+            continue
+        timelines[some.source.name].push(some)
+        waiting += some.log.size
+        if waiting >= block_samples:
+            yield _recording(plan, timelines, notes)
+            notes, waiting = (), 0
+    for line in timelines.values():
+        line.finish()
+        if line.missing:
+            missing = "samples are missing in short steps, below a gap's length"
+            notes = (*notes, f"{line.label}: {line.missing} {missing}")
+    last = _recording(plan, timelines, notes)
+    if last.notes or last.gaps or last.channels:
+        yield last
+
+
+def _recording(plan: Plan, timelines: dict[str, Timeline], notes: tuple[str, ...]) -> Recording:
+    """What is final of the timelines, which give it up."""
+    channels: dict[str, Channel] = {}
+    times = {topic: _whole(line.t) for topic, line in timelines.items() if line.t}
+    for part in plan.parts:
+        if part.topic in times:
+            pieces = timelines[part.topic].columns
+            values = part.conversion.apply(_whole([columns[part.column] for columns in pieces]))
+            channels[part.name] = replace(part.channel, t=times[part.topic], values=values)
+    gaps = [gap for line in timelines.values() for gap in line.gaps]
+    gaps.sort(key=lambda gap: (gap.start, gap.stop, gap.reason))
+    for line in timelines.values():
+        line.t, line.columns, line.gaps = [], [], []
+    return replace(plan.head, channels=channels, gaps=tuple(gaps), notes=notes)
+
+
+def _whole(pieces: list[Array]) -> Array:
+    return pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
+
+
+# -- what the first pass decides --------------------------------------------------------------
+
+
+def _decide(stream: TopicStream) -> Plan:
     """Triads, clocks, units and notes, from everything that the first pass saw."""
-    path = log.path
-    _refuse_unknown(log, mapping, stream)
-    sources = {n: s for n, s in stream.sources.items() if s.rows}
+    log, mapping = stream.log, stream.mapping
+    _refuse_unknown(stream)
+    sources = {name: source for name, source in stream.sources.items() if source.rows}
     if any(source.imu for source in sources.values()) and not any((*mapping.acc, *mapping.gyro)):
-        sources = {n: s for n, s in sources.items() if s.imu}
-    fields = {name: source.fields for name, source in sources.items()}
-    alive = {name: store.surveys[name].alive for name in sources}
-    triads = triads_of(mapping, fields, alive)
+        sources = {name: source for name, source in sources.items() if source.imu}
+    triads = triads_of(mapping, sources)
     if not any(triad.parts for triad in triads):
-        raise _no_imu(log, stream)
-    used = list(dict.fromkeys(t for triad in triads for t, _ in triad.parts.values()))
-    clocks = _clocks({name: fields[name] for name in used}, mapping, store, str(path))
-    parts, notes = _parts(path, mapping, triads, store, _Topics(fields, clocks))
-    notes = [*_described(triads, fields, clocks, alive), *notes, *stream.losses()]
-    marks = tuple(dict.fromkeys(stream.scanner.corrections))
-    notes += map(str, marks)
-    start, dated = _origin([fields[name] for name in used], list(clocks.values()))
-    states = {part.quantity: part.conversion.source_unit for part in reversed(parts)}
-    found = resolved(mapping, triads, fields, [states.get("acc", ""), states.get("gyro", "")])
+        raise _no_imu(stream)
+    used = list(dict.fromkeys(topic for triad in triads for topic, _ in triad.parts.values()))
+    clocks = _clocks([sources[name] for name in used], mapping, str(log.path))
+    parts = []
+    for triad in triads:
+        for quantity, (topic, column) in triad.parts.items():
+            where = f"{log.path}, topic {topic}"
+            how = _conversion(
+                quantity, sources[topic], column, clocks[topic].period, mapping, where
+            )
+            parts.append(_part(triad, quantity, sources[topic], column, clocks[topic], how))
+    notes = _clock_notes(triads, sources, clocks)
+    notes += [f"{p.channel.triad}: {p.conversion.note}" for p in parts if p.conversion.note]
+    marks = tuple(dict.fromkeys(log.corrections))
+    start, dated = _origin([sources[name] for name in used], list(clocks.values()))
     head = Recording(
         channels={},
-        path=str(path),
+        path=str(log.path),
         format=log.format,
         sha256=log.sha256(),
         start_ns=start if dated else None,
-        gaps=(),
-        notes=tuple(notes),
-        mapping=found.to_dict(),
+        notes=(*notes, *stream.losses(), *map(str, marks)),
+        mapping=_resolved(mapping, triads, sources, parts).to_dict(),
         corrections=marks,
     )
     return Plan(head, tuple(parts), clocks, start)
 
 
-def _refuse_unknown(log: MessageLog, mapping: FieldMapping, stream: TopicStream) -> None:
+def _refuse_unknown(stream: TopicStream) -> None:
     for quantity in QUANTITIES:
-        for text in getattr(mapping, quantity):
-            if text and all(split_address(text, t) is None for t in stream.topics()):
+        for text in getattr(stream.mapping, quantity):
+            if text and all(split_address(text, t) is None for t in stream.topics.values()):
                 raise UsageError(
-                    f"'{text}' is not a topic of {log.path}, which holds:"
-                    f"{listing(contents_of(log)) or ' none'}\n",
+                    f"'{text}' is not a topic of {stream.log.path}, which holds:"
+                    f"{listing(contents_of(stream.log)) or ' none'}\n",
                     where=f"mapping: {quantity}",
                     remedy="Write it as TOPIC or TOPIC:FIELD",
                 )
 
 
-def _no_imu(log: MessageLog, stream: TopicStream) -> UnreadableInput:
+def _no_imu(stream: TopicStream) -> UnreadableInput:
     """The error for a file without a topic to read, with everything that it has."""
-    held = contents_of(log)
-    reasons = stream.reasons()
-    named = tuple(replace(c, why=c.why or reasons.get(c.address, "")) for c in held)
     lost = "; ".join(stream.losses())
+    held = contents_of(stream.log)
+    named = tuple(replace(c, why=c.why or stream.reasons.get(c.address, "")) for c in held)
     return UnreadableInput(
         f"no IMU topic was found among:{listing(named) or ' none'}\n"
         + (f"{lost}\n" if lost else ""),
-        where=str(log.path),
+        where=str(stream.log.path),
         remedy=f"Name the fields with --acc TOPIC:FIELD and --gyro TOPIC:FIELD{suggestion(held)}",
     )
 
 
-def _origin(topics: list[TopicFields], clocks: list[Clock]) -> tuple[int, bool]:
+def _clocks(sources: list[Source], mapping: FieldMapping, where: str) -> dict[str, Clock]:
+    """A clock for each topic; one clock for all where their stamps count from other epochs."""
+
+    def clocks(apart: str) -> dict[str, Clock]:
+        return {
+            source.name: choose_clock(source, mapping, f"{where}, topic {source.name}", apart)
+            for source in sources
+        }
+
+    found = clocks("")
+    starts, logs = [c.first for c in found.values()], [source.log.low for source in sources]
+    apart = max(starts) - min(starts)
+    if apart <= max(logs) - min(logs) + _HOUR:
+        return found
+    return clocks(f"the stamps of its topics count from epochs {apart * 1e-9:.6g} s apart")
+
+
+def _conversion(
+    quantity: str,
+    source: Source,
+    column: int,
+    period: float,
+    mapping: FieldMapping,
+    where: str,
+) -> Conversion:
+    """How the values of a field become SI, from what is stated and from the values."""
+    stated, pieces = source.fields[column].unit, source.rest_pieces(column)
+    if quantity == "acc":
+        window = int(np.clip(0.5e9 / period, 16, 1024)) if period else 16
+        rest = conversion.readings_at_rest(pieces, window)
+        return conversion.acceleration(mapping, stated, rest, where)
+    if quantity == "gyro":
+        return conversion.angular_rate(mapping, stated, where)
+    return conversion.temperature(mapping, stated, np.concatenate(pieces), where)
+
+
+def _part(
+    triad: Triad, quantity: str, source: Source, column: int, clock: Clock, how: Conversion
+) -> Part:
+    """The channel of one quantity of a triad."""
+    channel = Channel(
+        t=np.empty(0),
+        values=np.empty((0, source.fields[column].group.width)),
+        unit=how.unit,
+        quantity=_CHANNEL_NAMES[quantity],
+        triad=triad.name,
+        rate=1e9 / clock.period if clock.period else 0.0,
+        names=(source.name, source.frame) if source.frame else (source.name,),
+        numbered=triad.numbered,
+    )
+    return Part(f"{triad.name}/{channel.quantity}", source.name, column, how, channel)
+
+
+def _clock_notes(
+    triads: list[Triad], sources: Mapping[str, Source], clocks: dict[str, Clock]
+) -> list[str]:
+    notes = []
+    for triad in triads:
+        for topic in dict.fromkeys(name for name, _ in triad.parts.values()):
+            clock = clocks[topic]
+            place = sources[topic].time if clock.source == "stamp" else clock.source
+            lines = "; ".join(clock.notes)
+            notes.append(f"{triad.name}: topic {topic}, time from {place}: {lines}")
+    for name, source in sources.items():
+        for f, alive in zip(source.fields, source.alive, strict=True):
+            if not alive:
+                notes.append(f"topic {name}: {f.address} is always zero")
+    return notes
+
+
+def _origin(sources: list[Source], clocks: list[Clock]) -> tuple[int, bool]:
     """ns of t = 0, and whether it is a date: as the file states it, else the first sample's."""
-    stated = {(fields.origin_ns, fields.dated) for fields in topics}
+    stated = {(source.origin_ns, source.dated) for source in sources}
     stamped = all(clock.source == "stamp" for clock in clocks)
     origin, dated = next(iter(stated))
     if len(stated) == 1 and stamped and origin is not None:
@@ -138,234 +318,24 @@ def _origin(topics: list[TopicFields], clocks: list[Clock]) -> tuple[int, bool]:
     return min(clock.first for clock in clocks), all(clock.dated for clock in clocks)
 
 
-def _clocks(
-    topics: dict[str, TopicFields], mapping: FieldMapping, store: Store, where: str
-) -> dict[str, Clock]:
-    """A clock for each topic; one clock for all where their stamps tell of different epochs."""
-
-    def clock(name: str, fields: TopicFields, apart: str = "") -> Clock:
-        survey = store.surveys[name] if fields.time_leaves else store.without_stamps(name)
-        return choose_clock(
-            survey,
-            scalar=len(fields.time_leaves) == 1,
-            time_unit=mapping.time_unit,
-            rate=mapping.rate,
-            apart=apart,
-            where=f"{where}, topic {name}",
-        )
-
-    clocks = {name: clock(name, fields) for name, fields in topics.items()}
-    starts = [one.first for one in clocks.values()]
-    logs = [store.surveys[name].log.low for name in clocks]
-    if max(starts) - min(starts) <= max(logs) - min(logs) + _HOUR:
-        return clocks
-    seconds = (max(starts) - min(starts)) * 1e-9
-    apart = f"the stamps of its topics count from epochs {seconds:.6g} s apart"
-    return {name: clock(name, TopicFields(()), apart) for name in topics}
-
-
-def _parts(
-    path: Path, mapping: FieldMapping, triads: list[Triad], store: Store, topics: _Topics
-) -> tuple[list[Part], list[str]]:
-    parts, notes = [], []
-    for triad in triads:
-        for quantity, (topic, column) in triad.parts.items():
-            stated = topics.fields[topic].fields[column].unit
-            pieces = store.surveys[topic].rest_pieces(column)
-            period = topics.clocks[topic].period
-            convert = _conversion(
-                quantity, mapping, stated, pieces, period=period, where=f"{path}, topic {topic}"
-            )
-            if convert.note:
-                notes.append(f"{triad.name}: {convert.note}")
-            name = f"{triad.name}/{CHANNEL_NAMES[quantity]}"
-            parts.append(
-                Part(
-                    name=name,
-                    triad=triad.name,
-                    quantity=quantity,
-                    topic=topic,
-                    column=column,
-                    conversion=convert,
-                    numbered=triad.numbered,
-                    frame=topics.fields[topic].frame,
-                )
-            )
-    return parts, notes
-
-
-def _conversion(
-    quantity: str,
-    mapping: FieldMapping,
-    stated: str,
-    pieces: list[Array],
-    *,
-    period: float,
-    where: str,
-) -> Conversion:
-    if quantity == "acc":
-        window = int(np.clip(0.5e9 / period, 16, 1024)) if period else 16
-        return conversion.acceleration(
-            mapping, stated, conversion.readings_at_rest(pieces, window), where
-        )
-    if quantity == "gyro":
-        return conversion.angular_rate(mapping, stated, where)
-    return conversion.temperature(mapping, stated, np.concatenate(pieces), where)
-
-
-def _described(
-    triads: list[Triad],
-    topics: dict[str, TopicFields],
-    clocks: dict[str, Clock],
-    alive: dict[str, list[bool]],
-) -> list[str]:
-    notes = []
-    for triad in triads:
-        for topic in dict.fromkeys(name for name, _ in triad.parts.values()):
-            clock = clocks[topic]
-            source = topics[topic].time if clock.source == "stamp" else clock.source
-            lines = "; ".join(clock.notes)
-            notes.append(f"{triad.name}: topic {topic}, time from {source}: {lines}")
-    for topic, flags in alive.items():
-        for f, living in zip(topics[topic].fields, flags, strict=True):
-            if not living:
-                notes.append(f"topic {topic}: {f.address} is always zero")
-    return notes
-
-
-def read_log(log: MessageLog, mapping: FieldMapping, *, strict: bool) -> Recording:
-    """Read all samples in one pass; peak memory is the result and one spare channel."""
-    stream, store, plan = planned(log, mapping, strict=strict)
-    store.surveys.clear()  # they hold on to raw samples
-    outputs = {}
-    gaps: list[Gap] = []
-    timelines = plan.timelines()
-    for topic, timeline in timelines.items():
-        marks = stream.sources[topic].marks
-        stamps, times, columns = store.taken(topic, needs_stamps=timeline.clock.source == "stamp")
-        pieces = [timeline.push(stamps, times, columns, marks), timeline.flush(marks)]
-        done = [piece for piece in pieces if piece]
-        gaps += [gap for piece in done for gap in piece[2]]
-        outputs[topic] = [(t, values) for t, values, _ in done]
-    notes = (*plan.head.notes, *_missing(timelines))
-    return _recording(plan, outputs, gaps, notes)
-
-
-def planned(
-    log: MessageLog, mapping: FieldMapping, *, strict: bool
-) -> tuple[TopicStream, Store, Plan]:
-    """One whole pass: every sample, in file order, and what was decided for them."""
-    try:
-        stream, store = _collect(log, mapping, strict, keep=True)
-        return stream, store, decide(log, mapping, stream, store)
-    except OSError as error:
-        raise checked(error, log.path) from error
-
-
-def log_blocks(
-    log: MessageLog, mapping: FieldMapping, *, block_samples: int, strict: bool
-) -> Iterator[Recording]:
-    """Read the log twice: what holds for all of it first, then the samples in blocks."""
-    try:
-        stream, store = _collect(log, mapping, strict, keep=False)
-        plan = decide(log, mapping, stream, store)
-        del stream, store  # the second pass needs the decisions only
-        yield from _emit(log, mapping, plan, block_samples)
-    except OSError as error:
-        raise checked(error, log.path) from error
-
-
-def _collect(
-    log: MessageLog, mapping: FieldMapping, strict: bool, *, keep: bool
-) -> tuple[TopicStream, Store]:
-    stream = TopicStream(log, mapping, strict=strict)
-    store = Store(keep, stream.expected)
-    for samples in stream.samples():
-        store.add(samples)
-    store.close()
-    return stream, store
-
-
-def _missing(timelines: dict[str, Timeline]) -> list[str]:
-    return [
-        f"{line.label}: {line.missing} samples are missing in short steps, below a gap's length"
-        for line in timelines.values()
-        if line.missing
-    ]
-
-
-def _emit(
-    log: MessageLog, mapping: FieldMapping, plan: Plan, block_samples: int
-) -> Iterator[Recording]:
-    # The first pass has raised already if the file must be whole.
-    stream = TopicStream(log, mapping, strict=False, gather=block_samples)
-    timelines = plan.timelines()
-    outputs: dict[str, list[tuple[Array, list[Array]]]] = {name: [] for name in timelines}
-    gaps: list[Gap] = []
-    notes, waiting = plan.head.notes, 0  # samples of all topics: that is what takes memory
-    for samples in stream.samples():
-        if samples.topic not in timelines:
-            continue
-        marks = stream.sources[samples.topic].marks
-        columns = [np.array(c, dtype=np.float64) for c in samples.columns]
-        t, values, found = timelines[samples.topic].push(
-            samples.stamps, samples.log, columns, marks
-        )
-        gaps += found
-        outputs[samples.topic].append((t, values))
-        waiting += t.size
-        if waiting >= block_samples:
-            yield _recording(plan, outputs, gaps, notes)
-            outputs, gaps, notes, waiting = {name: [] for name in timelines}, [], (), 0
-    for name, timeline in timelines.items():
-        last = timeline.flush(stream.sources[name].marks)
-        if last:
-            outputs[name].append(last[:2])
-            gaps += last[2]
-    notes = (*notes, *_missing(timelines))
-    if notes or gaps or any(t.size for parts in outputs.values() for t, _ in parts):
-        yield _recording(plan, outputs, gaps, notes)
-
-
-def _recording(
-    plan: Plan,
-    outputs: dict[str, list[tuple[Array, list[Array]]]],
-    gaps: list[Gap],
-    notes: tuple[str, ...],
-) -> Recording:
-    times: dict[str, Array] = {}
-    channels: dict[str, Channel] = {}
-    for part in plan.parts:
-        pieces = outputs[part.topic]
-        if not any(t.size for t, _ in pieces):
-            continue
-        if part.topic not in times:
-            times[part.topic] = _whole([t for t, _ in pieces])
-        values = part.conversion.apply(_whole([columns[part.column] for _, columns in pieces]))
-        period = plan.clocks[part.topic].period
-        channels[part.name] = Channel(
-            t=times[part.topic],
-            values=values,
-            unit=part.conversion.unit,
-            quantity=CHANNEL_NAMES[part.quantity],
-            triad=part.triad,
-            rate=1e9 / period if period else 0.0,
-            names=(part.topic, part.frame) if part.frame else (part.topic,),
-            numbered=part.numbered,
-        )
-    head, ordered = plan.head, sorted(gaps, key=lambda gap: (gap.start, gap.stop, gap.reason))
-    return Recording(
-        channels=channels,
-        path=head.path,
-        format=head.format,
-        sha256=head.sha256,
-        start_ns=head.start_ns,
-        gaps=tuple(ordered),
-        notes=notes,
-        mapping=head.mapping,
-        corrections=head.corrections,
+def _resolved(
+    mapping: FieldMapping, triads: list[Triad], sources: Mapping[str, Source], parts: list[Part]
+) -> FieldMapping:
+    """The mapping that reads the same channels again."""
+    addresses: dict[str, tuple[str, ...]] = {}
+    for quantity in QUANTITIES:
+        texts = []
+        for triad in triads:
+            name, i = triad.parts.get(quantity, ("", 0))
+            texts.append(f"{name}:{sources[name].fields[i].address}" if name else "")
+        addresses[quantity] = tuple(texts) if any(texts) else ()
+    units = {p.channel.quantity: p.conversion.source_unit for p in reversed(parts)}
+    return replace(
+        mapping,
+        acc=addresses["acc"],
+        gyro=addresses["gyro"],
+        temperature=addresses["temperature"],
+        triads=tuple(triad.name for triad in triads),
+        acc_unit=mapping.acc_unit or units.get("acceleration", ""),
+        gyro_unit=mapping.gyro_unit or units.get("angular_rate", ""),
     )
-
-
-def _whole(pieces: list[Array]) -> Array:
-    return pieces[0] if len(pieces) == 1 else np.concatenate(pieces)

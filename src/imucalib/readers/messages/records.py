@@ -1,68 +1,57 @@
-"""Logs of messages, whatever file they are in: records of topics and messages, MCAP's summary.
-
-Source: MCAP format specification, version 0 (https://mcap.dev/spec).
-"""
+"""Logs of messages, whatever file they are in: topics, blocks of messages, and what was damaged."""
 
 from __future__ import annotations
 
-import struct
-import zlib
-from collections.abc import Iterator
-from dataclasses import dataclass
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
+from mcap.records import Schema
 from numpy.typing import NDArray
 
-from imucalib.recording.recording import Correction, corrections_of
+from imucalib.errors import UnreadableInput
+from imucalib.readers.source import sha256_of
+from imucalib.recording.recording import Correction
 
-MAGIC = b"\x89MCAP0\r\n"
-FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 0x02, 0x03, 0x04, 0x05, 0x06
-MESSAGE_INDEX, STATISTICS, DATA_END = 0x07, 0x0B, 0x0F
-ATTACHMENT, METADATA = 0x09, 0x0C
-#: Name of the Metadata record that marks a corrected recording.
-CORRECTIONS = "imucal corrections"
-COMPRESSIONS = ("", "zstd", "lz4")
-RECORD_HEADER = struct.Struct("<BQ")
-INDEX_HEAD = struct.Struct("<QHI")  # record length, channel, bytes of entries
-MESSAGE_HEADER_SIZE = 22
+#: What comes before a message's payload in its record, the record's own nine bytes counted.
+MESSAGE_HEAD = 31
 
-_CHUNK_HEAD = struct.Struct("<QQQIL")
-_U16, _U32, _U64 = struct.Struct("<H"), struct.Struct("<I"), struct.Struct("<Q")
-#: A message record as seen from its first byte; the payload follows at byte 31.
-_MESSAGE_HEAD = np.dtype(
-    {
-        "names": ["opcode", "length", "channel", "sequence", "log_time", "publish_time"],
-        "formats": ["u1", "<u8", "<u2", "<u4", "<u8", "<u8"],
-        "offsets": [0, 1, 9, 11, 15, 23],
-        "itemsize": 31,
+
+def record_type(fields: list[tuple[str, Any, int]], size: int) -> np.dtype[np.void]:
+    """The type of records of `size` bytes with fields (name, numpy type, first byte)."""
+    columns = {
+        "names": [name for name, *_ in fields],
+        "formats": [kind for _, kind, _ in fields],
+        "offsets": [at for *_, at in fields],
+        "itemsize": size,
     }
-)
+    return np.dtype(columns)  # type: ignore[call-overload, no-any-return]
 
 
-class MalformedRecordError(ValueError):
-    """The bytes of a record contradict its type; the scanner turns this into a `Damage`."""
-
-
-class Schema(NamedTuple):
-    """How the messages of a topic are described."""
-
-    id: int
-    name: str
-    encoding: str
-    data: bytes
+#: Fields of a message's record.
+HEAD_FIELDS: list[tuple[str, Any, int]] = [
+    ("opcode", "u1", 0),
+    ("length", "<u8", 1),
+    ("channel", "<u2", 9),
+    ("sequence", "<u4", 11),
+    ("log_time", "<u8", 15),
+    ("publish_time", "<u8", 23),
+]
+_HEAD = record_type(HEAD_FIELDS, MESSAGE_HEAD)
 
 
 @dataclass(frozen=True)
 class Topic:
-    """An MCAP channel: the topic, how its messages are encoded, and their schema."""
+    """A channel of a log: its number and topic, how its messages are encoded, and their schema."""
 
     id: int
     name: str
     encoding: str
     schema: Schema | None
-    metadata: tuple[tuple[str, str], ...] = ()
+    metadata: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def type_name(self) -> str:
@@ -97,232 +86,96 @@ class Damage:
         return text + (" lost" if self.size or self.messages else "")
 
 
-@dataclass(frozen=True)
-class MessageBlock:
-    """Messages of one chunk (or of a stretch of an unchunked file), in file order.
+class Rows:
+    """Fields of records of one type at byte positions `starts` (n,) of `data`.
 
-    data : the decompressed records
-    starts, lengths : (n,) int64, where each payload begins in `data` and how long it is
-    offset : the file byte where the block's chunk begins
+    Where the positions are evenly spaced, the fields are views.
+    """
+
+    def __init__(self, data: bytes, starts: NDArray[np.int64], dtype: np.dtype[np.void]) -> None:
+        self._rows: Any = starts
+        shape, first, step = max(len(data) - dtype.itemsize + 1, 0), 0, 1
+        steps = np.diff(starts)
+        if steps.size and steps[0] > 0 and (steps == steps[0]).all():
+            self._rows, shape, first, step = ..., starts.size, int(starts[0]), int(steps[0])
+        self._view = np.ndarray((shape,), dtype, data, first, (step,))
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        found: NDArray[Any] = self._view[name][self._rows]
+        return found
+
+
+class MessageBlock(NamedTuple):
+    """Messages of one chunk (or of a stretch of a file without chunks), in file order.
+
+    data : records of messages; starts, lengths : (n,) where each payload begins, and its bytes
     """
 
     data: bytes
     starts: NDArray[np.int64]
     lengths: NDArray[np.int64]
-    offset: int
 
-    def header(self, name: str) -> NDArray[np.uint64]:
-        """(n,) one message header field: channel, sequence, log_time (ns), publish_time (ns)."""
-        first = int(self.starts[0]) - 31 if self.starts.size else 0
-        steps = np.diff(self.starts)
-        if steps.size and steps[0] > 0 and (steps == steps[0]).all():
-            strides = (int(steps[0]),)
-            even = np.ndarray((self.starts.size,), _MESSAGE_HEAD, self.data, first, strides)
-            return even[name].copy()
-        return _rows(self.data)[name][self.starts - 31]
+    @classmethod
+    def of_records(cls, data: bytes, starts: NDArray[np.int64]) -> MessageBlock:
+        """The messages whose records begin at `starts` (n,)."""
+        lengths = Rows(data, starts, _HEAD)["length"].astype(np.int64) - (MESSAGE_HEAD - 9)
+        return cls(data, starts + MESSAGE_HEAD, lengths)
+
+    def header(self, name: str) -> NDArray[np.int64]:
+        """(n,) one field of the records: channel, sequence, log_time (ns), publish_time (ns)."""
+        return Rows(self.data, self.starts - MESSAGE_HEAD, _HEAD)[name].astype(np.int64)
+
+    def payload(self, row: int) -> bytes:
+        """The payload of one message."""
+        return self.data[self.starts[row] : self.starts[row] + self.lengths[row]]
 
     def payloads(self) -> list[bytes]:
         """The payload of every message, for encodings that must be parsed one by one."""
-        pairs = zip(self.starts.tolist(), (self.starts + self.lengths).tolist(), strict=True)
-        return [self.data[a:b] for a, b in pairs]
+        ends = (self.starts + self.lengths).tolist()
+        return [self.data[a:b] for a, b in zip(self.starts.tolist(), ends, strict=True)]
 
     def take(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> MessageBlock:
         """The block restricted to some of its messages."""
-        return MessageBlock(self.data, self.starts[rows], self.lengths[rows], self.offset)
+        return self._replace(starts=self.starts[rows], lengths=self.lengths[rows])
 
 
-class ChunkHead(NamedTuple):
-    """The fields of a Chunk record before its compressed records."""
+class MessageLog(ABC):
+    """A file, or a folder of files, that holds messages.
 
-    first_ns: int
-    last_ns: int
-    uncompressed_size: int
-    uncompressed_crc: int
-    compression: str
-    body: int  # where the compressed records begin, from the start of the content
-    size: int  # how many bytes they have
+    `topics` (by channel number), `damages` and `corrections` are those of the last pass, and fill
+    while it goes on. With `strict` the first damage raises UnreadableInput.
+    """
 
-    def plausible(self, length: int, slack: int = 0) -> bool:
-        """Whether this heads a chunk record of a length: 64 bits that noise does not match."""
-        fits = 0 <= length - self.body - self.size <= slack
-        return fits and self.first_ns <= self.last_ns and self.compression in COMPRESSIONS
+    format: str
 
+    def __init__(self, path: Path, *, strict: bool = False) -> None:
+        self.path, self.strict = path, strict
+        self._begin()
 
-def parse_chunk_head(content: bytes) -> ChunkHead | None:
-    """The head of a Chunk record, or None when the bytes cannot be one."""
-    if len(content) < 40:
-        return None
-    first, last, size, crc, name_length = _CHUNK_HEAD.unpack_from(content)
-    if name_length > 16 or len(content) < 40 + name_length:
-        return None
-    name = content[32 : 32 + name_length]
-    (inner,) = _U64.unpack_from(content, 32 + name_length)
-    text = name.decode("ascii", "replace")
-    return ChunkHead(
-        first_ns=first,
-        last_ns=last,
-        uncompressed_size=size,
-        uncompressed_crc=crc,
-        compression=text,
-        body=40 + name_length,
-        size=inner,
-    )
+    def _begin(self) -> None:
+        """Forget what an earlier pass found."""
+        self.topics: dict[int, Topic] = {}
+        self.damages: list[Damage] = []
+        self.corrections: tuple[Correction, ...] = ()
 
-
-def text_at(content: bytes, at: int) -> tuple[str, int]:
-    """The string at a byte of a record, and where it ends; raises MalformedRecordError."""
-    raw, end = _blob(content, at)
-    return raw.decode("utf-8", "replace"), end
-
-
-def _blob(content: bytes, at: int) -> tuple[bytes, int]:
-    if at + 4 > len(content):
-        raise MalformedRecordError("a field runs past the end of its record")
-    end = at + 4 + int(_U32.unpack_from(content, at)[0])
-    if end > len(content):
-        raise MalformedRecordError("a field runs past the end of its record")
-    return content[at + 4 : end], end
-
-
-def parse_schema(content: bytes) -> Schema:
-    """A Schema record; raises MalformedRecordError."""
-    if len(content) < 2:
-        raise MalformedRecordError("a schema record is too short")
-    name, at = text_at(content, 2)
-    encoding, at = text_at(content, at)
-    data, _ = _blob(content, at)
-    return Schema(int(_U16.unpack_from(content)[0]), name, encoding, data)
-
-
-def parse_channel(content: bytes, schemas: dict[int, Schema]) -> Topic:
-    """A Channel record, its schema looked up; raises MalformedRecordError."""
-    if len(content) < 4:
-        raise MalformedRecordError("a channel record is too short")
-    name, at = text_at(content, 4)
-    encoding, at = text_at(content, at)
-    pairs = _pairs(content, at)
-    number, schema = struct.unpack_from("<HH", content)
-    return Topic(number, name, encoding, schemas.get(schema), pairs)
-
-
-def _pairs(content: bytes, at: int) -> tuple[tuple[str, str], ...]:
-    packed, _ = _blob(content, at)
-    pairs, at = [], 0
-    while at < len(packed):
-        key, at = text_at(packed, at)
-        value, at = text_at(packed, at)
-        pairs.append((key, value))
-    return tuple(pairs)
-
-
-def parse_corrections(content: bytes) -> tuple[Correction, ...]:
-    """What a Metadata record of ours says of corrections; raises MalformedRecordError."""
-    name, at = text_at(content, 0)
-    return corrections_of(v for _, v in _pairs(content, at)) if name == CORRECTIONS else ()
-
-
-def index_count(content: bytes) -> int:
-    """How many messages a MessageIndex record lists; raises MalformedRecordError."""
-    if len(content) < 6:
-        raise MalformedRecordError("a message index is too short")
-    return int(_U32.unpack_from(content, 2)[0]) // 16
-
-
-def _rows(data: bytes) -> NDArray[np.void]:
-    """A message header at every byte of the block, so that any start can be gathered."""
-    return np.ndarray((max(len(data) - 30, 0),), _MESSAGE_HEAD, data, 0, (1,))
-
-
-def message_block(data: bytes, starts: NDArray[np.int64], offset: int) -> MessageBlock:
-    """The messages whose records start at `starts` in `data`."""
-    lengths = _rows(data)["length"][starts].astype(np.int64) - MESSAGE_HEADER_SIZE
-    return MessageBlock(data, starts + 31, lengths, offset)
-
-
-class Summary(NamedTuple):
-    """Channels by number, and message counts by channel number."""
-
-    topics: dict[int, Topic]
-    counts: dict[int, int]
-
-
-def read_summary(path: Path) -> Summary:
-    """The summary; empty when it is absent, cut or damaged."""
-    with open(path, "rb") as file:
-        size = file.seek(0, 2)
-        file.seek(max(size - 37, 0))
-        tail = file.read()
-        if len(tail) < 37 or tail[0] != FOOTER or tail[-8:] != MAGIC:
-            return Summary({}, {})
-        summary = int.from_bytes(tail[9:17], "little")
-        if not len(MAGIC) <= summary < size:
-            return Summary({}, {})
-        file.seek(summary)
-        data = file.read(size - 37 - summary)
-    expected = int.from_bytes(tail[25:29], "little")
-    if expected and zlib.crc32(data + tail[:25]) != expected:
-        return Summary({}, {})
-    return _parsed(data)
-
-
-def _parsed(data: bytes) -> Summary:
-    schemas: dict[int, Schema] = {}
-    topics: dict[int, Topic] = {}
-    counts: dict[int, int] = {}
-    at = 0
-    try:
-        while at + 9 <= len(data):
-            opcode, length = RECORD_HEADER.unpack_from(data, at)
-            content = data[at + 9 : at + 9 + length]
-            if opcode == SCHEMA:
-                schema = parse_schema(content)
-                schemas[schema.id] = schema
-            elif opcode == CHANNEL:
-                topic = parse_channel(content, schemas)
-                topics[topic.id] = topic
-            elif opcode == STATISTICS:
-                pairs = content[46 : 46 + len(content[46:]) // 10 * 10]
-                counts = dict(struct.iter_unpack("<HQ", pairs))
-            at += 9 + length
-    except MalformedRecordError:
-        return Summary({}, {})
-    return Summary(topics, counts)
-
-
-class Scan(Protocol):
-    """One pass over a log: `topics` (by channel number), `damages` and `corrections` fill
-    meanwhile."""
-
-    topics: dict[int, Topic]
-    damages: list[Damage]
-    corrections: tuple[Correction, ...]
-
+    @abstractmethod
     def blocks(self) -> Iterator[MessageBlock]:
-        """The messages in file order, some thousand at a time."""
-        ...
+        """Pass over the messages in file order, some thousand at a time."""
 
-
-class MessageLog(Protocol):
-    """A file, or a folder of files, that holds messages."""
-
-    @property
-    def format(self) -> str:
-        """Name of the reader, stored in `Recording.format`."""
-        ...
-
-    @property
-    def path(self) -> Path:
-        """The file or folder."""
-        ...
-
-    def scan(self, *, strict: bool) -> Scan:
-        """Begin a pass; with `strict` the first damage raises UnreadableInput."""
-        ...
-
-    def summary(self) -> Summary:
-        """Topics and counts that are known without a pass; nothing depends on them."""
-        ...
+    @abstractmethod
+    def indexed_topics(self) -> dict[int, Topic]:
+        """Topics that the file's own index names; nothing depends on them."""
 
     def sha256(self) -> str:
         """SHA-256 of the content as lower-case hex."""
-        ...
+        return sha256_of(self.path)
+
+    def report(self, damage: Damage) -> None:
+        """Add to `damages`; raises UnreadableInput with `strict`."""
+        self.damages.append(damage)
+        if self.strict:
+            raise UnreadableInput(
+                f"damaged at {damage}",
+                where=str(self.path),
+                remedy="read it without the strict option to keep what is intact",
+            )

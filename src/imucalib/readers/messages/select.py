@@ -9,207 +9,49 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucalib.arrays import Array
 from imucalib.errors import UsageError
 from imucalib.readers.columns import Content, norm_of
-from imucalib.readers.messages.decode import Decoder, decoder_for
-from imucalib.readers.messages.layout import Groups, LayoutError
+from imucalib.readers.messages.decode import Decoder, Look, decoder_for
+from imucalib.readers.messages.layout import Group, LayoutError
 from imucalib.readers.messages.records import MessageBlock, MessageLog, Topic
+from imucalib.readers.messages.topics import Field, Source
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.pairing import distinct_names
 
-Leaves = dict[str, int]
-
-_ACC = tuple(
-    str.split(
-        """
-        linearacceleration acceleration accelerometerms2 accelerometer specificforce linearacc
-        accel acc a
-        """
-    )
-)
-_GYRO = tuple(str.split("angularvelocity angularrate gyrorad gyroscope gyro gyr rotationrate w g"))
-_STAMPS = tuple(
-    str.split("stamp timestamp timestampns timestampus timestampms timens timeus time t")
-)
-_SECONDS = (("sec", "nanosec"), ("sec", "nsec"), ("secs", "nsecs"), ("seconds", "nanos"))
-#: Channel metadata of the files that this package writes: what a ROS message cannot say.
-META_TRIAD, META_QUANTITIES = "imucal.triad", "imucal.quantities"
-META_ACC_UNIT, META_GYRO_UNIT = "imucal.acc_unit", "imucal.gyro_unit"
-META_ORIGIN, META_DATED = "imucal.origin_ns", "imucal.dated"
-
-_AXES = (("x", "y", "z"), ("0", "1", "2"))
-#: Names that state their unit themselves (PX4's SensorCombined).
-_UNITS_OF_NAMES = {"accelerometerms2": "m/s2", "gyrorad": "rad/s"}
-
-
-@dataclass(frozen=True)
-class Field:
-    """A quantity in a topic's messages.
-
-    quantity : "acc", "gyro" or "temperature", as in FieldMapping
-    address : its place as the mapping writes it; leaves : the numbers that make it
-    unit : what the message type states, "" when it does not
-    found : whether the names decided, rather than the user
-    """
-
-    quantity: str
-    address: str
-    leaves: tuple[str, ...]
-    unit: str = ""
-    found: bool = True
-
-
-@dataclass(frozen=True)
-class TopicFields:
-    """What is read from one topic.
-
-    time : address of its stamp, "" for none
-    frame : the frame_id of its first message, "" for none
-    triad, origin_ns, dated : as this package's own files state them, else "" and None
-    """
-
-    fields: tuple[Field, ...]
-    time: str = ""
-    time_leaves: tuple[str, ...] = ()
-    frame: str = ""
-    triad: str = ""
-    origin_ns: int | None = None
-    dated: bool = True
-
-    @property
-    def groups(self) -> Groups:
-        """The leaves of every field, and of the stamp as the last group when there is one."""
-        last = (self.time_leaves,) if self.time_leaves else ()
-        return tuple(f.leaves for f in self.fields) + last
-
-    @property
-    def widths(self) -> tuple[int, ...]:
-        """How many numbers each group has."""
-        last = (len(self.time_leaves),) if self.time_leaves else ()
-        return tuple(1 if f.quantity == "temperature" else 3 for f in self.fields) + last
-
-
-def is_imu(topic: Topic) -> bool:
-    """Whether the topic's type is sensor_msgs/Imu, in any of its spellings, or this package's."""
-    own = META_TRIAD in dict(topic.metadata)
-    return own or bool(re.fullmatch(r"sensor_msgs[/.](msg[/.])?Imu", topic.type_name))
-
-
-def vector(leaves: Leaves, address: str) -> tuple[str, ...]:
-    """Leaves of the 3-vector at an address; "acc_*" stands for acc_x, acc_y, acc_z."""
-    if "*" in address:
-        paths = tuple(address.replace("*", axis) for axis in "xyz")
-        return paths if all(leaves.get(p) == 1 for p in paths) else ()
-    if leaves.get(address) == 3:
-        return (address,)
-    for axes in _AXES:
-        paths = tuple(f"{address}.{axis}" for axis in axes)
-        more = f"{address}.w", f"{address}.3"  # a quaternion, or a longer list
-        if all(leaves.get(p) == 1 for p in paths) and not any(p in leaves for p in more):
-            return paths
-    return ()
-
-
-def vectors_of(leaves: Leaves) -> dict[str, tuple[str, ...]]:
-    """Address of every 3-vector, with its leaves."""
-    stars = [a for a in _stars(leaves) if a.replace("*", "w") not in leaves]  # no quaternion
-    addresses = (*_nodes(leaves), *stars)
-    named = {found: a for a in reversed(addresses) if (found := vector(leaves, a))}
-    return {a: found for found, a in reversed(named.items())}
-
-
-def instant(leaves: Leaves, address: str) -> tuple[str, ...]:
-    """Leaves of the time at an address: one number, or seconds and nanoseconds."""
-    if leaves.get(address) == 1:
-        return (address,)
-    for names in _SECONDS:
-        paths = tuple(f"{address}.{name}" for name in names)
-        if all(leaves.get(p) == 1 for p in paths):
-            return paths
-    return ()
-
-
-def scalar(leaves: Leaves, address: str) -> tuple[str, ...]:
-    """The leaf of a single number."""
-    return (address,) if leaves.get(address) == 1 else ()
-
-
-def find_acc(leaves: Leaves) -> str:
-    """Address of the acceleration, or ""."""
-    return _find(leaves, _ACC)
-
-
-def find_gyro(leaves: Leaves) -> str:
-    """Address of the angular rate, or ""."""
-    return _find(leaves, _GYRO)
-
-
-def find_time(leaves: Leaves) -> str:
-    """Address of the sensor's own time stamp, or ""."""
-    best: list[tuple[int, int, str]] = []
-    for path in _nodes(leaves):
-        name = _plain(path.rpartition(".")[2])
-        if name in _STAMPS and instant(leaves, path):
-            best.append((path.count(".") if name != "stamp" else -1, _STAMPS.index(name), path))
-    return min(best)[2] if best else ""
-
-
-def stated_unit(topic: Topic, address: str, imu_unit: str) -> str:
-    """The unit that the message type or the field's own name states, or ""."""
-    own = {"m/s2": META_ACC_UNIT, "rad/s": META_GYRO_UNIT}.get(imu_unit, "")
-    if own in dict(topic.metadata):
-        return dict(topic.metadata)[own]
-    if is_imu(topic):
-        return imu_unit
-    return _UNITS_OF_NAMES.get(_plain(address.rpartition(".")[2]), "")
-
-
-def _find(leaves: Leaves, names: tuple[str, ...]) -> str:
-    best: list[tuple[int, int, str]] = []
-    for path in (*_nodes(leaves), *_stars(leaves)):
-        name = _plain(path.rpartition(".")[2].replace("*", ""))
-        # One letter means something only beside an axis letter ("ax", "g_x").
-        usable = name in names and (len(name) > 1 or "*" in path)
-        if usable and vector(leaves, path):
-            best.append((names.index(name), path.count("."), path))
-    return min(best)[2] if best else ""
-
-
-def _nodes(leaves: Leaves) -> list[str]:
-    nodes: dict[str, None] = {}
-    for path in leaves:
-        parts = path.split(".")
-        nodes.update(dict.fromkeys(".".join(parts[: i + 1]) for i in range(len(parts))))
-    return list(nodes)
-
-
-def _stars(leaves: Leaves) -> list[str]:
-    return [f"{path[:-1]}*" for path in leaves if len(path) > 1 and path[-1] in "x"]
-
-
-def _plain(name: str) -> str:
-    return re.sub(r"[^a-z0-9]", "", name.lower())
-
-
 QUANTITIES = ("acc", "gyro", "temperature")
-_UNITS = {"acc": "m/s2", "gyro": "rad/s", "temperature": ""}
-_FINDERS = {"acc": find_acc, "gyro": find_gyro}
+#: Names of fields, best first, without what is no letter or digit.
+_NAMES = {
+    "acc": "linearacceleration acceleration accelerometerms2 accelerometer specificforce linearacc "
+    "accel acc a",
+    "gyro": "angularvelocity angularrate gyrorad gyroscope gyro gyr rotationrate w g",
+    "time": "stamp timestamp timestampns timestampus timestampms timens timeus time t",
+}
+_SECONDS = (("sec", "nanosec"), ("sec", "nsec"), ("secs", "nsecs"), ("seconds", "nanos"))
+_AXES = (("x", "y", "z"), ("0", "1", "2"))
 _CLOCKS = ("log_time", "publish_time")
 _SENSOR_WORDS = re.compile(r"accelerometer|accel|acc|gyroscope|gyro|gyr", re.IGNORECASE)
+_SI = {"acc": "m/s2", "gyro": "rad/s", "temperature": "degC"}
+#: Names that state their unit themselves (PX4's SensorCombined).
+_UNITS_OF_NAMES = {"accelerometerms2": "m/s2", "gyrorad": "rad/s"}
+#: Channel metadata of the files that this package writes: what a ROS message cannot say.
+META_TRIAD, META_QUANTITIES = "imucal.triad", "imucal.quantities"
+META_ORIGIN, META_DATED = "imucal.origin_ns", "imucal.dated"
+META_UNITS = {"acc": "imucal.acc_unit", "gyro": "imucal.gyro_unit"}
+
+Leaves = Mapping[str, int]  # path -> how many numbers
 
 
 @dataclass(frozen=True)
 class Triad:
     """One sensor: its name and, by quantity, the topic and the place in that topic's fields.
 
-    numbered : whether the name is only a number, since topics do not tell the sensors apart
+    numbered : whether the name is only a number, since topics do not name the sensors
     """
 
     name: str
@@ -217,31 +59,16 @@ class Triad:
     numbered: bool = False
 
 
-def fields_of(topic: Topic, leaves: Leaves, mapping: FieldMapping) -> TopicFields | None:
-    """What to read from a topic, or None when it holds nothing that is wanted.
-
-    Raises UsageError when the mapping names a field that the messages do not have.
-    """
-    stated = [f for q in QUANTITIES for f in _stated(topic, leaves, mapping, q)]
-    if not stated and _any_stated(mapping):
-        return None
-    own = dict(topic.metadata).get(META_QUANTITIES, "").split()
-    if own and not stated:
-        mine = [replace(f, found=False) for q in own for f in _found(topic, leaves, q)]
-        return _timed(topic, leaves, mapping, tuple(mine)) if mine else None
-    fields = stated
-    for quantity in ("acc", "gyro"):
-        alone = sum(f.quantity != quantity for f in stated) == len(stated) <= 1
-        if alone and not getattr(mapping, quantity):
-            fields = [*fields, *_found(topic, leaves, quantity)]
-    if not stated and not any(f.quantity == "acc" for f in fields):
-        return None  # a rate alone is also in odometry and in many a controller's messages
-    fields.sort(key=lambda f: QUANTITIES.index(f.quantity))
-    return _timed(topic, leaves, mapping, tuple(fields))
+def is_imu(topic: Topic) -> bool:
+    """Whether the topic's type is sensor_msgs/Imu, in any of its spellings, or this package's."""
+    own = META_TRIAD in topic.metadata
+    return own or bool(re.fullmatch(r"sensor_msgs[/.](msg[/.])?Imu", topic.type_name))
 
 
-def _any_stated(mapping: FieldMapping) -> bool:
-    return any(any(getattr(mapping, quantity)) for quantity in QUANTITIES)
+def is_stated(mapping: FieldMapping, topic: Topic | None = None) -> bool:
+    """Whether the mapping names a field of a topic, or of any."""
+    texts = [text for quantity in QUANTITIES for text in getattr(mapping, quantity) if text]
+    return any(topic is None or split_address(text, topic) is not None for text in texts)
 
 
 def split_address(text: str, topic: Topic) -> str | None:
@@ -252,65 +79,169 @@ def split_address(text: str, topic: Topic) -> str | None:
     return path if colon and name == topic.name else None
 
 
+# -- fields of a message ----------------------------------------------------------------------
+
+
+def vector(leaves: Leaves, address: str) -> Group | None:
+    """The 3-vector at an address; "acc_*" is short for acc_x, acc_y, acc_z."""
+    if "*" in address:
+        paths = tuple(address.replace("*", axis) for axis in "xyz")
+        return Group(paths, 3) if all(leaves.get(p) == 1 for p in paths) else None
+    if leaves.get(address) == 3:
+        return Group((address,), 3)
+    for axes in _AXES:
+        paths = tuple(f"{address}.{axis}" for axis in axes)
+        more = f"{address}.w", f"{address}.3"  # a quaternion, or a longer list
+        if all(leaves.get(p) == 1 for p in paths) and not any(p in leaves for p in more):
+            return Group(paths, 3)
+    return None
+
+
+def scalar(leaves: Leaves, address: str) -> Group | None:
+    """The single number at an address."""
+    return Group((address,), 1) if leaves.get(address) == 1 else None
+
+
+def instant(leaves: Leaves, address: str) -> Group | None:
+    """The time at an address: one number, or seconds and nanoseconds."""
+    pairs = (tuple(f"{address}.{name}" for name in names) for names in _SECONDS)
+    two = (Group(paths, 2) for paths in pairs if all(leaves.get(p) == 1 for p in paths))
+    return scalar(leaves, address) or next(two, None)
+
+
+def _nodes(leaves: Leaves) -> list[str]:
+    """Every path and those of what holds it, in order."""
+    nodes: dict[str, None] = {}
+    for path in leaves:
+        parts = path.split(".")
+        nodes.update(dict.fromkeys(".".join(parts[: i + 1]) for i in range(len(parts))))
+    return list(nodes)
+
+
+def _stars(leaves: Leaves) -> list[str]:
+    return [f"{path[:-1]}*" for path in leaves if len(path) > 1 and path[-1] == "x"]
+
+
+def _plain(path: str) -> str:
+    return re.sub(r"[^a-z0-9]", "", path.rpartition(".")[2].lower())
+
+
+def _address(leaves: Leaves, quantity: str) -> str:
+    """The address of the field with the best name of a quantity or of the time, or ""."""
+    names = _NAMES.get(quantity, "").split()
+    timed, best = quantity == "time", list[tuple[float, float, str]]()
+    for path in (*_nodes(leaves), *(() if timed else _stars(leaves))):
+        name, depth = _plain(path), path.count(".")
+        # One letter means something only with an axis letter ("ax", "g_x").
+        if name not in names or not (timed or len(name) > 1 or "*" in path):
+            continue
+        rank = names.index(name)
+        if timed and instant(leaves, path):
+            best.append((depth if rank else -1, rank, path))
+        elif not timed and vector(leaves, path):
+            best.append((rank, depth, path))
+    return min(best)[2] if best else ""
+
+
+def source_of(topic: Topic, look: Look, mapping: FieldMapping) -> Source | None:
+    """What to read from a topic, or None when it holds nothing that is wanted.
+
+    Raises UsageError when the mapping names a field that the messages do not have.
+    """
+    leaves = look.leaves
+    stated = [f for q in QUANTITIES for f in _stated(topic, leaves, mapping, q)]
+    if not stated and is_stated(mapping):
+        return None
+    own = topic.metadata.get(META_QUANTITIES, "").split()
+    fields = stated
+    if own and not stated:
+        fields = [replace(f, found=False) for q in own for f in _found(topic, leaves, q)]
+    elif len(stated) <= 1:
+        fields = stated + [
+            f
+            for q in ("acc", "gyro")
+            if all(one.quantity != q for one in stated) and not getattr(mapping, q)
+            for f in _found(topic, leaves, q)
+        ]
+        if not stated and all(f.quantity != "acc" for f in fields):
+            return None  # a rate alone is also in odometry and in many a controller's messages
+    if not fields:
+        return None
+    fields.sort(key=lambda f: QUANTITIES.index(f.quantity))
+    time, stamp = _time(topic, leaves, mapping)
+    origin = topic.metadata.get(META_ORIGIN, "")
+    return Source(
+        name=topic.name,
+        imu=is_imu(topic),
+        fields=tuple(fields),
+        time=time,
+        instant=stamp,
+        frame=look.texts.get("header.frame_id", ""),
+        triad=topic.metadata.get(META_TRIAD, ""),
+        origin_ns=int(origin) if re.fullmatch(r"-?\d{1,19}", origin) else None,
+        dated=topic.metadata.get(META_DATED) != "no",
+    )
+
+
 def _stated(topic: Topic, leaves: Leaves, mapping: FieldMapping, quantity: str) -> list[Field]:
+    """The fields of a quantity that the mapping names in this topic."""
     fields = []
+    single = quantity == "temperature"
     for text in getattr(mapping, quantity):
         path = split_address(text, topic) if text else None
         if path is None:
             continue
-        address = path or (_FINDERS[quantity](leaves) if quantity in _FINDERS else "")
-        resolve = scalar if quantity == "temperature" else vector
-        found = resolve(leaves, address) if address else ()
-        if not found:
+        address = path or _address(leaves, quantity)
+        group = (scalar if single else vector)(leaves, address) if address else None
+        if group is None:
             raise UsageError(
-                f"topic {topic.name} has no {'number' if quantity == 'temperature' else '3-vector'}"
-                f" '{path}'",
+                f"topic {topic.name} has no {'number' if single else '3-vector'} '{path}'",
                 where=f"mapping: {quantity}",
                 remedy=f"its fields: {', '.join(list(leaves)[:40])}",
             )
-        unit = stated_unit(topic, address, _UNITS[quantity])
-        fields.append(Field(quantity, address, found, unit, found=False))
+        unit = "" if single else _unit_of(topic, quantity, address)
+        fields.append(Field(quantity, address, group, unit, found=False))
     return fields
 
 
 def _found(topic: Topic, leaves: Leaves, quantity: str) -> list[Field]:
-    if quantity == "temperature":  # asked for only where a file of this package has it
-        found = scalar(leaves, quantity)
-        return [Field(quantity, quantity, found, "degC")] if found else []
-    address = _FINDERS[quantity](leaves) if quantity in _FINDERS else ""
-    if not address:
-        return []
-    unit = stated_unit(topic, address, _UNITS[quantity])
-    return [Field(quantity, address, vector(leaves, address), unit)]
+    """The field of a quantity by its name, or none."""
+    if quantity == "temperature":  # read only where a file of this package has it
+        number = scalar(leaves, quantity)
+        return [Field(quantity, quantity, number, _SI[quantity])] if number else []
+    address = _address(leaves, quantity)
+    group = vector(leaves, address) if address else None
+    return [Field(quantity, address, group, _unit_of(topic, quantity, address))] if group else []
 
 
-def _timed(
-    topic: Topic, leaves: Leaves, mapping: FieldMapping, fields: tuple[Field, ...]
-) -> TopicFields:
-    own = dict(topic.metadata)
-    origin = own.get(META_ORIGIN, "")
-    whole = TopicFields(
-        fields,
-        triad=own.get(META_TRIAD, ""),
-        origin_ns=int(origin) if re.fullmatch(r"-?\d{1,19}", origin) else None,
-        dated=own.get(META_DATED) != "no",
-    )
+def _unit_of(topic: Topic, quantity: str, address: str) -> str:
+    """The unit that the message type or the field's own name states, or ""."""
+    stated = topic.metadata.get(META_UNITS[quantity])
+    if stated is not None:
+        return stated
+    return _SI[quantity] if is_imu(topic) else _UNITS_OF_NAMES.get(_plain(address), "")
+
+
+def _time(topic: Topic, leaves: Leaves, mapping: FieldMapping) -> tuple[str, Group | None]:
+    """The address of a topic's time and the numbers there; a clock of the log has none."""
     if mapping.time in _CLOCKS:
-        return replace(whole, time=mapping.time)
+        return mapping.time, None
     if not mapping.time:
-        address = find_time(leaves)
-        stamps = instant(leaves, address) if address else ()
-        return replace(whole, time=address, time_leaves=stamps)
+        address = _address(leaves, "time")
+        return address, instant(leaves, address) if address else None
     path = split_address(mapping.time, topic) or mapping.time
-    stamps = instant(leaves, path)
-    if not stamps:
+    group = instant(leaves, path)
+    if group is None:
         known = ", ".join(list(leaves)[:40])
         raise UsageError(
             f"topic {topic.name} has no time '{path}'",
             where="mapping: time",
             remedy=f"use log_time, publish_time or one of its fields: {known}",
         )
-    return replace(whole, time=path, time_leaves=stamps)
+    return path, group
+
+
+# -- triads -----------------------------------------------------------------------------------
 
 
 def natural(text: str) -> tuple[tuple[bool, int, str], ...]:
@@ -319,21 +250,19 @@ def natural(text: str) -> tuple[tuple[bool, int, str], ...]:
     return tuple((p.isdigit(), int(p) if p.isdigit() else 0, p) for p in parts)
 
 
-def triads_of(
-    mapping: FieldMapping, topics: Mapping[str, TopicFields], alive: Mapping[str, list[bool]]
-) -> list[Triad]:
+_Parts = dict[str, tuple[str, int]]
+
+
+def triads_of(mapping: FieldMapping, sources: Mapping[str, Source]) -> list[Triad]:
     """The triads, in the natural order of topics, named as the mapping does, as the file does, or
-    by the part of the topic that is theirs alone; a single one, or where topics do not tell, imu0,
+    by the part of the topic that is theirs alone; a single one, or where topics do not say, imu0,
     imu1, ...
 
-    alive : per topic and field, whether any value differs from zero. A vector that is always zero
-    is a part of a split topic, or was never filled: it is left out unless the user named it.
+    A vector that is always zero is a part of a split topic, or was never filled: it is left out
+    unless the user named it.
     """
-    if _any_stated(mapping):
-        parts = _stated_parts(mapping, topics, alive)
-    else:
-        parts = _found_parts(topics, alive)
-    owns = [{topics[topic].triad for topic, _ in part.values()} for part in parts]
+    parts = (_stated_parts if is_stated(mapping) else _found_parts)(mapping, sources)
+    owns = [{sources[topic].triad for topic, _ in part.values()} for part in parts]
     own = tuple(name for names in owns if len(names) == 1 for name in names if name)
     numbered = False
     if len(set(own)) != len(parts):
@@ -351,135 +280,104 @@ def triads_of(
     return [Triad(name, part, numbered) for name, part in zip(names, parts, strict=True)]
 
 
-def _stated_parts(
-    mapping: FieldMapping, topics: Mapping[str, TopicFields], alive: Mapping[str, list[bool]]
-) -> list[dict[str, tuple[str, int]]]:
-    count = max(len(getattr(mapping, q)) for q in QUANTITIES)
-    parts: list[dict[str, tuple[str, int]]] = [{} for _ in range(count)]
-    taken: set[tuple[str, int]] = set()
+def _stated_parts(mapping: FieldMapping, sources: Mapping[str, Source]) -> list[_Parts]:
+    parts: list[_Parts] = [{} for _ in range(max(len(getattr(mapping, q)) for q in QUANTITIES))]
+    used: set[tuple[str, int]] = set()
     for quantity in QUANTITIES:
         for part, text in zip(parts, getattr(mapping, quantity), strict=False):
-            places = _places(text, quantity, topics)
-            place = next((p for p in places if p not in taken), None)
-            if text and place is None:
-                names = ", ".join(sorted(topics, key=natural)) or "none"
+            place = next(
+                (
+                    (name, i)
+                    for name, source in sources.items()
+                    for i, f in enumerate(source.fields)
+                    if f.quantity == quantity
+                    and not f.found
+                    and (name, i) not in used
+                    and text in (name, f"{name}:{f.address}")
+                ),
+                None,
+            )
+            if place is not None:
+                used.add(place)
+                part[quantity] = place
+            elif text:
+                names = ", ".join(sorted(sources, key=natural)) or "none"
                 raise UsageError(
                     f"'{text}' is not a topic of this file, or has no readable messages",
                     where=f"mapping: {quantity}",
                     remedy=f"topics found: {names}",
                 )
-            if place is not None:
-                taken.add(place)
-                part[quantity] = place
-    for part in parts:
-        _complete(part, topics, alive)
+    for part in parts:  # the other vector of the same messages
+        for name, _ in tuple(part.values()):
+            for i, f in enumerate(sources[name].fields):
+                if f.found and f.quantity not in part and sources[name].alive[i]:
+                    part[f.quantity] = (name, i)
     return parts
 
 
-def _places(
-    text: str, quantity: str, topics: Mapping[str, TopicFields]
-) -> Iterable[tuple[str, int]]:
-    for name, fields in topics.items():
-        for i, f in enumerate(fields.fields):
-            if f.quantity == quantity and not f.found and text in (name, f"{name}:{f.address}"):
-                yield name, i
-
-
-def _complete(
-    part: dict[str, tuple[str, int]],
-    topics: Mapping[str, TopicFields],
-    alive: Mapping[str, list[bool]],
-) -> None:
-    for name, _ in tuple(part.values()):
-        for i, f in enumerate(topics[name].fields):
-            if f.found and f.quantity not in part and alive[name][i]:
-                part[f.quantity] = (name, i)
-
-
-def _found_parts(
-    topics: Mapping[str, TopicFields], alive: Mapping[str, list[bool]]
-) -> list[dict[str, tuple[str, int]]]:
-    parts: list[dict[str, tuple[str, int]]] = []
-    halves: dict[str, list[dict[str, tuple[str, int]]]] = {}
-    for name in sorted(topics, key=natural):
-        fields = topics[name].fields
-        usable = [alive[name][i] or not f.found for i, f in enumerate(fields)]
-        part = {f.quantity: (name, i) for i, f in enumerate(fields) if usable[i]}
+def _found_parts(mapping: FieldMapping, sources: Mapping[str, Source]) -> list[_Parts]:
+    parts: list[_Parts] = []
+    halves: dict[str, list[_Parts]] = {}
+    for name in sorted(sources, key=natural):
+        source = sources[name]
+        part = {
+            f.quantity: (name, i)
+            for i, f in enumerate(source.fields)
+            if source.alive[i] or not f.found
+        }
         if not part:
             continue
-        stem = topics[name].triad or _SENSOR_WORDS.sub("*", name)
-        for other in halves.get(stem, []):
-            if not set(other) & set(part):
-                other.update(part)
-                break
-        else:
-            parts.append(part)
-            if len(part) == 1 or topics[name].triad:
-                halves.setdefault(stem, []).append(part)
+        stem = source.triad or _SENSOR_WORDS.sub("*", name)
+        other = next((o for o in halves.get(stem, []) if not set(o) & set(part)), None)
+        if other is not None:
+            other.update(part)
+            continue
+        parts.append(part)
+        if len(part) == 1 or source.triad:
+            halves.setdefault(stem, []).append(part)
     return parts
 
 
-def resolved(
-    mapping: FieldMapping, triads: list[Triad], topics: Mapping[str, TopicFields], units: list[str]
-) -> FieldMapping:
-    """The mapping that reads the same channels again; units : of acc and gyro, as found."""
-    addresses: dict[str, tuple[str, ...]] = {}
-    for quantity in QUANTITIES:
-        texts = []
-        for triad in triads:
-            name, i = triad.parts.get(quantity, ("", 0))
-            texts.append(f"{name}:{topics[name].fields[i].address}" if name else "")
-        addresses[quantity] = tuple(texts) if any(texts) else ()
-    return replace(
-        mapping,
-        acc=addresses["acc"],
-        gyro=addresses["gyro"],
-        temperature=addresses["temperature"],
-        triads=tuple(triad.name for triad in triads),
-        acc_unit=mapping.acc_unit or units[0],
-        gyro_unit=mapping.gyro_unit or units[1],
-    )
+# -- what a log holds -------------------------------------------------------------------------
 
-
-_SAMPLED = 2000  # messages of a topic that its norms are taken from, a stretch of each block
+_SAMPLED = 2000  # messages of a topic that give its norms, a stretch of each block
 _STRETCH = 50
 
 
 @dataclass
 class _Seen:
+    """What a topic was seen to hold; vectors : by their addresses, values : of these."""
+
     topic: Topic
     count: int = 0
-    first: int = 0
-    last: int = 0
+    first: float = math.inf
+    last: float = -math.inf
     sampled: int = 0
     why: str = ""
-    vectors: dict[str, tuple[str, ...]] | None = None
-    values: dict[str, list[Array]] = field(default_factory=dict)
     decoder: Decoder | None = None
+    vectors: dict[str, Group] = field(default_factory=dict)
+    values: dict[str, list[Array]] = field(default_factory=dict)
 
     def add(self, block: MessageBlock) -> None:
         """Consecutive messages of this topic."""
-        times = block.header("log_time").astype(np.int64)
-        self.first = min(self.first, int(times.min())) if self.count else int(times.min())
+        times = block.header("log_time")
+        self.first = min(self.first, int(times.min()))
         self.last = max(self.last, int(times.max()))
         self.count += times.size
         if self.sampled >= _SAMPLED or self.why:
             return
         part = block.take(np.arange(min(_STRETCH, times.size)))
+        self.sampled += part.starts.size
         try:
-            self._sample(part)
+            if self.decoder is None:
+                self.decoder = decoder_for(self.topic)
+                self.vectors = _vectors_of(self.decoder.look(part.payload(0)).leaves)
+            if not self.vectors:
+                return
+            decoded = self.decoder.decode(part, tuple(self.vectors.values()))
         except (LayoutError, UsageError) as error:  # the latter: a package is missing
             self.why = str(error)
-        self.sampled += part.starts.size
-
-    def _sample(self, part: MessageBlock) -> None:
-        if self.decoder is None or self.vectors is None:
-            self.decoder = decoder_for(self.topic)
-            self.vectors = vectors_of(self.decoder.leaves(part.payloads()[0]))
-        if not self.vectors:
             return
-        groups = tuple(self.vectors.values())
-        decoded = self.decoder.decode(part, groups, (3,) * len(groups))
         for address, column in zip(self.vectors, decoded.columns, strict=True):
             values = column[decoded.good].astype(np.float64)
             self.values.setdefault(address, []).append(values)
@@ -496,18 +394,25 @@ class _Seen:
         return own
 
 
+def _vectors_of(leaves: Leaves) -> dict[str, Group]:
+    """Every 3-vector by its address."""
+    stars = [a for a in _stars(leaves) if a.replace("*", "w") not in leaves]  # no quaternion
+    addresses = (*_nodes(leaves), *stars)
+    named = {found: a for a in reversed(addresses) if (found := vector(leaves, a))}
+    return {a: found for found, a in reversed(named.items())}
+
+
 def contents_of(log: MessageLog) -> tuple[Content, ...]:
     """Every topic of a log in natural order, after one pass over it."""
-    scan, hints = log.scan(strict=False), log.summary().topics
+    indexed = log.indexed_topics()
     seen: dict[int, _Seen] = {}
-    for block in scan.blocks():
-        channels: NDArray[np.int64] = block.header("channel").astype(np.int64)
+    for block in log.blocks():
+        channels = block.header("channel")
         for number in np.flatnonzero(np.bincount(channels)).tolist():
-            topic = scan.topics.get(number) or hints.get(number)
-            if topic is None:
-                continue
-            seen.setdefault(number, _Seen(topic)).add(block.take(channels == number))
-    for number, topic in {**hints, **scan.topics}.items():
+            topic = log.topics.get(number) or indexed.get(number)
+            if topic is not None:
+                seen.setdefault(number, _Seen(topic)).add(block.take(channels == number))
+    for number, topic in {**indexed, **log.topics}.items():
         seen.setdefault(number, _Seen(topic))
     ordered = sorted(seen.values(), key=lambda s: natural(s.topic.name))
     return tuple(content for one in ordered for content in one.contents())

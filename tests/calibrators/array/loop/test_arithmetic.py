@@ -1,4 +1,4 @@
-"""Arithmetic of the array's search: clocks, late readings, simulated logs."""
+"""Arithmetic of the array's search: clocks and late readings."""
 
 from __future__ import annotations
 
@@ -10,13 +10,7 @@ from imucalib.calibrators.array.loop.ages import beats
 from imucalib.calibrators.array.loop.catalogue import array_catalogue
 from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
 from imucalib.calibrators.array.loop.terms import Term, columns_of, determined, lost, sensed
-from imucalib.calibrators.array.simulation import (
-    MotionPlan,
-    simulated_samples,
-)
 from imucalib.estimators.array.sample_age import SampleAge, fit_sample_age
-
-DEG = np.pi / 180.0
 
 
 def test_a_beat_is_the_steady_part_of_a_sawtooth() -> None:
@@ -30,7 +24,7 @@ def test_a_beat_is_the_steady_part_of_a_sawtooth() -> None:
     assert one.frequency == pytest.approx(-0.7, abs=0.002)
     assert one.phase == pytest.approx(0.3, abs=0.03)
     assert one.at == 3.0
-    assert one.wander == pytest.approx(0.05 / np.sqrt(2.0), rel=0.15)
+    assert one.scatter == pytest.approx(0.05 / np.sqrt(2.0), rel=0.15)
 
 
 @pytest.mark.parametrize("frequency", [1.3, -0.8])
@@ -52,26 +46,6 @@ def test_the_ages_of_readings_are_told_from_what_they_are_late_by(frequency: flo
     assert found.line[0] > 30.0 > found.line[1]
     away = np.mod(found.wave[:, 0] - wave + 0.5, 1.0) - 0.5
     assert np.median(np.abs(away)) < 0.03
-
-
-def test_simulated_samples_scatter_as_the_paper_plans_them() -> None:
-    """Forces of a rigid body in random motion; gyros as good as the mean of all."""
-    r = 0.02 * np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
-    plan = MotionPlan(samples=3000, sigma=0.04, sigma_gyro=0.06)
-    data = simulated_samples(r, plan, np.random.default_rng(0))
-    assert data.rate.std() == pytest.approx(1000.0 * DEG, rel=0.03)
-    np.testing.assert_allclose(data.rate_precision, np.eye(3) * 4.0 / (0.06 * DEG) ** 2)
-    np.testing.assert_allclose(data.sigma, 0.04)
-    # What places the rates leave of the differences is dω/dt and noise: three unknowns a sample.
-    w = data.rate
-    out = np.cross(w[:, None], np.cross(w[:, None], r))
-    rest = (data.acceleration - out) - (data.acceleration - out)[:, :1]
-    skew = np.concatenate([np.array([np.cross(e, p) for e in np.eye(3)]).T for p in r[1:]])
-    spin = np.linalg.lstsq(skew, rest[:, 1:].reshape(3000, 9).T, rcond=None)[0].T
-    assert spin.std() == pytest.approx(35_000.0 * DEG, rel=0.03)
-    left = rest[:, 1:].reshape(3000, 9) - spin @ skew.T
-    assert 0.04 < left.std() < 0.1
-    assert (data.acceleration - out)[:, 0].std() == pytest.approx(20.0, rel=0.03)
 
 
 def swung(t: Array) -> BoardMotion:

@@ -9,7 +9,6 @@ import pytest
 
 from imucalib.calibrators.array.board import read_board
 from imucalib.calibrators.array.findings import advice
-from imucalib.calibrators.array.loop.catalogue import array_catalogue
 from worlds.array_stories import closed, moving_of, named
 from worlds.boards import made_board
 from worlds.odd_boards import PLAN, PLANTS, Plant, odd_log, slow
@@ -82,8 +81,3 @@ def test_it_is_told_as_that_imus(plant: str, name: str, true: tuple[float, ...])
         got = np.abs(turn) @ term.theta if plant == "gyro drifting" else turn @ term.theta
     # The order of the motion runs from the first turn to the end, 97 % of the log.
     assert np.abs(got - true).max() < 5.0 * sd.max() + 0.03 * np.abs(true).max()
-
-
-def test_every_effect_of_its_own_is_tried_on_each_imu() -> None:
-    for effect in array_catalogue().values():
-        assert effect.scan is not effect.shared

@@ -29,12 +29,12 @@ PHASE = 0.01
 @dataclass(frozen=True)
 class Beat:
     """Steady part of a sawtooth: φ(t) = frequency (t - at) + phase, in turns; Hz, negative when the
-    age falls with time; wander : rms turns by which the phase leaves that line"""
+    age falls with time; scatter : rms turns by which the phase leaves that line"""
 
     frequency: float
     phase: float
     at: float
-    wander: float
+    scatter: float
 
 
 def beats(clock: SampleAge, t: Array, rows: Index) -> Iterator[Beat | None]:
@@ -47,8 +47,8 @@ def beats(clock: SampleAge, t: Array, rows: Index) -> Iterator[Beat | None]:
             continue
         off = np.unwrap(2.0 * np.pi * (wave + 0.5 - f * (t - at))) / (2.0 * np.pi)
         slope, start = np.polyfit(t - at, off, 1)
-        wander = float(np.sqrt(np.mean((off - start - slope * (t - at)) ** 2)))
-        yield Beat(float(f + slope), float(start % 1.0), at, wander)
+        scatter = float(np.sqrt(np.mean((off - start - slope * (t - at)) ** 2)))
+        yield Beat(float(f + slope), float(start % 1.0), at, scatter)
 
 
 def found_clock(state: ArrayState, *, every: bool = False) -> SampleAge | None:
@@ -123,8 +123,8 @@ def phases_of(clock: Response) -> Response:
 
 
 def _everywhere(state: ArrayState, rows: Index) -> tuple[Array, Array]:
-    """(N, K, 3) gyro residuals and (N, 3) dω/dt at some samples, the clocks not yet taken out; zero
-    elsewhere."""
+    """(N, K, 3) gyro residuals and (N, 3) dω/dt at some samples, with the clocks still in them, and
+    zero elsewhere."""
     n, k = len(state.setup.moving.t), state.setup.triads
     off, spin = np.zeros((n, k, 3)), np.zeros((n, 3))
     some = max(_READINGS // k, 1)

@@ -54,8 +54,8 @@ def twins_of(name: str) -> tuple[str, ...]:
     return tuple(f"{n}{at}{imu}" for n in twins)
 
 
-def named_effect(name: str, imus: Sequence[str]) -> tuple[Response, int | None]:
-    """The effect and the one IMU that a name such as "gyro_scale@imu3" means.
+def named_effect(name: str, imus: Sequence[str]) -> Response:
+    """The effect that a name means, such as "gyro_scale@imu3" of one IMU.
 
     Raises UsageError for an unknown effect or IMU.
     """
@@ -65,12 +65,10 @@ def named_effect(name: str, imus: Sequence[str]) -> tuple[Response, int | None]:
         raise UsageError(
             f"no array effect is called '{family}'", remedy="`imucal effects` lists them"
         )
-    if not at:
-        return effect, None
-    if effect.shared or imu not in imus:
+    if at and (effect.shared or imu not in imus):
         reason = "acts on all IMUs alike" if effect.shared else f"has no IMU '{imu}' to act on"
         raise UsageError(f"'{name}': {family} {reason}", remedy=f"IMUs: {', '.join(imus)}")
-    return effect, list(imus).index(imu)
+    return effect
 
 
 @dataclass(frozen=True)

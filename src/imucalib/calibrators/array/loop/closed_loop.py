@@ -24,7 +24,7 @@ from imucalib.calibrators.array.loop.search import (
     MotionProblem,
     explored,
     started,
-    with_candidates,
+    with_members,
 )
 from imucalib.calibrators.array.loop.setup import Setup
 from imucalib.calibrators.array.loop.state import ArrayState, remembered, shared_by_neighbours
@@ -133,7 +133,7 @@ def _named(found: Explored, asked: Asked, *, curves: bool) -> ArrayState | None:
     known = {term.name for term in found.state.found}
     if known == {one.name for one in named} | (known & set(asked.declare)):
         return found.state
-    return with_candidates(found.state, named, asked)
+    return with_members(found.state, named, asked)
 
 
 def _as_far_as_known(state: ArrayState, shifts: Iterable[Array]) -> ArrayState:
@@ -240,7 +240,7 @@ def _member(found: Explored, component: int) -> str:
 
 
 def scores_of(problem: MotionProblem, posterior: Posterior) -> tuple[Score, ...]:
-    """Every component, likeliest first, by its first member at typical size: its evidence beside
+    """Every component, likeliest first, by its first member at typical size: its evidence with
     the base model alone, and the probability that it is there."""
     evidence, inside = of_each(posterior, len(problem.components))
     found = []

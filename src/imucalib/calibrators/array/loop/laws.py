@@ -47,23 +47,12 @@ from imucalib.units import DEG, MG
 
 
 @dataclass(frozen=True)
-class Candidate:
-    """What the model would hold of a member: an effect of all IMUs, or of one."""
-
-    name: str
-    effect: Response
-    only: int | None
-
-
-@dataclass(frozen=True)
 class Candidates:
-    """components : with their members, of which choices has each with its columns; each : what the
-    model would hold of each choice; blocks : the columns in typical sizes, one after the other;
-    missing : why effects could not be tried"""
+    """components : with their members, of which choices has each with its columns; blocks : the
+    columns in typical sizes, one after the other; missing : why effects could not be tried"""
 
     components: list[Component] = field(default_factory=list)
     choices: list[Choice] = field(default_factory=list)
-    each: list[Candidate] = field(default_factory=list)
     blocks: list[Columns] = field(default_factory=list)
     missing: dict[str, str] = field(default_factory=dict)
 
@@ -83,21 +72,21 @@ def candidates_of(
     """
     out = Candidates()
     for name, (kind, covariate, forms) in _every(motion, terms, out.missing).items():
-        found = list[tuple[Candidate, Member, Index]]()
+        found = list[tuple[Member, Index]]()
         for effect in forms:
-            every_one = _members(effect, motion.context.triads)
-            members = [m for m in every_one if m[0].name not in skipped]
+            every = _members(effect, motion.context.triads)
+            members = [one for one in every if one.name not in skipped]
             columns = _with_phases(effect, motion)
             if members and np.isfinite(columns.basis).all() and columns.basis.any():
-                found += [(one, member, out.width + part) for one, member, part in members]
+                found += [(one, out.width + one.effects[0][1]) for one in members]
                 out.blocks.append(columns)
         if found:
-            whole = float(np.log(sum(np.exp(member.log_weight) for _, member, _ in found)))
-            fair = [replace(m, log_weight=m.log_weight - whole) for _, m, _ in found]
-            at = zip(fair, found, strict=True)
-            c = len(out.components)
-            out.choices.extend(Choice(c, m, part, m.log_weight) for m, (_, _, part) in at)
-            out.each.extend(candidate for candidate, _, _ in found)
+            whole = float(np.log(sum(np.exp(member.log_weight) for member, _ in found)))
+            fair = [replace(m, log_weight=m.log_weight - whole) for m, _ in found]
+            out.choices.extend(
+                Choice(len(out.components), m, at, m.log_weight)
+                for m, (_, at) in zip(fair, found, strict=True)
+            )
             out.components.append(Component(name, kind, tuple(fair), covariate))
     return out
 
@@ -108,7 +97,7 @@ def _every(
     """Kind, covariate and effects of every component; of others, why they cannot be tried."""
     every = dict[str, tuple[Kind, str, list[Response]]]()
     # Ranges of laws are the motion's: what is in the model stays as it is there.
-    held = {term.effect.name: term.effect for term in terms}
+    held = {term.family: term.effect for term in terms}
     for effect in array_catalogue().values():
         if effect.twin:
             continue
@@ -126,25 +115,21 @@ def _every(
     return every
 
 
-def _members(effect: Response, imus: tuple[str, ...]) -> list[tuple[Candidate, Member, Index]]:
+def _members(effect: Response, imus: tuple[str, ...]) -> list[Member]:
     """All IMUs together and one alone, each with its columns among those of the effect."""
     size, k = len(effect.each), len(imus)
     if effect.shared:
         phases = k * len(phases_of(effect).each) if _aged(effect) else 0
-        return [_member(effect, effect.name, None, np.arange(size + phases), 1.0)]
-    every = [_member(effect, effect.name, None, np.arange(size * k), TOGETHER)]
-    for i, imu in enumerate(imus):
-        part = np.arange(i * size, (i + 1) * size)
-        every.append(_member(effect, f"{effect.name}@{imu}", i, part, (1.0 - TOGETHER) / k))
-    return every
+        return [_member(effect, "", np.arange(size + phases), 1.0)]
+    parts = [np.arange(i * size, (i + 1) * size) for i in range(k)]
+    share = (1.0 - TOGETHER) / k
+    alone = [_member(effect, f"@{i}", part, share) for i, part in zip(imus, parts, strict=True)]
+    return [_member(effect, "", np.concatenate(parts), TOGETHER), *alone]
 
 
-def _member(
-    effect: Response, name: str, only: int | None, part: Index, share: float
-) -> tuple[Candidate, Member, Index]:
+def _member(effect: Response, of: str, part: Index, share: float) -> Member:
     sizes = np.resize([p.typical for p in effect.each], part.size)
-    own = replace(effect, name=name)
-    return Candidate(name, effect, only), Member(((own, part, sizes),), float(np.log(share))), part
+    return Member(((replace(effect, name=effect.name + of), part, sizes),), float(np.log(share)))
 
 
 def _with_phases(effect: Response, motion: BoardMotion) -> Columns:

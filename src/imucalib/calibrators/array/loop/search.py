@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imucalib.arrays import Array, Index
+from imucalib.arrays import Array
 from imucalib.calibrators.array.estimate.base import Base
 from imucalib.calibrators.array.loop.ages import with_found_clock, with_phases
 from imucalib.calibrators.array.loop.catalogue import (
@@ -26,7 +26,7 @@ from imucalib.calibrators.array.loop.catalogue import (
     named_effect,
     twins_of,
 )
-from imucalib.calibrators.array.loop.laws import Candidate, Candidates, candidates_of
+from imucalib.calibrators.array.loop.laws import Candidates, candidates_of
 from imucalib.calibrators.array.loop.setup import Setup, looked_at, motion_at
 from imucalib.calibrators.array.loop.state import (
     ArrayState,
@@ -40,17 +40,17 @@ from imucalib.calibrators.array.loop.terms import (
     typical_columns,
     typical_of,
 )
-from imucalib.core.effect import Response
+from imucalib.core.effect import Effect, Response
 from imucalib.errors import Undetermined
 from imucalib.estimators.array.gram import Columns, gram, inverse_root, taken_out
 from imucalib.estimators.array.noise import SensorNoise, log_density
 from imucalib.estimators.array.samples import reweighed
-from imucalib.loop.posterior.catalogue import Component, log_odds
+from imucalib.loop.posterior.catalogue import Member
 from imucalib.loop.posterior.gram import Grams, Multiplied
 from imucalib.loop.posterior.odds import FINE_SIZES
-from imucalib.loop.posterior.problem import Choice
+from imucalib.loop.posterior.problem import Contest
 from imucalib.loop.posterior.space import Hypothesis, Pick, Posterior, blocks_of, climbed
-from imucalib.loop.posterior.words import Told, told
+from imucalib.loop.posterior.words import Conclusion, concluded
 
 #: Times that twins are told apart, where some have gone to another name.
 _PASSES = 3
@@ -59,43 +59,28 @@ _ROUNDS = 5
 DIVERGED = "its refit did not converge"
 
 
-@dataclass(frozen=True)
-class MotionProblem:
-    """What a motion may lack: a `Contest`.
+@dataclass(frozen=True, kw_only=True)
+class MotionProblem(Contest):
+    """What a motion may lack; what is fitted has left its products.
 
-    each : what the model would hold of every choice
     missing : why effects could not be tried
     seen : (q,) squares of the columns without the motion, and what free positions leave of them
     moves : (d, q) m by which each column moves free positions at typical size
     """
 
-    components: tuple[Component, ...]
-    odds: Array
-    choices: tuple[Choice, ...]
-    each: tuple[Candidate, ...]
     missing: dict[str, str]
     seen: tuple[Array, Array]
     moves: Array
-
-    @property
-    def base(self) -> int:
-        """Columns that are free before any component: what is fitted is taken out already."""
-        return 0
 
     @property
     def sizes(self) -> Array:
         """Those of a component: a motion has thousands of readings."""
         return FINE_SIZES
 
-    @property
-    def flat(self) -> tuple[Index, float]:
-        """The free columns."""
-        return np.arange(0), np.inf
-
     def named(self, name: str) -> bool:
         """Whether a candidate of this name is a cause."""
-        at = next(k for k, one in enumerate(self.each) if one.name == name)
-        return self.components[self.choices[at].component].named
+        own = next(choice for choice in self.choices if choice.member.name == name)
+        return self.components[own.component].named
 
     def shown(self, component: int) -> tuple[float, float, float]:
         """Of a component's first member at typical size: the share of its columns that free
@@ -106,13 +91,13 @@ class MotionProblem:
         moves = float(np.sqrt(np.sum(np.mean(self.moves[:, at] ** 2, axis=0))))
         return after / max(before, 1e-300), float(np.sqrt(max(after, 0.0))), moves
 
-    def of_set(self, hypothesis: Hypothesis) -> tuple[Candidate, ...]:
+    def of_set(self, hypothesis: Hypothesis) -> tuple[Member, ...]:
         """What a set adds to the model."""
-        return tuple(self.each[p.choice] for p in hypothesis.picks)
+        return tuple(self.choices[p.choice].member for p in hypothesis.picks)
 
     def picks(self, state: ArrayState) -> tuple[Pick, ...]:
         """The effects of a state as a set, at their sizes."""
-        at = {one.name: k for k, one in enumerate(self.each)}
+        at = {choice.member.name: k for k, choice in enumerate(self.choices)}
         return tuple(Pick(at[t.name], float(t.sd[0])) for t in state.found if t.name in at)
 
     def moved(self, grams: Grams, hypothesis: Hypothesis, component: int) -> Array:
@@ -160,9 +145,8 @@ def products(
     carried, square = loose.T @ found.matrix[:b, b:], np.diag(found.matrix)[b:]
     problem = MotionProblem(
         components=tuple(every.components),
-        odds=log_odds(tuple(every.components)),
+        base=0,
         choices=tuple(every.choices),
-        each=tuple(every.each),
         missing=every.missing,
         seen=(square, square - np.sum(carried**2, axis=0)),
         moves=loose[: state.positions] @ carried,
@@ -181,7 +165,7 @@ def products(
 def _held(state: ArrayState, every: Candidates) -> Array:
     """(q,) what the state has of the candidates' columns, in typical sizes."""
     theta = np.zeros(every.width)
-    at = {one.name: choice.at for one, choice in zip(every.each, every.choices, strict=True)}
+    at = {choice.member.name: choice.at for choice in every.choices}
     phases = [t.value for t in state.terms if t.aged and not t.found]
     for term in state.found:
         if term.name in at:
@@ -205,7 +189,7 @@ class Explored:
     problem: MotionProblem
     grams: Grams
     posterior: Posterior
-    said: Told
+    said: Conclusion
     first: tuple[MotionProblem, Posterior]
     rejected: tuple[tuple[str, str], ...] = ()
 
@@ -224,14 +208,14 @@ def explored(base: ArrayState, asked: Asked, *, curves: bool = False) -> Explore
         problem, grams = products(state, skipped, asked.declare)
         posterior = climbed(problem, grams, problem.picks(state))
         first = first or (problem, posterior)
-        said = told(problem, posterior, names_first=not curves)
+        said = concluded(problem, posterior, names_first=not curves)
         chosen = problem.of_set(said.hypothesis)
         names = frozenset(one.name for one in chosen)
         held = {t.name for t in state.found}
         if names == held.difference(asked.declare) or names in seen:
             break
         seen.add(names)
-        grown = with_candidates(state, chosen, asked)
+        grown = with_members(state, chosen, asked)
         if grown is None:
             rejected = tuple((one.name, DIVERGED) for one in chosen if one.name not in held)
             break
@@ -250,15 +234,13 @@ def explored(base: ArrayState, asked: Asked, *, curves: bool = False) -> Explore
     )
 
 
-def with_candidates(
-    state: ArrayState, chosen: Sequence[Candidate], asked: Asked
-) -> ArrayState | None:
+def with_members(state: ArrayState, chosen: Sequence[Member], asked: Asked) -> ArrayState | None:
     """The joint fit with these and what is declared, and no others; None where it runs away."""
     names = {*asked.declare, *(one.name for one in chosen)}
     grown = replace(state, terms=tuple(t for t in state.terms if not t.found or t.name in names))
     for one in chosen:
         if one.name not in {t.name for t in grown.terms}:
-            term = new_term(grown, one.name, one.effect, one.only)
+            term = new_term(grown, one.name, one.effects[0][0])
             if term.value.size:
                 grown = replace(grown, terms=(*grown.terms, term))
     try:
@@ -274,11 +256,11 @@ def with_declared(state: ArrayState, names: Sequence[str]) -> ArrayState:
     Raises UsageError for unknown names, Undetermined where the motion cannot carry one.
     """
     for name in names:
-        effect, only = named_effect(name, state.setup.imus)
+        effect = named_effect(name, state.setup.imus)
         if "sample_age" in effect.needs and state.motion.age is None:
             state = with_found_clock(state)
         reason = effect.missing(state.motion.context)
-        term = None if reason else new_term(state, name, effect, only)
+        term = None if reason else new_term(state, name, effect)
         if term is None or term.value.size == 0:
             raise Undetermined(
                 f"{name} was declared, and this motion does not show it"
@@ -289,9 +271,15 @@ def with_declared(state: ArrayState, names: Sequence[str]) -> ArrayState:
     return settled(with_phases(state)) if names else state
 
 
-def new_term(state: ArrayState, name: str, effect: Response, only: int | None) -> Term:
-    """An effect as a new term of a fitted state: what these data can determine of it, at zero."""
-    return determined(name, effect, only, own_gram(state, effect, only), state.found)
+def new_term(state: ArrayState, name: str, effect: Effect) -> Term:
+    """An effect as a new term of a fitted state: what these data can determine of it, at zero.
+
+    name : with "@imu3" where it is of one IMU alone
+    """
+    family, _, imu = name.partition("@")
+    assert isinstance(effect, Response)
+    own, only = replace(effect, name=family), state.setup.imus.index(imu) if imu else None
+    return determined(name, own, only, own_gram(state, own, only), state.found)
 
 
 def own_gram(state: ArrayState, effect: Response, only: int | None = None) -> Array:

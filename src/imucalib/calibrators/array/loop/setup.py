@@ -157,7 +157,7 @@ def motion_at(
     sample has none. How the board turns is known with its derivative, the force amid the IMUs is
     not: only there are differences all that there is.
 
-    courses : whether sensors may lag behind it
+    courses : whether sensors may lag
     """
     follows = np.diff(setup.t) < _NEXT * setup.moving.interval
     sides = np.column_stack([np.append(False, follows), np.append(follows, False)])

@@ -106,7 +106,7 @@ def sampled_at(setup: Setup, r: Array, noise: tuple[SensorNoise, SensorNoise]) -
 def settled(state: ArrayState, *, shaped: bool = True) -> ArrayState:
     """The joint fit of everything, and the noise in the shape that held-out halves ask for.
 
-    shaped : whether they are asked, or the shape is kept, as where the search is over
+    shaped : whether these choose it, or it keeps its shape, as where the search is over
     """
     state = _climbed(_with_scale(state), _ROUGH if shaped else _CLOSE)
     if state.setup.robust and shaped:

@@ -44,6 +44,11 @@ class Term:
         return np.asarray(self.live @ self.value)
 
     @property
+    def family(self) -> str:
+        """The effect's name, be it of one IMU or of all."""
+        return self.name.partition("@")[0]
+
+    @property
     def aged(self) -> bool:
         """Whether it says what the chips' own clocks do."""
         return "sample_age" in self.effect.needs

@@ -11,11 +11,10 @@ session's mean); what the axes say of each other is in the weights of each.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
-from imucalib.arrays import Array, Index
+from imucalib.arrays import Array
 from imucalib.core.balance import Balanced, Noise, whitener
 from imucalib.core.fit import Fit
 from imucalib.core.observations import BIAS, MOUNTING, session_of
@@ -37,7 +36,7 @@ class Between:
     """The scatter of one component between sessions.
 
     effect : whose parameters carry it; unit : that it is given in; sd : REML estimate, all axes
-    sizes : (q,) sizes that are weighed; weights : (q,) of that of all axes; by_axis : (3, q)
+    interval : 95 % of what the data allow
     offsets, offsets_sd : (sessions, 3) of each session from the mean, in that unit
     """
 
@@ -45,18 +44,9 @@ class Between:
     effect: str
     unit: str
     sd: float
-    sizes: Array
-    weights: Array
-    by_axis: Array
+    interval: tuple[float, float]
     offsets: Array
     offsets_sd: Array
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """95 % of what the data allow."""
-        below = np.cumsum(self.weights) - 0.5 * self.weights
-        low, high = np.interp((0.5 - _LEVEL / 2, 0.5 + _LEVEL / 2), below, self.sizes)
-        return float(low), float(high)
 
 
 @dataclass(frozen=True)
@@ -75,22 +65,12 @@ class NextPowerUp:
 
 @dataclass(frozen=True)
 class Sessions:
-    """names : of the sessions, in the order of the offsets; between : what scatters between them"""
+    """names : of the sessions, in the order of the offsets; between : what scatters between them;
+    parameters : every one that changes with power-ups"""
 
     names: tuple[str, ...]
     between: tuple[Between, ...]
-    fit: Fit
-
-    @cached_property
-    def parameters(self) -> tuple[NextPowerUp, ...]:
-        """Every parameter that changes with power-ups."""
-        slices = self.fit.model.slices(self.fit.observations.context)
-        found = list[NextPowerUp]()
-        for one in self.between:
-            part = slices.get(one.effect)
-            for axis, k in enumerate(range(part.start, part.stop) if part else ()):
-                found.append(_next(self.fit, k, one, one.by_axis[axis]))
-        return tuple(found)
+    parameters: tuple[NextPowerUp, ...]
 
 
 def sessions_of(fit: Fit, names: tuple[str, ...]) -> Sessions | None:
@@ -99,9 +79,31 @@ def sessions_of(fit: Fit, names: tuple[str, ...]) -> Sessions | None:
     if session is None:
         return None
     used = np.unique(session)
-    of = fit.observations.of_sessions
-    found = tuple(_between(fit, fit.at.free + k, noise.name, used) for k, noise in enumerate(of))
-    return Sessions(tuple(names[k] for k in used), found, fit)
+    between, parameters = [], list[NextPowerUp]()
+    slices = fit.model.slices(fit.observations.context)
+    for k, noise in enumerate(fit.observations.of_sessions, start=fit.at.free):
+        effect, unit, si = _CARRIED[noise.name]
+        sizes, weights, by_axis = _allowed(fit, k)
+        sd = fit.noise.sd[k] / si
+        part = slices.get(effect)
+        for axis, at in enumerate(range(part.start, part.stop) if part else ()):
+            var = _variance(fit, at, sizes / si, sd, used.size)
+            parameters.append(
+                NextPowerUp(
+                    name=fit.parameters[at].name,
+                    effect=effect,
+                    unit=unit,
+                    value=float(fit.theta[at]),
+                    mean=float(fit.covariance[at, at] ** 0.5),
+                    sd=float(np.sqrt(by_axis[axis] @ var)),
+                    half=_half(np.sqrt(var), by_axis[axis]),
+                )
+            )
+        below = np.cumsum(weights) - 0.5 * weights
+        low, high = np.interp((0.5 - _LEVEL / 2, 0.5 + _LEVEL / 2), below, sizes / si)
+        offsets = (found.reshape(-1, 3)[used] / si for found in _offsets(fit, k))
+        between.append(Between(noise.name, effect, unit, sd, (float(low), float(high)), *offsets))
+    return Sessions(tuple(names[k] for k in used), tuple(between), tuple(parameters))
 
 
 def session_folds(fit: Fit) -> tuple[Fold, ...]:
@@ -111,25 +113,6 @@ def session_folds(fit: Fit) -> tuple[Fold, ...]:
         return ()
     each = (session == k for k in np.unique(session))
     return tuple(Fold(np.flatnonzero(own), np.flatnonzero(~own)) for own in each)
-
-
-def _between(fit: Fit, k: int, name: str, used: Index) -> Between:
-    effect, unit, si = _CARRIED[name]
-    sizes, weights, by_axis = _allowed(fit, k)
-    offsets, sd = _offsets(fit, k)
-    own = (3 * used[:, None] + np.arange(3)).ravel()
-    shape = (len(used), 3)
-    return Between(
-        name=name,
-        effect=effect,
-        unit=unit,
-        sd=fit.noise.sd[k] / si,
-        sizes=sizes / si,
-        weights=weights,
-        by_axis=by_axis,
-        offsets=offsets[own].reshape(shape) / si,
-        offsets_sd=sd[own].reshape(shape) / si,
-    )
 
 
 def _allowed(fit: Fit, k: int) -> tuple[Array, Array, Array]:
@@ -177,20 +160,11 @@ def _offsets(fit: Fit, k: int) -> tuple[Array, Array]:
     return variance * of.T @ data, np.sqrt(np.maximum(spread, 0.0))
 
 
-def _next(fit: Fit, k: int, one: Between, weights: Array) -> NextPowerUp:
-    p, sessions = fit.parameters[k], len(one.offsets)
+def _variance(fit: Fit, k: int, sizes: Array, sd: float, sessions: int) -> Array:
+    """(q,) of a parameter after the next power-up, for each size (q,) that the scatter may have;
+    the mean's holds a share of what the scatter is taken to be, `sd`."""
     own = float(fit.covariance[k, k])
-    # The mean's variance holds a share of what the scatter is taken to be.
-    var = np.maximum(own + (one.sizes**2 - one.sd**2) / sessions, 0.1 * own) + one.sizes**2
-    return NextPowerUp(
-        name=p.name,
-        effect=one.effect,
-        unit=p.unit,
-        value=float(fit.theta[k]),
-        mean=float(own**0.5),
-        sd=float(np.sqrt(weights @ var)),
-        half=_half(np.sqrt(var), weights),
-    )
+    return np.asarray(np.maximum(own + (sizes**2 - sd**2) / sessions, 0.1 * own) + sizes**2)
 
 
 def _half(sd: Array, weights: Array) -> float:
