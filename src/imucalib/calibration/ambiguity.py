@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from imucalib.calibration.plain import fields
 from imucalib.errors import UnreadableInput
 from imucalib.loop.separation import Ambiguity
 
@@ -19,15 +20,9 @@ KEY = "record_next"
 def ambiguity_block(found: Ambiguity) -> dict[str, Any]:
     """One ambiguity as plain types; `ambiguity_of` reads it back."""
     return {
-        "effect": found.effect,
-        "base": list(found.base),
-        "columns": list(found.columns),
-        "rivals": list(found.rivals),
+        **fields(found, "effect base columns rivals"),
         "blocks": {name: [int(at[0]), int(at[-1]) + 1] for name, at in found.blocks.items()},
-        "gram": found.gram.tolist(),
-        "along": found.along.tolist(),
-        "power": found.power,
-        "numbers": found.numbers,
+        **fields(found, "gram along power numbers"),
     }
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from imucalib.arrays import Array
+from imucalib.calibration.plain import fields
 from imucalib.loop.sums import Base, Sums
 
 #: Key of the block.
@@ -17,16 +18,12 @@ KEY = "effects_beside_base"
 def sums_block(sums: Sums) -> dict[str, Any]:
     """As plain types, products to seven digits; `sums_of` reads it back."""
     return {
-        "parameters": list(sums.base.parameters),
-        "theta": sums.base.theta.tolist(),
-        "covariance": sums.base.covariance.tolist(),
+        **fields(sums.base, "parameters theta covariance"),
         "blocks": {name: [int(at[0]), int(at[-1]) + 1] for name, at in sums.blocks.items()},
         "gram": [_rounded(row[: k + 1]) for k, row in enumerate(sums.gram)],
         "along": _rounded(sums.along),
         "taken": [_rounded(row) for row in sums.taken],
-        "noise_mg": sums.noise,
-        "noise_dof": sums.dof,
-        "wander_mg": sums.wander,
+        **fields(sums, "noise_mg=noise noise_dof=dof wander_mg=wander"),
     }
 
 

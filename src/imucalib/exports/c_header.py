@@ -21,7 +21,7 @@ from imucalib.core.sphere import even_directions
 from imucalib.errors import UsageError
 from imucalib.exports import Export, Made
 from imucalib.exports.imus import losses_of, places_of
-from imucalib.exports.linear import beyond_linear, lost_parts, nearest_linear, sphere_of
+from imucalib.exports.linear import lost_linear, nearest_linear, sphere_of
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
 
 #: Readings that the header tests itself with: the six faces, none, and one between the axes.
@@ -104,13 +104,8 @@ def _filled(values: Mapping[str, Any]) -> str:
 
 def _of_one(calibration: Calibration) -> tuple[list[Correction], tuple[str, ...], float]:
     """With what it loses, in words and in mg."""
-    linear, lost = nearest_linear(calibration), lost_parts(calibration)
-    if names := beyond_linear(calibration):
-        lost = (
-            f"{names}: {linear.mean:.2f} mg on average over the sphere and the calibrated ranges, "
-            f"{linear.worst:.2f} mg at most; M and b are the nearest there",
-            *lost,
-        )
+    linear = nearest_linear(calibration)
+    lost = lost_linear(calibration, linear, "; M and b are the nearest there")
     seen = sphere_of(calibration)
     spread = calibration.force_covariance(seen.force, seen.context)
     every = [_acceleration(linear.M, linear.b, _largest_sd(spread))]

@@ -10,7 +10,7 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
 from imucalib.exports import Export, Made
-from imucalib.exports.linear import beyond_linear, lost_parts, nearest_linear
+from imucalib.exports.linear import lost_linear, nearest_linear
 from imucalib.exports.per_axis import demand_one, heading
 from imucalib.units import MG
 
@@ -82,12 +82,7 @@ def iscwsa(calibration: Calibration, filename: str) -> Made:
     ]
     if "mounting" not in calibration.model()[0].names:
         lost.append("the turn of the sensor in the tool: this calibration saw no tool's axes")
-    if beyond := beyond_linear(calibration):
-        lost.append(
-            f"{beyond}: {linear.mean:.2f} mg on average over the sphere and the calibrated ranges, "
-            f"{linear.worst:.2f} mg at most"
-        )
-    lost += lost_parts(calibration)
+    lost += lost_linear(calibration, linear)
     out = StringIO()
     for line in (
         *heading(calibration, filename),

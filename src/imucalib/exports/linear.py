@@ -7,13 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibration.calibration import PASSING, Calibration
+from imucalib.calibration.calibration import LINEAR, PASSING, Calibration
 from imucalib.calibration.series import parts_of
 from imucalib.core.effect import Context
 from imucalib.core.sphere import even_directions
 from imucalib.units import MG, STANDARD_GRAVITY
-
-_LINEAR = {"mounting", "bias", "scale", "non_orthogonality"}
 
 
 @dataclass(frozen=True)
@@ -57,7 +55,7 @@ class NearestLinear:
 def nearest_linear(calibration: Calibration) -> NearestLinear:
     """The linear part; with effects beyond it, the least-squares one over their ranges."""
     model, _ = calibration.model()
-    if set(model.names) <= _LINEAR:
+    if set(model.names) <= set(LINEAR):
         linear = calibration.matrices()
         return NearestLinear(linear.M, linear.b, 0.0, 0.0)
     seen = sphere_of(calibration)
@@ -71,7 +69,19 @@ def nearest_linear(calibration: Calibration) -> NearestLinear:
 def beyond_linear(calibration: Calibration) -> str:
     """Names of effects that a linear correction cannot carry."""
     model, _ = calibration.model()
-    return ", ".join(name for name in model.names if name not in _LINEAR)
+    return ", ".join(name for name in model.names if name not in LINEAR)
+
+
+def lost_linear(calibration: Calibration, linear: NearestLinear, more: str = "") -> tuple[str, ...]:
+    """What a linear correction cannot carry, in words; more : of the form, after the sizes"""
+    lost = lost_parts(calibration)
+    if names := beyond_linear(calibration):
+        words = (
+            f"{names}: {linear.mean:.2f} mg on average over the sphere and the calibrated ranges, "
+            f"{linear.worst:.2f} mg at most{more}"
+        )
+        lost = (words, *lost)
+    return lost
 
 
 def lost_parts(calibration: Calibration) -> tuple[str, ...]:

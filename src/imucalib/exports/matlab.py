@@ -11,7 +11,7 @@ from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.gyroscope import gyroscope_of
 from imucalib.exports import Export, Made
 from imucalib.exports.imus import late_of, losses_of, lost_of, places_of
-from imucalib.exports.linear import beyond_linear, lost_parts, nearest_linear
+from imucalib.exports.linear import lost_linear, nearest_linear
 
 
 def matlab(calibration: Calibration, filename: str) -> Made:
@@ -30,9 +30,8 @@ def matlab(calibration: Calibration, filename: str) -> Made:
 
 
 def _of_one(calibration: Calibration) -> Made:
-    linear, lost = nearest_linear(calibration), lost_parts(calibration)
-    if names := beyond_linear(calibration):
-        lost = (f"{names}: {linear.mean:.2f} mg on average, {linear.worst:.2f} mg at most", *lost)
+    linear = nearest_linear(calibration)
+    lost = lost_linear(calibration, linear)
     text = f"M = {_matrix(linear.M)};\nb = {_matrix(linear.b[:, None])};"
     gyro = gyroscope_of(calibration)
     if gyro is not None:
