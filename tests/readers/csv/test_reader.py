@@ -317,7 +317,7 @@ cells = st.one_of(
 def expected(cell: str) -> float | None:
     """What a cell is worth; None for one that is neither a number nor blank."""
     cell = cell.strip()
-    if re.fullmatch(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", cell, re.ASCII):
+    if re.fullmatch(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", cell):
         number = float(cell)
         return number if np.isfinite(number) else np.nan
     return np.nan if is_blank(cell) else None
