@@ -26,7 +26,7 @@ from imucalib.calibrators.array.estimate.total import (
     total_of,
 )
 from imucalib.calibrators.array.findings import residual_in_motion
-from imucalib.calibrators.array.linear_part import GYRO_FRAME, LinearPart, linear_part
+from imucalib.calibrators.array.linear_part import GYRO_FRAME, linear_part
 from imucalib.calibrators.array.log import ArrayLog, array_log, of_board
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop, close_array_loop
 from imucalib.calibrators.array.loop.motion import board_motion
@@ -128,7 +128,9 @@ def _stated(
         state=state,
         searched=loop is not None,
     )
-    linear = _linear(state, moving, searched=loop is not None)
+    linear = None if state is None else linear_part(state)
+    if linear is not None and loop is None:  # of gyros that were made like their mean
+        linear = replace(linear, gyro_gain=moving.gyros.gain @ linear.gyro_gain)
     gyros = scale_by_turns(
         laid.log,
         laid.segments,
@@ -239,16 +241,6 @@ def _fitted(moving: Moving, rests: RestFit, board: Board, request: ArrayRequest)
         asked=replace(request.asked, search=request.loop),
     )
     return _Fit(with_rests(loop, rests.loop), loop.final, None)
-
-
-def _linear(state: ArrayState | None, moving: Moving, *, searched: bool) -> LinearPart | None:
-    """What the motion says of the gyros' gains, with its search or without."""
-    if state is None:
-        return None
-    found = linear_part(state)
-    if searched:
-        return found
-    return replace(found, gyro_gain=moving.gyros.gain @ found.gyro_gain)
 
 
 def _held_against_rests(loop: MotionLoop, laid: _Laid, rests: RestFit) -> MotionLoop:
