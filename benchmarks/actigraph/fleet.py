@@ -31,8 +31,8 @@ from imucalib.calibrators.actigraph.errors import norm_sd
 from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.run import run_of
 from imucalib.calibrators.actigraph.simulation import postures, scan_of
-from imucalib.calibrators.population import Population, read, to_yaml
-from imucalib.cohort.fleet.recorded.run import Wanted, run_recorded
+from imucalib.calibrators.population import UNLIKELY, Population, read, to_yaml
+from imucalib.cohort.fleet.recorded import Wanted, run_recorded
 from imucalib.core.effect import Context
 from imucalib.core.sphere import even_directions
 from imucalib.effects import named
@@ -217,7 +217,7 @@ def trial(one: Device, count: int, told: Population, rng: np.random.Generator) -
     truth = np.concatenate([now.bias, np.diag(matrix) - 1.0, matrix[[1, 2, 2], [0, 0, 1]]])
     sds = [float(norm_sd(f, even_directions()).max()) / MG for f in (alone, fit)]
     z = (fit.theta[:9] - truth) / fit.sd[:9]
-    return [now.error(alone), now.error(fit), *sds, z, result.of_a_kind.contradicted]
+    return [now.error(alone), now.error(fit), *sds, z, result.of_a_kind.chance < UNLIKELY]
 
 
 def cost(devices: int, folder: Path) -> None:

@@ -16,6 +16,7 @@ import subprocess
 import sys
 import tempfile
 import warnings
+from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
@@ -32,14 +33,15 @@ PACKAGES = {"skdh": "scikit-digital-health"}
 
 def sphere_error(gain: Array, offset: Array) -> float:
     """Mean | |gain @ reading + offset| - 1 | in mg over the sphere; readings of the sensor in g."""
-    from imucalib.calibrators.actigraph.simulation import WeekPlan, planted
+    from imucalib.calibrators.actigraph.simulation import SENSOR
+    from imucalib.calibrators.planted import planted_model
     from imucalib.core.effect import Context
 
     rng = np.random.default_rng(0)
     truth = rng.standard_normal((20000, 3))
     truth *= G / np.linalg.norm(truth, axis=1, keepdims=True)
     context = Context(len(truth))
-    model, theta = planted(WeekPlan(), context)
+    model, theta = planted_model(SENSOR, context)
     reading = model.predict(theta, truth[:, None], context).reading[:, 0] / G
     size = np.linalg.norm(reading @ gain.T + offset, axis=1)
     return float(1e3 * np.abs(size - 1.0).mean())
@@ -142,7 +144,8 @@ def detection(path: Path, rate: float) -> dict[str, Any]:
     builder.add(Channel(t, values, "m/s2", "acceleration", "imu0", rate), [])
     windows = builder.windows()
     assert windows is not None
-    decision = fastest(lambda: still_windows(Sensor("imu0", "acceleration", rate, windows), WORN))
+    sensor = Sensor("imu0", "acceleration", rate, windows, WORN)
+    decision = fastest(lambda: still_windows(replace(sensor)))
     return {"once": once, "statistics": statistics, "decision": decision}
 
 

@@ -19,7 +19,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from imucalib.calibrators.actigraph.simulation import WeekPlan, simulated_blocks
+from imucalib.calibrators.actigraph.simulation import WeekPlan, worn_blocks
 
 
 def make(path: Path, days: float, rate: float) -> None:
@@ -30,7 +30,7 @@ def make(path: Path, days: float, rate: float) -> None:
         data.attrs["unit"] = "g"
         data.attrs["sample_rate"] = rate
         at = 0
-        for block in simulated_blocks(WeekPlan(days=days, rate=rate), 1):
+        for block in worn_blocks(WeekPlan(days=days, rate=rate, temperature=False), 1):
             values = block.channels["imu0/acceleration"].values / 9.80665
             data[at : at + len(values)] = values
             at += len(values)

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from samples import MotionPlan, simulated_samples
 
 from imucalib.calibrators.array.board import read_board
-from imucalib.calibrators.array.simulation import MotionPlan, simulated_samples
 from imucalib.estimators.array.problem import ArrayData, ArrayPrior
 from imucalib.estimators.array.sampler import ArrayPositions, sample_positions
 from imucalib.estimators.markov.convergence import autocorrelation

@@ -25,10 +25,10 @@ from fused import (
     moving,
 )
 
-from imucalib.calibrators.array.fused.fuse import Fused, Stretch
-from imucalib.calibrators.array.fused.instrument import Instrument, no_biases
+from imucalib.calibrators.array.fused.fuse import Fused
+from imucalib.calibrators.array.fused.instrument import Instrument, Stretch, no_biases
 from imucalib.calibrators.array.fused.noise import ChipNoise
-from imucalib.calibrators.array.fused.recording import Told, fused_stretch
+from imucalib.calibrators.array.fused.recording import fused_stretch
 from imucalib.calibrators.array.fused.survey import Survey, ages
 
 CASES = {
@@ -80,7 +80,7 @@ def main() -> None:
     for old, new in (("exp_1", "exp_5"), ("exp_4", "exp_2")):
         calibration = calibration_of(options.data, old, options.calibrations)
         found, stretch = looked_at(calibration, options.data / f"{new}.h5")
-        fused = fused_stretch(found, stretch, Told())
+        fused = fused_stretch(found, stretch)
         rows, true, late = moving(fused), fused.motion, delay_of(found)
         told(f"{old}, {new}, measured", found, stretch, fused, rows)
         print("|", flush=True)
@@ -98,7 +98,7 @@ def main() -> None:
             rate = true.rate[:, None] + np.matmul(by, true.spin[:, None, :, None])[..., 0]
             made = Stretch(stretch.t, true.felt(plain.r) + shaken, rate + turned)
             seen = replace(found, instrument=plain, noise=(noise[0], noise[1]))
-            again = fused_stretch(seen, made, Told())
+            again = fused_stretch(seen, made)
             told(label, seen, made, again, rows)
             off = (again.motion.rate - true.rate - late * (again.motion.spin - true.spin))[rows]
             ideal = turned[rows] / np.sqrt(8.0)

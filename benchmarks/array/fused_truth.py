@@ -14,9 +14,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.calibrators.array.fused.fuse import Stretch
-from imucalib.calibrators.array.fused.instrument import instrument_of
-from imucalib.calibrators.array.fused.recording import Told, fused_stretch
+from imucalib.calibrators.array.fused.instrument import Stretch, instrument_of
+from imucalib.calibrators.array.fused.recording import fused_stretch
 from imucalib.calibrators.array.fused.survey import survey
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
@@ -51,7 +50,7 @@ def errors(
     motion = moves(rng, still=STILL, moving=MOVING, hz=HZ, twist=twist)
     read = readings(made, motion, rng)
     found = survey([recording(made, motion.t, *read)], instrument_of(calibration(made)))
-    fused = fused_stretch(found, Stretch(motion.t, *read), Told())
+    fused = fused_stretch(found, Stretch(motion.t, *read))
     at = found.instrument.at[None]
     force = motion.force + np.cross(motion.rate, np.cross(motion.rate, at))
     force = force + np.cross(motion.spin, at)

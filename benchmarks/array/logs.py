@@ -15,7 +15,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
 from imucalib.calibrators.array.board import read_board
 from imucalib.calibrators.array.calibrate import calibrate_array
-from imucalib.calibrators.array.logs.pooled import Pooled, pooled
+from imucalib.calibrators.array.logs import Pooled, pooled
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.readers import read
 from worlds.boards import BoardPlan, board_log, made_board

@@ -48,8 +48,9 @@ def main() -> None:
 
 
 def compare(samples: int, options: argparse.Namespace) -> None:
+    from samples import MotionPlan, simulated_samples
+
     from imucalib.calibrators.array.board import read_board
-    from imucalib.calibrators.array.simulation import MotionPlan, simulated_samples
     from imucalib.estimators.array.problem import ArrayPrior
     from imucalib.estimators.array.sampler import sample_positions
     from imucalib.estimators.markov.hmc import Stop

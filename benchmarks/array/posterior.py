@@ -9,9 +9,9 @@ import sys
 import time
 
 import numpy as np
+from samples import MotionPlan, simulated_samples
 
 from imucalib.calibrators.array.board import read_board
-from imucalib.calibrators.array.simulation import MotionPlan, simulated_samples
 from imucalib.errors import ImucalError
 from imucalib.estimators.array.problem import ArrayPrior
 from imucalib.estimators.array.sampler import sample_positions, scale_of

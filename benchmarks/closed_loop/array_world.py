@@ -192,8 +192,7 @@ def _ready(recording: Recording) -> tuple[Setup, tuple[Term, ...]]:
     recording, board = of_board(recording, BOARD)
     segments = still_segments(recording)
     log = array_log(recording, board)
-    order = [segments.triads.index(name) for name in board.imus]
-    rests = fit_rests(segments, board, order, STANDARD_GRAVITY)
+    rests = fit_rests(segments, board, STANDARD_GRAVITY)
     setup = array_setup(moving_part(log, rests), board, SAMPLES, robust=True)
     assert setup is not None
     return setup, rest_terms(rests)

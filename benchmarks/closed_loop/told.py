@@ -98,7 +98,7 @@ def corrected(folder: Path, reading: Array, known: dict[str, Array]) -> tuple[Ar
 
     calibration = imucalib.load(folder / "calibration.yaml")
     names = set(calibration.valid)
-    rest = calibration.usual(len(reading))
+    rest = calibration.context(len(reading)).covariates
     context = Context(len(reading), {**rest, **{n: v for n, v in known.items() if n in names}})
 
     def at(values: Array) -> Array:

@@ -19,16 +19,30 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.calibration.uncertainty import angle_uncertainty, corrected_by
+from imucalib.calibration.uncertainty import angle_uncertainty, corrected_by, correcting
 from imucalib.calibrators.lab.bench import position_observations
-from imucalib.calibrators.lab.calibrate import LabSettings, calibrate
+from imucalib.calibrators.lab.calibrate import calibrate
 from imucalib.calibrators.lab.conventions import Conventions
-from imucalib.calibrators.lab.simulation import BenchPlan, planted_truth, simulated_table
+from imucalib.calibrators.lab.request import LabRequest
+from imucalib.calibrators.lab.simulation import SENSOR, BenchPlan, simulated_table
+from imucalib.calibrators.planted import planted_model
+from imucalib.core.effect import Context
+from imucalib.core.observations import Observations
 from imucalib.core.references import angles_of, unit_vector
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
 OFFSET = 1.0  # deg, the planted inclination offset
+
+
+def planted_truth(plan: BenchPlan, data: Observations, force: Array) -> Array:
+    """Noise-free readings (n, 3) m/s² of the planted sensor at specific forces (n, 3) m/s²."""
+    model, theta = planted_model({**SENSOR, **plan.plant}, data.context)
+    slices = model.slices(data.context)
+    sensor = correcting(model)
+    own = np.concatenate([theta[slices[name]] for name in sensor.names])
+    covariates = {k: np.full(len(force), np.median(v)) for k, v in data.context.covariates.items()}
+    return sensor.predict(own, force[:, None], Context(len(force), covariates)).reading[:, 0]
 
 
 @dataclass(frozen=True)
@@ -52,7 +66,7 @@ def one(job: tuple[int, float]) -> Bench:
     table = simulated_table(plan, rng)
     data = position_observations(table, table.raw() * MG, Conventions(), STANDARD_GRAVITY)
     start = time.process_time()
-    result = calibrate(data, LabSettings())
+    result = calibrate(data, LabRequest())
     seconds = time.process_time() - start
     loop, fit = result.loop, result.final
     assert loop is not None

@@ -16,7 +16,6 @@ import sys
 import numpy as np
 
 from imucalib.calibration.uncertainty import corrected_by, force_slope
-from imucalib.calibrators.lab.calibrate import LabSettings
 from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import run_lab
@@ -89,7 +88,7 @@ def judged(
     """Whether each component holds, its z and error (m/s²), and the exit code."""
     rng = np.random.default_rng([seed, list(KINDS).index(kind)])
     table, reference, gain, bias = sheet(kind, rng, usual)
-    request = LabRequest(reference=reference, gravity=G, settings=LabSettings(loop=loop))
+    request = LabRequest(reference=reference, gravity=G, loop=loop)
     run = run_lab(table, request)
     fit = run.result.final
     force = rng.normal(size=(40, 3))

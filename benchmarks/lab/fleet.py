@@ -74,9 +74,8 @@ def power(fleets: int, devices: int, strength: float, folder: Path) -> None:
             found += bool(steps)
             names = {n for one in steps for n in (one.effect, *one.rivals)}
             right += "quadratic" in names
-            settings = replace(REQUEST.settings, only=("quadratic",))
             own = run_fleet(
-                [LabFiles(p) for p in paths], replace(REQUEST, settings=settings),
+                [LabFiles(p) for p in paths], replace(REQUEST, only=("quadratic",)),
                 Rules(alpha=1.0, draws=99), lambda _: None,
             )  # fmt: skip
             if planted and own.search.found:
@@ -97,7 +96,7 @@ def cost(devices: int, folder: Path) -> None:
     paths = [folder / f"{k}.csv" for k in range(devices)]
     for path in paths:
         device(rng, 1.0, path)
-    alone = replace(REQUEST, settings=replace(REQUEST.settings, loop=False))
+    alone = replace(REQUEST, loop=False)
     start = time.process_time()
     for path in paths:
         calibrate_files(LabFiles(path), alone, lambda _: None)

@@ -37,7 +37,7 @@ ALPHA, TRUTH, DOF = 0.04, "quadratic", 15.0
 def devices_of(count: int, folder: Path) -> list[Device]:
     """Products of all candidates; the data themselves are drawn anew."""
     rng = np.random.default_rng(1)
-    alone = replace(REQUEST, settings=replace(REQUEST.settings, loop=False))
+    alone = replace(REQUEST, loop=False)
     effects = searched((), (), {}).effects
     found = []
     for k in range(count):

@@ -82,9 +82,8 @@ def device(rng: np.random.Generator, kind: str) -> Device:
 
 def calibrated(path: Path, kind: Population | None, train: tuple[int, ...] = ()) -> LabRun:
     """With a fleet's word, or alone without a search."""
-    settings = replace(REQUEST.settings, population=kind, loop=False)
     return calibrate_files(
-        LabFiles(path), replace(REQUEST, settings=settings, train=train), lambda _: None
+        LabFiles(path), replace(REQUEST, population=kind, loop=False, train=train), lambda _: None
     )
 
 
@@ -111,7 +110,7 @@ def simulated(fleets: int, devices: int, following: int, folder: Path) -> None:
                 ]
                 beside.append([one.error(r.final) for r in runs])
                 z.append(one.z(runs[0].final))
-                strange.append(runs[0].strange < 0.01)
+                strange.append(runs[0].kind_chance < 0.01)
                 alone.append(one.error(calibrated(folder / "new.csv", None).result.final))
         rms = np.sqrt(np.mean(np.square(beside), axis=0))
         cells = " | ".join(f"{v:.2f} mg" for v in rms)

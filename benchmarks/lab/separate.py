@@ -28,8 +28,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucalib.calibration.calibration import from_fit
-from imucalib.calibrators.lab.calibrate import LabSettings, base_model
+from imucalib.calibrators.lab.calibrate import base_model
 from imucalib.calibrators.lab.errors import setting_noise
+from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.next_recording import (
     Rests,
     pool_of,
@@ -140,9 +141,9 @@ def observed(kind: str, table: Table) -> Observations:
 
 def search(kind: str, table: Table) -> FitLoop:
     data = observed(kind, table)
-    settings = LabSettings(without=("cross_axis",) if kind == "norm" else ())
-    model = base_model(settings, data)
-    wanted = searched((), settings.without, {})
+    request = LabRequest(without=("cross_axis",) if kind == "norm" else ())
+    model = base_model(request, data)
+    wanted = searched((), request.without, {})
     start = full_matrix_start(model, data)
     return close_loop(model, data, wanted, start).loop
 

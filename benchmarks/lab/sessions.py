@@ -53,7 +53,7 @@ def device(
 def run(devices: int, sessions: int, scatter: tuple[float, ...], folder: Path) -> None:
     """One line of what the devices' next power-ups were beside what was stated."""
     request = LabRequest()
-    request = replace(request, settings=replace(request.settings, loop=False))
+    request = replace(request, loop=False)
     z, inside, own = [], [], []
     for seed in range(devices):
         rows, bias, _ = device(np.random.default_rng((seed, sessions)), sessions, scatter)

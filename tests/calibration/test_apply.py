@@ -24,8 +24,7 @@ from imucalib.calibration.undo import Undo
 from imucalib.calibrators.actigraph.observations import NINE
 from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.run import run_of
-from imucalib.calibrators.actigraph.simulation import SENSOR, WeekPlan, simulated_week
-from imucalib.calibrators.lab.calibrate import LabSettings
+from imucalib.calibrators.actigraph.simulation import SENSOR
 from imucalib.calibrators.lab.position_table import read_position_table
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import run_lab
@@ -47,19 +46,14 @@ from imucalib.rests.thermal import (
 )
 from imucalib.units import MG, STANDARD_GRAVITY
 from worlds.sheets import Sheet, direction
+from worlds.week import WeekPlan, simulated_week
 
 Array = NDArray[np.float64]
 
 
 G = STANDARD_GRAVITY
-
-
 MODEL = Model(tuple(named(name) for name in NINE))
-
-
 SECONDS = FieldMapping(time_unit="s")
-
-
 THETA = np.concatenate([SENSOR[name] for name in NINE])
 
 
@@ -237,11 +231,7 @@ def test_each_sample_gets_the_part_valid_at_its_time(stepped: tuple[Path, Calibr
 
 
 T = np.arange(6000.0)
-
-
 WARM = 30.0 + 2.0 * np.sin(T / 1500.0)
-
-
 PER_DEGREE = np.array([1.5, -2.0, 1.0])
 
 
@@ -343,11 +333,7 @@ def test_a_thermometer_that_seldom_answers_is_as_none() -> None:
 
 
 UNDO_NINE = ("bias", "scale", "non_orthogonality")
-
-
 TEMPERATURE = ("temperature_bias", "temperature_scale")
-
-
 SETS = [
     UNDO_NINE,
     (*UNDO_NINE, "converter@y"),
@@ -420,11 +406,11 @@ def test_hysteresis_is_left_out_with_its_size() -> None:
     span = {f"previous_{a}": (-9.8, 9.8) for a in "xyz"}
     found = apply_to_recording(undo_calibration((*UNDO_NINE, "hysteresis"), span), recorded(50))
     (note,) = [n for n in found.notes if "hysteresis" in n]
-    model, theta = sensor((*UNDO_NINE, "hysteresis"))
+    theta = sensor((*UNDO_NINE, "hysteresis"))[1]
     largest = float(np.linalg.norm(theta[-3:]))  # mg/g at 1 g on every axis
     size = float(note.partition("up to ")[2].partition(" mg")[0])
     assert size == pytest.approx(largest, rel=0.05)
-    without = model.minus("hysteresis").correct(
+    without = sensor(UNDO_NINE)[0].correct(
         theta[:-3], recorded(50).channels["acc"].values[:, None], Context(50)
     )
     assert np.allclose(found.channels["acc"].values, without[:, 0], atol=1e-6)
@@ -490,8 +476,7 @@ def later_readings_calibrated(declared: str, course: Array, folder: Path) -> Cal
     reading = 1000.0 * direction(i, t) + BIAS + course[:, None] * CHANGE
     reading = reading + 0.05 * rng.standard_normal((36, 3))
     path = Sheet(i, t, reading).write(folder / "sheet.csv")
-    settings = LabSettings(loop=False, declare=(declared,))
-    request = LabRequest(unit="mg", settings=settings, seed=0)
+    request = LabRequest(unit="mg", loop=False, declare=(declared,))
     return run_lab(read_position_table(path), request).calibration
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import cache
 from io import StringIO
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from ruamel.yaml import YAML
 from imucalib.calibration.calibration import Calibration, StoredParameter, from_fit
 from imucalib.calibration.file import as_dict, check, from_dict, read, to_yaml, write
 from imucalib.calibration.findings import Findings
-from imucalib.calibration.outcome import ErrorSummary, Gate, HeldOutError, Outcome, open_question
+from imucalib.calibration.outcome import ErrorSummary, Gate, HeldOutError, Outcome, left_open
 from imucalib.calibration.provenance import provenance_of
 from imucalib.core.effect import Context
 from imucalib.core.fit import Fit
@@ -28,6 +29,7 @@ from imucalib.errors import NotConverged, UnreadableInput
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.loop.found import Unexplained
 from imucalib.recording.yaml_text import dump
+from imucalib.units import MG
 from worlds.bench import GRAVITY, base_model, bench, draw, ordinary_theta
 
 FACTS: dict[str, Any] = {
@@ -230,14 +232,12 @@ def test_an_interrupted_write_leaves_nothing(
 
 
 ERROR = ErrorSummary("error, rms", "mg", 9.0, 3.0, 1.0, 0.5, HeldOutError(9.0, 3.0, 2.0))
-
-
 NAMELESS = Unexplained("slow changes", "order", "probe", 0.99, 9.0)
 
 
 def outcome(findings: Findings, size: float = 0.0) -> Outcome:
     made = provenance_of(path="t", sha256="", samples=3, mapping={}, settings={})
-    left = (open_question(size, ERROR),) if size else ()
+    left = left_open(SimpleNamespace(open_size=MG * size), ERROR)  # type: ignore[arg-type]
     return Outcome("lab", (ERROR,), made, findings, left=left)
 
 

@@ -8,15 +8,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from numpy.typing import NDArray
 from scipy.stats import binom
 
-from imucalib import cli
 from imucalib.calibration import power
 from imucalib.calibration.angles import angles_at_rests, angles_of_samples
 from imucalib.calibration.calibration import Calibration, StoredParameter, matrices
-from imucalib.calibration.file import read as read_calibration
 from imucalib.calibration.uncertainty import angle_uncertainty, correcting, force_slope
 from imucalib.core.effect import Context
 from imucalib.core.fit import Fit
@@ -28,16 +25,6 @@ from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.rests.segments import Segments
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
 from worlds.bench import GRAVITY, NINE, base_model, bench, draw, ordinary_theta, tumble
-from worlds.places import SAMPLES
-
-
-@pytest.fixture(scope="module")
-def calibration(tmp_path_factory: pytest.TempPathFactory) -> Calibration:
-    out = tmp_path_factory.mktemp("lab")
-    arguments = ["lab", str(SAMPLES / "positions.csv"), "--recording", str(SAMPLES / "rests.mcap"),
-                 "-o", str(out), "--no-loop", "-q"]  # fmt: skip
-    CliRunner().invoke(cli.cli, arguments, standalone_mode=False)
-    return read_calibration(out / "calibration.yaml")
 
 
 def angles(force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -76,9 +63,9 @@ def rests_in(ways: np.ndarray, samples: int = 25) -> tuple[Segments, np.ndarray]
     nothing = np.zeros((n, 1, 3))
     return Segments(
         start=10.0 * np.arange(n), stop=10.0 * np.arange(n) + 4.0, triads=("imu0",), first=first,
-        last=first + samples, samples=np.full((n, 1), samples), mean=nothing, variance=nothing,
+        last=first + samples, samples=np.full((n, 1), samples), mean=nothing,
         rate=nothing, temperature=np.zeros((n, 1)), noise=np.array([[1.0, 2.0, 3.0]]) * MG,
-        rate_noise=np.zeros((1, 3)), step=np.zeros((1, 3)), rate_step=np.zeros((1, 3)), moving=0.0,
+        rate_noise=np.zeros((1, 3)), step=np.zeros((1, 3)), rate_step=np.zeros((1, 3)),
     ), force  # fmt: skip
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imucalib.calibrators.population import Population, Told, ToldNoise, read, to_yaml
+from imucalib.calibrators.population import Population, PriorNoise, PriorParameter, read, to_yaml
 from imucalib.errors import UnreadableInput
 from options.outcome import Outcome, run
 from worlds.bench import base_model, tumble
@@ -17,9 +17,12 @@ KIND = Population(
     devices=7,
     reference="norm",
     effects=("quadratic",),
-    parameters=(Told("bias_x", "mg", 3.0, 2.0), Told("scale_y", "1", 0.01, 0.002)),
+    parameters=(
+        PriorParameter("bias_x", "mg", 3.0, 2.0),
+        PriorParameter("scale_y", "1", 0.01, 0.002),
+    ),
     covariance=np.array([[4.0, 0.001], [0.001, 4e-6]]),
-    noise=(ToldNoise("reading", 0.02, 0.3),),
+    noise=(PriorNoise("reading", 0.02, 0.3),),
 )
 
 

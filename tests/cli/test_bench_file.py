@@ -19,7 +19,7 @@ import imucalib
 from imucalib import cli
 from imucalib.calibration.calibration import from_fit
 from imucalib.calibration.findings import findings_of
-from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Limit, Outcome, Run, quality_of
+from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Limit, Outcome, Run
 from imucalib.calibration.provenance import provenance_of
 from imucalib.cli.calibrating import Shared, calibrating, finish, shared_of
 from imucalib.cohort.entries import Entry, rows
@@ -120,7 +120,7 @@ def toy_run(path: Path, asked: Shared) -> Run:
         provenance=provenance_of(path=str(path), sha256="", samples=n, mapping={}, settings={},
                                  seed=asked.seed, command=asked.command),
         findings=findings_of(loop),
-        quality=quality_of(final),
+        fit=final,
         limits=tuple(Limit(k, out[1], v, "mg") for k, v in asked.limits.items()),
     )  # fmt: skip
     calibration = from_fit(

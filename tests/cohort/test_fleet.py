@@ -82,7 +82,7 @@ def test_what_no_device_shows_alone_is_found_in_all(eight: Fleet) -> None:
 @pytest.mark.slow
 def test_each_device_has_its_own_size_with_its_doubt(tmp_path: Path) -> None:
     planted = squares(8, 2.0)
-    request = replace(REQUEST, settings=replace(REQUEST.settings, only=("quadratic",)))
+    request = replace(REQUEST, only=("quadratic",))
     paths = [write(tmp_path / f"d{k}.csv", q, 100 + k) for k, q in enumerate(planted)]
     found = run_fleet([LabFiles(p) for p in paths], request, RULES, lambda _: None)
     z = []
@@ -98,8 +98,7 @@ def test_devices_by_directions_are_a_fleet_too(tmp_path: Path) -> None:
     """Where each row's direction is known, a device has a mounting too, and squares are found."""
     paths = [write(tmp_path / f"d{k}.csv", q, 100 + k, directed=True)
              for k, q in enumerate(squares(4, 6.0))]  # fmt: skip
-    settings = replace(REQUEST.settings, only=("quadratic",))
-    request = replace(REQUEST, reference="direction", settings=settings)
+    request = replace(REQUEST, reference="direction", only=("quadratic",))
     found = run_fleet([LabFiles(p) for p in paths], request, RULES, lambda _: None)
     assert [f.effect for f in found.search.found] == ["quadratic"]
     for member, truth in zip(found.members, squares(4, 6.0), strict=True):

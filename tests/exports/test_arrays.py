@@ -16,8 +16,9 @@ import pytest
 from numpy.typing import NDArray
 
 from imucalib.calibration.calibration import Calibration
-from imucalib.errors import UnreadableInput, UsageError
+from imucalib.errors import LimitBroken, UnreadableInput, UsageError
 from imucalib.exports import exported
+from imucalib.exports.bound import demand_carried
 from imucalib.exports.imus import with_noise, with_walks
 from worlds.rigid_board import DEG, Board, G, Moves, board, calibration, readings
 from worlds.targets import by_kalibr, by_opencv
@@ -58,7 +59,7 @@ def plain(made: Board) -> Calibration:
 
 def loaded(made: Board, form: str) -> dict[str, Any]:
     """By IMU what its target reads of its file."""
-    files = exported(with_walks(plain(made), 1e-3, 2e-5), "log.mcap", form).made.files
+    files = exported(with_walks(plain(made), 1e-3, 2e-5), "log.mcap", form).files
     assert list(files) == [t.name for t in plain(made).triads]
     for text in files.values():
         assert "log.mcap" in text
@@ -127,7 +128,7 @@ def test_noise_is_what_was_measured(made: Board, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="needs gyroscope_random_walk of"):
         exported(with_noise(plain(made), path), "log.mcap", "kalibr")
     path.write_text(path.read_text() + "gyroscope_random_walk_at_most: 2.0e-5\n")
-    for text in exported(with_noise(plain(made), path), "log.mcap", "kalibr").made.files.values():
+    for text in exported(with_noise(plain(made), path), "log.mcap", "kalibr").files.values():
         block = by_kalibr(text)
         assert block["accelerometer_random_walk"] == 1.5e-4
         assert block["update_rate"] == 200.0
@@ -242,3 +243,39 @@ def test_left_handed_sensors_and_single_ones_are_refused(made: Board, form: str)
         exported(replace(whole, triads=(mirrored, *whole.triads[1:])), "x", form)
     with pytest.raises(UsageError, match="one accelerometer"):
         exported(replace(whole, triads=(), calibrator="lab"), "x", form)
+
+
+@pytest.mark.parametrize("effect", ["gyro_cubic", "gyro_delay"])
+def test_of_an_array_the_rates_of_motion_count(effect: str) -> None:
+    whole = calibration(board(np.random.default_rng(0), chips=3))
+    rate = {"unit": "deg/s", "final": 0.5, "held_out": {"final": 0.4}}
+    facts = {"not_undone": [{"effect": effect, "rms": 9.0, "unit": "deg/s"}], "errors": [rate]}
+    known = with_walks(replace(whole, facts={**whole.facts, "sample_interval_s": 0.01, **facts}),
+                       1e-3, 2e-5)  # fmt: skip
+    for form in ("c-header", "kalibr", "openvins"):
+        made = exported(known, "x", form)
+        assert (made.loss, made.rate_loss) == (0.0, 9.0)
+        with pytest.raises(LimitBroken, match=r"9 deg/s, more than 1.2.*--largest-loss 0,9`"):
+            demand_carried(made, form, known, None)
+        demand_carried(made, form, known, 0.0, 9.0)
+        with pytest.raises(LimitBroken):
+            demand_carried(made, form, known, None, 8.9)
+    # A frame loses no reading, and the script holds the delay.
+    assert exported(known, "x", "urdf").rate_loss == 0.0
+    held = exported(known, "x", "matlab").rate_loss
+    assert held == (0.0 if effect == "gyro_delay" else 9.0)
+
+
+def test_of_an_array_the_forces_of_motion_count() -> None:
+    whole = calibration(board(np.random.default_rng(0), chips=3))
+    facts = {"not_undone": [{"effect": "sensing_elements", "rms": 0.3, "unit": "m/s²"},
+                            {"effect": "gyro_cubic", "rms": 9.0, "unit": "deg/s"}],
+             "errors": [{"unit": "m/s²", "final": 0.05, "held_out": {"final": 0.05}}]}  # fmt: skip
+    facts = {**whole.facts, "sample_interval_s": 0.01, **facts}
+    known = with_walks(replace(whole, facts=facts), 1e-3, 2e-5)
+    loss = {f: exported(known, "x", f).loss for f in ("kalibr", "urdf", "c-header", "matlab")}
+    # Kalibr has a place for the elements, a frame none for any of it.
+    assert loss["kalibr"] == loss["urdf"] == 0.0
+    assert loss["c-header"] == loss["matlab"] == pytest.approx(0.3 / (1e-3 * G))
+    with pytest.raises(LimitBroken, match="sensing_elements"):
+        demand_carried(exported(known, "x", "c-header"), "c-header", known, None)

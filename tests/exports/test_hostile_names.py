@@ -105,7 +105,7 @@ def _made(loaded: Calibration, source: str = "log.csv") -> Iterator[tuple[str, s
             made = exported(noisy, source, form.name)
         except (UsageError, UnreadableInput):  # it cannot hold such a calibration
             continue
-        for text in made.made.files.values() or (made.text,):
+        for text in made.files.values() or (made.text,):
             yield made.file, text
 
 

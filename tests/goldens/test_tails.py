@@ -69,8 +69,7 @@ def test_a_check_has_the_tail_of_f() -> None:
         value[0] = 0.3 * np.sqrt(rank * f)
         misfits = Misfits(
             value=value,
-            reading=Part(0.09 * np.eye(n), dof),
-            setting={},
+            noise={"reading": Part(0.09 * np.eye(n), dof)},
             session={},
             jacobian=np.zeros((n, 1)),
             parameters=np.zeros((1, 1)),

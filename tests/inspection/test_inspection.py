@@ -23,7 +23,7 @@ from worlds.places import ROOT
 RATE = 100.0
 
 
-def recording(unit: str = "m/s2") -> Recording:
+def recording() -> Recording:
     rng = np.random.default_rng(4)
     parts = []
     for k in range(4):
@@ -37,34 +37,22 @@ def recording(unit: str = "m/s2") -> Recording:
     t[50] = t[49]
     gyro = rng.normal([0.02, 0.0, 0.0], 0.001, (2400, 3))
     channels = {
-        "imu0/acceleration": Channel(t, values, unit, "acceleration", "imu0", RATE),
+        "imu0/acceleration": Channel(t, values, "m/s2", "acceleration", "imu0", RATE),
         "imu0/angular_rate": Channel(t, gyro, "rad/s", "angular_rate", "imu0", RATE),
     }
     gap = Gap(float(t[1199]), float(t[1200]), "no samples")
-    return Recording(
-        channels=channels,
-        path="f",
-        format="made",
-        sha256="ab",
-        start_ns=5,
-        gaps=(gap,),
-        notes=("a note",),
-        mapping={"acc": ["x"]},
-    )
+    about = {"gaps": (gap,), "notes": ("a note",), "mapping": {"acc": ["x"]}}
+    return Recording(channels, "f", "made", "ab", start_ns=5, **about)
 
 
 def test_facts() -> None:
     found = inspect_recording([recording()])
     acc, gyro = found.channels
-    assert (acc.samples, acc.unit, acc.clock.duplicates, acc.clock.back_steps) == (
-        2400,
-        "m/s2",
-        1,
-        0,
-    )
-    assert acc.clock.rate == pytest.approx(RATE)
-    assert acc.clock.longest_step == pytest.approx(3.01)
-    assert acc.clock.jitter < 1e-9
+    assert (acc.samples, acc.unit) == (2400, "m/s2")
+    assert (acc.duplicates, acc.back_steps) == (1, 0)
+    assert acc.rate == pytest.approx(RATE)
+    assert acc.longest_step == pytest.approx(3.01)
+    assert acc.jitter < 1e-9
     assert acc.norm_at_rest == pytest.approx(STANDARD_GRAVITY, rel=1e-3)
     np.testing.assert_allclose(acc.noise, 0.01, rtol=0.1)
     assert gyro.norm_at_rest == pytest.approx(0.02, rel=0.05)
@@ -94,9 +82,7 @@ def test_blocks_and_whole_agree(tmp_path: object) -> None:
     many = inspect_recording(readers.blocks(path, block_samples=100))
     for a, b in zip(one.channels, many.channels, strict=True):
         assert (a.name, a.samples, a.norm_at_rest) == (b.name, b.samples, b.norm_at_rest)
-        assert (a.clock.duplicates, a.clock.longest_step) == (
-            b.clock.duplicates, b.clock.longest_step,
-        )  # fmt: skip
+        assert (a.duplicates, a.longest_step) == (b.duplicates, b.longest_step)
         np.testing.assert_array_equal(a.low, b.low)
     assert one.gaps == many.gaps
 

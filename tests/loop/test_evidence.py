@@ -174,7 +174,7 @@ def terms() -> Terms:
 def dense(terms: Terms, point: Point) -> np.ndarray:
     """V of a point without a walk, component by component."""
     whole = np.eye(terms.order.size)
-    for factor, ratio in zip(terms.ways[point.sharing], point.ratio, strict=True):
+    for factor, ratio in zip(terms.sharings[point.sharing], point.ratio, strict=True):
         whole += ratio**2 * ((factor.few @ factor.few.T).toarray() + factor.many @ factor.many.T)
     return whole
 

@@ -21,14 +21,14 @@ from imucalib.loop.candidates import Searched, searched
 from imucalib.loop.posterior.catalogue import components_of, log_odds, log_set_prior, log_size_prior
 from imucalib.loop.posterior.closed import close_loop
 from imucalib.loop.posterior.explored import Explored, explored
-from imucalib.loop.posterior.gram import Grams, source_of, swept, without
+from imucalib.loop.posterior.gram import Grams, swept, without
 from imucalib.loop.posterior.odds import SIZES
 from imucalib.loop.posterior.problem import Problem, problem_of
 from imucalib.loop.posterior.recorded import Course, course_of, fit_at, recorded_grams, whitener
 from imucalib.loop.posterior.recording import close_recording, followed
 from imucalib.loop.posterior.solution import solved
 from imucalib.loop.posterior.space import search
-from imucalib.loop.posterior.words import told
+from imucalib.loop.posterior.words import concluded
 from imucalib.units import MG
 from worlds.bench import base_model
 
@@ -89,7 +89,7 @@ def test_the_evidence_is_that_of_the_joint_normal() -> None:
     n = len(problem.fit.at.owner)
     x, c = problem.columns[:n, : problem.base], problem.columns[:n, at]
     y = problem.columns[:n, -1]
-    whole = np.linalg.inv(source_of(grams).solves[0](np.eye(n)))
+    whole = np.linalg.inv(grams.solves[0](np.eye(n)))
 
     def density(v: np.ndarray) -> float:
         inverse = np.linalg.inv(v)
@@ -109,7 +109,7 @@ def test_rows_left_out_are_as_good_as_never_taken() -> None:
     rows = np.array([3, 7, 21])
     kept = swept(without(grams, problem, rows), problem.flat)
     n = len(problem.fit.at.owner)
-    inverse = source_of(grams).solves[0](np.eye(n))
+    inverse = grams.solves[0](np.eye(n))
     rest = np.setdiff1d(np.arange(n), np.flatnonzero(np.isin(problem.owner, rows)))
     alone = np.linalg.inv(np.linalg.inv(inverse)[np.ix_(rest, rest)])
     z = problem.columns[rest]
@@ -155,7 +155,7 @@ def test_the_mean_of_what_is_likely_against_a_clean_recording_is_one() -> None:
     problem, grams = one.problem, one.posterior.grams.of(np.array([0]))
     rng = np.random.default_rng(0)
     n = len(problem.fit.at.owner)
-    inverse = source_of(grams).solves[0](np.eye(n))
+    inverse = grams.solves[0](np.eye(n))
     lower = np.linalg.cholesky(np.linalg.inv(inverse))
     (j,) = (
         j for j, c in enumerate(problem.choices) if c.member.name == "quadratic" and c.at.size == 3
@@ -177,7 +177,7 @@ def test_the_mean_of_what_is_likely_against_a_clean_recording_is_one() -> None:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_a_clean_recording_lacks_nothing(seed: int) -> None:
-    assert not told(found(seed, 0.0).problem, found(seed, 0.0).posterior).places
+    assert not concluded(found(seed, 0.0).problem, found(seed, 0.0).posterior).places
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -214,7 +214,7 @@ def test_the_same_recording_gives_the_same_answer_in_any_order() -> None:
 
 def test_the_linear_solution_is_the_fit_where_all_is_linear() -> None:
     one = found()
-    said = told(one.problem, one.posterior).hypothesis
+    said = concluded(one.problem, one.posterior).hypothesis
     linear = solved(one.problem, one.posterior.grams, said)
     again = fit(linear.model, one.base.observations, start=linear.theta, shrink=linear.shrink)
     off = np.abs(again.theta - linear.theta) / np.sqrt(np.diag(linear.covariance))
@@ -223,7 +223,7 @@ def test_the_linear_solution_is_the_fit_where_all_is_linear() -> None:
 
 def test_fewer_choices_give_the_same_sets() -> None:
     one = found()
-    best = one.posterior.best
+    best = one.posterior.hypotheses[0]
     some = tuple(c for c in one.problem.choices if c.component in best.components)
     again = search(replace(one.problem, choices=some), one.posterior.grams)
     same = next(h for h in again.hypotheses if h.components == best.components)

@@ -10,7 +10,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from imucalib.calibrators.actigraph.simulation import WeekPlan, simulated_blocks
+from imucalib.calibrators.actigraph.simulation import WeekPlan
 from imucalib.calibrators.array.board import read_board
 from imucalib.calibrators.array.simulation import LogPlan, simulated_log
 from imucalib.readers import read
@@ -21,6 +21,7 @@ from options.inputs import TABLES, Make, Rows, rows, still
 from options.outcome import run
 from worlds.places import ROOT
 from worlds.turned_imu import Log, chip, turned
+from worlds.week import simulated_blocks
 
 G = 9.80665
 BOARD = """name: four

@@ -35,7 +35,7 @@ BEGINS: dict[str, tuple[str, ...]] = {
     "imu": ("imucalib.calibrators.imu.run.run_imu",),
     "fleet": (
         "imucalib.cohort.fleet.run.run_fleet",
-        "imucalib.cohort.fleet.recorded.run.run_recorded",
+        "imucalib.cohort.fleet.recorded.run_recorded",
     ),
 }
 #: What is printed, and where; and what only names other inputs, which have their own check sums.

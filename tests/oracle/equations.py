@@ -51,10 +51,14 @@ def page(path: Path = PAGE) -> dict[str, Entry]:
         if equation is None or listed is None:
             continue
         number = r"([-+.\de]+|inf)"
-        size = rf"`(\w+)` typical {number} \(at most {number}\) ?([^;]*)"
-        found = re.findall(size, listed[1])
-        units = {n: unit.strip() for n, _, _, unit in found}
-        typical, most = (tuple(float(row[k]) for row in found) for k in (1, 2))
+        size = rf"((?:`\w+`(?:, )?)+) typical {number} \(at most {number}\) ?([^;]*)"
+        found = [
+            (n, float(typical), float(most), unit.strip())
+            for names, typical, most, unit in re.findall(size, listed[1])
+            for n in re.findall(r"\w+", names)
+        ]
+        units = {n: unit for n, _, _, unit in found}
+        typical, most = (tuple(row[k] for row in found) for k in (1, 2))
         out[name] = Entry(name, equation[1], units, typical, most)
     return out
 

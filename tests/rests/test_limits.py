@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -10,15 +11,21 @@ import pytest
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests import windows
 from imucalib.rests.runs import two_ranges
-from imucalib.rests.segments import Segments, StillSettings, find_segments, still_segments
+from imucalib.rests.segments import Segments, find_segments, still_segments
+from imucalib.rests.stillness import StillSettings
 
+Array = np.ndarray
 RATE, G = 100.0, 9.80665
-
-
 MG = 1e-3 * G
 
 
-def recorded(values: np.ndarray, rate: np.ndarray | None = None) -> Recording:
+def shake(rng: np.random.Generator, seconds: float = 3.0) -> Array:
+    n = round(seconds * RATE)
+    bell = np.sin(np.pi * (np.arange(n) + 0.5) / n)[:, None]
+    return rng.normal(0, 4.0, (n, 3)) * bell + [0, 0, G]
+
+
+def recorded(values: Array, rate: Array | None = None) -> Recording:
     t = np.arange(len(values)) / RATE
     channels = {"imu0/acceleration": Channel(t, values, "m/s2", "acceleration", "imu0", RATE)}
     if rate is not None:
@@ -28,14 +35,12 @@ def recorded(values: np.ndarray, rate: np.ndarray | None = None) -> Recording:
 
 def bench(
     rng: np.random.Generator, lengths: list[float], noise: float = 2 * MG, pause: float = 3.0
-) -> tuple[np.ndarray, list[tuple[float, float]]]:
+) -> tuple[Array, list[tuple[float, float]]]:
     """Rests (s) in random attitudes between shakes of `pause` s; readings and planted spans."""
     parts, spans, at = [], [], 0
     for length in [*lengths, 0.0]:
-        n = round(pause * RATE)
-        bell = np.sin(np.pi * (np.arange(n) + 0.5) / n)[:, None]
-        parts.append(rng.normal(0, 4.0, (n, 3)) * bell + [0, 0, G])
-        direction = rng.normal(size=3)
+        parts.append(shake(rng, pause))
+        n, direction = len(parts[-1]), rng.normal(size=3)
         still = round(length * RATE)
         parts.append(np.tile(G * direction / np.linalg.norm(direction), (still, 1)))
         spans.append(((at + n) / RATE, (at + n + still) / RATE))
@@ -65,7 +70,7 @@ def test_rests_are_found_down_to_the_shortest(length: float, pause: float) -> No
         assert abs(found.stop[k] - b) < 0.12
 
 
-def middle_of(rng: np.random.Generator, change: np.ndarray, noise: float) -> np.ndarray:
+def middle_of(rng: np.random.Generator, change: Array, noise: float) -> Array:
     """Five-second rests with something slow among them, which moves across gravity."""
     rests, _ = bench(rng, [5.0] * 4, noise)
     others, _ = bench(rng, [5.0] * 4, noise)
@@ -100,16 +105,11 @@ def test_what_moves_slowly_is_no_rest(name: str, noise: float, gyroscope: bool) 
     assert "turning" in reasons(found, start, start + 60.0)
 
 
-def in_blocks(values: np.ndarray) -> list[Recording]:
+def in_blocks(values: Array) -> list[Recording]:
     channel = recorded(values).channels["imu0/acceleration"]
-    return [
-        Recording(
-            {"imu0/acceleration": Channel(channel.t[a:b], values[a:b], "m/s2", "acceleration",
-                                          "imu0", RATE)},
-            "made", "made", "",
-        )
-        for a, b in pairwise(range(0, len(values) + 1, 450))
-    ]  # fmt: skip
+    parts = pairwise(range(0, len(values) + 1, 450))
+    blocks = (replace(channel, t=channel.t[a:b], values=values[a:b]) for a, b in parts)
+    return [Recording({"imu0/acceleration": block}, "made", "made", "") for block in blocks]
 
 
 @pytest.mark.parametrize("most", [0, 1 << 24])
@@ -124,23 +124,6 @@ def test_a_long_recording_in_blocks_keeps_its_rests(
         assert a - 0.06 <= found.start[k] < a + (0.3 if most else 1.1)
         assert b + 0.06 >= found.stop[k] > b - (0.3 if most else 1.1)
     assert any("too long" in note for note in found.notes) == (not most)
-
-
-Array = np.ndarray
-
-
-def shake(rng: np.random.Generator, seconds: float = 3.0) -> Array:
-    n = round(seconds * RATE)
-    bell = np.sin(np.pi * (np.arange(n) + 0.5) / n)[:, None]
-    return rng.normal(0, 4.0, (n, 3)) * bell + [0, 0, G]
-
-
-def printed_limits_recorded(values: Array, rate: Array | None = None) -> Recording:
-    t = np.arange(len(values)) / RATE
-    channels = {"imu0/acceleration": Channel(t, values, "m/s2", "acceleration", "imu0", RATE)}
-    if rate is not None:
-        channels["imu0/angular_rate"] = Channel(t, rate, "rad/s", "angular_rate", "imu0", RATE)
-    return Recording(channels, "made", "made", "")
 
 
 def among_rests(middle: Array, noise: float, rests: int = 4) -> tuple[Array, float, float]:
@@ -169,29 +152,10 @@ def creeping(mg: float, seconds: float) -> Array:
     return np.stack([ramp, 0 * ramp, np.full(n, G)], axis=1)
 
 
-@pytest.mark.parametrize(
-    ("mg", "seconds", "reason"),
-    [
-        (4.6, 60.0, ""),  # 0.3 deg of gravity are 5.1 mg
-        (6.6, 60.0, "turning"),
-        (6.2, 1200.0, ""),  # and 0.1 mg a minute of warming: 7.1 mg in twenty minutes
-        (8.0, 1200.0, "turning"),
-        (3.6, 10.0, ""),  # 0.025 deg/s are 0.44 mg/s
-        (5.0, 10.0, "turning"),
-        (2.2, 4.0, ""),  # faster, but less than 2.5 mg in all
-        (3.2, 4.0, "turning"),
-    ],
-)
-def test_how_far_and_how_fast_a_mean_may_go(mg: float, seconds: float, reason: str) -> None:
-    """Of what is left where the ends, up to 1.5 s, do not agree with the middle."""
-    values, start, stop = among_rests(creeping(mg, seconds), 0.6 * MG)
-    assert verdicts(still_segments(printed_limits_recorded(values)), start, stop) == {reason}
-
-
 @pytest.mark.parametrize(("noise", "rests"), [(27.0, 8), (36.0, 0)])
 def test_noise_beyond_thirty_mg_is_shaking(noise: float, rests: int) -> None:
     values, *_ = among_rests(np.tile([0.0, 0.0, G], (500, 1)), noise * MG)
-    found = still_segments(printed_limits_recorded(values))
+    found = still_segments(recorded(values))
     assert (found.n == 9) == bool(rests)
     assert any("shakes by" in note for note in found.notes) == (not rests)
 
@@ -202,31 +166,66 @@ def test_noise_beyond_thirty_mg_is_noise_below_two_steps_of_the_resolution(
 ) -> None:
     step = 30 * MG
     values, *_ = among_rests(np.tile([0.0, 0.0, G], (500, 1)), steps * step)
-    found = still_segments(printed_limits_recorded(np.round(values / step) * step))
+    found = still_segments(recorded(np.round(values / step) * step))
     assert any("shakes by" in note for note in found.notes) == shaking
+
+
+def level(seconds: float, noise: float, seed: int) -> Array:
+    """At rest, with so much noise (mg) beside that of the recording."""
+    n = round(seconds * RATE)
+    return np.random.default_rng(seed).normal([0, 0, G], noise * MG, (n, 3))
 
 
 def louder(seconds: float, times: float) -> Array:
     """A rest in more noise than the others' 1 mg."""
-    rng = np.random.default_rng(2)
-    n = round(seconds * RATE)
-    return np.array([0, 0, G]) + rng.normal(0, np.sqrt(times**2 - 1) * MG, (n, 3))
+    return level(seconds, np.sqrt(times**2 - 1), 2)
+
+
+def dropping(height: float) -> Array:
+    """One sample a window of fifty is so many g off."""
+    middle = level(8.0, 0.0, 0)
+    middle[25::50, 2] -= height * G
+    return middle
 
 
 @pytest.mark.parametrize(
-    ("seconds", "times", "reason"),
+    ("middle", "noise", "rests", "reason"),
     [
-        (8.0, 4.4, ""),
-        (5.0, 2.4, ""),  # ten windows of half a second share it
-        (4.5, 2.4, "other noise"),  # nine do
-        (8.0, 6.0, "vibrating"),  # up to five times
+        # How far and how fast a mean may go, of what is left where the ends, up to 1.5 s, do not
+        # agree with the middle: 0.3 deg of gravity are 5.1 mg,
+        (creeping(4.6, 60.0), 0.6, 4, ""),
+        (creeping(6.6, 60.0), 0.6, 4, "turning"),
+        # and 0.1 mg a minute of warming: 7.1 mg in twenty minutes;
+        (creeping(6.2, 1200.0), 0.6, 4, ""),
+        (creeping(8.0, 1200.0), 0.6, 4, "turning"),
+        # 0.025 deg/s are 0.44 mg/s;
+        (creeping(3.6, 10.0), 0.6, 4, ""),
+        (creeping(5.0, 10.0), 0.6, 4, "turning"),
+        # faster, but less than 2.5 mg in all.
+        (creeping(2.2, 4.0), 0.6, 4, ""),
+        (creeping(3.2, 4.0), 0.6, 4, "turning"),
+        # A louder noise, up to five times, counts where ten windows of half a second share it.
+        (louder(8.0, 4.4), 1.0, 8, ""),
+        (louder(5.0, 2.4), 1.0, 8, ""),
+        (louder(4.5, 2.4), 1.0, 8, "other noise"),
+        (louder(8.0, 6.0), 1.0, 8, "vibrating"),
+        # What varies by more than three tenths of gravity is a motion.
+        (level(8.0, 200.0, 5), 1.0, 4, "vibrating"),
+        (level(8.0, 400.0, 5), 1.0, 4, None),
+        # A dropout is a tenth of gravity away; what is nearer is a vibration like any other.
+        (dropping(0.06), 1.0, 4, "vibrating"),
+        (dropping(0.15), 1.0, 4, "dropouts"),
+        # A refused stretch has four windows, in whole ones on their grid.
+        (level(1.5, 40.0, 6), 1.0, 4, None),
+        (level(2.0, 40.0, 6), 1.0, 4, "vibrating"),
     ],
 )
-def test_a_louder_noise_counts_where_ten_windows_share_it(
-    seconds: float, times: float, reason: str
+def test_what_is_a_rest_and_why_not(
+    middle: Array, noise: float, rests: int, reason: str | None
 ) -> None:
-    values, start, stop = among_rests(louder(seconds, times), MG, rests=8)
-    assert verdicts(still_segments(printed_limits_recorded(values)), start, stop) == {reason}
+    values, start, stop = among_rests(middle, noise * MG, rests)
+    found = verdicts(still_segments(recorded(values)), start, stop)
+    assert found == (set() if reason is None else {reason})
 
 
 @pytest.mark.parametrize(("sway", "whole"), [(2.3, True), (4.0, False)])
@@ -239,7 +238,7 @@ def test_a_gyroscope_in_the_hand_may_sway_by_twice_1_4_deg_a_second(
     rate = np.radians(rng.normal(0, 0.05, values.shape))
     inside = slice(round(start * RATE), round(stop * RATE))
     rate[inside, 1] += np.radians(rng.normal(0, sway, 400))
-    found = still_segments(printed_limits_recorded(values, rate))
+    found = still_segments(recorded(values, rate))
     inner = (found.start < stop) & (found.stop > start)
     assert (float((found.stop - found.start)[inner].sum()) > 3.8) == whole
 
@@ -252,40 +251,7 @@ def test_a_rate_beside_the_bias_is_a_turn_where_five_rests_tell_it(
     rng = np.random.default_rng(4)
     rate = np.radians(rng.normal(0.4, 0.02, values.shape))
     rate[round(start * RATE) : round(stop * RATE), 2] += np.radians(deg_s)
-    assert still_segments(printed_limits_recorded(values, rate)).n == rests
-
-
-@pytest.mark.parametrize(("mg", "listed"), [(200.0, True), (400.0, False)])
-def test_what_varies_by_more_than_three_tenths_of_gravity_is_a_motion(
-    mg: float, listed: bool
-) -> None:
-    rng = np.random.default_rng(5)
-    middle = np.array([0, 0, G]) + rng.normal(0, mg * MG, (800, 3))
-    values, start, stop = among_rests(middle, MG)
-    assert verdicts(still_segments(printed_limits_recorded(values)), start, stop) == (
-        {"vibrating"} if listed else set()
-    )
-
-
-@pytest.mark.parametrize(("height", "reason"), [(0.06, "vibrating"), (0.15, "dropouts")])
-def test_a_dropout_is_a_tenth_of_gravity_away(height: float, reason: str) -> None:
-    """One sample a window of fifty; what is nearer is a vibration like any other."""
-    middle = np.tile([0.0, 0.0, G], (800, 1))
-    middle[25::50, 2] -= height * G
-    values, start, stop = among_rests(middle, MG)
-    assert verdicts(still_segments(printed_limits_recorded(values)), start, stop) == {reason}
-
-
-@pytest.mark.parametrize(("windows", "listed"), [(3, False), (4, True)])
-def test_a_refused_stretch_has_four_windows(windows: int, listed: bool) -> None:
-    """Counted in whole windows of half a second, on their grid."""
-    rng = np.random.default_rng(6)
-    n = 50 * windows
-    middle = np.array([0, 0, G]) + rng.normal(0, 40 * MG, (n, 3))
-    values, start, stop = among_rests(middle, MG)
-    assert (
-        verdicts(still_segments(printed_limits_recorded(values)), start, stop) == {"vibrating"}
-    ) == listed
+    assert still_segments(recorded(values, rate)).n == rests
 
 
 @pytest.mark.parametrize(("mg", "stretches"), [(0.6, 1), (1.6, 2)])
@@ -294,7 +260,7 @@ def test_a_jump_of_more_than_a_milligravity_parts_two_rests(mg: float, stretches
     middle = np.tile([0.0, 0.0, G], (1000, 1))
     middle[500:, 0] += mg * MG
     values, start, stop = among_rests(middle, 5e-3 * MG)
-    found = still_segments(printed_limits_recorded(values))
+    found = still_segments(recorded(values))
     inside = [c for c in found.candidates if c.start < stop and c.stop > start and not c.reason]
     assert len(inside) == stretches
 
@@ -313,7 +279,7 @@ def test_a_coarse_sensor_that_repeats_itself_for_a_minute_is_dead(
         rest = G * attitude / np.linalg.norm(attitude) + rng.normal(0, 2 * MG, (n, 3))
         parts += [shake(rng), np.tile([0.0, 0.0, 62 * step], (n, 1)) if k == 6 else rest]
     values = np.round(np.concatenate([*parts, shake(rng)]) / step) * step
-    found = still_segments(printed_limits_recorded(values))
+    found = still_segments(recorded(values))
     assert any("frozen" in note for note in found.notes) == frozen
     assert found.n == (11 if frozen else 12)
 
@@ -323,27 +289,22 @@ def test_a_window_is_half_a_second_or_half_the_shortest_rest(shortest: float, sa
     assert StillSettings(shortest=shortest).samples(RATE) == samples
 
 
-def sizes(before: int, after: int, ratio: float) -> Array:
-    size = np.concatenate([np.full(before, G), np.full(after, ratio * G)])
-    return np.asarray(size * (1 + 1e-3 * np.random.default_rng(8).normal(size=size.size)))
-
-
-@pytest.mark.parametrize(("before", "after", "ratio"), [(5, 5, 2.0), (20, 20, 1.35), (20, 7, 0.5)])
+@pytest.mark.parametrize(
+    ("before", "after", "ratio", "two"),
+    [
+        (5, 5, 2.0, True), (20, 20, 1.35, True), (20, 7, 0.5, True),
+        (4, 5, 2.0, False), (3, 3, 4.0, False), (20, 20, 1.25, False),
+    ],
+)  # fmt: skip
 def test_two_ranges_have_five_windows_each_and_a_factor_of_1_3(
-    before: int, after: int, ratio: float
+    before: int, after: int, ratio: float, two: bool
 ) -> None:
-    found = two_ranges(sizes(before, after, ratio))
-    assert found is not None
-    assert found.row == before
-    assert found.after / found.before == pytest.approx(ratio, rel=5e-3)
-
-
-@pytest.mark.parametrize(("before", "after", "ratio"), [(4, 5, 2.0), (3, 3, 4.0), (20, 20, 1.25)])
-def test_fewer_windows_or_a_smaller_factor_are_one_range(
-    before: int, after: int, ratio: float
-) -> None:
-    assert two_ranges(sizes(before, after, ratio)) is None
-
-
-def test_a_steady_drift_is_not_two_ranges() -> None:
-    assert two_ranges(np.geomspace(1.0, 2.0, 40)) is None
+    size = np.concatenate([np.full(before, G), np.full(after, ratio * G)])
+    size *= 1 + 1e-3 * np.random.default_rng(8).normal(size=size.size)
+    found = two_ranges(size)
+    assert (found is not None) == two
+    if found is not None:
+        row, first, second = found
+        assert row == before
+        assert second / first == pytest.approx(ratio, rel=5e-3)
+    assert two_ranges(np.geomspace(1.0, 2.0, 40)) is None  # a steady drift

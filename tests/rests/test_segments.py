@@ -22,7 +22,13 @@ from imucalib.rests.segments import Segments, find_segments, still_segments
 from imucalib.units import MG, STANDARD_GRAVITY
 from worlds.places import MEASURED
 
+Array = NDArray[np.float64]
 RATE, SIGMA = 100.0, 0.02
+
+
+def recorded(t: Array, values: Array, rate: float = RATE, gaps: tuple[Gap, ...] = ()) -> Recording:
+    channel = Channel(t, values, "m/s2", "acceleration", "imu0", rate)
+    return Recording({"imu0/acceleration": channel}, "made", "made", "", gaps=gaps)
 
 
 def tumble(seed: int, rests: int, sigma: float = SIGMA) -> tuple[Recording, list[tuple[int, int]]]:
@@ -40,22 +46,13 @@ def tumble(seed: int, rests: int, sigma: float = SIGMA) -> tuple[Recording, list
         at += n + 150
     values = np.concatenate(parts)
     values = values + rng.normal(scale=sigma, size=values.shape)
-    t = np.arange(len(values)) / RATE
-    channel = Channel(t, values, "m/s2", "acceleration", "imu0", RATE)
-    return Recording({"imu0/acceleration": channel}, "made", "made", ""), spans
+    return recorded(np.arange(len(values)) / RATE, values), spans
 
 
 def cut(recording: Recording, edges: list[int]) -> list[Recording]:
-    (name, c), *_ = recording.channels.items()
-    bounds = [0, *edges, c.t.size]
-    return [
-        Recording(
-            {name: Channel(c.t[a:b], c.values[a:b], c.unit, c.quantity, c.triad, c.rate)},
-            "made", "made", "",
-        )
-        for a, b in pairwise(bounds)
-        if b > a
-    ]  # fmt: skip
+    channel = recording.channels["imu0/acceleration"]
+    bounds = pairwise([0, *edges, channel.t.size])
+    return [recorded(channel.t[a:b], channel.values[a:b]) for a, b in bounds if b > a]
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -92,9 +89,8 @@ def test_a_rest_never_crosses_a_gap() -> None:
     channel = recording.channels["imu0/acceleration"]
     middle = sum(spans[1]) // 2
     keep = np.r_[0:middle, middle + 30 : channel.t.size]
-    moved = Channel(channel.t[keep], channel.values[keep], "m/s2", "acceleration", "imu0", RATE)
     gap = Gap(channel.t[middle - 1], channel.t[middle + 30], "no samples")
-    found = still_segments(Recording({"imu0/acceleration": moved}, "", "", "", gaps=(gap,)))
+    found = still_segments(recorded(channel.t[keep], channel.values[keep], gaps=(gap,)))
     assert found.n > 4 or not np.any((found.start < gap.start) & (found.stop > gap.stop))
     assert not np.any((found.start < gap.stop) & (found.stop > gap.start))
 
@@ -105,8 +101,7 @@ def test_frozen_and_clipped_samples_are_left_out() -> None:
     values = old.values.copy()
     values[spans[1][0] : spans[1][1]] = values[spans[1][0]]  # the sensor repeats itself
     values[spans[3][0] : spans[3][1], 0] = 1.5 * np.abs(values).max()  # one axis at its limit
-    channel = Channel(old.t, values, "m/s2", "acceleration", "imu0", RATE)
-    found = still_segments(Recording({"imu0/acceleration": channel}, "", "", ""))
+    found = still_segments(recorded(old.t, values))
     assert found.n == 4
     assert any("frozen" in n for n in found.notes)
     assert any("clipped" in n for n in found.notes)
@@ -140,9 +135,6 @@ def test_rests_of_the_tumble_logs(name: str) -> None:
     assert 21 <= found.n <= 24
 
 
-Array = NDArray[np.float64]
-
-
 G, STUCK_RATE, REST = STANDARD_GRAVITY, 10.0, 400  # samples
 
 
@@ -161,8 +153,7 @@ def worn(rests: int, noise: float, step: float) -> Array:
 
 def found(values: Array) -> PostureRuns:
     t = np.arange(len(values)) / STUCK_RATE
-    channel = Channel(t, values, "m/s2", "acceleration", "imu0", STUCK_RATE)
-    return posture_runs(scan([Recording({"imu0/acceleration": channel}, "a", "a", "")], 10.0))
+    return posture_runs(scan([recorded(t, values, STUCK_RATE)], 10.0))
 
 
 @pytest.mark.parametrize("held", [-0.3, 0.0, -0.0])
@@ -231,33 +222,18 @@ M/d/yyyy at 30 Hz  Filter Normal -----------
 Serial Number: CLE2B21130054
 Start Time 11:00:00
 Start Date 9/17/2014
-Epoch Period (hh:mm:ss) 00:00:05
-Download Time 16:25:52
-Download Date 9/25/2014
+Epoch Period (hh:mm:ss) 00:00:{}
 Current Memory Address: 0
-Current Battery Voltage: 4.10     Mode = 61
 --------------------------------------------------
 """
 
 
-COLUMNS = ("", "Axis1,Axis2,Axis3,Steps\n", "Date,Time,Axis1,Axis2,Axis3,Steps\n")
-
-
-def counts(head: str, columns: str) -> str:
-    rng = np.random.default_rng(0)
-    rows = rng.poisson(60, (3000, 4)) * (rng.random((3000, 1)) > 0.4)
-    text = [",".join(map(str, row)) for row in rows]
-    if "Time" in columns:
-        clock = (f"{11 + k // 720}:{k // 12 % 60:02d}:{5 * k % 60:02d}" for k in range(3000))
-        text = [f"9/17/2014,{t},{row}" for t, row in zip(clock, text, strict=True)]
-    return head + columns + "\n".join(text) + "\n"
-
-
-@pytest.mark.parametrize("columns", COLUMNS)
+@pytest.mark.parametrize("columns", ["", "Axis1,Axis2,Axis3\n"])
 @pytest.mark.parametrize("command", ["actigraph", "inspect"])
 def test_an_epoch_file_is_named_as_what_it_is(tmp_path: Path, columns: str, command: str) -> None:
-    path = tmp_path / "epochs.csv"
-    path.write_text(counts(HEAD, columns), encoding="utf-8")
+    path, rows = tmp_path / "epochs.csv", np.random.default_rng(0).poisson(60, (3000, 3))
+    text = "\n".join(",".join(map(str, row)) for row in rows)
+    path.write_text(HEAD.format("05") + columns + text + "\n", encoding="utf-8")
     result = CliRunner().invoke(cli.cli, [command, str(path)], standalone_mode=False)
     assert isinstance(result.exception, UnreadableInput)
     assert "activity counts per epoch of 00:00:05, not acceleration" in str(result.exception)
@@ -265,11 +241,10 @@ def test_an_epoch_file_is_named_as_what_it_is(tmp_path: Path, columns: str, comm
 
 
 def test_a_raw_file_with_the_same_header_is_read(tmp_path: Path) -> None:
-    head = HEAD.replace("00:00:05", "00:00:00").replace("Mode = 61", "Mode = 12")
-    rng = np.random.default_rng(0)
-    values = np.array([0.0, 0.0, 1.0]) + 0.01 * rng.standard_normal((900, 3))
+    values = [0.0, 0.0, 1.0] + 0.01 * np.random.default_rng(0).standard_normal((900, 3))
     rows = "\n".join(",".join(f"{v:.3f}" for v in row) for row in values)
     path = tmp_path / "raw.csv"
-    path.write_text(head + "Accelerometer X,Accelerometer Y,Accelerometer Z\n" + rows + "\n")
+    axes = "Accelerometer X,Accelerometer Y,Accelerometer Z\n"
+    path.write_text(HEAD.format("00") + axes + rows + "\n")
     result = CliRunner().invoke(cli.cli, ["inspect", str(path)], standalone_mode=False)
     assert result.exception is None

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.runs import Scan, posture_runs, scan
-from imucalib.rests.thermal import ThermalHistory, believed, history_of, remembered, tells_apart
+from imucalib.rests.thermal import ThermalHistory, believed, remembered
 from imucalib.rests.windows import WindowBuilder, Windows
 from imucalib.units import MG, STANDARD_GRAVITY
 
@@ -38,11 +38,11 @@ def test_readings_that_jump_and_come_back_are_left_out(value: float) -> None:
     values = noisy(CASE)
     at = np.append([0, 700, 701, 1999], np.random.default_rng(2).integers(0, 2000, 40))
     values[at] = value
-    found = believed(windows(values))
-    assert found.windows is not None
-    assert np.array_equal(found.windows.start, np.delete(T, at))
+    found, words = believed(windows(values))
+    assert found is not None
+    assert np.array_equal(found.time, np.delete(T, at))
     assert len(found.gone) == np.unique(at).size
-    assert found.words[0].startswith(f"temperature: {np.unique(at).size} of 2000 readings left out")
+    assert words[0].startswith(f"temperature: {np.unique(at).size} of 2000 readings left out")
 
 
 def scanned(values: Array) -> Scan:
@@ -77,9 +77,9 @@ def test_a_rest_has_the_temperature_of_its_good_readings_or_is_left_out() -> Non
 @pytest.mark.parametrize(("step", "shown"), [(0.1, True), (3.0, False)])
 def test_a_rounded_thermometer_shows_no_short_lag(step: float, shown: bool) -> None:
     """What half an hour's lag smoothed were the steps of 3 °C: a plain bias was surely one."""
-    warm = windows(step * np.round(noisy(CASE) / step))
-    now = warm.mean[:, 0]
-    assert tells_apart(warm, history_of(warm).lagged(0.5, T), now) == shown
+    warm, _ = believed(windows(step * np.round(noisy(CASE) / step)))
+    assert warm is not None
+    assert warm.shows(warm.lagged(0.5, T), warm.values) == shown
 
 
 def behind(values: np.ndarray, width: float) -> np.ndarray:

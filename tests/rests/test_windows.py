@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import h5py
@@ -17,9 +18,10 @@ from scipy import stats
 from imucalib.readers import blocks, stored_blocks
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Recording
-from imucalib.rests.candidates import Noise, colour_of, is_noise, whiteness
+from imucalib.rests.candidates import Noise, colour_of, whiteness
 from imucalib.rests.runs import Scan, grouped, scan
-from imucalib.rests.stillness import Sensor
+from imucalib.rests.stillness import Sensor, StillSettings
+from imucalib.rests.thermal import ThermalHistory
 from imucalib.rests.windows import WindowBuilder, Windows, window_statistics
 
 KINDS = ("f4", "f8", "i2", "u1", "i4", "i8", "f2")
@@ -99,8 +101,7 @@ def test_statistics_of_stored_numbers(
         with h5py.File(path, "w") as file:
             file["accelerometer"] = numbers
         one, two = (scan(make(path, mapping), 10.0) for make in (blocks, stored_blocks))
-    assert replace(one, windows=two.windows, no_temperature=two.no_temperature) == two
-    assert np.array_equal(one.no_temperature, two.no_temperature)
+    assert replace(one, windows=two.windows) == two
     for name in ("first", "run", "start", "stop"):
         assert np.array_equal(getattr(one.windows, name), getattr(two.windows, name))
     for name in ("mean", "low", "high", "variance", "finest"):
@@ -108,26 +109,17 @@ def test_statistics_of_stored_numbers(
         assert np.allclose(found, known, rtol=1e-5 if name == "variance" else 1e-12, atol=1e-7)
 
 
-def test_windows_given_away_stay_when_more_follow() -> None:
+def test_windows_of_blocks_are_those_of_the_whole() -> None:
     rng = np.random.default_rng(1)
-    builder = WindowBuilder(10)
-    parts = []
-    for k in range(12):
-        t = np.arange(40 * k, 40 * (k + 1)) / 10.0
-        values = rng.standard_normal((40, 3))
-        builder.add(Channel(t, values, "m/s2", "acceleration", "imu0", 10.0), [])
-        parts.append(values)
-        if k == 5:
-            half = builder.windows()
-            assert half is not None
-            kept = half.mean.copy()
-    whole = builder.windows()
-    assert whole is not None
-    assert np.array_equal(half.mean, kept)
-    mean = np.concatenate(parts).reshape(-1, 10, 3).mean(axis=1)
-    assert np.allclose(whole.mean, mean, rtol=0.0, atol=1e-14)
-    assert np.array_equal(whole.mean[: len(kept)], kept)
-    assert np.array_equal(whole.first, 10 * np.arange(48))
+    values, builder = rng.standard_normal((480, 3)), WindowBuilder(10)
+    for a, b in pairwise([0, 3, 40, 44, 47, 160, 475, 480]):
+        t = np.arange(a, b) / 10.0
+        builder.add(Channel(t, values[a:b], "m/s2", "acceleration", "imu0", 10.0), [])
+    found = builder.windows()
+    assert found is not None
+    np.testing.assert_allclose(found.mean, values.reshape(-1, 10, 3).mean(axis=1), atol=1e-14)
+    assert np.array_equal(found.first, 10 * np.arange(48))
+    assert np.array_equal(found.start, np.arange(48.0))
 
 
 def test_a_scan_tells_what_was_recorded() -> None:
@@ -148,11 +140,7 @@ def test_a_scan_tells_what_was_recorded() -> None:
 
 
 Array = NDArray[np.float64]
-
-
 G = 9.80665
-
-
 MG = 1e-3 * G
 
 
@@ -173,8 +161,8 @@ def level(m: int) -> Array:
     return np.tile([0.0, 0.0, G], (m, 1))
 
 
-def sensor(w: Windows, quantity: str = "acceleration", quietest: float = 0.01) -> Sensor:
-    return Sensor("imu0", quantity, 100.0, w, quietest)
+def sensor(w: Windows) -> Sensor:
+    return Sensor("imu0", "acceleration", 100.0, w, StillSettings())
 
 
 def test_the_colour_of_noise_is_what_means_scatter_more() -> None:
@@ -200,13 +188,9 @@ def test_whiteness_is_von_neumanns_ratio() -> None:
     assert whiteness(values) == pytest.approx(steps.min())
     assert whiteness(np.cumsum(values, axis=0)) < 0.1
     assert whiteness(np.ones((5, 3))) == 1.0
-    assert is_noise(0.61, 1.2)
-    assert not is_noise(0.59, 1.2)
-    assert is_noise(0.31, 0.5)
-    assert not is_noise(0.29, 0.5)
 
 
-def scanned(w: Windows, warm: Windows | None = None) -> Scan:
+def scanned(w: Windows, warm: ThermalHistory | None = None) -> Scan:
     return Scan(w, warm, "imu0", 100.0, 450, 4.5, 0, "", "", "", 0, ())
 
 
@@ -215,7 +199,7 @@ def test_a_run_is_the_mean_of_its_windows() -> None:
     w = windows(level(9), MG, finest=np.array([0.1, np.inf, 0.2]))
     w.mean[:, 2] += MG * np.array([0, 3, 0, 3, 0, 3, 0, 3, 0.0])
     w.mean[6:, :] = w.mean[6:, [2, 1, 0]]
-    warm = replace(windows(np.zeros((9, 1))), mean=20.0 + np.arange(9.0)[:, None])
+    warm = ThermalHistory(w.middle, 20.0 + np.arange(9.0))
     found = grouped(scanned(w, warm), np.arange(9), np.full(3, MG))
     assert found.windows.tolist() == [6, 3]
     np.testing.assert_allclose(found.mean, [[0, 0, G + 1.5 * MG], [G + MG, 0, 0]], atol=1e-12)

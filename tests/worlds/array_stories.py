@@ -108,8 +108,7 @@ def planted(
 def moving_of(recording: Recording, board: Board = BOARD) -> tuple[Moving, RestFit]:
     segments = still_segments(recording)
     log = array_log(recording, board)
-    order = [segments.triads.index(name) for name in board.imus]
-    rests = fit_rests(segments, board, order, 9.80665)
+    rests = fit_rests(segments, board, 9.80665)
     return moving_part(log, rests), rests
 
 

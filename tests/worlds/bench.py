@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.calibrators.lab.simulation import simulate
 from imucalib.core.balance import Noise
 from imucalib.core.effect import Context
 from imucalib.core.model import Model
@@ -105,3 +104,28 @@ def ordinary_theta(model: Model, observations: Observations, seed: int) -> Array
     """Parameters as large as one expects them."""
     typical = np.array([p.typical for p in model.parameters(observations.context)])
     return np.clip(np.random.default_rng(seed).standard_normal(typical.size), -2.0, 2.0) * typical
+
+
+def simulate(
+    model: Model,
+    theta: Array,
+    observations: Observations,
+    noise: Noise,
+    rng: np.random.Generator,
+) -> Observations:
+    """Draw new readings for the reference and context of `observations`: the model run forwards.
+
+    The settings' errors are drawn with the components' standard deviations and shared as the
+    reference says; a reference without components keeps its truth at `start` of the readings.
+    """
+    reference, context = observations.reference, observations.context
+    eta = reference.start(observations.reading)
+    directions = reference.directions(eta)
+    if any(directions.component):
+        for column, component in enumerate(directions.component):
+            sd = noise.sd[noise.component.index(component)] if component else 0.0
+            used = np.unique(directions.index[:, column])
+            eta[used] = sd * rng.standard_normal(used.size)
+    clean = model.predict(theta, reference.truth(eta), context).reading
+    spread = noise.factor * observations.sigma
+    return observations.with_reading(clean + spread * rng.standard_normal(clean.shape))

@@ -8,12 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from imucalib.calibrators.actigraph.simulation import WeekPlan, simulated_blocks
+from imucalib.calibrators.actigraph.simulation import WeekPlan
 from imucalib.calibrators.array.board import read_board
 from imucalib.calibrators.array.simulation import LogPlan, simulated_log
 from imucalib.calibrators.lab.simulation import BenchPlan, simulated_recording, simulated_table
 from imucalib.writers import write, write_blocks
 from worlds.turned_imu import chip, turned
+from worlds.week import simulated_blocks
 
 
 @dataclass(frozen=True)

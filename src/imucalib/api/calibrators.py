@@ -19,7 +19,7 @@ from imucalib.calibration.calibration import Calibration
 from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.array.board import Board, read_board
 from imucalib.calibrators.array.request import ArrayRequest
-from imucalib.calibrators.imu.calibrate import ImuRequest
+from imucalib.calibrators.imu.request import ImuRequest
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.readers import read as read_recording
 from imucalib.recording.mapping import FieldMapping
@@ -114,12 +114,10 @@ def lab(
     from imucalib.report.lab import lab_document
 
     asked = request or LabRequest()
-    settings = replace(asked.settings, **_search(declare, loop, only, without))
-    if convention is not None:
-        settings = replace(settings, conventions=preset(convention))
     read_as = mapping_of(mapping, reading)
     stated = {
         "reference": reference,
+        "conventions": None if convention is None else preset(convention),
         "fixes": None if fix is None else tuple(fix),
         "exclude": None if exclude is None else tuple(exclude),
         "swap_angles": swap_angles,
@@ -127,9 +125,10 @@ def lab(
         "unit": reading.get("unit"),
         "lsb_per_g": reading.get("lsb"),
         **gravity_of(gravity, latitude, height),
+        **_search(declare, loop, only, without),
     }
     given = {name: value for name, value in stated.items() if value is not None}
-    asked = replace(asked, settings=settings, **given)
+    asked = replace(asked, **given)
     first, others = _each(table)
     with as_file(first, TABLE) as file:
         files = LabFiles(

@@ -1,7 +1,7 @@
 """Inclination and tool-face of corrected samples or rests, with what is not known of them.
 
-The parameters' covariance and one reading's noise are carried through the derivatives of paper
-004's formulae (1) and (2), p. 2, as in `calibration.uncertainty`, from a calibration's file.
+The parameters' covariance and one reading's noise are carried as in `calibration.uncertainty`, from
+a calibration's file.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ import numpy as np
 
 from imucalib.arrays import Array, Flags
 from imucalib.calibration.calibration import Calibration
-from imucalib.core.effect import Context
+from imucalib.calibration.uncertainty import angle_slopes, force_slopes
 from imucalib.core.references import angles_of
 from imucalib.rests.segments import Segments
-from imucalib.units import DEG, MG, STANDARD_GRAVITY
+from imucalib.units import MG, STANDARD_GRAVITY
 
 #: Rows whose derivatives are held at once.
 _ROWS = 4096
@@ -25,7 +25,7 @@ _LEAST = 0.05
 
 @dataclass(frozen=True)
 class Angles:
-    """Of n samples or rests. t : (n,) s; inclination, tool_face : (n,) rad, the tool-face NaN near
+    """Of n samples or rests. t : (n,) s; inclination, tool_face : (n,) rad, the tool-face NaN at
     the vertical; *_sd : (n,) deg, of calibration and noise; *_calibration_sd : (n,) deg, of the
     calibration alone; norm_error : (n,) mg, |a| minus local gravity; still : (n,)"""
 
@@ -44,8 +44,7 @@ def angles_at_rests(calibration: Calibration, corrected: Array, rests: Segments,
     """corrected : (N, 3) m/s² of triad number `k`; the mean of each rest."""
     spans = zip(rests.first[:, k], rests.last[:, k], strict=True)
     mean = np.array([corrected[a:b].mean(axis=0) for a, b in spans]).reshape(-1, 3)
-    count = np.maximum(rests.samples[:, k], 1)[:, None]
-    noise = np.hypot(_reading_noise(calibration), rests.noise[k] / np.sqrt(count))
+    noise = rests.noise[k] / np.sqrt(np.maximum(rests.samples[:, k], 1))[:, None]
     t = 0.5 * (rests.start + rests.stop)
     return _angles(calibration, mean, noise, t, np.ones(t.size, np.bool_))
 
@@ -57,55 +56,44 @@ def angles_of_samples(
     still = np.zeros(t.size, np.bool_)
     for a, b in zip(rests.first[:, k], rests.last[:, k], strict=True):
         still[a:b] = True
-    noise = np.hypot(_reading_noise(calibration), rests.noise[k])
-    return _angles(calibration, corrected, np.broadcast_to(noise, corrected.shape), t, still)
-
-
-def _reading_noise(calibration: Calibration) -> float:
-    """m/s², what one position scatters by when it comes again; 0 where the file does not tell."""
-    return float(calibration.facts.get("noise", {}).get("reading_mg") or 0.0) * MG
+    noise = np.broadcast_to(rests.noise[k], corrected.shape)
+    return _angles(calibration, corrected, noise, t, still)
 
 
 def _angles(calibration: Calibration, force: Array, noise: Array, t: Array, still: Flags) -> Angles:
+    """noise : (n, 3) m/s² of the samples; what one position scatters by when it comes again is
+    added, where the file tells it."""
+    repeated = float(calibration.facts.get("noise", {}).get("reading_mg") or 0.0) * MG
+    noise = np.hypot(repeated, noise)
     parts = [
         _uncertainty(calibration, force[a : a + _ROWS], noise[a : a + _ROWS])
         for a in range(0, len(force), _ROWS)
     ]
-    own_i, all_i, own_t, all_t = np.concatenate([np.empty((4, 0)), *parts], axis=1)
+    own, whole = np.concatenate([np.empty((2, 2, 0)), *parts], axis=2)
     inclination, tool_face = angles_of(force)
     steep = np.cos(inclination) < _LEAST
     return Angles(
         t=t,
         inclination=inclination,
-        inclination_sd=all_i,
-        inclination_calibration_sd=own_i,
+        inclination_sd=whole[0],
+        inclination_calibration_sd=own[0],
         tool_face=np.where(steep, np.nan, tool_face),
-        tool_face_sd=np.where(steep, np.nan, all_t),
-        tool_face_calibration_sd=np.where(steep, np.nan, own_t),
+        tool_face_sd=np.where(steep, np.nan, whole[1]),
+        tool_face_calibration_sd=np.where(steep, np.nan, own[1]),
         norm_error=(np.linalg.norm(force, axis=1) - calibration.gravity) / MG,
         still=still,
     )
 
 
 def _uncertainty(calibration: Calibration, force: Array, noise: Array) -> Array:
-    """(4, n) deg: inclination by the calibration and in all, tool-face likewise."""
+    """(2, 2, n) deg: by the calibration and in all; of inclination and tool-face."""
     model, theta = calibration.model()
-    covariance = calibration.covariance_of(model)
-    # Attitude alone counts: what moves beside gravity is no rest.
+    # Attitude alone counts: what moves is no rest.
     direction = force / np.maximum(np.linalg.norm(force, axis=1, keepdims=True), 1e-9)
     truth = STANDARD_GRAVITY * direction
-    context = Context(len(force), calibration.usual(len(force)))
-    predicted = model.predict(theta, truth[:, None], context)
-    inverse = np.linalg.inv(predicted.d_truth[:, 0])
-    slope = -inverse @ predicted.d_theta[:, 0]
-    x, y, z = truth.T
-    h = np.maximum(np.hypot(x, y), 1e-9)
-    along_t = np.stack([y, -x, np.zeros_like(x)], axis=-1) / (h**2)[:, None] / DEG
-    along_i = np.stack([-z * x / h, -z * y / h, h], axis=-1) / STANDARD_GRAVITY**2 / DEG
-    found = []
-    for along in (along_i, along_t):
-        rows = np.einsum("nj,njp->np", along, slope)
-        own = np.einsum("np,pq,nq->n", rows, covariance, rows)
-        read = np.square(np.einsum("nj,njk->nk", along, inverse) * noise).sum(axis=1)
-        found += [np.sqrt(np.maximum(own, 0.0)), np.sqrt(np.maximum(own + read, 0.0))]
-    return np.array(found)
+    slope, inverse = force_slopes(model, theta, truth, calibration.context(len(force)))
+    along = angle_slopes(truth)
+    rows = np.einsum("anj,njp->anp", along, slope)
+    own = np.einsum("anp,pq,anq->an", rows, calibration.covariance_of(model), rows)
+    read = np.square(np.einsum("anj,njk->ank", along, inverse) * noise).sum(axis=-1)
+    return np.sqrt(np.maximum([own, own + read], 0.0))

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from imucalib.arrays import Array, Index
+from imucalib.calibration.plain import fields
 from imucalib.calibration.triads import Triad
-from imucalib.calibration.uncertainty import correcting
+from imucalib.calibration.uncertainty import correcting, force_slopes
 from imucalib.core.effect import Context
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
@@ -37,15 +38,13 @@ class StoredParameter:
 NEVER_APPLIED = ("fixture", "array", "gyroscope")
 #: Covariates by which time drives an effect: a later reading finds what they have come to.
 PASSING = ("order", "record", "time")
+#: Effects that make up the matrices.
+LINEAR = ("mounting", "bias", "scale", "non_orthogonality")
 
 
 def taken_at(covariate: str) -> str:
-    """In words, where in what was calibrated a covariate is taken that was not recorded."""
+    """In words, where in what was calibrated a covariate acts that was not recorded."""
     return "at the end" if covariate in PASSING else "in the middle"
-
-
-#: Effects that make up the matrices.
-_LINEAR = ("mounting", "bias", "scale", "non_orthogonality")
 
 
 @dataclass(frozen=True)
@@ -72,90 +71,78 @@ class Matrices:
     bias_mg_sd: Array
 
     def as_dict(self) -> dict[str, Any]:
+        """The block of calibration.yaml and report.json."""
         pairs = ("xy", "xz", "yz")
+        corrected = {"formula": "a = M raw + b, m/s2", **fields(self, "M b M_sd b_sd")}
         return {
-            "corrected_from_raw": {
-                "formula": "a = M raw + b, m/s2",
-                "M": self.M.tolist(),
-                "b": self.b.tolist(),
-                "M_sd": self.M_sd.tolist(),
-                "b_sd": self.b_sd.tolist(),
-            },
-            "raw_from_corrected": {
-                "formula": "raw = S a + c, m/s2",
-                "S": self.S.tolist(),
-                "c": self.c.tolist(),
-            },
+            "corrected_from_raw": corrected,
+            "raw_from_corrected": {"formula": "raw = S a + c, m/s2", **fields(self, "S c")},
             "intrinsic": {
-                "scale": self.scale.tolist(),
-                "scale_sd": self.scale_sd.tolist(),
+                **fields(self, "scale scale_sd"),
                 "axis_angle_deg": dict(zip(pairs, self.angle.tolist(), strict=True)),
                 "axis_angle_sd_deg": dict(zip(pairs, self.angle_sd.tolist(), strict=True)),
             },
         }
 
 
+def linear_numbers(sensitivity: Array, offset: Array) -> dict[str, Array]:
+    """What raw = S corrected + c says, by the names of `Matrices`; S (3, 3), c (3,) m/s²."""
+    inverse = np.linalg.inv(sensitivity)
+    length = np.linalg.norm(sensitivity, axis=1)
+    unit = sensitivity / length[:, None]
+    cosines = [unit[0] @ unit[1], unit[0] @ unit[2], unit[1] @ unit[2]]
+    return {
+        "M": inverse,
+        "b": -inverse @ offset,
+        "S": sensitivity,
+        "c": offset,
+        "scale": length,
+        "angle": np.arccos(cosines) / DEG,
+        "bias_mg": offset / MG,
+    }
+
+
+def linear_slopes(sensitivity: Array, offset: Array) -> dict[str, Array]:
+    """(size, 12) derivatives of each of `linear_numbers` by S (rows first) and c, by central
+    differences."""
+    at = np.concatenate([sensitivity.ravel(), offset])
+    step = 1e-5
+    moved = [
+        [linear_numbers(one[:9].reshape(3, 3), one[9:]) for one in (at + by, at - by)]
+        for by in step * np.eye(12)
+    ]
+    return {
+        name: np.stack([(up[name] - down[name]).ravel() / (2 * step) for up, down in moved], -1)
+        for name in moved[0][0]
+    }
+
+
 def matrices(model: Model, theta: Array, covariance: Array) -> Matrices:
-    """Linear part of a correcting model (K = 1) at zero force; standard deviations to first order.
+    """Linear part of a correcting model (K = 1); standard deviations to first order.
 
     model, theta : without fixture effects; covariance : (p, p) of θ
     """
-    linear = Model(tuple(e for e in model.effects if not e.needs and e.name in _LINEAR))
-    context = Context(1)
-    slices, own = model.slices(context), linear.slices(context)
     # Only effects whose derivative is free of covariates make up the matrices.
-    pick = np.concatenate(
-        [np.arange(slices[n].start, slices[n].stop) for n in own] or [np.zeros(0, int)]
-    )
-    pick = pick.astype(int)
-
-    def pieces(values: Array) -> Array:
-        prediction = linear.predict(values, np.zeros((1, 1, 3)), context)
-        sensitivity, offset = prediction.d_truth[0, 0], prediction.reading[0, 0]
-        inverse = np.linalg.inv(sensitivity)
-        length = np.linalg.norm(sensitivity, axis=1)
-        unit = sensitivity / length[:, None]
-        cosines = [unit[0] @ unit[1], unit[0] @ unit[2], unit[1] @ unit[2]]
-        return np.concatenate(
-            [
-                inverse.ravel(),
-                -inverse @ offset,
-                sensitivity.ravel(),
-                offset,
-                length,
-                np.arccos(cosines) / DEG,
-                offset / MG,
-            ]
+    linear = Model(tuple(e for e in model.effects if not e.needs and e.name in LINEAR))
+    slices = model.slices(Context(1))
+    pick = [k for name in linear.names for k in range(slices[name].start, slices[name].stop)]
+    # Without a force, and with one along each axis.
+    force = np.concatenate([np.zeros((1, 3)), np.eye(3)])
+    seen = linear.predict(theta[pick], force[:, None], Context(4))
+    reading, by_theta = seen.reading[:, 0], seen.d_theta[:, 0]
+    sensitivity, offset = (reading[1:] - reading[0]).T, reading[0]
+    gains = np.swapaxes(by_theta[1:] - by_theta[0], 0, 1).reshape(9, -1)
+    slope = np.concatenate([gains, by_theta[0]])
+    spread = slope @ covariance[np.ix_(pick, pick)] @ slope.T
+    numbers = linear_numbers(sensitivity, offset)
+    sds = {
+        f"{name}_sd": np.sqrt(np.maximum(np.diag(by @ spread @ by.T), 0.0)).reshape(
+            numbers[name].shape
         )
-
-    start = theta[pick]
-    value = pieces(start)
-    slope = np.zeros((value.size, start.size))
-    for k in range(start.size):
-        step = np.zeros(start.size)
-        step[k] = 1e-5 * max(1.0, abs(float(start[k])))
-        slope[:, k] = (pieces(start + step) - pieces(start - step)) / (2.0 * step[k])
-    sd = _sd(slope, covariance[np.ix_(pick, pick)])
-    return Matrices(
-        M=value[:9].reshape(3, 3),
-        b=value[9:12],
-        S=value[12:21].reshape(3, 3),
-        S_sd=sd[12:21].reshape(3, 3),
-        c=value[21:24],
-        M_sd=sd[:9].reshape(3, 3),
-        b_sd=sd[9:12],
-        scale=value[24:27],
-        scale_sd=sd[24:27],
-        angle=value[27:30],
-        angle_sd=sd[27:30],
-        bias_mg=value[30:33],
-        bias_mg_sd=sd[30:33],
-    )
-
-
-def _sd(slope: Array, covariance: Array) -> Array:
-    variance = np.einsum("ik,kl,il->i", slope, covariance, slope)
-    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+        for name, by in linear_slopes(sensitivity, offset).items()
+        if name != "c"
+    }
+    return Matrices(**numbers, **sds)
 
 
 @dataclass(frozen=True)
@@ -182,12 +169,14 @@ class Calibration:
     triads: tuple[Triad, ...] = ()
     sha256: str = ""
 
-    def model(self) -> tuple[Model, Array]:
-        """The correcting part as effects of the catalogue, with its θ.
+    def model(self, *, fixture: bool = False) -> tuple[Model, Array]:
+        """The correcting part as effects of the catalogue, with its θ; `fixture` : also what the
+        bench itself is off by.
 
         Raises UnreadableInput when the file names an effect that this version does not know.
         """
-        names = dict.fromkeys(p.effect for p in self.parameters if p.stage not in NEVER_APPLIED)
+        skipped = () if fixture else NEVER_APPLIED
+        names = dict.fromkeys(p.effect for p in self.parameters if p.stage not in skipped)
         effects = {name: effect for name in names if (effect := known(name)) is not None}
         unknown = [name for name in names if name not in effects]
         if unknown:
@@ -196,8 +185,7 @@ class Calibration:
                 remedy="load the file that defines them with --effects, or update imucal",
             )
         model = Model(tuple(effects.values()))
-        by_effect = {n: [p.value for p in self.parameters if p.effect == n] for n in names}
-        return model, np.array([v for e in model.effects for v in by_effect[e.name]])
+        return model, np.array([self.parameters[k].value for k in self.places(model)])
 
     def places(self, model: Model) -> Index:
         """(p,) of the θ of `model`, in its order, among the file's parameters."""
@@ -210,6 +198,13 @@ class Calibration:
         at = self.places(model)
         return np.asarray(self.covariance[np.ix_(at, at)])
 
+    def force_covariance(self, force: Array, context: Context) -> Array:
+        """(n, 3, 3) (m/s²)² of corrected forces (n, 3) m/s², of the calibration alone."""
+        model, theta = self.model()
+        slope, _ = force_slopes(model, theta, force, context)
+        own = self.covariance_of(model)
+        return np.asarray(np.einsum("nip,pq,njq->nij", slope, own, slope))
+
     def unrecorded(self, covariate: str) -> float:
         """Where an effect acts whose covariate was not recorded: what time has brought about stays,
         so times stand at the end of what was calibrated, all else in the middle of its range.
@@ -219,9 +214,9 @@ class Calibration:
         low, high = self.valid[covariate]
         return high if covariate in PASSING else 0.5 * (low + high)
 
-    def usual(self, count: int) -> dict[str, Array]:
-        """Every covariate (count,) as if none was recorded."""
-        return {name: np.full(count, self.unrecorded(name)) for name in self.valid}
+    def context(self, count: int) -> Context:
+        """Of `count` readings of which no covariate was recorded."""
+        return Context(count, {n: np.full(count, self.unrecorded(n)) for n in self.valid})
 
     def apply(self, reading: Array, context: Context | None = None) -> Array:
         """Correct readings (..., 3) in m/s², one or many, to specific force of the same shape in
@@ -274,6 +269,14 @@ def stored_parameters(fit: Fit) -> tuple[StoredParameter, ...]:
     )
 
 
+def stored_covariance(fit: Fit) -> Array:
+    """(p, p) of `stored_parameters`."""
+    slices = fit.model.slices(fit.observations.context)
+    kept = [at for name, at in slices.items() if not is_record_error(name)]
+    keep = [k for at in kept for k in range(at.start, at.stop)]
+    return np.asarray(fit.covariance[np.ix_(keep, keep)])
+
+
 def from_fit(
     fit: Fit,
     calibrator: str,
@@ -287,10 +290,6 @@ def from_fit(
 ) -> Calibration:
     """The calibration of a fit; records that were set aside are no part of it."""
     context = fit.observations.context
-    stored = stored_parameters(fit)
-    slices = fit.model.slices(context)
-    kept = [np.arange(slices[n].start, slices[n].stop) for n in slices if not is_record_error(n)]
-    keep = np.concatenate(kept) if kept else np.zeros(0, int)
     needed = {name for effect in correcting(fit.model).effects for name in effect.needs}
     valid = {
         name: (float(context[name].min()), float(context[name].max()))
@@ -298,8 +297,8 @@ def from_fit(
     }
     return Calibration(
         calibrator=calibrator,
-        parameters=stored,
-        covariance=fit.covariance[np.ix_(keep, keep)],
+        parameters=stored_parameters(fit),
+        covariance=stored_covariance(fit),
         raw_unit=raw_unit,
         raw_to_si=raw_to_si,
         gravity=gravity,

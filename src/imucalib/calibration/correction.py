@@ -1,32 +1,39 @@
-"""A calibration made ready for a recording: what it needs, what it has to do without, how far it
-reaches.
+"""A calibration of one sensor made ready for a recording: what it needs, what it has to do without,
+how far it reaches.
 
 An effect whose covariate was not recorded acts as in the middle of what was calibrated, which
 leaves the least of it, or as at its end where time drives it; that, and samples beyond the
-calibrated range, are counted and told.
+calibrated range, are counted and said.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from itertools import product
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from itertools import chain, product
 
 import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration, taken_at
-from imucalib.calibration.series import CalibrationPart, part_at, parts_of
+from imucalib.calibration.file import identity
+from imucalib.calibration.gyroscope import gyroscope_of, with_rates_corrected
+from imucalib.calibration.series import part_at, parts_of
 from imucalib.calibration.undo import Undo
 from imucalib.core.effect import Context, Effect, Truth
 from imucalib.effects.thermal import LAG, ROWS
-from imucalib.errors import UnreadableInput
+from imucalib.errors import UnreadableInput, UsageError
 from imucalib.recording.recording import Channel, Recording
+from imucalib.recording.recording import Correction as Mark
 from imucalib.rests.thermal import (
     ThermalHistory,
     is_remembered,
     remembered,
     temperature_at,
+    thermal_history,
+    thermometer_of,
     unheard,
+    with_thermometer,
 )
 from imucalib.units import MG, STANDARD_GRAVITY
 
@@ -42,58 +49,106 @@ _GRAVITY = 1.1 * STANDARD_GRAVITY  # m/s² on one axis: calibrations by gravity 
 
 
 class Correction:
-    """Corrects blocks of one recording, and remembers what to say of them.
+    """Corrects a recording of one sensor, block by block, and remembers what to say of it.
 
-    parts : of a calibration in parts, each valid for a time; needs : covariates of every effect
+    triad : which sensor, None where there is one; use : "parts" or "whole" of a calibration in
+    parts, by default what it says; again : correct what is corrected already
     """
 
-    def __init__(self, calibration: Calibration, use: str | None = None) -> None:
-        self.calibration = calibration
-        self.parts: tuple[CalibrationPart, ...] = parts_of(calibration, use)
-        chosen = [part.calibration for part in self.parts] or [calibration]
+    def __init__(
+        self, calibration: Calibration, triad: str | None, *, use: str | None, again: bool
+    ) -> None:
+        self._calibration, self._triad, self._again = calibration, triad, again
+        self._parts = parts_of(calibration, use)
+        chosen = [own for _, own in self._parts] or [calibration]
         self._models = [one.model() for one in chosen]
         self._undo = [Undo(model, theta) for model, theta in self._models]
         models = [model for model, _ in self._models]
-        self.needs = {n for model in models for effect in model.effects for n in effect.needs}
-        self._by_rows = {n for n in self.needs if n.startswith(LAG.prefix) and n.endswith(ROWS)}
+        self._needs = {n for model in models for effect in model.effects for n in effect.needs}
+        self._by_rows = {n for n in self._needs if n.startswith(LAG.prefix) and n.endswith(ROWS)}
+        # What the temperature's past tells, and whether its present tells something.
+        self._remembered = sorted(filter(is_remembered, self._needs))
+        self._warm = "temperature" in self._needs or bool(self._by_rows)
+        self._history: ThermalHistory | None = None
+        self._gyro = gyroscope_of(calibration)
         self._bent = any(undo.bent for undo in self._undo)
         self._samples = self._far = self._unsettled = self._unheard = 0
         self._left: dict[str, tuple[int, float, float]] = {}
         self._held: dict[str, None] = {}
 
-    @property
-    def remembered(self) -> tuple[str, ...]:
-        """Covariates that are needed of the temperature's past."""
-        return tuple(sorted(filter(is_remembered, self.needs)))
+    def corrected(self, blocks: Callable[[], Iterator[Recording]]) -> Iterator[Recording]:
+        """The blocks of a recording with acceleration, and rate, corrected; what follows the
+        temperature goes through them twice. Errors as of `apply.apply_to_recording`."""
+        if self._warm or self._remembered:
+            name, found = self._named(blocks())
+            self._history = thermal_history(found, name)
+        name, found = self._named(blocks())
+        if self._warm:
+            for block, thermometer in with_thermometer(found, name):
+                yield self._block(block, thermometer)
+        else:
+            for block in found:
+                yield self._block(block, None)
 
-    @property
-    def warm(self) -> bool:
-        """Whether a thermometer tells something of what is needed."""
-        return "temperature" in self.needs or bool(self._by_rows)
+    def _named(self, found: Iterator[Recording]) -> tuple[str, Iterator[Recording]]:
+        """The sensor whose thermometer counts, and the blocks."""
+        first = next(found, None)
+        if first is None:
+            return "", iter(())
+        names = [c.triad for c in first.channels.values() if c.quantity == "acceleration"]
+        return self._triad or (names[0] if names else ""), chain([first], found)
 
-    @property
-    def follows_warmth(self) -> bool:
-        """Whether the temperature of the whole recording tells something of what is needed."""
-        return self.warm or bool(self.remembered)
+    def _block(self, recording: Recording, thermometer: Channel | None) -> Recording:
+        calibration = self._calibration
+        name, channel = self._chosen(recording)
+        if not self._again:
+            refuse_second(recording, channel.triad)
+        thermometer = thermometer or thermometer_of(recording, channel.triad)
+        values = self._force(recording, channel, thermometer)
+        note = f"{name} corrected with a calibration by {calibration.calibrator}"
+        if self._parts:
+            count = len(self._parts)
+            note += f", each sample with the one of {count} parts that is valid at its time"
+        done = replace(
+            recording,
+            channels={**recording.channels, name: replace(channel, values=values)},
+            notes=(*recording.notes, note),
+            corrections=(*recording.corrections, mark_of(calibration, channel.triad)),
+        )
+        if self._gyro is None:
+            return done
+        return with_rates_corrected(self._gyro, done, channel.triad, thermometer)
 
-    def __call__(
-        self,
-        recording: Recording,
-        channel: Channel,
-        history: ThermalHistory | None,
-        thermometer: Channel | None,
-    ) -> Array:
+    def _chosen(self, recording: Recording) -> tuple[str, Channel]:
+        found = {n: c for n, c in recording.channels.items() if c.quantity == "acceleration"}
+        chosen = [n for n, c in found.items() if self._triad in (None, c.triad)]
+        if len(chosen) != 1:
+            raise UsageError(
+                f"{len(chosen)} accelerometers to choose from",
+                where=recording.path,
+                remedy=f"name one with --triad: {', '.join(c.triad for c in found.values())}",
+            )
+        channel = found[chosen[0]]
+        if channel.unit != "m/s2":
+            raise UnreadableInput(
+                f"the acceleration has no scale (unit {channel.unit})",
+                where=recording.path,
+                remedy="give --unit, or --unit counts with --lsb",
+            )
+        return chosen[0], channel
+
+    def _force(self, recording: Recording, channel: Channel, thermometer: Channel | None) -> Array:
         """Specific force (n, 3) m/s² of a block. Raises UnreadableInput where a covariate is
         missing of which not even the calibrated range is known."""
-        known = self._known(recording, channel, history, thermometer)
+        known = self._known(recording, channel, thermometer)
         context = Context(len(channel.t), self._complete(known, len(channel.t), recording))
         self._samples += len(channel.t)
         if self._bent:
             x, y, z = np.abs(channel.values).T > _GRAVITY
             self._far += int(np.count_nonzero(x | y | z))
-        if not self.parts:
+        if not self._parts:
             return self._of_part(0, channel.values, context)
-        out, valid = np.empty_like(channel.values), part_at(self.parts, known["time"])
+        out, valid = np.empty_like(channel.values), part_at(self._parts, known["time"])
         for number in np.unique(valid):
             rows = np.flatnonzero(valid == number)
             out[rows] = self._of_part(int(number), channel.values[rows], context.take(rows))
@@ -110,7 +165,7 @@ class Correction:
         found = list(self._held)
         for name, (count, lowest, highest) in self._left.items():
             word, unit = _RANGED[name]
-            low, high = self.calibration.valid[name]
+            low, high = self._calibration.valid[name]
             found.append(
                 f"{count} of {self._samples} samples lie outside the calibrated {word}, "
                 f"{low:.3g} to {high:.3g}{unit}: {lowest:.3g} to {highest:.3g}{unit} were "
@@ -135,40 +190,34 @@ class Correction:
         return tuple(found)
 
     def _known(
-        self,
-        recording: Recording,
-        channel: Channel,
-        history: ThermalHistory | None,
-        thermometer: Channel | None,
+        self, recording: Recording, channel: Channel, thermometer: Channel | None
     ) -> dict[str, Array]:
-        known = _clock(self.calibration, recording, channel)
+        known, history = _clock(self._calibration, recording, channel), self._history
         if thermometer is not None:
-            known |= self._warmth(thermometer, history, channel.t)
+            known |= self._warmth(thermometer, channel.t)
             if self._by_rows:
                 self._held[_AS_WARM] = None
         if history is not None and history.time.size:
-            known |= {name: remembered(history, name, channel.t) for name in self.remembered}
+            known |= {name: remembered(history, name, channel.t) for name in self._remembered}
         for name in _RANGED:
-            if name in self.needs and name in known:
+            if name in self._needs and name in known:
                 self._count(name, known[name])
         return known
 
-    def _warmth(
-        self, thermometer: Channel, history: ThermalHistory | None, at: Array
-    ) -> dict[str, Array]:
+    def _warmth(self, thermometer: Channel, at: Array) -> dict[str, Array]:
         """The temperature (n,) by the names that it has; where the thermometer jumps, the middle of
         what was calibrated, as without one."""
-        warm = temperature_at(thermometer, at)
+        warm, history = temperature_at(thermometer, at), self._history
         names = sorted({"temperature", *self._by_rows})
         lost = None if history is None else unheard(thermometer, history, at)
-        if not self.warm or lost is None or not lost.any():
+        if not self._warm or lost is None or not lost.any():
             return dict.fromkeys(names, warm)
         self._unheard += int(lost.sum())
-        valid = self.calibration.valid
+        valid = self._calibration.valid
         return {n: np.where(lost, 0.5 * sum(valid[n]), warm) for n in names if n in valid}
 
     def _count(self, name: str, values: Array) -> None:
-        low, high = self.calibration.valid.get(name, (-np.inf, np.inf))
+        low, high = self._calibration.valid.get(name, (-np.inf, np.inf))
         margin = _MARGIN * (high - low)
         outside = int(((values < low - margin) | (values > high + margin)).sum())
         if outside:
@@ -178,9 +227,9 @@ class Correction:
 
     def _complete(self, known: dict[str, Array], n: int, recording: Recording) -> dict[str, Array]:
         """The covariates that are needed; those that are missing in the middle of their range."""
-        valid = self.calibration.valid
-        found = {name: known[name] for name in self.needs if name in known}
-        absent = self.needs - set(found)
+        valid = self._calibration.valid
+        found = {name: known[name] for name in self._needs if name in known}
+        absent = self._needs - set(found)
         for model, theta in self._models:
             slices = model.slices(Context(1))
             for effect in model.effects:
@@ -194,9 +243,9 @@ class Correction:
                         where=recording.path,
                         remedy="record it, or calibrate with --without " + effect.name,
                     )
-                size = _swing(effect, theta[slices[effect.name]], self.calibration, lost)
+                size = _swing(effect, theta[slices[effect.name]], self._calibration, lost)
                 self._held[_held_words(effect.name, lost, valid, size)] = None
-        usual = self.calibration.unrecorded
+        usual = self._calibration.unrecorded
         return found | {name: np.full(n, usual(name)) for name in absent}
 
 
@@ -211,7 +260,7 @@ def _held_words(effect: str, lost: list[str], valid: Spans, size: float) -> str:
 
 
 def _swing(effect: Effect, theta: Array, calibration: Calibration, lost: list[str]) -> float:
-    """m/s², how far the effect goes from where it is taken to act to the ends of its covariates'
+    """m/s², how far the effect goes from where it acts to the ends of its covariates'
     ranges, at most, with gravity along any axis."""
     valid, usual = calibration.valid, calibration.unrecorded
     ends = np.array(list(product(*[(usual(n), *valid[n]) for n in lost])))
@@ -239,3 +288,23 @@ def _clock(calibration: Calibration, recording: Recording, channel: Channel) -> 
         start = int(dated or 0) if own is None else own
         known["time_of_day"] = 2.0 * np.pi * ((channel.t + start / 1e9 % 86400.0) / 86400.0 % 1.0)
     return known
+
+
+def mark_of(calibration: Calibration, triad: str) -> Mark:
+    """The mark of a calibration."""
+    return Mark(triad, calibration.calibrator, identity(calibration))
+
+
+def refuse_second(recording: Recording, triad: str) -> None:
+    """Raise UsageError when the sensor is corrected already.
+
+    A mark whose sensor the recording does not have, since it was renamed, may be any of them.
+    """
+    present = {c.triad for c in recording.channels.values()}
+    for mark in recording.corrections:
+        if mark.triad == triad or mark.triad not in present:
+            raise UsageError(
+                str(mark),
+                where=recording.path,
+                remedy="correct the recording that it was made from, or insist with --again",
+            )

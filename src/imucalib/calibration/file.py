@@ -16,13 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from imucalib.arrays import Array
 from imucalib.atomic_file import replaced_together
 from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.plain import plain
 from imucalib.calibration.triads import triad_from
 from imucalib.core.effect import Context
-from imucalib.core.model import Model
 from imucalib.errors import UnreadableInput
 from imucalib.readers.source import sha256_of
 from imucalib.recording.pairing import fault
@@ -152,11 +150,7 @@ def read(path: Path) -> Calibration:
 def from_dict(content: Any, where: str) -> Calibration:
     """Build from the YAML's content; see `read`."""
     if not isinstance(content, dict) or content.get("schema") != SCHEMA:
-        raise UnreadableInput(
-            "not a calibration of imucal",
-            where=where,
-            remedy=_GIVE,
-        )
+        raise UnreadableInput("not a calibration of imucal", where=where, remedy=_GIVE)
     if content.get("version") != VERSION:
         raise UnreadableInput(
             f"schema version {content.get('version')} is not known",
@@ -168,39 +162,35 @@ def from_dict(content: Any, where: str) -> Calibration:
         calibration = _calibration(content)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise UnreadableInput(f"the calibration is incomplete: {error!r}", where=where) from None
-    stated = {p.name: p.value for p in calibration.parameters}
-    stated |= {"gravity_m_per_s2": calibration.gravity, "to_m_per_s2": calibration.raw_to_si}
-    for name, value in stated.items():
-        if not np.isfinite(value):
-            raise UnreadableInput(f"{name} is {value}, no finite number", where=where)
+    _demand_finite(calibration, where)
     return calibration
 
 
-def _check_names(block: Any, where: str, path: str = "") -> None:
-    """Raise UnreadableInput for a name that could be taken for code where it is exported to."""
+def _inside(block: Any, above: str = "") -> Iterator[tuple[str, str, Any]]:
+    """Place, key and value of everything below a block."""
     if isinstance(block, list | tuple):
         block = dict(enumerate(block))
     for key, value in block.items() if isinstance(block, Mapping) else ():
-        place = f"{path}.{key}" if path else str(key)
-        _check_name(str(key), where, place)
-        if key in _NAMES:
-            for name in value if isinstance(value, list | tuple) else [value]:
-                if isinstance(name, str):
-                    _check_name(name, where, place)
-        _check_names(value, where, place)
+        place = f"{above}.{key}" if above else str(key)
+        yield place, str(key), value
+        yield from _inside(value, place)
 
 
-def _check_name(name: str, where: str, place: str) -> None:
-    if why := fault(name):
-        raise UnreadableInput(
-            f"{place[:80]!a} is no name: {why}",
-            where=where,
-            remedy="rename it in the file: letters, digits, blanks and _ - . : / will do",
-        )
+def _check_names(content: Mapping[str, Any], where: str) -> None:
+    """Raise UnreadableInput for a name that could be taken for code where it is exported to."""
+    for place, key, value in _inside(content):
+        values = (value if isinstance(value, list | tuple) else [value]) if key in _NAMES else []
+        for name in (key, *(v for v in values if isinstance(v, str))):
+            if why := fault(name):
+                raise UnreadableInput(
+                    f"{place[:80]!a} is no name: {why}",
+                    where=where,
+                    remedy="rename it in the file: letters, digits, blanks and _ - . : / will do",
+                )
 
 
 def _calibration(content: dict[str, Any]) -> Calibration:
-    parameters = tuple(_parameter(block) for block in content["parameters"])
+    parameters = tuple(parameter_from(block) for block in content["parameters"])
     size = len(parameters)
     covariance = np.array(content["covariance"], dtype=float).reshape(size, size)
     return Calibration(
@@ -218,62 +208,46 @@ def _calibration(content: dict[str, Any]) -> Calibration:
     )
 
 
-def _parameter(block: dict[str, Any]) -> StoredParameter:
-    return StoredParameter(
-        str(block["name"]),
-        str(block["effect"]),
-        str(block["stage"]),
-        float(block["value"]),
-        float(block["sd"]),
-        str(block["unit"]),
-    )
+def parameter_from(block: Mapping[str, Any]) -> StoredParameter:
+    """A parameter from its block; raises KeyError, TypeError or ValueError where it is damaged."""
+    name, effect, stage, unit = (str(block[key]) for key in ("name", "effect", "stage", "unit"))
+    return StoredParameter(name, effect, stage, float(block["value"]), float(block["sd"]), unit)
 
 
 def check(calibration: Calibration, where: str) -> None:
     """Raise UnreadableInput unless the content makes sense: a covariance, an invertible model."""
-    _check_finite(calibration, where)
+    _demand_finite(calibration, where)
     covariance = calibration.covariance
     if not np.isfinite(covariance).all() or not np.allclose(covariance, covariance.T, rtol=1e-6):
         raise UnreadableInput("the covariance is not finite and symmetric", where=where)
     sd = np.array([p.sd for p in calibration.parameters])
     if not np.allclose(np.sqrt(np.maximum(np.diag(covariance), 0.0)), sd, rtol=1e-6, atol=1e-12):
         raise UnreadableInput("the standard deviations contradict the covariance", where=where)
-    spread = np.linalg.eigvalsh(
-        covariance / np.outer(np.maximum(sd, 1e-300), np.maximum(sd, 1e-300))
-    )
-    if spread.size and spread[0] < -1e-6:
+    size = np.maximum(sd, 1e-300)
+    if np.linalg.eigvalsh(covariance / np.outer(size, size)).min(initial=0.0) < -1e-6:
         raise UnreadableInput("the covariance is not positive", where=where)
     model, theta = calibration.model()
     gains = [g for triad in calibration.triads for g in (triad.gain, triad.gyro_gain)]
-    gains += [model.predict(theta, np.zeros((1, 1, 3)), Context(1, _zeros(model))).d_truth[0, 0]]
+    zeros = {name: np.zeros(1) for effect in model.effects for name in effect.needs}
+    gains += [model.predict(theta, np.zeros((1, 1, 3)), Context(1, zeros)).d_truth[0, 0]]
     if min(abs(np.linalg.det(gain)) for gain in gains) < 1e-3:
         raise UnreadableInput("the calibration cannot be inverted", where=where)
 
 
-def _check_finite(calibration: Calibration, where: str) -> None:
+def _demand_finite(calibration: Calibration, where: str) -> None:
     """Raise UnreadableInput for a number that is none, wherever in the file it stands."""
     numbers: dict[str, Any] = {
         **{p.name: (p.value, p.sd) for p in calibration.parameters},
-        "raw": calibration.raw_to_si,
+        "to_m_per_s2": calibration.raw_to_si,
         "gravity_m_per_s2": calibration.gravity,
         "valid": list(calibration.valid.values()),
         **{f"the triad {t.name}": 0.0 if t.finite else np.nan for t in calibration.triads},
     }
     bad = [name for name, value in numbers.items() if not np.isfinite(value).all()]
-    bad += list(_not_finite(calibration.facts))
+    bad += [
+        place
+        for place, _, value in _inside(calibration.facts)
+        if isinstance(value, float) and not np.isfinite(value)
+    ]
     if bad:
         raise UnreadableInput(f"not a finite number: {', '.join(bad)}", where=where)
-
-
-def _not_finite(block: Any, name: str = "") -> Iterator[str]:
-    """Names of numbers below a block that are NaN or infinite."""
-    if isinstance(block, float) and not np.isfinite(block):
-        yield name
-    if isinstance(block, list | tuple):
-        block = dict(enumerate(block))
-    for key, value in block.items() if isinstance(block, Mapping) else ():
-        yield from _not_finite(value, f"{name}.{key}" if name else str(key))
-
-
-def _zeros(model: Model) -> dict[str, Array]:
-    return {name: np.zeros(1) for effect in model.effects for name in effect.needs}

@@ -93,21 +93,13 @@ class Gain:
         )
 
 
-def gain_of(found: Difference | None) -> Gain | None:
+def _gain_of(found: Difference | None) -> Gain | None:
     """A difference in m/s² as one in mg."""
     if found is None:
         return None
-    before, after, low, high = (v / MG for v in (found.before, found.after, found.low, found.high))
-    return Gain(
-        before=before,
-        after=after,
-        low=low,
-        high=high,
-        proved=found.proved,
-        unit="mg",
-        nats=found.nats,
-        nats_low=found.nats_low,
-    )
+    sizes = {n: getattr(found, n) / MG for n in ("before", "after", "low", "high")}
+    dense = {"nats": found.nats, "nats_low": found.nats_low}
+    return Gain(**sizes, **dense, proved=found.proved, unit="mg")
 
 
 @dataclass(frozen=True)
@@ -151,6 +143,10 @@ def findings_of(
     without: tuple[str, ...] = (),
 ) -> Findings:
     """The shared loop's search."""
+    facts, walk = [], loop.wander  # the walk that the noise holds
+    if walk is not None and (walk.counts or walk.followed):
+        what = "which the calibration follows" if walk.followed else "which nothing follows"
+        facts.append(("noise", f"{walk.words}, {what}"))
     return Findings(
         verdict=loop.verdict,
         steps=tuple(_step(step, loop) for step in loop.steps),
@@ -160,8 +156,8 @@ def findings_of(
         unexplained=loop.unexplained,
         scores=loop.scores,
         missing=loop.missing,
-        gain=gain_of(loop.difference),
-        facts=_facts(loop),
+        gain=_gain_of(loop.difference),
+        facts=tuple(facts),
         declared=tuple((name, _size(loop.final, name)) for name in declared),
         only=only,
         without=without,
@@ -173,15 +169,6 @@ def findings_of(
     )
 
 
-def _facts(loop: FitLoop) -> tuple[tuple[str, str], ...]:
-    """The walk that the noise holds."""
-    found = []
-    if loop.wander is not None and (loop.wander.counts or loop.wander.followed):
-        what = "which the calibration follows" if loop.wander.followed else "which nothing follows"
-        found.append(("noise", f"{loop.wander.words}, {what}"))
-    return tuple(found)
-
-
 def _bent(curve: str) -> str:
     """What a curve bends, and against what: a scan's own name where it bends no driver."""
     family, _, value = curve.partition("@")
@@ -191,19 +178,14 @@ def _bent(curve: str) -> str:
 
 def _step(step: Step, loop: FitLoop) -> FoundStep:
     before, after = step.checked[0].before, step.checked[0].after
-    check = Check("held-out error, rms", "mg", before / MG, after / MG)
-    curve = ""
-    if step.curve:
-        curve = _bent(step.effect)
-    own = tuple(p for p in stored_parameters(loop.final) if p.effect == step.effect)
     form = known(step.effect) if step.formed else None
     return FoundStep(
         effect=step.effect,
         evidence=step.evidence,
-        checks=(check,),
+        checks=(Check("held-out error, rms", "mg", before / MG, after / MG),),
         aliases=step.aliases,
-        parameters=own,
-        curve=curve,
+        parameters=tuple(p for p in stored_parameters(loop.final) if p.effect == step.effect),
+        curve=_bent(step.effect) if step.curve else "",
         formula=f"{form.sentence.rstrip('.')}, {form.equation}" if form else "",
         certain=step.certain and not loop.suspected,
         probability=step.probability,

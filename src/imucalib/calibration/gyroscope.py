@@ -22,7 +22,7 @@ from imucalib.rests.thermal import temperature_at
 from imucalib.units import DEG, STANDARD_GRAVITY
 
 STAGE, GAIN, BIAS = "gyroscope", "gyro_gain", "gyro_rest_bias"
-#: Rounds in which what an effect adds is taken from what it acts on.
+#: Rounds in which what an effect adds is subtracted from what it acts on.
 _ROUNDS = 3
 
 
@@ -30,7 +30,7 @@ _ROUNDS = 3
 class Gyroscope:
     """gain : (3, 3) K; bias : (3,) rad/s, at the end of what was calibrated
     laws : effects with the parameters (w,) that they have, and these (w,) in their units
-    warm : °C at which it is taken to be where no thermometer says"""
+    warm : °C that it has where no thermometer says"""
 
     gain: Array
     bias: Array

@@ -46,8 +46,7 @@ class ErrorSummary:
 
     def as_dict(self) -> dict[str, Any]:
         """The block of calibration.yaml and report.json."""
-        found: dict[str, Any] = plain({**vars(self), "held_out": vars(self.held_out)})
-        return found
+        return dict(plain(self))
 
 
 @dataclass(frozen=True)
@@ -91,36 +90,14 @@ class Left:
         return f"{self.name}: {self.value:.2g} {self.unit}, {more} the {self.accepted:g} accepted"
 
 
-def open_question(size: float, error: ErrorSummary) -> Left:
-    """What is not explained against what the calibration is good to.
-
-    size : in the error's unit, rms, by how much it changes a corrected reading; accepted is the
-        error on held-out data, of the fit where nothing was held out
-    """
-    good_to = error.final if math.isnan(error.held_out.final) else error.held_out.final
-    return Left("what stays open in a reading", size, good_to, error.unit)
-
-
 def left_open(loop: FitLoop | None, error: ErrorSummary) -> tuple[Left, ...]:
-    """What a search leaves open of readings whose error is in mg; nothing where all is settled."""
-    size = loop.open_size if loop else 0.0
-    return (open_question(size / MG, error),) if size else ()
-
-
-@dataclass(frozen=True)
-class FitQuality:
-    """How a least-squares fit went; see `Fit`."""
-
-    converged: bool
-    chi2: float
-    dof: int
-    noise_factor: float
-    condition: float
-
-
-def quality_of(fit: Fit) -> FitQuality:
-    """The quality of a fit."""
-    return FitQuality(fit.converged, fit.chi2, fit.dof, fit.noise.factor, fit.condition)
+    """By how much what a search leaves open changes a corrected reading, rms, against what the
+    calibration is good to: the error (mg) on held-out data, of the fit where nothing was held out.
+    Nothing where all is settled."""
+    if loop is None or not loop.open_size:
+        return ()
+    good_to = error.final if math.isnan(error.held_out.final) else error.held_out.final
+    return (Left("what stays open in a reading", loop.open_size / MG, good_to, error.unit),)
 
 
 @dataclass(frozen=True)
@@ -128,6 +105,7 @@ class Outcome:
     """How a calibration went: what the search found, and how far to trust the result.
 
     errors : the principal metric first; findings : None where nothing was searched for
+    fit : by least squares, where it is one
     undecided : what only the user can decide; weak : the data leave parameters open, which stay
     near their nominal values
     left : sizes of what is not explained, and what of each is accepted
@@ -138,7 +116,7 @@ class Outcome:
     errors: tuple[ErrorSummary, ...]
     provenance: Provenance
     findings: Findings | None = None
-    quality: FitQuality | None = None
+    fit: Fit | None = None
     reasons: tuple[str, ...] = ()
     advice: tuple[str, ...] = ()
     undecided: tuple[str, ...] = ()
@@ -165,7 +143,7 @@ class Outcome:
 
     @property
     def status(self) -> Status:
-        if self.broken or (self.quality is not None and not self.quality.converged):
+        if self.broken or (self.fit is not None and not self.fit.converged):
             return "failed"
         if self.weak:
             return "weak"
@@ -185,12 +163,12 @@ class Outcome:
     @property
     def _gated(self) -> bool:
         found = self.findings or Findings("not run")
-        return {
-            None: False,
+        gates = {
             "suspected": found.verdict == "suspected",
             "unexplained": found.open,
             "caution": self.status != "ok",
-        }[self.fail_on]
+        }
+        return self.fail_on is not None and gates[self.fail_on]
 
 
 @dataclass(frozen=True, kw_only=True)

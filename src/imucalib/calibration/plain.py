@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from dataclasses import is_dataclass
 from operator import attrgetter
 from typing import Any
 
 
 def plain(value: Any) -> Any:
-    """Mappings, lists and Python scalars; a number that does not exist is None, never NaN."""
+    """Mappings, lists and Python scalars, a dataclass by its fields; a number that does not exist
+    is None, never NaN."""
+    if is_dataclass(value):
+        value = vars(value)
     if hasattr(value, "items"):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):

@@ -27,13 +27,15 @@ class Hidden:
     identify: str
 
 
-def hidden(scores: Sequence[Score], taken: Sequence[str] = ()) -> tuple[Hidden, ...]:
-    """Effects of the sensor that may hide, largest first, absorbed ones before the others; `taken`
-    are in the model."""
+def hidden(scores: Sequence[Score], present: Sequence[str] = ()) -> tuple[Hidden, ...]:
+    """Effects of the sensor that may hide, largest first, absorbed ones before the others.
+
+    present : those in the model
+    """
     found = []
     for one in scores:
         effect = known(one.name)
-        if effect is None or effect.stage == "fixture" or one.name in taken:
+        if effect is None or effect.stage == "fixture" or one.name in present:
             continue
         size = one.size if one.absorbed else one.size * _SEEN / max(one.strength, 1e-12)
         if size >= _LEAST and "@" not in one.name:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from imucalib import __version__
+from imucalib.calibration.plain import fields
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ class Provenance:
 
     @property
     def footer(self) -> tuple[tuple[str, str], ...]:
-        """What stands at the foot of every report."""
+        """What is at the foot of every report."""
         return (
             ("input", f"{self.path}, sha256 {self.sha256[:16]}…"),
             *((("command", self.command),) if self.command else ()),
@@ -47,19 +48,9 @@ class Provenance:
 
     def as_dict(self) -> dict[str, Any]:
         """The block of calibration.yaml and report.json."""
-        return {
-            "input": self.path,
-            "sha256": self.sha256,
-            **({"inputs_sha256": list(self.parts)} if self.parts else {}),
-            "samples": self.samples,
-            "gaps": self.gaps,
-            "mapping": dict(self.mapping),
-            "settings": dict(self.settings),
-            "command": self.command,
-            "seed": self.seed,
-            "versions": dict(self.versions),
-            "time": self.time,
-        }
+        parts = " inputs_sha256=parts" if self.parts else ""
+        rest = " samples gaps mapping settings command seed versions time"
+        return fields(self, f"input=path sha256{parts}{rest}")
 
 
 def provenance_of(

@@ -1,16 +1,21 @@
-"""Calibrations of consecutive parts of a recording, kept beside the one of the whole."""
+"""Calibrations of consecutive parts of a recording, kept with the one of the whole."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.arrays import Array
-from imucalib.calibration.calibration import Calibration, StoredParameter, from_fit
+from imucalib.calibration.calibration import (
+    Calibration,
+    stored_covariance,
+    stored_parameters,
+)
+from imucalib.calibration.file import parameter_from
 from imucalib.core.fit import Fit
 from imucalib.errors import UnreadableInput, UsageError
 
@@ -18,13 +23,8 @@ from imucalib.errors import UnreadableInput, UsageError
 BLOCK = "series"
 
 
-@dataclass(frozen=True)
-class CalibrationPart:
-    """start, stop : s on the calibration's clock; calibration : valid from start to stop."""
-
-    start: float
-    stop: float
-    calibration: Calibration
+#: s on the calibration's clock from which on each one is valid, in order of time.
+Parts = tuple[tuple[float, Calibration], ...]
 
 
 def series_facts(
@@ -39,25 +39,22 @@ def series_facts(
     for start, stop, fit in parts:
         row: dict[str, Any] = {"start_s": start, "stop_s": stop}
         if fit is not None:
-            found = from_fit(
-                fit, "", raw_unit="", raw_to_si=1.0, gravity=1.0, status="", reasons=(), facts={}
-            )
-            own = {p.name: p for p in found.parameters}
+            own = {p.name: p for p in stored_parameters(fit)}
             at = np.array([names.index(name) for name in own])
             covariance = whole.covariance.copy()
             covariance[at], covariance[:, at] = 0.0, 0.0
-            covariance[np.ix_(at, at)] = found.covariance
+            covariance[np.ix_(at, at)] = stored_covariance(fit)
             row["parameters"] = [vars(own.get(p.name, p)) for p in whole.parameters]
             row["covariance"] = covariance.tolist()
         rows.append(row)
     return {BLOCK: {"use": "parts" if differ else "whole", "parts": rows}}
 
 
-def parts_of(calibration: Calibration, use: str | None = None) -> tuple[CalibrationPart, ...]:
-    """The parts to apply, in order of time; none where the calibration of the whole is to be used.
+def parts_of(calibration: Calibration, use: str | None = None) -> Parts:
+    """The parts to apply; none where the calibration of the whole is to be used.
 
     use : "parts" or "whole"; by default what the calibration says. A part that could not be
-    calibrated has the calibration of the whole. Raises UsageError when "parts" is asked for and
+    calibrated has the calibration of the whole. Raises UsageError when "parts" are wanted and
     there are none, UnreadableInput when the block is damaged.
     """
     block = calibration.facts.get(BLOCK)
@@ -76,17 +73,16 @@ def parts_of(calibration: Calibration, use: str | None = None) -> tuple[Calibrat
         raise UnreadableInput(f"the parts of the calibration are damaged: {error!r}") from None
 
 
-def _part(whole: Calibration, row: dict[str, Any]) -> CalibrationPart:
-    span = float(row["start_s"]), float(row["stop_s"])
+def _part(whole: Calibration, row: dict[str, Any]) -> tuple[float, Calibration]:
     if "parameters" not in row:
-        return CalibrationPart(*span, whole)
-    parameters = tuple(StoredParameter(**p) for p in row["parameters"])
+        return float(row["start_s"]), whole
+    parameters = tuple(map(parameter_from, row["parameters"]))
     covariance = np.array(row["covariance"], dtype=float).reshape(2 * (len(parameters),))
     own = replace(whole, parameters=parameters, covariance=covariance)
-    return CalibrationPart(*span, own)
+    return float(row["start_s"]), own
 
 
-def part_at(parts: tuple[CalibrationPart, ...], time: Array) -> NDArray[np.intp]:
+def part_at(parts: Parts, time: Array) -> NDArray[np.intp]:
     """Number of the part that is valid at each time (s); beyond the ends, of the nearest."""
-    starts = np.array([p.start for p in parts])
+    starts = np.array([start for start, _ in parts])
     return np.maximum(np.searchsorted(starts, time, side="right") - 1, 0)

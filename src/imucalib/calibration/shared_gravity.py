@@ -7,7 +7,6 @@ differ by is held against the same readings paired otherwise, and against what i
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from math import lgamma, log
 
 import numpy as np
@@ -23,17 +22,7 @@ _PRIOR = log(100.0)
 #: m/s² that no accelerometer's bias changes by while it works: zero-g levels of data sheets, over
 #: life and temperature, stay below a tenth of g; another axis or sign is worth more than half of g.
 _ANOTHER_SENSOR = 0.25 * STANDARD_GRAVITY
-_SURE = 5.0  # standard deviations from which a change is told
-
-
-@dataclass(frozen=True)
-class _Seen:
-    """force : (J, K, m, 3) m/s², recorded sensor j corrected as IMU k at m rests; variance : (J,)
-    (m/s²)² of an axis that is stated for j as it is paired; given : (J,) its IMU"""
-
-    force: Array
-    variance: Array
-    given: Index
+_SURE = 5.0  # standard deviations from which a change is stated
 
 
 def held_against_gravity(
@@ -49,12 +38,15 @@ def held_against_gravity(
     names = [name for name in partner if name in segments.triads]
     if segments.n == 0 or len(names) < 2:
         return ()
-    seen = _seen(triads, partner, segments, names)
-    own = _disagreement(seen.force, seen.given)
-    best = _best(seen.force)
-    other = _disagreement(seen.force, best)
+    read = segments.mean[:, [segments.triads.index(name) for name in names]]
+    given = np.array([partner[name] for name in names], dtype=np.intp)
+    # (J, K, m, 3) m/s², recorded sensor j corrected as IMU k at m rests.
+    force = np.array([[t.force(read[:, j]) for t in triads] for j in range(len(names))])
+    variance = _variance(triads, segments, names, given, force)
+    own, best = _disagreement(force, given), _best(force)
+    other = _disagreement(force, best)
     freedom = 3.0 * (len(names) - 1)
-    noise = max(float(seen.variance.mean()), float(other.sum()) / freedom)
+    noise = max(float(variance.mean()), float(other.sum()) / freedom)
     ahead = float(own.sum() - other.sum()) / (2.0 * noise)
     if ahead > lgamma(len(names) + 1.0) + _PRIOR:
         raise Undetermined(
@@ -62,7 +54,7 @@ def held_against_gravity(
             f"{np.sqrt(own.max()) / MG:.3g} mg; paired otherwise, by {_in_mg(other)} mg",
             where=where,
             remedy="if these are the sensors that were calibrated, name the recording's so with a "
-            "mapping (key triads): " + _moved(names, seen.given, best, triads),
+            "mapping (key triads): " + _moved(names, given, best, triads),
         )
     worst = int(np.argmax(own))
     if own[worst] > _ANOTHER_SENSOR**2:
@@ -73,11 +65,11 @@ def held_against_gravity(
             remedy="look at `imucal inspect` of both recordings; leave the sensor out, or "
             "calibrate the board again",
         )
-    changed = np.flatnonzero(own > 3.0 * _SURE**2 * seen.variance)
+    changed = np.flatnonzero(own > 3.0 * _SURE**2 * variance)
     if not changed.size:
         return ()
-    told = ", ".join(f"{names[j]} by {np.sqrt(own[j]) / MG:.2g} mg" for j in changed)
-    return (f"gravity at rest is no longer the same for all IMUs: {told}",)
+    sizes = ", ".join(f"{names[j]} by {np.sqrt(own[j]) / MG:.2g} mg" for j in changed)
+    return (f"gravity at rest is no longer the same for all IMUs: {sizes}",)
 
 
 def _in_mg(square: Array) -> str:
@@ -89,29 +81,18 @@ def _moved(names: Sequence[str], given: Index, best: Index, triads: Sequence[Tri
     return ", ".join(f"{n} is {triads[b].name}, not {triads[a].name}" for n, a, b in rows if a != b)
 
 
-def _seen(
-    triads: Sequence[Triad], partner: Mapping[str, int], segments: Segments, names: Sequence[str]
-) -> _Seen:
+def _variance(
+    triads: Sequence[Triad], segments: Segments, names: Sequence[str], given: Index, force: Array
+) -> Array:
+    """(J,) (m/s²)² of an axis, by the stated covariance of each sensor's IMU, in the mean over the
+    rests, and by the noise of its samples."""
     columns = [segments.triads.index(name) for name in names]
-    read = segments.mean[:, columns]
-    force = np.array([[t.force(read[:, j]) for t in triads] for j in range(len(names))])
-    given = np.array([partner[name] for name in names], dtype=np.intp)
     samples = np.maximum(segments.samples[:, columns], 1)
     noise = np.mean((segments.noise[columns] ** 2).mean(axis=1) / samples, axis=0)
-    stated = np.array([_stated(triads[k], force[j, k]) for j, k in enumerate(given)])
-    return _Seen(force, stated + noise, given)
-
-
-def _stated(triad: Triad, force: Array) -> float:
-    """(m/s²)² variance of an axis by the triad's covariance, in the mean over forces (m, 3)."""
-    inverse = np.linalg.inv(triad.gain)
-    columns = np.zeros((len(force), 3, 12))
-    for axis in range(3):
-        columns[:, axis, 3 * axis : 3 * axis + 3] = force
-        columns[:, axis, 9 + axis] = 1.0
-    columns = inverse @ columns
-    found = np.einsum("mip,pq,miq->mi", columns, triad.covariance, columns)
-    return float(np.maximum(found, 0.0).mean())
+    stated = [
+        np.einsum("mii->mi", triads[k].force_covariance(force[j, k])) for j, k in enumerate(given)
+    ]
+    return np.asarray([float(np.maximum(one, 0.0).mean()) for one in stated] + noise)
 
 
 def _disagreement(force: Array, pairing: Index) -> Array:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from imucalib.arrays import Array
+from imucalib.calibration.plain import fields
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.recording.pairing import Pairing, paired
 from imucalib.recording.recording import Channel, Recording
@@ -40,41 +41,44 @@ class Triad:
         """Specific force (n, 3) m/s² in board axes from readings (n, 3) m/s² in package axes."""
         return np.asarray((reading @ self.rotation.T - self.bias) @ np.linalg.inv(self.gain).T)
 
+    def reading(self, force: Array) -> Array:
+        """Readings (n, 3) m/s² in package axes of specific forces (n, 3) m/s² in board axes."""
+        return np.asarray((force @ self.gain.T + self.bias) @ self.rotation)
+
     def rate(self, reading: Array) -> Array:
         """Angular rate (n, 3) rad/s in board axes from readings (n, 3) rad/s in package axes."""
         turned = reading @ self.rotation.T - self.gyro_bias
         return np.asarray(turned @ np.linalg.inv(self.gyro_gain).T)
 
+    def force_covariance(self, force: Array) -> Array:
+        """(n, 3, 3) (m/s²)² of corrected forces (n, 3) m/s² in board axes."""
+        slope = np.linalg.inv(self.gain) @ gain_and_bias_slope(force)
+        return np.asarray(np.einsum("nip,pq,njq->nij", slope, self.covariance, slope))
+
     @property
     def finite(self) -> bool:
-        values = (
-            self.rotation,
-            self.gain,
-            self.bias,
-            self.gyro_gain,
-            self.gyro_bias,
-            self.covariance,
-            self.noise,
-            self.gyro_noise,
-        )
-        return all(bool(np.isfinite(v).all()) for v in values)
+        numbers = (v for v in vars(self).values() if not isinstance(v, str))
+        return all(bool(np.isfinite(v).all()) for v in numbers)
 
     def as_dict(self) -> dict[str, Any]:
         """The block of calibration.yaml and report.json."""
         sd = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         return {
-            "imu": self.name,
-            **({"channel": self.channel} if self.channel else {}),
-            "rotation": self.rotation.tolist(),
-            "gain": self.gain.tolist(),
+            **fields(self, "imu=name channel" if self.channel else "imu=name"),
+            **fields(self, "rotation gain"),
             "gain_sd": sd[:9].reshape(3, 3).tolist(),
-            "bias_m_per_s2": self.bias.tolist(),
-            "covariance": self.covariance.tolist(),
-            "noise_m_per_s2": self.noise,
-            "gyro_gain": self.gyro_gain.tolist(),
+            **fields(self, "bias_m_per_s2=bias covariance noise_m_per_s2=noise gyro_gain"),
             "gyro_bias_deg_per_s": (self.gyro_bias / DEG).tolist(),
             "gyro_noise_deg_per_s": self.gyro_noise / DEG,
         }
+
+
+def gain_and_bias_slope(force: Array) -> Array:
+    """(n, 3, 12) of a reading in board axes by the gain (9, rows first) and the bias, at forces
+    (n, 3)."""
+    by_gain = np.einsum("ij,nk->nijk", np.eye(3), force).reshape(-1, 3, 9)
+    by_bias = np.broadcast_to(np.eye(3), (len(force), 3, 3))
+    return np.concatenate([by_gain, by_bias], axis=2)
 
 
 def triad_from(block: Mapping[str, Any]) -> Triad:
@@ -115,6 +119,35 @@ def named_triads(
         known = ", ".join(f"{r} ({triads[k].name})" for r, k in partner.items())
         raise UsageError(f"no IMU '{only}'", remedy=f"name one with --triad: {known}")
     return chosen
+
+
+#: What the drift while it was calibrated is called among the effects that are not undone later.
+DRIFT = "drift of the rests"
+
+
+def drift_block(t: Array, offset: Array) -> dict[str, Any]:
+    """What an array's accelerometers drifted by while they were calibrated, as calibration.yaml has
+    it below `rests`. A later recording has its own drift, and keeps the biases of the end.
+
+    t : (m,) s of the calibrated recording; offset : (m, K, 3) m/s² of readings in the sensors' own
+    axes, beyond that of the last; straight between, and beyond the ends as there
+    """
+    return {"t_s": t.tolist(), "m_per_s2": np.round(offset, 7).tolist()}
+
+
+def without_drift(
+    recording: Recording, partner: Mapping[str, int], drift: Mapping[str, Any]
+) -> Recording:
+    """The recording that was calibrated with its accelerations as they would read without the
+    drift. partner : recorded sensor -> index of its triad; drift : as of `drift_block`"""
+    t, offset = np.array(drift["t_s"], float), np.array(drift["m_per_s2"], float)
+    channels = dict(recording.channels)
+    for name, channel in recording.channels.items():
+        if channel.quantity == "acceleration" and channel.triad in partner:
+            own = offset[:, partner[channel.triad]].T
+            more = np.stack([np.interp(channel.t, t, axis) for axis in own], axis=1)
+            channels[name] = replace(channel, values=channel.values - more)
+    return replace(recording, channels=channels)
 
 
 def correct_triads(chosen: Mapping[str, Triad], recording: Recording) -> dict[str, Channel]:

@@ -23,6 +23,31 @@ from imucalib.effects.record_error import is_record_error
 from imucalib.units import DEG
 
 
+def correcting(model: Model) -> Model:
+    """The part of a model that `correct` undoes: mounting and sensor, without single records."""
+    return Model(
+        tuple(e for e in model.effects if e.stage != "fixture" and not is_record_error(e.name))
+    )
+
+
+def force_slopes(model: Model, theta: Array, force: Array, context: Context) -> tuple[Array, Array]:
+    """d(corrected force)/dθ (n, 3, p) and d(corrected force)/d(reading) (n, 3, 3) of a correcting
+    model at forces (n, 3) m/s²."""
+    seen = model.predict(theta, force[:, None], context)
+    inverse = np.asarray(np.linalg.inv(seen.d_truth[:, 0]), np.float64)
+    return -inverse @ seen.d_theta[:, 0], inverse
+
+
+def angle_slopes(force: Array) -> Array:
+    """(2, n, 3) deg per m/s², of inclination and tool-face by the specific force (n, 3) m/s²."""
+    x, y, z = force.T
+    h = np.maximum(np.hypot(x, y), 1e-12)
+    inclination = np.stack([-z * x / h, -z * y / h, h], axis=-1)
+    tool_face = np.stack([y, -x, np.zeros_like(x)], axis=-1)
+    square = np.stack([np.sum(force**2, axis=1), h**2])
+    return np.asarray(np.stack([inclination, tool_face]) / square[..., None] / DEG)
+
+
 @dataclass(frozen=True)
 class AngleUncertainty:
     """For each attitude (n,): what the calibration alone leaves, and one reading adds.
@@ -49,72 +74,49 @@ def angle_uncertainty(
 
     inclination, tool_face : (n,) rad; gravity : m/s²; reading_sigma : m/s², noise of one reading
     """
-    force = gravity * unit_vector(inclination, tool_face)[:, None]
-    slope, inverse = force_slope(fit, force)
-    x, y, z = force[:, 0].T
-    h = np.maximum(np.hypot(x, y), 1e-12)
-    along_t = np.stack([y, -x, np.zeros_like(x)], axis=-1) / (h**2)[:, None] / DEG
-    along_i = np.stack([-z * x / h, -z * y / h, h], axis=-1) / gravity**2 / DEG
-    rows_i = np.einsum("nj,njp->np", along_i, slope)
-    rows_t = np.einsum("nj,njp->np", along_t, slope)
-
-    def sd(rows: Array) -> Array:
-        variance = np.einsum("np,pq,nq->n", rows, fit.covariance, rows)
-        return np.asarray(np.sqrt(np.maximum(variance, 0.0)), np.float64)
-
-    def reading(along: Array) -> Array:
-        moved = np.linalg.norm(np.einsum("nj,njk->nk", along, inverse), axis=-1)
-        return np.asarray(reading_sigma * moved, np.float64)
-
+    force = gravity * unit_vector(inclination, tool_face)
+    slope, inverse = force_slope(fit, force[:, None])
+    along = angle_slopes(force)
+    rows = np.einsum("anj,njp->anp", along, slope)
+    variance = np.einsum("anp,pq,anq->an", rows, fit.covariance, rows)
+    sd = np.sqrt(np.maximum(variance, 0.0))
+    reading = reading_sigma * np.linalg.norm(np.einsum("anj,njk->ank", along, inverse), axis=-1)
     return AngleUncertainty(
         inclination=inclination / DEG,
         tool_face=tool_face / DEG,
-        inclination_sd=sd(rows_i),
-        tool_face_sd=sd(rows_t),
-        inclination_95=fit.half_width(rows_i),
-        tool_face_95=fit.half_width(rows_t),
-        inclination_reading=reading(along_i),
-        tool_face_reading=reading(along_t),
+        inclination_sd=sd[0],
+        tool_face_sd=sd[1],
+        inclination_95=fit.half_width(rows[0]),
+        tool_face_95=fit.half_width(rows[1]),
+        inclination_reading=reading[0],
+        tool_face_reading=reading[1],
     )
 
 
 def force_slope(fit: Fit, force: Array) -> tuple[Array, Array]:
-    """d(corrected force)/dθ (n, 3, p) and d(corrected force)/d(reading) (n, 3, 3) at K = 1.
+    """`force_slopes` of a fit at forces (n, 1, 3) m/s², by all of its parameters.
 
     The fixture's and single records' parameters do not act on a corrected reading: zero columns.
     """
-    model = correcting(fit.model)
-    context = Context(force.shape[0], _typical_covariates(fit, force.shape[0]))
-    slices, own = fit.model.slices(fit.observations.context), model.slices(context)
-    theta = model.start(context)
-    for name, part in own.items():
-        theta[part] = fit.theta[slices[name]]
-    prediction = model.predict(theta, force, context)
-    inverse = np.asarray(np.linalg.inv(prediction.d_truth[:, 0]), np.float64)
-    slope = np.zeros((force.shape[0], 3, fit.theta.size))
-    for name, part in own.items():
-        slope[..., slices[name]] = -inverse @ prediction.d_theta[:, 0][..., part]
+    model, theta, context = _correcting(fit, len(force))
+    own, inverse = force_slopes(model, theta, force[:, 0], context)
+    slices = fit.model.slices(fit.observations.context)
+    slope = np.zeros((*own.shape[:2], fit.theta.size))
+    for name, part in model.slices(context).items():
+        slope[..., slices[name]] = own[..., part]
     return slope, inverse
-
-
-def correcting(model: Model) -> Model:
-    """The part of a model that `correct` undoes: mounting and sensor, without single records."""
-    return Model(
-        tuple(e for e in model.effects if e.stage != "fixture" and not is_record_error(e.name))
-    )
-
-
-def _typical_covariates(fit: Fit, n: int) -> dict[str, Array]:
-    """Covariates at their median over the calibration, for attitudes that were never recorded."""
-    covariates = fit.observations.context.covariates
-    return {name: np.full(n, float(np.median(values))) for name, values in covariates.items()}
 
 
 def corrected_by(fit: Fit, reading: Array) -> Array:
     """New readings (n, 3) m/s² corrected to specific force (n, 3) by a fit, K = 1."""
-    model = correcting(fit.model)
-    context = Context(len(reading), _typical_covariates(fit, len(reading)))
-    slices = fit.model.slices(fit.observations.context)
-    parts = [fit.theta[slices[name]] for name in model.names]
-    theta = np.concatenate(parts) if parts else np.zeros(0)
+    model, theta, context = _correcting(fit, len(reading))
     return model.correct(theta, reading[:, None], context)[:, 0]
+
+
+def _correcting(fit: Fit, n: int) -> tuple[Model, Array, Context]:
+    """What of a fit corrects n readings: covariates at their median over the calibration."""
+    model, slices = correcting(fit.model), fit.model.slices(fit.observations.context)
+    covariates = fit.observations.context.covariates
+    typical = {name: np.full(n, float(np.median(values))) for name, values in covariates.items()}
+    theta = np.concatenate([np.zeros(0), *(fit.theta[slices[name]] for name in model.names)])
+    return model, theta, Context(n, typical)

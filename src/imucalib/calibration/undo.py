@@ -20,7 +20,7 @@ from imucalib.core.model import Model
 from imucalib.units import STANDARD_GRAVITY
 
 _ROWS = 8192  # at a time, so that memory does not grow with the recording
-_STEP = STANDARD_GRAVITY / 4000.0  # m/s² between the entries of a table near gravity
+_STEP = STANDARD_GRAVITY / 4000.0  # m/s² between the entries of a table about gravity
 _NEAR, _FAR = 1.25 * STANDARD_GRAVITY, 32.0 * STANDARD_GRAVITY  # its fine part, and its end
 _COARSE = 10.0  # times as wide a step beyond
 _ROUNDS, _CLOSE = 25, 1e-7  # steps at most, and m/s² at which a sample is settled
@@ -71,7 +71,7 @@ class Undo:
         steady = [e for e in sensor if not e.needs]
         self._exact = model if any(e.needs for e in mounting) else None
         late = [e for e in sensor if e.needs]
-        # What does not depend on the force is taken out once.
+        # What does not depend on the force is removed once.
         self._free = [e for e in late if isinstance(e, Response) and e.basis_dx is None]
         self._late = [e for e in late if e not in self._free]
         self._offset, self._gain = np.zeros(3), np.eye(3)

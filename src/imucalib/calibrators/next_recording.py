@@ -21,7 +21,8 @@ from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.checking.next_rests import attitudes
 from imucalib.calibration.file import check, read
 from imucalib.calibrators.lab.conventions import Conventions
-from imucalib.core.effect import Context, Effect
+from imucalib.calibrators.lab.design import grid
+from imucalib.core.effect import Context
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
@@ -36,21 +37,15 @@ from imucalib.loop.separation import (
     separable,
     separation,
 )
-from imucalib.units import DEG
 
 _KINDS = {KnownVector: "vector", KnownDirection: "direction", KnownNorm: "norm"}
-#: deg between attitudes, and rests after the recording at which drifts are judged.
-_STEP, _LATER = 15.0, 4.0
+#: Rests after the recording at which drifts are judged.
+_LATER = 4.0
 #: °C between which a remedy may vary the temperature.
 _WARM = (10.0, 40.0)
 #: Covariates that follow the temperature late, and what they follow: it changes just before.
 _LAGGED, _BEFORE = "temperature_", "temperature_before"
-#: Columns of the table that a reader of the plan does not need: how else a direction is said.
-_HIDDEN = {
-    "vector": (),
-    "direction": ("inclination", "tool_face"),
-    "norm": ("inclination", "tool_face"),
-}
+_APPROACHES = ("inclination_approach", "tool_face_approach")
 _HEADINGS = {
     "tool_face": "tool-face",
     "temperature": "degC",
@@ -62,15 +57,6 @@ _HEADINGS = {
     "inclination_approach": "inclination from",
     "tool_face_approach": "tool-face from",
 }
-
-
-@dataclass(frozen=True)
-class Wish:
-    """What the user can do. temperatures : °C; between : mg, scatter of the bias from power-up to
-    power-up where the rests come after another one, 0 where they are of the same"""
-
-    temperatures: tuple[float, ...] = ()
-    between: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -92,6 +78,11 @@ class Recorded:
     sweeps: int
     covariates: Mapping[str, tuple[float, float, float]]
     ambiguities: tuple[Ambiguity, ...]
+
+    def follows(self, ambiguity: Ambiguity) -> set[str]:
+        """Covariates that one of its effects depends on."""
+        effects = (named(name) for name in (*ambiguity.base, *ambiguity.blocks))
+        return {name for effect in effects for name in effect.needs}
 
 
 @dataclass(frozen=True)
@@ -131,13 +122,13 @@ class Part:
 @dataclass(frozen=True)
 class NextRecording:
     """what : is recorded, "rests" or "postures"; parts : of every ambiguity, none where a name
-    stands alone; table : as CSV, to be filled in, or empty; wish : what the user can do"""
+    has no rival; table : as CSV, to be filled in, or empty; between : mg, as planned for"""
 
     calibrator: str
     what: str
     parts: tuple[Part, ...]
     table: str
-    wish: Wish
+    between: float
 
     @property
     def exit_code(self) -> int:
@@ -194,9 +185,13 @@ def recorded_of(block: Mapping[str, Any], where: str) -> Recorded:
         raise UnreadableInput(f"what a plan needs is damaged: {error!r}", where=where) from None
 
 
-def next_recording(path: Path, wish: Wish) -> NextRecording:
+def next_recording(
+    path: Path, temperatures: tuple[float, ...] = (), between: float = 0.0
+) -> NextRecording:
     """Plan from a calibration's folder, or from the calibration.yaml in it.
 
+    temperatures : °C that can be held; between : mg, scatter of the bias from power-up to power-up
+    where the rests come after another one, 0 where they are of the same
     Raises UnreadableInput where the folder lacks the run's files, and UsageError where a wish does
     not fit the recording.
     """
@@ -212,32 +207,34 @@ def next_recording(path: Path, wish: Wish) -> NextRecording:
         )
     report = read_report(folder)
     recorded = recorded_of(report[KEY], str(folder / "report.json"))
-    if wish.temperatures and "temperature" not in recorded.covariates:
+    if temperatures and "temperature" not in recorded.covariates:
         raise UsageError(
             "--temperatures: the recording has no temperature",
             where=str(folder),
             remedy="leave it out, or record the temperature and calibrate again",
         )
-    plans = [_planned(recorded, calibration, one, wish) for one in recorded.ambiguities]
-    shown = _Shown(calibration, recorded, report)
+    parts, every = [], []
+    for ambiguity in recorded.ambiguities:
+        rests = rests_of(recorded, ambiguity, temperatures)
+        pool = pool_of(recorded, calibration, ambiguity, rests)
+        found = separation(*_later(ambiguity, pool, max(between, recorded.drift)))
+        values = _columns(recorded, calibration, rests.take(np.array(found.plan, np.intp)))
+        every.append(values)
+        shown = {n: v for n, v in values.items() if n not in ("inclination", "tool_face")}
+        if recorded.reference == "vector":
+            shown = values
+        header = ("", *(_HEADINGS.get(name, name) for name in shown))
+        rows = tuple((str(k), *row) for k, row in enumerate(zip(*shown.values(), strict=True), 1))
+        remedies = _remedies(recorded, calibration, ambiguity, found.never)
+        parts.append(Part(found, header, rows, remedies))
+    headings = (report.get("provenance") or {}).get("mapping") or {}
     return NextRecording(
         calibrator=calibration.calibrator,
         what="postures" if calibration.calibrator == "actigraph" else "rests",
-        parts=tuple(shown.part(*plan) for plan in plans),
-        table=shown.table([rests for _, rests, _ in plans]),
-        wish=wish,
+        parts=tuple(parts),
+        table=plan_table(every, [str(headings.get(axis, axis)) for axis in "xyz"]),
+        between=between,
     )
-
-
-def _planned(
-    recorded: Recorded, calibration: Calibration, ambiguity: Ambiguity, wish: Wish
-) -> tuple[Separation, Rests, tuple[str, ...]]:
-    """The plan of one ambiguity, its rests, and remedies for what it cannot end."""
-    rests = rests_of(recorded, ambiguity, wish.temperatures)
-    pool = pool_of(recorded, calibration, ambiguity, rests)
-    found = separation(*_later(ambiguity, pool, max(wish.between, recorded.drift)))
-    remedies = _remedies(recorded, calibration, ambiguity, found.never)
-    return found, rests.take(np.array(found.plan, np.intp)), remedies
 
 
 def _later(ambiguity: Ambiguity, pool: Array, drift: float) -> tuple[Ambiguity, Array]:
@@ -260,22 +257,23 @@ def _remedies(
     never: Sequence[tuple[str, str]],
 ) -> tuple[str, ...]:
     """What would tell apart the pairs that no rest of this kind does: tried, not guessed."""
-    asked = np.array([pair in never for pair in ambiguity.pairs])
-    if not asked.any():
+    inseparable = np.array([pair in never for pair in ambiguity.pairs])
+    if not inseparable.any():
         return ()
-    if recorded.reference == "norm":
-        known = replace(recorded, reference="direction")
-        pool = pool_of(known, calibration, ambiguity, rests_of(recorded, ambiguity))
-        if separable(ambiguity, pool)[asked].all():
-            return (
-                "rests in known directions: faces and edges of a fixture (`lab --reference "
-                "direction`) or a two-axis table",
-            )
+
+    def ends(after: Recorded, rests: Rests) -> bool:
+        pool = pool_of(after, calibration, ambiguity, rests)
+        return bool(separable(ambiguity, pool)[inseparable].all())
+
+    known = replace(recorded, reference="direction")
+    if recorded.reference == "norm" and ends(known, rests_of(recorded, ambiguity)):
+        return (
+            "rests in known directions: faces and edges of a fixture (`lab --reference "
+            "direction`) or a two-axis table",
+        )
     warm = rests_of(recorded, ambiguity, _WARM)
-    if "temperature" in warm.levels:
-        pool = pool_of(recorded, calibration, ambiguity, warm)
-        if separable(ambiguity, pool)[asked].all():
-            return (f"rests at temperatures as far apart as {_WARM[0]:g} and {_WARM[1]:g} degC",)
+    if "temperature" in warm.levels and ends(recorded, warm):
+        return (f"rests at temperatures as far apart as {_WARM[0]:g} and {_WARM[1]:g} degC",)
     words = dict.fromkeys(named(name).identify for pair in never for name in pair)
     return tuple(text[0].lower() + text[1:].rstrip(".") for text in words)
 
@@ -283,8 +281,8 @@ def _remedies(
 def rests_of(recorded: Recorded, ambiguity: Ambiguity, temperatures: Sequence[float] = ()) -> Rests:
     """All candidates for an ambiguity. temperatures : °C that can be held, the ends of those of the
     recording by default; only where an effect depends on it."""
-    levels = _levels(recorded, ambiguity, tuple(temperatures))
-    i, t = angles_of(attitudes()) if levels else _grid()
+    levels = _levels(recorded, recorded.follows(ambiguity), temperatures)
+    i, t = angles_of(attitudes()) if levels else grid()
     combined = list(product(*levels.values()))
     each = np.repeat(np.array(combined).reshape(len(combined), len(levels)), len(i), axis=0)
     return Rests(
@@ -295,34 +293,19 @@ def rests_of(recorded: Recorded, ambiguity: Ambiguity, temperatures: Sequence[fl
 
 
 def _levels(
-    recorded: Recorded, ambiguity: Ambiguity, temperatures: tuple[float, ...]
+    recorded: Recorded, needed: set[str], temperatures: Sequence[float]
 ) -> dict[str, Sequence[float]]:
     """What else can be set and one of the effects depends on."""
-    effects = [named(name) for name in (*ambiguity.base, *ambiguity.blocks)]
-    needed = {name for effect in effects for name in effect.needs}
     levels: dict[str, Sequence[float]] = {}
+    recordable = {name for name in needed if name in recorded.covariates}
     warms = any(name.startswith("temperature") for name in needed)
     if warms and "temperature" in recorded.covariates:
         levels["temperature"] = temperatures or recorded.covariates["temperature"][1:]
         if any(name.startswith(_LAGGED) for name in needed):
             levels[_BEFORE] = levels["temperature"]
-    if "time_of_day" in needed and "time_of_day" in recorded.covariates:
+    if "time_of_day" in recordable:
         levels["time_of_day"] = tuple(np.arange(0.0, 2.0 * np.pi, np.pi / 2.0))
-    for name in ("inclination_approach", "tool_face_approach"):
-        if name in needed and name in recorded.covariates:
-            levels[name] = (-1.0, 1.0)
-    return levels
-
-
-def _grid() -> tuple[Array, Array]:
-    """(c,) inclination and tool-face, rad, of a two-axis table's grid."""
-    pairs = [
-        (i, t)
-        for i in np.arange(-90.0, 90.0 + 1e-9, _STEP)
-        for t in (np.arange(0.0, 360.0, _STEP) if abs(i) < 90.0 - 1e-9 else (0.0,))
-    ]
-    inclination, tool_face = np.array(pairs).T
-    return inclination * DEG, tool_face * DEG
+    return levels | {name: (-1.0, 1.0) for name in _APPROACHES if name in recordable}
 
 
 def pool_of(
@@ -334,26 +317,24 @@ def pool_of(
     value = {p.name: p.value for p in calibration.parameters}
     theta = np.array([value.get(p.name, p.start) for p in model.parameters(context)])
     force = recorded.gravity * rests.direction[:, None]
+    ids = np.arange(rests.n)
+    reference: Reference = KnownNorm(rests.n, recorded.gravity)
+    if recorded.reference == "vector":
+        angles = (rests.inclination, rests.tool_face)
+        reference = KnownVector(*angles, recorded.gravity, ids, ids)
+    elif recorded.reference == "direction":
+        reference = KnownDirection(rests.direction, recorded.gravity)
     data = Observations(
         model.predict(theta, force, context).reading,
         np.full((rests.n, 1, 3), recorded.reading),
-        _reference(recorded, rests),
+        reference,
         context,
-        np.arange(rests.n),
+        ids,
         ("",) * rests.n,
     )
-    rivals: list[Effect] = [named(name) for name in ambiguity.blocks]
+    rivals = [named(name) for name in ambiguity.blocks]
     rows = columns_of(model, theta, rivals, data, recorded.settings)
     return np.asarray(rows.transpose(0, 2, 1) @ rows)
-
-
-def _reference(recorded: Recorded, rests: Rests) -> Reference:
-    ids, gravity = np.arange(rests.n), recorded.gravity
-    if recorded.reference == "vector":
-        return KnownVector(rests.inclination, rests.tool_face, gravity, ids, ids)
-    if recorded.reference == "direction":
-        return KnownDirection(rests.direction, gravity)
-    return KnownNorm(rests.n, gravity)
 
 
 def _context(recorded: Recorded, rests: Rests) -> Context:
@@ -373,42 +354,30 @@ def _context(recorded: Recorded, rests: Rests) -> Context:
     return Context(n, {**found, **held}, sweeps=recorded.sweeps)
 
 
-@dataclass(frozen=True)
-class _Shown:
-    """Rests in words and as a table."""
+def _columns(recorded: Recorded, calibration: Calibration, rests: Rests) -> dict[str, list[str]]:
+    """Rests by role, in the words of the user's conventions."""
+    conventions = Conventions(**(calibration.facts.get("conventions") or {}))
+    angles = conventions.outside(rests.inclination, rests.tool_face)
+    shown = zip(("inclination", "tool_face"), angles, strict=True)
+    values = {name: [f"{v:.1f}" for v in angle] for name, angle in shown}
+    if recorded.reference != "vector":
+        along = np.round(rests.direction, 3) + 0.0
+        values |= {f"u{a}": [f"{v:.3f}" for v in along[:, k]] for k, a in enumerate("xyz")}
+    for name, level in rests.levels.items():
+        hour = 12.0 / np.pi if name == "time_of_day" else 1.0
+        values[name] = [f"{v:.4g}" for v in hour * level]
+    return values
 
-    calibration: Calibration
-    recorded: Recorded
-    report: Mapping[str, Any]
 
-    def part(self, found: Separation, rests: Rests, remedies: tuple[str, ...]) -> Part:
-        values = self._values(rests)
-        names = [name for name in values if name not in _HIDDEN[self.recorded.reference]]
-        rows = ((str(k + 1), *(values[name][k] for name in names)) for k in range(rests.n))
-        header = ("", *(_HEADINGS.get(name, name) for name in names))
-        return Part(found, header, tuple(rows), remedies)
+def plan_table(every: Sequence[Mapping[str, Sequence[str]]], readings: Sequence[str]) -> str:
+    """Rests as CSV, with empty cells for the readings under the recording's own headings.
 
-    def table(self, every: Sequence[Rests]) -> str:
-        """All rests, with empty cells for the readings under the recording's own headings."""
-        names = (self.report.get("provenance") or {}).get("mapping") or {}
-        readings = [str(names.get(axis, axis)) for axis in "xyz"]
-        lines = []
-        for rests in every:
-            values = self._values(rests)
-            lines += [",".join(v[k] for v in values.values()) + ",,," for k in range(rests.n)]
-            header = ",".join((*values, *readings))
-        return "\n".join((header, *lines, "")) if lines else ""
-
-    def _values(self, rests: Rests) -> dict[str, list[str]]:
-        """Columns by role, in the words of the user's conventions."""
-        conventions = Conventions(**(self.calibration.facts.get("conventions") or {}))
-        i, t = conventions.outside(rests.inclination, rests.tool_face)
-        values = {"inclination": [f"{v:.1f}" for v in i], "tool_face": [f"{v:.1f}" for v in t]}
-        if self.recorded.reference != "vector":
-            for k, axis in enumerate("xyz"):
-                along = np.round(rests.direction[:, k], 3) + 0.0
-                values[f"u{axis}"] = [f"{v:.3f}" for v in along]
-        for name, level in rests.levels.items():
-            hour = 12.0 / np.pi if name == "time_of_day" else 1.0
-            values[name] = [f"{v:.4g}" for v in hour * level]
-        return values
+    every : of each ambiguity, its rests' cells by role; what one does not set is empty there
+    """
+    names = list(dict.fromkeys(name for values in every for name in values))
+    lines = [
+        ",".join((*(values[name][k] if name in values else "" for name in names), "", "", ""))
+        for values in every
+        for k in range(len(values["inclination"]))
+    ]
+    return "\n".join((",".join((*names, *readings)), *lines, "")) if lines else ""

@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 
 from imucalib.arrays import Array
+from imucalib.calibration.plain import plain
 from imucalib.core.balance import Noise, balance
-from imucalib.core.effect import Context, Effect, Parameter
+from imucalib.core.effect import Context, Effect
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
@@ -28,15 +29,15 @@ from imucalib.recording.yaml_text import dump, load
 from imucalib.units import MG
 
 SCHEMA, VERSION = "imucal/fleet", 1
-#: Chance below which a device is told not to be of its fleet's kind.
-STRANGE = 0.01
+#: Chance below which a device is said not to be of its fleet's kind.
+UNLIKELY = 0.01
 #: A noise that the fleet knows nothing of: anything within a factor of ten.
 _UNKNOWN = float(np.log(10.0))
 _ABOUT = 1e-3  # rad, of a setting that no device of the fleet had
 
 
 @dataclass(frozen=True)
-class Told:
+class PriorParameter:
     """A parameter of the next device: mean and sd, in `unit`."""
 
     name: str
@@ -46,7 +47,7 @@ class Told:
 
 
 @dataclass(frozen=True)
-class ToldNoise:
+class PriorNoise:
     """ "reading" (m/s²) or a component of the noise (rad): the middle of what devices have, and the
     sd of its log."""
 
@@ -57,36 +58,45 @@ class ToldNoise:
 
 @dataclass(frozen=True)
 class Population:
-    """devices : that told it; reference : as of `lab`; effects : of the model, in order
+    """devices : that were calibrated; reference : as of `lab`; effects : of the model, in order
     covariance : (p, p) of the parameters, in their units"""
 
     devices: int
     reference: str
     effects: tuple[str, ...]
-    parameters: tuple[Told, ...]
+    parameters: tuple[PriorParameter, ...]
     covariance: Array
-    noise: tuple[ToldNoise, ...]
+    noise: tuple[PriorNoise, ...]
     sha256: str = ""
 
     def prior(self, model: Model, data: Observations, components: Sequence[str]) -> Prior:
         """Of a model's θ and of its noise; parameters that the fleet has not stay at their typical
-        size. components : of the noise, as the data have them."""
+        size. components : of the noise, as the data have them. Raises UsageError for units that
+        this version has not."""
         parameters = model.parameters(data.context)
-        start = model.start(data.context)
-        names = [told.name for told in self.parameters]
-        mean, covariance = start.copy(), np.diag([p.typical**2 for p in parameters])
-        here = [k for k, p in enumerate(parameters) if p.name in names]
-        there = [names.index(parameters[k].name) for k in here]
-        _demand_units(parameters, self.parameters)
-        mean[here] = [self.parameters[j].mean for j in there]
+        place = {one.name: k for k, one in enumerate(self.parameters)}
+        mean = model.start(data.context)
+        covariance = np.diag([p.typical**2 for p in parameters])
+        here = [k for k, p in enumerate(parameters) if p.name in place]
+        there = [place[parameters[k].name] for k in here]
+        for k, j in zip(here, there, strict=True):
+            known = self.parameters[j]
+            if known.unit != parameters[k].unit:
+                raise UsageError(
+                    f"the fleet has {known.name} in {known.unit}, this version in "
+                    f"{parameters[k].unit}",
+                    remedy="make the fleet's file again with this version",
+                )
+            mean[k] = known.mean
         covariance[np.ix_(here, here)] = self.covariance[np.ix_(there, there)]
         sigma = float(np.median(data.sigma))
-        noise = [self._noise("reading", sigma), *(self._noise(c, 1.0) for c in components)]
+        noise = [self._noise("reading", sigma, MG)]
+        noise += [self._noise(component, 1.0, _ABOUT) for component in components]
         return replace(correlated(mean, covariance), noise=np.array(noise))
 
-    def driven(self, context: Context) -> tuple[Effect, ...]:
-        """The shared effects, whose sizes the fleet knows: what drives them must be known, and need
-        not vary. Raises UsageError where it is not."""
+    def shared_effects(self, context: Context) -> tuple[Effect, ...]:
+        """The shared effects, whose sizes the fleet knows: their covariates must be known, and need
+        not vary. Raises UsageError where one is not."""
         found = tuple(named(name) for name in self.effects)
         for effect in found:
             absent = [name.replace("_", " ") for name in effect.needs if name not in context]
@@ -97,21 +107,21 @@ class Population:
                 )
         return found
 
-    def _noise(self, name: str, unit: float) -> tuple[float, float]:
-        for one in self.noise:
-            if one.name == name:
-                return float(np.log(one.middle / unit)), one.log_sd
-        return float(np.log((MG if name == "reading" else _ABOUT) / unit)), _UNKNOWN
+    def _noise(self, name: str, unit: float, usual: float) -> tuple[float, float]:
+        """Mean and sd of the log of a size in a unit; usual : where the fleet has none."""
+        known = {one.name: (one.middle, one.log_sd) for one in self.noise}
+        middle, log_sd = known.get(name, (usual, _UNKNOWN))
+        return float(np.log(middle / unit)), log_sd
 
 
-def not_of_its_kind(strange: float, instead: str) -> tuple[str, ...]:
-    """What a user must decide where a device is far from its fleet. strange : chance that one of
-    the kind is as far off; instead : what to do"""
-    if not strange < STRANGE:
+def not_of_its_kind(chance: float, instead: str) -> tuple[str, ...]:
+    """What a user must decide where a device is far from its fleet. chance : that one of the kind
+    is as far off, NaN where nothing was compared; instead : what to do"""
+    if not chance < UNLIKELY:
         return ()
     return (
         f"not of its fleet's kind: one of the kind is as far off with a chance of "
-        f"{max(strange, 1e-12):.1g}; {instead}",
+        f"{max(chance, 1e-12):.1g}; {instead}",
     )
 
 
@@ -125,24 +135,10 @@ def of_a_kind(kind: Population, model: Model, data: Observations) -> Fit:
     return fit(model, data, start=prior.mean, begin=Noise(factor, names, tuple(sds)), prior=prior)
 
 
-def _demand_units(parameters: Sequence[Parameter], told: Sequence[Told]) -> None:
-    units = {one.name: one.unit for one in told}
-    for p in parameters:
-        if units.get(p.name, p.unit) != p.unit:
-            raise UsageError(
-                f"the fleet has {p.name} in {units[p.name]}, this version in {p.unit}",
-                remedy="make the fleet's file again with this version",
-            )
-
-
 def to_yaml(population: Population) -> str:
     """The file's text."""
-    content = asdict(population)
+    content = {**plain(asdict(population))}
     del content["sha256"]
-    content["effects"] = list(population.effects)
-    content["covariance"] = population.covariance.tolist()
-    for name in ("parameters", "noise"):
-        content[name] = list(content[name])
     return dump({"schema": SCHEMA, "version": VERSION, **content})
 
 
@@ -158,14 +154,15 @@ def read(path: Path) -> Population:
             remedy="give the fleet.yaml that `imucal fleet TABLE... -o FOLDER` writes",
         )
     try:
-        told = tuple(Told(**block) for block in content["parameters"])
+        parameters = tuple(PriorParameter(**block) for block in content["parameters"])
+        size = len(parameters)
         return Population(
             devices=int(content["devices"]),
             reference=str(content["reference"]),
             effects=tuple(content["effects"]),
-            parameters=told,
-            covariance=np.array(content["covariance"], float).reshape(len(told), len(told)),
-            noise=tuple(ToldNoise(**block) for block in content["noise"]),
+            parameters=parameters,
+            covariance=np.array(content["covariance"], float).reshape(size, size),
+            noise=tuple(PriorNoise(**block) for block in content["noise"]),
             sha256=sha256_of(path),
         )
     except (KeyError, TypeError, ValueError) as error:

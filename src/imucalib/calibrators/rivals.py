@@ -31,9 +31,9 @@ def with_rivals(fit: Fit, rivals: Sequence[Rival], gravity: float) -> Fit:
 
     rivals : likeliest first, `fit` among them; gravity : m/s²
     """
-    alike = [set(r.fit.model.names) == set(fit.model.names) for r in rivals]
-    own = [r for r, same in zip(rivals, alike, strict=True) if same]
-    others = [r for r, same in zip(rivals, alike, strict=True) if not same]
+    names = set(fit.model.names)
+    own = [r for r in rivals if set(r.fit.model.names) == names]
+    others = [r for r in rivals if set(r.fit.model.names) != names]
     if not others or not own:
         return fit
     force = gravity * even_directions(_ATTITUDES)[:, None]
@@ -54,12 +54,12 @@ def with_rivals(fit: Fit, rivals: Sequence[Rival], gravity: float) -> Fit:
             away = (corrected_by(rival.fit, reading) - plain).reshape(-1)
         except NotConverged:
             continue
-        moved, left = _shift(fit, slope, away)
+        moved, rest = _shift(fit, slope, away)
         weight.append(np.array([rival.weight]))
         shift.append(moved[None])
         # Of a model that is one of many, what noise does is as good as normal.
-        spread.append((fit.covariance + left)[None])
-        more += rival.weight * (np.outer(moved, moved) + left)
+        spread.append((fit.covariance + rest)[None])
+        more += rival.weight * (np.outer(moved, moved) + rest)
     total = np.concatenate(weight)
     whole = NoiseMixture(
         mixture.log_sd, total / total.sum(), np.concatenate(shift), np.concatenate(spread)
@@ -80,16 +80,16 @@ def _readings(fit: Fit, force: Array) -> Array:
 
 def _shift(fit: Fit, slope: Array, away: Array) -> tuple[Array, Array]:
     """The shift of θ that moves corrections (m,) as they are away, and the covariance (p, p) of the
-    bias that stands for what is left."""
+    bias that is as large as the rest."""
     size = np.sqrt(np.diag(fit.covariance))
     ridge = _RIDGE * float(np.linalg.norm(slope * size)) * np.eye(size.size)
     scaled = np.vstack([slope * size, ridge])
     shift = (
         size * np.linalg.lstsq(scaled, np.concatenate([away, np.zeros(size.size)]), rcond=None)[0]
     )
-    left = float(np.mean((away - slope @ shift) ** 2)) / MG**2
+    rest = float(np.mean((away - slope @ shift) ** 2)) / MG**2
     covariance = np.zeros((size.size, size.size))
     part = fit.model.slices(fit.observations.context).get("bias")
     if part is not None:
-        covariance[part, part] = left * np.eye(part.stop - part.start)
+        covariance[part, part] = rest * np.eye(part.stop - part.start)
     return shift, covariance

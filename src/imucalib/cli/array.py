@@ -178,9 +178,8 @@ def command(logs: tuple[Path, ...], **options: Any) -> int:
 
 def _request(options: dict[str, Any], logs: tuple[Path, ...]) -> ArrayRequest:
     from imucalib.calibrators.array.board import read_board
-    from imucalib.calibrators.array.estimate.left import Accepted
     from imucalib.calibrators.array.loop.catalogue import Asked, named_effect
-    from imucalib.calibrators.array.request import ArrayRequest
+    from imucalib.calibrators.array.request import Accepted, ArrayRequest
     from imucalib.errors import UsageError
     from imucalib.estimators.markov.hmc import Stop
 
@@ -252,7 +251,7 @@ def _distance(given: tuple[str, str, str], imus: tuple[str, ...]) -> Distance:
 
 
 def _together(runs: tuple[ArrayRun, ...]) -> Together:
-    from imucalib.calibrators.array.logs.board_run import board_run
+    from imucalib.calibrators.array.logs import board_run
     from imucalib.report.array import board_document
     from imucalib.report.files import Report
 

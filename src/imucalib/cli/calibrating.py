@@ -27,12 +27,11 @@ from imucalib.cli.options import (
 from imucalib.cli.output import (
     Command,
     Say,
-    color,
     emit_json,
     note,
     say,
+    show,
     verbose_option,
-    width,
     working,
 )
 from imucalib.errors import LimitBroken
@@ -40,7 +39,6 @@ from imucalib.errors import LimitBroken
 if TYPE_CHECKING:
     from imucalib.calibration.outcome import Gate
     from imucalib.core.effect import Effect
-    from imucalib.report.document import Document
     from imucalib.report.files import Report
 
 #: Where the root command leaves the arguments that it was called with.
@@ -370,10 +368,3 @@ def _write(report: Report, folder: Path, options: Mapping[str, Any]) -> int:
     for reason in refused:
         say(f"error: {reason}", err=True)
     return LimitBroken.exit_code if refused else 0
-
-
-def show(document: Document, *, full: bool = False) -> None:
-    """A document as text on stdout; one page of it unless `full`."""
-    from imucalib.report.render.text import render_text
-
-    click.echo(render_text(document, width(), color=color(), full=full), nl=False)

@@ -8,7 +8,7 @@ import click
 
 from imucalib.cli.calibrating import command_line
 from imucalib.cli.options import PagedCommand, force_option, full_option, json_option, quiet_option
-from imucalib.cli.output import color, emit_json, note, width
+from imucalib.cli.output import present
 
 
 @click.command("compare", cls=PagedCommand, short_help="Compare calibrations of one sensor.")
@@ -68,14 +68,12 @@ def command(
       imucal compare 20*/calibration.yaml --html chart.html
     """
     from imucalib.atomic_file import demand_output
-    from imucalib.calibration.checking.limits import limits_of, sessions_of
+    from imucalib.calibration.checking.noise import limits_of, sessions_of
     from imucalib.calibration.comparison.compare import compared
-    from imucalib.calibration.file import check, read, write_whole
+    from imucalib.calibration.file import check, read
     from imucalib.effects import load_file
     from imucalib.report.comparison import comparison_dict, comparison_document
     from imucalib.report.files import shown_dict
-    from imucalib.report.render.html import render_html
-    from imucalib.report.render.text import render_text
 
     if html is not None:
         demand_output(html, calibrations, force=options["force"])
@@ -93,13 +91,7 @@ def command(
         sessions_of(between),
     )
     document = comparison_document(found, calibrations, command_line())
-    if html is not None:
-        write_whole(html, render_html(document))
-        note(f"wrote {html}", options["quiet"])
-    if options["as_json"]:
-        emit_json({**comparison_dict(found), **shown_dict(document)})
-    elif not options["quiet"]:
-        click.echo(render_text(document, width(), color=color(), full=options["full"]), nl=False)
+    present(document, {**comparison_dict(found), **shown_dict(document)}, options, html)
     return found.exit_code
 
 

@@ -15,30 +15,25 @@ from imucalib.cli.options import (
     pairs,
     quiet_option,
 )
-from imucalib.cli.output import color, emit_json, note, width, working
+from imucalib.cli.output import note, present, working
 
 
 def plan_for(path: Path, options: dict[str, Any]) -> int:
     """Print the plan of a calibration, and write its table where asked; the exit code."""
     from imucalib.atomic_file import demand_output
-    from imucalib.calibration.checking.limits import size_of
-    from imucalib.calibrators.next_recording import Wish, next_recording
+    from imucalib.calibration.checking.noise import size_of
+    from imucalib.calibrators.next_recording import next_recording
     from imucalib.report.design import separation_dict, separation_document
-    from imucalib.report.render.text import render_text
 
     if options["output"] is not None:
         demand_output(options["output"], [path], force=options["force"])
     size = options["between_sessions"]
-    between = 0.0 if size is None else size_of(size, {"mg": "bias"})[0]
+    between = 0.0 if size is None else size_of(size, ("mg",))[0]
     with working("planning", quiet=options["quiet"]):
-        found = next_recording(path, Wish(_temperatures(options["temperatures"]), between))
+        found = next_recording(path, _temperatures(options["temperatures"]), between)
     if options["output"] is not None and found.table:
         write_table(found.table, options["output"], [path], options)
-    if options["as_json"]:
-        emit_json(separation_dict(found))
-    elif not options["quiet"]:
-        document = separation_document(found, path.name)
-        click.echo(render_text(document, width(), color=color(), full=options["full"]), nl=False)
+    present(separation_document(found, path.name), separation_dict(found), options)
     return found.exit_code
 
 
@@ -71,17 +66,12 @@ def by_hand(calibration: Path | None, rests: int | None, options: dict[str, Any]
     from imucalib.calibration.file import read
     from imucalib.calibrators.imu.plan import hand_plan, turns_to_add
     from imucalib.report.imu import hand_plan_dict, hand_plan_document
-    from imucalib.report.render.text import render_text
 
     for name in ("separate", "output", "temperatures", "between_sessions"):
         if options[name] is not None:
             raise click.UsageError(f"--{name.replace('_', '-')} does not go with --imu")
     plan = hand_plan(rests or 0) if calibration is None else turns_to_add(read(calibration))
-    if options["as_json"]:
-        emit_json(hand_plan_dict(plan))
-    elif not options["quiet"]:
-        document = hand_plan_document(plan)
-        click.echo(render_text(document, width(), color=color(), full=options["full"]), nl=False)
+    present(hand_plan_document(plan), hand_plan_dict(plan), options)
     return 4 if plan.open_gains else 0
 
 
@@ -92,13 +82,6 @@ def by_hand(calibration: Path | None, rests: int | None, options: dict[str, Any]
     "count",
     type=click.IntRange(min=4),
     help="Instead of TABLE: a good set of N positions.",
-)
-@click.option(
-    "--axes",
-    type=click.Choice(["1", "2"]),
-    default="2",
-    show_default=True,
-    help="Axes of the table, with --recommend.",
 )
 @click.option(
     "--columns",
@@ -148,7 +131,6 @@ def by_hand(calibration: Path | None, rests: int | None, options: dict[str, Any]
 def command(
     table: Path | None,
     count: int | None,
-    axes: str,
     columns: tuple[str, ...],
     convention: str,
     **options: Any,
@@ -167,12 +149,11 @@ def command(
       imucal design --imu out/calibration.yaml
     """
     from imucalib.calibrators.lab.conventions import preset
-    from imucalib.calibrators.lab.design import design_of, recommended
+    from imucalib.calibrators.lab.design import design_of, recommend
     from imucalib.calibrators.lab.position_table import read_position_table
     from imucalib.report.design import design_dict, design_document
-    from imucalib.report.render.text import render_text
 
-    separate, output, quiet = options["separate"], options["output"], options["quiet"]
+    separate, output = options["separate"], options["output"]
     if sum(given is not None for given in (table, count, separate)) != 1:
         raise click.UsageError("give one of TABLE, --recommend N and --separate CAL")
     if options["imu"]:
@@ -187,14 +168,10 @@ def command(
         positions = read_position_table(table, pairs(columns, "--columns"), need_raw=False)
         plan = design_of(positions.columns["inclination"], positions.columns["tool_face"], angles)
     else:
-        plan = recommended(count or 0, int(axes), angles)
+        plan = design_of(*angles.outside(*recommend(count or 0)), angles)
     if output is not None:
         rows = zip(plan.inclination.tolist(), plan.tool_face.tolist(), strict=True)
         text = "".join(f"{i:.1f},{t:.1f}\n" for i, t in rows)
         write_table(f"inclination,tool_face\n{text}", output, [table] if table else [], options)
-    if options["as_json"]:
-        emit_json(design_dict(plan))
-    elif not quiet:
-        document = design_document(plan, answer=table is None)
-        click.echo(render_text(document, width(), color=color(), full=options["full"]), nl=False)
+    present(design_document(plan, answer=table is None), design_dict(plan), options)
     return 4 if plan.vector.open_directions else 0

@@ -113,7 +113,7 @@ def command(
     made = exported(loaded, source, form)
     if not force:
         demand_carried(made, form, loaded, *bounds)
-    files = _files(made.made, output)
+    files = _files(made, output)
     for path in files:
         if path != output:
             demand_output(path, (), force=force)
@@ -123,7 +123,7 @@ def command(
         note(f"{form} lacks {text}", quiet)
     if as_json:
         place = {"files": [str(path) for path in files]} if files else {"text": made.text}
-        emit_json({"form": form, **place, "lost": list(made.lost), **_losses(made.made)})
+        emit_json({"form": form, **place, "lost": list(made.lost), **_losses(made)})
     elif not quiet or not files:
         said = "\n".join(f"wrote {path}" for path in files)
         click.echo(said or made.text, nl=bool(files))

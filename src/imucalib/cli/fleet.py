@@ -27,7 +27,7 @@ from imucalib.cli.options import (
     shortest_rest_option,
     still_of,
 )
-from imucalib.cli.output import Say, color, emit_json, note, verbose_option, width, working
+from imucalib.cli.output import Say, note, present, verbose_option, working
 
 if TYPE_CHECKING:
     from imucalib.cohort.fleet.outcome import Fleet
@@ -93,7 +93,6 @@ def command(inputs: tuple[Path, ...], **options: Any) -> int:
     """
     from imucalib.report.files import shown_dict
     from imucalib.report.fleet import fleet_dict, fleet_document
-    from imucalib.report.render.text import render_text
 
     folder, quiet = options["output"], options["quiet"]
     if folder is not None and not options["force"]:
@@ -102,25 +101,21 @@ def command(inputs: tuple[Path, ...], **options: Any) -> int:
         fleet = _fleet(inputs, options, say)
     document = fleet_document(fleet)
     if folder is None:
-        document = document.unwritten(f"{fleet.asked.command} -o fleet")
+        document = document.unwritten(f"{fleet.settings.command} -o fleet")
     else:
         document = document.placed({"folder": shlex.quote(str(folder))})
     content = {**fleet_dict(fleet), **shown_dict(document)}
     if folder is not None:
         _write(fleet, document, content, folder, quiet)
-    if options["as_json"]:
-        emit_json(content)
-    elif not quiet:
-        text = render_text(document, width(), color=color(), full=options["full"])
-        click.echo(text, nl=False)
+    present(document, content, options)
     return fleet.exit_code
 
 
 def _fleet(inputs: tuple[Path, ...], options: dict[str, Any], say: Say) -> Fleet:
     """Of tables, or of calibrations; raises UsageError where they are mixed."""
     from imucalib.calibrators.lab.files import LabFiles
-    from imucalib.cohort.fleet.recorded.calibrated import is_calibrated
-    from imucalib.cohort.fleet.recorded.run import Wanted, run_recorded
+    from imucalib.cohort.fleet.calibrated import is_calibrated
+    from imucalib.cohort.fleet.recorded import Wanted, run_recorded
     from imucalib.cohort.fleet.run import run_fleet
     from imucalib.cohort.fleet.search import Rules
     from imucalib.errors import UsageError
@@ -179,7 +174,6 @@ def _demand_usable() -> None:
 
 
 def _request(options: dict[str, Any]) -> Any:
-    from imucalib.calibrators.lab.calibrate import LabSettings
     from imucalib.calibrators.lab.request import LabRequest
 
     gravity, source = gravity_of(options)
@@ -191,10 +185,8 @@ def _request(options: dict[str, Any]) -> Any:
         reference=options["reference"],
         exclude=numbers(options["exclude"], "--exclude"),
         still=still_of(options),
-        settings=LabSettings(
-            only=options["only"],
-            without=options["without"],
-        ),
+        only=options["only"],
+        without=options["without"],
         seed=options["seed"],
         command=command_line(),
     )
@@ -234,6 +226,6 @@ def _write(
         **made,
     }
     write_together(texts)
-    next_ = f"imucal {fleet.asked.calibrator} --fleet"
+    next_ = f"imucal {fleet.settings.calibrator} --fleet"
     told = f", fleet.yaml for the next device ({next_})" if fleet.following else ""
     note(f"wrote {folder}: report.html, report.json, {len(made)} calibrations{told}", quiet)

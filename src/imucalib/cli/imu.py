@@ -17,7 +17,7 @@ from imucalib.cli.calibrating import (
 from imucalib.cli.options import PagedCommand, mapping_of, shortest_rest_option, still_of
 
 if TYPE_CHECKING:
-    from imucalib.calibrators.imu.calibrate import ImuRequest
+    from imucalib.calibrators.imu.request import ImuRequest
 
 
 @click.command("imu", cls=PagedCommand, short_help="Calibrate one IMU from rests and turns.")
@@ -58,7 +58,7 @@ def command(recordings: tuple[Path, ...], **options: Any) -> int:
 
 def request_of(options: dict[str, Any]) -> ImuRequest:
     """The request that the options state; raises click's usage errors."""
-    from imucalib.calibrators.imu.calibrate import ImuRequest
+    from imucalib.calibrators.imu.request import ImuRequest
     from imucalib.recording.mapping import parse_axis_map
 
     shared = shared_of(options)

@@ -21,7 +21,7 @@ from imucalib.cli.options import (
     shortest_rest_option,
     still_of,
 )
-from imucalib.cli.output import color, emit_json, note, width, working
+from imucalib.cli.output import note, present, working
 
 if TYPE_CHECKING:
     from imucalib.inspection.inspection import Inspection
@@ -83,6 +83,7 @@ def command(
     """
     from imucalib.atomic_file import demand_output
     from imucalib.inspection.inspection import inspect_recording
+    from imucalib.inspection.noise import save_noise as noise_file
     from imucalib.readers import blocks
     from imucalib.recording.mapping import from_dict
     from imucalib.recording.mapping import save_mapping as save
@@ -92,24 +93,23 @@ def command(
         if output is not None:
             demand_output(output, inputs_of(options, file), force=force)
     typed, wanted = _typed(file), (save_mapping, save_noise, rests, noise)
-    if not any(wanted):
-        told = _own(file, typed) or _table(file, typed, options)
-        if told is not None:
-            document, content = told
-            return _shown(document, content, html, options)
+    if not any(wanted) and (seen_as := _no_recording(file, typed, options)) is not None:
+        present(*seen_as, options, html)
+        return 0
     settings = still_of(options)
     with working("reading", quiet=options["quiet"]):
         found = inspect_recording(blocks(file, mapping_of(options), strict=strict), settings)
         seen = _noise(found, file, options, strict) if noise or save_noise else None
     document = inspection_document(found, typed, rests=rests, noise=seen)
     if save_noise is not None:
-        _save_noise(seen or (), file, save_noise)
+        noise_file(seen or (), file.name, save_noise)
         note(f"wrote {save_noise}", options["quiet"])
     if save_mapping is not None:
         save(from_dict(found.mapping), save_mapping)
         note(f"wrote {save_mapping}", options["quiet"])
     content = inspection_dict(found, typed, rests=rests, noise=seen)
-    return _shown(document, content, html, options)
+    present(document, content, options, html)
+    return 0
 
 
 def _typed(file: Path) -> str:
@@ -127,38 +127,17 @@ def _typed(file: Path) -> str:
     return shlex.join(words)
 
 
-def _own(file: Path, typed: str) -> tuple[Document, dict[str, Any]] | None:
-    """What is to be said of a file of this program, or None."""
-    from imucalib.report.inspection import own_document
-
-    return own_document(file, typed) if file.is_file() else None
-
-
-def _table(
+def _no_recording(
     file: Path, typed: str, options: dict[str, Any]
 ) -> tuple[Document, dict[str, Any]] | None:
-    """What is to be said of a table of positions, or None where a file is none."""
-    from imucalib.calibrators.lab.inspected import inspect_table
-    from imucalib.report.inspection import table_dict, table_document
+    """What is to be said of a file of this program or of a table of positions; None of another."""
+    from imucalib.calibrators.lab.files import inspect_table
+    from imucalib.report.inspection import own_document, table_dict, table_document
 
+    if file.is_file() and (own := own_document(file, typed)):
+        return own
     seen = inspect_table(file, mapping_of(options))
     return None if seen is None else (table_document(seen, typed), table_dict(seen, typed))
-
-
-def _shown(
-    document: Document, content: dict[str, Any], html: Path | None, options: dict[str, Any]
-) -> int:
-    """Write the page where it is asked for, and print."""
-    from imucalib.report.render.text import render_text
-
-    if html is not None:
-        _save_page(document, html)
-        note(f"wrote {html}", options["quiet"])
-    if options["as_json"]:
-        emit_json(content)
-    elif not options["quiet"]:
-        click.echo(render_text(document, width(), color=color(), full=options["full"]), nl=False)
-    return 0
 
 
 def _noise(
@@ -171,17 +150,3 @@ def _noise(
     if found.still is None:
         return ()
     return noise_at_rest(blocks(file, mapping_of(options), strict=strict), found.still)
-
-
-def _save_noise(seen: tuple[SensorNoise, ...], file: Path, target: Path) -> None:
-    from imucalib.inspection.noise import save_noise
-
-    save_noise(seen, file.name, target)
-
-
-def _save_page(document: Document, target: Path) -> None:
-    from imucalib.atomic_file import replaced_atomically
-    from imucalib.report.render.html import render_html
-
-    with replaced_atomically(target) as temporary:
-        temporary.write_text(render_html(document), encoding="utf-8", errors="backslashreplace")

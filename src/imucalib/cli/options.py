@@ -15,91 +15,56 @@ if TYPE_CHECKING:
     Kind = click.ParamType[str]
 else:
     Kind = click.ParamType
-import click
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
-_OPTIONS = (
-    click.option(
-        "--mapping",
-        type=click.Path(path_type=Path),
-        help="Recording: mapping file, as `inspect --save-mapping` writes it.",
-    ),
-    click.option("--acc", help="Recording: accelerometer fields or columns, x,y,z."),
-    click.option("--gyro", help="Recording: gyroscope fields or columns."),
-    click.option("--temperature", help="Recording: temperature field or column."),
-    click.option("--time", help="Recording: time field or column; log_time for an MCAP file."),
-    click.option(
-        "--unit",
-        help="Unit of the accelerometer's readings: m/s2, g, mg, ug, counts. Default: as the file "
-        "states it, else by the norm at rest.",
-    ),
-    click.option("--lsb", help="Accelerometer counts a g, with --unit counts."),
-    click.option("--gyro-unit", help="Recording: unit of the gyroscope: rad/s, deg/s, counts."),
-    click.option("--gyro-lsb", help="Recording: gyroscope counts a deg/s, with its unit counts."),
-    click.option(
-        "--temperature-unit", help="Recording: unit of the temperature: degC, degF, K, counts."
-    ),
-    click.option(
-        "--time-unit",
-        help="Recording: unit of the time stamps: s, ms, us, ns, min, h, d, excel, datenum, "
-        "julian, filetime, ticks, text.",
-    ),
-    click.option(
-        "--time-format", help="CSV: strptime form of stamps, for example '%d/%m/%Y %H:%M:%S.%f'."
-    ),
-    click.option(
-        "--where",
-        multiple=True,
-        metavar="COLUMN=VALUE",
-        help="CSV: only rows that have the value; all of several.",
-    ),
-    click.option("--rate", type=float, help="Recording: samples a second, without time stamps."),
-    click.option("--axis-map", help='Recording: axes, for example "x,-y,z".'),
-    click.option("--preset", help="Recording: named mapping (actigraph, axivity, euroc, ...)."),
-    click.option("--acc-offset", help="Accelerometer counts at zero g."),
-    click.option("--skip", type=int, help="CSV: lines before the header or the first row."),
-    click.option("--decimal", help="CSV: decimal mark, . or ,"),
-    click.option("--max-chunk", type=int, help="MCAP: bytes that one packed chunk may unpack to."),
-    click.option(
-        "--allow-external", is_flag=True, default=None, help="HDF5: read data from other files."
-    ),
-    click.option("--delimiter", help="CSV: between the columns; tab and blank are understood."),
-)
-
-#: Option -> field of the mapping.
-_FIELDS = {
-    **{
-        name: name
-        for name in (
-            "acc",
-            "gyro",
-            "temperature",
-            "time",
-            "gyro_unit",
-            "temperature_unit",
-            "time_unit",
-            "time_format",
-            "where",
-            "rate",
-            "axis_map",
-            "preset",
-            "acc_offset",
-            "skip",
-            "decimal",
-            "delimiter",
-            "max_chunk",
-            "allow_external",
-        )
+#: Parameter -> what click has to know of the option of that name.
+_READING: dict[str, dict[str, Any]] = {
+    "mapping": {
+        "type": click.Path(path_type=Path),
+        "help": "Recording: mapping file, as `inspect --save-mapping` writes it.",
     },
-    "unit": "acc_unit",
-    "lsb": "lsb_per_g",
-    "gyro_lsb": "lsb_per_dps",
+    "acc": {"help": "Recording: accelerometer fields or columns, x,y,z."},
+    "gyro": {"help": "Recording: gyroscope fields or columns."},
+    "temperature": {"help": "Recording: temperature field or column."},
+    "time": {"help": "Recording: time field or column; log_time for an MCAP file."},
+    "unit": {
+        "help": "Unit of the accelerometer's readings: m/s2, g, mg, ug, counts. Default: as the "
+        "file states it, else by the norm at rest."
+    },
+    "lsb": {"help": "Accelerometer counts a g, with --unit counts."},
+    "gyro_unit": {"help": "Recording: unit of the gyroscope: rad/s, deg/s, counts."},
+    "gyro_lsb": {"help": "Recording: gyroscope counts a deg/s, with its unit counts."},
+    "temperature_unit": {"help": "Recording: unit of the temperature: degC, degF, K, counts."},
+    "time_unit": {
+        "help": "Recording: unit of the time stamps: s, ms, us, ns, min, h, d, excel, datenum, "
+        "julian, filetime, ticks, text."
+    },
+    "time_format": {"help": "CSV: strptime form of stamps, for example '%d/%m/%Y %H:%M:%S.%f'."},
+    "where": {
+        "multiple": True,
+        "metavar": "COLUMN=VALUE",
+        "help": "CSV: only rows that have the value; all of several.",
+    },
+    "rate": {"type": float, "help": "Recording: samples a second, without time stamps."},
+    "axis_map": {"help": 'Recording: axes, for example "x,-y,z".'},
+    "preset": {"help": "Recording: named mapping (actigraph, axivity, euroc, ...)."},
+    "acc_offset": {"help": "Accelerometer counts at zero g."},
+    "skip": {"type": int, "help": "CSV: lines before the header or the first row."},
+    "decimal": {"help": "CSV: decimal mark, . or ,"},
+    "max_chunk": {"type": int, "help": "MCAP: bytes that one packed chunk may unpack to."},
+    "allow_external": {
+        "is_flag": True,
+        "default": None,
+        "help": "HDF5: read data from other files.",
+    },
+    "delimiter": {"help": "CSV: between the columns; tab and blank are understood."},
 }
-
-
 #: Parameters of `recording_options`.
-READING = ("mapping", *_FIELDS)
+READING = tuple(_READING)
+_RENAMED = {"unit": "acc_unit", "lsb": "lsb_per_g", "gyro_lsb": "lsb_per_dps"}
+#: Option -> field of the mapping.
+_FIELDS = {name: _RENAMED.get(name, name) for name in READING if name != "mapping"}
 
 #: A fleet as a prior.
 fleet_option = click.option(
@@ -112,8 +77,8 @@ fleet_option = click.option(
 
 def recording_options(command: Command) -> Command:
     """Add the options; `mapping_of` turns their values into a FieldMapping."""
-    for option in reversed(_OPTIONS):
-        command = option(command)
+    for name, words in reversed(_READING.items()):
+        command = click.option(f"--{name.replace('_', '-')}", **words)(command)
     return command
 
 
@@ -275,30 +240,7 @@ def pairs(texts: tuple[str, ...], what: str) -> dict[str, str]:
 PAGE = 60
 #: Heading -> options, by parameter name, that a help longer than a page leaves to --help-all.
 RARE = {
-    "Reading a recording": (
-        "mapping",
-        "acc",
-        "gyro",
-        "temperature",
-        "time",
-        "lsb",
-        "gyro_unit",
-        "gyro_lsb",
-        "time_unit",
-        "rate",
-        "axis_map",
-        "preset",
-        "acc_offset",
-        "skip",
-        "decimal",
-        "max_chunk",
-        "allow_external",
-        "delimiter",
-        "shortest_rest",
-        "where",
-        "temperature_unit",
-        "time_format",
-    ),
+    "Reading a recording": (*(name for name in READING if name != "unit"), "shortest_rest"),
     "Angles and rows of a table": (
         "gravity_sign",
         "z_axis",

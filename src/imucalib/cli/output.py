@@ -8,12 +8,16 @@ import re
 import shutil
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from threading import Event, Thread
-from typing import Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import click
+
+if TYPE_CHECKING:
+    from imucalib.report.document import Document
 
 #: What JSON may hold as it is but a terminal obeys: DEL, C1, line separators, direction marks.
 _CONTROLS = re.compile("[\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069]")
@@ -34,6 +38,35 @@ def emit_json(content: Any) -> None:
     """The result as one JSON document on stdout."""
     text = json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False)
     click.echo(_CONTROLS.sub(lambda found: f"\\u{ord(found[0]):04x}", text))
+
+
+def show(document: Document, *, full: bool = False) -> None:
+    """A document as text on stdout; its first screen or page unless `full`."""
+    from imucalib.report.render.text import render_text
+
+    click.echo(render_text(document, width(), color=color(), full=full), nl=False)
+
+
+def present(
+    document: Document,
+    content: Mapping[str, Any],
+    options: Mapping[str, Any],
+    page: Path | None = None,
+) -> None:
+    """The result as --json, --quiet and --full ask for it; `page` is written before.
+
+    content : ready for JSON
+    """
+    if page is not None:
+        from imucalib.calibration.file import write_whole
+        from imucalib.report.render.html import render_html
+
+        write_whole(page, render_html(document))
+        note(f"wrote {page}", options["quiet"])
+    if options["as_json"]:
+        emit_json(content)
+    elif not options["quiet"]:
+        show(document, full=options["full"])
 
 
 def note(text: str, quiet: bool) -> None:

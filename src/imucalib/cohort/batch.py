@@ -16,9 +16,8 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from imucalib.cohort.entries import Entry, failure_words, kept_of, read_entry, write_entry
 from imucalib.errors import UnreadableInput, UsageError
@@ -73,7 +72,7 @@ def plan(
 ) -> tuple[Task, ...]:
     """The tasks of one shard (i of n, from 1). Raises UsageError for an impossible shard.
 
-    folder : of the entries, made absolute: a worker elsewhere stands in another one
+    folder : of the entries, made absolute: a worker elsewhere is in another one
     """
     index, count = shard
     if not 1 <= index <= count:
@@ -93,7 +92,7 @@ def run_task(task: Task, *, resume: bool = True) -> Entry:
     known = read_entry(Path(task.entry)) if resume else None
     # What a signal ended (lack of memory, Ctrl-C) says nothing about the recording.
     if known is not None and known.key == key and known.exit_code >= 0:
-        return Entry(**{**asdict(known), "reused": True})
+        return replace(known, reused=True)
     command = [sys.executable, "-m", "imucalib", task.calibrator, task.recording]
     threads = dict.fromkeys(("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"), "1")
     start = time.monotonic()
@@ -107,22 +106,19 @@ def run_task(task: Task, *, resume: bool = True) -> Entry:
         stdin=subprocess.DEVNULL,
         cwd=Path(task.entry).parent,  # no imucal.toml but the caller's, which is in the arguments
     )
-    report, error = _told(done.stdout)
-    error = error or ("" if report else done.stderr.strip() or f"ended by {done.returncode}")
+    report, error = None, done.stderr.strip() or f"ended by {done.returncode}"
+    try:
+        content = json.loads(done.stdout)
+    except ValueError:  # it was killed
+        pass
+    else:
+        if "error" in content:
+            error = failure_words(content["error"])
+        else:
+            report, error = kept_of(content), ""
     entry = Entry(task.recording, key, done.returncode, time.monotonic() - start, error, report)
     write_entry(entry, Path(task.entry))
     return entry
-
-
-def _told(stdout: str) -> tuple[dict[str, Any] | None, str]:
-    """The report that a command printed, or its failure in words; neither where it was killed."""
-    try:
-        content = json.loads(stdout)
-    except ValueError:
-        return None, ""
-    if "error" not in content:
-        return kept_of(content), ""
-    return None, failure_words(content["error"])
 
 
 @dataclass(frozen=True)
@@ -152,15 +148,26 @@ def run_all(
     cluster : where to run; None for `jobs` local processes at a time; say : is given a line where
     no worker is there. What no worker was left for ends as an entry that is not written.
     """
-    if cluster is not None:
-        yield from _collected(cluster.executor, tasks, resume, _Watch(cluster, say))
-        return
-    with ThreadPoolExecutor(max(jobs, 1)) as pool:  # each thread waits for one process
-        try:
-            yield from _collected(pool, tasks, resume, None)
-        except BaseException:
+    # A local thread waits for one process.
+    pool = ThreadPoolExecutor(max(jobs, 1)) if cluster is None else cluster.executor
+    watch = None if cluster is None else _Watch(cluster, say)
+    futures: dict[Future[Entry], Task] = {
+        pool.submit(run_task, task, resume=resume): task for task in tasks
+    }
+    waiting = set(futures)
+    try:
+        while waiting:
+            done, waiting = wait(waiting, _LOOK if watch else None, FIRST_COMPLETED)
+            for future in done:
+                yield _ended(future, futures[future])
+            if watch and waiting and (why := watch.given_up()):
+                for future in waiting:
+                    future.cancel()
+                    yield _lost(futures[future], why)
+                return
+    finally:
+        if cluster is None:
             pool.shutdown(wait=False, cancel_futures=True)  # else a stopped run does all the rest
-            raise
 
 
 #: s between two looks at the workers.
@@ -191,24 +198,6 @@ class _Watch:
         if time.monotonic() - self._alone < known.patience:
             return ""
         return f"{lost} was left at {known.address}. Start one and run the same command again"
-
-
-def _collected(
-    executor: Executor, tasks: tuple[Task, ...], resume: bool, watch: _Watch | None
-) -> Iterator[Entry]:
-    futures: dict[Future[Entry], Task] = {
-        executor.submit(run_task, task, resume=resume): task for task in tasks
-    }
-    left = set(futures)
-    while left:
-        done, left = wait(left, _LOOK if watch else None, FIRST_COMPLETED)
-        for future in done:
-            yield _ended(future, futures[future])
-        if watch and left and (why := watch.given_up()):
-            for future in left:
-                future.cancel()
-                yield _lost(futures[future], why)
-            return
 
 
 def _ended(future: Future[Entry], task: Task) -> Entry:

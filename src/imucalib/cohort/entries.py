@@ -134,9 +134,13 @@ def quality_of(report: Mapping[str, Any]) -> dict[str, Any]:
     coverage, activity = report.get("coverage", {}), report.get("activity") or {}
     held = report["loop"]["errors"][0]["held_out"]
     warm = coverage.get("temperature_degC") or (None, None)
-    span = coverage.get("axis_range_g")
-    worst, size = _worst(report.get("sphere", ()))
+    # The direction with the largest held-out error of those that were seen.
+    cells = [c for c in report.get("sphere", ()) if c["held_out_mg"] is not None]
+    worst: dict[str, Any] = max(cells, key=lambda c: float(c["held_out_mg"]), default={})
     enmo = activity.get("enmo_mg", {}).get("all") or {}
+    # Axes that gravity has pulled by 0.5 g both ways.
+    span = coverage.get("axis_range_g")
+    seen = span and "".join(a for a, (low, high) in span.items() if low < -0.5 and high > 0.5)
     return {
         "serial": device_of(report),
         "rate_hz": coverage.get("rate_hz"),
@@ -145,31 +149,17 @@ def quality_of(report: Mapping[str, Any]) -> dict[str, Any]:
         "gaps": report["provenance"]["gaps"],
         "still_windows": coverage.get("still_windows"),
         "posture_runs": coverage.get("posture_runs"),
-        "axes_seen_both_ways": _both_ways(span) if span else None,
+        "axes_seen_both_ways": (seen or "none") if span else None,
         "norm_sd_largest_mg": _rounded(coverage.get("norm_sd_largest_mg")),
         "temperature_least_degC": warm[0],
         "temperature_largest_degC": warm[1],
         "error_before": _rounded(held["raw"]),
         "error_after": _rounded(held["final"]),
-        "worst_direction": worst,
-        "worst_direction_error_mg": _rounded(size),
+        "worst_direction": worst.get("name"),
+        "worst_direction_error_mg": _rounded(worst.get("held_out_mg")),
         "enmo_before_mg": _rounded(enmo.get("raw")),
         "enmo_after_mg": _rounded(enmo.get("corrected")),
     }
-
-
-def _worst(cells: Any) -> tuple[str | None, float | None]:
-    """The direction with the largest held-out error of those that were seen."""
-    seen = [c for c in cells if c["held_out_mg"] is not None]
-    if not seen:
-        return None, None
-    worst = max(seen, key=lambda c: float(c["held_out_mg"]))
-    return worst["name"], worst["held_out_mg"]
-
-
-def _both_ways(span: Mapping[str, Any]) -> str:
-    """Axes that gravity has pulled by 0.5 g both ways: "xyz", or those that it has not left out."""
-    return "".join(a for a, (low, high) in span.items() if low < -0.5 and high > 0.5) or "none"
 
 
 def _rounded(value: Any) -> float | None:

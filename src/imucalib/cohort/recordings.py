@@ -51,7 +51,7 @@ def _absolute(path: Path) -> Path:
 
 
 def _globbed(text: str) -> list[Path]:
-    """The path itself, or what a pattern that the shell left alone matches."""
+    """The path itself, or what a pattern that the shell did not expand matches."""
     if os.path.exists(text) or not glob.has_magic(text):
         return [Path(text)]
     matches = [Path(name) for name in sorted(glob.glob(text, recursive=True))]
@@ -80,17 +80,18 @@ def _in_folder(folder: Path) -> tuple[list[Path], list[str]]:
     itself where it is a bag."""
     if (folder / "metadata.yaml").is_file():
         return [_absolute(folder)], []
-    taken, left = list[Path](), list[str]()
+    found, other = list[Path](), list[str]()
+    suffixes = tuple(suffix for reader in readers() for suffix in reader.suffixes)
     for path in _files(folder):
-        if path.is_dir() or (_named_so(path) and not _mere_text(path)):
-            taken.append(_absolute(path))
+        if path.is_dir() or (path.name.lower().endswith(suffixes) and not _mere_text(path)):
+            found.append(_absolute(path))
         else:
-            left.append(path.name)
-    words = f"{folder}: {len(taken)} recordings"
-    if left:
-        shown = ", ".join(left[:3]) + (", ..." if len(left) > 3 else "")
-        words += f"; left out, as they are none: {shown} ({len(left)})"
-    return taken, [words]
+            other.append(path.name)
+    words = f"{folder}: {len(found)} recordings"
+    if other:
+        shown = ", ".join(other[:3]) + (", ..." if len(other) > 3 else "")
+        words += f"; left out, as they are none: {shown} ({len(other)})"
+    return found, [words]
 
 
 def _files(folder: Path) -> Iterator[Path]:
@@ -102,10 +103,6 @@ def _files(folder: Path) -> Iterator[Path]:
             yield from _files(path)
         else:
             yield path
-
-
-def _named_so(path: Path) -> bool:
-    return any(path.name.lower().endswith(reader.suffixes) for reader in readers())
 
 
 def _mere_text(path: Path) -> bool:
@@ -155,7 +152,10 @@ def _manifest(path: Path) -> tuple[str, ...] | None:
             where=str(path),
             remedy="write paths relative to the manifest, one a line, or a CSV with a column path",
         )
-    whole = _entries(_text(path))
+    try:
+        whole = _entries(path.read_bytes().decode("utf-8-sig"))
+    except UnicodeDecodeError:
+        raise UnreadableInput("the manifest is no text in UTF-8", where=str(path)) from None
     if separator is None:
         return tuple(whole)
     rows = csv.DictReader(whole, delimiter=separator)
@@ -174,14 +174,6 @@ def _separator(heading: str) -> str | None:
         if "path" in next(csv.reader([heading], delimiter=separator)):
             return separator
     return None
-
-
-def _text(path: Path) -> str:
-    data = path.read_bytes()
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise UnreadableInput("the manifest is no text in UTF-8", where=str(path)) from None
 
 
 def _listed(path: Path, names: tuple[str, ...]) -> list[Path]:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Index
 from imucalib.core.eigen import blocks_of
-from imucalib.core.model import Model, Prediction
+from imucalib.core.model import Model
 from imucalib.core.observations import NoisePrior, Observations, SharedNoise
 
 if TYPE_CHECKING:
@@ -87,21 +87,10 @@ class Balanced:
         scaled = block.reshape(n, 3 * k, m) / self.sigma[..., None]
         return np.asarray((self.keep.transpose(0, 2, 1) @ scaled).reshape(-1, m))
 
-    def beside(self, shared: tuple[SharedNoise, ...]) -> Balanced:
-        """With noise that observations share, as components behind all others."""
-        every = (_shared_columns(self, noise) for noise in shared)
-        names = (*self.component, *(noise.name for noise in shared))
-        return replace(self, settings=(*self.settings, *every), component=names)
-
 
 def balance(model: Model, theta: Array, eta: Array, observations: Observations) -> Balanced:
     """Linearise the model at θ and η. See the module's text for the meaning."""
     prediction = model.predict(theta, observations.reference.truth(eta), observations.context)
-    return balanced(prediction, eta, observations)
-
-
-def balanced(prediction: Prediction, eta: Array, observations: Observations) -> Balanced:
-    """The same from a prediction that is already there."""
     directions = observations.reference.directions(eta)
     n, k, _ = prediction.reading.shape
     m, q = 3 * k, directions.index.shape[1]
@@ -134,7 +123,7 @@ def balanced(prediction: Prediction, eta: Array, observations: Observations) -> 
             matrix[np.arange(n), :, own] += free[..., j]
         settings.append(matrix.reshape(n * rows, -1))
         residual = residual + matrix @ eta[used]
-    return Balanced(
+    plain = Balanced(
         residual=residual.ravel(),
         jacobian=jacobian.reshape(n * rows, -1),
         settings=tuple(settings),
@@ -144,7 +133,10 @@ def balanced(prediction: Prediction, eta: Array, observations: Observations) -> 
         sigma=sigma,
         free=len(names),
         prior=observations.noise_prior,
-    ).beside(observations.shared)
+    )
+    shared = tuple(_shared_columns(plain, noise) for noise in observations.shared)
+    component = (*names, *(noise.name for noise in observations.shared))
+    return replace(plain, settings=(*plain.settings, *shared), component=component)
 
 
 def _shared_columns(at: Balanced, noise: SharedNoise) -> Array:

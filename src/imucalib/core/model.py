@@ -51,9 +51,6 @@ class Model:
     def plus(self, effect: Effect) -> Model:
         return Model((*self.effects, effect))
 
-    def minus(self, name: str) -> Model:
-        return Model(tuple(e for e in self.effects if e.name != name))
-
     def parameters(self, context: Context) -> tuple[Parameter, ...]:
         return tuple(p for effect in self.effects for p in effect.parameters(context))
 

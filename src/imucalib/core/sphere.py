@@ -106,11 +106,11 @@ def cell_of(directions: Array) -> Index:
     return np.asarray(np.argmax(directions @ even_directions(CELLS).T, axis=1), np.intp)
 
 
-def covered(directions: Array, within: float = 30.0) -> float:
-    """Share of the sphere within so many deg of one of the vectors (n, 3)."""
+def covered(directions: Array) -> float:
+    """Share of the sphere within 30 deg of one of the vectors (n, 3)."""
     unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
     nearest = (even_directions() @ unit.T).max(axis=1)
-    return float(np.mean(nearest >= np.cos(np.radians(within))))
+    return float(np.mean(nearest >= np.cos(np.radians(30.0))))
 
 
 def even_directions(n: int = 400) -> Array:

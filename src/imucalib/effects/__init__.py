@@ -104,8 +104,8 @@ def named(name: str) -> Effect:
     effects = catalogue()
     found = known(name)
     if found is None:
-        near = ", ".join(difflib.get_close_matches(name, effects, 3)) or ", ".join(effects)
-        raise UsageError(f"no effect is called '{name}'", remedy=f"did you mean: {near}")
+        close = ", ".join(difflib.get_close_matches(name, effects, 3)) or ", ".join(effects)
+        raise UsageError(f"no effect is called '{name}'", remedy=f"did you mean: {close}")
     return found
 
 

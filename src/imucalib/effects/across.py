@@ -1,16 +1,16 @@
 """Polynomials of the forces on several axes: what the forces across an axis add to its reading, to
 second degree by name, and to third as whatever all three forces make of it."""
 
+from collections.abc import Iterable
 from math import sqrt
 
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.core.effect import Context, Effect, Family, Parameter, Response, Truth, three
+from imucalib.core.effect import Context, Effect, Response, Truth
+from imucalib.effects.parts import entries, scan, sizes, words
 from imucalib.units import MG, STANDARD_GRAVITY
 
-IEEE_1293 = "IEEE Std 1293 model equation; 0.1-0.5 % of full scale in MEMS data sheets"
-OCTANTS = "Hold directions between the axes in all octants."
 #: Of each axis those across it, in cyclic order.
 _CYCLIC = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
 #: Sum of monomials: (coefficient, exponents of the forces on x, y and z in g).
@@ -23,14 +23,16 @@ def monomial(*axes: int) -> tuple[int, int, int]:
 
 
 def polynomial(
-    words: tuple[str, str, str, str, str],
+    key: str,
     columns: tuple[tuple[int, Polynomial], ...],
-    each: tuple[Parameter, ...],
-    part_of: str = "",
+    labels: Iterable[str],
+    value: str = "",
+    **given: object,
 ) -> Response:
     """The response that adds polynomials to readings, mg of each.
 
-    words : as `Described` has them; columns : (axis that reads, what it reads), one a parameter
+    columns : (axis that reads, what it reads), one a parameter; labels : of these; key, value,
+        given : as `words` takes them
     """
 
     def basis(truth: Truth, context: Context) -> Array:
@@ -49,33 +51,24 @@ def polynomial(
                     out[..., reads, k, axis] += size * np.prod(x**lower, axis=-1)
         return out
 
-    return Response(*words, each=each, basis=basis, basis_dx=basis_dx, part_of=part_of)
+    return Response(
+        *words(key, value, **given),
+        each=sizes(key, labels, value),
+        basis=basis,
+        basis_dx=basis_dx,
+        part_of=entries()[key].get("part_of", ""),
+    )
 
 
 EFFECTS = (
     polynomial(
-        (
-            "product_across",
-            "The product of the two forces across an axis shows in its reading.",
-            "y_i = x_i + C_i x_j x_k,  i, j, k in cyclic order",
-            f"{IEEE_1293} (K_po)",
-            OCTANTS,
-        ),
-        tuple((i, ((1.0, monomial(j, k)),)) for i, j, k in _CYCLIC),
-        three("product_across", "mg/g2", 3.0, 60.0),
+        "product_across", tuple((i, ((1.0, monomial(j, k)),)) for i, j, k in _CYCLIC), "xyz"
     ),
+    # Their sum is the square of the axis itself and a bias, wherever |x| is gravity's.
     polynomial(
-        (
-            # Their sum is the square of the axis itself and a bias, wherever |x| is gravity's.
-            "squares_across",
-            "The squares of the two forces across an axis differ in what they add to its reading.",
-            "y_i = x_i + D_i (x_j² - x_k²),  i, j, k in cyclic order",
-            "second order as IEEE Std 1293's terms; no size in data sheets, taken as theirs",
-            OCTANTS,
-        ),
+        "squares_across",
         tuple((i, ((1.0, monomial(j, j)), (-1.0, monomial(k, k)))) for i, j, k in _CYCLIC),
-        three("squares_across", "mg/g2", 3.0, 60.0),
-        part_of="cross_axis",
+        "xyz",
     ),
 )
 
@@ -97,16 +90,8 @@ def third_degree(letter: str) -> Effect:
     """Of the axis "x", "y" or "z"; ValueError otherwise."""
     if letter not in tuple("xyz"):
         raise ValueError(f"'{letter}' is no axis")
-    words = (
-        f"third_degree@{letter}",
-        f"The reading of {letter} depends on all three forces to third degree.",
-        "y_i = x_i + Σ_k c_k P_k(x),  P_k = x(2x² - 3y² - 3z²)/2 and √15 x(y² - z²)/2, each in "
-        "cyclic order, and √15 xyz",
-        "no size in data sheets, taken as the second degree's",
-        OCTANTS,
-    )
-    each = tuple(Parameter(f"third_{letter}_{k + 1}", "mg/g3", 3.0, 60.0) for k in range(7))
-    return polynomial(words, tuple(("xyz".index(letter), one) for one in _THIRD), each)
+    columns = tuple(("xyz".index(letter), one) for one in _THIRD)
+    return polynomial("third_degree@", columns, "1234567", letter, letter=letter)
 
 
 def _axes(context: Context) -> tuple[str, ...]:
@@ -114,13 +99,4 @@ def _axes(context: Context) -> tuple[str, ...]:
     return tuple("xyz") if "inclination" in context and context.n >= _FEWEST else ()
 
 
-FAMILIES = (
-    Family(
-        "third_degree",
-        "The reading of an axis depends on all three forces to third degree.",
-        "z",
-        third_degree,
-        _axes,
-        unfounded=True,
-    ),
-)
+FAMILIES = (scan("third_degree", third_degree, _axes, unfounded=True),)

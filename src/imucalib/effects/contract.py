@@ -1,7 +1,7 @@
 """Whether what a user's file offers are effects: checked when it is loaded, in words of the file.
 
-Every effect is asked for its words and run once on a few made-up observations, so that a slip is
-named with its effect instead of ending in the middle of a fit.
+The words of every effect are read, and it is run once on a few made-up observations, so that a
+slip is named with its effect instead of ending in the middle of a fit.
 """
 
 from __future__ import annotations

@@ -9,13 +9,13 @@ over the range that was recorded; beyond it, that of a covariate keeps its value
 import inspect
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.core.effect import Action, Context, Effect, Parameter, Response, Rotation, Truth
-from imucalib.effects.parts import BIAS, INCLINATION, SCALE, TOOL_FACE, Part, linear, turned
+from imucalib.effects.parts import BIAS, INCLINATION, SCALE, TOOL_FACE, Part, linear, turned, words
 from imucalib.units import MG, STANDARD_GRAVITY
 
 #: What is bent -> words for it.
@@ -52,8 +52,8 @@ class Bend:
 class OwnInput(Response):
     """What some axes, by their letters, make of their own input in g, as a bend has it."""
 
-    axes: str = ""
-    bend: Bend = Bend(np.square, np.square)
+    axes: str = field(kw_only=True)
+    bend: Bend = field(kw_only=True)
 
     def act(self, theta: Array, truth: Truth, context: Context) -> Action:
         """Each axis depends on one input alone: its slope needs no (n, 3, m, 3)."""
@@ -68,9 +68,9 @@ class OwnInput(Response):
 
 
 def own_input(
-    words: tuple[str, str, str, str, str], axes: str, bend: Bend, each: tuple[Parameter, ...]
+    texts: tuple[str, str, str, str, str], axes: str, bend: Bend, each: tuple[Parameter, ...]
 ) -> OwnInput:
-    """The response of axes "x" or "xyz" to their own input; words : as `Described` has them.
+    """The response of axes "x" or "xyz" to their own input; texts : as `Described` has them.
     ValueError where a letter is no axis."""
     columns = ["xyz".index(letter) for letter in axes]
 
@@ -87,39 +87,39 @@ def own_input(
             out[..., axis, k, :, axis] = MG / STANDARD_GRAVITY * steep
         return out.reshape(*truth.shape, -1, 3)
 
-    return OwnInput(*words, each=each, basis=basis, basis_dx=basis_dx, axes=axes, bend=bend)
+    return OwnInput(*texts, each=each, basis=basis, basis_dx=basis_dx, axes=axes, bend=bend)
 
 
-#: What a covariate bends -> the part, what its parameters' names have before the covariate's, and
-#: how much of one is still believed.
-_BENT: dict[str, tuple[Part, str, float]] = {
-    "bias": (BIAS, "", 300.0),
-    "scale": (SCALE, "scale_", 50.0),
-    "inclination": (INCLINATION, "inclination_", 10.0),
-    "tool_face": (TOOL_FACE, "tool_face_", 10.0),
+#: What a covariate bends -> the part, what its parameters' names have before the covariate's, their
+#: unit, and how much of one is still believed.
+_BENT: dict[str, tuple[Part, str, str, float]] = {
+    "bias": (BIAS, "", "mg", 300.0),
+    "scale": (SCALE, "scale_", "mg/g", 50.0),
+    "inclination": (INCLINATION, "inclination_", "deg", 10.0),
+    "tool_face": (TOOL_FACE, "tool_face_", "deg", 10.0),
 }
 
 
 def _bent(
-    words: tuple[str, str, str, str, str], prefix: str, what: str, against: str, bend: Bend
+    texts: tuple[str, str, str, str, str], prefix: str, what: str, against: str, bend: Bend
 ) -> Effect:
     """`against` names a covariate, or axes ("x", "xyz") whose input bends their response; prefix :
     of the parameters' names."""
     if what == "response":
-        return own_input(words, against, bend, bend.sizes(prefix, against, "mg", 300.0))
-    part, own, plausible = _BENT[what]
+        return own_input(texts, against, bend, bend.sizes(prefix, against, "mg", 300.0))
+    part, own, unit, plausible = _BENT[what]
 
     def values(context: Context) -> Array:
         return bend.values(context[against])
 
     name = f"{prefix}_{own}{against}"
     if part.axes:
-        each = tuple(Parameter(name + k, "deg", 0.1, plausible) for k in bend.labels)
+        each = tuple(Parameter(name + k, unit, 0.1, plausible) for k in bend.labels)
         needs = tuple(dict.fromkeys((against, "tool_face")))
-        return Rotation(*words, needs, named=each, turns=turned(part.axes, values))
-    basis, basis_dx = linear(part.columns, values, part.unit, inside=True)
-    sizes = bend.sizes(name, "xyz", part.unit, plausible)
-    return Response(*words, (against,), each=sizes, basis=basis, basis_dx=basis_dx)
+        return Rotation(*texts, needs, named=each, turns=turned(part.axes, values))
+    basis, basis_dx = linear(part.columns, values, unit, inside=True)
+    sizes = bend.sizes(name, "xyz", unit, plausible)
+    return Response(*texts, (against,), each=sizes, basis=basis, basis_dx=basis_dx)
 
 
 @dataclass(frozen=True)
@@ -204,13 +204,13 @@ def shape(value: str) -> Effect:
         found = of(u * unit, *numbers)
         return found if len(form.labels) > 1 else found[..., None]
 
-    covariate = against.replace("_", " ")
-    words = (
-        f"shape@{value}",
-        f"{KINDS[what]} against {covariate}: {kind.replace('_', ' ')}.",
-        f"y = x + f(u), u = {covariate}: f = " + form.equation.format(*rest),
-        "the form that the data themselves have, without a cause",
-        f"Record with {covariate} varied finely, and find what repeats so.",
+    texts = words(
+        "shape@",
+        value,
+        kind=KINDS[what],
+        covariate=against.replace("_", " "),
+        form=kind.replace("_", " "),
+        formula=form.equation.format(*rest),
     )
     bend = Bend(
         lambda u: columns(form.values, u),
@@ -219,7 +219,7 @@ def shape(value: str) -> Effect:
         (1.0,) * len(form.labels),
     )
     prefix = f"{kind}_{'_'.join(rest)}".replace("-", "m").replace(".", "p")
-    return _bent(words, prefix, what, against, bend)
+    return _bent(texts, prefix, what, against, bend)
 
 
 def curve(value: str) -> Effect:
@@ -231,20 +231,13 @@ def curve(value: str) -> Effect:
     low, high, terms = float(rest[0]), float(rest[1]), int(rest[2])
     around = against == "tool_face"  # a response has axes there
     terms += terms % 2 if around else 0
-    words = (
-        f"curve@{value}",
-        f"{KINDS[what]} against {against.replace('_', ' ')}: a smooth curve without a name.",
-        "y_i = x_i + Σ_k a_k sin(k t) + b_k cos(k t)"
-        if around
-        else "y_i = x_i + Σ_k c_k cos(k π u),  u from 0 to 1 over the range",
-        "what was found in the data themselves",
-        f"Record with {against.replace('_', ' ')} varied on its own, and find the cause.",
-    )
+    key, covariate = "curve@tool_face" if around else "curve@", against.replace("_", " ")
+    texts = words(key, value, kind=KINDS[what], covariate=covariate)
     if what == "response":
         bend = _of_input(np.arange(2, terms + 2))
     else:
         bend = _of_covariate(against, low, high, terms)
-    return _bent(words, "curve", what, against, bend)
+    return _bent(texts, "curve", what, against, bend)
 
 
 def _of_input(order: Index) -> Bend:

@@ -6,9 +6,12 @@ it follows is a covariate of the context, with one column or several. The parame
 """
 
 import re
-from collections.abc import Callable
+import tomllib
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from math import inf
+from functools import cache
+from importlib.resources import files
+from typing import Any
 
 import numpy as np
 
@@ -17,6 +20,7 @@ from imucalib.core.effect import (
     Basis,
     Context,
     Effect,
+    Family,
     Parameter,
     Response,
     Rotation,
@@ -36,17 +40,12 @@ Column = tuple[tuple[int, int | None], ...]
 
 @dataclass(frozen=True)
 class Part:
-    """unit : of the parameters, before that of the covariate
-    columns : of a sensor's part; axes : of a bench's, turned about one after the other
-    noun : subject of the effects' sentences; equation : around the covariate's term
+    """columns : of a sensor's part; axes : of a bench's, turned about one after the other
     needs : covariates without which there is no such part; shared : by all triads
     """
 
-    unit: str
     columns: tuple[Column, ...] = ()
     axes: tuple[Axis, ...] = ()
-    noun: str = ""
-    equation: str = ""
     needs: tuple[str, ...] = ()
     stage: Stage = "sensor"
     shared: bool = False
@@ -64,76 +63,76 @@ class Part:
 
 @dataclass(frozen=True)
 class Covariate:
-    """needs : of the context; verb : with a part's noun a sentence; term : in a part's equation,
-    tail : behind it; identify : how to record it; per : unit that follows the part's
-    labels : of the columns of its values, one empty one where there is one column
-    """
+    """needs : names of the context; labels : of the columns of its values, where there are more
+    than one"""
 
     needs: tuple[str, ...]
-    verb: str
-    term: str
     values: Values
-    identify: str
-    tail: str = ""
-    per: str = ""
     labels: tuple[str, ...] = ("",)
 
 
-def made(
-    name: str,
-    part: Part,
-    covariate: Covariate,
-    source: str,
-    typical: float,
-    plausible: float = 0.0,
-    *,
-    usual: float = inf,
-    unit: str = "",
-    sentence: str = "",
-    equation: str = "",
-    identify: str = "",
-    prefix: str = "",
-    part_of: str = "",
-    remedy: str = "",
-) -> Effect:
-    """The effect: a part that follows a covariate.
+@cache
+def entries() -> dict[str, dict[str, Any]]:
+    """What `catalogue.toml` has of effects by name, of a scan's members by its name and an @."""
+    return tomllib.loads(files(__package__).joinpath("catalogue.toml").read_text("utf-8"))
 
-    typical, plausible, usual : sizes of the parameters, `plausible` thirty times typical by default
-    unit, sentence, equation, identify, prefix : where they differ from what part and covariate say;
-        prefix is that of the parameters' names
-    part_of, remedy : as `Described` has them
-    """
-    unit, prefix = unit or part.unit + covariate.per, prefix or re.sub("[@:]", "_", name)
-    parameters = tuple(
-        Parameter(
-            "_".join(filter(None, (prefix, term, label))),
-            unit, typical, plausible or 30.0 * typical, usual=usual,
-        )
-        for term in covariate.labels
-        for label in part.labels
-    )  # fmt: skip
-    words = (
-        name,
-        sentence or f"The {part.noun} {covariate.verb}.",
-        equation or part.equation.format(covariate.term) + covariate.tail,
-        source,
-        identify or covariate.identify,
-        tuple(dict.fromkeys((*covariate.needs, *part.needs))),
+
+def words(key: str, value: str = "", **given: object) -> tuple[str, str, str, str, str]:
+    """Name, sentence, equation, source and how to identify it, as `Described` has them; value : of
+    a scan's member; given : what its words leave open"""
+    entry, name = entries()[key], f"{key.partition('@')[0]}@{value}" if value else key
+    fields = ("sentence", "equation", "source", "identify")
+    sentence, equation, source, identify = (entry[field].format(**given) for field in fields)
+    return name, sentence, equation, source, identify
+
+
+def sizes(key: str, labels: Iterable[str], value: str = "") -> tuple[Parameter, ...]:
+    """Parameters with these labels, named after the effect or what it has for a prefix."""
+    entry = entries()[key]
+    prefix = entry.get("prefix", key.partition("@")[0]), re.sub("[@:]", "_", value)
+    return tuple(
+        Parameter("_".join(filter(None, (*prefix, label))), **entry["size"]) for label in labels
     )
+
+
+def made(
+    key: str, part: Part, covariate: Covariate, value: str = "", **given: object
+) -> Response | Rotation:
+    """The effect: a part that follows a covariate; key, value, given : as `words` takes them"""
+    labels = [
+        "_".join(filter(None, (term, label))) for term in covariate.labels for label in part.labels
+    ]
+    needs = tuple(dict.fromkeys((*covariate.needs, *part.needs)))
+    texts, parameters = (*words(key, value, **given), needs), sizes(key, labels, value)
     if part.axes:
         turns = turned(part.axes, covariate.values)
-        return Rotation(*words, named=parameters, turns=turns, stage=part.stage)
-    basis, basis_dx = linear(part.columns, covariate.values, unit)
+        return Rotation(*texts, named=parameters, turns=turns, stage=part.stage)
+    basis, basis_dx = linear(part.columns, covariate.values, parameters[0].unit)
     return Response(
-        *words,
+        *texts,
         each=parameters,
         basis=basis,
         basis_dx=basis_dx,
         stage=part.stage,
         shared=part.shared,
-        part_of=part_of,
-        remedy=remedy,
+        part_of=entries()[key].get("part_of", ""),
+        remedy=entries()[key].get("remedy", ""),
     )
+
+
+def scan(
+    name: str,
+    member: Callable[[str], Effect],
+    values: Callable[[Context], tuple[str, ...]],
+    nearby: Callable[[Context, str], tuple[str, ...]] = lambda context, text: (),
+    *,
+    unfounded: bool = False,
+    free: bool = False,
+) -> Family:
+    """The family of members, as `Family` has it."""
+    entry = entries()[f"{name}@"]
+    shown, example = entry["shown"], entry["example"]
+    return Family(name, shown, example, member, values, nearby, unfounded=unfounded, free=free)
 
 
 def linear(
@@ -222,45 +221,24 @@ _OWN: tuple[Column, ...] = (((0, 0),), ((1, 1),), ((2, 2),))
 #: y sees x, z sees x, z sees y: x keeps its direction.
 _BELOW: tuple[Column, ...] = (((1, 0),), ((2, 0),), ((2, 1),))
 _ABOVE: tuple[Column, ...] = (((0, 1),), ((0, 2),), ((1, 2),))
-_SCALED = "y_i = x_i (1 + {})"
 
-BIAS = Part(
-    "mg", (((0, None),), ((1, None),), ((2, None),)), noun="bias", equation="y_i = x_i + {}"
-)
+BIAS = Part((((0, None),), ((1, None),), ((2, None),)))
 #: The same of the room and not of the sensor: no recording has its phase.
 ROOM_BIAS = replace(BIAS, stage="fixture")
-SCALE = Part("mg/g", _OWN, noun="scale factor", equation=_SCALED)
+SCALE = Part(_OWN)
 #: Of all axes together, as a bench's supply has it.
-GAIN = Part(
-    "mg/g",
-    (sum(_OWN, ()),),
-    noun="scale of all axes",
-    equation=_SCALED,
-    stage="fixture",
-    shared=True,
-)
-ANGLES = Part("mg/g", _BELOW)
+GAIN = Part((((0, 0), (1, 1), (2, 2)),), stage="fixture", shared=True)
+ANGLES = Part(_BELOW)
 #: The angles and their mirror images: where directions are known, a turn of the triad shows too.
-TILTS = Part("mg/g", _BELOW + _ABOVE)
+TILTS = Part(_BELOW + _ABOVE)
 #: Scale factors and angles.
-MATRIX = Part("mg/g", _OWN + _BELOW, equation="y_i = x_i + {}")
+MATRIX = Part(_OWN + _BELOW)
 
-INCLINATION = Part(
-    "deg",
-    axes=(inclination_axis,),
-    equation="i = i_dial + {}",
-    needs=("inclination", "tool_face"),
-    stage="fixture",
-)
-TOOL_FACE = Part(
-    "deg",
-    axes=(tool_face_axis,),
-    equation="t = t_dial + {}",
-    needs=("tool_face",),
-    stage="fixture",
-)
+_ON_BENCH = ("inclination", "tool_face")
+INCLINATION = Part(axes=(inclination_axis,), needs=_ON_BENCH, stage="fixture")
+TOOL_FACE = Part(axes=(tool_face_axis,), needs=("tool_face",), stage="fixture")
 #: How the tool stands in its clamp, about x, then y, then z; about its own axis alone.
-CLAMP = Part("deg", axes=tuple(map(_of_tool, range(3))), needs=("tool_face",), stage="fixture")
+CLAMP = Part(axes=tuple(map(_of_tool, range(3))), needs=("tool_face",), stage="fixture")
 CLAMP_Z = replace(CLAMP, axes=CLAMP.axes[2:])
 #: How the triad stands in the tool.
-MOUNTING = Part("deg", axes=CLAMP.axes, stage="mounting")
+MOUNTING = Part(axes=CLAMP.axes, stage="mounting")

@@ -37,9 +37,9 @@ def paper(corrected: Array, reference: KnownVector) -> tuple[Array, Array]:
     slope[0][np.arange(n), np.arange(n)] = corrected / size[:, None] / g
     nominal = unit_vector(reference.inclination, reference.tool_face)
     for axis in np.eye(3):
-        near = np.flatnonzero(nominal @ axis > np.cos(np.radians(0.5)))
-        if near.size:
-            row = int(near[0])
+        aligned = np.flatnonzero(nominal @ axis > np.cos(np.radians(0.5)))
+        if aligned.size:
+            row = int(aligned[0])
             residual.append((corrected[row] - g * axis) / g)
             part = np.zeros((3, n, 3))
             part[:, row] = np.eye(3) / g

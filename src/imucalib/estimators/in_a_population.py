@@ -52,18 +52,18 @@ def estimate_in_population(
     )
 
 
-def strangeness(fit: Fit) -> float:
+def p_value_in_kind(fit: Fit) -> float:
     """Chance that one of the kind is as far from its mean: χ² of d' (Q - C)⁻¹ d with d = θ - m,
     whose covariance before the data are seen is Q - C, along what the data say something of."""
     from scipy.special import chdtrc
 
     prior = fit.prior
     assert prior is not None
-    left = prior.root @ (fit.theta - prior.mean)
-    told = np.eye(left.size) - prior.root @ fit.covariance @ prior.root.T
-    values, vectors = eigen(0.5 * (told + told.T))
+    deviation = prior.root @ (fit.theta - prior.mean)
+    expected = np.eye(deviation.size) - prior.root @ fit.covariance @ prior.root.T
+    values, vectors = eigen(0.5 * (expected + expected.T))
     heard = values > _HEARD
-    along = vectors[:, heard].T @ left
+    along = vectors[:, heard].T @ deviation
     return float(chdtrc(max(int(heard.sum()), 1), float(np.sum(along**2 / values[heard]))))
 
 
@@ -94,16 +94,16 @@ def _posterior(at: Balanced, prior: Prior, away: Array, logs: Array) -> tuple[fl
     shift = covariance @ (weighted @ away)
     rest, pulled = away - at.jacobian @ shift, prior.root @ shift
     u = inverse @ rest
-    left = (logs - prior.noise[:, 0]) / prior.noise[:, 1]
+    deviation = (logs - prior.noise[:, 0]) / prior.noise[:, 1]
     log_det = np.linalg.slogdet(whole)[1] - np.linalg.slogdet(covariance)[1]
-    value = 0.5 * float(log_det + rest @ u + pulled @ pulled + left @ left)
-    beside = inverse - weighted.T @ covariance @ weighted
-    products = [beside @ d for d in own]
+    value = 0.5 * float(log_det + rest @ u + pulled @ pulled + deviation @ deviation)
+    reduced = inverse - weighted.T @ covariance @ weighted
+    products = [reduced @ d for d in own]
     slope = [
         0.5 * (float(np.trace(p)) - float(u @ d @ u)) for p, d in zip(products, own, strict=True)
     ]
     curvature = 0.5 * np.array([[float(np.sum(a * b.T)) for b in products] for a in products])
-    slopes = np.array(slope) + left / prior.noise[:, 1]
+    slopes = np.array(slope) + deviation / prior.noise[:, 1]
     return value, slopes, curvature + np.diag(prior.noise[:, 1] ** -2.0)
 
 

@@ -39,7 +39,7 @@ def lateness(fit: TurnFit) -> tuple[float, float]:
     """s by which the gyroscope is late (negative: early), and its standard deviation."""
     used = [turn for turn, own in zip(fit.log.turns, fit.used, strict=True) if own]
     rows = [_of_turn(fit, turn) for turn in used]
-    left, along, jacobian = (np.concatenate([row[k] for row in rows]) for k in range(3))
+    misfit, along, jacobian = (np.concatenate([row[k] for row in rows]) for k in range(3))
     shared = jacobian @ fit.covariance @ jacobian.T
     for k, (_, _, _, own, _) in enumerate(rows):
         shared[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] += own
@@ -47,7 +47,7 @@ def lateness(fit: TurnFit) -> tuple[float, float]:
     found = np.empty((len(_DENSITIES), 3))
     for k, density in enumerate(_DENSITIES):
         root = np.linalg.cholesky(shared + np.diag(density**2 * span))
-        y, x = np.linalg.solve(root, np.column_stack([left, along])).T
+        y, x = np.linalg.solve(root, np.column_stack([misfit, along])).T
         known = float(x @ x)
         late = -float(x @ y) / known
         power = float(np.sum((y + late * x) ** 2))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -20,7 +21,6 @@ from imucalib.core.balance import (
     setting_errors,
     whitener,
 )
-from imucalib.core.effect import Context
 from imucalib.core.fit import Fit, null_directions, shrinking
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
@@ -34,22 +34,6 @@ from imucalib.estimators.variance import NoiseEstimate, estimate_noise, estimate
 _SETTLING, _SETTLED = 6, 1e-5
 #: Rounds in a row in which θ creeps without end: twelve terms of a curve took 40 s for nothing.
 _PATIENCE = 3
-
-
-@dataclass(frozen=True)
-class State:
-    """θ and η together: the point at which the balance is linearised."""
-
-    theta: Array
-    eta: Array
-
-
-@dataclass(frozen=True)
-class Linearised(State):
-    """The same with its balance, and what whitens it."""
-
-    at: Balanced
-    white: Whitener
 
 
 def fit(
@@ -74,24 +58,25 @@ def fit(
         without
     A Fit whose `converged` is False must not be reported as a calibration.
     """
-    context, reference = observations.context, observations.reference
-    theta = model.start(context) if start is None else start
-    corrected = model.correct(theta, observations.reading, context)
-    state: State = State(theta, reference.start(corrected))
-    names = balance(model, state.theta, state.eta, observations).component
+    reference, first = observations.reference, model.start(observations.context)
+    theta = first if start is None else start
+    eta = reference.start(model.correct(theta, observations.reading, observations.context))
+    names = balance(model, theta, eta, observations).component
     current = noise or begin or Noise(1.0, names, tuple(0.01 for _ in names))
     estimate: NoiseEstimate | None = None
     converged, steps, failed = False, 0, 0
     for turn in range(rounds):
-        solution = _solve(model, observations, state, current, prior, shrink, fresh=turn == 0)
-        state, at, steps = solution.state, solution.state.at, steps + solution.iterations
+        problem = _Problem(model, observations, current, prior, shrink)
+        solution = problem.solved(theta, eta, fresh=turn == 0)
+        theta, eta, at = solution.state.theta, solution.state.eta, solution.state.at
+        steps += solution.iterations
         if prior is None:
-            whole = at if shrink is None else _beside(at, model, state.theta, shrink, context)
+            whole = at if shrink is None else _with_rows(at, shrinking(shrink, first - theta))
             estimate = estimate_noise(whole, current, fixed=noise is not None)
         elif prior.noise is None:
-            estimate = estimate_with_prior(at, current, prior, state.theta)
+            estimate = estimate_with_prior(at, current, prior, theta)
         else:
-            estimate = estimate_in_population(at, prior, state.theta, fixed=noise)
+            estimate = estimate_in_population(at, prior, theta, fixed=noise)
         # Without settings and prior the noise is one factor, which moves nothing.
         settled = _same(estimate.noise, current) or not (names or prior is not None)
         current = estimate.noise
@@ -100,28 +85,8 @@ def fit(
             converged = settled and solution.converged
             break
     assert estimate is not None
-    found = _finish(
-        model=model,
-        observations=observations,
-        state=state,
-        at=at,
-        estimate=estimate,
-        converged=converged,
-        steps=steps,
-    )
-    return replace(found, prior=prior, shrink=shrink)
-
-
-def _beside(at: Balanced, model: Model, theta: Array, shrink: Array, context: Context) -> Balanced:
-    """The balance with what shrinks the parameters as numbers behind the readings'."""
-    rows = shrinking(shrink, model.start(context) - theta)
-    settings = tuple(np.vstack([m, np.zeros((len(rows), m.shape[1]))]) for m in at.settings)
-    return replace(
-        at,
-        residual=np.concatenate([at.residual, rows[:, 0]]),
-        jacobian=np.vstack([at.jacobian, rows[:, 1:]]),
-        settings=settings,
-    )
+    found = _finished(model, observations, theta, eta, at, estimate)
+    return replace(found, converged=converged, iterations=steps, prior=prior, shrink=shrink)
 
 
 def evaluate(
@@ -136,106 +101,116 @@ def evaluate(
     directions there, those of the readings by default."""
     if eta is None:
         eta = observations.reference.start(observations.reading)
-    state = State(theta, eta)
-    at = balance(model, theta, state.eta, observations)
+    at = balance(model, theta, eta, observations)
     estimate = estimate_noise(at, noise or Noise(1.0, at.component, ()), fixed=False)
-    found = _finish(
-        model=model,
-        observations=observations,
-        state=state,
-        at=at,
-        estimate=estimate,
-        converged=True,
-        steps=0,
-    )
+    found = _finished(model, observations, theta, eta, at, estimate)
     spread = np.zeros_like(estimate.noise_covariance)
     return replace(found, covariance=covariance, noise_covariance=spread, null_directions=())
 
 
-def _solve(
-    model: Model,
-    observations: Observations,
-    start: State,
-    noise: Noise,
-    prior: Prior | None,
-    shrink: Array | None,
-    *,
-    fresh: bool,
-) -> Solution[Linearised]:
-    """fresh : nothing has been fitted yet, so that η may be of the start and not of the data."""
-    ratio = noise.ratio
-    settled = _has_settings(observations, noise)
-    first_theta = model.start(observations.context)
+@dataclass(frozen=True)
+class Point:
+    """θ and η together, the balance that is linearised there, and what whitens it."""
 
-    def at_eta(theta: Array, eta: Array) -> Linearised:
-        return _with_eta(model, observations, State(theta, eta), ratio, settled)
+    theta: Array
+    eta: Array
+    at: Balanced
+    white: Whitener
 
-    def linearise(state: Linearised) -> tuple[Array, Array]:
-        both = state.white(np.column_stack([state.at.residual, state.at.jacobian]))
-        if prior is not None:
-            both = np.vstack([both, noise.factor * prior.rows(state.theta)])
-        if shrink is not None:
-            both = np.vstack([both, shrinking(shrink, first_theta - state.theta)])
+
+@dataclass(frozen=True)
+class _Problem:
+    """θ and η by Levenberg-Marquardt at fixed noise; fields as `fit` has them."""
+
+    model: Model
+    observations: Observations
+    noise: Noise
+    prior: Prior | None
+    shrink: Array | None
+
+    @cached_property
+    def _first(self) -> Array:
+        return self.model.start(self.observations.context)
+
+    @property
+    def _settled(self) -> bool:
+        """Whether a component is a setting's: those that observations share stand behind them."""
+        return len(self.noise.component) > len(self.observations.shared)
+
+    def _point(self, theta: Array, eta: Array) -> Point:
+        at = balance(self.model, theta, eta, self.observations)
+        return Point(theta, eta, at, whitener(at.settings, self.noise.ratio))
+
+    def solved(self, theta: Array, eta: Array, *, fresh: bool) -> Solution[Point]:
+        """From a point; fresh : nothing has been fitted yet, so that η may be of the start and not
+        of the data."""
+        first = self._at(theta, eta)
+        if self._settled and fresh:
+            # A gross error looks like a gross setting error until θ has had its say: start from
+            # whichever comes out better, η settled before the first step of θ or after it.
+            point = self._point(theta, eta)
+            residual, jacobian = point.white(point.at.residual), point.white(point.at.jacobian)
+            scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
+            step = np.linalg.lstsq(jacobian / scale, residual, rcond=1e-10)[0] / scale
+            with suppress(
+                np.linalg.LinAlgError
+            ):  # the step may lead where nothing can be evaluated
+                other = self._at(theta + step, eta)
+                first = min(first, other, key=lambda p: float(np.sum(self._linearise(p)[0] ** 2)))
+        return minimise(self._linearise, self._moved, first)
+
+    def _linearise(self, point: Point) -> tuple[Array, Array]:
+        rows = [point.white(np.column_stack([point.at.residual, point.at.jacobian]))]
+        if self.prior is not None:
+            rows.append(self.noise.factor * self.prior.rows(point.theta))
+        if self.shrink is not None:
+            rows.append(shrinking(self.shrink, self._first - point.theta))
+        both = np.vstack(rows)
         return both[:, 0], both[:, 1:]
 
-    def move(state: Linearised, step: Array) -> Linearised:
-        eta = state.eta
-        if settled:  # where the settings go with the step, to first order
-            left = state.at.residual - state.at.jacobian @ step
-            eta = setting_errors(state.at, state.white, ratio, left)
-        return at_eta(state.theta + step, eta)
+    def _moved(self, point: Point, step: Array) -> Point:
+        eta, at = point.eta, point.at
+        if self._settled:  # where the settings go with the step, to first order
+            misfit = at.residual - at.jacobian @ step
+            eta = setting_errors(at, point.white, self.noise.ratio, misfit)
+        return self._at(point.theta + step, eta)
 
-    first = at_eta(start.theta, start.eta)
-    if settled and fresh:
-        # A gross error looks like a gross setting error until θ has had its say: start from
-        # whichever comes out better, η settled before the first step of θ or after it.
-        at = balance(model, start.theta, start.eta, observations)
-        white = whitener(at.settings, ratio)
-        residual, jacobian = white(at.residual), white(at.jacobian)
-        scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
-        step = np.linalg.lstsq(jacobian / scale, residual, rcond=1e-10)[0] / scale
-        with suppress(np.linalg.LinAlgError):  # the step may lead where nothing can be evaluated
-            other = at_eta(start.theta + step, start.eta)
-            first = min(first, other, key=lambda s: float(np.sum(linearise(s)[0] ** 2)))
-    return minimise(linearise, move, first)
+    def _at(self, theta: Array, eta: Array) -> Point:
+        """η at its best for this θ; a flat direction moves to first order and converges along with
+        θ.
 
-
-def _with_eta(
-    model: Model, observations: Observations, state: State, ratio: tuple[float, ...], settled: bool
-) -> Linearised:
-    """η at its best for this θ; a flat direction moves to first order and converges along with θ.
-
-    Large setting errors bend the linearisation: unless η is settled, the cost depends on the path
-    and a step cannot be judged by it.
-    """
-    reference = observations.reference
-    if not settled and None in reference.directions(state.eta).component:
-        step = _flat_step(model, observations, state)
-        state = State(state.theta, reference.move(state.eta, step))
-    at = balance(model, state.theta, state.eta, observations)
-    white = whitener(at.settings, ratio)
-    if not settled:
-        return Linearised(state.theta, state.eta, at, white)
-    eta = state.eta
-    for _ in range(_SETTLING):
-        before, eta = eta, setting_errors(at, white, ratio, at.residual)
-        if float(np.abs(eta - before).max(initial=0.0)) < _SETTLED:
-            break
-        at = balance(model, state.theta, eta, observations)
-        white = whitener(at.settings, ratio)
-    return Linearised(state.theta, eta, at, white)
+        Large setting errors bend the linearisation: unless η is settled, the cost depends on the
+        path and a step cannot be judged by it.
+        """
+        reference = self.observations.reference
+        if not self._settled and None in reference.directions(eta).component:
+            eta = reference.move(eta, _flat_step(self.model, self.observations, theta, eta))
+        point = self._point(theta, eta)
+        for _ in range(_SETTLING if self._settled else 0):
+            at, before = point.at, eta
+            eta = setting_errors(at, point.white, self.noise.ratio, at.residual)
+            if float(np.abs(eta - before).max(initial=0.0)) < _SETTLED:
+                return replace(point, eta=eta)
+            point = self._point(theta, eta)
+        return point
 
 
-def _has_settings(observations: Observations, noise: Noise) -> bool:
-    """Whether a component is a setting's: those that observations share stand behind them."""
-    return len(noise.component) > len(observations.shared)
+def _with_rows(at: Balanced, rows: Array) -> Balanced:
+    """The balance with what shrinks the parameters, (k, 1 + p), behind the readings' numbers."""
+    settings = tuple(np.vstack([m, np.zeros((len(rows), m.shape[1]))]) for m in at.settings)
+    return replace(
+        at,
+        residual=np.concatenate([at.residual, rows[:, 0]]),
+        jacobian=np.vstack([at.jacobian, rows[:, 1:]]),
+        settings=settings,
+    )
 
 
-def _flat_step(model: Model, observations: Observations, state: State) -> Array:
+def _flat_step(model: Model, observations: Observations, theta: Array, eta: Array) -> Array:
     """Gauss-Newton step along the flat directions of every observation, at fixed θ."""
     reference = observations.reference
-    predicted = model.predict(state.theta, reference.truth(state.eta), observations.context)
-    directions = reference.directions(state.eta)
+    predicted = model.predict(theta, reference.truth(eta), observations.context)
+    directions = reference.directions(eta)
     n, q = directions.index.shape
     sigma = observations.sigma.reshape(n, -1)
     free = (predicted.d_truth @ directions.derivative).reshape(n, -1, q) / sigma[..., None]
@@ -252,22 +227,21 @@ def _same(new: Noise, old: Noise) -> bool:
     return bool(np.all(np.abs(a - b) <= 1e-5 * np.maximum(a, 1e-7)))
 
 
-def _finish(
+def _finished(
     model: Model,
     observations: Observations,
-    state: State,
+    theta: Array,
+    eta: Array,
     at: Balanced,
     estimate: NoiseEstimate,
-    converged: bool,
-    steps: int,
 ) -> Fit:
     parameters = model.parameters(observations.context)
     return Fit(
         model=model,
         parameters=parameters,
-        theta=state.theta,
+        theta=theta,
         covariance=estimate.covariance,
-        eta=state.eta,
+        eta=eta,
         noise=estimate.noise,
         noise_covariance=estimate.noise_covariance,
         slope=estimate.slope,
@@ -277,6 +251,6 @@ def _finish(
         dof=estimate.dof,
         log_likelihood=estimate.log_likelihood,
         null_directions=null_directions(estimate.white_jacobian, parameters, estimate.noise.factor),
-        converged=converged,
-        iterations=steps,
+        converged=True,
+        iterations=0,
     )

@@ -2,8 +2,8 @@
 
 Column-scaled (Moré 1978), damped by the gain ratio (Nielsen 1999), solved by QR and singular values
 so that the normal equations' squared condition never appears, and finished by plain Gauss-Newton
-steps down to rounding. Whether it has converged is asked of the undamped step: a damped one is
-short wherever it is taken.
+steps down to rounding. Whether it has converged is judged by the undamped step: a damped one is
+short anywhere.
 """
 
 from __future__ import annotations
@@ -61,8 +61,8 @@ class _Point(Generic[State]):
         return np.asarray(self.back @ (self.along * self.singular / (self.singular**2 + damping)))
 
     def predicted(self, damping: float) -> float:
-        left = damping / (self.singular**2 + damping)
-        return float(np.sum(self.along**2 * (1.0 - left**2)))
+        remaining = damping / (self.singular**2 + damping)
+        return float(np.sum(self.along**2 * (1.0 - remaining**2)))
 
 
 def minimise(

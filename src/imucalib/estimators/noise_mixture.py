@@ -54,8 +54,8 @@ def _moved(fit: Fit, step: Array) -> Fit:
     """The fit at θ + step, its settings where they are best there."""
     model, data, at = fit.model, fit.observations, fit.at
     theta, ratio = fit.theta + step, fit.noise.ratio
-    left = at.residual - at.jacobian @ step
-    eta = setting_errors(at, whitener(at.settings, ratio), ratio, left) if at.free else fit.eta
+    misfit = at.residual - at.jacobian @ step
+    eta = setting_errors(at, whitener(at.settings, ratio), ratio, misfit) if at.free else fit.eta
     return replace(fit, theta=theta, eta=eta, at=balance(model, theta, eta, data))
 
 
@@ -77,7 +77,7 @@ class _Target:
         self._precision, self._off = sd**-2.0, start - fit.theta
 
     def within(self, logs: Array) -> Array:
-        """Logs (m, 1 + c) with sds that can be told from nothing and from the noise."""
+        """Logs (m, 1 + c) with sds that differ from nothing and from the noise."""
         widest = _SPREADS * self._prior_of.spread
         first = np.clip(logs[:, :1], -widest, widest)
         low, high = (first + edge for edge in self._ratio)

@@ -36,7 +36,7 @@ def full_matrix_start(model: Model, observations: Observations) -> Array:
     if rank < 4:
         return theta
     if np.linalg.det(sensitivity) <= 0.0:  # of a part of the rows, perhaps
-        sensitivity, offset, _ = linear_map(observations.take(alike_rows(observations)))
+        sensitivity, offset, _ = linear_map(observations.take(consistent_rows(observations)))
     if np.linalg.det(sensitivity) <= 0.0:
         raise UnreadableInput(
             "the readings are a mirror image of the reference: an axis has the other sign",
@@ -56,7 +56,7 @@ def full_matrix_start(model: Model, observations: Observations) -> Array:
     return theta
 
 
-def alike_rows(observations: Observations) -> Index:
+def consistent_rows(observations: Observations) -> Index:
     """The larger part of the rows (K = 1, known directions) that fit one linear map best, from all
     rows, from those in front and from those at the end."""
     n = observations.n

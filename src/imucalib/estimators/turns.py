@@ -194,71 +194,69 @@ def fitted(
     """
     chosen = np.ones(len(log.turns), bool) if used is None else used
     prior = np.zeros(0) if sizes is None else sizes
-    count = prior.size
-    state = _started(log, count) if start is None else replace(start, theta=_padded(start, count))
-    found = TurnNoise(0.0, 0.0, np.ones(3), 0.0) if noise is None else noise
-    converged, covariance = False, np.zeros((0, 0))
-    weight = np.ones(len(log.turns))
-    for k in range(_MOST):
-        rows = linearised(log, state, laws, prior)
-        square = _squares(rows, rows.residual, covariance)
-        if noise is None and k < _NOISES:
-            found = _estimated(log, state, laws, rows, prior, np.where(chosen, weight, 0.0))
-        variance = variances(log, found, prior)
-        weight = _weights(square, variance[: 2 * rows.turns : 2])
-        step, covariance = _solved(rows, variance, np.where(chosen, weight, 0.0))
-        state = _moved(state, step)
-        if np.max(np.abs(step) / np.sqrt(np.diag(covariance))) < _SETTLED:
-            converged = True
-            break
-    rows = linearised(log, state, laws, prior)
-    return TurnFit(
+    if start is None:  # plain readings: the norm's own fit is a few Gauss-Newton steps away
+        up = log.force / np.linalg.norm(log.force, axis=1)[:, None]
+        start = State(np.zeros(3), np.eye(3), np.eye(3), np.zeros(prior.size), log.rate.copy(), up)
+    elif start.theta.size != prior.size:
+        start = replace(start, theta=np.zeros(prior.size))
+    fit = TurnFit(
         log=log,
-        state=state,
-        noise=found,
-        rows=rows,
-        covariance=covariance,
-        variance=variance,
+        state=start,
+        noise=noise or TurnNoise(0.0, 0.0, np.ones(3), 0.0),
+        rows=linearised(log, start, laws, prior),
+        covariance=np.zeros((0, 0)),
+        variance=np.zeros(0),
         used=chosen,
-        weight=weight,
+        weight=np.ones(len(log.turns)),
         laws=laws,
-        converged=converged,
+        converged=False,
     )
+    for k in range(_MOST):
+        fit, step = _round(fit, prior, held=noise is not None or k >= _NOISES)
+        state = _moved(fit.state, step)
+        fit = replace(fit, state=state, rows=linearised(log, state, laws, prior))
+        if np.max(np.abs(step) / np.sqrt(np.diag(fit.covariance))) < _SETTLED:
+            return replace(fit, converged=True)
+    return fit
 
 
 def without(fit: TurnFit, out: Flags, sizes: Array | None = None) -> TurnFit:
     """The fit without some turns, linear about where it stands: what a refit would end at, to the
     second order in what these turns move. out : (T,); sizes : (m,) sd of θ, or as it was"""
-    log, rows, m = fit.log, fit.rows, fit.state.theta.size
-    chosen, step, covariance = fit.used & ~out, np.zeros(rows.jacobian.shape[1]), fit.covariance
+    rows, m = fit.rows, fit.state.theta.size
     prior = np.sqrt(fit.variance[len(fit.variance) - m :]) if sizes is None else sizes
-    noise, variance, weight = fit.noise, fit.variance, fit.weight
+    found, whole = replace(fit, used=fit.used & ~out), np.zeros(rows.jacobian.shape[1])
     for _ in range(_NOISES):
-        moved = replace(rows, residual=rows.residual + rows.jacobian @ step)
-        square = _squares(rows, moved.residual, covariance)
-        noise = _estimated(log, fit.state, fit.laws, moved, prior, np.where(chosen, weight, 0.0))
-        variance = variances(log, noise, prior)
-        weight = _weights(square, variance[: 2 * rows.turns : 2])
-        step, covariance = _solved(rows, variance, np.where(chosen, weight, 0.0))
-    return replace(
-        fit,
-        state=_moved(fit.state, step),
-        noise=noise,
-        covariance=covariance,
-        variance=variance,
-        used=chosen,
-        weight=weight,
-    )
+        moved = replace(rows, residual=rows.residual + rows.jacobian @ whole)
+        found, step = _round(replace(found, rows=moved), prior, held=False)
+        whole = whole + step
+    return replace(found, rows=rows, state=_moved(fit.state, whole))
 
 
-def _padded(state: State, count: int) -> Array:
-    return state.theta if state.theta.size == count else np.zeros(count)
-
-
-def _started(log: TurnLog, count: int) -> State:
-    """Plain readings: the norm's own fit is a few Gauss-Newton steps away."""
-    up = log.force / np.linalg.norm(log.force, axis=1)[:, None]
-    return State(np.zeros(3), np.eye(3), np.eye(3), np.zeros(count), log.rate.copy(), up)
+def _round(fit: TurnFit, prior: Array, *, held: bool) -> tuple[TurnFit, Array]:
+    """The fit with its noise, unless that is held, its rows' variances and its turns' weights as
+    its rows and the covariance before tell them, and the step from there; prior : (m,) sd of θ"""
+    # What a turn is off, squared, over its two numbers: that of its residual, and what the unknowns
+    # may still move it (the E step of Dempster, Laird and Rubin 1977). Directions of rests follow a
+    # turn, so that residuals alone are too small.
+    rows, own, noise = fit.rows, 2 * fit.rows.turns, fit.noise
+    square = rows.residual[:own] ** 2
+    if fit.covariance.size:
+        jacobian = rows.jacobian[:own]
+        square = square + np.sum((jacobian @ fit.covariance) * jacobian, axis=1)
+    if not held:
+        noise = _estimated(fit, prior)
+    variance = variances(fit.log, noise, prior)
+    # Of Student's distribution, over a turn's two numbers together.
+    weight = (_NU + 2.0) / (_NU + square.reshape(-1, 2).sum(axis=1) / variance[:own:2])
+    inverse = 1.0 / variance
+    inverse[:own] *= np.repeat(np.where(fit.used, weight, 0.0), 2)
+    weighted = rows.jacobian * inverse[:, None]
+    normal = rows.jacobian.T @ weighted
+    scale = 1.0 / np.sqrt(np.diag(normal))
+    covariance = np.linalg.inv(normal * scale[:, None] * scale) * scale[:, None] * scale
+    found = replace(fit, noise=noise, covariance=covariance, variance=variance, weight=weight)
+    return found, -covariance @ (weighted.T @ rows.residual)
 
 
 def tangents(up: Array) -> Array:
@@ -305,7 +303,7 @@ def linearised(log: TurnLog, state: State, laws: Laws | None, prior: Array) -> R
     walk, ups = first + m, state.first_up
     size = ups + 2 * n
     turns = np.zeros((len(log.turns), 2, size))
-    left = np.zeros((len(log.turns), 2))
+    misfit = np.zeros((len(log.turns), 2))
     for i, turn in enumerate(log.turns):
         k = turn.rest
         seen, share = moved_by(log, state.drift, turn)
@@ -317,7 +315,7 @@ def linearised(log: TurnLog, state: State, laws: Laws | None, prior: Array) -> R
         q = np.zeros((3, walk + 6))
         q[:, ACCELEROMETER:first] = np.tensordot(weighted, rate, (0, 0)).reshape(3, 9)
         if laws is not None:
-            q[:, first:walk] = -_carried(gained, laws, rate, force, turn)
+            q[:, first:walk] = -_integrated(gained, laws, rate, force, turn)
         q[:, walk:] = -np.concatenate(
             [
                 np.tensordot(v, gained, 1)
@@ -331,16 +329,16 @@ def linearised(log: TurnLog, state: State, laws: Laws | None, prior: Array) -> R
         turns[i, :, walk + 3 * k : walk + 3 * k + 6] = own[:, walk:]
         turns[i, :, ups + 2 * k : ups + 2 * k + 2] = back @ across[k]
         turns[i, :, ups + 2 * k + 2 : ups + 2 * k + 4] = -np.eye(2)
-        left[i] = back @ state.up[k]  # u_{k+1} is across the plane
+        misfit[i] = back @ state.up[k]  # u_{k+1} is across the plane
     rests, off = _rest_rows(log, state, laws, across, prior, size)
     return Rows(
-        np.concatenate([left.ravel(), off]),
+        np.concatenate([misfit.ravel(), off]),
         np.concatenate([turns.reshape(-1, size), rests]),
         len(log.turns),
     )
 
 
-def _carried(gained: Array, laws: Laws, rate: Array, force: Array, turn: Turn) -> Array:
+def _integrated(gained: Array, laws: Laws, rate: Array, force: Array, turn: Turn) -> Array:
     """(3, m) the integral of weights (n, 3, 3) times the laws' columns along a turn, a part of the
     samples at a time: an hour has a million, and a law dozens of columns."""
     whole: Array | float = 0.0
@@ -422,34 +420,6 @@ def _of_turns(log: TurnLog, noise: TurnNoise) -> Array:
     return np.asarray(log.white**2 * noisy + walk + noise.floor**2 + (noise.per_angle * path) ** 2)
 
 
-def _squares(rows: Rows, residual: Array, covariance: Array) -> Array:
-    """(T,) expected square of what a turn is off, over its two numbers: that of its residual, and
-    what the unknowns may still move it (the E step of Dempster, Laird and Rubin 1977). Directions
-    of rests follow a turn, so that residuals alone are too small."""
-    own = 2 * rows.turns
-    square = residual[:own] ** 2
-    if covariance.size:
-        jacobian = rows.jacobian[:own]
-        square = square + np.sum((jacobian @ covariance) * jacobian, axis=1)
-    return np.asarray(square.reshape(-1, 2).sum(axis=1))
-
-
-def _weights(square: Array, variance: Array) -> Array:
-    """(T,) of Student's distribution, over a turn's two numbers together."""
-    return np.asarray((_NU + 2.0) / (_NU + square / variance))
-
-
-def _solved(rows: Rows, variance: Array, weight: Array) -> tuple[Array, Array]:
-    """The step and its covariance."""
-    inverse = 1.0 / variance
-    inverse[: 2 * rows.turns] *= np.repeat(weight, 2)
-    weighted = rows.jacobian * inverse[:, None]
-    normal = rows.jacobian.T @ weighted
-    scale = 1.0 / np.sqrt(np.diag(normal))
-    covariance = np.linalg.inv(normal * scale[:, None] * scale) * scale[:, None] * scale
-    return -covariance @ (weighted.T @ rows.residual), covariance
-
-
 def _moved(state: State, step: Array) -> State:
     m, n = state.theta.size, len(state.up)
     lower = state.lower.copy()
@@ -467,15 +437,14 @@ def _moved(state: State, step: Array) -> State:
     )
 
 
-def _estimated(
-    log: TurnLog, state: State, laws: Laws | None, rows: Rows, prior: Array, weight: Array
-) -> TurnNoise:
+def _estimated(fit: TurnFit, prior: Array) -> TurnNoise:
     """Walk and the rests' scatter by their moments; floor and κ as the means of their squares under
     the likelihood of the turns with all unknowns integrated out, at their prior."""
-    noise = TurnNoise(0.0, 0.0, _walk(log, state, laws), _scatter(log, state))
-    variance = variances(log, noise, prior)
+    log, state = fit.log, fit.state
+    noise = TurnNoise(0.0, 0.0, _walk(log, state, fit.laws), _scatter(log, state))
+    variance, weight = variances(log, noise, prior), np.where(fit.used, fit.weight, 0.0)
     numbers = np.flatnonzero(np.repeat(weight > 0.0, 2))
-    left, shared = _by_rests(rows, variance, numbers)
+    misfit, shared = _by_rests(fit.rows, variance, numbers)
     every, size = np.repeat(weight, 2)[numbers], len(numbers)
     logs = np.empty((len(_FLOORS), len(ANGLES)))
     for i, floor in enumerate(_FLOORS):
@@ -483,7 +452,7 @@ def _estimated(
             point = replace(noise, floor=float(floor), per_angle=float(angle))
             own = np.repeat(_of_turns(log, point), 2)[numbers] / every
             root = np.linalg.cholesky(shared + np.diag(own))
-            white = below(root, left)
+            white = below(root, misfit)
             logs[i, j] = -0.5 * float(white @ white) - float(np.log(np.diag(root)).sum())
     likely = np.exp(logs - logs.max()) * ANGLE_PRIOR if size else np.ones(logs.shape)
     likely /= likely.sum()

@@ -64,7 +64,7 @@ def _independent(at: Balanced, start: Noise, *, fixed: bool) -> NoiseEstimate:
     q, r = np.linalg.qr(at.jacobian)
     rest = at.residual - q @ (q.T @ at.residual)
     chi2, dof = float(rest @ rest), size - p
-    factor = start.factor if fixed else _one_factor(chi2, dof, at.prior)
+    factor = start.factor if fixed else _factor_at(chi2, dof, np.zeros(0), at)
     inverse = np.linalg.pinv(r.T @ r, rcond=1e-14)
     covariance = factor**2 * inverse
     log_det = float(np.log(np.maximum(np.abs(np.diag(r)), 1e-300)).sum())
@@ -81,20 +81,6 @@ def _independent(at: Balanced, start: Noise, *, fixed: bool) -> NoiseEstimate:
         log_likelihood=float(likelihood),
         white_jacobian=at.jacobian,
     )
-
-
-def _one_factor(chi2: float, dof: int, prior: NoisePrior | None) -> float:
-    """The factor at which χ²/s² + 2 dof log s, and the prior's (log s / spread)², are least."""
-    if prior is None:
-        return float(np.sqrt(max(chi2 / max(dof, 1), 1e-30)))
-    weight, log = prior.spread**-2, 0.0
-    for _ in range(60):  # Newton on a convex function of log s
-        power = chi2 * np.exp(-2.0 * log)
-        step = (power - dof - weight * log) / (2.0 * power + weight)
-        log += float(np.clip(step, -2.0, 2.0))
-        if abs(step) < 1e-12:
-            break
-    return float(np.exp(log))
 
 
 def estimate_with_prior(at: Balanced, start: Noise, prior: Prior, theta: Array) -> NoiseEstimate:
@@ -137,14 +123,14 @@ def _search(at: Balanced, start: Noise) -> Noise:
 
     reach = np.array([max(float(np.abs(m).max()), 1e-300) for m in at.settings])
     low, high = np.log(RATIO[0] / reach), np.log(RATIO[1] / reach)
-    left = restricted(at.jacobian, at.settings)
+    space = restricted(at.jacobian, at.settings)
     for c, matrix in enumerate(at.settings):
         if c >= at.free and 3 * matrix.shape[1] >= at.residual.size:
             high[c] = np.log(INSTEAD / reach[c])
-    data, dof = left.turned(at.residual), at.residual.size - at.jacobian.shape[1]
+    data, dof = space.turned(at.residual), at.residual.size - at.jacobian.shape[1]
 
     def objective(logs: Array) -> tuple[float, Array]:
-        return _profiled(left, data, dof, np.exp(logs), at)
+        return _profiled(space, data, dof, np.exp(logs), at)
 
     first = np.clip(np.log(np.maximum(start.sd, 1e-12)) - np.log(start.factor), low, high)
 
@@ -164,7 +150,7 @@ def _search(at: Balanced, start: Noise) -> Noise:
         # The likelihood is flat near zero: a long first step can be stranded there.
         found = min(found, descend(-np.log(reach)), key=lambda result: float(result.fun))
     ratio = np.where(found.x > zero, np.exp(found.x), 0.0)
-    covariance = left.at(ratio)
+    covariance = space.at(ratio)
     power = covariance.power(covariance.solve(data))
     factor = _factor_at(power, dof, ratio, at)
     return Noise(factor, at.component, tuple(float(r) * factor for r in ratio))
@@ -173,7 +159,7 @@ def _search(at: Balanced, start: Noise) -> Noise:
 def _factor_at(power: float, dof: int, ratio: Array, at: Balanced) -> float:
     """The factor at its best for ratios sd_c / s."""
     if at.prior is None:
-        return float(np.sqrt(max(power / dof, 1e-30)))
+        return float(np.sqrt(max(power / max(dof, 1), 1e-30)))
     log, own = 0.0, ratio[: at.free]
     for _ in range(100):
         share = _cauchy_slopes(np.exp(log) * own, at.prior)
@@ -194,20 +180,20 @@ def _cauchy_slopes(sd: Array, prior: NoisePrior) -> Array:
 
 
 def _profiled(
-    left: Restricted, data: Array, dof: int, ratio: Array, at: Balanced
+    space: Restricted, data: Array, dof: int, ratio: Array, at: Balanced
 ) -> tuple[float, Array]:
     """Minus the restricted log likelihood or posterior with s at its best, and its slopes by the
     log ratios."""
-    covariance = left.at(ratio)
-    rest, taken = solved = covariance.solve(data)
+    covariance = space.at(ratio)
+    rest, projection = solved = covariance.solve(data)
     power = max(covariance.power(solved), 1e-300)
     # tr V⁻¹ U_c U_c' = q_c - tr of the capacity's inverse, and U' V⁻¹ y is what U takes.
     square = _factor_at(power, dof, ratio, at) ** 2
-    own = 1.0 - covariance.inside - taken**2 / square
-    slope: Array = np.bincount(left.owner, own, minlength=ratio.size).astype(np.float64)
-    if left.wide >= 0:
-        each = ratio[left.wide] ** 2 * left.spread
-        slope[left.wide] = float(each @ covariance.own) - float(each @ rest**2) / square
+    own = 1.0 - covariance.inside - projection**2 / square
+    slope: Array = np.bincount(space.owner, own, minlength=ratio.size).astype(np.float64)
+    if space.wide >= 0:
+        each = ratio[space.wide] ** 2 * space.spread
+        slope[space.wide] = float(each @ covariance.own) - float(each @ rest**2) / square
     value = 0.5 * (covariance.log_det + dof * float(np.log(square)) + power / square)
     if at.prior is not None:
         sd = float(np.sqrt(square)) * ratio[: at.free]

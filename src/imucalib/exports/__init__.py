@@ -6,7 +6,7 @@ A form is found by its file being here.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 
 from imucalib.calibration.calibration import Calibration
@@ -20,36 +20,15 @@ class Made:
     """A form's text; what of the calibration it could not carry, in words; and the error of a force
     that this makes, mg: mean over directions and the calibrated ranges, of an array the rms in the
     motion that was calibrated; rate_loss : of a rate there, deg/s. files : name -> text, where the
-    other program reads one file an IMU and there are several; the text then holds all."""
+    other program reads one file an IMU and there are several; the text then holds all. file : its
+    usual name."""
 
     text: str
     lost: tuple[str, ...] = ()
     loss: float = 0.0
     rate_loss: float = 0.0
     files: Mapping[str, str] = field(default_factory=dict)
-
-
-def of_each(files: Mapping[str, str], lost: tuple[str, ...], losses: tuple[float, float]) -> Made:
-    """One file an IMU; losses : of a force, mg, and of a rate, deg/s"""
-    return Made("---\n".join(files.values()), lost, *losses, files if len(files) > 1 else {})
-
-
-@dataclass(frozen=True)
-class Exported:
-    """A file's name, and the form that goes into it."""
-
-    file: str
-    made: Made
-
-    @property
-    def text(self) -> str:
-        """What the file holds."""
-        return self.made.text
-
-    @property
-    def lost(self) -> tuple[str, ...]:
-        """What it could not carry, in words."""
-        return self.made.lost
+    file: str = ""
 
 
 @dataclass(frozen=True)
@@ -69,7 +48,7 @@ def exports() -> dict[str, Export]:
     return {m.EXPORT.name: m.EXPORT for m in modules_of(__name__) if hasattr(m, "EXPORT")}
 
 
-def exported(calibration: Calibration, source: str, name: str) -> Exported:
+def exported(calibration: Calibration, source: str, name: str) -> Made:
     """A calibration in the form that is named.
 
     Raises UsageError for an unknown form and for a calibration that it cannot hold.
@@ -78,4 +57,4 @@ def exported(calibration: Calibration, source: str, name: str) -> Exported:
         raise UsageError(f"no form is called '{name}'", remedy=f"use: {', '.join(exports())}")
     form = exports()[name]
     # Names in a calibration were checked when it was read; a file's name may be anything.
-    return Exported(form.file, form.make(calibration, printable(source)))
+    return replace(form.make(calibration, printable(source)), file=form.file)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
 from imucalib.calibration.calibration import Calibration
 from imucalib.errors import LimitBroken, UsageError
-from imucalib.exports import Exported, exported
+from imucalib.exports import Made, exported
 from imucalib.units import DEG, MG
 
 #: Of what the calibration leaves: there, nine tenths of an exported correction's variance are the
@@ -20,7 +19,7 @@ _TO_RATE = {"deg/s": 1.0, "rad/s": 1.0 / DEG}
 
 
 def demand_carried(
-    made: Exported,
+    made: Made,
     form: str,
     calibration: Calibration,
     largest: float | None,
@@ -28,13 +27,17 @@ def demand_carried(
 ) -> None:
     """Raise LimitBroken where a form loses more than `largest` mg of a force or `largest_rate`
     deg/s of a rate; None: than three times the error that the calibration itself leaves."""
-    loss, rate = made.made.loss, made.made.rate_loss
-    allowed = str(math.ceil(loss))
-    for lost, bound, left, unit, words in (
-        (loss, largest, error_left, "mg", allowed),
-        (rate, largest_rate, rate_left, "deg/s", f"{allowed},{math.ceil(rate)}"),
+    allowed = str(math.ceil(made.loss))
+    for lost, bound, own, unit, words in (
+        (made.loss, largest, _error_left(calibration), "mg", allowed),
+        (
+            made.rate_loss,
+            largest_rate,
+            _rate_left(calibration),
+            "deg/s",
+            f"{allowed},{math.ceil(made.rate_loss)}",
+        ),
     ):
-        own = left(calibration)
         most, why = bound, ""
         if most is None:
             most = _TIMES * own
@@ -57,18 +60,16 @@ def carries(calibration: Calibration, form: str) -> bool:
     return True
 
 
-def error_left(calibration: Calibration) -> float:
+def _error_left(calibration: Calibration) -> float:
     """mg that the calibration leaves of a force: held out, else fitted, else the standard deviation
     of its biases; infinite where nothing is known."""
-    if (known := _stated(calibration, _TO_MG)) is not None:
-        return known
-    if calibration.triads:
-        return math.inf
-    sd = float(np.linalg.norm(calibration.matrices().bias_mg_sd))
-    return sd if sd > 0.0 else math.inf
+    known = _stated(calibration, _TO_MG)
+    if known is None and not calibration.triads:
+        known = float(np.linalg.norm(calibration.matrices().bias_mg_sd)) or None
+    return math.inf if known is None else known
 
 
-def rate_left(calibration: Calibration) -> float:
+def _rate_left(calibration: Calibration) -> float:
     """deg/s that an array's calibration leaves of a rate: held out, else fitted, else the gyros'
     noise at rest; infinite where nothing is known."""
     if (known := _stated(calibration, _TO_RATE)) is not None:
@@ -82,10 +83,6 @@ def _stated(calibration: Calibration, units: dict[str, float]) -> float | None:
     for error in calibration.facts.get("errors", ()):
         if factor := units.get(error["unit"]):
             for value in (error["held_out"].get("final"), error.get("final")):
-                if _known(value):
+                if value is not None and math.isfinite(value):
                     return float(value) * factor
     return None
-
-
-def _known(value: Any) -> bool:
-    return value is not None and math.isfinite(value)

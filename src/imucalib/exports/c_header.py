@@ -1,8 +1,15 @@
-"""A C header for the firmware."""
+"""A C header for the firmware: `c_header.h.j2`, filled in.
+
+Its fixed point has no long double, no floating point and no shift of a negative number, so that
+every compiler since C99 gives the same. Numbers are rounded to the nearest, halves away from zero,
+and what does not fit is the largest that does.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -11,11 +18,43 @@ from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.file import identity
 from imucalib.calibration.gyroscope import gyroscope_of
 from imucalib.core.sphere import even_directions
+from imucalib.errors import UsageError
 from imucalib.exports import Export, Made
-from imucalib.exports.c_functions import ROUNDED, Correction, array, functions, tables
 from imucalib.exports.imus import losses_of, places_of
 from imucalib.exports.linear import beyond_linear, lost_parts, nearest_linear, sphere_of
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
+
+#: Readings that the header tests itself with: the six faces, none, and one between the axes.
+_TEST_READINGS = np.array([*np.eye(3), *(0.0 - np.eye(3)), np.zeros(3), [0.6, -0.48, 0.64]])
+
+
+@dataclass(frozen=True)
+class Correction:
+    """corrected = M raw + b of one sensor, or of K with K in front of the shapes.
+
+    name : what follows `imucal_` in C's names, with an underscore at its end, or empty
+    M, b, sd : (3, 3), (3,), (3,) or None, the last two in `unit`
+    fine, coarse : counts that are one `unit` in 32 and in 16 bits; size : `unit`, of a test reading
+    """
+
+    name: str
+    M: Array
+    b: Array
+    sd: Array | None
+    unit: str
+    fine: int
+    coarse: int
+    size: float
+
+    @property
+    def test_raw(self) -> Array:
+        """(8, 3) in `unit`"""
+        return _TEST_READINGS * self.size
+
+    @property
+    def test_corrected(self) -> Array:
+        """(8, 3), what is due then"""
+        return self.test_raw @ np.swapaxes(self.M, -1, -2) + self.b[..., None, :]
 
 
 def c_header(calibration: Calibration, filename: str) -> Made:
@@ -25,132 +64,121 @@ def c_header(calibration: Calibration, filename: str) -> Made:
 
     Raises UsageError when a coefficient passes fixed point.
     """
-    body = _of_array(calibration) if calibration.triads else _of_one(calibration)
-    lines = [
-        "/* Accelerometer calibration by imucal: corrected = M * raw + b, in g.",
-        f" * From {filename}, status {calibration.status}.",
-        *(f" * Not in it: {text}." for text in body.lost),
-        " * imucal_apply takes float, imucal_apply_fine 32 bits, imucal_apply_coarse 16;",
-        " * imucal_self_test() is 0 where a machine does them right. imucal_sd is the largest",
-        " * standard deviation of a corrected 1 g in any attitude, of the calibration alone. */",
-        "#ifndef IMUCAL_CALIBRATION_H",
-        "#define IMUCAL_CALIBRATION_H",
-        "#include <stdint.h>",
-        "#include <stdlib.h>",
-        "",
-        f'#define IMUCAL_ID "{identity(calibration)}" /* SHA-256 of calibration.yaml */',
-        f'#define IMUCAL_STATUS "{calibration.status}"',
-        f"#define IMUCAL_G_PER_RAW {calibration.raw_to_si / STANDARD_GRAVITY:.9e}f "
-        f"/* readings of the calibration: {calibration.raw_unit} */",
-        body.text,
-    ]
-    return replace(body, text="\n".join([*lines, "", "#endif", ""]))
+    if calibration.triads:
+        corrections, lost = _of_array(calibration)
+        losses, places = losses_of(calibration, ()), places_of(calibration)
+    else:
+        corrections, lost, loss = _of_one(calibration)
+        losses, places = (loss, 0.0), np.zeros((0, 3))
+    for one in corrections:
+        _demand_fixed_point(one)
+    text = _filled(
+        {
+            "filename": filename,
+            "status": calibration.status,
+            "lost": lost,
+            "sha256": identity(calibration),
+            "g_per_raw": calibration.raw_to_si / STANDARD_GRAVITY,
+            "raw_unit": calibration.raw_unit,
+            "imus": [t.name for t in calibration.triads],
+            "places": places,
+            "corrections": corrections,
+            "table": _table,
+        }
+    )
+    return Made(text, lost, *losses)
 
 
-def _of_one(calibration: Calibration) -> Made:
-    linear = nearest_linear(calibration)
-    one = _acceleration(linear.M[None], linear.b[None], _sd(calibration)[None], single=True)
-    lost = lost_parts(calibration)
+def _filled(values: Mapping[str, Any]) -> str:
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    made = Environment(
+        loader=PackageLoader("imucalib", "exports"),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    return made.get_template("c_header.h.j2").render(values)
+
+
+def _of_one(calibration: Calibration) -> tuple[list[Correction], tuple[str, ...], float]:
+    """With what it loses, in words and in mg."""
+    linear, lost = nearest_linear(calibration), lost_parts(calibration)
     if names := beyond_linear(calibration):
         lost = (
             f"{names}: {linear.mean:.2f} mg on average over the sphere and the calibrated ranges, "
             f"{linear.worst:.2f} mg at most; M and b are the nearest there",
             *lost,
         )
-    every = [one]
+    seen = sphere_of(calibration)
+    spread = calibration.force_covariance(seen.force, seen.context)
+    every = [_acceleration(linear.M, linear.b, _largest_sd(spread))]
     if (gyro := gyroscope_of(calibration)) is not None:
-        every.append(_rate(gyro.gain[None], -(gyro.gain @ gyro.bias)[None], single=True))
+        every.append(_rate(gyro.gain, -(gyro.gain @ gyro.bias)))
         lost = (*lost, *gyro.beyond, *(["gyro_g_sensitivity"] if gyro.by_force.any() else []))
-    made = [line for each in every for line in tables(each)]
-    text = "\n".join([*made, "", ROUNDED, *(line for each in every for line in functions(each))])
-    return Made(text, lost, linear.mean)
+    return every, lost, linear.mean
 
 
-def _of_array(calibration: Calibration) -> Made:
-    """Readings turned into board axes by the correction itself."""
+def _of_array(calibration: Calibration) -> tuple[list[Correction], tuple[str, ...]]:
+    """Readings turned into board axes by the correction itself; with what it loses in words."""
     triads = calibration.triads
+    one = STANDARD_GRAVITY * even_directions(600)
     M = np.array([np.linalg.inv(t.gain) @ t.rotation for t in triads])
     b = np.array([-np.linalg.inv(t.gain) @ t.bias for t in triads])
-    sd = np.array([_triad_sd(t.gain, t.covariance) for t in triads])
-    force = _acceleration(M, b, sd, single=False)
+    sd = np.array([_largest_sd(t.force_covariance(one)) for t in triads])
     turn = np.array([np.linalg.inv(t.gyro_gain) @ t.rotation for t in triads])
     rest = np.array([-np.linalg.inv(t.gyro_gain) @ t.gyro_bias for t in triads])
-    rate = _rate(turn, rest, single=False)
-    lines = [
-        f"/* IMUs in this order: {', '.join(t.name for t in triads)}. */",
-        "/* Corrected vectors are in board axes. */",
-        *tables(force),
-        *tables(rate),
-        "/* Places of the IMUs in the board's frame, m. */",
-        array("float", "imucal_r", places_of(calibration)),
-        "",
-        ROUNDED,
-        *functions(force),
-        *functions(rate),
-    ]
     lost = tuple(
         f"{row['effect']}, {_in_mg(float(row['rms']), str(row['unit']))} rms in the "
         "motion that was calibrated"
         for row in calibration.facts.get("not_undone", ())
     )
-    return Made("\n".join(lines), lost, *losses_of(calibration, ()))
+    return [_acceleration(M, b, sd), _rate(turn, rest)], lost
 
 
-def _acceleration(M: Array, b: Array, sd: Array, *, single: bool) -> Correction:
+def _acceleration(M: Array, b: Array, sd: Array) -> Correction:
     """b and sd in m/s²; ug in 32 bits, and up to 16 g in 16."""
-    return Correction(
-        name="",
-        M=M,
-        b=b / STANDARD_GRAVITY,
-        sd=sd / STANDARD_GRAVITY,
-        unit="g",
-        fine=1000000,
-        coarse=2048,
-        size=1.0,
-        single=single,
-    )
+    b, sd = b / STANDARD_GRAVITY, sd / STANDARD_GRAVITY
+    return Correction("", M, b, sd, unit="g", fine=1000000, coarse=2048, size=1.0)
 
 
-def _rate(M: Array, b: Array, *, single: bool) -> Correction:
+def _rate(M: Array, b: Array) -> Correction:
     """b in rad/s; 10 µdeg/s in 32 bits, and a tenth of a deg/s in 16."""
-    return Correction(
-        name="gyro_",
-        M=M,
-        b=b / DEG,
-        sd=None,
-        unit="deg/s",
-        fine=100000,
-        coarse=10,
-        size=100.0,
-        single=single,
-    )
+    return Correction("gyro_", M, b / DEG, None, unit="deg/s", fine=100000, coarse=10, size=100.0)
 
 
-def _sd(calibration: Calibration) -> Array:
-    """(3,) m/s², the largest of a corrected 1 g over the sphere and the calibrated ranges."""
-    model, theta = calibration.model()
-    seen = sphere_of(calibration)
-    own = model.predict(theta, seen.force[:, None], seen.context)
-    slope = np.asarray(np.linalg.solve(own.d_truth[:, 0], own.d_theta[:, 0]), np.float64)
-    return _largest(slope, calibration.covariance_of(model))
+def _demand_fixed_point(one: Correction) -> None:
+    """Raise UsageError when a coefficient passes it."""
+    # Three products of 16 bits stay in 32 when a row of |M| adds up to less than four.
+    if np.abs(one.M).max() >= 1.9999 or np.abs(one.M).sum(axis=-1).max() >= 3.99:
+        raise UsageError("the coefficients do not fit fixed point", remedy="check the unit")
+    largest = np.abs(one.b).max()
+    if largest * one.fine >= 2**31 - 1 or largest * one.coarse >= 2**15 - 1:
+        raise UsageError("the offset does not fit fixed point", remedy="check the unit")
 
 
-def _triad_sd(gain: Array, covariance: Array) -> Array:
-    """The same for an IMU whose force is gain⁻¹ (turned reading - bias)."""
-    force = STANDARD_GRAVITY * even_directions(600)
-    by_gain = np.einsum("ij,nk->nijk", np.eye(3), force).reshape(-1, 3, 9)
-    by_bias = np.broadcast_to(np.eye(3), (len(force), 3, 3))
-    slope = np.linalg.inv(gain) @ np.concatenate([by_gain, by_bias], axis=2)
-    return _largest(slope, covariance)
-
-
-def _largest(slope: Array, covariance: Array) -> Array:
-    variance = np.einsum("nip,pq,niq->ni", slope, covariance, slope)
-    return np.asarray(np.sqrt(np.maximum(variance, 0.0)).max(axis=0))
+def _largest_sd(covariance: Array) -> Array:
+    """(3,) m/s², the largest over forces (n, 3, 3), each axis by itself."""
+    return np.asarray(np.sqrt(np.maximum(np.einsum("nii->ni", covariance), 0.0)).max(axis=0))
 
 
 def _in_mg(value: float, unit: str) -> str:
     return f"{value / MG:.2f} mg" if unit == "m/s²" else f"{value:.3g} {unit}"
+
+
+def _table(kind: str, name: str, values: Array) -> str:
+    """A table of C; integers are rounded."""
+
+    def braced(part: Array) -> str:
+        inner = map(number, part) if part.ndim == 1 else map(braced, part)
+        return f"{{{', '.join(inner)}}}"
+
+    def number(value: float) -> str:
+        return f"{value:.9e}f" if kind == "float" else str(int(np.rint(value)))
+
+    shape = "".join(f"[{n}]" for n in values.shape)
+    return f"static const {kind} {name}{shape} = {braced(values)};"
 
 
 EXPORT = Export("c-header", "imucal_calibration.h", c_header)

@@ -8,6 +8,7 @@ that in which its accelerometer's matrix is L_a: Q_a turns the board's axes into
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from imucalib.calibration.triads import Triad
 from imucalib.core.effect import Response
 from imucalib.effects import catalogue
 from imucalib.errors import UnreadableInput, UsageError
+from imucalib.exports import Made
 from imucalib.exports.linear import beyond_linear
 from imucalib.inspection.noise import read_noise
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
@@ -33,7 +35,6 @@ _KEPT = ("gyro_g_sensitivity", "sensing_elements")
 class Imu:
     """place : (3,) m in the board's frame; frame : (3, 3) board axes to the IMU's
     accelerometer, gyro : (3, 3) L of each; gyro_turn : (3, 3) IMU's frame to the gyro's
-    bias, gyro_bias : (3,) m/s² and rad/s, in the readings
     by_force : (3, 3) rad/s per m/s², of forces in the gyro's frame
     elements : (3, 3) m, in its rows where the axes x, y and z sense, from the place, in the IMU's
         frame
@@ -46,8 +47,6 @@ class Imu:
     accelerometer: Array
     gyro: Array
     gyro_turn: Array
-    bias: Array
-    gyro_bias: Array
     by_force: Array
     elements: Array
     noise: dict[str, Any]
@@ -55,14 +54,8 @@ class Imu:
     @property
     def from_board(self) -> Array:
         """(4, 4) that takes places in the board's frame into the IMU's, m."""
-        return homogeneous(self.frame, -self.frame @ self.place)
-
-
-def homogeneous(turn: Array, shift: Array) -> Array:
-    """(4, 4) of a rotation and a translation."""
-    out = np.eye(4)
-    out[:3, :3], out[:3, 3] = turn, shift
-    return out
+        moved = np.column_stack([self.frame, -self.frame @ self.place])
+        return np.vstack([moved, [0.0, 0.0, 0.0, 1.0]])
 
 
 def imus_of(calibration: Calibration, form: str) -> tuple[Imu, ...]:
@@ -111,8 +104,6 @@ def _imu(calibration: Calibration, triad: Triad, place: Array, form: str) -> Imu
         accelerometer=lower,
         gyro=gyro_lower,
         gyro_turn=gyro_frame @ frame.T,
-        bias=back @ triad.bias,
-        gyro_bias=back @ triad.gyro_bias,
         by_force=sensitivity @ back @ gyro_frame.T,
         elements=elements @ (frame @ triad.rotation).T,
         noise=_noise(calibration, triad),
@@ -126,7 +117,7 @@ def _alone(calibration: Calibration, gyro: Gyroscope, form: str) -> Imu:
     gyro_lower, turn = _lower(
         np.asarray(np.linalg.inv(gyro.gain), np.float64), "the gyroscope", form
     )
-    told = calibration.facts.get("noise_density", {})
+    known = calibration.facts.get("noise_density", {})
     return Imu(
         name="imu0",
         place=np.zeros(3),
@@ -134,11 +125,9 @@ def _alone(calibration: Calibration, gyro: Gyroscope, form: str) -> Imu:
         accelerometer=lower,
         gyro=gyro_lower,
         gyro_turn=turn @ frame.T,
-        bias=linear.c,
-        gyro_bias=gyro.bias,
         by_force=gyro.by_force @ turn.T,
         elements=np.zeros((3, 3)),
-        noise=dict(next(iter(told.values()), {})),
+        noise=dict(next(iter(known.values()), {})),
     )
 
 
@@ -186,29 +175,21 @@ def _common_delays() -> dict[str, float]:
 
 
 def _noise(calibration: Calibration, triad: Triad) -> dict[str, Any]:
-    """What was told of it (`--noise`), else the density of its noise at rest, as white."""
-    told = dict(calibration.facts.get("noise_density", {}).get(triad.name, {}))
+    """What was stated of it (`--noise`), else the density of its noise at rest, as white."""
+    known = dict(calibration.facts.get("noise_density", {}).get(triad.name, {}))
     interval = calibration.facts.get("sample_interval_s")
     if interval is None:
-        return told
+        return known
     root = float(np.sqrt(interval))
     return {
         "accelerometer_noise_density": triad.noise * root,
         "gyroscope_noise_density": triad.gyro_noise * root,
         "update_rate": 1.0 / float(interval),
-    } | told
-
-
-def lost_to_filters(calibration: Calibration, program: str) -> tuple[str, ...]:
-    """What a program that filters estimates by itself, or has no place for."""
-    words = [f"the biases: {program} estimates them in every recording"]
-    if late := late_of(calibration):
-        words.append(f"the gyros' delay of {1e3 * late:.3f} ms against the accelerometers")
-    return tuple(words)
+    } | known
 
 
 def lost_of(calibration: Calibration, kept: tuple[str, ...] = _KEPT) -> tuple[str, ...]:
-    """Effects that the form has no place for, beside a common delay (`late_of`)."""
+    """Effects that the form has no place for, but for a common delay (`late_of`)."""
     kept = (*kept, *_common_delays())
     gyro = gyroscope_of(calibration)
     own = (*gyro.beyond, *filter(None, [beyond_linear(calibration)])) if gyro else ()
@@ -225,24 +206,18 @@ def losses_of(
 ) -> tuple[float, float]:
     """Largest rms in the motion that was calibrated of an effect that the form has no place for: on
     a force, mg, and on a rate, deg/s; delay : whether it has one for a common delay."""
-    aside, found = _common_delays(), {"m/s²": [0.0], "deg/s": [0.0]}
+    aside, largest = _common_delays(), {"m/s²": 0.0, "deg/s": 0.0}
     for row in calibration.facts.get("not_undone", ()):
+        effect, unit = row["effect"], row["unit"]
         # A delay is known against the other sensor only: it is a rate's loss.
-        held = row["effect"] in kept or (
-            row["effect"] in aside and (delay or row["unit"] == "m/s²")
-        )
-        if not held and row["unit"] in found:
-            found[row["unit"]].append(float(row["rms"]))
-    return max(found["m/s²"]) / MG, max(found["deg/s"])
+        held = effect in kept or (effect in aside and (delay or unit == "m/s²"))
+        if not held and unit in largest:
+            largest[unit] = max(largest[unit], float(row["rms"]))
+    return largest["m/s²"] / MG, largest["deg/s"]
 
 
-#: What Kalibr and OpenVINS ask of an IMU's noise.
-_NOISE = tuple(
-    f"{sensor}_{term}"
-    for sensor in ("accelerometer", "gyroscope")
-    for term in ("noise_density", "random_walk")
-)
-_UNITS = {
+#: What Kalibr and OpenVINS ask of an IMU's noise, and its units.
+_NOISE = {
     "accelerometer_noise_density": "m/s2/sqrt(Hz)",
     "accelerometer_random_walk": "m/s3/sqrt(Hz)",
     "gyroscope_noise_density": "rad/s/sqrt(Hz)",
@@ -250,9 +225,34 @@ _UNITS = {
 }
 
 
-def noise_lines(imu: Imu, program: str) -> tuple[dict[str, Any], list[str]]:
+def file_an_imu(
+    calibration: Calibration,
+    program: str,
+    text: Callable[[Imu, dict[str, Any], list[str]], str],
+    lost: tuple[str, ...],
+    losses: tuple[float, float],
+) -> Made:
+    """What a program that filters reads, which estimates biases by itself and has no place for a
+    delay.
+
+    text : of an IMU's file, from its noise and what is said in comments; lost, losses : in words,
+    and of a force, mg, and of a rate, deg/s
+    Raises as `imus_of`, and UsageError where nothing is known of one of its noises.
+    """
+    words = [f"the biases: {program} estimates them in every recording"]
+    if late := late_of(calibration):
+        words.append(f"the gyros' delay of {1e3 * late:.3f} ms against the accelerometers")
+    lost = (*words, *lost)
+    files = {}
+    for imu in imus_of(calibration, program):
+        noise, said = _noise_lines(imu, program)
+        files[imu.name] = text(imu, noise, [*said, *(f"# Not in it: {one}." for one in lost)])
+    return Made("---\n".join(files.values()), lost, *losses, files if len(files) > 1 else {})
+
+
+def _noise_lines(imu: Imu, program: str) -> tuple[dict[str, Any], list[str]]:
     """The keys that a program asks for, and a comment of each that only an upper limit is known of,
-    which then stands in its place. Raises UsageError where nothing is known of one."""
+    which then stands in its place."""
     missing = [k for k in (*_NOISE, "update_rate") if not {k, f"{k}_at_most"} & set(imu.noise)]
     if missing:
         raise UsageError(
@@ -260,24 +260,21 @@ def noise_lines(imu: Imu, program: str) -> tuple[dict[str, Any], list[str]]:
             remedy="give a recording at rest to `imucal inspect RECORDING --save-noise noise.yaml` "
             "and `--noise noise.yaml` here, or state the walks: --random-walk ACC,GYRO (SI)",
         )
-    found = {
-        "rostopic": f"/{imu.name}/imu",
-        "update_rate": float(f"{imu.noise['update_rate']:.9g}"),
-    }
-    said = []
-    for key in _NOISE:
+    rate = float(f"{imu.noise['update_rate']:.9g}")
+    found, said = {"rostopic": f"/{imu.name}/imu", "update_rate": rate}, []
+    for key, unit in _NOISE.items():
         found[key] = float(imu.noise[key if key in imu.noise else f"{key}_at_most"])
         if key not in imu.noise:
-            said.append(f"# {key}: an upper limit (95 %), {_UNITS[key]}; the rests show no more.")
+            said.append(f"# {key}: an upper limit (95 %), {unit}; the rests show no more.")
     return found, said
 
 
 def with_walks(calibration: Calibration, accelerometer: float, gyroscope: float) -> Calibration:
     """A calibration whose random walks are stated, m/s³/√Hz and rad/s²/√Hz."""
     names = [t.name for t in calibration.triads] or ["imu0"]
-    told = calibration.facts.get("noise_density", {})
+    known = calibration.facts.get("noise_density", {})
     walks = {"accelerometer_random_walk": accelerometer, "gyroscope_random_walk": gyroscope}
-    stated = {name: {**told.get(name, {}), **walks} for name in names}
+    stated = {name: {**known.get(name, {}), **walks} for name in names}
     return replace(calibration, facts={**calibration.facts, "noise_density": stated})
 
 
@@ -286,13 +283,13 @@ def with_noise(calibration: Calibration, path: Path) -> Calibration:
 
     Raises UnreadableInput for a file that is none, or that names none of the calibration's IMUs.
     """
-    told = read_noise(path)
+    known = read_noise(path)
     names = [t.name for t in calibration.triads] or ["imu0"]
-    if "" in told:  # of one sensor: the like of all
-        told = dict.fromkeys(names, told[""])
-    if not set(told) & set(names):
+    if "" in known:  # of one sensor: so of all
+        known = dict.fromkeys(names, known[""])
+    if not set(known) & set(names):
         raise UnreadableInput(
-            f"it has the noise of {', '.join(told)}, the calibration is of {', '.join(names)}",
+            f"it has the noise of {', '.join(known)}, the calibration is of {', '.join(names)}",
             where=str(path),
         )
-    return replace(calibration, facts={**calibration.facts, "noise_density": told})
+    return replace(calibration, facts={**calibration.facts, "noise_density": known})

@@ -45,41 +45,49 @@ _UNITS = {"bias": "m/s2", "scale": "-", "misalignment": "rad"}
 def iscwsa(calibration: Calibration, filename: str) -> Made:
     """Rows without a code: what each axis reads too much, value and standard deviation, reading =
     force + bias + scale force + misalignment x force of the axis `towards`. Rows with a code: one
-    standard deviation of what the corrected tool has left of it, the rms over its axes, as a tool
+    standard deviation of what the corrected tool still has of it, the rms over its axes, as a tool
     code takes it (OWSG tool codes; gyro: SPE 90408). Raises UsageError for an array.
     """
     demand_one(calibration, "an error model")
     linear, known = nearest_linear(calibration), calibration.matrices()
-    S = np.linalg.inv(linear.M)
-    bias_sd = known.bias_mg_sd * MG
-    rows = [
-        *(_row("bias", a, "", (-S @ linear.b)[k], bias_sd[k]) for k, a in enumerate("xyz")),
-        *(_row("scale", a, "", S[k, k] - 1.0, known.S_sd[k, k]) for k, a in enumerate("xyz")),
-        *(
-            _row("misalignment", a, to, S[k, j], known.S_sd[k, j])
-            for k, a in enumerate("xyz")
-            for j, to in enumerate("xyz")
-            if j != k
-        ),
+    S, S_sd = np.linalg.inv(linear.M), known.S_sd
+    bias, bias_sd = -S @ linear.b, known.bias_mg_sd * MG
+    axes = list(enumerate("xyz"))
+    found = [("bias", a, "", bias[k], bias_sd[k]) for k, a in axes]
+    found += [("scale", a, "", S[k, k] - 1.0, S_sd[k, k]) for k, a in axes]
+    found += [
+        ("misalignment", a, to, S[k, j], S_sd[k, j]) for k, a in axes for j, to in axes if j != k
     ]
-    sizes = {
-        "bias": bias_sd,
-        "scale": np.diag(known.S_sd),
-        "misalignment": known.S_sd[~np.eye(3, dtype=bool)],
-    }
+    names = ("term", "axis", "towards", "value", "sd", "unit")
+    rows = [
+        dict(zip(names, (term, a, to, f"{value:.9g}", f"{sd:.6g}", _UNITS[term]), strict=True))
+        for term, a, to, value, sd in found
+    ]
+    sizes = {"bias": bias_sd, "scale": np.diag(S_sd), "misalignment": S_sd[~np.eye(3, dtype=bool)]}
     rows += [
         {
             "term": term,
-            "axis": axes,
-            "sd": f"{_rms(sizes[term], axes):.6g}",
+            "axis": over,
+            "sd": f"{_rms(sizes[term], over):.6g}",
             "unit": _UNITS[term],
             "code": code,
             "weight_function": weight,
             "propagation": "systematic",
         }
-        for code, weight, term, axes in _CODES
+        for code, weight, term, over in _CODES
     ]
-    lost = _lost(calibration)
+    lost = [
+        "what drifts after the calibration, shocks, and temperatures and pressures of the hole "
+        "that it did not see",
+    ]
+    if "mounting" not in calibration.model()[0].names:
+        lost.append("the turn of the sensor in the tool: this calibration saw no tool's axes")
+    if beyond := beyond_linear(calibration):
+        lost.append(
+            f"{beyond}: {linear.mean:.2f} mg on average over the sphere and the calibrated ranges, "
+            f"{linear.worst:.2f} mg at most"
+        )
+    lost += lost_parts(calibration)
     out = StringIO()
     for line in (
         *heading(calibration, filename),
@@ -90,40 +98,13 @@ def iscwsa(calibration: Calibration, filename: str) -> Made:
     writer = csv.DictWriter(out, _COLUMNS, restval="", lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
-    return Made(out.getvalue(), lost, linear.mean)
-
-
-def _row(term: str, axis: str, towards: str, value: float, sd: float) -> dict[str, str]:
-    return {
-        "term": term,
-        "axis": axis,
-        "towards": towards,
-        "value": f"{value:.9g}",
-        "sd": f"{sd:.6g}",
-        "unit": _UNITS[term],
-    }
+    return Made(out.getvalue(), tuple(lost), linear.mean)
 
 
 def _rms(sd: Array, axes: str) -> float:
     """Over the axes that a code weighs; misalignments are of all."""
     of = sd if axes == "xyz" else sd[["xyz".index(a) for a in axes]]
     return float(np.sqrt(np.mean(of**2)))
-
-
-def _lost(calibration: Calibration) -> tuple[str, ...]:
-    lost = [
-        "what drifts after the calibration, shocks, and temperatures and pressures of the hole "
-        "that it did not see",
-    ]
-    if "mounting" not in calibration.model()[0].names:
-        lost.append("the turn of the sensor in the tool: this calibration saw no tool's axes")
-    if names := beyond_linear(calibration):
-        linear = nearest_linear(calibration)
-        lost.append(
-            f"{names}: {linear.mean:.2f} mg on average over the sphere and the calibrated ranges, "
-            f"{linear.worst:.2f} mg at most"
-        )
-    return (*lost, *lost_parts(calibration))
 
 
 EXPORT = Export("iscwsa-csv", "imucal_iscwsa.csv", iscwsa)

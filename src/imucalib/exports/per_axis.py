@@ -19,7 +19,6 @@ from imucalib.units import DEG, STANDARD_GRAVITY
 _REFERENCE_C = 25.0
 #: Share of the mean count that a part of the sphere without a posture has.
 _EMPTY = 0.05
-_CARRIED = {"bias", "scale"}
 
 
 @dataclass(frozen=True)
@@ -46,7 +45,7 @@ class Row:
 
 def nearest_row(calibration: Calibration, *, slope: bool = True) -> Row:
     """The coefficients that make the norm right, by least squares: as postures were recorded where
-    the calibration tells them, else in all alike.
+    the calibration tells them, else in all by the same weight.
 
     slope : whether the form has one over temperature; without, offsets are those of the middle.
     """
@@ -54,35 +53,33 @@ def nearest_row(calibration: Calibration, *, slope: bool = True) -> Row:
     raw, force = seen.reading / STANDARD_GRAVITY, seen.force / STANDARD_GRAVITY
     low, high = calibration.valid.get("temperature", (_REFERENCE_C, _REFERENCE_C))
     middle = 0.5 * (low + high)
-    warm = seen.context["temperature"] - middle if "temperature" in seen.context else None
-    sloped = slope and warm is not None
-    start = np.concatenate([np.diag(calibration.matrices().M), np.zeros(6 if sloped else 3)])
+    # What multiplies the offsets and slopes of all axes, (n, 1 or 2).
+    by = np.ones((len(raw), 1))
+    if slope and "temperature" in seen.context:
+        by = np.column_stack([by, seen.context["temperature"] - middle])
+    start = np.concatenate([np.diag(calibration.matrices().M), np.zeros(3 * by.shape[1])])
+    weight = _recorded(calibration, raw)
 
     def corrected(p: Array) -> Array:
-        offset = p[3:6] + warm[:, None] * p[6:] if sloped and warm is not None else p[3:6]
-        return np.asarray(p[:3] * (raw + offset))
-
-    weight = _recorded(calibration, raw)
+        return np.asarray(p[:3] * (raw + by @ p[3:].reshape(-1, 3)))
 
     def linearised(p: Array) -> tuple[Array, Array]:
         """What a norm lacks, and the norm's slopes."""
         a = corrected(p)
         norm = np.linalg.norm(a, axis=1)
         along = a / norm[:, None]
-        slopes = [along * a / p[:3], along * p[:3]]
-        if sloped and warm is not None:
-            slopes.append(slopes[1] * warm[:, None])
+        slopes = [along * a / p[:3], *(along * p[:3] * one[:, None] for one in by.T)]
         root = np.sqrt(weight)
         return root * (1.0 - norm), root[:, None] * np.concatenate(slopes, axis=1)
 
     # Not scipy's, whose imports take as long as a tenth of a day's calibration without a search.
     found = minimise(linearised, np.add, start).state
     off = 1e3 * np.abs(np.linalg.norm(corrected(found), axis=1) - 1.0)
-    vector, angle, turn = _beside(corrected(found), force)
+    vector, angle, turn = _off(corrected(found), force)
     return Row(
         scale=found[:3],
         offset=found[3:6],
-        slope=found[6:] if sloped else np.zeros(3),
+        slope=found[6:] if by.shape[1] > 1 else np.zeros(3),
         middle=middle,
         lost=float(weight @ off / weight.sum()),
         worst=float(off.max()),
@@ -101,23 +98,19 @@ def _recorded(calibration: Calibration, raw: Array) -> Array:
     return np.asarray((counts + _EMPTY * counts.mean())[cell_of(raw)])
 
 
-def _beside(corrected: Array, force: Array) -> tuple[float, float, float]:
+def _off(corrected: Array, force: Array) -> tuple[float, float, float]:
     """Mean error of the vector (mg) and largest of its direction (deg) after the turn that brings
     the forces nearest, and that turn's angle (deg)."""
-    turned = _turn(corrected, force)
+    # Kabsch (1976).
+    u, _, v = np.linalg.svd(corrected.T @ force)
+    turned = u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v
     due = force @ turned.T
-    beside = np.linalg.norm(np.cross(corrected, due), axis=1)
-    angle = np.arctan2(beside, np.einsum("ni,ni->n", corrected, due))
+    across = np.linalg.norm(np.cross(corrected, due), axis=1)
+    angle = np.arctan2(across, np.einsum("ni,ni->n", corrected, due))
     vector = 1e3 * np.linalg.norm(corrected - due, axis=1).mean()
     axis = turned[[2, 0, 1], [1, 2, 0]] - turned[[1, 2, 0], [2, 0, 1]]
     turn = np.arctan2(np.linalg.norm(axis), np.trace(turned) - 1.0)
     return float(vector), float(angle.max() / DEG), float(turn / DEG)
-
-
-def _turn(to: Array, origin: Array) -> Array:
-    """(3, 3) the rotation that brings vectors (n, 3) nearest to others (Kabsch 1976)."""
-    u, _, v = np.linalg.svd(to.T @ origin)
-    return np.asarray(u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v)
 
 
 def demand_one(calibration: Calibration, what: str) -> None:
@@ -136,20 +129,17 @@ def heading(calibration: Calibration, filename: str) -> tuple[str, ...]:
 
 
 def lost_per_axis(calibration: Calibration, row: Row, aside: str = "") -> tuple[str, ...]:
-    """What a row does not carry, in words; aside : of the form, behind the effects' names."""
-    carried = _CARRIED | ({"temperature_bias"} if np.any(row.slope) else set())
-    names = [n for n in calibration.model()[0].names if n not in carried]
-    beyond = ", ".join(n for n in names if n != "mounting")
-    words = list(lost_parts(calibration))
-    if "mounting" in names:
-        words.insert(0, f"mounting, the turn of {row.turn:.2f} deg from the tool to the sensor")
-    if beyond:
-        words.insert(
-            0,
+    """What a row does not carry, in words; aside : of the form, after the effects' names."""
+    carried = ("mounting", "bias", "scale", *(["temperature_bias"] if np.any(row.slope) else []))
+    names, words = calibration.model()[0].names, list[str]()
+    if beyond := ", ".join(n for n in names if n not in carried):
+        words.append(
             f"{beyond}{aside}: {row.lost:.2f} mg of |a| on average over the sphere and the "
-            f"calibrated ranges, {row.worst:.2f} mg at most; direction {row.angle:.3f} deg at most",
+            f"calibrated ranges, {row.worst:.2f} mg at most; direction {row.angle:.3f} deg at most"
         )
-    return tuple(words)
+    if "mounting" in names:
+        words.append(f"mounting, the turn of {row.turn:.2f} deg from the tool to the sensor")
+    return (*words, *lost_parts(calibration))
 
 
 #: Forms of flight controllers, which hold parameters against the id of a sensor.
@@ -213,10 +203,10 @@ def flight_of(
         for name in needed
         if name not in ids
     )
-    if gyro is None:
-        return Flight(found, row.scale, None, ids, lost, row.vector)
-    off = np.abs(gyro.gain - np.eye(3)).max()
-    named = (*(["gyro_g_sensitivity"] if gyro.by_force.any() else []), *gyro.beyond)
-    more = f"the gyroscope's gains, up to {100.0 * off:.1f} % of a rate"
-    said = (*lost, ", ".join((more, *named)))
-    return Flight(found, row.scale, gyro.bias, ids, said, row.vector)
+    if gyro is not None:
+        off = np.abs(gyro.gain - np.eye(3)).max()
+        more = f"the gyroscope's gains, up to {100.0 * off:.1f} % of a rate"
+        sensitivity = ["gyro_g_sensitivity"] if gyro.by_force.any() else []
+        lost = (*lost, ", ".join((more, *sensitivity, *gyro.beyond)))
+    rate = None if gyro is None else gyro.bias
+    return Flight(offset=found, scale=row.scale, rate=rate, ids=ids, lost=lost, loss=row.vector)

@@ -1,6 +1,6 @@
 """What a recording holds, before anything is calibrated: channels, clock, rest, units, losses.
 
-And what to do about it: each line of `advice_for` names the option or command to use.
+And what to do about it: each line of `advice` names the option or command to use.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ from imucalib.arrays import Array
 from imucalib.errors import ImucalError
 from imucalib.readers.conversion import zero_g
 from imucalib.recording.recording import Channel, Gap, Recording
-from imucalib.rests.levels import refusals
-from imucalib.rests.segments import Segments, StillSettings, find_segments
+from imucalib.rests.candidates import refusals
+from imucalib.rests.segments import Segments, find_segments
+from imucalib.rests.stillness import StillSettings
 from imucalib.units import STANDARD_GRAVITY
 
 _KEPT = 10  # candidates and gaps that are listed; the rest is counted
@@ -30,25 +31,11 @@ _STEPS = 1 << 16  # steps a channel keeps for the jitter
 
 
 @dataclass(frozen=True)
-class ClockFacts:
-    """The clock of one channel.
-
-    rate : Hz, from the median step; span : s; jitter : s, 1.4826 times the median absolute
-    deviation of the steps; duplicates, back_steps : counts; longest_step : s
-    """
-
-    rate: float
-    span: float
-    jitter: float
-    duplicates: int
-    back_steps: int
-    longest_step: float
-
-
-@dataclass(frozen=True)
 class ChannelFacts:
     """One channel; low, high : (k,) extremes; noise : (k,) of one sample at rest, or empty.
 
+    rate : Hz, from the median step; jitter : s, 1.4826 times the median absolute deviation of the
+    steps; duplicates, back_steps : counts; longest_step : s
     norm_at_rest : median norm over the still segments, in the channel's unit; NaN without rest
     names : what the file calls the sensor: topic, dataset; a board or a calibration may go by these
     """
@@ -58,7 +45,11 @@ class ChannelFacts:
     triad: str
     unit: str
     samples: int
-    clock: ClockFacts
+    rate: float
+    jitter: float
+    duplicates: int
+    back_steps: int
+    longest_step: float
     low: Array
     high: Array
     noise: Array
@@ -101,6 +92,10 @@ class Inspection:
         """The notes that tell of samples which are no measurement, one a channel at most."""
         return tuple(note for note in self.notes if _REPEATS.search(note))
 
+    def of(self, quantity: str) -> list[ChannelFacts]:
+        """The channels of one quantity."""
+        return [f for f in self.channels if f.quantity == quantity]
+
 
 class _Running:
     """What one channel has shown so far, block by block."""
@@ -126,14 +121,37 @@ class _Running:
         self.low = np.minimum(self.low, channel.values.min(axis=0))
         self.high = np.maximum(self.high, channel.values.max(axis=0))
 
-    def clock(self) -> ClockFacts:
+    def facts(self, name: str, still: Segments | None) -> ChannelFacts:
+        """The channel, with what its rests say of it."""
+        channel, noise, norm = self.example, np.empty(0), math.nan
+        if still is not None and channel.triad in still.triads:
+            at = still.triads.index(channel.triad)
+            force = channel.quantity == "acceleration"
+            own, means = (still.noise, still.mean) if force else (still.rate_noise, still.rate)
+            if force or (channel.quantity == "angular_rate" and np.isfinite(own[at]).all()):
+                noise = own[at]
+                if still.n:
+                    norm = float(np.median(np.linalg.norm(means[:, at], axis=1)))
         steps = np.concatenate(self.steps)
         steps = steps[steps > 0]
         middle = float(np.median(steps)) if steps.size else math.nan
         jitter = 1.4826 * float(np.median(np.abs(steps - middle))) if steps.size else math.nan
-        span = self.last - self.first
-        return ClockFacts(
-            1.0 / middle, span, jitter, self.duplicates, self.back_steps, self.longest
+        return ChannelFacts(
+            name=name,
+            quantity=channel.quantity,
+            triad=channel.triad,
+            unit=channel.unit,
+            samples=self.samples,
+            rate=1.0 / middle,
+            jitter=jitter,
+            duplicates=self.duplicates,
+            back_steps=self.back_steps,
+            longest_step=self.longest,
+            low=self.low,
+            high=self.high,
+            noise=noise,
+            norm_at_rest=norm,
+            names=channel.names,
         )
 
 
@@ -157,12 +175,6 @@ class _Watch:
                     self.seen.setdefault(name, _Running(channel)).add(channel)
             yield block
 
-    @property
-    def span(self) -> float:
-        """Seconds from the first to the last sample of any channel."""
-        firsts = [r.first for r in self.seen.values()]
-        return max((r.last for r in self.seen.values()), default=0.0) - min(firsts, default=0.0)
-
 
 def inspect_recording(
     blocks: Iterable[Recording], settings: StillSettings | None = None
@@ -180,18 +192,23 @@ def inspect_recording(
         if watch.last is None:  # nothing was read: the reader's own error
             raise
         why = error.what
-    for _ in stream:  # what the detector left unread, if it gave up early
+    for _ in stream:  # what the detector has not read, if it gave up early
         pass
-    whole = watch.last
+    whole, running = watch.last, watch.seen.values()
     if whole is None:
         raise ValueError("inspect_recording needs at least one block")
-    facts = tuple(_facts(name, running, still) for name, running in watch.seen.items())
+    facts = tuple(r.facts(name, still) for name, r in watch.seen.items())
+    notes, numbered = watch.notes, {r.example.triad for r in running if r.example.numbered}
+    if len(numbered) > 1:
+        words = f"the file has no names for its {len(numbered)} sensors"
+        notes.append(f"{words}: they are numbered in its order")
     return Inspection(
         path=whole.path,
         format=whole.format,
         sha256=whole.sha256,
         start_ns=whole.start_ns,
-        span=watch.span,
+        span=max((r.last for r in running), default=0.0)
+        - min((r.first for r in running), default=0.0),
         channels=facts,
         gaps=tuple(sorted(watch.gaps, key=lambda g: g.start - g.stop)[:_KEPT]),
         gap_count=len(watch.gaps),
@@ -200,43 +217,7 @@ def inspect_recording(
         why_not_still=why,
         candidates=_candidates(facts),
         mapping=whole.mapping,
-        notes=(*watch.notes, *_unnamed(watch), *(still.notes if still else ())),
-    )
-
-
-def _unnamed(watch: _Watch) -> tuple[str, ...]:
-    """That sensors have numbers only, where there are several."""
-    found = {r.example.triad for r in watch.seen.values() if r.example.numbered}
-    if len(found) < 2:
-        return ()
-    return (f"the file has no names for its {len(found)} sensors: they are numbered in its order",)
-
-
-def _facts(name: str, running: _Running, still: Segments | None) -> ChannelFacts:
-    channel = running.example
-    noise, norm = np.empty(0), math.nan
-    if still is not None and channel.triad in still.triads:
-        at = still.triads.index(channel.triad)
-        if channel.quantity == "acceleration":
-            noise = still.noise[at]
-            if still.n:
-                norm = float(np.median(np.linalg.norm(still.mean[:, at], axis=1)))
-        elif channel.quantity == "angular_rate" and np.isfinite(still.rate_noise[at]).all():
-            noise = still.rate_noise[at]
-            if still.n:
-                norm = float(np.median(np.linalg.norm(still.rate[:, at], axis=1)))
-    return ChannelFacts(
-        name=name,
-        quantity=channel.quantity,
-        triad=channel.triad,
-        unit=channel.unit,
-        samples=running.samples,
-        clock=running.clock(),
-        low=running.low,
-        high=running.high,
-        noise=noise,
-        norm_at_rest=norm,
-        names=channel.names,
+        notes=(*notes, *(still.notes if still else ())),
     )
 
 
@@ -269,13 +250,9 @@ _FAR = 0.1  # a norm at rest this far from 1 g (relative) is a wrong unit or sca
 _LONG_GAPS = 0.01  # share of the recording
 
 
-def problems(found: Inspection) -> tuple[str, ...]:
-    """What stands against a calibration or a correction, most serious first."""
-    return tuple(_problems(found))
-
-
-def _problems(found: Inspection) -> Iterator[str]:
-    accelerometers = _of(found, "acceleration")
+def problems(found: Inspection) -> Iterator[str]:
+    """What speaks against a calibration or a correction, most serious first."""
+    accelerometers = found.of("acceleration")
     if not accelerometers:
         yield "there is no acceleration in it"
     unscaled = [f.triad for f in accelerometers if f.unit != "m/s2"]
@@ -304,16 +281,15 @@ _WORN, _TURNS, _RESTS = 2 * 3600.0, 5, 6
 
 def next_commands(found: Inspection, typed: str) -> tuple[str, ...]:
     """What to type next, and why. typed : the file and the options of its reading"""
-    sensors = [f for f in _of(found, "acceleration") if f.unit == "m/s2"]
+    sensors = [f for f in found.of("acceleration") if f.unit == "m/s2"]
     still = found.still.n if found.still else 0
     if not sensors:
-        counts = [f for f in _of(found, "acceleration") if f.norm_at_rest > 0.0]
-        scaled = (
-            f"imucal inspect {typed} --unit counts --lsb {counts[0].norm_at_rest:.0f}"
-            if (counts)
-            else ""
-        )
-        return (f"`{scaled}`: reads it with that many counts a g.",) * bool(scaled)
+        return tuple(
+            f"`imucal inspect {typed} --unit counts --lsb {f.norm_at_rest:.0f}`: reads it with "
+            "that many counts a g."
+            for f in found.of("acceleration")
+            if f.norm_at_rest > 0.0
+        )[:1]
     if len(sensors) > 1:
         return (
             f"`imucal array {typed} --board BOARD -o out`: where its accelerometers are; BOARD is "
@@ -321,7 +297,7 @@ def next_commands(found: Inspection, typed: str) -> tuple[str, ...]:
         )
     if found.span >= _WORN and still:
         return (f"`imucal actigraph {typed} -o out`: a worn sensor, by gravity at rest.",)
-    if still >= _TURNS and _of(found, "angular_rate"):
+    if still >= _TURNS and found.of("angular_rate"):
         return (f"`imucal imu {typed} -o out`: accelerometer and gyroscope, by rests and turns.",)
     if still >= _RESTS:
         return (
@@ -334,19 +310,15 @@ def next_commands(found: Inspection, typed: str) -> tuple[str, ...]:
     )
 
 
-def advice(found: Inspection) -> tuple[tuple[str, str], ...]:
+def advice(found: Inspection) -> Iterator[tuple[str, str]]:
     """What to give or run next, and why."""
-    return tuple(_advice(found))
-
-
-def _advice(found: Inspection) -> Iterator[tuple[str, str]]:
-    accelerometers = _of(found, "acceleration")
+    accelerometers = found.of("acceleration")
     counts = [f for f in accelerometers if f.unit != "m/s2"]
     if counts:
         yield _scale(counts[0], found)
     if any(f.unit == "m/s2" and _is_off(f) for f in accelerometers):
         yield "--unit UNIT", "m/s2, g, mg, ug or counts, if the unit above is wrong"
-    if any(f.unit == "counts" for f in _of(found, "angular_rate")):
+    if any(f.unit == "counts" for f in found.of("angular_rate")):
         yield "--gyro-unit deg/s", "or rad/s: the file states no unit for the angular rate"
     if found.still is not None and any(c.reason for c in found.still.candidates):
         yield "--rests", "lists what came near a rest, and what refused it"
@@ -367,10 +339,6 @@ def _scale(counts: ChannelFacts, found: Inspection) -> tuple[str, str]:
     if not math.isfinite(norm):
         return "--lsb N", why
     return f"--lsb {norm:.0f}", f"{why}; the norm at rest is that many counts"
-
-
-def _of(found: Inspection, quantity: str) -> list[ChannelFacts]:
-    return [f for f in found.channels if f.quantity == quantity]
 
 
 def _is_off(facts: ChannelFacts) -> bool:

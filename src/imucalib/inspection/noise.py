@@ -3,7 +3,7 @@
     σ²(τ) = N²/τ + (2 ln 2 / π) B² + K² τ/3 + R² τ²/2
 
 (IEEE Std 952-1997, annex C). A term counts when the likelihood of the variances, each chi-square
-with its degrees of freedom, gains by it; of one that does not, what it could still be is told.
+with its degrees of freedom, gains by it; of one that does not, what it could still be is bounded.
 
 σ²(τ) is half of the mean squared difference of neighbouring means over τ, at every overlap (W. J.
 Riley, Handbook of Frequency Stability Analysis, NIST SP 1065, 2008, section 5.2.2). From 64 samples
@@ -19,9 +19,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucalib.arrays import Array
+from imucalib.arrays import Array, Index
 from imucalib.atomic_file import replaced_atomically
 from imucalib.errors import UnreadableInput
 from imucalib.recording.recording import Channel, Recording
@@ -66,15 +65,13 @@ class _Level:
         self.squares = np.zeros((len(lengths), axes))
         self.terms = np.zeros(len(lengths), dtype=np.int64)
         self.freedom = np.zeros(len(lengths))
-        self._axes = axes
         self.count = 0
         self._tail = self._odd = np.empty((0, axes))
 
-    def restart(self) -> None:
+    def cut(self) -> None:
         """A stretch has ended: what comes next has no neighbours here."""
         self.freedom += [_freedom(self.count + 1, m) for m in self.lengths]
-        self.count = 0
-        self._tail = self._odd = np.empty((0, self._axes))
+        self.count, self._tail, self._odd = 0, self._tail[:0], self._odd[:0]
 
     def add(self, values: Array) -> Array:
         """Take means in; returns the means of pairs that are complete."""
@@ -83,7 +80,7 @@ class _Level:
         for i, m in enumerate(self.lengths):
             seen = every[max(0, len(every) - len(values) - 2 * m + 1) :]
             if len(seen) >= 2 * m:
-                x = np.concatenate([np.zeros((1, self._axes)), np.cumsum(seen, axis=0)])
+                x = np.concatenate([np.zeros((1, seen.shape[1])), np.cumsum(seen, axis=0)])
                 second = (x[2 * m :] - 2.0 * x[m:-m] + x[: -2 * m]) / m
                 self.squares[i] += np.sum(second**2, axis=0)
                 self.terms[i] += len(second)
@@ -99,8 +96,7 @@ class AllanSums:
 
     def __init__(self, axes: int) -> None:
         self._axes = axes
-        first = tuple(1 << k for k in range(_STEPS.bit_length()))
-        self._levels = [_Level(axes, first)]
+        self._levels = [_Level(axes, tuple(1 << k for k in range(_STEPS.bit_length())))]
         self._offset: Array | None = None
         self._longest = self._samples = 0
 
@@ -123,27 +119,23 @@ class AllanSums:
         self._samples += self._levels[0].count
         self._longest = max(self._longest, self._levels[0].count)
         for level in self._levels:
-            level.restart()
+            level.cut()
         self._offset = None
 
     def curves(self, interval: float) -> tuple[AllanCurve, ...]:
         """One an axis, for samples every `interval` s; the stretch in hand ends. A variance with
         hardly any freedom is left out."""
         self.cut()
-        tau, squares, terms, freedom = [], [], [], []
-        for k, level in enumerate(self._levels):
-            for i, m in enumerate(level.lengths):
-                if level.terms[i] and level.freedom[i] >= _LEAST_FREEDOM:
-                    tau.append((m << k) * interval)
-                    squares.append(level.squares[i])
-                    terms.append(level.terms[i])
-                    freedom.append(level.freedom[i])
-        variance = np.array(squares).reshape(-1, self._axes) / (2.0 * np.array(terms)[:, None])
-        seconds = self._samples * interval, self._longest * interval
-        return tuple(
-            AllanCurve(np.array(tau), variance[:, a], np.array(freedom), *seconds)
-            for a in range(self._axes)
+        squares, terms, freedom = (
+            np.concatenate([getattr(level, part) for level in self._levels])
+            for part in ("squares", "terms", "freedom")
         )
+        samples = [m << k for k, level in enumerate(self._levels) for m in level.lengths]
+        seen = (terms > 0) & (freedom >= _LEAST_FREEDOM)
+        tau, freedom = np.array(samples)[seen] * interval, freedom[seen]
+        variance = squares[seen] / (2.0 * terms[seen][:, None])
+        seconds = self._samples * interval, self._longest * interval
+        return tuple(AllanCurve(tau, variance[:, a], freedom, *seconds) for a in range(self._axes))
 
 
 def _freedom(points: int, m: int) -> float:
@@ -171,8 +163,8 @@ _GAIN = 8.0  # nats that a term must gain, the octaves sharing their data
 _SHARED = 1.6  # by which slow terms scatter more than if the octaves were independent (simulated)
 _BOUND = 1.353 * _SHARED**2  # nats to the 95 % bound of one that does not
 _MISFIT = 0.01  # probability below which the shortest τ are left out: filters bend them
-_FEWEST, _LEFT = 4, 6  # values that a fit needs; that stay where the shortest are left out
-_SEEN = 0.5  # share of the variance at some τ that white noise must be, to be told
+_FEWEST, _KEPT = 4, 6  # values that a fit needs; that stay where the shortest are left out
+_SEEN = 0.5  # share of the variance at some τ that white noise must be, to show
 _ODD = 1.5  # intervals between samples from which on there is a gap
 _SENSORS = {"acceleration": "m/s2", "angular_rate": "rad/s"}
 
@@ -202,7 +194,7 @@ class AxisNoise:
     start: float | None
 
     def at_most(self, term: str) -> float:
-        """What a term that does not show lies below, 95 %: beside the others where these are told,
+        """What a term that does not show lies below, 95 %: beside the others where these show,
         else as if all of the variance at some τ were its own."""
         found: Coefficient = getattr(self, term)
         if found.bound is not None:
@@ -230,16 +222,21 @@ def noise_at_rest(blocks: Iterable[Recording], still: Segments) -> tuple[SensorN
         for name, channel in block.channels.items():
             if _SENSORS.get(channel.quantity) == channel.unit and channel.t.size:
                 found.setdefault(name, _Collected(channel)).add(channel, still)
-    made = (one.noise() for one in found.values())
-    return tuple(noise for noise in made if noise is not None)
+    noise = []
+    for one in found.values():
+        like, curves = one.like, one.sums.curves(1.0 / one.like.rate)
+        if len(curves[0].tau) >= _FEWEST and all((c.variance > 0.0).all() for c in curves):
+            axes = tuple(map(identified, curves))
+            noise.append(SensorNoise(like.triad, like.quantity, like.unit, like.rate, axes))
+    return tuple(noise)
 
 
 class _Collected:
     """The sums of one channel over the rests."""
 
     def __init__(self, channel: Channel) -> None:
-        self._like = channel
-        self._sums = AllanSums(channel.values.shape[1])
+        self.like = channel
+        self.sums = AllanSums(channel.values.shape[1])
         self._last, self._in = -np.inf, -1
 
     def add(self, channel: Channel, still: Segments) -> None:
@@ -255,18 +252,9 @@ class _Collected:
         breaks = np.flatnonzero(other | (step > _ODD / channel.rate) | (step <= 0.0))
         for number, part in enumerate(np.split(rows, breaks)):
             if number:
-                self._sums.cut()
-            self._sums.add(channel.values[part])
+                self.sums.cut()
+            self.sums.add(channel.values[part])
         self._last, self._in = float(t[rows[-1]]), int(at[rows[-1]])
-
-    def noise(self) -> SensorNoise | None:
-        """Fitted; None where the rests are too short."""
-        like = self._like
-        curves = self._sums.curves(1.0 / like.rate)
-        if len(curves[0].tau) < _FEWEST or not all((c.variance > 0.0).all() for c in curves):
-            return None
-        axes = tuple(identified(curve) for curve in curves)
-        return SensorNoise(like.triad, like.quantity, like.unit, like.rate, axes)
 
 
 def identified(curve: AllanCurve) -> AxisNoise:
@@ -274,7 +262,7 @@ def identified(curve: AllanCurve) -> AxisNoise:
     as with lines in the spectrum: then only what the white noise lies below."""
     from scipy.special import chdtrc
 
-    for start in range(max(len(curve.tau) - _LEFT, 0) + 1):
+    for start in range(max(len(curve.tau) - _KEPT, 0) + 1):
         rows = np.arange(start, len(curve.tau))
         names, p = _chosen(curve, rows)
         parts = _shape(names, curve.tau[rows]) * p
@@ -290,7 +278,7 @@ def identified(curve: AllanCurve) -> AxisNoise:
     return AxisNoise(Coefficient(None, None, most), none, none, none, curve, None)
 
 
-def _chosen(curve: AllanCurve, rows: NDArray[np.intp]) -> tuple[tuple[str, ...], Array]:
+def _chosen(curve: AllanCurve, rows: Index) -> tuple[tuple[str, ...], Array]:
     """Terms that gain, one after the other, and their squared coefficients."""
     names: tuple[str, ...] = ("white",)
     p, cost = _fitted(names, curve, rows)
@@ -312,7 +300,7 @@ def _shape(names: tuple[str, ...], tau: Array) -> Array:
 def _fitted(
     names: tuple[str, ...],
     curve: AllanCurve,
-    rows: NDArray[np.intp],
+    rows: Index,
     held: tuple[str, float] | None = None,
 ) -> tuple[Array, float]:
     """Squared coefficients of the likeliest model and minus its log likelihood.
@@ -339,9 +327,7 @@ def _fitted(
     return np.asarray(scale * np.exp(done.x)), float(done.fun)
 
 
-def _coefficient(
-    name: str, names: tuple[str, ...], curve: AllanCurve, rows: NDArray[np.intp]
-) -> Coefficient:
+def _coefficient(name: str, names: tuple[str, ...], curve: AllanCurve, rows: Index) -> Coefficient:
     if name not in names:
         return Coefficient(None, None, _bound(name, names, curve, rows))
     p, _ = _fitted(names, curve, rows)
@@ -351,13 +337,10 @@ def _coefficient(
     at = names.index(name)
     value = float(np.sqrt(p[at]))
     sd = float(np.sqrt(np.linalg.pinv(information, hermitian=True)[at, at])) / (2.0 * value)
-    sd *= 1.0 if name == "white" else _SHARED
-    return Coefficient(value, sd, None)
+    return Coefficient(value, sd * (1.0 if name == "white" else _SHARED), None)
 
 
-def _bound(
-    name: str, names: tuple[str, ...], curve: AllanCurve, rows: NDArray[np.intp]
-) -> float | None:
+def _bound(name: str, names: tuple[str, ...], curve: AllanCurve, rows: Index) -> float | None:
     """What a term that does not show lies below, the others fitted along; None where it may be
     anything."""
     from scipy.optimize import brentq

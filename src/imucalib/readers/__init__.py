@@ -15,12 +15,11 @@ from typing import Protocol
 
 from imucalib.core.discovery import modules_of
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.readers import known_bytes
 from imucalib.readers.devices.catalogue import refuse_foreign, with_preset
 from imucalib.readers.joining import in_parts, together, with_plausible_clocks
 from imucalib.readers.rates import with_checked_rates
-from imucalib.readers.repeats import with_repeats_told
-from imucalib.readers.source import head_of, sha256_of
+from imucalib.readers.repeats import with_held
+from imucalib.readers.source import UNREAD, head_of, named, sha256_of
 from imucalib.recording.mapping import TIME_ZEROS, FieldMapping
 from imucalib.recording.recording import Recording
 
@@ -100,10 +99,10 @@ def reader_for(path: str | os.PathLike[str]) -> Reader:
     for reader in readers():
         if reader.recognises(file, head):
             return reader
-    named = [reader for reader in readers() if file.name.lower().endswith(reader.suffixes)]
-    if len(named) == 1:
-        return named[0]
-    kind = known_bytes.named(head, known_bytes.UNREAD)
+    by_suffix = [reader for reader in readers() if file.name.lower().endswith(reader.suffixes)]
+    if len(by_suffix) == 1:
+        return by_suffix[0]
+    kind = named(head, UNREAD)
     if kind is not None:
         raise UnreadableInput(f"this is {kind.name}", where=str(path), remedy=kind.remedy)
     formats = ", ".join(f"{r.name} ({' '.join(r.suffixes)})" for r in readers())
@@ -191,4 +190,4 @@ def _looked_at(
     unit that is stated, and samples that are no measurement."""
     fixed = getattr(reader, "fixed", False)
     clocked = with_plausible_clocks(in_parts(found))
-    return with_repeats_told(with_checked_rates(clocked, mapping, fixed=fixed))
+    return with_held(with_checked_rates(clocked, mapping, fixed=fixed))

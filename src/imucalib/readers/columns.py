@@ -9,55 +9,52 @@ from __future__ import annotations
 import math
 import re
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.units import ACCELERATION_UNITS, RATE_UNITS, canonical, without_brackets
 
-_ACC = set(
-    str.split(
-        """
-        a acc accel acceleration accelerometer accelerations accelero beschleunigung beschl
-        beschleunigungssensor accelerometre aceleracion aceleraciones acelerometro acel
-        """
-    )
-)
-_GYRO = set(
-    str.split(
-        """
-        g w gyr gyro gyros gyroscope omega angular angvel angrate drehrate gyroskop gyrometre
-        drehgeschwindigkeit giroscopo giro
-        """
-    )
+T = TypeVar("T")
+
+
+def by_word(table: Mapping[T, str]) -> dict[str, T]:
+    """Every word of the texts of a table, and whose it is."""
+    return {word: value for value, words in table.items() for word in words.split()}
+
+
+_MEANING = by_word(
+    {
+        "acceleration": "a acc accel acceleration accelerometer accelerations accelero "
+        "beschleunigung beschl beschleunigungssensor accelerometre aceleracion aceleraciones "
+        "acelerometro acel",
+        "angular_rate": "g w gyr gyro gyros gyroscope omega angular angvel angrate drehrate "
+        "gyroskop gyrometre drehgeschwindigkeit giroscopo giro",
+    }
 )
 _TEMPERATURE = {"temp", "temperature", "temps", "temperatur", "temperatura"}
 _TIME = set(
     str.split(
-        """
-        time timestamp timestamps stamp t datetime seconds secs sec sampletimefine utc epoch
-        elapsed stamps zeit zeitstempel uhrzeit tiempo hora heure horodatage
-        """
+        "time timestamp timestamps stamp t datetime seconds secs sec sampletimefine utc epoch "
+        "elapsed stamps zeit zeitstempel uhrzeit tiempo hora heure horodatage"
     )
 )
 _SILENT = set(
     str.split(
-        """
-        rs s b field data raw cal calibrated uncal linear angular velocity rate imu sensor sensors
-        axis value values header acceleration meas rot rotation vel speed achse axe eje de en la le
-        """
+        "rs s b field data raw cal calibrated uncal linear angular velocity rate imu sensor "
+        "sensors axis value values header acceleration meas rot rotation vel speed achse axe eje "
+        "de en la le"
     )
 )
 # Quantities that share words with the two above but are not them.
 _OTHER = set(
     str.split(
-        """
-        mag magnetometer magnetic free freeacc gravity grav mean std var enmo mad cov covariance
-        quat quaternion orientation bias svm vm norm inc velinc oriinc pos position user ori
-        offset euler counts1 vector magnitude b_w b_a
-        """
+        "mag magnetometer magnetic free freeacc gravity grav mean std var enmo mad cov covariance "
+        "quat quaternion orientation bias svm vm norm inc velinc oriinc pos position user ori "
+        "offset euler counts1 vector magnitude b_w b_a"
     )
 )
 _COMPACT = re.compile(
@@ -67,9 +64,8 @@ _BRACKETED = re.compile(r"\s*(\[[^\[\]]*\]|\((?:[^()]|\([^()]*\))*\))\s*$")
 #: A unit behind a name without brackets, where it is written with a slash: "acc_x_m/s^2".
 _SLASHED = re.compile(r"[\s_.\-]+([^\s_]+/[^\s_]+|[^\s_]+/\(?s\^?2\)?)$")
 _TEX = re.compile(r"\\(?:hat|vec|bar|tilde|mathrm|mathbf|text|dot)\s*|[\\${}]|\^\{?\\circ\}?")
-_UNIT_WORDS = {
-    word: value
-    for value, words in {
+_UNIT_WORDS = by_word(
+    {
         "m/s2": "ms2 mps2 mss",
         "mg": "mg",
         "ug": "ug",
@@ -81,25 +77,21 @@ _UNIT_WORDS = {
         "ms": "ms msec milliseconds",
         "counts": "counts lsb",
         "s": "seconds sec secs",
-    }.items()
-    for word in words.split()
-}
+    }
+)
 # Last words of a temperature's name, joined; "tempC" and "temp_degC" are split before the C.
-_TEMPERATURE_UNITS = {
-    word: value
-    for value, words in {
+_TEMPERATURE_UNITS = by_word(
+    {
         "degC": "c degc celsius degreesc",
         "degF": "f degf fahrenheit degreesf",
         "K": "k kelvin degk",
-    }.items()
-    for word in words.split()
-}
+    }
+)
 #: Units that a name may state of a column without saying that it is a time, and last words that
 #: name the unit of one that does ("elapsed_min"; of "acc_x_min" it is a minimum).
 _STAMP_UNITS = {"s", "ms", "us", "ns", "100us"}
-_TIME_WORDS = {
-    word: value
-    for value, words in {
+_TIME_WORDS = by_word(
+    {
         "min": "min mins minutes minute",
         "h": "h hr hrs hours hour",
         "d": "d day days",
@@ -107,20 +99,20 @@ _TIME_WORDS = {
         "datenum": "datenum",
         "filetime": "filetime",
         "ticks": "ticks",
-    }.items()
-    for word in words.split()
-}
+    }
+)
 #: Parts of a stamp in columns of their own, in its order; i and u are whole ms and us.
 _PARTS = {
-    "Y": ("year", "yr"),
-    "M": ("month", "mon"),
-    "D": ("day",),
-    "h": ("hour", "hr", "hours"),
-    "m": ("minute", "min", "minutes"),
-    "s": ("second", "sec", "seconds", "secs"),
-    "i": ("millisecond", "ms", "msec", "milliseconds"),
-    "u": ("microsecond", "us", "usec", "microseconds"),
+    "Y": "year yr",
+    "M": "month mon",
+    "D": "day",
+    "h": "hour hr hours",
+    "m": "minute min minutes",
+    "s": "second sec seconds secs",
+    "i": "millisecond ms msec milliseconds",
+    "u": "microsecond us usec microseconds",
 }
+_PART_OF = by_word(_PARTS)
 
 
 @dataclass(frozen=True)
@@ -145,18 +137,17 @@ def understand(names: Sequence[str], bare: str = "acceleration") -> list[Column]
     gyroscope), or a rate by their unit, if nothing else is an acceleration.
     """
     columns = [_column(i, name) for i, name in enumerate(names)]
-    if not any(c.quantity == "time" for c in columns):
-        columns = [_french_time(c) for c in columns]
+    if not any(c.quantity == "time" for c in columns):  # the French word, without a unit
+        columns = [
+            replace(c, quantity="time", triad="")
+            if _words(c.name) == ["temps"] and not c.unit
+            else c
+            for c in columns
+        ]
     columns = _of_kalibr(columns)
     if not any(c.quantity == "acceleration" for c in columns):
         columns = [_bare_axis(c, bare) for c in columns]
     return columns
-
-
-def _french_time(column: Column) -> Column:
-    """ "Temps" without a unit: the time, where no other column is one."""
-    bare = _words(column.name) == ["temps"] and not column.unit
-    return replace(column, quantity="time", triad="") if bare else column
 
 
 def unaccented(text: str) -> str:
@@ -171,7 +162,7 @@ def without_tex(text: str) -> str:
 
 
 def is_date(name: str) -> bool:
-    """Whether a name says that the column holds dates, which a time of day may stand beside."""
+    """Whether a name says that the column holds dates, which may have a time of day elsewhere."""
     return _words(name) in (["date"], ["datum"], ["day"], ["local", "date"], ["utc", "date"])
 
 
@@ -182,24 +173,22 @@ def parts_of_time(names: Sequence[str]) -> dict[str, int]:
     """
     found: dict[str, int] = {}
     for k, words in enumerate(map(_words, names)):
-        for letter, known in _PARTS.items():
-            if len(words) == 1 and words[0] in known:
-                found.setdefault(letter, k)
+        if len(words) == 1 and words[0] in _PART_OF:
+            found.setdefault(_PART_OF[words[0]], k)
     if not {"Y", "M", "D", "h", "m", "s"} <= found.keys():
         return {}
     return {letter: found[letter] for letter in _PARTS if letter in found}
 
 
 def _of_kalibr(columns: list[Column]) -> list[Column]:
-    """Kalibr calls the acceleration alpha, beside a rate called omega; else that is no force."""
-    axes = {c.name.lower(): c.index for c in columns}
-    named = [f"{letter}_{axis}" for letter in ("omega", "alpha") for axis in "xyz"]
-    if not axes.keys() >= set(named) or any(c.quantity == "acceleration" for c in columns):
+    """Kalibr calls the acceleration alpha, with a rate called omega; else that is no force."""
+    names = {c.name.lower() for c in columns}
+    known = {f"{letter}_{axis}" for letter in ("omega", "alpha") for axis in "xyz"}
+    if not names >= known or any(c.quantity == "acceleration" for c in columns):
         return columns
-    forces = {axes[name]: k for k, name in enumerate(named[3:])}
     return [
-        replace(c, quantity="acceleration", axis=forces[c.index], triad="imu0")
-        if c.index in forces
+        replace(c, quantity="acceleration", axis="xyz".index(c.name.lower()[-1]), triad="imu0")
+        if re.fullmatch("alpha_[xyz]", c.name.lower())
         else c
         for c in columns
     ]
@@ -248,7 +237,7 @@ def _column(index: int, text: str) -> Column:
         return Column(index, name, "time", unit=unit)  # the French word
     if name == "T" or _TEMPERATURE & set(words):
         words, unit = (words, unit) if unit else _with_unit(words)
-        words = [w for w in words if w not in _ACC | _GYRO]
+        words = [w for w in words if w not in _MEANING]
         return Column(index, name, "temperature", triad=_triad(words), unit=unit)
     if _TIME & set(words) or (unit in _STAMP_UNITS and not _OTHER & set(words)):
         stated = _TIME_WORDS.get(words[-1], "") if len(words) > 1 else ""
@@ -281,23 +270,20 @@ def _vector(index: int, name: str, words: list[str], unit: str) -> Column | None
             break
     else:
         axes = [w for w in words if w in ("x", "y", "z")]
-        kinds = [w for w in words if w.rstrip("0123456789") in _ACC | _GYRO]
+        kinds = [w for w in words if w.rstrip("0123456789") in _MEANING]
         if len(axes) != 1 or not kinds:
             return None
         axis = "xyz".index(axes[0])
         kind = kinds[0].rstrip("0123456789")
         number = kinds[0][len(kind) :]
         rest = [w for w in words if w not in (axes[0], kinds[0])]
-    quantity = "acceleration" if kind in _ACC else "angular_rate"
-    triad = _triad([w for w in rest if w not in _ACC | _GYRO], number)
-    return Column(index, name, quantity, axis, triad, unit)
+    triad = _triad([w for w in rest if w not in _MEANING], number)
+    return Column(index, name, _MEANING[kind], axis, triad, unit)
 
 
 def _triad(words: Sequence[str], number: str = "") -> str:
-    left = [w for w in words if w not in _SILENT | _TEMPERATURE | {"t"}]
-    if number:
-        left.append(f"imu{number}")
-    return "_".join(left) or "imu0"
+    own = [w for w in words if w not in _SILENT | _TEMPERATURE | {"t"}]
+    return "_".join(own + [f"imu{number}"] * bool(number)) or "imu0"
 
 
 _SHOWN = 12

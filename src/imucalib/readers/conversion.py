@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol, TypeVar
 
 import numpy as np
@@ -113,6 +113,10 @@ class Conversion:
         return np.abs(self.axes.apply(values))
 
 
+#: Numbers that are kept as they are.
+AS_STORED = Conversion(COUNTS, COUNTS, np.ones(1), np.zeros(1))
+
+
 def readings_at_rest(pieces: Sequence[Array], window: int) -> Array:
     """(k, 3) window means of the quietest tenth of all windows.
 
@@ -167,37 +171,39 @@ def acceleration(
     UnreadableInput when no unit fits, UsageError for an unknown one.
     """
     source = Source(source) if isinstance(source, str) else source
-    axes = parse_axis_map(mapping.axis_map)
     offset = _per_axis(mapping.acc_offset, "acc_offset", 0.0)
     unit = unit_of_axes(mapping.acc_unit or source.unit, "--unit", where)
+    norms = np.linalg.norm(rest - offset, axis=1)
+    norm = float(np.median(norms)) if rest.size else np.nan
+
+    def found(source_unit: str, factor: Array, note: str = "", scale: float = 0.0) -> Conversion:
+        axes = parse_axis_map(mapping.axis_map)
+        return Conversion("m/s2", source_unit, factor, offset, axes, note, counts_per_g=scale)
+
     if source.fixed and not (mapping.acc_unit or mapping.lsb_per_g):
-        note = _caution(np.linalg.norm(rest - offset, axis=1), unit)
-        size = np.array([units.ACCELERATION_UNITS[unit]])
-        return Conversion("m/s2", unit, size, offset, axes, note)
+        return found(unit, np.array([units.ACCELERATION_UNITS[unit]]), _caution(norm, unit))
     away = None if mapping.acc_offset else zero_g(rest)
     if away is not None and (unit != COUNTS or mapping.lsb_per_g):
         remedy = f"{away.option} counts them from there; the data sheet may know better"
         raise UnreadableInput(away.sentence, where=where, remedy=remedy)
-    rest = rest - offset
     if mapping.lsb_per_g and unit in ("", COUNTS):
         scale = units.STANDARD_GRAVITY / _per_axis(mapping.lsb_per_g, "lsb_per_g", 1.0)
-        return Conversion("m/s2", COUNTS, scale, offset, axes, "acceleration from counts per g")
+        return found(COUNTS, scale, "acceleration from counts per g")
     if source.scales and not mapping.acc_unit:
-        return _by_scales(source.scales, _norms(rest), where, offset=offset, axes=axes)
+        one = _scale_of(source.scales, norm, where)
+        note = f"acceleration: norm at rest = {norm:.6g} -> {one:g} counts a g, as the device has"
+        return found(COUNTS, np.array([units.STANDARD_GRAVITY / one]), note, one)
     if unit == COUNTS:
         note = "acceleration kept as raw counts"
-        return Conversion(COUNTS, COUNTS, np.ones(1), offset, axes, note)
-    note = ""
+        return replace(found(COUNTS, np.ones(1), note), unit=COUNTS)
     if not unit:
-        unit, note = _by_norm(source, _norms(rest), where)
+        unit, note = _by_norm(source, norms, where)
+        return found(unit, np.array([units.ACCELERATION_UNITS[unit]]), note)
     factor = _factor(unit, units.ACCELERATION_UNITS, mapping.acc_unit, "--unit", where)
-    if not note:
-        _refuse_wrong(unit, factor, rest, bool(mapping.acc_unit), where)
-    return Conversion("m/s2", unit, factor, offset, axes, note)
-
-
-def _norms(rest: Array) -> Array:
-    return np.asarray(np.linalg.norm(rest, axis=1))
+    if rest.size:
+        si = float(np.median(np.linalg.norm((rest - offset) * factor, axis=1)))
+        _refuse_wrong(unit, norm, si / units.STANDARD_GRAVITY, bool(mapping.acc_unit), where)
+    return found(unit, factor)
 
 
 class _Quantity(Protocol):
@@ -248,12 +254,12 @@ def unit_of_axes(text: str, option: str, where: str) -> str:
     return ",".join(each)
 
 
-def _by_norm(source: Source, rest: Array, where: str) -> tuple[str, str]:
+def _by_norm(source: Source, norms: Array, where: str) -> tuple[str, str]:
     """The unit that makes the norm at rest 1 g, and the sentence that says so."""
-    norm = float(np.median(rest)) if rest.size else np.nan
+    norm = float(np.median(norms)) if norms.size else np.nan
     if norm < 1.0 / _IMPLAUSIBLE:  # the largest unit in use, g, has ones
         raise _without_gravity(norm, where)
-    found = units.detect_acceleration_unit(rest, where)
+    found = units.detect_acceleration_unit(norms, where)
     if source.whole and found.unit == "mg" and _LIKE_1024[0] < found.norm_at_rest < _LIKE_1024[1]:
         raise UnreadableInput(
             f"whole numbers whose norm at rest is {found.norm_at_rest:.6g}: mg, or counts",
@@ -263,30 +269,23 @@ def _by_norm(source: Source, rest: Array, where: str) -> tuple[str, str]:
     return found.unit, f"acceleration: {found.sentence}"
 
 
-def _by_scales(
-    scales: tuple[float, ...], rest: Array, where: str, *, offset: Array, axes: AxisMap
-) -> Conversion:
+def _scale_of(scales: tuple[float, ...], norm: float, where: str) -> float:
     """The one of a device's scales that makes the norm at rest 1 g."""
-    norm = float(np.median(rest)) if rest.size else np.nan
     fitting = [s for s in scales if 1.0 / _NEAR_SCALE < norm / s < _NEAR_SCALE]
-    if len(fitting) != 1:
-        raise UnreadableInput(
-            f"the norm at rest is {norm:.6g} counts, and the device's models have "
-            f"{', '.join(f'{s:g}' for s in scales)} a g",
-            where=where,
-            remedy="give the scale with --unit counts --lsb N",
-        )
-    (scale,) = fitting
-    factor = np.array([units.STANDARD_GRAVITY / scale])
-    note = f"acceleration: norm at rest = {norm:.6g} -> {scale:g} counts a g, as the device has"
-    return Conversion("m/s2", COUNTS, factor, offset, axes=axes, note=note, counts_per_g=scale)
+    if len(fitting) == 1:
+        return fitting[0]
+    raise UnreadableInput(
+        f"the norm at rest is {norm:.6g} counts, and the device's models have "
+        f"{', '.join(f'{s:g}' for s in scales)} a g",
+        where=where,
+        remedy="give the scale with --unit counts --lsb N",
+    )
 
 
-def _caution(rest: Array, unit: str) -> str:
+def _caution(norm: float, unit: str) -> str:
     """What is said of a norm that is not 1 g, in a format that leaves no doubt of its unit."""
-    norm = float(np.median(rest)) if rest.size else np.nan
     ratio = norm * units.ACCELERATION_UNITS[unit] / units.STANDARD_GRAVITY
-    if not rest.size or 1.0 / _NEAR_SCALE <= ratio <= _NEAR_SCALE:
+    if np.isnan(norm) or 1.0 / _NEAR_SCALE <= ratio <= _NEAR_SCALE:
         return ""
     return (
         f"acceleration: the norm where it is quietest is {ratio:.3g} g: it was not at rest there, "
@@ -294,29 +293,21 @@ def _caution(rest: Array, unit: str) -> str:
     )
 
 
-def _refuse_wrong(unit: str, factor: Array, rest: Array, by_user: bool, where: str) -> None:
-    if rest.size == 0:
-        return
-    ratio = float(np.median(_norms(rest * factor))) / units.STANDARD_GRAVITY
+def _refuse_wrong(unit: str, norm: float, ratio: float, by_user: bool, where: str) -> None:
+    """Refuse a unit in which the norm at rest is no gravity. ratio : of the norm to 1 g"""
     if 1.0 / _IMPLAUSIBLE <= ratio <= _IMPLAUSIBLE:
         return
-    norm = float(np.median(_norms(rest)))
     what = f"the norm at rest is {norm:.6g}, which is {ratio:.3g} g when the unit is {unit}"
     if by_user:
         remedy = "leave --unit away or name the true one; counts need --unit counts --lsb N"
         raise UnreadableInput(f"{what}, as --unit states", where=where, remedy=remedy)
-    fitting = _units_of_gravity(norm)
+    known = units.ACCELERATION_UNITS.items()
+    fitting = [u for u, si in known if abs(norm * si / units.STANDARD_GRAVITY - 1.0) <= 0.25]
     if ratio < 1.0 and not fitting:
         raise _without_gravity(norm, where)
     option = f"--unit {fitting[0]}" if len(fitting) == 1 else "--unit"
     remedy = f"name the true unit with {option}, or the scale with --unit counts --lsb N"
     raise UnreadableInput(f"{what}, as the file states", where=where, remedy=remedy)
-
-
-def _units_of_gravity(norm: float) -> list[str]:
-    """Units in which a norm at rest is within a quarter of 1 g."""
-    known = units.ACCELERATION_UNITS.items()
-    return [u for u, si in known if abs(norm * si / units.STANDARD_GRAVITY - 1.0) <= 0.25]
 
 
 def _without_gravity(norm: float, where: str) -> UnreadableInput:

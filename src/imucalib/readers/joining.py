@@ -43,7 +43,10 @@ def join(blocks: Iterable[Recording], where: str) -> Recording:
         raise UnreadableInput(
             "the file holds no samples", where=where, remedy="check how it was recorded"
         )
-    channels = {name: _joined(pieces) for name, pieces in parts.items()}
+    channels = {}
+    for name, pieces in parts.items():
+        t, values = (np.concatenate([getattr(p, part) for p in pieces]) for part in ("t", "values"))
+        channels[name] = pieces[0] if len(pieces) == 1 else replace(pieces[0], t=t, values=values)
     return replace(first, channels=channels, gaps=tuple(gaps), notes=tuple(notes))
 
 
@@ -127,13 +130,6 @@ def _span(recording: Recording) -> tuple[float, float]:
     return min(float(t.min()) for t in times), max(float(t.max()) for t in times)
 
 
-def _joined(pieces: list[Channel]) -> Channel:
-    if len(pieces) == 1:
-        return pieces[0]
-    t = np.concatenate([p.t for p in pieces])
-    return replace(pieces[0], t=t, values=np.concatenate([p.values for p in pieces]))
-
-
 _BACK = 1.0  # s; smaller steps are stamps out of order, which the gaps alone tell
 _MOST = 100  # parts: a clock that is set back more often is no clock
 #: Seconds after which counters begin again: of 16, 24 and 32 bits in s, ms, us or 100 us, of 32 in
@@ -153,39 +149,106 @@ _PERIODS = {
 _LATE = 4.0  # sample steps: a counter that begins again is read within a few of them
 
 
+def in_parts(blocks: Iterator[Recording]) -> Iterator[Recording]:
+    """The same blocks, with every part of a clock that was set back after the part before."""
+    clock = _Clock()
+    for block in blocks:
+        if len(clock.moves) > 1 or any(g.stop < g.start - _BACK for g in block.gaps):
+            yield clock.moved(block)
+        else:
+            for name, channel in block.channels.items():
+                clock.keep(name, channel.t)
+            yield block
+
+
 @dataclass
 class _Clock:
-    """moves : how far each part is moved on, s; last, part : of each channel, its last times and
-    the part that they are in; steps : of this block, the steps back that begin a part;
-    periods : after which the stamps began again; dated : stamps are dates, and no counter's
+    """A clock that may be set back.
+
+    moves : how far each part is moved on, s; last, part : of each channel, its last times and
+    the part that they are in; periods : after which the stamps began again; dated : stamps are
+    dates, and no counter's
+    notes, gaps, steps : of this block; the steps back are those that begin a part
     """
 
     moves: list[float] = field(default_factory=lambda: [0.0])
     last: dict[str, Array] = field(default_factory=dict)
     part: dict[str, int] = field(default_factory=dict)
+    periods: set[float] = field(default_factory=set)
+    dated: bool = False
     notes: list[str] = field(default_factory=list)
     gaps: list[Gap] = field(default_factory=list)
     steps: set[tuple[float, float]] = field(default_factory=set)
-    periods: set[float] = field(default_factory=set)
-    dated: bool = False
 
     def keep(self, name: str, t: Array) -> None:
         """Note the end of a channel's block."""
+        self.last[name] = np.concatenate([self.last.get(name, t[:0]), t[-SIDES:]])[-SIDES:]
+
+    def moved(self, block: Recording) -> Recording:
+        """The block, each sample moved on with its part."""
+        self.notes, self.gaps, self.steps = [], [], set()
+        self.dated = block.start_ns is not None
+        channels, parts = {}, {}
+        for name, channel in block.channels.items():
+            # Of a damaged log all stamps may name one moment, which tells no rate.
+            step = 1.0 / channel.rate if channel.rate > 0.0 else 0.0
+            parts[name] = self._parts(name, channel.t, step)
+            channels[name] = replace(channel, t=channel.t + np.array(self.moves)[parts[name]])
+        kept = [g for g in block.gaps if (g.start, g.stop) not in self.steps]
+        gaps = [*(self._gap(g, block, parts) for g in kept), *self.gaps]
+        gaps.sort(key=lambda g: g.start)
+        return replace(
+            block, channels=channels, gaps=tuple(gaps), notes=(*block.notes, *self.notes)
+        )
+
+    def _parts(self, name: str, t: Array, step: float) -> Index:
+        """The part of each sample of a channel; a new part's move is found by who sees it first."""
         before = self.last.get(name, t[:0])
-        self.last[name] = np.concatenate([before, t])[-SIDES:] if t.size < SIDES else t[-SIDES:]
+        first, rows = self.part.get(name, 0), set_back(t, before, _BACK)
+        for k, row in enumerate(rows, start=first + 1):
+            old, new = float(t[row - 1] if row else before[-1]), float(t[row])
+            self.steps.add((old, new))
+            if k >= len(self.moves):
+                self._begin(old, new, step)
+        begun = np.zeros(t.size, dtype=np.intp)
+        begun[rows] = 1
+        part = np.minimum(first + np.cumsum(begun), len(self.moves) - 1)
+        if t.size:
+            self.keep(name, t)
+            self.part[name] = int(part[-1])
+        return np.asarray(part)
 
+    def _begin(self, old: float, new: float, step: float) -> None:
+        """Begin a part after a step back from `old` to `new`."""
+        # Stamps that begin again do so at zero.
+        again = not self.dated and 0.0 <= new <= _LATE * step
+        period = next((p for p in _PERIODS if again and 0.0 < p - old + new <= _LATE * step), 0.0)
+        if period:
+            self.moves.append(self.moves[-1] + period)
+            if period not in self.periods:
+                said = f"the stamps begin again after {period:.10g} s ({_PERIODS[period]})"
+                self.notes.append(f"{said}: unrolled")
+            self.periods.add(period)
+        elif len(self.moves) <= _MOST:
+            start = old + self.moves[-1]
+            self.moves.append(self.moves[-1] + old + step - new)
+            said = f"the clock was set back by {old - new:.6g} s"
+            self.gaps.append(Gap(start, new + self.moves[-1], said))
+            self.notes.append(
+                f"{said} at {start:.6g} s: what follows is a part of its own, its times moved on "
+                f"by {self.moves[-1]:.6g} s"
+            )
 
-def in_parts(blocks: Iterator[Recording]) -> Iterator[Recording]:
-    """The same blocks, with every part of a clock that was set back after the part before."""
-    clock = _Clock()
-    for block in blocks:
-        back = any(g.stop < g.start - _BACK for g in block.gaps)
-        if back or len(clock.moves) > 1:
-            yield _moved(block, clock)
-        else:
-            for name, channel in block.channels.items():
-                clock.keep(name, channel.t)
-            yield block
+    def _gap(self, gap: Gap, block: Recording, parts: dict[str, Index]) -> Gap:
+        """A gap moved with the part whose samples are on its two sides."""
+        part = max((int(p[-1]) for p in parts.values() if p.size), default=0)
+        for name, channel in block.channels.items():
+            at = np.flatnonzero(channel.t == gap.stop)
+            inside = at[(at == 0) | (channel.t[at - 1] == gap.start)]
+            if inside.size:
+                part = int(parts[name][inside[0]])
+                break
+        return replace(gap, start=gap.start + self.moves[part], stop=gap.stop + self.moves[part])
 
 
 def with_plausible_clocks(blocks: Iterator[Recording]) -> Iterator[Recording]:
@@ -194,13 +257,21 @@ def with_plausible_clocks(blocks: Iterator[Recording]) -> Iterator[Recording]:
     spans: dict[str, tuple[float, float, int, str]] = {}
     for block in blocks:
         for name, channel in block.channels.items():
-            t = channel.t
+            t, rate = channel.t, channel.rate
             if not t.size or channel.quantity not in ("acceleration", "angular_rate"):
                 continue
             low, high, count, _ = spans.get(name, (np.inf, -np.inf, 0, ""))
-            low, high = min(low, float(t.min())), max(high, float(t.max()))
-            spans[name] = low, high, count + t.size, block.path
-            _demand_rate(name, channel.rate, count + t.size, block.path)
+            low, high, count = min(low, float(t.min())), max(high, float(t.max())), count + t.size
+            spans[name] = low, high, count, block.path
+            if count > 1 and not SLOWEST <= rate <= FASTEST:
+                span = f"inertial sensors have {SLOWEST:g} to {FASTEST:g}"
+                said = f"{rate:.6g} samples a second, and {span}"
+                raise UnreadableInput(
+                    f"{name}: {said if rate > 0.0 else 'its times do not advance'}",
+                    where=block.path,
+                    remedy="name the unit of the stamps with --time-unit, other stamps with "
+                    "--time, or give --rate",
+                )
         yield block
     for name, (low, high, count, path) in spans.items():
         if count > 1 and not high > low:
@@ -209,85 +280,3 @@ def with_plausible_clocks(blocks: Iterator[Recording]) -> Iterator[Recording]:
                 where=path,
                 remedy="give --rate, name other stamps with --time, or their unit with --time-unit",
             )
-
-
-def _demand_rate(name: str, rate: float, count: int, path: str) -> None:
-    if count > 1 and not SLOWEST <= rate <= FASTEST:
-        said = f"{rate:.6g} samples a second, and inertial sensors have {SLOWEST:g} to {FASTEST:g}"
-        raise UnreadableInput(
-            f"{name}: {said if rate > 0.0 else 'its times do not advance'}",
-            where=path,
-            remedy="name the unit of the stamps with --time-unit, other stamps with --time, or "
-            "give --rate",
-        )
-
-
-def _moved(block: Recording, clock: _Clock) -> Recording:
-    clock.notes, clock.gaps, clock.steps = [], [], set()
-    clock.dated = block.start_ns is not None
-    channels, parts = {}, {}
-    for name, channel in block.channels.items():
-        # Of a damaged log all stamps may name one moment, which tells no rate.
-        step = 1.0 / channel.rate if channel.rate > 0.0 else 0.0
-        parts[name] = _parts(name, channel.t, step, clock)
-        channels[name] = replace(channel, t=channel.t + np.array(clock.moves)[parts[name]])
-    kept = [
-        _gap(g, block, parts, clock) for g in block.gaps if (g.start, g.stop) not in clock.steps
-    ]
-    gaps = sorted([*kept, *clock.gaps], key=lambda g: g.start)
-    return replace(block, channels=channels, gaps=tuple(gaps), notes=(*block.notes, *clock.notes))
-
-
-def _parts(name: str, t: Array, step: float, clock: _Clock) -> Index:
-    """The part of each sample of a channel; a new part's move is found by who sees it first."""
-    before = clock.last.get(name, t[:0])
-    first, rows = clock.part.get(name, 0), set_back(t, before, _BACK)
-    for k, row in enumerate(rows, start=first + 1):
-        old, new = float(t[row - 1] if row else before[-1]), float(t[row])
-        clock.steps.add((old, new))
-        period = 0.0 if clock.dated else _period(old, new, step)
-        if k < len(clock.moves) or (len(clock.moves) > _MOST and not period):
-            continue
-        if period:
-            clock.moves.append(clock.moves[-1] + period)
-            if period not in clock.periods:
-                clock.notes.append(
-                    f"the stamps begin again after {period:.10g} s ({_PERIODS[period]}): unrolled"
-                )
-            clock.periods.add(period)
-            continue
-        clock.moves.append(clock.moves[-1] + old + step - new)
-        start = old + clock.moves[-2]
-        said = f"the clock was set back by {old - new:.6g} s"
-        clock.gaps.append(Gap(start, new + clock.moves[-1], said))
-        clock.notes.append(
-            f"{said} at {start:.6g} s: what follows is a part of its own, its times "
-            f"moved on by {clock.moves[-1]:.6g} s"
-        )
-    begun = np.zeros(t.size, dtype=np.intp)
-    begun[rows] = 1
-    part = np.minimum(first + np.cumsum(begun), len(clock.moves) - 1)
-    if t.size:
-        clock.keep(name, t)
-        clock.part[name] = int(part[-1])
-    return np.asarray(part)
-
-
-def _period(old: float, new: float, step: float) -> float:
-    """The period after which stamps begin again at zero, where they do; else 0."""
-    if not 0.0 <= new <= _LATE * step:
-        return 0.0
-    return next((p for p in _PERIODS if 0.0 < p - old + new <= _LATE * step), 0.0)
-
-
-def _gap(gap: Gap, block: Recording, parts: dict[str, Index], clock: _Clock) -> Gap:
-    """A gap moved with the part whose samples stand on its two sides."""
-    part = max((int(p[-1]) for p in parts.values() if p.size), default=0)
-    for name, channel in block.channels.items():
-        at = np.flatnonzero(channel.t == gap.stop)
-        inside = at[(at == 0) | (channel.t[at - 1] == gap.start)]
-        if inside.size:
-            part = int(parts[name][inside[0]])
-            break
-    move = clock.moves[part]
-    return replace(gap, start=gap.start + move, stop=gap.stop + move)

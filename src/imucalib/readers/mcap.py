@@ -27,7 +27,7 @@ import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
-from mcap.records import Channel, DataEnd, Footer, Metadata, Schema
+from mcap.records import Channel, DataEnd, Footer, Metadata, Schema, Statistics
 from numpy.typing import NDArray
 
 from imucalib.errors import UnreadableInput
@@ -315,7 +315,7 @@ class McapLog(MessageLog):
 
     def indexed_topics(self) -> dict[int, Topic]:
         """Topics of the file's summary; none where it is absent, cut or damaged."""
-        found = _Definitions({})
+        found, counts = _Definitions({}), dict[int, int]()
         with self.path.open("rb") as file:
             size = file.seek(0, 2)
             file.seek(max(size - 37, 0))
@@ -333,11 +333,14 @@ class McapLog(MessageLog):
         try:
             while at + 9 <= len(data):
                 opcode, length = RECORD_HEADER.unpack_from(data, at)
-                found.add(opcode, data[at + 9 : at + 9 + length])
+                content = data[at + 9 : at + 9 + length]
+                found.add(opcode, content)
+                if opcode == Opcode.STATISTICS:
+                    counts = parsed(Statistics, content).channel_message_counts
                 at += 9 + length
         except MalformedRecordError:
             return {}
-        return found.topics
+        return {n: replace(topic, count=counts.get(n, 0)) for n, topic in found.topics.items()}
 
     # -- one record ---------------------------------------------------------------------------
 

@@ -47,50 +47,53 @@ def with_checked_rates(
     if fixed or mapping.lsb_per_dps:
         yield from blocks
         return
-    seen: dict[str, _Turns] = {}
+    seen: dict[str, _Rates] = {}
     for block in blocks:
         stated = str(block.mapping.get("gyro_unit", "")) or mapping.gyro_unit or "rad/s"
         notes = list[str]()
         for name, rate in block.channels.items():
             if rate.quantity != "angular_rate" or rate.t.size < _IN_A_ROW:
                 continue
-            where = f"{block.path}, {name}"
-            unit = _Stated(units.canonical(stated), bool(mapping.gyro_unit), where)
-            if rate.unit == "rad/s":
-                _refuse_fastest(rate, unit)
-            elif mapping.gyro_unit:
+            if rate.unit != "rad/s" and mapping.gyro_unit:
                 continue
-            else:
-                unit = _Stated("counts", by_user=False, where=where)
+            unit = units.canonical(stated) if rate.unit == "rad/s" else "counts"
+            own = _Rates(unit, bool(mapping.gyro_unit), f"{block.path}, {name}")
+            own = seen.setdefault(name, own)
+            if unit != "counts":
+                own.demand_slow(rate)
             force = block.channels.get(f"{rate.triad}/acceleration")
             if force is not None:
                 # A damaged number may be of any size.
                 with np.errstate(over="ignore", invalid="ignore"):
-                    found = seen.setdefault(name, _Turns(unit)).add(force, rate)
+                    found = own.add(force, rate)
                 notes += [f"{name}: {found}"] * bool(found)
         yield replace(block, notes=(*block.notes, *notes)) if notes else block
 
 
-@dataclass(frozen=True)
-class _Stated:
-    """The unit of the rates, who states it, and of which channel."""
+@dataclass
+class _Rates:
+    """The rates of one sensor.
+
+    unit : that is stated, or "counts"; by_user : who states it; where : of which channel
+    errors : of gravity carried over turns, by unit, rad; samples : that were looked at
+    """
 
     unit: str
     by_user: bool
     where: str
+    errors: list[Array] = field(default_factory=list)
+    samples: int = 0
 
-    @property
-    def factors(self) -> dict[str, float]:
+    def _factors(self) -> dict[str, float]:
         """What turns a value in SI into the one that it would be in another unit; none where each
         axis has its own."""
         if self.unit == "counts":  # as yet in none
             return dict(units.RATE_UNITS)
-        if self.unit not in units.RATE_UNITS:
-            return {}
-        own = units.RATE_UNITS[self.unit]
-        return {name: size / own for name, size in units.RATE_UNITS.items() if name != self.unit}
+        own = units.RATE_UNITS.get(self.unit)
+        others = (item for item in units.RATE_UNITS.items() if own and item[0] != self.unit)
+        return {name: size / own for name, size in others if own}
 
-    def refused(self, what: str, true: str) -> UnreadableInput:
+    def _refused(self, what: str, true: str) -> UnreadableInput:
         """The error; `true` is the unit that fits, or empty."""
         who = "as --gyro-unit states" if self.by_user else "as the file states"
         option = f"--gyro-unit {true}" if true else "--gyro-unit"
@@ -101,59 +104,46 @@ class _Stated:
             "--gyro-lsb N",
         )
 
-
-def _refuse_fastest(rate: Channel, stated: _Stated) -> None:
-    """Refuse a rate that no such sensor reads, where it lasts."""
-    low, high = rate.values.min(), rate.values.max()
-    if rate.pending is None and max(-low, high) <= FASTEST:
-        return
-    values = rate.pending.apply(rate.values) if rate.pending else rate.values
-    size = np.abs(values).max(axis=1)
-    lasting = np.minimum(np.minimum(size[:-2], size[1:-1]), size[2:])
-    fastest = float(lasting[np.isfinite(lasting)].max(initial=0.0))
-    if fastest > FASTEST:
-        true = "deg/s" if fastest * stated.factors.get("deg/s", 1.0) <= FASTEST else ""
-        what = (
-            f"the angular rate reaches {fastest / units.DEG:,.0f} deg/s, and no MEMS gyroscope "
-            f"reads above {FASTEST / units.DEG:,.0f},"
-        )
-        raise stated.refused(what, true)
-
-
-@dataclass
-class _Turns:
-    """Errors of gravity carried over the turns of one sensor, by unit; rad."""
-
-    stated: _Stated
-    errors: list[Array] = field(default_factory=list)
-    samples: int = 0
+    def demand_slow(self, rate: Channel) -> None:
+        """Refuse a rate that no such sensor reads, where it lasts."""
+        low, high = rate.values.min(), rate.values.max()
+        if rate.pending is None and max(-low, high) <= FASTEST:
+            return
+        size = np.abs(_si(rate)).max(axis=1)
+        lasting = np.minimum(np.minimum(size[:-2], size[1:-1]), size[2:])
+        fastest = float(lasting[np.isfinite(lasting)].max(initial=0.0))
+        if fastest > FASTEST:
+            true = "deg/s" if fastest * self._factors().get("deg/s", 1.0) <= FASTEST else ""
+            what = (
+                f"the angular rate reaches {fastest / units.DEG:,.0f} deg/s, and no MEMS gyroscope "
+                f"reads above {FASTEST / units.DEG:,.0f},"
+            )
+            raise self._refused(what, true)
 
     def add(self, force: Channel, rate: Channel) -> str:
         """Take consecutive samples; raises where they refute the unit and prove another. Returns
         what they prove where none is stated, once."""
-        names = self.stated.factors
-        if not names or len(self.errors) >= _TURNS or self.samples >= _SAMPLES:
+        factors = self._factors()
+        if not factors or len(self.errors) >= _TURNS or self.samples >= _SAMPLES:
             return ""
         self.samples += rate.t.size
-        acc = force.pending.apply(force.values) if force.pending else force.values
-        turn = rate.pending.apply(rate.values) if rate.pending else rate.values
+        acc, turn = _si(force), _si(rate)
         if not np.array_equal(force.t, rate.t):
             if force.t.size < _IN_A_ROW:
                 return ""
             acc = np.column_stack([np.interp(rate.t, force.t, axis) for axis in acc.T])
-        factors = np.array([1.0, *names.values()])
-        self.errors += carried(rate.t, acc, turn, factors)
+        self.errors += carried(rate.t, acc, turn, np.array([1.0, *factors.values()]))
         if not self.errors:
             return ""
         off, *others = np.median(self.errors, axis=0).tolist()
         best = int(np.argmin(others))
-        near = max(others[best], _ALIGNED)
-        chance = len(self.errors) * np.log((1.0 - np.cos(near)) / 2.0) + np.log(len(names))
+        least = max(others[best], _ALIGNED)
+        chance = len(self.errors) * np.log((1.0 - np.cos(least)) / 2.0) + np.log(len(factors))
         if chance >= _PROVEN:
             return ""
-        true = list(names)[best]
-        turns, angle = f"{len(self.errors)} turns between rests", f"{near / units.DEG:.2g} deg"
-        if self.stated.unit == "counts":
+        true = list(factors)[best]
+        turns, angle = f"{len(self.errors)} turns between rests", f"{least / units.DEG:.2g} deg"
+        if self.unit == "counts":
             self.samples = _SAMPLES
             return f"over {turns} it carries gravity to {angle} in {true}: give --gyro-unit {true}"
         if off > _REFUTED:
@@ -161,8 +151,12 @@ class _Turns:
                 f"over {turns} the angular rate carries gravity {off / units.DEG:.0f} deg past "
                 f"where it is, {angle} in {true},"
             )
-            raise self.stated.refused(what, true)
+            raise self._refused(what, true)
         return ""
+
+
+def _si(channel: Channel) -> Array:
+    return channel.pending.apply(channel.values) if channel.pending else channel.values
 
 
 def carried(t: Array, acc: Array, rate: Array, factors: Array) -> list[Array]:

@@ -36,7 +36,7 @@ _VALUES = 1000  # numbers of a gyroscope that are counted
 _ZONE, _ZONE_SHARE = 3, 0.2  # runs of one number, and of all of them, that make a dead zone
 
 
-def with_repeats_told(blocks: Iterable[Recording]) -> Iterator[Recording]:
+def with_held(blocks: Iterable[Recording]) -> Iterator[Recording]:
     """The same blocks with `Recording.held` filled; the last one's notes say how many samples these
     are where there are any."""
     seen: dict[str, _Repeats] = {}
@@ -46,16 +46,27 @@ def with_repeats_told(blocks: Iterable[Recording]) -> Iterator[Recording]:
         # Accelerometers first: what both repeat at once is no gyroscope's dead zone.
         for name, channel in sorted(block.channels.items(), key=lambda c: c[1].quantity):
             if channel.quantity in ("acceleration", "angular_rate") and channel.t.size:
-                beside = [h for h in held if h.channel == f"{channel.triad}/acceleration"]
+                force = [h for h in held if h.channel == f"{channel.triad}/acceleration"]
                 # A damaged number may be of any size.
                 with np.errstate(over="ignore", invalid="ignore"):
-                    held += seen.setdefault(name, _Repeats(channel)).add(channel, beside)
+                    held += seen.setdefault(name, _Repeats(name, channel)).add(channel, force)
         if last is not None:
             yield last
         last = replace(block, held=tuple(held)) if held else block
-    notes = tuple(word for name, found in seen.items() for word in found.words(name))
     if last is not None:
+        notes = tuple(word for found in seen.values() for word in found.words())
         yield replace(last, notes=(*last.notes, *notes)) if notes else last
+
+
+@dataclass
+class _Piece:
+    """Of pieces of a channel (k,): noise, step : (k, axes) size of a sample's noise, smallest step;
+    spread : of the readings; size : of their mean"""
+
+    noise: Array
+    step: Array
+    spread: Array
+    size: Array
 
 
 @dataclass
@@ -64,18 +75,18 @@ class _Repeats:
 
     count : samples; repeats : of them, all that equal the one before, `held` of these in stretches
         that are no measurement, `zone` in a gyroscope's dead zone
-    noise, steps : per piece (k,) sizes of a sample's noise and smallest steps; spread, size : of
-        its readings, and of their mean
+    pieces : of the noise; step : (axes,) of the converter, at the quietest; chance : of a repeat of
+        all axes there, as a logarithm, 0 where nothing is known
     lengths : of runs of repeats; longest : s, of a stretch
     """
 
+    name: str
     like: Channel
     count: int = 0
     repeats: int = 0
-    noise: list[Array] = field(default_factory=list)
-    steps: list[Array] = field(default_factory=list)
-    spread: list[Array] = field(default_factory=list)
-    size: list[Array] = field(default_factory=list)
+    pieces: list[_Piece] = field(default_factory=list)
+    step: Array | None = None
+    chance: float = 0.0
     lengths: list[Index] = field(default_factory=list)
     held: int = 0
     zone: int = 0
@@ -85,25 +96,22 @@ class _Repeats:
     _running: tuple[float, int] | None = None  # begin and repeats of a run that may go on
     _runs_of: dict[bytes, int] = field(default_factory=dict)
     _runs: int = 0
-    _step: Array | None = None
-    _known: tuple[int, float] = (0, 0.0)
 
-    def add(self, channel: Channel, beside: Sequence[Held]) -> list[Held]:
+    def add(self, channel: Channel, force: Sequence[Held]) -> list[Held]:
         """Take the next samples; the stretches among them that are no measurement.
 
-        beside : those of the accelerometer that a gyroscope belongs to
+        force : those of the accelerometer that a gyroscope belongs to
         """
         values, t = channel.values, channel.t
         self._look(channel)
-        before = values[:1] if self._last is None else self._last[1][None]
         same = np.empty(t.size, dtype=np.bool_)
-        same[0] = self._last is not None and bool((values[0] == before[0]).all())
+        same[0] = self._last is not None and bool((values[0] == self._last[1]).all())
         np.equal(values[1:, 0], values[:-1, 0], out=same[1:])
         for axis in range(1, values.shape[1]):  # rows of three are slow to reduce
             same[1:] &= values[1:, axis] == values[:-1, axis]
         self.count += t.size
         self.repeats += int(np.count_nonzero(same))
-        found = self._found(same, channel, beside) if self._chance() and same.any() else []
+        found = self._found(same, channel, force) if self.chance and same.any() else []
         if not same[-1]:
             self._running = None
         self._last = float(t[-1]), values[-1].copy()
@@ -111,16 +119,15 @@ class _Repeats:
 
     def _look(self, channel: Channel) -> None:
         """Size of the noise and smallest step, from pieces all over the samples."""
-        known = sum(len(n) for n in self.noise)
+        known = sum(len(p.size) for p in self.pieces)
         length = int(np.clip(_SECONDS * channel.rate, *_PIECE))
-        pieces = channel.t.size // length
-        if not pieces or known >= _PIECES:
+        count = channel.t.size // length
+        if not count or known >= _PIECES:
             return
-        chosen = np.unique(np.linspace(0, pieces - 1, min(pieces, _PIECES - known)).astype(int))
-        rows = chosen[:, None] * length + np.arange(length)
-        some = channel.values[rows]
+        chosen = np.unique(np.linspace(0, count - 1, min(count, _PIECES - known)).astype(int))
+        some = channel.values[chosen[:, None] * length + np.arange(length)]
         # Turned, so that every reduction runs along neighbouring numbers.
-        values = np.ascontiguousarray(self._si(channel, some).transpose(0, 2, 1))
+        values = np.ascontiguousarray(_si(channel, some).transpose(0, 2, 1))
         steps = np.abs(np.diff(values, axis=2))
         live = np.count_nonzero(np.logical_or.reduce(steps > 0.0, axis=1), axis=1)
         alive = np.isfinite(steps.sum(axis=(1, 2))) & (live > 0)
@@ -129,12 +136,36 @@ class _Repeats:
             return
         # Few steps are those of a converter that hardly shows the noise.
         over = np.where(live >= _LIVE, live, steps.shape[2])
-        self.noise.append(np.sqrt(0.5 * np.vecdot(steps, steps) / over[:, None]))
-        self.steps.append(np.where(steps > 0.0, steps, np.inf).min(axis=2))
-        self.spread.append(values.std(axis=2).max(axis=1))
-        self.size.append(np.linalg.norm(values.mean(axis=2), axis=1))
+        piece = _Piece(
+            noise=np.sqrt(0.5 * np.vecdot(steps, steps) / over[:, None]),
+            step=np.where(steps > 0.0, steps, np.inf).min(axis=2),
+            spread=values.std(axis=2).max(axis=1),
+            size=np.linalg.norm(values.mean(axis=2), axis=1),
+        )
+        self.pieces.append(piece)
+        self.chance = self._chance()
 
-    def _found(self, same: Flags, channel: Channel, beside: Sequence[Held]) -> list[Held]:
+    def _chance(self) -> float:
+        noise, steps, spread, size = (
+            np.concatenate([getattr(p, part) for p in self.pieces])
+            for part in ("noise", "step", "spread", "size")
+        )
+        least = _TURNING if self.like.unit == "rad/s" else np.inf
+        if self.like.quantity == "acceleration":
+            least = _LOUDEST * float(np.median(size))
+        quiet = spread <= least
+        if quiet.sum() < _FEWEST:
+            return 0.0
+        noise, steps = noise[quiet], steps[quiet]
+        moving = np.isfinite(steps).any(axis=0)
+        level = np.quantile(noise[:, moving], _QUIETEST, axis=0)
+        self.step = np.median(steps, axis=0)
+        step = self.step[moving]
+        if not moving.any() or not (level > _SHOWN * step).all():
+            return 0.0
+        return sum(log(_stays(float(n / s))) for n, s in zip(level, step, strict=True))
+
+    def _found(self, same: Flags, channel: Channel, force: Sequence[Held]) -> list[Held]:
         t, values = channel.t, channel.values
         starts = np.flatnonzero(same & ~np.append(False, same[:-1]))
         stops = np.flatnonzero(same & ~np.append(same[1:], False)) + 1
@@ -147,115 +178,79 @@ class _Repeats:
         self._running = (float(begins[-1]), int(grown[-1])) if stops[-1] == t.size else None
         if sum(n.size for n in self.lengths) < _PIECES:
             self.lengths.append(grown[:_PIECES].astype(np.intp))
-        longest = (_NATS + log(self.count)) / -self._chance()
+        longest = (_NATS + log(self.count)) / -self.chance
         over = np.flatnonzero(grown > longest)
-        both = [any(h.start < t[k] <= h.stop for h in beside) for k in starts[over]]
+        both = [any(h.start < t[k] <= h.stop for h in force) for k in starts[over]]
         zone = self._in_dead_zone(values[starts[over]]) & ~np.array(both, dtype=np.bool_)
         self.zone += int(lengths[over[zone]].sum())
-        longest = max(longest, self._copied())
+        if self.repeats - self.zone > 0.45 * self.count:  # a stream that repeats as a rule
+            longest = max(longest, _TIMES * float(np.median(np.concatenate(self.lengths))))
         over = over[~zone & (grown[over] > longest)]
-        noisy = [self._beside_noise(channel, int(starts[k]), int(stops[k])) for k in over[:_LOOKED]]
+        noisy = [self._in_noise(channel, int(starts[k]), int(stops[k])) for k in over[:_LOOKED]]
         over = over[np.array(noisy + [True] * (len(over) - len(noisy)), dtype=np.bool_)]
-        told_before = len(over) > 0 and over[0] == 0 and bool(grown[0] - lengths[0] > longest)
-        self.stretches += len(over) - told_before
+        counted = len(over) > 0 and over[0] == 0 and bool(grown[0] - lengths[0] > longest)
+        self.stretches += len(over) - counted
         self.held += int(lengths[over].sum())
         ends = t[stops[over] - 1]
-        if len(over):
-            self.longest = max(self.longest, float((ends - begins[over]).max()))
-        name = f"{self.like.triad}/{self.like.quantity}"
+        self.longest = max([self.longest, *(ends - begins[over]).tolist()])
         pairs = zip(begins[over].tolist(), ends.tolist(), strict=True)
-        return [Held(name, begin, end) for begin, end in pairs]
+        return [Held(self.name, begin, end) for begin, end in pairs]
 
-    def _beside_noise(self, channel: Channel, first: int, stop: int) -> bool:
-        """Whether a run of repeats stands among samples that show their noise: between others that
+    def _in_noise(self, channel: Channel, first: int, stop: int) -> bool:
+        """Whether a run of repeats lies among samples that show their noise: between others that
         hardly change, a converter is coarser than what is there to convert."""
-        near = _PIECE[1] // 2
-        pieces = channel.values[max(first - near, 0) : first], channel.values[stop:][:near]
-        steps = [np.abs(np.diff(self._si(channel, p), axis=0)) for p in pieces if len(p) > 1]
+        around = _PIECE[1] // 2
+        pieces = channel.values[max(first - around, 0) : first], channel.values[stop:][:around]
+        steps = [np.abs(np.diff(_si(channel, p), axis=0)) for p in pieces if len(p) > 1]
         every = np.concatenate([np.empty((0, channel.values.shape[1])), *steps])
         changed = every.any(axis=1)
         if changed.sum() < 2 * _LIVE:
             return False
-        if self._step is None:
+        if self.step is None:
             return True
         noise = np.sqrt(0.5 * (np.minimum(every[changed], 1e150) ** 2).mean(axis=0))
-        moving = np.isfinite(self._step)
-        return bool((noise[moving] > _SHOWN * self._step[moving]).all())
-
-    @staticmethod
-    def _si(channel: Channel, values: Array) -> Array:
-        return (
-            channel.pending.apply(values) if channel.pending else values.astype(float, copy=False)
-        )
+        moving = np.isfinite(self.step)
+        return bool((noise[moving] > _SHOWN * self.step[moving]).all())
 
     def _in_dead_zone(self, rows: Array) -> Flags:
         """Which of a gyroscope's runs read a number that many of its runs read, or zero."""
-        zone = np.zeros(len(rows), dtype=np.bool_)
         if self.like.quantity != "angular_rate":
-            return zone
+            return np.zeros(len(rows), dtype=np.bool_)
         keys = [row.tobytes() for row in rows + 0.0]  # a zero may have a sign
         for key in keys:
             if key in self._runs_of or len(self._runs_of) < _VALUES:
                 self._runs_of[key] = self._runs_of.get(key, 0) + 1
         self._runs += len(keys)
         least = max(_ZONE, _ZONE_SHARE * self._runs)
-        zone[:] = [self._runs_of.get(key, 0) >= least for key in keys]
+        zone = np.array([self._runs_of.get(key, 0) >= least for key in keys], dtype=np.bool_)
         return zone | ~rows.any(axis=1)
 
-    def _chance(self) -> float:
-        """Of a repeat of all axes at the quietest, as a logarithm; 0 where nothing is known."""
-        if not self.noise:
-            return 0.0
-        if self._known[0] != len(self.noise):
-            self._known = len(self.noise), self._chance_of()
-        return self._known[1]
-
-    def _chance_of(self) -> float:
-        noise, steps = np.concatenate(self.noise), np.concatenate(self.steps)
-        least = _TURNING if self.like.unit == "rad/s" else np.inf
-        if self.like.quantity == "acceleration":
-            least = _LOUDEST * float(np.median(np.concatenate(self.size)))
-        quiet = np.concatenate(self.spread) <= least
-        if quiet.sum() < _FEWEST:
-            return 0.0
-        noise, steps = noise[quiet], steps[quiet]
-        moving = np.isfinite(steps).any(axis=0)
-        level = np.quantile(noise[:, moving], _QUIETEST, axis=0)
-        self._step = np.median(steps, axis=0)
-        step = self._step[moving]
-        if not moving.any() or not (level > _SHOWN * step).all():
-            return 0.0
-        return sum(log(_stays(float(n / s))) for n, s in zip(level, step, strict=True))
-
-    def _copied(self) -> float:
-        """Repeats in a row that a stream may have which repeats as a rule; else 0."""
-        if self.repeats - self.zone <= 0.45 * self.count:
-            return 0.0
-        return _TIMES * float(np.median(np.concatenate(self.lengths)))
-
-    def words(self, name: str) -> Iterator[str]:
+    def words(self) -> Iterator[str]:
         """What there is to say of the channel."""
         if self.held:
             yield (
-                f"{name}: {self.held} samples repeat the one before to the last digit, in "
+                f"{self.name}: {self.held} samples repeat the one before to the last digit, in "
                 f"{self.stretches} stretches of up to {self.longest:.3g} s, as its noise never "
                 "does: held or filled in; no rest and no noise is taken from them"
             )
-        rest, chance = self.repeats - self.held - self.zone, self._chance()
+        rest, by_chance = self.repeats - self.held - self.zone, self.count * np.exp(self.chance)
         share = rest / max(self.count, 1)
-        by_chance = self.count * np.exp(chance)
-        if chance and share > 0.1 and rest * (log(rest / by_chance) - 1.0) > 3.0 * _NATS:
+        if self.chance and share > 0.1 and rest * (log(rest / by_chance) - 1.0) > 3.0 * _NATS:
             yield (
-                f"{name}: {100.0 * share:.2g} % of the samples repeat the one before to the last "
-                f"digit: the sensor gives about {self.like.rate * (1.0 - share):.4g} new ones a "
-                "second, and the others are copies"
+                f"{self.name}: {100.0 * share:.2g} % of the samples repeat the one before to the "
+                f"last digit: the sensor gives about {self.like.rate * (1.0 - share):.4g} new ones "
+                "a second, and the others are copies"
             )
+
+
+def _si(channel: Channel, values: Array) -> Array:
+    return channel.pending.apply(values) if channel.pending else values.astype(float, copy=False)
 
 
 def _stays(noise: float) -> float:
     """Chance that two samples of a noise, in steps, read one number: at most, at its centre."""
     if noise > 20.0:
-        return 1.0 / (2.0 * sqrt(np.pi) * noise)
+        return 1.0 / (2.0 * sqrt(np.pi) * min(noise, 1e300))  # a damaged number may be of any size
     edges = [erf((k + 0.5) / (noise * sqrt(2.0))) for k in range(int(8 * noise) + 2)]
     total = edges[0] ** 2
     for inner, outer in pairwise(edges):

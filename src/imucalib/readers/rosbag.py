@@ -167,7 +167,7 @@ def _topic(number: int, connection: Any) -> Topic:
     encoding = getattr(connection.ext, "serialization_format", "ros1")
     kind = "ros1msg" if encoding == "ros1" else _FORMATS[definition.format.name]
     schema = Schema(number + 1, definition.data.encode(), kind, connection.msgtype)
-    return Topic(number, connection.topic, encoding, schema)
+    return Topic(number, connection.topic, encoding, schema, count=connection.msgcount)
 
 
 def _block(batch: list[tuple[int, int, int, bytes]]) -> MessageBlock:

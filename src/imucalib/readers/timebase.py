@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
+from imucalib.readers.columns import by_word
 from imucalib.recording.mapping import TIME_UNITS, TIME_ZEROS
 from imucalib.recording.recording import Gap
 
@@ -55,18 +56,14 @@ def find_gaps(t: Array, rows: Array | range, threshold: float, before: float | N
     before : the last time of the previous block, or None.
     """
     gaps = []
-
-    def add(start: float, stop: float, lost: bool) -> None:
-        reason = "time steps back" if stop < start else "values missing" if lost else "no samples"
-        gaps.append(Gap(start, stop, reason))
-
-    if before is not None and t.size and not 0.0 <= float(t[0]) - before <= threshold:
-        add(before, float(t[0]), False)
     steps = np.diff(t)
+    if before is not None and t.size and not 0.0 <= float(t[0]) - before <= threshold:
+        gaps.append((before, float(t[0]), False))
     if steps.size and not (steps.min() >= 0.0 and steps.max() <= threshold):
         for k in np.flatnonzero((steps > threshold) | (steps < 0)).tolist():
-            add(float(t[k]), float(t[k + 1]), int(rows[k + 1] - rows[k]) > 1)
-    return gaps
+            gaps.append((float(t[k]), float(t[k + 1]), int(rows[k + 1] - rows[k]) > 1))
+    lost = ("no samples", "values missing")
+    return [Gap(a, b, "time steps back" if b < a else lost[some]) for a, b, some in gaps]
 
 
 def set_back(t: NDArray[Any], before: NDArray[Any], least: float) -> list[int]:
@@ -186,19 +183,20 @@ def date_of(stamp: float | int, unit: str, epoch: int | None = None) -> int | No
 _SINCE = re.compile(r"\s*([A-Za-zµμ]+)\s+since\s+(.+?)\s*$")
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 #: Spellings of the units of time.
-_SPELLED = {
-    "s": "sec secs second seconds",
-    "ms": "msec msecs millis millisecond milliseconds millisec",
-    "us": "µs μs usec usecs micros microsecond microseconds microsec",
-    "min": "mins minute minutes",
-    "ns": "nsec nsecs nanos nanosecond nanoseconds nanosec",
-    "h": "hr hrs hour hours",
-    "d": "day days",
-    "excel": "serial",
-    "datenum": "matlab",
-    "julian": "jd",
-}
-_ALIASES = {word: unit for unit, words in _SPELLED.items() for word in words.split()}
+_ALIASES = by_word(
+    {
+        "s": "sec secs second seconds",
+        "ms": "msec msecs millis millisecond milliseconds millisec",
+        "us": "µs μs usec usecs micros microsecond microseconds microsec",
+        "min": "mins minute minutes",
+        "ns": "nsec nsecs nanos nanosecond nanoseconds nanosec",
+        "h": "hr hrs hour hours",
+        "d": "day days",
+        "excel": "serial",
+        "datenum": "matlab",
+        "julian": "jd",
+    }
+)
 
 
 def clock_unit(text: str, where: str) -> tuple[str, int | None]:

@@ -7,8 +7,8 @@ stores the resolved one in `Recording.mapping`, so any result can be reproduced 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -109,68 +109,53 @@ class FieldMapping:
         if self.skip is not None and self.skip < 0:
             raise UsageError(f"skip {self.skip} is negative", where="mapping: skip")
         if self.time_unit not in ("", "text", *TIME_UNITS):
-            choices = ", ".join((*TIME_UNITS, "text"))
-            raise UsageError(
+            what, choices = (
                 f"unknown time unit '{self.time_unit}'",
-                where="mapping: time_unit",
-                remedy=f"use one of: {choices}",
+                ", ".join((*TIME_UNITS, "text")),
             )
+            raise UsageError(what, where="mapping: time_unit", remedy=f"use one of: {choices}")
         for condition in self.where:
             if not all(part.strip() for part in condition.partition("=")):
-                raise UsageError(
-                    f"'{condition}' is not COLUMN=VALUE",
-                    where="mapping: where",
-                    remedy="write it like serial=A12",
-                )
+                what, remedy = f"'{condition}' is not COLUMN=VALUE", "write it like serial=A12"
+                raise UsageError(what, where="mapping: where", remedy=remedy)
         if self.decimal not in ("", ".", ","):
-            raise UsageError(
-                f"decimal mark '{self.decimal}' is neither . nor ,", where="mapping: decimal"
-            )
+            what = f"decimal mark '{self.decimal}' is neither . nor ,"
+            raise UsageError(what, where="mapping: decimal")
 
     def to_dict(self) -> dict[str, Any]:
         """The stated fields only, as plain lists, numbers and strings."""
-        out: dict[str, Any] = {}
-        for f in fields(self):
-            value = getattr(self, f.name)
-            if value not in ((), "", None):
-                out[f.name] = list(value) if isinstance(value, tuple) else value
-        return out
+        stated = self._stated().items()
+        return {name: list(v) if isinstance(v, tuple) else v for name, v in stated}
 
     def filled_from(self, other: FieldMapping) -> FieldMapping:
         """This mapping, with every field that is not stated taken from `other`."""
-        return replace(other, **{k: _as_field(k, v) for k, v in self.to_dict().items()})
+        return replace(other, **self._stated())
+
+    def _stated(self) -> dict[str, Any]:
+        every = ((f.name, getattr(self, f.name)) for f in fields(self))
+        return {name: value for name, value in every if value not in ((), "", None)}
 
 
 def from_dict(data: Mapping[str, object], where: str = "mapping") -> FieldMapping:
     """A mapping from plain data; lists may be given as "a,b,c". Raises UsageError on a bad key."""
     known = {f.name for f in fields(FieldMapping)}
-    for key in data:
+    found = {}
+    for key, value in data.items():
         if key not in known:
             raise UsageError(
                 f"unknown field '{key}'", where=where, remedy=f"known: {', '.join(sorted(known))}"
             )
-    return FieldMapping(**{k: _as_field(k, v, where) for k, v in data.items() if v is not None})
+        try:
+            if value is not None:
+                found[key] = _READ.get(key, str)(value)
+        except (TypeError, ValueError) as error:
+            raise UsageError(f"'{value}' is not a valid {key}", where=where) from error
+    return FieldMapping(**found)
 
 
-_FLOATS = ("lsb_per_g", "lsb_per_dps", "acc_offset", "gyro_offset")
-_STRINGS = ("acc", "gyro", "temperature", "triads", "where")
-
-
-def _as_field(key: str, value: object, where: str = "mapping") -> Any:
-    try:
-        if key in _FLOATS or key in _STRINGS:
-            parts: Any = value.split(",") if isinstance(value, str) else value
-            items = list(parts) if isinstance(parts, list | tuple) else [parts]
-            return tuple(float(v) if key in _FLOATS else str(v).strip() for v in items)
-        if key == "rate":
-            return float(value)  # type: ignore[arg-type]
-        if key in ("skip", "max_chunk"):
-            return int(value)  # type: ignore[call-overload]
-        if key in ("header", "allow_external"):
-            return _as_bool(value)
-        return str(value)
-    except (TypeError, ValueError) as error:
-        raise UsageError(f"'{value}' is not a valid {key}", where=where) from error
+def _parts(value: Any) -> Sequence[Any]:
+    parts = value.split(",") if isinstance(value, str) else value
+    return parts if isinstance(parts, list | tuple) else [parts]
 
 
 def _as_bool(value: object) -> bool:
@@ -179,12 +164,30 @@ def _as_bool(value: object) -> bool:
     return value
 
 
+#: Of each field that is not a text, what makes it of plain data.
+_READ: dict[str, Callable[[Any], Any]] = {
+    **dict.fromkeys(
+        ("acc", "gyro", "temperature", "triads", "where"),
+        lambda value: tuple(str(part).strip() for part in _parts(value)),
+    ),
+    **dict.fromkeys(
+        ("lsb_per_g", "lsb_per_dps", "acc_offset", "gyro_offset"),
+        lambda value: tuple(float(part) for part in _parts(value)),
+    ),
+    "rate": float,
+    "skip": int,
+    "max_chunk": int,
+    "header": _as_bool,
+    "allow_external": _as_bool,
+}
+
+
 @dataclass(frozen=True)
 class AxisMap:
     """Signed permutation of three axes: output axis i is sign[i] * input axis order[i]."""
 
     order: tuple[int, int, int] = (0, 1, 2)
-    sign: tuple[float, float, float] = field(default=(1.0, 1.0, 1.0))
+    sign: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
     def apply(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Map values (..., 3); the input itself when the map changes nothing."""

@@ -74,19 +74,36 @@ def paired(wanted: Sequence[Sequence[str]], recording: Recording, whose: str) ->
     wanted : of each sensor the names that it goes by, what the user calls it first
     whose : "the board" or "the calibration", for messages
     By order only where no name fits at all and there are as many. Raises UnreadableInput where
-    names are left over on both sides, or nothing fits.
+    names of both sides have no partner, or nothing fits.
     """
-    known = names_in(recording)
+    known, firsts = names_in(recording), [w[0] for w in wanted]
     found = _by_names(wanted, known)
-    if found and (len(found) == len(known) or len(set(found.values())) == len(wanted)):
-        return Pairing(found, _remarks(wanted, known, found, whose))
+    alone = [r for r in known if r not in found]
+    absent = [name for k, name in enumerate(firsts) if k not in found.values()]
+    if found and not (alone and absent):
+        renamed = [f"{r} is {firsts[k]}" for r, k in found.items() if r != firsts[k]]
+        remarks = {
+            "paired by name": renamed,
+            f"not of {whose}, left as they are": alone,
+            f"of {whose}, not in the recording": absent,
+        }
+        notes = (f"{what}: {', '.join(names)}" for what, names in remarks.items() if names)
+        return Pairing(found, tuple(notes))
     if not found and known and len(known) == len(wanted):
-        pairs = [f"{r} is {w[0]}" for r, w in zip(known, wanted, strict=True) if r != w[0]]
+        pairs = [f"{r} is {first}" for r, first in zip(known, firsts, strict=True) if r != first]
         note = f"no name of {whose} fits one of the recording: paired in order, {', '.join(pairs)}"
         in_order = dict(zip(known, range(len(wanted)), strict=True))
         return Pairing(in_order, (note,) if pairs else ())
+    many = "accelerometer" if len(known) == 1 else "accelerometers"
+    what = f"{whose} has {len(wanted)} IMUs, the recording {len(known)} {many}"
+    ours, theirs = listed(absent), listed(alone)
+    if found:
+        what += f", and only {len(found)} names fit; left over: {ours}; in the recording "
+        what += theirs or "none"
+    else:
+        what += f", and no name fits: {ours}; in the recording {theirs}"
     raise UnreadableInput(
-        _sides(wanted, known, found, whose),
+        what,
         where=recording.path,
         remedy=f"give the sensors the same names on both sides: in {whose}'s file, or by naming "
         "the recording's with a mapping (`imucal inspect --save-mapping`, key triads)",
@@ -152,41 +169,6 @@ def _by_names(
         if len(found) in (len(known), len(wanted)):
             break
     return found
-
-
-def _remarks(
-    wanted: Sequence[Sequence[str]],
-    known: Mapping[str, frozenset[str]],
-    found: Mapping[str, int],
-    whose: str,
-) -> tuple[str, ...]:
-    renamed = [f"{r} is {wanted[k][0]}" for r, k in found.items() if r != wanted[k][0]]
-    left = [r for r in known if r not in found]
-    absent = [w[0] for k, w in enumerate(wanted) if k not in found.values()]
-    return (
-        *([f"paired by name: {', '.join(renamed)}"] if renamed else []),
-        *([f"not of {whose}, left as they are: {', '.join(left)}"] if left else []),
-        *([f"of {whose}, not in the recording: {', '.join(absent)}"] if absent else []),
-    )
-
-
-def _sides(
-    wanted: Sequence[Sequence[str]],
-    known: Mapping[str, frozenset[str]],
-    found: Mapping[str, int],
-    whose: str,
-) -> str:
-    ours = [w[0] for k, w in enumerate(wanted) if k not in found.values()]
-    theirs = [r for r in known if r not in found]
-    count = f"{whose} has {len(wanted)} IMUs, the recording {len(known)} " + (
-        "accelerometer" if len(known) == 1 else "accelerometers"
-    )
-    if not found:
-        return f"{count}, and no name fits: {listed(ours)}; in the recording {listed(theirs)}"
-    return (
-        f"{count}, and only {len(found)} names fit; left over: {listed(ours)}; "
-        f"in the recording {listed(theirs) or 'none'}"
-    )
 
 
 def listed(names: Sequence[str]) -> str:

@@ -98,10 +98,7 @@ def dump(content: dict[str, Any], *, indented: bool = False) -> str:
 def _float(value: float) -> str:
     if not np.isfinite(value):
         return ".nan" if np.isnan(value) else ".inf" if value > 0 else "-.inf"
-    text = repr(value)
-    if "e" in text:
-        mantissa, exponent = text.split("e")
-        if "." not in mantissa:
-            mantissa += ".0"
-        return f"{mantissa}e{int(exponent):+03d}"
-    return text
+    mantissa, e, exponent = repr(value).partition("e")
+    if not e:
+        return mantissa
+    return f"{mantissa if '.' in mantissa else f'{mantissa}.0'}e{int(exponent):+03d}"

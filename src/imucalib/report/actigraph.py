@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from imucalib.calibrators.actigraph.coverage import Coverage
-from imucalib.calibrators.actigraph.errors import norm_sd, raw_errors, sphere_cells
+from imucalib.calibrators.actigraph.errors import Coverage, norm_sd, raw_errors, sphere_cells
 from imucalib.calibrators.actigraph.observations import from_data, hours
 from imucalib.calibrators.actigraph.published import PublishedRun
 from imucalib.calibrators.actigraph.run import ActigraphRun
@@ -89,16 +88,16 @@ def _of_a_kind(run: ActigraphRun) -> Section:
     said, fit, title = run.result.of_a_kind, run.result.final, "The fleet's word"
     if said is None:
         return Section(title, ())
-    if np.isnan(said.strange):
+    if np.isnan(said.chance):
         words = "Its own postures tell all nine parameters so well that the fleet was not needed."
         return Section(title, (Text(words),))
-    if not said.taken:
+    if not said.used:
         words = (
             "Not believed: one of the fleet's kind is as far off with a chance of "
-            f"{probability(said.strange, 999)}. The calibration is the recording's own."
+            f"{probability(said.chance, 999)}. The calibration is the recording's own."
         )
         return Section(title, (Text(words, "warning"),))
-    kind = parameters.kind_section(said.kind, fit, said.strange, "posture run", said.alone)
+    kind = parameters.kind_section(said.kind, fit, said.chance, "posture run", said.alone)
     before, now = (
         1.96 * float(norm_sd(one, even_directions()).max()) / MG for one in (said.alone, fit)
     )
@@ -249,8 +248,8 @@ def _coverage(run: ActigraphRun) -> Section:
     if c.temperature is not None:
         low, high = c.temperature
         rows.append(("temperature", f"{low:.1f} to {high:.1f} °C; reference 25 °C"))
-    if c.light:
-        rows.append(("count less", f"{c.light} runs that nothing else is like"))
+    if c.downweighted:
+        rows.append(("count less", f"{c.downweighted} runs that nothing else is like"))
     rows += [("note", text) for text in run.outcome.notes]
     return Section("What was recorded", (Facts(tuple(rows)),))
 

@@ -7,7 +7,7 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.estimate.total import GyroScale, Total, size_over
-from imucalib.calibrators.array.logs.board_run import BoardRun
+from imucalib.calibrators.array.logs import BoardRun
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.run import ArrayRun
 from imucalib.core.eigen import eigen

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import groupby
 from typing import Any
 
 from imucalib.calibration.plain import fields, listed
@@ -86,7 +87,13 @@ def _one(effect: Effect) -> Section:
     return Section("Effect", (Facts(facts), table))
 
 
+def _sizes(effect: Effect) -> list[tuple[str, float, float, str]]:
+    """Names, typical size, largest and unit of neighbours that share them."""
+    same = groupby(_parameters(effect), lambda p: (p.typical, p.plausible, p.unit))
+    return [(", ".join(f"`{p.name}`" for p in names), *size) for size, names in same]
+
+
 def catalogue_markdown(effects: Sequence[Effect], scans: Sequence[Family] = ()) -> str:
     """docs/effects.md: generated, so that it cannot go stale."""
-    functions = {"acts_on": _acts_on, "needs": _needs, "parameters": _parameters}
+    functions = {"acts_on": _acts_on, "needs": _needs, "sizes": _sizes}
     return str(filled("effects.md.j2", effects=effects, scans=scans, **functions))

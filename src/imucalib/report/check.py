@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibration.checking.check import POWER, SIGNIFICANT, Check, SensorCheck
-from imucalib.calibration.checking.e_value import ALPHA
-from imucalib.calibration.checking.misfit import FAMILIES
+from imucalib.calibration.checking.check import ALPHA, POWER, SIGNIFICANT, Check, SensorCheck
 from imucalib.calibration.checking.next_rests import MANY, NextRests
+from imucalib.calibration.checking.noise import FAMILIES
 from imucalib.calibration.checking.statistic import ANYTHING, DRAWS
 from imucalib.calibration.plain import fields, plain
 from imucalib.report.document import Block, Card, Document, Section, Table, Text, Tone, Worth
@@ -100,8 +99,7 @@ def _verdict(check: Check) -> Text:
 
 
 def _card(check: Check, calibration: Path, command: str) -> Card:
-    """What it could have seen; what shows, the reading that fits least, and the evidence of all
-    looks; what to do."""
+    """What it could have seen; what shows, and the reading that fits least; what to do."""
     worths = []
     for name, limit in check.limits.items():
         size, unit = max(s.seen[name] for s in check.sensors), FAMILIES[name]
@@ -119,16 +117,9 @@ def _card(check: Check, calibration: Path, command: str) -> Card:
     if moved := [s.name or "the gyroscope" for s in check.turned_on if s not in check.drifted]:
         words = f"The gyroscope's bias of {', '.join(moved)} moved, as at every switching on."
         lines.append(Text(words))
-    looks = "this check" if check.looks == 1 else f"{check.looks} checks together"
-    bar = 1.0 / ALPHA
-    said = "enough" if check.e >= bar else "not enough"
-    evidence = (
-        f"Evidence of a change by {looks}: e = {check.e:.3g}, {said}: {bar:.0f} is reached by "
-        f"chance in at most {100 * ALPHA:.0f} % of calibrations, however often one looks."
-    )
     steps = _to_do(check, shlex.quote(str(calibration)))
-    found = (*lines, Text(evidence))
-    return Card(tuple(worths), found, steps, command, headline=_HEADLINE[check.verdict])
+    headline = _HEADLINE[check.verdict]
+    return Card(tuple(worths), tuple(lines), steps, command, headline=headline)
 
 
 def _to_do(check: Check, calibration: str) -> tuple[str, ...]:
@@ -148,10 +139,7 @@ def _to_do(check: Check, calibration: str) -> tuple[str, ...]:
         many = None if following is None else following.many
         lead = "No recording decides this" if many is None else f"It would take about {many} rests"
         return (f"{lead}: calibrate again, or accept a wider limit (--limit).",)
-    return (
-        f"Go on with it: `imucal apply {calibration} RECORDING -o corrected.mcap`.",
-        "At the next check give --history FILE, so that the evidence of all looks counts.",
-    )[: 1 if check.looks > 1 else 2]
+    return (f"Go on with it: `imucal apply {calibration} RECORDING -o corrected.mcap`.",)
 
 
 def _changes(check: Check) -> list[str]:
@@ -324,7 +312,7 @@ def check_dict(check: Check, log: str, calibration: str, sha256: str) -> dict[st
         "calibration": calibration,
         "calibration_sha256": sha256,
         "log": log,
-        **fields(check, "verdict exit_code p e_value=e looks"),
+        **fields(check, "verdict exit_code p"),
         "alpha": ALPHA,
         "power": POWER,
         "limits": {n: {"value": v, "unit": FAMILIES[n]} for n, v in check.limits.items()},

@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from imucalib.calibration.comparison.compare import ALPHA, SIGNIFICANT, Comparison, Drift, Meaning
+from imucalib.calibration.comparison.basis import Worst
+from imucalib.calibration.comparison.compare import ALPHA, SIGNIFICANT, Comparison, Drift
 from imucalib.calibration.plain import fields, plain
 from imucalib.report.document import Card, Document, Plot, Section, Series, Table, Text, Tone, Worth
 from imucalib.report.plots import band
@@ -66,7 +67,7 @@ def _verdict(found: Comparison) -> Text:
         which = f" Without {' and '.join(found.odd)} the others agree." if found.odd else ""
         return Text(f"They differ beyond the limit ({proof}): {worst}.{which}", tone)
     if found.verdict == "undecided":
-        kinds = " and ".join(_QUANTITY[m.worst.unit] for m in found.meanings if m.beyond)
+        kinds = " and ".join(_QUANTITY[m.unit] for m in found.meanings if m.beyond)
         words = (
             f"Undecided ({proof}): {kinds} differs by more than the limit, within what the files "
             f"state themselves: {worst}. Calibrate from more positions."
@@ -76,23 +77,22 @@ def _verdict(found: Comparison) -> Text:
     return Text(f"{lead} ({proof}): {worst}.", tone)
 
 
-def _words(found: Comparison, meaning: Meaning) -> str:
-    worst = meaning.worst
+def _words(found: Comparison, worst: Worst) -> str:
     size = two_digits(worst.value) if math.isnan(worst.sd) else plus_minus(worst.value, worst.sd)
     pair = f" between {' and '.join(found.names[k] for k in worst.pair)}" * (len(found.names) > 2)
-    name = f" ({meaning.sensor})" if meaning.sensor else ""
+    name = f" ({worst.sensor})" if worst.sensor else ""
     return f"{_QUANTITY[worst.unit]}{name} by {size} {worst.unit} at most{pair}"
 
 
 def _card(found: Comparison, paths: Sequence[Path], command: str) -> Card:
     """To how much the calibrations agree, what shows, and what to do."""
     worths = []
-    for meaning in found.meanings:
-        worst, unit = meaning.worst, meaning.worst.unit
+    for worst in found.meanings:
+        unit = worst.unit
         size = plus_minus(worst.value, worst.sd) if worst.sd > 0.0 else two_digits(worst.value)
-        limit = f"limit {meaning.limit:.2g} {unit}, {_how(found)}"
+        limit = f"limit {worst.limit:.2g} {unit}, {_how(found)}"
         detail = f"at most, where the force is {_signed(worst.attitude)}; {limit}"
-        sensor = f", {meaning.sensor}" if meaning.sensor else ""
+        sensor = f", {worst.sensor}" if worst.sensor else ""
         worths.append(Worth(f"difference of {_WORTH[unit]}{sensor}", f"{size} {unit}", detail))
     fit = found.agreement
     words = (
@@ -132,14 +132,13 @@ def _to_do(found: Comparison, paths: Sequence[Path]) -> tuple[str, ...]:
 def _meanings(found: Comparison) -> Table:
     tones: dict[int, Tone] = {}
     named, rows = any(m.sensor for m in found.meanings), []
-    for k, meaning in enumerate(found.meanings):
-        worst = meaning.worst
-        if meaning.beyond:
+    for k, worst in enumerate(found.meanings):
+        if worst.beyond:
             tones[k] = "bad" if found.differ else "warning"
         pair = " - ".join(found.names[j] for j in reversed(worst.pair))
         size = with_sd(worst.value, worst.sd) if worst.sd > 0.0 else (two_digits(worst.value), "-")
-        last = (f"{meaning.limit:.2g}", worst.unit, _signed(worst.attitude))
-        rows.append((_QUANTITY[worst.unit], *[meaning.sensor] * named, pair, *size, *last))
+        last = (f"{worst.limit:.2g}", worst.unit, _signed(worst.attitude))
+        rows.append((_QUANTITY[worst.unit], *[worst.sensor] * named, pair, *size, *last))
     note = f"The worst attitude of all, as the direction of the force. Limit: {_how(found)}."
     last_heads = ("pair", "at most", "sd", "limit", "unit", "attitude")
     header = ("difference of", *["sensor"] * named, *last_heads)
@@ -237,11 +236,11 @@ def _day(drift: Drift, days: float) -> str:
 def control_chart(found: Comparison) -> tuple[Plot, ...]:
     """Size of the corrected force at the attitude where the calibrations differ most, against time
     or their order, with its sd and the limit; none where no force was compared."""
-    force = next((m for m in found.meanings if m.worst.unit == "mg"), None)
+    force = next((m for m in found.meanings if m.unit == "mg"), None)
     if force is None:
         return ()
     seen = found.seen[force.sensor]
-    at = int(np.argmax(seen.attitude @ force.worst.attitude))
+    at = int(np.argmax(seen.attitude @ force.attitude))
     value, sd = seen.size[:, at], seen.size_sd[:, at]
     weight = 1.0 / sd**2
     level = float(weight @ value / weight.sum())
@@ -253,7 +252,7 @@ def control_chart(found: Comparison) -> tuple[Plot, ...]:
         Series("mean", ends, np.full(2, level), "line"),
         Series.about("calibrations, 95 %", x, value, _HALF * sd, "points", tuple(found.names)),
     )
-    where = ", ".join(f"{v:+.2f}" for v in force.worst.attitude)
+    where = ", ".join(f"{v:+.2f}" for v in force.attitude)
     caption = (
         f"The attitude that differs most, force along ({where}): points outside the band have left "
         "the limit about the mean of all; whiskers are 95 % by what each calibration states."
@@ -268,9 +267,9 @@ def comparison_dict(found: Comparison) -> dict[str, Any]:
     fit, basis, between, drift = found.agreement, found.basis, found.scatter, found.drift
     worst = [
         {
-            **fields(m, "difference=worst.value sd=worst.sd unit=worst.unit limit beyond sensor"),
-            "pair": [found.names[k] for k in m.worst.pair],
-            "attitude": m.worst.attitude,
+            **fields(m, "difference=value sd unit limit beyond sensor"),
+            "pair": [found.names[k] for k in m.pair],
+            "attitude": m.attitude,
         }
         for m in found.meanings
     ]

@@ -163,7 +163,7 @@ def _note(part: Part, found: NextRecording) -> str:
     words = "Set the dials as finely as before, each row anew."
     if part.header[1].startswith("gravity"):
         words = "Within about 5 deg; what counts is which axes share gravity."
-    if found.wish.between > 0.0:
+    if found.between > 0.0:
         return f"{words} The plan allows for another power-up."
     return (
         f"{words} Append them to the table, recorded in the same power-up; where that is over, "
@@ -193,7 +193,7 @@ def separation_dict(found: NextRecording) -> dict[str, Any]:
         "schema": "imucal/separation/2",
         "calibrator": found.calibrator,
         "ended": found.exit_code == 0,
-        "between_sessions_mg": found.wish.between,
+        "between_sessions_mg": found.between,
         "ambiguities": ambiguities,
         "table": found.table,
     }

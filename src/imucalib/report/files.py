@@ -22,7 +22,7 @@ from imucalib.calibration.findings import Findings, FoundStep
 from imucalib.calibration.outcome import Run
 from imucalib.calibration.plain import fields, listed, plain
 from imucalib.errors import ImucalError, UsageError
-from imucalib.exports import Exported
+from imucalib.exports import Made
 from imucalib.loop.found import Score
 from imucalib.recording.yaml_text import load
 from imucalib.report.document import Document, Plot, Series
@@ -83,9 +83,7 @@ def demand_folder(folder: Path, inputs: Sequence[Path]) -> None:
         )
 
 
-def write_report(
-    report: Report, folder: Path, exported: Sequence[Exported] = ()
-) -> tuple[Path, ...]:
+def write_report(report: Report, folder: Path, exported: Sequence[Made] = ()) -> tuple[Path, ...]:
     """Write calibration.yaml, report.json, report.html and exports into a folder, all or none;
     returns their paths."""
     from imucalib.report.render.html import render_html
@@ -131,13 +129,13 @@ def report_dict(run: Run) -> dict[str, Any]:
 
 
 def _covariance(run: Run) -> dict[str, Any]:
-    covariance, quality = run.calibration.covariance, run.outcome.quality
-    if quality is None:
+    covariance, fit = run.calibration.covariance, run.outcome.fit
+    if fit is None:
         return {"estimated_noise": covariance}
     return {
         "estimated_noise": covariance,
-        "declared_noise": covariance / quality.noise_factor**2,
-        **fields(quality, "chi2 dof noise_factor condition"),
+        "declared_noise": covariance / fit.noise.factor**2,
+        **fields(fit, "chi2 dof noise_factor=noise.factor condition"),
     }
 
 

@@ -53,8 +53,8 @@ def fleet_document(fleet: Fleet) -> Document:
         Section("Not calibrated", tuple(Text(f"{n}: {why}", "bad") for n, why in fleet.failed)),
         Section("Notes", tuple(map(Text, notes))),
     )
-    command = fleet.asked.command
-    footer = (("command", command), ("seed", str(fleet.asked.seed))) if command else ()
+    command = fleet.settings.command
+    footer = (("command", command), ("seed", str(fleet.settings.seed))) if command else ()
     title, verdict = f"Fleet of {len(fleet.members)} devices", _verdict(fleet)
     return Document(title, verdict, parts, footer, _card(fleet))
 
@@ -96,7 +96,7 @@ def _card(fleet: Fleet) -> Card:
         _worth(fleet),
         _found(fleet),
         _to_do(fleet),
-        fleet.asked.command,
+        fleet.settings.command,
         _uses(fleet),
         _headline(fleet),
     )
@@ -116,13 +116,14 @@ def _uses(fleet: Fleet) -> tuple[Use, ...]:
     """What a device's own calibration, and the fleet's, are for."""
     made = [m.name for m in fleet.members if any(r.calibration for r in m.recordings)]
     own, next_ = f"{{folder}}/{made[0]}/calibration.yaml" if made else "", "{folder}/fleet.yaml"
-    wanted = "TABLE" if fleet.asked.calibrator == "lab" else "RECORDING"
+    wanted = "TABLE" if fleet.settings.calibrator == "lab" else "RECORDING"
     each = Use(
         f"Correct a recording of {made[0] if made else ''}, and so for each device",
         ("apply", own, "RECORDING", "-o", "corrected.mcap"),
     )
     another = Use(
-        "Calibrate another device of the kind", (fleet.asked.calibrator, wanted, "--fleet", next_)
+        "Calibrate another device of the kind",
+        (fleet.settings.calibrator, wanted, "--fleet", next_),
     )
     return (*[each] * bool(made), *[another] * bool(fleet.following))
 
@@ -137,7 +138,7 @@ def _worth(fleet: Fleet) -> tuple[Worth, ...]:
             size = f"{np.sqrt(np.mean(own**2)):.2g} {unit.removeprefix('1')}".rstrip()
             made.append(Worth(f"{len(own)} {what}", size, "between devices, rms"))
         return tuple(made)
-    worst, how = max(members, key=lambda m: m.final), _HOW[fleet.asked.calibrator]
+    worst, how = max(members, key=lambda m: m.final), _HOW[fleet.settings.calibrator]
     detail = f"{worst.name}, {how}; alone {worst.base:.3g}"
     one = Worth("the worst device", f"{worst.final:.3g} mg", detail)
     gain = fleet.difference
@@ -179,7 +180,7 @@ def _to_do(fleet: Fleet) -> tuple[str, ...]:
         for name in dict.fromkeys(o.device for o in fleet.outliers)
     ]
     steps += [f"Mend {name}: {why.rstrip('.')}." for name, why in fleet.failed]
-    lab = fleet.asked.calibrator == "lab"
+    lab = fleet.settings.calibrator == "lab"
     if fleet.verdict in ("suspected", "unexplained"):
         more = "positions of each: `imucal design TABLE`" if lab else "recordings of each"
         steps.append(f"Record more devices, or more {more}.")
@@ -210,7 +211,8 @@ def _each(fleet: Fleet) -> tuple[Table | Plot, ...]:
     if not shown:
         return ()
     rows = tuple(
-        (m.name, f"{m.base:.3g}", f"{m.final:.3g}", ", ".join(m.told) or "nothing") for m in shown
+        (m.name, f"{m.base:.3g}", f"{m.final:.3g}", ", ".join(m.found_by_others) or "nothing")
+        for m in shown
     )
     at, names = np.arange(1.0, len(shown) + 1.0), tuple(m.name for m in shown)
     series = [Series("alone", at, np.array([m.base for m in shown]), "rings", names=names)]
@@ -218,7 +220,7 @@ def _each(fleet: Fleet) -> tuple[Table | Plot, ...]:
         final = np.array([m.final for m in shown])
         series.append(Series("with the fleet", at, final, "points", names=names))
     error, caption = "error beside the walk", "Effects"
-    if fleet.asked.calibrator == "lab":
+    if fleet.settings.calibrator == "lab":
         error, caption = "held-out error", "Each position predicted without it; effects"
     caption += " chosen and sized by the other devices."
     title = f"{error.capitalize()} of each device"
@@ -282,7 +284,7 @@ def fleet_dict(fleet: Fleet) -> dict[str, Any]:
                 {**fields(r, "name input=provenance.path"), "kept": r.kept or None}
                 for r in m.recordings
             ],
-            **fields(m, "base_mg=base final_mg=final found_by_the_others=told"),
+            **fields(m, "base_mg=base final_mg=final found_by_the_others=found_by_others"),
         }
         for m in fleet.members
     ]
@@ -295,7 +297,7 @@ def fleet_dict(fleet: Fleet) -> dict[str, Any]:
         for s in fleet.spreads
     ]
     content = {
-        **fields(fleet, "calibrator=asked.calibrator verdict exit_code"),
+        **fields(fleet, "calibrator=settings.calibrator verdict exit_code"),
         "found": listed(search.found if search else (), found),
         "held_out_mg": fleet.difference and fields(fleet.difference, gain),
         "devices": members,
@@ -309,7 +311,7 @@ def fleet_dict(fleet: Fleet) -> dict[str, Any]:
         "notes": fleet.notes,
         "provenance": {
             "inputs": listed(made, "input=path sha256"),
-            **fields(fleet.asked, "settings command seed"),
+            **fields(fleet.settings, "settings=stated command seed"),
             **fields(made[-1], "versions time"),
         },
     }

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from imucalib.calibration.plain import fields, listed, plain
-from imucalib.calibrators.lab.inspected import TableSeen
+from imucalib.calibrators.lab.files import TableSeen
 from imucalib.inspection.inspection import ChannelFacts, Inspection, advice, next_commands, problems
 from imucalib.inspection.noise import AxisNoise, Coefficient, SensorNoise
 from imucalib.recording.yaml_text import load
@@ -28,7 +28,7 @@ from imucalib.report.document import (
     Tone,
 )
 from imucalib.report.sections import leading_options
-from imucalib.rests.levels import Candidate, refusals
+from imucalib.rests.candidates import Candidate, refusals
 from imucalib.rests.segments import Segments
 from imucalib.significant_digits import with_sd
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
@@ -95,10 +95,14 @@ def inspection_document(
         Section("Losses and gaps", tuple(losses)),
         Section("Notes", tuple(map(Text, notes))),
         Section("How it was read", (Facts(_options(found)),) if found.mapping else ()),
-        Section("Next", (*map(Text, next_commands(found, typed)), Facts(advice(found))), kept=True),
+        Section(
+            "Next",
+            (*map(Text, next_commands(found, typed)), Facts(tuple(advice(found)))),
+            kept=True,
+        ),
     ]
     sensors = sum(f.quantity == "acceleration" for f in found.channels)
-    still, wrong = found.still.n if found.still else 0, problems(found)
+    still, wrong = found.still.n if found.still else 0, tuple(problems(found))
     summary = f"{sensors} accelerometer{'s' * (sensors != 1)}, "
     summary += f"{still} still segment{'s' * (still != 1)}"
     said = "; ".join(wrong) or "nothing is wrong"
@@ -296,7 +300,7 @@ def _channels(found: Inspection) -> Table:
             f.name,
             f.unit,
             str(f.samples),
-            f"{f.clock.rate:.4g}" if math.isfinite(f.clock.rate) else "-",
+            f"{f.rate:.4g}" if math.isfinite(f.rate) else "-",
             scaled(float(f.noise.max()), f.unit, True) if len(f.noise) else "-",
             _norm(f),
             scaled(float(np.abs([f.low, f.high]).max()), f.unit, False),
@@ -320,10 +324,10 @@ def _clocks(found: Inspection) -> Table:
     same: dict[tuple[str, ...], list[str]] = {}
     for f in found.channels:
         facts = (
-            f"{1e6 * f.clock.jitter:.1f}" if math.isfinite(f.clock.jitter) else "-",
-            f"{1e3 * f.clock.longest_step:.2f}",
-            str(f.clock.duplicates),
-            str(f.clock.back_steps),
+            f"{1e6 * f.jitter:.1f}" if math.isfinite(f.jitter) else "-",
+            f"{1e3 * f.longest_step:.2f}",
+            str(f.duplicates),
+            str(f.back_steps),
         )
         same.setdefault(facts, []).append(f.name)
     rows, tones = [], dict[int, Tone]()
@@ -435,9 +439,9 @@ def inspection_dict(
 ) -> dict[str, Any]:
     """Plain types, ready for JSON; on request with every candidate for a rest, and the noise."""
     channel = (
-        "name quantity triad unit samples rate_hz=clock.rate jitter_s=clock.jitter "
-        "duplicates=clock.duplicates back_steps=clock.back_steps names "
-        "longest_step_s=clock.longest_step noise norm_at_rest"
+        "name quantity triad unit samples rate_hz=rate jitter_s=jitter "
+        "duplicates back_steps names "
+        "longest_step_s=longest_step noise norm_at_rest"
     )
     content = {
         "schema": "imucal/inspection/1",
@@ -461,7 +465,7 @@ def inspection_dict(
     if noise is not None:
         content["noise"] = [_axis(s, k, axis) for s in noise for k, axis in enumerate(s.axes)]
     content["candidates"] = [{"channel": c, "finding": w} for c, w in found.candidates]
-    content["problems"] = problems(found)
+    content["problems"] = tuple(problems(found))
     content["next"] = next_commands(found, typed)
     return dict(plain({**content, **fields(found, "losses mapping notes")}))
 

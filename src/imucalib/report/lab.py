@@ -7,13 +7,19 @@ import numpy as np
 from imucalib.arrays import Array, Index
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.uncertainty import angle_uncertainty, force_slope
-from imucalib.calibrators.lab.attitude import AttitudeErrors, attitude_errors, rms, worst
 from imucalib.calibrators.lab.bench import row_numbers
 from imucalib.calibrators.lab.calibrate import gravity_of
 from imucalib.calibrators.lab.dial import bends, dial_of, dial_words
-from imucalib.calibrators.lab.errors import reading_noise, setting_noise
+from imucalib.calibrators.lab.errors import (
+    AttitudeErrors,
+    attitude_errors,
+    reading_noise,
+    rms,
+    setting_noise,
+    worst,
+)
 from imucalib.calibrators.lab.run import LabRun
-from imucalib.calibrators.lab.sessions.between import Between, Sessions
+from imucalib.calibrators.lab.sessions import Between, Sessions
 from imucalib.core.references import KnownVector, angles_of
 from imucalib.core.sphere import covered, even_directions
 from imucalib.effects import known
@@ -55,7 +61,7 @@ _FOLLOWED = {
 
 def lab_document(run: LabRun) -> Document:
     """Everything that a reader of the calibration must know, headline first."""
-    outcome, result, settings = run.outcome, run.result, run.request.settings
+    outcome, result, request = run.outcome, run.result, run.request
     error = outcome.error
     head = (
         f"Held-out error {error.held_out.raw:.2f} raw, {error.held_out.base:.2f} base, "
@@ -68,7 +74,7 @@ def lab_document(run: LabRun) -> Document:
         Section("Residual before and after", plots, brief=False),
         _angle_section(run),
         _parameter_section(run),
-        parameters.kind_section(settings.population, result.final, result.strange, "position"),
+        parameters.kind_section(request.population, result.final, result.kind_chance, "position"),
         _bench_section(run),
         _sessions_section(run.sessions),
         _dial_section(run),
@@ -79,7 +85,7 @@ def lab_document(run: LabRun) -> Document:
     ]
     if outcome.findings:
         parts.append(sections.candidate_section(outcome.findings))
-    if settings.objective == "paper":
+    if request.objective == "paper":
         parts.append(Section("As published", (_published_table(run),), brief=False))
     title = f"Lab calibration of {outcome.provenance.path}"
     card = _card(run, picture)
@@ -93,7 +99,7 @@ def _directed(run: LabRun) -> bool:
 
 def _errors_of(run: LabRun, held: Held) -> AttitudeErrors:
     """In the bench's own angles."""
-    return attitude_errors(held, run.request.settings.conventions)
+    return attitude_errors(held, run.request.conventions)
 
 
 def _card(run: LabRun, picture: Plot) -> Card:
@@ -135,7 +141,7 @@ def _angles(run: LabRun) -> tuple[Worth, ...]:
     found = angle_uncertainty(fit, i * DEG, t * DEG, run.request.gravity, sigma)
     held = _errors_of(run, result.splits[-1].final) if result.splits else None
     flat = np.abs(i) <= 90.0 - _FROM_VERTICAL
-    shown = run.request.settings.conventions.outside(i * DEG, t * DEG)
+    shown = run.request.conventions.outside(i * DEG, t * DEG)
 
     def worth(name: str, half: Array, where: str, off: Array | None, most: float) -> Worth:
         k = int(np.argmax(half))
@@ -221,7 +227,7 @@ def _bench_section(run: LabRun) -> Section:
         after = f"forgotten in {reading.memory:.2g} positions"
         rows.append(("noise that neighbours share", f"{size}, {after}"))
     rows.append(("local gravity", f"{run.request.gravity:.5f} m/s² ({run.request.gravity_source})"))
-    if (kind := run.request.settings.population) is not None:
+    if (kind := run.request.population) is not None:
         said = f"what {kind.devices} devices of its kind say (--fleet)"
         rows.append(("beside these rows", said))
     order = (
@@ -266,7 +272,7 @@ def _uncertainty_section(run: LabRun) -> Section:
     ]
     inclination = np.max([c.inclination_95 for c in curves], axis=0)
     tool_face = np.max([c.tool_face_95 for c in curves], axis=0)
-    x = run.request.settings.conventions.outside(at, np.zeros_like(at))[0]
+    x = run.request.conventions.outside(at, np.zeros_like(at))[0]
 
     def half_width(title: str, y: Array) -> Plot:
         caption = "Half width of 95 % intervals, worst of four tool-faces; one reading's noise "
@@ -352,7 +358,7 @@ def _axes(run: LabRun) -> dict[str, Array]:
     found |= {axis: reading[:, k] for k, axis in enumerate("xyz")}
     if isinstance(data.reference, KnownVector):
         angles = angles_of(fitted(run.result.final).expected[:, 0])
-        inclination, tool_face = run.request.settings.conventions.outside(*angles)
+        inclination, tool_face = run.request.conventions.outside(*angles)
         found |= {"inclination": inclination, "tool-face": tool_face}
     more = data.context.covariates
     shown = (name for name in more if name == "temperature" or name.startswith(COLUMN))
@@ -502,7 +508,7 @@ def _published_table(run: LabRun) -> Table:
     """All positions in the layout of paper 004's Table 2: components, angles and their errors."""
     fit, whole = run.result.final, run.result.observations
     corrected = fit.model.correct(fit.theta, whole.reading, whole.context)[:, 0]
-    inclination, tool_face = run.request.settings.conventions.outside(*angles_of(corrected))
+    inclination, tool_face = run.request.conventions.outside(*angles_of(corrected))
     errors = _errors_of(run, held_errors(fit, fit.theta, whole))
 
     def row(k: int, label: str) -> tuple[str, ...]:

@@ -24,16 +24,16 @@ import numpy as np
 from imucalib.arrays import Array, Flags, Index
 from imucalib.errors import Undetermined, UnreadableInput, UsageError
 from imucalib.recording.recording import Channel, Gap, Held, Recording
-from imucalib.rests.stillness import Sensor, StillSettings, allowed, every, some, still_windows
-from imucalib.rests.thermal import believed, mean_of_known, temperature_in
+from imucalib.rests.stillness import Sensor, StillSettings, every, some, still_windows
+from imucalib.rests.thermal import ThermalHistory, believed, mean_of_known
 from imucalib.rests.windows import (
-    COLUMNS,
     WindowBuilder,
     Windows,
     breaks,
     in_order,
+    joined,
+    usable,
     window_statistics,
-    without_held,
 )
 from imucalib.units import MG, STANDARD_GRAVITY
 
@@ -41,7 +41,7 @@ _CHANGE = 20.0 * MG  # between neighbouring windows of one posture, at most
 _REACH = 30.0 * MG  # between any window of a run and its first
 
 
-def postures_begin(w: Windows, chosen: Index) -> Index:
+def _postures_begin(w: Windows, chosen: Index) -> Index:
     """Positions in `chosen` where a run begins: a gap, a jump, or too far from its start."""
     reading = w.mean[chosen]
     apart = (np.diff(chosen) > 1) | (np.diff(w.run[chosen]) != 0)
@@ -62,17 +62,9 @@ _CLEARER = 5.0  # times that two levels leave less scatter than one: a steady dr
 _FEWEST = 5  # windows on either side
 
 
-@dataclass(frozen=True)
-class Ranges:
-    """row : of the first window after the change; before, after : median size there"""
-
-    row: int
-    before: float
-    after: float
-
-
-def two_ranges(size: Array) -> Ranges | None:
-    """The two ranges of sizes (n,) in order of time; None where one does.
+def two_ranges(size: Array) -> tuple[int, float, float] | None:
+    """The two ranges of sizes (n,) in order of time: row of the first size after the change, and
+    the medians before and after it; None where one range does.
 
     One split by least squares of the logarithm: a range is a factor.
     """
@@ -85,22 +77,22 @@ def two_ranges(size: Array) -> Ranges | None:
     total = np.cumsum(x)[rows - 1]
     explained = total**2 / rows + total**2 / (n - rows)
     best = int(np.argmax(explained))
-    row, left = int(rows[best]), float(np.sum(x**2) - explained[best])
+    row, unexplained = int(rows[best]), float(np.sum(x**2) - explained[best])
     before, after = float(np.median(size[:row])), float(np.median(size[row:]))
     far = max(before, after) > _RATIO * min(before, after)
-    return Ranges(row, before, after) if far and _CLEARER * left < float(np.sum(x**2)) else None
+    return (row, before, after) if far and _CLEARER * unexplained < float(np.sum(x**2)) else None
 
 
-def refuse_two_ranges(start: Array, mean: Array, path: str) -> None:
-    """Raises UnreadableInput where windows that start at times (m,) s read (m, 3) m/s² in two
-    ranges. All are asked: with the range the noise changes, and one part is not still."""
-    change = two_ranges(np.linalg.norm(mean, axis=1))
+def _refuse_two_ranges(w: Windows, path: str) -> None:
+    """Raises UnreadableInput where windows read gravity in two ranges. All take part: with the
+    range the noise changes, and one part is not still."""
+    change = two_ranges(np.linalg.norm(w.mean, axis=1))
     if change is None:
         return
-    before, after = (level / STANDARD_GRAVITY for level in (change.before, change.after))
+    row, before, after = change
     raise UnreadableInput(
-        f"gravity is {before:.3g} g before {start[change.row] / 3600.0:.2f} h and {after:.3g} g "
-        "from there on: the range or the unit changes",
+        f"gravity is {before / STANDARD_GRAVITY:.3g} g before {w.start[row] / 3600.0:.2f} h and "
+        f"{after / STANDARD_GRAVITY:.3g} g from there on: the range or the unit changes",
         where=path,
         remedy="export it in two files at that moment, each with its own scale, or one for all",
     )
@@ -115,7 +107,7 @@ class Tail:
     values: Array
 
 
-class TailBuilder:
+class _TailBuilder:
     """Collects the last `samples` samples before every gap, from consecutive blocks."""
 
     def __init__(self, samples: int) -> None:
@@ -145,40 +137,27 @@ class TailBuilder:
         self._t, self._values = t[first:].copy(), values[first:].copy()
 
 
-def with_tails(windows: Windows, tails: Sequence[Tail]) -> Windows:
+def _with_tails(windows: Windows, tails: Sequence[Tail]) -> Windows:
     """The windows and, in order of time, those before gaps; these may overlap the one before."""
     if not tails:
         return windows
-    cube = np.stack([tail.values for tail in tails])
-    mean, variance, low, high, _ = window_statistics(cube)
+    mean, variance, low, high, _ = window_statistics(np.stack([tail.values for tail in tails]))
     start = np.array([tail.t[0] for tail in tails])
-    stop = np.array([tail.t[-1] for tail in tails])
-    begin = np.array([tail.begin for tail in tails])
     before = np.searchsorted(windows.start, start, side="right") - 1
-    same = (before >= 0) & (windows.start[before] >= begin)
-    run = np.where(same, windows.run[before], -1 - np.arange(len(tails)))
-    first = np.full(len(tails), -1, np.intp)
-    order = np.argsort(np.concatenate([windows.start, start]), kind="stable")
-
-    def joined(name: str, of_tails: Array | Index) -> Array:
-        return np.asarray(np.concatenate([getattr(windows, name), of_tails])[order])
-
-    return replace(
+    same = (before >= 0) & (windows.start[before] >= [tail.begin for tail in tails])
+    own = replace(
         windows,
-        first=joined("first", first).astype(np.intp),
-        run=joined("run", run).astype(np.intp),
-        start=joined("start", start),
-        stop=joined("stop", stop),
-        mean=joined("mean", mean),
-        variance=joined("variance", variance),
-        low=joined("low", low),
-        high=joined("high", high),
+        first=np.full(len(tails), -1, np.intp),
+        run=np.where(same, windows.run[before], -1 - np.arange(len(tails))),
+        start=start,
+        stop=np.array([tail.t[-1] for tail in tails]),
+        mean=mean,
+        variance=variance,
+        low=low,
+        high=high,
     )
-
-
-def overlapping(windows: Windows, still: Index) -> Index:
-    """Of still windows, those that share samples with the still one before."""
-    return still[1:][windows.start[still[1:]] <= windows.stop[still[:-1]]]
+    whole = joined([windows, own])
+    return whole.take(np.argsort(whole.start, kind="stable"))
 
 
 #: Chance up to which noise has not done it: e^-60, for samples of a filter are not independent.
@@ -194,17 +173,10 @@ _CALM, _ON = 3.0, 2.0
 _BEYOND = 1.1
 
 
-@dataclass(frozen=True)
-class Stuck:
-    """windows : (m,) in which an axis is stuck, or was within a window; words : of each axis"""
-
-    windows: Flags
-    words: tuple[str, ...] = ()
-
-
-def stuck(sensor: Sensor) -> Stuck:
-    """Stretches of windows in which an axis repeats one number while it should not. At the end of
-    the recording's own range that is clipping, see `limits`."""
+def _stuck(sensor: Sensor) -> tuple[Flags, list[str]]:
+    """Windows (m,) in which an axis repeats one number while it should not, or did within a window;
+    words of each such axis. At the end of the recording's own range that is clipping, `_limits`.
+    """
     w = sensor.windows
     found = np.zeros(w.start.size, dtype=np.bool_)
     constant = w.high == w.low
@@ -213,17 +185,29 @@ def stuck(sensor: Sensor) -> Stuck:
     for axis in np.flatnonzero((constant & ~frozen[:, None]).any(axis=0)):
         dead = _dead(sensor, int(axis), constant[:, axis], frozen)
         if dead.any():
-            words.append(_words(w, int(axis), dead, sensor.rate))
+            values = np.unique(w.high[dead, axis])
+            # A converter's zero may have a sign, which is no news.
+            value = f"{values[0] / STANDARD_GRAVITY + 0.0:.3g} g"
+            words.append(
+                f"{'xyz'[axis]} repeats {value if values.size == 1 else 'one number'} "
+                f"{_when(sensor, dead)}, while it should move: stuck, or at a limit; left out of "
+                "the rests"
+            )
             found |= dead
     while True:  # what one held axis makes of gravity's size is no sign of the others
         each = [_held(sensor, axis, found) for axis in range(w.mean.shape[1])]
         most = int(np.argmax([held.sum() for held in each]))
-        if not each[most].any():
+        held = each[most]
+        if not held.any():
             break
-        words.append(_held_words(w, most, each[most], sensor.rate))
-        found |= each[most]
-    beside = np.append(False, found[:-1]) | np.append(found[1:], False)
-    return Stuck(found | beside, tuple(words))
+        words.append(
+            f"{'xyz'[most]} stays at {np.median(w.mean[held, most]) / STANDARD_GRAVITY:.3g} g "
+            f"{_when(sensor, held)}, whatever the others do: it is not its own reading; left out "
+            "of the rests"
+        )
+        found |= held
+    neighbours = np.append(False, found[:-1]) | np.append(found[1:], False)
+    return found | neighbours, words
 
 
 def _dead(sensor: Sensor, axis: int, constant: Flags, frozen: Flags) -> Flags:
@@ -269,46 +253,20 @@ def _moved(w: Windows, axis: int, starts: Index) -> Flags:
     return np.asarray(some(reach > _FAR) | (np.add.reduceat(far.astype(np.intp), starts) > _ENDS))
 
 
-def _words(w: Windows, axis: int, dead: Flags, rate: float) -> str:
-    values = np.unique(w.high[dead, axis])
-    # A converter's zero may have a sign, which is no news.
-    value = f"{values[0] / STANDARD_GRAVITY + 0.0:.3g} g" if values.size == 1 else "one number"
-    return (
-        f"{'xyz'[axis]} repeats {value} {_when(w, dead, rate)}, while it should move: "
-        "stuck, or at a limit; left out of the rests"
-    )
-
-
-def _held_words(w: Windows, axis: int, held: Flags, rate: float) -> str:
-    value = float(np.median(w.mean[held, axis])) / STANDARD_GRAVITY
-    return (
-        f"{'xyz'[axis]} stays at {value:.3g} g {_when(w, held, rate)}, whatever the others do: "
-        "it is not its own reading; left out of the rests"
-    )
-
-
-def _when(w: Windows, some: Flags, rate: float) -> str:
-    seconds = float(some.sum()) * w.samples / rate
+def _when(sensor: Sensor, flags: Flags) -> str:
+    w = sensor.windows
+    seconds = float(flags.sum()) * w.samples / sensor.rate
     long = f"{seconds / 3600.0:.2g} h" if seconds >= 3600.0 else f"{seconds / 60.0:.2g} min"
-    return f"for {long} from {float(w.start[int(np.argmax(some))]) / 3600.0:.2f} h on"
+    return f"for {long} from {float(w.start[int(np.argmax(flags))]) / 3600.0:.2f} h on"
 
 
-def without(sensor: Sensor, dead: Stuck) -> Sensor:
-    """The sensor with the windows in which no axis is stuck."""
-    if not dead.windows.any():
-        return sensor
-    live, w = ~dead.windows, sensor.windows
-    kept = {name: getattr(w, name)[live] for name in COLUMNS}
-    return replace(sensor, windows=replace(w, **kept))
-
-
-def limits(sensor: Sensor, settings: StillSettings) -> tuple[str, ...]:
+def _limits(sensor: Sensor) -> list[str]:
     """Axes that stand at the end of their range at rest, in words."""
-    w, found = sensor.windows, []
+    w, found = sensor.windows, list[str]()
     if not sensor.fine:
-        return ()
+        return found
     constant = w.high == w.low
-    quiet = every(w.variance <= settings.variance_ratio * allowed(sensor, settings) ** 2)
+    quiet = every(w.variance <= sensor.settings.variance_ratio * sensor.allowed**2)
     single = constant & ~every(constant)[:, None] & quiet[:, None]
     for axis, name in enumerate("xyz"[: constant.shape[1]]):
         for value, word in ((w.high[:, axis].max(), "above"), (w.low[:, axis].min(), "below")):
@@ -319,7 +277,7 @@ def limits(sensor: Sensor, settings: StillSettings) -> tuple[str, ...]:
                     f"{name} reads nothing {word} {size:.3g} g: {at} windows at rest stand at "
                     "that limit and are left out; what lies beyond it no calibration brings back"
                 )
-    return tuple(found)
+    return found
 
 
 #: Of a worn sensor: ten-second windows, as the field uses, three axes, noise plus a sway of 3 mg
@@ -340,11 +298,10 @@ class Scan:
     """What one pass over a recording leaves: windows of the accelerometer and the temperature.
 
     samples : of the accelerometer; rate : Hz; stop : s, time of the last sample
-    no_temperature : (k, 2) s, from and to of what the thermometer did not measure
     """
 
     windows: Windows
-    temperature: Windows | None
+    temperature: ThermalHistory | None
     triad: str
     rate: float
     samples: int
@@ -356,13 +313,10 @@ class Scan:
     start_ns: int | None
     notes: tuple[str, ...]
     mapping: Mapping[str, object] = field(default_factory=dict)
-    no_temperature: Array = field(default_factory=lambda: np.empty((0, 2)))
 
     def without_windows(self) -> Scan:
         """The rest, once the runs are made: the windows are most of the memory."""
-        arrays = ("first", "run", "start", "stop", "mean", "variance", "low", "high")
-        nothing = {name: getattr(self.windows, name)[:0].copy() for name in arrays}
-        return replace(self, windows=replace(self.windows, **nothing))
+        return replace(self, windows=self.windows.take(np.zeros(0, np.intp)))
 
 
 @dataclass(frozen=True)
@@ -400,7 +354,7 @@ def scan(blocks: Iterable[Recording], window: float, triad: str | None = None) -
     scale, Undetermined when it is shorter than one window.
     """
     builders: dict[str, WindowBuilder] = {}
-    tails: TailBuilder | None = None
+    tails: _TailBuilder | None = None
     name, rate, samples, stop, gaps = "", 0.0, 0, 0.0, 0
     notes: list[str] = []
     held: list[Held] = []
@@ -415,7 +369,7 @@ def scan(blocks: Iterable[Recording], window: float, triad: str | None = None) -
             per = max(1 if key == "temperature" else 5, round(window * channel.rate))
             builders.setdefault(key, WindowBuilder(per)).add(channel, block.gaps)
             if key == "acceleration":
-                tails = tails or TailBuilder(max(5, round(WORN.shortest * channel.rate)))
+                tails = tails or _TailBuilder(max(5, round(WORN.shortest * channel.rate)))
                 tails.add(channel, block.gaps)
                 rate, samples = rate or channel.rate, samples + channel.t.size
                 stop = max(stop, float(channel.t[-1])) if channel.t.size else stop
@@ -425,26 +379,20 @@ def scan(blocks: Iterable[Recording], window: float, triad: str | None = None) -
             where=first.path if first else "",
             remedy="`imucal inspect FILE` lists what it has; name the columns with --acc X,Y,Z",
         )
-    windows = builders["acceleration"].windows()
-    if windows is None:
-        raise Undetermined(
-            f"no {window:g} s in a row without a gap", where=first.path, remedy="record longer"
-        )
-    ordered, lost = in_order(windows)
-    notes += [f"{lost} windows left out: time had stepped back"] * bool(lost)
     held = [h for h in held if h.channel == f"{name}/acceleration"]
-    ordered = without_held(with_tails(ordered, tails.tails), held)
-    if not ordered.start.size:
-        raise Undetermined(
-            f"{name} repeats one reading in every {window:g} s",
-            where=first.path,
-            remedy="record it without a step that fills or holds samples",
-        )
+    ordered, lost = usable(
+        builders["acceleration"],
+        held,
+        f"{name}/acceleration",
+        first.path,
+        with_more=lambda windows: _with_tails(windows, tails.tails),
+    )
+    notes += [f"{lost} windows left out: time had stepped back"] * bool(lost)
     warm = builders["temperature"].windows() if "temperature" in builders else None
-    heat = believed(in_order(warm)[0] if warm else None)
+    temperature, words = believed(in_order(warm)[0] if warm else None)
     return Scan(
         windows=ordered,
-        temperature=heat.windows,
+        temperature=temperature,
         triad=name,
         rate=rate,
         samples=samples,
@@ -455,8 +403,7 @@ def scan(blocks: Iterable[Recording], window: float, triad: str | None = None) -
         sha256=first.sha256,
         start_ns=first.start_ns,
         mapping=first.mapping,
-        notes=tuple(dict.fromkeys([*notes, *heat.words])),
-        no_temperature=heat.gone,
+        notes=tuple(dict.fromkeys([*notes, *words])),
     )
 
 
@@ -496,25 +443,26 @@ def posture_runs(scanned: Scan, settings: StillSettings = WORN) -> PostureRuns:
     UnreadableInput when the size of the readings at rest cannot be gravity, or is another one from
     some moment on."""
     w = scanned.windows
-    refuse_two_ranges(w.start, w.mean, scanned.path)
-    sensor = Sensor(scanned.triad, "acceleration", scanned.rate, w, settings.quietest)
-    dead = stuck(sensor)
-    live = np.flatnonzero(~dead.windows)
+    _refuse_two_ranges(w, scanned.path)
+    sensor = Sensor(scanned.triad, "acceleration", scanned.rate, w, settings)
+    dead, words = _stuck(sensor)
+    live = np.flatnonzero(~dead)
     if not live.size:
-        raise Undetermined("; ".join(dead.words), where=scanned.path)
-    sensor = without(sensor, dead)
-    still, notes = still_windows(sensor, settings)
+        raise Undetermined("; ".join(words), where=scanned.path)
+    sensor = replace(sensor, windows=w.take(live)) if dead.any() else sensor
+    still, notes = still_windows(sensor)
     chosen = live[still]
-    chosen = np.setdiff1d(chosen, overlapping(w, chosen))
+    # Not what shares samples with the still window before.
+    apart = np.append(True, w.start[chosen[1:]] > w.stop[chosen[:-1]])
+    chosen = chosen[apart[: chosen.size]]
     if not chosen.size:
         raise Undetermined(
-            "; ".join(["no window of the recording is still", *notes, *dead.words]),
+            "; ".join(["no window of the recording is still", *notes, *words]),
             where=scanned.path,
             remedy="wear it through a night; `imucal inspect` shows the noise",
         )
-    runs = grouped(scanned, chosen, sensor.noise, tuple(notes))
-    runs = _with_temperature(runs)
-    return replace(runs, faults=(*dead.words, *limits(sensor, settings)))
+    runs = _with_temperature(grouped(scanned, chosen, sensor.noise, tuple(notes)))
+    return replace(runs, faults=(*words, *_limits(sensor)))
 
 
 def _with_temperature(runs: PostureRuns) -> PostureRuns:
@@ -538,16 +486,16 @@ def grouped(scanned: Scan, chosen: Index, noise: Array, notes: tuple[str, ...] =
             where=scanned.path,
             remedy="give --unit; counts of activity per epoch cannot be calibrated",
         )
-    starts = postures_begin(w, chosen)
+    starts = _postures_begin(w, chosen)
     count = np.diff(np.append(starts, chosen.size)).astype(np.intp)
-    middle = 0.5 * (w.start + w.stop)[chosen]
 
     def mean(values: Array) -> Array:
         total = np.add.reduceat(values, starts, axis=0)
         return np.asarray((total.T / count).T)
 
-    begin, end = w.start[chosen], w.stop[chosen]
-    warm = temperature_in(scanned.temperature, scanned.no_temperature, begin, end)
+    warm = np.full(chosen.size, np.nan)
+    if scanned.temperature is not None:
+        warm = scanned.temperature.temperature(w.middle[chosen])
     inside = np.setdiff1d(np.arange(1, chosen.size), starts)
     steps = np.square(size[inside] - size[inside - 1])
     # Median of a squared normal number is 0.455 of its variance; a difference has twice it.
@@ -556,7 +504,7 @@ def grouped(scanned: Scan, chosen: Index, noise: Array, notes: tuple[str, ...] =
     return PostureRuns(
         mean=mean(w.mean[chosen]),
         windows=count,
-        time=mean(middle),
+        time=mean(w.middle[chosen]),
         temperature=mean_of_known(warm, starts),
         window_noise=max(scatter, white),
         still=chosen.size,

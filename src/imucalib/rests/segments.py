@@ -7,22 +7,19 @@ where the samples are at hand, and what is still for all sensors is judged as a 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.errors import Undetermined, UsageError
+from imucalib.errors import UsageError
 from imucalib.recording.recording import Held, Recording
-from imucalib.rests.candidates import Seen, candidates_of, samples_in, seen, windows_in
-from imucalib.rests.levels import Candidate
+from imucalib.rests.candidates import Candidate, Seen, candidates_of
 from imucalib.rests.stillness import Sensor, StillSettings
-from imucalib.rests.windows import Samples, WindowBuilder, Windows, in_order, without_held
+from imucalib.rests.windows import Samples, WindowBuilder, Windows, usable
 
-__all__ = ["Candidate", "Segments", "StillSettings", "find_segments", "still_segments"]
-
-
+_SHORTER = "record longer, or state a shorter rest with --shortest-rest"
 # Acceleration takes part in any unit; an angular rate or a temperature without a scale cannot.
 _UNITS = {"acceleration": "", "angular_rate": "rad/s", "temperature": "degC"}
 
@@ -35,13 +32,12 @@ class Segments:
     triads : K names, the order of every second axis
     first, last : (n, K) sample indices in each triad's acceleration channel; last is exclusive
     samples : (n, K) samples
-    mean, variance : (n, K, 3) acceleration, m/s² and (m/s²)² (or counts), of its samples
+    mean : (n, K, 3) acceleration, m/s² (or counts)
     rate : (n, K, 3) mean angular rate, rad/s; NaN without a gyroscope
     temperature : (n, K) mean temperature, °C; NaN without a thermometer
     noise : (K, 3) standard deviation of one acceleration sample at rest
     rate_noise : (K, 3) the same of the angular rate; NaN without a gyroscope
     step, rate_step : (K, 3) resolution of both, 0 where it is not known
-    moving : share of the recording's windows that are not still
     notes : what was left out, one sentence each
     candidates : everything that may have been a rest, with what refused it
     """
@@ -53,14 +49,12 @@ class Segments:
     last: Index
     samples: Index
     mean: Array
-    variance: Array
     rate: Array
     temperature: Array
     noise: Array
     rate_noise: Array
     step: Array
     rate_step: Array
-    moving: float
     notes: tuple[str, ...] = ()
     candidates: tuple[Candidate, ...] = ()
 
@@ -83,24 +77,23 @@ def find_segments(blocks: Iterable[Recording], settings: StillSettings | None = 
     `windows.KEPT`, else to the window. Raises UsageError when there is no acceleration,
     Undetermined when the recording is shorter than one window.
     """
-    chosen = settings or StillSettings()
-    passed = _Pass(chosen)
+    passed = _Pass(settings or StillSettings())
     for block in blocks:
         passed.add(block)
-    sensors, notes = passed.sensors()
-    if not sensors:
+    every, notes = passed.seen()
+    if not every:
         raise UsageError(
             "the recording has no acceleration channel",
             where=passed.path,
             remedy="`imucal inspect FILE` lists what it has; name the columns with --acc X,Y,Z",
         )
-    every = [seen(sensor, passed.samples, chosen) for sensor in sensors]
     notes += [note for one in every for note in one.kinds.notes]
-    candidates, more = candidates_of(every, passed.samples, chosen)
+    candidates, more = candidates_of(every)
     rests = [c for c in candidates if not c.reason]
-    measured = _measured(rests, every, passed)
     if not passed.samples.whole:
-        more += (f"too long for ends to the sample: those of rests are at {chosen.window:g} s",)
+        window = passed.settings.window
+        more += (f"too long for ends to the sample: those of rests are at {window:g} s",)
+    measured = _measured(rests, every, passed.temperatures())
     return replace(measured, candidates=candidates, notes=(*notes, *more))
 
 
@@ -133,63 +126,47 @@ class _Pass:
         found = {t: b.windows() for (q, t), b in self._builders.items() if q == "temperature"}
         return {triad: windows for triad, windows in found.items() if windows is not None}
 
-    def sensors(self) -> tuple[list[Sensor], list[str]]:
+    def seen(self) -> tuple[list[Seen], list[str]]:
         """Accelerometers and their gyroscopes, and what was left out of them."""
-        sensors, notes = [], list[str]()
+        every, notes = [], list[str]()
         for (quantity, triad), builder in self._builders.items():
             if quantity == "temperature" or ("acceleration", triad) not in self._builders:
                 continue
-            windows = builder.windows()
-            if windows is None:
-                raise Undetermined(
-                    f"{triad}/{quantity} has no {builder.samples} samples in a row without a gap",
-                    where=self.path,
-                    remedy="record longer, or state a shorter rest with --shortest-rest",
-                )
-            ordered, lost = in_order(windows)
-            rate = self._rates[quantity, triad]
-            name = f"{triad}/{quantity}"
-            ordered = without_held(ordered, [h for h in self._held if h.channel == name])
-            if not ordered.start.size:
-                raise Undetermined(
-                    f"{name} repeats one reading in every stretch of {builder.samples} samples",
-                    where=self.path,
-                    remedy="record it without a step that fills or holds samples",
-                )
-            own = self.settings
-            sensors.append(Sensor(triad, quantity, rate, ordered, own.quietest, own.turning))
+            name, rate = f"{triad}/{quantity}", self._rates[quantity, triad]
+            held = [h for h in self._held if h.channel == name]
+            ordered, lost = usable(builder, held, name, self.path, _SHORTER)
+            every.append(Seen(Sensor(triad, quantity, rate, ordered, self.settings), self.samples))
             if lost:
-                seconds = lost * windows.samples / rate
-                what = f"{seconds:.4g} s left out: time had stepped back"
-                notes.append(f"{name}: {what}")
-        return sensors, notes
+                seconds = lost * builder.samples / rate
+                notes.append(f"{name}: {seconds:.4g} s left out: time had stepped back")
+        return every, notes
 
 
-def _measured(rests: list[Candidate], every: list[Seen], passed: _Pass) -> Segments:
+def _measured(
+    rests: list[Candidate], every: list[Seen], temperatures: Mapping[str, Windows]
+) -> Segments:
     triads = tuple(dict.fromkeys(one.sensor.triad for one in every))
     n, k = len(rests), len(triads)
     first, last = np.zeros((n, k), dtype=np.intp), np.zeros((n, k), dtype=np.intp)
-    mean, variance = np.full((n, k, 3), np.nan), np.full((n, k, 3), np.nan)
-    rate, temperature = np.full((n, k, 3), np.nan), np.full((n, k), np.nan)
+    mean, rate = np.full((n, k, 3), np.nan), np.full((n, k, 3), np.nan)
+    temperature = np.full((n, k), np.nan)
     noise, rate_noise = np.full((k, 3), np.nan), np.full((k, 3), np.nan)
     step, rate_step = np.zeros((k, 3)), np.zeros((k, 3))
     for one in every:
-        at = triads.index(one.sensor.triad)
-        turning = one.sensor.quantity == "angular_rate"
-        (rate_noise if turning else noise)[at] = one.sensor.noise
-        (rate_step if turning else step)[at] = one.sensor.step
+        sensor, at = one.sensor, triads.index(one.sensor.triad)
+        (rate_noise if sensor.turns else noise)[at] = sensor.noise
+        (rate_step if sensor.turns else step)[at] = sensor.step
         for i, rest in enumerate(rests):
-            inside = (rest.start, rest.stop)
-            own = _statistics(one, inside, passed.samples)
-            if turning:
-                rate[i, at] = own[0]
-                continue
-            mean[i, at], variance[i, at], (first[i, at], last[i, at]) = own
+            own, a, b = one.mean((rest.start, rest.stop))
+            if sensor.turns:
+                rate[i, at] = own
+            else:
+                mean[i, at], first[i, at], last[i, at] = own, a, b
     middle = np.array([0.5 * (rest.start + rest.stop) for rest in rests])
-    for triad, windows in passed.temperatures().items():
-        for at in [i for i, name in enumerate(triads) if name == triad]:
-            t = 0.5 * (windows.start + windows.stop)
-            temperature[:, at] = np.interp(middle, t, windows.mean[:, 0])
+    for triad, windows in temperatures.items():
+        if triad in triads:
+            warm = np.interp(middle, windows.middle, windows.mean[:, 0])
+            temperature[:, triads.index(triad)] = warm
     return Segments(
         start=np.array([rest.start for rest in rests]),
         stop=np.array([rest.stop for rest in rests]),
@@ -198,26 +175,10 @@ def _measured(rests: list[Candidate], every: list[Seen], passed: _Pass) -> Segme
         last=last,
         samples=last - first,
         mean=mean,
-        variance=variance,
         rate=rate,
         temperature=temperature,
         noise=noise,
         rate_noise=rate_noise,
         step=step,
         rate_step=rate_step,
-        moving=max(1.0 - float(one.kinds.still.mean()) for one in every),
     )
-
-
-def _statistics(
-    one: Seen, inside: tuple[float, float], samples: Samples
-) -> tuple[Array, Array, tuple[int, int]]:
-    """Mean (3,) and variance (3,) of a sensor in an interval, and its samples there."""
-    if samples.whole:
-        a, b = samples_in(one, inside, samples)
-        values = samples.values(one.key, a, b)
-        return values.mean(axis=0), values.var(axis=0, ddof=1), (a, b)
-    w = one.sensor.windows
-    a, b = windows_in(w, inside)
-    ends = int(w.first[a]), int(w.first[b - 1]) + w.samples
-    return w.mean[a:b].mean(axis=0), w.variance[a:b].mean(axis=0), ends

@@ -1,8 +1,13 @@
-"""Which windows of one sensor are still: its own noise first, then a test of every window."""
+"""Which windows of one sensor are still: its own noise first, then a test of every window.
+
+A sensor's noise may change in the middle of a recording, with a range, a filter, a machine beside
+it. Windows that are steady, neighbour like neighbour, at a noise that many of them share are rests
+at that noise; what shakes by more is none, whatever its mean does.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 
 import numpy as np
@@ -17,7 +22,7 @@ _FROZEN_SECONDS = 60.0
 _LOUDEST = 0.03
 _LOUDEST_STEPS = 2.0
 _ZONE = 3  # stretches of one number that make a gyroscope's dead zone
-_WITNESSES = 5000  # windows that the size of gravity is told from
+_WITNESSES = 5000  # windows that the size of gravity is estimated from
 _POSTURES = 5  # different constant readings of gravity's size that a dead sensor does not have
 _SINGLE = 3  # windows in which one axis stands still beside others, as in none of a live sensor
 _SIZE = 0.2  # share of gravity by which the size of a reading at rest may be off
@@ -67,18 +72,22 @@ class StillSettings:
 
 @dataclass(frozen=True)
 class Sensor:
-    """The windows of one channel of a triad; rate in Hz; quietest, turning as in the settings."""
+    """The windows of one channel of a triad; rate in Hz; settings of the detector."""
 
     triad: str
     quantity: str
     rate: float
     windows: Windows
-    quietest: float = 0.05
-    turning: float = np.inf
+    settings: StillSettings
 
     @property
     def name(self) -> str:
         return f"{self.triad}/{self.quantity}"
+
+    @property
+    def turns(self) -> bool:
+        """Whether it is a gyroscope."""
+        return self.quantity == "angular_rate"
 
     @cached_property
     def noise(self) -> Array:
@@ -99,14 +108,14 @@ class Sensor:
         has a dead zone, and is no more frozen than any gyroscope at rest."""
         w = self.windows
         constant = every(w.high == w.low)
-        if self.quantity != "angular_rate" or not constant.any():
+        if not self.turns or not constant.any():
             return np.zeros_like(constant)
         rows = np.flatnonzero(constant)
         _, kind = np.unique(w.mean[rows], axis=0, return_inverse=True)
         begins = np.append(True, (np.diff(rows) > 1) | (np.diff(kind.ravel()) != 0))
         if len(begins) == len(constant) and begins.sum() == 1:  # a dead one is no witness of motion
             return constant
-        if np.any(self.level(~constant) > self.turning):  # else it would never rest
+        if np.any(self.level(~constant) > self.settings.turning):  # else it would never rest
             return constant
         often = np.bincount(kind.ravel()[begins])[kind.ravel()] >= _ZONE
         zone = np.zeros_like(constant)
@@ -140,12 +149,12 @@ class Sensor:
         What moves is then motion: it comes in all sizes, and seldom twice with one mean.
         """
         w = self.windows
-        stepped = _postures(self, every(w.high == w.low))
+        stepped = self._postures(every(w.high == w.low))
         postures = np.unique(w.mean[stepped], axis=0)
-        if not len(postures) or np.any(noise > loudest(self, stepped)):
+        if not len(postures) or np.any(noise > self.loudest(stepped)):
             return len(postures) > 0
         live = every((w.variance <= 3.0 * noise**2) & (w.high > w.low))
-        pairs = live[1:] & live[:-1] & (np.diff(w.run) == 0)
+        pairs = live[1:] & live[:-1] & w.following
         pairs &= every(np.abs(np.diff(w.mean, axis=0)) <= noise)
         return len(postures) > int(pairs.sum())
 
@@ -158,7 +167,7 @@ class Sensor:
         """Standard deviation at rest, from the quietest of the chosen windows."""
         variance, floor = self.windows.variance, self.step**2 / 12.0
         total = np.where(chosen, variance.sum(axis=1), np.inf)
-        inside = total <= np.quantile(total[chosen], self.quietest)
+        inside = total <= np.quantile(total[chosen], self.settings.quietest)
         level = np.zeros(variance.shape[1])
         for turn in range(4):
             if turn:
@@ -168,91 +177,188 @@ class Sensor:
                 level = np.array([np.median(axis[inside]) for axis in variance.T])
         return np.asarray(np.sqrt(np.maximum(level, floor)))
 
+    @property
+    def allowed(self) -> Array:
+        """(3,) standard deviation that it may have at rest."""
+        if self.turns:
+            least = self.settings.turning / np.sqrt(self.settings.variance_ratio)
+            return np.asarray(np.maximum(self.noise, least))
+        return np.asarray(np.hypot(self.noise, self.settings.sway))
 
-def allowed(sensor: Sensor, settings: StillSettings) -> Array:
-    """(3,) standard deviation that a sensor at rest may have."""
-    if sensor.quantity == "angular_rate":
-        least = settings.turning / np.sqrt(settings.variance_ratio)
-        return np.asarray(np.maximum(sensor.noise, least))
-    return np.asarray(np.hypot(sensor.noise, settings.sway))
+    def gravity(self, chosen: Flags | None = None) -> float:
+        """Size of the mean reading in some windows or all: gravity, in the channel's own unit."""
+        mean = self.windows.mean
+        found = np.arange(len(mean)) if chosen is None else np.flatnonzero(chosen)
+        few = found[:: max(1, found.size // _WITNESSES)]
+        return float(np.median(np.linalg.norm(mean[few], axis=1)))
+
+    def loudest(self, chosen: Flags) -> Array:
+        """(3,) largest standard deviation that can be its own noise at rest."""
+        if self.turns:
+            return np.full(3, np.inf)
+        return np.maximum(_LOUDEST * self.gravity(chosen), _LOUDEST_STEPS * self.step)
+
+    def quieter_than(self, level: Array) -> Flags:
+        """Windows whose variance and range a noise of some standard deviation explains."""
+        w = self.windows
+        quiet = every(w.variance <= self.settings.variance_ratio * level**2)
+        return quiet & every(w.high - w.low <= self.settings.range_ratio * level)
+
+    @property
+    def frozen(self) -> Flags:
+        """Windows in which no axis ever changes, where the noise says that it would.
+
+        A sensor whose noise is far below its resolution repeats itself at rest; of such a one only
+        a constancy of a minute counts as a dead or sleeping sensor, and not where postures of their
+        own last as long.
+        """
+        w = self.windows
+        constant = every(w.high == w.low) & ~self.zone
+        if self.fine:
+            # The window before or after one that is frozen through and through is so in part.
+            after = np.append(False, constant[:-1] & w.following)
+            return np.asarray(constant | after | np.append(constant[1:] & w.following, False))
+        same = constant & np.append(False, every(w.mean[1:] == w.mean[:-1]))
+        starts = np.flatnonzero(~same)
+        lengths = np.diff(starts, append=same.size)
+        needed = _FROZEN_SECONDS * self.rate / w.samples
+        lead = np.full(starts[0] if starts.size else same.size, 0)
+        long = constant & (np.concatenate([lead, np.repeat(lengths, lengths)]) >= needed)
+        return np.asarray(long & ~self._postures(long))
+
+    def _postures(self, constant: Flags) -> Flags:
+        """Of windows that read one step of each axis, those that read gravity's size, where they
+        read more directions of it than a dead sensor does; else none."""
+        if self.turns or not constant.any():
+            return np.zeros_like(constant)
+        mean, gravity = self.windows.mean, self.gravity()
+        found = constant & (np.abs(np.linalg.norm(mean, axis=1) - gravity) <= _SIZE * gravity)
+        return np.asarray(found & (len(np.unique(mean[found], axis=0)) >= _POSTURES))
+
+    @property
+    def clipped(self) -> Flags:
+        """Windows in which one axis stands at its extreme of the whole recording while others
+        move."""
+        w = self.windows
+        constant = w.high == w.low
+        return np.asarray(some(constant & _at_extreme(w)) & ~every(constant) & self.fine)
 
 
-def still_windows(sensor: Sensor, settings: StillSettings) -> tuple[Flags, list[str]]:
+def still_windows(sensor: Sensor) -> tuple[Flags, list[str]]:
     """The still windows, and what was left out."""
-    w, noise = sensor.windows, allowed(sensor, settings)
-    quiet = every(w.variance <= settings.variance_ratio * noise**2)
-    quiet &= every(w.high - w.low <= settings.range_ratio * noise)
-    frozen, clipped = _frozen(sensor), _clipped(sensor)
-    name, notes = sensor.name, []
-    for flags, word in ((frozen, "frozen"), (clipped, "clipped")):
+    name, w, notes = sensor.name, sensor.windows, []
+    quiet = sensor.quieter_than(sensor.allowed)
+    bad = {"frozen": sensor.frozen, "clipped": sensor.clipped}
+    for word, flags in bad.items():
         if (flags & quiet).any():
             seconds = float((flags & quiet).sum()) * w.samples / sensor.rate
             notes.append(f"{name}: {seconds:.4g} s of {word} samples left out of the rests")
     if sensor.zone.all() and sensor.zone.size:
         notes.append(f"{name}: reads one number throughout: it tells no rest from a turn")
-    quiet &= ~frozen & ~clipped
-    if quiet.any() and np.any(sensor.noise > loudest(sensor, quiet)):
-        share = float(np.max(sensor.noise)) / gravity_of(sensor, quiet)
+    quiet &= ~bad["frozen"] & ~bad["clipped"]
+    if quiet.any() and np.any(sensor.noise > sensor.loudest(quiet)):
+        share = float(np.max(sensor.noise)) / sensor.gravity(quiet)
         notes.append(f"{name}: shakes by {1e3 * share:.3g} mg even where it is quietest")
         quiet[:] = False
     return quiet, notes
 
 
-def gravity_of(sensor: Sensor, chosen: Flags) -> float:
-    """Size of the mean reading in some windows: gravity, in the channel's own unit."""
-    found = np.flatnonzero(chosen)
-    few = found[:: max(1, found.size // _WITNESSES)]
-    return float(np.median(np.linalg.norm(sensor.windows.mean[few], axis=1)))
+_LOUDER = 5.0  # times the quietest noise that a sensor's own noise may grow to
+_LEVELS = 2  # louder noises that are looked for
+_SHARED = 10  # windows that must share a louder noise
+_ALIKE = 4.0  # ratio of the variances of neighbours, at most; standard errors between their means
+_SLOW = 0.03  # share of gravity that a slow turn may change the reading by in a window
+_OUTLIER = 0.1  # share of gravity by which a dropout differs from the samples around it
 
 
-def loudest(sensor: Sensor, chosen: Flags) -> Array:
-    """(3,) largest standard deviation that can be the sensor's own noise at rest."""
-    if sensor.quantity != "acceleration":
-        return np.full(3, np.inf)
-    least = _LOUDEST * gravity_of(sensor, chosen)
-    return np.maximum(least, _LOUDEST_STEPS * sensor.step)
+@dataclass(frozen=True)
+class Kinds:
+    """Flags (m,) of a sensor's windows.
+
+    still : at rest, at the sensor's noise or a louder one that many windows share
+    louder : of these, at the louder one
+    other : steady at a noise of their own, which too few windows share to believe in
+    shaking : steady, but louder than the sensor's noise can be
+    slow : not still, but moving so little that it is a turn rather than a motion
+    spiky : one sample far from all others, as a dropout is
+    """
+
+    still: Flags
+    louder: Flags
+    other: Flags
+    shaking: Flags
+    slow: Flags
+    spiky: Flags
+    notes: tuple[str, ...]
 
 
-def _frozen(sensor: Sensor) -> Flags:
-    """Windows in which no axis ever changes, where the noise says that it would.
+def kinds_of(sensor: Sensor) -> Kinds:
+    """The kinds of a sensor's windows."""
+    w, ratio = sensor.windows, sensor.settings.variance_ratio
+    still, notes = still_windows(sensor)
+    none = np.zeros_like(still)
+    others = dict.fromkeys(("louder", "other", "shaking", "slow", "spiky"), none)
+    kinds = Kinds(still=still, notes=tuple(notes), **others)
+    if still.all():
+        return kinds
+    spiky, moving = _spiky(sensor), every(w.high > w.low)
+    steady = _steady(sensor, still) & moving & ~spiky
+    if not still.any():
+        return replace(kinds, shaking=steady, spiky=spiky)
+    base, louder = sensor.allowed, none.copy()
+    top = np.minimum(_LOUDER * base, np.maximum(sensor.loudest(still), base))
+    for _ in range(_LEVELS):
+        rest = steady & ~louder & every(w.variance <= ratio * top**2)
+        if rest.sum() < _SHARED:
+            break
+        level = np.maximum(sensor.level(rest), base)
+        found = rest & sensor.quieter_than(level)
+        if np.any(level > top) or found.sum() < _SHARED:
+            break
+        louder |= found
+    other = steady & ~louder & every(w.variance <= top**2)
+    slow = ~still & ~louder & ~spiky & moving
+    if not sensor.turns:
+        slow &= every(w.high - w.low <= _SLOW * sensor.gravity(still))
+    return replace(
+        kinds,
+        still=still | louder,
+        louder=louder,
+        other=other,
+        shaking=steady & ~louder & ~other,
+        slow=slow,
+        spiky=spiky,
+    )
 
-    A sensor whose noise is far below its resolution repeats itself at rest; of such a one only
-    a constancy of a minute counts as a dead or sleeping sensor, and not where postures of their
-    own last as long.
+
+def _steady(sensor: Sensor, still: Flags) -> Flags:
+    """Windows that are not still and have a neighbour of the same mean and variance, as far as
+    these tell."""
+    w = sensor.windows
+    one = np.flatnonzero(~(still[1:] & still[:-1]) & w.following)
+    two, least = one + 1, np.square(sensor.step) / 12.0
+    before, after = w.variance[one] + least, w.variance[two] + least
+    apart = np.square(w.mean[two] - w.mean[one]) * w.samples
+    pair = every(apart <= _ALIKE**2 * (before + after))
+    pair &= every((before <= _ALIKE * after) & (after <= _ALIKE * before))
+    steady = np.zeros_like(still)
+    steady[one[pair]] = steady[two[pair]] = True
+    return steady & ~still
+
+
+def _spiky(sensor: Sensor) -> Flags:
+    """Windows in which one sample alone is far away, on every axis that shows it.
+
+    One outlier of height h among n samples has a variance of h²/n, noise 2.5 h²/n or more, and a
+    motion some h²/12.
     """
     w = sensor.windows
-    constant = every(w.high == w.low) & ~sensor.zone
-    if sensor.fine:
-        # The window before or after one that is frozen through and through is so in part.
-        along = np.diff(w.run) == 0
-        after = np.append(False, constant[:-1] & along)
-        return np.asarray(constant | after | np.append(constant[1:] & along, False))
-    same = constant & np.append(False, every(w.mean[1:] == w.mean[:-1]))
-    starts = np.flatnonzero(~same)
-    lengths = np.diff(starts, append=same.size)
-    needed = _FROZEN_SECONDS * sensor.rate / w.samples
-    lead = np.full(starts[0] if starts.size else same.size, 0)
-    long = np.concatenate([lead, np.repeat(lengths, lengths)]) >= needed
-    long &= constant
-    return np.asarray(long & ~_postures(sensor, long))
-
-
-def _postures(sensor: Sensor, constant: Flags) -> Flags:
-    """Of windows that read one step of each axis, those that read gravity's size, where they read
-    more directions of it than a dead sensor does; else none."""
-    if sensor.quantity != "acceleration" or not constant.any():
-        return np.zeros_like(constant)
-    mean, gravity = sensor.windows.mean, gravity_of(sensor, np.ones_like(constant))
-    found = constant & (np.abs(np.linalg.norm(mean, axis=1) - gravity) <= _SIZE * gravity)
-    return np.asarray(found & (len(np.unique(mean[found], axis=0)) >= _POSTURES))
-
-
-def _clipped(sensor: Sensor) -> Flags:
-    """Windows in which one axis stands at its extreme of the whole recording while others move."""
-    w = sensor.windows
-    constant = w.high == w.low
-    clipped = some(constant & _at_extreme(w)) & ~every(constant)
-    return np.asarray(clipped & sensor.fine)
+    if sensor.turns or w.samples < 20 or not w.start.size:
+        return np.zeros(w.start.size, dtype=np.bool_)
+    reach = w.high - w.low
+    far = reach > _OUTLIER * sensor.gravity()
+    lone = w.variance * w.samples <= 1.6 * reach**2
+    return np.asarray(some(far) & every(~far | lone))
 
 
 def every(flags: Flags) -> Flags:

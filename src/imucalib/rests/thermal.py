@@ -21,7 +21,7 @@ import numpy as np
 from imucalib.arrays import Array, Flags, Index
 from imucalib.effects.thermal import LAG, PLAY, RATE, ROWS
 from imucalib.recording.recording import Channel, Recording
-from imucalib.rests.windows import COLUMNS, WindowBuilder, Windows, in_order
+from imucalib.rests.windows import WindowBuilder, Windows, in_order
 
 _RANGE = (-55.0, 125.0)  # °C that common thermometers can read
 _FASTEST = 0.2  # °C/s: a case of one minute's time constant, moved by 12 °C at once
@@ -33,42 +33,24 @@ _CODES = (85.0, -127.0)  # °C that it says after power-up, and where it does no
 _HALF = 0.5  # share of jumps from which on nothing of a thermometer is believed
 
 
-@dataclass(frozen=True)
-class Believed:
-    """windows : without the jumps, None where too few are left; gone : (k, 2) s, from and to of
-    those; words : how many, or nothing"""
-
-    windows: Windows | None
-    gone: Array = field(default_factory=lambda: np.empty((0, 2)))
-    words: tuple[str, ...] = ()
-
-
-def believed(w: Windows | None) -> Believed:
-    """The windows of a thermometer, if there is one, that hold no jump."""
-    if w is None or not (bad := _jumps(w)).any():
-        return Believed(w)
-    count = f"{int(bad.sum())} of {bad.size} readings"
-    why = "that jump and come back faster than a case can, or that are none"
-    if bad.mean() > _HALF:
-        return Believed(None, words=(f"temperature: not used, for {count} are {why}",))
-    kept = replace(w, **{name: getattr(w, name)[~bad] for name in COLUMNS})
-    half = 0.5 * _interval(w)
-    middle = 0.5 * (w.start + w.stop)[bad]
-    own = 0.5 * (w.stop - w.start)[bad]
-    reach = np.maximum(own, half)
-    gone = np.column_stack([middle - reach, middle + reach])
-    return Believed(kept, gone, (f"temperature: {count} left out {why}",))
-
-
-def temperature_in(w: Windows | None, gone: Array, start: Array, stop: Array) -> Array:
-    """(n,) °C in the middle of intervals (n,) s; NaN in those that hold a reading that is gone, and
-    without a thermometer."""
+def believed(w: Windows | None) -> tuple[ThermalHistory | None, tuple[str, ...]]:
+    """What windows of a thermometer, if there is one, tell without those that hold a jump; None
+    where too few are left. How many those are, in words, or nothing."""
     if w is None:
-        return np.full(start.size, np.nan)
-    middle = 0.5 * (start + stop)
-    found = np.interp(middle, 0.5 * (w.start + w.stop), w.mean[:, 0])
-    found[is_gone(gone, middle)] = np.nan
-    return np.asarray(found)
+        return None, ()
+    bad, gone = _jumps(w), np.empty((0, 2))
+    words: tuple[str, ...] = ()
+    if bad.any():
+        count = f"{int(bad.sum())} of {bad.size} readings"
+        why = "that jump and come back faster than a case can, or that are none"
+        if bad.mean() > _HALF:
+            return None, (f"temperature: not used, for {count} are {why}",)
+        words = (f"temperature: {count} left out {why}",)
+        reach = np.maximum(0.5 * (w.stop - w.start), 0.5 * _interval(w))
+        gone = np.column_stack([w.middle - reach, w.middle + reach])[bad]
+        w = w.take(~bad)
+    step = float(w.finest[0]) if np.isfinite(w.finest[0]) else _step(w.mean[:, 0])
+    return ThermalHistory(w.middle, w.mean[:, 0], gone, step), words
 
 
 def is_gone(gone: Array, at: Array) -> Flags:
@@ -85,14 +67,7 @@ def mean_of_known(values: Array, starts: Index) -> Array:
     return np.asarray(np.where(count > 0.0, total / np.maximum(count, 1.0), np.nan))
 
 
-def tells_apart(w: Windows, one: Array, other: Array) -> bool:
-    """Whether two temperatures (n,) °C, made of a thermometer's readings, differ by more than its
-    rounding makes them differ: by twice its error of step / √12, in the root mean square."""
-    step = float(w.finest[0]) if np.isfinite(w.finest[0]) else _step(w.mean[:, 0])
-    return float(np.mean(np.square(one - other))) > step**2 / 3.0
-
-
-def told_by_code(values: Array) -> Flags:
+def is_power_up_code(values: Array) -> Flags:
     """(n,) whether a reading of a table, °C, is what a thermometer says that has not measured: just
     that number, not in two rows that follow each other, and far from the rows that measured."""
     code = np.isin(values, _CODES)
@@ -148,11 +123,22 @@ _SILENT = 3600.0  # s without a reading after which nothing is known of the way 
 @dataclass(frozen=True)
 class ThermalHistory:
     """time (m,) s, of the middles of the windows; values (m,) °C, their means; gone : (k, 2) s, in
-    order, from and to of what the thermometer did not measure."""
+    order, from and to of what the thermometer did not measure; step : °C, its resolution."""
 
     time: Array
     values: Array
     gone: Array = field(default_factory=lambda: np.empty((0, 2)))
+    step: float = 0.0
+
+    def temperature(self, at: Array) -> Array:
+        """(n,) °C at times (s); NaN where a reading is gone."""
+        found = np.interp(at, self.time, self.values)
+        return np.where(is_gone(self.gone, at), np.nan, found)
+
+    def shows(self, one: Array, other: Array) -> bool:
+        """Whether two temperatures (n,) °C, made of these, differ by more than the thermometer's
+        rounding makes them: by twice its error of step / √12, in the root mean square."""
+        return float(np.mean(np.square(one - other))) > self.step**2 / 3.0
 
     def lagged(self, hours: float, at: Array) -> Array:
         """Temperature (°C) behind a lag of some hours, at times (s); it starts in equilibrium."""
@@ -204,28 +190,20 @@ def _trailing(values: Array, share: float) -> Array:
     return found
 
 
-def history_of(windows: Windows) -> ThermalHistory:
-    """From the windows of a temperature channel."""
-    return ThermalHistory(0.5 * (windows.start + windows.stop), windows.mean[:, 0])
-
-
 def thermal_history(blocks: Iterable[Recording], triad: str) -> ThermalHistory | None:
     """From a recording in blocks, of the thermometer of a triad; None when there is none. Jumps
     that no case can follow are left out; where more than half are jumps, all is gone."""
     builder: WindowBuilder | None = None
     for block in blocks:
-        for channel in block.channels.values():
-            if channel.quantity == "temperature" and channel.triad in (triad, ""):
-                builder = builder or WindowBuilder(max(1, round(_WINDOW * channel.rate)))
-                builder.add(channel, block.gaps)
-                break
+        if (channel := thermometer_of(block, triad)) is not None:
+            builder = builder or WindowBuilder(max(1, round(_WINDOW * channel.rate)))
+            builder.add(channel, block.gaps)
     windows = builder.windows() if builder else None
     if windows is None:
         return None
-    heat = believed(in_order(windows)[0])
-    if heat.windows is None:
-        return ThermalHistory(np.empty(0), np.empty(0), np.array([[-np.inf, np.inf]]))
-    return replace(history_of(heat.windows), gone=heat.gone)
+    found, _ = believed(in_order(windows)[0])
+    everything = np.array([[-np.inf, np.inf]])
+    return found or ThermalHistory(np.empty(0), np.empty(0), everything)
 
 
 def thermometer_of(recording: Recording, triad: str) -> Channel | None:
@@ -272,7 +250,10 @@ def with_thermometer(
     seen = start = -np.inf
     for block in blocks:
         new = thermometer_of(block, triad)
-        track = _joined(track, new) if new is not None else track
+        if new is not None and track is not None:
+            t = np.concatenate([track.t, new.t])
+            new = replace(new, t=t, values=np.concatenate([track.values, new.values]))
+        track = track if new is None else new
         times = [c.t[-1] for c in block.channels.values() if c.quantity == "acceleration"]
         seen = max([seen, *map(float, times)])
         start = start if np.isfinite(start) else seen
@@ -283,17 +264,10 @@ def with_thermometer(
             first, end = waiting.popleft()
             yield first, track
             if track is not None:  # from the last reading before the next block on
-                near = max(int(np.searchsorted(track.t, end, side="right")) - 1, 0)
-                track = replace(track, t=track.t[near:], values=track.values[near:])
+                first_kept = max(int(np.searchsorted(track.t, end, side="right")) - 1, 0)
+                track = replace(track, t=track.t[first_kept:], values=track.values[first_kept:])
     for block, _ in waiting:
         yield block, track
-
-
-def _joined(before: Channel | None, new: Channel) -> Channel:
-    if before is None:
-        return new
-    t, values = np.concatenate([before.t, new.t]), np.concatenate([before.values, new.values])
-    return replace(new, t=t, values=values)
 
 
 #: Covariates that a recording with a clock and a thermometer has.
@@ -336,8 +310,8 @@ def remembered_in_rows(temperature: Array, time: Array | None, session: Array) -
     for one in np.unique(session):
         of = session == one
         history = ThermalHistory(at[of], temperature[of])
-        for name, (behind, size) in sizes.items():
-            found[name][of] = behind(history, size, at[of])
+        for name, (course, size) in sizes.items():
+            found[name][of] = course(history, size, at[of])
     plain = {n for n, v in found.items() if n.startswith(PLAY.prefix) and _is_plain(v, temperature)}
     return {name: values for name, values in found.items() if name not in plain}
 

@@ -8,23 +8,22 @@ samples of a recording as long as they are few enough.
 
 from __future__ import annotations
 
-import mmap
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.arrays import Array, Index
+from imucalib.arrays import Array, Flags, Index
+from imucalib.errors import Undetermined
 from imucalib.recording.recording import Channel, Gap, Held, Pending
 
 Key = tuple[str, str]
 #: Numbers that are kept of a recording in blocks: 128 MB, or a day of one triad at 65 Hz. A
 #: recording that is one block is in memory anyway, and all of it is at hand.
 KEPT = 1 << 24
-
-_Part = tuple[int, Array, NDArray[np.generic], Pending | None]
 
 
 class Samples:
@@ -33,7 +32,7 @@ class Samples:
     def __init__(self, most: int = KEPT) -> None:
         self.whole = True
         self._most, self._blocks, self._held = most, 0, 0
-        self._parts: dict[Key, list[_Part]] = {}
+        self._parts: dict[Key, list[tuple[int, Channel]]] = {}
         self._counts: dict[Key, int] = {}
         self._gaps: list[Gap] = []
 
@@ -47,8 +46,7 @@ class Samples:
         if not self.whole:
             return
         first = self._counts.get(key, 0)
-        part = (first, channel.t, channel.values, channel.pending)
-        self._parts.setdefault(key, []).append(part)
+        self._parts.setdefault(key, []).append((first, channel))
         self._counts[key] = first + channel.t.size
         self._held += channel.values.size
         if self._blocks > 1 and self._held > self._most:
@@ -61,31 +59,30 @@ class Samples:
 
     def times(self, key: Key, first: int, last: int) -> Array:
         """(last - first,) s."""
-        found = [
-            t[max(first - at, 0) : last - at]
-            for at, t, _, _ in self._parts[key]
-            if at < last and at + t.size > first
-        ]
+        found = [part.t[rows] for part, rows in self._within(key, first, last)]
         return found[0] if len(found) == 1 else np.concatenate([np.empty(0), *found])
 
     def values(self, key: Key, first: int, last: int) -> Array:
         """(last - first, k) in SI, or counts."""
         found = []
-        for at, t, values, pending in self._parts[key]:
-            if at < last and at + t.size > first:
-                some = values[max(first - at, 0) : last - at]
-                found.append(pending.apply(some) if pending else some.astype(float, copy=False))
+        for part, rows in self._within(key, first, last):
+            some, pending = part.values[rows], part.pending
+            found.append(pending.apply(some) if pending else some.astype(float, copy=False))
         return found[0] if len(found) == 1 else np.concatenate(found)
+
+    def _within(self, key: Key, first: int, last: int) -> Iterator[tuple[Channel, slice]]:
+        for at, part in self._parts[key]:
+            if at < last and at + part.t.size > first:
+                yield part, slice(max(first - at, 0), last - at)
 
     def breaks(self, t: Array) -> Index:
         """Where a stretch of samples at times t is broken by a gap or a step back of time."""
-        near = [g for g in self._gaps if t.size and g.stop > t.min() and g.start < t.max()]
-        return breaks(t, near)
+        within = [g for g in self._gaps if t.size and g.stop > t.min() and g.start < t.max()]
+        return breaks(t, within)
 
 
-COLUMNS = ("first", "run", "start", "stop", "mean", "variance", "low", "high")
+_COLUMNS = ("first", "run", "start", "stop", "mean", "variance", "low", "high")
 _CACHE = 1 << 19  # bytes that are worked on at a time
-_ROOM = 1 << 19  # windows that there is room for at first: two months of ten seconds
 _EVERY = 8  # one in so many pieces is looked at for the resolution
 
 
@@ -110,55 +107,57 @@ class Windows:
     high: Array
     finest: Array
 
+    def take(self, rows: Index | Flags) -> Windows:
+        """Some of the windows."""
+        return replace(self, **{name: getattr(self, name)[rows] for name in _COLUMNS})
+
+    @property
+    def middle(self) -> Array:
+        """(m,) s."""
+        return np.asarray(0.5 * (self.start + self.stop))
+
+    @property
+    def following(self) -> Flags:
+        """(m - 1,) whether the next window is of the same run."""
+        return np.asarray(np.diff(self.run) == 0)
+
+
+def joined(parts: Sequence[Windows]) -> Windows:
+    """Windows of one channel, one part behind the other."""
+    columns: dict[str, Any] = {
+        name: np.concatenate([getattr(p, name) for p in parts]) for name in _COLUMNS
+    }
+    return replace(parts[0], finest=np.min([p.finest for p in parts], axis=0), **columns)
+
 
 class WindowBuilder:
     """Collects the windows of one channel from consecutive blocks."""
 
     def __init__(self, samples: int) -> None:
         self.samples = samples
-        self._table = _Table()
-        self._finest: Array | None = None
+        self._parts: list[Windows] = []
         self._t: Array = np.empty(0)
-        self._values: Array | None = None
-        self._offset = 0
-        self._run = 0
+        self._values: NDArray[np.generic] | None = None
+        self._offset = self._run = 0
 
     def add(self, channel: Channel, gaps: Sequence[Gap]) -> None:
         """Take the next block of the channel, with the gaps that the block reports."""
-        held, new = self._t.size, channel.values
-        near = breaks(np.append(self._t, channel.t[:1]), gaps)  # among the samples held back
-        edges = np.union1d(near, held + breaks(channel.t, gaps))
-        bounds = [0, *edges.tolist(), held + channel.t.size]
-        before, w = self._values, self.samples
-
-        def times(a: int, b: int) -> Array:
-            if a >= held:
-                return channel.t[a - held : b - held]
-            return np.concatenate([self._t[a:b], channel.t[: max(b - held, 0)]])
-
-        def piece(a: int, b: int) -> Array:
-            if before is None or a >= held:
-                return new[a - held : b - held]
-            return np.concatenate([before[a:b], new[: max(b - held, 0)]])
-
-        for k, (a, b) in enumerate(pairwise(bounds)):
+        t, values, w = channel.t, channel.values, self.samples
+        if self._values is not None and self._t.size:
+            t, values = np.concatenate([self._t, t]), np.concatenate([self._values, values])
+        end = 0
+        for k, (a, b) in enumerate(pairwise([0, *breaks(t, gaps).tolist(), t.size])):
             self._run += k > 0
-            whole = (b - a) // w * w
-            # Only the window that spans two blocks is copied together.
-            first = min(whole, -(-(held - a) // w) * w) if a < held else 0
-            for low, high in ((a, a + first), (a + first, a + whole)):
-                if high > low:
-                    part = self._of(times(low, high), piece(low, high), self._offset + low)
-                    self._keep(converted(part, channel.pending))
-            if k == len(bounds) - 2:
-                self._t, self._values = times(a + whole, b).copy(), piece(a + whole, b).copy()
-                self._offset += a + whole
+            end = a + (b - a) // w * w
+            if end > a:
+                part = self._of(t[a:end], values[a:end], self._offset + a)
+                self._parts.append(converted(part, channel.pending))
+        self._t, self._values = t[end:].copy(), values[end:].copy()
+        self._offset += end
 
-    def _of(self, t: Array, values: Array, first: int) -> Windows:
-        w = self.samples
-        statistics = window_statistics(values.reshape(t.size // w, w, values.shape[1]))
-        mean, variance, low, high, finest = statistics
-        m = t.size // w
+    def _of(self, t: Array, values: NDArray[np.generic], first: int) -> Windows:
+        w, m = self.samples, t.size // self.samples
+        mean, variance, low, high, finest = window_statistics(values.reshape(m, w, -1))
         return Windows(
             samples=w,
             first=first + w * np.arange(m),
@@ -172,54 +171,12 @@ class WindowBuilder:
             finest=finest,
         )
 
-    def _keep(self, part: Windows) -> None:
-        self._table.extend(np.column_stack([getattr(part, name) for name in COLUMNS]))
-        before = self._finest
-        self._finest = part.finest if before is None else np.minimum(before, part.finest)
-
     def windows(self) -> Windows | None:
         """All windows so far; None when no window was ever full."""
-        if self._finest is None:
+        if not self._parts:
             return None
-        rows, k = self._table.rows(), self._finest.size
-        first, run = (rows[:, c].astype(np.intp) for c in (0, 1))
-        mean, variance, low, high = (rows[:, a : a + k] for a in range(4, 4 + 4 * k, k))
-        return Windows(
-            samples=self.samples,
-            first=first,
-            run=run,
-            start=rows[:, 2],
-            stop=rows[:, 3],
-            mean=mean,
-            variance=variance,
-            low=low,
-            high=high,
-            finest=self._finest,
-        )
-
-
-class _Table:
-    """Rows of numbers that grow, in pages of their own: these are taken when they are written, so
-    that room costs nothing, and go back to the system as soon as nothing refers to them."""
-
-    def __init__(self) -> None:
-        self._held: Array = np.empty((0, 0))
-        self._used = 0
-
-    def extend(self, rows: Array) -> None:
-        needed = self._used + len(rows)
-        if needed > len(self._held):
-            shape = max(_ROOM, 2 * needed), rows.shape[1]
-            more = np.frombuffer(mmap.mmap(-1, 8 * shape[0] * shape[1])).reshape(shape)
-            if self._used:
-                more[: self._used] = self._held[: self._used]
-            self._held = more
-        self._held[self._used : needed] = rows
-        self._used = needed
-
-    def rows(self) -> Array:
-        """The rows so far; later ones come after them."""
-        return self._held[: self._used]
+        self._parts = [joined(self._parts)]
+        return self._parts[0]
 
 
 def converted(windows: Windows, how: Pending | None) -> Windows:
@@ -245,11 +202,8 @@ def in_order(windows: Windows) -> tuple[Windows, int]:
     Time that steps back gives two stretches the same times; only the first can be kept.
     """
     latest = np.maximum.accumulate(windows.stop)
-    before = np.concatenate([[-np.inf], latest[:-1]])
-    keep = windows.start > before
-    if keep.all():
-        return windows, 0
-    return replace(windows, **{n: getattr(windows, n)[keep] for n in COLUMNS}), int((~keep).sum())
+    keep = windows.start > np.concatenate([[-np.inf], latest[:-1]])
+    return windows if keep.all() else windows.take(keep), int((~keep).sum())
 
 
 def without_held(windows: Windows, held: Sequence[Held]) -> Windows:
@@ -257,14 +211,44 @@ def without_held(windows: Windows, held: Sequence[Held]) -> Windows:
     stretch does not follow one another."""
     if not held:
         return windows
-    ends = np.array(sorted((h.start, h.stop) for h in held))
-    begin, end = ends[:, 0], np.maximum.accumulate(ends[:, 1])
+    begin, end = np.array(sorted((h.start, h.stop) for h in held)).T
+    end = np.maximum.accumulate(end)
     before = np.searchsorted(begin, windows.stop, side="left")
     within = (before > 0) & (end[np.maximum(before - 1, 0)] > windows.start)
     # Numbers of runs that no other stretch has, whatever those are.
     stretch = np.cumsum(within & ~np.append(False, within[:-1])) << 40
-    kept = {name: getattr(windows, name)[~within] for name in COLUMNS}
-    return replace(windows, **{**kept, "run": (windows.run + stretch)[~within]})
+    return replace(windows, run=windows.run + stretch).take(~within)
+
+
+def usable(
+    builder: WindowBuilder,
+    held: Sequence[Held],
+    name: str,
+    path: str,
+    longer: str = "record longer",
+    with_more: Callable[[Windows], Windows] = lambda windows: windows,
+) -> tuple[Windows, int]:
+    """Windows of a channel in order of time, in which nothing is held, and how many were left out
+    since time had stepped back. Raises Undetermined where there are none.
+
+    longer : remedy where no window is full; with_more : adds others of the channel, in order
+    """
+    windows = builder.windows()
+    if windows is None:
+        raise Undetermined(
+            f"{name} has no {builder.samples} samples in a row without a gap",
+            where=path,
+            remedy=longer,
+        )
+    ordered, lost = in_order(windows)
+    ordered = without_held(with_more(ordered), held)
+    if not ordered.start.size:
+        raise Undetermined(
+            f"{name} repeats one reading in every stretch of {builder.samples} samples",
+            where=path,
+            remedy="record it without a step that fills or holds samples",
+        )
+    return ordered, lost
 
 
 def window_statistics(cube: NDArray[np.generic]) -> tuple[Array, Array, Array, Array, Array]:

@@ -9,9 +9,8 @@ import pytest
 
 from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.checking.check import Check, Measured, checked
-from imucalib.calibration.checking.limits import Limits
-from imucalib.calibration.checking.misfit import Misfits, check_noise, triad_misfits
-from imucalib.calibration.checking.next_rests import misfits_of
+from imucalib.calibration.checking.misfit import Misfits, misfits_of, triad_misfits
+from imucalib.calibration.checking.noise import check_noise
 from imucalib.calibration.checking.statistic import Statistic
 from imucalib.calibration.triads import Triad
 from imucalib.core.effect import Context
@@ -37,7 +36,7 @@ def looked_at(rests: int, shift: np.ndarray) -> Check:
     reading = force + MG * shift * along + 0.25 * MG * rng.standard_normal(force.shape)
     noise = check_noise(calibration)
     misfits = triad_misfits(calibration, triad, reading, noise, np.zeros(rests))
-    return checked(calibration, [Measured(misfits, "imu0")], noise, Limits())
+    return checked(calibration, [Measured(misfits, "imu0")], noise, {})
 
 
 def wrong_in(rests: int, *rows: int) -> np.ndarray:
@@ -104,7 +103,7 @@ def test_the_imu_that_changed_is_named() -> None:
         reading = clean + 0.25 * MG * rng.standard_normal(clean.shape) + [shift * MG, 0.0, 0.0]
         misfits = triad_misfits(calibration, triad, reading, noise, np.zeros(12))
         measured.append(Measured(misfits, f"imu{k}"))
-    found = checked(calibration, measured, noise, Limits())
+    found = checked(calibration, measured, noise, {})
     assert found.verdict == "changed"
     assert [s.name for s in found.changed] == ["imu1"]
     # A package's +x is the board's -y.

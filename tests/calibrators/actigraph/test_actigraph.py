@@ -20,20 +20,19 @@ from imucalib.calibrators.actigraph.observations import NINE, observations_of, r
 from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.run import run_of
 from imucalib.calibrators.actigraph.series import series
-from imucalib.calibrators.actigraph.simulation import WeekPlan, simulated_week
 from imucalib.core.balance import Noise
 from imucalib.core.effect import Context
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm
 from imucalib.core.sphere import even_directions
-from imucalib.effects import families, known, named
-from imucalib.errors import UnreadableInput, UsageError
+from imucalib.effects import named
 from imucalib.estimators.least_squares import fit
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.runs import WORN, posture_runs, scan
 from imucalib.units import MG, STANDARD_GRAVITY
 from worlds.places import SAMPLES
+from worlds.week import WeekPlan, simulated_week
 
 Array = NDArray[np.float64]
 WRIST = SAMPLES / "wrist_day.csv.gz"
@@ -120,14 +119,6 @@ def test_a_new_posture_begins_a_run() -> None:
     assert np.allclose(runs.mean / G, means[[0, 1, 3]], atol=1e-3)
 
 
-def test_the_scatter_of_windows_is_that_of_what_they_share() -> None:
-    """Windows of one posture whose size scatters by 2 mg beyond their white noise of 0.3 mg."""
-    size = 1.0 + 2e-3 * np.random.default_rng(3).standard_normal(400)
-    means = size[:, None] * np.array([0.0, 0.6, 0.8])
-    runs = posture_runs(scan([recorded(means, 10.0)], WORN.window))
-    assert runs.window_noise / MG == pytest.approx(2.0, rel=0.2)
-
-
 def test_blocks_give_the_same_runs_as_the_whole() -> None:
     means = even_directions(12)
     whole = recorded(means, 33.0)
@@ -139,37 +130,6 @@ def test_blocks_give_the_same_runs_as_the_whole() -> None:
     one, two = (posture_runs(scan(r, WORN.window)) for r in ([whole], parts))
     assert np.array_equal(one.windows, two.windows)
     assert np.allclose(one.mean, two.mean, rtol=0.0, atol=1e-12)
-
-
-def test_refuses_what_cannot_be_gravity() -> None:
-    with pytest.raises(UnreadableInput, match="wrong unit"):
-        posture_runs(scan([recorded(np.full((1, 3), 40.0), 60.0)], WORN.window))
-    counts = recorded(np.array([[0.0, 0.0, 1.0]]), 60.0)
-    channel = replace(counts.channels["imu0/acceleration"], unit="counts")
-    with pytest.raises(UnreadableInput, match="no scale"):
-        scan([replace(counts, channels={"a": channel})], WORN.window)
-    two = replace(counts, channels={t: replace(channel, triad=t) for t in "ab"})
-    with pytest.raises(UsageError, match="2 accelerometers"):
-        scan([two], WORN.window)
-
-
-def test_scans_know_their_members_by_name() -> None:
-    scans = {"bias_step", "slip", "scale_step", "inclination_step", "temperature_square",
-             "thermal_lag", "cycle", "scale_cycle", "converter", "curve",
-             "posture", "shape", "follows", "thermal_hysteresis", "third_degree", "session",
-             "temperature_rate"}  # fmt: skip
-    assert set(families()) == scans
-    wrong = ("bias_step@later", "scale_step@2h", "inclination_step@row3", "slip@record3:x",
-             "temperature_square@22",
-             "converter@w", "thermal_lag@", "cycle@7h", "cycle@-2rows",
-             "cycle@rows", "scale_cycle@0s", "follows@bias:1:2", "thermal_hysteresis@2",
-             "thermal_hysteresis@0C", "thermal_hysteresis@C", "third_degree@w", "third_degree@xy",
-             "session@0:scale", "session@2:bias", "session@scale", "temperature_rate@5",
-             "temperature_rate@-2min")  # fmt: skip
-    for name in (*wrong, "nothing@1s"):
-        assert known(name) is None
-        with pytest.raises(UsageError):
-            named(name)
 
 
 @pytest.mark.slow

@@ -8,10 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy import stats
 
-from imucalib.calibrators.actigraph import coverage, errors, wear
-from imucalib.calibrators.actigraph.closest_point import closest_point
+from imucalib.calibrators.actigraph import errors
 from imucalib.calibrators.actigraph.observations import (
     covariates_of,
     observations_of,
@@ -19,15 +17,14 @@ from imucalib.calibrators.actigraph.observations import (
     robust_fit,
     weighted,
 )
-from imucalib.calibrators.actigraph.published import PointCollector, published_still, two_sets
-from imucalib.calibrators.actigraph.simulation import (
-    WeekPlan,
-    scan_of,
-    simulated_blocks,
-    simulated_week,
-    worn_blocks,
+from imucalib.calibrators.actigraph.simulation import scan_of, worn_blocks
+from imucalib.calibrators.actigraph.wear import (
+    Minutes,
+    Wear,
+    activity_of,
+    closest_point,
+    wear_of,
 )
-from imucalib.calibrators.actigraph.wear import Minutes, Wear, activity_of, minutes_of, wear_of
 from imucalib.core.effect import Context
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
@@ -36,6 +33,7 @@ from imucalib.effects import named
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.runs import PostureRuns, Scan, scan
 from imucalib.units import MG, STANDARD_GRAVITY
+from worlds.week import WeekPlan, simulated_week
 
 Array = NDArray[np.float64]
 
@@ -102,37 +100,6 @@ def fitted_nine(seed: int = 1) -> tuple[object, PostureRuns, Scan]:
     return robust_fit(model, data, week.runs)[0], week.runs, week.scanned
 
 
-def test_coverage_is_what_was_recorded() -> None:
-    found, runs, scan = fitted_nine()
-    result = SimpleNamespace(runs=runs, final=found, light=3)
-    block = coverage.coverage_of(result, scan, gravity=G, window=10.0)  # type: ignore[arg-type]
-    said = block.as_dict()
-    assert said["hours"] == pytest.approx(9.6)
-    assert said["still_hours"] == pytest.approx(runs.still / 360.0)
-    assert (said["windows"], said["still_windows"], said["posture_runs"]) == (
-        runs.total, runs.still, runs.n)  # fmt: skip
-    assert said["runs_that_count_less"] == 3
-    np.testing.assert_allclose(said["noise_of_a_sample_mg"], 4.0)
-    assert said["axis_range_g"]["y"] == pytest.approx(
-        [runs.mean[:, 1].min() / G, runs.mean[:, 1].max() / G]
-    )
-    assert "temperature_degC" not in said
-    # |a| is known by the parameters: draws of them move the corrected norm as much.
-    rng = np.random.default_rng(0)
-    theta = rng.multivariate_normal(found.theta, found.covariance, 4000)  # type: ignore[attr-defined]
-    u = np.array([0.6, 0.0, 0.8])
-    reading = found.model.predict(found.theta, G * u[None, None], _one()).reading[0, 0]  # type: ignore[attr-defined]
-    size = [np.linalg.norm(_undone(t, reading)) for t in theta]
-    assert errors.norm_sd(found, u[None])[0] == pytest.approx(np.std(size), rel=0.06)  # type: ignore[arg-type]
-    assert block.worst_sd >= block.mean_sd > 0.0
-
-
-def _one() -> object:
-    from imucalib.core.effect import Context
-
-    return Context(1)
-
-
 def _undone(theta: Array, reading: Array) -> Array:
     gain = np.eye(3) + np.diag(theta[3:6])
     gain[[1, 2, 2], [0, 0, 1]] = theta[6:]
@@ -173,57 +140,6 @@ def test_errors_over_the_sphere_are_those_of_the_nearest_part() -> None:
     sigma = found.noise.factor * found.observations.sigma[:, 0, 0]  # type: ignore[attr-defined]
     # Mean of |normal|.
     assert summary.floor == pytest.approx(sigma.mean() / MG * np.sqrt(2.0 / np.pi))
-
-
-def test_the_papers_rule_of_stillness_and_its_points() -> None:
-    """max - min below 0.12 g on one axis, and not a stuck one; ends of axes come first."""
-    low = np.zeros((4, 3))
-    high = np.array([[0.119, 9, 9], [0.121, 9, 9], [0.0, 9, 9], [0.01, 9, 9]]) * G
-    assert published_still(SimpleNamespace(low=low, high=high), G).tolist() == [0, 3]  # type: ignore[arg-type]
-    one = PointCollector(1, 1)
-    assert one.offer(np.array([-0.76, 0.1, 0.1]))
-    assert one.missing[0] == "y near -1 g"
-    assert not one.offer(np.array([-0.74, 0.3, 0.3]))
-    points = np.concatenate([np.eye(3), -np.eye(3), np.zeros((3, 3))])
-    first, second = two_sets(np.tile(points, (2, 1)), 1, 1)
-    assert first.ready
-    assert second.ready
-    assert len(first.points) == len(second.points) == 9
-
-
-def test_a_simulated_week_is_as_long_as_asked_and_rests_as_much() -> None:
-    week = simulated_week(WeekPlan(days=2.0, rests=0.6, plant={}), 4)
-    assert week.runs.n == int(0.6 * 2.0 * 86400.0 / 120.0)
-    assert week.scanned.stop == 2.0 * 86400.0
-    time = week.runs.time
-    # Uniform over the whole recording.
-    assert stats.kstest(time / (2.0 * 86400.0), "uniform").pvalue > 1e-3
-    assert week.runs.windows.mean() == pytest.approx(13.0, abs=1.0)
-    np.testing.assert_allclose(np.linalg.norm(week.force, axis=1), G)
-    left = np.linalg.norm(
-        np.array([_undone(np.concatenate(list(week.plan.sensor.values())), v)
-                  for v in week.runs.mean]) - week.force, axis=1)  # fmt: skip
-    sd = np.sqrt(0.4**2 + 16.0 / (10.0 * 100.0) / week.runs.windows)
-    assert np.mean((left / MG / sd) ** 2) == pytest.approx(3.0, rel=0.1)
-
-
-def test_samples_of_a_simulated_day_are_its_sensors() -> None:
-    """Rests read the planted sensor's forward model with the noise asked for; the share of time at
-    rest is that asked for."""
-    plan = WeekPlan(days=0.5, rate=2.0, rests=0.6, noise=4.0)
-    values = np.concatenate([b.channels["imu0/acceleration"].values
-                             for b in simulated_blocks(plan, 1, block=3600.0)])  # fmt: skip
-    assert len(values) == 0.5 * 86400 * 2
-    part = values.reshape(12, 30, 240, 3)
-    spread = part.std(axis=2).mean(axis=2).ravel() / MG
-    still = spread < 20.0
-    assert still.mean() == pytest.approx(0.6, abs=0.07)
-    assert np.median(spread[still]) == pytest.approx(4.0, rel=0.05)
-    assert np.median(spread[~still]) == pytest.approx(124.0, rel=0.05)
-    theta = np.concatenate([plan.sensor[name] for name in NINE])
-    rest = part.mean(axis=2).reshape(-1, 3)[still]
-    size = np.array([np.linalg.norm(_undone(theta, v)) for v in rest])
-    np.testing.assert_allclose(size, G, atol=2.0 * MG)
 
 
 RATE, HOURS = 5.0, 6
@@ -283,29 +199,6 @@ def test_the_fields_rule_finds_what_was_planted(wear_scanned: Scan) -> None:
     )
 
 
-def test_what_bends_counts_in_enmo_at_the_mean_of_its_minute(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Of samples that stand still for a minute that is exact."""
-
-    def bent(_: object, x: np.ndarray) -> np.ndarray:
-        return 1.02 * x + 0.1 + 0.004 * x**2 * np.sign(x)
-
-    monkeypatch.setattr(wear, "corrected_by", bent)
-    rng = np.random.default_rng(3)
-    u = rng.standard_normal((5, 3))
-    each = 1.03 * STANDARD_GRAVITY * u / np.linalg.norm(u, axis=1, keepdims=True)
-    values = np.repeat(each, 60, axis=0)
-    channel = Channel(np.arange(300.0), values, "m/s2", "acceleration", "imu0", 1.0)
-    made = minutes_of([Recording({"a": channel}, "", "", "")], "imu0", None)  # type: ignore[arg-type]
-    assert made.minute.tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
-    assert made.count.tolist() == [60.0] * 5
-    for found, reading in ((made.raw, each), (made.corrected, bent(None, each))):
-        over = np.linalg.norm(reading, axis=1) - STANDARD_GRAVITY
-        assert (over > 0.0).all()
-        np.testing.assert_allclose(found, over)
-
-
 def test_night_is_the_least_active_part_of_the_clock() -> None:
     """Two days whose five hours from 22:30 are quiet; the recording starts at 6 o'clock."""
     minute = np.arange(2 * 1440.0)
@@ -341,20 +234,6 @@ def values(plan: WeekPlan, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.nd
         np.concatenate([c.values for c in t]),
         np.concatenate([c.values[:, 0] for c in warm]),
     )
-
-
-def test_postures_of_two_minutes_at_rest_or_in_movement() -> None:
-    ideal = replace(PLAN, sensor={"bias": (0.0,) * 3, "scale": (0.0,) * 3})
-    t, read, _ = values(ideal)
-    np.testing.assert_allclose(t, 2.0 * np.arange(21600))
-    each = read.reshape(-1, 60, 3)  # two minutes
-    scatter = each.std(axis=1) / MG
-    still = scatter.max(axis=1) < 10.0
-    assert still.mean() == pytest.approx(0.6, abs=0.07)
-    assert scatter[still].mean() == pytest.approx(4.0, rel=0.02)
-    assert scatter[~still].mean() == pytest.approx(np.hypot(120.0, 4.0), rel=0.02)
-    size = np.linalg.norm(each[still].mean(axis=1), axis=1)
-    np.testing.assert_allclose(size, ideal.gravity, atol=2.0 * MG)
 
 
 def test_what_is_planted_is_added_by_its_equation() -> None:
@@ -402,10 +281,5 @@ def test_what_runs_differ_by_is_told_from_their_noise(mg: float) -> None:
     usual = found.sigma[10:, 0, 0] / sd[10:]
     assert np.median(usual) == pytest.approx(1.0, abs=0.12)
     assert 10 <= heavy <= 12
-
-
-def test_a_run_beyond_four_deviations_counts_as_one_at_four() -> None:
-    fit, runs, sd = world(3.0 * MG, 5)
-    found, _ = weighted(fit, runs)  # type: ignore[arg-type]
-    off = 30.0 * sd[:10] / found.sigma[:10, 0, 0]
-    np.testing.assert_allclose(off, 4.0, rtol=1e-3)
+    # What is beyond four deviations counts as one at four.
+    np.testing.assert_allclose(30.0 * sd[:10] / found.sigma[:10, 0, 0], 4.0, rtol=1e-3)

@@ -13,7 +13,13 @@ from imucalib.calibrators.actigraph.calibrate import ActigraphResult, calibrate
 from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.run import run_of
 from imucalib.calibrators.actigraph.simulation import scan_of
-from imucalib.calibrators.population import Population, Told, ToldNoise, to_yaml
+from imucalib.calibrators.population import (
+    UNLIKELY,
+    Population,
+    PriorNoise,
+    PriorParameter,
+    to_yaml,
+)
 from imucalib.cli import cli
 from imucalib.errors import UsageError
 from imucalib.rests.runs import PostureRuns
@@ -30,11 +36,11 @@ KIND = Population(
     reference="norm",
     effects=(),
     parameters=tuple(
-        Told(n, "mg" if n.startswith("bias") else "1", float(m), float(s))
+        PriorParameter(n, "mg" if n.startswith("bias") else "1", float(m), float(s))
         for n, m, s in zip(NAMES, MEAN, SD, strict=True)
     ),
     covariance=np.diag(SD**2),
-    noise=(ToldNoise("reading", 0.5 * MG, 0.2),),
+    noise=(PriorNoise("reading", 0.5 * MG, 0.2),),
 )
 REQUEST = replace(ActigraphRequest(), loop=False)
 
@@ -70,7 +76,7 @@ def test_sensors_of_the_kind_are_within_their_sds_from_six_postures() -> None:
         rng = np.random.default_rng(seed)
         theta = MEAN + SD * rng.standard_normal(9)
         found = result(sensor(theta, 6, rng), KIND)
-        strange += found.of_a_kind.contradicted
+        strange += found.of_a_kind.chance < UNLIKELY
         if found.beside_fleet:
             z += list((found.final.theta - theta) / found.final.sd)
             assert np.all(found.final.sd <= SD * (1.0 + 1e-9))
@@ -86,7 +92,7 @@ def test_a_sensor_that_contradicts_its_fleet_is_calibrated_alone(off: np.ndarray
     """Ten of the kind's sds off along what eight postures see."""
     runs = sensor(MEAN + off, 8, np.random.default_rng(3))
     found, alone = result(runs, KIND), result(runs, None)
-    assert found.of_a_kind.contradicted
+    assert found.of_a_kind.chance < UNLIKELY
     assert not found.beside_fleet
     np.testing.assert_array_equal(found.final.theta, alone.final.theta)
     np.testing.assert_array_equal(found.final.sd, alone.final.sd)
@@ -98,9 +104,15 @@ def test_a_sensor_that_contradicts_its_fleet_is_calibrated_alone(off: np.ndarray
 def test_an_effect_of_the_fleet_needs_what_drives_it_and_no_more() -> None:
     """Six postures within a tenth of a degree show nothing of a temperature; the fleet does: at 35
     degC a device that drifts by 0.3 mg/degC is off by 3 mg."""
-    told = (*KIND.parameters, *(Told(f"temperature_bias_{a}", "mg/degC", 0.3, 0.01) for a in "xyz"))
+    drifts = (PriorParameter(f"temperature_bias_{a}", "mg/degC", 0.3, 0.01) for a in "xyz")
+    every = (*KIND.parameters, *drifts)
     covariance = np.diag(np.r_[SD, 0.01, 0.01, 0.01] ** 2)
-    warm = replace(KIND, effects=("temperature_bias",), parameters=told, covariance=covariance)
+    warm = replace(
+        KIND,
+        effects=("temperature_bias",),
+        parameters=every,
+        covariance=covariance,
+    )
     moved = MEAN + 3.0 * np.r_[1.0, 1.0, 1.0, np.zeros(6)]
     runs = sensor(moved, 6, np.random.default_rng(6))
     found = result(replace(runs, temperature=np.linspace(34.95, 35.05, 6)), warm).final

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from imucalib import cli
 from imucalib.calibration.file import read as read_calibration
 from imucalib.calibrators.actigraph.published import PointCollector
-from imucalib.calibrators.actigraph.simulation import WeekPlan, simulated_blocks
+from imucalib.calibrators.actigraph.simulation import WeekPlan
 from imucalib.errors import Undetermined
 from imucalib.estimators.gradient_descent import (
     INT16,
@@ -24,12 +24,12 @@ from imucalib.estimators.gradient_descent import (
     closed_form,
     descend,
     descend_fixed,
-    global_optimum,
     norm_errors,
     objective,
 )
 from imucalib.units import MG, STANDARD_GRAVITY
 from imucalib.writers import write
+from worlds.week import simulated_blocks
 
 Array = NDArray[np.float64]
 
@@ -119,12 +119,6 @@ def test_the_closed_form_is_exact_without_misalignment() -> None:
     assert np.allclose(closed_form(points), p, atol=1e-9)
     with pytest.raises(Undetermined):
         closed_form(np.array([[1.0, 0, 0]] * 18))
-
-
-@pytest.mark.slow
-def test_the_global_optimum_is_no_worse_than_the_descent() -> None:
-    _, points = case(5)
-    assert objective(global_optimum(points), points) <= objective(descend(points), points)
 
 
 @pytest.fixture(scope="module")

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from numpy.typing import NDArray
 
-from imucalib import cli
 from imucalib.calibrators.actigraph.observations import (
     NINE,
     base_fit,
@@ -21,22 +18,12 @@ from imucalib.calibrators.actigraph.observations import (
 from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.run import run_of
 from imucalib.calibrators.actigraph.series import exchange_in
-from imucalib.calibrators.actigraph.simulation import (
-    Week,
-    WeekPlan,
-    code_steps,
-    simulated_blocks,
-    simulated_week,
-)
 from imucalib.core.model import Model
-from imucalib.core.observations import Observations
-from imucalib.core.prior import Prior, independent
 from imucalib.effects import named
 from imucalib.errors import Undetermined, UnreadableInput
-from imucalib.estimators.least_squares import fit
-from imucalib.loop.held_out import errors, held_out
 from imucalib.rests.runs import PostureRuns, posture_runs, scan
-from imucalib.units import MG, STANDARD_GRAVITY
+from imucalib.units import STANDARD_GRAVITY
+from worlds.week import Week, WeekPlan, code_steps, simulated_blocks, simulated_week
 
 Array = NDArray[np.float64]
 
@@ -48,10 +35,6 @@ MODEL = Model(tuple(named(name) for name in NINE))
 
 
 TYPICAL = np.array([50.0] * 3 + [0.03] * 3 + [0.02] * 3)
-
-
-def _known(data: Observations, sd: Array) -> Prior:
-    return independent(MODEL.start(data.context), sd)
 
 
 def short(rng: np.random.Generator, n: int) -> tuple[Week, Array]:
@@ -94,44 +77,6 @@ def test_one_posture_moves_only_what_it_shows() -> None:
     # The prior shares 20 mg out by variances: 50 mg of bias against 30 mg of scale at 1 g.
     assert found.theta[2] / 50.0**2 == pytest.approx(1e3 * found.theta[5] / 30.0**2, rel=0.05)
     assert found.theta[2] + 1e3 * found.theta[5] == pytest.approx(20.0, abs=1.0)
-
-
-def test_held_out_fits_keep_the_prior() -> None:
-    """To what one step of Gauss and Newton leaves: less than a tenth."""
-    week, _ = short(np.random.default_rng(5), 6)
-    data = replace(observations_of(week.runs, week.scanned, G), group=np.arange(6))
-    found = fit(MODEL, data, prior=_known(data, TYPICAL))
-    for row in range(6):
-        rest = fit(MODEL, data.without(np.array([row])), prior=_known(data, TYPICAL), noise=None)
-        again = errors(rest, rest.theta, data.take(np.array([row]))).error[0, 0, 0]
-        assert held_out(found).error[row, 0, 0] == pytest.approx(again, rel=0.1, abs=0.03 * MG)
-
-
-def test_nothing_at_rest_is_refused(tmp_path: Path) -> None:
-    rng = np.random.default_rng(0)
-    walk = np.sin(np.cumsum(rng.standard_normal((4000, 3)), axis=0))
-    rows = np.column_stack([np.arange(4000) / 50.0, walk])
-    path = tmp_path / "moving.csv"
-    np.savetxt(path, rows, "%.4f", ",", header="time_s,acc_x_g,acc_y_g,acc_z_g", comments="")
-    arguments = ["actigraph", str(path), "--unit", "g"]
-    result = CliRunner().invoke(cli.cli, arguments, standalone_mode=False)
-    assert isinstance(result.exception, Undetermined | UnreadableInput)
-
-
-def test_clipped_rests_are_left_out_and_said_so() -> None:
-    from imucalib.recording.recording import Channel, Recording
-    from imucalib.rests.runs import posture_runs, scan
-
-    rng = np.random.default_rng(1)
-    values = G * np.repeat([[0.0, 0.6, 0.8], [0.6, 0.0, 0.8], [0.9, 0.3, 0.3]], 1200, axis=0)
-    values += 4.0 * MG * rng.standard_normal(values.shape)
-    values[2400:, 0] = 0.85 * G  # the end of its range
-    channel = Channel(np.arange(3600) / 20.0, values, "m/s2", "acceleration", "imu0", 20.0)
-    scanned = scan([Recording({"imu0/acceleration": channel}, "made", "made", "")], 10.0)
-    runs = posture_runs(scanned)
-    assert runs.n == 2
-    run = run_of(runs, scanned, ActigraphRequest(), lambda text: None)
-    assert any("60 s of clipped samples left out" in note for note in run.outcome.notes)
 
 
 OTHER = {

@@ -10,7 +10,7 @@ import pytest
 
 from imucalib.calibration.apply import apply_to_recording
 from imucalib.calibration.file import check, read, write
-from imucalib.calibration.rest_drift import DRIFT, drift_block
+from imucalib.calibration.triads import DRIFT, drift_block
 from imucalib.calibrators.array.board import read_board
 from imucalib.calibrators.array.calibrate import calibrate_array
 from imucalib.calibrators.array.loop.catalogue import Asked

@@ -25,8 +25,6 @@ from worlds.boards import BoardPlan, board_log, made_board
 from worlds.places import SAMPLES
 
 BOARD = read_board("mimu4444_corners")
-
-
 PLAN = LogPlan(poses=14, pose_seconds=3.0, seconds=25.0, gyro_gain=0.0)
 
 
@@ -51,17 +49,38 @@ def _drawn(path: Path, places: list[str]) -> Path:
     return path
 
 
-def test_a_flat_drawing_and_a_line_are_read_and_a_point_is_not(tmp_path: Path) -> None:
+def test_a_flat_drawing_and_a_line_are_read(tmp_path: Path) -> None:
     corners = ["0, 0, 1", "20, 0, 1", "0, 20, 1", "20, 20, 1"]
     assert not read_board(_drawn(tmp_path / "flat.yaml", corners)).on_a_line
     for line in (["0, 0, 0", "5, 5, 5", "7, 7, 7", "9, 9, 9"], ["0, 0, 0", "0, 2, 0"]):
         assert read_board(_drawn(tmp_path / "line.yaml", line)).on_a_line
-    with pytest.raises(UnreadableInput, match="extends 0 µm") as caught:
-        read_board(_drawn(tmp_path / "point.yaml", ["1, 2, 3"] * 4))
-    assert "--board 4" in str(caught.value.remedy)
     assert read_board("5").undrawn
     with pytest.raises(UsageError, match="two or more"):
         read_board("1")
+
+
+IMU = "{name: %s, position: [%s], axes: 'x,y,z'}"
+
+
+@pytest.mark.parametrize(
+    ("text", "message", "remedy"),
+    [
+        ("imus: 3", "incomplete", "position"),
+        (f"imus: [{IMU % ('a', '0, 0, 0')}]", "two or more", ""),
+        ("[", "not a YAML", ""),
+        (f"imus: [{IMU % ('a', '1, 2, 3')}, {IMU % ('b', '1, 2, 3')}]", "extends 0", "--board 2"),
+        (f"imus: [{IMU % ('a */ int x;', '0, 0, 0')}, {IMU % ('b', '9, 0, 0')}]", "';'", ""),
+        ("gyro_scope_range: 2000\nimus: []", "unknown key", "gyroscope_range"),
+        ("imus: [{name: a, posit: [0, 0, 0]}]", "unknown key", "position"),
+        ("colour: red\nimus: []", "unknown key", "known are"),
+    ],
+)
+def test_bad_boards(tmp_path: Path, text: str, message: str, remedy: str) -> None:
+    path = tmp_path / "board.yaml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(UnreadableInput, match=message) as caught:
+        read_board(path)
+    assert remedy in (caught.value.remedy or "")
 
 
 @pytest.mark.slow
@@ -74,13 +93,6 @@ def test_positions_are_recovered_within_what_is_stated(log: SimulatedLog, run: A
     z = (found - truth @ left @ right) / run.final.sd[1:]
     assert np.sqrt(np.mean(z * z)) < 2.0
     assert run.final.convergence.reached()
-
-
-def test_a_wrong_mounting_is_refused(log: SimulatedLog) -> None:
-    rotations = BOARD.rotations.copy()
-    rotations[5] = np.eye(3)
-    with pytest.raises(Undetermined, match="imu5 is mounted otherwise"):
-        calibrate(log.recording, board=replace(BOARD, rotations=rotations))
 
 
 @pytest.mark.slow
@@ -107,21 +119,6 @@ def test_boards_that_come_along() -> None:
     assert np.sort(distances + 9.0 * np.eye(32), axis=1)[:, 1] == pytest.approx(np.full(32, 6.3e-3))
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("imus: 3", "incomplete"),
-        ("imus: [{name: a, position: [0, 0, 0]}]", "two or more"),
-        ("[", "not a YAML"),
-    ],
-)
-def test_bad_boards(tmp_path: Path, text: str, message: str) -> None:
-    path = tmp_path / "board.yaml"
-    path.write_text(text)
-    with pytest.raises(UnreadableInput, match=message):
-        read_board(path)
-
-
 @pytest.mark.slow
 def test_a_measured_board() -> None:
     """Underside accelerometers lie half a millimetre off the packages' middle, as published."""
@@ -136,25 +133,7 @@ def test_a_measured_board() -> None:
     assert run.outcome.findings.open
 
 
-BAD_INPUT_PLAN = LogPlan(poses=14, pose_seconds=3.0, seconds=20.0, gyro_gain=0.0)
-
-
 Change = Callable[[str, Channel], Channel]
-
-
-@pytest.fixture(scope="module")
-def recording() -> Recording:
-    return simulated_log(BOARD, BAD_INPUT_PLAN, np.random.default_rng(0)).recording
-
-
-def bad_input_calibrate(recording: Recording) -> ArrayRun:
-    request = ArrayRequest(BOARD, samples=100, loop=False)
-    return calibrate_array(recording, request, lambda _: None)
-
-
-def changed(recording: Recording, change: Change) -> Recording:
-    channels = {name: change(name, c) for name, c in recording.channels.items()}
-    return replace(recording, channels=channels)
 
 
 def scaled(part: str, factor: float) -> Change:
@@ -177,9 +156,8 @@ def later(part: str, seconds: float) -> Change:
 
 def held(part: str, axis: int, value: float) -> Change:
     def change(name: str, c: Channel) -> Channel:
-        return replace(c, values=np.where(np.arange(3) == axis, value, c.values)) if (
-            name.endswith(part)
-        ) else c  # fmt: skip
+        values = np.where(np.arange(3) == axis, value, c.values)
+        return replace(c, values=values) if name.endswith(part) else c
 
     return change
 
@@ -188,7 +166,7 @@ def held(part: str, axis: int, value: float) -> Change:
     ("change", "kind", "message", "remedy"),
     [
         (scaled("/acceleration", 1 / 9.80665), Undetermined, "0.1 times gravity", "unit"),
-        (scaled("imu3/acceleration", 0.1), Undetermined, "imu3 reads 0.098 times", "unit"),
+        (scaled("imu3/acceleration", 0.1), Undetermined, "imu3 reads 0.1 times", "unit"),
         (scaled("/acceleration", 1e3), Undetermined, r"1e\+03 times gravity", "unit"),
         (scaled("/angular_rate", 1 / DEG), Undetermined, "too little rotation", "gyros' unit"),
         (scaled("/angular_rate", DEG), Undetermined, "too little rotation", "gyros' unit"),
@@ -203,47 +181,23 @@ def held(part: str, axis: int, value: float) -> Change:
     ],
 )
 def test_a_fault_is_named(
-    recording: Recording, change: Change, kind: type[ImucalError], message: str, remedy: str
+    log: SimulatedLog, change: Change, kind: type[ImucalError], message: str, remedy: str
 ) -> None:
+    channels = {name: change(name, c) for name, c in log.recording.channels.items()}
     with pytest.raises(kind, match=message) as caught:
-        bad_input_calibrate(changed(recording, change))
+        calibrate(replace(log.recording, channels=channels), loop=False)
     assert remedy in (caught.value.remedy or "")
 
 
 @pytest.mark.parametrize("gone", ["imu4/acceleration", "imu4/angular_rate"])
-def test_a_missing_sensor_is_named(recording: Recording, gone: str) -> None:
-    left = {name: c for name, c in recording.channels.items() if name != gone}
+def test_a_missing_sensor_is_named(log: SimulatedLog, gone: str) -> None:
+    channels = {name: c for name, c in log.recording.channels.items() if name != gone}
     with pytest.raises(UnreadableInput, match="imu4") as caught:
-        bad_input_calibrate(replace(recording, channels=left))
+        calibrate(replace(log.recording, channels=channels), loop=False)
     assert "--gyro" in (caught.value.remedy or "")
 
 
-def test_exchanged_topics_are_noticed(recording: Recording) -> None:
-    """Two IMUs of opposite sides under each other's name."""
-    other = {"imu2": "imu5", "imu5": "imu2"}
-
-    def change(name: str, c: Channel) -> Channel:
-        if c.triad not in other:
-            return c
-        return replace(recording.channels[f"{other[c.triad]}/{c.quantity}"], triad=c.triad)
-
-    with pytest.raises(Undetermined, match=r"imu2 and imu5 are exchanged"):
-        bad_input_calibrate(changed(recording, change))
-
-
-def test_a_board_of_a_hostile_name_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "board.yaml"
-    lines = ['imus:', '  - {name: "a */ int x;", position: [0, 0, 0], axes: "x,y,z"}',
-             '  - {name: b, position: [9, 0, 0], axes: "x,y,z"}']  # fmt: skip
-    path.write_text("\n".join(lines), encoding="utf-8")
-    with pytest.raises(UnreadableInput, match="';'"):
-        read_board(path)
-
-
 RIGS_PLAN = BoardPlan(twist_s=8.0)
-
-
-CORNERS = read_board("mimu4444_corners")
 
 
 def rig(*places: tuple[float, float, float]) -> Board:
@@ -252,16 +206,10 @@ def rig(*places: tuple[float, float, float]) -> Board:
     return Board("rig", tuple(f"imu{i}" for i in range(k)), at, np.tile(np.eye(3), (k, 1, 1)))
 
 
-def logged(
-    board: Board, seed: int = 1, plan: BoardPlan = RIGS_PLAN
-) -> tuple[Recording, np.ndarray]:
-    rng = np.random.default_rng(seed)
-    parts = made_board(board.positions, board.rotations, board.imus, plan, rng)
-    return board_log(parts, plan, rng).recording, parts.positions
-
-
-def calibrated(recording: Recording, board: Board) -> ArrayRun:
-    return calibrate_array(recording, ArrayRequest(board, loop=False), lambda _: None)
+def logged(board: Board) -> tuple[Recording, np.ndarray]:
+    rng = np.random.default_rng(1)
+    parts = made_board(board.positions, board.rotations, board.imus, RIGS_PLAN, rng)
+    return board_log(parts, RIGS_PLAN, rng).recording, parts.positions
 
 
 @pytest.mark.slow
@@ -269,7 +217,7 @@ def calibrated(recording: Recording, board: Board) -> ArrayRun:
 def test_a_pair_and_a_line_are_calibrated(count: int) -> None:
     board = rig(*[(20.0 * i / (count - 1), 0.0, 0.0) for i in range(count)])
     recording, true = logged(board)
-    run = calibrated(recording, board)
+    run = calibrate(recording, board=board, samples=None, loop=False)
     assert run.outcome.exit_code == 0
     value, sd = run.total.distance(0, count - 1)
     assert sd < 1e-4
@@ -279,8 +227,10 @@ def test_a_pair_and_a_line_are_calibrated(count: int) -> None:
 
 @pytest.mark.slow
 def test_a_board_is_found_without_a_drawing() -> None:
-    recording, true = logged(CORNERS)
-    drawn, bare = calibrated(recording, CORNERS), calibrated(recording, undrawn_board(8))
+    recording, true = logged(BOARD)
+    drawn, bare = (
+        calibrate(recording, board=b, samples=None, loop=False) for b in (BOARD, undrawn_board(8))
+    )
     # In the axes of the first IMU, which are the board's here.
     one, two = drawn.total.by_motion, bare.total.by_motion
     left, _, right = np.linalg.svd(two.T @ one)
@@ -296,7 +246,7 @@ def test_the_noise_of_few_imus_keeps_its_shape_and_its_size(count: int) -> None:
     """The motion takes whole directions of their errors: what it leaves of a pair's forces lies
     along one line, so that squares of Gaussian errors scatter as those of tails would."""
     board = rig(*[(20.0 * i, 0.0, 0.0) for i in range(count)])
-    run = calibrated(logged(board)[0], board)
+    run = calibrate(logged(board)[0], board=board, samples=None, loop=False)
     moving, rests = run.moving, run.rests
     setup = array_setup(moving, board, 600, robust=True)
     assert setup is not None

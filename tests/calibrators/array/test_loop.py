@@ -7,7 +7,7 @@ import pytest
 
 from gates.bounds import at_most
 from imucalib.calibrators.array.effect_blocks import effect_blocks
-from imucalib.calibrators.array.estimate.total import corrected_samples
+from imucalib.calibrators.array.estimate.sampled import corrected_samples
 from imucalib.calibrators.array.findings import array_findings
 from imucalib.calibrators.array.linear_part import linear_part
 from imucalib.calibrators.array.loop.catalogue import Asked, array_catalogue, named_effect

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.loop.catalogue import Asked
-from imucalib.calibrators.array.rests import RestFit, fit_rests, own_noise
+from imucalib.calibrators.array.rests import RestFit, fit_rests
 from imucalib.rests.segments import Segments
 from imucalib.units import DEG, MG
 
@@ -61,20 +61,18 @@ def simulated(seed: int, n: int = 20, warm: float = 0.0) -> tuple[Segments, Boar
         last=count,
         samples=count,
         mean=mean,
-        variance=1e-4 * np.ones_like(mean),
         rate=rate,
         temperature=np.full((n, K), np.nan),
         noise=0.02 * ones,
         rate_noise=1e-3 * ones,
         step=0.0 * ones,
         rate_step=0.0 * ones,
-        moving=0.1,
     )
     return segments, board, gain, offset
 
 
 def fitted(segments: Segments, board: Board, asked: Asked | None = None) -> RestFit:
-    return fit_rests(segments, board, list(range(K)), G, asked=asked or Asked())
+    return fit_rests(segments, board, G, asked=asked or Asked())
 
 
 @pytest.mark.slow
@@ -152,20 +150,6 @@ def _uneven(seed: int, between: float) -> tuple[Segments, Board, Array, Array]:
     segments.mean[:] += between * rng.normal(size=segments.mean.shape)
     noise = np.full((K, 3), SIGMA * 50.0)
     return replace(segments, samples=samples, noise=noise), board, gain, offset
-
-
-def test_a_mean_is_as_good_as_its_samples_are_many_down_to_a_tenth_of_the_usual_noise() -> None:
-    """An axis below its resolution is not free of noise; K axes of unlike noise, in board order."""
-    segments, *_ = simulated(3)
-    noise = np.linspace(1.0, 3.0, 3 * K).reshape(K, 3)
-    noise[1, 2] = 1e-9
-    samples = np.array([100, 400])[np.arange(20) % 2][:, None] * np.ones((1, K), dtype=np.intp)
-    order = [4, 1, 0, 2, 3]
-    found = own_noise(replace(segments, noise=noise, samples=samples), order)
-    expected = noise[order].copy()
-    expected[1, 2] = 0.1 * np.median(noise[order])
-    root = np.where(np.arange(20) % 2, 20.0, 10.0)
-    np.testing.assert_allclose(found, expected / root[:, None, None])
 
 
 @pytest.mark.parametrize("between", [0.0, 1.0, 4.0, 20.0])

@@ -119,24 +119,6 @@ def test_noise_that_the_rests_do_not_show_is_a_limit_and_no_value(tmp_path: Path
     assert "± 0.0000" not in said
 
 
-@pytest.mark.slow
-def test_errors_that_grow_with_the_angle_widen_the_intervals(tmp_path: Path) -> None:
-    found = []
-    for k, planted in enumerate((0.0, 4e-3)):
-        rng = np.random.default_rng(6)
-        log = turned(chip(rng, per_angle=planted), rng, rests=24)
-        content = report(log.write(tmp_path / f"{k}.csv"), "--no-loop")
-        sds = [p["sd"] for p in content["parameters"] if p["effect"] == "gyro_gain"]
-        own = content["imu"]
-        found.append((own["turn_error_per_angle"], own["turn_floor_deg"], np.mean(sds)))
-    (share, floor, narrow), (more, higher, wide) = found
-    assert share < 1e-4
-    assert floor < 0.01
-    # Turns of like angles do not tell a floor from what grows with the angle: together they do.
-    assert 0.3 < np.hypot(higher, 115.0 * more) < 1.2
-    assert wide > 4.0 * narrow
-
-
 @pytest.mark.parametrize("late", [0.005, pytest.param(0.0, marks=pytest.mark.slow)])
 def test_a_late_gyroscope_shows_in_the_moving_accelerometer(late: float, tmp_path: Path) -> None:
     rng = np.random.default_rng(5)
@@ -168,31 +150,6 @@ def test_a_rate_in_deg_is_refused_with_its_unit(tmp_path: Path) -> None:
     result = run("imu", path, "-q")
     assert result.return_value == 3
     assert "--gyro-unit deg/s" in str(result.exception)
-
-
-def test_counts_and_no_gyroscope(tmp_path: Path) -> None:
-    log, _ = made(tmp_path / "right.csv")
-    header = "time (s),ax (m/s2),ay (m/s2),az (m/s2),gx,gy,gz"
-    path = log.write(tmp_path / "counts.csv", rate_unit=7506.0, header=header)
-    result = run("imu", path, "-q")
-    assert result.return_value == 3
-    assert "--gyro-lsb" in str(result.exception)
-    bare = tmp_path / "bare.csv"
-    table = np.column_stack([log.t, G0 * log.force])
-    np.savetxt(bare, table, delimiter=",", header=header[:41], comments="")
-    result = run("imu", bare, "-q")
-    assert result.return_value == 2
-    assert "no gyroscope" in str(result.exception)
-
-
-def test_a_log_of_one_rest_has_no_turns(tmp_path: Path) -> None:
-    rng = np.random.default_rng(3)
-    t = np.arange(0.0, 40.0, 0.01)
-    rate, force = (sd * rng.normal(size=(t.size, 3)) for sd in (1e-3, 3e-3))
-    force[:, 2] += 1.0
-    result = run("imu", Log(t, force, t, rate, force).write(tmp_path / "still.csv"), "-q")
-    assert result.return_value == 4
-    assert "0 turns between rests" in str(result.exception)
 
 
 def test_turns_about_the_vertical_show_nothing(tmp_path: Path) -> None:
@@ -301,14 +258,3 @@ def test_a_plan_of_135_deg_and_two_logs_together(tmp_path: Path) -> None:
     values = [p["value"] for p in both["parameters"] if p["effect"] == "gyro_gain"]
     sds = [p["sd"] for p in both["parameters"] if p["effect"] == "gyro_gain"]
     assert np.abs((np.array(values) - np.linalg.inv(own.M).ravel()) / sds).max() < 4.0
-
-
-def test_a_later_log_is_checked_and_calibrations_are_compared(tmp_path: Path) -> None:
-    rng = np.random.default_rng(9)
-    own = chip(rng)
-    paths = [turned(own, rng, rests=16).write(tmp_path / f"{k}.csv") for k in range(2)]
-    for k, path in enumerate(paths):
-        assert run("imu", path, "-o", tmp_path / f"out{k}", "-q", "--no-loop").return_value == 0
-    made_of = [tmp_path / f"out{k}/calibration.yaml" for k in range(2)]
-    assert run("check", made_of[0], paths[1], "-q").exception is None
-    assert run("compare", *made_of, "-q").exception is None

@@ -61,12 +61,6 @@ def test_what_a_log_leaves_open_is_told_with_the_turns_that_show_it(tmp_path: Pa
     assert "3 more turns" in page
 
 
-def test_few_turns_leave_gains_open() -> None:
-    result = run("design", "--imu", "--recommend", "4")
-    assert result.return_value == 4
-    assert "stay open" in result.stdout
-
-
 @pytest.mark.slow
 def test_what_is_simulated_is_found(tmp_path: Path) -> None:
     log = tmp_path / "turns.h5"

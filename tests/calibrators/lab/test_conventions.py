@@ -13,7 +13,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imucalib.arrays import Array
-from imucalib.calibrators.lab.calibrate import LabSettings
 from imucalib.calibrators.lab.conventions import PRESETS, Conventions
 from imucalib.calibrators.lab.position_table import PositionTable, read_position_table
 from imucalib.calibrators.lab.request import LabRequest
@@ -21,7 +20,7 @@ from imucalib.calibrators.lab.run import LabRun, run_lab
 from imucalib.core.references import unit_vector
 from imucalib.report.document import Document, Plot
 from imucalib.report.lab import lab_document
-from imucalib.units import DEG, STANDARD_GRAVITY
+from imucalib.units import DEG
 from worlds.places import SAMPLES
 
 conventions = st.builds(
@@ -97,9 +96,6 @@ OTHERS = [
 ]
 
 
-CALM = LabSettings(loop=False)
-
-
 def _as_meant(table: PositionTable, meant: Conventions) -> PositionTable:
     """The same positions under another convention's names."""
     inside = Conventions().inside(table.columns["inclination"], table.columns["tool_face"])
@@ -115,9 +111,9 @@ def paper_table() -> PositionTable:
     return replace(table, columns={**table.columns, "y": y})
 
 
-def _run(table: PositionTable, meant: Conventions, settings: LabSettings = CALM) -> LabRun:
-    chosen = replace(settings, conventions=meant)
-    return run_lab(_as_meant(table, meant), LabRequest(gravity=9.8061, settings=chosen))
+def _run(table: PositionTable, meant: Conventions) -> LabRun:
+    request = LabRequest(gravity=9.8061, loop=False, conventions=meant)
+    return run_lab(_as_meant(table, meant), request)
 
 
 @pytest.fixture(scope="module")
@@ -175,10 +171,8 @@ def test_a_dial_is_off_by_what_its_user_would_read(meant: Conventions) -> None:
         columns, {c: c for c in columns}, {a: "g" for a in "xyz"}, np.arange(1, len(grid) + 1),
         path="bench.csv", sha256="",
     )  # fmt: skip
-    declared = LabSettings(
-        conventions=meant, loop=False, declare=("inclination_zero", "inclination_scale")
-    )
-    run = run_lab(table, LabRequest(gravity=STANDARD_GRAVITY, settings=declared))
+    declare = ("inclination_zero", "inclination_scale")
+    run = run_lab(table, LabRequest(conventions=meant, loop=False, declare=declare))
     found = {p.name: p for p in run.calibration.parameters}
     for name, want in (("inclination_zero", 0.9), ("inclination_scale", 1.2)):
         assert abs(found[name].value - want) < 4.0 * found[name].sd + 0.01

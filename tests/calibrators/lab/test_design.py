@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from imucalib.calibrators.lab import simulation
 from imucalib.calibrators.lab.conventions import PRESETS
@@ -13,17 +14,14 @@ from imucalib.calibrators.lab.design import (
     design_of,
     judge,
     recommend,
-    settings_of,
     uniform_directions,
 )
 from imucalib.calibrators.lab.simulation import BenchPlan
 from imucalib.core.effect import Context
 from imucalib.core.model import Model
-from imucalib.core.observations import Observations
-from imucalib.core.references import KnownVector
 from imucalib.effects import named
 from imucalib.errors import UsageError
-from imucalib.units import DEG, MG
+from imucalib.units import MG
 from worlds.sheets import direction
 
 MODEL = Model(tuple(named(n) for n in ("bias", "scale", "non_orthogonality")))
@@ -36,21 +34,6 @@ def columns(i: np.ndarray, t: np.ndarray) -> np.ndarray:
     typical = np.array([p.typical for p in MODEL.parameters(Context(1))])
     every = (x, y, z, x * x, y * y, z * z, y * x, z * x, z * y)
     return np.stack(every, axis=-1) * typical * unit
-
-
-@pytest.mark.parametrize("pole", [-90.0, 90.0])
-def test_the_position_that_tells_most_is_offered(pole: float) -> None:
-    """Of all on a grid of 15 deg, both poles with it: the largest determinant, one pole here."""
-    rng = np.random.default_rng(1)
-    i, t = -np.sign(pole) * rng.uniform(-20.0, 80.0, 300), rng.uniform(0.0, 360.0, 300)
-    grid = [(a, b) for a in np.arange(-75.0, 76.0, 15.0) for b in np.arange(0.0, 360.0, 15.0)]
-    grid += [(-90.0, 0.0), (90.0, 0.0)]
-    known = columns(i, t).T @ columns(i, t)
-    offered = columns(*np.array(grid).T)
-    worth = [np.linalg.slogdet(known + np.outer(row, row))[1] for row in offered]
-    assert grid[int(np.argmax(worth))] == (pole, 0.0)
-    first = judge(MODEL, np.deg2rad(i), np.deg2rad(t), norm=True).additions[0]
-    assert first.inclination == pytest.approx(pole)
 
 
 def scaled(i: np.ndarray, t: np.ndarray) -> np.ndarray:
@@ -114,10 +97,7 @@ def test_the_recommended_rings() -> None:
         t, [0, 90, 180, 270, 30, 120, 210, 300, 60, 150, 240, 330, 0, 0], atol=1e-9
     )
     assert np.abs(recommend(13)[0]).max() == pytest.approx(np.pi / 4.0)
-    i, t = np.rad2deg(recommend(8, axes=1))
-    np.testing.assert_allclose(i, 0.0)
-    np.testing.assert_allclose(t, 45.0 * np.arange(8))
-    assert settings_of(*recommend(14)) == (5, 13)
+    assert design_of(i, t, PRESETS["paper"]).settings == (5, 13)
 
 
 def test_a_plan_is_judged_in_the_users_convention() -> None:
@@ -131,35 +111,21 @@ def test_a_plan_is_judged_in_the_users_convention() -> None:
     assert found.vector.efficiency > found.norm.efficiency
 
 
-G = 9.80665
-
-
 def test_a_simulated_sheet_reads_its_sensor_with_the_noise_asked_for() -> None:
+    """An ordinary triad by hand: lower triangle times mounting (about x, then y, then z), bias."""
     plan = BenchPlan(positions=400, layout="rings", noise=1.5, setting=(0.0, 0.0),
                      plant={"quadratic": (3.0, 0.0, 0.0)}, slips=((7, "y"),))  # fmt: skip
     table = simulation.simulated_table(plan, np.random.default_rng(1))
-    i, t = (np.radians(table.columns[n]) for n in ("inclination", "tool_face"))
-    ids = np.arange(400)
-    reference = KnownVector(i, t, G, ids, ids)
-    data = Observations(np.zeros((400, 1, 3)), np.ones((400, 1, 3)), reference, Context(400), ids,
-                        ("",) * 400)  # fmt: skip
-    clean = simulation.planted_truth(plan, data, G * direction(np.rad2deg(i), np.rad2deg(t))) / MG
+    lower = np.array([[1.006, 0.0, 0.0], [0.003, 0.996, 0.0], [-0.002, 0.004, 1.009]])
+    mounting = Rotation.from_euler("xyz", [0.4, -0.7, 1.1], degrees=True).as_matrix()
+    u = direction(table.columns["inclination"], table.columns["tool_face"])
+    clean = 1000.0 * u @ (lower @ mounting).T + [25.0, -18.0, 32.0]
+    clean[:, 0] += 3.0 * (u @ mounting.T)[:, 0] ** 2
     off = table.raw() - clean
     assert off[6, 1] == pytest.approx(-2.0 * clean[6, 1], abs=8.0)
     off[6, 1] = 0.0
+    np.testing.assert_allclose(off.mean(axis=0), 0.0, atol=0.3)
     np.testing.assert_allclose(off.std(axis=0), 1.5, rtol=0.1)
-    warm = simulation.simulated_table(replace(plan, temperature=(10.0, 40.0), slips=()),
-                                      np.random.default_rng(1))  # fmt: skip
-    np.testing.assert_allclose(warm.columns["temperature"], np.linspace(10.0, 40.0, 400))
-    wide = simulation.simulated_table(
-        replace(plan, noise=1e-6, setting=(0.3, 0.0), plant={}, slips=()), np.random.default_rng(2)
-    )
-    sheet = simulation.simulated_table(
-        replace(plan, noise=1e-6, setting=(0.0, 0.0), plant={}, slips=()), np.random.default_rng(2)
-    )
-    moved = np.linalg.norm(wide.raw() - sheet.raw(), axis=1) / 1000.0 / DEG
-    # Each of three rings and two poles is set once.
-    assert len(np.unique(np.round(moved, 2))) <= 8
     with pytest.raises(UsageError, match="no such cell"):
         simulation.simulated_table(replace(plan, slips=((401, "y"),)), np.random.default_rng(1))
 

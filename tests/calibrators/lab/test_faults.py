@@ -16,7 +16,6 @@ import imucalib
 from imucalib import cli
 from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.calibrators.lab.repairs import Repairs, repaired, repairs_of
-from imucalib.effects import known
 from imucalib.errors import ImucalError, UsageError
 from worlds import sheets
 from worlds.places import ROOT
@@ -58,13 +57,6 @@ def test_a_turned_sensor_is_a_question_until_it_is_answered(tmp_path: Path) -> N
     for line in re.findall(r"--(?:axes|toolface-zero-axis)[= ][-+xyz,]+", text):
         code, text, report = lab(path, *shlex.split(line.rstrip(",")))
         assert (code, text) == (0, ""), line
-
-
-def test_the_norm_claims_nothing_about_places(tmp_path: Path) -> None:
-    clean = sheets.bench(4, name="spread")
-    for made in (sheets.exchanged(clean, 3, 9), sheets.mistyped(clean, 5, "inclination", 20.0)):
-        path = made.write(tmp_path / "sheet.csv")
-        assert lab(path, "--reference", "norm")[:2] == (0, "")
 
 
 def table() -> PositionTable:
@@ -168,21 +160,6 @@ def test_what_follows_a_named_column_is_found_and_done_without(tmp_path: Path, k
     assert "11.5 to 12.5" in told
 
 
-@pytest.mark.parametrize(
-    "value",
-    [
-        "bias",
-        "bias::1:2",
-        "bias:supply:1:0",
-        "scale:supply:1:x",
-        "bias:supply:1:-1",
-        "gain:supply:1:2",
-    ],
-)
-def test_values_that_name_no_driver(value: str) -> None:
-    assert known(f"follows@{value}") is None
-
-
 SAMPLES = ROOT / "sample_logs"
 
 
@@ -206,33 +183,6 @@ def validated(text: str, name: str) -> dict:
     schema = json.loads((SCHEMAS / f"{name}.schema.json").read_text(encoding="utf-8"))
     jsonschema.validate(content, schema)
     return content
-
-
-def commands_table(path: Path, **columns: object) -> Path:
-    """The sample bench with some columns changed (None drops one)."""
-    lines = (SAMPLES / "bench.csv").read_text().splitlines()
-    names = lines[0].split(",")
-    values = {n: [line.split(",")[k] for line in lines[1:]] for k, n in enumerate(names)}
-    values |= columns  # type: ignore[arg-type]
-    values = {n: v for n, v in values.items() if v is not None}
-    rows = zip(*values.values(), strict=True)
-    path.write_text("\n".join([",".join(values), *(",".join(r) for r in rows)]) + "\n")
-    return path
-
-
-def column(name: str) -> list[str]:
-    lines = (SAMPLES / "bench.csv").read_text().splitlines()
-    k = lines[0].split(",").index(name)
-    return [line.split(",")[k] for line in lines[1:]]
-
-
-def spoilt(name: str, row: int, cell: str) -> list[str]:
-    cells = column(name)
-    cells[row - 1] = cell
-    return cells
-
-
-SWAPPED = {"inclination": column("tool_face"), "tool_face": column("inclination")}
 
 
 @pytest.mark.slow
@@ -267,28 +217,6 @@ def test_the_repaired_bench_names_the_dial_and_passes(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "code", "words"),
-    [
-        ({"x_mg": None}, 3, "no column for x"),
-        ({"inclination": None}, 3, "no column for inclination"),
-        ({"y_mg": spoilt("y_mg", 5, "oops")}, 3, "row 5, column y_mg: 'oops'"),
-        ({"z_mg": spoilt("z_mg", 7, "")}, 3, "row 7, column z_mg: the cell is empty"),
-        ({"x_mg": spoilt("x_mg", 3, "nan")}, 3, "row 3, column x_mg"),
-        ({"tool_face": spoilt("tool_face", 1, "1e4")}, 2, "row 1, column tool_face"),
-        (SWAPPED, 2, "--swap-angles"),
-        ({"inclination": ["30"] * 32}, 4, "leave open"),
-    ],
-)
-def test_bad_tables(tmp_path: Path, change: dict, code: int, words: str) -> None:
-    path = commands_table(tmp_path / "bad.csv", **change)
-    result = run("lab", path, "-o", tmp_path / "out", "--no-loop")
-    assert isinstance(result.exception, ImucalError), result.exception
-    assert result.exit_code == code
-    assert words in str(result.exception)
-    assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize(
     ("options", "code", "words"),
     [
         (("--unit", "m/s2"), 3, "norm would be"),
@@ -311,13 +239,3 @@ def test_bad_options(tmp_path: Path, options: tuple[str, ...], code: int, words:
     assert result.exit_code == code
     assert words in str(result.exception)
     assert not (tmp_path / "out").exists()
-
-
-def test_missing_file_and_positions_that_do_not_match(tmp_path: Path) -> None:
-    assert run("lab", tmp_path / "none.csv").exit_code == 3
-    short = tmp_path / "short.csv"
-    lines = (SAMPLES / "positions.csv").read_text().splitlines()
-    short.write_text("\n".join(lines[:-2]) + "\n")
-    result = run("lab", short, "--recording", SAMPLES / "rests.mcap")
-    assert result.exit_code == 2
-    assert "22 positions, the recording 24 rests" in str(result.exception)

@@ -4,22 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from imucalib.calibrators.lab import advice, dial, faults
-from imucalib.calibrators.lab.attitude import attitude_errors
-from imucalib.calibrators.lab.bench import position_observations, row_numbers, still_observations
-from imucalib.calibrators.lab.calibrate import LabSettings
-from imucalib.calibrators.lab.calibration import noise_block
-from imucalib.calibrators.lab.checks import refuse_sizes, refuse_temperatures, without_temperature
+from imucalib.calibrators.lab.bench import (
+    implausible_rows,
+    in_celsius,
+    position_observations,
+    still_observations,
+)
 from imucalib.calibrators.lab.conventions import Conventions
-from imucalib.calibrators.lab.dial import Dial, dial_of
-from imucalib.calibrators.lab.errors import noise_floor
-from imucalib.calibrators.lab.faults import sheet_of
+from imucalib.calibrators.lab.errors import attitude_errors, noise_floor
 from imucalib.calibrators.lab.position_table import PositionTable
+from imucalib.calibrators.lab.run import noise_block
 from imucalib.core.effect import Context
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm, KnownVector
@@ -27,7 +25,6 @@ from imucalib.errors import UsageError
 from imucalib.estimators.least_squares import fit
 from imucalib.loop.held_out import Held
 from imucalib.loop.posterior.noise import shared_bias
-from imucalib.units import DEG, MG
 from worlds.bench import base_model, bench, draw, ordinary_theta
 from worlds.sheets import direction
 
@@ -57,40 +54,6 @@ def test_a_dial_is_set_anew_where_its_value_or_its_power_up_changes() -> None:
     assert ids(named)[0] == [0, 0, 1, 1, 0]
 
 
-def test_noise_falls_with_the_root_of_the_samples() -> None:
-    """About a row of median count."""
-    sheet = table(inclination=[0, 1, 2], tool_face=[0, 0, 0], samples=[4, 16, 64])
-    data = position_observations(sheet, sheet.raw(), Conventions(), G, sigma=3.0)
-    assert data.sigma.shape == (3, 1, 3)
-    assert data.sigma[:, 0, 1].tolist() == [6.0, 3.0, 1.5]
-    never = table(inclination=[0, 1], tool_face=[0, 0], samples=[0, 1])
-    assert (
-        still_observations(never, never.raw(), G, sigma=2.0).sigma[:, 0, 0].tolist()
-        == [pytest.approx(2.0 * 0.5**0.5)] * 2
-    )
-    alike = table(inclination=[0, 1], tool_face=[0, 0])
-    assert (still_observations(alike, alike.raw(), G).sigma == MG).all()
-
-
-def test_covariates_are_what_stood_before_and_when() -> None:
-    sheet = table(inclination=[0, 30], tool_face=[90, 90], temperature=[20, 25], time=[0, 60])
-    data = position_observations(sheet, sheet.raw(), Conventions(), G)
-    found = data.context.covariates
-    assert found["previous_y"].tolist() == [2.0, 2.0]
-    assert found["previous_z"].tolist() == [3.0, 3.0]
-    assert found["record"].tolist() == [0.0, 1.0]
-    assert found["order"].tolist() == [0.0, 1.0]
-    assert found["temperature"].tolist() == [20.0, 25.0]
-    assert found["time"].tolist() == [0.0, 60.0]
-    assert found["inclination"].tolist() == pytest.approx([0.0, 30.0 * DEG])
-    assert found["tool_face"].tolist() == pytest.approx([90.0 * DEG] * 2)
-    assert data.label == ("row 1", "row 2")
-    assert row_numbers(data).tolist() == [1, 2]
-    long = table(inclination=[0, 1, 2], tool_face=[0, 0, 0])
-    before = still_observations(long, long.raw(), G).context.covariates
-    assert before["previous_x"].tolist() == [1.0, 1.0, 2.0]
-
-
 @pytest.mark.parametrize(
     ("inclination", "tool_face", "sweeps"),
     [
@@ -113,42 +76,6 @@ def test_a_sweep_is_a_run_that_holds_one_dial(
     assert context.sweeps == max(sweeps) + 1
 
 
-def sheet(made: PositionTable, rows: Sequence[int], **unit: str) -> faults.Sheet:
-    """As the search for slips sees some rows: readings in m/s², the table's first rows noisier."""
-    whole = still_observations(made, made.raw() * MG, G)
-    return sheet_of(made, whole, np.array(rows), Conventions(), G)
-
-
-def mixed(**more: Sequence[float]) -> PositionTable:
-    """24 rows in no order of work; two neighbours of one inclination."""
-    rng = np.random.default_rng(5)
-    i, t = rng.permutation(24) * 5.0 - 60.0, rng.permutation(24) * 15.0
-    i[4] = i[3]
-    return table(inclination=i, tool_face=t, **more)
-
-
-def test_neighbours_share_a_setting_only_in_an_order_of_work() -> None:
-    """By the way from row to row, or by a time that grows; else each row was set by itself, unless
-    the sheet says what was set."""
-    every = list(range(24))
-    loose = sheet(mixed(), every)
-    assert not loose.ordered
-    assert loose.inclination_setting.tolist() == every
-    timed = sheet(mixed(time=np.arange(24.0)), every)
-    assert timed.ordered
-    held = [k - (k > 3) for k in every]
-    assert timed.inclination_setting.tolist() == held
-    assert timed.tool_face_setting.tolist() == every
-    stands = np.maximum(np.arange(24.0), 1.0)  # a clock that stands still once
-    assert not sheet(mixed(time=stands), every).ordered
-    said = sheet(mixed(inclination_setting=np.arange(24.0) // 2), every)
-    assert said.inclination_setting.tolist() == [k // 2 for k in every]
-    assert said.tool_face_setting.tolist() == every
-    k = np.arange(24)
-    worked = table(inclination=40.0 * (k // 8), tool_face=45.0 * (k % 8))
-    assert sheet(worked, every).inclination_setting.tolist() == (k // 8).tolist()
-
-
 @pytest.mark.parametrize(
     ("reading", "words", "fix"),
     [
@@ -168,25 +95,19 @@ def test_the_slip_of_ten_that_explains_a_size(reading: list[float], words: str, 
     rows = np.array([[0.0, 0.0, 1000.0], reading] + [[0.0, 1000.0, 0.0]] * 6)
     made = table(x=rows[:, 0].tolist(), y=rows[:, 1].tolist(), z=rows[:, 2].tolist())
     with pytest.raises(UsageError) as caught:
-        refuse_sizes(made, np.array([1]), np.arange(8))
+        implausible_rows(made, np.arange(8), refuse=True)
     assert words in caught.value.what
     assert caught.value.where.endswith("row 2")
     assert caught.value.remedy == f"{fix}--exclude 2 or --auto-exclude"
-    assert "(so are 1 more)" in _told(made)
-    refuse_sizes(made, np.array([], np.intp), np.arange(8))
-
-
-def _told(made: PositionTable) -> str:
-    with pytest.raises(UsageError) as caught:
-        refuse_sizes(made, np.array([1, 2]), np.arange(8))
-    return caught.value.what
+    assert implausible_rows(made, np.arange(8), refuse=False) == {1: "size of |a|"}
 
 
 @pytest.mark.parametrize("code", [85.0, -127.0])
 def test_what_a_thermometer_says_that_has_not_measured_is_no_temperature(code: float) -> None:
     def bad(*values: float, **unit: str) -> list[int]:
-        made = table(unit or {"temperature": "C"}, temperature=values)
-        return list(without_temperature(made, np.arange(len(values))))
+        plain = {axis: [1.0] * len(values) for axis in "xyz"}
+        made = in_celsius(table(unit or {"temperature": "degC"}, temperature=values, **plain))
+        return list(implausible_rows(made, np.arange(len(values)), refuse=False))
 
     assert bad(20.0, code, 22.0, 23.0, code) == [1, 4]
     assert bad(20.0, 21.0, code + 0.1, 22.0) == []
@@ -194,29 +115,12 @@ def test_what_a_thermometer_says_that_has_not_measured_is_no_temperature(code: f
     assert bad(20.0, 21.0, 22.0, 23.0, 24.0, code, code) == []  # an oven stands there
     assert bad(20.0, code, code + 29.0, 23.0, 20.0) == []
     assert bad(250.0, code, 260.0, 255.0, temperature="K") == []
-    made = table({"temperature": "C"}, temperature=[20.0, code, 22.0])
-    refuse_temperatures(made, np.array([], np.intp))
+    plain = {axis: [1.0] * 3 for axis in "xyz"}
+    made = table({"temperature": "degC"}, temperature=[20.0, code, 22.0], **plain)
     with pytest.raises(UsageError, match="not measured") as caught:
-        refuse_temperatures(made, np.array([1]))
+        implausible_rows(made, np.arange(3), refuse=True)
     assert caught.value.where.endswith("row 2, column temperature")
     assert "--exclude 2" in caught.value.remedy
-    assert without_temperature(table(x=[1, 2]), np.arange(2)).size == 0
-
-
-def held(raw: float, final: float) -> SimpleNamespace:
-    return SimpleNamespace(error=SimpleNamespace(held_out=SimpleNamespace(raw=raw, final=final)))
-
-
-def test_a_calibration_is_worth_its_name_below_nine_tenths_of_the_raw_error() -> None:
-    rng = np.random.default_rng(0)
-    whole = SimpleNamespace(reading=rng.normal(0.0, G, (20, 1, 3)))
-    assert not faults.worthless(held(10.0, 8.9), whole)
-    assert not faults.worthless(held(10.0, np.nan), whole)
-    (reason,) = faults.worthless(held(10.0, 9.1), whole)
-    assert "9.1 mg is not clearly below the raw reading's 10 mg" in reason
-    coarse = SimpleNamespace(reading=5.0 * MG * np.round(whole.reading / (5.0 * MG)))
-    (reason,) = faults.worthless(held(10.0, 1.0), coarse)
-    assert "steps of 5 mg" in reason
 
 
 def late(warm: Sequence[float], share: float) -> list[float]:
@@ -273,12 +177,6 @@ def test_angles_are_compared_on_vectors(
     assert errors_of(meant, read) == pytest.approx([inclination, tool_face, 0.0], abs=1e-9)
 
 
-def test_the_size_is_compared_with_what_a_swing_of_the_bench_makes_of_gravity() -> None:
-    one = G * direction(np.array(10.0), np.array(20.0))[None, None]
-    found = attitude_errors(Held(1.004 * one, 1.003 * one, 0.001 * one), Conventions())
-    assert found.norm[0] == pytest.approx(1.0)
-
-
 def test_tool_face_means_nothing_within_three_degrees_of_the_vertical() -> None:
     assert np.isnan(errors_of((87.2, 0.0), (87.2, 5.0))[1])
     assert errors_of((87.1, 0.0), (87.1, 5.0))[1] == pytest.approx(5.0)
@@ -308,67 +206,6 @@ def test_the_floor_is_that_of_six_repeats_or_more() -> None:
                         np.arange(3), ("",) * 3)  # fmt: skip
     assert noise_floor(norm, 1e-3) == pytest.approx(1e-3)
     assert np.isnan(noise_floor(norm, None))
-
-
-def split(name: str, corrected: list[float]) -> SimpleNamespace:
-    """A held-out part of a level tool that reads some errors along and across, mg."""
-    meant = G * np.array([[[0.0, 1.0, 0.0]]] * len(corrected))
-    error = MG * np.array(corrected)[:, None, None] * np.array([0.0, 0.6, 0.8])
-    return SimpleNamespace(name=name, final=Held(meant + error, meant, error))
-
-
-def limited(**asked: float) -> tuple[object, ...]:
-    ids = np.arange(2)
-    reference = KnownVector(np.zeros(2), np.zeros(2), G, ids, ids)
-    result = SimpleNamespace(
-        splits=(split("leave one out", [9.0, 9.0]), split("held out", [3.0, -4.0])),
-        observations=SimpleNamespace(reference=reference),
-        settings=SimpleNamespace(conventions=Conventions()),
-    )
-    names = {k.replace("_", "-"): v for k, v in asked.items()}
-    return advice.limits_of(result, names)  # type: ignore[arg-type, return-value]
-
-
-def test_limits_hold_what_took_no_part_in_the_choice() -> None:
-    """The last split: the strictest that there is."""
-    every = limited(max_error=1.0, max_inclination_error=1.0, max_toolface_error=1.0,
-                    max_norm_error=1.0)  # fmt: skip
-    error, inclination, tool_face, norm = (one.value for one in every)  # type: ignore[attr-defined]
-    assert error == pytest.approx(np.sqrt(12.5))
-    assert inclination == pytest.approx(4e-3 * 0.8 / DEG, rel=0.01)
-    assert tool_face == 0.0
-    assert norm == pytest.approx(0.6 * np.sqrt(12.5), rel=0.01)
-    assert every[0].name == "max-error, held out"  # type: ignore[attr-defined]
-    assert limited() == ()
-
-
-def test_limits_need_something_held_out() -> None:
-    nothing = SimpleNamespace(splits=())
-    assert advice.limits_of(nothing, {}) == ()  # type: ignore[arg-type]
-    with pytest.raises(UsageError, match="held-out"):
-        advice.limits_of(nothing, {"max-error": 1.0})  # type: ignore[arg-type]
-
-
-def test_rivals_share_the_dial_by_their_weights(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The mixture's mean, and its variance by that within and between (the law of total
-    variance)."""
-    others = {
-        "a": Dial(np.array([1.2, 1.0]), np.array([0.5, 0.2]), np.array([1.0, 0.5])),
-        "b": Dial(np.array([0.2, 3.0]), np.array([0.1, 0.6]), np.array([0.3, 1.2])),
-        "c": Dial(np.array([1.5, 2.5]), np.array([0.3, 0.5]), np.array([0.6, 1.1])),
-    }
-    monkeypatch.setattr(dial, "dial_of_fit", lambda fit, *at: others[fit])
-    weights = {"a": 0.5, "b": 0.3, "c": 0.2}
-    group = tuple(SimpleNamespace(weight=w, fit=name) for name, w in weights.items())
-    result = SimpleNamespace(final="a", rivals=group, settings=LabSettings())
-    found = dial_of(result, np.zeros(2))  # type: ignore[arg-type]
-    mean = sum(w * others[n].shift for n, w in weights.items())
-    between = sum(w * others[n].shift ** 2 for n, w in weights.items()) - mean**2
-    within = sum(w * others[n].sd ** 2 for n, w in weights.items())
-    wide = sum(w * others[n].half ** 2 for n, w in weights.items())
-    np.testing.assert_allclose(found.shift, mean)
-    np.testing.assert_allclose(found.sd, np.sqrt(within + between))
-    np.testing.assert_allclose(found.half, np.sqrt(wide + 1.96**2 * between))
 
 
 def test_noise_that_rows_share_is_in_mg() -> None:

@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from imucalib.calibrators.lab.calibrate import LabSettings
 from imucalib.calibrators.lab.files import LabFiles, calibrate_files
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import LabRun
+from imucalib.calibrators.lab.simulation import BenchPlan, simulated_recording, simulated_table
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.readers.source import sha256_of
+from imucalib.writers import write as write_recording
 
 HEADER = ("session", "inclination", "tool_face", "x (mg)", "y (mg)", "z (mg)")
 
@@ -23,7 +24,7 @@ HEADER = ("session", "inclination", "tool_face", "x (mg)", "y (mg)", "z (mg)")
 SETTINGS = [(i, t + i / 2.0) for i in (-60.0, -20.0, 20.0, 60.0) for t in (0.0, 90.0, 180.0, 270.0)]
 
 
-REQUEST = replace(LabRequest(), settings=replace(LabRequest().settings, loop=False))
+REQUEST = LabRequest(loop=False)
 
 
 def rows_of(bias: np.ndarray, turn: np.ndarray, seed: int = 0, noise: float = 0.2) -> list[tuple]:
@@ -113,6 +114,18 @@ def test_rests_have_sessions_too(planted, tmp_path: Path) -> None:
     assert found.between[0].sd == pytest.approx(truth, rel=0.25)
 
 
+def test_recordings_at_rest_are_sessions_read_as_recordings(tmp_path: Path) -> None:
+    rng, paths = np.random.default_rng(0), [tmp_path / f"{k}.csv" for k in range(2)]
+    for path in paths:
+        table = simulated_table(BenchPlan("rings", 12), rng)
+        write_recording(simulated_recording(table, rng, rate=50.0, rest=2.0), path)
+    found = run(*paths, request=replace(REQUEST, reference="norm"))
+    assert found.recorded
+    assert found.raw.sentence == "m/s², as the recording was read"
+    assert found.sessions is not None
+    assert found.sessions.names == ("0", "1")
+
+
 def test_what_is_mistaken_is_told(planted, tmp_path: Path) -> None:
     rows = rows_of(*planted)
     whole = write(tmp_path / "a.csv", rows)
@@ -179,8 +192,8 @@ def _run(folder: Path, sheets: list[str], *declare: str) -> LabRun:
     paths = [folder / f"day_{k}.csv" for k in range(len(sheets))]
     for path, text in zip(paths, sheets, strict=True):
         path.write_text(text)
-    request = replace(LabRequest(), settings=LabSettings(declare=declare))
-    return calibrate_files(LabFiles(paths[0], others=tuple(paths[1:])), request, lambda text: None)
+    files = LabFiles(paths[0], others=tuple(paths[1:]))
+    return calibrate_files(files, LabRequest(declare=declare), lambda text: None)
 
 
 @pytest.mark.slow

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
-import hashlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,8 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imucalib.arrays import Array
-from imucalib.calibrators.lab.bench import raw_unit
-from imucalib.calibrators.lab.checks import observations_of, warmth_note
+from imucalib.calibrators.lab.bench import in_celsius, observations_of, raw_unit
 from imucalib.calibrators.lab.files import LabFiles, positions_in
 from imucalib.calibrators.lab.position_table import ROLES, PositionTable, read_position_table
 from imucalib.calibrators.lab.request import LabRequest
@@ -141,10 +138,6 @@ def test_all_bad_rows_are_listed_and_can_be_excluded(tmp_path: Path) -> None:
         table.demand(3, "--swap")
 
 
-def lines(table: np.ndarray) -> list[str]:
-    return [",".join(map(repr, row)) for row in table.tolist()]
-
-
 @pytest.mark.parametrize("zero", ["horizontal", "vertical"])
 def test_a_blank_tool_face_at_the_vertical_is_none(zero: str, tmp_path: Path) -> None:
     heading = f"inclination (deg from {zero}),tool_face,x,y,z\n"
@@ -188,15 +181,6 @@ def test_a_spreadsheet_is_a_table(tmp_path: Path) -> None:
     assert table.unit["x"] == "g"
 
 
-def test_a_damaged_spreadsheet_is_refused(tmp_path: Path) -> None:
-    path = workbook(tmp_path / "t.xlsx")
-    data = path.read_bytes()
-    for size in range(len(data) // 2, len(data) - 1, 97):
-        path.write_bytes(data[:size])
-        with pytest.raises(UnreadableInput):
-            read_position_table(path)
-
-
 @pytest.mark.parametrize(
     ("heading", "of"),
     [
@@ -212,20 +196,19 @@ def test_a_temperature_is_read_in_the_unit_of_its_heading(
 ) -> None:
     celsius = np.linspace(18.0, 31.0, 12)
     path = _warm_sheet(tmp_path / "t.csv", heading, of(celsius))
-    table = read_position_table(path)
-    raw = raw_unit(table, None, None)
-    context = observations_of(table, raw, LabRequest()).context
+    table = in_celsius(read_position_table(path))
+    context = observations_of(table, raw_unit(table, None, None), LabRequest()).context
     np.testing.assert_allclose(context["temperature"], celsius, atol=1e-3)
-    assert warmth_note(table) == (() if heading != "temperature" else (
-        "temperature: no unit is stated, taken as degC",))  # fmt: skip
+    guess = ("temperature: no unit is stated, taken as degC",)
+    assert table.notes == (guess if heading == "temperature" else ())
 
 
 def test_a_temperature_that_celsius_cannot_be_is_no_guess(tmp_path: Path) -> None:
     path = _warm_sheet(tmp_path / "t.csv", "temperature", np.linspace(291.0, 304.0, 12))
     table = read_position_table(path)
-    with pytest.raises(UsageError, match="no unit is stated") as told:
-        observations_of(table, raw_unit(table, None, None), LabRequest())
-    assert "temperature_K" in told.value.remedy
+    with pytest.raises(UsageError, match="no unit is stated") as refused:
+        in_celsius(table)
+    assert "temperature_K" in refused.value.remedy
 
 
 def _warm_sheet(path: Path, heading: str, warm: Array) -> Path:
@@ -305,14 +288,6 @@ def test_mistakes_are_named_where_they_are(
     assert error.where.endswith(where)
 
 
-def test_packed_and_utf_16_tables(tmp_path: Path) -> None:
-    packed = _write(tmp_path, gzip.compress(PLAIN.encode()), "table.csv.gz")
-    assert np.array_equal(read_position_table(packed).raw()[1], [938.0, -14.0, 209.5])
-    assert read_position_table(packed).sha256 == hashlib.sha256(packed.read_bytes()).hexdigest()
-    wide = _write(tmp_path, PLAIN.replace(",", "\t").encode("utf-16"), "table.txt")
-    assert np.array_equal(read_position_table(wide).raw()[1], [938.0, -14.0, 209.5])
-
-
 FACED = "face,x,y,z\n+x,1,0,0\nY-,0,-1,0\n\u2212z,0,0,-1\n"
 
 
@@ -361,38 +336,6 @@ def test_hdf5_columns(tmp_path: Path) -> None:
     table = read_position_table(path)
     assert np.array_equal(table.raw(), [[1.0, 3.0, 5.5], [2.0, 4.0, 0.1]])
     assert np.array_equal(table.columns["tool_face"], [0.0, 90.0])
-
-
-def test_hdf5_matrix_and_table(tmp_path: Path) -> None:
-    raw = np.random.default_rng(1).standard_normal((3, 3))
-    path = _hdf5(tmp_path, inclination=[0.0, 1.0, 2.0], tool_face=[3.0, 4.0, 5.0], raw=raw)
-    assert np.array_equal(read_position_table(path).raw(), raw)
-    fields = [(name, "f8") for name in ("inclination", "tool_face", "x", "y", "z")]
-    rows = np.array([(1.0, 2.0, 3.0, 4.0, 5.0)], dtype=fields)
-    assert np.array_equal(read_position_table(_hdf5(tmp_path, rows=rows)).raw(), [[3.0, 4.0, 5.0]])
-
-
-def test_hdf5_mistakes(tmp_path: Path) -> None:
-    path = _hdf5(tmp_path, inclination=[0.0, 1.0], tool_face=[0.0], x=[1.0], y=[1.0], z=[1.0])
-    assert "different length" in _refused(path).what
-    path = _hdf5(tmp_path, inclination=[0.0, np.nan], tool_face=[0.0, 1.0], raw=np.ones((2, 3)))
-    assert _refused(path).where.endswith("row 2, column inclination")
-    broken = _write(tmp_path, path.read_bytes()[:200], "broken.h5")
-    assert "HDF5" in _refused(broken).what
-    assert "no column" in _refused(_hdf5(tmp_path, note=[1.0, 2.0])).what
-
-
-def test_every_truncation_is_a_table_or_a_clear_refusal(tmp_path: Path) -> None:
-    found: list[PositionTable | str] = []
-    for size in range(len(PLAIN)):
-        try:
-            found.append(read_position_table(_write(tmp_path, PLAIN[:size])))
-        except UnreadableInput as error:
-            found.append(error.where)
-    refused = [where for where in found if isinstance(where, str)]
-    assert all("table.csv" in where for where in refused)
-    # A row that is cut off before its last cell is refused: all but three cuts before there.
-    assert len(refused) == PLAIN.rindex(",") + 2 - len("\n31")
 
 
 @given(

@@ -113,13 +113,6 @@ def _recommended(without: Outcome, done: Outcome, bench: Bench) -> None:
     assert done.content["known_angles"]["open"] == []
 
 
-def _one_axis(without: Outcome, done: Outcome, bench: Bench) -> None:
-    """With one axis of the table the inclination is not turned."""
-    kinds = [{p["inclination"] for p in o.content["positions"]} for o in (without, done)]
-    turned = [{p["tool_face"] for p in o.content["positions"]} for o in (without, done)]
-    assert min(len(kinds[1]), len(turned[1])) < min(len(kinds[0]), len(turned[0]))
-
-
 def _drilling(without: Outcome, done: Outcome, bench: Bench) -> None:
     """90 deg minus the paper's inclination: the same plan, said otherwise."""
     one, two = (o.content["known_angles"]["efficiency"] for o in
@@ -144,7 +137,6 @@ def _every_position(without: Outcome, done: Outcome, bench: Bench) -> None:
     assert "row  inclination  tool-face" not in without.stdout
 
 
-RECOMMEND = ("design", "--recommend", "9", "--json")
 CASES: tuple[Case, ...] = (
     LAB("--recording <out>/rests.csv", _rests_in_order),
     LAB("--layout random", _that(
@@ -211,7 +203,6 @@ CASES: tuple[Case, ...] = (
     TURNS("--seed 3", _that(lambda a, b: len(_t(a, "turns.csv")) == len(_t(b, "turns.csv")))),
     DESIGN("--full", _every_position, "design", "<bench.csv>"),
     DESIGN("--recommend 9", _recommended, "design", "--json"),
-    DESIGN("--axes 1", _one_axis, *RECOMMEND),
     DESIGN("--columns inclination=alpha,tool_face=beta", _drilling, "design", "<renamed.csv>",
            "--json"),
     DESIGN("--convention drilling-gravity", _drilling, "design", "<drilling.csv>", "--json"),

@@ -1,1 +1,1 @@
-"""Whether a calibration still holds: a short recording against what the calibration foretells."""
+"""Whether a calibration still holds: a short recording against what the calibration predicts."""

@@ -10,10 +10,9 @@ from typing import Literal
 import numpy as np
 
 from imucalib.calibration.calibration import Calibration
-from imucalib.calibration.checking.e_value import ALPHA, Look, e_value
-from imucalib.calibration.checking.limits import Limits
-from imucalib.calibration.checking.misfit import CheckNoise, GyroRest, Misfits
+from imucalib.calibration.checking.misfit import GyroRest, Misfits
 from imucalib.calibration.checking.next_rests import NextRests, next_rests, one_reading
+from imucalib.calibration.checking.noise import CheckNoise, Limits
 from imucalib.calibration.checking.statistic import ANYTHING, FamilyTest, Statistic
 from imucalib.errors import UNEXPLAINED_EXIT_CODE, LimitBroken, UsageError
 from imucalib.units import DEG, MG
@@ -22,7 +21,9 @@ Verdict = Literal["still good", "changed", "undecided"]
 #: Standard deviations of one corrected reading that a change must reach to matter, where no limit
 #: is stated: what is less, single readings of the instrument do not show.
 SIGNIFICANT = 5.0
-#: Chance with which the change that is told would have been found.
+#: Level of the test, over all sensors.
+ALPHA = 0.05
+#: Chance with which the change that is stated would have been found.
 POWER = 0.9
 #: p below which a kind of change leaves too much unexplained to be the whole story.
 _LEFT = 0.05
@@ -55,7 +56,7 @@ class Check:
     """A finished check.
 
     limits : kind of change -> size in its unit; stated : whether the user gave them
-    p : over all sensors (Bonferroni); e, looks : evidence after so many checks, this one included
+    p : over all sensors (Bonferroni)
     """
 
     verdict: Verdict
@@ -63,11 +64,8 @@ class Check:
     limits: Mapping[str, float]
     stated: bool
     p: float
-    e: float
-    looks: int
     following: NextRests | None
     noise: CheckNoise
-    gravity: float
     rate_limit: float | None = None
     notes: tuple[str, ...] = ()
 
@@ -115,7 +113,6 @@ class Measured:
     misfits: Misfits
     name: str = ""
     gyro: GyroRest | None = None
-    past: tuple[Look, ...] = ()
 
 
 def checked(
@@ -143,19 +140,9 @@ def checked(
         limits=wanted,
         stated=stated,
         p=min(1.0, len(sensors) * min(s.p for s in sensors)),
-        e=float(
-            np.mean(
-                [
-                    _evidence(one, s, noise, calibration)
-                    for one, s in zip(measured, sensors, strict=True)
-                ]
-            )
-        ),
-        looks=1 + len(measured[0].past),
         following=None,
         noise=noise,
-        gravity=calibration.gravity,
-        rate_limit=limits.rate,
+        rate_limit=limits.get("deg/s"),
         notes=notes,
     )
     if found.changed or found.drifted:
@@ -172,17 +159,10 @@ def checked(
 def _demand_tested(limits: Limits, *, directed: bool, gyros: bool) -> None:
     """Raise UsageError where limits are stated and none can be tested: "still good" would be by
     another one."""
-    every = {
-        "mg": limits.force,
-        "deg": limits.direction,
-        "deg/s": limits.rate,
-        "mm": limits.position,
-    }
     tested = {"mg": True, "deg": directed, "deg/s": gyros, "mm": False}
-    stated = [unit for unit, size in every.items() if size is not None]
-    if stated and not any(tested[unit] for unit in stated):
+    if limits and not any(tested[unit] for unit in limits):
         raise UsageError(
-            f"nothing here tests a limit in {', '.join(stated)}",
+            f"nothing here tests a limit in {', '.join(limits)}",
             remedy="a limit in mg is tested by any rests; deg by known directions, if the "
             "calibration holds a mounting; deg/s by an array's gyros",
         )
@@ -193,7 +173,8 @@ def _judged(one: Measured, level: float, seed: int) -> SensorCheck:
     tests = statistic.tested()
     seen = {name: statistic.seen(name, alpha=level, power=POWER) for name in statistic.columns}
     kinds = [name for name in tests if name != ANYTHING]
-    causes = [n for n in kinds if tests[n].p <= _LEFT and tests[n].rest > _LEFT]
+    causes = [n for n in kinds if tests[n].p <= _LEFT < tests[n].rest]
+    together = statistic.rest_of_all()
     return SensorCheck(
         name=one.name,
         misfits=one.misfits,
@@ -201,7 +182,7 @@ def _judged(one: Measured, level: float, seed: int) -> SensorCheck:
         p=statistic.p(),
         seen=seen,
         causes=tuple(sorted(causes, key=lambda n: tests[n].p)),
-        together=None if statistic.saturated else statistic.rest_of_all() > _LEFT,
+        together=None if together is None else together > _LEFT,
         alone=None if causes else _alone(statistic, level),
         gyro=one.gyro,
     )
@@ -221,44 +202,23 @@ def _alone(statistic: Statistic, level: float) -> int | None:
         pull = inverse[own] @ misfits.value
         power.append(float(pull @ np.linalg.solve(part, pull)))
     worst = int(np.argmax(power))
-    left = Statistic(misfits.without(worst), seed=statistic.seed)
-    return worst if left.p() > level else None
-
-
-def _evidence(
-    one: Measured, judged: SensorCheck, noise: CheckNoise, calibration: Calibration
-) -> float:
-    looks = [*one.past, look_of(one.misfits, judged.p)]
-    return e_value(
-        looks,
-        one.misfits.parameters,
-        reading=noise.reading.sd,
-        dof=one.misfits.dof,
-        gravity=calibration.gravity,
-    )
-
-
-def look_of(misfits: Misfits, p: float) -> Look:
-    """What a history keeps of a check."""
-    return Look(misfits.value, misfits.noise, misfits.jacobian, misfits.changes, p)
+    others = Statistic(misfits.take(np.delete(np.arange(misfits.n), worst)), seed=statistic.seed)
+    return worst if others.p() > level else None
 
 
 def _limits(
     calibration: Calibration, misfits: Misfits, noise: CheckNoise, limits: Limits
 ) -> tuple[dict[str, float], bool]:
     """Per kind of change; where nothing is stated, `SIGNIFICANT` sd of one corrected reading."""
-    force, direction = limits.force, limits.direction
-    stated = force is not None or (misfits.directed and direction is not None)
-    if not stated:
-        if calibration.triads:
-            carried = np.sqrt(np.max(np.diag(misfits.covariance)))
-            force = SIGNIFICANT * float(carried) / MG
-        else:
-            force = SIGNIFICANT * one_reading(calibration, noise, directed=False) / MG
-    wanted = {} if force is None else {"bias": force}
-    if misfits.directed and direction is None and not stated:
-        angle = one_reading(calibration, noise, directed=True) / calibration.gravity / DEG
-        direction = SIGNIFICANT * angle
-    if misfits.directed and direction is not None:
-        wanted["mounting"] = direction
-    return wanted, stated
+    force, direction = limits.get("mg"), limits.get("deg") if misfits.directed else None
+    stated = force is not None or direction is not None
+    if not stated and calibration.triads:
+        carried = float(np.sqrt(np.max(np.diag(misfits.covariance))))
+        force = SIGNIFICANT * carried / MG
+    elif not stated:
+        force = SIGNIFICANT * one_reading(calibration, noise, directed=False) / MG
+        if misfits.directed:
+            angle = one_reading(calibration, noise, directed=True) / calibration.gravity / DEG
+            direction = SIGNIFICANT * angle
+    sizes = {"bias": force, "mounting": direction}
+    return {kind: size for kind, size in sizes.items() if size is not None}, stated

@@ -1,13 +1,11 @@
 """Misfits of a later recording, linearised once, with the parts of their covariance.
 
-    misfit = reading - foretold = J (θ - θ̂) + N η + noise + C (change)
+    misfit = reading - predicted = J (θ - θ̂) + N η + noise + C (change)
 
 With the calibration's full covariance Cθ the misfits of an unchanged sensor have the covariance
 V = s² W + J Cθ Jᵀ + Σ sd² N Nᵀ + Σ session² C Cᵀ. Each part's size was estimated with degrees of
-freedom of its own; the calibration's covariance goes with the noise of its readings.
-
-What a reading scatters by when a calibration is used, as its file states it, and how well that
-is known.
+freedom of its own; the calibration's covariance goes with the noise of its readings. Directions
+that are not known (the attitude of a rest) are projected out as in `core.balance`.
 """
 
 from __future__ import annotations
@@ -15,257 +13,43 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from imucalib.arrays import Array, Index
-from imucalib.calibration.calibration import Calibration
-from imucalib.calibration.triads import Triad
-from imucalib.core.balance import below
+from imucalib.calibration.calibration import Calibration, taken_at
+from imucalib.calibration.checking.noise import FAMILIES, CheckNoise, Scatter
+from imucalib.calibration.triads import Triad, gain_and_bias_slope
+from imucalib.core.balance import Balanced, balance, below
+from imucalib.core.effect import Truth
 from imucalib.core.eigen import eigen
+from imucalib.core.model import Model
+from imucalib.core.observations import Observations
 from imucalib.core.references import tangents
+from imucalib.effects import named
 from imucalib.errors import UnreadableInput
 from imucalib.units import DEG, MG
 
-
-@dataclass(frozen=True)
-class GyroRest:
-    """A gyroscope at rest. bias : (3,) deg/s that it reads beyond its calibrated bias; sd : (3,)
-    by the scatter between rests, the calibration's rests included; p : of no change, the smallest
-    of its axes times three"""
-
-    bias: Array
-    sd: Array
-    p: float
-
-
-def triad_misfits(
-    calibration: Calibration, triad: Triad, reading: Array, noise: CheckNoise, more: Array
-) -> Misfits:
-    """Misfits of one IMU. reading : (n, 3) m/s² in package axes, one a rest; more : (n,) (m/s²)²,
-    variance of a rest beyond the array's usual one.
-
-    reading = gain · force + bias in board axes; what its direction is, is not known.
-    """
-    n = len(reading)
-    seen = reading @ triad.rotation.T
-    force = np.linalg.solve(triad.gain, (seen - triad.bias).T).T
-    direction = force / np.linalg.norm(force, axis=1, keepdims=True)
-    truth = calibration.gravity * direction
-    across = triad.gain @ tangents(direction)
-    keep = np.cross(across[..., 0], across[..., 1])
-    keep = keep / np.linalg.norm(keep, axis=1, keepdims=True)
-    slope = np.concatenate(
-        [
-            np.einsum("ij,nk->nijk", np.eye(3), truth).reshape(n, 3, 9),
-            np.broadcast_to(np.eye(3), (n, 3, 3)),
-        ],
-        axis=2,
-    )
-    jacobian = np.einsum("ni,nip->np", keep, slope)
-    bias = MG * keep
-    return Misfits(
-        value=np.einsum("ni,ni->n", keep, seen - truth @ triad.gain.T - triad.bias),
-        reading=Part(np.diag(noise.reading.sd**2 + more), noise.reading.dof),
-        setting={},
-        session=noise.session,
-        jacobian=jacobian,
-        parameters=triad.covariance,
-        changes={"bias": bias, "scale": 1e-3 * keep * truth},
-        owner=np.arange(n, dtype=np.intp),
-        label=tuple(f"rest {k + 1}" for k in range(n)),
-        force=np.asarray(force, np.float64),
-        directed=False,
-    )
-
-
-def gyro_rest(triad: Triad, rate: Array, rests: Mapping[str, float]) -> GyroRest | None:
-    """rate : (n, 3) rad/s in package axes, one a rest; rests : of the calibration, its block.
-
-    None where fewer than three rests have a rate: their scatter is the only noise that counts.
-    """
-    from scipy.special import stdtr
-
-    known = rate[np.isfinite(rate).all(axis=1)]
-    if len(known) < 3:
-        return None
-    moved = triad.rate(known) / DEG
-    before = float(rests.get("count") or len(known))
-    sd = moved.std(axis=0, ddof=1) * np.sqrt(1.0 / len(known) + 1.0 / before)
-    sd = np.maximum(sd, 1e-12)
-    each = 2.0 * stdtr(len(known) - 1, -np.abs(moved.mean(axis=0)) / sd)
-    return GyroRest(moved.mean(axis=0), sd, float(min(1.0, 3.0 * each.min())))
-
-
-#: Kinds of change, and the unit of their sizes.
-FAMILIES: dict[str, str] = {"bias": "mg", "scale": "mg/g", "mounting": "deg"}
-#: What a calibration of several sessions calls the errors that they share.
-_CHANGES = {"session bias": "bias", "session mounting": "mounting"}
-#: Degrees of freedom of a standard deviation that is taken at its word.
-KNOWN = 1e6
-#: Degrees of freedom that a setting's scatter has at least: below, its law has no mean, and one
-#: component that hardly counts would hide every change.
-_FEWEST = 4.0
-
-
-@dataclass(frozen=True)
-class Scatter:
-    """One standard deviation (m/s² or rad) and the degrees of freedom behind it."""
-
-    sd: float
-    dof: float = KNOWN
-
-
-@dataclass(frozen=True)
-class Shared:
-    """Noise of a bias that neighbouring readings share: share of a reading's variance, and the
-    readings after which they forget."""
-
-    share: float
-    memory: float
-
-
-@dataclass(frozen=True)
-class CheckNoise:
-    """reading : m/s², of one rest or position; setting : rad, by the name of the reference's
-    component, of what was set; session : what one switching on brings, by the kind of change and
-    in its unit; words : where each comes from; shared : of the readings' noise, or None
-    """
-
-    reading: Scatter
-    setting: Mapping[str, Scatter]
-    session: Mapping[str, Scatter]
-    words: tuple[str, ...] = ()
-    shared: Shared | None = None
-
-
-def check_noise(
-    calibration: Calibration,
-    *,
-    reading: float | None = None,
-    session: Mapping[str, float] | None = None,
-) -> CheckNoise:
-    """The noise of a later recording.
-
-    reading : m/s², instead of what the file states; session : by the kind of change and in its
-    unit (bias mg, mounting deg), its scatter between power-ups instead of what the file states
-    Raises UnreadableInput where neither tells the noise of a reading.
-    """
-    block = calibration.facts.get("noise") or {}
-    words, shared = [], None
-    if reading is not None:
-        own = Scatter(reading)
-        words.append(f"a reading scatters by {reading / MG:.3g} mg, as given")
-    else:
-        stated = _of_rests(calibration) or _stated(block, "reading", "mg", MG)
-        if stated is None:
-            raise UnreadableInput(
-                "the calibration does not state the noise of a reading",
-                remedy="give it: --noise 0.5mg, or calibrate again with this version",
-            )
-        own, shared = _with_shared(stated, block)
-        words.append(
-            f"a reading scatters by {own.sd / MG:.3g} mg, as in the calibration "
-            + (f"({own.dof:.0f} degrees of freedom)" if own.dof < KNOWN else "(taken at its word)")
-            + (f", of which neighbours share {100.0 * shared.share:.0f} %" if shared else "")
-        )
-    between, said = _session(calibration, session or {})
-    names = ("inclination setting", "tool-face setting", "tilt")
-    found = {name: _stated(block, _key(name), "deg", DEG) for name in names}
-    setting = {name: _at_most(scatter) for name, scatter in found.items() if scatter is not None}
-    return CheckNoise(own, setting, between, (*words, *said), shared)
-
-
-def _with_shared(own: Scatter, block: Mapping[str, Any]) -> tuple[Scatter, Shared | None]:
-    """A reading's noise with what its neighbours share, which can be all of it; degrees of freedom
-    by Satterthwaite."""
-    shared = _stated(block, "shared", "mg", MG)
-    if shared is None or not shared.sd > 0.0:
-        return own, None
-    parts = np.array([own.sd**2, shared.sd**2])
-    whole = float(parts.sum())
-    dof = whole**2 / float(np.sum(parts**2 / np.array([own.dof, shared.dof])))
-    memory = float(block["shared_memory_positions"])
-    return Scatter(whole**0.5, dof), Shared(float(parts[1]) / whole, memory)
-
-
-def _at_most(stated: Scatter) -> Scatter:
-    """A setting's scatter with its own sd added: few settings may show none where there is some."""
-    return Scatter(stated.sd * (1.0 + 0.5 / stated.dof) ** 0.5, max(stated.dof, _FEWEST))
-
-
-def _of_rests(calibration: Calibration) -> Scatter | None:
-    """Of an array's rests: n rests of K triads leave 3 K n - 2 n - 12 K degrees of freedom."""
-    rests = calibration.facts.get("rests")
-    if not calibration.triads or not isinstance(rests, Mapping):
-        return None
-    n, k = int(rests["count"]), len(calibration.triads)
-    return Scatter(float(rests["residual_m_per_s2"]), max(3.0 * k * n - 2 * n - 12 * k, 1.0))
-
-
-def _session(
-    calibration: Calibration, given: Mapping[str, float]
-) -> tuple[dict[str, Scatter], tuple[str, ...]]:
-    """What a power-up brings: as given, as the file states it, or nothing."""
-    if given:
-        said = ", ".join(f"{size:.3g} {FAMILIES[name]} of {name}" for name, size in given.items())
-        words = f"power-ups scatter by {said}, as given"
-        return {name: Scatter(size) for name, size in given.items()}, (words,)
-    found = stated_sessions(calibration)
-    if found:
-        said = ", ".join(f"{s.sd:.3g} {FAMILIES[name]} of {name}" for name, s in found.items())
-        return found, (f"power-ups scatter by {said}, as in the calibration",)
-    return {}, (
-        "the scatter of biases between power-ups is not in it: the file states none "
-        "(--between-sessions)",
-    )
-
-
-def stated_sessions(calibration: Calibration) -> dict[str, Scatter]:
-    """What a power-up brings by the kind of change, of a calibration of several; empty of one."""
-    stated = calibration.facts.get("between_sessions")
-    if not isinstance(stated, Mapping):
-        return {}
-    # One size for three axes, from so many sessions.
-    dof = 3.0 * (len(stated["sessions"]) - 1)
-    return {
-        _CHANGES[row["what"]]: Scatter(float(row["sd"]), dof)
-        for row in stated["scatter"]
-        if row["what"] in _CHANGES
-    }
-
-
-def _key(name: str) -> str:
-    return name.replace(" ", "_").replace("-", "_")
-
-
-def _stated(block: Mapping[str, Any], name: str, unit: str, si: float) -> Scatter | None:
-    """A standard deviation of the noise block; its own sd tells its degrees of freedom,
-    var(s) = s² / 2ν."""
-    value = block.get(f"{name}_{unit}")
-    if value is None:
-        return None
-    sd, spread = float(value) * si, float(block.get(f"{name}_sd_{unit}") or 0.0) * si
-    return Scatter(sd, max(0.5 * (sd / spread) ** 2, 1.0) if spread > 0.0 and sd > 0.0 else KNOWN)
+#: Of an effect's parameter in the unit of its kind of change.
+_PER_UNIT = {"bias": 1.0, "scale": 1e-3, "mounting": 1.0}
+#: What the noise of readings is called among the parts of a covariance.
+READING = "reading"
 
 
 @dataclass(frozen=True)
 class Part:
-    """covariance : (N, N) (m/s²)²; dof : degrees of freedom behind its size"""
+    """covariance : (N, N) (m/s²)²; dof : degrees of freedom of its size"""
 
     covariance: Array
     dof: float
-
-    def take(self, rows: Index) -> Part:
-        return replace(self, covariance=self.covariance[np.ix_(rows, rows)])
 
 
 @dataclass(frozen=True)
 class Misfits:
     """N misfits of n rests or positions.
 
-    value : (N,) m/s²; reading : of the readings' noise; setting : by the name of the component
+    value : (N,) m/s²; noise : `READING` and the components of what was set
     session : by the kind of change, what a power-up brings, in its unit
     jacobian : (N, p) by all of the calibration's parameters, zero for those that do not act here
     parameters : (p, p) their covariance; changes : per kind, (N, 3) m/s² per unit
@@ -274,8 +58,7 @@ class Misfits:
     """
 
     value: Array
-    reading: Part
-    setting: Mapping[str, Part]
+    noise: Mapping[str, Part]
     session: Mapping[str, Scatter]
     jacobian: Array
     parameters: Array
@@ -293,10 +76,11 @@ class Misfits:
     def parts(self) -> tuple[Part, ...]:
         """Readings with the calibration's own error, settings, power-up."""
         carried = self.jacobian @ self.parameters @ self.jacobian.T
+        reading = self.noise[READING]
         columns = {k: s.sd * self.changes[k] for k, s in self.session.items() if k in self.changes}
         return (
-            replace(self.reading, covariance=self.reading.covariance + carried),
-            *self.setting.values(),
+            replace(reading, covariance=reading.covariance + carried),
+            *(part for name, part in self.noise.items() if name != READING),
             *(Part(c @ c.T, self.session[kind].dof) for kind, c in columns.items()),
         )
 
@@ -304,11 +88,6 @@ class Misfits:
     def covariance(self) -> Array:
         """(N, N) of an unchanged sensor."""
         return np.asarray(np.sum([part.covariance for part in self.parts], axis=0))
-
-    @cached_property
-    def noise(self) -> Array:
-        """(N, N) what is not the calibration's error."""
-        return self.covariance - self.jacobian @ self.parameters @ self.jacobian.T
 
     @cached_property
     def dof(self) -> float:
@@ -339,40 +118,30 @@ class Misfits:
 
     def take(self, rows: Index) -> Misfits:
         """Some of the rows, in order."""
-        left = np.flatnonzero(np.isin(self.owner, rows))
+        kept = np.flatnonzero(np.isin(self.owner, rows))
+        both = np.ix_(kept, kept)
         return replace(
             self,
-            value=self.value[left],
-            reading=self.reading.take(left),
-            setting={name: part.take(left) for name, part in self.setting.items()},
-            jacobian=self.jacobian[left],
-            changes={name: c[left] for name, c in self.changes.items()},
-            owner=np.searchsorted(rows, self.owner[left]),
+            value=self.value[kept],
+            noise={n: Part(p.covariance[both], p.dof) for n, p in self.noise.items()},
+            jacobian=self.jacobian[kept],
+            changes={name: c[kept] for name, c in self.changes.items()},
+            owner=np.searchsorted(rows, self.owner[kept]),
             label=tuple(self.label[r] for r in rows),
             force=self.force[rows],
         )
 
-    def without(self, row: int) -> Misfits:
-        """All rows but one."""
-        return self.take(np.delete(np.arange(self.n, dtype=np.intp), row))
-
     def joined(self, other: Misfits) -> Misfits:
         """Both, of one power-up: the calibration's errors and the session's are common to all."""
-        m, k = self.value.size, other.value.size
-        setting = {
-            name: Part(
-                _diagonal(_of(self.setting, name, m), _of(other.setting, name, k)),
-                (self.setting.get(name) or other.setting[name]).dof,
-            )
-            for name in {**self.setting, **other.setting}
-        }
+        nothing = [Part(np.zeros((m.value.size, m.value.size)), 0.0) for m in (self, other)]
+        noise = {}
+        for name in {**self.noise, **other.noise}:
+            one, two = self.noise.get(name, nothing[0]), other.noise.get(name, nothing[1])
+            noise[name] = Part(block_diag(one.covariance, two.covariance), one.dof or two.dof)
         return replace(
             self,
             value=np.concatenate([self.value, other.value]),
-            reading=Part(
-                _diagonal(self.reading.covariance, other.reading.covariance), self.reading.dof
-            ),
-            setting=setting,
+            noise=noise,
             jacobian=np.concatenate([self.jacobian, other.jacobian]),
             changes={n: np.concatenate([c, other.changes[n]]) for n, c in self.changes.items()},
             owner=np.concatenate([self.owner, other.owner + self.n]),
@@ -381,11 +150,156 @@ class Misfits:
         )
 
 
-def _of(parts: Mapping[str, Part], name: str, size: int) -> Array:
-    return parts[name].covariance if name in parts else np.zeros((size, size))
+def misfits_of(
+    calibration: Calibration, observations: Observations, noise: CheckNoise, *, fixture: bool = True
+) -> tuple[Misfits, tuple[str, ...]]:
+    """Misfits of a recording, and what there is to say of how they were made.
+
+    observations : sigma is 1 m/s² where a row has the noise of a reading, more where it is noisier
+    fixture : whether known directions were set on the calibration's own bench
+    Raises UnreadableInput for a covariate of which not even the calibrated range is known.
+    """
+    directed, notes = observations.reference.directed, []
+    model, theta = calibration.model(fixture=directed and fixture)
+    if len(model.parameters(observations.context)) != theta.size:
+        # Effects of the bench whose parameters belong to the rows of the calibration.
+        gone = ", ".join(e.name for e in model.effects if e.stage == "fixture")
+        notes.append(f"{gone}: of the bench on the calibration's day, not expected now")
+        model, theta = calibration.model()
+    observations, more = _complete(calibration, model, observations)
+    corrected = model.correct(theta, observations.reading, observations.context)
+    eta = observations.reference.start(corrected)
+    at = balance(model, theta, eta, observations)
+    jacobian = np.zeros((at.unit.size, len(calibration.parameters)))
+    jacobian[:, calibration.places(model)] = at.jacobian * at.unit[:, None]
+    force = model.predict(theta, observations.reference.truth(eta), observations.context).force
+    changes = _changes(force, observations, at)
+    return Misfits(
+        value=at.residual * at.unit,
+        noise={
+            READING: Part(_readings(at, noise, changes["bias"]), noise.reading.dof),
+            **_settings(at, noise),
+        },
+        session=noise.session,
+        jacobian=jacobian,
+        parameters=calibration.covariance,
+        changes=changes,
+        owner=at.owner,
+        label=observations.label,
+        force=corrected[:, 0],
+        directed=directed,
+    ), (*notes, *more)
 
 
-def _diagonal(one: Array, other: Array) -> Array:
-    from scipy.linalg import block_diag
+def _complete(
+    calibration: Calibration, model: Model, observations: Observations
+) -> tuple[Observations, tuple[str, ...]]:
+    """With covariates that were not recorded where a later reading finds them; times are the
+    calibration's own and mean nothing later."""
+    context, notes = observations.context, []
+    needed = {name for effect in model.effects for name in effect.needs}
+    held = {"order", "time"} & needed | (needed - set(context.covariates))
+    found = dict(context.covariates)
+    for name in sorted(held):
+        if name not in calibration.valid:
+            raise UnreadableInput(
+                f"the calibration's effects need {name}, which the recording lacks",
+                remedy="record it, or calibrate without those effects (--without)",
+            )
+        value = calibration.unrecorded(name)
+        found[name] = np.full(context.n, value)
+        notes.append(f"{name} is taken as {taken_at(name)} of the calibration, {value:.3g}")
+    return replace(observations, context=replace(context, covariates=found)), tuple(notes)
 
-    return np.asarray(block_diag(one, other), np.float64)
+
+def _readings(at: Balanced, noise: CheckNoise, bias: Array) -> Array:
+    """(N, N) of the readings' noise, rows in their order. bias : (N, 3) m/s² per mg"""
+    square = noise.reading.sd**2
+    alone = np.diag(square * at.unit**2)
+    if not noise.share:
+        return np.asarray(alone)
+    apart = np.abs(np.subtract.outer(at.owner, at.owner))
+    together = square * (bias @ bias.T) * np.exp(-apart / noise.memory) / MG**2
+    return np.asarray((1.0 - noise.share) * alone + noise.share * together)
+
+
+def _settings(at: Balanced, noise: CheckNoise) -> dict[str, Part]:
+    """What the errors of settings do, component by component."""
+    found = {}
+    for name, matrix in zip(at.component, at.settings, strict=True):
+        scatter = noise.setting.get(name)
+        if scatter is not None and scatter.sd > 0.0:
+            scaled = scatter.sd * matrix * at.unit[:, None]
+            found[name] = Part(scaled @ scaled.T, scatter.dof)
+    return found
+
+
+def _changes(force: Array, observations: Observations, at: Balanced) -> dict[str, Array]:
+    """Columns of every kind of change that these readings could show."""
+    found = {}
+    for name in FAMILIES:
+        if name != "mounting" or observations.reference.directed:
+            effect = named(name)
+            start = np.zeros(len(effect.parameters(observations.context)))
+            slope = effect.act(start, Truth(force), observations.context).d_theta
+            found[name] = at.columns(slope * _PER_UNIT[name]) * at.unit[:, None]
+    return found
+
+
+def triad_misfits(
+    calibration: Calibration, triad: Triad, reading: Array, noise: CheckNoise, more: Array
+) -> Misfits:
+    """Misfits of one IMU. reading : (n, 3) m/s² in package axes, one a rest; more : (n,) (m/s²)²,
+    variance of a rest beyond the array's usual one.
+
+    reading = gain · force + bias in board axes; what its direction is, is not known.
+    """
+    n = len(reading)
+    force = triad.force(reading)
+    direction = force / np.linalg.norm(force, axis=1, keepdims=True)
+    truth = calibration.gravity * direction
+    across = triad.gain @ tangents(direction)
+    keep = np.cross(across[..., 0], across[..., 1])
+    keep = keep / np.linalg.norm(keep, axis=1, keepdims=True)
+    away = (reading - triad.reading(truth)) @ triad.rotation.T
+    return Misfits(
+        value=np.einsum("ni,ni->n", keep, away),
+        noise={READING: Part(np.diag(noise.reading.sd**2 + more), noise.reading.dof)},
+        session=noise.session,
+        jacobian=np.einsum("ni,nip->np", keep, gain_and_bias_slope(truth)),
+        parameters=triad.covariance,
+        changes={"bias": MG * keep, "scale": 1e-3 * keep * truth},
+        owner=np.arange(n, dtype=np.intp),
+        label=tuple(f"rest {k + 1}" for k in range(n)),
+        force=force,
+        directed=False,
+    )
+
+
+@dataclass(frozen=True)
+class GyroRest:
+    """A gyroscope at rest. bias : (3,) deg/s that it reads beyond its calibrated bias; sd : (3,)
+    by the scatter between rests, the calibration's rests included; p : of no change, the smallest
+    of its axes times three"""
+
+    bias: Array
+    sd: Array
+    p: float
+
+
+def gyro_rest(triad: Triad, rate: Array, rests: Mapping[str, float]) -> GyroRest | None:
+    """rate : (n, 3) rad/s in package axes, one a rest; rests : of the calibration, its block.
+
+    None where fewer than three rests have a rate: their scatter is the only noise that counts.
+    """
+    from scipy.special import stdtr
+
+    known = rate[np.isfinite(rate).all(axis=1)]
+    if len(known) < 3:
+        return None
+    moved = triad.rate(known) / DEG
+    before = float(rests.get("count") or len(known))
+    sd = moved.std(axis=0, ddof=1) * np.sqrt(1.0 / len(known) + 1.0 / before)
+    sd = np.maximum(sd, 1e-12)
+    each = 2.0 * stdtr(len(known) - 1, -np.abs(moved.mean(axis=0)) / sd)
+    return GyroRest(moved.mean(axis=0), sd, float(min(1.0, 3.0 * each.min())))

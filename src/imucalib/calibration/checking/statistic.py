@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.special import fdtrc
 
 from imucalib.arrays import Array
 from imucalib.calibration.checking.misfit import Misfits
@@ -37,7 +38,7 @@ _NONE = 1e-6
 class FamilyTest:
     """f, p : of one family by itself; rank : of its columns here
     size : (3,) estimated change per axis in the family's unit, sd : (3,); NaN where it is open
-    rest : p of what the family leaves unexplained; 1 where nothing can be left
+    rest : p of what the family leaves unexplained; 1 where nothing can be
     """
 
     f: float
@@ -82,44 +83,31 @@ class Statistic:
 
     def tested(self) -> dict[str, FamilyTest]:
         """Every family by itself, and "anything"."""
-        from scipy.special import fdtrc
-
         inside, dof, n = self._span.T @ self.white, self.misfits.dof, self.white.size
         whole = float(self.white @ self.white)
         found = {}
         for name, basis in self._bases.items():
             rank, power = basis.shape[1], float(np.sum((basis.T @ inside) ** 2))
-            left = n - rank
-            rest = fdtrc(left, dof, (whole - power) / left) if left else 1.0
+            free = n - rank
+            rest = float(fdtrc(free, dof, (whole - power) / free)) if free else 1.0
             p = float(fdtrc(rank, dof, power / rank)) if rank else 1.0
-            size, sd = self._estimate(name)
-            found[name] = FamilyTest(power / max(rank, 1), p, rank, size, sd, float(rest))
+            found[name] = FamilyTest(power / max(rank, 1), p, rank, *self._estimate(name), rest)
         p = float(fdtrc(n, dof, whole / n))
         empty = np.zeros(0)
         return found | {ANYTHING: FamilyTest(whole / n, p, n, empty, empty, 1.0)}
 
-    @property
-    def saturated(self) -> bool:
-        """Whether all families together explain any readings."""
-        return self._beyond == 0
-
-    def rest_of_all(self) -> float:
-        """p of what all families together leave unexplained; 1 where nothing can be left."""
-        from scipy.special import fdtrc
-
-        inside = self._span.T @ self.white
-        power = float(self.white @ self.white) - float(inside @ inside)
-        left = self._beyond
-        return float(fdtrc(left, self.misfits.dof, power / left)) if left else 1.0
+    def rest_of_all(self) -> float | None:
+        """p of what all families together leave unexplained; None where nothing can be."""
+        free, inside = self._beyond, self._span.T @ self.white
+        power = float(self.white @ self.white - inside @ inside)
+        return float(fdtrc(free, self.misfits.dof, power / free)) if free else None
 
     def _estimate(self, name: str) -> tuple[Array, Array]:
-        """Generalised least squares of a family alone."""
+        """Generalised least squares of a family alone; NaN where a direction is open."""
         columns = self.columns[name]
-        gram = columns.T @ columns
-        values = np.linalg.eigvalsh(gram)
-        if values[0] <= _NONE**2 * max(values[-1], 1e-300):
+        if self.worst(name) is None:
             return np.full(3, np.nan), np.full(3, np.nan)
-        covariance = np.linalg.inv(gram)
+        covariance = np.linalg.inv(columns.T @ columns)
         return covariance @ columns.T @ self.white, np.sqrt(np.diag(covariance))
 
     def p(self) -> float:
@@ -136,21 +124,19 @@ class Statistic:
         beyond = np.sum(white**2, axis=1) - np.sum(inside**2, axis=1)
         return inside, np.maximum(beyond, 0.0) * (self._beyond > 0)
 
-    def _smallest_p(self, inside: Array, beyond: Array) -> Array:
-        """(draws,) smallest p over families and anything."""
-        from scipy.special import fdtrc
-
-        dof, n = self.misfits.dof, self.white.size
-        least = fdtrc(n, dof, (np.sum(inside**2, axis=1) + beyond) / n)
-        for basis in self._bases.values():
-            if basis.shape[1]:
-                power = np.sum((inside @ basis) ** 2, axis=1)
-                least = np.minimum(least, fdtrc(basis.shape[1], dof, power / basis.shape[1]))
-        return np.asarray(least, np.float64)
-
     @cached_property
     def _least(self) -> Array:
         return self._smallest_p(*self._null)
+
+    def _smallest_p(self, inside: Array, beyond: Array) -> Array:
+        """(draws,) smallest p over families and anything."""
+        dof, n = self.misfits.dof, self.white.size
+        least = fdtrc(n, dof, (np.sum(inside**2, axis=1) + beyond) / n)
+        for basis in self._bases.values():
+            if rank := basis.shape[1]:
+                power = np.sum((inside @ basis) ** 2, axis=1)
+                least = np.minimum(least, fdtrc(rank, dof, power / rank))
+        return np.asarray(least, np.float64)
 
     def power(self, family: str, change: Array, alpha: float = 0.05) -> float:
         """Chance that a change (3,) in the family's unit is found at level alpha."""
@@ -186,7 +172,7 @@ class Statistic:
 
 def _basis(columns: Array) -> Array:
     """Orthonormal basis, without directions that are only rounding. Columns of families in other
-    units count alike: each is scaled to length one first."""
+    units weigh the same: each is scaled to length one first."""
     length = np.linalg.norm(columns, axis=0)
     scaled = columns[:, length > 0.0] / length[length > 0.0]
     if not scaled.size:

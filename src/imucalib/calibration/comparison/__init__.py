@@ -1,1 +1,1 @@
-"""Calibrations of one sensor beside each other: do they differ, what it means, how they drift."""
+"""Calibrations of one sensor against each other: do they differ, what it means, how they drift."""

@@ -2,64 +2,32 @@
 
 All agree: χ² = Σ (θ_i - θ̄)ᵀ C_i⁻¹ (θ_i - θ̄), θ̄ by generalised least squares, with (m-1) p degrees
 of freedom; since the covariances' scale was estimated, χ² / dof is held against F (ν by
-Satterthwaite), where power-ups scatter against what chance does (`chance`). The scatter of one
-parameter beyond its sds is that of `beyond`.
+Satterthwaite).
 
-How far calibrations lie apart by chance, where power-ups scatter.
+Where power-ups scatter it is held against what chance does: what readings leave open and what
+power-ups bring have sizes of their own, known from few of each. In the directions of a bias the
+second decides alone, so that no one F holds: calibrations are drawn with each part's true size as
+its estimate tells it, size² = estimate² ν / χ²(ν) (Fisher's fiducial law). The size of what
+power-ups bring is one, for all.
 
-What readings leave open and what power-ups bring have sizes of their own, known from few of each.
-In the directions of a bias the second decides alone, so that no one F holds: calibrations are drawn
-with each part's true size as its estimate tells it, size² = estimate² ν / χ²(ν) (Fisher's fiducial
-law). The size of what power-ups bring is one, for all.
-
-How much values scatter beyond their own standard deviations, as a whole or within groups.
-
-τ² solves Q(τ²) = Σ (y_i - ȳ)² / (v_i + τ²) = degrees of freedom (Paule and Mandel 1982; the
-iterated DerSimonian and Laird 1986), its interval Q(τ²) = the quantiles of χ² (Viechtbauer 2007,
-Statistics in Medicine 26, 37-52). ȳ is the mean of all, or of each group.
+How much values y scatter beyond their own variances v, about a mean, a mean of each group, or a
+line X b: τ² solves Q(τ²) = Σ (y_i - (X b)_i)² / (v_i + τ²) = degrees of freedom (Paule and Mandel
+1982; the iterated DerSimonian and Laird 1986), its interval Q(τ²) = the quantiles of χ²
+(Viechtbauer 2007, Statistics in Medicine 26, 37-52).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from imucalib.arrays import Array, Index
+from imucalib.arrays import Array
 from imucalib.calibration.comparison.basis import Basis
 from imucalib.core.eigen import eigen
 
 #: Calibrations that are drawn; p is no finer than one of as many and one.
 DRAWS = 6000
-
-
-def drawn(basis: Basis, rng: np.random.Generator) -> Array:
-    """(DRAWS, m, p) values about a common truth."""
-    assert basis.power_ups is not None
-    m, p = basis.value.shape
-    found = np.zeros((DRAWS, m, p))
-    common = _size(basis.power_ups.dof, rng)
-    for k, share in enumerate(basis.power_ups.share):
-        own = basis.covariance[k] - share
-        for part, size in ((own, _size(float(basis.dof[k]), rng)), (share, common)):
-            found[:, k] += size[:, None] * (rng.standard_normal((DRAWS, p)) @ _root(part))
-    return found
-
-
-def exceeded(squares: Array, found: float) -> float:
-    """p of a sum of squares beside those that are drawn."""
-    return float((1 + np.count_nonzero(squares >= found)) / (squares.size + 1))
-
-
-def _size(dof: float, rng: np.random.Generator) -> Array:
-    if not np.isfinite(dof):
-        return np.ones(DRAWS)
-    return np.asarray(np.sqrt(dof / rng.chisquare(dof, DRAWS)))
-
-
-def _root(covariance: Array) -> Array:
-    values, vectors = eigen(0.5 * (covariance + covariance.T))
-    return np.asarray(np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T)
 
 
 @dataclass(frozen=True)
@@ -71,57 +39,54 @@ class Beyond:
     high: float
 
 
-def beyond(value: Array, variance: Array, group: Index | None = None) -> Beyond:
-    """Of values (m,) with variances (m,); group : (m,) whose means differ anyhow, or one for all.
+def beyond(value: Array, variance: Array, design: Array | None = None) -> Beyond:
+    """Of values (m,) with variances (m,) about `design` (m, k) b, by default one mean.
 
-    NaN where no group holds two.
+    NaN where the design leaves no degree of freedom.
     """
     from scipy.special import chdtri
 
-    dof = value.size - (1 if group is None else np.unique(group).size)
+    design = _design(value, design)
+    dof = value.size - design.shape[1]
     if dof < 1:
         return Beyond(float("nan"), float("nan"), float("nan"))
     wanted = (float(dof), float(chdtri(dof, 0.025)), float(chdtri(dof, 0.975)))
-    return Beyond(*(_solved(q, value, variance, group) for q in wanted))
+    return Beyond(*(excess(q, value, variance, design) ** 0.5 for q in wanted))
 
 
-def beyond_sd(value: Array, variance: Array) -> float:
-    """The same of one group, without its interval."""
-    return _solved(value.size - 1.0, value, variance, None)
-
-
-def chi_square(value: Array, variance: Array) -> float:
-    """Weighted squares of values (m,) about their mean."""
-    return _q(0.0, value, variance, None)
-
-
-def _q(square: float, value: Array, variance: Array, group: Index | None) -> float:
-    weight = 1.0 / (variance + square)
-    if group is None:
-        return float(weight @ (value - weight @ value / weight.sum()) ** 2)
-    total = np.bincount(group, weight)
-    mean = np.bincount(group, weight * value) / np.where(total > 0.0, total, 1.0)
-    return float(weight @ (value - mean[group]) ** 2)
-
-
-def _solved(wanted: float, value: Array, variance: Array, group: Index | None) -> float:
-    """τ where Q(τ²) is so large; 0 where it never is."""
+def excess(wanted: float, value: Array, variance: Array, design: Array | None = None) -> float:
+    """τ² of values (m,) at which Q(τ²) is so large; 0 where it never is."""
     from scipy.optimize import brentq
 
-    if _q(0.0, value, variance, group) <= wanted:
+    design = _design(value, design)
+
+    def more(square: float) -> float:
+        return weighted_line(value, variance + square, design)[2] - wanted
+
+    if more(0.0) <= 0.0:
         return 0.0
     high = float(np.ptp(value)) ** 2 + float(variance.max())
-    while _q(high, value, variance, group) > wanted:
+    while more(high) > 0.0:
         high *= 4.0
-    return float(
-        np.sqrt(brentq(lambda s: _q(s, value, variance, group) - wanted, 0.0, high, xtol=1e-30))
-    )
+    return float(brentq(more, 0.0, high, xtol=1e-30))
+
+
+def weighted_line(value: Array, variance: Array, design: Array) -> tuple[Array, Array, float]:
+    """b (k,) of weighted least squares, its covariance (k, k), and the squares that remain."""
+    weighted = design.T / variance
+    covariance = np.asarray(np.linalg.inv(weighted @ design), np.float64)
+    b = covariance @ (weighted @ value)
+    return b, covariance, float(np.sum((value - design @ b) ** 2 / variance))
+
+
+def _design(value: Array, design: Array | None) -> Array:
+    return np.ones((value.size, 1)) if design is None else design
 
 
 @dataclass(frozen=True)
 class Agreement:
     """mean, mean_sd : (p,) of all; z : (m, p) of each against the mean of the others, by its whole
-    sd; chi2, dof, p : that all agree; noise_dof : behind the covariances' scale
+    sd; chi2, dof, p : that all agree; noise_dof : of the covariances' scale
     without : (m,) p of each calibration against the others, all parameters together
     """
 
@@ -151,13 +116,11 @@ class ParameterScatter:
     z_rms: Array
 
 
-def agreement(basis: Basis, seed: int = 0) -> Agreement:
-    """Of two or more. seed : of what chance does where power-ups scatter"""
-    from scipy.special import fdtrc
-
+def agreement(basis: Basis) -> Agreement:
+    """Of two or more."""
     value, covariance = basis.value, basis.covariance
     m, p = value.shape
-    null = None if basis.power_ups is None else drawn(basis, np.random.default_rng(seed))
+    null = _drawn(basis)
     mean, own = _mean(value, covariance)
     chi2 = float(_squares(value, mean, covariance))
     z, without = np.zeros((m, p)), np.zeros(m)
@@ -166,18 +129,18 @@ def agreement(basis: Basis, seed: int = 0) -> Agreement:
         other, spread = _mean(value[rest], covariance[rest])
         whole = covariance[k] + spread
         z[k] = (value[k] - other) / np.sqrt(np.diag(whole))
-        square = _square(value[k] - other, whole)
+        square = float(_square(value[k] - other, whole))
         if null is not None:
             away = null[:, k] - _mean(null[:, rest], covariance[rest])[0]
-            without[k] = exceeded(_square(away, whole), float(square))
-            continue
-        pair = np.array([covariance[k], spread])
-        dof = noise_dof(pair, np.array([basis.dof[k], basis.dof[rest].sum()]))
-        without[k] = fdtrc(p, dof, square / p)
+            without[k] = _exceeded(_square(away, whole), square)
+        else:
+            pair = np.array([covariance[k], spread])
+            dofs = np.array([basis.dof[k], basis.dof[rest].sum()])
+            without[k] = _tail(square, p, noise_dof(pair, dofs))
     dof, nu = (m - 1) * p, noise_dof(covariance, basis.dof)
-    chance = float(fdtrc(dof, nu, chi2 / dof))
+    chance = _tail(chi2, dof, nu)
     if null is not None:
-        chance = exceeded(_squares(null, _mean(null, covariance)[0], covariance), chi2)
+        chance = _exceeded(_squares(null, _mean(null, covariance)[0], covariance), chi2)
     return Agreement(
         mean=mean,
         mean_sd=np.sqrt(np.diag(own)),
@@ -193,26 +156,15 @@ def agreement(basis: Basis, seed: int = 0) -> Agreement:
 def odd_ones(basis: Basis, alpha: float) -> tuple[int, ...]:
     """Calibrations without which the others agree, fewer than half of all; none where all agree,
     and none where more would have to go: then they scatter."""
-    left, gone = list(range(len(basis.value))), list[int]()
-    while agreement(_some(basis, left)).p <= alpha:
-        if len(left) < 3 or 2 * (len(gone) + 1) >= len(basis.value):
+    kept, gone = list(range(len(basis.value))), list[int]()
+    while agreement(basis.take(kept)).p <= alpha:
+        if len(kept) < 3 or 2 * (len(gone) + 1) >= len(basis.value):
             return ()
-        rest = [[k for k in left if k != out] for out in left]
-        best = int(np.argmin([agreement(_some(basis, some)).chi2 for some in rest]))
-        gone.append(left[best])
-        left = rest[best]
+        rest = [[k for k in kept if k != out] for out in kept]
+        best = int(np.argmin([agreement(basis.take(some)).chi2 for some in rest]))
+        gone.append(kept[best])
+        kept = rest[best]
     return tuple(sorted(gone))
-
-
-def _some(basis: Basis, of: list[int]) -> Basis:
-    days = basis.power_ups
-    return replace(
-        basis,
-        value=basis.value[of],
-        covariance=basis.covariance[of],
-        dof=basis.dof[of],
-        power_ups=days and replace(days, share=[days.share[k] for k in of]),
-    )
 
 
 def noise_dof(covariance: Array, dof: Array) -> float:
@@ -232,8 +184,41 @@ def scatter(basis: Basis) -> ParameterScatter | None:
     pairs = list(zip(basis.value.T, variance.T, strict=True))
     found = [beyond(value, own) for value, own in pairs]
     sd, low, high = (np.array([getattr(one, k) for one in found]) for k in ("sd", "low", "high"))
-    z_rms = np.sqrt([chi_square(value, own) / (m - 1) for value, own in pairs])
-    return ParameterScatter(sd, low, high, z_rms)
+    squares = [weighted_line(value, own, np.ones((m, 1)))[2] for value, own in pairs]
+    return ParameterScatter(sd, low, high, np.sqrt(np.array(squares) / (m - 1)))
+
+
+def _drawn(basis: Basis) -> Array | None:
+    """(DRAWS, m, p) values about a common truth; None where nothing tells what power-ups bring."""
+    if basis.power_ups is None:
+        return None
+    rng, (m, p) = np.random.default_rng(0), basis.value.shape
+    found = np.zeros((DRAWS, m, p))
+    common = _size(basis.power_ups.dof, rng)
+    for k, share in enumerate(basis.power_ups.share):
+        own = basis.covariance[k] - share
+        for part, size in ((own, _size(float(basis.dof[k]), rng)), (share, common)):
+            values, vectors = eigen(0.5 * (part + part.T))
+            root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+            found[:, k] += size[:, None] * (rng.standard_normal((DRAWS, p)) @ root)
+    return found
+
+
+def _size(dof: float, rng: np.random.Generator) -> Array:
+    if not np.isfinite(dof):
+        return np.ones(DRAWS)
+    return np.asarray(np.sqrt(dof / rng.chisquare(dof, DRAWS)))
+
+
+def _exceeded(squares: Array, found: float) -> float:
+    """p of a sum of squares among those that are drawn."""
+    return float((1 + np.count_nonzero(squares >= found)) / (squares.size + 1))
+
+
+def _tail(square: float, dof: int, noise: float) -> float:
+    from scipy.special import fdtrc
+
+    return float(fdtrc(dof, noise, square / dof))
 
 
 def _mean(value: Array, covariance: Array) -> tuple[Array, Array]:

@@ -5,7 +5,7 @@ day's. One of several states the mean, and the scatter about it. Against another
 lacks the scatter whole; the other's mean holds its share, known from as many power-ups as it has.
 
 Drift is weighted least squares of a value on time, the variances those of the calibrations plus
-what they scatter by about the line beyond them (from three on; moments as in `agreement`).
+what they scatter by about the line beyond them (from three on, as in `agreement`).
 Intervals are Student's with m - 2 degrees of freedom, of two calibrations normal ones by the stated
 sds.
 """
@@ -22,33 +22,44 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
-from imucalib.calibration.checking.limits import Limits
-from imucalib.calibration.checking.misfit import FAMILIES, Scatter, stated_sessions
+from imucalib.calibration.checking.noise import (
+    FAMILIES,
+    Limits,
+    Scatter,
+    check_noise,
+    sizes_in_words,
+    stated_sessions,
+)
 from imucalib.calibration.comparison.agreement import (
     Agreement,
     ParameterScatter,
     agreement,
+    excess,
     odd_ones,
     scatter,
+    weighted_line,
 )
 from imucalib.calibration.comparison.basis import (
-    ArrayImu,
     Basis,
-    CalibratedSensor,
     PowerUps,
     Seen,
     Worst,
     basis_of,
-    largest_sd,
-    pairs_of,
     seen,
-    sensor_of,
+    worst_pair,
     worst_size,
     worst_turn,
 )
 from imucalib.errors import UNEXPLAINED_EXIT_CODE, LimitBroken, UnreadableInput, UsageError
 from imucalib.units import DEG, MG
 
+Verdict = Literal["agree", "differ", "undecided"]
+ALPHA = 0.05
+#: Stated standard deviations that a difference may reach where no limit is given.
+SIGNIFICANT = 2.0
+#: Attitudes that chance sees independently: the largest of what nine parameters of like effect do
+#: over 400 attitudes exceeds its 95 % quantile as the largest of 29 to 34 numbers does (simulated).
+_INDEPENDENT = 30
 #: Days between the first and the last from which on times of the runs stand in for recordings.
 _APART = 1.0
 
@@ -128,15 +139,14 @@ def remarks(
         )
     gravities = [c.gravity for c in calibrations]
     if np.ptp(gravities) > 1e-9:
-        size = np.ptp(gravities) / MG
+        size, each = np.ptp(gravities) / MG, ", ".join(f"{g:.5f}" for g in gravities)
         notes.append(
-            f"they assume gravities {size:.2g} mg apart ({_each(gravities)} m/s²): right where "
+            f"they assume gravities {size:.2g} mg apart ({each} m/s²): right where "
             "they were recorded in different places, else this difference is in all scales"
         )
-    units = [f"{c.raw_unit}" for c in calibrations]
-    scales = {c.raw_to_si for c in calibrations}
-    if len(scales) > 1:
-        notes.append(f"their readings are in {', '.join(units)}: compared in m/s²")
+    if len({c.raw_to_si for c in calibrations}) > 1:
+        units = ", ".join(c.raw_unit for c in calibrations)
+        notes.append(f"their readings are in {units}: compared in m/s²")
     makers = [c.calibrator for c in calibrations]
     if len(set(makers)) > 1:
         notes.append(f"they were made by {', '.join(makers)}")
@@ -154,39 +164,39 @@ def remarks(
     return tuple(notes)
 
 
-def _each(gravities: Sequence[float]) -> str:
-    return ", ".join(f"{g:.5f}" for g in gravities)
-
-
-@dataclass(frozen=True)
-class BetweenPowerUps:
-    """calibrations : with the scatter in their covariances
-    power_ups : what of them it is, or None where nothing tells it
-    words : where it is from, or that nothing states it"""
-
-    calibrations: tuple[Calibration, ...]
-    power_ups: PowerUps | None
-    words: str
-
-
 def with_power_ups(
     calibrations: Sequence[Calibration], given: Mapping[str, float]
-) -> BetweenPowerUps:
-    """given : kind of change -> its scatter (bias mg, mounting deg) instead of what files state"""
+) -> tuple[tuple[Calibration, ...], PowerUps | None, str]:
+    """The calibrations with what power-ups scatter by in their covariances; what of them that is,
+    or None where nothing tells it; and in words where it is from.
+
+    given : kind of change -> its scatter (bias mg, mounting deg) instead of what files state
+    """
     stated = [stated_sessions(c) for c in calibrations]
     scatter = {kind: Scatter(size) for kind, size in given.items()} or _pooled(stated)
-    words = _words(scatter, given, stated)
     if not scatter:
-        return BetweenPowerUps(tuple(calibrations), None, words)
+        words = (
+            "what a power-up changes is in no sd: a bias that differs may be another day's "
+            "(--between-sessions)"
+        )
+        return tuple(calibrations), None, words
     made, share = [], []
     for calibration, own in zip(calibrations, stated, strict=True):
+        # The mean of several power-ups holds its share, one of them none.
         count = len(calibration.facts["between_sessions"]["sessions"]) if own else 1
-        part = _on_parameters(calibration, own or scatter, count)
+        sizes = own or scatter
+        sds = [sizes[p.effect].sd if p.effect in sizes else 0.0 for p in calibration.parameters]
+        part = np.diag(np.square(np.array(sds, np.float64)) / count)
         whole = calibration.covariance if own else calibration.covariance + part
         made.append(replace(calibration, covariance=whole))
         share.append(part)
-    dof = min(s.dof for s in scatter.values())
-    return BetweenPowerUps(tuple(made), PowerUps(share, dof), words)
+    source = "as given" if given else "as the calibrations of several state"
+    alone = sum(not one for one in stated)
+    words = (
+        f"power-ups scatter by {sizes_in_words(scatter)}, {source}: in the sds of {alone} of one "
+        "power-up"
+    )
+    return tuple(made), PowerUps(share, min(s.dof for s in scatter.values())), words
 
 
 def _pooled(stated: Sequence[Mapping[str, Scatter]]) -> dict[str, Scatter]:
@@ -200,106 +210,54 @@ def _pooled(stated: Sequence[Mapping[str, Scatter]]) -> dict[str, Scatter]:
     return found
 
 
-def _on_parameters(calibration: Calibration, scatter: Mapping[str, Scatter], count: int) -> Array:
-    """(p, p) what power-ups bring to a mean of `count` of them."""
-    var = [
-        scatter[p.effect].sd ** 2 / count if p.effect in scatter else 0.0
-        for p in calibration.parameters
-    ]
-    return np.diag(np.array(var, np.float64))
-
-
-def _words(
-    scatter: Mapping[str, Scatter],
-    given: Mapping[str, float],
-    stated: Sequence[Mapping[str, Scatter]],
-) -> str:
-    if not scatter:
-        return (
-            "what a power-up changes is in no sd: a bias that differs may be another day's "
-            "(--between-sessions)"
-        )
-    said = ", ".join(f"{s.sd:.3g} {FAMILIES[kind]} of {kind}" for kind, s in scatter.items())
-    source = "as given" if given else "as the calibrations of several state"
-    alone = sum(not one for one in stated)
-    return f"power-ups scatter by {said}, {source}: in the sds of {alone} of one power-up"
-
-
-#: Stated standard deviations that a difference may reach where no limit is given.
-SIGNIFICANT = 2.0
-
-
-@dataclass(frozen=True)
-class Meaning:
-    """The largest difference of one kind, and the size that matters. sensor : IMU of an array"""
-
-    worst: Worst
-    limit: float
-    sensor: str = ""
-
-    @property
-    def beyond(self) -> bool:
-        return self.worst.value > self.limit
-
-
-def meanings_of(found: Mapping[str, Seen], limits: Limits, *, turns: bool) -> tuple[Meaning, ...]:
+def meanings_of(found: Mapping[str, Seen], limits: Limits, *, turns: bool) -> tuple[Worst, ...]:
     """Force, and where it can be compared direction, of the sensor where it is largest."""
-    sds = [largest_sd(one) for one in found.values()]
-    force = limits.force
-    direction = limits.direction
-    if limits == Limits():
+    sds = [one.largest_sd for one in found.values()]
+    force, direction = limits.get("mg"), limits.get("deg")
+    if not limits:
         force, direction = (SIGNIFICANT * max(column) for column in zip(*sds, strict=True))
     made = []
     for limit, worst in ((force, worst_size), (direction if turns else None, worst_turn)):
         if limit is not None:
-            pairs = [(worst(one), name) for name, one in found.items()]
-            largest, name = max(pairs, key=lambda pair: pair[0].value)
-            made.append(Meaning(largest, limit, name))
+            every = [replace(worst(one), sensor=name, limit=limit) for name, one in found.items()]
+            made.append(max(every, key=lambda one: one.value))
     return tuple(made)
 
 
 def array_meanings(
     calibrations: Sequence[Calibration], basis: Basis, limits: Limits
-) -> tuple[tuple[Meaning, ...], tuple[str, ...]]:
+) -> tuple[tuple[Worst, ...], tuple[str, ...]]:
     """Positions in mm and biases of gyroscopes in deg/s, of which the files state no sd."""
-    limit = limits.position
-    if limits == Limits():
+    limit = limits.get("mm")
+    if not limits:
         limit = SIGNIFICANT * float(np.sqrt(np.einsum("kii->ki", basis.covariance).max()))
     made = () if limit is None else (_places(calibrations, basis, limit),)
     rates = np.array([[t.gyro_bias / DEG for t in c.triads] for c in calibrations])
-    away, pair = max(
-        (float(np.abs(rates[j] - rates[i]).max()), (i, j)) for i, j in pairs_of(len(rates))
-    )
-    k, axis = divmod(int(np.abs(rates[pair[1]] - rates[pair[0]]).argmax()), 3)
+    pair, away, at = worst_pair(len(rates), lambda i, j: np.abs(rates[j] - rates[i]))
+    k, axis = divmod(at, 3)
     name = calibrations[0].triads[k].name
     said = (
         f"the gyroscopes' biases differ by {away:.2g} deg/s at most ({name}, {'xyz'[axis]}); the "
         "files state no uncertainty of these, so they are told and not tested"
     )
-    if limits.rate is not None:
-        worst = Worst(pair, away, math.nan, "deg/s", np.eye(3)[axis])
-        made = (*made, Meaning(worst, limits.rate, name))
+    if "deg/s" in limits:
+        along, limit = np.eye(3)[axis], limits["deg/s"]
+        worst = Worst(pair, away, math.nan, "deg/s", along, sensor=name, limit=limit)
+        made = (*made, worst)
     return made, (said,)
 
 
-def _places(calibrations: Sequence[Calibration], basis: Basis, limit: float) -> Meaning:
+def _places(calibrations: Sequence[Calibration], basis: Basis, limit: float) -> Worst:
     """The IMU whose position differs most."""
     places = basis.value.reshape(len(calibrations), -1, 3)
-    value, pair, k = max(
-        (float(np.linalg.norm(places[j, k] - places[i, k])), (i, j), k)
-        for i, j in pairs_of(len(places))
-        for k in range(places.shape[1])
+    pair, value, k = worst_pair(
+        len(places), lambda i, j: np.asarray(np.linalg.norm(places[j] - places[i], axis=1))
     )
     own = basis.covariance[list(pair), 3 * k : 3 * k + 3, 3 * k : 3 * k + 3].sum(axis=0)
     along = (places[pair[1], k] - places[pair[0], k]) / max(value, 1e-300)
     sd = float(np.sqrt(along @ own @ along))
     name = calibrations[0].triads[k + 1].name
-    return Meaning(Worst(pair, value, sd, "mm", along), limit, name)
-
-
-#: Attitudes that chance sees independently: the largest of what nine parameters of like effect do
-#: over 400 attitudes exceeds its 95 % quantile as the largest of 29 to 34 numbers does (simulated).
-INDEPENDENT = 30
+    return Worst(pair, value, sd, "mm", along, sensor=name, limit=limit)
 
 
 @dataclass(frozen=True)
@@ -333,19 +291,20 @@ def slope_of(days: Array, value: Array, variance: Array, among: int = 1) -> Slop
     """days, value, variance : (m,); among : so many at once that the interval holds for all"""
     from scipy.special import ndtri, stdtrit
 
-    m = days.size
-    extra = _beyond(days, value, variance) if m > 2 else 0.0
-    estimate, sd, _ = _line(days, value, variance + extra)
+    dof = days.size - 2
+    design = np.column_stack([np.ones(days.size), days - days.mean()])
+    extra = excess(float(dof), value, variance, design) if dof else 0.0
+    b, covariance, _ = weighted_line(value, variance + extra, design)
     level = 1.0 - 0.025 / among
-    quantile = float(stdtrit(m - 2, level) if m > 2 else ndtri(level))
-    return Slope(estimate, quantile * sd)
+    quantile = float(stdtrit(dof, level) if dof else ndtri(level))
+    return Slope(float(b[1]), quantile * float(covariance[1, 1]) ** 0.5)
 
 
 def due(
     days: Array, value: Array, variance: Array, attitude: Array, limit: float, *, sensors: int = 1
 ) -> Due:
     """value, variance : (m, n) in mg, in n attitudes (n, 3); limit : mg; sensors : so many"""
-    among = INDEPENDENT * sensors
+    among = _INDEPENDENT * sensors
     slopes = [slope_of(days, v, s, among) for v, s in zip(value.T, variance.T, strict=True)]
     reach = np.array([abs(s.value) + s.half for s in slopes])
     shown = np.array([abs(s.value) if s.shown else 0.0 for s in slopes])
@@ -359,36 +318,6 @@ def due(
         expected=limit / fastest if fastest > 0.0 else np.inf,
         earliest=float(limit / reach.max()),
     )
-
-
-def _line(days: Array, value: Array, variance: Array) -> tuple[float, float, float]:
-    """Slope, its sd and the weighted sum of squares about the line."""
-    weight = 1.0 / variance
-    middle = float(weight @ days / weight.sum())
-    mean = float(weight @ value / weight.sum())
-    away = days - middle
-    power = float(weight @ away**2)
-    slope = float(weight @ (away * (value - mean))) / power
-    return slope, power**-0.5, float(weight @ (value - mean - slope * away) ** 2)
-
-
-def _beyond(days: Array, value: Array, variance: Array) -> float:
-    """Variance about the line beyond the stated ones: Q = m - 2."""
-    from scipy.optimize import brentq
-
-    def q(extra: float) -> float:
-        return _line(days, value, variance + extra)[2] - (days.size - 2)
-
-    if q(0.0) <= 0.0:
-        return 0.0
-    high = float(np.ptp(value)) ** 2 + float(variance.max())
-    while q(high) > 0.0:
-        high *= 4.0
-    return float(brentq(q, 0.0, high))
-
-
-Verdict = Literal["agree", "differ", "undecided"]
-ALPHA = 0.05
 
 
 @dataclass(frozen=True)
@@ -410,7 +339,7 @@ class Comparison:
     basis: Basis
     agreement: Agreement
     scatter: ParameterScatter | None
-    meanings: tuple[Meaning, ...]
+    meanings: tuple[Worst, ...]
     seen: Mapping[str, Seen]
     drift: Drift | None
     stated: bool
@@ -458,21 +387,21 @@ def compared(
     covariance.
     """
     arrays = _demand(calibrations, names)
-    framed = arrays or _same_frame(calibrations)
+    framed = arrays or len({mounted(c) for c in calibrations}) == 1
     dof = np.array([_dof(c) for c in calibrations])
     if arrays and between:
         raise UsageError(
             "arrays are compared without the scatter of power-ups",
             remedy="leave out --between-sessions",
         )
-    days = with_power_ups(calibrations, between or {})
-    calibrations = days.calibrations
-    basis = basis_of(calibrations, dof, framed=framed, power_ups=days.power_ups)
-    every = _every(calibrations)
+    calibrations, power_ups, words = with_power_ups(calibrations, between or {})
+    basis = basis_of(calibrations, dof, framed=framed, power_ups=power_ups)
     gravity = calibrations[0].gravity
-    found = {name: seen(sensors, gravity) for name, sensors in every.items()}
+    imus = {t.name: k for k, t in enumerate(calibrations[0].triads)}
+    sensors: dict[str, int | None] = {**imus} or {"": None}
+    found = {name: seen(calibrations, imu, gravity) for name, imu in sensors.items()}
     turns = framed and not arrays
-    if limits.direction is not None and not turns:
+    if "deg" in limits and not turns:
         raise UsageError(
             "directions of these calibrations cannot be compared: not all tie a frame to a tool",
             remedy="give the limit in mg, or calibrate all with known angles",
@@ -483,7 +412,7 @@ def compared(
         own, said = array_meanings(calibrations, basis, limits)
         meanings, notes = (*meanings, *own), (*notes, *said)
     else:
-        notes = (*notes, days.words)
+        notes = (*notes, words)
     when = dates_of(calibrations, dates)
     return Comparison(
         names=tuple(names),
@@ -493,7 +422,7 @@ def compared(
         meanings=meanings,
         seen=found,
         drift=None if when is None else _drift(when, basis, found, meanings),
-        stated=limits != Limits(),
+        stated=bool(limits),
         notes=notes,
     )
 
@@ -525,38 +454,22 @@ def _sensors(imus: tuple[str, ...]) -> str:
 
 
 def _dof(calibration: Calibration) -> float:
-    """Degrees of freedom behind the covariance's scale, by the noise that the file states."""
-    from imucalib.calibration.checking.misfit import check_noise
-
+    """Degrees of freedom of the covariance's scale, by the noise that the file states."""
     try:
         return check_noise(calibration).reading.dof
     except UnreadableInput:
         return math.inf
 
 
-def _same_frame(calibrations: Sequence[Calibration]) -> bool:
-    return len({mounted(c) for c in calibrations}) == 1
-
-
-def _every(calibrations: Sequence[Calibration]) -> dict[str, list[CalibratedSensor]]:
-    """The sensors by name, of each calibration."""
-    if not calibrations[0].triads:
-        return {"": [sensor_of(c) for c in calibrations]}
-    return {
-        t.name: [ArrayImu(c.triads[k]) for c in calibrations]
-        for k, t in enumerate(calibrations[0].triads)
-    }
-
-
 def _drift(
-    dates: Dates, basis: Basis, found: Mapping[str, Seen], meanings: tuple[Meaning, ...]
+    dates: Dates, basis: Basis, found: Mapping[str, Seen], meanings: tuple[Worst, ...]
 ) -> Drift:
+    variance = np.einsum("kii->ik", basis.covariance)
     slopes = tuple(
-        slope_of(dates.days, basis.value[:, k], basis.covariance[:, k, k])
-        for k in range(len(basis.names))
+        slope_of(dates.days, value, own) for value, own in zip(basis.value.T, variance, strict=True)
     )
-    force = next((m for m in meanings if m.worst.unit == "mg"), None)
-    limit = force.limit if force else SIGNIFICANT * max(largest_sd(s)[0] for s in found.values())
+    force = next((m for m in meanings if m.unit == "mg"), None)
+    limit = force.limit if force else SIGNIFICANT * max(s.largest_sd[0] for s in found.values())
     reached = [
         due(dates.days, one.size, one.size_sd**2, one.attitude, limit, sensors=len(found))
         for one in found.values()

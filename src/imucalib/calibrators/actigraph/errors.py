@@ -1,18 +1,26 @@
-"""Errors of a worn sensor's calibration: how far the corrected norm at rest is from gravity."""
+"""What a worn recording has shown of the sphere, and how far the corrected norm is from gravity."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import product
+from typing import Any
 
 import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.outcome import ErrorSummary, HeldOutError
+from imucalib.calibration.plain import fields
 from imucalib.calibration.uncertainty import force_slope
+from imucalib.calibrators.actigraph.observations import quantisation
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
+from imucalib.core.sphere import even_directions
 from imucalib.loop.held_out import Held, errors, fitted
+from imucalib.rests.runs import PostureRuns, Scan
 from imucalib.units import MG
+
+_NEVER = 0.3  # g, an end of an axis that gravity never came closer to
 
 
 def mean_error(held: Held) -> float:
@@ -61,36 +69,28 @@ def sphere_cells(base: Fit, final: Fit, held: Held) -> tuple[SphereCell, ...]:
 
     Errors are NaN where no posture was recorded; the standard deviation always exists.
     """
-    ends = [(name, sign * np.eye(3)[k]) for k, name in enumerate("xyz") for sign in (1.0, -1.0)]
-    cells = [(f"{'+' if c.sum() > 0 else '-'}{name}", c) for name, c in ends]
-    for signs in np.ndindex(2, 2, 2):
-        corner = (1.0 - 2.0 * np.array(signs)) / np.sqrt(3.0)
-        text = "".join(f"{'+' if v > 0 else '-'}{a}" for v, a in zip(corner, "xyz", strict=True))
-        cells.append((text, corner))
-    centres = np.array([c for _, c in cells])
+    ends = {f"{s}{a}": float(f"{s}1") * np.eye(3)[k] for k, a in enumerate("xyz") for s in "+-"}
+    octants = {
+        "".join(f"{s}{a}" for s, a in zip(signs, "xyz", strict=True)): np.array(
+            [float(f"{s}1") for s in signs]
+        )
+        / np.sqrt(3.0)
+        for signs in product("+-", repeat=3)
+    }
+    centres = {**ends, **octants}
+    where = np.array(list(centres.values()))
     known = fitted(final)
     direction = known.corrected[:, 0] / np.linalg.norm(known.corrected[:, 0], axis=1)[:, None]
-    nearest = np.argmax(direction @ centres.T, axis=1)
-    sd = norm_sd(final, centres) / MG
-    series = [np.abs(h.error[:, 0, 0]) / MG for h in (raw_errors(base), fitted(base), known, held)]
+    nearest = np.argmax(direction @ where.T, axis=1)
+    sd = norm_sd(final, where) / MG
+    compared = {"raw": raw_errors(base), "base": fitted(base), "final": known, "held_out": held}
+    series = {k: np.abs(h.error[:, 0, 0]) / MG for k, h in compared.items()}
     found = []
-    for k, (name, _) in enumerate(cells):
-        inside = nearest == k
-        raw, before, after, out = (
-            float(e[inside].mean()) if inside.any() else float("nan") for e in series
-        )
-        count = int(inside.sum())
-        found.append(
-            SphereCell(
-                name=name,
-                runs=count,
-                raw=raw,
-                base=before,
-                final=after,
-                held_out=out,
-                sd=float(sd[k]),
-            )
-        )
+    for at, name in enumerate(centres):
+        inside = nearest == at
+        some = inside.any()
+        means = {k: float(e[inside].mean()) if some else float("nan") for k, e in series.items()}
+        found.append(SphereCell(name, int(inside.sum()), sd=float(sd[at]), **means))
     return tuple(found)
 
 
@@ -101,3 +101,86 @@ def norm_sd(fit: Fit, directions: Array) -> Array:
     along = np.einsum("nj,njp->np", directions, slope)
     variance = np.einsum("np,pq,nq->n", along, fit.covariance, along)
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """What a recording has shown.
+
+    hours; rate : Hz; windows, still, runs, downweighted : windows, those at rest, posture runs, and
+    those that count less; window : s; noise, resolution : (3,) mg; quantisation : mg
+    span : (2, 3) least and largest reading of each axis, local g; temperature : °C, or None
+    mean_sd, worst_sd : mg, of the corrected |a| over all directions
+    unseen : ends of the axes that gravity never came close to, in words
+    """
+
+    hours: float
+    rate: float
+    windows: int
+    still: int
+    runs: int
+    downweighted: int
+    window: float
+    noise: Array
+    resolution: Array
+    quantisation: float
+    span: Array
+    mean_sd: float
+    worst_sd: float
+    temperature: tuple[float, float] | None
+    unseen: tuple[str, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """The block of calibration.yaml and report.json."""
+        block = {
+            **fields(self, "hours rate_hz=rate windows still_windows=still"),
+            "still_hours": self.still * self.window / 3600.0,
+            **fields(
+                self,
+                "posture_runs=runs runs_that_count_less=downweighted noise_of_a_sample_mg=noise "
+                "resolution_mg=resolution quantisation_mg=quantisation",
+            ),
+            "axis_range_g": {a: self.span[:, k].tolist() for k, a in enumerate("xyz")},
+            **fields(self, "norm_sd_mean_mg=mean_sd norm_sd_largest_mg=worst_sd"),
+        }
+        if self.temperature is not None:
+            block["temperature_degC"] = list(self.temperature)
+            block["temperature_reference_degC"] = 25.0
+        return block
+
+
+def coverage_of(
+    runs: PostureRuns,
+    scanned: Scan,
+    final: Fit,
+    *,
+    gravity: float,
+    window: float,
+    downweighted: int,
+) -> Coverage:
+    """What was recorded, and how well |a| is known by it. gravity : m/s²; window : s"""
+    sd = norm_sd(final, even_directions()) / MG
+    warm = runs.temperature[np.isfinite(runs.temperature)]
+    own = runs.mean / np.median(np.linalg.norm(runs.mean, axis=1))
+    return Coverage(
+        hours=scanned.stop / 3600.0,
+        rate=scanned.rate,
+        windows=runs.total,
+        still=runs.still,
+        runs=runs.n,
+        downweighted=downweighted,
+        window=window,
+        noise=runs.noise / MG,
+        resolution=runs.resolution / MG,
+        quantisation=quantisation(runs) / MG,
+        span=np.array([runs.mean.min(axis=0), runs.mean.max(axis=0)]) / gravity,
+        mean_sd=float(sd.mean()),
+        worst_sd=float(sd.max()),
+        temperature=(float(warm.min()), float(warm.max())) if warm.size else None,
+        unseen=tuple(
+            f"{axis} {word}"
+            for k, axis in enumerate("xyz")
+            for sign, word in ((1.0, "up"), (-1.0, "down"))
+            if (sign * own[:, k]).max() < _NEVER
+        ),
+    )

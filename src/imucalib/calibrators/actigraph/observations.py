@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.calibrators.population import STRANGE, Population
+from imucalib.calibrators.population import UNLIKELY, Population
 from imucalib.core.effect import Context
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
@@ -23,11 +23,10 @@ from imucalib.core.references import KnownNorm
 from imucalib.effects.table import covariates_before
 from imucalib.effects.thermal import RATE
 from imucalib.errors import NotConverged
-from imucalib.estimators.in_a_population import strangeness
+from imucalib.estimators.in_a_population import p_value_in_kind
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.rests.runs import PostureRuns, Scan
-from imucalib.rests.thermal import REMEMBERED, history_of, remembered, tells_apart
-from imucalib.rests.windows import Windows
+from imucalib.rests.thermal import REMEMBERED, ThermalHistory, remembered
 from imucalib.units import MG
 
 NINE = ("bias", "scale", "non_orthogonality")
@@ -48,36 +47,33 @@ def base_fit(model: Model, data: Observations, runs: PostureRuns) -> tuple[Fit, 
     parameters = model.parameters(data.context)
     if data.n > _ENOUGH * len(parameters):
         try:
-            found, light = robust_fit(model, data, runs)
+            found, fewer = robust_fit(model, data, runs)
             if found.converged and not is_weak(found):
-                return found, light
+                return found, fewer
         except (NotConverged, np.linalg.LinAlgError):
             pass  # open directions ran away; the prior holds them
     typical = np.array([p.typical for p in parameters])
-    return beside(independent(model.start(data.context), typical), model, data, runs)
+    prior = independent(model.start(data.context), typical)
+    return robust_fit(model, data, runs, prior)
 
 
-def beside(prior: Prior, model: Model, data: Observations, runs: PostureRuns) -> tuple[Fit, int]:
-    """The maximum a posteriori, and how many runs count less. Many runs tell their scatter
-    themselves."""
-    many = data.n > _ENOUGH * len(prior.mean)
-    prior = replace(prior, noise=None) if many else prior
-    found, light = fit_model(model, data, start=prior.mean, prior=prior), 0
+def robust_fit(
+    model: Model, data: Observations, runs: PostureRuns, prior: Prior | None = None
+) -> tuple[Fit, int]:
+    """Fit with the scatter between runs and the weight of unlike ones as the data show them, and
+    how many runs count less; the maximum a posteriori with a prior, which says the scatter of few
+    runs."""
+    many = prior is None or data.n > _ENOUGH * len(prior.mean)
+    if prior is not None and many:
+        prior = replace(prior, noise=None)
+    start = None if prior is None else prior.mean
+    found, fewer = fit_model(model, data, start=start, prior=prior), 0
     for _ in range(2 * many):
-        data, light = weighted(found, runs)
-        found = fit_model(model, data, start=found.theta, prior=prior)
-    return found, light
-
-
-def robust_fit(model: Model, data: Observations, runs: PostureRuns) -> tuple[Fit, int]:
-    """Fit with the scatter between runs and the weight of strange ones as the data show them."""
-    found, light = fit_model(model, data), 0
-    for _ in range(2):
-        if found.null_directions:
+        if prior is None and found.null_directions:
             break
-        data, light = weighted(found, runs)
-        found = fit_model(model, data, start=found.theta)
-    return found, light
+        data, fewer = weighted(found, runs)
+        found = fit_model(model, data, start=found.theta, prior=prior)
+    return found, fewer
 
 
 def is_weak(fit: Fit) -> bool:
@@ -88,15 +84,11 @@ def is_weak(fit: Fit) -> bool:
     own = np.concatenate([np.arange(slices[n].start, slices[n].stop) for n in NINE])
     some = np.zeros((own.size, len(fit.theta)))
     some[np.arange(own.size), own] = [1.0 / fit.parameters[k].typical for k in own]
-    return known_worse(fit, some * _as_noise(fit))
-
-
-def _as_noise(fit: Fit) -> float:
-    """Share of the scatter of many runs that may be noise: postures are not few because something
-    else is missing, which only a search can tell."""
-    if fit.prior is not None or fit.observations.n <= _ENOUGH * len(fit.theta):
-        return 1.0
-    return min(1.0, _SCATTER / float(np.median(fit.at.sigma)))
+    if fit.prior is None and fit.observations.n > _ENOUGH * len(fit.theta):
+        # Of the scatter of many runs only so much may be noise: postures are not few because
+        # something else is missing, which only a search can tell.
+        some *= min(1.0, _SCATTER / float(np.median(fit.at.sigma)))
+    return known_worse(fit, some)
 
 
 def known_worse(fit: Fit, root: Array) -> bool:
@@ -131,38 +123,31 @@ def open_words(fit: Fit) -> str:
 @dataclass(frozen=True)
 class OfAKind:
     """What a fleet said of a device. alone : the fit without it
-    strange : chance that one of the kind is as far off, NaN where the fleet was not needed
-    taken : whether the calibration stands on it"""
+    chance : that one of the kind is as far off, NaN where the fleet was not needed
+    used : whether the calibration rests on it"""
 
     kind: Population
     alone: Fit
-    strange: float
-    taken: bool
-
-    @property
-    def contradicted(self) -> bool:
-        return self.strange < STRANGE
+    chance: float
+    used: bool
 
 
 def fit_of_a_kind(kind: Population, alone: Fit, runs: PostureRuns) -> tuple[OfAKind, Fit, int]:
-    """The fit that stands, and how many of its runs count less.
+    """The fit beside a fleet, and how many of its runs count less.
 
-    alone : of the base model by the recording itself. The fleet is asked where the postures know a
-    combination of parameters worse than a third of what it knows, and it is not believed where the
-    device contradicts it.
+    alone : of the base model by the recording itself. The fleet counts where the postures know a
+    combination of parameters worse than a third of what it knows, and not where the device
+    contradicts it.
     """
     own = kind.prior(alone.model, alone.observations, ())
     if not known_worse(alone, own.root):
         return OfAKind(kind, alone, float("nan"), False), alone, 0
-    data = with_temperature(alone.observations, runs)
-    every = {e.name: e for e in (*alone.model.effects, *kind.driven(data.context))}
-    model = Model(tuple(every.values()))
-    prior = kind.prior(model, data, ())
-    found, light = beside(prior, model, data, runs)
-    strange = strangeness(found)
-    if strange < STRANGE:
-        return OfAKind(kind, alone, strange, False), alone, 0
-    return OfAKind(kind, alone, strange, True), found, light
+    data = _with_temperature(alone.observations, runs)
+    effects = (*alone.model.effects, *kind.shared_effects(data.context))
+    model = Model(tuple({e.name: e for e in effects}.values()))
+    found, fewer = robust_fit(model, data, runs, kind.prior(model, data, ()))
+    chance = p_value_in_kind(found)
+    return OfAKind(kind, alone, chance, used=chance >= UNLIKELY), found, fewer
 
 
 _DAY = 86400.0
@@ -177,14 +162,16 @@ def observations_of(
 ) -> Observations:
     """One observation a run, in order of time; sigma as if runs differed by 1 mg beside noise.
 
-    blocks : contiguous stretches, see `_blocks`; each run's block is its held-out group
+    gravity : m/s²; blocks : contiguous stretches of time; each run's is its held-out group
     """
-    n = runs.n
-    context = Context(n, covariates_of(runs, scanned))
-    group = _blocks(runs.time, blocks)
-    label = tuple(f"run at {hours(t)}" for t in runs.time)
-    sigma = _sigma(MG, runs)
-    return Observations(runs.mean[:, None], sigma, KnownNorm(n, gravity), context, group, label)
+    return Observations(
+        runs.mean[:, None],
+        _sigma(MG, runs),
+        KnownNorm(runs.n, gravity),
+        Context(runs.n, covariates_of(runs, scanned)),
+        _blocks(runs.time, blocks),
+        tuple(f"run at {hours(t)}" for t in runs.time),
+    )
 
 
 def _blocks(time: Array, blocks: int) -> Index:
@@ -219,19 +206,18 @@ def covariates_of(runs: PostureRuns, scanned: Scan) -> dict[str, Array]:
     warm = scanned.temperature
     if warm is not None and np.ptp(runs.temperature) >= _LEAST_WARMTH:  # False for NaN
         found["temperature"] = runs.temperature
-        history = history_of(warm)
-        past = {name: remembered(history, name, runs.time) for name in REMEMBERED}
+        past = {name: remembered(warm, name, runs.time) for name in REMEMBERED}
         found |= {n: v for n, v in past.items() if _is_shown(n, v, runs.temperature, warm)}
     return found
 
 
-def _is_shown(name: str, past: Array, now: Array, warm: Windows) -> bool:
+def _is_shown(name: str, past: Array, now: Array, warm: ThermalHistory) -> bool:
     """Whether a thermometer shows a past temperature beside the present one: rounded to some °C it
     does not, and what a lag smooths is then its steps. A rate (°C/h) is shown by them too."""
-    return name.startswith(RATE.prefix) or tells_apart(warm, past, now)
+    return name.startswith(RATE.prefix) or warm.shows(past, now)
 
 
-def with_temperature(data: Observations, runs: PostureRuns) -> Observations:
+def _with_temperature(data: Observations, runs: PostureRuns) -> Observations:
     """With the runs' temperature, also where it varies too little to show what it does."""
     if not np.isfinite(runs.temperature).all():
         return data
@@ -249,8 +235,13 @@ def quantisation(runs: PostureRuns) -> float:
     return float(np.sqrt(np.mean(step**2) / 12.0))
 
 
+def averaged_noise(runs: PostureRuns) -> Array:
+    """(n,) (m/s²)², variance of a posture's norm but for what postures scatter by."""
+    return np.asarray(quantisation(runs) ** 2 + runs.window_noise**2 / runs.windows)
+
+
 def _sigma(between: float, runs: PostureRuns) -> Array:
-    size = np.sqrt(between**2 + quantisation(runs) ** 2 + runs.window_noise**2 / runs.windows)
+    size = np.sqrt(between**2 + averaged_noise(runs))
     return np.asarray(np.broadcast_to(size[:, None, None], (runs.n, 1, 3)).copy())
 
 
@@ -262,7 +253,7 @@ def weighted(fit: Fit, runs: PostureRuns) -> tuple[Observations, int]:
     one at 4 (Huber's weight). Returns the observations and how many runs count less.
     """
     misfit = fit.at.residual * fit.at.sigma[:, 0]
-    noise = quantisation(runs) ** 2 + runs.window_noise**2 / runs.windows
+    noise = averaged_noise(runs)
 
     def ratio(between: float) -> float:
         return float(np.median(misfit**2 / (between**2 + noise))) / _MEDIAN_SQUARE

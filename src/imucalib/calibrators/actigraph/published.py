@@ -16,9 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from imucalib.arrays import Array, Index
-from imucalib.calibration.calibration import Calibration, from_fit
-from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Limit, Outcome, Run, quality_of
+from imucalib.arrays import Array
+from imucalib.calibration.calibration import from_fit
+from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Limit, Outcome, Run
+from imucalib.calibration.plain import fields
 from imucalib.calibrators.actigraph.observations import NINE
 from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.run import provenance
@@ -34,65 +35,53 @@ from imucalib.estimators.least_squares import evaluate
 from imucalib.readers import blocks
 from imucalib.recording.mapping import FieldMapping
 from imucalib.rests.runs import Scan, scan
-from imucalib.rests.windows import Windows
 from imucalib.units import MG
 
 #: The paper's rule of stillness: seconds of a segment, and max - min (g) on one axis.
 SECONDS, RANGE_G = 5.0, 0.12
-_HALF_WIDTH = 0.25
+_HALF_WIDTH, _EACH = 0.25, 2
 #: (axis, centre in g), ends first.
 BINS = tuple((axis, c) for c in (-1.0, 1.0, 0.0) for axis in range(3))
 
 
-def published_still(windows: Windows, unit: float, axis: int = 0) -> Index:
-    """Windows whose max - min on one axis is below 0.12 g; `unit` is 1 g in the windows' unit."""
-    spread = windows.high[:, axis] - windows.low[:, axis]
-    return np.flatnonzero((spread > 0.0) & (spread < RANGE_G * unit))
-
-
 @dataclass
 class PointCollector:
-    """Takes points one at a time and keeps those that an open bin needs.
+    """Takes points one at a time and keeps those that an open bin needs: two of each, 18 in all."""
 
-    fewest, most : points of each bin; the paper has 2 and 2, hence 18 points
-    """
-
-    fewest: int = 2
-    most: int = 2
     points: list[Array] = field(default_factory=list)
     count: list[int] = field(default_factory=lambda: [0] * len(BINS))
 
     @property
     def ready(self) -> bool:
-        """Whether every bin has its minimum."""
-        return min(self.count) >= self.fewest
+        """Whether every bin is full."""
+        return min(self.count) == _EACH
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """Bins below their minimum, in words."""
+        """Bins that are not full, in words."""
         pairs = zip(BINS, self.count, strict=True)
-        return tuple(f"{'xyz'[a]} near {c:+g} g" for (a, c), n in pairs if n < self.fewest)
+        return tuple(f"{'xyz'[a]} near {c:+g} g" for (a, c), n in pairs if n < _EACH)
 
     def offer(self, point: Array) -> bool:
         """Take a mean reading (3,) in g if a bin needs it."""
         for k, (axis, centre) in enumerate(BINS):
-            if self.count[k] < self.most and abs(point[axis] - centre) <= _HALF_WIDTH:
+            if self.count[k] < _EACH and abs(point[axis] - centre) <= _HALF_WIDTH:
                 self.count[k] += 1
                 self.points.append(point)
                 return True
         return False
 
 
-def two_sets(means: Array, fewest: int = 2, most: int = 2) -> tuple[PointCollector, PointCollector]:
+def two_sets(means: Array) -> tuple[PointCollector, PointCollector]:
     """A set to calibrate with and a distinct one to verify with, from means (n, 3) in g in order.
 
     What the first has no room for is offered to the second.
     """
-    first, second = PointCollector(fewest, most), PointCollector(fewest, most)
+    first, second = PointCollector(), PointCollector()
     for point in means:
         if not first.offer(point):
             second.offer(point)
-        if first.ready and second.ready and min(second.count) >= most:
+        if first.ready and second.ready:
             break
     return first, second
 
@@ -127,7 +116,6 @@ class PublishedRun(Run):
     control: Array
     methods: tuple[PublishedMethod, ...]
     scanned: Scan
-    request: ActigraphRequest
 
 
 def calibrate_as_published(
@@ -137,9 +125,11 @@ def calibrate_as_published(
 
     Raises Undetermined with the bins that stayed empty.
     """
-    request = replace(request, window=5.0, as_published=True, loop=False)
+    request = replace(request, window=SECONDS, as_published=True, loop=False)
     scanned = scan(blocks(path, mapping), request.window, request.triad)
-    still = published_still(scanned.windows, request.gravity)
+    # At rest are segments whose max - min along x is below 0.12 g, and that are not stuck.
+    spread = scanned.windows.high[:, 0] - scanned.windows.low[:, 0]
+    still = np.flatnonzero((spread > 0.0) & (spread < RANGE_G * request.gravity))
     points, control = two_sets(scanned.windows.mean[still] / request.gravity)
     say(f"read {scanned.path}: {still.size} segments at rest by the paper's rule")
     if not points.ready:
@@ -149,42 +139,46 @@ def calibrate_as_published(
             where=scanned.path,
             remedy="record longer, or leave --as-published out: all windows then count",
         )
-    return _run(points, control, scanned, request)
-
-
-def _run(
-    points: PointCollector, control: PointCollector, scanned: Scan, request: ActigraphRequest
-) -> PublishedRun:
-    """The chosen method's result, verified on the second set, with all methods beside it."""
-    methods = compared(points, control)
+    first, second = np.array(points.points), np.array(control.points).reshape(-1, 3)
+    methods = compared(first, second)
     chosen = next(m for m in methods if m.name == ARITHMETIC[request.arithmetic])
-    first = np.array(points.points)
-    second = np.array(control.points).reshape(-1, 3)
     found = published_fit(chosen.p, first, request.gravity)
     error = _error(chosen, found, first, second)
+    held = {"max-error": error.held_out.final}  # no other limit has a value here
     outcome = Outcome(
         calibrator="actigraph",
         errors=(error,),
         provenance=provenance(scanned, request),
-        quality=quality_of(found),
+        fit=found,
         reasons=() if len(second) else ("no second set of points to verify with",),
-        limits=_limits(error, request),
+        limits=tuple(Limit(n, held.get(n, np.nan), v, "mg") for n, v in request.limits.items()),
         notes=scanned.notes,
     )
-    blocks_of = {m.name: method_block(m) for m in methods}
+    blocks_of = {m.name: _method_block(m) for m in methods}
+    facts = {
+        "gravity_source": request.gravity_source,
+        "errors": [error.as_dict() for error in outcome.errors],
+        "method": blocks_of,
+        "provenance": outcome.provenance.as_dict(),
+    }
+    sets = {"points_g": first.tolist(), "control_points_g": second.tolist()}
     return PublishedRun(
         outcome=outcome,
-        calibration=_calibration(outcome, found, request, blocks_of),
-        details={
-            "methods": blocks_of,
-            "points_g": first.tolist(),
-            "control_points_g": second.tolist(),
-        },
+        calibration=from_fit(
+            found,
+            "actigraph",
+            raw_unit="m/s2",
+            raw_to_si=1.0,
+            gravity=request.gravity,
+            status=outcome.status,
+            reasons=outcome.reasons,
+            facts=facts,
+        ),
+        details={"methods": blocks_of, **sets},
         points=first,
         control=second,
         methods=methods,
         scanned=scanned,
-        request=request,
     )
 
 
@@ -193,51 +187,36 @@ def _error(chosen: PublishedMethod, found: Fit, first: Array, second: Array) -> 
         float(np.mean(np.abs(np.linalg.norm(v, axis=1) - 1.0))) * 1e3 if len(v) else float("nan")
         for v in (first, second)
     )
-    floor = found.noise.factor * float(np.sqrt(2.0 / np.pi))
     return ErrorSummary(
         metric="mean error of |a|",
         unit="mg",
         raw=raw,
         base=chosen.fitted,
         final=chosen.fitted,
-        floor=floor,
+        floor=found.noise.factor * float(np.sqrt(2.0 / np.pi)),
         held_out=HeldOutError(raw_second, chosen.verified, chosen.verified),
     )
 
 
-def _limits(error: ErrorSummary, request: ActigraphRequest) -> tuple[Limit, ...]:
-    """The user's limits against the second set of points."""
-    value = {"max-error": error.held_out.final}
-    return tuple(
-        Limit(name, value.get(name, float("nan")), limit, "mg")
-        for name, limit in request.limits.items()
-    )
-
-
-def compared(points: PointCollector, control: PointCollector) -> tuple[PublishedMethod, ...]:
-    """Every method of the paper on the same points."""
-    first, second = np.array(points.points), np.array(control.points).reshape(-1, 3)
+def compared(first: Array, second: Array) -> tuple[PublishedMethod, ...]:
+    """Every method of the paper on the same points (n, 3) g, and verified on a second set."""
     found = []
     for name, method in METHODS.items():
         p = method(first)
-        verified = float(np.mean(np.abs(norm_errors(p, second)))) * 1e3 if len(second) else np.nan
-        gain = improvement(p, second) if len(second) else float("nan")
         fitted = float(np.mean(np.abs(norm_errors(p, first)))) * 1e3
-        found.append(PublishedMethod(name, p, fitted, float(verified), gain))
+        verified, gain = np.nan, np.nan
+        if len(second):
+            verified = float(np.mean(np.abs(norm_errors(p, second)))) * 1e3
+            gain = improvement(p, second)
+        found.append(PublishedMethod(name, p, fitted, verified, gain))
     return tuple(found)
 
 
-def published_theta(p: Array, gravity: float) -> Array:
-    """θ of bias (mg), scale and non-orthogonality for the paper's p: S = K⁻¹, c = -o."""
-    gain = np.array([[p[0], 0.0, 0.0], [p[3], p[1], 0.0], [p[4], p[5], p[2]]])
-    sensitivity = np.linalg.inv(gain)
-    bias = -p[6:] * gravity / MG
-    lower = [sensitivity[1, 0], sensitivity[2, 0], sensitivity[2, 1]]
-    return np.concatenate([bias, np.diag(sensitivity) - 1.0, lower])
-
-
 def published_fit(p: Array, points: Array, gravity: float) -> Fit:
-    """The paper's result as a fit: covariance as least squares on these points would have it."""
+    """The paper's result as a fit: covariance as least squares on these points would have it.
+
+    θ is of bias (mg), scale and non-orthogonality: S = K⁻¹, c = -o for the paper's p.
+    """
     model = Model(tuple(named(name) for name in NINE))
     n = len(points)
     data = Observations(
@@ -248,39 +227,17 @@ def published_fit(p: Array, points: Array, gravity: float) -> Fit:
         np.arange(n, dtype=np.intp),
         tuple(f"point {k + 1}" for k in range(n)),
     )
-    theta = published_theta(p, gravity)
+    gain = np.array([[p[0], 0.0, 0.0], [p[3], p[1], 0.0], [p[4], p[5], p[2]]])
+    inner = np.linalg.inv(gain)
+    lower = [inner[1, 0], inner[2, 0], inner[2, 1]]
+    theta = np.concatenate([-p[6:] * gravity / MG, np.diag(inner) - 1.0, lower])
     rough = evaluate(model, data, theta, np.eye(9))
     inverse = np.linalg.pinv(rough.at.jacobian.T @ rough.at.jacobian, rcond=1e-14)
     return replace(rough, covariance=np.asarray(rough.noise.factor**2 * inverse))
 
 
-def _calibration(
-    outcome: Outcome, fit: Fit, request: ActigraphRequest, methods: dict[str, Any]
-) -> Calibration:
-    facts: dict[str, Any] = {
-        "gravity_source": request.gravity_source,
-        "errors": [error.as_dict() for error in outcome.errors],
-        "method": methods,
-        "provenance": outcome.provenance.as_dict(),
-    }
-    return from_fit(
-        fit,
-        "actigraph",
-        raw_unit="m/s2",
-        raw_to_si=1.0,
-        gravity=request.gravity,
-        status=outcome.status,
-        reasons=outcome.reasons,
-        facts=facts,
-    )
-
-
-def method_block(method: PublishedMethod) -> dict[str, Any]:
+def _method_block(method: PublishedMethod) -> dict[str, Any]:
     """One method as plain types."""
     names = ("k_xx", "k_yy", "k_zz", "k_xy", "k_xz", "k_yz", "o_x", "o_y", "o_z")
-    return {
-        "p": dict(zip(names, map(float, method.p), strict=True)),
-        "fitted_mg": method.fitted,
-        "verified_mg": method.verified,
-        "improvement_percent": method.improvement,
-    }
+    errors = "fitted_mg=fitted verified_mg=verified improvement_percent=improvement"
+    return {"p": dict(zip(names, map(float, method.p), strict=True)), **fields(method, errors)}

@@ -2,45 +2,53 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
-from imucalib.calibration.findings import Findings, findings_of
-from imucalib.calibration.outcome import Outcome, Run, left_open, quality_of
-from imucalib.calibration.plain import plain
+import numpy as np
+
+from imucalib.calibration import sums
+from imucalib.calibration.ambiguity import KEY
+from imucalib.calibration.calibration import Calibration, from_fit
+from imucalib.calibration.outcome import Limit, Outcome, Run, left_open
+from imucalib.calibration.plain import fields, listed, plain
+from imucalib.calibration.power import advice_of, hidden
 from imucalib.calibration.provenance import Provenance, provenance_of
+from imucalib.calibration.series import series_facts
 from imucalib.calibrators.actigraph.calibrate import ActigraphResult, calibrate
-from imucalib.calibrators.actigraph.calibration import (
-    actigraph_calibration,
-    actigraph_details,
-    advice,
-    limits_of,
-    reasons,
+from imucalib.calibrators.actigraph.errors import (
+    Coverage,
+    coverage_of,
+    mean_error,
+    raw_errors,
+    sphere_cells,
 )
-from imucalib.calibrators.actigraph.closest_point import ClosestPoint, closest_point
-from imucalib.calibrators.actigraph.coverage import Coverage, coverage_of
-from imucalib.calibrators.actigraph.errors import raw_errors
-from imucalib.calibrators.actigraph.observations import quantisation
+from imucalib.calibrators.actigraph.observations import from_data, open_words, quantisation
 from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.series import (
     Exchange,
     Series,
     exchange_in,
-    refuse_exchange,
     series,
+    series_block,
     without_found,
 )
 from imucalib.calibrators.actigraph.wear import (
     Activity,
-    Minutes,
-    Wear,
+    ClosestPoint,
     activity_of,
+    closest_point,
     minutes_of,
     wear_of,
 )
+from imucalib.calibrators.next_recording import recorded_block
 from imucalib.calibrators.population import not_of_its_kind
-from imucalib.loop.found import FitLoop
+from imucalib.core.effect import CLOCKS
+from imucalib.core.sphere import counted
+from imucalib.effects.forms import in_words
+from imucalib.errors import Undetermined
 from imucalib.readers import blocks, stored_blocks
 from imucalib.recording.mapping import FieldMapping
 from imucalib.rests.runs import WORN, PostureRuns, Scan, posture_runs, scan
@@ -73,16 +81,11 @@ def calibrate_recording(
     wear, rule = wear_of(scanned), closest_point(scanned)
     run = run_of(runs, scanned.without_windows(), request, say)
     minutes = minutes_of(blocks(path, mapping), scanned.triad, run.result.final)
-    return with_activity(run, minutes, wear, rule)
-
-
-def with_activity(
-    run: ActigraphRun, minutes: Minutes, wear: Wear, rule: ClosestPoint | None
-) -> ActigraphRun:
-    """The run with what its calibration does to wear and activity, beside the field's rule."""
-    errors = [h.error[:, 0, 0] for h in (raw_errors(run.result.base), run.result.final_held)]
-    start = (run.scanned.start_ns or 0) / 1e9 % 86400.0
-    activity = activity_of(minutes, wear, start, (errors[0], errors[1]), run.runs.time)
+    raw, corrected = (
+        h.error[:, 0, 0] for h in (raw_errors(run.result.base), run.result.final_held)
+    )
+    start = (scanned.start_ns or 0) / 1e9 % 86400.0
+    activity = activity_of(minutes, wear, start, (raw, corrected), runs.time)
     block = plain({"activity": activity.as_dict(), "ggir_rule": rule and rule.as_dict()})
     return replace(run, activity=activity, rule=rule, details={**run.details, **block})
 
@@ -97,14 +100,40 @@ def run_of(
     )
     for text in (*scanned.notes, *runs.notes):
         say(f"  {text}")
-    exchange = exchange_in(runs)
-    refuse_exchange(exchange, scanned.path, parts=request.every is not None)
+    exchange = _exchange(runs, scanned, request)
     if exchange is not None:
         say(f"  {exchange.words}")
-    result = calibrate(runs, scanned, request)
-    result = replace(result, loop=result.loop and with_untestable(result.loop, runs))
-    coverage = coverage_of(result, scanned, gravity=request.gravity, window=request.window)
-    outcome = _judged(result, coverage, scanned, request, exchange)
+    result = _with_untestable(calibrate(runs, scanned, request))
+    coverage = coverage_of(
+        runs,
+        scanned,
+        result.final,
+        gravity=request.gravity,
+        window=request.window,
+        downweighted=result.downweighted,
+    )
+    said = result.of_a_kind
+    outcome = Outcome(
+        calibrator="actigraph",
+        errors=(result.error,),
+        provenance=provenance(scanned, request),
+        findings=request.findings(result.loop),
+        fit=result.final,
+        reasons=(
+            *((exchange.words,) if exchange else ()),
+            *runs.faults,
+            *reasons(result, coverage),
+        ),
+        advice=advice(result, coverage),
+        limits=limits_of(result, request.limits),
+        notes=(*scanned.notes, *runs.notes),
+        undecided=not_of_its_kind(
+            said.chance if said else float("nan"),
+            "calibrated without --fleet: is it another kind, or was it turned?",
+        ),
+        weak=result.weak,
+        left=left_open(result.loop, result.error),
+    )
     parts = None
     if request.every:
         parts = series(without_found(runs, result.final, request), scanned, request, say)
@@ -121,54 +150,31 @@ def run_of(
     )
 
 
-def _judged(
-    result: ActigraphResult,
-    coverage: Coverage,
-    scanned: Scan,
-    request: ActigraphRequest,
-    exchange: Exchange | None,
-) -> Outcome:
-    said = result.of_a_kind
-    return Outcome(
-        calibrator="actigraph",
-        errors=(result.error,),
-        provenance=provenance(scanned, request),
-        findings=_findings(result.loop, request),
-        quality=quality_of(result.final),
-        reasons=(
-            *((exchange.words,) if exchange else ()),
-            *result.runs.faults,
-            *reasons(result, coverage),
-        ),
-        advice=advice(result, coverage),
-        limits=limits_of(result, request.limits),
-        notes=(*scanned.notes, *result.runs.notes),
-        undecided=()
-        if said is None
-        else not_of_its_kind(
-            said.strange, "calibrated without --fleet: is it another kind, or was it turned?"
-        ),
-        weak=result.weak,
-        left=left_open(result.loop, result.error),
-    )
+def _exchange(runs: PostureRuns, scanned: Scan, request: ActigraphRequest) -> Exchange | None:
+    """Where the sensor is another one. Raises Undetermined where that ends the one calibration that
+    was wanted."""
+    found = exchange_in(runs)
+    if found is not None and request.every is None:
+        raise Undetermined(
+            found.words,
+            where=scanned.path,
+            remedy=f"each sensor needs its own calibration: --every {found.time / 3600.0:.2f}h "
+            "calibrates the parts before and after by themselves",
+        )
+    return found
 
 
-def _findings(loop: FitLoop | None, request: ActigraphRequest) -> Findings | None:
-    if loop is None:
-        return None
-    return findings_of(loop, declared=request.declare, only=request.only, without=request.without)
-
-
-def with_untestable(loop: FitLoop, runs: PostureRuns) -> FitLoop:
+def _with_untestable(result: ActigraphResult) -> ActigraphResult:
     """The search with what it could not test on this sensor's readings, whatever the postures."""
-    size = quantisation(runs)
-    if size == 0.0:
-        return loop
+    size, loop = quantisation(result.runs), result.loop
+    if size == 0.0 or loop is None:
+        return result
     why = (
-        f"a step of {float(runs.resolution.max()) / MG:.2g} mg hides the noise, so no curve of "
-        f"that period can be told from it: {size / MG:.2g} mg stays in each posture's uncertainty"
+        f"a step of {float(result.runs.resolution.max()) / MG:.2g} mg hides the noise, so no curve "
+        f"of that period can be told from it: {size / MG:.2g} mg stays in each posture's "
+        "uncertainty"
     )
-    return replace(loop, missing={**loop.missing, "quantisation": why})
+    return replace(result, loop=replace(loop, missing={**loop.missing, "quantisation": why}))
 
 
 def provenance(scanned: Scan, request: ActigraphRequest) -> Provenance:
@@ -183,3 +189,171 @@ def provenance(scanned: Scan, request: ActigraphRequest) -> Provenance:
         seed=request.seed,
         command=request.command,
     )
+
+
+#: The field calls a calibration good below this error (mg); a tenth of it is well known.
+_GOOD, _WELL_KNOWN = 10.0, 1.0
+#: What to do about what moves with time where no temperature was recorded, and where no cause is
+#: proved.
+_COLD = (
+    "The error moves with time and no temperature was recorded: export the temperature channel "
+    "too, or calibrate in parts with --every 1d."
+)
+_UNPROVED = (
+    "The error moves with time, in too few stretches to prove a cause: --every 6h shows which "
+    "parts differ, a longer recording whether it comes back."
+)
+_UNSEARCHED = "What the nine parameters lack was not searched for: that takes {}."
+
+
+def reasons(result: ActigraphResult, coverage: Coverage) -> tuple[str, ...]:
+    """Why the calibration is not simply good."""
+    found = [_coverage_words(result, coverage)] if result.weak else []
+    held, raw = mean_error(result.final_held), result.error.held_out.raw
+    if coverage.worst_sd > _WELL_KNOWN and not result.weak:
+        ends = ", ".join(coverage.unseen)
+        where = f"; no posture with {ends}" if ends else ""
+        found.append(
+            f"the error in some directions is known to {coverage.worst_sd:.1f} mg only{where}"
+        )
+    if held > _GOOD:
+        found.append(f"the held-out error of {held:.1f} mg is above the field's 10 mg")
+    if held > raw:
+        found.append(f"on held-out time it is worse than no calibration ({raw:.2f} mg)")
+    if result.downweighted > 0.02 * result.runs.n:
+        found.append(
+            f"{result.downweighted} of {result.runs.n} posture runs are unlike the rest and count "
+            "less"
+        )
+    return tuple(found)
+
+
+def _coverage_words(result: ActigraphResult, coverage: Coverage) -> str:
+    """What weak coverage of the sphere leaves open, in the field's terms."""
+    count = f"{result.runs.n} posture run" + "s" * (result.runs.n != 1)
+    never = f" (never {', '.join(coverage.unseen)})" if coverage.unseen else ""
+    text = f"weak coverage of the sphere: {count}{never} leave open {open_words(result.base)}"
+    if result.beside_fleet:
+        text += "; what is open stays as devices of its kind have it"
+    elif result.base.prior is not None:
+        text += "; what is open stays near its nominal value, with a data sheet's uncertainty"
+    return f"{text}; |a| is known to {coverage.worst_sd:.1f} mg in the worst direction"
+
+
+def advice(result: ActigraphResult, coverage: Coverage) -> tuple[str, ...]:
+    """The next steps, most useful first."""
+    found, loop = [], result.loop
+    if result.beside_fleet:
+        found.append("What the model lacks is not searched for beside a fleet.")
+    elif result.weak and loop is None:
+        found.append(_UNSEARCHED.format("postures which determine all of them"))
+    elif result.few:
+        found.append(_UNSEARCHED.format("twice as many posture runs as parameters"))
+    if coverage.worst_sd > _WELL_KNOWN:
+        ends = ", ".join(coverage.unseen)
+        found.append(
+            f"Rest the sensor for ten seconds with {ends}, or record more nights."
+            if ends
+            else "More postures at rest, in new directions, make the parameters better known."
+        )
+    if loop is None:
+        return tuple(found)
+    kinds = {u.kind for u in loop.unexplained if u.driver in CLOCKS}
+    if kinds and "temperature" not in result.final.observations.context:
+        found.append(_COLD)
+    elif "probe" in kinds:
+        found.append(_UNPROVED)
+    if loop.steps and (step := loop.steps[0]).aliases:
+        name = in_words(step.effect)
+        found.append(
+            f"{name[0].upper()}{name[1:]} cannot be told from "
+            f"{', '.join(map(in_words, step.aliases))}: "
+            "both correct this recording alike; a longer one, with more postures, separates them."
+        )
+    found += advice_of(hidden(loop.scores, loop.final.model.names))
+    return tuple(found)
+
+
+def limits_of(result: ActigraphResult, limits: Mapping[str, float]) -> tuple[Limit, ...]:
+    """The user's limits against what was found."""
+    value = {
+        "max-error": mean_error(result.final_held),
+        "max-worst-error": float(np.abs(result.final_held.error).max()) / MG,
+    }
+    return tuple(Limit(name, value[name], limit, "mg") for name, limit in limits.items())
+
+
+def actigraph_calibration(
+    outcome: Outcome,
+    result: ActigraphResult,
+    scanned: Scan,
+    request: ActigraphRequest,
+    details: Mapping[str, Any],
+    parts: Series | None,
+) -> Calibration:
+    """The calibration of a run's final fit."""
+    final = result.final
+    # What one posture scatters by when it comes again.
+    sigma = final.noise.factor * float(np.median(final.at.sigma)) / MG
+    facts: dict[str, Any] = {
+        "gravity_source": request.gravity_source,
+        "frame": "x keeps its direction; gravity alone cannot see a rotation of the frame",
+        "clock": {"start_ns": scanned.start_ns, "span_s": max(scanned.stop, 1.0)},
+        "errors": [error.as_dict() for error in outcome.errors],
+        "error_mg": details["error_mg"],
+        "noise": {"reading_mg": sigma, "reading_sd_mg": sigma * float(final.noise_sd[0])},
+        "coverage": details["coverage"],
+        "postures": counted(final.observations.reading[:, 0]).tolist(),
+        "from_data": details["from_data"],
+        "provenance": outcome.provenance.as_dict(),
+    }
+    whole = from_fit(
+        final,
+        "actigraph",
+        raw_unit="m/s2",
+        raw_to_si=1.0,
+        gravity=request.gravity,
+        status=outcome.status,
+        reasons=outcome.reasons,
+        facts=facts,
+    )
+    if parts is None:
+        return whole
+    fits = [(part.start, part.stop, part.fit) for part in parts.parts]
+    return replace(whole, facts=facts | series_facts(whole, fits, differ=parts.differ))
+
+
+def actigraph_details(
+    result: ActigraphResult, coverage: Coverage, parts: Series | None
+) -> dict[str, Any]:
+    """What only a worn sensor has to say, for report.json; the shorter blocks also for the YAML."""
+    final, loop, error = result.final, result.loop, result.error
+    shares = zip(final.parameters, from_data(final), strict=True)
+    cells = sphere_cells(result.base, final, result.final_held)
+    sizes = "raw_mg=raw base_mg=base final_mg=final held_out_mg=held_out sd_mg=sd"
+    details: dict[str, Any] = {
+        "error_mg": {
+            "metric": "mean absolute error of the norm over posture runs",
+            **fields(error, "raw base_fitted=base final_fitted=final"),
+            **fields(error.held_out, "base_held_out=base final_held_out=final"),
+            "base_held_out_rms": result.base_held.rms() / MG,
+            "final_held_out_rms": result.final_held.rms() / MG,
+            "held_out_blocks": int(np.unique(final.observations.group).size),
+        },
+        "coverage": coverage.as_dict(),
+        "from_data": {p.name: float(v) for p, v in shares},
+        "sphere": listed(cells, f"name runs {sizes}"),
+    }
+    if parts is not None:
+        details["series"] = series_block(parts)
+    if loop is not None and loop.wander is not None:
+        if loop.sums is not None:
+            details[sums.KEY] = sums.sums_block(loop.sums)
+        details[KEY] = recorded_block(
+            final,
+            loop.ambiguous,
+            reading=MG * loop.wander.scatter,
+            settings={},
+            drift=loop.wander.sd,
+        )
+    return details

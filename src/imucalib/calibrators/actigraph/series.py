@@ -15,9 +15,9 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Index
+from imucalib.calibration.plain import fields
 from imucalib.calibrators.actigraph.calibrate import base_model
 from imucalib.calibrators.actigraph.observations import (
     NINE,
@@ -36,9 +36,8 @@ from imucalib.units import MG
 
 _FEWEST = 20  # posture runs on either side
 _SPLITS = 400  # moments that are tried at most, before the last is found among its neighbours
-_CLEARER = (
-    6.0  # times that it leaves less scatter than one part that steps: a drift leaves a quarter
-)
+#: Times that it leaves less scatter than one part that steps: a drift leaves a quarter.
+_CLEARER = 6.0
 #: Columns of the biases, of the scales and of the angles: where one of them alone jumps, it is the
 #: same sensor.
 _PARTS = ([0, 1, 2], [3, 6, 8], [4, 5, 7])
@@ -71,9 +70,9 @@ def exchange_in(runs: PostureRuns) -> Exchange | None:
     columns, off = _linear(runs.mean)
     rows = np.arange(_FEWEST, runs.n - _FEWEST + 1, dtype=np.intp)
     coarse = rows[:: max(rows.size // _SPLITS, 1)]
-    near = int(coarse[np.argmin(_left(columns, off, coarse))])
-    fine = rows[np.abs(rows - near) <= max(rows.size // _SPLITS, 1)]
-    row = int(fine[np.argmin(_left(columns, off, fine))])
+    about = int(coarse[np.argmin(_remainders(columns, off, coarse))])
+    fine = rows[np.abs(rows - about) <= max(rows.size // _SPLITS, 1)]
+    row = int(fine[np.argmin(_remainders(columns, off, fine))])
     late = np.arange(runs.n) >= row
     stepped = (np.hstack([columns, columns[:, one] * late[:, None]]) for one in _PARTS)
     whole = min(float(np.sum(_rest(one, off) ** 2)) for one in stepped)
@@ -85,18 +84,6 @@ def exchange_in(runs: PostureRuns) -> Exchange | None:
     return Exchange(float(runs.time[row - 1 : row + 1].mean()), jump[:3], jump[3:])
 
 
-def refuse_exchange(found: Exchange | None, path: str, *, parts: bool) -> None:
-    """Raise Undetermined where one calibration was asked for and there are two sensors."""
-    if found is None or parts:
-        return
-    raise Undetermined(
-        found.words,
-        where=path,
-        remedy=f"each sensor needs its own calibration: --every {found.time / 3600.0:.2f}h "
-        "calibrates the parts before and after by themselves",
-    )
-
-
 def _linear(mean: Array) -> tuple[Array, Array]:
     """(n, 9) columns of bias (m/s²) and of scale and angles (1), and (n,) |v| - median, m/s²."""
     size = np.linalg.norm(mean, axis=1)
@@ -106,17 +93,17 @@ def _linear(mean: Array) -> tuple[Array, Array]:
     return np.hstack([u, squares]), size - g
 
 
-def _left(columns: Array, off: Array, rows: Index) -> Array:
+def _remainders(columns: Array, off: Array, rows: Index) -> Array:
     """Sum of squares that two sets of parameters leave, split before each of the rows."""
     whole = np.hstack([columns, off[:, None]])
     edges = np.concatenate([[0], rows, [len(off)]])
     part = [whole[a:b].T @ whole[a:b] for a, b in pairwise(edges)]
     before = np.cumsum(part, axis=0)
     first, second = before[:-1], before[-1] - before[:-1]
-    return np.asarray(sum(_of(gram) for gram in (first, second)))
+    return np.asarray(sum(_unfitted(gram) for gram in (first, second)))
 
 
-def _of(gram: Array) -> Array:
+def _unfitted(gram: Array) -> Array:
     """(m,) what least squares leaves, of (m, 10, 10) Gram matrices, the data last."""
     inner = gram[:, :9, :9]
     inner = inner + 1e-9 * np.trace(inner, axis1=1, axis2=2)[:, None, None] * np.eye(9)
@@ -173,10 +160,12 @@ def series(
     edges = np.append(np.arange(0.0, scanned.stop, request.every), np.inf)
     parts = []
     for start, stop in pairwise(edges):
-        inside = np.flatnonzero((runs.time >= start) & (runs.time < stop))
+        inside = (runs.time >= start) & (runs.time < stop)
+        kept = ("mean", "windows", "time", "temperature")
+        own = replace(runs, **{name: getattr(runs, name)[inside] for name in kept})
         end = float(min(stop, scanned.stop))
-        found, reason = _fit(_subset(runs, inside), scanned, request)
-        parts.append(Part(float(start), end, inside.size, found, reason))
+        found, reason = _fit(own, scanned, request)
+        parts.append(Part(float(start), end, own.n, found, reason))
         if reason:
             say(f"  {hours(float(start))} to {hours(end)}: {reason}")
     good = [part.fit for part in parts if part.fit is not None]
@@ -200,16 +189,6 @@ def without_found(runs: PostureRuns, final: Fit, request: ActigraphRequest) -> P
         if effect.name not in own:
             found += effect.act(final.theta[slices[effect.name]], truth, data.context).delta
     return replace(runs, mean=runs.mean - found[:, 0])
-
-
-def _subset(runs: PostureRuns, rows: NDArray[np.intp]) -> PostureRuns:
-    return replace(
-        runs,
-        mean=runs.mean[rows],
-        windows=runs.windows[rows],
-        time=runs.time[rows],
-        temperature=runs.temperature[rows],
-    )
 
 
 def _fit(runs: PostureRuns, scanned: Scan, request: ActigraphRequest) -> tuple[Fit | None, str]:
@@ -259,25 +238,18 @@ def _tested(parts: tuple[Part, ...], good: list[Fit]) -> Series:
 
 def series_block(found: Series) -> dict[str, Any]:
     """Plain types, ready for JSON."""
+    rows = []
+    for part in found.parts:
+        row = fields(part, "start_s=start stop_s=stop runs reason") | {"parameters": []}
+        if part.fit is not None:
+            each = zip(found.parameters, part.fit.theta, part.fit.sd, strict=True)
+            row["parameters"] = [
+                {"name": p.name, "value": float(v), "sd": float(sd), "unit": p.unit}
+                for p, v, sd in each
+            ]
+        rows.append(row)
     return {
-        "differ": found.differ,
-        "p_value": found.p,
-        "chi2": found.statistic,
-        "dof": found.dof,
+        **fields(found, "differ p_value=p chi2=statistic dof"),
         "moved": [{"parameter": n, "p_value": p} for n, p in found.moved],
-        "parts": [
-            {
-                "start_s": p.start,
-                "stop_s": p.stop,
-                "runs": p.runs,
-                "reason": p.reason,
-                "parameters": [
-                    {"name": q.name, "value": float(v), "sd": float(s), "unit": q.unit}
-                    for q, v, s in zip(found.parameters, p.fit.theta, p.fit.sd, strict=True)
-                ]
-                if p.fit is not None
-                else [],
-            }
-            for p in found.parts
-        ],
+        "parts": rows,
     }

@@ -1,9 +1,15 @@
-"""When a worn sensor was worn, and what its activity measure is before and after calibration.
+"""The field's measures: wear, activity before and after calibration, and its own calibration.
 
 Non-wear: an hour, in steps of a quarter, in which two of three axes scatter by less than 13 mg and
 span less than 50 mg (van Hees et al. 2013, PLoS ONE 8(4) e61691, Methods, "Accelerometer data
 processing"). ENMO: the mean of max(|a| - 1 g, 0) over samples (the same paper). Night: the five
 hours of the mean day with the least ENMO (L5; Witting et al. 1990, Biol Psychiatry 27, 563-572).
+
+GGIR's auto-calibration: ten-second windows whose three axes scatter by less than 13 mg, each taken
+as one point; gain and offset of each axis bring the points to the unit sphere, each step a
+regression of the nearest points on the present ones (van Hees et al. 2014, J Appl Physiol 117,
+738-744, Appendix). It has six parameters, counts windows of one posture as independent, and states
+no uncertainty.
 """
 
 from __future__ import annotations
@@ -15,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from imucalib.arrays import Array, Flags
+from imucalib.calibration.plain import fields
 from imucalib.calibration.uncertainty import corrected_by
 from imucalib.core.fit import Fit
 from imucalib.recording.recording import Recording
@@ -26,6 +33,9 @@ _SCATTER, _SPAN = 13.0 * MG, 50.0 * MG
 _NIGHT = 5 * 60  # minutes
 #: Share of the day that must have been seen for a night to be named.
 _SEEN = 0.8
+#: Of points of the field's rule: largest reading, and what each axis has to see on both sides (g).
+_LARGEST, _SPAN_SEEN = 2.0 * STANDARD_GRAVITY, 0.3
+_ROUNDS, _SETTLED, _NEAREST = 1000, 1e-10, 0.01
 
 
 @dataclass(frozen=True)
@@ -50,7 +60,7 @@ def wear_of(scanned: Scan) -> Wear:
     w = scanned.windows
     length = float(np.median(w.stop - w.start)) + 1.0 / scanned.rate
     middle = 0.5 * (w.start + w.stop)
-    off = []
+    off = list[tuple[float, float]]()
     for start in np.arange(0.0, max(scanned.stop - _HOUR, 0.0) + _STEP, _STEP):
         rows = slice(*np.searchsorted(middle, [start, start + _HOUR]))
         if middle[rows].size * length < 0.5 * _HOUR:
@@ -58,21 +68,11 @@ def wear_of(scanned: Scan) -> Wear:
         scatter = np.sqrt(w.variance[rows].mean(axis=0) + w.mean[rows].var(axis=0))
         span = w.high[rows].max(axis=0) - w.low[rows].min(axis=0)
         if np.sum((scatter < _SCATTER) & (span < _SPAN)) >= 2:
-            off.append((start, min(start + _HOUR, scanned.stop)))
-    joined = _joined(off)
+            begin = off.pop()[0] if off and start <= off[-1][1] else start
+            off.append((begin, min(start + _HOUR, scanned.stop)))
     hours = middle.size * length / 3600.0
-    lost = sum(float(np.sum((middle >= a) & (middle < b))) * length for a, b in joined)
-    return Wear(hours, hours - lost / 3600.0, np.array(joined).reshape(-1, 2))
-
-
-def _joined(stretches: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    found: list[tuple[float, float]] = []
-    for start, stop in stretches:
-        if found and start <= found[-1][1]:
-            found[-1] = (found[-1][0], stop)
-        else:
-            found.append((start, stop))
-    return found
+    lost = sum(float(np.sum((middle >= a) & (middle < b))) * length for a, b in off)
+    return Wear(hours, hours - lost / 3600.0, np.array(off).reshape(-1, 2))
 
 
 @dataclass(frozen=True)
@@ -104,15 +104,13 @@ class Activity:
 
     def as_dict(self) -> dict[str, Any]:
         """The block of report.json."""
+        night = None if self.night is None else list(self.night)
         return {
-            "hours_recorded": self.wear.hours,
-            "hours_worn": self.wear.worn,
-            "not_worn_s": self.wear.off.tolist(),
-            "night_s_of_day": None if self.night is None else list(self.night),
+            **fields(self, "hours_recorded=wear.hours hours_worn=wear.worn not_worn_s=wear.off"),
+            "night_s_of_day": night,
             "enmo_mg": {k: {"raw": a, "corrected": b} for k, (a, b) in self.enmo.items()},
             "night_error_mg": dict(zip(("raw", "corrected"), self.night_error, strict=True)),
-            "night_posture_runs": self.night_runs,
-            "enmo_by_hour_mg": self.profile.tolist(),
+            **fields(self, "night_posture_runs=night_runs enmo_by_hour_mg=profile"),
         }
 
 
@@ -128,8 +126,7 @@ def minutes_of(blocks: Iterable[Recording], triad: str, fit: Fit) -> Minutes:
                 parts.append(_summed(channel.t, channel.values, slope, origin, fit))
     rows = np.concatenate(parts) if parts else np.empty((0, 4))
     minute, place = np.unique(rows[:, 0], return_inverse=True)
-    sums = (np.bincount(place, rows[:, k]).astype(np.float64) for k in (1, 2, 3))
-    count, raw, corrected = sums
+    count, raw, corrected = (np.bincount(place, v).astype(np.float64) for v in rows[:, 1:].T)
     return Minutes(minute, count, raw / count, corrected / count)
 
 
@@ -143,13 +140,12 @@ def _summed(t: Array, values: Array, slope: Array, origin: Array, fit: Fit) -> A
     linear = values @ slope.T + origin
     shift = np.linalg.norm(corrected_by(fit, mean), axis=1)
     shift -= np.linalg.norm(mean @ slope.T + origin, axis=1)
-    sizes = _size(values), _size(linear) + np.repeat(shift, count)
-    over = (np.add.reduceat(np.maximum(s - STANDARD_GRAVITY, 0.0), starts) for s in sizes)
+    size, corrected = (np.sqrt(np.vecdot(v, v)) for v in (values, linear))
+    over = (
+        np.add.reduceat(np.maximum(s - STANDARD_GRAVITY, 0.0), starts)
+        for s in (size, corrected + np.repeat(shift, count))
+    )
     return np.column_stack([minute[starts], count, *over])
-
-
-def _size(values: Array) -> Array:
-    return np.asarray(np.sqrt(np.vecdot(values, values)), np.float64)
 
 
 def activity_of(
@@ -199,3 +195,66 @@ def _night(clock: Array, enmo: Array) -> tuple[float, float] | None:
     mean = np.where(seen > _SEEN * seen.max(), sums / np.maximum(seen, 1), np.inf)
     first = 60.0 * float(np.mod(int(np.argmin(mean)) + 1, 1440))
     return first, float(np.mod(first + 60.0 * _NIGHT, _DAY))
+
+
+@dataclass(frozen=True)
+class ClosestPoint:
+    """corrected = scale (raw + offset), in g. scale, offset : (3,); points : windows used
+    before, after : mean error of |a| over these windows, mg; enough : whether every axis saw both
+    signs beyond 0.3 g, without which the rule is not to be applied"""
+
+    scale: Array
+    offset: Array
+    points: int
+    before: float
+    after: float
+    enough: bool
+
+    def as_dict(self) -> dict[str, Any]:
+        """The block of report.json."""
+        names = "scale offset_g=offset windows=points"
+        return fields(self, f"{names} error_before_mg=before error_after_mg=after enough")
+
+    def norm_error(self, reading: Array) -> Array:
+        """(n,) m/s², |corrected| minus 1 g of readings (n, 3) m/s²."""
+        size = np.linalg.norm(self.scale * (reading / STANDARD_GRAVITY + self.offset), axis=1)
+        return np.asarray((size - 1.0) * STANDARD_GRAVITY, np.float64)
+
+
+def closest_point(scanned: Scan) -> ClosestPoint | None:
+    """The rule on the windows of a scan; None with fewer than ten of them at rest."""
+    w = scanned.windows
+    still = (np.sqrt(w.variance) < _SCATTER).all(axis=1) & (np.abs(w.mean) < _LARGEST).all(axis=1)
+    points = w.mean[still] / STANDARD_GRAVITY
+    points = points[(points**2).sum(axis=1) > 0.0]
+    if len(points) < 10:
+        return None
+    scale, offset = _fitted(points)
+    enough = bool(
+        (points.min(axis=0) < -_SPAN_SEEN).all() and (points.max(axis=0) > _SPAN_SEEN).all()
+    )
+    sizes = (np.linalg.norm(p, axis=1) for p in (points, scale * (points + offset)))
+    before, after = (1e3 * float(np.mean(np.abs(s - 1.0))) for s in sizes)
+    return ClosestPoint(scale, offset, len(points), before, after, bool(enough))
+
+
+def _fitted(points: Array) -> tuple[Array, Array]:
+    scale, offset = np.ones(3), np.zeros(3)
+    weight, last = np.ones(len(points)), np.inf
+    for _ in range(_ROUNDS):
+        now = scale * (points + offset)
+        nearest = now / np.linalg.norm(now, axis=1, keepdims=True)
+        total = weight.sum()
+        centre, target = (weight @ v / total for v in (now, nearest))
+        spread = weight @ np.square(now - centre)
+        slope = weight @ ((now - centre) * (nearest - target)) / np.maximum(spread, 1e-12)
+        shift = target - slope * centre
+        offset = offset + shift / (scale * slope)
+        scale = scale * slope
+        away = np.linalg.norm(shift + slope * now - nearest, axis=1)
+        misfit = float(weight @ away**2 / total)
+        weight = np.minimum(1.0 / np.maximum(away, 1e-12), 1.0 / _NEAREST)
+        if abs(misfit - last) < _SETTLED:
+            break
+        last = misfit
+    return scale, offset

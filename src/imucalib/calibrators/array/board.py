@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from difflib import get_close_matches
 from functools import cached_property
 from pathlib import Path
@@ -34,7 +34,7 @@ class Board:
     prior_sd : m, of each coordinate about the drawing; undrawn : whether there is no drawing, and
         positions and rotations are still to come from a log
     accelerometer_range : m/s², gyroscope_range : rad/s, where readings clip; inf when not known
-    outline : m, (left, bottom, right, top) or None; package : m, its size or None
+    package : m, its size or None
     accelerometer_axes, gyro_axes : (K, 3, 3) signed permutations, a sensor's own axes to the
         package's, where it is wired otherwise than the package is drawn
     """
@@ -47,7 +47,6 @@ class Board:
     undrawn: bool = False
     accelerometer_range: float = float("inf")
     gyroscope_range: float = float("inf")
-    outline: tuple[float, float, float, float] | None = None
     package: tuple[float, float, float] | None = None
     accelerometer_axes: Array = field(default_factory=lambda: np.eye(3)[None])
     gyro_axes: Array = field(default_factory=lambda: np.eye(3)[None])
@@ -72,17 +71,6 @@ class Board:
         away = self.positions - self.positions.mean(axis=0)
         values = np.linalg.svd(away, compute_uv=False)
         return bool(values[1] <= _LINE * values[0])
-
-    def take(self, rows: list[int]) -> Board:
-        """The board with some of its IMUs."""
-        return replace(
-            self,
-            imus=tuple(self.imus[k] for k in rows),
-            positions=self.positions[rows],
-            rotations=self.rotations[rows],
-            accelerometer_axes=self.accelerometer_axes[rows],
-            gyro_axes=self.gyro_axes[rows],
-        )
 
 
 def board_names() -> tuple[str, ...]:
@@ -141,7 +129,6 @@ def _board(content: Mapping[str, Any]) -> Board:
             f"the whole array extends {1e6 * extent:.3g} µm, its positions look like metres",
             remedy=f"the board file gives positions in mm; --board {len(names)} needs none",
         )
-    outline = tuple(float(v) * 1e-3 for v in content.get("outline", ()))
     package = tuple(float(v) * 1e-3 for v in content.get("package", ()))
     return Board(
         name=str(content.get("name", "array")),
@@ -151,7 +138,6 @@ def _board(content: Mapping[str, Any]) -> Board:
         prior_sd=float(content.get("prior_sd", 3.0)) * 1e-3,
         accelerometer_range=float(content.get("accelerometer_range", np.inf)) * STANDARD_GRAVITY,
         gyroscope_range=float(content.get("gyroscope_range", np.inf)) * DEG,
-        outline=(outline[0], outline[1], outline[2], outline[3]) if len(outline) == 4 else None,
         package=(package[0], package[1], package[2]) if len(package) == 3 else None,
         accelerometer_axes=np.array([_axes(imu, "accelerometer_axes") for imu in imus]),
         gyro_axes=np.array([_axes(imu, "gyro_axes") for imu in imus]),

@@ -1,12 +1,13 @@
 """The array's search in the words of all searches: the one place where its loop is read for them.
 
-What a reading of the loop needs beyond `Findings` stands here too: errors before and after, and the
-noise.
+What a reading of the loop needs beyond `Findings` is here too: errors before and after, what the
+calibrated array leaves unexplained in the terms of who uses it (mm, mg and deg/s), and the noise.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,21 +15,120 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import stored_parameters
 from imucalib.calibration.findings import Check, Findings, FoundStep, Gain, Untestable
-from imucalib.calibration.outcome import ErrorSummary, HeldOutError
+from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Left
 from imucalib.calibrators.array.effect_blocks import AT_REST, parameters_of
-from imucalib.calibrators.array.estimate.left import NOISY, Residual
+from imucalib.calibrators.array.estimate.covariance import POSITIONS, Uneven
 from imucalib.calibrators.array.loop.catalogue import array_catalogue
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop, size_in_words
-from imucalib.calibrators.array.loop.cross_fit import Gained
+from imucalib.calibrators.array.loop.cross_fit import NORMAL_MAD, Gained
 from imucalib.calibrators.array.loop.laws import CURVE
+from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.calibrators.array.loop.terms import typical_of
+from imucalib.calibrators.array.moving import Moving
+from imucalib.calibrators.array.request import Accepted
 from imucalib.calibrators.array.rests import RestFit
 from imucalib.effects.forms import in_words
 from imucalib.estimators.array.noise import SensorNoise
+from imucalib.estimators.array.sampler import ArrayPositions
 from imucalib.loop.found import Step
-from imucalib.units import DEG
+from imucalib.units import DEG, MG
 
 _COUNTS = 0.5  # of an effect's typical size, from which it asks for something to be done
+#: Times the others' noise or residual from which an IMU stands out.
+NOISY = 2.0
+_NAN = float("nan")
+
+
+@dataclass(frozen=True)
+class Residual:
+    """1.4826 times the median absolute deviation in motion: acceleration (m/s²), rate (rad/s);
+    held_out : whether of motion that took no part in any choice; each : (K,) of each IMU, of the
+    fit, where there is one"""
+
+    acceleration: float
+    rate: float
+    held_out: bool
+    each: tuple[Array, Array] | None = None
+
+
+def residual_in_motion(
+    loop: MotionLoop | None, state: ArrayState | None, final: ArrayPositions, moving: Moving
+) -> Residual:
+    """Held out where there is such motion; else of the fit; else of the sampler and the gyros."""
+    if state is None:
+        scatter = float(np.median(moving.gyros.scatter[moving.good]))
+        return Residual(final.noise, scatter, False)
+    inner, off, kept = state.setup.inner, state.sampled.off, state.sampled.kept
+    # Each over the share of its variance that the motion leaves it.
+    force, rate = (
+        np.abs(values[inner]) / np.sqrt(share.share[inner])[..., None]
+        for values, share in zip((off.acceleration, off.rate), kept, strict=True)
+    )
+    each = (
+        np.asarray(NORMAL_MAD * np.median(force, axis=(0, 2))),
+        np.asarray(NORMAL_MAD * np.median(rate, axis=(0, 2))),
+    )
+    if loop is not None and loop.gained is not None:
+        after = loop.gained.after
+        held = NORMAL_MAD * after.acceleration, NORMAL_MAD * after.rate * DEG
+        return Residual(*held, held_out=True, each=each)
+    one, two = (float(NORMAL_MAD * np.median(v)) for v in (force, rate))
+    return Residual(one, two, held_out=False, each=each)
+
+
+def unexplained(
+    residual: Residual,
+    rests: RestFit,
+    imus: tuple[str, ...],
+    accepted: Accepted,
+    found: MotionLoop | Uneven | None,
+) -> tuple[Left, ...]:
+    """Residuals beyond the noise at rest, those of an IMU that stands out by itself, and how far
+    structure that is not explained would move the positions.
+
+    found : what was searched; where nothing was, how parts of the motion differ
+    """
+    whole, single = [], []
+    each = residual.each or (None, None)
+    for sensor, size, own, still, (unit, limit, name) in (
+        ("accelerometer", residual.acceleration, each[0], rests.noise, (MG, accepted.mg, "mg")),
+        ("gyro", residual.rate, each[1], rests.gyro_noise, (DEG, accepted.deg_per_s, "deg/s")),
+    ):
+        noise = float(np.sqrt(np.mean(still**2)))
+        whole.append(Left(f"{sensor}s in motion", _beyond(size, noise) / unit, limit, name))
+        if own is None:
+            continue
+        for k, imu in enumerate(imus):
+            # One of many moves no median. What it leaves is held against the others' noise at rest,
+            # for noise of its own is no less left for being there at rest too.
+            alone = _beyond(float(own[k]), float(np.median(np.delete(still, k)))) / unit
+            if own[k] >= NOISY * float(np.median(np.delete(own, k))) and alone > limit:
+                single.append(Left(f"{sensor} of {imu} in motion", alone, limit, name))
+    if isinstance(found, Uneven):
+        moved = 1e3 * float(found.spread.max())
+        return (Left(POSITIONS + found.driver, moved, accepted.mm, "mm"), *whole, *single)
+    if found is None:
+        return (*whole, *single)
+    moves = list(found.moved.values())
+    if found.suspected:
+        # What is corrected and not proved could as well not be.
+        moves.append(float(np.sqrt(np.mean((found.final.r - found.base.r)[1:] ** 2))))
+    moved = 1e3 * max(moves, default=0.0)
+    return (Left("positions", moved, accepted.mm, "mm"), *whole, *single)
+
+
+def _beyond(size: float, noise: float) -> float:
+    return float(np.sqrt(max(size**2 - noise**2, 0.0)))
+
+
+def reasons(loop: MotionLoop | None, left: tuple[Left, ...]) -> tuple[str, ...]:
+    """Why the result is not as good as it could be: what exceeds what is accepted, with the
+    structure that is behind it; empty where nothing does."""
+    found = [f"not explained: {one.sentence}" for one in left if one.beyond]
+    if found and loop is not None and loop.unexplained:
+        names = "; ".join(u.name for u in loop.unexplained)
+        found.append(f"structure that no effect of the catalogue explains: {names}")
+    return tuple(found)
 
 
 def advice(loop: MotionLoop, rests: RestFit) -> tuple[str, ...]:
@@ -73,10 +173,6 @@ def _noisy(
             f"In motion the {sensor} of {imu} is {times:.1f} times noisier than the others "
             f"({size:.2g} {unit[1]}), {cause}. It counts by that much less."
         )
-
-
-_NORMAL_MAD = 1.4826
-_NAN = float("nan")
 
 
 def array_findings(loop: MotionLoop) -> Findings:
@@ -177,39 +273,37 @@ def _untestable(name: str, impact: float) -> Untestable:
 
 
 def array_errors(
-    loop: MotionLoop | None, noise: tuple[float, float], imus: int, residual: Residual
+    loop: MotionLoop | None, rests: RestFit, residual: Residual
 ) -> tuple[ErrorSummary, ...]:
     """Residuals of the accelerometers (m/s²), which are the principal ones, and the gyros (deg/s):
     held out, or of the fit where nothing was.
 
-    noise : m/s² and rad/s, of a sample at rest, which sets the floor: of the 3 K numbers of a
-    sample the motion takes 6 from the accelerometers (dω/dt and s) and 3 from the gyros (ω)
+    The floor is set by a sample's noise at rest: of its 3 K numbers the motion takes 6 from the
+    accelerometers (dω/dt and s) and 3 from the gyros (ω).
     """
-    floors = (
-        noise[0] / _NORMAL_MAD * np.sqrt(1.0 - 2.0 / imus),
-        noise[1] / DEG / _NORMAL_MAD * np.sqrt(1.0 - 1.0 / imus),
-    )
-    fitted = (residual.acceleration / _NORMAL_MAD, residual.rate / DEG / _NORMAL_MAD)
-    if residual.held_out:
-        fitted = (_NAN, _NAN)
     held = ((_NAN, _NAN), (_NAN, _NAN))
     if loop is not None and loop.gained is not None:
         before, after = loop.gained.before, loop.gained.after
         held = (before.acceleration, after.acceleration), (before.rate, after.rate)
-    return tuple(
-        ErrorSummary(
-            metric=f"{sensor} residual in motion, MAD",
-            unit=unit,
-            raw=_NAN,
-            base=final if loop is None else _NAN,
-            final=final,
-            floor=float(floor),
-            held_out=HeldOutError(_NAN, *two),
+    found = []
+    for sensor, value, (size, name), still, taken, gains in (
+        ("accelerometer", residual.acceleration, (1.0, "m/s²"), rests.noise, 2.0, held[0]),
+        ("gyro", residual.rate, (DEG, "deg/s"), rests.gyro_noise, 1.0, held[1]),
+    ):
+        final = _NAN if residual.held_out else value / size / NORMAL_MAD
+        noise = float(np.sqrt(np.mean(still**2))) / size / NORMAL_MAD
+        found.append(
+            ErrorSummary(
+                metric=f"{sensor} residual in motion, MAD",
+                unit=name,
+                raw=_NAN,
+                base=final if loop is None else _NAN,
+                final=final,
+                floor=float(noise * np.sqrt(1.0 - taken / len(still))),
+                held_out=HeldOutError(_NAN, *gains),
+            )
         )
-        for sensor, unit, floor, final, two in zip(
-            ("accelerometer", "gyro"), ("m/s²", "deg/s"), floors, fitted, held, strict=True
-        )
-    )
+    return tuple(found)
 
 
 def _noise_words(noise: SensorNoise, unit: float, name: str) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,51 +23,34 @@ class LinearPart:
 
     gain, offset : (K, 3, 3) and (K, 3) of the accelerometers, m/s²: reading = gain force + offset
     gyro_gain, gyro_offset : the same of the gyros, rad/s
-    left : effects of which more remains, and its rms in this motion, with the unit
+    beyond : effects of which more remains, and its rms in this motion, with the unit
     """
 
     gain: Array
     offset: Array
     gyro_gain: Array
     gyro_offset: Array
-    left: tuple[tuple[str, float, str], ...]
-
-
-def of_alike_gyros(state: ArrayState, gain: Array) -> LinearPart:
-    """The same of a fit of gyros that had been made alike by gains (K, 3, 3) of their own."""
-    found = linear_part(state)
-    return replace(found, gyro_gain=gain @ found.gyro_gain)
+    beyond: tuple[tuple[str, float, str], ...]
 
 
 def linear_part(state: ArrayState) -> LinearPart:
     """The linear part of all found effects, in the middle of the motion."""
-    k = state.setup.triads
-    gains, offsets, left = {}, {}, []
-    for channel in ("acceleration", "angular_rate"):
-        gains[channel] = np.tile(np.eye(3), (k, 1, 1))
-        offsets[channel] = np.zeros((k, 3))
+    setup, motion, beyond = state.setup, state.motion, []
+    gains, offsets = np.tile(np.eye(3), (2, setup.triads, 1, 1)), np.zeros((2, setup.triads, 3))
     for term in state.found:
         gyro = term.effect.channel == "angular_rate"
         gain, offset = slope_at_rest(
-            term, state.setup.imus, state.setup.board.rotations, float(np.median(state.setup.t))
+            term, setup.imus, setup.board.rotations, float(np.median(setup.t))
         )
-        gains[term.effect.channel] += gain
-        offsets[term.effect.channel] += offset
-        motion = state.motion
-        seen = motion.truth.turning.rate if gyro else motion.truth.force
-        drive = motion.context.in_common(seen)
+        gains[int(gyro)] += gain
+        offsets[int(gyro)] += offset
+        drive = motion.context.in_common(motion.truth.turning.rate if gyro else motion.truth.force)
         whole = term.reading(term.columns(motion))
-        beyond = whole - np.einsum("kij,tkj->tki", gain, drive) - offset
-        rms, of = (float(np.sqrt(np.mean(v**2))) for v in (beyond, whole))
+        more = whole - np.einsum("kij,tkj->tki", gain, drive) - offset
+        rms, of = (float(np.sqrt(np.mean(v**2))) for v in (more, whole))
         if rms > _SMALL * of:
-            left.append((term.name, rms / DEG if gyro else rms, "deg/s" if gyro else "m/s²"))
-    return LinearPart(
-        gains["acceleration"],
-        offsets["acceleration"],
-        gains["angular_rate"],
-        offsets["angular_rate"],
-        tuple(left),
-    )
+            beyond.append((term.name, rms / DEG if gyro else rms, "deg/s" if gyro else "m/s²"))
+    return LinearPart(gains[0], offsets[0], gains[1], offsets[1], tuple(beyond))
 
 
 def slope_at_rest(
@@ -77,21 +60,16 @@ def slope_at_rest(
 
     rotations : (K, 3, 3) package axes to board axes; at : s, for effects of time
     """
-    k, h, gyro = len(imus), 1e-4, term.effect.channel == "angular_rate"
+    h, gyro = 1e-4, term.effect.channel == "angular_rate"
     small = np.zeros((4, 3))
     small[1:] = h * np.eye(3)
-    zero, still = np.zeros((4, k, 3)), np.zeros((4, 3))
-    force = zero if gyro else np.broadcast_to(small[:, None], (4, k, 3)).copy()
     seen = board_motion(
         imus=imus,
         rotations=rotations,
         t=np.full(4, at),
-        order=np.full(4, 0.5),
-        rate=small if gyro else still,
-        spin=still,
-        force=force,
-        jerk=zero,
-        age=np.zeros((4, k)),
+        rate=small if gyro else None,
+        force=None if gyro else small,
+        age=np.zeros((4, len(imus))),
     )
     made = term.reading(term.columns(seen))
     return np.asarray((made[1:] - made[:1]).transpose(1, 2, 0) / h), np.asarray(made[0])

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucalib.arrays import Array, Flags
+from imucalib.arrays import Array, Flags, Index
 from imucalib.calibrators.array.board import Board
 from imucalib.errors import UnreadableInput
 from imucalib.recording.pairing import listed, names_in, paired
@@ -25,6 +24,9 @@ _WIDTHS, _LONG, _TOPS, _DROP = (1e-3, 3e-3, 1e-2), 3, 3, 8.0
 #: Standard deviations about the middle of flat tops within which readings are at the end; share of
 #: where one direction of a sensor ends from which another that shows no flat top may.
 _ABOUT, _ALIKE = 5.0, 0.97
+_APART = 0.3  # share of a sample interval that simultaneous stamps may differ by
+_KEPT = 0.5  # share of the samples that all IMUs must have in common
+_SAME = 0.1  # of that difference, in the median, up to which they run on one clock
 
 
 def at_end(values: Array) -> Flags:
@@ -84,11 +86,6 @@ def _end_of(read: Array, share: float) -> float:
     return middle - max(_ABOUT * spread, share * middle)
 
 
-_APART = 0.3  # share of a sample interval that simultaneous stamps may differ by
-_KEPT = 0.5  # share of the samples that all IMUs must have in common
-_SAME = 0.1  # of that difference, in the median, up to which they run on one clock
-
-
 @dataclass(frozen=True)
 class ArrayLog:
     """t : (N,) s; acceleration (m/s²) and rate (rad/s) : (N, K, 3) in board axes, uncalibrated;
@@ -145,63 +142,56 @@ def array_log(recording: Recording, board: Board) -> ArrayLog:
     Raises UnreadableInput for a missing gyro, a dead axis, or clocks or rates that do not match.
     """
     names, notes = board.imus, []
-    chosen = [
-        (_channel(recording, n, "acceleration"), _channel(recording, n, "angular_rate"))
-        for n in names
-    ]
-    t, indices, remark = _common_times([c for pair in chosen for c in pair], recording.path)
+    chosen = [_channel(recording, n, q) for n in names for q in ("acceleration", "angular_rate")]
+    t, indices, remark = _common_times(chosen, recording.path)
     notes += [remark] if remark else []
-    turns = board.rotations
-    shape = (len(t), board.count, 3)
-    acceleration, rate = np.empty(shape), np.empty(shape)
+    read = np.empty((2, len(t), board.count, 3))
     clipped, finite = np.zeros(len(t), dtype=np.bool_), np.ones(len(t), dtype=np.bool_)
-    for k, (acc, gyro) in enumerate(chosen):
-        a, g = acc.values[indices[2 * k]], gyro.values[indices[2 * k + 1]]
-        _refuse_dead(a, names[k], "acceleration", recording.path)
-        _refuse_dead(g, names[k], "angular_rate", recording.path)
-        for values, limit, sensor, unit, size in (
-            (a, board.accelerometer_range, "accelerometer", "m/s²", 1.0),
-            (g, board.gyroscope_range, "gyro", "deg/s", DEG),
-        ):
-            held = at_end(values)
-            clipped |= held | at_range(values, limit)
-            end = float(np.abs(values[held]).max(initial=0.0))
-            if 0.0 < end < NEAR_RANGE * limit < np.inf:
-                notes.append(
-                    f"the {sensor} of {names[k]} ends at {end / size:.4g} {unit}, which it reads "
-                    f"again and again, not at its range of {limit / size:.4g}: taken as clipped. "
-                    "State that range in the board file, for it holds for every log"
-                )
-        acceleration[:, k], rate[:, k] = a @ turns[k].T, g @ turns[k].T
-        finite &= np.isfinite(a).all(axis=1) & np.isfinite(g).all(axis=1)
+    for at, (channel, index) in enumerate(zip(chosen, indices, strict=True)):
+        k, kind = divmod(at, 2)
+        sensor, unit, size, limit = (
+            ("accelerometer", "m/s²", 1.0, board.accelerometer_range),
+            ("gyro", "deg/s", DEG, board.gyroscope_range),
+        )[kind]
+        values = channel.values[index]
+        _refuse_dead(values, channel, recording.path)
+        held = at_end(values)
+        clipped |= held | at_range(values, limit)
+        end = float(np.abs(values[held]).max(initial=0.0))
+        if 0.0 < end < NEAR_RANGE * limit < np.inf:
+            notes.append(
+                f"the {sensor} of {names[k]} ends at {end / size:.4g} {unit}, which it reads "
+                f"again and again, not at its range of {limit / size:.4g}: taken as clipped. "
+                "State that range in the board file, for it holds for every log"
+            )
+        read[kind, :, k] = values @ board.rotations[k].T
+        finite &= np.isfinite(values).all(axis=1)
     step = float(np.median(np.diff(t)))
     # A copy of a long recording only where something is left out.
     if not finite.all():
         notes.append(f"{int((~finite).sum())} samples with missing values left out")
-        t, acceleration, rate = t[finite], acceleration[finite], rate[finite]
-        clipped = clipped[finite]
-    return ArrayLog(t, acceleration, rate, clipped, step, tuple(notes))
+        t, read, clipped = t[finite], read[:, finite], clipped[finite]
+    return ArrayLog(t, read[0], read[1], clipped, step, tuple(notes))
 
 
 def _channel(recording: Recording, triad: str, quantity: str) -> Channel:
-    unit = {"acceleration": "m/s2", "angular_rate": "rad/s"}[quantity]
-    for channel in recording.channels.values():
-        if channel.triad == triad and channel.quantity == quantity:
-            if channel.unit != unit:
-                raise UnreadableInput(
-                    f"{triad}/{quantity} is in {channel.unit or 'an unknown unit'}",
-                    where=recording.path,
-                    remedy="state its scale in a mapping (`imucal inspect --save-mapping`)",
-                )
-            return channel
-    raise UnreadableInput(
-        f"{triad} has no {quantity.replace('_', ' ')}",
-        where=recording.path,
-        remedy="every IMU of the array needs both; map it with --acc or --gyro",
-    )
+    channel = recording.channels.get(f"{triad}/{quantity}")  # as `of_board` names them
+    if channel is None:
+        raise UnreadableInput(
+            f"{triad} has no {quantity.replace('_', ' ')}",
+            where=recording.path,
+            remedy="every IMU of the array needs both; map it with --acc or --gyro",
+        )
+    if channel.unit != {"acceleration": "m/s2", "angular_rate": "rad/s"}[quantity]:
+        raise UnreadableInput(
+            f"{triad}/{quantity} is in {channel.unit or 'an unknown unit'}",
+            where=recording.path,
+            remedy="state its scale in a mapping (`imucal inspect --save-mapping`)",
+        )
+    return channel
 
 
-def _common_times(channels: list[Channel], path: str) -> tuple[Array, list[NDArray[np.intp]], str]:
+def _common_times(channels: list[Channel], path: str) -> tuple[Array, list[Index], str]:
     """Instants that all channels have, and the sample of each channel there."""
     base = channels[0]
     if all(c.t.shape == base.t.shape and np.array_equal(c.t, base.t) for c in channels):
@@ -219,12 +209,10 @@ def _common_times(channels: list[Channel], path: str) -> tuple[Array, list[NDArr
     good = np.concatenate([[True], np.diff(base.t) > 0.0])
     indices, widest = [], 0.0
     for channel in channels:
-        after = np.clip(np.searchsorted(channel.t, base.t), 1, channel.t.size - 1)
-        nearer = np.abs(channel.t[after - 1] - base.t) <= np.abs(channel.t[after] - base.t)
-        index = after - nearer
+        index = nearest(channel.t, base.t)
         apart = np.abs(channel.t[index] - base.t)
         good &= apart <= tolerance
-        indices.append(index.astype(np.intp))
+        indices.append(index)
         widest = max(widest, float(np.median(apart)))
     # Stamps that agree tell readings that are missing from clocks that meet by chance.
     if good.mean() < _KEPT and widest > _SAME * tolerance:
@@ -239,11 +227,18 @@ def _common_times(channels: list[Channel], path: str) -> tuple[Array, list[NDArr
     return base.t[good], [i[good] for i in indices], note
 
 
-def _refuse_dead(values: Array, triad: str, quantity: str, path: str) -> None:
+def nearest(own: Array, t: Array) -> Index:
+    """(n,) which of the instants `own` is nearest to each of t (n,)."""
+    after = np.clip(np.searchsorted(own, t), min(1, len(own) - 1), len(own) - 1)
+    before = np.maximum(after - 1, 0)
+    return np.where(np.abs(own[before] - t) <= np.abs(own[after] - t), before, after)
+
+
+def _refuse_dead(values: Array, channel: Channel, path: str) -> None:
     dead = [axis for k, axis in enumerate("xyz") if np.ptp(values[:, k]) == 0.0]
     if dead:
         raise UnreadableInput(
-            f"{triad}/{quantity}: axis {', '.join(dead)} never changes",
+            f"{channel.triad}/{channel.quantity}: axis {', '.join(dead)} never changes",
             where=path,
             remedy="it is dead or not connected; take the IMU off the board file",
         )

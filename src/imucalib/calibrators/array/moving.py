@@ -1,4 +1,10 @@
-"""Which moving samples say something about the positions, and what they become for the sampler."""
+"""Which moving samples say something about the positions, and what they become for the sampler.
+
+At rest a gyro shows its offset only. In motion the triads are compared with each other: gain G_k
+of each relative to the mean rate, whose own gain is one by definition. The common gyro scale trades
+off against the array's size (size changes by minus twice the scale): it is held by the mean of the
+gyros and reported, never fitted.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +14,6 @@ from typing import Literal
 import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
-from imucalib.calibrators.array.gyros import Gyros, relative_gyros
 from imucalib.calibrators.array.log import ArrayLog
 from imucalib.calibrators.array.rests import RestFit
 from imucalib.errors import Undetermined
@@ -19,7 +24,51 @@ GyroCovariance = Literal["scatter", "sample"]
 SLOWEST = 60.0 * DEG  # rad/s below which a sample counts as not rotating
 WIDEST = 0.05  # gyro scatter over |ω| above which the rate is not known well enough
 FEWEST = 30
+SCALE_TOLERANCE = 0.03  # of one gyro's scale, by the data sheets of consumer parts
 _ODD = 1.5  # factor between one gyro and the others that no tolerance explains
+
+
+@dataclass(frozen=True)
+class Gyros:
+    """gain : (K, 3, 3), reading = G_k ω; mean : (N, 3) rad/s of the corrected triads;
+    scatter : (N,) rad/s, rms over the triads and axes; covariance : (3, 3) of one triad."""
+
+    gain: Array
+    mean: Array
+    scatter: Array
+    covariance: Array
+
+    @property
+    def triads(self) -> int:
+        return len(self.gain)
+
+
+def relative_gyros(rate: Array, rows: Index) -> Gyros:
+    """Fit the gains on samples `rows` of rates (N, K, 3) rad/s and apply them to all."""
+    triads = rate.shape[1]
+    gain = np.broadcast_to(np.eye(3), (triads, 3, 3)).copy()
+    chosen = rate[rows]
+    for _ in range(20):
+        corrected = np.einsum("kij,nkj->nki", np.linalg.inv(gain), chosen)
+        w = corrected.mean(axis=1)
+        normal = w.T @ w
+        fitted = np.stack([np.linalg.solve(normal, w.T @ chosen[:, k]).T for k in range(triads)])
+        fitted = fitted @ np.linalg.inv(fitted.mean(axis=0))
+        moved = np.abs(fitted - gain).max()
+        gain = fitted
+        if moved < 1e-12:
+            break
+    corrected = np.einsum("kij,nkj->nki", np.linalg.inv(gain), rate)
+    mean = corrected.mean(axis=1)
+    off = corrected - mean[:, None]
+    freedom = (triads - 1) / triads
+    scatter = np.sqrt(np.mean(off**2, axis=(1, 2)) / freedom)
+    apart = off[rows].reshape(-1, 3)
+    # Robust: half the samples near the median carry the spread, a few far ones do not.
+    width = np.median(np.abs(apart), axis=0) / 0.6745
+    inside = np.all(np.abs(apart) < 4.0 * width, axis=1)
+    covariance = apart[inside].T @ apart[inside] / inside.sum() / freedom
+    return Gyros(gain, mean, scatter, covariance)
 
 
 @dataclass(frozen=True)
@@ -117,22 +166,18 @@ def spread_over(rows: Index, count: int) -> Index:
     return rows[np.linspace(0, len(rows) - 1, count).round().astype(np.intp)]
 
 
-def samples_of(
-    moving: Moving, rows: Index, sigma: Array, covariance: GyroCovariance = "scatter"
-) -> ArrayData:
+def samples_of(moving: Moving, rows: Index, sigma: Array, covariance: GyroCovariance) -> ArrayData:
     """What the sampler gets: rows of the moving part with accelerometer sigmas (K,).
 
     covariance : "scatter" is that of the triads about their mean, pooled over the motion, over
         their number; "sample" is equation (30b) of the paper, one sample's scatter over the triads
     """
-    k = moving.gyros.triads
+    gyros = moving.gyros
+    doubt = gyros.covariance / gyros.triads
     if covariance == "sample":
-        inverse = np.linalg.inv(moving.gyros.gain)
-        corrected = np.einsum("kij,nkj->nki", inverse, moving.rate[rows])
-        off = corrected - corrected.mean(axis=1, keepdims=True)
-        each = np.einsum("nki,nkj->nij", off, off) / (k - 1)
-        floor = 1e-3 * np.trace(moving.gyros.covariance) / 3.0
-        precision = np.linalg.inv(each + floor * np.eye(3))
-    else:
-        precision = np.linalg.inv(moving.gyros.covariance / k)
-    return ArrayData(moving.acceleration[rows], sigma, moving.gyros.mean[rows], precision)
+        rate = moving.levelled.rate[rows]
+        off = rate - rate.mean(axis=1, keepdims=True)
+        each = np.einsum("nki,nkj->nij", off, off) / (gyros.triads - 1)
+        doubt = each + 1e-3 * np.trace(gyros.covariance) / 3.0 * np.eye(3)
+    precision = np.asarray(np.linalg.inv(doubt), np.float64)
+    return ArrayData(moving.acceleration[rows], sigma, gyros.mean[rows], precision)

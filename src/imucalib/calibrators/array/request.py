@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Literal
 
 from imucalib.calibrators.array.board import Board
-from imucalib.calibrators.array.estimate.left import Accepted
 from imucalib.calibrators.array.estimate.total import Distance
 from imucalib.calibrators.array.loop.catalogue import NOTHING_ASKED, Asked
 from imucalib.calibrators.array.moving import GyroCovariance
@@ -22,6 +21,16 @@ from imucalib.units import STANDARD_GRAVITY
 Sampler = Literal["hmc", "pmmh"]
 #: The paper's rule: a data sheet's non-linearity, as a share of the accelerometers' range.
 NON_LINEARITY = 0.005
+
+
+@dataclass(frozen=True)
+class Accepted:
+    """What a user lets pass unexplained: mm of a position, mg and deg/s of a residual in motion
+    beyond the noise at rest."""
+
+    mm: float = 0.05
+    mg: float = 50.0
+    deg_per_s: float = 2.0
 
 
 @dataclass(frozen=True)
@@ -85,11 +94,7 @@ class ArrayRequest:
             "own_effects": own_effects(self.extra_effects),
             "loop": self.loop,
             "curves": self.curves,
-            "accepted": {
-                "mm": self.accepted.mm,
-                "mg": self.accepted.mg,
-                "deg_per_s": self.accepted.deg_per_s,
-            },
+            "accepted": dict(vars(self.accepted)),
             "distances_mm": [
                 [self.board.imus[d.one], self.board.imus[d.two], 1e3 * d.value, 1e3 * d.sd]
                 for d in self.distances

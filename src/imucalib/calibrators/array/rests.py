@@ -15,13 +15,11 @@ the model that is only its noise would be searched for.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
 
 import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibrators.array.board import Board
-from imucalib.calibrators.array.gyros import gyro_drift
 from imucalib.calibrators.array.loop.catalogue import NOTHING_ASKED, Asked
 from imucalib.core.balance import Noise, balance
 from imucalib.core.effect import Action, Context, Effect, Parameter, Response, Truth, cross_matrix
@@ -40,6 +38,8 @@ from imucalib.rests.segments import Segments
 from imucalib.units import MG
 
 FEWEST_POSES = 9
+#: Rests from which they contradict an effect, and times their scatter that it would make of it.
+ATTITUDES, _WORSE = 4, 1.2
 #: What differs from rest to rest beside the averaged noise, in units of that of a median rest, as
 #: tried.
 _BETWEEN = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
@@ -60,9 +60,7 @@ def rest_context(t: Array, start: float, stop: float, triads: tuple[str, ...]) -
     return Context(len(t), covariates, triads)
 
 
-def observations_of(
-    segments: Segments, board: Board, order: list[int], gravity: float
-) -> Observations:
+def observations_of(segments: Segments, board: Board, gravity: float) -> Observations:
     """One observation a rest, in order of time; sigma is that of no weights yet, 1 mg for all.
 
     Raises Undetermined where there are too few, or where an IMU reads another unit.
@@ -74,7 +72,7 @@ def observations_of(
             remedy="hold the board still in nine or more attitudes; `imucal inspect FILE --rests` "
             "lists what counts as a rest and what was refused",
         )
-    reading = segments.mean[:, order]
+    reading = segments.mean
     ratio = np.median(np.linalg.norm(reading, axis=2), axis=0) / gravity
     worst = int(np.argmax(np.abs(np.log(np.maximum(ratio, 1e-9)))))
     if not 0.5 < ratio[worst] < 2.0:  # offsets do not double or halve gravity
@@ -95,11 +93,11 @@ def observations_of(
     )
 
 
-def own_noise(segments: Segments, order: list[int]) -> Array:
+def own_noise(segments: Segments) -> Array:
     """(n, K, 3) m/s², what its samples' noise and their rounding leave of each rest's mean."""
-    noise = np.maximum(segments.noise[order], _QUIET * np.median(segments.noise[order]))
-    averaged = noise / np.sqrt(segments.samples[:, order])[..., None]
-    return np.hypot(averaged, rounding(segments.step[order], segments.noise[order]))
+    noise = np.maximum(segments.noise, _QUIET * np.median(segments.noise))
+    averaged = noise / np.sqrt(segments.samples)[..., None]
+    return np.hypot(averaged, rounding(segments.step, segments.noise))
 
 
 def rounding(step: Array, noise: Array, *, alike: bool = False) -> Array:
@@ -170,56 +168,35 @@ def in_the_mean_frame(fit: Fit, rotations: Array) -> tuple[Array, Array]:
     last = context.take(np.array([context.n - 1]))
     end = replace(last, covariates={**last.covariates, "record": -np.ones(1)})
     linear = np.zeros((count, 12, fit.theta.size))
-    for name in BASE[1:]:
-        effect = next(e for e in fit.model.effects if e.name == name)
-        part = slices[name]
-        for axis in range(3):
-            unit = np.broadcast_to(np.eye(3)[axis], (1, count, 3))
-            columns = effect.act(np.zeros(part.stop - part.start), Truth(unit), end).d_theta[0]
-            linear[:, axis:9:3, part] += columns
+
+    def columns(effect: Effect, force: Array) -> Array:
+        zero = np.zeros(slices[effect.name].stop - slices[effect.name].start)
+        truth = Truth(np.broadcast_to(force, (1, count, 3)))
+        return np.asarray(effect.act(zero, truth, end).d_theta[0])
+
     for effect in fit.model.effects:
-        if effect.name not in BASE[1:]:
-            part, zero = slices[effect.name], Truth(np.zeros((1, count, 3)))
-            columns = effect.act(np.zeros(part.stop - part.start), zero, end).d_theta[0]
-            linear[:, 9:, part] += columns
+        part = slices[effect.name]
+        if effect.name in BASE[1:]:
+            for axis in range(3):
+                linear[:, axis:9:3, part] += columns(effect, np.eye(3)[axis])
+        else:
+            linear[:, 9:, part] += columns(effect, np.zeros(3))
     gain = np.eye(3) + (linear @ fit.theta)[:, :9].reshape(count, 3, 3)
-    covariance = np.einsum("kip,pq,ljq->kilj", linear, fit.covariance, linear)
-    for _ in range(3):  # the mean's antisymmetric part is its rotation only while that is small
-        gain = _turned_back(gain, rotations)
-    keep = _without_rotation(gain, rotations)
-    whole = np.zeros((count, 12, count, 12))
-    whole[:, :9, :, :9] = keep.reshape(count, 9, count, 9)
-    whole[np.arange(count), 9:, np.arange(count), 9:] = np.eye(3)
-    flat, size = whole.reshape(12 * count, -1), 12 * count
-    covariance = flat @ covariance.reshape(size, size) @ flat.T
-    return gain, covariance.reshape(count, 12, count, 12)
+    back = rotations.transpose(0, 2, 1)
+    one, _, two = np.linalg.svd(np.mean(rotations @ gain @ back, axis=0))
+    gain = gain @ back @ (one @ two).T @ rotations
+    linear[:, :9] = _without_rotation(linear[:, :9].reshape(9 * count, -1), gain, rotations)
+    flat = linear.reshape(12 * count, -1)
+    return gain, (flat @ fit.covariance @ flat.T).reshape(count, 12, count, 12)
 
 
-def _rotations(gain: Array, rotations: Array) -> tuple[Array, Array]:
-    """(9 K, 3) what a small rotation of all triads about each board axis does to their gains, and
-    (3, 9 K) the mean's antisymmetric part, in board axes, of gains."""
-    count = len(gain)
-    moved, held = np.zeros((count, 3, 3, 3)), np.zeros((3, count, 3, 3))
-    for axis, cross in enumerate(cross_matrix(np.eye(3))):
-        own = rotations.transpose(0, 2, 1) @ cross @ rotations
-        moved[..., axis], held[axis] = gain @ own, own
-    return moved.reshape(9 * count, 3), held.reshape(3, 9 * count)
-
-
-def _turned_back(gain: Array, rotations: Array) -> Array:
-    """The gains (K, 3, 3) with all triads turned by the rotation that their mean has."""
-    from scipy.spatial.transform import Rotation
-
-    moved, held = _rotations(gain, rotations)
-    angles = np.linalg.solve(held @ moved, held @ gain.ravel())
-    turn = Rotation.from_rotvec(-angles).as_matrix()
-    return np.asarray(gain @ rotations.transpose(0, 2, 1) @ turn @ rotations)
-
-
-def _without_rotation(gain: Array, rotations: Array) -> Array:
-    """(9 K, 9 K) that takes the rotation of all triads out of small changes of their gains."""
-    moved, held = _rotations(gain, rotations)
-    return np.asarray(np.eye(len(moved)) - moved @ np.linalg.solve(held @ moved, held))
+def _without_rotation(changes: Array, gain: Array, rotations: Array) -> Array:
+    """(K, 9, n) small changes (9 K, n) of all gains, in which their mean does not turn."""
+    crosses = cross_matrix(np.eye(3))[:, None]
+    own = rotations.transpose(0, 2, 1) @ crosses @ rotations  # (3 axes, K, 3, 3)
+    moved, held = (gain @ own).reshape(3, -1), own.reshape(3, -1)
+    kept = changes - moved.T @ np.linalg.solve(held @ moved.T, held @ changes)
+    return np.asarray(kept.reshape(len(gain), 9, -1))
 
 
 _AT_A_TIME = 128  # samples of which columns are held at once
@@ -274,13 +251,6 @@ class RestFit:
         """The same of the model before the search."""
         plain = self.fit if self.loop is None else self.loop.plain
         return plain.noise.factor * float(np.median(plain.observations.sigma))
-
-    @cached_property
-    def gain_sd(self) -> Array:
-        """(K, 3, 3)."""
-        count = len(self.gain)
-        every = self.covariance.reshape(12 * count, 12 * count)
-        return np.sqrt(np.maximum(np.diag(every), 0.0)).reshape(count, 12)[:, :9].reshape(-1, 3, 3)
 
     def corrected(self, acceleration: Array, t: Array) -> Array:
         """Specific force (N, K, 3) m/s² in board axes, of readings in board axes."""
@@ -344,20 +314,15 @@ class RestFit:
 
 
 def fit_rests(
-    segments: Segments,
-    board: Board,
-    order: list[int],
-    gravity: float,
-    *,
-    asked: Asked = NOTHING_ASKED,
+    segments: Segments, board: Board, gravity: float, *, asked: Asked = NOTHING_ASKED
 ) -> RestFit:
     """Fit all triads and search for what is missing.
 
-    order : the board's IMUs in the segments' triads. Raises Undetermined when there are too few or
-    too similar rests, NotConverged.
+    segments : of the board's IMUs, in its order. Raises Undetermined when there are too few or too
+    similar rests, NotConverged.
     """
-    unweighted = observations_of(segments, board, order, gravity)
-    data, model = weighted(unweighted, own_noise(segments, order)), base_model()
+    unweighted = observations_of(segments, board, gravity)
+    data, model = weighted(unweighted, own_noise(segments)), base_model()
     loop = _searched(model, data, asked) if asked.search else None
     fit = fit_model(model, data) if loop is None else loop.final
     if (fit if loop is None else loop.plain).null_directions:
@@ -367,30 +332,23 @@ def fit_rests(
     gain, covariance = in_the_mean_frame(fit, board.rotations)
     _refuse_vague(gain, covariance, board)
     middle = data.context["time"]
-    drift, drift_sd = _gyro_drift(segments, board, order, middle)
+    turn = board.rotations
+    drift, sd = gyro_drift(np.einsum("kij,nkj->nki", turn, segments.rate), middle)
+    # What rounding leaves of the gyros is the same in every rest.
+    coarse = rounding(segments.rate_step, segments.rate_noise, alike=True)
     return RestFit(
         fit=fit,
         loop=loop,
         gain=gain,
         covariance=covariance,
-        noise=np.sqrt(np.mean(segments.noise[order] ** 2, axis=1)),
-        gyro_noise=np.sqrt(np.mean(segments.rate_noise[order] ** 2, axis=1)),
+        noise=np.sqrt(np.mean(segments.noise**2, axis=1)),
+        gyro_noise=np.sqrt(np.mean(segments.rate_noise**2, axis=1)),
         gyro_bias=drift,
-        gyro_bias_sd=drift_sd,
-        rotations=board.rotations,
+        gyro_bias_sd=np.sqrt(sd**2 + np.einsum("kij,kj->ki", turn**2, coarse**2)),
+        rotations=turn,
         start=float(middle[0]),
         stop=float(middle[-1]),
     )
-
-
-def _gyro_drift(
-    segments: Segments, board: Board, order: list[int], t: Array
-) -> tuple[Array, Array]:
-    """As `gyro_drift` has it, in board axes; with what rounding leaves, the same in every rest."""
-    turn = board.rotations
-    drift, sd = gyro_drift(np.einsum("kij,nkj->nki", turn, segments.rate[:, order]), t)
-    coarse = rounding(segments.rate_step[order], segments.rate_noise[order], alike=True)
-    return drift, np.sqrt(sd**2 + np.einsum("kij,kj->ki", turn**2, coarse**2))
 
 
 def _searched(model: Model, data: Observations, asked: Asked) -> FitLoop:
@@ -423,3 +381,35 @@ def _refuse_vague(gain: Array, covariance: Array, board: Board) -> None:
             f"{100 * worst.max():.0f} % of gravity",
             remedy="check its mounting axes in the board file, and the unit of the recording",
         )
+
+
+def contradicted(rate: Array, made: Array) -> bool:
+    """Whether what an effect adds to gyros at rest makes the rests scatter more.
+
+    rate, made : (n, K, 3) rad/s at n rests, as read and as the effect has it
+    """
+    return bool(np.mean(np.var(rate - made, axis=0)) > _WORSE**2 * np.mean(np.var(rate, axis=0)))
+
+
+def gyro_drift(rate: Array, t: Array) -> tuple[Array, Array]:
+    """Coefficients (order + 1, K, 3) rad/s of the gyros' offsets at rest, of powers of a time that
+    runs from -1 at the first rest to 0 at the last, and their standard deviation (K, 3) there; the
+    order by the Bayesian information criterion.
+
+    rate : (n, K, 3) rad/s at n rests; t : (n,) s
+    """
+    values = rate.reshape(len(rate), -1)
+    late = (t - t[-1]) / max(float(np.ptp(t)), 1e-9)
+    tries = []
+    for order in range(3):
+        powers = late[:, None] ** np.arange(order + 1)
+        found = np.linalg.lstsq(powers, values, rcond=None)[0]
+        rest = values - powers @ found
+        size = values.shape[1]
+        cost = values.size * np.log(max(float(np.mean(rest**2)), 1e-300))
+        tries.append((cost + np.log(values.size) * size * (order + 1), found, powers, rest))
+    _, found, powers, rest = min(tries, key=lambda t: t[0])
+    freedom = max(len(rest) - powers.shape[1], 1)
+    leverage = float(np.linalg.inv(powers.T @ powers)[0, 0])
+    sd = np.sqrt(leverage * np.sum(rest**2, axis=0) / freedom)
+    return found.reshape(-1, *rate.shape[1:]), np.asarray(sd.reshape(rate.shape[1:]))

@@ -1,29 +1,37 @@
-"""A finished calibration of one log: what all calibrators hand out, and every stage of it."""
+"""A finished calibration of one log: every stage of it, and what all calibrators hand out.
+
+The calibration's parameters are the positions; every IMU has its linear correction, and found
+effects with their values, and what of them no linear correction carries, are facts.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TypedDict
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucalib.calibration.outcome import ErrorSummary, Limit, Outcome, Run
-from imucalib.calibration.provenance import Provenance, provenance_of
+from imucalib.arrays import Array
+from imucalib.calibration.calibration import Calibration, StoredParameter
+from imucalib.calibration.outcome import Limit, Outcome, Run
+from imucalib.calibration.provenance import provenance_of
+from imucalib.calibration.triads import DRIFT, Triad, drift_block
 from imucalib.calibrators.array.board import Board
-from imucalib.calibrators.array.calibration import array_calibration, array_details
+from imucalib.calibrators.array.effect_blocks import effect_blocks, rest_blocks
 from imucalib.calibrators.array.estimate.covariance import Uneven
-from imucalib.calibrators.array.estimate.left import (
+from imucalib.calibrators.array.estimate.total import GyroScale, Total, size_block
+from imucalib.calibrators.array.findings import (
     Residual,
-    left_in_words,
-    residual_in_motion,
-    what_is_left,
+    advice,
+    array_errors,
+    array_findings,
+    noise_block,
+    reasons,
+    unexplained,
 )
-from imucalib.calibrators.array.estimate.total import GyroScale, Total
-from imucalib.calibrators.array.findings import advice, array_errors, array_findings
 from imucalib.calibrators.array.linear_part import LinearPart
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop
-from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.calibrators.array.moving import Moving
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.rests import RestFit
@@ -31,11 +39,33 @@ from imucalib.estimators.array.sampler import ArrayPositions
 from imucalib.recording.pairing import channel_names
 from imucalib.recording.recording import Recording
 from imucalib.rests.segments import Segments
+from imucalib.units import DEG, STANDARD_GRAVITY
+
+#: Blocks of report.json that the YAML has, too.
+_SHARED = (
+    "board",
+    "reference",
+    "reference_mm",
+    "ranges",
+    "sample_interval_s",
+    "positions_mm",
+    "size",
+    "gyro_scale",
+    "frame",
+    "rests",
+    "residual_in_motion",
+    "effects",
+    "not_undone",
+    "diagnostics",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
-class ArrayRun(Run):
-    """A finished run: what all calibrators share, and every stage for its own report."""
+class Stages:
+    """recording : without its readings; final : of the sampler, with all that `total` knows; loop :
+    None where nothing was searched; linear : what a linear correction holds of the joint fit, None
+    where the motion is too broken up for one; uneven : where positions differ from part to part of
+    the motion and no loop says so"""
 
     recording: Recording
     board: Board
@@ -47,104 +77,217 @@ class ArrayRun(Run):
     total: Total
     gyros: GyroScale
     loop: MotionLoop | None
-    residual: Residual
-
-
-class _Stages(TypedDict):
-    """What both the details and the calibration are made of."""
-
-    rests: RestFit
-    moving: Moving
-    total: Total
-    gyros: GyroScale
-    board: Board
     linear: LinearPart | None
+    uneven: Uneven | None
+    residual: Residual
+    notes: tuple[str, ...]
 
 
-def finished(
-    *,
-    recording: Recording,
-    board: Board,
-    request: ArrayRequest,
-    segments: Segments,
-    rests: RestFit,
-    moving: Moving,
-    final: ArrayPositions,
-    total: Total,
-    gyros: GyroScale,
-    loop: MotionLoop | None,
-    state: ArrayState | None,
-    apart: Uneven | None,
-    linear: LinearPart | None,
-    notes: tuple[str, ...],
-) -> ArrayRun:
+@dataclass(frozen=True, kw_only=True)
+class ArrayRun(Run, Stages):
+    """A finished run: what all calibrators share, and every stage for its own report."""
+
+
+def finished(made: Stages) -> ArrayRun:
     """The run of these stages: judged, with its calibration."""
-    residual = residual_in_motion(loop, state, final, moving)
-    noise = (_rms(rests.noise), _rms(rests.gyro_noise))
-    errors = array_errors(loop, noise, board.count, residual)
-    left = what_is_left(residual, rests, loop, request.accepted, apart)
-    outcome = Outcome(
-        "array",
-        errors,
-        _provenance(recording, request),
-        findings=array_findings(loop) if loop else None,
-        reasons=left_in_words(loop, left),
-        advice=advice(loop, rests) if loop else (),
-        limits=_limits(request, errors, final),
-        notes=notes,
-        left=left,
-    )
-    stages = _Stages(
-        rests=rests, moving=moving, total=total, gyros=gyros, board=board, linear=linear
-    )
-    details = array_details(**stages, final=final, loop=loop, residual=residual)
-    channels = channel_names(recording)
-    calibration = array_calibration(outcome, details, **stages, channels=channels)
-    return ArrayRun(
-        outcome=outcome,
-        calibration=calibration,
-        details=details,
-        recording=recording,
-        board=board,
-        request=request,
-        segments=segments,
-        rests=rests,
-        moving=moving,
-        final=final,
-        total=total,
-        gyros=gyros,
-        loop=loop,
-        residual=residual,
-    )
-
-
-def _rms(values: NDArray[np.float64]) -> float:
-    return float(np.sqrt(np.mean(values**2)))
-
-
-def _limits(
-    request: ArrayRequest, errors: tuple[ErrorSummary, ...], final: ArrayPositions
-) -> tuple[Limit, ...]:
-    """The user's limits against what was found."""
+    recording, request, rests, loop = made.recording, made.request, made.rests, made.loop
+    errors = array_errors(loop, rests, made.residual)
+    left = unexplained(made.residual, rests, made.board.imus, request.accepted, loop or made.uneven)
     values = {
         "max-error": (errors[0].held_out.final, errors[0].unit),
         "max-gyro-error": (errors[1].held_out.final, errors[1].unit),
-        "max-position-sd": (1e3 * float(final.sd.max()), "mm"),
+        "max-position-sd": (1e3 * float(made.final.sd.max()), "mm"),
     }
-    return tuple(
-        Limit(name, values[name][0], limit, values[name][1])
-        for name, limit in request.limits.items()
+    outcome = Outcome(
+        "array",
+        errors,
+        provenance_of(
+            path=recording.path,
+            sha256=recording.sha256,
+            samples=max((len(c.t) for c in recording.channels.values()), default=0),
+            gaps=len(recording.gaps),
+            mapping=recording.mapping,
+            settings=request.stated(),
+            seed=request.seed,
+            command=request.command,
+        ),
+        findings=array_findings(loop) if loop else None,
+        reasons=reasons(loop, left),
+        advice=advice(loop, rests) if loop else (),
+        limits=tuple(
+            Limit(name, values[name][0], limit, values[name][1])
+            for name, limit in request.limits.items()
+        ),
+        notes=made.notes,
+        left=left,
+    )
+    details = _details(made)
+    calibration = array_calibration(
+        outcome,
+        made.total,
+        made.board.imus,
+        gravity=rests.gravity,
+        facts={name: details[name] for name in _SHARED},
+        triads=tuple(_triads(made)),
+    )
+    return ArrayRun(outcome=outcome, calibration=calibration, details=details, **vars(made))
+
+
+def array_calibration(
+    outcome: Outcome,
+    total: Total,
+    imus: Sequence[str],
+    *,
+    gravity: float,
+    facts: Mapping[str, Any],
+    triads: tuple[Triad, ...],
+) -> Calibration:
+    """The calibration of one log or of several: places of all IMUs but the first are its
+    parameters."""
+    covariance = 1e6 * total.covariance
+    # Standard deviations are the covariance's, to the last bit.
+    sd = np.sqrt(np.diag(covariance))
+    names = [f"{imu}.{axis}" for imu in imus[1:] for axis in "xyz"]
+    return Calibration(
+        calibrator="array",
+        parameters=tuple(
+            StoredParameter(name, "positions", "array", float(value), float(own), "mm")
+            for name, value, own in zip(names, 1e3 * total.mean[1:].ravel(), sd, strict=True)
+        ),
+        covariance=covariance,
+        raw_unit="m/s2",
+        raw_to_si=1.0,
+        gravity=gravity,
+        status=outcome.status,
+        reasons=outcome.reasons,
+        facts={
+            "gravity_source": outcome.provenance.settings["gravity_source"],
+            "errors": [error.as_dict() for error in outcome.errors],
+            **facts,
+            "provenance": outcome.provenance.as_dict(),
+        },
+        triads=triads,
     )
 
 
-def _provenance(recording: Recording, request: ArrayRequest) -> Provenance:
-    return provenance_of(
-        path=recording.path,
-        sha256=recording.sha256,
-        samples=max((len(c.t) for c in recording.channels.values()), default=0),
-        gaps=len(recording.gaps),
-        mapping=recording.mapping,
-        settings=request.stated(),
-        seed=request.seed,
-        command=request.command,
+def _triads(made: Stages) -> Iterator[Triad]:
+    """Each IMU as the rests and the found effects' linear parts have it."""
+    board, rests, found = made.board, made.rests, made.linear
+    channels = channel_names(made.recording)
+    gain, bias, covariance = rests.in_board_axes()
+    gyro_gain, gyro_bias = made.moving.gyros.gain, rests.gyro_bias[0]
+    if found is not None:
+        bias = bias + np.einsum("kij,kj->ki", gain, found.offset)
+        gain = gain @ found.gain
+        gyro_gain, gyro_bias = found.gyro_gain, gyro_bias + found.gyro_offset
+    # What is corrected is read in the sensors' own axes: those of the package are undone first.
+    back = board.rotations.transpose(0, 2, 1)
+    wired, gyro_wired = (
+        board.rotations @ own.transpose(0, 2, 1) @ back
+        for own in (board.accelerometer_axes, board.gyro_axes)
     )
+    both = np.zeros((board.count, 12, 12))
+    both[:, :9, :9] = np.einsum("kij,ab->kiajb", wired, np.eye(3)).reshape(-1, 9, 9)
+    both[:, 9:, 9:] = wired
+    covariance = both @ covariance @ both.transpose(0, 2, 1)
+    for k, name in enumerate(board.imus):
+        yield Triad(
+            name=name,
+            rotation=board.rotations[k],
+            gain=wired[k] @ gain[k],
+            bias=wired[k] @ bias[k],
+            gyro_gain=(1.0 + made.gyros.value) * gyro_wired[k] @ gyro_gain[k],
+            gyro_bias=gyro_wired[k] @ gyro_bias[k],
+            covariance=covariance[k],
+            noise=float(rests.noise[k]),
+            gyro_noise=float(rests.gyro_noise[k]),
+            channel=channels.get(name, ""),
+        )
+
+
+def _details(made: Stages) -> dict[str, Any]:
+    """What only an array has to say, for report.json; a part of it also for the YAML."""
+    board, rests, total, residual = made.board, made.rests, made.total, made.residual
+    # How the offsets moved during the rests, against their end, which is where the biases hold.
+    times = np.linspace(rests.start, rests.stop, 21)
+    away = rests.offset(times) - rests.offset(times[-1:])
+    drift = ((DRIFT, float(np.sqrt(np.mean(away**2))), "m/s²"),) if away.any() else ()
+    beyond = made.linear.beyond if made.linear else ()
+    details: dict[str, Any] = {
+        "board": board.name,
+        "reference": board.imus[0],
+        **instrument_block(board, made.moving.interval),
+        "positions_mm": position_rows(board, total),
+        **size_block(total, made.gyros, board),
+        "residual_in_motion": {
+            "accelerometers_m_per_s2": residual.acceleration,
+            "gyros_deg_per_s": residual.rate / DEG,
+            "held_out": residual.held_out,
+        },
+        "diagnostics": _diagnostics(made.final),
+        "rests": {
+            "count": rests.poses,
+            "residual_m_per_s2": rests.residual,
+            "residual_before_search_m_per_s2": rests.before,
+            "verdict": rests.loop.verdict if rests.loop else "not run",
+            **_drift_of(rests, board),
+        },
+        "moving": dict(made.moving.counts),
+        "not_undone": [
+            {"effect": name, "rms": rms, "unit": unit} for name, rms, unit in (*drift, *beyond)
+        ],
+        "effects": rest_blocks(rests),
+    }
+    if made.loop is not None:
+        details["effects"] += effect_blocks(made.loop)
+        details["noise"] = noise_block(made.loop)
+    return details
+
+
+def position_rows(board: Board, total: Total, **more: Array) -> list[dict[str, Any]]:
+    """mm, each IMU's mean, sd and drawing; more : (K, 3) mm of other columns."""
+    columns = {"mean": 1e3 * total.mean, "sd": 1e3 * total.sd, "drawn": 1e3 * board.drawn, **more}
+    return [
+        {"imu": name, **{what: values[k].tolist() for what, values in columns.items()}}
+        for k, name in enumerate(board.imus)
+    ]
+
+
+def instrument_block(board: Board, interval: float) -> dict[str, Any]:
+    """What a later log's fusion and the exports need besides positions, triads and effects: the
+    first IMU's place in the drawing, where readings clip (None where the board file does not say)
+    and the interval of samples, s."""
+    stated = {
+        "accelerometer_g": board.accelerometer_range / STANDARD_GRAVITY,
+        "gyroscope_deg_per_s": board.gyroscope_range / DEG,
+    }
+    return {
+        "reference_mm": (1e3 * board.positions[0]).tolist(),
+        "ranges": {name: v if np.isfinite(v) else None for name, v in stated.items()},
+        "sample_interval_s": interval,
+    }
+
+
+def _drift_of(rests: RestFit, board: Board) -> dict[str, Any]:
+    """Of the offsets at every rest, in the sensors' own axes; nothing where none is."""
+    t = rests.fit.observations.context["time"]
+    away = rests.offset(t) - rests.offset(np.array([rests.stop]))
+    if not away.any():
+        return {}
+    return {"drift": drift_block(t, np.einsum("kji,nkj->nki", board.accelerometer_axes, away))}
+
+
+def _diagnostics(final: ArrayPositions) -> dict[str, Any]:
+    """What the sampler says of itself."""
+    found = final.convergence
+    return {
+        "sampler": final.sampler,
+        "chains": final.unknowns.shape[0],
+        "draws": final.unknowns.shape[1],
+        "acceptance": final.accepted,
+        "largest_rhat": float(np.max(found.rhat)),
+        "smallest_bulk_ess": float(np.min(found.bulk)),
+        "smallest_tail_ess": float(np.min(found.tail)),
+        "largest_mcse_mm": float(1e3 * np.max(found.mcse[: final.prior.positions])),
+        "samples": final.data.samples,
+    }

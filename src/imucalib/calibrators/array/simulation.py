@@ -1,4 +1,4 @@
-"""Arrays with a known geometry: independent samples as in paper 001, and whole bench logs."""
+"""Whole bench logs of arrays with a known geometry."""
 
 from __future__ import annotations
 
@@ -9,25 +9,8 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.calibrators.array.board import Board
 from imucalib.errors import UsageError
-from imucalib.estimators.array.problem import ArrayData
 from imucalib.recording.recording import Channel, Recording
-from imucalib.units import DEG
-
-
-@dataclass(frozen=True)
-class MotionPlan:
-    """Independent moving samples (section IV-A of paper 001; its figures are the defaults).
-
-    rate, spin : deg/s and deg/s², sd of each axis of ω and ω̇; force : m/s², sd of s
-    sigma, sigma_gyro : m/s² and deg/s, of one triad's axis
-    """
-
-    samples: int = 50
-    rate: float = 1000.0
-    spin: float = 35_000.0
-    force: float = 20.0
-    sigma: float = 0.04
-    sigma_gyro: float = 0.06
+from imucalib.units import DEG, STANDARD_GRAVITY
 
 
 def lever_arm(w: Array, spin: Array, r: Array) -> Array:
@@ -35,20 +18,6 @@ def lever_arm(w: Array, spin: Array, r: Array) -> Array:
     inner = w @ r.T
     turned = w[:, None] * inner[..., None] - np.sum(w * w, axis=1)[:, None, None] * r
     return np.asarray(turned + np.cross(spin[:, None], r[None]))
-
-
-def simulated_samples(r: Array, plan: MotionPlan, rng: np.random.Generator) -> ArrayData:
-    """Calibrated readings of positions r (A, 3) m in random motion."""
-    t, a = plan.samples, len(r)
-    w, spin = (rng.normal(size=(t, 3)) * sd * DEG for sd in (plan.rate, plan.spin))
-    y = lever_arm(w, spin, r) + rng.normal(size=(t, 1, 3)) * plan.force
-    sd = plan.sigma_gyro * DEG / np.sqrt(a)
-    return ArrayData(
-        y + rng.normal(size=y.shape) * plan.sigma,
-        np.full(a, plan.sigma),
-        w + rng.normal(size=w.shape) * sd,
-        np.eye(3) / sd**2,
-    )
 
 
 @dataclass(frozen=True)
@@ -125,7 +94,8 @@ def simulated_motion(plan: LogPlan, rng: np.random.Generator) -> tuple[Array, Ar
     size *= plan.twist * DEG * np.sqrt(2.0) / np.linalg.norm(size, axis=0)
     direction = rng.normal(size=(plan.poses, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    rest = 9.80665 * direction[np.minimum((t / plan.pose_seconds).astype(int), plan.poses - 1)]
+    pose = np.minimum((t / plan.pose_seconds).astype(int), plan.poses - 1)
+    rest = STANDARD_GRAVITY * direction[pose]
     shake = rng.uniform(0.3, 4.0, size=(6, 3)), rng.uniform(0.0, 2.0 * np.pi, size=(6, 3))
     pull = np.full((6, 3), plan.force * np.sqrt(2.0 / 6.0))
     force = rest * (1.0 - moving)[:, None] + _tones(t, shake, pull) * moving[:, None]

@@ -2,114 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import permutations, product
 from pathlib import Path
 
 import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.apply import apply_to_recording
-from imucalib.calibrators.imu.axes import demand_axes
 from imucalib.calibrators.imu.log import Imu, gyroscope_of, imu_of
+from imucalib.calibrators.imu.request import ImuRequest
 from imucalib.calibrators.imu.search import (
-    AskedTurns,
     Searched,
     declared_terms,
-    gyro_effects,
     in_fold,
     joint_fit,
     searched,
 )
-from imucalib.calibrators.lab.calibrate import LabSettings
-from imucalib.calibrators.lab.files import still_rests, table_of_rests
-from imucalib.calibrators.lab.request import LabRequest
-from imucalib.calibrators.lab.run import LabRun, run_lab
-from imucalib.calibrators.lab.sessions.joined_tables import joined
-from imucalib.core.effect import Effect
-from imucalib.effects import own_effects
-from imucalib.estimators.turns import TurnFit, carried_error
+from imucalib.calibrators.lab.errors import rms
+from imucalib.calibrators.lab.files import run_of_rests, still_rests, table_of_rests
+from imucalib.calibrators.lab.run import LabRun
+from imucalib.errors import UnreadableInput
+from imucalib.estimators.carried import attitudes, between
+from imucalib.estimators.turns import TurnFit, TurnLog, carried_error, moved_by
 from imucalib.inspection.noise import SensorNoise, noise_at_rest
 from imucalib.loop.held_out import Difference, difference
 from imucalib.recording.mapping import UNCHANGED, AxisMap, FieldMapping
 from imucalib.recording.recording import Recording
-from imucalib.rests.segments import Segments
-from imucalib.rests.stillness import StillSettings
-from imucalib.units import DEG, STANDARD_GRAVITY
+from imucalib.units import DEG
 
 #: Blocks of turns that are held out.
 FOLDS = 5
-
-
-@dataclass(frozen=True)
-class ImuRequest:
-    """What the user chose. gyro_axes : columns of the recording's rate that are the gyroscope's x,
-    y, z; still : what counts as a rest; the rest as in `LabRequest`"""
-
-    gravity: float = STANDARD_GRAVITY
-    gravity_source: str = "standard gravity (give --gravity or --latitude for the local value)"
-    declare: tuple[str, ...] = ()
-    only: tuple[str, ...] = ()
-    without: tuple[str, ...] = ()
-    loop: bool = True
-    curves: bool = True
-    extra_effects: Mapping[str, Effect] = field(default_factory=dict)
-    gyro_axes: AxisMap = UNCHANGED
-    still: StillSettings = field(default_factory=StillSettings)
-    limits: Mapping[str, float] = field(default_factory=dict)
-    seed: int = 0
-    command: str = ""
-
-    def stated(self) -> dict[str, object]:
-        """The settings as provenance keeps them."""
-        return {
-            "declare": list(self.declare),
-            "only": list(self.only),
-            "without": list(self.without),
-            "own_effects": own_effects(self.extra_effects),
-            "loop": self.loop,
-            "curves": self.curves,
-            "gravity_m_per_s2": self.gravity,
-            "gravity_source": self.gravity_source,
-            "gyro_axes": [list(self.gyro_axes.order), list(self.gyro_axes.sign)],
-            "shortest_rest_s": self.still.shortest,
-            "limits": dict(self.limits),
-        }
-
-    @property
-    def of_turns(self) -> AskedTurns:
-        """What the search over turns is asked."""
-        own = gyro_effects(AskedTurns(own=self.extra_effects))
-        return AskedTurns(
-            declare=tuple(n for n in self.declare if n in own),
-            only=self.only,
-            without=self.without,
-            own=self.extra_effects,
-            loop=self.loop,
-        )
-
-    @property
-    def of_rests(self) -> LabRequest:
-        """What the accelerometer's calibration is asked."""
-        gyro = gyro_effects(AskedTurns(own=self.extra_effects))
-        settings = LabSettings(
-            declare=tuple(n for n in self.declare if n not in gyro),
-            only=self.only,
-            without=self.without,
-            loop=self.loop,
-            curves=self.curves,
-            extra_effects=self.extra_effects,
-            partial=True,
-        )
-        return LabRequest(
-            gravity=self.gravity,
-            gravity_source=self.gravity_source,
-            reference="norm",
-            still=self.still,
-            settings=settings,
-            seed=self.seed,
-            command=self.command,
-        )
+#: Turns that are carried, and rad by which plain gains carry gravity past where it is.
+_TURNS, _OFF = 12, 2.0 * DEG
+#: Nats by which another mapping has to lead: one of 48, a thousand to one.
+_LEAD = float(np.log(48.0 * 1000.0))
 
 
 @dataclass(frozen=True)
@@ -128,7 +56,7 @@ class ImuResult:
     """accelerometer : by the rests; imu : the log; noise : of the longest rest
     found : the search; fit : what is corrected;
     fitted : (3,) deg rms of the turns that were fitted, as in `HeldOutTurns`
-    refused : whether held-out turns refuse what was told"""
+    refused : whether held-out turns refuse what the search found"""
 
     recordings: tuple[Recording, ...]
     accelerometer: LabRun
@@ -152,49 +80,42 @@ def calibrate_imu(
     Raises as `readers.read`, `imu_of` and `run_lab`; UnreadableInput where the gyroscope's axes are
     not the accelerometer's.
     """
-    read = [still_rests(path, mapping, request.still, say) for path in paths]
-    recordings = [_in_axes(recording, request) for recording, _ in read]
-    segments = [found for _, found in read]
-    for recording, found in zip(recordings, segments, strict=True):
-        gyroscope_of(recording, found.triads[0])
+    recordings, segments = [], []
+    for path in paths:
+        recording, rests = still_rests(path, mapping, request.still, say)
+        gyroscope_of(recording, rests.triads[0])
+        recordings.append(_in_axes(recording, request))
+        segments.append(rests)
     # An hour of samples is not held once more than it has to be.
     plain = imu_of(recordings, segments, request.gravity).turns
-    demand_axes(plain, str(paths[0]), _matrix(request.gyro_axes))
-    del plain, read
-    accelerometer = _accelerometer(recordings, segments, request)
-    triads = [found.triads[0] for found in segments]
+    demand_axes(plain, str(paths[0]), request.gyro_axes)
+    del plain
+    tables = [table_of_rests(s, r) for s, r in zip(segments, recordings, strict=True)]
+    accelerometer = run_of_rests(tables, recordings, request.of_rests, say)
     # The mark that a correction leaves is not kept: a check sum of its own is not made for it.
     first = replace(accelerometer.calibration, sha256=accelerometer.table.sha256)
     corrected = [
-        apply_to_recording(first, recording, triad, again=True)
-        for recording, triad in zip(recordings, triads, strict=True)
+        apply_to_recording(first, recording, found.triads[0], again=True)
+        for recording, found in zip(recordings, segments, strict=True)
     ]
     imu = imu_of(corrected, segments, request.gravity)
     say(f"{len(imu.turns.turns)} turns between rests; {len(imu.left_out)} left out")
-    result = _result(tuple(recordings), accelerometer, imu, request)
     pairs = zip(recordings, segments, strict=True)
     longest, still = max(pairs, key=lambda pair: float(np.max(pair[1].stop - pair[1].start)))
-    return replace(result, noise=noise_at_rest((longest,), still))
-
-
-def _result(
-    recordings: tuple[Recording, ...], accelerometer: LabRun, imu: Imu, request: ImuRequest
-) -> ImuResult:
-    asked = request.of_turns
-    base = joint_fit(imu.turns, declared_terms(asked), imu.course)
-    found = searched(base, imu.course, asked)
-    held = _held_out(found, imu, asked)
+    base = joint_fit(imu.turns, declared_terms(request), imu.course)
+    found = searched(base, imu.course, request)
+    held = _held_out(found, imu, request)
     refused = bool(found.said.places) and not held.gained.holds
     every = np.arange(len(imu.turns.turns))
     fits = (_as_read(base), base, found.final)
-    raw, before, after = (_rms(carried_error(fit, every) / DEG) for fit in fits)
+    raw, before, after = (rms(carried_error(fit, every) / DEG) for fit in fits)
     if refused:
         held, after = replace(held, final=held.base), before
     return ImuResult(
-        recordings=recordings,
+        recordings=tuple(recordings),
         accelerometer=accelerometer,
         imu=imu,
-        noise=(),
+        noise=noise_at_rest((longest,), still),
         found=found,
         fit=base if refused else found.final,
         fitted=(raw, before, after),
@@ -216,26 +137,7 @@ def _in_axes(recording: Recording, request: ImuRequest) -> Recording:
     return replace(recording, channels=channels)
 
 
-def _matrix(axes: AxisMap) -> Array:
-    return np.asarray(np.eye(3)[list(axes.order)] * np.array(axes.sign)[:, None])
-
-
-def _accelerometer(
-    recordings: Sequence[Recording], segments: Sequence[Segments], request: ImuRequest
-) -> LabRun:
-    tables = [table_of_rests(s, r) for r, s in zip(recordings, segments, strict=True)]
-    table, joining = joined(tables)
-    notes = tuple(dict.fromkeys(n for r in recordings for n in r.notes))
-    return run_lab(
-        table,
-        request.of_rests,
-        mapping=recordings[0].mapping,
-        gaps=sum(len(r.gaps) for r in recordings),
-        notes=(*notes, *joining),
-    )
-
-
-def _held_out(found: Searched, imu: Imu, asked: AskedTurns) -> HeldOutTurns:
+def _held_out(found: Searched, imu: Imu, request: ImuRequest) -> HeldOutTurns:
     """Blocks of turns in turn, everything chosen without them."""
     count = len(imu.turns.turns)
     folds = min(FOLDS, count)
@@ -243,7 +145,7 @@ def _held_out(found: Searched, imu: Imu, asked: AskedTurns) -> HeldOutTurns:
     errors = np.zeros((3, count))
     for k in range(folds):
         out = part == k
-        base, final = in_fold(found, out, imu.course, asked)
+        base, final = in_fold(found, out, imu.course, request)
         for row, fit in enumerate((_as_read(base), base, final)):
             errors[row, out] = carried_error(fit, np.flatnonzero(out)) / DEG
     gained = difference(errors[1], errors[2], np.arange(count), folds, "rms")
@@ -258,5 +160,53 @@ def _as_read(fit: TurnFit) -> TurnFit:
     return replace(fit, state=state)
 
 
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+def demand_axes(log: TurnLog, where: str, stated: AxisMap) -> None:
+    """Raise UnreadableInput, with the option that undoes it, where the gyroscope's axes are others
+    than the accelerometer's: gravity says, turn by turn. stated : axes that were said already
+
+    Every signed permutation is tried. Of a rotation P, R(Pω) = P R(ω) P', so that two integrations
+    a turn, of ω and of -ω, serve all 48.
+    """
+    turns = sorted(log.turns, key=lambda turn: -turn.lasting)[:_TURNS]
+    turned = []
+    for turn in turns:
+        seen, _ = moved_by(log, log.rate, turn)
+        turned.append([attitudes(turn.t, sign * seen)[-1] for sign in (1.0, -1.0)])
+    up = log.force / np.linalg.norm(log.force, axis=1)[:, None]
+    before, after = (up[[turn.rest + k for turn in turns]] for k in (0, 1))
+    whole = np.array(turned)
+    found = []
+    mappings = product(permutations(range(3)), product((1.0, -1.0), repeat=3))
+    for P in (_matrix(order, signs) for order, signs in mappings):
+        sign = round(float(np.linalg.det(P)))
+        pure = sign * P
+        carried = np.einsum(
+            "ji,njk,nk->ni", pure.T, whole[:, 0 if sign > 0 else 1].swapaxes(1, 2), before @ pure
+        )
+        off = between(carried, after)
+        found.append((float(-1.5 * np.log1p((off / _OFF) ** 2).sum()), float(np.median(off)), P))
+    as_read = next(f for f in found if np.array_equal(f[2], np.eye(3)))
+    best = max(found, key=lambda f: f[0])
+    if best[0] - as_read[0] < _LEAD:
+        return
+    line = ",".join(_axis(row) for row in best[2] @ _matrix(stated.order, stated.sign))
+    mirrored = (
+        "; one of the two sensors is mirrored, and gravity does not say which"
+        if np.linalg.det(best[2]) < 0.0
+        else ""
+    )
+    raise UnreadableInput(
+        f"over {len(turns)} turns the gyroscope carries gravity {as_read[1] / DEG:.0f} deg past "
+        f"where it is, and {best[1] / DEG:.1f} deg where its axes are {line}{mirrored}",
+        where=where,
+        remedy=f"add --gyro-axes={line}",
+    )
+
+
+def _matrix(order: Sequence[int], sign: Sequence[float]) -> Array:
+    return np.asarray(np.eye(3)[list(order)] * np.array(sign)[:, None])
+
+
+def _axis(row: Array) -> str:
+    k = int(np.argmax(np.abs(row)))
+    return ("-" if row[k] < 0.0 else "") + "xyz"[k]

@@ -29,8 +29,6 @@ from imucalib.units import DEG
 _LONGEST = 15.0
 #: s of the parts of a rest that are shrunk together, and of the means within.
 _SECTION, _PART = 1.0, 0.1
-#: Samples in a row at the largest reading that make a flat top.
-_FLAT = 3
 #: Turns that a calibration needs: five fix nine gains, twice that say how well.
 FEWEST = 6
 #: rad, of gravity, below which a turn says nothing of the gains.
@@ -96,7 +94,8 @@ def imu_of(recordings: Sequence[Recording], segments: Sequence[Segments], gravit
     """
     logs = [_of_one(r, s, gravity) for r, s in zip(recordings, segments, strict=True)]
     whole = logs[0] if len(logs) == 1 else _together(logs)
-    tilts = [_tilt(whole.turns, turn) for turn in whole.turns.turns]
+    force = whole.turns.force
+    tilts = [float(between(*force[t.rest : t.rest + 2])) for t in whole.turns.turns]
     if sum(tilt > _TILT for tilt in tilts) < FEWEST:
         why = f"; {len(whole.left_out)} left out: {whole.left_out[0]}" if whole.left_out else ""
         few = f"{len(tilts)} turns between rests can be used"
@@ -109,10 +108,6 @@ def imu_of(recordings: Sequence[Recording], segments: Sequence[Segments], gravit
             "rest between, every second round backwards",
         )
     return whole
-
-
-def _tilt(log: TurnLog, turn: Turn) -> float:
-    return float(between(log.force[turn.rest], log.force[turn.rest + 1]))
 
 
 def _together(logs: list[Imu]) -> Imu:
@@ -153,7 +148,7 @@ def _of_one(recording: Recording, segments: Segments, gravity: float) -> Imu:
     moving = np.ones(len(t))
     ends = np.searchsorted(t, segments.start), np.searchsorted(t, segments.stop, side="right")
     middle = np.zeros(segments.n, np.intp)
-    rests = [np.zeros((segments.n, 3)) for _ in range(4)]
+    mean, biases, bias_sd = (np.zeros((segments.n, 3)) for _ in range(3))
     noise = np.maximum(segments.rate_noise[0], segments.rate_step[0] / np.sqrt(12.0))
     own = float(np.sqrt(np.mean(segments.noise[0] ** 2))) / gravity
     for k, (a, b) in enumerate(zip(*ends, strict=True)):
@@ -162,10 +157,8 @@ def _of_one(recording: Recording, segments: Segments, gravity: float) -> Imu:
         middle[k] = (a + b) // 2
         turned = attitudes(t[a:b], moving[a:b, None] * (rate[a:b] - bias))
         turned = turned[middle[k] - a].T @ turned
-        rests[0][k] = np.einsum("nij,nj->ni", turned, reading[a:b]).mean(axis=0)
-        rests[1][k] = bias
-        rests[2][k] = own / np.sqrt(max(int(segments.samples[k, 0]), 1))
-        rests[3][k] = np.maximum(sd, noise / np.sqrt(b - a))
+        mean[k] = np.einsum("nij,nj->ni", turned, reading[a:b]).mean(axis=0)
+        biases[k], bias_sd[k] = bias, np.maximum(sd, noise / np.sqrt(b - a))
     turns, why = [], list[str]()
     flat = _flat_tops(rate)
     for k in range(segments.n - 1):
@@ -181,10 +174,10 @@ def _of_one(recording: Recording, segments: Segments, gravity: float) -> Imu:
     warm = segments.temperature[:, 0]
     log = TurnLog(
         time=t[middle],
-        force=rests[0],
-        rate=rests[1],
-        force_sd=rests[2][:, 0],
-        rate_sd=rests[3],
+        force=mean,
+        rate=biases,
+        force_sd=own / np.sqrt(np.maximum(segments.samples[:, 0], 1)),
+        rate_sd=bias_sd,
         linked=np.ones(segments.n - 1, bool),
         turns=tuple(turns),
         white=float(np.sqrt(np.mean(noise**2) * step)),
@@ -219,9 +212,10 @@ def _steady(rate: Array, per: int) -> tuple[Array, Array]:
         location = (weight * parts).sum(axis=0) / weight.sum(axis=0)
     away = np.sqrt(weight / weight.sum(axis=0)) * (parts - location)
     square = np.sum(away**2, axis=0)
-    # A hand's creep is alike in neighbouring parts: lags count until one is none (Geyer 1992).
-    alike = np.array([np.sum(away[lag:] * away[:-lag], axis=0) for lag in range(1, count // 3 + 1)])
-    square += 2.0 * np.sum(np.where(np.cumprod(alike > 0.0, axis=0), alike, 0.0), axis=0)
+    # A hand's creep goes on in neighbouring parts: lags count until one is none (Geyer 1992).
+    lags = range(1, count // 3 + 1)
+    shared = np.array([np.sum(away[lag:] * away[:-lag], axis=0) for lag in lags])
+    square += 2.0 * np.sum(np.where(np.cumprod(shared > 0.0, axis=0), shared, 0.0), axis=0)
     return location, np.asarray(np.sqrt(square / (count - 1)))
 
 
@@ -253,15 +247,14 @@ def _without_still_ends(moving: Array) -> tuple[int, int]:
 
 
 def _flat_tops(rate: Array) -> Flags:
-    """(n,) where an axis repeats its largest or smallest reading as only a range's end does."""
+    """(n,) where an axis is at its largest or smallest reading, if that is a range's end: three
+    samples in a row read it."""
     found = np.zeros(len(rate), bool)
     for axis in rate.T:
         for end in (axis.max(), axis.min()):
             at = axis == end
-            edges = np.flatnonzero(np.diff(np.r_[False, at, False].astype(int)))
-            for a, b in zip(edges[::2], edges[1::2], strict=True):
-                if b - a >= _FLAT:
-                    found |= at
+            if (at[:-2] & at[1:-1] & at[2:]).any():
+                found |= at
     return found
 
 

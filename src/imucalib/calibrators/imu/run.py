@@ -2,26 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from imucalib.arrays import Array
+from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.findings import Check, Findings, FoundStep, Gain, Untestable
+from imucalib.calibration.gyroscope import BIAS, STAGE
+from imucalib.calibration.gyroscope import GAIN as GAIN_EFFECT
 from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Limit, Outcome, Run
-from imucalib.calibration.provenance import provenance_of
-from imucalib.calibrators.imu.calibrate import ImuRequest, ImuResult, calibrate_imu
-from imucalib.calibrators.imu.calibration import imu_calibration, imu_details
+from imucalib.calibrators.imu.calibrate import ImuResult, calibrate_imu
 from imucalib.calibrators.imu.plan import open_words
+from imucalib.calibrators.imu.request import ImuRequest, gyro_effects
+from imucalib.calibrators.lab.errors import rms
 from imucalib.core.sphere import even_directions
-from imucalib.estimators.turns import GAIN, TurnFit
+from imucalib.estimators.lateness import lateness
+from imucalib.estimators.turns import ACCELEROMETER, GAIN, LOWER, TurnFit
+from imucalib.inspection.noise import SensorNoise, noise_blocks
 from imucalib.loop.found import Score, Unexplained
-from imucalib.loop.held_out import Difference
-from imucalib.loop.posterior.words import Place, of_each
+from imucalib.loop.posterior.words import of_each
 from imucalib.recording.mapping import FieldMapping
-from imucalib.units import DEG
+from imucalib.significant_digits import plus_minus
+from imucalib.units import DEG, MG
 
 _NORMAL_95 = 1.96
 #: From weakest to strongest, what two searches say together.
@@ -55,30 +61,20 @@ def run_imu(
     rests = result.accelerometer.outcome
     open_gains = open_words(result.fit.gains[:GAIN, :GAIN])
     error = _error(result)
-    outcome = Outcome(
+    samples = sum(max(len(c.t) for c in r.channels.values()) for r in result.recordings)
+    both = rests.fit is not None and rests.fit.converged and result.fit.converged
+    outcome = replace(
+        rests,
         calibrator="imu",
         errors=(error, *rests.errors),
-        provenance=provenance_of(
-            path=rests.provenance.path,
-            sha256=rests.provenance.sha256,
-            parts=rests.provenance.parts,
-            samples=sum(max(len(c.t) for c in r.channels.values()) for r in result.recordings),
-            gaps=rests.provenance.gaps,
-            mapping=rests.provenance.mapping,
-            settings=request.stated(),
-            seed=request.seed,
-            command=request.command,
-        ),
+        provenance=replace(rests.provenance, samples=samples, settings=request.stated()),
         findings=_findings(result, request),
-        quality=rests.quality
-        and replace(rests.quality, converged=rests.quality.converged and result.fit.converged),
+        fit=rests.fit and replace(rests.fit, converged=both),
         reasons=(*rests.reasons, *(f"the turns leave open {words}" for words in open_gains)),
         advice=(*_advice(result, open_gains), *rests.advice),
-        undecided=rests.undecided,
         limits=_limits(request, error, rests.errors[0]),
         notes=(*rests.notes, *_notes(result)),
         weak=bool(open_gains),
-        left=rests.left,
     )
     details = imu_details(result)
     return ImuRun(
@@ -100,12 +96,8 @@ def _error(result: ImuResult) -> ErrorSummary:
         base=base,
         final=final,
         floor=float(np.hypot(noisy, np.sqrt(2.0) * np.mean(result.imu.turns.force_sd)) / DEG),
-        held_out=HeldOutError(_rms(held.raw), _rms(held.base), _rms(held.final)),
+        held_out=HeldOutError(rms(held.raw), rms(held.base), rms(held.final)),
     )
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def heading_drift(fit: TurnFit) -> float:
@@ -121,110 +113,108 @@ def heading_drift(fit: TurnFit) -> float:
 def _findings(result: ImuResult, request: ImuRequest) -> Findings:
     """What rests and turns say together."""
     rests = result.accelerometer.outcome.findings or Findings("not run")
-    found = result.found
     if not request.loop:
         return replace(rests, only=request.only, without=request.without)
-    steps = () if result.refused else tuple(_steps(result))
-    left = _left(result)
+    problem, gained = result.found.problem, result.held_out.gained
+    steps, unnamed = _steps(result), _unnamed(result)
+    names, refused = tuple(s.effect for s in steps), result.refused
+    steps = () if refused else steps
     turns = "nothing missing"
-    if left:
+    if unnamed:
         turns = "explained in part" if steps else "unexplained"
     if steps:
-        turns = "suspected" if not result.held_out.gained.proved else turns
+        turns = turns if gained.proved else "suspected"
         turns = "explained" if turns == "nothing missing" else turns
     verdict = max(rests.verdict, turns, key=_VERDICTS.index)
     if {rests.verdict, turns} == {"explained", "unexplained"}:
         verdict = "explained in part"
-    names = tuple(s.effect for s in _steps(result))
+    gain, noise = rests.gain, result.fit.noise
+    if steps:
+        sizes = (gained.before, gained.after, gained.low, gained.high)
+        gain = Gain(*sizes, gained.proved, "deg")
+    words = (
+        f"off by {noise.floor / DEG:.2g} deg and {100.0 * noise.per_angle:.2g} % of the angle "
+        f"each; bias walk {float(np.mean(noise.walk)) / DEG:.2g} deg/s per root s"
+    )
+    absorbed = (n for n in problem.absorbed if n not in rests.missing)
+    declared = (n for n in request.declare if n in gyro_effects(request.extra_effects))
     return replace(
         rests,
         verdict=verdict,
         steps=(*steps, *rests.steps),
         rejected=(
             *rests.rejected,
-            *((n, "turns that took no part refuse it") for n in names if result.refused),
+            *((n, "turns that took no part refuse it") for n in names if refused),
         ),
-        refuted=(*rests.refuted, *(names if result.refused else ())),
-        unexplained=(*left, *rests.unexplained),
+        refuted=(*rests.refuted, *(names if refused else ())),
+        unexplained=(*unnamed, *rests.unexplained),
         scores=tuple(sorted((*_scores(result), *rests.scores), key=lambda s: -s.probability)),
-        missing={**rests.missing, **found.problem.missing},
+        missing={**rests.missing, **result.found.lacking.missing},
         not_testable=(
             *rests.not_testable,
-            *(
-                Untestable(n, "a typical size", 0.0, "deg")
-                for n in found.problem.absorbed
-                if n not in rests.missing
-            ),
+            *(Untestable(n, "a typical size", 0.0, "deg") for n in absorbed),
         ),
-        declared=(*rests.declared, *((n, "") for n in request.of_turns.declare)),
-        gain=_gain(result.held_out.gained) if steps else rests.gain,
-        facts=(*rests.facts, ("turns", _noise_words(result.fit))),
+        declared=(*rests.declared, *((n, "") for n in declared)),
+        gain=gain,
+        facts=(*rests.facts, ("turns", words)),
     )
 
 
-def _steps(result: ImuResult) -> list[FoundStep]:
-    """What is told of the turns and named."""
-    problem, held, steps = result.found.problem, result.held_out.gained, []
-    parameters = imu_parameters(result)
+def _steps(result: ImuResult) -> tuple[FoundStep, ...]:
+    """What the turns show and that has a name."""
+    components, gained = result.found.problem.components, result.held_out.gained
+    check = Check("held-out error, rms", "deg", gained.before, gained.after, 3)
+    sizes, steps = _sizes(result), []
     for place in result.found.said.places:
-        component = problem.components[place.component]
+        component = components[place.component]
         if not component.named:
             continue
-        own = parameters.get(component.name, ())
-        rivals = tuple((problem.components[c].name, share) for c, share in place.rivals)
+        rivals = tuple((components[c].name, share) for c, share in place.rivals)
         steps.append(
             FoundStep(
                 effect=component.name,
                 evidence=place.log_odds,
-                checks=(Check("held-out error, rms", "deg", held.before, held.after, 3),),
+                checks=(check,),
                 aliases=tuple(n for n, _ in rivals if n != component.name),
-                size=", ".join(own),
-                certain=place.certain and held.proved,
+                size=sizes.get(component.name, ""),
+                certain=place.certain and gained.proved,
                 probability=place.probability,
                 rivals=rivals,
             )
         )
-    return steps
+    return tuple(steps)
 
 
-def imu_parameters(result: ImuResult) -> dict[str, tuple[str, ...]]:
+def _sizes(result: ImuResult) -> dict[str, str]:
     """Found effects' numbers in words, by name."""
-    from imucalib.significant_digits import plus_minus
-
-    sd = np.sqrt(np.diag(result.found.final.gains))[GAIN:]
-    out, k = {}, 0
+    final = result.found.final
+    sd = np.sqrt(np.diag(final.gains))[GAIN:]
+    numbers = zip(final.state.theta.tolist(), sd.tolist(), strict=True)
+    found = {}
     for term in result.found.terms:
-        words = []
-        for i in term.own:
-            p = term.effect.each[int(i)]
-            value = float(result.found.final.state.theta[k])
-            axis = p.name.rpartition("_")[2]
-            words.append(f"{axis} {plus_minus(value, float(sd[k]), p.unit)}")
-            k += 1
-        out[term.name] = tuple(words)
-    return out
+        each = [term.effect.each[int(k)] for k in term.own]
+        words = (
+            f"{p.name.rpartition('_')[2]} {plus_minus(*number, p.unit)}"
+            for p, number in zip(each, numbers, strict=False)
+        )
+        found[term.name] = ", ".join(words)
+    return found
 
 
-def _left(result: ImuResult) -> tuple[Unexplained, ...]:
-    """What is told and has no name, or is refused."""
-    problem, left = result.found.problem, []
-    for place in result.found.said.places:
-        component = problem.components[place.component]
-        if not component.named or result.refused:
-            left.append(_without_a_name(result, place))
-    return tuple(left)
-
-
-def _without_a_name(result: ImuResult, place: Place) -> Unexplained:
+def _unnamed(result: ImuResult) -> tuple[Unexplained, ...]:
+    """What the turns show and that has no name, or is refused."""
     components = result.found.problem.components
-    own = components[place.component]
-    return Unexplained(
-        name=own.name,
-        driver=own.driver,
-        kind="probe",
-        probability=place.probability,
-        evidence=0.0,
-        rivals=tuple(components[c].name for c, _ in place.rivals),
+    return tuple(
+        Unexplained(
+            name=components[place.component].name,
+            driver=components[place.component].driver,
+            kind="probe",
+            probability=place.probability,
+            evidence=0.0,
+            rivals=tuple(components[c].name for c, _ in place.rivals),
+        )
+        for place in result.found.said.places
+        if result.refused or not components[place.component].named
     )
 
 
@@ -245,31 +235,18 @@ def _scores(result: ImuResult) -> list[Score]:
     ]
 
 
-def _gain(found: Difference) -> Gain:
-    return Gain(found.before, found.after, found.low, found.high, found.proved, "deg")
-
-
-def _noise_words(fit: TurnFit) -> str:
-    return (
-        f"off by {fit.noise.floor / DEG:.2g} deg and {100.0 * fit.noise.per_angle:.2g} % of the "
-        f"angle each; bias walk {float(np.mean(fit.noise.walk)) / DEG:.2g} deg/s per root s"
-    )
-
-
 def _limits(request: ImuRequest, error: ErrorSummary, rests: ErrorSummary) -> tuple[Limit, ...]:
-    values = {"max-error": error, "max-force-error": rests}
-    return tuple(
-        Limit(name, values[name].held_out.final, limit, values[name].unit)
-        for name, limit in request.limits.items()
-    )
+    of = {"max-error": error, "max-force-error": rests}
+    each = ((name, limit, of[name]) for name, limit in request.limits.items())
+    return tuple(Limit(n, one.held_out.final, limit, one.unit) for n, limit, one in each)
 
 
 def _advice(result: ImuResult, open_gains: tuple[str, ...]) -> tuple[str, ...]:
     """What next: what the turns leave open, or how the gains become better."""
     if open_gains:
         return (f"Turn about other axes: {_PLAN}.",)
-    left = result.imu.left_out
-    words = (f"Record again what was left out: {left[0]}.",) if left else ()
+    lost = result.imu.left_out
+    words = (f"Record again what was left out: {lost[0]}.",) if lost else ()
     few = len(result.imu.turns.turns) < 12
     return (*words, *((f"Take more turns, a dozen or two: {_PLAN}.",) if few else ()))
 
@@ -279,6 +256,141 @@ def _notes(result: ImuResult) -> tuple[str, ...]:
         "gravity does not show a turn about the vertical, nor a filter of the gyroscope: a motion "
         "from rest to rest turns the same angle"
     )
-    left = result.imu.left_out
-    count = (f"{len(left)} turns were left out", *left) if left else ()
-    return (unseen, *count)
+    lost = result.imu.left_out
+    return (unseen, f"{len(lost)} turns were left out", *lost) if lost else (unseen,)
+
+
+#: Effects of the accelerometer that the turns bear on.
+_LINEAR = ("bias", "scale", "non_orthogonality")
+#: Relative step of a derivative.
+_STEP = 1e-6
+
+
+def imu_calibration(result: ImuResult, outcome: Outcome, details: Mapping[str, Any]) -> Calibration:
+    """The accelerometer's calibration as the turns leave it, with the gyroscope's parameters."""
+    from scipy.linalg import block_diag
+
+    made, fit = result.accelerometer.calibration, result.fit
+    linear = np.isin([p.effect for p in made.parameters], _LINEAR)
+    own, others = np.flatnonzero(linear), np.flatnonzero(~linear)
+    theta = np.array([made.parameters[int(k)].value for k in own])
+    moved, slopes = _linear(theta, fit, made.gravity)
+    last = fit.state.first_up - 3
+    kept = np.r_[: ACCELEROMETER + GAIN + fit.state.theta.size, last : last + 3]
+    joint, rest = fit.covariance[np.ix_(kept, kept)], made.covariance[np.ix_(others, others)]
+    turn = np.eye(kept.size + others.size)
+    turn[:ACCELEROMETER, :ACCELEROMETER] = slopes
+    turn[kept.size - 3 : kept.size] /= DEG
+    # What other effects are off by moves the linear ones with them.
+    shared = made.covariance[np.ix_(others, own)]
+    turn[:ACCELEROMETER, kept.size :] = np.linalg.lstsq(rest, shared, rcond=None)[0].T
+    covariance = turn @ block_diag(joint, rest) @ turn.T
+    sd = np.sqrt(np.diag(covariance))
+    accelerometer = [
+        replace(made.parameters[int(k)], value=float(v), sd=float(s))
+        for k, v, s in zip(own, moved, sd, strict=False)
+    ]
+    parameters = (
+        *accelerometer,
+        *(made.parameters[int(k)] for k in others),
+        *_gyro_parameters(result, sd[ACCELEROMETER : kept.size]),
+    )
+    order = np.r_[:ACCELEROMETER, kept.size : len(turn), ACCELEROMETER : kept.size]
+    covariance = covariance[np.ix_(order, order)]
+    return replace(
+        made,
+        calibrator="imu",
+        parameters=parameters,
+        covariance=0.5 * (covariance + covariance.T),
+        status=outcome.status,
+        reasons=(*outcome.reasons, *outcome.undecided),
+        facts={
+            **{k: v for k, v in made.facts.items() if k not in ("errors", "provenance")},
+            "errors": [error.as_dict() for error in outcome.errors],
+            "imu": dict(details["imu"]),
+            "noise_density": {"imu0": dict(details["noise_density"])},
+            "provenance": outcome.provenance.as_dict(),
+        },
+    )
+
+
+def _linear(theta: Array, fit: TurnFit, gravity: float) -> tuple[Array, Array]:
+    """(9,) bias (mg), scale and cross terms of the readings, by those (9,) of the readings that the
+    turns were fitted to: S f + c with f as L (f' - b) leaves it; and (9, 9) their slopes by b and
+    `LOWER`."""
+    sensitivity = np.diag(1.0 + theta[3:6])  # as the effects have it
+    sensitivity[[1, 2, 2], [0, 0, 1]] = theta[6:9]
+
+    def of(x: Array) -> Array:
+        lower = np.zeros((3, 3))
+        lower[tuple(zip(*LOWER, strict=True))] = x[3:]
+        whole = sensitivity @ np.linalg.inv(lower)
+        bias = theta[:3] + sensitivity @ x[:3] * gravity / MG
+        return np.array([*bias, *(np.diag(whole) - 1.0), whole[1, 0], whole[2, 0], whole[2, 1]])
+
+    here = np.array([*fit.state.bias, *(fit.state.lower[at] for at in LOWER)])
+    start = of(here)
+    steps = _STEP * np.eye(ACCELEROMETER)
+    return start, np.stack([(of(here + step) - start) / _STEP for step in steps], axis=1)
+
+
+def _gyro_parameters(result: ImuResult, sd: Array) -> list[StoredParameter]:
+    state = result.fit.state
+    names = [(f"gyro_gain_{a}{b}", GAIN_EFFECT, "1") for a in "xyz" for b in "xyz"]
+    for term in () if result.refused else result.found.terms:
+        each = [term.effect.each[int(k)] for k in term.own]
+        names += [(p.name, term.name, p.unit) for p in each]
+    names += [(f"gyro_rest_bias_{a}", BIAS, "deg/s") for a in "xyz"]
+    values = np.r_[state.gain.ravel(), state.theta, state.drift[-1] / DEG]
+    return [
+        StoredParameter(name, effect, STAGE, float(v), float(s), unit)
+        for (name, effect, unit), v, s in zip(names, values, sd, strict=True)
+    ]
+
+
+def imu_details(result: ImuResult) -> dict[str, Any]:
+    """What only an IMU has to say, for report.json; `imu` also for the YAML."""
+    imu, fit = result.imu, result.fit
+    held = result.held_out
+    return {
+        **result.accelerometer.details,
+        "imu": {
+            "frame": "of the accelerometer: x along its x axis, y in the plane of its x and y",
+            "sample_interval_s": 1.0 / result.noise[0].rate if result.noise else None,
+            "turns": len(imu.turns.turns),
+            "turns_left_out": list(imu.left_out),
+            "rests": imu.turns.rests,
+            "gyroscope_noise": _gyro_noise(result.noise),
+            "bias_walk_deg_per_s_per_root_s": (fit.noise.walk / DEG).tolist(),
+            "gyroscope_late_s": dict(zip(("value", "sd"), lateness(fit), strict=True)),
+            "turn_floor_deg": fit.noise.floor / DEG,
+            "turn_error_per_angle": fit.noise.per_angle,
+        },
+        "noise_density": {
+            key: value
+            for block in noise_blocks(result.noise).values()
+            for key, value in block.items()
+        },
+        "held_out_turns_deg": {
+            name: getattr(held, name).tolist() for name in ("raw", "base", "final")
+        },
+    }
+
+
+def _gyro_noise(noise: Sequence[SensorNoise]) -> dict[str, Any]:
+    """Of the gyroscope at rest, by axis: white noise and the bias instability, or what each is at
+    most where the rests do not show it; such a white noise has no sd."""
+    axes = next((s.axes for s in noise if s.quantity == "angular_rate"), ())
+    shown = [axis.instability.value for axis in axes]
+    return {
+        "rest_s": max((axis.curve.longest for axis in axes), default=0.0),
+        "white_deg_per_s_per_root_hz": [
+            (axis.white.value or axis.at_most("white")) / DEG for axis in axes
+        ],
+        "white_sd": [axis.white.sd / DEG if axis.white.sd else None for axis in axes],
+        "bias_instability_deg_per_s": [
+            (value or axis.at_most("instability")) / DEG
+            for value, axis in zip(shown, axes, strict=True)
+        ],
+        "upper_limit": None in shown,
+    }

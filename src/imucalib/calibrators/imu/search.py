@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,8 +18,8 @@ from imucalib.arrays import Array, Flags, Index
 from imucalib.calibrators.array.loop.laws import array_functions, array_laws
 from imucalib.calibrators.array.loop.motion import BoardMotion
 from imucalib.calibrators.imu.log import Course
-from imucalib.core.effect import Context, Effect, Motion, Response, Truth
-from imucalib.effects import catalogue
+from imucalib.calibrators.imu.request import ImuRequest, gyro_effects
+from imucalib.core.effect import Context, Motion, Response, Truth
 from imucalib.estimators.turns import (
     ACCELEROMETER,
     ANGLE_PRIOR,
@@ -33,12 +34,12 @@ from imucalib.estimators.turns import (
     variances,
     without,
 )
-from imucalib.loop.posterior.catalogue import Component, Kind, Member, log_odds
+from imucalib.loop.posterior.catalogue import Component, Kind, Member
 from imucalib.loop.posterior.gram import Grams, Multiplied, swept
-from imucalib.loop.posterior.odds import HEARD, SIZES, TOGETHER
-from imucalib.loop.posterior.problem import Choice
+from imucalib.loop.posterior.odds import HEARD, TOGETHER
+from imucalib.loop.posterior.problem import Choice, Contest
 from imucalib.loop.posterior.space import Hypothesis, Posterior, climbed
-from imucalib.loop.posterior.words import Told, told
+from imucalib.loop.posterior.words import Conclusion, concluded
 from imucalib.units import DEG, STANDARD_GRAVITY
 
 _FIXED = ACCELEROMETER + GAIN
@@ -48,8 +49,7 @@ _FLOORS = DEG * np.array([0.0, 0.02, 0.05, 0.12, 0.3, 1.0, 4.0])
 _LEFT = 1e-3
 
 
-@dataclass(frozen=True)
-class Term:
+class Term(NamedTuple):
     """An effect in the model, or some of its parameters (w,), with the sd of each in its unit."""
 
     effect: Response
@@ -60,83 +60,55 @@ class Term:
     def name(self) -> str:
         return self.effect.name
 
+    @property
+    def key(self) -> str:
+        """Which parameters of which effect."""
+        return f"{self.name} {self.own}"
 
-@dataclass(frozen=True)
-class TurnProblem:
-    """What turns may lack; see `Contest`. terms : of every choice; absorbed : names whose columns
-    the gains take up, and why effects could not be tried; seen : of each component the share of its
-    columns that the gains leave, and their length in units of the noise"""
 
-    components: tuple[Component, ...]
-    odds: Array
-    choices: tuple[Choice, ...]
-    terms: tuple[Term, ...]
+def _term_of(member: Member) -> Term:
+    ((effect, own, sizes),) = member.effects
+    assert isinstance(effect, Response)
+    return Term(effect, own, sizes)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TurnProblem(Contest):
+    """What turns may lack beside accelerometer and gains. absorbed : names whose columns the gains
+    take up; seen : of each component the share of its columns that the gains leave, and their
+    length in units of the noise"""
+
     absorbed: tuple[str, ...]
-    missing: Mapping[str, str]
     seen: tuple[tuple[float, float], ...]
-
-    @property
-    def base(self) -> int:
-        """Accelerometer and gains."""
-        return _FIXED
-
-    @property
-    def flat(self) -> tuple[Index, float]:
-        """They are free, but for what their rows say."""
-        return np.arange(_FIXED), np.inf
-
-    @property
-    def sizes(self) -> Array:
-        """Those of a component."""
-        return SIZES
 
     def terms_of(self, hypothesis: Hypothesis) -> tuple[Term, ...]:
         """What a set takes into the model, at its sizes; laws without a name are not corrected."""
-        return tuple(
-            replace(self.terms[p.choice], sizes=p.size * self.terms[p.choice].sizes)
-            for p in hypothesis.picks
-            if self.components[self.choices[p.choice].component].named
+        chosen = ((self.choices[pick.choice], pick.size) for pick in hypothesis.picks)
+        terms = (
+            (_term_of(choice.member), size)
+            for choice, size in chosen
+            if self.components[choice.component].named
         )
+        return tuple(term._replace(sizes=size * term.sizes) for term, size in terms)
 
 
 @dataclass(frozen=True)
 class Searched:
-    """A base fit, the posterior over what it lacks, what is told, and the fit with that."""
+    """A base fit, the posterior over what it lacks, what that says, and the fit with it."""
 
     base: TurnFit
     lacking: Lacking
     problem: TurnProblem
     posterior: Posterior
-    said: Told
+    said: Conclusion
     terms: tuple[Term, ...]
     final: TurnFit
 
 
-@dataclass(frozen=True)
-class AskedTurns:
-    """declare : in the base; only, without : names; own : effects of the user"""
-
-    declare: tuple[str, ...] = ()
-    only: tuple[str, ...] = ()
-    without: tuple[str, ...] = ()
-    own: Mapping[str, Effect] | None = None
-    loop: bool = True
-
-
-def gyro_effects(asked: AskedTurns) -> dict[str, Response]:
-    """Effects of a gyroscope that no delay is part of: turns from rest to rest show none."""
-    every = {**catalogue(), **(asked.own or {})}
-    return {
-        name: effect
-        for name, effect in every.items()
-        if isinstance(effect, Response) and effect.channel == "angular_rate" and not effect.lagged
-    }
-
-
-def declared_terms(asked: AskedTurns) -> tuple[Term, ...]:
+def declared_terms(request: ImuRequest) -> tuple[Term, ...]:
     """Those of the base model, held by no more than ten times their usual size."""
-    every = gyro_effects(asked)
-    return tuple(_term(every[n], 10.0) for n in asked.declare if n in every)
+    every = gyro_effects(request.extra_effects)
+    return tuple(_term(every[n], 10.0) for n in request.declare if n in every)
 
 
 def _term(effect: Response, size: float = 1.0) -> Term:
@@ -180,57 +152,56 @@ def joint_fit(
     )
 
 
-def searched(base: TurnFit, course: Course, asked: AskedTurns) -> Searched:
-    """The posterior over what a base fit lacks, at the set that it tells: searched again from where
-    that stands, until the same is told."""
-    declared = declared_terms(asked)
+def searched(base: TurnFit, course: Course, request: ImuRequest) -> Searched:
+    """The posterior over what a base fit lacks, at the set that it says: searched again from where
+    that is, until the same is said."""
+    declared = declared_terms(request)
     final, terms, seen = base, declared, set[tuple[str, ...]]()
     while True:
-        lacking = lacking_of(final, course, asked)
+        lacking = lacking_of(final, course, request)
         problem, grams = lacking.contest(final)
         posterior = climbed(problem, grams)
-        said = told(problem, posterior, names_first=True)
+        said = concluded(problem, posterior, names_first=True)
         new = problem.terms_of(said.hypothesis)
-        names = _names(new)
-        if not asked.loop or names in seen or not names:
-            if not names:
-                final, terms = base, declared
-            return Searched(
-                base=base,
-                lacking=lacking,
-                problem=problem,
-                posterior=posterior,
-                said=said,
-                terms=terms,
-                final=final,
-            )
-        seen.add(names)
+        if not request.loop or not new or _keys(new) in seen:
+            break
+        seen.add(_keys(new))
         terms = (*declared, *new)
         final = joint_fit(base.log, terms, course, base)
+    if not new:
+        final, terms = base, declared
+    return Searched(
+        base=base,
+        lacking=lacking,
+        problem=problem,
+        posterior=posterior,
+        said=said,
+        terms=terms,
+        final=final,
+    )
 
 
-def _names(terms: Sequence[Term]) -> tuple[str, ...]:
-    return tuple(sorted(f"{t.name} {t.own}" for t in terms))
+def _keys(terms: Sequence[Term]) -> tuple[str, ...]:
+    return tuple(sorted(term.key for term in terms))
 
 
 def in_fold(
-    found: Searched, out: Flags, course: Course, asked: AskedTurns
+    found: Searched, out: Flags, course: Course, request: ImuRequest
 ) -> tuple[TurnFit, TurnFit]:
     """Base and final fit without some turns (T,), everything chosen anew from the products of the
     others. Where the same is told, the final fit is that of the others, linear about the whole."""
     base = without(found.base, out)
-    if not asked.loop:
+    if not request.loop:
         return base, base
     problem, grams = found.lacking.contest(base)
-    new = problem.terms_of(told(problem, climbed(problem, grams), names_first=True).hypothesis)
+    new = problem.terms_of(concluded(problem, climbed(problem, grams), names_first=True).hypothesis)
     if not new:
         return base, base
-    terms = (*declared_terms(asked), *new)
-    if _names(terms) == _names(found.terms):
-        sizes = {f"{t.name} {t.own}": t.sizes for t in terms}
-        return base, without(
-            found.final, out, np.concatenate([sizes[f"{t.name} {t.own}"] for t in found.terms])
-        )
+    terms = (*declared_terms(request), *new)
+    if _keys(terms) == _keys(found.terms):
+        sizes = {term.key: term.sizes for term in terms}
+        own = np.concatenate([sizes[term.key] for term in found.terms])
+        return base, without(found.final, out, own)
     return base, joint_fit(base.log, terms, course, base)
 
 
@@ -238,14 +209,13 @@ def in_fold(
 class Lacking:
     """Rows of a joint fit with the columns of all that it may lack, in typical sizes.
 
-    prior : (m,) sd of the columns, of which the first `held` are in the base; tried : an effect a
-    block of the others
+    missing : why effects could not be tried; tried : an effect a block of the columns, after the
+    `held` ones of the base; prior : (m,) sd of all
     """
 
     components: tuple[Component, ...]
-    terms: tuple[tuple[Term, ...], ...]
     missing: Mapping[str, str]
-    tried: tuple[Term, ...]
+    tried: tuple[Response, ...]
     rows: Rows
     prior: Array
     held: int
@@ -253,31 +223,31 @@ class Lacking:
     def contest(self, fit: TurnFit) -> tuple[TurnProblem, Grams]:
         """The problem and its products with the turns, weights and noise of a fit."""
         grams = self._grams(fit)
-        first = _FIXED + np.cumsum([0, *(t.own.size for t in self.tried)])
-        place = {t.name: int(k) for t, k in zip(self.tried, first, strict=False)}
+        first = _FIXED + np.cumsum([0, *(len(effect.each) for effect in self.tried)])
+        place = {effect.name: int(k) for effect, k in zip(self.tried, first, strict=False)}
         one = swept(grams, (np.arange(_FIXED), np.inf))
         one = one.of(np.array([int(np.argmax(one.log_weight))]))
-        choices, chosen, absorbed, seen = [], [], [], []
+        choices, absorbed, seen = list[Choice](), list[str](), []
         kept = list[Component]()
-        for component, own in zip(self.components, self.terms, strict=True):
-            at = [place[t.name] + t.own for t in own]
-            before = float(np.trace(one.products.blocks(at[0][None])[0, 0]))
-            after = float(np.trace(one.blocks(at[0][None])[0, 0]))
+        for component in self.components:
+            terms = [_term_of(member) for member in component.members]
+            columns = [place[term.name] + term.own for term in terms]
+            before = float(np.trace(one.products.blocks(columns[0][None])[0, 0]))
+            after = float(np.trace(one.blocks(columns[0][None])[0, 0]))
             if not after > max(_LEFT * before, 1e-12):
                 absorbed.append(component.name)
                 continue
-            for term, member, columns in zip(own, component.members, at, strict=True):
-                choices.append(Choice(len(kept), member, columns, member.log_weight))
-                chosen.append(term)
+            choices += [
+                Choice(len(kept), member, at, member.log_weight)
+                for member, at in zip(component.members, columns, strict=True)
+            ]
             seen.append((after / before, float(np.sqrt(after))))
             kept.append(component)
         problem = TurnProblem(
             components=tuple(kept),
-            odds=log_odds(tuple(kept)),
             choices=tuple(choices),
-            terms=tuple(chosen),
+            base=_FIXED,
             absorbed=tuple(absorbed),
-            missing=self.missing,
             seen=tuple(seen),
         )
         return problem, grams
@@ -322,19 +292,20 @@ def _heard(grams: Grams, dof: float) -> Index:
     return np.flatnonzero((logs > logs.max(axis=1)[:, None] - HEARD).any(axis=0))
 
 
-def lacking_of(fit: TurnFit, course: Course, asked: AskedTurns) -> Lacking:
+def lacking_of(fit: TurnFit, course: Course, request: ImuRequest) -> Lacking:
     """All that a fit may lack, linearised where it stands."""
-    components, terms, missing = _components(fit.log, course, asked)
-    declared = declared_terms(asked)
-    tried = tuple(_term(e) for e in dict.fromkeys(t.effect for own in terms for t in own))
-    held, sizes = (np.concatenate([np.zeros(0), *(t.sizes for t in p)]) for p in (declared, tried))
+    components, missing = _components(fit.log, course, request)
+    declared = declared_terms(request)
+    effects = (_term_of(member).effect for c in components for member in c.members)
+    tried = tuple(dict.fromkeys(effects))
+    whole = tuple(map(_term, tried))
+    held, sizes = (np.concatenate([np.zeros(0), *(t.sizes for t in p)]) for p in (declared, whole))
     prior = np.concatenate([held, np.full(sizes.size, np.inf)])
     state = replace(fit.state, theta=np.zeros(prior.size))
-    rows = linearised(fit.log, state, laws_of((*declared, *tried), course), prior)
+    rows = linearised(fit.log, state, laws_of((*declared, *whole), course), prior)
     rows.jacobian[:, _FIXED + held.size : _FIXED + prior.size] *= sizes
     return Lacking(
-        components=tuple(components),
-        terms=tuple(terms),
+        components=components,
         missing=missing,
         tried=tried,
         rows=rows,
@@ -344,48 +315,53 @@ def lacking_of(fit: TurnFit, course: Course, asked: AskedTurns) -> Lacking:
 
 
 def _components(
-    log: TurnLog, course: Course, asked: AskedTurns
-) -> tuple[list[Component], list[tuple[Term, ...]], dict[str, str]]:
-    """Names, unnamed laws and free functions of the gyroscope, and their terms member by member;
-    and why effects could not be tried."""
+    log: TurnLog, course: Course, request: ImuRequest
+) -> tuple[tuple[Component, ...], dict[str, str]]:
+    """Names, unnamed laws and free functions of the gyroscope; and why effects could not be
+    tried."""
     t, rate, force = (
         np.concatenate([getattr(turn, name) for turn in log.turns])
         for name in ("t", "rate", "force")
     )
     truth, context = exposed_to(rate, force, t, course)
-    motion = BoardMotion(truth, context)
     found: dict[str, tuple[Kind, str, list[Response]]] = {}
-    missing = {}
-    for name, effect in gyro_effects(asked).items():
-        if name in (*asked.declare, *asked.without) or (asked.only and name not in asked.only):
+    missing, out = {}, (*request.declare, *request.without)
+    for name, effect in gyro_effects(request.extra_effects).items():
+        if name in out or (request.only and name not in request.only):
             continue
         if reason := effect.missing(context):
             missing[name] = reason
         else:
             found[name] = "name", "", [effect]
-    for driver, law in array_laws(motion) if not asked.only else ():
+    motion = BoardMotion(truth, context)
+    for driver, law in array_laws(motion) if not request.only else ():
         if law.channel == "angular_rate" and not law.lagged:
             found.setdefault(f"another law of {driver}", ("law", driver, []))[2].append(law)
-    for driver, free in array_functions(motion) if not asked.only else ():
+    for driver, free in array_functions(motion) if not request.only else ():
         if free.channel == "angular_rate":
             found[free.name] = "free", driver, [free]
-    components, terms = [], []
-    for name, (kind, driver, effects) in found.items():
-        own = [one for effect in effects for one in _members(effect, kind)]
-        members = tuple(
-            Member(((term.effect, term.own, term.sizes),), share - np.log(len(effects)))
-            for term, share in own
+    components = (
+        Component(
+            name,
+            kind,
+            tuple(
+                Member((term,), share - np.log(len(effects)))
+                for effect in effects
+                for term, share in _members(effect, kind)
+            ),
+            driver,
         )
-        components.append(Component(name, kind, members, driver))
-        terms.append(tuple(term for term, _ in own))
-    return components, terms, missing
+        for name, (kind, driver, effects) in found.items()
+    )
+    return tuple(components), missing
 
 
 def _members(effect: Response, kind: Kind) -> list[tuple[Term, float]]:
     """All of its parameters together, or one alone, each with its share in logs."""
     whole = _term(effect)
-    if kind == "free" or whole.own.size == 1:
+    count = whole.own.size
+    if kind == "free" or count == 1:
         return [(whole, 0.0)]
-    one = float(np.log((1.0 - TOGETHER) / whole.own.size))
-    alone = (Term(effect, whole.own[[k]], whole.sizes[[k]]) for k in range(whole.own.size))
+    one = float(np.log((1.0 - TOGETHER) / count))
+    alone = (Term(effect, whole.own[[k]], whole.sizes[[k]]) for k in range(count))
     return [(whole, float(np.log(TOGETHER))), *((term, one) for term in alone)]

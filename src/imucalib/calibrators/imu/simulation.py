@@ -10,7 +10,8 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.calibrators.imu.log import Course
 from imucalib.calibrators.imu.plan import ANGLE
-from imucalib.calibrators.imu.search import AskedTurns, exposed_to, gyro_effects
+from imucalib.calibrators.imu.request import gyro_effects
+from imucalib.calibrators.imu.search import exposed_to
 from imucalib.errors import UsageError
 from imucalib.estimators.carried import attitudes
 from imucalib.recording.recording import Channel, Recording
@@ -83,7 +84,7 @@ def _by_hand(plan: ImuPlan, t: Array, rng: np.random.Generator) -> Array:
 
 def _planted(planted: Mapping[str, tuple[float, ...]], rate: Array, up: Array, t: Array) -> Array:
     """(n, 3) rad/s that effects add to what a gyroscope's axes turn by."""
-    known, added = gyro_effects(AskedTurns()), np.zeros(rate.shape)
+    known, added = gyro_effects({}), np.zeros(rate.shape)
     truth, context = exposed_to(rate, up, t, Course(float(t[-1]), t, None))
     for name, values in planted.items():
         effect = known.get(name)

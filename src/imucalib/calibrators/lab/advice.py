@@ -10,11 +10,16 @@ import numpy as np
 from imucalib.calibration.outcome import Limit
 from imucalib.calibration.power import advice_of, hidden
 from imucalib.calibration.uncertainty import correcting
-from imucalib.calibrators.lab.attitude import attitude_errors, rms, worst
 from imucalib.calibrators.lab.bench import RawUnit
 from imucalib.calibrators.lab.calibrate import LabResult
 from imucalib.calibrators.lab.design import judge
-from imucalib.calibrators.lab.errors import reading_noise, setting_noise
+from imucalib.calibrators.lab.errors import (
+    attitude_errors,
+    reading_noise,
+    rms,
+    setting_noise,
+    worst,
+)
 from imucalib.calibrators.lab.faults import SCATTER
 from imucalib.core.effect import Described
 from imucalib.core.fit import Fit
@@ -42,7 +47,7 @@ def fix_option(record: RecordError, raw: RawUnit) -> str:
     return " ".join(repair) + (" or " if repair else "") + f"--exclude {row} (or --auto-exclude)"
 
 
-def reasons(result: LabResult, raw: RawUnit) -> tuple[str, ...]:
+def reasons(result: LabResult) -> tuple[str, ...]:
     """Why the status is not "ok": short, machine-stable beginnings."""
     found: list[str] = []
     loop = result.loop
@@ -50,12 +55,12 @@ def reasons(result: LabResult, raw: RawUnit) -> tuple[str, ...]:
         found.append(f"record errors: {', '.join(r.where for r in loop.records)}")
     if loop and loop.unexplained:
         found.append(f"unexplained structure: {in_words(loop.unexplained[0].name)}")
-    if result.settings.objective in OBJECTIVES and result.final.null_directions:
+    if result.request.objective in OBJECTIVES and result.final.null_directions:
         found.append(
-            f"objective '{result.settings.objective}' leaves open on these rows: "
+            f"objective '{result.request.objective}' leaves open on these rows: "
             + "; ".join(result.final.null_directions)
         )
-    if result.settings.sigma is not None and beyond_declared(result.final) < 0.01:
+    if result.request.sigma is not None and beyond_declared(result.final) < 0.01:
         found.append(f"noise not as declared: {result.final.noise.factor:.2f} times --sigma")
     return tuple(found)
 
@@ -104,22 +109,24 @@ def _repeat(fit: Fit) -> list[str]:
 def _of_structure(item: Unexplained) -> str:
     by = f", driven by {item.driver}" if item.driver else ""
     words = f"Structure without a name{by}: {in_words(item.name)}"
-    alike = [effect for name in item.rivals if (effect := known(name)) is not None]
-    if alike:
+    rivals = [effect for name in item.rivals if (effect := known(name)) is not None]
+    if rivals:
         how = "To tell them apart" if item.kind == "noise" else "To settle it"
-        return f"{words}. {how}: {' '.join(effect.identify for effect in alike)}"
+        return f"{words}. {how}: {' '.join(effect.identify for effect in rivals)}"
     if item.driver:
         return f"{words}. Record with {item.driver} varied on its own."
     return f"{words}; no quantity drives it."
 
 
 def _by_row(sentence: str, fit: Fit) -> str:
-    """A sentence that counts records, with the name that the table has for the one it tells."""
-    told = re.search(r"record (\d+)", sentence)
-    if told is None or "record" not in fit.observations.context:
+    """A sentence that counts records, with the name that the table has for its own."""
+    counted = re.search(r"record (\d+)", sentence)
+    if counted is None or "record" not in fit.observations.context:
         return sentence
-    at = np.flatnonzero(fit.observations.context["record"] == int(told[1]) - 1)
-    return sentence.replace(told[0], fit.observations.label[int(at[0])]) if at.size else sentence
+    at = np.flatnonzero(fit.observations.context["record"] == int(counted[1]) - 1)
+    if not at.size:
+        return sentence
+    return sentence.replace(counted[0], fit.observations.label[int(at[0])])
 
 
 def _settings(fit: Fit) -> list[str]:
@@ -160,7 +167,7 @@ def _positions(result: LabResult) -> list[str]:
     gain = f"{first.gain:.1f} times" if np.isfinite(first.gain) else "decisively"
     inside = np.array([first.inclination * DEG]), np.array([first.tool_face * DEG])
     if isinstance(reference, KnownVector):
-        shown = result.settings.conventions.outside(*inside)
+        shown = result.request.conventions.outside(*inside)
         where = f"inclination {shown[0][0]:.0f}, tool-face {shown[1][0]:.0f}"
     else:  # whoever has no dials cannot set them
         x, y, z = unit_vector(*inside)[0]
@@ -177,27 +184,28 @@ def _word(parameter: str) -> str:
     return parameter.replace("_", " ")
 
 
-def limits_of(result: LabResult, asked: Mapping[str, float]) -> tuple[Limit, ...]:
-    """The user's limits against held-out errors."""
-    if not result.splits and asked:
-        raise UsageError("limits need held-out data", remedy="use another objective, or --train")
-    if not asked:
+def limits_of(result: LabResult, limits: Mapping[str, float]) -> tuple[Limit, ...]:
+    """The user's limits against held-out errors. Raises UsageError for what was not held out."""
+    if not limits:
         return ()
+    if not result.splits:
+        raise UsageError("limits need held-out data", remedy="use another objective, or --train")
     split = result.splits[-1]
-    angles = attitude_errors(split.final, result.settings.conventions)
-    found = []
-    angles_known = isinstance(result.observations.reference, KnownVector)
-    for name, limit in asked.items():
-        if not angles_known and name in ("max-inclination-error", "max-toolface-error"):
+    angles = attitude_errors(split.final, result.request.conventions)
+    values = {
+        "max-error": (split.final.rms() / MG, "mg rms"),
+        "max-norm-error": (rms(angles.norm), "mg rms"),
+    }
+    if isinstance(result.observations.reference, KnownVector):
+        values["max-inclination-error"] = (worst(angles.inclination), "deg")
+        values["max-toolface-error"] = (worst(angles.tool_face), "deg")
+    for name in limits:
+        if name not in values:
             raise UsageError(f"--{name} needs known angles", remedy="use --max-error")
-        value, unit = {
-            "max-error": (split.final.rms() / MG, "mg rms"),
-            "max-inclination-error": (worst(angles.inclination), "deg"),
-            "max-toolface-error": (worst(angles.tool_face), "deg"),
-            "max-norm-error": (rms(angles.norm), "mg rms"),
-        }[name]
-        found.append(Limit(f"{name}, {split.name}", value, limit, unit))
-    return tuple(found)
+    return tuple(
+        Limit(f"{name}, {split.name}", values[name][0], limit, values[name][1])
+        for name, limit in limits.items()
+    )
 
 
 def beyond_declared(fit: Fit) -> float:

@@ -13,6 +13,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibrators.lab.bench import held_settings
+from imucalib.calibrators.lab.calibrate import MODELS
 from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.core.balance import balance
 from imucalib.core.effect import Context
@@ -23,6 +24,8 @@ from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm, KnownVector, unit_vector
 from imucalib.effects import named
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
+
+_STEP = 15.0  # deg
 
 
 @dataclass(frozen=True)
@@ -59,9 +62,8 @@ class Design:
 def _information(model: Model, inclination: Array, tool_face: Array, *, norm: bool) -> Array:
     """(n, p, p) information of each position, for 1 mg of noise and typical-size parameters."""
     n = len(inclination)
-    gravity = STANDARD_GRAVITY
+    gravity, context = STANDARD_GRAVITY, Context(n)
     force = gravity * unit_vector(inclination, tool_face)[:, None]
-    context = Context(n)
     reference: KnownVector | KnownNorm
     if norm:
         reference, eta = KnownNorm(n, gravity), force.ravel() / gravity
@@ -82,26 +84,14 @@ def uniform_directions(count: int) -> tuple[Array, Array]:
     return np.arcsin(1.0 - 2.0 * k / count), np.mod(np.pi * (1.0 + 5.0**0.5) * k, 2.0 * np.pi)
 
 
-def _best(model: Model, *, norm: bool) -> float:
-    """log det of the information per reading of a uniform sphere."""
-    mean = _information(model, *uniform_directions(4000), norm=norm).mean(axis=0)
-    return float(np.linalg.slogdet(mean)[1])
-
-
-def judge(
-    model: Model,
-    inclination: Array,
-    tool_face: Array,
-    *,
-    norm: bool = False,
-    step_deg: float = 15.0,
-) -> Design:
+def judge(model: Model, inclination: Array, tool_face: Array, *, norm: bool = False) -> Design:
     """Judge positions (rad). `model` must not need known angles when `norm` is set."""
-    p = len(model.parameters(Context(1)))
+    parameters = model.parameters(Context(1))
+    sphere = _information(model, *uniform_directions(4000), norm=norm).mean(axis=0)
+    best = float(np.linalg.slogdet(sphere)[1])
     total = _information(model, inclination, tool_face, norm=norm).sum(axis=0)
-    best = _best(model, norm=norm)
-    candidates = _grid(step_deg)
-    offered = _information(model, *candidates, norm=norm)
+    candidates = np.array(grid()) / DEG
+    offered = _information(model, *grid(), norm=norm)
     additions, current, count = [], total, len(inclination)
     for _ in range(2):
         pick = int(np.argmax([_log_det(current + more) for more in offered]))
@@ -109,23 +99,22 @@ def judge(
         current, count = current + offered[pick], count + 1
         with np.errstate(invalid="ignore"):
             ratio = np.nan_to_num(before / after, nan=1.0, posinf=np.inf)
-        gain = int(np.argmax(ratio))
+        best_known = int(np.argmax(ratio))
         additions.append(
             Addition(
-                float(candidates[0][pick] / DEG),
-                float(candidates[1][pick] / DEG),
-                _efficiency(current, count, best, p),
-                float(ratio[gain]),
-                model.parameters(Context(1))[gain].name,
+                inclination=float(candidates[0, pick]),
+                tool_face=float(candidates[1, pick]),
+                efficiency=_efficiency(current, count, best),
+                gain=float(ratio[best_known]),
+                parameter=parameters[best_known].name,
             )
         )
-    parameters = model.parameters(Context(1))
     values, vectors = eigen(total)
     root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
     typical = np.array([q.typical for q in parameters])
     return Design(
         positions=len(inclination),
-        efficiency=_efficiency(total, len(inclination), best, p),
+        efficiency=_efficiency(total, len(inclination), best),
         condition=float(np.sqrt(values[-1] / max(values[0], 1e-300))),
         names=tuple(q.name for q in parameters),
         units=tuple(q.unit for q in parameters),
@@ -135,15 +124,15 @@ def judge(
     )
 
 
-def _grid(step_deg: float) -> tuple[Array, Array]:
-    inclination = np.arange(-90.0, 90.0 + 1e-9, step_deg)
+def grid() -> tuple[Array, Array]:
+    """(c,) inclination and tool-face, rad, of a two-axis table's positions every 15 deg."""
     pairs = [
         (i, t)
-        for i in inclination
-        for t in (np.arange(0.0, 360.0, step_deg) if abs(i) < 89.9 else np.zeros(1))
+        for i in np.arange(-90.0, 90.0 + 1e-9, _STEP)
+        for t in (np.arange(0.0, 360.0, _STEP) if abs(i) < 89.9 else (0.0,))
     ]
-    i, t = np.array(pairs).T
-    return i * DEG, t * DEG
+    inclination, tool_face = np.array(pairs).T
+    return inclination * DEG, tool_face * DEG
 
 
 def _log_det(information: Array) -> float:
@@ -151,11 +140,11 @@ def _log_det(information: Array) -> float:
     return float(value) if sign > 0 else -np.inf
 
 
-def _efficiency(information: Array, count: int, best: float, p: int) -> float:
+def _efficiency(information: Array, count: int, best: float) -> float:
     values = np.linalg.eigvalsh(information / count)
     if values[0] <= 1e-12 * values[-1]:
         return 0.0
-    return float(np.exp((np.log(values).sum() - best) / p))
+    return float(np.exp((np.log(values).sum() - best) / values.size))
 
 
 def _sd(information: Array) -> Array:
@@ -169,38 +158,28 @@ def _sd(information: Array) -> Array:
     return np.sqrt(np.diag(np.linalg.pinv(information, rcond=1e-15, hermitian=True)))
 
 
-def recommend(count: int, axes: int = 2) -> tuple[Array, Array]:
-    """A set of `count` positions (rad) for a table with one or two axes.
-
-    Two axes: rings of equal inclination at 0, +45 and -45 degrees, which also expose the fixture's
-    inclination error, plus z up and z down. One axis (tool-face only, the axis level): one ring;
-    the norm cannot see everything then, and `judge` says what stays open.
-    """
-    if axes == 1:
-        return np.zeros(count), 2.0 * np.pi * np.arange(count) / count
+def recommend(count: int) -> tuple[Array, Array]:
+    """A set of `count` positions (rad) for a table with two axes: rings of equal inclination at 0,
+    +45 and -45 degrees, which also expose the fixture's inclination error, plus z up and z down
+    from 14 on."""
     poles = 2 if count >= 14 else 0
     ring = [len(part) for part in np.array_split(np.arange(count - poles), 3)]
-    inclination = np.concatenate(
-        [np.full(n, a) for n, a in zip(ring, (0.0, 45.0, -45.0), strict=True)]
-    )
+    inclination = np.repeat([0.0, 45.0, -45.0], ring)
     # Each ring is turned against the last, so that few positions do not share meridians.
     tool_face = np.concatenate(
         [360.0 * (np.arange(n) + k / 3.0) / max(n, 1) for k, n in enumerate(ring)]
     )
-    if poles:
-        inclination = np.concatenate([inclination, [90.0, -90.0]])
-        tool_face = np.concatenate([tool_face, [0.0, 0.0]])
-    return inclination * DEG, tool_face * DEG
-
-
-def settings_of(inclination: Array, tool_face: Array) -> tuple[int, int]:
-    """How often each axis is set anew in this order: setting errors average over these."""
-    return int(held_settings(inclination)[-1]) + 1, int(held_settings(tool_face)[-1]) + 1
+    inclination = np.concatenate([inclination, [90.0, -90.0][:poles]])
+    return inclination * DEG, np.concatenate([tool_face, np.zeros(poles)]) * DEG
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A set of positions in the user's convention (deg) with its quality under both references."""
+    """A set of positions in the user's convention (deg) with its quality under both references.
+
+    settings : how often inclination and tool-face are set anew in this order: setting errors
+    average over these
+    """
 
     inclination: Array
     tool_face: Array
@@ -213,18 +192,15 @@ class Plan:
 def design_of(inclination: Array, tool_face: Array, conventions: Conventions) -> Plan:
     """Judge positions given in degrees in the user's convention."""
     inside = conventions.inside(inclination, tool_face)
-    full = Model(tuple(named(n) for n in ("mounting", "bias", "scale", "non_orthogonality")))
-    nine = Model(tuple(named(n) for n in ("bias", "scale", "non_orthogonality")))
+    nine = tuple(map(named, MODELS["geometric9"]))
     return Plan(
         inclination,
         tool_face,
-        judge(full, *inside),
-        judge(nine, *inside, norm=True),
-        conventions,
-        settings_of(inclination, tool_face),
+        vector=judge(Model((named("mounting"), *nine)), *inside),
+        norm=judge(Model(nine), *inside, norm=True),
+        conventions=conventions,
+        settings=(
+            int(held_settings(inclination)[-1]) + 1,
+            int(held_settings(tool_face)[-1]) + 1,
+        ),
     )
-
-
-def recommended(count: int, axes: int, conventions: Conventions) -> Plan:
-    """A good set of positions, in the user's convention."""
-    return design_of(*conventions.outside(*recommend(count, axes)), conventions)

@@ -39,8 +39,9 @@ def dial_of(result: LabResult, inclination: Array) -> Dial:
     The mean over all models that would do, and their spread in sd and interval (Hoeting et al.
     1999, eq. 2 and 3).
     """
-    conventions = result.settings.conventions
-    each = [(r.weight, dial_of_fit(r.fit, inclination, conventions)) for r in result.rivals]
+    conventions = result.request.conventions
+    rivals = result.loop.weighed if result.loop else ()
+    each = [(r.weight, dial_of_fit(r.fit, inclination, conventions)) for r in rivals]
     if len(each) < 2:
         return dial_of_fit(result.final, inclination, conventions)
     mean = sum((w * d.shift for w, d in each), np.zeros_like(inclination))

@@ -1,26 +1,75 @@
-"""Errors of a lab calibration on data that it did not fit, and the floor that noise sets."""
+"""Errors of a lab calibration on data that it did not fit, as a drilling engineer reads them, and
+the floor that noise sets."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imucalib.arrays import Index
+from imucalib.arrays import Array, Index
 from imucalib.calibration.outcome import ErrorSummary, HeldOutError
+from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations, session_of
+from imucalib.core.references import angles_of
 from imucalib.errors import NotConverged
 from imucalib.estimators.corrected import OBJECTIVES, fit_corrected
 from imucalib.estimators.variance import INSTEAD
 from imucalib.loop.held_out import Held, errors, fitted, held_out
-from imucalib.units import MG
+from imucalib.units import DEG, MG
 
+#: Below this cosine of the inclination (about 3 degrees from vertical) tool-face has no meaning.
+_LEAST_COSINE = 0.05
 #: Pairs of rows in one attitude from which on they say what the noise is; 1 / the MAD of a normal.
 _REPEATS, _MAD = 6, 1.4826
 #: Share of what neighbours share below which a noise is where its estimate ended.
 _VANISHED = 1.05 / INSTEAD
+
+
+@dataclass(frozen=True)
+class AttitudeErrors:
+    """Corrected against expected, for each position.
+
+    inclination, tool_face : (n,) deg in the table's sense, tool_face NaN near the vertical
+    norm : (n,) mg
+    """
+
+    inclination: Array
+    tool_face: Array
+    norm: Array
+
+    def take(self, rows: Index) -> AttitudeErrors:
+        return AttitudeErrors(self.inclination[rows], self.tool_face[rows], self.norm[rows])
+
+
+def attitude_errors(held: Held, conventions: Conventions) -> AttitudeErrors:
+    """Angles are compared on vectors, unfolded, so that 91 degrees is not read as 89; sizes with
+    what is expected, which is not gravity where a swing of the bench is known."""
+    corrected, expected = held.corrected[:, 0], held.expected[:, 0]
+    i, t = angles_of(corrected)
+    i0, t0 = angles_of(expected)
+    turn = np.mod(t - t0 + np.pi, 2.0 * np.pi) - np.pi
+    folded = (np.abs(turn) > np.pi / 2.0) & (np.abs(np.sin(i0)) > 0.7)
+    i = np.where(folded, np.sign(i) * np.pi - i, i)
+    turn = np.where(folded, np.mod(turn, 2.0 * np.pi) - np.pi, turn)
+    tool_face = np.where(np.abs(np.cos(i0)) > _LEAST_COSINE, turn / DEG, np.nan)
+    norm = (np.linalg.norm(corrected, axis=1) - np.linalg.norm(expected, axis=1)) / MG
+    senses = conventions.senses
+    return AttitudeErrors(senses[0] * (i - i0) / DEG, senses[1] * tool_face, norm)
+
+
+def worst(values: Array) -> float:
+    """Largest absolute value, NaN left out; 0 for nothing."""
+    return float(np.max(np.abs(values[np.isfinite(values)]), initial=0.0))
+
+
+def rms(values: Array) -> float:
+    """Root mean square, NaN left out; 0 for nothing."""
+    used = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(used**2))) if used.size else 0.0
 
 
 @dataclass(frozen=True)
@@ -33,33 +82,22 @@ class Split:
     final: Held
 
 
-@dataclass(frozen=True)
-class LeftOut:
-    """Errors before and after on what was left out: by the folds of the design, and by whole
-    sessions where there are several."""
-
-    folds: tuple[Held, Held] | None = None
-    sessions: tuple[Held, Held] | None = None
-
-
 def held_out_splits(
     base: Fit,
     final: Fit,
     whole: Observations,
     used: Index,
     objective: str,
-    left: LeftOut,
+    chosen_anew: Mapping[str, tuple[Held, Held]],
 ) -> tuple[Split, ...]:
-    """Each fitted row in turn; whole sessions, and the folds of the design, for which everything
-    was chosen without them; and the rows that were kept apart when there are any."""
-    found: list[Split] = []
-    if objective in OBJECTIVES:
-        alone = refitted(final, objective)
-        found += [Split("leave one out", used, alone, alone)] if alone else []
+    """Each fitted row in turn; those splits for which everything was chosen anew; and the rows that
+    were kept apart when there are any."""
+    if objective not in OBJECTIVES:
+        pairs = {"leave one out": (held_out(base), held_out(final)), **chosen_anew}
     else:
-        found = [Split("leave one out", used, held_out(base), held_out(final))]
-        found += [Split("another session", used, *left.sessions)] if left.sessions else []
-        found += [Split("held out", used, *left.folds)] if left.folds else []
+        alone = _refitted(final, objective)
+        pairs = {"leave one out": (alone, alone)} if alone else {}
+    found = [Split(name, used, *pair) for name, pair in pairs.items()]
     rest = np.setdiff1d(np.arange(whole.n), used)
     if rest.size:
         test = whole.take(rest)
@@ -68,20 +106,18 @@ def held_out_splits(
     return tuple(found)
 
 
-def refitted(fit: Fit, objective: str) -> Held | None:
+def _refitted(fit: Fit, objective: str) -> Held | None:
     """Leave one out by complete refits, for objectives that are not a likelihood.
 
     None when a position is indispensable: without it the objective has no minimum.
     """
-    data = fit.observations
-    parts = []
-    for row in range(data.n):
-        rest = data.without(np.array([row]))
+    data, parts = fit.observations, []
+    for row in np.arange(data.n)[:, None]:
         try:
-            theta = fit_corrected(fit.model, rest, objective, fit.theta).theta
+            theta = fit_corrected(fit.model, data.without(row), objective, fit.theta).theta
         except NotConverged:
             return None
-        parts.append(errors(fit, theta, data.take(np.array([row]))))
+        parts.append(errors(fit, theta, data.take(row)))
     return Held(
         np.concatenate([part.corrected for part in parts]),
         np.concatenate([part.expected for part in parts]),
@@ -99,12 +135,11 @@ def error_summary(
 
     sigma : declared noise of a reading, m/s², or None
     """
-    base_out, final_out = (
-        (splits[-1].base.rms() / MG, splits[-1].final.rms() / MG) if splits else (np.nan, np.nan)
-    )
-    nothing = Model(())
-    bare = replace(base, model=nothing, theta=np.zeros(0))
-    raw = errors(bare, bare.theta, data).rms() / MG
+    apart = [np.nan] * 2
+    if splits:
+        apart = [held.rms() / MG for held in (splits[-1].base, splits[-1].final)]
+    nothing = replace(base, model=Model(()), theta=np.zeros(0))
+    raw = errors(nothing, nothing.theta, data).rms() / MG
     return ErrorSummary(
         metric="vector error, rms" if data.reference.directed else "error of |a|, rms",
         unit="mg",
@@ -112,7 +147,7 @@ def error_summary(
         base=fitted(base).rms() / MG,
         final=fitted(final).rms() / MG,
         floor=noise_floor(data, sigma) / MG,
-        held_out=HeldOutError(raw, base_out, final_out),
+        held_out=HeldOutError(raw, *apart),
     )
 
 

@@ -10,7 +10,7 @@ from typing import get_args, get_type_hints
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.calibrators.lab.bench import RawUnit, held_settings
+from imucalib.calibrators.lab.bench import RawUnit, held_settings, in_degrees
 from imucalib.calibrators.lab.calibrate import LabResult
 from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.calibrators.lab.errors import setting_noise
@@ -35,7 +35,6 @@ from imucalib.loop.faults.converter import (
     step_of,
 )
 from imucalib.loop.faults.sheet import Fault, Sheet, in_order
-from imucalib.loop.found import FitLoop
 from imucalib.loop.posterior.slips import Written
 from imucalib.loop.record_errors import RecordError
 from imucalib.units import DEG, MG
@@ -44,9 +43,9 @@ from imucalib.units import DEG, MG
 _SILENT = ("toolface_sense", "toolface_zero_axis", "z_axis")
 
 
-def misread_words(sheet: Sheet, misread: Misread, request: LabRequest) -> tuple[str, str]:
+def _misread_words(sheet: Sheet, misread: Misread, request: LabRequest) -> tuple[str, str]:
     """What the angle columns mean, and the options that say so."""
-    meaning, stated = misread.meaning, request.settings.conventions
+    meaning, stated = misread.meaning, request.conventions
     words, options = [], []
     if meaning.exchanged:
         words.append("exchanged")
@@ -55,11 +54,15 @@ def misread_words(sheet: Sheet, misread: Misread, request: LabRequest) -> tuple[
         words.append("read as radians")
         options.append("--angle-unit rad")
     if meaning.vertical:
-        other = _from_the_other_end(stated)
+        vertical = stated.inclination_zero == "vertical"
+        other = replace(stated, inclination_zero="horizontal" if vertical else "vertical")
         words.append(f"with inclination from the {other.inclination_zero}")
-        options += _vertical_options(sheet, misread, stated, other)
-    steps = (meaning.inclination_steps, meaning.tool_face_steps)
-    for name, step in zip(("inclination", "tool_face"), steps, strict=True):
+        # The rest of a convention goes with it.
+        meant = as_meant(sheet, meaning._replace(vertical=False))
+        straight = None if meant is None else _standing_straight(meant, other)
+        options += _options(stated, straight or other)
+    steps = {"inclination": meaning.inclination_steps, "tool_face": meaning.tool_face_steps}
+    for name, step in steps.items():
         if step:
             words.append(f"with {name.replace('_', '-')} one row {'late' if step > 0 else 'early'}")
             options.append(f"--shift {name}={step}")
@@ -68,21 +71,6 @@ def misread_words(sheet: Sheet, misread: Misread, request: LabRequest) -> tuple[
         f"{misread.as_given:.0f} mg rms"
     )
     return sentence, " ".join(options)
-
-
-def _from_the_other_end(stated: Conventions) -> Conventions:
-    if stated.inclination_zero == "vertical":
-        return replace(stated, inclination_zero="horizontal")
-    return replace(stated, inclination_zero="vertical")
-
-
-def _vertical_options(
-    sheet: Sheet, misread: Misread, stated: Conventions, other: Conventions
-) -> list[str]:
-    """The zero of inclination, with the rest of a convention that goes with it."""
-    meant = as_meant(sheet, misread.meaning._replace(vertical=False))
-    straight = None if meant is None else _standing_straight(meant, other)
-    return _options(stated, straight or other)
 
 
 def _options(stated: Conventions, other: Conventions) -> list[str]:
@@ -94,7 +82,7 @@ def _options(stated: Conventions, other: Conventions) -> list[str]:
 
 
 def _standing_straight(sheet: Sheet, like: Conventions) -> Conventions | None:
-    """The conventions nearest to some under which the sensor stands straight in the tool."""
+    """The conventions nearest to some under which the sensor is straight in the tool."""
     hints = get_type_hints(Conventions)
     values = [get_args(hints[name]) for name in _SILENT]
     every = [replace(like, **dict(zip(_SILENT, v, strict=True))) for v in product(*values)]
@@ -106,16 +94,21 @@ def _standing_straight(sheet: Sheet, like: Conventions) -> Conventions | None:
     return None
 
 
-def axes_questions(sheet: Sheet, request: LabRequest) -> tuple[str, ...]:
+def _axes_questions(sheet: Sheet, request: LabRequest) -> tuple[str, ...]:
     """A sensor that does not stand straight in the tool: mounted so, or misread? UnreadableInput
     where no mounting does it."""
     axes = nearest_axes(sheet)
     if axes is None or axes.straight:
         return ()
-    stated, before = request.settings.conventions, request.repairs.axes
+    stated, before = request.conventions, request.repairs.axes
     straight = _standing_straight(sheet, stated)
     lines = [" ".join(_options(stated, straight))] if straight else []
-    lines.append(f"--axes={_composed(axes.text.split(','), before or ('x', 'y', 'z'))}")
+    # In terms of the sheet's columns, where some were stated already.
+    over = axes.text.split(",")
+    under = [(before or ("x", "y", "z"))["xyz".index(part[-1])] for part in over]
+    signs = (part[:-1] != b[:-1] for part, b in zip(over, under, strict=True))
+    columns = ("-" * sign + b[-1] for sign, b in zip(signs, under, strict=True))
+    lines.append(f"--axes={','.join(columns)}")
     if axes.mirrored:
         raise UnreadableInput(
             "the readings are a mirror image of the angles: "
@@ -129,13 +122,6 @@ def axes_questions(sheet: Sheet, request: LabRequest) -> tuple[str, ...]:
         f"decide with {' or '.join(lines)} if columns or dial are misread, or --axes=x,y,z if it "
         "is mounted so",
     )
-
-
-def _composed(over: list[str], under: tuple[str, ...]) -> str:
-    """Axes in terms of the sheet's columns where some were stated already."""
-    below = [under["xyz".index(part[-1])] for part in over]
-    signs = [part[:-1] != b[:-1] for part, b in zip(over, below, strict=True)]
-    return ",".join("-" * s + b[-1] for s, b in zip(signs, below, strict=True))
 
 
 #: Scatter of a bench's settings (deg) beyond which rows or angles are wrong, and how far held-out
@@ -153,20 +139,14 @@ class Faults:
     notes: tuple[str, ...] = ()
     written: Written | None = None
 
-    def found_in(self, loop: FitLoop | None) -> Faults:
-        """With the slips that a search has mended on its way."""
-        if loop is None or not loop.slips:
-            return self
-        return replace(self, slips=(*self.slips, *loop.slips))
-
-    def of_axes(self, request: LabRequest) -> Faults:
-        """With what the axes of the whole sheet ask, which say nothing where those of a part are
-        turned, or a setting is wrong. Raises UnreadableInput where they are mirrored."""
+    def with_axes(self, request: LabRequest) -> Faults:
+        """With what is open of the axes of the whole sheet, which say nothing where those of a part
+        are turned, or a setting is wrong. Raises UnreadableInput where they are mirrored."""
         turned = any(slip.kind in ("axes", "setting") for slip in self.slips)
         if self.written is None or turned:
             return self
-        asked = axes_questions(self.written.sheet, request)
-        return replace(self, questions=(*self.questions, *asked))
+        found = _axes_questions(self.written.sheet, request)
+        return replace(self, questions=(*self.questions, *found))
 
     def undecided(self, records: tuple[RecordError, ...]) -> tuple[str, ...]:
         """Sentences for what the search's own records do not say already."""
@@ -175,45 +155,35 @@ class Faults:
         return (*(f.sentence for f in slips), *self.questions)
 
 
-def sheet_of(
-    table: PositionTable,
-    whole: Observations,
-    rows: Index,
-    conventions: Conventions,
-    gravity: float,
-) -> Sheet:
+def sheet_of(table: PositionTable, whole: Observations, rows: Index, request: LabRequest) -> Sheet:
     """The kept rows as the search for slips sees them; angles in rad become degrees."""
-    dial = {
-        role: table.columns[role] / (DEG if table.unit.get(role) == "rad" else 1.0)
-        for role in ("inclination", "tool_face")
-    }
-    angles = conventions.inside(dial["inclination"][rows], dial["tool_face"][rows])
+    inside = request.conventions.inside
+    columns = in_degrees(table).columns
+    dial = {role: columns[role][rows] for role in ("inclination", "tool_face")}
     timed = "time" in table and bool(np.all(np.diff(table.columns["time"]) > 0.0))
-    ordered = timed or in_order(*angles)
-    held = {
-        role: np.unique(table.columns[f"{role}_setting"][rows], return_inverse=True)[1]
-        if f"{role}_setting" in table
-        else held_settings(dial[role][rows])
-        if ordered
-        else np.arange(rows.size)
-        for role in dial
-    }
+    ordered = timed or in_order(*inside(dial["inclination"], dial["tool_face"]))
+
+    def held(role: str) -> Index:
+        if f"{role}_setting" in table:
+            return np.unique(columns[f"{role}_setting"][rows], return_inverse=True)[1]
+        return held_settings(dial[role]) if ordered else np.arange(rows.size)
+
     return Sheet(
         reading=whole.reading[rows, 0] / MG,
-        inclination=dial["inclination"][rows],
-        tool_face=dial["tool_face"][rows],
-        row=np.asarray(table.row[rows], np.intp),
+        inclination=dial["inclination"],
+        tool_face=dial["tool_face"],
+        row=table.row[rows],
         place=rows,
-        gravity=gravity / MG,
-        inclination_setting=held["inclination"].astype(np.intp),
-        tool_face_setting=held["tool_face"].astype(np.intp),
-        inside=conventions.inside,
+        gravity=request.gravity / MG,
+        inclination_setting=held("inclination"),
+        tool_face_setting=held("tool_face"),
+        inside=inside,
         ordered=ordered,
     )
 
 
 def _order_note(table: PositionTable, rows: Index) -> tuple[str, ...]:
-    """Of rows in no order of work whose neighbours were taken to share a setting."""
+    """Of rows in no order of work whose neighbours count as sharing a setting."""
     guessed = [
         role
         for role in ("inclination", "tool_face")
@@ -231,42 +201,34 @@ def _order_note(table: PositionTable, rows: Index) -> tuple[str, ...]:
 
 
 def look_for_faults(
-    table: PositionTable, raw: RawUnit, whole: Observations, rows: Index, request: LabRequest
+    table: PositionTable, whole: Observations, rows: Index, request: LabRequest
 ) -> Faults:
     """Every slip that the kept rows show. Raises UsageError where the angle columns mean something
-    else (`keep_angles` makes it a question) and UnreadableInput where the axes are mirrored."""
-    reading = whole.reading[rows, 0] / MG
+    else (`keep_angles` makes it a question)."""
+    reading, reference = whole.reading[rows, 0] / MG, whole.reference
     if request.reference != "vector":
         questions = _converter_questions(_ends(reading), table, rows)
-        return Faults(_of_directions(whole, rows, table), questions)
-    conventions = request.settings.conventions
-    sheet = sheet_of(table, whole, rows, conventions, request.gravity)
+        if not isinstance(reference, KnownDirection):
+            return Faults(questions=questions)
+        # Rows whose reading belongs to another of the directions.
+        slips = wrong_directions(reading, reference.direction[rows], table.row[rows])
+        return Faults(slips, questions)
+    sheet = sheet_of(table, whole, rows, request)
     questions = _converter_questions(_ends(reading, sheet.truth()), table, rows)
     misread = misread_angles(sheet)
     if misread is not None:
-        sentence, line = misread_words(sheet, misread, request)
+        sentence, line = _misread_words(sheet, misread, request)
         if misread.meaning.inclination_steps or misread.meaning.tool_face_steps:
             fault = Fault("convention", sentence, (), misread.score, line)
             return Faults((fault,), questions)
         if not request.keep_angles:
             raise UsageError(sentence, where=table.path, remedy=f"{line}; --keep-angles to insist")
         questions += (f"{sentence}; decide with {line}",)
-    unit = tuple(DEG if table.unit.get(r) == "rad" else 1.0 for r in ("inclination", "tool_face"))
+    degree = [DEG if table.unit.get(r) == "rad" else 1.0 for r in ("inclination", "tool_face")]
     return Faults(
-        (),
-        questions,
-        () if sheet.ordered else _order_note(table, rows),
-        Written(sheet, table.raw(), (unit[0], unit[1])),
-    )
-
-
-def _of_directions(whole: Observations, rows: Index, table: PositionTable) -> tuple[Fault, ...]:
-    """Rows of a table without dials whose reading belongs to another of its directions."""
-    reference = whole.reference
-    if not isinstance(reference, KnownDirection):
-        return ()
-    return wrong_directions(
-        whole.reading[rows, 0] / MG, reference.direction[rows], table.row[rows].astype(np.intp)
+        questions=questions,
+        notes=() if sheet.ordered else _order_note(table, rows),
+        written=Written(sheet, table.raw(), (degree[0], degree[1])),
     )
 
 
@@ -283,11 +245,11 @@ def _converter_questions(
     for end in ends:
         ranges.setdefault(f"{abs(end.value):.1f}", []).append(end)
     found = []
-    for size, alike in ranges.items():
-        cut = rows_of(alike)
+    for size, found_ends in ranges.items():
+        cut = rows_of(found_ends)
         numbers = ",".join(str(int(table.row[rows[k]])) for k in cut)
-        axes = ", ".join(dict.fromkeys("xyz"[end.axis] for end in alike))
-        signs = {np.sign(end.value) for end in alike}
+        axes = ", ".join(dict.fromkeys("xyz"[end.axis] for end in found_ends))
+        signs = {np.sign(end.value) for end in found_ends}
         sign = "±" if len(signs) == 2 else "-" if -1.0 in signs else ""
         found.append(
             f"{axes} ends at {sign}{size} mg in rows {numbers}: the sensor is saturated there; "
@@ -306,7 +268,8 @@ def doubts(result: LabResult, raw: RawUnit, request: LabRequest) -> tuple[str, .
                 "or angles are wrong in a way that no single slip explains; compare the sheet "
                 "with the notes"
             )
-    slices = result.final.model.slices(result.final.observations.context)
+    model = result.final.model
+    slices = model.slices(result.final.observations.context)
     guessed = request.unit is None and request.lsb_per_g is None and "norm at rest" in raw.sentence
     if guessed and "scale" in slices:
         counts = mistaken_scale(raw.name, result.final.theta[slices["scale"]])
@@ -316,19 +279,13 @@ def doubts(result: LabResult, raw: RawUnit, request: LabRequest) -> tuple[str, .
                 f"{counts:.10g} counts a g; decide with --unit counts --lsb {counts:.10g}, "
                 f"or --unit {raw.name} if it is right"
             )
-    return tuple(found + _other_sensors(result))
-
-
-def _other_sensors(result: LabResult) -> list[str]:
-    """Sessions whose scale factors and axes differ: they have their say in bias and mounting."""
-    names = set(result.final.model.names) - set(result.settings.declare)
-    numbers = (re.fullmatch(r"session@(\d+):sensor", name) for name in sorted(names))
-    return [
-        f"session {n[1]} has scale factors and angles between its axes of its own; decide with "
-        f"--declare {n[0]} if it was the same sensor, or leave it out"
-        for n in numbers
-        if n is not None
-    ]
+    for name in sorted(set(model.names) - set(request.declare)):
+        if session := re.fullmatch(r"session@(\d+):sensor", name):
+            found.append(
+                f"session {session[1]} has scale factors and angles between its axes of its own; "
+                f"decide with --declare {name} if it was the same sensor, or leave it out"
+            )
+    return tuple(found)
 
 
 def worthless(result: LabResult, whole: Observations) -> tuple[str, ...]:

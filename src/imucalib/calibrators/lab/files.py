@@ -1,28 +1,46 @@
-"""From files to a lab run: a position table, a recording with its positions, or still segments."""
+"""From files to a lab run: a position table, a recording with its positions, or still segments; and
+what a table holds, before anything is calibrated."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
-from imucalib.calibrators.lab.position_table import PositionTable, read_position_table
+from imucalib.calibrators.lab.bench import (
+    implausible_rows,
+    in_celsius,
+    kept_rows,
+    observations_of,
+    raw_unit,
+    refuse_units,
+)
+from imucalib.calibrators.lab.conventions import Conventions
+from imucalib.calibrators.lab.faults import look_for_faults
+from imucalib.calibrators.lab.position_table import PositionTable, read_position_table, roles_in
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import LabRun, run_lab
-from imucalib.calibrators.lab.sessions.joined_tables import joined
 from imucalib.errors import ImucalError, UnreadableInput, UsageError
 from imucalib.readers import read
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
-from imucalib.rests.levels import refusals
-from imucalib.rests.segments import Segments, StillSettings, still_segments
+from imucalib.rests.candidates import refusals
+from imucalib.rests.segments import Segments, still_segments
+from imucalib.rests.stillness import StillSettings
 from imucalib.units import ACCELERATION_UNITS
 
 ANGLES = {"inclination", "tool_face"}
 #: Inclinations at which the tool-face is none, deg.
 _VERTICAL = {"horizontal": (90.0, -90.0), "vertical": (0.0, 180.0)}
+#: What a mapping may state of a table; anything else is of a recording in time.
+_OF_TABLES = {"acc_unit", "lsb_per_g", "acc_offset", "skip", "decimal", "delimiter", "where"}
+
+Say = Callable[[str], None]
+Kind = Literal["vector", "direction", "norm", "plan"]
 
 
 @dataclass(frozen=True)
@@ -36,77 +54,78 @@ class LabFiles:
     mapping: FieldMapping = field(default_factory=FieldMapping)
     others: tuple[Path, ...] = ()
 
-    @property
-    def each(self) -> tuple[LabFiles, ...]:
-        """Every power-up by itself."""
-        return tuple(replace(self, table=t, others=()) for t in (self.table, *self.others))
 
-
-def calibrate_files(files: LabFiles, request: LabRequest, say: Callable[[str], None]) -> LabRun:
+def calibrate_files(files: LabFiles, request: LabRequest, say: Say) -> LabRun:
     """Read, check and calibrate. `say` gets one line for each thing worth knowing on the way."""
-    if files.others:
-        return _sessions(files, request, say)
     if files.recording is not None:
+        if files.others:
+            raise UsageError(
+                "--recording goes with one table",
+                remedy="give each power-up a table with its readings, and no --recording",
+            )
         positions = _table(files, request, need_raw=False)
         recording, segments = still_rests(files.recording, files.mapping, request.still, say)
-        table = _in_order(positions, segments, recording)
-        return _run(table, recording, request)
+        return run_of_rests([_in_order(positions, segments, recording)], [recording], request, say)
+    paths = (files.table, *files.others)
     if request.reference == "norm" and positions_in(files) is None:
-        recording, segments = still_rests(files.table, files.mapping, request.still, say)
-        return _run(table_of_rests(segments, recording), recording, request)
-    return run_lab(_ordered(files, request, say), request)
-
-
-def _sessions(files: LabFiles, request: LabRequest, say: Callable[[str], None]) -> LabRun:
-    """Several power-ups of one sensor, of tables or all of recordings at rest."""
-    if files.recording is not None:
-        raise UsageError(
-            "--recording goes with one table",
-            remedy="give each power-up a table with its readings, and no --recording",
-        )
-    of_rests = request.reference == "norm" and positions_in(files) is None
-    tables, notes = list[PositionTable](), list[str]()
-    for one in files.each:
-        if not of_rests:
-            tables.append(_ordered(one, request, say))
-            continue
-        recording, segments = still_rests(one.table, one.mapping, request.still, say)
-        tables.append(table_of_rests(segments, recording))
-        notes += recording.notes
-    table, joining = joined(tables)
+        read_ = [still_rests(path, files.mapping, request.still, say) for path in paths]
+        tables = [table_of_rests(segments, recording) for recording, segments in read_]
+        return run_of_rests(tables, [recording for recording, _ in read_], request, say)
+    each = [_ordered(replace(files, table=path), request, say) for path in paths]
+    table, joining = _joined(each)
     for note in joining:
         say(note)
-    if of_rests:
-        request = replace(request, unit=None, lsb_per_g=None)
-    return run_lab(table, request, notes=(*notes, *joining))
+    return run_lab(table, request, notes=joining)
 
 
-def _ordered(files: LabFiles, request: LabRequest, say: Callable[[str], None]) -> PositionTable:
-    read = _table(files, request)
-    table = read.by_time
-    if not np.array_equal(table.row, read.row):
+def run_of_rests(
+    tables: Sequence[PositionTable],
+    recordings: Sequence[Recording],
+    request: LabRequest,
+    say: Say,
+) -> LabRun:
+    """Calibrate rests of recordings, each a power-up of the same sensor. Errors as in `run_lab`."""
+    table, joining = _joined(tables)
+    for note in joining:
+        say(note)
+    notes = dict.fromkeys(note for recording in recordings for note in recording.notes)
+    return run_lab(
+        table,
+        replace(request, unit=None, lsb_per_g=None),  # of the recording, and applied already
+        mapping=recordings[0].mapping,
+        gaps=sum(len(recording.gaps) for recording in recordings),
+        notes=(*notes, *joining),
+    )
+
+
+def _ordered(files: LabFiles, request: LabRequest, say: Say) -> PositionTable:
+    as_written = _table(files, request)
+    table = as_written.by_time
+    if not np.array_equal(table.row, as_written.row):
         say("rows are taken in the order of their time, not of the file")
     say("; ".join((f"read {table.n} positions from {files.table}", *table.left_out)))
     return table
 
 
 def _table(files: LabFiles, request: LabRequest, *, need_raw: bool = True) -> PositionTable:
+    zero = request.conventions.inclination_zero
     table = read_position_table(
         files.table,
         files.columns,
         need_raw=need_raw,
         need_angles=request.reference == "vector",
         need_direction=request.reference == "direction",
-        mapping=files.mapping if files.recording is None else None,
+        mapping=files.mapping if need_raw else None,
         exclude=request.exclude,
-        vertical=_VERTICAL[request.settings.conventions.inclination_zero],
+        vertical=_VERTICAL[zero],
     )
-    table = table.once if need_raw else table
-    if need_raw and request.unit is None and request.lsb_per_g is None:
-        table = _of_one_unit(table)
-    if need_raw and files.mapping.acc_offset:
-        table = _counted_from(files.mapping.acc_offset, table)
-    stated, zero = table.inclination_zero, request.settings.conventions.inclination_zero
+    if need_raw:
+        table = table.once
+        if request.unit is None and request.lsb_per_g is None:
+            table = _of_one_unit(table)
+        if files.mapping.acc_offset:
+            table = _counted_from(files.mapping.acc_offset, table)
+    stated = table.inclination_zero
     if request.reference == "vector" and stated and stated != zero:
         raise UsageError(
             f"the heading '{table.names['inclination']}' counts inclination from the {stated}, and "
@@ -145,8 +164,7 @@ def _counted_from(zero: tuple[float, ...], table: PositionTable) -> PositionTabl
 
 def positions_in(files: LabFiles) -> PositionTable | None:
     """The table of positions that a file is, or None where it is a recording in time."""
-    of_both = {"acc_unit", "lsb_per_g", "acc_offset", "skip", "decimal", "delimiter", "where"}
-    if not files.mapping.to_dict().keys() <= of_both:
+    if not files.mapping.to_dict().keys() <= _OF_TABLES:
         return None
     for direction in (True, False):
         try:
@@ -165,7 +183,7 @@ def positions_in(files: LabFiles) -> PositionTable | None:
 
 
 def still_rests(
-    path: Path, mapping: FieldMapping, still: StillSettings, say: Callable[[str], None]
+    path: Path, mapping: FieldMapping, still: StillSettings, say: Say
 ) -> tuple[Recording, Segments]:
     """A recording and its rests; raises UnreadableInput where it has none."""
     recording = read(path, mapping)
@@ -185,19 +203,17 @@ def still_rests(
 
 
 def table_of_rests(segments: Segments, recording: Recording) -> PositionTable:
-    """Still segments of the first triad as a table in m/s²."""
-    mean = segments.mean[:, 0]
-    columns = {"x": mean[:, 0], "y": mean[:, 1], "z": mean[:, 2]}
+    """Still segments of the first triad as a table in m/s². Every rest weighs the same: between
+    rests a sensor scatters more than averaging suggests."""
+    columns = dict(zip("xyz", segments.mean[:, 0].T, strict=True))
     columns["time"] = 0.5 * (segments.start + segments.stop)
     warm = segments.temperature[:, 0]
     if np.isfinite(warm).all():
         columns["temperature"] = warm
-    unit = dict.fromkeys("xyz", "m/s2")
-    # Every rest weighs the same: between rests a sensor scatters more than averaging suggests.
     return PositionTable(
         columns,
         {k: k for k in columns},
-        unit,
+        dict.fromkeys("xyz", "m/s2"),
         np.arange(1, segments.n + 1),
         recording.path,
         recording.sha256,
@@ -207,12 +223,10 @@ def table_of_rests(segments: Segments, recording: Recording) -> PositionTable:
 def _in_order(positions: PositionTable, segments: Segments, recording: Recording) -> PositionTable:
     """The positions' angles with the rests' readings, matched by their order."""
     if positions.n != segments.n:
-        ends = ", ".join(
-            f"{a:.1f}-{b:.1f}" for a, b in zip(segments.start, segments.stop, strict=True)
-        )
+        spans = zip(segments.start, segments.stop, strict=True)
         raise UsageError(
             f"the table has {positions.n} positions, the recording {segments.n} rests "
-            f"(at s: {ends})",
+            f"(at s: {', '.join(f'{a:.1f}-{b:.1f}' for a, b in spans)})",
             where=recording.path,
             remedy="add or remove rows so that they match one to one, in order",
         )
@@ -222,9 +236,124 @@ def _in_order(positions: PositionTable, segments: Segments, recording: Recording
     return replace(rests, columns=columns, names=names, unit={**rests.unit, **positions.unit})
 
 
-def _run(table: PositionTable, recording: Recording, request: LabRequest) -> LabRun:
-    # The unit that was stated is the recording's, and has been applied.
-    request = replace(request, unit=None, lsb_per_g=None)
-    return run_lab(
-        table, request, mapping=recording.mapping, gaps=len(recording.gaps), notes=recording.notes
+def _joined(tables: Sequence[PositionTable]) -> tuple[PositionTable, tuple[str, ...]]:
+    """Tables of one sensor, one a power-up, as one table with a column session whose rows count
+    through all, and notes on what was left out or renumbered.
+
+    Columns that one of them lacks are left out. Raises UsageError for units that differ, for a
+    column session beside several files, and for a file that is given twice.
+    """
+    first, *others = tables
+    if not others:
+        return first, ()
+    _demand_one_sensor(tables)
+    roles = [role for role in first.columns if all(role in one for one in others)]
+    columns = {role: np.concatenate([one.columns[role] for one in tables]) for role in roles}
+    columns["session"] = np.repeat(np.arange(len(tables)), [one.n for one in tables]).astype(float)
+    names = tuple(Path(one.path).stem for one in tables)
+    whole = replace(
+        first,
+        columns=columns,
+        names={role: name for role, name in first.names.items() if role in roles},
+        row=np.arange(1, len(columns["session"]) + 1),
+        path=", ".join(Path(one.path).name for one in tables),
+        sha256=hashlib.sha256("".join(one.sha256 for one in tables).encode()).hexdigest(),
+        sessions=names if len(set(names)) == len(names) else tuple(one.path for one in tables),
+        files=tuple(one.sha256 for one in tables),
     )
+    last = np.cumsum([one.n for one in tables])
+    spans = (
+        f"{Path(one.path).name} {end - one.n + 1}-{end}"
+        for one, end in zip(tables, last, strict=True)
+    )
+    notes = [f"rows count through all files: {', '.join(spans)}"]
+    if lost := sorted({role for one in tables for role in one.columns} - set(roles)):
+        notes.append(f"left out, since not every file has it: {', '.join(lost)}")
+    return whole, tuple(notes)
+
+
+def _demand_one_sensor(tables: Sequence[PositionTable]) -> None:
+    first = tables[0]
+    for k, one in enumerate(tables):
+        if one.sessions:
+            raise UsageError(
+                "a column session beside several files",
+                where=one.path,
+                remedy="give one file with the column, or files without it: each is a session",
+            )
+        if one.unit != first.unit or one.inclination_zero != first.inclination_zero:
+            raise UsageError(
+                f"its units {one.unit or 'are not stated'}, those of {first.path} "
+                f"{first.unit or 'are not stated'}",
+                where=one.path,
+                remedy="use the same headings in all files of one sensor",
+            )
+        twin = next((o for o in tables[:k] if o.sha256 == one.sha256), None)
+        if twin is not None:
+            raise UsageError(
+                f"the same readings as {twin.path}",
+                where=one.path,
+                remedy="give each power-up once",
+            )
+
+
+@dataclass(frozen=True)
+class TableSeen:
+    """A table and how `lab` would read it.
+
+    kind : the reference that its columns give; a plan has angles alone; unit : of the readings, and
+    how it is known; wrong : (what, what to do about it)
+    """
+
+    table: PositionTable
+    kind: Kind
+    unit: str
+    wrong: tuple[tuple[str, str], ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def inspect_table(path: Path, mapping: FieldMapping) -> TableSeen | None:
+    """A table of positions as it would be read, or None where a file is none. Raises
+    UnreadableInput where headings say that it is one and its cells cannot be read."""
+    try:
+        roles = roles_in(path, mapping)
+    except ImucalError:
+        return None
+    if roles >= ANGLES:
+        whole = set("xyz") <= roles
+        table = read_position_table(path, need_raw=whole, mapping=mapping)
+        if not whole:
+            return TableSeen(table, "plan", "", (), table.left_out)
+        return _seen(table, "vector", mapping)
+    found = positions_in(LabFiles(path, mapping=mapping))
+    if found is None or not ("ux" in found or found.turns):
+        return None
+    return _seen(found, "direction" if "ux" in found else "norm", mapping)
+
+
+def _seen(table: PositionTable, kind: Kind, mapping: FieldMapping) -> TableSeen:
+    notes, wrong, unit = table.left_out, list[tuple[str, str]](), ""
+    zero: Literal["vertical", "horizontal"] = (
+        "vertical" if table.inclination_zero == "vertical" else "horizontal"
+    )
+    conventions = Conventions(inclination_zero=zero)
+    request = LabRequest(reference=kind, unit=mapping.acc_unit or None, conventions=conventions)
+    lsb = mapping.lsb_per_g
+    try:
+        meant = in_celsius(table)
+        notes = meant.left_out
+        rows = kept_rows(table, ())
+        refuse_units(table, rows)
+        raw = raw_unit(table, request.unit, float(lsb[0]) if lsb else None)
+        unit = raw.sentence
+        implausible_rows(meant, rows, refuse=True)
+        whole = observations_of(meant, raw, request)
+        faults = look_for_faults(table, whole, rows, request).with_axes(request)
+        notes += faults.notes
+        for text in faults.undecided(()):
+            what, _, remedy = text.partition("; decide with ")
+            wrong.append((what, remedy))
+    except ImucalError as error:
+        where = error.where.removeprefix(table.path).lstrip(", ")
+        wrong.append((f"{where}: {error.what}" if where else error.what, error.remedy))
+    return TableSeen(table, kind, unit, tuple(wrong), notes)

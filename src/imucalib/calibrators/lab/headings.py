@@ -13,56 +13,61 @@ from imucalib.errors import UnreadableInput, UsageError
 from imucalib.readers.columns import unaccented, without_tex
 from imucalib.readers.csv.text import is_number
 
+
+def _words(text: str) -> tuple[str, ...]:
+    return tuple(text.split())
+
+
 #: Words for what an accelerometer reads, which an axis follows or precedes.
-_READ = str.split(
+_READ = _words(
     """
     raw a acc accel acceleration accelerometer g beschleunigung beschl roh brut brute acel
     aceleracion crudo bruto
     """
 )
+_AXIS = _words("axis achse axe eje")
 
 
 def _axis(letter: str) -> tuple[str, ...]:
     """Names of a reading's column."""
-    named = (f"{word}_{letter}" for word in _READ)
+    own = (letter, f"a{letter}", f"raw{letter}", f"g{letter}")
+    before = (f"{word}_{letter}" for word in (*_READ, *_AXIS))
     # x_g is x in g.
-    turned = (f"{letter}_{word}" for word in (*_READ, "achse", "axis") if word != "g")
-    named_axes = (f"{word}_{letter}" for word in ("axis", "achse", "axe", "eje"))
-    return (letter, f"a{letter}", f"raw{letter}", f"g{letter}", *named, *turned, *named_axes)
+    after = (f"{letter}_{word}" for word in (*_READ, "achse", "axis") if word != "g")
+    return (*own, *before, *after)
 
 
 #: What a column can be, and the names under which it is found, as `bare` gives them: without
 #: accents, in the words of the trade in English, German, French and Spanish.
 ROLES: dict[str, tuple[str, ...]] = {
-    "inclination": (
-        *("inclination", "incl", "inc", "neigung", "neigungswinkel", "inklination", "inclinaison"),
-        *("angle_d_inclinaison", "inclinacion", "angulo_de_inclinacion"),
+    "inclination": _words(
+        """
+        inclination incl inc neigung neigungswinkel inklination inclinaison angle_d_inclinaison
+        inclinacion angulo_de_inclinacion
+        """
     ),
-    "tool_face": (
-        *("toolface", "tool_face", "tf", "gtf", "toolface_angle", "tool_face_angle"),
-        *("gravity_toolface", "gravity_tool_face", "high_side", "highside", "hstf", "hs_tf"),
-        *("high_side_toolface", "high_side_tool_face"),
-        *("werkzeuglage", "werkzeugwinkel", "werkzeug_winkel", "werkzeugflaeche"),
-        *("werkzeugflache", "werkzeugstellung"),
-        *("face_outil", "face_de_l_outil", "angle_face_outil", "angle_de_face_outil"),
-        *("angle_outil", "orientation_outil"),
-        *("cara_de_herramienta", "cara_de_la_herramienta", "cara_herramienta"),
-        *("angulo_de_herramienta", "angulo_de_la_herramienta"),
+    "tool_face": _words(
+        """
+        toolface tool_face tf gtf toolface_angle tool_face_angle gravity_toolface gravity_tool_face
+        high_side highside hstf hs_tf high_side_toolface high_side_tool_face werkzeuglage
+        werkzeugwinkel werkzeug_winkel werkzeugflaeche werkzeugflache werkzeugstellung face_outil
+        face_de_l_outil angle_face_outil angle_de_face_outil angle_outil orientation_outil
+        cara_de_herramienta cara_de_la_herramienta cara_herramienta angulo_de_herramienta
+        angulo_de_la_herramienta
+        """
     ),
     "x": _axis("x"),
     "y": _axis("y"),
     "z": _axis("z"),
-    "temperature": ("temperature", "temp", "t_sensor", "temperatur", "temperatura"),
-    "time": ("time", "t", "zeit", "uhrzeit", "temps", "heure", "tiempo", "hora"),
-    "inclination_approach": ("inclination_approach", "incl_approach"),
-    "tool_face_approach": ("tool_face_approach", "toolface_approach", "tf_approach"),
+    "temperature": _words("temperature temp t_sensor temperatur temperatura"),
+    "time": _words("time t zeit uhrzeit temps heure tiempo hora"),
+    "inclination_approach": _words("inclination_approach incl_approach"),
+    "tool_face_approach": _words("tool_face_approach toolface_approach tf_approach"),
     "inclination_setting": ("inclination_setting",),
     "tool_face_setting": ("tool_face_setting", "toolface_setting"),
     "samples": ("samples", "n"),
-    "session": ("session", "power_up", "powerup", "sitzung", "seance", "sesion"),
-    "ux": ("ux", "u_x"),
-    "uy": ("uy", "u_y"),
-    "uz": ("uz", "u_z"),
+    "session": _words("session power_up powerup sitzung seance sesion"),
+    **{f"u{axis}": (f"u{axis}", f"u_{axis}") for axis in "xyz"},
 }
 _UNIT = re.compile(
     r"(?:[_\s]*[\[(]\s*|[_\s]+|(?=°))(degrees|degree|degres|degre|deg|grados|grado|grad|rad|degc|c|°|°c|g|mg|ug|m/s2|m/s\^2|"
@@ -74,8 +79,8 @@ _WARM = re.compile(
     r"(?:[^\w\s]{1,3}\s*|deg(?:rees?)?[\s_]*)?(c|f|k|celsius|fahrenheit|kelvin)\s*[\])]?"
 )
 _SCALES = {"c": "degC", "f": "degF", "k": "K"}
-#: Roles of columns that may drive what is left: "driver", "driver_2" and so on.
-_DRIVER = re.compile(r"driver(_\d+)?")
+#: Roles of columns that bias and scale may follow: "driver", "driver_2" and so on.
+_COVARIATE = re.compile(r"driver(_\d+)?")
 _SPELLINGS = dict.fromkeys(("degrees", "degree", "degres", "degre", "grados", "grado"), "deg")
 #: Beginnings of German headings, where "Grad" is a degree; elsewhere it may be a gon.
 _GERMAN = ("neigung", "inklination", "werkzeug")
@@ -118,13 +123,13 @@ def bare(text: str) -> Heading:
     return Heading(name, _SPELLINGS.get(stated, stated), zero)
 
 
-def is_driver(role: str) -> bool:
-    """Whether a column's role is to be looked at as a driver of what is left."""
-    return _DRIVER.fullmatch(role) is not None
+def is_covariate(role: str) -> bool:
+    """Whether bias and scale may follow a column of this role."""
+    return _COVARIATE.fullmatch(role) is not None
 
 
-def driver_name(heading: str) -> str:
-    """A driver's heading as names of effects hold it, whose parts colons separate."""
+def covariate_name(heading: str) -> str:
+    """A covariate's heading as names of effects hold it, whose parts colons separate."""
     return heading.strip().replace(":", " ")
 
 
@@ -136,11 +141,11 @@ def roles_of(headings: list[str], chosen: Mapping[str, str], where: str) -> dict
     names: dict[str, str] = {}
     for role, called in chosen.items():
         heading = called
-        if role not in ROLES and not is_driver(role):
+        if role not in ROLES and not is_covariate(role):
             remedy = f"use: {', '.join(ROLES)}, driver, driver_2"
             raise UsageError(f"unknown column role '{role}'", remedy=remedy)
-        if heading not in headings and is_driver(role):  # as a calibration names it
-            heading = next((h for h in headings if driver_name(h) == heading), heading)
+        if heading not in headings and is_covariate(role):  # as a calibration names it
+            heading = next((h for h in headings if covariate_name(h) == heading), heading)
         if heading not in headings:
             remedy = f"there are: {', '.join(headings)}"
             raise UsageError(f"no column is called '{heading}'", where=where, remedy=remedy)

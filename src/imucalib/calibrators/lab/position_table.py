@@ -7,27 +7,18 @@ Columns are found by name or given; every cell that is used must be a number. Ro
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucalib.arrays import Array
+from imucalib.arrays import Array, Flags, Index
 from imucalib.atomic_file import replaced_atomically
 from imucalib.calibrators.lab.headings import ROLES, bare, roles_of, says_something
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.readers.csv.table import (
-    Cells,
-    and_more,
-    is_spreadsheet,
-    selected,
-    sheet_cells,
-    table_cells,
-)
-from imucalib.readers.csv.text import is_blank, is_number, told
+from imucalib.readers.csv.table import Cells, and_more, selected, table_cells
+from imucalib.readers.csv.text import few_values, is_blank, is_number
 from imucalib.readers.devices.catalogue import refuse_foreign
 from imucalib.readers.hdf5.reader import table_columns
 from imucalib.readers.source import head_of, sha256_of
@@ -37,6 +28,7 @@ from imucalib.units import DEG
 #: A column of words stands for the direction ux, uy, uz: the axis that reads +g in the position.
 _FACE_NAMES = ("face", "up", "face_up", "face up")
 _FACES = tuple(f"{sign}{letter}" for sign in "+-" for letter in "xyz")
+_DIRECTION = ("ux", "uy", "uz")
 #: Rows that sessions have on average, at least.
 _OF_A_SESSION = 3
 _HDF5 = b"\x89HDF\r\n\x1a\n"
@@ -48,10 +40,9 @@ _TURNED, _PASSED = 0.05, 1.0
 _SHOWN = 10  # rows that an error lists
 
 
-def ranges(rows: Sequence[int]) -> str:
-    """Row numbers in order as "1-4, 7"."""
-    cut = np.flatnonzero(np.diff(rows) != 1) + 1
-    parts = np.split(np.asarray(rows), cut)
+def ranges(rows: Sequence[int] | Index) -> str:
+    """Ascending row numbers as "1-4, 7"."""
+    parts = np.split(np.asarray(rows), np.flatnonzero(np.diff(rows) != 1) + 1)
     return ", ".join(f"{p[0]}-{p[-1]}" if len(p) > 1 else f"{p[0]}" for p in parts)
 
 
@@ -72,7 +63,7 @@ class PositionTable:
     columns: Mapping[str, Array]
     names: Mapping[str, str]
     unit: Mapping[str, str]
-    row: NDArray[np.intp]
+    row: Index
     path: str
     sha256: str
     inclination_zero: str = ""
@@ -90,6 +81,21 @@ class PositionTable:
     def n(self) -> int:
         return len(self.row)
 
+    def raw(self) -> Array:
+        """(n, 3) raw readings."""
+        return np.stack([self.columns[a] for a in "xyz"], axis=-1)
+
+    def at(self, row: int) -> int:
+        """Where a row of the file is: elsewhere once the rows are in the order of time."""
+        return int(np.flatnonzero(self.row == row)[0])
+
+    def demand(self, row: int, option: str) -> None:
+        """Raise UsageError for a row that is not here."""
+        if row not in self.row:
+            last = max(self.rows, int(self.row.max()))
+            what = f"row {row} takes no part" if 1 <= row <= last else f"there is no row {row}"
+            raise UsageError(f"{option}: {what}", remedy=f"rows are 1..{last}")
+
     @property
     def once(self) -> PositionTable:
         """Without rows that repeat another to the last digit in all that takes part: such a row was
@@ -106,38 +112,23 @@ class PositionTable:
             columns={role: values[keep] for role, values in self.columns.items()},
             row=self.row[keep],
             others={n: [v[k] for k in keep] for n, v in self.others.items()},
-            notes=(*self.notes, said + ranges(gone.tolist())),
+            notes=(*self.notes, said + ranges(gone)),
         )
-
-    def demand(self, row: int, option: str) -> None:
-        """Raise UsageError for a row that is not here."""
-        if row not in self.row:
-            last = max(self.rows, int(self.row.max()))
-            what = f"row {row} takes no part" if 1 <= row <= last else f"there is no row {row}"
-            raise UsageError(f"{option}: {what}", remedy=f"rows are 1..{last}")
-
-    def at(self, row: int) -> int:
-        """Where a row of the file stands: elsewhere once the rows are in the order of time."""
-        return int(np.flatnonzero(self.row == row)[0])
-
-    @cached_property
-    def unused(self) -> tuple[str, ...]:
-        """Headings of columns of numbers that take no part."""
-        return tuple(name for name, cells in self.others.items() if says_something(cells))
 
     @property
     def left_out(self) -> tuple[str, ...]:
         """What is said of rows and columns that take no part."""
-        words = (told(name, [str(c) for c in cells]) for name, cells in self.others.items())
+        words = (few_values(name, [str(c) for c in cells]) for name, cells in self.others.items())
         said = (*self.notes, *filter(None, words))
-        if not self.unused:
+        unused = [name for name, cells in self.others.items() if says_something(cells)]
+        if not unused:
             return said
-        hint = f"--columns driver={self.unused[0]} looks whether it drives what is left"
-        return (*said, f"columns that take no part: {', '.join(self.unused)} ({hint})")
+        hint = f"--columns driver={unused[0]} looks whether it drives what is left"
+        return (*said, f"columns that take no part: {', '.join(unused)} ({hint})")
 
     @property
     def by_time(self) -> PositionTable:
-        """The rows in the order of their time column, or as they stand where there is none."""
+        """The rows in the order of their time column, or as they are where there is none."""
         order = np.argsort(self.columns["time"], kind="stable") if "time" in self else slice(None)
         columns = {role: values[order] for role, values in self.columns.items()}
         return replace(self, columns=columns, row=self.row[order])
@@ -150,13 +141,14 @@ class PositionTable:
         inside = self.by_time
         if self.unit.get("time") == "s" and np.median(np.diff(inside.columns["time"])) >= _PASSED:
             return True
-        turned = np.linalg.norm(np.diff(inside.raw(), axis=0), axis=1)
-        usual = float(np.median(np.linalg.norm(inside.raw(), axis=1)))
-        return float(np.median(turned)) > _TURNED * usual
+        return inside.turns
 
-    def raw(self) -> Array:
-        """(n, 3) raw readings."""
-        return np.stack([self.columns[a] for a in "xyz"], axis=-1)
+    @property
+    def turns(self) -> bool:
+        """Whether the readings of neighbouring rows differ as positions do."""
+        steps = np.linalg.norm(np.diff(self.raw(), axis=0), axis=1)
+        usual = float(np.median(np.linalg.norm(self.raw(), axis=1)))
+        return bool(len(steps)) and float(np.median(steps)) > _TURNED * usual
 
 
 def read_position_table(
@@ -187,39 +179,45 @@ def read_position_table(
     if not need_raw:  # of a plan they are still to be filled in
         names = {role: name for role, name in names.items() if role not in "xyz"}
     required = ("inclination", "tool_face") * need_angles + ("x", "y", "z") * need_raw
-    _demand((*required, *("ux", "uy", "uz") * need_direction * (not face)), names, every, where)
-    cells, names, notes, upright = _read(
-        cells, names, (*required, *wanted), exclude, vertical, where
-    )
-    numbers = {role: name for role, name in names.items() if role != "session"}
-    columns = {role: _numbers(cells.columns[name]) for role, name in numbers.items()}
-    for at in upright:
-        columns["tool_face"][cells.row.index(at)] = 0.0  # any angle is the same direction there
+    _demand((*required, *_DIRECTION * (need_direction and not face)), names, every, where)
+    columns = {r: _numbers(cells.columns[name]) for r, name in names.items() if r != "session"}
+    upright = _upright(cells, names, columns, vertical)
+    if upright.any():
+        columns["tool_face"][upright] = 0.0  # any angle is the same direction there
+    bad = {role: ~np.isfinite(values) for role, values in columns.items()}
+    needed = [role for role in bad if role in (*required, *wanted)]
+    out = np.isin(cells.row, list(exclude)) & np.any([bad[role] for role in needed], axis=0)
+    _demand_numbers(cells, names, {role: bad[role] & ~out for role in needed}, where)
+    row = np.array(cells.row, np.intp)
+    notes = [*cells.notes, *_without_unreadable(cells, names, needed, bad, out)]
+    if out.any():
+        notes.append(f"excluded as asked, and not readable: row {_listed(row[out])}")
+    if upright.any():
+        blank = "the tool-face is blank at the vertical, where it is none: row "
+        notes.append(blank + _listed(row[upright]))
+    cells = cells.at(np.flatnonzero(~out).tolist())
+    columns = {role: values[~out] for role, values in columns.items() if role in names}
     sessions: tuple[str, ...] = ()
     if "session" in names:
-        sessions, columns["session"] = _sessions(
-            cells.columns[names["session"]], names["session"], path
-        )
+        of_rows = cells.columns[names["session"]]
+        sessions, columns["session"] = _sessions(of_rows, names["session"], path)
     if face:
         columns |= _directions(cells, face, where)
         names["face"] = face
     stated = {role: bare(name) for role, name in names.items()}
-    unit = {role: heading.unit for role, heading in stated.items() if heading.unit}
-    zero = stated["inclination"].zero if "inclination" in stated else ""
-    others = {n: values for n, values in cells.columns.items() if n not in names.values()}
     return PositionTable(
         columns,
         names,
-        unit,
-        np.array(cells.row, np.intp),
+        {role: heading.unit for role, heading in stated.items() if heading.unit},
+        row[~out],
         path=where,
         sha256=sha256_of(path),
-        inclination_zero=zero,
+        inclination_zero=stated["inclination"].zero if "inclination" in stated else "",
         sessions=sessions,
-        others=others,
+        others={n: values for n, values in cells.columns.items() if n not in names.values()},
         rows=cells.file_rows,
-        notes=(*cells.notes, *notes),
-        upright=upright,
+        notes=tuple(notes),
+        upright=tuple(row[upright & ~out].tolist()),
     )
 
 
@@ -237,87 +235,60 @@ def _cells_of(path: Path, mapping: FieldMapping, exclude: Collection[int]) -> Ce
         columns = table_columns(path)
         count = len(next(iter(columns.values()), ()))
         return selected(Cells(columns, tuple(range(1, count + 1)), count), mapping, str(path))
-    return (sheet_cells if is_spreadsheet(path) else table_cells)(path, mapping, exclude)
+    return table_cells(path, mapping, exclude)
 
 
-def _read(
+def _without_unreadable(
     cells: Cells,
     names: dict[str, str],
-    required: Collection[str],
-    exclude: Collection[int],
-    vertical: tuple[float, ...],
-    where: str,
-) -> tuple[Cells, dict[str, str], list[str], tuple[int, ...]]:
-    """The rows whose cells are numbers, the roles that can be read, what was left out, and the rows
-    whose tool-face is blank at the vertical.
+    needed: Collection[str],
+    bad: Mapping[str, Flags],
+    out: Flags,
+) -> Iterator[str]:
+    """Take roles that are not needed out of the names where a cell is no number, and say which."""
+    for role, wrong in bad.items():
+        if role not in needed and (wrong & ~out).any():
+            at = int(np.argmax(wrong & ~out))
+            cell = str(cells.columns[names[role]][at])
+            what = f"holds '{cell}'" if cell else "is empty"
+            yield f"column '{names.pop(role)}' left out: row {cells.row[at]} {what}"
 
-    Raises UnreadableInput that lists all cells of required roles that are no numbers.
-    """
-    found = {role: _numbers(cells.columns[n]) for role, n in names.items() if role != "session"}
-    upright = _upright(cells, names, found, vertical)
-    bad = {role: ~np.isfinite(values) for role, values in found.items()}
-    if "tool_face" in bad:
-        bad["tool_face"] &= ~np.isin(cells.row, upright)
-    asked = np.isin(cells.row, list(exclude))
-    needed = [role for role in bad if role in required]
-    out = asked & np.any([bad[role] for role in needed], axis=0) if needed else ~asked & False
-    _demand_numbers(cells, names, {role: bad[role] & ~out for role in needed}, where)
-    notes, kept = list[str](), dict(names)
-    for role in set(bad) - set(needed):
-        if (bad[role] & ~out).any():
-            at = int(np.argmax(bad[role] & ~out))
-            cell = cells.columns[names[role]][at]
-            notes.append(
-                f"column '{names[role]}' left out: row {cells.row[at]} "
-                + (f"holds '{cell}'" if str(cell) else "is empty")
-            )
-            del kept[role]
-    if out.any():
-        gone = ", ".join(str(cells.row[k]) for k in np.flatnonzero(out))
-        notes.append(f"excluded as asked, and not readable: row {gone}")
-    if upright:
-        rows = ", ".join(map(str, upright))
-        notes.append(f"the tool-face is blank at the vertical, where it is none: row {rows}")
-    return cells.at(np.flatnonzero(~out).tolist()), kept, notes, upright
+
+def _listed(rows: Index) -> str:
+    return ", ".join(map(str, rows))
 
 
 def _upright(
     cells: Cells, names: Mapping[str, str], found: Mapping[str, Array], vertical: tuple[float, ...]
-) -> tuple[int, ...]:
-    """Rows whose tool-face is blank where the inclination says that the tool is vertical."""
+) -> Flags:
+    """(n,) rows whose tool-face is blank where the inclination says that the tool is vertical."""
     if not {"inclination", "tool_face"} <= found.keys():
-        return ()
+        return np.zeros(len(cells.row), np.bool_)
     heading = bare(names["inclination"])
     stated = {"vertical": (0.0, 180.0), "horizontal": (90.0, -90.0)}.get(heading.zero, vertical)
     angles = found["inclination"] / (DEG if heading.unit == "rad" else 1.0)
     # An angle in rad has as many digits as its writer gave it.
     there = np.isclose(angles[:, None], stated, atol=1e-3).any(axis=1)
     blank = [is_blank(str(c).strip()) for c in cells.columns[names["tool_face"]]]
-    return tuple(cells.row[k] for k in np.flatnonzero(there & np.array(blank)))
+    return np.asarray(there & np.array(blank))
 
 
 def _demand_numbers(
-    cells: Cells, names: Mapping[str, str], bad: Mapping[str, NDArray[np.bool_]], where: str
+    cells: Cells, names: Mapping[str, str], bad: Mapping[str, Flags], where: str
 ) -> None:
+    """Raise UnreadableInput that lists all cells that should be numbers."""
     places = [(int(k), role) for role, wrong in bad.items() for k in np.flatnonzero(wrong)]
     if not places:
         return
     places.sort(key=lambda place: place[0])
-    said = []
-    for k, role in places:
-        cell = str(cells.columns[names[role]][k])
-        said.append(
-            (
-                f"row {cells.row[k]}, column {names[role]}",
-                f"'{cell}' is not a number" if cell else "the cell is empty",
-            )
-        )
+    said = [f"row {cells.row[k]}, column {names[role]}" for k, role in places]
+    k, role = places[0]
+    cell = str(cells.columns[names[role]][k])
     rows = list(dict.fromkeys(cells.row[k] for k, _ in places))
-    more = and_more([f"{at}" for at, _ in said[1:]])
     shown = ",".join(map(str, rows[:_SHOWN]))
     raise UnreadableInput(
-        said[0][1] + more,
-        where=f"{where}, {said[0][0]}",
+        (f"'{cell}' is not a number" if cell else "the cell is empty") + and_more(said[1:]),
+        where=f"{where}, {said[0]}",
         remedy=f"correct {'the cell' if len(said) == 1 else 'the cells'}, or leave "
         f"{'the row' if len(rows) == 1 else 'the rows'} out of the table (lab: --exclude {shown})",
     )
@@ -327,10 +298,9 @@ def _sessions(cells: Array | list[str], name: str, path: Path) -> tuple[tuple[st
     """Names of sessions in order, and the number of each row's."""
     words = [f"{c:g}" if isinstance(c, float) else str(c).strip() for c in cells]
     if "" in words:
-        where = f"{path}, row {words.index('') + 1}, column {name}"
         raise UnreadableInput(
             "the session is empty",
-            where=where,
+            where=f"{path}, row {words.index('') + 1}, column {name}",
             remedy="name each row's power-up, or drop the column",
         )
     every = list(dict.fromkeys(words))
@@ -370,14 +340,13 @@ def _numbers(cells: Array | list[str]) -> Array:
 
 def _face_heading(headings: list[str], chosen: str, where: str) -> str:
     """The heading of the column of faces, or nothing. Raises as `roles_of` does."""
-    hits = [chosen] if chosen else [h for h in headings if h.strip().lower() in _FACE_NAMES]
     if chosen and chosen not in headings:
-        raise UsageError(
-            f"no column is called '{chosen}'",
-            where=where,
-            remedy=f"there are: {', '.join(headings)}",
-        )
-    both = [h for h in headings if h.strip().lower() in ROLES["ux"]] if hits and not chosen else []
+        there = f"there are: {', '.join(headings)}"
+        raise UsageError(f"no column is called '{chosen}'", where=where, remedy=there)
+    if chosen:
+        return chosen
+    hits = [h for h in headings if h.strip().lower() in _FACE_NAMES]
+    both = [h for h in headings if h.strip().lower() in ROLES["ux"]] if hits else []
     if len(hits) + len(both) > 1:
         raise UnreadableInput(
             f"several columns could be the direction: {', '.join((*hits, *both))}",
@@ -401,7 +370,7 @@ def _directions(cells: Cells, name: str, where: str) -> dict[str, Array]:
                 "or give columns ux, uy, uz",
             )
         found[k, "xyz".index(text[1])] = float(f"{text[0]}1")
-    return {role: found[:, axis] for axis, role in enumerate(("ux", "uy", "uz"))}
+    return dict(zip(_DIRECTION, found.T, strict=True))
 
 
 def write_position_table(table: PositionTable, path: Path, *, angles_only: bool = False) -> None:

@@ -6,17 +6,18 @@ table, then of parts), shifts, moves, exchanges, cells. Rows keep their numbers.
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imucalib.arrays import Index
-from imucalib.calibrators.lab.bench import corrected_cells, swapped_angles
 from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.errors import UsageError
 
 _ANGLES = ("inclination", "tool_face")
-#: What was set and not read: it stays where it stands when readings move.
+#: What was set and not read: it stays where it is when readings move.
 _SET = (*_ANGLES, "ux", "uy", "uz")
 
 
@@ -46,7 +47,7 @@ class Part:
 class Repairs:
     """swaps : pairs of rows whose readings are exchanged; moves : (row, row to which its reading
     belongs); axes : the columns that are the sensor's x, y, z, as ("-y", "x", "z"), () for as they
-    stand; radians : the angle columns are in rad; parts : where the axes are others. Rows count
+    are; radians : the angle columns are in rad; parts : where the axes are others. Rows count
     from 1."""
 
     swaps: tuple[tuple[int, int], ...] = ()
@@ -65,55 +66,51 @@ def repairs_of(
     angle_unit: str | None,
 ) -> Repairs:
     """Repairs from the texts of the options. Raises UsageError with an example."""
+    whole = [text for text in axes if ":" not in text]
+    if len(whole) > 1:
+        raise UsageError(
+            f"--axes {' and '.join(whole)}: once for the whole table",
+            remedy="name the rows of a part: --axes=17-32:-y,x,z",
+        )
     return Repairs(
-        tuple(_pair(text, "--swap") for text in swaps),
-        tuple(_pair(text, "--move") for text in moves),
-        tuple(_shift(text) for text in shifts),
-        _whole_axes([text for text in axes if ":" not in text]),
-        angle_unit == "rad",
-        tuple(_part(text) for text in axes if ":" in text),
+        swaps=tuple(_pair(text, "--swap") for text in swaps),
+        moves=tuple(_pair(text, "--move") for text in moves),
+        shifts=tuple(_shift(text) for text in shifts),
+        axes=_axes(whole[0]) if whole else (),
+        radians=angle_unit == "rad",
+        parts=tuple(_part(text) for text in axes if ":" in text),
     )
 
 
+def _matched(pattern: str, option: str, text: str, refusal: str, remedy: str) -> Sequence[str]:
+    """The groups of a text without spaces. Raises UsageError where it is none of the pattern."""
+    found = re.fullmatch(pattern, re.sub(r"\s", "", text))
+    if found is None:
+        raise UsageError(f"{option} {text}: {refusal}", remedy=remedy)
+    return found.groups(default="0")
+
+
 def _pair(text: str, option: str) -> tuple[int, int]:
-    try:
-        first, second = (int(part) for part in text.split(","))
-    except ValueError:
-        raise UsageError(f"{option} {text}: not two rows", remedy=f"{option} 3,10") from None
-    return first, second
+    first, second = _matched(r"(\d+),(\d+)", option, text, "not two rows", f"{option} 3,10")
+    return int(first), int(second)
 
 
 def _shift(text: str) -> Shift:
-    name, sign, step = text.partition("=")
-    what, _, rows = name.partition(":")
-    try:
-        if what not in ("readings", *_ANGLES) or not sign or int(step) not in (-1, 1):
-            raise ValueError
-        first, last = (int(part) for part in rows.split("-")) if rows else (0, 0)
-    except ValueError:
-        raise UsageError(
-            f"--shift {text}: not COLUMN[:ROWS]=STEP",
-            remedy="--shift readings:5-12=-1 or --shift inclination=1; the step is 1 or -1",
-        ) from None
-    return Shift(what, first, last, int(step))
-
-
-def _whole_axes(texts: list[str]) -> tuple[str, ...]:
-    if len(texts) > 1:
-        raise UsageError(
-            f"--axes {' and '.join(texts)}: once for the whole table",
-            remedy="name the rows of a part: --axes=17-32:-y,x,z",
-        )
-    return _axes(texts[0]) if texts else ()
+    what, first, last, step = _matched(
+        r"(readings|inclination|tool_face)(?::(\d+)-(\d+))?=([+-]?1)",
+        "--shift",
+        text,
+        "not COLUMN[:ROWS]=STEP",
+        "--shift readings:5-12=-1 or --shift inclination=1; the step is 1 or -1",
+    )
+    return Shift(what, int(first), int(last), int(step))
 
 
 def _part(text: str) -> Part:
-    rows, _, axes = text.partition(":")
-    try:
-        first, last = (int(part) for part in rows.split("-"))
-    except ValueError:
-        raise UsageError(f"--axes {text}: not ROWS:x,y,z", remedy="--axes=17-32:-y,x,z") from None
-    return Part(first, last, _axes(axes))
+    first, last, axes = _matched(
+        r"(\d+)-(\d+):(.*)", "--axes", text, "not ROWS:x,y,z", "--axes=17-32:-y,x,z"
+    )
+    return Part(int(first), int(last), _axes(axes))
 
 
 def _axes(text: str) -> tuple[str, ...]:
@@ -129,35 +126,36 @@ def repaired(
     fixes: tuple[tuple[int, str, float], ...],
     swap_angles: bool,
 ) -> tuple[PositionTable, tuple[int, ...]]:
-    """The table as the user says it should be, and the rows (from 1) that a shift left without a
-    value. Raises UsageError for rows and columns that do not exist."""
-    table = swapped_angles(table) if swap_angles else table
+    """The table as the user says it should be, and the rows (from 1) that a shift emptied. Raises
+    UsageError for rows and columns that do not exist."""
+    if swap_angles:
+        exchanged = dict(zip(_ANGLES, (table.columns[role] for role in _ANGLES[::-1]), strict=True))
+        table = replace(table, columns={**table.columns, **exchanged})
     if repairs.radians:
         table = replace(table, unit={**table.unit, **dict.fromkeys(_ANGLES, "rad")})
     if repairs.axes:
         table = _turned(table, np.arange(table.n), repairs.axes)
     for part in repairs.parts:
-        ends = _rows(table, (part.first, part.last), "--axes")
+        ends = _places(table, (part.first, part.last), "--axes")
         table = _turned(table, np.arange(min(ends), max(ends) + 1), part.axes)
-    lost: list[int] = []
+    empty: list[int] = []
+    every = np.arange(table.n)
     for shift in repairs.shifts:
-        first, last = (shift.first, shift.last) if shift.first else (table.row[0], table.row[-1])
-        order = np.arange(table.n)
-        rows = _rows(table, (first, last), "--shift")
-        inside = np.arange(min(rows), max(rows) + 1)
+        whole = (int(table.row[0]), int(table.row[-1]))
+        ends = _places(table, (shift.first, shift.last) if shift.first else whole, "--shift")
+        inside, order = np.arange(min(ends), max(ends) + 1), every.copy()
         order[inside] = np.roll(inside, shift.step)
-        lost.append(int(table.row[inside[0] if shift.step > 0 else inside[-1]]))
+        empty.append(int(table.row[inside[0] if shift.step > 0 else inside[-1]]))
         table = _reordered(table, order, shift.what)
-    for at, to in repairs.moves:
-        a, b = _rows(table, (at, to), "--move")
-        order = np.insert(np.delete(np.arange(table.n), a), b, a)
-        table = _reordered(table, order, "readings")
+    for pair in repairs.moves:
+        a, b = _places(table, pair, "--move")
+        table = _reordered(table, np.insert(np.delete(every, a), b, a), "readings")
     for pair in repairs.swaps:
-        a, b = _rows(table, pair, "--swap")
-        order = np.arange(table.n)
-        order[[a, b]] = order[[b, a]]
+        a, b = _places(table, pair, "--swap")
+        order = every.copy()
+        order[[a, b]] = b, a
         table = _reordered(table, order, "readings")
-    return corrected_cells(table, fixes), tuple(lost)
+    return _with_cells(table, fixes), tuple(empty)
 
 
 def _turned(table: PositionTable, rows: Index, axes: tuple[str, ...]) -> PositionTable:
@@ -170,8 +168,8 @@ def _turned(table: PositionTable, rows: Index, axes: tuple[str, ...]) -> Positio
     return replace(table, columns={**table.columns, **turned})
 
 
-def _rows(table: PositionTable, rows: tuple[int, int], option: str) -> tuple[int, int]:
-    """Where two rows of the file stand; UsageError for one that does not exist."""
+def _places(table: PositionTable, rows: tuple[int, int], option: str) -> tuple[int, int]:
+    """Where two rows of the file are; UsageError for one that does not exist."""
     for row in rows:
         table.demand(row, option)
     return table.at(rows[0]), table.at(rows[1])
@@ -189,3 +187,16 @@ def _reordered(table: PositionTable, order: Index, what: str) -> PositionTable:
             f"--shift {what}: no such column", remedy=f"there are: {list(table.names)}"
         )
     return replace(table, columns={**table.columns, **moves})
+
+
+def _with_cells(table: PositionTable, fixes: tuple[tuple[int, str, float], ...]) -> PositionTable:
+    """The table with single cells replaced, as the user asked; rows count from 1."""
+    columns = {role: values.copy() for role, values in table.columns.items()}
+    for row, role, value in fixes:
+        if role not in columns or row not in table.row:
+            raise UsageError(
+                f"--fix {row}:{role}: no such cell",
+                remedy=f"rows are 1..{max(table.rows, table.n)}, columns {', '.join(columns)}",
+            )
+        columns[role][table.at(row)] = value
+    return replace(table, columns=columns)

@@ -1,31 +1,43 @@
-"""What a user asks of `lab` about the input."""
+"""What a user asks of `lab`."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
+from typing import Literal
 
-from imucalib.calibrators.lab.calibrate import LabSettings
+from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.calibrators.lab.repairs import Repairs
-from imucalib.effects import own_effects
+from imucalib.calibrators.population import Population
+from imucalib.calibrators.request import Request
 from imucalib.rests.stillness import StillSettings
-from imucalib.units import MG, STANDARD_GRAVITY
+from imucalib.units import MG
+
+Objective = Literal["settings", "vector", "angles", "paper"]
 
 
-@dataclass(frozen=True)
-class LabRequest:
-    """Everything that the user chose about the input; `settings` is about the calibration.
+@dataclass(frozen=True, kw_only=True)
+class LabRequest(Request):
+    """Everything that the user chose; see `Request` for what all calibrators have.
 
+    unit, lsb_per_g : of the readings, or None to find it; reference : "vector", "direction", "norm"
+    model : "linear12" (paper 004, model 3) or "geometric9" (model 4)
+    objective : "settings" (errors in variables, the default), "vector" (angles taken as exact),
+        "angles" (the paper's suggestion for steep inclinations), "paper" (its objective 5)
     fixes : (row from 1, column role, value in the table's unit); exclude : rows from 1
-    train : rows from 1 to choose and fit on; still : what counts as a rest
-    limits : name -> largest allowed value; command : the line that was typed, for the provenance
+    train : rows from 1 to choose and fit on, the rest is the test set
+    sigma : declared noise of a reading, m/s², or None to take it from the data
+    still : what counts as a rest
+    partial : whether positions may leave something open, which other data close
+    population : what a fleet says of the device: its effects are in the base model, and there is no
+        search beside a prior
     """
 
     unit: str | None = None
     lsb_per_g: float | None = None
-    gravity: float = STANDARD_GRAVITY
-    gravity_source: str = "standard gravity (give --gravity or --latitude for the local value)"
     reference: str = "vector"
+    model: str = "linear12"
+    objective: Objective = "settings"
+    conventions: Conventions = field(default_factory=Conventions)
     fixes: tuple[tuple[int, str, float], ...] = ()
     repairs: Repairs = field(default_factory=Repairs)
     exclude: tuple[int, ...] = ()
@@ -33,31 +45,26 @@ class LabRequest:
     swap_angles: bool = False
     keep_angles: bool = False
     train: tuple[int, ...] = ()
+    sigma: float | None = None
     still: StillSettings = field(default_factory=StillSettings)
-    limits: Mapping[str, float] = field(default_factory=dict)
-    settings: LabSettings = field(default_factory=LabSettings)
-    seed: int = 0
-    command: str = ""
+    population: Population | None = None
+    partial: bool = False
 
     def stated(self) -> dict[str, object]:
         """The settings as provenance keeps them."""
-        settings = self.settings
         return {
             "reference": self.reference,
-            "model": settings.model,
-            "objective": settings.objective,
-            "declare": list(settings.declare),
-            "only": list(settings.only),
-            "without": list(settings.without),
-            "own_effects": own_effects(settings.extra_effects),
-            "fleet_sha256": settings.population.sha256 if settings.population else None,
-            "loop": settings.loop,
-            "curves": settings.curves,
-            "sigma_mg": None if settings.sigma is None else settings.sigma / MG,
+            "model": self.model,
+            "objective": self.objective,
+            **self.search_settings(),
+            "fleet_sha256": self.population.sha256 if self.population else None,
+            "loop": self.loop,
+            "curves": self.curves,
+            "sigma_mg": None if self.sigma is None else self.sigma / MG,
             "lsb_per_g": self.lsb_per_g,
             "gravity_m_per_s2": self.gravity,
             "gravity_source": self.gravity_source,
-            "conventions": asdict(settings.conventions),
+            "conventions": asdict(self.conventions),
             "fix": [f"{row}:{role}={value!r}" for row, role, value in self.fixes],
             "repairs": {k: v for k, v in asdict(self.repairs).items() if v},
             "exclude": list(self.exclude),
@@ -73,10 +80,11 @@ class LabRequest:
 def as_published(request: LabRequest) -> LabRequest:
     """Paper 004's own method, as found from its printed Table 2: objective (5) on rows 1-20, the
     12-parameter model, g = 9.80610 m/s², no search. No x-aligned row is among the first 20."""
-    settings = replace(request.settings, model="linear12", objective="paper", loop=False)
     return replace(
         request,
-        settings=settings,
+        model="linear12",
+        objective="paper",
+        loop=False,
         train=tuple(range(1, 21)),
         gravity=9.80610,
         gravity_source="as the paper used it",

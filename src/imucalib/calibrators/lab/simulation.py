@@ -7,28 +7,22 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibration.uncertainty import correcting
 from imucalib.calibrators.lab.bench import position_observations
-from imucalib.calibrators.lab.calibrate import MODELS
 from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.calibrators.lab.design import recommend
 from imucalib.calibrators.lab.position_table import PositionTable
-from imucalib.core.balance import Noise
-from imucalib.core.effect import Context
-from imucalib.core.model import Model
-from imucalib.core.observations import Observations
+from imucalib.calibrators.planted import planted_model
 from imucalib.core.references import unit_vector
-from imucalib.effects import named
 from imucalib.errors import UsageError
 from imucalib.recording.recording import Channel, Recording
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
 
-#: An ordinary MEMS triad: bias in mg, scale, cross terms, mounting in deg.
-_SENSOR = {
+#: An ordinary MEMS triad: mounting in deg, bias in mg, scale, cross terms.
+SENSOR = {
+    "mounting": (0.4, -0.7, 1.1),
     "bias": (25.0, -18.0, 32.0),
     "scale": (0.006, -0.004, 0.009),
     "non_orthogonality": (0.003, -0.002, 0.004),
-    "mounting": (0.4, -0.7, 1.1),
 }
 
 
@@ -55,20 +49,28 @@ class BenchPlan:
 def simulated_table(plan: BenchPlan, rng: np.random.Generator) -> PositionTable:
     """A position table in degrees and mg. Raises UsageError for impossible plans."""
     inclination, tool_face = _layout(plan, rng)
-    nominal = _blank(plan, inclination, tool_face)
+    columns = {"inclination": inclination, "tool_face": tool_face}
+    if plan.temperature is not None:
+        columns["temperature"] = np.linspace(*plan.temperature, plan.positions)
+    rows = np.arange(1, plan.positions + 1)
+    nominal = PositionTable(columns, {}, {}, rows, "simulated", "")
     meant = plan.gravity * unit_vector(*Conventions().inside(inclination, tool_face))
     data = position_observations(nominal, meant, Conventions(), plan.gravity, sigma=plan.noise * MG)
-    model, theta = _planted(plan, data)
-    components = ("inclination setting", "tool-face setting")
-    noise = Noise(1.0, components, tuple(a * DEG for a in plan.setting))
-    reading = simulate(model, theta, data, noise, rng).reading[:, 0] / MG
+    model, theta = planted_model({**SENSOR, **plan.plant}, data.context)
+    reference = data.reference
+    eta = np.zeros(reference.eta_size)
+    for sd, index in zip(plan.setting, reference.directions(eta).index.T, strict=True):
+        used = np.unique(index)
+        eta[used] = sd * DEG * rng.standard_normal(used.size)
+    clean = model.predict(theta, reference.truth(eta), data.context).reading[:, 0]
+    reading = (clean + data.sigma[:, 0] * rng.standard_normal(clean.shape)) / MG
     for row, axis in plan.slips:
         if axis not in "xyz" or not 1 <= row <= plan.positions:
             raise UsageError(f"slip {row}:{axis}: no such cell")
         reading[row - 1, "xyz".index(axis)] *= -1.0
-    columns = {**nominal.columns, **{a: reading[:, k] for k, a in enumerate("xyz")}}
+    columns |= dict(zip("xyz", reading.T, strict=True))
     names = {r: f"{r}_mg" if r in "xyz" else r for r in columns}
-    return PositionTable(columns, names, dict.fromkeys("xyz", "mg"), nominal.row, "simulated", "")
+    return PositionTable(columns, names, dict.fromkeys("xyz", "mg"), rows, "simulated", "")
 
 
 def _layout(plan: BenchPlan, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -87,29 +89,6 @@ def _layout(plan: BenchPlan, rng: np.random.Generator) -> tuple[Array, Array]:
     inclination = np.concatenate([np.arange(0.0, 91.0, 10.0), np.full(ring, 50.0), np.zeros(last)])
     steps = [360.0 * np.arange(1, n + 1) / (n + 1) for n in (ring, last)]
     return inclination, np.round(np.concatenate([np.zeros(10), steps[0], steps[1][::-1]]), 1)
-
-
-def _blank(plan: BenchPlan, inclination: Array, tool_face: Array) -> PositionTable:
-    columns = {"inclination": inclination, "tool_face": tool_face}
-    if plan.temperature is not None:
-        columns["temperature"] = np.linspace(*plan.temperature, plan.positions)
-    return PositionTable(columns, {}, {}, np.arange(1, plan.positions + 1), "simulated", "")
-
-
-def _planted(plan: BenchPlan, data: Observations) -> tuple[Model, Array]:
-    model = Model(
-        tuple(named(n) for n in (*MODELS["linear12"], *(p for p in plan.plant if p not in _SENSOR)))
-    )
-    theta, slices = model.start(data.context), model.slices(data.context)
-    for name, values in {**_SENSOR, **plan.plant}.items():
-        part = slices[name]
-        if len(values) != part.stop - part.start:
-            names = ", ".join(p.name for p in named(name).parameters(data.context))
-            raise UsageError(f"{name} has {part.stop - part.start} parameters: {names}")
-        if reason := named(name).missing(data.context):
-            raise UsageError(f"{name} cannot be planted: {reason}")
-        theta[part] = values
-    return model, theta
 
 
 def simulated_recording(
@@ -139,38 +118,3 @@ def simulated_recording(
     t = np.arange(len(values)) / rate
     channel = Channel(t, values, "m/s2", "acceleration", "imu0", rate)
     return Recording({"imu0/acceleration": channel}, "simulated", "simulated", "")
-
-
-def planted_truth(plan: BenchPlan, data: Observations, force: Array) -> Array:
-    """Noise-free readings (n, 3) m/s² of the planted sensor at specific forces (n, 3) m/s²."""
-    model, theta = _planted(plan, data)
-    slices = model.slices(data.context)
-    sensor = correcting(model)
-    own = np.concatenate([theta[slices[name]] for name in sensor.names])
-    covariates = {k: np.full(len(force), np.median(v)) for k, v in data.context.covariates.items()}
-    return sensor.predict(own, force[:, None], Context(len(force), covariates)).reading[:, 0]
-
-
-def simulate(
-    model: Model,
-    theta: Array,
-    observations: Observations,
-    noise: Noise,
-    rng: np.random.Generator,
-) -> Observations:
-    """Draw new readings for the reference and context of `observations`: the model run forwards.
-
-    The settings' errors are drawn with the components' standard deviations and shared as the
-    reference says; a reference without components keeps its truth at `start` of the readings.
-    """
-    reference, context = observations.reference, observations.context
-    eta = reference.start(observations.reading)
-    directions = reference.directions(eta)
-    if any(directions.component):
-        for column, component in enumerate(directions.component):
-            sd = noise.sd[noise.component.index(component)] if component else 0.0
-            used = np.unique(directions.index[:, column])
-            eta[used] = sd * rng.standard_normal(used.size)
-    clean = model.predict(theta, reference.truth(eta), context).reading
-    spread = noise.factor * observations.sigma
-    return observations.with_reading(clean + spread * rng.standard_normal(clean.shape))

@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from imucalib.cli.calibrating import Shared, limit_option, shared_of
+from imucalib.cli.calibrating import limit_option, shared_of
 from imucalib.cli.options import fleet_option, numbers, one_scale, still_of
 
 if TYPE_CHECKING:
-    from imucalib.calibrators.lab.calibrate import LabSettings
     from imucalib.calibrators.lab.request import LabRequest
     from imucalib.calibrators.population import Population
 
@@ -151,16 +150,24 @@ def lab_options(command: Command) -> Command:
 
 def request_of(options: dict[str, Any]) -> LabRequest:
     """The request that the options state; raises click's usage errors."""
+    from dataclasses import replace
+
+    from imucalib.calibrators.lab.conventions import preset
     from imucalib.calibrators.lab.repairs import repairs_of
     from imucalib.calibrators.lab.request import LabRequest, as_published
+    from imucalib.units import MG
 
     shared = shared_of(options)
+    stated = {key: options[key] for key in _CONVENTIONS if options[key] is not None}
     request = LabRequest(
         unit=options["unit"],
         lsb_per_g=one_scale(options["lsb"]),
         gravity=shared.gravity,
         gravity_source=shared.gravity_source,
         reference=options["reference"],
+        model=options["model"],
+        objective=options["objective"],
+        conventions=replace(preset(options["convention"]), **stated),
         fixes=tuple(fix for text in options["fixes"] for fix in _fixes(text)),
         repairs=repairs_of(
             options["swaps"],
@@ -175,35 +182,19 @@ def request_of(options: dict[str, Any]) -> LabRequest:
         keep_angles=options["keep_angles"],
         train=numbers(options["train"], "--train"),
         still=still_of(options),
-        limits=shared.limits,
-        settings=_settings(options, shared),
-        seed=shared.seed,
-        command=shared.command,
-    )
-    return as_published(request) if options["as_published"] else request
-
-
-def _settings(options: dict[str, Any], shared: Shared) -> LabSettings:
-    from dataclasses import replace
-
-    from imucalib.calibrators.lab.calibrate import LabSettings
-    from imucalib.calibrators.lab.conventions import preset
-    from imucalib.units import MG
-
-    stated = {key: options[key] for key in _CONVENTIONS if options[key] is not None}
-    return LabSettings(
-        model=options["model"],
-        objective=options["objective"],
         declare=shared.declare,
         only=shared.only,
         without=shared.without,
         loop=shared.loop,
-        sigma=None if options["sigma"] is None else options["sigma"] * MG,
-        curves=LabSettings.curves if shared.curves is None else shared.curves,
+        curves=LabRequest.curves if shared.curves is None else shared.curves,
         extra_effects=shared.extra_effects,
-        conventions=replace(preset(options["convention"]), **stated),
+        sigma=None if options["sigma"] is None else options["sigma"] * MG,
         population=_population(options),
+        limits=shared.limits,
+        seed=shared.seed,
+        command=shared.command,
     )
+    return as_published(request) if options["as_published"] else request
 
 
 def _population(options: dict[str, Any]) -> Population | None:

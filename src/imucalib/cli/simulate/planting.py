@@ -52,7 +52,7 @@ def demand_outputs(paths: Sequence[Path], inputs: Sequence[Path] = (), *, force:
 
 def write_recording(made: Recording, path: Path, faults: Sequence[str]) -> None:
     """Write a recording as the faults leave it."""
-    from imucalib.calibrators.planted_faults import fault_of, with_faults
+    from imucalib.calibrators.planted import fault_of, with_faults
     from imucalib.writers import write
 
     write(with_faults(made, [fault_of(text) for text in faults]), path)

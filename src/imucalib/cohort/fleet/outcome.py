@@ -8,15 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.calibration.calibration import Calibration
-from imucalib.calibration.comparison.agreement import Beyond, beyond, beyond_sd
+from imucalib.calibration.calibration import Calibration, StoredParameter
+from imucalib.calibration.comparison.agreement import Beyond, beyond, excess
 from imucalib.calibration.provenance import Provenance
-from imucalib.calibrators.population import Population, Told, ToldNoise
+from imucalib.calibrators.population import Population, PriorNoise, PriorParameter
 from imucalib.cohort.fleet.pooled import moderated_axes, of_a_kind
-from imucalib.cohort.fleet.search import Search
+from imucalib.cohort.fleet.search import Priors, Search
 from imucalib.core.effect import Context
 from imucalib.core.fit import Fit
-from imucalib.core.prior import Prior
 from imucalib.effects import named
 from imucalib.loop.held_out import Difference
 
@@ -24,77 +23,12 @@ from imucalib.loop.held_out import Difference
 FEWEST = 4
 #: Least doubt about the log of a noise, and the share of the usual below which one has vanished.
 _SURE, _VANISHED = 0.05, 0.1
+#: Family-wise chance of an outlying device where none is, and devices from which on one is named.
+_ALPHA, _FEWEST = 0.01, 5
+#: Share of the devices' own variance below which a scatter cannot be known from none.
+_LEAST = 0.1
 #: Sizes of a noise (devices,) and their relative standard deviations.
 Sizes = tuple[Array, Array]
-
-
-def population_of(
-    base: Sequence[Spread],
-    effects: Mapping[str, Prior],
-    noise: Mapping[str, Sizes],
-    context: Context,
-    reference: str,
-) -> Population | None:
-    """None for fewer than four devices.
-
-    base : of the base model's parameters, in order; effects : that the fleet shares, with the size
-    of the next device in typical sizes; noise : "reading" (m/s²), and each component's (rad)
-    context : that names the effects' parameters
-    """
-    from scipy.linalg import block_diag
-
-    count = len(base[0].values)
-    if count < FEWEST:
-        return None
-    told = [Told(one.name, one.unit, one.mean, one.next_sd()) for one in base]
-    blocks = [np.array([[one.sd**2]]) for one in told]
-    for name, prior in effects.items():
-        parameters = named(name).parameters(context)
-        typical = np.array([p.typical for p in parameters])
-        own = grown(count) * prior.covariance * np.outer(typical, typical)
-        blocks.append(own)
-        told += [
-            Told(p.name, p.unit, float(m * p.typical), float(np.sqrt(v)))
-            for p, m, v in zip(parameters, prior.mean, np.diag(own), strict=True)
-        ]
-    return Population(
-        devices=count,
-        reference=reference,
-        effects=tuple(effects),
-        parameters=tuple(told),
-        covariance=np.asarray(block_diag(*blocks)),
-        noise=tuple(_told(name, *sizes) for name, sizes in noise.items()),
-    )
-
-
-def noise_of(fits: Sequence[Fit]) -> dict[str, Sizes]:
-    """Of fits of devices: the readings', and each component that all of them have."""
-    reading = np.array([f.noise.factor * float(np.median(f.observations.sigma)) for f in fits])
-    every = {"reading": (reading, np.array([f.noise_sd[0] for f in fits]))}
-    for name in fits[0].noise.component:
-        own = [f.noise.component.index(name) for f in fits if name in f.noise.component]
-        if len(own) < len(fits):
-            continue
-        sizes = np.array([f.noise.sd[k] for f, k in zip(fits, own, strict=True)])
-        if np.any(sizes > 0.0):
-            sds = np.array([f.noise_sd[1 + k] for f, k in zip(fits, own, strict=True)])
-            every[name] = (sizes, sds)
-    return every
-
-
-def _told(name: str, sizes: Array, sds: Array) -> ToldNoise:
-    """A noise that vanished in a device was at most a tenth of the usual, and that is unsure."""
-    least = _VANISHED * float(np.median(sizes[sizes > 0.0]))
-    gone = sizes < least
-    logs = np.log(np.maximum(sizes, least))
-    one = spread_of(name, "log", logs, np.where(gone, 1.0, np.maximum(sds, _SURE)))
-    return ToldNoise(name, float(np.exp(one.mean)), max(one.next_sd(), _SURE))
-
-
-#: Family-wise chance of an outlying device where none is, and devices from which on one is told.
-_ALPHA, _FEWEST = 0.01, 5
-#: Share of the devices' own variance below which a scatter is not told from none.
-_LEAST = 0.1
 
 
 @dataclass(frozen=True)
@@ -117,6 +51,7 @@ class Spread:
         """The scatter between devices with its 95 % interval."""
         return beyond(self.values, self.sds**2)
 
+    @property
     def next_sd(self) -> float:
         """Of one recording of the next device: the scatter between devices and between recordings,
         the doubt about the mean, and Student's (K - 1) / (K - 3) for that about the scatter."""
@@ -147,7 +82,7 @@ class Outlier:
 
 def spread_of(name: str, unit: str, values: Array, sds: Array) -> Spread:
     """Of devices with one value each."""
-    scatter = beyond_sd(values, sds**2)
+    scatter = excess(values.size - 1.0, values, sds**2) ** 0.5
     weight = 1.0 / (sds**2 + scatter**2)
     mean = float(weight @ values / weight.sum())
     return Spread(
@@ -167,7 +102,7 @@ def nested_spread(name: str, unit: str, values: Array, sds: Array, device: Index
     A device's value is the mean of its recordings, whose scatter beyond their sds all devices tell
     together.
     """
-    within = beyond(values, sds**2, device)
+    within = beyond(values, sds**2, np.eye(device.max() + 1)[device])
     if np.isnan(within.sd):
         return spread_of(name, unit, values, sds)
     weight = 1.0 / (sds**2 + within.sd**2)
@@ -176,15 +111,34 @@ def nested_spread(name: str, unit: str, values: Array, sds: Array, device: Index
     return replace(spread_of(name, unit, own, np.sqrt(1.0 / total)), sessions=within)
 
 
+def shared_parameters(
+    tables: Sequence[Sequence[StoredParameter]], pooled: Sequence[str], device: Index
+) -> tuple[Spread, ...]:
+    """Of every parameter that all recordings have, without effects whose sizes are pooled already:
+    there each device's value leans on the others'. device : (recordings,) as of `nested_spread`"""
+    by_name = [{p.name: p for p in own if p.effect not in pooled} for own in tables]
+    shared = [p for name, p in by_name[0].items() if all(name in table for table in by_name)]
+    return tuple(
+        nested_spread(
+            p.name,
+            p.unit,
+            np.array([table[p.name].value for table in by_name]),
+            np.array([table[p.name].sd for table in by_name]),
+            device,
+        )
+        for p in shared
+    )
+
+
 def outliers(devices: Sequence[str], spreads: Sequence[Spread]) -> tuple[Outlier, ...]:
-    """Devices beside a normal population that the others make, by Student's t, worst first."""
+    """Devices outside a normal population that the others make, by Student's t, worst first."""
     from scipy.special import stdtr
 
     count = len(devices)
     if count < _FEWEST:
         return ()
     kinds, found = of_a_kind([one.name for one in spreads]), list[Outlier]()
-    for k in range(count):
+    for k, device in enumerate(devices):
         rest = np.arange(count) != k
         others = [spread_of(s.name, s.unit, s.values[rest], s.sds[rest]) for s in spreads]
         least = [_LEAST * float(np.mean(s.sds**2)) for s in others]
@@ -193,23 +147,73 @@ def outliers(devices: Sequence[str], spreads: Sequence[Spread]) -> tuple[Outlier
         for one, own, square, dof in zip(spreads, others, better, freedom, strict=True):
             weight = 1.0 / (own.sds**2 + square)
             mean = float(weight @ own.values / weight.sum())
-            sd = float(np.sqrt(square + 1.0 / weight.sum() + one.sds[k] ** 2))
-            t = abs(one.values[k] - mean) / sd
+            value, sd = float(one.values[k]), float(one.sds[k])
+            t = abs(value - mean) / float(np.sqrt(square + 1.0 / weight.sum() + sd**2))
             p = min(1.0, 2.0 * float(stdtr(dof, -t)) * count * len(spreads))
             if p <= _ALPHA:
-                found.append(
-                    Outlier(
-                        devices[k],
-                        one.name,
-                        float(one.values[k]),
-                        float(one.sds[k]),
-                        one.unit,
-                        mean=mean,
-                        scatter=float(square**0.5),
-                        p=p,
-                    )
-                )
+                row = {"value": value, "sd": sd, "mean": mean, "scatter": float(square**0.5)}
+                found.append(Outlier(device, one.name, unit=one.unit, p=p, **row))
     return tuple(sorted(found, key=lambda o: o.p))
+
+
+def population_of(
+    base: Sequence[Spread],
+    effects: Priors,
+    noise: Mapping[str, Sizes],
+    context: Context,
+    reference: str,
+) -> Population | None:
+    """None for fewer than four devices.
+
+    base : of the base model's parameters, in order; effects : that the fleet shares, with the size
+    of the next device in typical sizes; noise : "reading" (m/s²), and each component's (rad)
+    context : that names the effects' parameters
+    """
+    from scipy.linalg import block_diag
+
+    count = len(base[0].values)
+    if count < FEWEST:
+        return None
+    every = [PriorParameter(one.name, one.unit, one.mean, one.next_sd) for one in base]
+    blocks = [np.array([[one.sd**2]]) for one in every]
+    for name, prior in effects.items():
+        parameters = named(name).parameters(context)
+        typical = np.array([p.typical for p in parameters])
+        own = grown(count) * prior.covariance * np.outer(typical, typical)
+        blocks.append(own)
+        every += [
+            PriorParameter(p.name, p.unit, float(m * p.typical), float(np.sqrt(v)))
+            for p, m, v in zip(parameters, prior.mean, np.diag(own), strict=True)
+        ]
+    return Population(
+        devices=count,
+        reference=reference,
+        effects=tuple(effects),
+        parameters=tuple(every),
+        covariance=np.asarray(block_diag(*blocks)),
+        noise=tuple(_noise(name, *sizes) for name, sizes in noise.items()),
+    )
+
+
+def noise_of(fits: Sequence[Fit]) -> dict[str, Sizes]:
+    """Of fits of devices: the readings', and each component that all of them have."""
+    reading = np.array([f.noise.factor * float(np.median(f.observations.sigma)) for f in fits])
+    every = {"reading": (reading, np.array([f.noise_sd[0] for f in fits]))}
+    for name in fits[0].noise.component:
+        own = [(f, f.noise.component.index(name)) for f in fits if name in f.noise.component]
+        sizes = np.array([f.noise.sd[k] for f, k in own])
+        if len(own) == len(fits) and np.any(sizes > 0.0):
+            every[name] = sizes, np.array([f.noise_sd[1 + k] for f, k in own])
+    return every
+
+
+def _noise(name: str, sizes: Array, sds: Array) -> PriorNoise:
+    """A noise that vanished in a device was at most a tenth of the usual, and that is unsure."""
+    least = _VANISHED * float(np.median(sizes[sizes > 0.0]))
+    gone = sizes < least
+    logs = np.log(np.maximum(sizes, least))
+    one = spread_of(name, "log", logs, np.where(gone, 1.0, np.maximum(sds, _SURE)))
+    return PriorNoise(name, float(np.exp(one.mean)), max(one.next_sd, _SURE))
 
 
 @dataclass(frozen=True)
@@ -226,23 +230,23 @@ class Recording:
 @dataclass(frozen=True)
 class Member:
     """A device of the fleet. base, final : error without and with what the others say, mg, NaN
-    where not computed; told : effects that the others find without it, which `final` stands on"""
+    where not computed; found_by_others : effects that these find without it, behind `final`"""
 
     name: str
     recordings: tuple[Recording, ...]
     base: float
     final: float
-    told: tuple[str, ...] = ()
+    found_by_others: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
-class Asked:
-    """calibrator : of every device; command : that was typed; settings : as provenance has them"""
+class Settings:
+    """calibrator : of every device; command : that was typed; stated : as provenance has them"""
 
     calibrator: str
     command: str
     seed: int
-    settings: Mapping[str, object]
+    stated: Mapping[str, object]
 
 
 @dataclass(frozen=True)
@@ -259,7 +263,7 @@ class Fleet:
     spreads: tuple[Spread, ...]
     outliers: tuple[Outlier, ...]
     difference: Difference | None
-    asked: Asked
+    settings: Settings
     following: Population | None = None
     notes: tuple[str, ...] = ()
 

@@ -1,7 +1,7 @@
 """Evidence of an effect in a whole fleet: it exists in all devices or in none, and each device has
 its own size of it.
 
-Device d says of the sizes θ_d (typical sizes, base model taken out) exp(a_dᵀθ - θᵀG_dθ/2). With
+Device d says of the sizes θ_d (typical sizes, without the base model) exp(a_dᵀθ - θᵀG_dθ/2). With
 
     θ_d ~ N(μ, τ² 1),   μ ~ N(0, γ² 1)
 
@@ -9,8 +9,8 @@ everything is closed: w = Σ (1 + τ²G)⁻¹ a and Λ = Σ (1 + τ²G)⁻¹ G o
 
     ln m = Σ [τ² aᵀ(1 + τ²G)⁻¹a - ln det(1 + τ²G)] / 2 + wᵀ(Λ + γ⁻²)⁻¹w / 2 - ln det(1 + γ²Λ) / 2
 
-The evidence is the mean of m over a grid of τ and γ: all alike, all different, and between. It
-ranks effects. Whether the best is chance is asked of what stands out most, one size for all (χ² of
+The evidence is the mean of m over a grid of τ and γ: all the same, all different, and between. It
+ranks effects. Whether the best is chance is tested by what stands out most, one size for all (χ² of
 k) or each device its own (χ² of devices times k), on fleets that lack nothing, drawn with each
 device's own products of all candidates and its noise estimated anew, through the same code.
 
@@ -18,9 +18,9 @@ Scatter between devices of one axis, drawn towards that of the other axes of its
 
 Few devices say little of a scatter: of five, the four that judge the fifth leave three degrees of
 freedom, and Student's t asks for 22 of it at one in a hundred of 45 numbers. Axes of a kind scatter
-alike within a factor, log-normal about what they share, so that the others count as ν₀ degrees of
-freedom: s² = (ν₀ s₀² + ν s_a²) / (ν₀ + ν), with trigamma(ν₀ / 2) the variance of log s₀² about it
-(moderated variances; Smyth 2004, section 6.2).
+the same within a factor, log-normal about what they share, so that the others count as ν₀ degrees
+of freedom: s² = (ν₀ s₀² + ν s_a²) / (ν₀ + ν), with trigamma(ν₀ / 2) the variance of log s₀² about
+it (moderated variances; Smyth 2004, section 6.2).
 """
 
 from __future__ import annotations
@@ -39,8 +39,19 @@ from imucalib.loop.posterior.odds import ABSORBED
 
 #: λ of a candidate at typical size below which it is rounding.
 _SHOWN = 1e-6
-#: Devices from which on their noise is compared, and degrees of freedom that stand for all alike.
-_MODERATED, _ALL_ALIKE = 3, 1e4
+#: Devices from which on their noise is compared, and degrees of freedom that mean "all the same".
+_MODERATED, _ALL_THE_SAME = 3, 1e4
+#: Standard deviation of the log of an axis' scatter about that of its kind, as between power-ups.
+_UNLIKE = 0.5
+#: Sizes of the scatter τ between devices and of the common size γ, in typical sizes.
+_TAU = (0.0, 0.1, 0.3, 1.0, 3.0)
+_GAMMA = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0)
+#: Of the estimate of τ: its range in sds of one device's own size, values, and a flat prior of μ.
+_ALLOWED, _SIZES, _WIDE = (0.03, 30.0), 40, 30.0
+#: Share of the largest eigenvalue of products below which a direction is rounding.
+_ROUNDING = 1e-9
+#: Groups of devices, at most, each of which the others predict.
+GROUPS = 20
 
 
 @dataclass(frozen=True)
@@ -51,7 +62,7 @@ class Device:
         borrowed : how many the fleet adds
     columns : effect -> (k,) where its parameters stand in `gram`
     gram : (m, m) products of all candidates' columns in units of the noise, at typical sizes, with
-        the base model's parameters taken out; along : (m,) their products with the residual
+        the base model's parameters projected out; along : (m,) their products with the residual
     """
 
     name: str
@@ -71,8 +82,8 @@ def device_of(name: str, fit: Fit, effects: Mapping[str, Effect]) -> Device:
     for effect in testable(fit, effects.values()):
         whole = white(effect_columns(fit, effect)) / fit.noise.factor
         rest = whole - q @ (q.T @ whole)
-        left = float(np.linalg.norm(rest))
-        if left < ABSORBED * float(np.linalg.norm(whole)) or left < _SHOWN:
+        size = float(np.linalg.norm(rest))
+        if size < ABSORBED * float(np.linalg.norm(whole)) or size < _SHOWN:
             continue
         columns[effect.name] = np.arange(at, at + rest.shape[1])
         kept.append(rest)
@@ -102,16 +113,12 @@ def moderated(devices: Sequence[Device]) -> tuple[Device, ...]:
         fleet = 2.0 * inverse_trigamma(spread)
         size = np.exp(own.mean() + psi(fleet / 2.0) - np.log(fleet / 2.0))
     else:
-        fleet, size = _ALL_ALIKE, float(np.sum(dof * square) / np.sum(dof))
+        fleet, size = _ALL_THE_SAME, float(np.sum(dof * square) / np.sum(dof))
     better = (fleet * size + dof * square) / (fleet + dof)
     return tuple(
         replace(d, gram=d.gram * share, along=d.along * share, borrowed=float(fleet))
         for d, share in zip(devices, square / better, strict=True)
     )
-
-
-#: Standard deviation of the log of an axis' scatter about that of its kind, as between power-ups.
-_UNLIKE = 0.5
 
 
 def of_a_kind(names: Sequence[str]) -> list[list[int]]:
@@ -140,6 +147,7 @@ def moderated_axes(
 
 
 def inverse_trigamma(value: float) -> float:
+    """Of the second derivative of the log of the gamma function."""
     from scipy.optimize import brentq
     from scipy.special import polygamma
 
@@ -147,25 +155,15 @@ def inverse_trigamma(value: float) -> float:
     return float(np.exp(found))
 
 
-#: Sizes of the scatter τ between devices and of the common size γ, in typical sizes.
-_TAU = (0.0, 0.1, 0.3, 1.0, 3.0)
-_GAMMA = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0)
-#: Of the estimate of τ: its range in sds of one device's own size, values, and a flat prior of μ.
-_ALLOWED, _SIZES, _WIDE = (0.03, 30.0), 40, 30.0
-#: Share of the largest eigenvalue of products below which a direction is rounding.
-_ROUNDING = 1e-9
-
-
 @dataclass(frozen=True)
 class Pooled:
     """An effect over a fleet. evidence : nats; p : family-wise, of fleets that lack nothing
-    devices : how many can show it; draws : of the null"""
+    devices : how many can show it"""
 
     effect: str
     evidence: float
     p: float
     devices: int
-    draws: int
 
 
 @dataclass(frozen=True)
@@ -173,41 +171,49 @@ class Sizes:
     """What a fleet says of an effect's size, in typical sizes.
 
     common, common_covariance : (k,), (k, k) of μ; scatter : τ, root of its mean square
-    each, covariance : (devices, k), (devices, k, k) of the devices, with the whole fleet's word
     """
 
     common: Array
     common_covariance: Array
     scatter: float
-    each: Array
-    covariance: Array
+
+    @property
+    def another(self) -> tuple[Array, Array]:
+        """Mean (k,) and covariance (k, k) of the size in another device of the kind."""
+        return self.common, self.common_covariance + self.scatter**2 * np.eye(self.common.size)
+
+
+def products(devices: Sequence[Device], effect: str) -> tuple[tuple[str, ...], Array, Array]:
+    """Devices that can show an effect, the products of its columns (devices, k, k), and those with
+    the residual (devices, k)."""
+    able = [(d, d.columns[effect]) for d in devices if effect in d.columns]
+    gram = np.stack([d.gram[np.ix_(at, at)] for d, at in able])
+    return tuple(d.name for d, _ in able), gram, np.stack([d.along[at] for d, at in able])
 
 
 def pooled(devices: Sequence[Device], rng: np.random.Generator, draws: int) -> tuple[Pooled, ...]:
     """Every effect that two devices or more can show, best first."""
     names = dict.fromkeys(name for device in devices for name in device.columns)
-    drawn = _nulls(devices, rng, draws)
-    data = [np.column_stack([d.along, null]) for d, null in zip(devices, drawn, strict=True)]
+    drawn = zip(devices, _nulls(devices, rng, draws), strict=True)
+    # The data, and next to them draws of what lacks nothing.
+    data = [replace(d, along=np.column_stack([d.along, null])) for d, null in drawn]
     found, null = list[tuple[str, float, float, int]](), np.zeros(draws)
     for name in names:
-        able = [(d, a) for d, a in zip(devices, data, strict=True) if name in d.columns]
-        if len(able) < 2:
-            continue
-        gram = np.stack([d.gram[np.ix_(d.columns[name], d.columns[name])] for d, _ in able])
-        along = np.stack([a[d.columns[name]] for d, a in able])
-        stands = outstanding(gram, along)
-        nats = float(evidence(gram, along[..., :1])[0])
-        found.append((name, nats, float(stands[0]), len(able)))
-        null = np.maximum(null, stands[1:])
+        able, gram, along = products(data, name)
+        if len(able) > 1:
+            scores = outstanding(gram, along)
+            nats = float(evidence(gram, along[..., :1])[0])
+            found.append((name, nats, float(scores[0]), len(able)))
+            null = np.maximum(null, scores[1:])
     best = [
-        Pooled(name, nats, float((1 + np.sum(null >= own)) / (draws + 1)), count, draws)
+        Pooled(name, nats, float((1 + np.sum(null >= own)) / (draws + 1)), count)
         for name, nats, own, count in found
     ]
     return tuple(sorted(best, key=lambda one: -one.evidence))
 
 
 def outstanding(gram: Array, along: Array) -> Array:
-    """(draws,) -ln p of an effect alike in all devices or of each device's own, the smaller p.
+    """(draws,) -ln p of an effect the same in all devices or of each device's own, the smaller p.
 
     Shapes as of `evidence`.
     """
@@ -218,21 +224,16 @@ def outstanding(gram: Array, along: Array) -> Array:
         return np.asarray(np.einsum("...in,...ij,...jn->...n", sums, inverse, sums))
 
     k = gram.shape[1]
-    alike = chdtrc(k, square(gram.sum(axis=0), along.sum(axis=0)))
+    shared = chdtrc(k, square(gram.sum(axis=0), along.sum(axis=0)))
     own = chdtrc(k * len(gram), square(gram, along).sum(axis=0))
-    return np.asarray(-np.log(np.maximum(np.minimum(alike, own), 1e-300)))
+    return np.asarray(-np.log(np.maximum(np.minimum(shared, own), 1e-300)))
 
 
 def evidence(gram: Array, along: Array) -> Array:
     """(draws,) nats of one effect. gram : (devices, k, k); along : (devices, k, draws)"""
-    nats = [
-        _nats(*sums, gamma)
-        for tau in _TAU
-        for sums in [_sums(gram, along, tau)]
-        for gamma in _GAMMA
-        if tau or gamma
-    ]
-    every = np.stack(nats)
+    sums = {tau: _sums(gram, along, tau) for tau in _TAU}
+    grid = [(tau, gamma) for tau in _TAU for gamma in _GAMMA if tau or gamma]
+    every = np.stack([_nats(*sums[tau], gamma) for tau, gamma in grid])
     top = every.max(axis=0)
     return np.asarray(top + np.log(np.mean(np.exp(every - top), axis=0)))
 
@@ -241,7 +242,7 @@ def sizes(gram: Array, along: Array) -> Sizes:
     """The sizes of an effect. gram : (devices, k, k); along : (devices, k)
 
     The scatter is the root of its mean square over what the data allow, with the prior
-    1 / (τ + sd of a device's own size): few devices that look alike are not taken for equal.
+    1 / (τ + sd of a device's own size): few devices that look equal are not believed to be.
     """
     alone = float(np.sqrt(np.mean(1.0 / np.maximum(np.einsum("dii->di", gram), 1e-12))))
     tau = np.concatenate([[0.0], alone * np.geomspace(*_ALLOWED, _SIZES)])
@@ -250,30 +251,21 @@ def sizes(gram: Array, along: Array) -> Sizes:
     scatter = float(np.sqrt(weight @ tau**2 / weight.sum()))
     _, w, inside = _sums(gram, along[..., None], scatter)
     spread = np.linalg.inv(inside + np.eye(len(inside)) / _WIDE**2)
-    common = spread @ w[:, 0]
-    # Given μ each device is N((1/τ² + G)⁻¹ (μ/τ² + a), ...); the doubt about μ comes on top.
-    eye = np.eye(gram.shape[1])
-    shrink = np.linalg.inv(eye + scatter**2 * gram)
-    each = np.einsum("dij,dj->di", shrink, scatter**2 * along + common)
-    own = scatter**2 * shrink + np.einsum("dij,jk,dlk->dil", shrink, spread, shrink)
-    return Sizes(common, np.asarray(spread, np.float64), scatter, each, own)
+    return Sizes(spread @ w[:, 0], np.asarray(spread, np.float64), scatter)
 
 
-def told_by_others(gram: Array, along: Array, groups: int) -> tuple[tuple[Array, Array], ...]:
+def by_others(gram: Array, along: Array) -> list[tuple[Array, Array]]:
     """Mean (k,) and covariance (k, k) of each device's size, by the devices of other groups."""
-    group = np.arange(len(gram)) % groups
-    every = []
-    for k in range(groups):
-        said = sizes(gram[group != k], along[group != k])
-        spread = said.common_covariance + said.scatter**2 * np.eye(gram.shape[1])
-        every.append((said.common, spread))
-    return tuple(every[k] for k in group)
+    group = np.arange(len(gram)) % min(len(gram), GROUPS)
+    every = [
+        sizes(gram[group != k], along[group != k]).another for k in range(int(group.max()) + 1)
+    ]
+    return [every[k] for k in group]
 
 
-def predictive(gram: Array, along: Array, groups: int) -> Array:
+def predictive(gram: Array, along: Array) -> Array:
     """(devices,) nats that each device's data gain by what the others say of the effect."""
-    told = told_by_others(gram, along, groups)
-    every = zip(gram, along, told, strict=True)
+    every = zip(gram, along, by_others(gram, along), strict=True)
     return np.array([gained(own, sums, *said) for own, sums, said in every])
 
 
@@ -288,11 +280,11 @@ def gained(gram: Array, along: Array, mean: Array, spread: Array) -> float:
 def _sums(gram: Array, along: Array, tau: float) -> tuple[Array, Array, Array]:
     """(draws,) the part without μ, (k, draws) w and (k, k) Λ."""
     shrunk = np.linalg.inv(np.eye(gram.shape[1]) + tau**2 * gram)
-    near = np.einsum("dij,djn->din", shrunk, along)
-    own = 0.5 * tau**2 * np.einsum("din,din->n", along, near)
+    pulled = np.einsum("dij,djn->din", shrunk, along)
+    own = 0.5 * tau**2 * np.einsum("din,din->n", along, pulled)
     own = own + 0.5 * float(np.linalg.slogdet(shrunk)[1].sum())
     inside = np.einsum("dij,djk->ik", shrunk, gram)
-    return own, near.sum(axis=0), 0.5 * (inside + inside.T)
+    return own, pulled.sum(axis=0), 0.5 * (inside + inside.T)
 
 
 def _nats(own: Array, w: Array, inside: Array, gamma: float) -> Array:

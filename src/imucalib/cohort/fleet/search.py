@@ -1,27 +1,38 @@
-"""The search of a fleet: effects that exist in all devices, each with its own size."""
+"""The search of a fleet: effects that exist in all devices, each with its own size; and what the
+others say of a device that took no part in it.
+
+Choosing an effect on all devices and leaving one out of its size only would flatter the held-out
+error: the device that is predicted would have had a vote. A search costs no fit, since every device
+keeps its products with all candidates, so it is made anew for each group that is left out.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.cohort.fleet.pooled import (
+    GROUPS,
     Device,
     Pooled,
     Sizes,
+    by_others,
+    moderated,
     pooled,
     predictive,
+    products,
     sizes,
-    told_by_others,
 )
 from imucalib.core.prior import Prior, correlated
-from imucalib.loop.posterior.odds import TOLD
+from imucalib.loop.posterior.odds import OCCAM
 
-#: Families of devices beyond which a device is foretold by whole groups of the others.
-_GROUPS = 20
+#: Simulated fleets of a search without some of the devices: enough for alpha.
+_DRAWS = 199
+#: Devices beyond which a fifth of them says no less than a twentieth would.
+_MANY, _OF_MANY = 60, 5
 
 
 @dataclass(frozen=True)
@@ -35,8 +46,8 @@ class Rules:
 
 @dataclass(frozen=True)
 class Found:
-    """An effect of the fleet. rivals : names that explain as much; nats : by which each device is
-    foretold by the others' sizes; able : devices that can show it; sizes : theirs"""
+    """An effect of the fleet. rivals : names that explain as much; nats : that each device's data
+    gain by the others' sizes; able : devices that can show it; sizes : theirs"""
 
     pooled: Pooled
     rivals: tuple[str, ...]
@@ -51,64 +62,72 @@ class Found:
 
 @dataclass(frozen=True)
 class Search:
-    """found : in order; first : every effect before any was taken; refused : what stood out, and
-    why it was not taken"""
+    """found : in order; first : every effect before any was accepted; refused : what stood out, and
+    why it was not accepted"""
 
     found: tuple[Found, ...]
     first: tuple[Pooled, ...]
     refused: tuple[tuple[str, str], ...]
 
 
+#: Effect -> its sizes, in typical sizes.
+Priors = Mapping[str, Prior]
+
+
+@dataclass(frozen=True)
+class Said:
+    """What a fleet says. search : what it found; by_others : of each device what the others say of
+    it; unseen : the same where the others have found it too, empty where that was not wanted;
+    following : of the next device"""
+
+    search: Search
+    by_others: Mapping[str, Priors]
+    unseen: Mapping[str, Priors]
+    following: Priors
+
+
+def said_by(
+    own: Sequence[Device], rules: Rules, seed: int, say: Callable[[str], None], *, without: bool
+) -> Said:
+    """Search a fleet. own : with their own noise; without : whether also without each device"""
+    devices = moderated(own)
+    found = search(devices, rules, np.random.default_rng(seed))
+    by_device: dict[str, dict[str, Prior]] = {device.name: {} for device in devices}
+    for one in found.found:
+        say(f"{one.effect}: in {len(one.able)} devices, p {one.pooled.p:.2g}")
+        able, gram, along = products(devices, one.effect)
+        for name, said in zip(able, by_others(gram, along), strict=True):
+            by_device[name][one.effect] = correlated(*said)
+    unseen = _without_each(own, rules, seed) if found.found and without else {}
+    return Said(found, by_device, unseen, _of_another(devices, found))
+
+
 def search(devices: Sequence[Device], rules: Rules, rng: np.random.Generator) -> Search:
-    """Take what stands out and what each device confirms by what the others foretell."""
+    """Accept what stands out and what each device confirms by what the others predict."""
     now, found, refused = tuple(devices), list[Found](), dict[str, str]()
     first: tuple[Pooled, ...] = ()
     while True:
         scores = pooled(now, rng, rules.draws)
         first = first or scores
-        left = [s for s in scores if s.effect not in refused]
-        best = left[0] if left else None
-        if best is None or best.p > rules.alpha or len(found) == rules.most:
+        rest = [s for s in scores if s.effect not in refused]
+        if not rest or rest[0].p > rules.alpha or len(found) == rules.most:
             return Search(tuple(found), first, tuple(refused.items()))
-        able, gram, along = _of(now, best.effect)
-        nats = predictive_by_groups(gram, along)
+        best = rest[0]
+        able, gram, along = products(now, best.effect)
+        nats = predictive(gram, along)
         if nats.sum() <= 0.0:
             refused[best.effect] = f"the others foretell no device's: {nats.sum():+.1f} nats"
             continue
         said = sizes(gram, along)
         rivals = tuple(
-            s.effect for s in left[1:] if s.p <= rules.alpha and s.evidence > best.evidence - TOLD
+            s.effect for s in rest[1:] if s.p <= rules.alpha and s.evidence > best.evidence - OCCAM
         )
         found.append(Found(best, rivals, nats, able, said))
         now = tuple(_without(device, best.effect, said) for device in now)
 
 
-def predictive_by_groups(gram: Array, along: Array) -> Array:
-    """(devices,) as `predictive`; of many devices by groups that are left out together."""
-    return predictive(gram, along, groups=min(len(gram), _GROUPS))
-
-
-def told_to_each(devices: Sequence[Device], found: Search) -> dict[str, dict[str, Prior]]:
-    """Of each device what the others say of the effects that were found, in typical sizes."""
-    every: dict[str, dict[str, Prior]] = {device.name: {} for device in devices}
-    for one in found.found:
-        able, gram, along = _of(devices, one.effect)
-        told = told_by_others(gram, along, min(len(able), _GROUPS))
-        for name, said in zip(able, told, strict=True):
-            every[name][one.effect] = correlated(*said)
-    return every
-
-
-def _of(devices: Sequence[Device], effect: str) -> tuple[tuple[str, ...], Array, Array]:
-    able = [d for d in devices if effect in d.columns]
-    at = [d.columns[effect] for d in able]
-    gram = np.stack([d.gram[np.ix_(k, k)] for d, k in zip(able, at, strict=True)])
-    along = np.stack([d.along[k] for d, k in zip(able, at, strict=True)])
-    return tuple(d.name for d in able), gram, along
-
-
 def _without(device: Device, effect: str, said: Sizes) -> Device:
-    """A device with an effect taken out, whose size is N(μ, τ²) before its data are seen."""
+    """A device without an effect, whose size is N(μ, τ²) before its data are seen."""
     if effect not in device.columns:
         return device
     k = device.columns[effect]
@@ -120,3 +139,28 @@ def _without(device: Device, effect: str, said: Sizes) -> Device:
     return replace(
         device, columns=columns, gram=device.gram - across @ shrunk @ across.T, along=along
     )
+
+
+def _without_each(devices: Sequence[Device], rules: Rules, seed: int) -> dict[str, Priors]:
+    """Of each device the effects that the others find, with what these say of its sizes.
+
+    devices : with their own noise, not drawn towards the fleet's, which the one left out would
+    tell
+    """
+    groups = min(len(devices), GROUPS if len(devices) <= _MANY else _OF_MANY)
+    few = replace(rules, draws=min(rules.draws, _DRAWS))
+    every: dict[str, Priors] = {}
+    for group in range(groups):
+        rest = moderated([d for k, d in enumerate(devices) if k % groups != group])
+        said = _of_another(rest, search(rest, few, np.random.default_rng((seed, group))))
+        for device in devices[group::groups]:
+            every[device.name] = {n: one for n, one in said.items() if n in device.columns}
+    return every
+
+
+def _of_another(devices: Sequence[Device], found: Search) -> dict[str, Prior]:
+    """The sizes in another device of the kind of the effects that were found in these."""
+    return {
+        one.effect: correlated(*sizes(*products(devices, one.effect)[1:]).another)
+        for one in found.found
+    }

@@ -15,7 +15,7 @@ import numpy as np
 from imucalib.arrays import Array, Index
 from imucalib.core.references import unit_vector
 from imucalib.loop.faults.cells import Base, leading, prior_of
-from imucalib.loop.faults.sheet import Fault, Hypothesis, Sheet
+from imucalib.loop.faults.sheet import Fault, Sheet, Trial
 
 #: A typo is at least this far (deg) from what the sheet has.
 _NEAREST = 1.0
@@ -25,7 +25,7 @@ _ON_STEP = 0.9
 _NAMES = ("inclination", "tool_face")
 
 
-def angles(base: Base, unit: tuple[float, float] = (1.0, 1.0)) -> Iterator[Hypothesis]:
+def angles(base: Base, unit: tuple[float, float] = (1.0, 1.0)) -> Iterator[Trial]:
     """Every row's and every shared setting's inclination and tool-face at every degree of the dial.
 
     unit : what one degree is in the sheet's columns of inclination and tool-face (π/180 for rad)
@@ -40,7 +40,7 @@ def angles(base: Base, unit: tuple[float, float] = (1.0, 1.0)) -> Iterator[Hypot
                 dial, score, prior = tried[k]
                 at = int(np.argmax(score))
                 fault, mended = _mended(base, groups[k], column, dial[at], score[at], unit[column])
-                yield Hypothesis(fault, mended, float(prior[at]))
+                yield Trial(fault, mended, float(prior[at]))
 
 
 def _shared(sheet: Sheet, column: int) -> list[Index]:

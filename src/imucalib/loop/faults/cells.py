@@ -26,9 +26,9 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Index
 from imucalib.loop.faults.conventions import axes_text, nearest_axes
-from imucalib.loop.faults.sheet import Fault, Hypothesis, Kind, Sheet
+from imucalib.loop.faults.sheet import Fault, Kind, Sheet, Trial
 from imucalib.loop.posterior.explored import Explored
-from imucalib.loop.posterior.gram import Grams
+from imucalib.loop.posterior.gram import Grams, log_sum
 from imucalib.loop.posterior.odds import OPEN, SLIPS, WRONG
 from imucalib.units import MG
 
@@ -89,7 +89,7 @@ class Base:
     def gain(self, rss: Array, count: float) -> Array:
         """(...) nats beyond the sheet as it stands, over all noises, less what one slip of `count`
         in its class pays for being one of them."""
-        whole = np.logaddexp.reduce(self.each(rss)) - np.logaddexp.reduce(self.each(self.rss))
+        whole = log_sum(self.each(rss)) - log_sum(self.each(self.rss))
         return np.asarray(whole + prior_of(count))
 
     def at_few(self) -> Base:
@@ -105,17 +105,16 @@ class Base:
 
 
 def base_of(found: Explored, sheet: Sheet, one: Grams) -> Base:
-    """The base of a sheet of known angles; one : Grams beside the base model and a set, the
-    readings' own numbers before y."""
+    """The base of a sheet of known angles; one : products beside the base model and a set, the
+    readings' own numbers first."""
     fit = found.base
     unit = fit.at.unit / MG
-    single = np.arange(-1 - unit.size, -1) + one.along.shape[1]
-    rows = one.rows(single)
+    rows = one.rows(np.arange(unit.size))
     first = fit.observations.context.take(np.zeros(1, np.intp))
     response = fit.model.predict(fit.theta, np.zeros((1, 1, 3)), first).d_truth[0, 0]
     return Base(
         sheet=sheet,
-        P=rows[:, :, single] / np.outer(unit, unit),
+        P=rows[:, :, : unit.size] / np.outer(unit, unit),
         g=rows[:, :, -1] / unit,
         rss=one.power,
         grams=one,
@@ -147,7 +146,7 @@ def _shortlisted(
         yield int(short[k]), float(score[k])
 
 
-def exchanges(base: Base) -> Iterator[Hypothesis]:
+def exchanges(base: Base) -> Iterator[Trial]:
     """The readings of two rows exchanged: D is d = y_q - y_p in row p, -d in row q."""
     sheet, n = base.sheet, base.sheet.n
     pairs = np.stack(np.triu_indices(n, 1), axis=1)
@@ -163,7 +162,7 @@ def exchanges(base: Base) -> Iterator[Hypothesis]:
         what = f"rows {p} and {q}: their readings are exchanged"
         fault = Fault("exchange", what, (p, q), score, f"--swap {p},{q}")
         mended = sheet.with_reading(sheet.reading[order])
-        yield Hypothesis(fault, mended, prior_of(len(pairs)))
+        yield Trial(fault, mended, prior_of(len(pairs)))
 
 
 @dataclass(frozen=True)
@@ -179,7 +178,7 @@ class _Orders:
     late: NDArray[np.bool_]
 
 
-def blocks(base: Base) -> Iterator[Hypothesis]:
+def blocks(base: Base) -> Iterator[Trial]:
     """One row's reading moved to another place, or a block of readings one row late or early.
 
     A shift leaves one row without a reading (integrated out) and one reading over, which repeats
@@ -235,7 +234,7 @@ def _scores(tried: _Orders, base: Base, which: Index) -> Array:
     return base.gain(rss, len(tried.lost)) - np.where(lost >= 0, stray, 0.0)
 
 
-def _block(sheet: Sheet, tried: _Orders, k: int, score: float) -> Hypothesis:
+def _block(sheet: Sheet, tried: _Orders, k: int, score: float) -> Trial:
     a, b = int(sheet.row[tried.first[k]]), int(sheet.row[tried.last[k]])
     late, lost = bool(tried.late[k]), int(tried.lost[k])
     kind: Kind
@@ -250,7 +249,7 @@ def _block(sheet: Sheet, tried: _Orders, k: int, score: float) -> Hypothesis:
         what = f"rows {a} to {b}: their readings stand one row {'late' if late else 'early'}, "
         what += f"row {b if late else a} has none"
     fault = Fault(kind, what, tuple(range(a, b + 1)), score, line)
-    return Hypothesis(fault, mended, prior_of(len(tried.lost)))
+    return Trial(fault, mended, prior_of(len(tried.lost)))
 
 
 @dataclass(frozen=True)
@@ -265,7 +264,7 @@ class _Slip:
     digits: bool = False
 
 
-def cells(base: Base, written: Array) -> Iterator[Hypothesis]:
+def cells(base: Base, written: Array) -> Iterator[Trial]:
     """One cell with the wrong sign, ten times too large or small, or with two digits exchanged; or
     two cells of a row exchanged.
 
@@ -293,7 +292,7 @@ def cells(base: Base, written: Array) -> Iterator[Hypothesis]:
         reading = sheet.reading.copy()
         reading[slip.row] = slip.reading
         prior = prior_of(1.0) - float(np.log(count[k]))
-        yield Hypothesis(fault, sheet.with_reading(reading), prior)
+        yield Trial(fault, sheet.with_reading(reading), prior)
 
 
 def _slips(row: int, written: Array, reading: Array) -> Iterator[_Slip]:
@@ -334,7 +333,7 @@ def transposed(value: float) -> list[float]:
     return found
 
 
-def other_axes(base: Base) -> Iterator[Hypothesis]:
+def other_axes(base: Base) -> Iterator[Trial]:
     """Readings whose axes are exchanged or inverted from some row on, or up to it."""
     sheet = base.sheet
     if not sheet.ordered or sheet.n < 2 * _LEAST:
@@ -350,7 +349,7 @@ def other_axes(base: Base) -> Iterator[Hypothesis]:
         which, start = divmod(int(k), len(at))
         fault, mended = _turned(sheet, which, int(at[start]), float(score[which, start]))
         if np.abs(mended.reading - sheet.reading).max() > _MOVED * sheet.gravity:
-            yield Hypothesis(fault, mended, prior_of(count))
+            yield Trial(fault, mended, prior_of(count))
 
 
 def _corners(base: Base, z: Array) -> Array:

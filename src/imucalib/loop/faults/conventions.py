@@ -24,7 +24,9 @@ from imucalib.estimators.starting_point import concentrated
 from imucalib.loop.faults.sheet import Fault, Sheet
 
 #: Nats beyond the sheet as it stands below which nothing is said.
-ENOUGH = 5.0
+_ENOUGH = 5.0
+#: Misfit (mg rms) below which a linear map says nothing; how much better another meaning must fit.
+_BENCH, _FAR_BETTER = 2.0, 1.0 / 3.0
 #: Share of the rows that make the map.
 _SHARE = 0.75
 #: Misfit (mg) that any fixture may have: bias, tilt and noise.
@@ -38,46 +40,35 @@ def wrong_directions(reading: Array, direction: Array, row: Index) -> tuple[Faul
     reading : (n, 3) mg; direction : (n, 3) unit vectors; row : (n,) numbers of the table's rows
     """
     every = np.unique(direction, axis=0)
-    made = _map(reading, direction)
+    design, targets = (np.column_stack([d, np.ones(len(d))]) for d in (direction, every))
+    many = max(5, int(_SHARE * len(design)))
+    made = concentrated(design, reading, np.arange(len(design)), many).map
     if made is None:
         return ()
-    own = np.linalg.norm(reading - _read(direction, made), axis=1)
-    each = np.linalg.norm(reading[:, None] - _read(every, made)[None], axis=2)
+    own = np.linalg.norm(reading - design @ made, axis=1)
+    each = np.linalg.norm(reading[:, None] - targets @ made, axis=2)
     fits = np.argmin(each, axis=1)
     worth = 3.0 * np.log(np.maximum(own, _FIXTURE) / np.maximum(each.min(axis=1), _FIXTURE))
-    wrong = np.flatnonzero(worth > ENOUGH)
+    wrong = np.flatnonzero(worth > _ENOUGH)
+
+    def same(one: Array, other: Array) -> bool:
+        return bool(np.allclose(one, other, atol=1e-9))
+
     found, told = [], set[int]()
     for k in wrong:
-        other = [m for m in wrong if _same(every[fits[m]], direction[k])]
-        twin = next((m for m in other if m > k and _same(every[fits[k]], direction[m])), None)
+        other = [m for m in wrong if same(every[fits[m]], direction[k])]
+        twin = next((m for m in other if m > k and same(every[fits[k]], direction[m])), None)
         if k in told:
             continue
         if twin is not None and twin not in told:
             told.add(int(twin))
-            found.append(_exchanged(int(row[k]), int(row[twin]), float(worth[k] + worth[twin])))
-        elif not _same(every[fits[k]], -direction[k]):  # a lost sign as well, which others tell
+            rows = (int(row[k]), int(row[twin]))
+            what = f"rows {rows[0]} and {rows[1]}: their readings are exchanged"
+            score = float(worth[k] + worth[twin])
+            found.append(Fault("exchange", what, rows, score, f"--swap {rows[0]},{rows[1]}"))
+        elif not same(every[fits[k]], -direction[k]):  # a lost sign as well, which others tell
             found.append(_noted(int(row[k]), direction[k], every[fits[k]], float(worth[k])))
     return tuple(found)
-
-
-def _map(reading: Array, direction: Array) -> Array | None:
-    """(4, 3) mg, the linear map of the rows that fit it best; None where it stays open."""
-    design = np.column_stack([direction, np.ones(len(direction))])
-    every = np.arange(len(design))
-    return concentrated(design, reading, every, max(5, int(_SHARE * len(design)))).map
-
-
-def _read(direction: Array, made: Array) -> Array:
-    return np.asarray(direction @ made[:3] + made[3])
-
-
-def _same(one: Array, other: Array) -> bool:
-    return bool(np.allclose(one, other, atol=1e-9))
-
-
-def _exchanged(row: int, other: int, score: float) -> Fault:
-    what = f"rows {row} and {other}: their readings are exchanged"
-    return Fault("exchange", what, (row, other), score, f"--swap {row},{other}")
 
 
 def _noted(row: int, said: Array, fits: Array, score: float) -> Fault:
@@ -135,24 +126,20 @@ def misread_angles(sheet: Sheet) -> Misread | None:
         # Both angles moved by one step is a shift of the readings, and is told as one.
         if not (m[3] and m[3] == m[4])
     ]
-    left = {}
+    misfits = {}
     for meaning in tried:
         other = as_meant(sheet, meaning)
-        misfit = np.inf if other is None else linear_misfit(other, whole=meaning != Meaning())
-        left[meaning] = max(misfit, BENCH)
-    plain = left[Meaning()]
-    best = min(tried, key=lambda m: (round(left[m], 6), sum(map(bool, m))))
+        misfit = np.inf if other is None else _misfit(other, whole=meaning != Meaning())
+        misfits[meaning] = max(misfit, _BENCH)
+    plain = misfits[Meaning()]
+    best = min(tried, key=lambda m: (round(misfits[m], 6), sum(map(bool, m))))
     if best == Meaning() or not np.isfinite(plain):
         return None
     dof = 3 * sheet.n - 15
-    score = dof * np.log(plain / left[best]) - np.log(len(tried))
-    if score <= ENOUGH or left[best] > plain * _FAR_BETTER:
+    score = dof * np.log(plain / misfits[best]) - np.log(len(tried))
+    if score <= _ENOUGH or misfits[best] > plain * _FAR_BETTER:
         return None
-    return Misread(best, float(score), left[best], plain)
-
-
-#: Misfit (mg rms) below which a linear map says nothing; how much better another meaning must fit.
-BENCH, _FAR_BETTER = 2.0, 1.0 / 3.0
+    return Misread(best, float(score), misfits[best], plain)
 
 
 def as_meant(sheet: Sheet, meaning: Meaning) -> Sheet | None:
@@ -174,11 +161,17 @@ def as_meant(sheet: Sheet, meaning: Meaning) -> Sheet | None:
     return replace(sheet, inclination=i, tool_face=t).take(known)
 
 
-def linear_misfit(sheet: Sheet, *, whole: bool = True) -> float:
-    """rms length (mg) that the best linear map leaves, per degree of freedom; inf for too few rows
-    or, where a `whole` map is asked for, for rows that do not determine it."""
+def _linear_map(sheet: Sheet) -> tuple[Array, Array, int]:
+    """(n, 4) the design, (4, 3) mg the linear map of the truth, and its rank."""
     design = np.column_stack([sheet.truth(), np.ones(sheet.n)])
     found, _, rank, _ = np.linalg.lstsq(design, sheet.reading, rcond=1e-6)
+    return design, np.asarray(found), int(rank)
+
+
+def _misfit(sheet: Sheet, *, whole: bool) -> float:
+    """rms length (mg) that the best linear map leaves, per degree of freedom; inf for too few rows
+    or, where a `whole` map is asked for, for rows that do not determine it."""
+    design, found, rank = _linear_map(sheet)
     if (whole and rank < 4) or sheet.n < 6:
         return float("inf")
     rest = sheet.reading - design @ found
@@ -195,39 +188,26 @@ def axes_text(source: Iterable[int], sign: Iterable[float]) -> str:
 class Axes:
     """The sensor's axes in the tool's frame: the signed permutation nearest to the linear map.
 
-    source : for x, y, z of the tool the column (from 0) that reads it; sign : (3,) of +1 and -1
-    mirrored : no turn of the sensor does it; angle : deg, how far the map is from it
+    text : "-y,x,z", what the columns would have to be; mirrored : no turn of the sensor does it
     """
 
-    source: tuple[int, int, int]
-    sign: tuple[int, int, int]
+    text: str
     mirrored: bool
-    angle: float
 
     @property
     def straight(self) -> bool:
-        return self.source == (0, 1, 2) and self.sign == (1, 1, 1)
-
-    @property
-    def text(self) -> str:
-        """ "-y,x,z": what the columns would have to be."""
-        return axes_text(self.source, self.sign)
+        return self.text == "x,y,z"
 
 
 def nearest_axes(sheet: Sheet) -> Axes | None:
     """None where the rows do not determine the linear map."""
-    design = np.column_stack([sheet.truth(), np.ones(sheet.n)])
-    found, _, rank, _ = np.linalg.lstsq(design, sheet.reading, rcond=1e-6)
+    _, found, rank = _linear_map(sheet)
     if rank < 4:
         return None
     u, _, v = np.linalg.svd(found[:3].T)
-    turn = u @ v
-    every = [
-        (sum(s * turn[k, axis] for axis, (k, s) in enumerate(zip(p, signs, strict=True))), p, signs)
-        for p in permutations(range(3))
-        for signs in product((1, -1), repeat=3)
-    ]
-    trace, source, sign = max(every)
-    mirrored = bool(np.linalg.det(found[:3]) < 0.0)
-    angle = float(np.degrees(np.arccos(np.clip((trace - 1.0) / 2.0, -1.0, 1.0))))
-    return Axes((source[0], source[1], source[2]), (sign[0], sign[1], sign[2]), mirrored, angle)
+    turn, axes = u @ v, np.arange(3)
+    source, sign = max(
+        product(permutations(range(3)), product((1.0, -1.0), repeat=3)),
+        key=lambda one: (float(np.dot(one[1], turn[list(one[0]), axes])), one),
+    )
+    return Axes(axes_text(source, sign), bool(np.linalg.det(found[:3]) < 0.0))

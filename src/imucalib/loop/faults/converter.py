@@ -1,11 +1,9 @@
-"""Readings that the converter did not give as they were: cut off at its range, or in wide steps.
+"""Readings that were not given as they were: cut off at a range, flattened, or in wide steps.
 
-Readings that stay at an end while the position asks for more: saturation before the noise.
-
-An amplifier that saturates leaves its noise on what it gives: no reading repeats, as those of a
-converter at its range do (`converter.cut_off`), but all stop at one height. What they should be
-follows from the rows away from every end: by the linear map where the positions are known, else
-by the ellipsoid on which readings at rest lie.
+Readings of a converter at its range repeat exactly (`cut_off`). An amplifier that saturates leaves
+its noise on what it gives: no reading repeats, but all stop at one height (`flat_tops`). What they
+should be follows from the rows away from every end: by the linear map where the positions are
+known, else by the ellipsoid on which readings at rest lie.
 """
 
 from __future__ import annotations
@@ -60,8 +58,13 @@ def _by_map(reading: Array, truth: Array, rest: Flags) -> tuple[Array, Array]:
         return _NOWHERE, np.zeros(0)
     found, _, rank, _ = np.linalg.lstsq(design[rest], reading[rest], rcond=1e-6)
     due = design @ found
-    sd = _spread((reading - due)[rest]) * _open(design, rest)
-    return (due if rank == design.shape[1] else _NOWHERE), sd
+    # What they leave open of the numbers fitted to them, which take some of their scatter too.
+    inverse = np.linalg.pinv(design[rest].T @ design[rest], hermitian=True)
+    leverage = np.einsum("ni,ij,nj->n", design, inverse, design)
+    count, numbers = design[rest].shape
+    widened = np.sqrt((1.0 + leverage) * count / max(count - numbers, 1))
+    sd = _spread((reading - due)[rest]) * widened
+    return (due if rank == numbers else _NOWHERE), np.asarray(sd)
 
 
 def _by_size(reading: Array, rest: Flags) -> tuple[Array, Array]:
@@ -90,16 +93,6 @@ def _by_size(reading: Array, rest: Flags) -> tuple[Array, Array]:
     return due, 0.5 * unit * np.sqrt(scatter**2 + open_)
 
 
-def _open(design: Array, rest: Flags) -> Array:
-    """(n,) standard deviation of a row's prediction by the rest, over the rest's scatter: what they
-    leave open of the numbers that are fitted to them, which take some of that scatter too."""
-    own = design[rest]
-    inverse = np.linalg.pinv(own.T @ own, hermitian=True)
-    leverage = np.einsum("ni,ij,nj->n", design, inverse, design)
-    count, numbers = own.shape
-    return np.asarray(np.sqrt((1.0 + leverage) * count / max(count - numbers, 1)))
-
-
 def _spread(error: Array) -> float:
     return 1.4826 * float(np.median(np.abs(error)))
 
@@ -108,8 +101,6 @@ def _spread(error: Array) -> float:
 _REPEATS, _ELSEWHERE = 3, 30.0
 #: Share of a range by which its two ends may differ: a count of 16 bits.
 _COUNT = 5e-5
-#: How far (mg) they must fall short of what they should be.
-_BEYOND = 20.0
 #: Steps (mg) that bury an ordinary noise, and the share of values that must lie on them.
 _WIDE, _ON_STEPS = 3.0, 0.999
 
@@ -136,8 +127,12 @@ def cut_off(reading: Array, truth: Array | None = None) -> tuple[CutOff, ...]:
     those rows must fall short of the others'. Rounded readings on a ring repeat too; where nothing
     else repeats, the readings are finer than that, and no shortfall is asked for.
     """
-    ends = [_end(reading, axis, side) for axis in range(3) for side in (-1.0, 1.0)]
-    found: list[CutOff] = []
+    ends = [
+        CutOff(axis, float(value), np.flatnonzero(column == value))
+        for axis, column in enumerate(reading.T)
+        for value in (column.min(), column.max())
+    ]
+    found = list[CutOff]()
     for end in ends:
         alike = [e for e in ends if abs(abs(e.value) - abs(end.value)) <= _COUNT * abs(end.value)]
         rows = np.unique(np.concatenate([e.rows for e in alike]))
@@ -145,18 +140,17 @@ def cut_off(reading: Array, truth: Array | None = None) -> tuple[CutOff, ...]:
         apart = len(alike) > 1 or np.ptp(others, axis=0).max() > _ELSEWHERE
         if len(rows) < _REPEATS or not apart:
             continue
-        rest = np.setdiff1d(np.arange(len(reading)), rows)
+        rest = np.ones(len(reading), bool)
+        rest[rows] = False
         size = np.linalg.norm(reading, axis=1)
-        short = float(np.median(size[rest]) - np.median(size[rows])) if rest.size else 0.0
-        due = short if truth is None else _beyond(reading, truth, alike, rest)
-        if due > _BEYOND or not _repeats(reading, alike):
+        short = float(np.median(size[rest]) - np.median(size[rows])) if rest.any() else 0.0
+        if truth is not None:
+            due = _by_map(reading, truth, rest)[0]
+            away = [np.sign(e.value) * (due[e.rows, e.axis] - e.value) for e in alike if len(due)]
+            short = float(np.median(np.concatenate(away))) if away else 0.0
+        if short > _SHORT or not _repeats(reading, alike):
             found.append(end)
     return tuple(found)
-
-
-def _end(reading: Array, axis: int, side: float) -> CutOff:
-    column = side * reading[:, axis]
-    return CutOff(axis, side * float(column.max()), np.flatnonzero(column == column.max()))
 
 
 def _repeats(reading: Array, ends: list[CutOff]) -> bool:
@@ -167,16 +161,6 @@ def _repeats(reading: Array, ends: list[CutOff]) -> bool:
         if len(np.unique(rest)) < len(rest):
             return True
     return False
-
-
-def _beyond(reading: Array, truth: Array, ends: list[CutOff], rest: Index) -> float:
-    """How far (mg) the linear map of the other rows lies beyond the ends, in the median."""
-    design = np.column_stack([truth, np.ones(len(truth))])
-    if rest.size < 2 * design.shape[1]:
-        return 0.0
-    found = np.linalg.lstsq(design[rest], reading[rest], rcond=1e-6)[0]
-    beyond = [np.sign(e.value) * (design[e.rows] @ found[:, e.axis] - e.value) for e in ends]
-    return float(np.median(np.concatenate(beyond)))
 
 
 def step_of(reading: Array) -> float:

@@ -54,7 +54,7 @@ class Fault:
 
 
 @dataclass(frozen=True)
-class Hypothesis:
+class Trial:
     """A fault that is tried, and the sheet that its repair would give, None where a record is set
     aside; its score is what it gains at first glance, with `prior`, the log odds of its class and
     place."""
@@ -64,6 +64,8 @@ class Hypothesis:
     prior: float
 
 
+#: Shuffles that rows in an order of work are held against.
+_SHUFFLES = 199
 #: Dial angles (deg) to inclination and tool-face in rad, each angle on its own.
 Inside = Callable[[Array, Array], tuple[Array, Array]]
 
@@ -120,7 +122,7 @@ class Sheet:
         return np.concatenate([[0], np.cumsum(np.diff(self.place) != 1)])
 
 
-def in_order(inclination: Array, tool_face: Array, draws: int = 199) -> bool:
+def in_order(inclination: Array, tool_face: Array) -> bool:
     """Whether the way from row to row is shorter than in shuffled rows (p = 0.005): then the rows
     stand in the order in which a bench is worked. Angles in rad; the shuffles are fixed."""
     u = unit_vector(inclination, tool_face)
@@ -129,5 +131,5 @@ def in_order(inclination: Array, tool_face: Array, draws: int = 199) -> bool:
         return float(np.linalg.norm(np.diff(u[rows], axis=0), axis=1).sum())
 
     rng = np.random.default_rng(0)
-    shuffled = min(way(rng.permutation(len(u))) for _ in range(draws))
+    shuffled = min(way(rng.permutation(len(u))) for _ in range(_SHUFFLES))
     return way(np.arange(len(u))) < shuffled

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,8 +22,8 @@ from imucalib.loop.posterior.held_out import LeftOut, left_out
 from imucalib.loop.posterior.noise import Point, shared_bias
 from imucalib.loop.posterior.odds import OPEN
 from imucalib.loop.posterior.slips import Mended, Written, mended
-from imucalib.loop.posterior.solution import change, fit_of, noises_of, solved
-from imucalib.loop.posterior.words import Place, Told, name_of, rivals_of, scores_of, told
+from imucalib.loop.posterior.solution import Solved, change, fit_of, noises_of, solved
+from imucalib.loop.posterior.words import Conclusion, concluded, name_of, rivals_of, scores_of
 from imucalib.loop.record_errors import accused, record_names, reduced
 from imucalib.units import MG
 
@@ -44,7 +45,7 @@ class Closed:
 def close_loop(
     model: Model,
     observations: Observations,
-    asked: Searched,
+    wanted: Searched,
     start: Array | None = None,
     written: Written | None = None,
     *,
@@ -59,24 +60,26 @@ def close_loop(
     every record as it stands.
     """
     plain = fit_model(model, observations, start=start)
-    begun = Start.of(plain, asked)
+    begun = Start.of(plain, wanted)
     uneven = begun.axis_noise()
     if np.any(uneven != 1.0):
         observations = replace(observations, sigma=observations.sigma * uneven)
         plain = fit_model(model, observations, start=plain.theta)
-        begun = Start.of(plain, asked)
-    state = mended(begun.explored(), asked, written)
+        begun = Start.of(plain, wanted)
+    state = mended(begun.explored(), wanted, written)
     found = state.found
-    said = told(found.problem, found.posterior)
-    data = _walking(found, said)
-    base = found.base
+    said = concluded(found.problem, found.posterior)
+    data, base = _walking(found, said), found.base
     if data is not base.observations:
         base = fit_model(base.model, data, start=base.theta)
-    loop, left = replace(empty(plain, found, asked, said), base=base, final=base), None
-    if not correctable(found, said, curves=curves):
-        loop = refused(loop, found, said, None)
-    elif said.places:
-        loop, left = _corrected(loop, found, said, data)
+    loop, left = judged(
+        started(base, plain, found, wanted, said),
+        found,
+        said,
+        lambda one: fit_of(found.problem, one, data),
+        lambda final, left: _gain(base, left),
+        curves=curves,
+    )
     loop = replace(
         loop,
         records=accused(loop.final, state.aside),
@@ -86,10 +89,29 @@ def close_loop(
     return Closed(replace(loop, as_recorded=_as_recorded(loop, state)), found, left)
 
 
-def correctable(found: Explored, said: Told, *, curves: bool) -> bool:
-    """Whether what is told may be corrected: structure without a name only with `curves`."""
-    places = (found.problem.components[p.component] for p in said.places)
-    return curves or not any(c.kind == "free" for c in places)
+def _walking(found: Explored, said: Conclusion) -> Observations:
+    """The observations, with the bias that walks as a noise of theirs where it more likely does
+    than not beside what is told: readings that share an error are worth fewer."""
+    data, posterior = found.base.observations, found.posterior
+    weight = noises_of(found.problem, posterior.grams, said.hypothesis.picks)
+    walks = dict[float, float]()
+    for point, share in zip(posterior.grams.points, weight, strict=True):
+        if isinstance(point, Point) and point.walk is not None:
+            walks[point.walk[1]] = walks.get(point.walk[1], 0.0) + float(share)
+    if sum(walks.values()) <= 0.5:
+        return data
+    walk = shared_bias(data, max(walks, key=lambda memory: walks[memory]))
+    return replace(data, shared=(*data.shared, walk))
+
+
+def _gain(base: Fit, left: LeftOut) -> Difference:
+    """What the rows gain but for records that are set aside."""
+    data, folds = base.observations, folds_of(base.observations)
+    aside = [record_of(name) for name in record_names(base)]
+    good = ~np.isin(data.context.covariates.get("record", np.arange(data.n)), aside)
+    sizes = left.before.size[good], left.after.size[good]
+    gain = difference(*sizes, parts_of(folds)[good], len(folds), "rms")
+    return with_density(gain, left.nats)
 
 
 def _as_recorded(loop: FitLoop, state: Mended) -> Fit:
@@ -105,120 +127,108 @@ def _as_recorded(loop: FitLoop, state: Mended) -> Fit:
     return fit_model(one.model, loop.plain.observations, start=one.theta, shrink=one.shrink)
 
 
-def _walking(found: Explored, said: Told) -> Observations:
-    """The observations, with the bias that walks as a noise of theirs where it more likely does
-    than not beside what is told: readings that share an error are worth fewer."""
-    data, posterior = found.base.observations, found.posterior
-    weight = noises_of(found.problem, posterior.grams, said.hypothesis.picks)
-    walks = dict[float, float]()
-    for point, share in zip(posterior.grams.points, weight, strict=True):
-        if isinstance(point, Point) and point.walk is not None:
-            walks[point.walk[1]] = walks.get(point.walk[1], 0.0) + float(share)
-    if sum(walks.values()) <= 0.5:
-        return data
-    walk = shared_bias(data, max(walks, key=lambda memory: walks[memory]))
-    return replace(data, shared=(*data.shared, walk))
-
-
-def empty(plain: Fit, found: Explored, asked: Searched, said: Told) -> FitLoop:
+def started(base: Fit, plain: Fit, found: Explored, wanted: Searched, said: Conclusion) -> FitLoop:
     """The loop before anything is corrected."""
-    missing = {
-        name: reason
-        for name, effect in asked.effects.items()
-        if (reason := effect.missing(plain.observations.context))
-    }
+    context = plain.observations.context
+    reasons = {name: effect.missing(context) for name, effect in wanted.effects.items()}
     scores = scores_of(found.problem, found.posterior)
     return FitLoop(
-        base=found.base,
-        final=found.base,
+        base=base,
+        final=base,
         plain=plain,
         as_recorded=plain,
         scores=scores,
         first_scores=scores,
-        missing=missing,
+        missing={name: reason for name, reason in reasons.items() if reason},
         complete=said.complete,
     )
 
 
-def _corrected(
-    loop: FitLoop, found: Explored, said: Told, data: Observations
-) -> tuple[FitLoop, LeftOut | None]:
-    """The loop with what is told in the model, unless data that took no part refuse it."""
-    one = solved(found.problem, found.posterior.grams, said.hypothesis)
-    final = fit_of(found.problem, one, data)
-    if not final.converged:
-        return refused(loop, found, said, None), None
-    folds = folds_of(data)
-    try:
-        left = left_out(found.problem, found.posterior, folds)
-    except NotConverged:  # a response that has no inverse
-        return refused(loop, found, said, None), None
-    aside = [record_of(name) for name in record_names(found.base)]
-    good = ~np.isin(data.context.covariates.get("record", np.arange(data.n)), aside)
-    sizes = left.before.size[good], left.after.size[good]
-    gain = difference(*sizes, parts_of(folds)[good], len(folds), "rms")
-    loop = judged(loop, found, said, final, left, with_density(gain, left.nats))
-    return loop, left if loop.steps else None
-
-
 def judged(
-    loop: FitLoop, found: Explored, said: Told, final: Fit, left: LeftOut, gain: Difference
-) -> FitLoop:
-    """The one veto: what is told is corrected by `final` unless data that took no part refuse."""
+    loop: FitLoop,
+    found: Explored,
+    said: Conclusion,
+    fitted: Callable[[Solved], Fit],
+    gain_of: Callable[[Fit, LeftOut], Difference],
+    *,
+    curves: bool,
+) -> tuple[FitLoop, LeftOut | None]:
+    """The loop with what is told in the model, and the predictions that prove it: the one veto is
+    that of data that took no part.
+
+    fitted : makes the final fit of the linear one; gain_of : what is gained by a final fit on what
+    was left out; curves : whether structure without a name is corrected
+    """
+    problem, posterior = found.problem, found.posterior
+    free = any(problem.components[place.component].kind == "free" for place in said.places)
+    if not said.places:
+        return loop, None
+    if free and not curves:
+        return _refused(loop, found, said, None), None
+    try:
+        final = fitted(solved(problem, posterior.grams, said.hypothesis))
+        if not final.converged:
+            return _refused(loop, found, said, None), None
+        left = left_out(problem, posterior, folds_of(loop.base.observations))
+    except NotConverged:  # a response that has no inverse
+        return _refused(loop, found, said, None), None
+    gain = gain_of(final, left)
     if not gain.holds:
-        return refused(loop, found, said, gain)
-    steps = tuple(
-        _step(found, said, place, _effect(found, place.component, said), left)
-        for place in said.places
-    )
-    loop = replace(loop, final=final, steps=steps, difference=gain)
-    size = change(found.problem, found.posterior.grams, said.hypothesis) if loop.suspected else 0.0
-    return replace(loop, open_size=size)
+        return _refused(loop, found, said, gain), None
+    loop = replace(loop, final=final, steps=_steps(found, said, left), difference=gain)
+    size = change(problem, posterior.grams, said.hypothesis) if loop.suspected else 0.0
+    return replace(loop, open_size=size), left
 
 
-def _effect(found: Explored, component: int, said: Told) -> str:
+def _steps(found: Explored, said: Conclusion, left: LeftOut) -> tuple[Step, ...]:
+    steps = []
+    for place in said.places:
+        named = [(_name(found, said, c), share) for c, share in place.rivals]
+        name = _name(found, said, place.component)
+        step = Step(
+            effect=name,
+            evidence=place.log_odds,
+            checked=(Checked("error", "m/s2", left.before.rms(), left.after.rms()),),
+            aliases=tuple(dict.fromkeys(n for n, _ in named if n != name)),
+            curve=found.problem.components[place.component].kind == "free",
+            probability=place.probability,
+            rivals=tuple(named),
+            certain=place.certain,
+        )
+        steps.append(step)
+    return tuple(steps)
+
+
+def _name(found: Explored, said: Conclusion, component: int) -> str:
     return name_of(found.problem, found.posterior, said, component)
 
 
-def _step(found: Explored, said: Told, place: Place, name: str, left: LeftOut) -> Step:
-    rivals = tuple((_effect(found, c, said), share) for c, share in place.rivals)
-    component = found.problem.components[place.component]
-    return Step(
-        effect=name,
-        evidence=place.log_odds,
-        checked=(Checked("error", "m/s2", left.before.rms(), left.after.rms()),),
-        aliases=tuple(dict.fromkeys(n for n, _ in rivals if n != name)),
-        curve=component.kind == "free",
-        probability=place.probability,
-        rivals=rivals,
-        certain=place.certain,
-    )
-
-
-def refused(loop: FitLoop, found: Explored, said: Told, gain: Difference | None) -> FitLoop:
+def _refused(loop: FitLoop, found: Explored, said: Conclusion, gain: Difference | None) -> FitLoop:
     """Nothing is corrected; what is missing beyond doubt stays without a name."""
     why = "it has no inverse, no fit settles with it, or curves are not wanted"
     if gain is not None:
         why = f"on data that took no part the error is {gain.before / MG:.3g} mg without it, "
         why += f"{gain.after / MG:.3g} with it"
-    names = tuple(_effect(found, place.component, said) for place in said.places)
-    left = tuple(
+    names = tuple(_name(found, said, place.component) for place in said.places)
+    beyond_doubt = said.complete < np.exp(-OPEN)
+    unexplained = tuple(
         Unexplained(
             name=name,
             driver=found.problem.components[place.component].driver,
             kind="probe",
             probability=place.probability,
             evidence=0.0,
-            rivals=tuple(_effect(found, c, said) for c, _ in place.rivals),
+            rivals=tuple(_name(found, said, c) for c, _ in place.rivals),
         )
         for place, name in zip(said.places, names, strict=True)
-        if said.complete < np.exp(-OPEN)
+        if beyond_doubt
     )
+    size = change(found.problem, found.posterior.grams, said.hypothesis) if unexplained else 0.0
     return replace(
         loop,
         difference=gain,
         rejected=tuple((name, why) for name in names),
         refuted=names if gain is not None else (),
-        unexplained=left,
-        open_size=change(found.problem, found.posterior.grams, said.hypothesis) if left else 0.0,
+        unexplained=unexplained,
+        open_size=size,
     )

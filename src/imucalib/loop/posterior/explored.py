@@ -19,7 +19,7 @@ from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations
 from imucalib.effects.record_error import GROSS_MG
 from imucalib.estimators.least_squares import fit as fit_model
-from imucalib.estimators.starting_point import alike_rows, full_matrix_start
+from imucalib.estimators.starting_point import consistent_rows, full_matrix_start
 from imucalib.loop.candidates import Searched
 from imucalib.loop.posterior.catalogue import Component, components_of, scan_of
 from imucalib.loop.posterior.gram import Grams, grams_of
@@ -50,18 +50,18 @@ class Explored:
 @dataclass(frozen=True)
 class Start:
     """A base fit before the search: the problem with all that may be missing, and what its noise
-    may be; asked : what is searched for"""
+    may be; wanted : what is searched for"""
 
     base: Fit
-    asked: Searched
+    wanted: Searched
     problem: Problem
     terms: Terms
 
     @staticmethod
-    def of(fit: Fit, asked: Searched) -> Start:
+    def of(fit: Fit, wanted: Searched) -> Start:
         base = _anchored(fit)
-        problem = problem_of(base, components_of(base.model, base.observations, asked))
-        return Start(base, asked, problem, terms_of(problem))
+        problem = problem_of(base, components_of(base.model, base.observations, wanted))
+        return Start(base, wanted, problem, terms_of(problem))
 
     def explored(self) -> Explored:
         """The posterior, scans refined where they count."""
@@ -69,8 +69,8 @@ class Start:
         values = values_found(found)
         if values:
             data = self.base.observations
-            components = components_of(self.base.model, data, self.asked)
-            finer = refined(components, values, data, self.asked)
+            components = components_of(self.base.model, data, self.wanted)
+            finer = refined(components, values, data, self.wanted)
             found = replace(self, problem=problem_of(self.base, finer))._searched()
         return replace(found, posterior=heard(found))
 
@@ -152,9 +152,9 @@ class Start:
         return every[1 + int(np.argmax(logs))] if logs else every[0]
 
 
-def explored(fit: Fit, asked: Searched) -> Explored:
+def explored(fit: Fit, wanted: Searched) -> Explored:
     """The posterior at a fitted base model, scans refined where they count."""
-    return Start.of(fit, asked).explored()
+    return Start.of(fit, wanted).explored()
 
 
 def _anchored(fit: Fit) -> Fit:
@@ -169,7 +169,7 @@ def _anchored(fit: Fit) -> Fit:
     if prior is not None and max(noise.sd[: at.free], default=0.0) > FAR * prior.setting:
         held = [min(sd, prior.setting) for sd in noise.sd[: at.free]]
         noise = Noise(max(noise.factor, 1.0), at.component, (*held, *noise.sd[at.free :]))
-        alike, start = data.take(alike_rows(data)), full_matrix_start(fit.model, data)
+        alike, start = data.take(consistent_rows(data)), full_matrix_start(fit.model, data)
         again = fit_model(fit.model, alike, start=start, noise=noise)
         theta = theta if again.null_directions else again.theta
     meant = np.zeros_like(fit.eta)
@@ -211,10 +211,10 @@ def refined(
     components: tuple[Component, ...],
     values: Mapping[str, Sequence[str]],
     data: Observations,
-    asked: Searched,
+    wanted: Searched,
 ) -> tuple[Component, ...]:
     """The components, scans with finer values around some."""
-    own = {f"{f.name}@": f for f in asked.families}
+    own = {f"{f.name}@": f for f in wanted.families}
     return tuple(
         scan_of(data, own[c.name], values[c.name]) or c if c.name in values else c
         for c in components
@@ -225,7 +225,7 @@ def values_found(found: Explored) -> dict[str, list[str]]:
     """Values of scans that stand in likely sets, by component."""
     values: dict[str, list[str]] = {}
     problem, posterior = found.problem, found.posterior
-    for hypothesis, p in zip(posterior.hypotheses, posterior.probability, strict=True):
+    for hypothesis, p in posterior.weighed:
         for pick in hypothesis.picks if p > _LIKELY else ():
             choice = problem.choices[pick.choice]
             name = problem.components[choice.component].name

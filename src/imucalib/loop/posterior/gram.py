@@ -11,7 +11,7 @@ fewer than the columns, only blocks on the diagonal of A and a few of its rows a
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -95,44 +95,37 @@ Products = Weighted | Multiplied
 
 
 @dataclass(frozen=True)
-class Source:
-    """What products were made of, which gives those without some numbers.
-
-    columns : (N, q) Z of the readings' numbers; points : the noises
-    inverse : gives what multiplies columns (N, m) by V⁻¹ at a noise
-    """
-
-    columns: Array
-    points: tuple[Any, ...]
-    inverse: Callable[[Any], Callable[[Array], Array]]
-
-    @cached_property
-    def solves(self) -> tuple[Callable[[Array], Array], ...]:
-        """V⁻¹ at each noise."""
-        return tuple(self.inverse(point) for point in self.points)
-
-    @cached_property
-    def weighted(self) -> tuple[Array, ...]:
-        """(N, q) V⁻¹ Z at each noise."""
-        return tuple(solve(self.columns) for solve in self.solves)
-
-
-@dataclass(frozen=True)
 class Grams:
     """products : of all data; removed : (E, t, q) factors of what has been integrated out
     log_weight : (E,) log prior of each noise less half of log |V| and of what was integrated out
     numbers : how many numbers they hold; points : the noises
     spread : sd of the log of the noise factor about 1, infinite where nothing is known of it
-    source : what they were made of, where numbers are to be left out or freed
+    columns : (N, q) Z of the readings' numbers, and inverse : gives of a noise what multiplies
+        columns (N, m) by V⁻¹, where numbers are to be left out or freed
     """
 
     products: Products
     removed: Array
     log_weight: Array
     numbers: float
-    points: tuple[object, ...]
+    points: tuple[Any, ...]
     spread: float
-    source: Source | None = None
+    columns: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    inverse: Callable[[Any], Callable[[Array], Array]] | None = None
+
+    @cached_property
+    def solves(self) -> tuple[Callable[[Array], Array], ...]:
+        """V⁻¹ at each noise. Raises TypeError where it was not kept."""
+        if self.inverse is None:
+            raise TypeError("nothing is known of the numbers of these products")
+        return tuple(self.inverse(point) for point in self.points)
+
+    @cached_property
+    def weighted(self) -> Array:
+        """(E, N, q) V⁻¹ Z."""
+        if isinstance(self.products, Weighted):
+            return self.products.weighted
+        return np.array([solve(self.columns) for solve in self.solves])
 
     def log_noise(self, power: Array, dof: float) -> Array:
         """(...) what is left of yᵀ V⁻¹ y with the noise factor integrated out: under Jeffreys'
@@ -164,37 +157,27 @@ class Grams:
 
     def evidence(self, dof: float) -> float:
         """Log evidence over all noises beside what has been integrated out."""
-        return float(np.logaddexp.reduce(self.log_weight + self.log_noise(self.power, dof)))
+        return float(log_sum(self.log_weight + self.log_noise(self.power, dof)))
 
     def of(self, noises: Index) -> Grams:
         """At some of the noises."""
-        points = tuple(self.points[k] for k in noises)
         return replace(
             self,
             products=self.products.of(noises),
             removed=self.removed[noises],
             log_weight=self.log_weight[noises],
-            points=points,
-            source=replace(self.source, points=points) if self.source else None,
+            points=tuple(self.points[k] for k in noises),
         )
 
 
 def narrowed(grams: Grams, columns: Index) -> Grams:
     """Of some of the columns, in ascending order, y among them as the last."""
-    source = source_of(grams)
     return replace(
         grams,
         products=grams.products.narrowed(columns),
         removed=grams.removed[:, :, columns],
-        source=replace(source, columns=source.columns[:, columns]),
+        columns=grams.columns[:, columns],
     )
-
-
-def source_of(grams: Grams) -> Source:
-    """What Grams were made of. Raises TypeError where that was not kept."""
-    if grams.source is None:
-        raise TypeError("nothing is known of the numbers of these products")
-    return grams.source
 
 
 def grams_of(problem: Problem, terms: Terms, points: Sequence[Point]) -> Grams:
@@ -216,25 +199,25 @@ def grams_of(problem: Problem, terms: Terms, points: Sequence[Point]) -> Grams:
         numbers=problem.numbers,
         points=tuple(points),
         spread=prior.spread if prior else np.inf,
-        source=Source(columns, tuple(points), lambda point: terms.covariance(point).solve),
+        columns=columns,
+        inverse=lambda point: terms.covariance(point).solve,
     )
 
 
 def without(grams: Grams, problem: Problem, rows: Index) -> Grams:
     """Of the data without some observations, of which nothing is integrated out: A less
     U_Fᵀ ((V⁻¹)_FF)⁻¹ U_F, U = V⁻¹ Z (Cook and Weisberg 1982)."""
-    source = source_of(grams)
-    left = np.flatnonzero(np.isin(problem.owner, rows))
-    unit = np.zeros((len(source.columns), left.size))
-    unit[left, np.arange(left.size)] = 1.0
-    removed = np.empty((len(source.points), left.size, source.columns.shape[1]))
+    gone = np.flatnonzero(np.isin(problem.owner, rows))
+    unit = np.zeros((len(grams.columns), gone.size))
+    unit[gone, np.arange(gone.size)] = 1.0
+    removed = np.empty((len(grams.points), gone.size, grams.columns.shape[1]))
     log_weight = grams.log_weight.copy()
-    for k, solve in enumerate(source.solves):
-        lower = np.linalg.cholesky(solve(unit)[left])
-        removed[k] = below(lower, source.weighted[k][left])
+    for k, solve in enumerate(grams.solves):
+        lower = np.linalg.cholesky(solve(unit)[gone])
+        removed[k] = below(lower, grams.weighted[k][gone])
         log_weight[k] -= np.log(np.diag(lower)).sum()
     removed = np.concatenate([grams.removed, removed], axis=1)
-    return replace(grams, removed=removed, log_weight=log_weight, numbers=grams.numbers - left.size)
+    return replace(grams, removed=removed, log_weight=log_weight, numbers=grams.numbers - gone.size)
 
 
 def swept(grams: Grams, *blocks: Block) -> Grams:
@@ -253,3 +236,12 @@ def swept(grams: Grams, *blocks: Block) -> Grams:
             log_weight=grams.log_weight - np.log(diagonal).sum(axis=1) - log_size,
         )
     return grams
+
+
+def log_sum(logs: Array) -> Array:
+    """Log of the sum of exponentials over the first axis, ten times as quick as `logaddexp`; -inf
+    where there is nothing."""
+    top = logs.max(axis=0)
+    safe = np.where(np.isfinite(top), top, 0.0)
+    with np.errstate(divide="ignore"):
+        return np.asarray(safe + np.log(np.exp(logs - safe).sum(axis=0)))

@@ -18,7 +18,7 @@ from imucalib.loop.posterior.odds import FOLD_BEAMS, FOLD_DEEPEST
 from imucalib.loop.posterior.problem import Choice, Problem
 from imucalib.loop.posterior.solution import solved
 from imucalib.loop.posterior.space import Posterior, blocks_of, search
-from imucalib.loop.posterior.words import told
+from imucalib.loop.posterior.words import concluded
 
 #: Probability of the sets whose components are searched anew, and single ones beside them.
 _SEEN, _SINGLES = 1e-3, 12
@@ -41,12 +41,12 @@ def left_out(problem: Problem, posterior: Posterior, folds: Sequence[Fold]) -> L
     """Every fold of a design, in the order of the observations."""
     problem, grams = _narrowed(problem, posterior)
     every, whole = np.arange(problem.fit.observations.n), swept(grams, problem.flat)
-    deepest = min(FOLD_DEEPEST, len(told(problem, posterior).hypothesis.components) + 1)
+    deepest = min(FOLD_DEEPEST, len(concluded(problem, posterior).hypothesis.components) + 1)
     before, after, nats = list[Held](), list[Held](), list[float]()
     for fold in folds:
         kept = without(grams, problem, np.setdiff1d(every, fold.rest))
         found = search(problem, kept, beams=FOLD_BEAMS, deepest=deepest)
-        said = told(problem, found).hypothesis
+        said = concluded(problem, found).hypothesis
         # The fold's rows given all others, by the set that is told over the base model.
         blocks = blocks_of(problem.choices, said.picks)
         gains = [
@@ -84,8 +84,7 @@ def _narrowed(problem: Problem, posterior: Posterior) -> tuple[Problem, Grams]:
 
 def _rivals(problem: Problem, posterior: Posterior) -> tuple[Choice, ...]:
     """Members of every component that any data have a say for."""
-    pairs = zip(posterior.hypotheses, posterior.probability, strict=True)
-    used = {c for h, p in pairs if p > _SEEN for c in h.components}
+    used = {c for h, p in posterior.weighed if p > _SEEN for c in h.components}
     single = [h for h in posterior.hypotheses if len(h.components) == 1][:_SINGLES]
     used |= {h.components[0] for h in single}
     return tuple(c for c in problem.choices if c.component in used)

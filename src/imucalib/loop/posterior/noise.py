@@ -40,8 +40,8 @@ _FEW, _SHARED, _KNOTS = 240, 30, 64
 
 @dataclass(frozen=True)
 class Point:
-    """One noise: its log prior, and what multiplies each factor; sharing : which of the ways of
-    sharing settings; walk : (size, memory in rows) or None"""
+    """One noise: its log prior, and what multiplies each factor; sharing : how settings are
+    shared; walk : (size, memory in rows) or None"""
 
     log_prior: float
     ratio: tuple[float, ...]
@@ -87,7 +87,7 @@ class Factor:
 
 @dataclass(frozen=True)
 class Terms:
-    """ways : of every way of sharing, the factor of each component
+    """sharings : of how settings may be shared, the factor of each component
     walks : memory -> (N, k) factor of a walk of unit size that forgets after so many rows
     axes : (N, K 3) share of each axis of K triads in a number's variance
     order : (N,) row of each number; points : all that are weighed
@@ -95,7 +95,7 @@ class Terms:
         them before the readings; dof : degrees of freedom beside the base model
     """
 
-    ways: tuple[tuple[Factor, ...], ...]
+    sharings: tuple[tuple[Factor, ...], ...]
     walks: Mapping[float, Array]
     axes: Array
     order: Index
@@ -106,7 +106,7 @@ class Terms:
 
     def covariance(self, point: Point) -> Covariance:
         """V at a point."""
-        few, n = [f.few for f in self.ways[point.sharing]], self.order.size
+        few, n = [f.few for f in self.sharings[point.sharing]], self.order.size
         wide = [size * factor for size, factor in self._wide(point) if size]
         if sum(m.shape[1] for m in wide) >= n:
             whole = whitener((*few, *wide), (*point.ratio, *(1.0 for _ in wide)))
@@ -128,7 +128,7 @@ class Terms:
         logs = np.empty(len(points))
         for group in self._same_blocks(points):
             first = points[group[0]]
-            few = [f.few for f in self.ways[first.sharing]]
+            few = [f.few for f in self.sharings[first.sharing]]
             few = few if plain else [m.multiply(1.0 / scale).tocsr() for m in few]
             blocks = whitener(few, first.ratio)
             sizes = np.array([[s for s, _ in self._wide(points[k])] for k in group])
@@ -148,14 +148,14 @@ class Terms:
         """Points by what few numbers share in them, which is whitened once."""
         groups = dict[tuple[float, ...], list[int]]()
         for k, point in enumerate(points):
-            pairs = zip(self.ways[point.sharing], point.ratio, strict=True)
+            pairs = zip(self.sharings[point.sharing], point.ratio, strict=True)
             key = (point.sharing, *(ratio for f, ratio in pairs if f.few.nnz))
             groups.setdefault(key, []).append(k)
         return groups.values()
 
     def _wide(self, point: Point) -> list[tuple[float, Array]]:
         """What many numbers share, (N, k) each, and its size at a point."""
-        own = zip(point.ratio, (f.many for f in self.ways[point.sharing]), strict=True)
+        own = zip(point.ratio, (f.many for f in self.sharings[point.sharing]), strict=True)
         size, memory = point.walk or (0.0, 0.0)
         return [*own, *((size * (memory == m), factor) for m, factor in self.walks.items())]
 
@@ -234,12 +234,12 @@ def terms_of(problem: Problem) -> Terms:
     at, n, triads = fit.at, fit.observations.n, fit.at.sigma.shape[1] // 3
     each = np.eye(3 * triads).reshape(triads, 3, -1) * float(np.median(at.sigma))
     bias = at.columns(np.broadcast_to(each, (n, *each.shape)))
-    ways = tuple(_sharings(fit))
-    points = tuple(_points(fit, len(ways), n))
+    sharings = tuple(_sharings(fit))
+    points = tuple(_points(fit, len(sharings), n))
     memories = {p.walk[1] for p in points if p.walk}
     base = problem.columns[:, [*range(problem.base), -1]]
     return Terms(
-        ways=tuple(tuple(_parted(m) for m in way) for way in ways),
+        sharings=tuple(tuple(_parted(m) for m in way) for way in sharings),
         walks={memory: _walk(at.owner, bias, memory) for memory in sorted(memories)},
         axes=bias**2,
         order=at.owner,
@@ -289,14 +289,14 @@ def _sharings(fit: Fit) -> Iterator[tuple[Array, ...]]:
             yield (*own, *at.settings[at.free :])
 
 
-def _points(fit: Fit, ways: int, n: int) -> Iterator[Point]:
+def _points(fit: Fit, sharings: int, n: int) -> Iterator[Point]:
     levels = [list(_levels(fit, c)) for c in range(len(fit.at.settings))]
     walks: list[tuple[tuple[float, float] | None, float]] = [(None, 1.0)]
     if "order" in fit.observations.context and n > 8:
         sizes = [(s, max(m * n, 1.5)) for s in WALK_SIZES for m in WALK_MEMORIES]
         walks = [(None, 1.0 - WALKS), *((w, WALKS / len(sizes)) for w in sizes)]
-    shared = _ways_prior(fit, ways)
-    for way in range(ways):
+    shared = _sharing_prior(fit, sharings)
+    for way in range(sharings):
         for picked in product(*levels):
             some = any(r for r, _ in picked[: fit.at.free])
             if way and not some:  # without scatter there is nothing to share
@@ -306,16 +306,16 @@ def _points(fit: Fit, ways: int, n: int) -> Iterator[Point]:
                 yield Point(float(weight), tuple(r for r, _ in picked), way, walk)
 
 
-def _ways_prior(fit: Fit, ways: int) -> Array:
-    """(ways,) prior of every way of sharing settings: as set, where the rows stand in an order of
-    work; else nobody knows."""
+def _sharing_prior(fit: Fit, sharings: int) -> Array:
+    """(sharings,) prior of how settings are shared: as set, where the rows are in an order of work;
+    else nobody knows."""
     reference = fit.observations.reference
-    even = np.full(ways, 1.0 / ways)
-    if ways == 1 or not isinstance(reference, KnownVector):
+    even = np.full(sharings, 1.0 / sharings)
+    if sharings == 1 or not isinstance(reference, KnownVector):
         return even
     if not in_order(reference.inclination, reference.tool_face):
         return even
-    return np.array([AS_SET, *np.full(ways - 1, (1.0 - AS_SET) / (ways - 1))])
+    return np.array([AS_SET, *np.full(sharings - 1, (1.0 - AS_SET) / (sharings - 1))])
 
 
 def _levels(fit: Fit, component: int) -> Iterator[tuple[float, float]]:

@@ -31,7 +31,7 @@ COMPLETE, CERTAIN = 0.05, 0.95
 #: left below is rounding (columns of 1e3 numbers at 1e-16 leave about 1e-13).
 ABSORBED = 1e-5
 #: Nats by which the best set must lead a simpler one that is told (Occam's window; Raftery 1995).
-TOLD = 3.0
+OCCAM = 3.0
 #: Nats below the best at which a set is opened no further, and below which a noise is dropped.
 OPEN, HEARD = 9.0, 12.0
 #: Times what hands usually set an angle to beyond which a scatter is none: 3 deg.

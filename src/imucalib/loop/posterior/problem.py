@@ -10,7 +10,7 @@ as there are triads. What is known of the base before the readings stands as row
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from functools import cached_property
 
 import numpy as np
 
@@ -34,46 +34,22 @@ class Choice:
     log_weight: float
 
 
-class Contest(Protocol):
+@dataclass(frozen=True, kw_only=True)
+class Contest:
     """What a search and its words know of a problem beside its products.
 
-    components, odds, choices : as `Problem` has them; base : how many columns are free before any
-    component; flat : these, and the sd of what is known of them; sizes : that a component may have
+    components : that the data can show; choices : every member of every component
+    base : how many columns, the first, are free before any component
     """
 
-    @property
-    def components(self) -> tuple[Component, ...]: ...
-    @property
-    def odds(self) -> Array: ...
-    @property
-    def choices(self) -> tuple[Choice, ...]: ...
-    @property
-    def base(self) -> int: ...
-    @property
-    def flat(self) -> tuple[Index, float]: ...
-    @property
-    def sizes(self) -> Array: ...
-
-
-@dataclass(frozen=True)
-class Problem:
-    """fit : where all is linearised: the base model, or one with what it lacks
-    model : the base model; start : (p,) its θ there
-    components : that the data can show, odds : (C,) log prior odds of each
-    choices : every member of every component
-    columns : (N, q) base, members, misfit; the first `base` are the base model's
-    owner : (N,) observation of each number, -1 where it is known before the readings
-    """
-
-    fit: Fit
-    model: Model
-    start: Array
     components: tuple[Component, ...]
-    odds: Array
     choices: tuple[Choice, ...]
-    columns: Array
     base: int
-    owner: Index
+
+    @cached_property
+    def odds(self) -> Array:
+        """(C,) log prior odds of each component."""
+        return log_odds(self.components)
 
     @property
     def flat(self) -> tuple[Index, float]:
@@ -82,16 +58,31 @@ class Problem:
 
     @property
     def sizes(self) -> Array:
-        """Those of a component."""
+        """That a component may have, over the noise factor."""
         return SIZES
+
+
+@dataclass(frozen=True, kw_only=True)
+class Problem(Contest):
+    """fit : where all is linearised: the base model, or one with what it lacks
+    model : the base model; start : (p,) its θ there
+    columns : (N, q) base, members, misfit
+    owner : (N,) observation of each number, -1 where it is known before the readings
+    """
+
+    fit: Fit
+    model: Model
+    start: Array
+    columns: Array
+    owner: Index
 
     @property
     def numbers(self) -> float:
         """How many numbers speak of the noise: the readings', and as many as what is known of the
         base before them settles of its parameters, which then cost none."""
         n = len(self.fit.at.owner)
-        told, known = self.columns[:n, : self.base], self.columns[n:, : self.base]
-        inner = told.T @ told
+        own, known = self.columns[:n, : self.base], self.columns[n:, : self.base]
+        inner = own.T @ own
         used = np.trace(np.linalg.pinv(inner + known.T @ known, hermitian=True) @ inner)
         return float(n + self.base - used)
 
@@ -108,10 +99,10 @@ def problem_of(fit: Fit, components: tuple[Component, ...], model: Model | None 
     at, slices = fit.at, fit.model.slices(context)
     own = np.concatenate([np.arange(len(fit.theta))[slices[name]] for name in base.names])
     own = own.astype(np.intp)
-    beside = np.setdiff1d(np.arange(len(fit.theta)), own)
-    away = fit.theta - [p.start for p in fit.parameters]
-    misfit = at.residual + at.jacobian[:, beside] @ away[beside]
-    blocks = _Blocks(fit, base)
+    more = np.setdiff1d(np.arange(len(fit.theta)), own)
+    start = np.array([p.start for p in fit.parameters])
+    misfit = at.residual + at.jacobian[:, more] @ (fit.theta - start)[more]
+    blocks = _Blocks(fit, own.size)
     choices, kept = list[Choice](), list[Component]()
     for component in components:
         found = [(m, c) for m in component.members if (c := blocks.of(m)) is not None]
@@ -119,7 +110,9 @@ def problem_of(fit: Fit, components: tuple[Component, ...], model: Model | None 
             whole = np.log(sum(np.exp(m.log_weight) for m, _ in found))
             choices += [Choice(len(kept), m, c, m.log_weight - whole) for m, c in found]
             kept.append(component)
-    known = _known_before(fit)
+    # What is known of the base before its readings, in units of the noise that the fit has: of a
+    # bench's sensor, and of a record that is set aside.
+    known = shrinking(known_sd(fit) / fit.noise.factor, start - fit.theta)
     every = [at.jacobian[:, own], *blocks.columns]
     columns = np.column_stack([*every, misfit])
     rows = np.zeros((len(known), columns.shape[1]))
@@ -129,7 +122,6 @@ def problem_of(fit: Fit, components: tuple[Component, ...], model: Model | None 
         model=base,
         start=fit.theta[own],
         components=tuple(kept),
-        odds=log_odds(tuple(kept)),
         choices=tuple(choices),
         columns=np.vstack([columns, rows]),
         base=own.size,
@@ -140,16 +132,11 @@ def problem_of(fit: Fit, components: tuple[Component, ...], model: Model | None 
 class _Blocks:
     """Columns of members, each once: parameters alone and together share theirs."""
 
-    def __init__(self, fit: Fit, base: Model) -> None:
+    def __init__(self, fit: Fit, first: int) -> None:
         self.columns = list[Array]()
-        self._fit = fit
-        self._first = sum(
-            part.stop - part.start
-            for name, part in fit.model.slices(fit.observations.context).items()
-            if name in base.names
-        )
-        self._prediction = fitted_prediction(fit)
-        self._slopes = dict[str, Array]()
+        self._fit, self._first, self._prediction = fit, first, fitted_prediction(fit)
+        slices = fit.model.slices(fit.observations.context)
+        self._slopes = {name: fit.at.jacobian[:, part] for name, part in slices.items()}
         self._place = dict[tuple[str, int, float], int]()
 
     def of(self, member: Member) -> Index | None:
@@ -170,19 +157,8 @@ class _Blocks:
 
     def _of(self, effect: Effect) -> Array:
         if effect.name not in self._slopes:
-            slices = self._fit.model.slices(self._fit.observations.context)
-            if effect.name in slices:
-                self._slopes[effect.name] = self._fit.at.jacobian[:, slices[effect.name]]
-            else:
-                self._slopes[effect.name] = effect_slopes(self._fit, effect, self._prediction)
+            self._slopes[effect.name] = effect_slopes(self._fit, effect, self._prediction)
         return self._slopes[effect.name]
-
-
-def _known_before(fit: Fit) -> Array:
-    """(k, 1 + p) values and rows of what is known of the base before its readings, in units of the
-    noise that the fit has estimated: of a bench's sensor, and of a record that is set aside."""
-    start = np.array([p.start for p in fit.parameters])
-    return shrinking(known_sd(fit) / fit.noise.factor, start - fit.theta)
 
 
 def known_sd(fit: Fit) -> Array:

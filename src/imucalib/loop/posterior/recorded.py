@@ -1,20 +1,15 @@
 """Noise of a recording: scatter of a run, heavy tails by weights, and walks that go on through all.
 
-    n ~ N(0, s² V),   V = diag(f² (1 + known / s²)) + Σ_j r_j² K ∘ h_j h_jᵀ
+    n ~ N(0, s² V),   V = diag(d) + Σ_j r_j² K ∘ h_j h_jᵀ,   d = f² (1 + known / s²),
+    K(t, t') = exp(-|t - t'| / memory)
 
 h_j is what a bias of one axis does to each run's number; sizes r and memory are points over which
 every evidence is summed. The weights f of runs that are unlike the others (Huber 1964) come from
-what is left beside the smoothed walk, so that what jumps or drifts does not make a run look
-strange. Rows that are left out stand nowhere in V: the walk goes on through the gap.
+what remains beside the smoothed walk, so that what jumps or drifts does not make a run an outlier.
 
-Independent scatter and a walk of the bias, seen by the posture: whitened at a cost linear in n.
-
-    V = diag(d) + Σ_j K ∘ h_j h_jᵀ,   K(t, t') = exp(-|t - t'| / memory)
-
-Each column h_j (n,) is the share of one independent Ornstein-Uhlenbeck walk of unit size in every
-row. Such a walk is Markov: Kalman's filter gives L⁻¹ of the Cholesky factor L of V (Kalman 1960;
-Harvey 1989, 3.4), here for a block of rows at a time, whose own factor is dense. The walk goes on
-through whatever gaps the rows have.
+Ornstein-Uhlenbeck walks are Markov: Kalman's filter gives L⁻¹ of the Cholesky factor L of V at a
+cost linear in n (Kalman 1960; Harvey 1989, 3.4), here for a block of rows at a time, whose own
+factor is dense. Rows that are left out stand nowhere in V: the walk goes on through the gap.
 """
 
 from __future__ import annotations
@@ -32,7 +27,7 @@ from imucalib.core.observations import Observations
 from imucalib.estimators.least_squares import evaluate
 from imucalib.loop.found import Wander
 from imucalib.loop.posterior.catalogue import Member
-from imucalib.loop.posterior.gram import Grams, Multiplied, Source, swept
+from imucalib.loop.posterior.gram import Grams, Multiplied, log_sum, swept
 from imucalib.loop.posterior.noise import diagonal_logs
 from imucalib.loop.posterior.odds import (
     HEARD,
@@ -136,7 +131,7 @@ def whitener(time: Array, variance: Array, shares: Array, memory: Array) -> Whit
 
 #: One over the median absolute deviation of a normal number.
 _MAD = 1.4826
-#: Rounds in which scatter, walk and weights settle, at first and beside a model that is near.
+#: Rounds in which scatter, walk and weights settle, at first and from those beside another model.
 _ROUNDS, _SETTLED = 4, 2
 
 
@@ -179,10 +174,15 @@ class Course:
             (columns.T * (unit / self.scatter)).T.reshape(len(unit), -1)
         )[0].reshape(columns.shape)
 
-    def left(self, walk: Walk, residual: Array) -> Array:
-        """(n,) what is left of a residual (n,) beside the smoothed walk: D V⁻¹ r."""
-        white = self.whitener((walk,))
-        return np.asarray(self.variance * white.back(white(residual[:, None]))[0, :, 0])
+    def summed(self, columns: Array) -> tuple[Array, Array]:
+        """(E, q, q) products of columns (n, q) under every walk, and (E,) log prior less half of
+        log |V|."""
+        white = self.whitener(self.walks)
+        gram = np.empty((len(self.walks), columns.shape[1], columns.shape[1]))
+        for k in range(len(gram)):
+            own = white.of(slice(k, k + 1))(columns)[0]
+            gram[k] = own.T @ own
+        return gram, np.array([w.log_prior for w in self.walks]) - 0.5 * white.log_det
 
 
 def fit_at(model: Model, data: Observations, theta: Array, covariance: Array) -> Fit:
@@ -191,62 +191,30 @@ def fit_at(model: Model, data: Observations, theta: Array, covariance: Array) ->
     return replace(evaluate(model, data, theta, covariance, eta=eta), noise=Noise(1.0))
 
 
-def course_of(fit: Fit, known: Array, near: Course | None = None) -> tuple[Course, Wander]:
+def course_of(fit: Fit, known: Array, before: Course | None = None) -> tuple[Course, Wander]:
     """The noise beside a fitted model, and the likeliest walk in words.
 
     known : (n,) m²/s⁴, the part of each run's variance that its windows and the resolution explain
-    near : the noise beside a model that is near, from which it settles in fewer rounds
+    before : the noise beside another model, from which it settles in fewer rounds
     """
     at, data = fit.at, fit.observations
     unit = at.sigma[:, 0]
     misfit, columns = at.residual * unit, at.jacobian * unit[:, None]
     columns = columns / np.maximum(np.abs(columns).max(axis=0), 1e-300)
     walks = _walks(data.context["time"])
-    course = near or Course(
+    axes = np.broadcast_to(np.eye(3), (data.n, 1, 3, 3))
+    course = before or Course(
         scatter=max(_MAD * float(np.median(np.abs(misfit))), 1e-3 * MG),
         time=data.context["time"],
         variance=np.ones(data.n),
-        shares=_shares(fit),
+        shares=at.columns(axes) * at.sigma[:, :1],
         walks=walks,
         likeliest=walks[0],
     )
-    for _ in range(_SETTLED if near else _ROUNDS):
+    for _ in range(_SETTLED if before else _ROUNDS):
         every = np.column_stack([columns, misfit]) / course.scatter
-        course, told = _settled(course, every, known)
-    return course, told
-
-
-def _settled(course: Course, every: Array, known: Array) -> tuple[Course, Wander]:
-    """Weights, scatter and walk once more; every : (n, p + 1) columns and the misfit over the
-    scatter."""
-    n, p = len(every), every.shape[1] - 1
-    logs, power = _evidence(course, every)
-    # Walks stand together against none.
-    best = 1 + int(np.argmax(logs[1:])) if float(np.logaddexp.reduce(logs[1:])) > logs[0] else 0
-    scatter = course.scatter
-    walk = course.walks[best]
-    alone = _beside(course, best, every)
-    left = course.left(walk, alone)
-    factor = float(np.sqrt(power[best] / (n - p)))
-    told = Wander(
-        size=float(np.sqrt(np.mean((alone - left) ** 2))) * scatter / MG,
-        hours=walk.memory / 3600.0,
-        scatter=factor * scatter / MG,
-        evidence=float(np.logaddexp.reduce(logs[1:]) - logs[0]) if best else 0.0,
-        sd=factor * scatter / MG * float(walk.size[0]),
-    )
-    size = np.abs(left) / np.sqrt(1.0 + known / scatter**2)
-    far = np.maximum(1.0, size / max(_MAD * float(np.median(size)), 1e-12) / UNLIKE)
-    scatter = factor * scatter
-    variance = far * (1.0 + known / scatter**2)
-    light = int((far > 1.0).sum())
-    return replace(course, scatter=scatter, variance=variance, likeliest=walk, light=light), told
-
-
-def _shares(fit: Fit) -> Array:
-    """(n, 3) what a bias of each axis does to each number, over the same of a number itself."""
-    block = np.broadcast_to(np.eye(3), (fit.observations.n, 1, 3, 3))
-    return np.asarray(fit.at.columns(block) * fit.at.sigma[:, :1])
+        course, wander = _settled(course, every, known)
+    return course, wander
 
 
 def _walks(time: Array) -> tuple[Walk, ...]:
@@ -257,26 +225,41 @@ def _walks(time: Array) -> tuple[Walk, ...]:
     return (none, *(Walk(s, m, float(np.log(WANDERS / len(some)))) for s, m in some))
 
 
-def _evidence(course: Course, every: Array) -> tuple[Array, Array]:
-    """(E,) log evidence of free columns under every walk, and (E,) yᵀPy; every : (n, p + 1) columns
-    and the misfit"""
-    gram, weight = _summed(course, every)
-    logs = diagonal_logs(gram, 1e-12)
+def _settled(course: Course, every: Array, known: Array) -> tuple[Course, Wander]:
+    """Weights, scatter and walk once more; every : (n, p + 1) columns and the misfit over the
+    scatter."""
+    gram, weight = course.summed(every)
+    sizes = diagonal_logs(gram, 1e-12)
     dof = len(every) - every.shape[1] + 1
-    power = np.exp(2.0 * logs[:, -1])
-    return weight - logs[:, :-1].sum(axis=1) - dof * logs[:, -1], power
-
-
-def _beside(course: Course, walk: int, every: Array) -> Array:
-    """(n,) the misfit less its columns by generalised least squares."""
-    white = course.whitener((course.walks[walk],))(every)[0]
-    found = np.linalg.lstsq(white[:, :-1], white[:, -1], rcond=1e-10)[0]
-    return np.asarray(every[:, -1] - every[:, :-1] @ found)
+    logs = weight - sizes[:, :-1].sum(axis=1) - dof * sizes[:, -1]
+    # Walks stand together against none.
+    together = float(log_sum(logs[1:]))
+    best = 1 + int(np.argmax(logs[1:])) if together > logs[0] else 0
+    walk, factor = course.walks[best], float(np.exp(sizes[best, -1])) / np.sqrt(dof)
+    # The misfit less its columns by generalised least squares, and less the smoothed walk.
+    whitens = course.whitener((walk,))
+    white = whitens(every)[0]
+    theta = np.linalg.lstsq(white[:, :-1], white[:, -1], rcond=1e-10)[0]
+    alone = every[:, -1] - every[:, :-1] @ theta
+    rest = course.variance * whitens.back(whitens(alone[:, None]))[0, :, 0]
+    scatter = factor * course.scatter
+    wander = Wander(
+        size=float(np.sqrt(np.mean((alone - rest) ** 2))) * course.scatter / MG,
+        hours=walk.memory / 3600.0,
+        scatter=scatter / MG,
+        evidence=together - float(logs[0]) if best else 0.0,
+        sd=scatter / MG * float(walk.size[0]),
+    )
+    size = np.abs(rest) / np.sqrt(1.0 + known / course.scatter**2)
+    far = np.maximum(1.0, size / max(_MAD * float(np.median(size)), 1e-12) / UNLIKE)
+    variance = far * (1.0 + known / scatter**2)
+    light = int((far > 1.0).sum())
+    return replace(course, scatter=scatter, variance=variance, likeliest=walk, light=light), wander
 
 
 def recorded_grams(problem: Problem, course: Course) -> Grams:
     """At all walks of a course, which go on through runs that are left out."""
-    gram, log_weight = _summed(course, problem.columns)
+    gram, log_weight = course.summed(problem.columns)
 
     def inverse(walk: Walk) -> Callable[[Array], Array]:
         white = course.whitener((walk,))
@@ -289,24 +272,20 @@ def recorded_grams(problem: Problem, course: Course) -> Grams:
         numbers=problem.numbers,
         points=course.walks,
         spread=np.inf,
-        source=Source(problem.columns, course.walks, inverse),
+        columns=problem.columns,
+        inverse=inverse,
     )
 
 
-@dataclass(frozen=True)
-class Looked:
-    """kept : walks that the data do not exclude, be the base complete, lack what is told, or any
-    one thing beside: what a model lacks looks like a walk
-    values : of scans that lead the base far under some walk, by component: what jumps under one is
-    no more than a walk under another, which says little of when
+def looked(
+    problem: Problem, grams: Grams, told: Sequence[tuple[Member, float]] = ()
+) -> tuple[Index, dict[str, list[str]]]:
+    """One look at every narrow member under every walk. told : members and their sizes
+
+    Returns the walks that the data do not exclude, be the base complete, lack what is told, or any
+    one thing beside, since what a model lacks looks like a walk; and by component the values of
+    scans that lead the base far under some walk: what jumps under one is a walk under another.
     """
-
-    kept: Index
-    values: dict[str, list[str]]
-
-
-def looked(problem: Problem, grams: Grams, told: Sequence[tuple[Member, float]] = ()) -> Looked:
-    """One look at every member under every walk; told : members and their sizes"""
     place = {c.member.free: c.at for c in problem.choices}
     blocks = [(place[m.free], size) for m, size in told if m.free in place]
     base = swept(grams, problem.flat)
@@ -324,7 +303,7 @@ def looked(problem: Problem, grams: Grams, told: Sequence[tuple[Member, float]] 
                 best[name] = nats, value
         for name, (_, value) in best.items():
             values.setdefault(name, []).append(value)
-    return Looked(np.flatnonzero(found), values)
+    return np.flatnonzero(found), values
 
 
 def _profiles(problem: Problem, grams: Grams) -> tuple[Index, Array]:
@@ -332,22 +311,9 @@ def _profiles(problem: Problem, grams: Grams) -> tuple[Index, Array]:
     each of them beside it at its likeliest size."""
     dof = grams.numbers - problem.base
     width = np.array([c.at.size for c in problem.choices], dtype=int)
-    found = [(grams.log_weight + grams.log_noise(grams.power, dof))[:, None]]
+    logs = [(grams.log_weight + grams.log_noise(grams.power, dof))[:, None]]
     every = [np.flatnonzero(width == w) for w in np.unique(width[width <= NARROW])]
     for some in every:
         index = np.array([problem.choices[k].at for k in some])
-        found.append(block_logs(grams, index, SIZES, dof)[0].max(axis=2))
-    return np.concatenate([*every, np.zeros(0, np.intp)]).astype(np.intp), np.concatenate(
-        found, axis=1
-    )
-
-
-def _summed(course: Course, columns: Array) -> tuple[Array, Array]:
-    """(E, q, q) products of columns (n, q), and (E,) log prior less half of log |V|."""
-    white = course.whitener(course.walks)
-    gram = np.empty((len(course.walks), columns.shape[1], columns.shape[1]))
-    for k in range(len(gram)):
-        seen = white.of(slice(k, k + 1))(columns)[0]
-        gram[k] = seen.T @ seen
-    prior = np.array([w.log_prior for w in course.walks])
-    return gram, prior - 0.5 * white.log_det
+        logs.append(block_logs(grams, index, SIZES, dof)[0].max(axis=2))
+    return np.concatenate([*every, np.zeros(0, np.intp)]).astype(np.intp), np.hstack(logs)

@@ -23,9 +23,9 @@ from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.loop.candidates import Searched
 from imucalib.loop.faults.angles import angles
 from imucalib.loop.faults.cells import base_of, blocks, cells, exchanges, other_axes, prior_of
-from imucalib.loop.faults.sheet import Fault, Hypothesis, Sheet
+from imucalib.loop.faults.sheet import Fault, Sheet, Trial
 from imucalib.loop.posterior.explored import Explored, explored
-from imucalib.loop.posterior.gram import Grams, Multiplied, source_of, swept
+from imucalib.loop.posterior.gram import Grams, Multiplied, log_sum, swept
 from imucalib.loop.posterior.odds import ACCUSED, OPEN
 from imucalib.loop.posterior.problem import known_sd
 from imucalib.loop.posterior.space import Pick, block_logs, blocks_of
@@ -59,7 +59,7 @@ class Mended:
     aside: tuple[tuple[int, float], ...] = ()
 
 
-def mended(found: Explored, asked: Searched, written: Written | None = None) -> Mended:
+def mended(found: Explored, wanted: Searched, written: Written | None = None) -> Mended:
     """The posterior of a table with everything that is likelier wrong in it than not set right.
 
     found : that of the table as it stands
@@ -67,7 +67,7 @@ def mended(found: Explored, asked: Searched, written: Written | None = None) -> 
     """
     state = Mended(found)
     for _ in range(_MOST):
-        best = _best(state, asked, written)
+        best = _best(state, wanted, written)
         if best is None:
             break
         state, sheet = best
@@ -83,14 +83,14 @@ def log_density(found: Explored) -> float:
 
 
 def _best(
-    state: Mended, asked: Searched, written: Written | None
+    state: Mended, wanted: Searched, written: Written | None
 ) -> tuple[Mended, Sheet | None] | None:
     """The likeliest of the sheets that are solved again, where the sheet as it stands is less
     likely than all of them together."""
     trials = [t for t in _trials(state, written) if t.fault.score > -OPEN / 3.0]
     now, odds = log_density(state.found), []
     for trial, base in _likeliest(trials, state, written):
-        found = explored(base, asked)
+        found = explored(base, wanted)
         odds.append((log_density(found) - now + trial.prior, trial, found))
     odds.sort(key=lambda o: -o[0])
     whole = float(np.logaddexp.reduce([o for o, _, _ in odds])) if odds else -np.inf
@@ -107,11 +107,11 @@ def _best(
 
 
 def _likeliest(
-    trials: Sequence[Hypothesis], state: Mended, written: Written | None
-) -> list[tuple[Hypothesis, Fit]]:
+    trials: Sequence[Trial], state: Mended, written: Written | None
+) -> list[tuple[Trial, Fit]]:
     """The trials whose sheets the base model fits best, refitted: the first of every class, since
     a glance is off by more in one class than in another, then the others that are close."""
-    first, others = dict[str, Hypothesis](), list[Hypothesis]()
+    first, others = dict[str, Trial](), list[Trial]()
     ranked = sorted(trials, key=lambda t: -t.fault.score)
     for trial in ranked:
         among_best = trial.fault.score > ranked[0].fault.score - OPEN
@@ -126,7 +126,7 @@ def _likeliest(
     return [(trial, base) for _, trial, base in fits[:_TRIED]]
 
 
-def _trials(state: Mended, written: Written | None) -> Iterator[Hypothesis]:
+def _trials(state: Mended, written: Written | None) -> Iterator[Trial]:
     """Records that may be set aside, and every slip at its best, at first glance beside nothing and
     beside the sets where a record counts most."""
     found = state.found
@@ -141,11 +141,11 @@ def _trials(state: Mended, written: Written | None) -> Iterator[Hypothesis]:
     aside = {row for row, _ in state.aside}
     for row in map(int, np.argsort(-best)[:_TRIED]):
         if row not in aside:
-            yield Hypothesis(Fault("record", "", (row,), float(best[row]), ""), None, prior)
+            yield Trial(Fault("record", "", (row,), float(best[row]), ""), None, prior)
     if written is None:
         return
     touched = {row for fault in state.slips for row in fault.rows}
-    slips = dict[str, Hypothesis]()
+    slips = dict[str, Trial]()
     for k in dict.fromkeys((0, *map(int, order[:2]))):
         base = base_of(found, written.sheet, sheets[k])
         for slip in (
@@ -173,47 +173,46 @@ def _sets(found: Explored) -> dict[tuple[Pick, ...], float]:
 
 
 def _given_each(found: Explored, sets: Iterable[tuple[Pick, ...]]) -> list[Grams]:
-    """Of each set the products beside the base model and it: of the columns of all sets, of one
-    column for each number of a reading by itself, and y. A number that is free is as good as one
+    """Of each set the products beside the base model and it: of one column for each number of a
+    reading by itself, of the columns of all sets, and y. A number that is free is as good as one
     that is not there."""
-    every = [blocks_of(found.problem.choices, picks) for picks in sets]
-    columns = np.unique(
-        np.concatenate([np.zeros(0, np.intp), *(at for one in every for at, _ in one)])
+    problem, grams, p = found.problem, found.every, found.problem.base
+    every = [blocks_of(problem.choices, picks) for picks in sets]
+    used = np.array(sorted({int(k) for one in every for at, _ in one for k in at}), np.intp)
+    own, n = np.r_[:p, used, grams.columns.shape[1] - 1], len(grams.columns)
+    inverse = np.array([solve(np.eye(n)) for solve in grams.solves])
+    weighted, known = grams.weighted[:, :, own], problem.columns[n:, own]
+    inner = grams.columns[:, own].T @ weighted + known.T @ known
+    # The base model leaves as in `swept`, multiplied out.
+    lower = np.linalg.cholesky(inner[:, :p, :p])
+    across = np.concatenate([weighted[:, :, :p].swapaxes(1, 2), inner[:, :p, p:]], axis=2)
+    across, weighted = np.linalg.solve(lower, across), weighted[:, :, p:]
+    matrix = np.block([[inverse, weighted], [weighted.swapaxes(1, 2), inner[:, p:, p:]]])
+    matrix -= across.swapaxes(1, 2) @ across
+    log_size = np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1)
+    base = replace(
+        grams,
+        products=Multiplied(matrix),
+        removed=across[:, :0],
+        log_weight=grams.log_weight - log_size,
+        inverse=None,
     )
-    flat = _with_free_numbers(found, columns)
-    return [swept(flat, *((np.searchsorted(columns, at), s) for at, s in one)) for one in every]
-
-
-def _with_free_numbers(found: Explored, columns: Index) -> Grams:
-    """The products beside the base model, multiplied out."""
-    problem, source, p = found.problem, source_of(found.every), found.problem.base
-    n, own = len(source.columns), np.concatenate([np.arange(p), columns])
-    every = np.column_stack([source.columns[:, own], np.eye(n), source.columns[:, -1]])
-    known = np.zeros((len(problem.columns) - n, every.shape[1]))
-    known[:, : own.size], known[:, -1] = problem.columns[n:, own], problem.columns[n:, -1]
-    matrix = np.array([every.T @ solve(every) for solve in source.solves]) + known.T @ known
-    nothing = np.zeros((len(matrix), 0, every.shape[1]))
-    whole = replace(found.every, products=Multiplied(matrix), removed=nothing, source=None)
-    rest = swept(whole, problem.flat)
-    given_base = rest.rows(np.arange(p, every.shape[1]))[:, :, p:]
-    return replace(rest, products=Multiplied(given_base), removed=nothing[:, :, p:])
+    return [swept(base, *((n + np.searchsorted(used, at), s) for at, s in one)) for one in every]
 
 
 def _gains_of_records(found: Explored, sheets: Sequence[Grams]) -> Array:
     """(sets, n) nats that freeing each record gains beside each set, before anything is solved
-    again; sheets : the products beside each, the readings' own numbers before y"""
+    again; sheets : the products beside each, the readings' own numbers first"""
     dof, fit = found.posterior.dof, found.base
-    single = sheets[0].along.shape[1] - 1 - len(fit.at.owner) + np.arange(len(fit.at.owner))
-    rows = single.reshape(fit.observations.n, -1)
+    rows = np.arange(len(fit.at.owner)).reshape(fit.observations.n, -1)
     size = np.array([GROSS_MG * MG / float(np.median(fit.at.unit)) / fit.noise.factor])
     whole = sheets[0].products.blocks(rows)
     logs = [block_logs(one, rows, size, dof, whole)[0][..., 0] for one in sheets]
     now = np.array([one.evidence(dof) for one in sheets])
-    gains = np.array([np.logaddexp.reduce(each) for each in logs]) - now[:, None]
-    return np.asarray(gains)
+    return np.asarray(np.array([log_sum(each) for each in logs]) - now[:, None])
 
 
-def _solved_again(base: Fit, trial: Hypothesis, written: Written | None) -> Fit | None:
+def _solved_again(base: Fit, trial: Trial, written: Written | None) -> Fit | None:
     """The base model of the sheet that a trial would leave, or None where it cannot be fitted."""
     if trial.repaired is None or written is None:
         return set_aside(base, trial.fault.rows[0])

@@ -18,7 +18,7 @@ import numpy as np
 from imucalib.arrays import Array, Index
 from imucalib.core.eigen import eigen
 from imucalib.loop.posterior.catalogue import log_set_prior, log_size_prior
-from imucalib.loop.posterior.gram import Block, Grams, swept
+from imucalib.loop.posterior.gram import Block, Grams, log_sum, swept
 from imucalib.loop.posterior.odds import BEAMS, DEEPEST, OPEN, WIDTH
 from imucalib.loop.posterior.problem import Choice, Contest
 
@@ -75,8 +75,9 @@ class Posterior:
     evidence: float
 
     @property
-    def best(self) -> Hypothesis:
-        return self.hypotheses[0]
+    def weighed(self) -> list[tuple[Hypothesis, float]]:
+        """Each set and its probability."""
+        return list(zip(self.hypotheses, self.probability.tolist(), strict=True))
 
     @property
     def base(self) -> Hypothesis:
@@ -189,7 +190,7 @@ class _Space:
         score, raw = self._scores(own)
         for component in np.setdiff1d(self._component, one.components):
             rows = np.flatnonzero(self._component == component)
-            total = float(np.logaddexp.reduce(score[rows].ravel()))
+            total = float(log_sum(score[rows].ravel()))
             if not np.isfinite(total):
                 continue
             a, b = np.unravel_index(np.argmax(score[rows]), (rows.size, problem.sizes.size))
@@ -209,16 +210,16 @@ class _Space:
         out = np.full((2, self._weight.size, sizes.size), -np.inf)
         for which, index, whole in self._by_width:
             logs, factor = block_logs(grams, index, sizes, self._dof, whole)
-            weighed = np.logaddexp.reduce(logs + log_size_prior(sizes * factor))
+            weighed = log_sum(logs + log_size_prior(sizes * factor))
             out[0, which] = weighed + self._weight[which, None]
-            out[1, which] = np.logaddexp.reduce(logs)
+            out[1, which] = log_sum(logs)
         return out[0], out[1]
 
     def posterior(self, found: _Found) -> Posterior:
         """Of all sets that were found."""
         ranked = _likeliest_first(found)
         logs = np.array([h.log_posterior for h in ranked])
-        whole = float(np.logaddexp.reduce(logs))
+        whole = float(log_sum(logs))
         return Posterior(tuple(ranked), np.exp(logs - whole), self._grams, self._dof, whole)
 
 
@@ -228,10 +229,9 @@ def block_logs(
     """(E, m, T) log evidence of each block of columns index (m, w) at each size (T,) over the noise
     factor, and that factor; whole : the blocks' own products, where they are there."""
     inner, along = grams.blocks(index, whole), grams.along[:, index]
-    logs, taken = (_by_factors if index.shape[1] > NARROW else _by_values)(
-        grams, inner, along, size
-    )
-    rest = np.maximum(grams.power[:, None, None] - taken, 1e-9)
+    by_factors = index.shape[1] > NARROW or size.size == 1
+    logs, explained = (_by_factors if by_factors else _by_values)(grams, inner, along, size)
+    rest = np.maximum(grams.power[:, None, None] - explained, 1e-9)
     logs = logs + grams.log_weight[:, None, None] + grams.log_noise(rest, dof)
     return logs, np.sqrt(rest / dof)
 
@@ -245,22 +245,22 @@ def _by_values(grams: Grams, inner: Array, along: Array, size: Array) -> tuple[A
         values, vectors = eigen(inner)
         along = np.einsum("emij,emi->emj", vectors, along)
     values, square = np.maximum(values, 0.0), size**2
-    taken = along[..., None] ** 2 / (values[..., None] + 1.0 / square)
-    return -0.5 * np.log1p(values[..., None] * square).sum(axis=2), taken.sum(axis=2)
+    explained = along[..., None] ** 2 / (values[..., None] + 1.0 / square)
+    return -0.5 * np.log1p(values[..., None] * square).sum(axis=2), explained.sum(axis=2)
 
 
 def _by_factors(grams: Grams, inner: Array, along: Array, size: Array) -> tuple[Array, Array]:
-    """The same of wide blocks by a Cholesky factor of each size, a below it, which is quicker."""
+    """The same of wide blocks, or for one size, by Cholesky factors, which are quicker there."""
     e, m, w, _ = inner.shape
-    logs, taken = np.empty((2, e, m, size.size))
+    logs, explained = np.empty((2, e, m, size.size))
     whole = np.empty((e, m, w + 1, w + 1))
     whole[..., :w, :w], whole[..., w, :w], whole[..., :w, w] = inner, along, along
-    whole[..., w, w] = 2.0 * grams.power[:, None] + 1.0  # any number above what is taken serves
+    whole[..., w, w] = 2.0 * grams.power[:, None] + 1.0  # any number above what is explained serves
     some = np.arange(w)
     values = inner[..., some, some]
     for t, tau in enumerate(size):
         whole[..., some, some] = values * (1.0 + _ROUNDING) + tau**-2.0
         root = np.linalg.cholesky(whole)
         logs[..., t] = -np.log(root[..., some, some] * tau).sum(axis=2)
-        taken[..., t] = np.sum(root[..., w, :w] ** 2, axis=2)
-    return logs, taken
+        explained[..., t] = np.sum(root[..., w, :w] ** 2, axis=2)
+    return logs, explained

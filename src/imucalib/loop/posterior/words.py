@@ -1,9 +1,9 @@
 """What the posterior says, in names and probabilities.
 
-Something is missing where the base model is unlikely. Told is the simplest set that the best does
-not beat by more than chance (Occam's window); in each of its places stands everything that could,
-with its share. A name is certain where it is in nearly all of the posterior, and no free function
-or unnamed law is likelier than not to stand in for what it leaves.
+Something is missing where the base model is unlikely. Concluded is the simplest set that the best
+does not beat by more than chance (Occam's window); in each of its places is everything that could
+be there, with its share. A name is certain where it is in nearly all of the posterior, and no free
+function or unnamed law is likelier than not to replace it.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.loop.found import Rival, Score
 from imucalib.loop.posterior.gram import swept
-from imucalib.loop.posterior.odds import CERTAIN, COMPLETE, TOLD
+from imucalib.loop.posterior.odds import CERTAIN, COMPLETE, OCCAM
 from imucalib.loop.posterior.problem import Contest, Problem
 from imucalib.loop.posterior.solution import solved
 from imucalib.loop.posterior.space import Hypothesis, Posterior
@@ -26,8 +26,7 @@ _LEAST, _MOST = 0.005, 12
 
 def rivals_of(problem: Problem, posterior: Posterior) -> tuple[Rival, ...]:
     """The likeliest sets, each as a fit."""
-    pairs = zip(posterior.hypotheses, posterior.probability, strict=True)
-    likely = [(h, float(p)) for h, p in pairs if p > _LEAST][:_MOST]
+    likely = [(h, p) for h, p in posterior.weighed if p > _LEAST][:_MOST]
     total = sum(p for _, p in likely)
     context, found = problem.fit.observations.context, []
     for hypothesis, p in likely:
@@ -52,23 +51,16 @@ def scores_of(problem: Problem, posterior: Posterior) -> tuple[Score, ...]:
     Its evidence beside the base model alone, the probability that it is there, and what
     the base model leaves of it at the likeliest noise.
     """
-    grams = posterior.grams
-    base = swept(grams, problem.flat)
-    logs = base.log_weight + base.log_noise(base.power, posterior.dof)
-    noise = np.array([int(np.argmax(logs))])
-    one, n = base.of(noise), len(problem.fit.at.owner)
+    base, dof = swept(posterior.grams, problem.flat), posterior.dof
+    logs = base.log_weight + base.log_noise(base.power, dof)
+    one, n = base.of(np.array([int(np.argmax(logs))])), len(problem.fit.at.owner)
     basis = np.linalg.qr(problem.columns[:n, : problem.base])[0]
-    factor = float(np.sqrt(one.power[0] / posterior.dof))
     evidence, inside = of_each(posterior, len(problem.components))
-    found, seen = [], set[int]()
-    for choice in problem.choices:
-        if choice.component in seen:
-            continue
-        seen.add(choice.component)
-        component = problem.components[choice.component]
-        index = choice.at[None]
-        power = max(float(np.trace(one.blocks(index)[0, 0])), 0.0)
-        columns = problem.columns[:n, choice.at]
+    first = {c.component: c.at for c in reversed(problem.choices)}
+    found = []
+    for k, component in enumerate(problem.components):
+        power = max(float(np.trace(one.blocks(first[k][None])[0, 0])), 0.0)
+        columns = problem.columns[:n, first[k]]
         rest = columns - basis @ (basis.T @ columns)
         sized = columns * problem.fit.at.unit[:, None]
         found.append(
@@ -76,10 +68,10 @@ def scores_of(problem: Problem, posterior: Posterior) -> tuple[Score, ...]:
                 name=component.name,
                 kind="effect" if component.named else "probe",
                 driver=component.driver,
-                evidence=float(evidence[choice.component]),
-                probability=float(inside[choice.component]),
+                evidence=float(evidence[k]),
+                probability=float(inside[k]),
                 left=float(np.sum(rest**2) / np.sum(columns**2)),
-                strength=float(np.sqrt(power)) / factor,
+                strength=float(np.sqrt(power * dof / one.power[0])),
                 size=float(np.linalg.norm(sized) / problem.fit.observations.n**0.5),
             )
         )
@@ -90,7 +82,7 @@ def of_each(posterior: Posterior, count: int) -> tuple[Array, Array]:
     """(C,) nats of each component by itself beside the base model, and (C,) the probability that it
     is there; count : how many there are"""
     evidence, inside = np.zeros(count), np.zeros(count)
-    for hypothesis, p in zip(posterior.hypotheses, posterior.probability, strict=True):
+    for hypothesis, p in posterior.weighed:
         inside[list(hypothesis.components)] += p
         if len(hypothesis.components) == 1:
             evidence[hypothesis.components[0]] = hypothesis.evidence - posterior.base.evidence
@@ -101,7 +93,7 @@ def of_each(posterior: Posterior, count: int) -> tuple[Array, Array]:
 class Place:
     """One thing that is missing.
 
-    component : that is told; probability : that it is there, in its place or beside others
+    component : that is concluded; probability : that it is there, in its place or beside others
     rivals : (component, share of this place) of all that could stand there, likeliest first, until
         they are 95 %; certain : whether it is a cause beyond doubt
     """
@@ -119,8 +111,8 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Told:
-    """complete : probability that nothing is missing; hypothesis : the set that is told and
+class Conclusion:
+    """complete : probability that nothing is missing; hypothesis : the set that is concluded and
     corrected; places : its components, likeliest first"""
 
     complete: float
@@ -128,41 +120,37 @@ class Told:
     places: tuple[Place, ...]
 
 
-def told(problem: Contest, posterior: Posterior, *, names_first: bool = False) -> Told:
-    """The words of a posterior.
+def concluded(problem: Contest, posterior: Posterior, *, names_first: bool = False) -> Conclusion:
+    """The simplest set that explains the data, and what else could be in each of its places.
 
-    names_first : whether a set of names is told before one of its size that has no name in it, and
+    names_first : whether a set of names comes before one of its size that has no name in it, and
         does not beat it by more than chance: where what has no name is not corrected
     """
-    pairs = list(zip(posterior.hypotheses, posterior.probability, strict=True))
-    complete = float(sum(p for h, p in pairs if not h.components))
+
+    def nameless(hypothesis: Hypothesis) -> int:
+        return sum(not problem.components[c].named for c in hypothesis.components)
+
+    complete = sum(p for h, p in posterior.weighed if not h.components)
     if complete >= COMPLETE:
-        return Told(complete, posterior.base, ())
-    bar = np.exp(-TOLD) * posterior.probability[0]
-    said = min(
-        ((h, p) for h, p in pairs if p > bar and h.components),
-        key=lambda pair: (
-            len(pair[0].components),
-            names_first and sum(not problem.components[c].named for c in pair[0].components),
-            -pair[1],
-        ),
-    )[0]
-    inside = of_each(posterior, len(problem.components))[1]
-    nameless = sum(
-        p for h, p in pairs if any(not problem.components[c].named for c in h.components)
+        return Conclusion(complete, posterior.base, ())
+    bar = np.exp(-OCCAM) * posterior.probability[0]
+    said, _ = min(
+        ((h, p) for h, p in posterior.weighed if p > bar and h.components),
+        key=lambda one: (len(one[0].components), names_first and nameless(one[0]), -one[1]),
     )
+    inside = of_each(posterior, len(problem.components))[1]
+    without_name = sum(p for h, p in posterior.weighed if nameless(h))
     places = []
     for component in said.components:
-        rivals = _rivals(posterior, said, component)
-        likely = float(inside[component])
-        alone = len(rivals) == 1 and likely > CERTAIN and nameless < 0.5
-        sure = bool(alone and problem.components[component].named)
-        places.append(Place(component, likely, rivals, sure))
-    return Told(complete, said, tuple(sorted(places, key=lambda p: -p.probability)))
+        rivals, likely = _rivals(posterior, said, component), float(inside[component])
+        alone = len(rivals) == 1 and likely > CERTAIN and without_name < 0.5
+        certain = alone and problem.components[component].named
+        places.append(Place(component, likely, rivals, certain))
+    return Conclusion(complete, said, tuple(sorted(places, key=lambda p: -p.probability)))
 
 
-def name_of(problem: Contest, posterior: Posterior, said: Told, component: int) -> str:
-    """The effect that stands for a component in what is told, or in its likeliest set."""
+def name_of(problem: Contest, posterior: Posterior, said: Conclusion, component: int) -> str:
+    """The effect of a component in what is concluded, or in its likeliest set."""
     sets = (said.hypothesis, *posterior.hypotheses)
     own = next(h for h in sets if component in h.components)
     picked = (problem.choices[p.choice] for p in own.picks)
@@ -175,15 +163,12 @@ def _rivals(
     """What stands in a component's place in sets that have all the others."""
     rest = set(said.components) - {component}
     weight: dict[int, float] = {}
-    for hypothesis, p in zip(posterior.hypotheses, posterior.probability, strict=True):
+    for hypothesis, p in posterior.weighed:
         own = set(hypothesis.components)
         if len(own) == len(said.components) and rest <= own:
             other = (own - rest).pop()
-            weight[other] = weight.get(other, 0.0) + float(p)
-    total, told_of, so_far = sum(weight.values()), [], 0.0
-    for other in sorted(weight, key=lambda c: -weight[c]):
-        told_of.append((other, weight[other] / total))
-        so_far += weight[other] / total
-        if so_far > CERTAIN:
-            break
-    return tuple(told_of)
+            weight[other] = weight.get(other, 0.0) + p
+    ranked = sorted(weight, key=lambda c: -weight[c])
+    share = np.array([weight[c] for c in ranked]) / sum(weight.values())
+    count = int(np.searchsorted(np.cumsum(share), CERTAIN, side="right")) + 1
+    return tuple(zip(ranked[:count], share[:count].tolist(), strict=True))

@@ -1,38 +1,38 @@
 """Time stamps of a text table, vectorised: dates and times as text, or several columns of them.
 
 A stamp is groups of digits in an order that is found once, and perhaps words: a zone, AM or PM, a
-month's name. Whatever else stands in it makes that stamp one that is not understood. No cast of
-numpy's parses a text: those that raise take the interpreter down beyond 500 elements (numpy 2.4).
+month's name. Stamps that differ in digits alone have one form, which is looked at once; a form that
+has anything else in it is not understood. No cast of numpy's parses a text: those that raise take
+the interpreter down beyond 500 elements (numpy 2.4).
 """
 
 from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.arrays import Array
+from imucalib.arrays import Array, Flags, Index
 from imucalib.errors import UnreadableInput, UsageError
+from imucalib.readers.columns import by_word
 
 Int = NDArray[np.int64]
-Bool = NDArray[np.bool_]
-Texts = NDArray[np.bytes_]
+Codes = NDArray[np.uint8]
 MISSING = np.iinfo(np.int64).min  #: a blank stamp
 _BLANK = [b"", b"nan", b"na", b"null"]
-_PER_DAY = 86_400_000_000_000
+_PER_DAY, _PER_HOUR, _PER_MINUTE = 86_400_000_000_000, 3_600_000_000_000, 60_000_000_000
 _DIRECTIVE = dict(zip("YymbBdHIMSf", "YYMMMDhhmsf", strict=True)) | {"T": "hms", "F": "YMD"}
 _SILENT_DIRECTIVES = "pzZ"
 #: Digits that a group may have, by its letter: C is YYYYMMDD, H hhmmss, i and u whole ms and us.
 _LONGEST = {"Y": 4, "C": 8, "H": 6, "f": 9, "i": 3, "u": 6}
 #: Hours east of UTC. RFC 2822, 4.3, and Europe's; those that name two zones (CST, IST, BST) are
 #: left out.
-_ZONES = {
-    name.encode(): hours
-    for hours, names in {
+_ZONES = by_word(
+    {
         0: "z utc ut gmt wet",
         1: "west cet met mez",
         2: "cest mest mesz eet",
@@ -43,16 +43,15 @@ _ZONES = {
         -7: "mst pdt",
         -6: "mdt",
         -8: "pst",
-    }.items()
-    for name in names.split()
-}
+    }
+)
 _HALF = rb"(?:\s*([ap])\.?\s?m\.?)"
-#: What ends a stamp behind a digit or a half of the day: a zone, and its name in brackets.
+#: What ends a stamp after a digit or a half of the day: a zone, and its name in brackets.
 _TAIL = re.compile(
-    rb"(?<=[\dm.])(\s*(?:(" + b"|".join(sorted(_ZONES, reverse=True)) + rb")|"
+    rb"(?<=[\dm.])(\s*(?:(" + "|".join(sorted(_ZONES, reverse=True)).encode() + rb")|"
     rb"(?:utc|gmt)?([+-])(\d{1,2})(?::?(\d\d))?)\s*(?:\[[^\]]*\])?\s*)$"
 )
-#: An offset stands behind a time of day; "-15" behind a month is a day.
+#: An offset follows a time of day; "-15" after a month is a day.
 _TIMED = re.compile(rb"(?::\d\d(?:[.,]\d*)?|t\d{4,6}(?:[.,]\d*)?)" + _HALF + rb"?$")
 _HALF_AT_END = re.compile(_HALF + rb"\s*$")
 _MONTH = re.compile(rb"[a-z\x80-\xff]{3,}\.?")
@@ -66,8 +65,8 @@ _MONTHS = {
 _BETWEEN, _CLOCK = rb"[\s\-:/.,_t]+", rb"\d\d?[:.\-_]\d\d?[:.\-_]\d\d?([.,:]\d+)?"
 _DATE = rb"\d\d?" + _BETWEEN + rb"\d\d?" + _BETWEEN + rb"(\d\d|\d{4})" + _BETWEEN
 _YEAR = rb"\d{4}" + _BETWEEN + rb"\d\d?" + _BETWEEN + rb"\d\d?" + _BETWEEN
-#: Form of a stamp without words -> order of its groups; x is the day or the month.
-_FORMS = {
+#: Stamp without words -> order of its groups; x is the day or the month.
+_ORDERS = {
     rb"\d{8}[t _-]\d{6}([.,]\d+)?": "CHf",
     rb"\d{8}[t _-]" + _CLOCK: "Chmsf",
     rb"\d{8}[t _-]\d\d?:\d\d": "Chm",
@@ -78,9 +77,10 @@ _FORMS = {
     _DATE + _CLOCK: "xxYhmsf",
     _DATE + rb"\d\d?:\d\d": "xxYhm",
 }
-_MOST_FORMS = 64  # zones, halves or months that one block of stamps is looked through for
-_SEPARATOR = np.zeros(256, dtype=np.bool_)
-_SEPARATOR[list(b"\0 -:/.,_t")] = True
+_UNDERSTOOD = re.compile(rb"[\d\0 \-:/.,_t]*")
+_MOST_FORMS = 1000  # that one block of stamps is looked through for
+#: A form's key: sums of its bytes by powers of an odd number, in 64 bits.
+_KEYS = [pow(0x9E3779B97F4A7C15, k, 1 << 64) for k in range(1, 129)]
 
 
 @dataclass(frozen=True)
@@ -107,24 +107,86 @@ class TextTime:
         return 86_400.0 if set(self.order) & {"h", "H"} else 3600.0
 
 
+@dataclass(frozen=True)
+class _Form:
+    """Stamps that differ in digits alone.
+
+    plain : the text with blanks for its words and digits for its month; month : where these are
+    east : offset from UTC by a zone's name, ns; sign, hours, minutes : of an offset in digits
+    """
+
+    plain: bytes
+    month: int = -1
+    afternoon: int = 0
+    east: int = 0
+    sign: int = 0
+    hours: tuple[int, int] = (0, 0)
+    minutes: tuple[int, int] = (0, 0)
+
+
+def _form_of(stamp: bytes, layout: TextTime) -> _Form | None:
+    """The form of a lower-case stamp; None where it lacks a word that the others have."""
+    for word in layout.literal:
+        stamp = stamp.replace(word, b" " * len(word))
+    east, sign, hours, minutes, afternoon, month = 0, 0, (0, 0), (0, 0), 0, -1
+    if layout.zone:
+        found = _TAIL.search(stamp)
+        if found is None or not (found[2] or _TIMED.search(stamp[: found.start(1)].rstrip())):
+            return None
+        if found[2]:
+            east = _ZONES[found[2].decode()] * _PER_HOUR
+        else:
+            sign, hours = (-1 if found[3] == b"-" else 1), found.span(4)
+            minutes = found.span(5) if found[5] else (0, 0)
+        stamp = stamp[: found.start(1)]
+    if layout.half:
+        found = _HALF_AT_END.search(stamp)
+        if found is None:
+            return None
+        afternoon, stamp = int(found[1] == b"p"), stamp[: found.start()]
+    if layout.months:
+        named = _month(stamp)
+        if named is None:
+            return None
+        (month, stop), number = named
+        stamp = stamp[:month] + (b"%02d" % number).ljust(stop - month) + stamp[stop:]
+    return _Form(
+        stamp, month=month, afternoon=afternoon, east=east, sign=sign, hours=hours, minutes=minutes
+    )
+
+
+def _month(stamp: bytes) -> tuple[tuple[int, int], int] | None:
+    """Where a stamp names a month, and the month's number."""
+    for found in _MONTH.finditer(stamp):
+        number = _MONTHS.get(found.group().decode(errors="replace")[:3])
+        if number:
+            return found.span(), number
+    return None
+
+
 def text_layout(samples: list[bytes], time_format: str, where: str) -> TextTime:
     """The order of the digit groups that fits most sample stamps. Raises UnreadableInput."""
     low = [s.lower().strip() for s in samples]
-    zone, half = (2 * sum(found(s) for s in low) > len(low) for found in (_has_zone, _has_half))
+
+    def most(words: TextTime) -> bool:
+        return 2 * sum(_form_of(s, words) is not None for s in low) > len(low)
+
+    plain = TextTime("", True)
+    plain = replace(plain, zone=most(replace(plain, zone=True)))
+    plain = replace(plain, half=most(replace(plain, half=True)))
     if time_format:
-        return _by_format(time_format, zone, half)
-    plain = TextTime("", True, zone=zone, half=half)
-    bare, _, _, _ = _without_words(np.array(low or [b""]), plain)
-    months = 2 * sum(_month(bytes(s)) is not None for s in bare) > len(bare)
-    if months:
-        bare, _ = _with_numbers(bare)
-    texts = [bytes(s).strip() for s in bare]
-    usual = _usual([re.sub(rb"\d+", b"0", t) for t in texts])
-    examples = [t for t in texts if re.sub(rb"\d+", b"0", t) == usual] or [b""]
-    odd = [w for w in re.findall(rb"[^\d\s\-:/.,_]+", examples[0]) if w != b"t"]
-    groups = [re.findall(rb"\d+", t) for t in examples]
-    named_first = None if not months else not low[texts.index(examples[0])][:1].isdigit()
-    order = None if odd else _order_of(groups, examples[0], named_first)
+        return _by_format(time_format, plain)
+    plain = replace(plain, months=most(replace(plain, months=True)))
+    forms = [(s, f.plain.strip()) for s in low if (f := _form_of(s, plain)) is not None]
+    shapes = [re.sub(rb"\s+", b" ", re.sub(rb"\d+", b"0", text)) for _, text in forms]
+    usual = Counter(shapes).most_common(1)
+    # A fraction that some stamps lack is no other form.
+    examples = [f for f, shape in zip(forms, shapes, strict=True) if shape == usual[0][0]]
+    first, example = examples[0] if examples else (b"", b"")
+    odd = [w for w in re.findall(rb"[^\d\s\-:/.,_]+", example) if w != b"t"]
+    groups = [re.findall(rb"\d+", text) for _, text in examples or [(b"", b"")]]
+    named_first = not first[:1].isdigit() if plain.months else None
+    order = None if odd else _order_of(groups, example, named_first)
     if order is None:
         stamp = samples[0].decode(errors="replace") if samples else ""
         what = f"'{odd[0].decode(errors='replace')}' in " if odd else ""
@@ -134,16 +196,11 @@ def text_layout(samples: list[bytes], time_format: str, where: str) -> TextTime:
             remedy="give --time-format, for example '%d/%m/%Y %H:%M:%S.%f'; letters in it are "
             "passed over",
         )
-    return TextTime(*order, zone, half, months)
+    letters, dated, ambiguous = order
+    return replace(plain, order=letters, dated=dated, ambiguous=ambiguous)
 
 
-def _usual(shapes: list[bytes]) -> bytes:
-    """The commonest form; a fraction that some stamps lack is no other form."""
-    found = Counter(shapes).most_common(1)
-    return found[0][0] if found else b""
-
-
-def _by_format(text: str, zone: bool, half: bool) -> TextTime:
+def _by_format(text: str, plain: TextTime) -> TextTime:
     letters = re.findall(r"%([A-Za-z])", text)
     unknown = [c for c in letters if c not in _DIRECTIVE and c not in _SILENT_DIRECTIVES]
     if unknown:
@@ -156,11 +213,11 @@ def _by_format(text: str, zone: bool, half: bool) -> TextTime:
     order = "".join(_DIRECTIVE.get(c, "") for c in letters)
     words = re.findall(r"[^\W\d_]+", re.sub(r"%[A-Za-z]", " ", text))
     literal = tuple(w.lower().encode() for w in words if w.lower() != "t")
-    return TextTime(
-        order,
-        {"Y", "M", "D"} <= set(order),
-        zone=zone and not literal,
-        half=half,
+    return replace(
+        plain,
+        order=order,
+        dated={"Y", "M", "D"} <= set(order),
+        zone=plain.zone and not literal,
         months=bool(set(letters) & {"b", "B"}),
         literal=literal,
     )
@@ -171,9 +228,9 @@ def _order_of(
 ) -> tuple[str, bool, bool] | None:
     """Order of the groups, whether they hold a date, and whether it is ambiguous.
 
-    named_first : of dates whose month is a name, whether it stands first
+    named_first : of dates whose month is a name, whether it comes first
     """
-    order = next((found for form, found in _FORMS.items() if re.fullmatch(form, example)), None)
+    order = next((found for form, found in _ORDERS.items() if re.fullmatch(form, example)), None)
     if order is None or "x" not in order:
         return None if order is None else (order, bool({"C", "Y"} & set(order)), False)
     clock = order.removeprefix("xxY")
@@ -189,187 +246,92 @@ def _order_of(
     return ("DMY" if day_first or faster else "MDY") + clock, True, ambiguous and not faster
 
 
-def text_to_ns(stamps: Texts, layout: TextTime) -> tuple[Int, Bool]:
+def text_to_ns(stamps: NDArray[np.bytes_], layout: TextTime) -> tuple[Int, Flags]:
     """(n,) nanoseconds since 1970 (UTC when a zone is stated), or since the start of the period
     without a date; and which stamps are not understood. These and blank ones are MISSING."""
     out = np.full(stamps.shape, MISSING, dtype=np.int64)
+    codes = np.frombuffer(stamps.tobytes(), dtype=np.uint8).reshape(stamps.size, -1)
+    codes = np.where((codes >= 65) & (codes <= 90), codes + np.uint8(32), codes)  # lower case
+    filled = np.flatnonzero(~np.isin(codes.view(stamps.dtype)[:, 0], _BLANK))
     wrong = np.zeros(stamps.shape, dtype=np.bool_)
-    low = np.char.lower(stamps)
-    filled = np.flatnonzero(~np.isin(low, _BLANK))
-    if filled.size:
-        ns, bad = _read(low[filled], layout)
-        out[filled], wrong[filled] = np.where(bad, MISSING, ns), bad
+    wrong[filled] = True
+    codes = codes[filled]
+    for shape, rows in _alike(codes):
+        form = _form_of(shape, layout)
+        if form is not None and _UNDERSTOOD.fullmatch(form.plain):
+            ns, bad = _read(codes[rows], form, layout)
+            out[filled[rows]], wrong[filled[rows]] = np.where(bad, MISSING, ns), bad
     return out, wrong
 
 
-def _read(texts: Texts, layout: TextTime) -> tuple[Int, Bool]:
-    texts, offsets, afternoon, bad = _without_words(texts, layout)
-    if layout.months:
-        texts, absent = _with_numbers(texts)
-        bad = bad | absent
-    values, digits, odd = _digit_groups(texts, layout.order)
-    bad = bad | odd
-    at = {letter: values[:, k] for k, letter in enumerate(layout.order)}
-    size = {letter: digits[:, k] for k, letter in enumerate(layout.order)}
-    for letter, length in size.items():
-        bad = bad | (length > _LONGEST.get(letter, 2))
-    zero = np.zeros(texts.shape, dtype=np.int64)
+def _alike(codes: Codes) -> Iterator[tuple[bytes, Index | slice]]:
+    """Every form of stamps (n, width), with zeros for its digits, and the rows that have it."""
+    shapes = np.where((codes >= 48) & (codes <= 57), np.uint8(48), codes)
+    if not len(shapes):
+        return
+    if (shapes == shapes[0]).all():
+        yield shapes[0].tobytes().rstrip(b"\0"), slice(None)
+        return
+    keys = shapes @ np.resize(np.array(_KEYS, np.uint64), shapes.shape[1])
+    _, first, which = np.unique(keys, return_index=True, return_inverse=True)
+    order = np.argsort(which, kind="stable")
+    parts = np.split(order, np.flatnonzero(np.diff(which[order])) + 1)
+    for one, rows in zip(first[:_MOST_FORMS], parts, strict=False):
+        same = (shapes[rows] == shapes[one]).all(axis=1)
+        yield shapes[one].tobytes().rstrip(b"\0"), rows[same]
+
+
+def _number(codes: Codes, span: tuple[int, int]) -> Int:
+    """The numbers (n,) that the digits in a span are."""
+    out = np.zeros(len(codes), dtype=np.int64)
+    for column in range(*span):
+        out = out * 10 + (codes[:, column] - np.int64(48))
+    return out
+
+
+def _read(codes: Codes, form: _Form, layout: TextTime) -> tuple[Int, Flags]:
+    """Stamps of one form in ns, and which are impossible."""
+    spans = [found.span() for found in re.finditer(rb"\d+", form.plain)]
+    order = layout.order
+    zero, every = np.zeros(len(codes), dtype=np.int64), np.ones(len(codes), dtype=np.bool_)
+    if not len(order) - order.endswith("f") <= len(spans) <= len(order):
+        return zero, every
+    size = {letter: stop - start for letter, (start, stop) in zip(order, spans, strict=False)}
+    if any(n > _LONGEST.get(c, 2) for c, n in size.items()) or size.get("H", 6) != 6:
+        return zero, every
+    at = {letter: _number(codes, span) for letter, span in zip(order, spans, strict=False)}
+    if form.month >= 0:
+        number = int(form.plain[form.month : form.month + 2])
+        at |= {c: zero + number for c, s in zip(order, spans, strict=False) if s[0] == form.month}
     if "H" in at:
-        bad = bad | (size["H"] != 6)
         at |= {"h": at["H"] // 10_000, "m": at["H"] // 100 % 100, "s": at["H"] % 100}
     hour, minute, second = (at.get(letter, zero) for letter in "hms")
+    bad = (hour > 23) | (minute > 59) | (second > 60)
     if layout.half:
-        bad = bad | ((hour > 12) & (afternoon == 0))
-        hour = np.where(hour > 12, hour, hour % 12 + 12 * afternoon)
-    bad = bad | (hour > 23) | (minute > 59) | (second > 60)
+        bad |= (hour > 12) & (form.afternoon == 0)
+        hour = np.where(hour > 12, hour, hour % 12 + 12 * form.afternoon)
     ns = ((hour * 60 + minute) * 60 + second) * 1_000_000_000
-    if "f" in at:
-        ns = ns + at["f"] * 10 ** np.clip(9 - size["f"], 0, 9)
-    ns = ns + at.get("i", zero) * 1_000_000 + at.get("u", zero) * 1000
+    ns += at.get("f", zero) * 10 ** (9 - size.get("f", 9))
+    ns += at.get("i", zero) * 1_000_000 + at.get("u", zero) * 1000
     if layout.dated:
         days, impossible = _days(at, size)
         bad, ns = bad | impossible, ns + days * _PER_DAY
-    return np.asarray(ns - offsets), bad
+    hours, minutes = _number(codes, form.hours), _number(codes, form.minutes)
+    bad |= (hours > 14) | (minutes > 59)
+    return ns - form.east - form.sign * (hours * _PER_HOUR + minutes * _PER_MINUTE), bad
 
 
-def _days(at: dict[str, Int], size: dict[str, Int]) -> tuple[Int, Bool]:
+def _days(at: dict[str, Int], size: dict[str, int]) -> tuple[Int, Flags]:
     """Days since 1970, and which dates are none."""
     if "C" in at:
         year, month, day = at["C"] // 10_000, at["C"] // 100 % 100, at["C"] % 100
     else:
-        year, month, day = at["Y"], at["M"], at["D"]
-        year = np.where(size["Y"] <= 2, year + 2000, year)
+        year, month, day = at["Y"] + (2000 if size["Y"] <= 2 else 0), at["M"], at["D"]
     bad = (month < 1) | (month > 12) | (day < 1) | (day > 31) | (year < 1678) | (year > 2261)
     year, month = np.where(bad, 1970, year), np.where(bad, 1, month)
     months = ((year - 1970) * 12 + month - 1).astype("M8[M]")
     dates = months.astype("M8[D]") + (day - 1).clip(0, 30).astype("m8[D]")
     return dates.astype(np.int64), np.asarray(bad | (dates.astype("M8[M]") != months))
-
-
-def _digit_groups(texts: Texts, order: str) -> tuple[Int, Int, Bool]:
-    """(n, groups) value and length of each run of digits, and which stamps are not of them."""
-    width, groups = texts.dtype.itemsize, len(order)
-    codes = np.frombuffer(texts.tobytes(), dtype=np.uint8).reshape(texts.size, width)
-    digit = (codes >= 48) & (codes <= 57)
-    odd = ~(digit | _SEPARATOR[codes]).all(axis=1)
-    values = np.zeros((texts.size, groups), dtype=np.int64)
-    length = np.zeros((texts.size, groups), dtype=np.int64)
-    if (digit == digit[0]).all():
-        edges = np.flatnonzero(np.diff(digit[0].astype(np.int8), prepend=0, append=0))
-        runs = edges.reshape(-1, 2).tolist()
-        for k, (start, stop) in enumerate(runs[:groups]):
-            length[:, k] = stop - start
-            for column in range(start, min(stop, start + 18)):
-                values[:, k] = values[:, k] * 10 + (codes[:, column] - 48)
-        count = np.full(texts.size, len(runs))
-    else:
-        before = np.zeros_like(digit)
-        before[:, 1:] = digit[:, :-1]
-        which = np.cumsum(digit & ~before, axis=1) - 1
-        count = which[:, -1] + 1
-        for column in range(width):
-            rows = np.flatnonzero(digit[:, column] & (which[:, column] < groups))
-            k = which[rows, column]
-            short = length[rows, k] < 18
-            rows, k = rows[short], k[short]
-            values[rows, k] = values[rows, k] * 10 + (codes[rows, column] - 48)
-            length[rows, k] += 1
-    return values, length, odd | (count > groups) | (count < groups - order.endswith("f"))
-
-
-_Found = tuple[bytes, int] | None
-
-
-def _taken(texts: Texts, look: Callable[[bytes], _Found]) -> tuple[Texts, Int, Bool]:
-    """The texts without the ending that `look` finds, its number, and which have none.
-
-    `look` is asked once for each form that occurs.
-    """
-    bare, number = texts.copy(), np.zeros(texts.shape, dtype=np.int64)
-    left, without = np.ones(texts.shape, dtype=np.bool_), np.zeros(texts.shape, dtype=np.bool_)
-    for _ in range(_MOST_FORMS):
-        todo = np.flatnonzero(left)
-        if not todo.size:
-            break
-        found = look(bytes(texts[todo[0]]))
-        if found is None:
-            left[todo[0]], without[todo[0]] = False, True
-            continue
-        same = todo[np.char.endswith(texts[todo], found[0])]
-        bare[same] = np.char.rpartition(texts[same], found[0])[:, 0]
-        number[same], left[same] = found[1], False
-    return bare, number, without | left
-
-
-def _without_words(texts: Texts, layout: TextTime) -> tuple[Texts, Int, Int, Bool]:
-    """Lower-case stamps without their words, offsets from UTC in ns, whether it is afternoon (1),
-    and which lack a word that the others have."""
-    offsets = afternoon = np.zeros(texts.shape, dtype=np.int64)
-    bad = np.zeros(texts.shape, dtype=np.bool_)
-    for word in layout.literal:
-        texts = np.char.replace(texts, word, b" ")
-    if layout.zone:
-        texts, offsets, bad = _taken(texts, _zone)
-    if layout.half:
-        texts, afternoon, without = _taken(np.char.rstrip(texts), _half)
-        bad = bad | without
-    return texts, offsets, afternoon, bad
-
-
-def _zone(stamp: bytes) -> _Found:
-    """The ending that states a zone, and its offset in ns."""
-    found = _TAIL.search(stamp)
-    if found is None:
-        return None
-    if found[2]:
-        return found[1], _ZONES[found[2]] * 3_600_000_000_000
-    hours, minutes = int(found[4]), int(found[5] or 0)
-    if hours > 14 or minutes > 59 or not _TIMED.search(stamp[: found.start(1)].rstrip()):
-        return None
-    return found[1], (-1 if found[3] == b"-" else 1) * (hours * 60 + minutes) * 60_000_000_000
-
-
-def _half(stamp: bytes) -> _Found:
-    """The ending that says AM or PM, and 1 for PM."""
-    found = _HALF_AT_END.search(stamp)
-    return (found.group(), int(found[1] == b"p")) if found else None
-
-
-def _has_zone(stamp: bytes) -> bool:
-    return _zone(stamp) is not None
-
-
-def _has_half(stamp: bytes) -> bool:
-    zone = _zone(stamp)
-    return _half(stamp[: len(stamp) - len(zone[0])] if zone else stamp) is not None
-
-
-def _month(stamp: bytes) -> _Found:
-    """The name of a month in a stamp, and its number."""
-    for found in _MONTH.finditer(stamp):
-        number = _MONTHS.get(found.group().decode(errors="replace")[:3])
-        if number:
-            return found.group(), number
-    return None
-
-
-def _with_numbers(texts: Texts) -> tuple[Texts, Bool]:
-    """Stamps with months as numbers, and which of them name none."""
-    width = texts.dtype.itemsize + 2
-    out, left = texts.astype(f"S{width}"), np.ones(texts.shape, dtype=np.bool_)
-    without = np.zeros(texts.shape, dtype=np.bool_)
-    for _ in range(_MOST_FORMS):
-        todo = np.flatnonzero(left)
-        if not todo.size:
-            break
-        found = _month(bytes(texts[todo[0]]))
-        if found is None:
-            left[todo[0]], without[todo[0]] = False, True
-            continue
-        same = todo[np.char.find(texts[todo], found[0]) >= 0]
-        out[same] = np.char.replace(texts[same], found[0], b"%02d" % found[1])
-        left[same] = False
-    return out, without | left
 
 
 def spread(stamps: Array, resolution: float, typical: float, first: bool) -> Array:

@@ -16,13 +16,12 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.readers.csv.text import (
+    COMMENT,
     Condition,
     cells_of,
     decoded,
-    demand_some,
-    is_comment,
     is_number,
-    parted,
+    no_row_has,
     whole_text,
 )
 from imucalib.readers.source import small_directory
@@ -35,6 +34,7 @@ _UNITS = {*ACCELERATION_UNITS, *RATE_UNITS, *ANGLE_UNITS}
 _OTHER_UNITS = {"°", "degc", "°c", "c", "k", "s", "ms", "counts", "count", "lsb", "-"}
 _DELIMITERS = (",", ";", "\t", "|")
 _SHOWN = 10  # rows that an error lists
+_MOST_BYTES, _MOST_ROWS, _MOST_COLUMNS = 64 << 20, 100_000, 500  # of a workbook
 _RULE = re.compile(r"\|[\s|:\-]+\|")  # below the heading of a Markdown table
 #: Numbers that show by two marks of thousands, or by one beside the decimal mark, which it is.
 _GROUPED = {
@@ -71,64 +71,54 @@ class Cells:
 
 
 def table_cells(path: Path, mapping: FieldMapping, exclude: Collection[int] = ()) -> Cells:
-    """The cells of a text; numbers with a point as decimal mark and no mark of thousands.
+    """The cells of a text or of the first sheet of a workbook; numbers with a point as decimal mark
+    and no mark of thousands.
 
     mapping : `skip`, `delimiter`, `decimal` and `where` are used. A decimal comma is understood
         wherever the comma does not separate the cells. Comments and blank lines are passed over,
         title lines above the heading too, the frame of a Markdown table, and lines below the last
-        blank one that are no rows; a row of units below the heading goes into it.
+        blank one that are no rows; a row of units below the heading goes into it. Formulas count
+        by the value that was saved with them.
     exclude : rows that may have any number of cells
     Raises UnreadableInput with the row, counted from 1 below the heading.
     """
-    where = str(path)
-    lines = list(_lines(path, mapping.skip or 0))
-    if not any(line for _, line in lines):
-        raise UnreadableInput("no rows in it", where=where)
-    lines = _without_titles(lines, mapping.delimiter)
-    at, first = lines[0]
-    delimiter = mapping.delimiter or _delimiter_of(first)
-    heading, *rows = [_cells(line, delimiter) for _, line in lines]
-    found = columns_of(
-        [heading, *rows],
-        f"{where}, line {at}",
-        where,
-        exclude=exclude,
-        decimal=mapping.decimal or ("," if delimiter != "," else ""),
-        stated=bool(mapping.decimal),
-    )
-    return selected(found, mapping, where)
+    if _is_spreadsheet(path):
+        (rows, top), decimal, stated = _sheet(path, mapping.skip or 0), ",", False
+    else:
+        rows, top, delimiter = _text(path, mapping)
+        decimal, stated = mapping.decimal or "," * (delimiter != ","), bool(mapping.decimal)
+    found = _columns_of(rows, top, str(path), decimal=decimal, stated=stated, exclude=exclude)
+    return selected(found, mapping, str(path))
 
 
 def selected(cells: Cells, mapping: FieldMapping, where: str) -> Cells:
-    """The rows that `mapping.where` asks for. Raises UsageError for a column that is not there."""
-    if not mapping.where:
-        return cells
-    wanted, texts = [], []
-    for column, value in map(parted, mapping.where):
-        if column not in cells.columns:
-            have = ", ".join(cells.columns)
-            raise UsageError(f"no column '{column}'", where="--where", remedy=f"columns: {have}")
-        wanted.append(Condition(0, value))
-        texts.append([str(cell) for cell in cells.columns[column]])
-    keep = [
-        k
-        for k in range(len(cells.row))
-        if all(c.fits(t[k]) for c, t in zip(wanted, texts, strict=True))
-    ]
-    demand_some(len(keep), mapping.where, texts, where)
-    return cells.at(keep)
+    """The rows that `mapping.where` names. Raises UsageError for a column that is not there."""
+    wanted = [Condition.of(text) for text in mapping.where]
+    for condition in wanted:
+        if condition.name not in cells.columns:
+            raise UsageError(
+                f"no column '{condition.name}'",
+                where="--where",
+                remedy=f"columns: {', '.join(cells.columns)}",
+            )
+    texts = [[str(cell) for cell in cells.columns[c.name]] for c in wanted]
+    fits = [[c.fits(cell) for cell in column] for c, column in zip(wanted, texts, strict=True)]
+    keep = [k for k in range(len(cells.row)) if all(column[k] for column in fits)]
+    if wanted and not keep:
+        raise no_row_has(mapping.where, texts, where)
+    return cells.at(keep) if wanted else cells
 
 
-def columns_of(
+def _columns_of(
     rows: list[list[str]],
     top: str,
     where: str,
     *,
     decimal: str,
-    stated: bool = False,
-    exclude: Collection[int] = (),
+    stated: bool,
+    exclude: Collection[int],
 ) -> Cells:
-    """Every column by its heading, the first row; `top` says where that is. Errors as above.
+    """Every column by its heading, the first row; `top` says where that is.
 
     decimal : "," where that may be the mark, or the mark itself where it is `stated`
     """
@@ -170,9 +160,9 @@ def and_more(places: Sequence[str]) -> str:
     """The first ten of some places, and how many there are."""
     if not places:
         return ""
-    shown = ", ".join(places[: _SHOWN - 1])
-    left = len(places) - _SHOWN + 1
-    return f"; {len(places) + 1} in all: also {shown}" + (f" and {left} more" if left > 0 else "")
+    more = len(places) - _SHOWN + 1
+    shown = ", ".join(places[: _SHOWN - 1]) + (f" and {more} more" if more > 0 else "")
+    return f"; {len(places) + 1} in all: also {shown}"
 
 
 def _without_footer(rows: list[list[str]]) -> tuple[list[list[str]], list[list[str]]]:
@@ -197,10 +187,17 @@ def _thousands(cells: Sequence[str], decimal: str, stated: bool) -> str:
     return found.pop() if len(found) == 1 else ""
 
 
-def _delimiter_of(line: str) -> str:
-    """What separates the cells of a line: blanks where nothing else does."""
-    best = max(_DELIMITERS, key=line.count)
-    return best if best in line else " "
+def _text(path: Path, mapping: FieldMapping) -> tuple[list[list[str]], str, str]:
+    """Rows of cells, the heading first, where that is, and the delimiter."""
+    lines, delimiter = list(_lines(path, mapping.skip or 0)), mapping.delimiter
+    if not any(line for _, line in lines):
+        raise UnreadableInput("no rows in it", where=str(path))
+    lines = _without_titles(lines, delimiter)
+    at, first = lines[0]
+    if not delimiter:  # blanks where nothing else is
+        best = max(_DELIMITERS, key=first.count)
+        delimiter = best if best in first else " "
+    return [_cells(line, delimiter) for _, line in lines], f"{path}, line {at}", delimiter
 
 
 def _cells(line: str, delimiter: str) -> list[str]:
@@ -263,15 +260,12 @@ def _lines(path: Path, skip: int) -> Iterator[tuple[int, str]]:
     text = decoded(data)
     for number, line in enumerate(text.split("\n"), start=1):
         bare = line.strip()
-        if number <= skip or is_comment(line) or _RULE.fullmatch(bare):
+        if number <= skip or COMMENT.match(line) or _RULE.fullmatch(bare):
             continue
         yield number, bare.removeprefix("|").removesuffix("|").strip() if bare[:1] == "|" else line
 
 
-_MOST_BYTES, _MOST_ROWS, _MOST_COLUMNS, _FEWEST_NAMES = 64 << 20, 100_000, 500, 3
-
-
-def is_spreadsheet(path: Path) -> bool:
+def _is_spreadsheet(path: Path) -> bool:
     """Whether the file is a zip archive that holds a workbook."""
     try:
         with path.open("rb") as stream:
@@ -285,26 +279,20 @@ def is_spreadsheet(path: Path) -> bool:
         return False
 
 
-def sheet_cells(path: Path, mapping: FieldMapping, exclude: Collection[int] = ()) -> Cells:
-    """The cells of the first sheet, as `table_cells` gives those of a text.
-
-    mapping : `skip` and `where` are used. Formulas count by the value that was saved with them.
-    Raises UnreadableInput with the row.
-    """
-    where = str(path)
-    rows = _rows(path, mapping.skip or 0)
-    while rows and sum(cell != "" for cell in rows[0][1]) < _FEWEST_NAMES:
+def _sheet(path: Path, skip: int) -> tuple[list[list[str]], str]:
+    """Rows of cells of the first sheet, the heading first, and where that is."""
+    rows = [(n, row) for n, row in enumerate(_sheet_rows(path), start=1) if n > skip]
+    while rows and sum(cell != "" for cell in rows[0][1]) < _FEWEST:
         del rows[0]
     if not rows:
-        raise UnreadableInput("no table in its first sheet", where=where)
+        raise UnreadableInput("no table in its first sheet", where=str(path))
     width = max(k + 1 for k, cell in enumerate(rows[0][1]) if cell)
     cut = [row[:width] + [""] * (width - len(row)) for _, row in rows]
-    top = f"{where}, row {rows[0][0]} of the sheet"
-    return selected(columns_of(cut, top, where, decimal=",", exclude=exclude), mapping, where)
+    return cut, f"{path}, row {rows[0][0]} of the sheet"
 
 
-def _rows(path: Path, skip: int) -> list[tuple[int, list[str]]]:
-    """Rows as text, with their numbers from 1."""
+def _sheet_rows(path: Path) -> list[list[str]]:
+    """All rows of the first sheet as text."""
     try:
         import openpyxl
     except ImportError:
@@ -322,7 +310,7 @@ def _rows(path: Path, skip: int) -> list[tuple[int, list[str]]]:
         try:
             sheet = book.worksheets[0]
             found = sheet.iter_rows(max_row=_MOST_ROWS, max_col=_MOST_COLUMNS, values_only=True)
-            rows = [(n, [_text(c) for c in row]) for n, row in enumerate(found, start=1)]
+            return [[_cell(c) for c in row] for row in found]
         finally:
             book.close()
     except UnreadableInput:
@@ -333,9 +321,8 @@ def _rows(path: Path, skip: int) -> list[tuple[int, list[str]]]:
             where=str(path),
             remedy="save it again, or as CSV",
         ) from error
-    return [(n, row) for n, row in rows if n > skip]
 
 
-def _text(cell: object) -> str:
+def _cell(cell: object) -> str:
     """A cell as text: numbers with all their digits."""
     return "" if cell is None else repr(cell) if isinstance(cell, float) else str(cell).strip()

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from imucalib.core.discovery import modules_of
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.readers.known_bytes import REFUSED, named
+from imucalib.readers.source import REFUSED, named
 from imucalib.recording.mapping import FieldMapping
 
 

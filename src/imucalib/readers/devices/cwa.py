@@ -36,7 +36,7 @@ _MARK, _START = b"AX\xfc\x01", b"MD\xfc\x03"
 _MOST_BAD, _MOST_WASTE = 100_000, 64 << 20
 _DRIFT = 0.15  # the accelerometer's own oscillator sets the pace
 _COMMON = 10  # the code of 100 Hz
-_CODES = 4096  # candidates judged at a time
+_PIECE, _CODES = 1 << 20, 4096  # bytes, and candidates that are judged, at a time
 _TYPE = np.dtype(
     [
         ("mark", "S4"),
@@ -78,11 +78,9 @@ class CwaReader(Joined):
         lost: list[str] = []
         with opened(path, strict=strict, lost=lost) as stream:
             head = stream.read(_HEAD)
-            size = _SECTOR * max(1, block_samples // _SAMPLES)
-            sectors = _sectors(stream, size, str(path), lost=lost, strict=strict)
-            packets = (_packets(found) for found in sectors)
+            packets = map(_packets, _sectors(stream, str(path), lost=lost, strict=strict))
             log = Log(self.name, packets, _notes(head), lost, _DRIFT)
-            yield from recordings(log, path, mapping)
+            yield from recordings(log, path, mapping, block_samples)
 
 
 READER = CwaReader()
@@ -97,13 +95,11 @@ def _notes(head: bytes) -> tuple[str, ...]:
     return (f"Axivity {kind} {number}", clock) if head.startswith(_START) else (clock,)
 
 
-def _sectors(
-    stream: Stream, size: int, where: str, *, lost: list[str], strict: bool
-) -> Iterator[Bytes]:
-    """Sound sectors (n, 512) of about `size` bytes of the file at a time."""
+def _sectors(stream: Stream, where: str, *, lost: list[str], strict: bool) -> Iterator[Bytes]:
+    """Sound sectors (n, 512), from pieces of the file."""
     rest, passed, waste, bad, good = b"", _HEAD, 0, 0, 0
     while True:
-        piece = stream.read(max(size, _SECTOR))
+        piece = stream.read(_PIECE)
         data = rest + piece
         keep = len(data) - (_SECTOR - 1 if piece else 0)  # a sector that begins later may go on
         found, tried = _sound(data, keep)

@@ -34,7 +34,7 @@ from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
 
 _FIRST, _PAGE = b"Device Identity", b"Recorded Data"
-_DIGITS, _PER_PAGE, _PAGE_BYTES = 3600, 300, 3900
+_DIGITS, _PER_PAGE, _PIECE = 3600, 300, 1 << 19  # _PIECE: bytes that are read at a time
 _MOST_BAD = 100_000  # damaged pages: more than 100 Hz of three days
 _DRIFT = 0.01  # a quartz sets the pace
 #: Longest header, and bytes without a page after which the file is no recording.
@@ -92,7 +92,7 @@ class GeneactivReader(Joined):
         """Read in blocks of whole pages; damage costs its page."""
         loss = _Loss(strict, str(path), [])
         with opened(path, strict=strict, lost=loss.lost) as stream:
-            pages = _pages(stream, _PAGE_BYTES * max(1, block_samples // _PER_PAGE), str(path))
+            pages = _pages(stream, str(path))
             facts = _facts(next(pages, [b""])[0])
             gain, offset = _calibration(facts, str(path))
             zone_s = _zone(facts.get("Time Zone", ""))
@@ -101,17 +101,17 @@ class GeneactivReader(Joined):
                 notes.append("the time zone is not in the file: times are the wearer's")
             packets = _packets(pages, gain, offset, facts.get("Number of Pages", ""), loss)
             log = Log(self.name, packets, tuple(notes), loss.lost, _DRIFT, zone_s or 0)
-            yield from recordings(log, path, mapping)
+            yield from recordings(log, path, mapping, block_samples)
 
 
 READER = GeneactivReader()
 
 
-def _pages(stream: Stream, size: int, where: str) -> Iterator[list[bytes]]:
-    """First the header, then pages, as many at a time as `size` bytes hold."""
+def _pages(stream: Stream, where: str) -> Iterator[list[bytes]]:
+    """First the header, then pages, some at a time."""
     rest, headed = b"", False
     while True:
-        piece = stream.read(max(size, _PAGE_BYTES))
+        piece = stream.read(_PIECE)
         found = (rest + piece).split(_PAGE)
         rest = found.pop() if piece else b""
         if not headed and found:
@@ -121,7 +121,7 @@ def _pages(stream: Stream, size: int, where: str) -> Iterator[list[bytes]]:
             yield found
         if not piece:
             return
-        if len(rest) > (_MOST_WASTE if headed else _MOST_HEADER) + size:
+        if len(rest) > (_MOST_WASTE if headed else _MOST_HEADER) + _PIECE:
             raise UnreadableInput("this holds no pages of GENEActiv", where=where)
         rest = rest if not headed or found or rest else b""
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,14 +24,8 @@ from imucalib.recording.recording import Recording
 
 _PACKED, _WHOLE = 0, 26
 _HEAD = struct.Struct("<BBIH")
+_GROUP = 500  # seconds that are read at a time
 _MOST_BAD = 100_000  # places that look like a record and are none
-
-
-class _Second(NamedTuple):
-    """The samples of one second: stamp (s since 1970, wearer's clock) and raw counts (k, 3)."""
-
-    stamp: int
-    counts: NDArray[np.int16]
 
 
 class Gt3xReader(Joined):
@@ -50,34 +44,28 @@ class Gt3xReader(Joined):
     ) -> Iterator[Recording]:
         """Read in blocks of whole seconds; seconds without samples (idle sleep) are gaps."""
         archive = Archive(path, "log.bin", strict=strict)
-        packets = _packets(_seconds(archive), archive, block_samples)
-        yield from recordings(archive.log(self.name, packets), path, mapping)
+        log = archive.log(self.name, _packets(archive))
+        yield from recordings(log, path, mapping, block_samples)
 
 
 READER = Gt3xReader()
 
 
-def _packets(seconds: Iterator[_Second], archive: Archive, samples: int) -> Iterator[Packets]:
-    """Seconds as packets, of about `samples` samples together."""
-    group, held = list[_Second](), 0
-    while True:
-        second = next(seconds, None)
-        if group and (second is None or held >= samples):
-            yield packets_of(
-                np.concatenate([s.counts for s in group]) / archive.scale,
-                stamp=np.array([s.stamp for s in group]) * 1_000_000_000,
-                count=np.array([len(s.counts) for s in group]),
-                rate=archive.rate,
-            )
-            group, held = [], 0
-        if second is None:
-            return
-        group.append(second)
-        held += len(second.counts)
+def _packets(archive: Archive) -> Iterator[Packets]:
+    seconds = _seconds(archive)
+    while group := list(islice(seconds, _GROUP)):
+        counts = [some for _, some in group]
+        yield packets_of(
+            np.concatenate(counts) / archive.scale,
+            stamp=np.array([stamp for stamp, _ in group]) * 1_000_000_000,
+            count=np.array(list(map(len, counts))),
+            rate=archive.rate,
+        )
 
 
-def _seconds(archive: Archive) -> Iterator[_Second]:
-    """Walk the records; a damaged one costs itself, and the walk goes on at the next mark."""
+def _seconds(archive: Archive) -> Iterator[tuple[int, NDArray[np.int16]]]:
+    """Stamps (s since 1970, wearer's clock) and raw counts (k, 3) of the records. A damaged one
+    costs itself, and the walk goes on at the next mark."""
     stamp, passed, buffer, more = -1, 0, b"", True
     damaged, probes, late = 0, 0, list[int]()  # bytes, places, places
     pieces = archive.pieces()
@@ -93,7 +81,7 @@ def _seconds(archive: Archive) -> Iterator[_Second]:
                 if kind in (_PACKED, _WHOLE) and size > 1:
                     if time > stamp:
                         stamp = time
-                        yield _Second(time, _counts(buffer[at + 8 : end], kind))
+                        yield time, _counts(buffer[at + 8 : end], kind)
                     else:
                         what = "the stamp of a record is not later than the one before"
                         archive.refuse(what, passed + at)

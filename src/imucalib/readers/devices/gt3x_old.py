@@ -10,6 +10,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+
 from imucalib.errors import UnreadableInput
 from imucalib.readers.devices.actigraph_archive import Archive, members_of
 from imucalib.readers.devices.packets import Packets, packets_of, recordings, twelve_bits
@@ -20,7 +22,7 @@ from imucalib.recording.recording import Recording
 _DATA = "activity.bin"
 _TICKS_TO_1970 = 621_355_968_000_000_000  # ticks of 100 ns from the year 1
 _NO_DATE = 1 << 62  # ns: beyond every date
-_PAIR = 9  # bytes of two samples
+_PAIR, _PACKET = 9, 120  # bytes of two samples; samples that get a stamp
 
 
 class OldGt3xReader(Joined):
@@ -46,29 +48,28 @@ class OldGt3xReader(Joined):
             start_ns = _NO_DATE
         if abs(start_ns) >= _NO_DATE:
             raise UnreadableInput("info.txt states no start date", where=str(path))
-        packets = _packets(archive, start_ns, block_samples)
-        yield from recordings(archive.log(self.name, packets), path, mapping)
+        packets = _packets(archive, start_ns)
+        yield from recordings(archive.log(self.name, packets), path, mapping, block_samples)
 
 
 READER = OldGt3xReader()
 
 
-def _packets(archive: Archive, start_ns: int, samples: int) -> Iterator[Packets]:
-    """A packet for about each so many samples."""
-    least, rest, passed = _PAIR * max(1, samples // 2), b"", 0
+def _packets(archive: Archive, start_ns: int) -> Iterator[Packets]:
+    rest, passed, more = b"", 0, True
     pieces = archive.pieces()
-    while rest or not passed:
-        while len(rest) < least and (piece := next(pieces, b"")):
-            rest += piece
-        used = min(len(rest), least)  # a sample alone at the end fills four bytes and a half
-        numbers = twelve_bits(rest[:used].ljust(-(-used // _PAIR) * _PAIR, b"\0")).reshape(-1, 3)
-        counts, rest = numbers[: used * 2 // _PAIR, [1, 0, 2]], rest[used:]
-        if not counts.size:
-            return
+    while more:
+        piece = next(pieces, b"")
+        data, more = rest + piece, bool(piece)
+        used = len(data) // _PAIR * _PAIR if more else len(data)
+        # A sample alone at the end fills four bytes and a half.
+        numbers = twelve_bits(data[:used].ljust(-(-used // _PAIR) * _PAIR, b"\0")).reshape(-1, 3)
+        counts, rest = numbers[: used * 2 // _PAIR, [1, 0, 2]], data[used:]
+        first = np.arange(0, len(counts), _PACKET)
         yield packets_of(
             counts / archive.scale,
-            stamp=start_ns + round(passed / archive.rate * 1e9),
-            count=len(counts),
+            stamp=start_ns + np.rint((passed + first) / archive.rate * 1e9).astype(np.int64),
+            count=np.diff(first, append=len(counts)),
             rate=archive.rate,
         )
         passed += len(counts)

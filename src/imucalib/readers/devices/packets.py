@@ -14,6 +14,7 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
@@ -173,8 +174,8 @@ class Log:
     zone_s: int = 0
 
 
-def recordings(log: Log, path: Path, mapping: FieldMapping) -> Iterator[Recording]:
-    """The log's channels in SI, a block for each piece of packets.
+def recordings(log: Log, path: Path, mapping: FieldMapping, samples: int) -> Iterator[Recording]:
+    """The log's channels in SI, in blocks of about so many samples.
 
     Raises UnreadableInput when the log holds no packets.
     """
@@ -183,7 +184,7 @@ def recordings(log: Log, path: Path, mapping: FieldMapping) -> Iterator[Recordin
     units: dict[str, Conversion] = {}
     held: Recording | None = None
     rate = 0.0
-    for packets, origin, t in _timed(log.packets, log.drift):
+    for packets, origin, t in _timed(log.packets, log.drift, samples):
         notes: tuple[str, ...] = ()
         if held is None:
             rate = float(packets.heads["rate"][0])
@@ -241,10 +242,13 @@ def _channels(
     }
 
 
-def _timed(pieces: Iterator[Packets], drift: float) -> Iterator[tuple[Packets, int, Array]]:
-    """Packets, the time of the log's first sample (ns), and that of every sample since it.
+def _timed(
+    pieces: Iterator[Packets], drift: float, samples: int
+) -> Iterator[tuple[Packets, int, Array]]:
+    """Packets of about so many samples, the time of the log's first sample (ns), and that of every
+    sample since it.
 
-    Packets on both sides of a piece take part in its times, so that pieces do not matter.
+    Packets on both sides of a block take part in its times, so that blocks do not matter.
     """
     origin: int | None = None
     back, held = list[Packets](), list[Packets]()
@@ -253,21 +257,25 @@ def _timed(pieces: Iterator[Packets], drift: float) -> Iterator[tuple[Packets, i
         piece = next(pieces, None)
         more = piece is not None
         held += [piece] if piece is not None and piece.heads.size else []
-        if not held:
+        if not held or (more and sum(len(p.acc) for p in held) < samples):
             continue
         whole = Packets(*map(np.concatenate, zip(*back, *held, strict=True)))
         first, rate = sum(p.heads.size for p in back), float(whole.heads["rate"].max())
         around = 2 + int(_AROUND * rate / max(1.0, float(np.median(whole.heads["count"]))))
         ready = whole.heads.size - (around if more else 0)
-        if ready > first:
-            base = int(whole.heads["stamp"][0])
-            seconds = _times(whole, base, drift)
-            a, b = whole.part(0, first).acc.shape[0], whole.part(0, ready).acc.shape[0]
-            if origin is None:
-                origin = base + round(float(seconds[a]) * 1e9 if a < seconds.size else 0.0)
-            yield whole.part(first, ready), origin, seconds[a:b] + (base - origin) * 1e-9
-            back = [whole.part(max(0, ready - around), ready)]
-            held = [whole.part(ready, whole.heads.size)]
+        if ready <= first:
+            continue
+        base, ends = int(whole.heads["stamp"][0]), np.cumsum(whole.heads["count"])
+        seconds, begins = _times(whole, base, drift), whole.first
+        if origin is None:
+            origin = base + round(float(seconds[begins[first]]) * 1e9 if seconds.size else 0.0)
+        full = np.diff((ends[first:ready] - begins[first]) // samples)
+        edges = [first, *(np.flatnonzero(full) + first + 1).tolist(), ready]
+        for a, b in pairwise(edges):
+            t = seconds[begins[a] : ends[b - 1]] + (base - origin) * 1e-9
+            yield whole.part(a, b), origin, t
+        back = [whole.part(max(0, ready - around), ready)]
+        held = [whole.part(ready, whole.heads.size)]
 
 
 def _times(packets: Packets, base: int, drift: float) -> Array:

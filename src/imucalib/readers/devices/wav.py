@@ -26,6 +26,7 @@ from imucalib.recording.recording import Recording
 _FULL, _SCALE = 32768.0, 8.0  # of a sample; g, where a channel's is not stated
 _MOST_HEADER = 1 << 20
 _PER_PACKET = 120
+_ROWS = 500 * _PER_PACKET  # that are read at a time
 _MISSING, _KIND, _TEMPERATURE = 0x8000, 0x3C00, 0x0C00  # of the auxiliary channel
 
 
@@ -70,8 +71,9 @@ class WavReader(Joined):
                 f"Axivity {facts.get('Id') or 'of unknown number'}, resampled to {head.rate:g} Hz",
                 "times are the device's own, without a zone: taken as UTC",
             )
-            packets = _packets(stream, head, max(1, block_samples // _PER_PACKET), lost)
-            yield from recordings(Log(self.name, packets, notes, lost, 0.0), path, mapping)
+            packets = _packets(stream, head, lost)
+            log = Log(self.name, packets, notes, lost, 0.0)
+            yield from recordings(log, path, mapping, block_samples)
 
 
 READER = WavReader()
@@ -149,15 +151,14 @@ def _date(text: str) -> int | None:
     return seconds * 1_000_000_000 + int((found[3] or "0").ljust(9, "0"))
 
 
-def _packets(stream: BinaryIO, head: _Head, packets: int, lost: list[str]) -> Iterator[Packets]:
+def _packets(stream: BinaryIO, head: _Head, lost: list[str]) -> Iterator[Packets]:
     """Packets of 120 samples; where the data were not available, the next begins late."""
     stream.seek(head.at)
     wide, passed = 2 * head.scales.size, 0
     # A recorder that was cut off leaves no size, or the largest.
     stated = head.size // wide if 0 < head.size < 0xFFFF_FF00 else None
     while stated is None or passed < stated:
-        most = packets * _PER_PACKET
-        raw = stream.read(wide * (most if stated is None else min(most, stated - passed)))
+        raw = stream.read(wide * (_ROWS if stated is None else min(_ROWS, stated - passed)))
         rows = np.frombuffer(raw[: len(raw) // wide * wide], "<i2").reshape(-1, wide // 2)
         if not rows.size:
             break

@@ -6,6 +6,7 @@ h5py is passed in as objects; this module does not import it.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -14,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.readers.columns import understand
+from imucalib.readers.columns import by_word, understand
 from imucalib.recording.mapping import FieldMapping
 from imucalib.units import canonical
 
@@ -35,38 +36,41 @@ def unit_of(node: Any, column: str = "") -> str:
     of the column of a table, else one an axis: "m/s2,m/s2,g"."""
     for name in ("units", "unit", "Units", "Unit", "UNITS"):
         if name in node.attrs:
-            each = [_unit(text) for text in _each(node, node.attrs[name], column)]
+            texts = [text_of(value) for value in _each(node, node.attrs[name], column)]
+            each = [re.sub(r" per (count|LSB|lsb)$|/(LSB|count)$", "", text) for text in texts]
             return each[0] if len(set(each)) == 1 else ",".join(each)
     return ""
-
-
-def _unit(value: Any) -> str:
-    text = text_of(value)
-    for tail in (" per count", " per LSB", "/LSB", "/count", " per lsb"):
-        text = text.removesuffix(tail)
-    return text
 
 
 def _each(node: Any, value: Any, column: str) -> list[Any]:
     """The values of an attribute that belong to a column of a table, or to each of three axes."""
     values = np.asarray(value).reshape(-1)
-    names = node.dtype.names or ()
+    names = (column and node.dtype.names) or ()
     if column in names and values.size == len(names):
         return [values[names.index(column)]]
-    return list(values) if values.size == 3 and 3 in node.shape[-2:] else list(values[:1]) or [""]
+    axes = values.size == 3 and 3 in getattr(node, "shape", ())[-2:]
+    return list(values) if axes else list(values[:1]) or [""]
 
 
-def numbers_of(node: Any, column: str, names: tuple[str, ...], usual: float) -> tuple[float, ...]:
-    """The first attribute of these names, one number or one an axis; else the usual one."""
+def _numbers_of(node: Any, column: str, names: Sequence[str], *, zero: bool) -> tuple[float, ...]:
+    """The first attribute of these names that is finite, one number or one an axis; () for none.
+
+    zero : whether it may be that
+    """
     for name in names:
         if name in node.attrs:
             try:
                 found = tuple(float(v) for v in _each(node, node.attrs[name], column))
             except (TypeError, ValueError):
                 continue
-            if found and np.isfinite(found).all() and all(v != 0.0 for v in found if usual):
+            if np.isfinite(found).all() and (zero or all(found)):
                 return found
-    return (usual,)
+    return ()
+
+
+def number_of(node: Any, *names: str) -> float | None:
+    """The first attribute of these names that is a finite number."""
+    return next(iter(_numbers_of(node, "", names, zero=True)), None)
 
 
 def fills_of(node: Any, column: str = "") -> list[Any]:
@@ -79,30 +83,9 @@ def fills_of(node: Any, column: str = "") -> list[Any]:
     return [*fills, own] if np.asarray(own).dtype.kind in "iuf" and own else fills
 
 
-def number_of(node: Any, *names: str) -> float | None:
-    """The first attribute of these names that is a finite number."""
-    for name in names:
-        if name in node.attrs:
-            try:
-                number = float(np.asarray(node.attrs[name]).flat[0])
-            except (TypeError, ValueError, IndexError):
-                continue
-            if np.isfinite(number):
-                return number
-    return None
-
-
-TIME_NAMES = tuple(
-    str.split(
-        """
-        time timestamp timestamps t times stamp time_ns timestamp_ns time_us timestamp_us time_ms
-        timestamp_ms
-        """
-    )
-)
-
-
-_SCALES, _OFFSETS = ("scale", "scale_factor", "Scale"), ("add_offset",)
+_TIME_NAMES = {"t", "times", "timestamps", "stamp"} | {
+    name + unit for name in ("time", "timestamp") for unit in ("", "_ns", "_us", "_ms")
+}
 
 
 @dataclass(frozen=True)
@@ -121,14 +104,9 @@ class Place:
     scale: tuple[float, ...] = (1.0,)
     offset: tuple[float, ...] = (0.0,)
 
-    @property
-    def packed(self) -> bool:
-        """Whether what is stored is not yet in the unit."""
-        return any(s != 1.0 for s in self.scale) or any(o != 0.0 for o in self.offset)
-
     def unpacked(self, values: NDArray[np.generic]) -> NDArray[np.generic]:
         """Stored values (n,) or (n, 3) in the unit, of the type that they have where that is it."""
-        if not self.packed:
+        if set(self.scale) == {1.0} and set(self.offset) == {0.0}:
             return values
         return np.asarray(values * np.array(self.scale) + np.array(self.offset), np.float64)
 
@@ -140,17 +118,11 @@ def place_of(
     unit = unit_of(node, column)
     if unit and named not in ("", "counts") and canonical(named) != canonical(unit):
         unit = f"{unit} (its name says {named})"  # no unit that is known: the reader refuses it
-    scale, offset = (
-        numbers_of(node, column, names, usual) for names, usual in ((_SCALES, 1.0), (_OFFSETS, 0.0))
-    )
+    names = ("scale", "scale_factor", "Scale")
+    scale = _numbers_of(node, column, names, zero=False) or (1.0,)
+    offset = _numbers_of(node, column, ("add_offset",), zero=True) or (0.0,)
     return Place(
-        node.name,
-        column,
-        triad,
-        transposed=transposed,
-        unit=unit or named,
-        scale=scale,
-        offset=offset,
+        node.name, column, triad, transposed, unit=unit or named, scale=scale, offset=offset
     )
 
 
@@ -197,7 +169,7 @@ def words_of(path: str) -> list[str]:
     return [w for w in path.strip("/").split("/") if w]
 
 
-def node_at(nodes: dict[str, Any], address: str, option: str) -> Any:
+def _node_at(nodes: dict[str, Any], address: str, option: str) -> Any:
     """The dataset at an address of the mapping. Raises UsageError when there is none."""
     path = "/" + address.strip().strip("/")
     if path not in nodes:
@@ -209,7 +181,7 @@ def node_at(nodes: dict[str, Any], address: str, option: str) -> Any:
     return nodes[path]
 
 
-def with_device(field: Found, file: Any) -> Found:
+def _with_device(field: Found, file: Any) -> Found:
     """APDM Opal files state no units: they are m/s², rad/s and µs; sensors have a label."""
     parts = words_of(field.parts[0].path)
     if len(parts) < 3 or parts[0] != "Sensors" or "Configuration" not in file["Sensors"][parts[1]]:
@@ -223,36 +195,35 @@ def with_device(field: Found, file: Any) -> Found:
     return replace(field, unit=unit, triad=name, time_unit="us", preset="apdm")
 
 
-def with_clock(field: Found, nodes: dict[str, Any], file: Any, mapping: FieldMapping) -> Found:
+def _with_clock(field: Found, nodes: dict[str, Any], file: Any, mapping: FieldMapping) -> Found:
     """The field with the nearest time dataset of its length, else with a stated rate."""
     node = nodes[field.parts[0].path]
-    rate = mapping.rate
-    if rate and not mapping.time:
-        return replace(field, rate=rate)
+    if mapping.rate and not mapping.time:
+        return replace(field, rate=mapping.rate)
+
+    def stamped(place: Place, named: str) -> Found:
+        return replace(field, time=place, time_unit=mapping.time_unit or place.unit or named)
+
     if mapping.time:
-        place = _stamps(node_at(nodes, mapping.time, "time"))
-        unit = mapping.time_unit or place.unit or field.time_unit
-        return replace(field, time=place, time_unit=unit)
-    in_table = _column_of_time(node, field, mapping)
-    if in_table is not None:
-        return in_table
-    folder = node.name.rpartition("/")[0]
-    while True:
+        return stamped(_stamps(_node_at(nodes, mapping.time, "time")), field.time_unit)
+    for column in understand(list(node.dtype.names or ())):
+        if column.quantity == "time":
+            return stamped(place_of(node, node.dtype.names[column.index]), column.unit)
+    folder = node.name
+    while folder:
+        folder = folder.rpartition("/")[0]
         for path, stamps in nodes.items():
             head, _, name = path.rpartition("/")
             fits = stamps.size == field.rows and stamps.dtype.kind in "iuf"
-            if head == folder and name.lower() in TIME_NAMES and fits:
-                place, suffix = _stamps(stamps), name.lower().rpartition("_")[2]
-                unit = mapping.time_unit or place.unit or field.time_unit
-                unit = unit or (suffix if suffix in ("ns", "us", "ms") else "")
-                return replace(field, time=place, time_unit=unit)
+            if head == folder and name.lower() in _TIME_NAMES and fits:
+                suffix = name.lower().rpartition("_")[2]
+                named = field.time_unit or (suffix if suffix in ("ns", "us", "ms") else "")
+                return stamped(_stamps(stamps), named)
         holder = file[folder] if folder else file
         rate = number_of(node, *RATE_NAMES) or number_of(holder, *RATE_NAMES)
         if rate and rate > 0:
             return replace(field, rate=rate)
-        if not folder:
-            return field
-        folder = folder.rpartition("/")[0]
+    return field
 
 
 def _stamps(node: Any) -> Place:
@@ -260,26 +231,13 @@ def _stamps(node: Any) -> Place:
     return place_of(node, transposed=len(node.shape) == 2 and node.shape[0] == 1 < node.shape[1])
 
 
-def _column_of_time(node: Any, field: Found, mapping: FieldMapping) -> Found | None:
-    """The field with the time column of the table that it is in, if it is in one."""
-    for column in understand(list(node.dtype.names or ())):
-        if column.quantity == "time":
-            name = node.dtype.names[column.index]
-            place = place_of(node, name)
-            unit = mapping.time_unit or place.unit or column.unit
-            return replace(field, time=place, time_unit=unit)
-    return None
-
-
-_QUANTITY = {
-    word: value
-    for value, words in {
+_QUANTITY = by_word(
+    {
         "acceleration": "accelerometer acceleration accel acc linear_acceleration accelerations",
         "angular_rate": "gyroscope gyro gyr angular_velocity angular_rate angular_velocities omega",
         "temperature": "temperature temp",
-    }.items()
-    for word in words.split()
-}
+    }
+)
 _GENERIC = {""} | set(
     str.split("sensors data raw calibrated imu readings table value values processed x")
 )
@@ -318,26 +276,22 @@ def datasets(file: Any, where: str) -> Iterator[Any]:
             remedy="write those of one recording to a file of their own",
         )
     for node in found:
-        logical, stored = node.size * node.dtype.itemsize, node.id.get_storage_size()
-        if logical > _LARGEST_RATIO * max(stored, 1 << 16) and not node.is_virtual:
+        size, stored = node.dtype.itemsize, node.id.get_storage_size()
+        if node.size * size > _LARGEST_RATIO * max(stored, 1 << 16) and not node.is_virtual:
             raise UnreadableInput(
-                f"{node.name} claims {logical} bytes but stores {stored}",
+                f"{node.name} claims {node.size * size} bytes but stores {stored}",
                 where=where,
                 remedy="the file's metadata is damaged: copy it again",
             )
-        _demand_small_chunks(node, stored, where)
+        # Each chunk costs its size, whatever is read.
+        chunk = math.prod(node.chunks) * size if node.chunks else 0
+        if chunk > _LARGE_CHUNK and chunk > _CHUNK_RATIO * stored:
+            raise UnreadableInput(
+                f"a chunk of {node.name} takes {chunk} bytes, and the file stores {stored}",
+                where=where,
+                remedy="write it in chunks of some thousand rows",
+            )
         yield node
-
-
-def _demand_small_chunks(node: Any, stored: int, where: str) -> None:
-    """Refuse chunks that are large and nearly empty: each costs its size, whatever is read."""
-    chunk = math.prod(node.chunks or ()) * node.dtype.itemsize if node.chunks else 0
-    if chunk > _LARGE_CHUNK and chunk > _CHUNK_RATIO * stored:
-        raise UnreadableInput(
-            f"a chunk of {node.name} takes {chunk} bytes, and the file stores {stored}",
-            where=where,
-            remedy="write it in chunks of some thousand rows",
-        )
 
 
 def fields_of(file: Any, held: Iterable[Any], mapping: FieldMapping) -> list[Found]:
@@ -345,21 +299,16 @@ def fields_of(file: Any, held: Iterable[Any], mapping: FieldMapping) -> list[Fou
     nodes = {node.name: node for node in held}
     if mapping.acc or mapping.gyro:
         found = list(_stated(nodes, mapping))
-        found += list(_temperatures_beside(nodes, found))
+        found += list(_temperatures_of(nodes, found))
     else:
         found = [f for node in nodes.values() for f in _vectors(node)]
         found += list(_single_axes(nodes))
     if mapping.temperature:
         found = [f for f in found if f.quantity != "temperature"]
         found += list(_stated_temperatures(nodes, mapping))
-    return [with_clock(with_device(f, file), nodes, file, mapping) for f in _unique(found)]
-
-
-def _unique(found: list[Found]) -> list[Found]:
-    seen: dict[tuple[str, str], Found] = {}
-    for field in found:
-        seen.setdefault((field.triad, field.quantity), field)
-    return list(seen.values())
+    unique = {(f.triad, f.quantity): f for f in reversed(found)}  # the first of each
+    kept = [f for f in found if unique[f.triad, f.quantity] is f]
+    return [_with_clock(_with_device(f, file), nodes, file, mapping) for f in kept]
 
 
 def _quantity_of(path: str) -> tuple[str, int]:
@@ -375,34 +324,37 @@ def _quantity_of(path: str) -> tuple[str, int]:
 
 
 def _triad_name(parts: list[str], number: int) -> str:
-    left = [p for p in parts if p.lower() not in _GENERIC]
-    base = "_".join(left)
+    base = "_".join(p for p in parts if p.lower() not in _GENERIC)
     if number >= 0:
         return f"{base}_imu{number}" if base else f"imu{number}"
     return base or "imu0"
 
 
+def _triads_in(node: Any) -> list[tuple[Place, int]]:
+    """The triads in one dataset, (N, 3), (3, N) or (N, K, 3), and their rows."""
+    shape = node.shape
+    if node.dtype.kind in "iuf" and len(shape) == 3 and shape[2] == 3:
+        return [(place_of(node, triad=k), shape[0]) for k in range(shape[1])]
+    if node.dtype.kind in "iuf" and len(shape) == 2 and 3 in shape:
+        flipped = shape[1] != 3
+        return [(place_of(node, transposed=flipped), shape[1 if flipped else 0])]
+    return []
+
+
 def _vectors(node: Any) -> Iterator[Found]:
     """The channels in one dataset whose path names the quantity."""
-    if node.dtype.kind not in "iuf":
-        return
     quantity, at = _quantity_of(node.name)
-    if not quantity or words_of(node.name)[-1].lower() in TIME_NAMES:
+    words, shape = words_of(node.name), node.shape
+    if node.dtype.kind not in "iuf" or not quantity or words[-1].lower() in _TIME_NAMES:
         return
-    above, shape = words_of(node.name)[:at], node.shape
     if quantity == "temperature":
         if len(shape) == 1 or (len(shape) == 2 and shape[1] == 1):
-            yield found_in(quantity, _triad_name(above, -1), [place_of(node)], shape[0])
+            yield found_in(quantity, _triad_name(words[:at], -1), [place_of(node)], shape[0])
         return
-    if len(shape) == 2 and 3 in shape:
-        flipped = shape[1] != 3
-        place = place_of(node, transposed=flipped)
-        yield found_in(quantity, _triad_name(above, -1), [place], shape[1 if flipped else 0])
-    if len(shape) == 3 and shape[2] == 3:
-        for k in range(shape[1]):
-            name = _triad_name(above, k)
-            one = found_in(quantity, name, [place_of(node, triad=k)], shape[0])
-            yield replace(one, numbered=name == f"imu{k}")
+    for place, rows in _triads_in(node):
+        name = _triad_name(words[:at], place.triad)
+        numbered = place.triad >= 0 and name == f"imu{place.triad}"
+        yield replace(found_in(quantity, name, [place], rows), numbered=numbered)
 
 
 def _single_axes(nodes: dict[str, Any]) -> Iterator[Found]:
@@ -434,44 +386,29 @@ def _stated(nodes: dict[str, Any], mapping: FieldMapping) -> Iterator[Found]:
     for quantity, option in (("acceleration", "acc"), ("angular_rate", "gyro")):
         count = 0
         for address in getattr(mapping, option):
-            node = node_at(nodes, address, option)
-            whole = _all_triads(node, quantity)
+            node = _node_at(nodes, address, option)
+            whole = _triads_in(node)
             if not whole:
                 raise UsageError(
                     f"dataset {address} has the shape {node.shape}",
                     where=f"mapping: {option}",
                     remedy="name a dataset (N, 3) or (N, K, 3)",
                 )
-            for field in whole:
+            for place, rows in whole:
                 known = count < len(mapping.triads)
-                named = mapping.triads[count] if known else f"imu{count}"
-                yield replace(field, triad=named, numbered=not known)
+                name = mapping.triads[count] if known else f"imu{count}"
+                yield replace(found_in(quantity, name, [place], rows), numbered=not known)
                 count += 1
 
 
-def _all_triads(node: Any, quantity: str) -> list[Found]:
-    """The triads in one dataset, whatever its name says."""
-    shape = node.shape
-    if node.dtype.kind not in "iuf":
-        return []
-    if len(shape) == 3 and shape[2] == 3:
-        places = [place_of(node, triad=k) for k in range(shape[1])]
-    elif len(shape) == 2 and 3 in shape:
-        places = [place_of(node, transposed=shape[1] != 3)]
-    else:
-        return []
-    rows = shape[1] if places[0].transposed else shape[0]
-    return [found_in(quantity, "", [p], rows) for p in places]
-
-
-def _temperatures_beside(nodes: dict[str, Any], stated: list[Found]) -> Iterator[Found]:
+def _temperatures_of(nodes: dict[str, Any], stated: list[Found]) -> Iterator[Found]:
     """Temperatures in the folder of a stated triad, or of a file with one triad."""
     triads = tuple(dict.fromkeys(f.triad for f in stated))
     for node in nodes.values():
         for field in _vectors(node):
             if field.quantity == "temperature":
-                near = [f.triad for f in stated if _holder(f) == _holder(field)]
-                for triad in dict.fromkeys(near) or triads[: len(triads) == 1]:
+                there = [f.triad for f in stated if _holder(f) == _holder(field)]
+                for triad in dict.fromkeys(there) or triads[: len(triads) == 1]:
                     yield replace(field, triad=triad)
 
 
@@ -484,6 +421,6 @@ def _holder(field: Found) -> list[str]:
 
 def _stated_temperatures(nodes: dict[str, Any], mapping: FieldMapping) -> Iterator[Found]:
     for k, address in enumerate(mapping.temperature):
-        node = node_at(nodes, address, "temperature")
+        node = _node_at(nodes, address, "temperature")
         triad = mapping.triads[k] if k < len(mapping.triads) else f"imu{k}"
         yield found_in("temperature", triad, [place_of(node)], node.shape[0])

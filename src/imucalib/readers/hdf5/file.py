@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.arrays import Flags
 from imucalib.errors import ImucalError, UnreadableInput
 from imucalib.readers.hdf5.fields import Place, fills_of
 
@@ -31,28 +32,24 @@ _SPAN, _PIECE = 32 << 20, 4 << 20  # and how many are held at a time
 _LARGEST = 1 << 20  # of a heap; the library makes them of 4 KiB, or as large as one text needs
 
 
-def demand_ends(path: Path) -> None:
+def _demand_heaps_end(path: Path) -> None:
     """Raise UnreadableInput for a heap whose walk would not end."""
     size = path.stat().st_size
     spans = ((0, min(_SPAN, size)), (max(_SPAN, size - _SPAN), size))
     with path.open("rb") as file:
-        for first, last in spans:
-            for start in range(first, last, _PIECE):
-                file.seek(start)
-                _demand_ends_in(file.read(_PIECE + _LARGEST), start, path)
-
-
-def _demand_ends_in(data: bytes, start: int, path: Path) -> None:
-    """Of the heaps that begin in the first piece of some bytes; what follows lets them end."""
-    at = data.find(_MARK, 0, _PIECE + len(_MARK) - 1)
-    while at >= 0:
-        if not _ends(data, at):
-            raise UnreadableInput(
-                "a heap of texts is damaged",
-                where=f"{path}, byte {start + at}",
-                remedy="copy it again from its source",
-            )
-        at = data.find(_MARK, at + 1, _PIECE + len(_MARK) - 1)
+        for start in (k for first, last in spans for k in range(first, last, _PIECE)):
+            file.seek(start)
+            # Of the heaps that begin in the piece; what follows lets them end.
+            data = file.read(_PIECE + _LARGEST)
+            at = data.find(_MARK, 0, _PIECE + len(_MARK) - 1)
+            while at >= 0:
+                if not _ends(data, at):
+                    raise UnreadableInput(
+                        "a heap of texts is damaged",
+                        where=f"{path}, byte {start + at}",
+                        remedy="copy it again from its source",
+                    )
+                at = data.find(_MARK, at + 1, _PIECE + len(_MARK) - 1)
 
 
 def _ends(data: bytes, start: int) -> bool:
@@ -70,40 +67,29 @@ def _ends(data: bytes, start: int) -> bool:
     return True
 
 
-Rows = NDArray[np.bool_]
 Spans = NDArray[np.int64]  #: (k, 2) first row and end of each stretch that is held, in order
 _DEEPEST = 8  # virtual datasets of virtual datasets
-#: Rows that a virtual dataset may claim for each that its sources hold, beyond some thousand.
-_MOST_RATIO, _FEW = 2000, 1 << 16
 _NONE: Spans = np.empty((0, 2), dtype=np.int64)
 
 
-def outside(node: Any, path: Path) -> str:
+def _outside(node: Any, path: Path) -> str:
     """Another file that holds data of this dataset, or ""."""
-    for name, _, _ in node.external or ():
-        return str(name)
+    names = [str(name) for name, _, _ in node.external or ()]
     if node.is_virtual:
-        for source in node.virtual_sources():
-            if not _is_own(source.file_name, path):
-                return str(source.file_name)
-    return ""
+        sources = (str(source.file_name) for source in node.virtual_sources())
+        names += [name for name in sources if not _is_own(name, path)]
+    return names[0] if names else ""
 
 
-def mask_of(spans: Spans, start: int, stop: int) -> Rows | None:
+def _mask_of(spans: Spans, start: int, stop: int) -> Flags | None:
     """Which of some rows are held; None when all are."""
-    near = spans[(spans[:, 1] > start) & (spans[:, 0] < stop)]
-    if len(near) == 1 and near[0, 0] <= start and near[0, 1] >= stop:
+    some = spans[(spans[:, 1] > start) & (spans[:, 0] < stop)]
+    if len(some) == 1 and some[0, 0] <= start and some[0, 1] >= stop:
         return None
     held = np.zeros(stop - start, dtype=np.bool_)
-    for a, b in (near - start).clip(0, stop - start).tolist():
+    for a, b in (some - start).clip(0, stop - start).tolist():
         held[a:b] = True
     return held
-
-
-def absent(spans: Spans, rows: int) -> Spans:
-    """The stretches between those that are held."""
-    edges = np.concatenate([[0], spans.reshape(-1), [rows]]).reshape(-1, 2)
-    return np.asarray(edges[edges[:, 1] > edges[:, 0]])
 
 
 @dataclass
@@ -114,7 +100,7 @@ class Walk:
         at: one that is met again then is a part of itself, which the library reads until it dies
     """
 
-    path: Path
+    where: str
     external: bool = False
     found: dict[tuple[str, str, int], Spans | None] = field(default_factory=dict)
 
@@ -122,7 +108,7 @@ class Walk:
         """The rows along `axis` that are there; sources of virtual datasets are opened.
 
         Raises UnreadableInput for data elsewhere, where that is not allowed, and for virtual
-        datasets that have no end.
+        datasets that have no end or lack a source.
         """
         key = (str(path.resolve()), node.name, axis)
         if key in self.found:
@@ -130,98 +116,56 @@ class Walk:
             if known is None or depth > _DEEPEST:
                 raise self._refused(node, "is a part of itself", "write its values to a file")
             return known
-        other = "" if self.external else outside(node, path)
+        other = "" if self.external else _outside(node, path)
         if other:
-            raise UnreadableInput(
-                f"{node.name} lies in another file, {other}",
-                where=str(self.path),
-                remedy="read it with --allow-external if you trust this file",
-            )
+            remedy = "read it with --allow-external if you trust this file"
+            raise self._refused(node, f"lies in another file, {other}", remedy)
         self.found[key] = None
-        rows = int(node.shape[axis])
-        everything = np.array([[0, rows]], dtype=np.int64)
-        if node.is_virtual:
-            held = self._virtual(node, path, axis, depth)
-        elif node.external:
-            held = everything if _external_is_whole(node) else _NONE
-        elif node.chunks is not None:
+        if node.chunks is not None and not node.is_virtual:
             held = _chunked(node, axis)
         else:
             # 0 bytes: storage that is allocated at the first write, which never came.
-            held = everything if node.id.get_storage_size() else _NONE
+            whole = node.is_virtual or node.external or node.id.get_storage_size()
+            if node.is_virtual:
+                self._demand_sources(node, path, depth)
+            elif node.external:
+                whole = _external_is_whole(node)
+            held = np.array([[0, node.shape[axis]]] if whole else _NONE, dtype=np.int64)
         self.found[key] = held
         return held
 
     def _refused(self, node: Any, what: str, remedy: str) -> UnreadableInput:
-        return UnreadableInput(f"{node.name} {what}", where=str(self.path), remedy=remedy)
+        return UnreadableInput(f"{node.name} {what}", where=self.where, remedy=remedy)
 
-    def _virtual(self, node: Any, path: Path, axis: int, depth: int) -> Spans:
-        rows = int(node.shape[axis])
-        width = int(np.prod(node.shape, dtype=object)) // max(1, rows)
-        steps: dict[int, int] = {}
+    def _demand_sources(self, node: Any, path: Path, depth: int) -> None:
+        """Raise UnreadableInput unless the sources of a virtual dataset fill all of it."""
+        filled = 0
         for source in node.virtual_sources():
-            try:
-                low, high = source.vspace.get_select_bounds()
-            except ValueError:  # it has no end
-                low, high = (0,) * len(node.shape), tuple(n - 1 for n in node.shape)
-            block = np.array(high) - np.array(low) + 1
-            points = int(source.vspace.get_select_npoints())
-            whole = points == int(np.prod(block, dtype=object))
-            # A selection with holes is not taken for whole; what it refers to is looked at anyway.
-            if not self._source_is_whole(source, node, path, depth) or not whole:
-                continue
-            each = points // int(block[axis])
-            steps[int(low[axis])] = steps.get(int(low[axis]), 0) + each
-            steps[int(high[axis]) + 1] = steps.get(int(high[axis]) + 1, 0) - each
-        edges = np.array(sorted(steps), dtype=np.int64)
-        covered = np.cumsum([steps[int(e)] for e in edges]) >= width
-        held = _joined(edges, covered)
-        there = int((held[:, 1] - held[:, 0]).sum())
-        if rows > _MOST_RATIO * max(there, _FEW):
-            raise self._refused(
-                node,
-                f"claims {rows} rows, and its sources hold {there}",
-                "write the rows that there are to a file",
-            )
-        return held
+            if not self._is_whole(source, node, path, depth):
+                what = f"needs {source.dset_name} of {source.file_name}, which is not whole"
+                raise self._refused(node, what, "copy the files again, together")
+            filled += int(source.vspace.get_select_npoints())
+        if filled < node.size:
+            what = f"claims {node.size} values, and its sources hold {filled}"
+            raise self._refused(node, what, "write the values that there are to a file")
 
-    def _source_is_whole(self, source: Any, node: Any, path: Path, depth: int) -> bool:
+    def _is_whole(self, source: Any, node: Any, path: Path, depth: int) -> bool:
         import h5py
 
+        other = path if _is_own(source.file_name, path) else path.parent / source.file_name
         try:
-            if _is_own(source.file_name, path):
-                return self._has_all(source, node.file, path, depth)
-            other = path.parent / source.file_name
-            with h5py.File(other, "r") as file:
-                return self._has_all(source, file, other, depth)
-        except (OSError, RuntimeError, KeyError, ValueError):
+            with h5py.File(other, "r") if other != path else nullcontext(node.file) as file:
+                found = file[source.dset_name]
+                held = self.spans(found, other, 0, depth + 1)
+                if _mask_of(held, 0, int(found.shape[0])) is not None:
+                    return False
+                try:
+                    _, high = source.src_space.get_select_bounds()
+                except ValueError:  # all of it, of a size that the library has not looked up
+                    return bool(source.vspace.get_select_npoints() == found.size)
+                return len(high) == len(found.shape) and bool((high < np.array(found.shape)).all())
+        except (OSError, RuntimeError, KeyError, ValueError, AttributeError, IndexError):
             return False
-
-    def _has_all(self, source: Any, file: Any, path: Path, depth: int) -> bool:
-        """Whether the source has every row that it is asked for."""
-        found = file.get(source.dset_name)
-        if found is None or not getattr(found, "shape", ()):
-            return False
-        held = self.spans(found, path, 0, depth + 1)
-        try:
-            low, high = source.src_space.get_select_bounds()
-        except ValueError:  # all of it, of a size that the library has not looked up
-            return int(source.vspace.get_select_npoints()) == found.size and (
-                mask_of(held, 0, int(found.shape[0])) is None
-            )
-        if len(high) != len(found.shape) or any(
-            h >= n for h, n in zip(high, found.shape, strict=True)
-        ):
-            return False
-        return mask_of(held, int(low[0]), int(high[0]) + 1) is None
-
-
-def _joined(edges: NDArray[np.int64], held: Rows) -> Spans:
-    """Stretches between edges, the neighbours of those that are held in one."""
-    if not edges.size:
-        return _NONE
-    change = np.flatnonzero(np.diff(held.astype(np.int8), prepend=0, append=0))
-    return np.asarray(edges[change[: change.size // 2 * 2]].reshape(-1, 2))
 
 
 def _chunked(node: Any, axis: int) -> Spans:
@@ -239,8 +183,8 @@ def _chunked(node: Any, axis: int) -> Spans:
     with suppress(OSError, RuntimeError):
         node.id.chunk_iter(add)
     whole = count >= int(np.prod(across, dtype=np.int64))
-    edges = np.minimum(np.arange(count.size + 1) * step, rows)
-    return _joined(edges, np.append(whole, False))
+    edges = np.flatnonzero(np.diff(whole.astype(np.int8), prepend=0, append=0))
+    return np.asarray(np.minimum(edges * step, rows), np.int64).reshape(-1, 2)
 
 
 def _external_is_whole(node: Any) -> bool:
@@ -287,13 +231,13 @@ class File:
 
     def stored(
         self, place: Place, start: int, stop: int
-    ) -> tuple[NDArray[np.generic], Rows | None]:
+    ) -> tuple[NDArray[np.generic], Flags | None]:
         """Rows as the file has them, and which of them it has; None when all. Raises
         UnreadableInput for data in another file and, when strict, for what is missing."""
         node = self.nodes.get(place.path)
         if node is None:
             node = self.nodes[place.path] = self.handle[place.path]
-        held = mask_of(self._known(node, 1 if place.transposed else 0), start, stop)
+        held = _mask_of(self._known(node, 1 if place.transposed else 0), start, stop)
         try:
             return self._filled(node, place, _slice(node, place, start, stop), held)
         except (OSError, RuntimeError) as error:
@@ -305,8 +249,8 @@ class File:
         return self._filled(node, place, values, whole if held is None else whole & held)
 
     def _filled(
-        self, node: Any, place: Place, values: NDArray[np.generic], held: Rows | None
-    ) -> tuple[NDArray[np.generic], Rows | None]:
+        self, node: Any, place: Place, values: NDArray[np.generic], held: Flags | None
+    ) -> tuple[NDArray[np.generic], Flags | None]:
         """The values, and which rows of them hold none of the values that stand for nothing."""
         key = (node.name, place.column)
         if key not in self.fills:
@@ -318,30 +262,30 @@ class File:
         return values, held
 
     def _known(self, node: Any, axis: int) -> Spans:
-        key = (node.name, axis)
+        key, rows = (node.name, axis), int(node.shape[axis])
         if key not in self.held:
-            found = Walk(Path(self.where), self.external).spans(node, Path(self.where), axis)
-            self.held[key] = found
-            lost = absent(found, int(node.shape[axis]))
-            if len(lost):
-                self._report(node.name, lost)
+            path = Path(self.where)
+            self.held[key] = found = Walk(self.where, self.external).spans(node, path, axis)
+            edges = np.concatenate([[0], found.reshape(-1), [rows]]).reshape(-1, 2)
+            lost = edges[edges[:, 1] > edges[:, 0]].tolist()
+            if lost:
+                spans = ", ".join(f"{a} to {b - 1}" for a, b in lost[:_RANGES])
+                more = f" and {len(lost) - _RANGES} more ranges" if len(lost) > _RANGES else ""
+                self._lose(f"{node.name}: rows {spans}{more} are not in the file")
         return self.held[key]
+
+    def _lose(self, what: str) -> None:
+        if self.strict:
+            raise UnreadableInput(what, where=self.where, remedy="copy it again from its source")
+        self.lost.append(what)
 
     def demand_whole(self, node: Any) -> None:
         """Raise UnreadableInput, in a strict file, unless it holds all of a dataset."""
         self._known(node, 0)
 
-    def _report(self, name: str, edges: Spans) -> None:
-        spans = ", ".join(f"{a} to {b - 1}" for a, b in edges[:_RANGES].tolist())
-        more = f" and {len(edges) - _RANGES} more ranges" if len(edges) > _RANGES else ""
-        what = f"{name}: rows {spans}{more} are not in the file"
-        if self.strict:
-            raise UnreadableInput(what, where=self.where, remedy="copy it again from its source")
-        self.lost.append(what)
-
     def _by_chunks(
         self, node: Any, place: Place, start: int, stop: int
-    ) -> tuple[NDArray[np.generic], Rows]:
+    ) -> tuple[NDArray[np.generic], Flags]:
         """What can be read of rows some of which cannot, the others as zeros, and which."""
         step = node.chunks[1 if place.transposed else 0] if node.chunks else stop - start
         parts: list[NDArray[np.generic]] = []
@@ -382,7 +326,7 @@ def _slice(node: Any, place: Place, start: int, stop: int) -> NDArray[np.generic
 def opened(path: Path, strict: bool, external: bool = False) -> Iterator[File]:
     import h5py
 
-    demand_ends(path)
+    _demand_heaps_end(path)
     try:
         handle, notes = h5py.File(path, "r"), []
     except Exception as first:  # cut, or not closed by its writer: the second way in tells which

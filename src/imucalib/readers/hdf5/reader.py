@@ -7,7 +7,7 @@ Other formats that have to be held in memory are read as an HDF5 file with their
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
@@ -19,7 +19,7 @@ from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
 from imucalib.readers import conversion
 from imucalib.readers.columns import Content, listing, norm_of, suggestion
-from imucalib.readers.conversion import Conversion
+from imucalib.readers.conversion import AS_STORED, Conversion
 from imucalib.readers.hdf5.fields import Found, datasets, fields_of, number_of, text_of, unit_of
 from imucalib.readers.hdf5.file import File, Walk, opened
 from imucalib.readers.joining import Joined
@@ -40,34 +40,25 @@ from imucalib.recording.recording import Channel, Gap, Recording, corrections_of
 _ROWS = 500
 
 
-def contents_of(held: Iterable[Any], where: str) -> tuple[Content, ...]:
-    """Every dataset with its shape, type and unit, and the norm or median of its first rows."""
-    return tuple(_content(node, Path(where)) for node in held)
-
-
 def _content(node: Any, path: Path) -> Content:
+    """A dataset with its shape, type and unit, and the norm or median of some rows."""
     shape = " x ".join(map(str, node.shape[1:]))
     fields = f" of {', '.join(node.dtype.names)}" if node.dtype.names else ""
     unit = unit_of(node)
     kind = f"{shape + ' ' if shape else ''}{node.dtype if not fields else 'records'}{fields}"
-    kind += f" in {unit}" if unit else ""
-    norm = median = float("nan")
+    found = Content(node.name, f"{kind} in {unit}" if unit else kind, node.shape[0])
     try:
-        Walk(path).spans(node, path)
+        Walk(str(path)).spans(node, path)
+        if not fields and node.dtype.kind in "iuf" and node.shape[1:] in ((), (3,)):
+            values = np.asarray(node[:: max(1, node.shape[0] // _ROWS)], dtype=np.float64)
+            if values.ndim == 2:
+                return replace(found, norm=norm_of(values))
+            return replace(found, median=float(np.median(values[np.isfinite(values)])))
     except UnreadableInput as error:
-        why = error.what.removeprefix(f"{node.name} ")
-        return Content(node.name, kind, node.shape[0], why=f"it {why}")
-    numeric = not fields and node.dtype.kind in "iuf"
-    step = max(1, node.shape[0] // _ROWS)
-    try:
-        if numeric and node.shape[1:] == (3,):
-            norm = norm_of(np.asarray(node[::step], dtype=np.float64))
-        elif numeric and len(node.shape) == 1:
-            values = np.asarray(node[::step], dtype=np.float64)
-            median = float(np.median(values[np.isfinite(values)]))
+        return replace(found, why=f"it {error.what.removeprefix(f'{node.name} ')}")
     except (OSError, RuntimeError):
-        return Content(node.name, kind, node.shape[0], why="its first rows cannot be read")
-    return Content(node.name, kind, node.shape[0], norm=norm, median=median)
+        return replace(found, why="its first rows cannot be read")
+    return found
 
 
 _LOOKS, _LOOK = 24, 4096  # looks spread over each field, and their rows
@@ -76,47 +67,43 @@ _REST_SECONDS = 0.5
 
 @dataclass(frozen=True)
 class Signal:
-    """One channel ready to read; origin : first stamp of its clock, in `found.time_unit`;
-    shift : s from the recording's start to that stamp."""
+    """One channel ready to read.
 
+    origin : first stamp of its clock, in `found.time_unit`; shift : s from the recording's start to
+    that stamp; rate : Hz; threshold : a longer step is a gap, s
+    """
+
+    file: File
     found: Found
-    conversion: Conversion
-    rate: float
-    threshold: float
-    origin: float | int
+    origin: float | int = 0
     shift: float = 0.0
+    rate: float = 1.0
+    threshold: float = 0.0
+    conversion: Conversion = AS_STORED
 
     @property
     def name(self) -> str:
         return f"{self.found.triad}/{self.found.quantity}"
 
-
-def times(file: File, signal: Signal, start: int, stop: int) -> Array:
-    """Seconds since the start; NaN where a damaged chunk hides them."""
-    if signal.found.time is None:
-        t = np.arange(start, stop, dtype=np.float64)
-        t /= signal.rate
+    def times(self, start: int, stop: int) -> Array:
+        """Seconds since the start; NaN where a damaged chunk hides them."""
+        place = self.found.time
+        if place is None:
+            return np.arange(start, stop, dtype=np.float64) / self.rate
+        found, held = self.file.stored(place, start, stop)
+        t = seconds_of(place.unpacked(found).reshape(-1), self.origin, self.found.time_unit)
+        t = t + self.shift if self.shift else t
+        if held is not None:
+            t[~held] = np.nan
         return t
-    place = signal.found.time
-    found, held = file.stored(place, start, stop)
-    t = seconds_of(place.unpacked(found).reshape(-1), signal.origin, signal.found.time_unit)
-    t = t + signal.shift if signal.shift else t
-    if held is not None:
-        t[~held] = np.nan
-    return t
 
-
-def raw_rows(file: File, found: Found, start: int, stop: int) -> Array:
-    """Rows (n, 3), or (n, 1) of a temperature, in the stated unit."""
-    return stored_rows(file, found, start, stop).astype(np.float64, copy=False)
-
-
-def stored_rows(file: File, found: Found, start: int, stop: int) -> NDArray[np.generic]:
-    """The same in the type of the file, as far as no factor has to be applied."""
-    parts = [file.rows(p, start, stop) for p in found.parts]
-    if len(parts) == 1:
-        return parts[0].reshape(stop - start, -1)
-    return np.stack([p.reshape(-1) for p in parts], axis=1)
+    def stored(self, start: int, stop: int) -> NDArray[np.generic]:
+        """Rows (n, 3), or (n, 1) of a temperature, in the stated unit and the type of the file, as
+        far as no factor has to be applied."""
+        parts = [self.file.rows(p, start, stop) for p in self.found.parts]
+        if len(parts) == 1:
+            return parts[0].reshape(stop - start, -1)
+        return np.stack([p.reshape(-1) for p in parts], axis=1)
 
 
 def _looks(found: Found) -> list[tuple[int, int]]:
@@ -125,7 +112,7 @@ def _looks(found: Found) -> list[tuple[int, int]]:
     return [(int(a), min(found.rows, int(a) + _LOOK)) for a in dict.fromkeys(starts.tolist())]
 
 
-def signals_of(
+def _signals_of(
     file: File, found: Sequence[Found], mapping: FieldMapping
 ) -> tuple[list[Signal], int | None, list[str]]:
     notes: list[str] = []
@@ -146,10 +133,7 @@ def signals_of(
             own = date_of(zero, clock.time_unit, clock.epoch) or 0
             start_ns = start_ns if dated else own
             shift = (own - (start_ns or 0)) * 1e-9
-        base = Signal(
-            clock, Conversion("", "", np.ones(1), np.zeros(1)), clock.rate or 1.0, 0.0, zero, shift
-        )
-        return _measured(file, base, mapping)
+        return _measured(Signal(file, clock, zero, shift, clock.rate or 1.0), mapping)
 
     signals = list(conversion.readable(found, signal, notes))
     notes += [s.conversion.note for s in signals if s.conversion.note]
@@ -186,16 +170,16 @@ def _clock(file: File, found: Found) -> tuple[Found, float | int | None, str]:
     return replace(found, time_unit=unit, epoch=epoch), first, note
 
 
-def _measured(file: File, signal: Signal, mapping: FieldMapping) -> Signal:
+def _measured(signal: Signal, mapping: FieldMapping) -> Signal:
     """The signal with its rate, gap threshold and unit, from looks all over the field."""
-    found = signal.found
-    raw_counts = found.quantity == "acceleration" and mapping.acc_unit == conversion.COUNTS
-    raw_counts |= found.quantity == "angular_rate" and mapping.gyro_unit == conversion.COUNTS
-    if raw_counts:
+    found, file = signal.found, signal.file
+    stated = {"acceleration": mapping.acc_unit, "angular_rate": mapping.gyro_unit}
+    if stated.get(found.quantity) == conversion.COUNTS:
         bare = tuple(replace(p, scale=(1.0,), offset=(0.0,)) for p in found.parts)
         found = replace(found, parts=bare)
-    looks = [raw_rows(file, found, a, b) for a, b in _looks(found)]
-    stamps = [times(file, signal, a, b) for a, b in _looks(found)]
+        signal = replace(signal, found=found)
+    looks = [signal.stored(a, b).astype(np.float64, copy=False) for a, b in _looks(found)]
+    stamps = [signal.times(a, b) for a, b in _looks(found)]
     good = [np.isfinite(v).all(axis=1) & np.isfinite(t) for v, t in zip(looks, stamps, strict=True)]
     steps = stepping([t[g] for t, g in zip(stamps, good, strict=True)])
     if steps is None:
@@ -214,10 +198,10 @@ def _measured(file: File, signal: Signal, mapping: FieldMapping) -> Signal:
         how = conversion.angular_rate(mapping, found.unit, where)
     else:
         how = conversion.temperature(mapping, found.unit, np.concatenate(looks)[:, 0], where)
-    return replace(signal, found=found, conversion=how, rate=rate, threshold=steps.threshold)
+    return replace(signal, conversion=how, rate=rate, threshold=steps.threshold)
 
 
-def resolved_mapping(mapping: FieldMapping, signals: Sequence[Signal]) -> FieldMapping:
+def _resolved(mapping: FieldMapping, signals: Sequence[Signal]) -> FieldMapping:
     """What was read, as far as one mapping can say it (a dataset of K triads is named once)."""
 
     def paths(quantity: str) -> tuple[str, ...]:
@@ -264,35 +248,34 @@ class Hdf5Reader(Joined):
     ) -> Iterator[Recording]:
         """Yield the fields in blocks of about `block_samples` rows."""
         with opened(path, strict, bool(mapping.allow_external)) as file:
-            yield from blocks_of(file, path, mapping, block_samples)
+            yield from _blocks_of(file, path, mapping, block_samples)
 
     def stored_blocks(
         self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool
     ) -> Iterator[Recording]:
         """The same blocks with the numbers as the file has them; see `readers.stored_blocks`."""
         with opened(path, strict, bool(mapping.allow_external)) as file:
-            yield from blocks_of(file, path, mapping, block_samples, stored=True)
+            yield from _blocks_of(file, path, mapping, block_samples, stored=True)
 
 
 READER = Hdf5Reader()
 
 
-def blocks_of(
+def _blocks_of(
     file: File, path: Path, mapping: FieldMapping, size: int, *, stored: bool = False
 ) -> Iterator[Recording]:
     """The fields of an open file in blocks of about `size` rows; errors as in `Reader.blocks`."""
     nodes = list(datasets(file.handle, file.where))
     found = fields_of(file.handle, nodes, mapping)
     if not any(f.quantity != "temperature" for f in found):
-        held = contents_of(nodes, file.where)
+        held = [_content(node, path) for node in nodes]
         raise UnreadableInput(
             f"no inertial dataset was found among:{listing(held) or ' none'}\n",
             where=file.where,
             remedy="Name them with --acc, --gyro and --time or --rate (dataset paths)"
             + suggestion(held),
         )
-    signals, start_ns, notes = signals_of(file, found, mapping)
-    resolved = resolved_mapping(mapping, signals)
+    signals, start_ns, notes = _signals_of(file, found, mapping)
     marks = corrections_of(text_of(file.handle.attrs.get("corrections", "")).split("\n"))
     empty = Recording(
         {},
@@ -300,40 +283,41 @@ def blocks_of(
         "hdf5",
         sha256_of(path),
         start_ns,
-        mapping=resolved.to_dict(),
+        mapping=_resolved(mapping, signals).to_dict(),
         corrections=marks,
     )
+    notes += map(str, marks)
     last: dict[str, float] = {}
     at = {s.name: 0 for s in signals}
     main = max(signals, key=lambda s: s.found.rows)
-    first = True
-    while first or any(at[s.name] < s.found.rows for s in signals):
-        until = _time_after(file, main, at[main.name] + size)
+    while True:
+        until = _time_after(main, at[main.name] + size)
         channels, gaps = {}, {}
         for signal in signals:
-            stop = _stop(file, signal, main, at[signal.name], size=size, until=until)
-            channel, new = _channel(file, signal, at[signal.name], stop, last)
+            stop = _stop(signal, main, at[signal.name], size=size, until=until)
+            channel, new = _channel(signal, at[signal.name], stop, last)
             at[signal.name] = stop
-            if channel is not None and channel.pending and not stored:
-                values = channel.pending.apply(channel.values)
-                channel = replace(channel, values=values, pending=None)
-            if channel is not None:
-                channels[signal.name] = channel
             gaps.update({(g.start, g.stop): g for g in new})
-        own = [*notes, *map(str, marks), *file.lost] if first else file.lost
-        yield replace(empty, channels=channels, gaps=tuple(gaps.values()), notes=tuple(own))
-        file.lost, first = [], False
+            if channel is not None:
+                values = channel.values if stored else signal.conversion.apply(channel.values)
+                pending = signal.conversion if stored else None
+                channels[signal.name] = replace(channel, values=values, pending=pending)
+        own = (*notes, *file.lost)
+        notes, file.lost = [], []
+        yield replace(empty, channels=channels, gaps=tuple(gaps.values()), notes=own)
+        if all(at[s.name] >= s.found.rows for s in signals):
+            return
 
 
-def _time_after(file: File, signal: Signal, row: int) -> float:
+def _time_after(signal: Signal, row: int) -> float:
     """Time of a row of the main channel, or infinity past its end."""
     if row >= signal.found.rows:
         return float("inf")
-    t = times(file, signal, row, row + 1)
+    t = signal.times(row, row + 1)
     return float(t[0]) if np.isfinite(t[0]) else float("-inf")
 
 
-def _stop(file: File, signal: Signal, main: Signal, row: int, *, size: int, until: float) -> int:
+def _stop(signal: Signal, main: Signal, row: int, *, size: int, until: float) -> int:
     """Where this channel's block ends: at the main channel's row, or at its time."""
     rows = signal.found.rows
     same = signal.found.time == main.found.time and signal.found.rate == main.found.rate
@@ -342,7 +326,7 @@ def _stop(file: File, signal: Signal, main: Signal, row: int, *, size: int, unti
     if until == float("inf"):
         return rows
     while row < rows:
-        t = times(file, signal, row, min(rows, row + size))
+        t = signal.times(row, min(rows, row + size))
         inside = int(np.searchsorted(t, until))
         row += inside
         if inside < t.size:
@@ -351,13 +335,13 @@ def _stop(file: File, signal: Signal, main: Signal, row: int, *, size: int, unti
 
 
 def _channel(
-    file: File, signal: Signal, start: int, stop: int, last: dict[str, float]
+    signal: Signal, start: int, stop: int, last: dict[str, float]
 ) -> tuple[Channel | None, list[Gap]]:
-    """The channel with its conversion pending, and its gaps."""
+    """The channel with its numbers as they are stored, and its gaps."""
     if stop <= start:
         return None, []
-    found, how = signal.found, signal.conversion
-    t, raw = times(file, signal, start, stop), stored_rows(file, found, start, stop)
+    found = signal.found
+    t, raw = signal.times(start, stop), signal.stored(start, stop)
     rows: Array | range = range(start, stop)
     counted = found.time is None
     if not ((counted or _finite(t)) and _finite(raw)):
@@ -371,15 +355,13 @@ def _channel(
         new = slice(0, 1) if counted and isinstance(rows, range) else slice(None)
         gaps = find_gaps(t[new], rows[new], signal.threshold, last.get(signal.name))
     last[signal.name] = float(t[-1])
-    values = cast(Array, raw)  # of the type that the file has, while the conversion is pending
     return Channel(
         t=t,
-        values=values,
-        unit=how.unit,
+        values=cast(Array, raw),
+        unit=signal.conversion.unit,
         quantity=found.quantity,
         triad=found.triad,
         rate=signal.rate,
-        pending=how,
         names=(found.address,) if found.address else (),
         numbered=found.numbered,
     ), gaps
@@ -413,7 +395,7 @@ def blocks_in_memory(
     with h5py.File(f"{path.name}-in-memory", "w", driver="core", backing_store=False) as held:
         fill(held)
         file = File(held, str(path), strict)
-        for block in blocks_of(file, path, mapping, block_samples):
+        for block in _blocks_of(file, path, mapping, block_samples):
             yield replace(block, format=name, notes=(*notes, *block.notes))
             notes = ()
 

@@ -32,6 +32,7 @@ from imucalib.recording.recording import Channel, Recording
 
 _CHANNEL_NAMES = {"acc": "acceleration", "gyro": "angular_rate", "temperature": "temperature"}
 _HOUR = 3_600_000_000_000  # ns
+_FEWEST_ROWS = 1 << 12  # that an array has room for
 
 
 @dataclass(frozen=True)
@@ -69,32 +70,52 @@ class FirstPass:
 
     def __init__(self, log: MessageLog, mapping: FieldMapping, *, keep: bool) -> None:
         self.stream = TopicStream(log, mapping)
-        self._kept: dict[str, list[list[NDArray[Any]]]] = {}  # pieces of stamps, log, columns
+        self._kept: dict[str, list[_Growing]] = {}  # log times, columns, stamps
         with _readable(log):
             for samples in self.stream.samples():
                 samples.source.survey(samples)
                 if keep:
                     self._keep(samples)
             self.plan = _decide(self.stream)
+        for source in self.stream.sources.values():
+            source.pieces.clear()
 
     def _keep(self, samples: Samples) -> None:
-        parts: list[NDArray[Any] | None] = [samples.stamps, samples.log, *samples.columns]
-        kept = self._kept.setdefault(samples.source.name, [[] for _ in parts])
-        for pieces, part in zip(kept, parts, strict=True):
-            if part is not None:
-                pieces.append(part)
+        name, parts = samples.source.name, [samples.log, *samples.columns]
+        parts += [] if samples.stamps is None else [samples.stamps]
+        if name not in self._kept:
+            self._kept[name] = [_Growing(p, self.stream.expected(name)) for p in parts]
+        for kept, part in zip(self._kept[name], parts, strict=True):
+            kept.append(part)
 
     def samples(self, topic: str) -> Samples:
-        """All samples of a topic, handed over: only one column at a time is held twice."""
+        """All samples of a topic, handed over."""
         source = self.stream.sources[topic]
-        stamps, log, *columns = (_emptied(pieces) for pieces in self._kept.pop(topic))
-        return Samples(source, stamps if source.instant else None, log, columns)
+        log, *columns = (kept.whole() for kept in self._kept.pop(topic))
+        return Samples(source, columns.pop() if source.instant else None, log, columns)
 
 
-def _emptied(pieces: list[NDArray[Any]]) -> NDArray[Any]:
-    whole = np.concatenate(pieces) if pieces else np.empty(0)
-    pieces.clear()
-    return whole
+class _Growing:
+    """Rows that become one array: memory is moved by the system rather than copied."""
+
+    def __init__(self, like: NDArray[Any], expected: int) -> None:
+        rows = max(expected, _FEWEST_ROWS)
+        self._rows = np.empty((rows, *like.shape[1:]), dtype=like.dtype)
+        self._size = 0
+
+    def append(self, rows: NDArray[Any]) -> None:
+        """Copy rows to the end."""
+        size = self._size + len(rows)
+        if size > len(self._rows):
+            most = max(size, len(self._rows) * 5 // 4)
+            self._rows.resize((most, *rows.shape[1:]), refcheck=False)
+        self._rows[self._size : size] = rows
+        self._size = size
+
+    def whole(self) -> NDArray[Any]:
+        """All rows, handed over."""
+        self._rows.resize((self._size, *self._rows.shape[1:]), refcheck=False)
+        return self._rows
 
 
 @contextmanager

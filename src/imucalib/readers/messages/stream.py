@@ -71,6 +71,11 @@ class TopicStream:
         """Topics of the pass so far and of the log's index, by channel number."""
         return {**self._indexed, **self.log.topics}
 
+    def expected(self, name: str) -> int:
+        """How many messages of a topic the index counts, at most what the file can hold."""
+        total = sum(topic.count for topic in self._indexed.values() if topic.name == name)
+        return min(total, 100 * self.log.path.stat().st_size)
+
     def samples(self) -> Iterator[Samples]:
         """All wanted samples, divided by topic, some chunks at a time."""
         damages = 0

@@ -86,6 +86,7 @@ class Source:
     rows : samples that were read; bad, problem : messages that could not be, and why the last
     marks : rows before which a part of the file is damaged
     alive : of each field, whether any value differs from zero
+    pieces : stretches of raw samples from all over the recording, by number, each in parts
     """
 
     name: str
@@ -104,7 +105,7 @@ class Source:
     stamps: ClockFacts = field(default_factory=ClockFacts)
     log: ClockFacts = field(default_factory=ClockFacts)
     alive: list[bool] = field(default_factory=list)
-    _pieces: dict[int, list[list[Array]]] = field(default_factory=dict)
+    pieces: dict[int, list[list[Array]]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.alive = [False] * len(self.fields)
@@ -128,11 +129,11 @@ class Source:
             if first < stop and last > start:
                 part = slice(max(first - start, 0), last - start)
                 kept = [column[part].copy() for column in samples.columns]
-                self._pieces.setdefault(number, []).append(kept)
+                self.pieces.setdefault(number, []).append(kept)
 
     def rest_pieces(self, column: int) -> list[Array]:
         """Stretches of consecutive raw samples from all over the recording."""
-        return [np.concatenate([p[column] for p in parts]) for parts in self._pieces.values()]
+        return [np.concatenate([p[column] for p in parts]) for parts in self.pieces.values()]
 
 
 class Samples(NamedTuple):

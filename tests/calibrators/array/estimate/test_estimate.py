@@ -7,23 +7,20 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from imucalib.calibration.findings import Findings
-from imucalib.calibration.outcome import Left, Outcome
-from imucalib.calibration.provenance import provenance_of
-from imucalib.calibrators.array.board import Board, read_board
+from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.estimate.covariance import (
     Uneven,
     fitted_on_all,
     information,
     samples_taken,
-    stated_covariance,
+    sandwich,
     uneven,
 )
-from imucalib.calibrators.array.estimate.left import Accepted, Residual, what_is_left
+from imucalib.calibrators.array.findings import Residual, unexplained
 from imucalib.calibrators.array.loop.search import start_state
 from imucalib.calibrators.array.loop.setup import array_setup
 from imucalib.calibrators.array.loop.state import ArrayState
-from imucalib.loop.found import Unexplained
+from imucalib.calibrators.array.request import Accepted
 from imucalib.units import DEG
 from worlds.boards import Array, BoardPlan
 from worlds.twisted_board import BOARD, fitted, moved
@@ -39,7 +36,7 @@ def test_errors_are_what_is_stated_with_tails_and_without(tails: float) -> None:
     for seed in range(12):
         state, true = fitted(plan, seed, 450)
         off = (state.r - true)[1:].ravel()
-        for found, covariance in ((stated, stated_covariance(state)), (weights, state.covariance)):
+        for found, covariance in ((stated, sandwich(state)[0]), (weights, state.covariance)):
             found.append(off @ np.linalg.solve(covariance, off) / off.size)
     z, plain = np.sqrt(np.mean(stated)), np.sqrt(np.mean(weights))
     # 12 sets of 21 numbers: a standard deviation of 0.045.
@@ -80,7 +77,7 @@ def test_few_imus_tell_less_than_their_weights_say(count: int) -> None:
     for seed in range(16):
         state, true = fitted(plan, seed, 400, board)
         off, free = (state.r - true)[1:].ravel(), 3 * (count - 1)
-        covariance = stated_covariance(state)[:free, :free]
+        covariance = sandwich(state)[0][:free, :free]
         size.append(off @ np.linalg.solve(covariance, off) / free)
         due = _of_a_pair(state) if count == 2 else state.noise[0].information
         told.append(information(state)[0] / due)
@@ -101,28 +98,10 @@ def test_all_informative_samples_take_part() -> None:
     assert samples_taken(moving, 200) == 200
     every = fitted_on_all(some, len(moving.good))
     assert np.array_equal(every.setup.rows[every.setup.inner], moving.good)
-    few, all_ = (np.sqrt(np.diag(stated_covariance(s))) for s in (some, every))
+    few, all_ = (np.sqrt(np.diag(sandwich(s)[0])) for s in (some, every))
     expected = np.sqrt(len(setup.inner) / len(moving.good))
     assert np.median(all_ / few) == pytest.approx(expected, rel=0.15)
     assert np.sqrt(np.mean(((every.r - true)[1:].ravel() / all_) ** 2)) < 1.5
-
-
-LEFT_BOARD = read_board("mimu4444_corners")
-
-
-def outcome(*left: Left) -> Outcome:
-    made = provenance_of(path="log", sha256="", samples=0, mapping={}, settings={})
-    structure = Unexplained("a curve", "time", "probe", 0.998, 20.0)
-    return Outcome("array", (), made, Findings("unexplained", unexplained=(structure,)), left=left)
-
-
-def test_size_decides_and_presence_is_cautioned_where_no_size_is_known() -> None:
-    small, large = Left("gyros", 1.0, 2.0, "deg/s"), Left("gyros", 3.0, 2.0, "deg/s")
-    assert outcome(small).exit_code == 0
-    assert outcome(small).status == "ok"
-    assert outcome(small, large).exit_code == 5
-    assert outcome(small, large).status == "marginal"
-    assert outcome().status == "marginal"
 
 
 @pytest.mark.parametrize(
@@ -138,9 +117,9 @@ def test_one_imu_of_eight_that_leaves_more_than_is_accepted_is_told(
     off, still = np.full(8, 0.04), np.full(8, 0.04)
     off[2], still[2] = noisy, at_rest
     gyro = np.full(8, 0.2 * DEG)
-    residual = Residual(0.04, 0.2 * DEG, True, (off, gyro), LEFT_BOARD.imus)
+    residual = Residual(0.04, 0.2 * DEG, True, (off, gyro))
     rests = SimpleNamespace(noise=still, gyro_noise=gyro)
-    left = what_is_left(residual, rests, None, Accepted())  # type: ignore[arg-type]
+    left = unexplained(residual, rests, BOARD.imus, Accepted(), None)  # type: ignore[arg-type]
     assert [one.name for one in left if one.beyond] == told
     assert [one.name for one in left[2:]] == told
     if told:

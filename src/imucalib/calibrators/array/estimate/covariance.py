@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -22,14 +21,11 @@ from imucalib.calibrators.array.moving import Moving
 from imucalib.core.eigen import eigen
 from imucalib.estimators.array.gram import Columns, gram, scores
 from imucalib.estimators.array.noise import SensorNoise
-from imucalib.estimators.array.samples import Readings, Sampled, Weights, fit_samples, reweighed
+from imucalib.estimators.array.samples import Sampled, Weights, fit_samples, reweighed
 
-#: What is left where they are not, with what the parts differ by.
-#: Parts of a drive other than time, and samples of a part at least.
-_PARTS, _FEWEST = 4, 40
+#: What is not explained where positions differ, with what the parts differ by.
 POSITIONS = "positions against "
-
-
+_PARTS, _FEWEST = 4, 40  # of a drive other than time, and samples of a part at least
 #: Family-wise chance over all coordinates and drives below which positions are not the same.
 _ALPHA = 1e-3
 
@@ -48,14 +44,37 @@ class Uneven:
 def uneven(state: ArrayState, pulls: Array, dispersion: float) -> Uneven | None:
     """By the drive that shows it most; None where chance does as well.
 
+    Each sample pulls the answer by its score. In a part of the motion these pulls add up by chance,
+    or by what the part has of its own: a board that bows as it warms up, chips that tilt with the
+    rate. Sums of pulls u have variance Σ u² under chance: χ² of each coordinate, and what the
+    parts' own places scatter by beyond it.
+
     pulls : (inner, d) m, what each sample moves the positions by; dispersion : how many times fewer
     samples noise that neighbours share leaves
     """
-    found = [_by(driver, part, pulls, dispersion) for driver, part in _drives(state)]
-    p = min(one.p for one in found) * len(found)
+    from scipy.special import gammaincc
+
+    found, size = [], pulls.shape[1]
+    for driver, part in _drives(state):
+        square, beyond, freedom = np.zeros(size), np.zeros(size), -1
+        for own in (pulls[part == one] for one in np.unique(part)):
+            if len(own) < _FEWEST:
+                continue
+            total, chance = own.sum(axis=0), dispersion * np.sum(own**2, axis=0)
+            square += total**2 / chance
+            beyond += (total**2 - chance) * len(pulls) / len(own)
+            freedom += 1
+        if freedom < 1:
+            found.append(Uneven(driver, 1.0, 0.0, np.zeros(size)))
+            continue
+        most = float(square.max())
+        p = min(1.0, float(gammaincc(0.5 * freedom, 0.5 * most)) * size)
+        spread = np.sqrt(np.maximum(beyond, 0.0))
+        found.append(Uneven(driver, p, 0.5 * (most - freedom), spread))
+    worst = min(found, key=lambda one: one.p)
+    p = worst.p * len(found)
     if p > _ALPHA:
         return None
-    worst = min(found, key=lambda one: one.p)
     spread = np.max([one.spread for one in found if one.p * len(found) <= _ALPHA], axis=0)
     return Uneven(worst.driver, p, worst.nats, spread)
 
@@ -70,111 +89,65 @@ def _drives(state: ArrayState) -> Iterator[tuple[str, Index]]:
         yield name, np.searchsorted(ends, size).astype(np.intp)
 
 
-def _by(driver: str, part: Index, pulls: Array, dispersion: float) -> Uneven:
-    """Sums of the pulls over parts, of variance Σ u² under chance: χ² of each coordinate, and what
-    the parts' own places scatter by beyond it."""
-    from scipy.special import gammaincc
-
-    square, beyond, freedom = np.zeros(pulls.shape[1]), np.zeros(pulls.shape[1]), -1
-    for one in np.unique(part):
-        own = pulls[part == one]
-        if len(own) < _FEWEST:
-            continue
-        total, share = own.sum(axis=0), len(own) / len(pulls)
-        chance = dispersion * np.sum(own**2, axis=0)
-        square += total**2 / chance
-        beyond += (total**2 - chance) / share  # share of (total / share)²
-        freedom += 1
-    if freedom < 1:
-        return Uneven(driver, 1.0, 0.0, 0.0 * beyond)
-    most = float(square.max())
-    p = min(1.0, float(gammaincc(0.5 * freedom, 0.5 * most)) * len(square))
-    return Uneven(driver, p, 0.5 * (most - freedom), np.sqrt(np.maximum(beyond, 0.0)))
-
-
 _SAMPLES = 800  # at which the answer is measured
-
-
 _ROUNDS = 12  # of weights and motion after a shift
-
-
 _SHIFT = 3.0  # in standard deviations of each direction
-
-
-_LEAST = 0.1  # share that is left in any case
-
-
+_LEAST = 0.1  # share that is there in any case
 _SEEN = 1e-3  # of the best known direction's information, below which one is not shifted
 
 
 def information(state: ArrayState) -> tuple[float, float]:
     """What accelerometers and gyros tell over what their weights say, by the answer of the scores
-    of positions and of gyro offsets to a shift of these: 1 where the noise is Gaussian."""
+    of positions and of gyro offsets to a shift of these: 1 where the noise is Gaussian.
+
+    Weights (ν + 3)/(ν + d²) fall where a residual grows, so that a score answers a shift of what is
+    fitted by less than its weights say: by (ν + 3)/(ν + 5) where residuals are the errors (Lange,
+    Little, Taylor 1989, JASA 84). The motion of a sample takes a part of few IMUs' errors and may
+    lay one chip's on another, and then the share is another: of four chips less still. So it is
+    measured.
+    """
     if not any(np.isfinite(noise.freedom) for noise in state.noise):
         return 1.0, 1.0
-    inner = state.setup.inner
+    inner, r = state.setup.inner, state.r
     rows = inner[np.linspace(0, len(inner) - 1, min(_SAMPLES, len(inner))).astype(np.intp)]
-    readings = corrected(state).take(rows)
-    start = fit_samples(
-        readings, _weights(state.noise, state.sampled, rows), state.r, state.sampled.rate[rows]
-    )
-    answers = _Answers(readings, start, state.noise, state.r)
-    return answers.of_positions(), answers.of_offsets()
+    readings, count = corrected(state).take(rows), 3 * len(r)
 
+    def at(shift: Array, sampled: Sampled) -> Sampled:
+        """Weights and motion, fitted anew at a shift (6 K,) of all positions and gyro offsets."""
+        moved = replace(readings, rate=readings.rate - shift[count:].reshape(-1, 3))
+        for _ in range(_ROUNDS):
+            weights = _weights(state.noise, sampled)
+            sampled = fit_samples(moved, weights, r + shift[:count].reshape(-1, 3), sampled)
+        return sampled
 
-class _Answers:
-    """Scores at a few samples, their weights and motion fitted anew after every shift."""
+    weights = _weights(state.noise, state.sampled, rows)
+    first = fit_samples(readings, weights, r, state.sampled.rate[rows])
+    start = at(np.zeros(2 * count), first)
+    bases = (np.broadcast_to(x, (len(r), len(rows), 3, 3)) for x in (start.turn, np.eye(3)))
+    blocks = [Columns(np.asarray(b), bool(gyro), False) for gyro, b in enumerate(bases)]
+    whole = gram(start, blocks, np.arange(len(rows))).matrix
 
-    def __init__(
-        self, readings: Readings, start: Sampled, noise: tuple[SensorNoise, SensorNoise], r: Array
-    ) -> None:
-        self.readings, self.noise, self.r = readings, noise, r
-        self.start = self._followed(readings, start, r)
-
-    def of_positions(self) -> float:
-        def score(shift: Array) -> Array:
-            r = self.r.copy()
-            r[1:] += shift.reshape(-1, 3)
-            found = self._followed(self.readings, self.start, r)
-            heavy = found.off.acceleration * found.weights.acceleration[..., None]
-            return np.asarray(np.einsum("tij,tki->kj", found.turn, heavy)[1:].ravel())
-
-        count = 3 * len(self.r)
-        return self._share(score, np.arange(3, count))
-
-    def of_offsets(self) -> float:
-        def score(shift: Array) -> Array:
-            rate = self.readings.rate - shift.reshape(-1, 3)
-            found = self._followed(replace(self.readings, rate=rate), self.start, self.r)
-            return np.asarray(np.einsum("tki,tk->ki", found.off.rate, found.weights.rate).ravel())
-
-        count = 3 * len(self.r)
-        return self._share(score, np.arange(count, 2 * count))
-
-    @cached_property
-    def told(self) -> Array:
-        """(6 K, 6 K) what the weights say of all positions and gyro offsets."""
-        shape = (len(self.r), len(self.start.rate), 3, 3)
-        bases = (np.asarray(np.broadcast_to(x, shape)) for x in (self.start.turn, np.eye(3)))
-        blocks = [
-            Columns(basis, gyro, False) for gyro, basis in zip((False, True), bases, strict=True)
-        ]
-        return gram(self.start, blocks, np.arange(shape[1])).matrix
-
-    def _share(self, score: Callable[[Array], Array], at: Index) -> float:
-        """Mean share, over directions that weigh alike, by one shift of all of them and back."""
-        told = self.told[np.ix_(at, at)]
-        values, vectors = eigen(told)
+    def share(which: Index) -> float:
+        """Mean over directions that weigh alike, by one shift of all of them and back."""
+        own = whole[np.ix_(which, which)]
+        values, vectors = eigen(own)
         seen = values > _SEEN * float(values[-1])
         signs = np.where(np.arange(int(seen.sum())) % 2, -1.0, 1.0)
-        shift = _SHIFT * (vectors[:, seen] / np.sqrt(values[seen])) @ signs
-        answer = 0.5 * (score(-shift) - score(shift))
-        return float(np.clip(shift @ answer / (shift @ told @ shift), _LEAST, 1.0))
+        shift = np.zeros(2 * count)
+        shift[which] = _SHIFT * (vectors[:, seen] / np.sqrt(values[seen])) @ signs
+        answer = 0.5 * (_score(at(-shift, start)) - _score(at(shift, start)))
+        size = shift[which] @ own @ shift[which]
+        return float(np.clip(shift @ answer / size, _LEAST, 1.0))
 
-    def _followed(self, readings: Readings, sampled: Sampled, r: Array) -> Sampled:
-        for _ in range(_ROUNDS):
-            sampled = fit_samples(readings, _weights(self.noise, sampled), r, sampled)
-        return sampled
+    return share(np.arange(3, count)), share(np.arange(count, 2 * count))
+
+
+def _score(found: Sampled) -> Array:
+    """(6 K,) of all positions and gyro offsets."""
+    heavy = found.off.acceleration * found.weights.acceleration[..., None]
+    of_places = np.einsum("tij,tki->kj", found.turn, heavy)
+    of_offsets = np.einsum("tki,tk->ki", found.off.rate, found.weights.rate)
+    return np.concatenate([of_places.ravel(), of_offsets.ravel()])
 
 
 def _weights(
@@ -188,27 +161,22 @@ def _weights(
     return Weights(a, g)
 
 
-def stated_covariance(state: ArrayState) -> Array:
-    """(q, q) of the positions (m) and of the terms' coordinates: A⁻¹ B A⁻¹."""
-    return _sandwich(state)[0]
-
-
-def _sandwich(state: ArrayState) -> tuple[Array, Array]:
-    """That covariance, and what each sample (inner,) pulls the positions by (m).
+def sandwich(state: ArrayState) -> tuple[Array, Array]:
+    """(q, q) covariance A⁻¹ B A⁻¹ of the positions (m) and of the terms' coordinates, and what each
+    sample (inner,) pulls the positions by (m).
 
     A is what the weights say times how far the scores answer to it (`information`), with the prior
     P; B = Σ g gᵀ + P, g the score of one sample, is what the scores really scatter (Huber 1967,
-    White 1982). As many parameters as there are count as samples
-    of which B is what A says, so that few samples do not make it singular.
+    White 1982). As many parameters as there are count as samples of which B is what A says, so that
+    few samples do not make it singular.
     """
-    a, g = information(state)
     base, inner = state.base, state.setup.inner
-    told = base.free(gram(reweighed(state.sampled, a, g), base.blocks, inner)).matrix
+    known = base.free(gram(reweighed(state.sampled, *information(state)), base.blocks, inner))
     prior = np.diag(base.prior)
     own = base.along(scores(state.sampled, base.blocks, inner))
     share = len(inner) / (len(inner) + len(base.prior))
-    scatter = share * (own.T @ own) + (1.0 - share) * told + prior
-    bread = np.linalg.inv(told + prior)
+    scatter = share * (own.T @ own) + (1.0 - share) * known.matrix + prior
+    bread = np.linalg.inv(known.matrix + prior)
     found = bread @ scatter @ bread
     return 0.5 * (found + found.T), own @ bread[:, : state.positions]
 
@@ -217,7 +185,7 @@ def with_uneven(state: ArrayState, factor: float) -> tuple[ArrayState, Uneven | 
     """The state with that covariance, positions known no better than parts of the motion agree on
     them, and where they do not; factor : how many times fewer samples noise that neighbours share
     leaves."""
-    covariance, pulls = _sandwich(state)
+    covariance, pulls = sandwich(state)
     covariance *= factor
     found = uneven(state, pulls, factor)
     if found is not None:
@@ -229,8 +197,6 @@ def with_uneven(state: ArrayState, factor: float) -> tuple[ArrayState, Uneven | 
 #: Readings of one kind, samples times IMUs, that a fit takes where nobody says how many: beyond
 #: them memory and time grow, and positions are known far better than they repeat.
 READINGS = 60_000
-
-
 _FOLLOWED = 1  # round of the motion at new samples, so that a fit there begins with its noise
 
 

@@ -8,7 +8,6 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibrators.array.board import Board
-from imucalib.calibrators.array.estimate.total import corrected_samples
 from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.calibrators.array.moving import Moving, samples_of, spread_over
 from imucalib.calibrators.array.request import NON_LINEARITY, ArrayRequest
@@ -46,18 +45,19 @@ def sampled_positions(
     """
     sigma, estimate = _sigma(rests, board, request)
     published = request.sampler == "pmmh" or request.motion == "flat"
+    plain = state is None or (published and not searched)
     prior = ArrayPrior(
         board.drawn,
         board.prior_sd,
         request.motion,
         request.exponent,
-        estimate_noise=estimate and (state is None or (published and not searched)),
+        estimate_noise=estimate and plain,
     )
     few = min(request.samples or PUBLISHED_SAMPLES, len(moving.good))
-    if state is None or (published and not searched):
+    if state is None or plain:
         rows = spread_over(moving.good, few)
         data = samples_of(moving, rows, sigma, request.gyro_covariance)
-        found = _with_shrinkage(_drawn(data, prior, request, rng))
+        found = _drawn(data, prior, request, rng)
         return found, found.covariance
     data = corrected_samples(state)
     if request.sampler == "pmmh":
@@ -68,31 +68,28 @@ def sampled_positions(
     if board.on_a_line:
         own = state.r[1:].ravel()
         return gaussian_positions(data, prior, own, motion, rng), motion
-    return _with_shrinkage(_drawn(data, prior, request, rng)), motion
+    return _drawn(data, prior, request, rng), motion
 
 
-def _with_shrinkage(found: ArrayPositions) -> ArrayPositions:
-    """With a word on what the flat prior of ω̇ does: T integrals, each worth |J|^-1/2, pull the size
-    to zero by 3 T times its variance."""
-    if found.prior.motion != "flat":
-        return found
-    size, sd = found.scale
-    pull = 3.0 * found.data.samples * (sd / size) ** 2
-    word = (
-        f"the flat prior on the angular acceleration shrinks the array by about {100 * pull:.2g} % "
-        f"of its size, {pull * size / sd:.1f} of its stated sd; --motion-prior learned does not"
-    )
-    return replace(found, notes=(*found.notes, word))
+def corrected_samples(state: ArrayState) -> ArrayData:
+    """Readings with the effects taken out, as Gaussian data of one sigma.
 
-
-def _drawn(
-    data: ArrayData, prior: ArrayPrior, request: ArrayRequest, rng: np.random.Generator
-) -> ArrayPositions:
-    if request.sampler == "pmmh":
-        return _by_pmmh(data, prior, request, rng)
-    return sample_positions(
-        data, prior, rng, chains=request.chains, stop=request.stop, checkpoint=request.checkpoint
-    )
+    Where the noise has tails or grows with the rate, each residual is shrunk to λ/λ₀ of itself: the
+    score of every unknown is then the weighted one at the mode (Huber's pseudo-values). The
+    precision λ₀ is the mean of the weights over what each sample says of the positions, times the
+    share of it that noise with tails tells.
+    """
+    sampled, inner, k = state.sampled, state.setup.inner, state.setup.triads
+    weight = sampled.weights.acceleration[inner]
+    lever = np.sum(sampled.turn[inner] ** 2, axis=(1, 2))[:, None]
+    one = float(np.sum(lever * weight) / np.sum(lever) / k) * state.noise[0].information
+    off = sampled.off.acceleration[inner] * (weight / one)[..., None]
+    acceleration = sampled.force[inner] + off
+    weight = sampled.weights.rate[inner]
+    own = float(np.mean(weight)) * state.noise[1].information
+    off = sampled.off.rate[inner] * (weight / own)[..., None]
+    rate = sampled.rate[inner] + off.mean(axis=1)
+    return ArrayData(acceleration, np.full(k, one**-0.5), rate, np.eye(3) * own * k)
 
 
 def _sigma(rests: RestFit, board: Board, request: ArrayRequest) -> tuple[Array, bool]:
@@ -104,11 +101,38 @@ def _sigma(rests: RestFit, board: Board, request: ArrayRequest) -> tuple[Array, 
                 "the non-linearity rule needs the accelerometers' range",
                 remedy="state accelerometer_range (g) in the board file",
             )
-        return np.full(board.count, NON_LINEARITY * board.accelerometer_range), False
+        chosen = NON_LINEARITY * board.accelerometer_range
     if chosen == "estimate":
         # In motion the errors are not the noise at rest: one size for all, its factor free.
         return np.full(board.count, 5.0 * float(np.sqrt(np.mean(rests.noise**2)))), True
     return np.full(board.count, float(chosen)), False
+
+
+def _drawn(
+    data: ArrayData, prior: ArrayPrior, request: ArrayRequest, rng: np.random.Generator
+) -> ArrayPositions:
+    """By the sampler that is asked for, with a word on what the flat prior of ω̇ does: T integrals,
+    each worth |J|^-1/2, pull the size to zero by 3 T times its variance."""
+    if request.sampler == "pmmh":
+        found = _by_pmmh(data, prior, request, rng)
+    else:
+        found = sample_positions(
+            data,
+            prior,
+            rng,
+            chains=request.chains,
+            stop=request.stop,
+            checkpoint=request.checkpoint,
+        )
+    if prior.motion != "flat":
+        return found
+    size, sd = found.scale
+    pull = 3.0 * data.samples * (sd / size) ** 2
+    word = (
+        f"the flat prior on the angular acceleration shrinks the array by about {100 * pull:.2g} % "
+        f"of its size, {pull * size / sd:.1f} of its stated sd; --motion-prior learned does not"
+    )
+    return replace(found, notes=(*found.notes, word))
 
 
 def _by_pmmh(

@@ -12,11 +12,9 @@ from imucalib.arrays import Array
 from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.estimate.turns import Turns, common_scale
 from imucalib.calibrators.array.log import ArrayLog
-from imucalib.calibrators.array.loop.state import ArrayState
-from imucalib.calibrators.array.moving import Moving
+from imucalib.calibrators.array.moving import SCALE_TOLERANCE
 from imucalib.calibrators.array.rests import RestFit
 from imucalib.core.effect import cross_matrix
-from imucalib.estimators.array.problem import ArrayData
 from imucalib.estimators.array.sampler import ArrayPositions
 from imucalib.rests.segments import Segments
 from imucalib.units import DEG
@@ -26,56 +24,6 @@ from imucalib.units import DEG
 _ANYWHERE, _BY_LATITUDE, _GIVEN = 1.3e-3, 5e-5, 1e-4
 #: A package's turn on the board: sd, and how many degrees of freedom that belief is worth.
 _MOUNTED, _BELIEF = 0.3 * DEG, 1.0
-
-
-def size_over(drawn: Array, total: Total) -> tuple[float, float, float]:
-    """Size over the drawing's (the regression on it): value, sd, and sd of the motion's part."""
-    own = (drawn[1:] - drawn[0]).ravel()
-    row = own / (own @ own)
-    value = float(row @ total.mean[1:].ravel())
-    parts = (total.covariance, total.motion)
-    whole, motion = (float(np.sqrt(row @ part @ row)) for part in parts)
-    return value, whole, motion
-
-
-def size_block(total: Total, gyros: GyroScale, board: Board) -> dict[str, Any]:
-    """What fixes size and frame, and how well; distances from the first IMU hold the size's doubt
-    and not the frame's, the shape neither."""
-    value, sd, motion = size_over(board.drawn, total)
-    away = [total.distance(0, k) for k in range(1, board.count)]
-    turns = gyros.turns
-    return {
-        "size": {
-            "relative_to_drawing": value,
-            "sd": sd,
-            "sd_of_motion": motion,
-            "sd_beyond_motion": total.size_sd,
-            "sd_of_gravity": total.gravity_sd,
-        },
-        "gyro_scale": {
-            "common_error": gyros.value,
-            "sd": gyros.sd,
-            "sd_by_data_sheet": gyros.tolerance,
-            "turns": None
-            if turns is None
-            else {
-                "common_error": turns.scale,
-                "sd": turns.sd,
-                "count": turns.count,
-                "misfit_deg": turns.misfit / DEG,
-            },
-        },
-        "frame": {
-            "sd_deg": (total.frame_sd / DEG).tolist(),
-            "shape_sd_mm": float(1e3 * np.sqrt(np.median(np.diag(total.shape)))),
-        },
-        "distances_mm": [
-            {"from": board.imus[0], "to": name, "distance": 1e3 * d, "sd": 1e3 * s}
-            for name, (d, s) in zip(board.imus[1:], away, strict=True)
-        ],
-    }
-
-
 _ROUNDS = 3  # of the linearisation of a distance
 
 
@@ -87,6 +35,17 @@ class Distance:
     two: int
     value: float
     sd: float
+
+
+@dataclass(frozen=True)
+class GyroScale:
+    """The gyros' common scale, readings (1 + value) ω. tolerance : sd by the data sheets alone;
+    turns : what the turns between rests say, or None"""
+
+    value: float
+    sd: float
+    tolerance: float
+    turns: Turns | None
 
 
 @dataclass(frozen=True)
@@ -133,7 +92,9 @@ class Total:
     @property
     def shape(self) -> Array:
         """(d, d) m² of what no turn of the board and no scale changes."""
-        keep = _without(_spread(self.mean)[:, -4:])
+        q, values, _ = np.linalg.svd(_spread(self.mean)[:, -4:], full_matrices=False)
+        q = q[:, values > 1e-9 * values[0]]
+        keep = np.eye(len(q)) - q @ q.T
         return np.asarray(keep @ self.covariance @ keep.T)
 
     def distance(self, one: int, two: int) -> tuple[float, float]:
@@ -146,28 +107,21 @@ def total_of(
     r: Array,
     motion: Array,
     *,
-    scale: float,
-    scale_sd: float,
+    gyros: GyroScale,
     gravity_sd: float,
     frame_sd: float,
     distances: Sequence[Distance] = (),
 ) -> Total:
     """Positions r (K, 3) m of the motion with covariance (d, d) m², put right by all the rest.
 
-    scale : k of the gyros' readings (1 + k) ω, with its sd; gravity_sd : relative; frame_sd : rad,
-    of the triads' mean axes against the board's; distances : what fixes the size otherwise
+    gravity_sd : relative; frame_sd : rad, of the triads' mean axes against the board's; distances :
+    what fixes the size otherwise
     """
-    d = len(motion)
-    factor = (1.0 + scale) ** 2
+    d, factor = len(motion), (1.0 + gyros.value) ** 2
     joint = np.zeros((d + 5, d + 5))
     joint[:d, :d] = factor**2 * motion
-    joint[range(d, d + 5), range(d, d + 5)] = [
-        4.0 * scale_sd**2,
-        gravity_sd**2,
-        frame_sd**2,
-        frame_sd**2,
-        frame_sd**2,
-    ]
+    more = np.array([2.0 * gyros.sd, gravity_sd, frame_sd, frame_sd, frame_sd])
+    joint[range(d, d + 5), range(d, d + 5)] = more**2
     found = Total(factor * r, joint, r, motion)
     for one in distances:
         found = _measured(found, one)
@@ -195,13 +149,6 @@ def _spread(mean: Array) -> Array:
     return np.concatenate([np.eye(len(own)), own[:, None], own[:, None], about], axis=1)
 
 
-def _without(columns: Array) -> Array:
-    """(d, d) that takes the span of some columns out."""
-    q, values, _ = np.linalg.svd(columns, full_matrices=False)
-    q = q[:, values > 1e-9 * values[0]]
-    return np.asarray(np.eye(len(columns)) - q @ q.T)
-
-
 def _apart(mean: Array, one: int, two: int) -> tuple[float, Array]:
     """A distance (m) and its derivative (d,) by the free positions."""
     away = mean[two] - mean[one]
@@ -212,54 +159,19 @@ def _apart(mean: Array, one: int, two: int) -> tuple[float, Array]:
     return value, slope[1:].ravel()
 
 
-def corrected_samples(state: ArrayState) -> ArrayData:
-    """Readings with the effects taken out, as Gaussian data of one sigma.
-
-    Where the noise has tails or grows with the rate, each residual is shrunk to λ/λ₀ of itself: the
-    score of every unknown is then the weighted one at the mode (Huber's pseudo-values). The
-    precision λ₀ is the mean of the weights over what each sample says of the positions, times the
-    share of it that noise with tails tells.
-    """
-    sampled, inner = state.sampled, state.setup.inner
-    lever = np.sum(sampled.turn[inner] ** 2, axis=(1, 2))[:, None]
-    weight = sampled.weights.acceleration[inner]
-    one = float(np.sum(lever * weight) / np.sum(lever) / weight.shape[1])
-    one *= state.noise[0].information
-    off = sampled.off.acceleration[inner] * (weight / one)[..., None]
-    acceleration = sampled.force[inner] + off
-    weight = sampled.weights.rate[inner]
-    own = float(np.mean(weight)) * state.noise[1].information
-    off = sampled.off.rate[inner] * (weight / own)[..., None]
-    rate = sampled.rate[inner] + off.mean(axis=1)
-    k = state.setup.triads
-    return ArrayData(acceleration, np.full(k, one**-0.5), rate, np.eye(3) * own * k)
-
-
 def restated(found: ArrayPositions, total: Total, rng: np.random.Generator) -> ArrayPositions:
     """The draws carried over to the mean and the covariance of all that is uncertain, of which the
     sampler saw a part."""
     n, d = found.free.shape
-    root = np.linalg.cholesky(total.covariance)
     if n > 2 * d:
         away = found.free - found.free.mean(axis=0)
         white = np.linalg.solve(np.linalg.cholesky(found.covariance), away.T)
     else:
         white = rng.standard_normal((d, n))
-    moved = total.mean[1:].ravel() + (root @ white).T
+    moved = total.mean[1:].ravel() + (np.linalg.cholesky(total.covariance) @ white).T
     unknowns = found.unknowns.copy()
     unknowns[..., :d] = moved.reshape(*unknowns.shape[:2], d)
     return replace(found, unknowns=unknowns)
-
-
-@dataclass(frozen=True)
-class GyroScale:
-    """The gyros' common scale, readings (1 + value) ω. tolerance : sd by the data sheets alone;
-    turns : what the turns between rests say, or None"""
-
-    value: float
-    sd: float
-    tolerance: float
-    turns: Turns | None
 
 
 def gyro_scale(tolerance: float, turns: Turns | None) -> GyroScale:
@@ -271,40 +183,25 @@ def gyro_scale(tolerance: float, turns: Turns | None) -> GyroScale:
 
 
 def scale_by_turns(
-    log: ArrayLog,
-    segments: Segments,
-    rests: RestFit,
-    moving: Moving,
-    order: list[int],
-    *,
-    gyro_gain: Array | None = None,
-    factor: Array | None = None,
+    log: ArrayLog, segments: Segments, rests: RestFit, gain: Array, factor: Array
 ) -> GyroScale:
-    """The common scale of the gyros, each corrected by its own gain beside the others.
+    """The common scale of the gyros, each corrected by its own gain.
 
-    order : the board's IMUs in the segments' triads; gyro_gain : (K, 3, 3) of the joint fit, or
-    None for the plain comparison of the gyros; factor : (K,) of each gyro's noise in motion
+    Their rate is weighed as in the motion, which the positions stand on: where a bent response had
+    passed for a gain, the plain mean of eight held an eighth of that, and the size a quarter; the
+    motion's rate did not. Data sheets leave the mean of all axes uniform within each one's
+    tolerance.
+
+    gain : (K, 3, 3), reading = gain · rate; factor : (K,) of each gyro's noise in motion
     """
-    gain = moving.gyros.gain if gyro_gain is None else gyro_gain
-    rate = common_rate(log.rate, gain, np.ones(len(gain)) if factor is None else factor)
+    weight = factor**-2 / np.sum(factor**-2)
+    rate = np.einsum("kij,nkj->ni", weight[:, None, None] * np.linalg.inv(gain), log.rate)
     middle = 0.5 * (segments.start + segments.stop)
-    still = np.einsum("kij,nkj->nki", rests.rotations, segments.mean[:, order])
+    still = np.einsum("kij,nkj->nki", rests.rotations, segments.mean)
     up = rests.corrected(still, middle).mean(axis=1)
     up /= np.linalg.norm(up, axis=1, keepdims=True)
     turns = common_scale(log.t, rate, ~log.clipped, up, segments.start, segments.stop)
-    return gyro_scale(0.5 * moving.gyros.scale_sd, turns)
-
-
-def common_rate(rate: Array, gain: Array, factor: Array) -> Array:
-    """(n, 3) rad/s that corrected gyros (n, K, 3) say together, weighed as in the motion: the rate
-    that the positions stand on. Where a bent response had passed for a gain, the plain mean of
-    eight held an eighth of that, and the size a quarter; the motion's rate did not.
-
-    gain : (K, 3, 3), reading = gain · rate; factor : (K,) of each gyro's noise
-    """
-    weight = factor**-2 / np.sum(factor**-2)
-    back = weight[:, None, None] * np.linalg.inv(gain)
-    return np.asarray(np.einsum("kij,nkj->ni", back, rate))
+    return gyro_scale(SCALE_TOLERANCE / float(np.sqrt(9.0 * len(gain))), turns)
 
 
 def gravity_sd(source: str) -> float:
@@ -323,3 +220,48 @@ def frame_sd(rests: RestFit) -> float:
     count = len(angles)
     square = float(np.sum((angles - angles.mean(axis=0)) ** 2)) + _BELIEF * _MOUNTED**2
     return float(np.sqrt(square / (3.0 * (count - 1) + _BELIEF) / count))
+
+
+def size_over(drawn: Array, total: Total) -> tuple[float, float, float]:
+    """Size over the drawing's (the regression on it): value, sd, and sd of the motion's part."""
+    own = (drawn[1:] - drawn[0]).ravel()
+    row = own / (own @ own)
+    whole, motion = (float(np.sqrt(row @ part @ row)) for part in (total.covariance, total.motion))
+    return float(row @ total.mean[1:].ravel()), whole, motion
+
+
+def size_block(total: Total, gyros: GyroScale, board: Board) -> dict[str, Any]:
+    """What fixes size and frame, and how well; distances from the first IMU hold the size's doubt
+    and not the frame's, the shape neither."""
+    value, sd, motion = size_over(board.drawn, total)
+    turns = gyros.turns
+    return {
+        "size": {
+            "relative_to_drawing": value,
+            "sd": sd,
+            "sd_of_motion": motion,
+            "sd_beyond_motion": total.size_sd,
+            "sd_of_gravity": total.gravity_sd,
+        },
+        "gyro_scale": {
+            "common_error": gyros.value,
+            "sd": gyros.sd,
+            "sd_by_data_sheet": gyros.tolerance,
+            "turns": turns
+            and {
+                "common_error": turns.scale,
+                "sd": turns.sd,
+                "count": turns.count,
+                "misfit_deg": turns.misfit / DEG,
+            },
+        },
+        "frame": {
+            "sd_deg": (total.frame_sd / DEG).tolist(),
+            "shape_sd_mm": float(1e3 * np.sqrt(np.median(np.diag(total.shape)))),
+        },
+        "distances_mm": [
+            {"from": board.imus[0], "to": name, "distance": 1e3 * value, "sd": 1e3 * sd}
+            for k, name in enumerate(board.imus[1:], start=1)
+            for value, sd in [total.distance(0, k)]
+        ],
+    }

@@ -16,6 +16,7 @@ from imucalib.arrays import Array, Flags, Index
 _FEWEST = 5  # turns from which on their scatter says how good they are
 _LEAST = np.radians(10.0)  # of gravity, below which a turn says nothing
 _FINER = 4  # times that the rate is interpolated between its samples
+_GAP = 1.5  # sample intervals from which on some are missing
 _STEP = 1e-3  # relative, of the derivative by the scale
 _HEAVY = 4.0  # degrees of freedom of the turns' errors
 
@@ -23,13 +24,12 @@ _HEAVY = 4.0  # degrees of freedom of the turns' errors
 @dataclass(frozen=True)
 class Turns:
     """scale, sd : relative error k of the gyros' common scale, reading = (1 + k) ω; count : of the
-    turns; misfit : rad, rms of what is left of a turn; angle : rad, their median"""
+    turns; misfit : rad, rms of what a turn misses"""
 
     scale: float
     sd: float
     count: int
     misfit: float
-    angle: float
 
 
 def common_scale(
@@ -44,8 +44,8 @@ def common_scale(
     offset = [rate[at].mean(axis=0) if at.any() else np.full(3, np.nan) for at in within]
     middle = 0.5 * (start + stop)
     off, slope = [], []
-    for k, rows in enumerate(_between(t, usable, start, stop)):
-        if not rows.size or float(up[k] @ up[k + 1]) > np.cos(_LEAST):
+    for k, rows in enumerate(between(t, start, stop, _GAP)):
+        if rows.size <= 3 or not usable[rows].all() or up[k] @ up[k + 1] > np.cos(_LEAST):
             continue
         share = ((t[rows] - middle[k]) / (middle[k + 1] - middle[k]))[:, None]
         own = rate[rows] - (1.0 - share) * offset[k] - share * offset[k + 1]
@@ -56,18 +56,26 @@ def common_scale(
         slope.append((more - less) / (2.0 * _STEP))
     if len(off) < _FEWEST:
         return None
-    return _fitted(np.array(off), np.array(slope), up)
+    return _fitted(np.array(off), np.array(slope))
 
 
-def _between(t: Array, usable: Flags, start: Array, stop: Array) -> list[Index]:
-    """Samples from inside each rest to inside the next; none where one is missing or clipped."""
+def between(t: Array, start: Array, stop: Array, gap: float) -> list[Index]:
+    """Samples of times t (n,) s from inside each rest to inside the next; none where some are
+    missing between them for more than `gap` intervals."""
     step = float(np.median(np.diff(t)))
     ends = np.searchsorted(t, stop[:-1]), np.searchsorted(t, start[1:], side="right")
     spans = [np.arange(max(a - 1, 0), b) for a, b in zip(*ends, strict=True)]
-    return [
-        s if s.size > 3 and np.diff(t[s]).max() < 1.5 * step and usable[s].all() else s[:0]
-        for s in spans
-    ]
+    return [s if np.diff(t[s]).max(initial=0.0) < gap * step else s[:0] for s in spans]
+
+
+def composed(turns: Array) -> Array:
+    """(..., 3, 3) of rotations (..., n, 3, 3), the first one first: multiplied in pairs."""
+    while turns.shape[-3] > 1:
+        if turns.shape[-3] % 2:
+            same = np.broadcast_to(np.eye(3), (*turns.shape[:-3], 1, 3, 3))
+            turns = np.concatenate([turns, same], axis=-3)
+        turns = turns[..., 1::2, :, :] @ turns[..., ::2, :, :]
+    return turns[..., 0, :, :]
 
 
 def _carried(t: Array, rate: Array, vector: Array) -> Array:
@@ -77,30 +85,18 @@ def _carried(t: Array, rate: Array, vector: Array) -> Array:
 
     edges = np.interp(np.arange(_FINER * (len(t) - 1) + 1) / _FINER, np.arange(len(t)), t)
     small = CubicSpline(t, rate)(0.5 * (edges[1:] + edges[:-1])) * np.diff(edges)[:, None]
-    turns = Rotation.from_rotvec(-small).as_matrix()
-    while len(turns) > 1:
-        if len(turns) % 2:
-            turns = np.concatenate([turns, np.eye(3)[None]])
-        turns = turns[1::2] @ turns[::2]
-    return np.asarray(turns[0] @ vector)
+    return np.asarray(composed(Rotation.from_rotvec(-small).as_matrix()) @ vector)
 
 
-def _fitted(off: Array, slope: Array, up: Array) -> Turns:
+def _fitted(off: Array, slope: Array) -> Turns:
     scale = _robust(off, slope)
     n = len(off)
     each = np.arange(n)
     without = np.array([_robust(off[each != k], slope[each != k]) for k in range(n)])
     # The jackknife of n turns; its own doubt as in Student's distribution.
     variance = (n - 1) / n * float(np.sum((without - without.mean()) ** 2)) * (n - 1) / (n - 3)
-    left = off - scale * slope
-    angle = np.arccos(np.clip(np.sum(up[1:] * up[:-1], axis=1), -1.0, 1.0))
-    return Turns(
-        scale,
-        float(np.sqrt(variance)),
-        n,
-        float(np.sqrt(np.mean(np.sum(left**2, axis=1)))),
-        float(np.median(angle)),
-    )
+    misfit = np.sqrt(np.mean(np.sum((off - scale * slope) ** 2, axis=1)))
+    return Turns(scale, float(np.sqrt(variance)), n, float(misfit))
 
 
 def _robust(off: Array, slope: Array) -> float:

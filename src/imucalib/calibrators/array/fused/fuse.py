@@ -2,13 +2,6 @@
 
 Each round fits the motion of every sample, takes out what the found effects add at that motion, and
 weighs each triad by what it leaves. The last one also knows dω/dt from the neighbours' rates.
-
-What the rates of the samples before and after say of dω/dt, and how far that can be believed.
-
-Accelerometers show dω/dt of a sample by itself, with noise over the size of the board. Where the
-motion is slow against the sampling, the difference of the neighbours' rates shows it far better;
-where it is not, hardly at all. The third difference of the rates tells which: the error of a
-central difference is its size over 6 Δt, to first order (Taylor).
 """
 
 from __future__ import annotations
@@ -19,106 +12,285 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from imucalib.arrays import Array, Flags, Index
-from imucalib.calibrators.array.fused.instrument import Instrument, of_the_calibration
+from imucalib.calibrators.array.fused.instrument import Instrument, Pair, Stretch, along
 from imucalib.calibrators.array.fused.noise import ChipNoise
 from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
 from imucalib.calibrators.array.moving import SLOWEST
 from imucalib.core.course import slope_of
-from imucalib.core.effect import Motion
 from imucalib.estimators.array.fusion import FusedMotion, Sensed, fused_motion, precision_of
 
-_BEYOND = 1.15  # times its range that a clipped rate is first thought to be
-
-
-_FARTHER = (1.4, 2.0)  # times the first guess, where that led to an answer inside the range
-
-
-_FAINT = 1e-6  # weight of that guess
-
-
-_GONE = 0.5  # share of one gyro's say along an axis below which gyros do not see it
+#: Times its range that a clipped rate is first thought to be; times that, where it led to an answer
+#: inside the range; weight of that guess; share of one gyro's say along an axis below which gyros
+#: do not see it.
+_BEYOND, _FARTHER, _FAINT, _GONE = 1.15, (1.4, 2.0), 1e-6, 0.5
+_SHORT = 4  # samples from which on lags are undone by the course of the motion
+_GOES_ON = 0.5  # correlation of neighbours from which on a correction is motion
+_LOST = 1.5  # median intervals between samples from which on they are no neighbours
 
 
 @dataclass(frozen=True)
-class Start:
-    """force, gyro : (T, K, 3) corrected by the linear parts, board axes
-    live, rate_live : (T, K, 3) axes that are there and in range
-    first : (T, 3) rad/s; alone : (T,) no gyro sees some part of the rate
+class Fused:
+    """motion : of every sample, its covariance that of the noise and of the calibration's doubt
+    off, rate_off : (T, K, 3) what the sensors' axes read beside it, m/s² and rad/s
+    live, rate_live : (T, K, 3) axes that took part; alone : (T,) no gyro saw some part of the rate
+    weight, rate_weight : (T, K, 3) of the axes, (m/s²)^-2 and (rad/s)^-2
+    timed : (T, K) gyros whose clock is known
     """
 
-    force: Array
-    gyro: Array
+    motion: FusedMotion
+    off: Array
+    rate_off: Array
     live: Flags
     rate_live: Flags
-    first: Array
     alone: Flags
+    weight: Array
+    rate_weight: Array
+    timed: Flags
+
+    def take(self, rows: slice | Index) -> Fused:
+        own = {n: v[rows] for n, v in vars(self).items() if n != "motion"}
+        return Fused(self.motion.take(rows), **own)
 
 
-def start_of(instrument: Instrument, stretch: Stretch) -> Start:
-    """Corrected readings, and the rates that the gyros say: the median of whole triads; a little
-    beyond the range where all gyros are at its end."""
-    force, gyro = instrument.corrected(stretch.t, stretch.acceleration, stretch.rate)
-    clipped, rate_clipped = instrument.clipped(stretch.acceleration, stretch.rate)
-    live = np.isfinite(stretch.acceleration) & ~clipped
-    there = np.isfinite(stretch.rate)
-    rate_live = there & ~rate_clipped
-    whole = np.all(rate_live, axis=2)
-    some = np.any(whole, axis=1)
-    first = np.zeros((len(stretch.t), 3))
-    inner = np.where(whole[some][..., None], gyro[some], np.nan)
-    first[some] = np.nanmedian(inner, axis=1)
-    alone = np.zeros(len(stretch.t), dtype=np.bool_)
-    if not np.all(some):
-        rest = ~some
-        part = (gyro[rest], rate_live[rest], (there & rate_clipped)[rest])
-        first[rest], alone[rest] = _guessed(instrument.gyro_axes, *part)
-    return Start(force, gyro, live, rate_live, first, alone)
+def joined(parts: list[Fused]) -> Fused:
+    """One after the other."""
+    motion, own = (
+        {n: np.concatenate([vars(p)[n] for p in some]) for n in vars(some[0]) if n != "motion"}
+        for some in ([part.motion for part in parts], parts)
+    )
+    return Fused(FusedMotion(**motion), **own)
+
+
+def fuse(
+    instrument: Instrument,
+    stretch: Stretch,
+    noise: tuple[ChipNoise, ChipNoise],
+    age: Array | None = None,
+    *,
+    rounds: int = 4,
+    tied: bool = True,
+) -> Fused:
+    """Fuse the samples of a stretch.
+
+    noise : of accelerometers and gyros
+    age : (T, K) sawtooths of the gyros' clocks, NaN for a clock that was not found, or None
+    tied : whether neighbours tell of dω/dt; the samples must then follow each other
+    """
+    work = _Rounds(instrument, stretch, noise, age, tied=tied)
+    for turn in range(rounds):
+        work.next(turn)
+    return work.found()
 
 
 def turning(instrument: Instrument, stretch: Stretch) -> Flags:
     """(T,) samples that rotate, by their gyros."""
-    return np.asarray(np.linalg.norm(start_of(instrument, stretch).first, axis=1) > SLOWEST)
+    first = _begun(instrument, stretch, instrument.corrected(stretch)[1])[1]
+    return np.asarray(np.linalg.norm(first, axis=1) > SLOWEST)
 
 
-def _guessed(axes: Array, gyro: Array, live: Flags, clipped: Flags) -> tuple[Array, Flags]:
-    """Rates (n, 3) of samples without a whole gyro, and where nothing in range sees a part."""
-    squares = (axes[:, :, :, None] * axes[:, :, None, :]).reshape(-1, 9)
-    reading = np.where(clipped, _BEYOND, 1.0) * along(axes, gyro)
-    weight = live + _FAINT * clipped
-    matrix = (weight.reshape(len(gyro), -1) @ squares).reshape(-1, 3, 3)
-    right = (weight * reading).reshape(len(gyro), -1) @ axes.reshape(-1, 3)
-    first = np.linalg.solve(matrix + _FAINT**2 * np.eye(3), right[..., None])[..., 0]
-    seen = (live.reshape(len(gyro), -1).astype(float) @ squares).reshape(-1, 3, 3)
-    return np.asarray(first, np.float64), np.asarray(np.linalg.eigvalsh(seen)[:, 0] < _GONE)
+def _begun(
+    instrument: Instrument, stretch: Stretch, gyro: Array
+) -> tuple[list[Flags], Array, Flags]:
+    """(T, K, 3) axes of both kinds that are there and in range, (T, 3) rates to begin from, and
+    (T,) where no gyro in range sees some part of it.
+
+    The rates are the median of whole triads; where there is none, those that axes in range say, and
+    a little beyond the range what is at its end.
+    """
+    clipped = instrument.clipped(stretch)
+    there = np.isfinite(stretch.rate)
+    live = [np.isfinite(stretch.acceleration) & ~clipped[0], there & ~clipped[1]]
+    whole = np.all(live[1], axis=2)
+    some = np.any(whole, axis=1)
+    first, alone = np.zeros((len(stretch.t), 3)), np.zeros(len(stretch.t), dtype=np.bool_)
+    first[some] = np.nanmedian(np.where(whole[some][..., None], gyro[some], np.nan), axis=1)
+    rest = np.flatnonzero(~some)
+    if len(rest):
+        axes, inside = instrument.axes[1], live[1][rest].astype(float)
+        weight = inside + _FAINT * (there & clipped[1])[rest]
+        reading = along(axes, gyro[rest]) * np.where((there & clipped[1])[rest], _BEYOND, 1.0)
+        matrix = precision_of(axes, weight).sum(axis=1) + _FAINT**2 * np.eye(3)
+        right = np.einsum("tka,kai->ti", weight * reading, axes)
+        first[rest] = np.linalg.solve(matrix, right[..., None])[..., 0]
+        seen = precision_of(axes, inside).sum(axis=1)
+        alone[rest] = np.linalg.eigvalsh(seen)[:, 0] < _GONE
+    return live, first, alone
 
 
-def outside(
-    instrument: Instrument, stretch: Stretch, start: Start, sensed: Sensed, motion: FusedMotion
-) -> FusedMotion:
-    """The motion with answers that lie inside the range, or have the wrong sign, sought again from
-    farther out: the rate hangs on its square there, and has more than one answer."""
-    for times in _FARTHER:
-        rows = np.flatnonzero(np.any(inside(instrument, stretch, start, motion), axis=(1, 2)))
-        if not len(rows):
-            break
-        again = fused_motion(sensed.take(rows), instrument.r, times * start.first[rows])
-        motion = motion.put(rows, again)
-    return motion
+class _Rounds:
+    """Where the rounds stand.
+
+    read : (T, K, 3) corrected readings of accelerometers and gyros; less : those without effects
+    live : axes that take part; share : (T, K, 1) of the weights; first : (T, 3) rad/s to begin from
+    motion, sensed, weight, off : of the last round, what it was made from and what it leaves
+    """
+
+    sensed: Sensed
+    weight: Pair
+    off: Pair
+
+    def __init__(
+        self,
+        instrument: Instrument,
+        stretch: Stretch,
+        noise: tuple[ChipNoise, ChipNoise],
+        age: Array | None,
+        *,
+        tied: bool,
+    ) -> None:
+        self.instrument, self.t, self.noise, self.tied = instrument, stretch.t, noise, tied
+        self.axes = instrument.axes
+        self.read = self.less = instrument.corrected(stretch)
+        self.live, self.first, self.alone = _begun(instrument, stretch, self.read[1])
+        self.lost = np.isfinite(stretch.rate) & ~self.live[1] & self.alone[:, None, None]
+        shape = stretch.rate.shape[:2]
+        self.timed = np.zeros(shape, np.bool_) if age is None else np.isfinite(age)
+        self.late = instrument.beyond.late(self.t, None if age is None else np.nan_to_num(age))
+        self.share = [np.ones((*shape, 1)), np.ones((*shape, 1))]
+        self.motion: FusedMotion | None = None
+        near = near_next(self.t)
+        self.beside = np.column_stack([np.append(False, near), np.append(near, False)])
+
+    def next(self, turn: int) -> None:
+        """One more round."""
+        variance = self._variance()
+        one, two = (
+            np.where(on, share, 0.0) / v
+            for on, share, v in zip(self.live, self.share, variance, strict=True)
+        )
+        self.weight = one, two
+        self.sensed = Sensed(
+            force=self.less[0],
+            rate=self.less[1],
+            force_precision=precision_of(self.axes[0], one),
+            rate_precision=precision_of(self.axes[1], two),
+            late=self.late,
+        )
+        before = self.first if self.motion is None else self.motion.rate
+        motion = fused_motion(self.sensed, self.instrument.r, before)
+        back = np.zeros(len(self.t), dtype=np.bool_)
+        if turn == 0:
+            motion = self._from_farther_out(motion)
+        if turn == 1:  # the effects are out by then: an answer inside the range goes to its end
+            inside = self._inside(motion)
+            self.live[1] = self.live[1] | inside
+            back = np.any(inside, axis=(1, 2))
+            motion = replace(motion, rate=np.where(back[:, None], self.first, motion.rate))
+        self.motion = motion
+        self.less = self._without_effects(motion)
+        self.off = self._residuals(motion)
+        self.share = [
+            chip.share(np.sum(np.where(on, off**2 / v, 0.0), axis=2), on.sum(axis=2))[..., None]
+            for chip, on, off, v in zip(self.noise, self.live, self.off, variance, strict=True)
+        ]
+        self.share[1][back] = 1.0  # far from where it is pulled to, it would have no say
+
+    def found(self) -> Fused:
+        """With what the neighbours say of dω/dt, and what the calibration leaves open."""
+        motion, sensed, r = self.motion, self.sensed, self.instrument.r
+        assert motion is not None
+        known = spin_by_neighbours(self.t, motion, self.late) if self.tied else None
+        if known is not None:
+            sensed = replace(sensed, spin=known[0], spin_precision=known[1])
+            motion = fused_motion(sensed, r, motion.rate)
+        # By the tails: force and dω/dt stand on the accelerometers, ω on the gyros.
+        wide = np.sqrt(np.repeat([one.widening for one in self.noise], (6, 3)))
+        covariance = motion.covariance * np.outer(wide, wide)
+        if self.instrument.doubt is not None:
+            covariance += self.instrument.doubt.carried(motion, sensed, r, self._seen(motion))
+        return Fused(
+            motion=replace(motion, covariance=covariance),
+            off=self.off[0],
+            rate_off=self.off[1],
+            live=self.live[0],
+            rate_live=self.live[1],
+            alone=self.alone,
+            weight=self.weight[0],
+            rate_weight=self.weight[1],
+            timed=self.timed,
+        )
+
+    def _variance(self) -> Pair:
+        """(T, K, 3) of the axes. A gyro whose clock is not known is off by its age times dω/dt, the
+        age anywhere within its span."""
+        motion, span = self.motion, self.instrument.beyond.span
+        speed = np.linalg.norm(self.first if motion is None else motion.rate, axis=1)
+        first, second = (one.variance(speed) for one in self.noise)
+        if span > 0.0 and motion is not None:
+            spin = np.broadcast_to(motion.spin[:, None], second.shape)
+            swing = along(self.axes[1], spin) ** 2
+            second = second + span**2 / 12.0 * ~self.timed[..., None] * swing
+        return first, second
+
+    def _inside(self, motion: FusedMotion) -> Flags:
+        """(T, K, 3) clipped axes of samples that no gyro sees whole, whose fused rate lies inside
+        the range: there the reading itself, the end of the range, is nearer."""
+        if not self.lost.any():
+            return self.lost
+        read = along(self.axes[1], self.read[1])
+        own = along(self.axes[1], np.broadcast_to(motion.rate[:, None], read.shape))
+        return np.asarray(self.lost & (own * np.sign(read) < np.abs(read)))
+
+    def _from_farther_out(self, motion: FusedMotion) -> FusedMotion:
+        """The motion with answers that lie inside the range, or have the wrong sign, sought again
+        from farther out: the rate hangs on its square there, and has more than one answer."""
+        for times in _FARTHER:
+            rows = np.flatnonzero(np.any(self._inside(motion), axis=(1, 2)))
+            if not len(rows):
+                break
+            start = times * self.first[rows]
+            again = fused_motion(self.sensed.take(rows), self.instrument.r, start)
+            motion = motion.put(rows, again)
+        return motion
+
+    def _without_effects(self, motion: FusedMotion) -> Pair:
+        """Corrected readings (T, K, 3) less what the effects beyond the linear parts add."""
+        beyond = self.instrument.beyond
+        if all(part.late and not part.lags for part in beyond.parts):
+            return self.read
+        seen = self._seen(motion)
+        force, gyro = beyond.added(seen)
+        if self.tied and beyond.lagging and len(self.t) > _SHORT:
+            more = beyond.added_by_lags(seen.coursed(self.beside))
+            force, gyro = force + _if_smooth(more[0]), gyro + _if_smooth(more[1])
+        return self.read[0] - force, self.read[1] - gyro
+
+    def _seen(self, motion: FusedMotion) -> BoardMotion:
+        """The motion as effects take it."""
+        felt = motion.felt(self.instrument.r)
+        return board_motion(
+            imus=self.instrument.imus,
+            rotations=self.instrument.beyond.rotations,
+            t=self.t,
+            rate=motion.rate,
+            spin=motion.spin,
+            force=felt,
+            jerk=slope_of(felt, self.t, self.beside),
+        )
+
+    def _residuals(self, motion: FusedMotion) -> Pair:
+        """(T, K, 3) along the sensors' axes."""
+        rate = motion.rate[:, None]
+        if self.late is not None:
+            rate = rate + np.matmul(self.late, motion.spin[:, None, :, None])[..., 0]
+        off = self.less[0] - motion.felt(self.instrument.r)
+        return along(self.axes[0], off), along(self.axes[1], self.less[1] - rate)
 
 
-def inside(instrument: Instrument, stretch: Stretch, start: Start, motion: FusedMotion) -> Flags:
-    """(T, K, 3) clipped axes of samples that no gyro sees whole, whose fused rate lies inside the
-    range: there the reading itself, the end of the range, is nearer."""
-    lost = np.isfinite(stretch.rate) & ~start.rate_live & start.alone[:, None, None]
-    if not lost.any():
-        return lost
-    axes = instrument.gyro_axes
-    own = along(axes, np.broadcast_to(motion.rate[:, None], start.gyro.shape))
-    read = along(axes, start.gyro)
-    return np.asarray(lost & (own * np.sign(read) < np.abs(read)))
+def _if_smooth(more: Array) -> Array | float:
+    """A correction (T, K, 3) that goes on from sample to sample, or none: what does not is the
+    noise of a second derivative."""
+    power = float(np.sum(more**2))
+    goes_on = power > 0.0 and float(np.sum(more[1:] * more[:-1])) > _GOES_ON * power
+    return more if goes_on else 0.0
 
 
-_LOST = 1.5  # median intervals between samples from which on they are no neighbours
+def near_next(t: Array) -> Flags:
+    """(T - 1,) whether a sample and the next are neighbours, none being lost between them."""
+    step = np.diff(t)
+    return np.asarray(step < _LOST * np.median(step)) if step.size else np.zeros(0, np.bool_)
+
+
 _SLOW = 0.3  # share of the usual interval by which neighbours may be off
 #: Samples over which the error of the difference is judged; and over which, where third differences
 #: are hardly more than noise: what noise leaves of the squares of a few is not zero.
@@ -131,17 +303,16 @@ _JUDGED = 25  # samples over which the accelerometers may contradict it
 _ODD = 2.5  # times what noise explains, from which they do
 
 
-def near_next(t: Array) -> Flags:
-    """(T - 1,) whether a sample and the next are neighbours, none being lost between them."""
-    step = np.diff(t)
-    return np.asarray(step < _LOST * np.median(step))
-
-
 def spin_by_neighbours(
     t: Array, motion: FusedMotion, late: Array | None
 ) -> tuple[Array, Array] | None:
-    """dω/dt (T, 3) rad/s² by differences and its inverse variance, zero where neighbours are
-    missing; None for too few samples.
+    """dω/dt (T, 3) rad/s² by differences of the neighbours' rates and its inverse variance, zero
+    where neighbours are missing; None for too few samples.
+
+    Accelerometers show dω/dt of a sample by itself, with noise over the size of the board. Where
+    the motion is slow against the sampling, this shows it far better; where it is not, hardly at
+    all. The third difference of the rates tells which: the error of a central difference is its
+    size over 6 Δt, to first order (Taylor).
 
     late : (T, K, 3, 3) s as in `fusion.Sensed`: the rate that gyros have is that of their mean time
     """
@@ -201,283 +372,3 @@ def _as_read(motion: FusedMotion, late: Array | None) -> tuple[Array, Array, Arr
 
 def _local(values: Array, window: int) -> Array:
     return np.asarray(uniform_filter1d(values, window, axis=0, mode="nearest"))
-
-
-@dataclass(frozen=True)
-class Stretch:
-    """Readings of K IMUs at the same instants, in the sensors' own axes; NaN where missing.
-
-    t : (T,) s; acceleration : (T, K, 3) m/s²; rate : (T, K, 3) rad/s
-    """
-
-    t: Array
-    acceleration: Array
-    rate: Array
-
-    def take(self, rows: slice | Index | Flags) -> Stretch:
-        return Stretch(self.t[rows], self.acceleration[rows], self.rate[rows])
-
-
-def along(axes: Array, vectors: Array) -> Array:
-    """(T, K, 3) what axes (K, 3, 3), one in a row, see of vectors (T, K, 3)."""
-    seen = np.matmul(vectors.transpose(1, 0, 2), axes.transpose(0, 2, 1))
-    return np.asarray(seen.transpose(1, 0, 2))
-
-
-_SHORT = 4  # samples from which on lags are undone by the course of the motion
-_GOES_ON = 0.5  # correlation of neighbours from which on a correction is motion
-
-
-@dataclass(frozen=True)
-class Fused:
-    """motion : of every sample, its covariance that of the noise, or with the calibration's doubt
-    off, rate_off : (T, K, 3) what the sensors' axes read beside it, m/s² and rad/s
-    live, rate_live : (T, K, 3) axes that took part; alone : (T,) no gyro saw some part of the rate
-    weights : (T, K, 3) of the axes, (m/s²)^-2 and (rad/s)^-2
-    """
-
-    motion: FusedMotion
-    off: Array
-    rate_off: Array
-    live: Flags
-    rate_live: Flags
-    alone: Flags
-    weights: tuple[Array, Array]
-
-    def take(self, rows: slice | Index) -> Fused:
-        one, two = self.weights
-        return Fused(
-            motion=self.motion.take(rows),
-            off=self.off[rows],
-            rate_off=self.rate_off[rows],
-            live=self.live[rows],
-            rate_live=self.rate_live[rows],
-            alone=self.alone[rows],
-            weights=(one[rows], two[rows]),
-        )
-
-
-@dataclass(frozen=True)
-class _Task:
-    """What does not change from round to round."""
-
-    instrument: Instrument
-    stretch: Stretch
-    start: Start
-    noise: tuple[ChipNoise, ChipNoise]
-    age: Array | None
-    late: Array | None
-    tied: bool
-
-
-@dataclass(frozen=True)
-class _State:
-    """Where the rounds stand: the readings less effects (T, K, 3), the gyros' live axes, shares
-    (T, K, 1) of the triads' weights, the motion so far, what it was made from, what it leaves."""
-
-    force: Array
-    gyro: Array
-    rate_live: Flags
-    shares: tuple[Array, Array]
-    motion: FusedMotion | None = None
-    sensed: Sensed | None = None
-    weights: tuple[Array, Array] | None = None
-    off: tuple[Array, Array] | None = None
-
-
-def fuse(
-    instrument: Instrument,
-    stretch: Stretch,
-    noise: tuple[ChipNoise, ChipNoise],
-    age: Array | None = None,
-    *,
-    rounds: int = 4,
-    tied: bool = True,
-    whole: bool = False,
-) -> Fused:
-    """Fuse the samples of a stretch.
-
-    noise : of accelerometers and gyros
-    age : (T, K) sawtooths of the gyros' clocks, NaN for a clock that was not found, or None
-    tied : whether neighbours tell of dω/dt; the samples must then follow each other
-    whole : whether the covariance holds what the calibration leaves open beside the noise
-    """
-    start = start_of(instrument, stretch)
-    late = instrument.beyond.late(stretch.t, None if age is None else np.nan_to_num(age))
-    task = _Task(
-        instrument=instrument,
-        stretch=stretch,
-        start=start,
-        noise=noise,
-        age=age,
-        late=late,
-        tied=tied,
-    )
-    one = np.ones((*stretch.rate.shape[:2], 1))
-    state = _State(start.force, start.gyro, start.rate_live, (one, one))
-    for turn in range(rounds):
-        state = _next(task, state, turn)
-    motion, sensed, weights, off = state.motion, state.sensed, state.weights, state.off
-    assert motion is not None
-    assert sensed is not None
-    assert weights is not None
-    assert off is not None
-    if tied and (known := spin_by_neighbours(stretch.t, motion, late)) is not None:
-        sensed = replace(sensed, spin=known[0], spin_precision=known[1])
-        motion = fused_motion(sensed, instrument.r, motion.rate)
-    own = _widened(motion, noise)
-    if whole and instrument.doubt is not None:
-        seen = _seen(instrument, stretch.t, motion)
-        more = of_the_calibration(instrument.doubt, motion, sensed, instrument.r, seen)
-        own = replace(own, covariance=own.covariance + more)
-    return Fused(
-        motion=own,
-        off=off[0],
-        rate_off=off[1],
-        live=start.live,
-        rate_live=state.rate_live,
-        alone=start.alone,
-        weights=weights,
-    )
-
-
-def _next(task: _Task, state: _State, turn: int) -> _State:
-    """One more round."""
-    instrument, stretch, start = task.instrument, task.stretch, task.start
-    variances = _variances(task, state.motion)
-    weights = _weights(start, state, variances)
-    sensed = Sensed(
-        force=state.force,
-        rate=state.gyro,
-        force_precision=precision_of(instrument.axes, weights[0]),
-        rate_precision=precision_of(instrument.gyro_axes, weights[1]),
-        late=task.late,
-    )
-    before = start.first if state.motion is None else state.motion.rate
-    motion = fused_motion(sensed, instrument.r, before)
-    rate_live, back = state.rate_live, np.zeros(len(stretch.t), dtype=np.bool_)
-    if turn == 0:
-        motion = outside(instrument, stretch, start, sensed, motion)
-    if turn == 1:  # the effects are out by then: an answer inside the range goes to its end
-        rate_live = rate_live | inside(instrument, stretch, start, motion)
-        back = np.any(rate_live != state.rate_live, axis=(1, 2))
-        motion = replace(motion, rate=np.where(back[:, None], start.first, motion.rate))
-    force, gyro = _without_effects(task, motion)
-    off = _residuals(task, motion, force, gyro)
-    one, two = _shares(task, rate_live, off, variances)
-    two[back] = 1.0  # far from where it is pulled to, it would have no say
-    return _State(
-        force=force,
-        gyro=gyro,
-        rate_live=rate_live,
-        shares=(one, two),
-        motion=motion,
-        sensed=sensed,
-        weights=weights,
-        off=off,
-    )
-
-
-def _variances(task: _Task, motion: FusedMotion | None) -> tuple[Array, Array]:
-    """(T, K, 3) of the axes. A gyro whose clock is not known is off by its age times dω/dt, the age
-    anywhere within its span."""
-    rate = task.start.first if motion is None else motion.rate
-    speed = np.linalg.norm(rate, axis=1)
-    first, second = task.noise[0].variance(speed), task.noise[1].variance(speed)
-    span = task.instrument.beyond.span
-    if span > 0.0 and motion is not None:
-        spin = np.broadcast_to(motion.spin[:, None], second.shape)
-        unknown = np.ones(second.shape[:2]) if task.age is None else np.isnan(task.age)
-        swing = along(task.instrument.gyro_axes, spin) ** 2
-        second = second + span**2 / 12.0 * unknown[..., None] * swing
-    return first, second
-
-
-def _weights(start: Start, state: _State, variances: tuple[Array, Array]) -> tuple[Array, Array]:
-    one, two = (
-        np.where(live, share, 0.0) / variance
-        for live, share, variance in zip(
-            (start.live, state.rate_live), state.shares, variances, strict=True
-        )
-    )
-    return one, two
-
-
-def _shares(
-    task: _Task, rate_live: Flags, off: tuple[Array, Array], variances: tuple[Array, Array]
-) -> tuple[Array, Array]:
-    """(T, K, 1) of the weights, by the length of the residuals."""
-    live = (task.start.live, rate_live)
-    one, two = (
-        chip.share(np.sum(np.where(on, left**2 / variance, 0.0), axis=2), on.sum(axis=2))
-        for chip, on, left, variance in zip(task.noise, live, off, variances, strict=True)
-    )
-    return one[..., None], two[..., None]
-
-
-def _without_effects(task: _Task, motion: FusedMotion) -> tuple[Array, Array]:
-    """Corrected readings (T, K, 3) less what the effects beyond the linear parts add."""
-    start, beyond = task.start, task.instrument.beyond
-    if all(part.late and not part.lags for part in beyond.parts):
-        return start.force, start.gyro
-    seen = _seen(task.instrument, task.stretch.t, motion)
-    beside = beyond.besides_lags(seen)
-    force, gyro = beyond.added(seen, beside)
-    if task.tied and beyond.lags and len(task.stretch.t) > _SHORT:
-        whole = beyond.added(_over_time(seen), beside)
-        force, gyro = _where_smooth(force, whole[0]), _where_smooth(gyro, whole[1])
-    return start.force - force, start.gyro - gyro
-
-
-def _where_smooth(first: Array, whole: Array) -> Array:
-    """Lags undone whole where what that adds to the first order, (T, K, 3), goes on from sample to
-    sample: what does not is the noise of a second derivative."""
-    more = whole - first
-    power = float(np.sum(more**2))
-    goes_on = power > 0.0 and float(np.sum(more[1:] * more[:-1])) > _GOES_ON * power
-    return whole if goes_on else first
-
-
-def _seen(instrument: Instrument, t: Array, motion: FusedMotion) -> BoardMotion:
-    """The motion as effects take it."""
-    felt = motion.felt(instrument.r)
-    jerk = np.zeros_like(felt)
-    if instrument.beyond.needs_jerk and len(t) > 2:
-        usual = near_next(t)
-        slope = (felt[2:] - felt[:-2]) / (t[2:] - t[:-2])[:, None, None]
-        jerk[1:-1] = np.where((usual[1:] & usual[:-1])[:, None, None], slope, 0.0)
-    return board_motion(
-        imus=instrument.imus,
-        rotations=instrument.beyond.rotations,
-        t=t,
-        order=np.full(len(t), 0.5),
-        rate=motion.rate,
-        spin=motion.spin,
-        force=felt,
-        jerk=jerk,
-    )
-
-
-def _over_time(seen: BoardMotion) -> BoardMotion:
-    """The motion with its courses, of which lagging sensors meet a part."""
-    t, turning = seen.context["time"], seen.truth.turning
-    near = near_next(t)
-    beside = np.stack([np.append(False, near), np.append(near, False)], axis=1)
-    jerk = slope_of(seen.truth.force, t, beside)
-    turning = Motion(turning.rate, turning.spin, jerk)
-    return replace(seen, truth=replace(seen.truth, motion=turning)).coursed(beside)
-
-
-def _residuals(task: _Task, motion: FusedMotion, force: Array, gyro: Array) -> tuple[Array, Array]:
-    """(T, K, 3) along the sensors' axes."""
-    rate, instrument = motion.rate[:, None], task.instrument
-    if task.late is not None:
-        rate = rate + np.matmul(task.late, motion.spin[:, None, :, None])[..., 0]
-    off = force - motion.felt(instrument.r)
-    return along(instrument.axes, off), along(instrument.gyro_axes, gyro - rate)
-
-
-def _widened(motion: FusedMotion, noise: tuple[ChipNoise, ChipNoise]) -> FusedMotion:
-    """The covariance by the tails: force and dω/dt stand on the accelerometers, ω on the gyros."""
-    factor = np.sqrt([*[noise[0].widening] * 6, *[noise[1].widening] * 3])
-    return replace(motion, covariance=motion.covariance * np.outer(factor, factor))

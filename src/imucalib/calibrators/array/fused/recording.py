@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field, replace
-from functools import partial
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from imucalib.arrays import Array, Flags
-from imucalib.calibration.apply import apply_to_recording, mark_of, refuse_second, write_over
+from imucalib.calibration.apply import imus_corrected, write_over
 from imucalib.calibration.calibration import Calibration
-from imucalib.calibrators.array.fused.fuse import Fused, Stretch, fuse
-from imucalib.calibrators.array.fused.instrument import instrument_of
+from imucalib.calibration.correction import mark_of, refuse_second
+from imucalib.calibrators.array.fused.fuse import Fused, fuse, joined
+from imucalib.calibrators.array.fused.instrument import Stretch, instrument_of
 from imucalib.calibrators.array.fused.survey import Survey, ages, side_by_side, survey
+from imucalib.calibrators.array.moving import SLOWEST
 from imucalib.readers import blocks, read, reader_for
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Recording
@@ -31,77 +32,17 @@ _OF_MESSAGES = ("mcap", "rosbag")
 _OPEN = (STANDARD_GRAVITY, 500.0 * DEG)
 
 
-@dataclass
-class Told:
-    """What became of the samples, for the notes."""
-
-    samples: int = 0
-    alone: int = 0
-    open: int = 0
-    left_out: Array = field(default_factory=lambda: np.zeros(0))
-    moving: int = 0
-    timed: int = 0
-
-    def add(self, found: Fused, age: Array | None) -> None:
-        """Count a stretch."""
-        self.samples += len(found.alone)
-        self.alone += int(found.alone.sum())
-        out = (~(found.live.all(axis=2) & found.rate_live.all(axis=2))).sum(axis=0)
-        self.left_out = out + (self.left_out if len(self.left_out) else 0)
-        if age is not None:
-            moving = np.linalg.norm(found.motion.rate, axis=1) > 60.0 * DEG
-            self.moving += int(moving.sum()) * age.shape[1]
-            self.timed += int(np.isfinite(age[moving]).sum())
-
-
-def fused_stretch(found: Survey, stretch: Stretch, told: Told) -> Fused:
+def fused_stretch(found: Survey, stretch: Stretch) -> Fused:
     """The motion of a stretch of any length, a part at a time."""
     age = ages(found.instrument, stretch, found.noise)
     parts = []
     for start in range(0, len(stretch.t), _ROWS):
         stop = min(start + _ROWS, len(stretch.t))
-        first, last = max(start - _EDGE, 0), min(stop + _EDGE, len(stretch.t))
-        own = None if age is None else age[first:last]
-        one = fuse(found.instrument, stretch.take(slice(first, last)), found.noise, own, whole=True)
-        one = one.take(slice(start - first, stop - first))
-        told.add(one, None if age is None else age[start:stop])
-        parts.append(one)
-    return parts[0] if len(parts) == 1 else _joined(parts)
-
-
-def _joined(parts: list[Fused]) -> Fused:
-    first = parts[0]
-    motion = replace(
-        first.motion,
-        **{
-            n: np.concatenate([getattr(p.motion, n) for p in parts])
-            for n in ("force", "spin", "rate", "covariance")
-        },
-    )
-    names = ("off", "rate_off", "live", "rate_live", "alone")
-    rest = {n: np.concatenate([getattr(p, n) for p in parts]) for n in names}
-    one, two = (np.concatenate([p.weights[i] for p in parts]) for i in (0, 1))
-    return replace(first, motion=motion, weights=(one, two), **rest)
-
-
-def fused_channels(t: Array, found: Fused, rate: float) -> dict[str, Channel]:
-    """The virtual IMU's channels: force, rate and angular acceleration in board axes, each with the
-    rows of its covariance. rate : Hz"""
-    motion, n = found.motion, len(t)
-    made: dict[str, Channel] = {}
-    for quantity, unit, square, values, at in (
-        ("acceleration", "m/s2", "m2/s4", motion.force, 0),
-        ("angular_rate", "rad/s", "rad2/s2", motion.rate, 6),
-        ("angular_acceleration", "rad/s2", "rad2/s4", motion.spin, 3),
-    ):
-        inner = slice(at, at + 3)
-        covariance = motion.covariance[:, inner, inner].reshape(n, 9)
-        for name, u, v in (
-            (quantity, unit, values),
-            (f"{quantity}_covariance", square, covariance),
-        ):
-            made[f"{TRIAD}/{name}"] = Channel(t, v, u, name, TRIAD, rate)
-    return made
+        seen = slice(max(start - _EDGE, 0), min(stop + _EDGE, len(stretch.t)))
+        own = None if age is None else age[seen]
+        one = fuse(found.instrument, stretch.take(seen), found.noise, own)
+        parts.append(one.take(slice(start - seen.start, stop - seen.start)))
+    return joined(parts)
 
 
 def fuse_file(
@@ -129,74 +70,153 @@ def fuse_file(
     def once() -> Iterator[Recording]:
         return blocks(source, mapping, block_samples=_BLOCK, strict=strict)
 
-    found = survey(_unmarked(once(), again), instrument)
-    told, notes = Told(), dict[str, None]()
+    def whole() -> Recording:
+        (found,) = work.blocks([read(source, mapping, strict=strict)])
+        return found
 
-    def fused_blocks(given: Iterable[Recording]) -> Iterator[Recording]:
-        corrected = (
-            partial(apply_to_recording, calibration, again=True, partner=found.instrument.partner)
-            if each
-            else None
-        )
-        for block in _outputs(given, found, told, corrected):
-            marks = (*block.corrections, mark_of(calibration, TRIAD))
-            notes.update(dict.fromkeys(block.notes))
-            yield replace(block, corrections=marks)
-
+    found = survey(once() if again else _unmarked(once()), instrument)
+    work = _Work(calibration, found, each)
     if each and reader_for(source).name in _OF_MESSAGES:
-        (whole,) = fused_blocks([read(source, mapping, strict=strict)])
-        write_over(whole, source, target)
+        write_over(whole(), source, target)
     else:
         try:
-            write_blocks(fused_blocks(once()), target)
+            write_blocks(work.blocks(once()), target)
         except ChannelsChange:
-            told, notes = Told(), {}
-            (whole,) = fused_blocks([read(source, mapping, strict=strict)])
-            write(whole, target)
-    return (*notes, *found.notes, *_words(found, told), *_lost(found, told))
+            work = _Work(calibration, found, each)
+            write(whole(), target)
+    return (*work.notes, *found.notes, *work.words())
 
 
-def _unmarked(given: Iterable[Recording], again: bool) -> Iterator[Recording]:
+def _unmarked(given: Iterable[Recording]) -> Iterator[Recording]:
     for block in given:
-        if not again:
-            for channel in block.channels.values():
-                if channel.quantity == "acceleration":
-                    refuse_second(block, channel.triad)
+        for channel in block.channels.values():
+            if channel.quantity == "acceleration":
+                refuse_second(block, channel.triad)
         yield block
 
 
-Corrected = Callable[[Recording], Recording]
+class _Work:
+    """The second pass, and what became of the samples."""
 
+    def __init__(self, calibration: Calibration, found: Survey, each: bool) -> None:
+        self.calibration, self.found, self.each = calibration, found, each
+        self.samples = self.alone = self.open = self.moving = self.timed = 0
+        self.left_out = np.zeros(len(found.instrument.triads))
+        self.notes: dict[str, None] = {}
 
-def _outputs(
-    given: Iterable[Recording], found: Survey, told: Told, corrected: Corrected | None
-) -> Iterator[Recording]:
-    """Blocks with the virtual IMU, alone or beside the others."""
-    last: list[Recording] = []
+    def blocks(self, given: Iterable[Recording]) -> Iterator[Recording]:
+        """Blocks with the virtual IMU, alone or beside the corrected readings of every IMU."""
+        for block in self._each(given) if self.each else self._alone(given):
+            self.notes.update(dict.fromkeys(block.notes))
+            marks = (*block.corrections, mark_of(self.calibration, TRIAD))
+            yield replace(block, corrections=marks)
 
-    def passed() -> Iterator[Recording]:
+    def _alone(self, given: Iterable[Recording]) -> Iterator[Recording]:
+        last: list[Recording] = []
+
+        def passed() -> Iterator[Recording]:
+            for block in given:
+                last[:] = [block]
+                yield block
+
+        for stretch in side_by_side(passed(), self.found.instrument):
+            yield replace(last[0], channels=self._channels(stretch))
+
+    def _each(self, given: Iterable[Recording]) -> Iterator[Recording]:
+        partner = self.found.instrument.partner or {}
         for block in given:
-            last[:] = [block]
-            yield block
+            made = imus_corrected(self.calibration, block, partner)
+            channels = dict(made.channels)
+            for stretch in side_by_side([block], self.found.instrument):
+                channels |= self._channels(stretch)
+            yield replace(made, channels=channels)
 
-    if corrected is None:
-        for stretch in side_by_side(passed(), found.instrument):
-            yield replace(last[0], channels=_channels(stretch, found, told))
-        return
-    for block in given:
-        made = corrected(block)
-        channels = dict(made.channels)
-        for stretch in side_by_side([block], found.instrument):
-            channels |= _channels(stretch, found, told)
-        yield replace(made, channels=channels)
+    def _channels(self, stretch: Stretch) -> dict[str, Channel]:
+        """Force, rate and angular acceleration in board axes, each with the rows of its covariance,
+        of the samples that are determined."""
+        fused = fused_stretch(self.found, stretch)
+        keep = determined(fused.motion.covariance)
+        self._count(fused, keep)
+        motion, t = fused.motion.take(np.flatnonzero(keep)), stretch.t[keep]
+        rate = 1.0 / float(np.median(np.diff(stretch.t))) if len(stretch.t) > 1 else 1.0
+        made: dict[str, Channel] = {}
+        for name, unit, square, values, at in (
+            ("acceleration", "m/s2", "m2/s4", motion.force, 0),
+            ("angular_rate", "rad/s", "rad2/s2", motion.rate, 6),
+            ("angular_acceleration", "rad/s2", "rad2/s4", motion.spin, 3),
+        ):
+            covariance = motion.covariance[:, at : at + 3, at : at + 3].reshape(len(t), 9)
+            both = (name, unit, values), (f"{name}_covariance", square, covariance)
+            for quantity, own, numbers in both:
+                made[f"{TRIAD}/{quantity}"] = Channel(t, numbers, own, quantity, TRIAD, rate)
+        return made
 
+    def _count(self, fused: Fused, keep: Flags) -> None:
+        self.samples += len(keep)
+        self.open += int((~keep).sum())
+        self.alone += int(fused.alone.sum())
+        whole = fused.live.all(axis=2) & fused.rate_live.all(axis=2)
+        self.left_out += (~whole).sum(axis=0)
+        moving = np.linalg.norm(fused.motion.rate, axis=1) > SLOWEST
+        self.moving += fused.timed[moving].size
+        self.timed += int(fused.timed[moving].sum())
 
-def _channels(stretch: Stretch, found: Survey, told: Told) -> dict[str, Channel]:
-    step = float(np.median(np.diff(stretch.t))) if len(stretch.t) > 1 else 1.0
-    fused = fused_stretch(found, stretch, told)
-    keep = np.flatnonzero(determined(fused.motion.covariance))
-    told.open += len(stretch.t) - len(keep)
-    return fused_channels(stretch.t[keep], fused.take(keep), 1.0 / step)
+    def words(self) -> Iterator[str]:
+        """What was done, and what was done without."""
+        found, instrument = self.found, self.found.instrument
+        x, y, z = 1e3 * instrument.at
+        known = instrument.doubt is not None
+        yield (
+            f"{TRIAD}: force at x {x:.2f}, y {y:.2f}, z {z:.2f} mm of the board's frame, rate and "
+            "angular acceleration in the board's axes; covariances hold the noise"
+            + (" and what the calibration leaves open" if known else ", nothing of the calibration")
+        )
+        if found.rests > 0.0:
+            yield f"gyro biases taken anew from {found.rests:.0f} s of rest in this recording"
+        else:
+            yield "no rest in this recording: biases are those of the calibration"
+        if found.turned:
+            yield f"noise in motion from {found.turned} samples of this recording"
+        else:
+            yield "hardly any rotation in this recording: the noise is that at rest"
+        if self.alone:
+            yield (
+                f"{self.alone} of {self.samples} samples turn faster than the gyros read: there "
+                "the accelerometers give the rate"
+            )
+        if instrument.clocked and self.moving:
+            share = 100.0 * self.timed / self.moving
+            yield f"ages of the gyros' readings found in {share:.0f} % of the moving readings"
+        if np.isinf(instrument.gyroscope_range):
+            yield "the calibration does not say where readings clip: clipped ones take part"
+        yield from self._lost()
+
+    def _lost(self) -> Iterator[str]:
+        """What is not undone, and what has no part in the result."""
+        instrument, beyond = self.found.instrument, self.found.instrument.beyond
+        if not beyond.listed:
+            yield "the calibration lists no effects: what needs the motion is not undone"
+        if beyond.refuted:
+            yield (
+                "not applied, since the rests of this recording contradict it: "
+                f"{', '.join(beyond.refuted)} (gravity in their attitudes does not move the gyros "
+                "so)"
+            )
+        if beyond.left_out:
+            names = ", ".join(beyond.left_out)
+            yield f"not applied, since they belong to the calibrated log: {names}"
+        if self.open:
+            yield (
+                f"{self.open} of {self.samples} samples left out: too many readings clip there to "
+                "determine the motion"
+            )
+        lost = [
+            f"{name} in {100.0 * n / self.samples:.1f} %"
+            for name, n in zip(instrument.imus, self.left_out, strict=True)
+            if n > 0.001 * self.samples
+        ]
+        if lost:
+            yield f"clipped or missing readings left out: {', '.join(lost)}"
 
 
 def determined(covariance: Array) -> Flags:
@@ -205,58 +225,3 @@ def determined(covariance: Array) -> Flags:
     known = [0, 1, 2, 6, 7, 8]
     variance = covariance[:, known, known]
     return np.asarray(np.all(variance < np.repeat(_OPEN, 3) ** 2, axis=1))
-
-
-def _words(found: Survey, told: Told) -> Iterator[str]:
-    """What was done, and what was done without."""
-    x, y, z = 1e3 * found.instrument.at
-    known = found.instrument.doubt is not None
-    yield (
-        f"{TRIAD}: force at x {x:.2f}, y {y:.2f}, z {z:.2f} mm of the board's frame, rate and "
-        "angular acceleration in the board's axes; covariances hold the noise"
-        + (" and what the calibration leaves open" if known else ", nothing of the calibration")
-    )
-    if found.rests > 0.0:
-        yield f"gyro biases taken anew from {found.rests:.0f} s of rest in this recording"
-    else:
-        yield "no rest in this recording: biases are those of the calibration"
-    if found.turned:
-        yield f"noise in motion from {found.turned} samples of this recording"
-    else:
-        yield "hardly any rotation in this recording: the noise is that at rest"
-    if told.alone:
-        yield (
-            f"{told.alone} of {told.samples} samples turn faster than the gyros read: there the "
-            "accelerometers give the rate"
-        )
-    if told.moving:
-        share = 100.0 * told.timed / told.moving
-        yield f"ages of the gyros' readings found in {share:.0f} % of the moving readings"
-    if np.isinf(found.instrument.gyroscope_range):
-        yield "the calibration does not say where readings clip: clipped ones take part"
-    if not found.instrument.beyond.listed:
-        yield "the calibration lists no effects: what needs the motion is not undone"
-    if wrong := found.instrument.beyond.refuted:
-        yield (
-            f"not applied, since the rests of this recording contradict it: {', '.join(wrong)} "
-            "(gravity in their attitudes does not move the gyros so)"
-        )
-    names = found.instrument.beyond.left_out
-    if names:
-        yield f"not applied, since they belong to the calibrated log: {', '.join(names)}"
-
-
-def _lost(found: Survey, told: Told) -> Iterator[str]:
-    """Samples and readings that have no part in the result."""
-    if told.open:
-        yield (
-            f"{told.open} of {told.samples} samples left out: too many readings clip there to "
-            "determine the motion"
-        )
-    lost = [
-        f"{name} in {100.0 * n / max(told.samples, 1):.1f} %"
-        for name, n in zip(found.instrument.imus, told.left_out, strict=False)
-        if n > 0.001 * told.samples
-    ]
-    if lost:
-        yield f"clipped or missing readings left out: {', '.join(lost)}"

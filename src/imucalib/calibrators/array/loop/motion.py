@@ -85,38 +85,27 @@ def board_motion(
     imus: tuple[str, ...],
     rotations: Array,
     t: Array,
-    order: Array,
-    rate: Array,
-    spin: Array,
-    force: Array,
-    jerk: Array,
+    order: Array | None = None,
+    rate: Array | None = None,
+    spin: Array | None = None,
+    force: Array | None = None,
+    jerk: Array | None = None,
     age: Array | None = None,
 ) -> BoardMotion:
-    """From the board's axes.
+    """From the board's axes; what is not given is zero.
 
-    rotations : (K, 3, 3), package axes to board axes; t : (T,) s; order : (T,) 0..1 over the motion
-    rate, spin : (T, 3) rad/s, rad/s²; force, jerk : (T, K, 3) m/s², m/s³; age : (T, K) or None
+    rotations : (K, 3, 3), package axes to board axes; t : (T,) s; order : (T,) 0..1 over the
+    motion, by default in its middle; rate, spin : (T, 3) rad/s, rad/s²; force, jerk : (T, K, 3)
+    m/s², m/s³; age : (T, K) or None
     """
 
-    def seen(vector: Array) -> Array:
+    def seen(vector: Array | None) -> Array:
+        if vector is None:
+            return np.zeros((len(t), len(imus), 3))
         each = vector if vector.ndim == 3 else vector[:, None]
         return np.asarray((each[:, :, None] @ rotations)[:, :, 0])
 
     truth = Truth(seen(force), Motion(seen(rate), seen(spin), seen(jerk)))
-    context = Context(len(t), {"order": order, "time": t}, imus, attitude=rotations, moving=True)
+    known = {"order": np.full(len(t), 0.5) if order is None else order, "time": t}
+    context = Context(len(t), known, imus, attitude=rotations, moving=True)
     return BoardMotion(truth, context).aged(age)
-
-
-def motion_at_rest(imus: tuple[str, ...], rotations: Array, force: Array, t: Array) -> BoardMotion:
-    """The board at rest under forces (n, K, 3) m/s² in board axes; t : (n,) s."""
-    still = np.zeros((len(force), 3))
-    return board_motion(
-        imus=imus,
-        rotations=rotations,
-        t=t,
-        order=np.full(len(force), 0.5),
-        rate=still,
-        spin=still,
-        force=force,
-        jerk=np.zeros_like(force),
-    )

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imucalib.arrays import Array, Index
+from imucalib.arrays import Array
 from imucalib.calibrators.array.estimate.base import Base
 from imucalib.calibrators.array.loop.ages import with_found_clock, with_phases
 from imucalib.calibrators.array.loop.catalogue import (
@@ -45,12 +45,12 @@ from imucalib.errors import Undetermined
 from imucalib.estimators.array.gram import Columns, gram, inverse_root, taken_out
 from imucalib.estimators.array.noise import SensorNoise, log_density
 from imucalib.estimators.array.samples import reweighed
-from imucalib.loop.posterior.catalogue import Component, Member, log_odds
+from imucalib.loop.posterior.catalogue import Member
 from imucalib.loop.posterior.gram import Grams, Multiplied
 from imucalib.loop.posterior.odds import FINE_SIZES
-from imucalib.loop.posterior.problem import Choice
+from imucalib.loop.posterior.problem import Contest
 from imucalib.loop.posterior.space import Hypothesis, Pick, Posterior, blocks_of, climbed
-from imucalib.loop.posterior.words import Told, told
+from imucalib.loop.posterior.words import Conclusion, concluded
 
 #: Times that twins are told apart, where some have gone to another name.
 _PASSES = 3
@@ -61,36 +61,23 @@ DIVERGED = "its refit did not converge"
 Shares = dict[str, tuple[tuple[str, float], ...]]
 
 
-@dataclass(frozen=True)
-class MotionProblem:
-    """What a motion may lack: a `Contest`.
+@dataclass(frozen=True, kw_only=True)
+class MotionProblem(Contest):
+    """What a motion may lack; what is fitted has left its products.
 
     missing : why effects could not be tried
     seen : (q,) squares of the columns without the motion, and what free positions leave of them
     moves : (d, q) m by which each column moves free positions at typical size
     """
 
-    components: tuple[Component, ...]
-    odds: Array
-    choices: tuple[Choice, ...]
     missing: dict[str, str]
     seen: tuple[Array, Array]
     moves: Array
 
     @property
-    def base(self) -> int:
-        """Columns that are free before any component: what is fitted is taken out already."""
-        return 0
-
-    @property
     def sizes(self) -> Array:
         """Those of a component: a motion has thousands of readings."""
         return FINE_SIZES
-
-    @property
-    def flat(self) -> tuple[Index, float]:
-        """The free columns."""
-        return np.arange(0), np.inf
 
     def named(self, name: str) -> bool:
         """Whether a candidate of this name is a cause."""
@@ -160,7 +147,7 @@ def products(
     carried, square = loose.T @ found.matrix[:b, b:], np.diag(found.matrix)[b:]
     problem = MotionProblem(
         components=tuple(every.components),
-        odds=log_odds(tuple(every.components)),
+        base=0,
         choices=tuple(every.choices),
         missing=every.missing,
         seen=(square, square - np.sum(carried**2, axis=0)),
@@ -203,7 +190,7 @@ class Explored:
     shares: Shares
     problem: MotionProblem
     posterior: Posterior
-    said: Told
+    said: Conclusion
     first: tuple[MotionProblem, Posterior]
     rejected: tuple[tuple[str, str], ...] = ()
 
@@ -221,7 +208,7 @@ def explored(base: ArrayState, asked: Asked, *, curves: bool = False) -> Explore
         problem, grams = products(state, skipped, asked.declare)
         posterior = climbed(problem, grams, problem.picks(state))
         first = first or (problem, posterior)
-        said = told(problem, posterior, names_first=not curves)
+        said = concluded(problem, posterior, names_first=not curves)
         chosen = problem.of_set(said.hypothesis)
         names = frozenset(one.name for one in chosen)
         held = {t.name for t in state.found}

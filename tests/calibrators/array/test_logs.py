@@ -12,8 +12,7 @@ from scipy.stats import multivariate_normal
 
 from imucalib.calibrators.array.board import read_board
 from imucalib.calibrators.array.calibrate import calibrate_array
-from imucalib.calibrators.array.logs.board_run import BoardRun, board_run
-from imucalib.calibrators.array.logs.pooled import Pooled, between_logs, pooled
+from imucalib.calibrators.array.logs import BoardRun, Pooled, between_logs, board_run, pooled
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.run import ArrayRun
 from imucalib.errors import UsageError

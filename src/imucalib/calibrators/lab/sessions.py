@@ -11,14 +11,14 @@ session's mean); what the axes say of each other is in the weights of each.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
-from imucalib.arrays import Array, Index
-from imucalib.core.balance import Balanced, Noise, whitener
+from imucalib.arrays import Array
+from imucalib.core.balance import Noise, whitener
 from imucalib.core.fit import Fit
 from imucalib.core.observations import BIAS, MOUNTING, session_of
+from imucalib.estimators.variance import estimate_noise
 from imucalib.loop.held_out import Fold
 from imucalib.units import DEG, MG
 
@@ -26,7 +26,6 @@ from imucalib.units import DEG, MG
 _CARRIED = {BIAS: ("bias", "mg", MG), MOUNTING: ("mounting", "deg", DEG)}
 _SIZES, _REACH = 36, (0.05, 30.0)
 _LEVEL = 0.95
-_OPEN = 1e-9  # share of the largest singular value below which a direction is not determined
 #: Standard deviation of the log of an axis' scatter about that of all: 60 power-ups of an MPU-9250
 #: have 0.46, 0.25 and 0.63 mg.
 _UNLIKE = 0.5
@@ -37,7 +36,7 @@ class Between:
     """The scatter of one component between sessions.
 
     effect : whose parameters carry it; unit : that it is given in; sd : REML estimate, all axes
-    sizes : (q,) sizes that are weighed; weights : (q,) of that of all axes; by_axis : (3, q)
+    interval : 95 % of what the data allow
     offsets, offsets_sd : (sessions, 3) of each session from the mean, in that unit
     """
 
@@ -45,18 +44,9 @@ class Between:
     effect: str
     unit: str
     sd: float
-    sizes: Array
-    weights: Array
-    by_axis: Array
+    interval: tuple[float, float]
     offsets: Array
     offsets_sd: Array
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """95 % of what the data allow."""
-        below = np.cumsum(self.weights) - 0.5 * self.weights
-        low, high = np.interp((0.5 - _LEVEL / 2, 0.5 + _LEVEL / 2), below, self.sizes)
-        return float(low), float(high)
 
 
 @dataclass(frozen=True)
@@ -75,22 +65,12 @@ class NextPowerUp:
 
 @dataclass(frozen=True)
 class Sessions:
-    """names : of the sessions, in the order of the offsets; between : what scatters between them"""
+    """names : of the sessions, in the order of the offsets; between : what scatters between them;
+    parameters : every one that changes with power-ups"""
 
     names: tuple[str, ...]
     between: tuple[Between, ...]
-    fit: Fit
-
-    @cached_property
-    def parameters(self) -> tuple[NextPowerUp, ...]:
-        """Every parameter that changes with power-ups."""
-        slices = self.fit.model.slices(self.fit.observations.context)
-        found = list[NextPowerUp]()
-        for one in self.between:
-            part = slices.get(one.effect)
-            for axis, k in enumerate(range(part.start, part.stop) if part else ()):
-                found.append(_next(self.fit, k, one, one.by_axis[axis]))
-        return tuple(found)
+    parameters: tuple[NextPowerUp, ...]
 
 
 def sessions_of(fit: Fit, names: tuple[str, ...]) -> Sessions | None:
@@ -99,9 +79,31 @@ def sessions_of(fit: Fit, names: tuple[str, ...]) -> Sessions | None:
     if session is None:
         return None
     used = np.unique(session)
-    of = fit.observations.of_sessions
-    found = tuple(_between(fit, fit.at.free + k, noise.name, used) for k, noise in enumerate(of))
-    return Sessions(tuple(names[k] for k in used), found, fit)
+    between, parameters = [], list[NextPowerUp]()
+    slices = fit.model.slices(fit.observations.context)
+    for k, noise in enumerate(fit.observations.of_sessions, start=fit.at.free):
+        effect, unit, si = _CARRIED[noise.name]
+        sizes, weights, by_axis = _allowed(fit, k)
+        sd = fit.noise.sd[k] / si
+        part = slices.get(effect)
+        for axis, at in enumerate(range(part.start, part.stop) if part else ()):
+            var = _variance(fit, at, sizes / si, sd, used.size)
+            parameters.append(
+                NextPowerUp(
+                    name=fit.parameters[at].name,
+                    effect=effect,
+                    unit=unit,
+                    value=float(fit.theta[at]),
+                    mean=float(fit.covariance[at, at] ** 0.5),
+                    sd=float(np.sqrt(by_axis[axis] @ var)),
+                    half=_half(np.sqrt(var), by_axis[axis]),
+                )
+            )
+        below = np.cumsum(weights) - 0.5 * weights
+        low, high = np.interp((0.5 - _LEVEL / 2, 0.5 + _LEVEL / 2), below, sizes / si)
+        offsets = (found.reshape(-1, 3)[used] / si for found in _offsets(fit, k))
+        between.append(Between(noise.name, effect, unit, sd, (float(low), float(high)), *offsets))
+    return Sessions(tuple(names[k] for k in used), tuple(between), tuple(parameters))
 
 
 def session_folds(fit: Fit) -> tuple[Fold, ...]:
@@ -111,25 +113,6 @@ def session_folds(fit: Fit) -> tuple[Fold, ...]:
         return ()
     each = (session == k for k in np.unique(session))
     return tuple(Fold(np.flatnonzero(own), np.flatnonzero(~own)) for own in each)
-
-
-def _between(fit: Fit, k: int, name: str, used: Index) -> Between:
-    effect, unit, si = _CARRIED[name]
-    sizes, weights, by_axis = _allowed(fit, k)
-    offsets, sd = _offsets(fit, k)
-    own = (3 * used[:, None] + np.arange(3)).ravel()
-    shape = (len(used), 3)
-    return Between(
-        name=name,
-        effect=effect,
-        unit=unit,
-        sd=fit.noise.sd[k] / si,
-        sizes=sizes / si,
-        weights=weights,
-        by_axis=by_axis,
-        offsets=offsets[own].reshape(shape) / si,
-        offsets_sd=sd[own].reshape(shape) / si,
-    )
 
 
 def _allowed(fit: Fit, k: int) -> tuple[Array, Array, Array]:
@@ -159,7 +142,8 @@ def _nats(fit: Fit, k: int, axis: int, size: float) -> float:
     settings = (*at.settings[:k], whole[:, ~own], *at.settings[k + 1 :], whole[:, own])
     component = (*noise.component, noise.component[k])
     parted = Noise(noise.factor, component, (*noise.sd, size))
-    return restricted(replace(at, settings=settings, component=component), parted)
+    balanced = replace(at, settings=settings, component=component)
+    return estimate_noise(balanced, parted, fixed=True).log_likelihood
 
 
 def _offsets(fit: Fit, k: int) -> tuple[Array, Array]:
@@ -177,20 +161,11 @@ def _offsets(fit: Fit, k: int) -> tuple[Array, Array]:
     return variance * of.T @ data, np.sqrt(np.maximum(spread, 0.0))
 
 
-def _next(fit: Fit, k: int, one: Between, weights: Array) -> NextPowerUp:
-    p, sessions = fit.parameters[k], len(one.offsets)
+def _variance(fit: Fit, k: int, sizes: Array, sd: float, sessions: int) -> Array:
+    """(q,) of a parameter after the next power-up, for each size (q,) that the scatter may have;
+    the mean's holds a share of what the scatter is taken to be, `sd`."""
     own = float(fit.covariance[k, k])
-    # The mean's variance holds a share of what the scatter is taken to be.
-    var = np.maximum(own + (one.sizes**2 - one.sd**2) / sessions, 0.1 * own) + one.sizes**2
-    return NextPowerUp(
-        name=p.name,
-        effect=one.effect,
-        unit=p.unit,
-        value=float(fit.theta[k]),
-        mean=float(own**0.5),
-        sd=float(np.sqrt(weights @ var)),
-        half=_half(np.sqrt(var), weights),
-    )
+    return np.asarray(np.maximum(own + (sizes**2 - sd**2) / sessions, 0.1 * own) + sizes**2)
 
 
 def _half(sd: Array, weights: Array) -> float:
@@ -202,15 +177,3 @@ def _half(sd: Array, weights: Array) -> float:
         return float(weights @ (2.0 * ndtr(half / sd) - 1.0)) - _LEVEL
 
     return float(brentq(missing, 0.0, 50.0 * float(sd.max())))
-
-
-def restricted(at: Balanced, noise: Noise) -> float:
-    """Restricted log likelihood (nats, up to a constant) at a given noise."""
-    white = whitener(at.settings, noise.ratio)
-    columns, residual = white(at.jacobian) / noise.factor, white(at.residual) / noise.factor
-    left, size, _ = np.linalg.svd(columns, full_matrices=False)
-    use = size > _OPEN * max(float(size.max(initial=0.0)), 1e-300)
-    rest = residual - left[:, use] @ (left[:, use].T @ residual)
-    log_det = white.log_det + 2.0 * residual.size * np.log(noise.factor)
-    log_det += 2.0 * float(np.log(size[use]).sum())
-    return float(-0.5 * (log_det + rest @ rest))

@@ -11,24 +11,22 @@ from pathlib import Path
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.calibration.calibration import Calibration, StoredParameter
+from imucalib.calibration.calibration import StoredParameter
 from imucalib.calibrators.population import Population
-from imucalib.cohort.fleet.left_out import Said, said_by
+from imucalib.cohort.fleet.calibrated import Calibrated, calibrated
 from imucalib.cohort.fleet.outcome import (
-    Asked,
     Fleet,
     Member,
     Recording,
+    Settings,
     Spread,
-    nested_spread,
     outliers,
     population_of,
+    shared_parameters,
 )
 from imucalib.cohort.fleet.pooled import Device, gained
-from imucalib.cohort.fleet.recorded.calibrated import Calibrated, Value, calibrated
-from imucalib.cohort.fleet.search import Rules
+from imucalib.cohort.fleet.search import Priors, Rules, Said, said_by
 from imucalib.core.effect import Context
-from imucalib.core.prior import Prior
 from imucalib.effects import named
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.loop.candidates import searched
@@ -61,17 +59,9 @@ def device_of(name: str, recordings: Sequence[Sums], wanted: Sequence[str]) -> D
     return Device(name, noise, columns, gram, along, float(dof.sum()))
 
 
-@dataclass(frozen=True)
-class Foretold:
-    """What a device's data say of effects at the sizes that others say. error : mg, its noise then;
-    nats : gained by its data"""
-
-    error: float
-    nats: float
-
-
-def foretold(device: Device, said: Mapping[str, Prior]) -> Foretold:
-    """What effects of a given size explain is known exactly: |y - Xθ|² = |y|² - 2 aᵀθ + θᵀGθ."""
+def predicted(device: Device, said: Priors) -> tuple[float, float]:
+    """A device's noise (mg) with effects at the sizes that others say, and the nats that its data
+    gain: what effects of a given size explain is known exactly, |y - Xθ|² = |y|² - 2 aᵀθ + θᵀGθ."""
     from scipy.linalg import block_diag
 
     at = columns_of(device.columns, list(said))
@@ -80,30 +70,14 @@ def foretold(device: Device, said: Mapping[str, Prior]) -> Foretold:
     less = (2.0 * along @ size - size @ gram @ size) / device.dof
     error = device.noise * float(np.sqrt(max(1.0 - less, 0.0)))
     spread = block_diag(*(one.covariance for one in said.values())) if said else np.zeros((0, 0))
-    return Foretold(error, gained(gram, along, size, np.asarray(spread)))
+    return error, gained(gram, along, size, np.asarray(spread))
 
 
-@dataclass(frozen=True)
-class Sizes:
-    """Of a device's effects in typical sizes, by its own data and what the others say: names in the
-    order of mean (k,) and covariance (k, k)."""
-
-    names: tuple[str, ...]
-    mean: Array
-    covariance: Array
-
-    def of(self, sums: Sums) -> Sizes:
-        """Of those that a recording can show."""
-        able = tuple(name for name in self.names if name in sums.blocks)
-        width = [named(name).parameters(Context(1)) for name in self.names]
-        of = np.repeat(self.names, [len(one) for one in width])
-        at = np.flatnonzero(np.isin(of, able))
-        return Sizes(able, self.mean[at], self.covariance[np.ix_(at, at)])
-
-
-def sizes_of(device: Device, said: Mapping[str, Prior], own: Sequence[str]) -> Sizes:
-    """said : by the others; own : effects of this device alone, of which nobody says anything"""
-    names = (*said, *(e for e in own if e not in said))
+def _sizes(device: Device, said: Priors, own: Sequence[str]) -> tuple[list[str], Array, Array]:
+    """A device's effects, with mean (k,) and covariance (k, k) of their sizes (typical) by its own
+    data and what the others say. own : effects of this device alone, of which nobody says anything
+    """
+    names = [*said, *(e for e in own if e not in said)]
     at = columns_of(device.columns, names)
     precision, towards, start = device.gram[np.ix_(at, at)], device.along[at], 0
     for name in names:
@@ -116,55 +90,55 @@ def sizes_of(device: Device, said: Mapping[str, Prior], own: Sequence[str]) -> S
         else:
             precision[part, part] += np.eye(part.stop - part.start) / _OWN**2
     covariance = np.asarray(np.linalg.inv(precision), np.float64)
-    return Sizes(names, covariance @ towards, covariance)
+    return names, covariance @ towards, covariance
 
 
-@dataclass(frozen=True)
-class Combined:
-    """A recording's parameters with its device's effects: values in their units, covariance."""
-
-    effects: tuple[str, ...]
-    values: tuple[Value, ...]
-    covariance: Array
-
-
-def combined(one: Calibrated, sizes: Sizes) -> Combined:
-    """One Gauss-Newton step from the base model: second order is the base's share of an effect."""
-    assert one.sums is not None
-    able = sizes.of(one.sums)
-    theta, covariance = one.sums.together(able.names, able.mean, able.covariance)
-    new = [(name, p) for name in able.names for p in named(name).parameters(Context(1))]
-    scale = np.concatenate([np.ones(one.sums.base.theta.size), [p.typical for _, p in new]])
-    theta, covariance = theta * scale, covariance * np.outer(scale, scale)
-    units = {v.name: (v.effect, v.unit) for v in one.values}
-    units |= {p.name: (name, p.unit) for name, p in new}
-    names = (*one.sums.base.parameters, *(p.name for _, p in new))
-    values = tuple(
-        Value(name, units[name][0], float(v), float(s), units[name][1])
-        for name, v, s in zip(names, theta, np.sqrt(np.diag(covariance)), strict=True)
-    )
-    return Combined(able.names, values, covariance)
-
-
-def own_effects(one: Calibrated) -> tuple[str, ...]:
-    """Effects that the recording's own search has put beside the base model."""
-    assert one.sums is not None
-    base = set(one.sums.base.parameters)
-    return tuple(dict.fromkeys(v.effect for v in one.values if v.name not in base))
-
-
-def with_effects(own: Calibration, made: Combined) -> Calibration:
-    """The calibration with the fleet's effects in the place of what it had beside its base; its
-    errors stay those of the recording alone, and it says so."""
-    stage = {p.effect: p.stage for p in own.parameters}
-    stage |= {name: named(name).stage for name in made.effects}
+def _recording(
+    one: Calibrated, device: Device | None, said: Priors
+) -> tuple[Recording, tuple[StoredParameter, ...]]:
+    """With its device's effects; as it is where the fleet has nothing for it, or where it has what
+    the fleet cannot keep."""
+    if one.sums is None or device is None or not said:
+        return Recording(one.name, one.provenance, one.calibration), one.values
+    base = one.sums.base
+    # Effects that the recording's own search has added to the base model.
+    own = list(dict.fromkeys(v.effect for v in one.values if v.name not in set(base.parameters)))
+    if lost := [name for name in own if name not in one.sums.blocks]:
+        kept = f"it has {', '.join(lost)} of its own"
+        return Recording(one.name, one.provenance, one.calibration, kept), one.values
+    names, mean, covariance = _sizes(device, said, own)
+    able = [name for name in names if name in one.sums.blocks]
+    at = np.flatnonzero(np.isin(np.repeat(names, [device.columns[n].size for n in names]), able))
+    # One Gauss-Newton step from the base model: second order is the base's share of an effect.
+    theta, whole = one.sums.together(able, mean[at], covariance[np.ix_(at, at)])
+    new = [(named(name), p) for name in able for p in named(name).parameters(Context(1))]
+    scale = np.concatenate([np.ones(base.theta.size), [p.typical for _, p in new]])
+    theta, whole = theta * scale, whole * np.outer(scale, scale)
+    known = {v.name: v for v in one.values}
+    stages = {p.effect: p.stage for p in one.calibration.parameters} if one.calibration else {}
+    kinds = [
+        (known[n].effect, stages.get(known[n].effect, ""), known[n].unit) for n in base.parameters
+    ]
+    kinds += [(effect.name, effect.stage, p.unit) for effect, p in new]
+    parameters = [*base.parameters, *(p.name for _, p in new)]
     stored = tuple(
-        StoredParameter(v.name, v.effect, stage[v.effect], v.value, v.sd, v.unit)
-        for v in made.values
+        StoredParameter(name, effect, stage, float(value), float(sd), unit)
+        for name, (effect, stage, unit), value, sd in zip(
+            parameters, kinds, theta, np.sqrt(np.diag(whole)), strict=True
+        )
     )
-    said = {"effects": list(made.effects), "errors": "of the recording calibrated alone"}
-    facts = {**own.facts, "fleet": said}
-    return replace(own, parameters=stored, covariance=made.covariance, facts=facts, sha256="")
+    if one.calibration is None:
+        return Recording(one.name, one.provenance, None), stored
+    # Its errors stay those of the recording alone, and it says so.
+    facts = {"effects": able, "errors": "of the recording calibrated alone"}
+    made = replace(
+        one.calibration,
+        parameters=stored,
+        covariance=whole,
+        facts={**one.calibration.facts, "fleet": facts},
+        sha256="",
+    )
+    return Recording(one.name, one.provenance, made), stored
 
 
 #: Headings of the two columns, the first that is there: `imucal collect` writes the last ones.
@@ -232,7 +206,7 @@ class Wanted:
         }
 
 
-#: Status of a calibration that stands on a prior as much as on its postures.
+#: Status of a calibration that rests on a prior as much as on its postures.
 _WEAK = "weak"
 
 
@@ -252,11 +226,16 @@ def run_recorded(paths: Sequence[Path], wanted: Wanted, say: Callable[[str], Non
     }
     say(f"{len(usable)} recordings of {len(of)} devices; searching for what they share")
     effects = tuple(searched(wanted.only, wanted.without, {}).effects)
-    pooled = {name: [one.sums for one in own if one.sums is not None] for name, own in of.items()}
-    own = [device_of(name, sums, effects) for name, sums in pooled.items() if sums]
+    sums = {name: [one.sums for one in own if one.sums is not None] for name, own in of.items()}
+    own = [device_of(name, every, effects) for name, every in sums.items() if every]
     said = said_by(own, wanted.rules, wanted.seed, say, without=True) if len(own) > 1 else None
     members, values = _members(of, own, said)
-    spreads = _spreads(of, values, tuple(said.following) if said else ())
+    device = np.repeat(np.arange(len(of)), [len(own) for own in of.values()])
+    spreads = shared_parameters(
+        [values[one.name] for own in of.values() for one in own],
+        tuple(said.following) if said else (),
+        device,
+    )
     return Fleet(
         members=members,
         failed=failed,
@@ -264,7 +243,7 @@ def run_recorded(paths: Sequence[Path], wanted: Wanted, say: Callable[[str], Non
         spreads=spreads,
         outliers=outliers(list(of), spreads),
         difference=_gain(own, said) if said and said.search.found else None,
-        asked=Asked(usable[0].calibrator, wanted.command, wanted.seed, wanted.stated()),
+        settings=Settings(usable[0].calibrator, wanted.command, wanted.seed, wanted.stated()),
         following=_following(usable, spreads, said),
         notes=_notes(found, usable, own),
     )
@@ -298,73 +277,32 @@ def _demand_one_kind(
 
 def _members(
     of: Mapping[str, Sequence[Calibrated]], own: Sequence[Device], said: Said | None
-) -> tuple[tuple[Member, ...], dict[str, tuple[Value, ...]]]:
+) -> tuple[tuple[Member, ...], dict[str, tuple[StoredParameter, ...]]]:
     """Devices, and of every recording the parameters with what its device has."""
     device = {one.name: one for one in own}
-    members, values = list[Member](), dict[str, tuple[Value, ...]]()
+    members, values = list[Member](), dict[str, tuple[StoredParameter, ...]]()
     for name, recordings in of.items():
         made = []
-        told = said.told.get(name, {}) if said else {}
         for one in recordings:
-            recording, values[one.name] = _recording(one, device.get(name), told)
+            given = said.by_others.get(name, {}) if said else {}
+            recording, values[one.name] = _recording(one, device.get(name), given)
             made.append(recording)
         base = final = float("nan")
-        others = said.inner.get(name, {}) if said else {}
+        others = said.unseen.get(name, {}) if said else {}
         if name in device:
-            base, final = device[name].noise, foretold(device[name], others).error
+            base, final = device[name].noise, predicted(device[name], others)[0]
         members.append(Member(name, tuple(made), base, final, tuple(others)))
     return tuple(members), values
 
 
-def _recording(
-    one: Calibrated, device: Device | None, told: Mapping[str, Prior]
-) -> tuple[Recording, tuple[Value, ...]]:
-    """As it is where the fleet has nothing for it, or where it has what the fleet cannot keep."""
-    if one.sums is None or device is None or not told:
-        return Recording(one.name, one.provenance, one.calibration), one.values
-    mine = own_effects(one)
-    if lost := [name for name in mine if name not in one.sums.blocks]:
-        kept = f"it has {', '.join(lost)} of its own"
-        return Recording(one.name, one.provenance, one.calibration, kept), one.values
-    made = combined(one, sizes_of(device, told, mine))
-    stored = one.calibration and with_effects(one.calibration, made)
-    return Recording(one.name, one.provenance, stored), made.values
-
-
-def _spreads(
-    of: Mapping[str, Sequence[Calibrated]],
-    values: Mapping[str, tuple[Value, ...]],
-    pooled: Sequence[str],
-) -> tuple[Spread, ...]:
-    """Of every parameter that all recordings have, without effects whose sizes are pooled already:
-    there each device's value leans on the others'."""
-    recordings = [(k, one.name) for k, own in enumerate(of.values()) for one in own]
-    tables = [{v.name: v for v in values[name]} for _, name in recordings]
-    device = np.array([k for k, _ in recordings], np.intp)
-    shared = [
-        v
-        for v in tables[0].values()
-        if v.effect not in pooled and all(v.name in table for table in tables)
-    ]
-    return tuple(
-        nested_spread(
-            v.name,
-            v.unit,
-            np.array([table[v.name].value for table in tables]),
-            np.array([table[v.name].sd for table in tables]),
-            device,
-        )
-        for v in shared
-    )
-
-
 def _gain(own: Sequence[Device], said: Said) -> Difference:
     """Of devices of the kind: each is one number, predicted by the others. The density decides: an
-    effect that is small beside the noise of one posture is sure by hundreds of them."""
-    told = [foretold(device, said.inner.get(device.name, {})) for device in own]
-    before, after = np.array([d.noise for d in own]), np.array([one.error for one in told])
+    effect that is small against the noise of one posture is sure by hundreds of them."""
+    pairs = [predicted(device, said.unseen.get(device.name, {})) for device in own]
+    after, nats = np.array(pairs).T
+    before = np.array([device.noise for device in own])
     found = difference(before, after, np.arange(len(own)), len(own), "rms")
-    return with_density(found, np.array([one.nats for one in told]))
+    return with_density(found, nats)
 
 
 def _following(

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from imucalib.calibrators.array.board import read_board
-from imucalib.calibrators.array.drawing.streams import (
+from imucalib.calibrators.array.log import ArrayLog, array_log
+from imucalib.calibrators.array.streams import (
     refuse_streams,
     stream_notes,
     streams,
 )
-from imucalib.calibrators.array.log import ArrayLog, array_log
 from imucalib.errors import Undetermined
 from imucalib.recording.recording import Recording
 from imucalib.units import DEG
@@ -41,7 +41,9 @@ def test_lost_samples_are_told_with_their_share(log: ArrayLog) -> None:
     short = replace(log, t=log.t[keep], acceleration=log.acceleration[keep], rate=log.rate[keep],
                     clipped=log.clipped[keep])  # fmt: skip
     assert streams(short).lost == pytest.approx(0.02, rel=0.1)
-    assert stream_notes(streams(short), BOARD.imus)[0].startswith("2 % of the samples are missing")
+    assert next(stream_notes(streams(short), BOARD.imus)).startswith(
+        "2 % of the samples are missing"
+    )
 
 
 def test_a_frozen_chip_is_told_and_left_out(log: ArrayLog) -> None:
@@ -49,7 +51,7 @@ def test_a_frozen_chip_is_told_and_left_out(log: ArrayLog) -> None:
     first = len(rate) - 400
     rate[first : first + 60, 3] = rate[first, 3]
     found = streams(replace(log, rate=rate))
-    notes = stream_notes(found, BOARD.imus)
+    notes = list(stream_notes(found, BOARD.imus))
     assert len(notes) == 1
     assert notes[0].startswith("the gyro of imu3 repeats its reading in ")
     assert 0.05 < found.repeated[3, 1] < 0.12
@@ -111,7 +113,7 @@ def test_spikes_that_no_other_sensor_knows_of_are_left_out(log: ArrayLog) -> Non
     assert found.spikes[5].tolist() == [4, 0]
     assert found.spikes[2].tolist() == [0, 3]
     assert found.spikes.sum() == 7
-    told = stream_notes(found, BOARD.imus)
+    told = list(stream_notes(found, BOARD.imus))
     assert [n.split(" spikes")[0] for n in told] == [
         "the accelerometer of imu5 has 4",
         "the gyro of imu2 has 3",

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from imucalib.calibration import sums as block
-from imucalib.calibration.calibration import Calibration
+from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.file import check, read
 from imucalib.calibration.provenance import Provenance
 from imucalib.calibration.triads import triad_from
@@ -26,23 +26,13 @@ _SUFFIXES = (".yaml", ".yml", ".json")
 
 
 @dataclass(frozen=True)
-class Value:
-    """A parameter as a report states it, of an effect, value and sd in `unit`."""
-
-    name: str
-    effect: str
-    value: float
-    sd: float
-    unit: str
-
-
-@dataclass(frozen=True)
 class Calibrated:
     """One recording's calibration.
 
     recording : its path as far as it is known; name : short, of its own in a fleet
     device : serial number where the recording names one, or empty; status : of the run
-    values : all parameters, fixture included; of an array also each IMU's gain and bias
+    values : all parameters, fixture included, without stages, which a report does not state; of an
+    array also each IMU's gain and bias
     sums : what it says of every effect, or None; calibration : its file, or None
     """
 
@@ -51,7 +41,7 @@ class Calibrated:
     device: str
     calibrator: str
     status: str
-    values: tuple[Value, ...]
+    values: tuple[StoredParameter, ...]
     sums: Sums | None
     provenance: Provenance
     calibration: Calibration | None
@@ -71,35 +61,30 @@ def calibrated(
         for file in _reports(path):
             try:
                 one = _read(file)
-                _demand_new(one, found)
+                demand_new(one.provenance, [(o.name, o.provenance) for o in found], "recording")
                 found.append(one)
             except ImucalError as error:
-                failed.append((_short(file), str(error)))
-    return _named_apart(found), tuple(failed)
-
-
-def _demand_new(one: Calibrated, others: Sequence[Calibrated]) -> None:
-    """Raise UnreadableInput for a recording that is there: counted twice, it would agree with
-    itself."""
-    for other in others:
-        if one.provenance.sha256 == other.provenance.sha256:
-            raise UnreadableInput(
-                f"the same recording as {other.name}", remedy="give each calibration once"
-            )
-
-
-def _named_apart(found: Sequence[Calibrated]) -> tuple[Calibrated, ...]:
-    """Recordings of the same name are numbered in the order given."""
+                short = file.parent.name if file.name == "report.json" else file.stem
+                failed.append((short, str(error)))
+    # Recordings of the same name are numbered in the order given.
     often, seen, apart = Counter(one.name for one in found), Counter[str](), []
     for one in found:
         seen[one.name] += 1
         number = f"_{seen[one.name]}" if often[one.name] > 1 else ""
         apart.append(replace(one, name=f"{one.name}{number}"))
-    return tuple(apart)
+    return tuple(apart), tuple(failed)
+
+
+def demand_new(one: Provenance, others: Sequence[tuple[str, Provenance]], what: str) -> None:
+    """Raise UnreadableInput for a table or recording that is there, by name, already: counted
+    twice, it would agree with itself."""
+    for name, other in others:
+        if one.sha256 == other.sha256:
+            raise UnreadableInput(f"the same {what} as {name}", remedy="give each device's once")
 
 
 def _reports(path: Path) -> Iterator[Path]:
-    """The JSON files that a path stands for. Raises UnreadableInput where there are none."""
+    """The JSON files that a path means. Raises UnreadableInput where there are none."""
     if path.is_file() and path.suffix.lower() == ".json":
         yield path
         return
@@ -116,10 +101,6 @@ def _reports(path: Path) -> Iterator[Path]:
             "that of `imucal batch`",
         )
     yield from entries
-
-
-def _short(file: Path) -> str:
-    return file.parent.name if file.name == "report.json" else file.stem
 
 
 def _read(file: Path) -> Calibrated:
@@ -145,7 +126,7 @@ def _of(report: Mapping[str, Any], recording: str, own: Calibration | None) -> C
     kept = {one.name for one in fields(Provenance)} - {"path", "parts"}
     given = {name: made[name] for name in kept}
     values = [
-        Value(p["name"], p["effect"], float(p["value"]), float(p["sd"]), p["unit"])
+        StoredParameter(p["name"], p["effect"], "", float(p["value"]), float(p["sd"]), p["unit"])
         for p in report["parameters"]
     ]
     sums = report.get(block.KEY)
@@ -162,13 +143,13 @@ def _of(report: Mapping[str, Any], recording: str, own: Calibration | None) -> C
     )
 
 
-def _of_imus(blocks: Sequence[Mapping[str, Any]]) -> Iterator[Value]:
+def _of_imus(blocks: Sequence[Mapping[str, Any]]) -> Iterator[StoredParameter]:
     """Gain and bias of every IMU of an array."""
     for triad in map(triad_from, blocks):
-        sd = np.sqrt(np.maximum(np.diag(triad.covariance), 0.0))
+        sd = np.sqrt(np.maximum(np.diag(triad.covariance), 0.0)).tolist()
         for k, (i, j) in enumerate(np.ndindex(3, 3)):
-            name = f"{triad.name}.gain_{'xyz'[i]}{'xyz'[j]}"
-            yield Value(name, "scale", float(triad.gain[i, j]), float(sd[k]), "1")
+            name, gain = f"{triad.name}.gain_{'xyz'[i]}{'xyz'[j]}", float(triad.gain[i, j])
+            yield StoredParameter(name, "scale", "", gain, sd[k], "1")
         for k, axis in enumerate("xyz"):
-            bias, own = float(triad.bias[k]) / MG, float(sd[9 + k]) / MG
-            yield Value(f"{triad.name}.bias_{axis}", "bias", bias, own, "mg")
+            name, bias = f"{triad.name}.bias_{axis}", float(triad.bias[k]) / MG
+            yield StoredParameter(name, "bias", "", bias, sd[9 + k] / MG, "mg")

@@ -1,4 +1,5 @@
-"""Forms of a scale and an offset an axis, and what a form may lose."""
+"""Coefficients of one accelerometer for other programs: what they keep, what they say of what they
+lose, and how much that may be."""
 
 from __future__ import annotations
 
@@ -9,6 +10,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,41 +23,31 @@ from imucalib.effects import named
 from imucalib.errors import LimitBroken, UsageError
 from imucalib.exports import exported
 from imucalib.exports.bound import demand_carried
-from imucalib.exports.imus import with_walks
 from imucalib.exports.per_axis import nearest_row, with_ids
-from worlds.rigid_board import board
-from worlds.rigid_board import calibration as board_calibration
-from worlds.targets import by_qgroundcontrol
+from worlds.targets import by_ggir, by_qgroundcontrol
 
 Array = NDArray[np.float64]
-
-
 G = 9.80665
-
-
 SPAN = (15.0, 35.0)
-
-
 VALUES = {
     "mounting": (0.6, -0.5, -2.0),
     "bias": (20.0, -15.0, 30.0),
     "scale": (0.01, -0.02, 0.005),
     "non_orthogonality": (0.002, -0.001, 0.003),
     "temperature_bias": (0.8, -0.5, 1.2),
+    "quadratic": (8.0, -6.0, 8.0),
 }
-
-
 SIX = ("bias", "scale")
 
 
-def made(*effects: str) -> Calibration:
+def made(*effects: str, **facts: Any) -> Calibration:
     parameters = tuple(
         StoredParameter(p.name, name, named(name).stage, value, 0.1, p.unit)
         for name in effects
         for p, value in zip(named(name).parameters(Context(1)), VALUES[name], strict=True)
     )
     return Calibration("lab", parameters, 0.01 * np.eye(len(parameters)), "ug", 1e-6 * G, G, "ok",
-                       valid={"temperature": SPAN})  # fmt: skip
+                       valid={"temperature": SPAN}, facts=facts)  # fmt: skip
 
 
 def even(count: int = 3000) -> Array:
@@ -68,14 +60,15 @@ def warmth(count: int = 3000) -> Array:
     return np.random.default_rng(2).uniform(*SPAN, size=(count, 1))
 
 
-def read_by(force: Array, *, skew: bool = False, warm: Array | float = 25.0) -> Array:
+def read_by(force: Array, *more: str, warm: Array | float = 25.0) -> Array:
     """What the sensor reads of forces in its own axes, m/s²."""
-    x, y, z = VALUES["bias"]
-    reading = force * (1.0 + np.array(VALUES["scale"])) + 1e-3 * G * np.array([x, y, z])
-    if skew:
+    reading = force * (1.0 + np.array(VALUES["scale"])) + 1e-3 * G * np.array(VALUES["bias"])
+    if "non_orthogonality" in more:
         yx, zx, zy = VALUES["non_orthogonality"]
         reading[:, 1] += yx * force[:, 0]
         reading[:, 2] += zx * force[:, 0] + zy * force[:, 1]
+    if "quadratic" in more:
+        reading += 1e-3 * np.array(VALUES["quadratic"]) * force**2 / G
     return np.asarray(reading + 1e-3 * G * np.array(VALUES["temperature_bias"]) * (warm - 25.0))
 
 
@@ -99,31 +92,26 @@ def flown(form: str, calibration: Calibration, raw: Array) -> Array:
 
 
 @pytest.mark.parametrize("form", ["px4", "ardupilot"])
-def test_a_flight_controller_corrects_what_six_numbers_can(form: str) -> None:
+def test_what_is_lost_in_flight_is_what_is_said(form: str) -> None:
+    """Six numbers carry bias and scale; of more, the nearest."""
     assert flown(form, made(*SIX), read_by(even())) == pytest.approx(even(), abs=1e-6)
-
-
-@pytest.mark.parametrize("form", ["px4", "ardupilot"])
-def test_what_is_lost_in_flight_is_what_is_told(form: str) -> None:
     effects = (*SIX, "non_orthogonality", "temperature_bias")
     whole = exported(made(*effects), "x.csv", form)
     warm = np.repeat([*SPAN, 25.0], 1000)[:, None]
-    got = flown(form, made(*effects), read_by(even(), skew=True, warm=warm))
+    got = flown(form, made(*effects), read_by(even(), *effects, warm=warm))
     norm = np.abs(np.linalg.norm(got, axis=1) / G - 1.0) * 1e3
     # The turn that brings the vectors nearest, by the singular vectors of their products.
     left, _, right = np.linalg.svd(even().T @ got)
     due = even() @ (left @ right)
     cosine = np.einsum("ni,ni->n", got, due) / np.linalg.norm(got, axis=1) / G
-    told = whole.lost[0]
-    mean, worst, angle = (float(v) for v in re.findall(r"(\d+\.\d+) (?:mg|deg)", told))
-    assert told.startswith("non_orthogonality, temperature_bias:")
-    assert f"# Not in it: {told}." in whole.text
+    said = whole.lost[0]
+    mean, worst, angle = (float(v) for v in re.findall(r"(\d+\.\d+) (?:mg|deg)", said))
+    assert said.startswith("non_orthogonality, temperature_bias:")
+    assert f"# Not in it: {said}." in whole.text
     assert mean == pytest.approx(norm.mean(), rel=0.03)
     assert worst == pytest.approx(norm.max(), rel=0.05)
     assert angle == pytest.approx(np.degrees(np.arccos(cosine.min())), rel=0.05)
-    assert whole.made.loss == pytest.approx(
-        1e3 * np.linalg.norm(got - due, axis=1).mean() / G, rel=0.03
-    )
+    assert whole.loss == pytest.approx(1e3 * np.linalg.norm(got - due, axis=1).mean() / G, rel=0.03)
 
 
 OMCONVERT = f"""#!{sys.executable}
@@ -153,6 +141,49 @@ def test_omconvert_corrects_with_the_temperature(tmp_path: Path) -> None:
     assert corrected == pytest.approx(even() / G, abs=1e-7)
 
 
+def test_a_row_of_ggir_carries_the_temperature_and_what_was_seen() -> None:
+    error = {"unit": "mg", "raw": 40.0, "held_out": {"final": 1.5}}
+    whole = exported(made(*SIX, "temperature_bias", errors=[error]), "x.csv", "ggir-csv")
+    row, raw = by_ggir(whole.text, "x.csv"), read_by(even(), warm=warmth()) / G
+    moved = raw + row["offset"] + row["temperature.offset"] * (warmth() - row["meantempcal"])
+    assert np.abs(np.linalg.norm(row["scale"] * moved, axis=1) - 1.0).mean() < 1e-6
+    assert (row["cal.error.start"], row["cal.error.end"]) == pytest.approx((0.04, 0.0015))
+    assert row["use.temperature"]
+    assert any(lost.startswith("meantempcal") for lost in whole.lost)
+    assert "imucal" in row["QCmessage"]
+    assert np.isnan(row["n.10sec.windows"])
+    known = made(*SIX, coverage={"still_windows": 3437, "hours": 23.5})
+    row = by_ggir(exported(known, "x.csv", "ggir-csv").text, "x.csv")
+    assert (row["n.10sec.windows"], row["n.hours.considered"]) == (3437, 23.5)
+    assert not row["use.temperature"]
+
+
+def c_numbers(text: str, name: str) -> Array:
+    body = re.search(rf"{name}[^=]*= ([^;]*);", text)
+    assert body
+    return np.array([float(v) for v in re.findall(r"-?\d+\.\d+e[+-]\d+", body[1])])
+
+
+@pytest.mark.parametrize("more", ["temperature_bias", "quadratic"])
+def test_a_c_header_says_in_mg_what_it_lacks(more: str) -> None:
+    whole = exported(made(*SIX, more), "x.csv", "c-header")
+    warm = warmth() if more == "temperature_bias" else 25.0
+    reading, force = read_by(even(), more, warm=warm) / G, even() / G
+    M, b = c_numbers(whole.text, "imucal_M").reshape(3, 3), c_numbers(whole.text, "imucal_b")
+    off = np.linalg.norm(reading @ M.T + b - force, axis=1) * 1e3
+    (said,) = whole.lost
+    assert more in said
+    assert said in whole.text
+    mean, worst = (float(v) for v in re.findall(r"(\d+\.\d+) mg", said))
+    # The stated figures are at the ends and the middle of the range, the world is even in it.
+    assert 0.6 * mean < off.mean() < 1.2 * mean
+    assert off.max() < 1.1 * worst
+    # No other linear correction does much better here.
+    columns = np.column_stack([reading, np.ones(len(reading))])
+    best = columns @ np.linalg.lstsq(columns, force, rcond=None)[0]
+    assert off.mean() < 1.02 * np.linalg.norm(best - force, axis=1).mean() * 1e3
+
+
 @pytest.mark.parametrize(("form", "name"), [("px4", "CAL_ACC0_ID"), ("ardupilot", "INS_ACC_ID")])
 def test_the_sensors_id_is_written_or_asked_for(form: str, name: str) -> None:
     """A controller passes over parameters of another id."""
@@ -165,13 +196,13 @@ def test_the_sensors_id_is_written_or_asked_for(form: str, name: str) -> None:
     assert known.lost == ()
 
 
-def error_model(text: str) -> list[dict[str, str]]:
+def error_model(calibration: Calibration) -> list[dict[str, str]]:
+    text = exported(calibration, "x.csv", "iscwsa-csv").text
     return list(csv.DictReader(x for x in text.splitlines() if not x.startswith("#")))
 
 
 def test_the_error_models_rows_say_what_the_tool_reads() -> None:
-    rows = error_model(exported(made(*SIX, "non_orthogonality"), "x.csv", "iscwsa-csv").text)
-    found = [r for r in rows if not r["code"]]
+    found = [r for r in error_model(made(*SIX, "non_orthogonality")) if not r["code"]]
     S, c = np.eye(3), np.zeros(3)
     for r in found:
         k = "xyz".index(r["axis"])
@@ -181,14 +212,12 @@ def test_the_error_models_rows_say_what_the_tool_reads() -> None:
         else:
             S[k, "xyz".index(r["towards"] or r["axis"])] += float(r["value"])
     assert len(found) == 12
-    assert even() @ S.T + c == pytest.approx(read_by(even(), skew=True), abs=1e-7)
+    assert even() @ S.T + c == pytest.approx(read_by(even(), "non_orthogonality"), abs=1e-7)
 
 
 def test_a_tool_code_has_one_standard_deviation_of_what_is_left() -> None:
     """A bias of ABZ tilts a tool at 30° by the weighting function's -sin I / G."""
-    calibration = made(*SIX)
-    rows = {r["code"]: r for r in error_model(exported(calibration, "x", "iscwsa-csv").text)
-            if r["code"]}  # fmt: skip
+    rows = {r["code"]: r for r in error_model(made(*SIX)) if r["code"]}
     abz = float(rows["ABZ"]["sd"])
     assert abz == pytest.approx(0.1e-3 * G, rel=1e-3)
     at = np.radians(30.0)
@@ -200,105 +229,52 @@ def test_a_tool_code_has_one_standard_deviation_of_what_is_left() -> None:
 
 
 def test_what_a_controller_does_not_take_is_refused() -> None:
+    def with_first(name: str, value: float) -> Calibration:
+        whole = made(*SIX)
+        moved = (replace(p, value=value) if p.name == name else p for p in whole.parameters)
+        return replace(whole, parameters=tuple(moved))
+
     with pytest.raises(UsageError, match=r"scales of 0\.8 to 1\.2.*unit"):
-        exported(scaled("scale", 0.5), "x", "ardupilot")
+        exported(with_first("scale_x", 0.5), "x", "ardupilot")
     with pytest.raises(UsageError, match=r"offsets up to 3\.5"):
-        exported(scaled("bias", 900.0), "x", "ardupilot")
-    assert "CAL_ACC0_XOFF\t8.8" in exported(scaled("bias", 900.0), "x", "px4").text
-
-
-def scaled(effect: str, value: float) -> Calibration:
-    whole = made(*SIX)
-    first, *rest = (p for p in whole.parameters if p.effect == effect)
-    others = (p for p in whole.parameters if p.effect != effect)
-    order = [replace(first, value=value), *rest, *others]
-    return replace(whole, parameters=tuple(sorted(order, key=lambda p: SIX.index(p.effect))))
+        exported(with_first("bias_x", 900.0), "x", "ardupilot")
+    assert "CAL_ACC0_XOFF\t8.8" in exported(with_first("bias_x", 900.0), "x", "px4").text
 
 
 def test_a_row_is_right_where_postures_were_recorded() -> None:
     """A sensor whose cross terms six numbers cannot carry, worn in one octant only: the row is
     better there than one that is fitted to all directions, and worse elsewhere."""
-    alike = made("bias", "scale", "non_orthogonality")
     up = even_directions(400)
     up = up[np.all(up > 0.0, axis=1)]
-    worn = replace(alike, facts={**alike.facts, "postures": counted(up).tolist()})
-    rows = [nearest_row(one) for one in (alike, worn)]
-    model, theta = alike.model()
-    raw = model.predict(theta, G * up[:, None], Context(len(up))).reading[:, 0] / G
+    same, worn = (
+        made(*SIX, "non_orthogonality", **facts) for facts in ({}, {"postures": counted(up)})
+    )
+    rows = [nearest_row(one) for one in (same, worn)]
+    raw = read_by(G * up, "non_orthogonality") / G
     off = [np.abs(np.linalg.norm(r.scale * (raw + r.offset), axis=1) - 1.0).mean() for r in rows]
     assert off[1] < 0.5 * off[0]
     assert rows[1].lost < rows[0].lost
     assert rows[1].worst > rows[0].worst
 
 
-BOUND_VALUES = {
-    "bias": (20.0, -15.0, 30.0),
-    "scale": (0.01, -0.02, 0.005),
-    "quadratic": (8.0, -6.0, 8.0),
-}
-
-
-def bent(left: float | None) -> Calibration:
-    """A sensor with a square, and the error that its calibration leaves, mg."""
-    parameters = tuple(
-        StoredParameter(p.name, name, "sensor", value, 0.1, p.unit)
-        for name, values in BOUND_VALUES.items()
-        for p, value in zip(named(name).parameters(Context(1)), values, strict=True)
-    )
-    error = {"unit": "mg", "raw": 40.0, "final": left, "held_out": {"final": left}}
-    return Calibration("lab", parameters, 0.01 * np.eye(len(parameters)), "ug", 9.8e-6, 9.80665,
-                       "ok", facts={"errors": [error]})  # fmt: skip
-
-
 @pytest.mark.parametrize("form", ["px4", "ardupilot", "omconvert", "ggir-csv", "c-header",
                                   "matlab", "iscwsa-csv"])  # fmt: skip
 def test_a_form_is_refused_beyond_three_times_what_is_left(form: str) -> None:
-    made = exported(bent(1.0), "x.csv", form)
-    loss = made.made.loss
+    def leaving(left: float) -> Calibration:
+        """A sensor with a square, and the error that its calibration leaves, mg."""
+        error = {"unit": "mg", "raw": 40.0, "final": left, "held_out": {"final": left}}
+        return made(*SIX, "quadratic", errors=[error])
+
+    whole = exported(leaving(1.0), "x.csv", form)
+    loss = whole.loss
     assert 0.5 < loss < 20.0
-    demand_carried(made, form, bent(loss / 2.9), None)
+    demand_carried(whole, form, leaving(loss / 2.9), None)
     with pytest.raises(LimitBroken, match=r"quadratic.*--force.*--largest-loss") as refused:
-        demand_carried(made, form, bent(loss / 3.1), None)
+        demand_carried(whole, form, leaving(loss / 3.1), None)
     assert refused.value.exit_code == 1
     assert f"{loss:.3g} mg" in str(refused.value)
     # The bound that the message names passes.
     named_bound = float(str(refused.value).split("--largest-loss ")[1].split("`")[0])
-    demand_carried(made, form, bent(0.0), named_bound)
+    demand_carried(whole, form, leaving(0.0), named_bound)
     with pytest.raises(LimitBroken):
-        demand_carried(made, form, bent(100.0), 0.9 * loss)
-
-
-@pytest.mark.parametrize("effect", ["gyro_cubic", "gyro_delay"])
-def test_of_an_array_the_rates_of_motion_count(effect: str) -> None:
-    whole = board_calibration(board(np.random.default_rng(0), chips=3))
-    rate = {"unit": "deg/s", "final": 0.5, "held_out": {"final": 0.4}}
-    facts = {"not_undone": [{"effect": effect, "rms": 9.0, "unit": "deg/s"}], "errors": [rate]}
-    known = with_walks(replace(whole, facts={**whole.facts, "sample_interval_s": 0.01, **facts}),
-                       1e-3, 2e-5)  # fmt: skip
-    for form in ("c-header", "kalibr", "openvins"):
-        made = exported(known, "x", form)
-        assert (made.made.loss, made.made.rate_loss) == (0.0, 9.0)
-        with pytest.raises(LimitBroken, match=r"9 deg/s, more than 1.2.*--largest-loss 0,9`"):
-            demand_carried(made, form, known, None)
-        demand_carried(made, form, known, 0.0, 9.0)
-        with pytest.raises(LimitBroken):
-            demand_carried(made, form, known, None, 8.9)
-    # A frame loses no reading, and the script holds the delay.
-    assert exported(known, "x", "urdf").made.rate_loss == 0.0
-    held = exported(known, "x", "matlab").made.rate_loss
-    assert held == (0.0 if effect == "gyro_delay" else 9.0)
-
-
-def test_of_an_array_the_forces_of_motion_count() -> None:
-    whole = board_calibration(board(np.random.default_rng(0), chips=3))
-    facts = {"not_undone": [{"effect": "sensing_elements", "rms": 0.3, "unit": "m/s²"},
-                            {"effect": "gyro_cubic", "rms": 9.0, "unit": "deg/s"}],
-             "errors": [{"unit": "m/s²", "final": 0.05, "held_out": {"final": 0.05}}]}  # fmt: skip
-    facts = {**whole.facts, "sample_interval_s": 0.01, **facts}
-    known = with_walks(replace(whole, facts=facts), 1e-3, 2e-5)
-    loss = {f: exported(known, "x", f).made.loss for f in ("kalibr", "urdf", "c-header", "matlab")}
-    # Kalibr has a place for the elements, a frame none for any of it.
-    assert loss["kalibr"] == loss["urdf"] == 0.0
-    assert loss["c-header"] == loss["matlab"] == pytest.approx(0.3 / 9.80665e-3)
-    with pytest.raises(LimitBroken, match="sensing_elements"):
-        demand_carried(exported(known, "x", "c-header"), "c-header", known, None)
+        demand_carried(whole, form, leaving(100.0), 0.9 * loss)

@@ -1,1 +1,0 @@
-"""Whether a log fits the board file: axes and places, before anything is fitted."""

@@ -1,1 +1,0 @@
-"""A fleet of finished calibrations: worn sensors and arrays, several recordings a device."""
