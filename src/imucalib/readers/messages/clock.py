@@ -273,5 +273,7 @@ class Timeline:
         for i in np.flatnonzero((far & broken) | long | back).tolist():
             reason = "a damaged part of the file" if broken[i] else "no samples"
             reason = "time steps back" if back[i] else reason
-            edges = [(t - self.start_ns) * 1e-9 for t in (int(times[i]) - int(steps[i]), int(times[i]))]
+            edges = [
+                (t - self.start_ns) * 1e-9 for t in (int(times[i]) - int(steps[i]), int(times[i]))
+            ]
             self.gaps.append(Gap(edges[0], edges[1], f"{self.label}: {reason}"))
