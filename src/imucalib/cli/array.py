@@ -164,9 +164,9 @@ def command(logs: tuple[Path, ...], **options: Any) -> int:
     runs: list[ArrayRun] = []
     for k, log in enumerate(logs):
         note(f"{log}", quiet)
-        asked = replace(request, agreeing=tuple(one.name for one in logs[:k]))
+        own = replace(request, agreeing=tuple(one.name for one in logs[:k]))
         with calibrating_of(options) as say:
-            runs.append(calibrate_array(read(log, mapping), asked, say))
+            runs.append(calibrate_array(read(log, mapping), own, say))
         if options["save_draws"] is not None:
             target = options["save_draws"]
             path = target if len(logs) == 1 else target.with_stem(f"{target.stem}_{log.stem}")
@@ -178,7 +178,7 @@ def command(logs: tuple[Path, ...], **options: Any) -> int:
 
 def _request(options: dict[str, Any], logs: tuple[Path, ...]) -> ArrayRequest:
     from imucalib.calibrators.array.board import read_board
-    from imucalib.calibrators.array.loop.catalogue import Asked, named_effect
+    from imucalib.calibrators.array.loop.catalogue import Scope, named_effect
     from imucalib.calibrators.array.request import Accepted, ArrayRequest
     from imucalib.errors import UsageError
     from imucalib.estimators.markov.hmc import Stop
@@ -197,8 +197,8 @@ def _request(options: dict[str, Any], logs: tuple[Path, ...]) -> ArrayRequest:
         raise UsageError("two logs have one name, and so would their folders")
     shared = shared_of(options)
     board = read_board(options["board"])
-    asked = Asked(shared.declare, shared.only, shared.without)
-    for name in (*asked.declare, *asked.only, *asked.without):
+    scope = Scope(shared.declare, shared.only, shared.without)
+    for name in (*scope.declare, *scope.only, *scope.without):
         named_effect(name.partition("@")[0], board.imus)  # the log may name its IMUs otherwise
     return ArrayRequest(
         board,
@@ -215,7 +215,7 @@ def _request(options: dict[str, Any], logs: tuple[Path, ...]) -> ArrayRequest:
         iterations=options["iterations"],
         still=still_of(options),
         loop=shared.loop,
-        asked=asked,
+        scope=scope,
         curves=ArrayRequest.curves if shared.curves is None else shared.curves,
         as_drawn=options["as_drawn"],
         accepted=Accepted(options["accept_mm"], options["accept_mg"], options["accept_dps"]),

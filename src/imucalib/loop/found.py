@@ -33,7 +33,7 @@ class Rival:
 class Score:
     """What the data say of one component.
 
-    kind : whether it names a cause; driver : what it follows, in words, or empty
+    kind : whether it names a cause; follows : what it follows, in words, or empty
     evidence : nats in favour, beside the base model alone; probability : that it is there
     left : share of its columns that the fitted parameters do not absorb (0..1)
     strength : λ, the length of its projected columns at typical size, in noise units: 4.7 gives
@@ -44,7 +44,7 @@ class Score:
 
     name: str
     kind: Kind
-    driver: str
+    follows: str
     evidence: float
     probability: float
     left: float
@@ -104,7 +104,7 @@ class Unexplained:
     that would explain it, be they refused or no better than the noise that stands for it"""
 
     name: str
-    driver: str
+    follows: str
     kind: str
     probability: float
     evidence: float

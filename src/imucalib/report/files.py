@@ -153,7 +153,7 @@ def _found(found: Findings) -> dict[str, Any]:
         "record_errors": listed(records, "where channel size sd unit likely probability"),
         "steps": [_step(step) for step in found.steps],
         "unexplained": listed(
-            found.unexplained, "name driver kind probability evidence_nats=evidence"
+            found.unexplained, "name driver=follows kind probability evidence_nats=evidence"
         ),
         "rejected": [{"effect": name, "reason": why} for name, why in reasons.items()],
         "refuted": found.refuted,

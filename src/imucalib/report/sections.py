@@ -271,7 +271,7 @@ def _found(found: Findings) -> list[Text]:
 def _nameless(found: Findings) -> list[str]:
     """What no effect explains, and against what it shows."""
     return [
-        f"{in_words(u.name)} (driven by {u.driver})" if u.driver else in_words(u.name)
+        f"{in_words(u.name)} (driven by {u.follows})" if u.follows else in_words(u.name)
         for u in found.unexplained
     ]
 

@@ -10,7 +10,7 @@ from imucalib.calibrators.array.effect_blocks import effect_blocks
 from imucalib.calibrators.array.estimate.sampled import corrected_samples
 from imucalib.calibrators.array.findings import array_findings
 from imucalib.calibrators.array.linear_part import linear_part
-from imucalib.calibrators.array.loop.catalogue import Asked, array_catalogue, named_effect
+from imucalib.calibrators.array.loop.catalogue import Scope, array_catalogue, named_effect
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop
 from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
 from imucalib.errors import UsageError
@@ -168,6 +168,6 @@ def test_corrected_readings_hold_no_effect(clean: MotionLoop) -> None:
 )
 def test_names_of_effects_are_checked(name: str, says: str) -> None:
     with pytest.raises(UsageError, match=says):
-        Asked(only=(name,)).skipped(BOARD.imus)
+        Scope(only=(name,)).skipped(BOARD.imus)
     with pytest.raises(UsageError, match=says):
         named_effect(name, BOARD.imus)

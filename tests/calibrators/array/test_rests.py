@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from imucalib.calibrators.array.board import Board
-from imucalib.calibrators.array.loop.catalogue import Asked
+from imucalib.calibrators.array.loop.catalogue import Scope
 from imucalib.calibrators.array.rests import RestFit, fit_rests
 from imucalib.rests.segments import Segments
 from imucalib.units import DEG, MG
@@ -71,8 +71,8 @@ def simulated(seed: int, n: int = 20, warm: float = 0.0) -> tuple[Segments, Boar
     return segments, board, gain, offset
 
 
-def fitted(segments: Segments, board: Board, asked: Asked | None = None) -> RestFit:
-    return fit_rests(segments, board, G, asked=asked or Asked())
+def fitted(segments: Segments, board: Board, asked: Scope | None = None) -> RestFit:
+    return fit_rests(segments, board, G, scope=asked or Scope())
 
 
 @pytest.mark.slow
@@ -80,7 +80,7 @@ def test_gains_and_offsets_within_their_deviation() -> None:
     z = []
     for seed in range(8):
         segments, board, gain, offset = simulated(seed)
-        found = fitted(segments, board, Asked(search=False))
+        found = fitted(segments, board, Scope(search=False))
         sd = np.sqrt(np.diag(found.covariance.reshape(12 * K, 12 * K))).reshape(K, 12)
         z.append((found.gain - gain).reshape(K, 9) / sd[:, :9])
         z.append((found.offset(np.array([found.stop]))[0] - offset) / sd[:, 9:])
@@ -90,7 +90,7 @@ def test_gains_and_offsets_within_their_deviation() -> None:
 
 def test_the_frame_is_the_mean_of_the_triads() -> None:
     segments, board, _, _ = simulated(3)
-    found = fitted(segments, board, Asked(search=False))
+    found = fitted(segments, board, Scope(search=False))
     turn = board.rotations
     mean = np.mean(turn @ found.gain @ turn.transpose(0, 2, 1), axis=0)
     assert np.abs(mean - mean.T).max() < 1e-12
@@ -155,7 +155,7 @@ def _uneven(seed: int, between: float) -> tuple[Segments, Board, Array, Array]:
 @pytest.mark.parametrize("between", [0.0, 1.0, 4.0, 20.0])
 def test_what_differs_from_rest_to_rest_is_estimated(between: float) -> None:
     segments, board, _, _ = _uneven(5, between=between * SIGMA)
-    fit = fitted(segments, board, Asked(search=False)).fit
+    fit = fitted(segments, board, Scope(search=False)).fit
     sigma = fit.noise.factor * fit.observations.sigma[:, 0, 0]
     expected = SIGMA * np.hypot(np.where(np.arange(20) % 4 == 3, 5.0, 1.0), between)
     assert np.abs(np.log(sigma / expected)).max() < 0.25  # the tried sizes are a factor 2 apart
@@ -187,7 +187,7 @@ def test_what_rounding_leaves_is_stated() -> None:
         segments, board, gain, offset = simulated(seed)
         bias = np.random.default_rng(seed).uniform(-DEG, DEG, 3)
         made = coarse(segments, 16.0 * MG, DEG, bias)
-        found = fitted(made, board, Asked(search=False))
+        found = fitted(made, board, Scope(search=False))
         sd = np.sqrt(np.diag(found.covariance.reshape(12 * K, 12 * K))).reshape(K, 12)
         z.append((found.gain - gain).reshape(K, 9) / sd[:, :9])
         z.append((found.offset(np.array([found.stop]))[0] - offset) / sd[:, 9:])

@@ -258,7 +258,7 @@ def advice(result: ActigraphResult, coverage: Coverage) -> tuple[str, ...]:
         )
     if loop is None:
         return tuple(found)
-    kinds = {u.kind for u in loop.unexplained if u.driver in CLOCKS}
+    kinds = {u.kind for u in loop.unexplained if u.follows in CLOCKS}
     if kinds and "temperature" not in result.final.observations.context:
         found.append(_COLD)
     elif "probe" in kinds:

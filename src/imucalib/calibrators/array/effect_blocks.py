@@ -39,7 +39,7 @@ def effect_blocks(loop: MotionLoop) -> list[dict[str, Any]]:
     """Accepted effects with values, standard deviations and covariance."""
     found = []
     for term in loop.final.found:
-        own, declared = list(parameters_of(loop, term)), term.name in loop.asked.declare
+        own, declared = list(parameters_of(loop, term)), term.name in loop.scope.declare
         block = _block(term.name, term.effect, own, loop.final.covariance_of(term), declared)
         found.append({**_beats(loop, term), **block})
     return found

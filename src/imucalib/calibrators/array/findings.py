@@ -106,7 +106,7 @@ def unexplained(
                 single.append(Left(f"{sensor} of {imu} in motion", alone, limit, name))
     if isinstance(found, Uneven):
         moved = 1e3 * float(found.spread.max())
-        return (Left(POSITIONS + found.driver, moved, accepted.mm, "mm"), *whole, *single)
+        return (Left(POSITIONS + found.follows, moved, accepted.mm, "mm"), *whole, *single)
     if found is None:
         return (*whole, *single)
     moves = list(found.moved.values())
@@ -179,7 +179,7 @@ def array_findings(loop: MotionLoop) -> Findings:
     """The search as all calibrators report it."""
     a, g = loop.final.noise
     return Findings(
-        verdict=loop.verdict if loop.asked.search else "not run",
+        verdict=loop.verdict if loop.scope.search else "not run",
         steps=tuple(_step(step, loop) for step in loop.steps),
         records=loop.records,
         rejected=loop.rejected,
@@ -192,10 +192,10 @@ def array_findings(loop: MotionLoop) -> Findings:
         declared=tuple(
             (t.name, size_in_words(loop.final, t))
             for t in loop.final.found
-            if t.name in loop.asked.declare
+            if t.name in loop.scope.declare
         ),
-        only=loop.asked.only,
-        without=loop.asked.without,
+        only=loop.scope.only,
+        without=loop.scope.without,
         facts=(
             ("accelerometer noise", _noise_words(a, 1.0, "m/s²")),
             ("gyro noise", _noise_words(g, DEG, "deg/s")),

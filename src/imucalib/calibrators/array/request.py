@@ -9,7 +9,7 @@ from typing import Literal
 
 from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.estimate.total import Distance
-from imucalib.calibrators.array.loop.catalogue import NOTHING_ASKED, Asked
+from imucalib.calibrators.array.loop.catalogue import EVERYTHING, Scope
 from imucalib.calibrators.array.moving import GyroCovariance
 from imucalib.core.effect import Effect
 from imucalib.effects import own_effects
@@ -37,7 +37,7 @@ class Accepted:
 class ArrayRequest:
     """samples : moving samples used at most, or None for all that say something;
     accelerometer_sigma : m/s², "estimate", or "nonlinearity"; iterations : of `pmmh`
-    loop : whether there is a search; asked : effects declared, or kept out of the search
+    loop : whether there is a search; scope : effects declared, or kept out of the search
     curves : whether structure without a name is corrected by smooth curves
     distances : between IMUs, measured otherwise; accepted : what may stay unexplained
     still : what counts as a rest
@@ -60,7 +60,7 @@ class ArrayRequest:
     iterations: int = 100_000
     still: StillSettings = field(default_factory=StillSettings)
     loop: bool = True
-    asked: Asked = NOTHING_ASKED
+    scope: Scope = EVERYTHING
     curves: bool = False
     distances: tuple[Distance, ...] = ()
     accepted: Accepted = field(default_factory=Accepted)
@@ -88,9 +88,9 @@ class ArrayRequest:
             "prior_sd_mm": 1e3 * self.board.prior_sd,
             "gravity_m_per_s2": self.gravity,
             "gravity_source": self.gravity_source,
-            "declare": list(self.asked.declare),
-            "only": list(self.asked.only),
-            "without": list(self.asked.without),
+            "declare": list(self.scope.declare),
+            "only": list(self.scope.only),
+            "without": list(self.scope.without),
             "own_effects": own_effects(self.extra_effects),
             "loop": self.loop,
             "curves": self.curves,

@@ -20,7 +20,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibrators.array.board import Board
-from imucalib.calibrators.array.loop.catalogue import NOTHING_ASKED, Asked
+from imucalib.calibrators.array.loop.catalogue import EVERYTHING, Scope
 from imucalib.core.balance import Noise, balance
 from imucalib.core.effect import Action, Context, Effect, Parameter, Response, Truth, cross_matrix
 from imucalib.core.fit import Fit
@@ -318,7 +318,7 @@ class RestFit:
 
 
 def fit_rests(
-    segments: Segments, board: Board, gravity: float, *, asked: Asked = NOTHING_ASKED
+    segments: Segments, board: Board, gravity: float, *, scope: Scope = EVERYTHING
 ) -> RestFit:
     """Fit all triads and search for what is missing.
 
@@ -327,7 +327,7 @@ def fit_rests(
     """
     unweighted = observations_of(segments, board, gravity)
     data, model = weighted(unweighted, own_noise(segments)), base_model()
-    loop = _searched(model, data, asked) if asked.search else None
+    loop = _searched(model, data, scope) if scope.search else None
     fit = fit_model(model, data) if loop is None else loop.final
     if (fit if loop is None else loop.plain).null_directions:
         raise _too_alike()
@@ -355,14 +355,14 @@ def fit_rests(
     )
 
 
-def _searched(model: Model, data: Observations, asked: Asked) -> FitLoop:
+def _searched(model: Model, data: Observations, scope: Scope) -> FitLoop:
     """The closed loop over what a rest can show; names of single IMUs are the motion's affair."""
     known = {*catalogue(), *families()}
-    only = tuple(n for n in asked.only if n in known)
-    without = tuple(n for n in asked.without if n in known)
+    only = tuple(n for n in scope.only if n in known)
+    without = tuple(n for n in scope.without if n in known)
     wanted = searched(only, without, {}, lambda e: e.stage == "sensor" and e.name not in BASE)
-    effects = {} if asked.only and not only else wanted.effects
-    scans = () if asked.only else wanted.families
+    effects = {} if scope.only and not only else wanted.effects
+    scans = () if scope.only else wanted.families
     return close_loop(model, data, Searched(effects, scans)).loop
 
 

@@ -207,7 +207,7 @@ def _unnamed(result: ImuResult) -> tuple[Unexplained, ...]:
     return tuple(
         Unexplained(
             name=components[place.component].name,
-            driver=components[place.component].driver,
+            follows=components[place.component].follows,
             kind="probe",
             probability=place.probability,
             evidence=0.0,
@@ -225,7 +225,7 @@ def _scores(result: ImuResult) -> list[Score]:
         Score(
             name=c.name,
             kind="effect" if c.named else "probe",
-            driver=c.driver,
+            follows=c.follows,
             evidence=float(evidence[k]),
             probability=float(inside[k]),
             left=found.problem.seen[k][0],

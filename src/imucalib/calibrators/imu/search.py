@@ -334,12 +334,12 @@ def _components(
         else:
             found[name] = "name", "", [effect]
     motion = BoardMotion(truth, context)
-    for driver, law in array_laws(motion) if not request.only else ():
+    for follows, law in array_laws(motion) if not request.only else ():
         if law.channel == "angular_rate" and not law.lagged:
-            found.setdefault(f"another law of {driver}", ("law", driver, []))[2].append(law)
-    for driver, free in array_functions(motion) if not request.only else ():
+            found.setdefault(f"another law of {follows}", ("law", follows, []))[2].append(law)
+    for follows, free in array_functions(motion) if not request.only else ():
         if free.channel == "angular_rate":
-            found[free.name] = "free", driver, [free]
+            found[free.name] = "free", follows, [free]
     components = (
         Component(
             name,
@@ -349,9 +349,9 @@ def _components(
                 for effect in effects
                 for term, share in _members(effect, kind)
             ),
-            driver,
+            follows,
         )
-        for name, (kind, driver, effects) in found.items()
+        for name, (kind, follows, effects) in found.items()
     )
     return tuple(components), missing
 

@@ -107,14 +107,14 @@ def _repeat(fit: Fit) -> list[str]:
 
 
 def _of_structure(item: Unexplained) -> str:
-    by = f", driven by {item.driver}" if item.driver else ""
+    by = f", driven by {item.follows}" if item.follows else ""
     words = f"Structure without a name{by}: {in_words(item.name)}"
     rivals = [effect for name in item.rivals if (effect := known(name)) is not None]
     if rivals:
         how = "To tell them apart" if item.kind == "noise" else "To settle it"
         return f"{words}. {how}: {' '.join(effect.identify for effect in rivals)}"
-    if item.driver:
-        return f"{words}. Record with {item.driver} varied on its own."
+    if item.follows:
+        return f"{words}. Record with {item.follows} varied on its own."
     return f"{words}; no quantity drives it."
 
 

@@ -56,13 +56,13 @@ class Member:
 
 @dataclass(frozen=True)
 class Component:
-    """name : as `imucal effects` has it, of a scan without its value ("name@"); driver : what it
+    """name : as `imucal effects` has it, of a scan without its value ("name@"); follows : what it
     follows, in words, or empty"""
 
     name: str
     kind: Kind
     members: tuple[Member, ...]
-    driver: str = ""
+    follows: str = ""
 
     @property
     def named(self) -> bool:

@@ -214,7 +214,7 @@ def _refused(loop: FitLoop, found: Explored, said: Conclusion, gain: Difference 
     unexplained = tuple(
         Unexplained(
             name=name,
-            driver=found.problem.components[place.component].driver,
+            follows=found.problem.components[place.component].follows,
             kind="probe",
             probability=place.probability,
             evidence=0.0,

@@ -67,7 +67,7 @@ def scores_of(problem: Problem, posterior: Posterior) -> tuple[Score, ...]:
             Score(
                 name=component.name,
                 kind="effect" if component.named else "probe",
-                driver=component.driver,
+                follows=component.follows,
                 evidence=float(evidence[k]),
                 probability=float(inside[k]),
                 left=float(np.sum(rest**2) / np.sum(columns**2)),

@@ -159,7 +159,7 @@ def test_places_that_follow_a_drive_are_told_with_their_spread(drive: str) -> No
     kind = {"|ω|": {"rate": vector}, "|a|": {"force": vector}}.get(drive, {})
     found = asked(pulled(1, places, 0.3), **kind)
     assert found is not None
-    assert found.driver == drive
+    assert found.follows == drive
     assert found.p < 1e-3
     # Four parts of an even drive hold 0.97 of its sd, twelve nearly all.
     assert 0.9 < found.spread[2] / 0.5 < 1.05

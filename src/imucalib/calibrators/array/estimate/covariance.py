@@ -32,10 +32,10 @@ _ALPHA = 1e-3
 
 @dataclass(frozen=True)
 class Uneven:
-    """driver : what the parts differ by; p : family-wise; nats : of the coordinate that shows it
+    """follows : what the parts differ by; p : family-wise; nats : of the coordinate that shows it
     most; spread : (d,) m, sd of each coordinate over the parts, beyond chance"""
 
-    driver: str
+    follows: str
     p: float
     nats: float
     spread: Array
@@ -55,7 +55,7 @@ def uneven(state: ArrayState, pulls: Array, dispersion: float) -> Uneven | None:
     from scipy.special import gammaincc
 
     found, size = [], pulls.shape[1]
-    for driver, part in _drives(state):
+    for follows, part in _drives(state):
         square, beyond, freedom = np.zeros(size), np.zeros(size), -1
         for own in (pulls[part == one] for one in np.unique(part)):
             if len(own) < _FEWEST:
@@ -65,18 +65,18 @@ def uneven(state: ArrayState, pulls: Array, dispersion: float) -> Uneven | None:
             beyond += (total**2 - chance) * len(pulls) / len(own)
             freedom += 1
         if freedom < 1:
-            found.append(Uneven(driver, 1.0, 0.0, np.zeros(size)))
+            found.append(Uneven(follows, 1.0, 0.0, np.zeros(size)))
             continue
         most = float(square.max())
         p = min(1.0, float(gammaincc(0.5 * freedom, 0.5 * most)) * size)
         spread = np.sqrt(np.maximum(beyond, 0.0))
-        found.append(Uneven(driver, p, 0.5 * (most - freedom), spread))
+        found.append(Uneven(follows, p, 0.5 * (most - freedom), spread))
     worst = min(found, key=lambda one: one.p)
     p = worst.p * len(found)
     if p > _ALPHA:
         return None
     spread = np.max([one.spread for one in found if one.p * len(found) <= _ALPHA], axis=0)
-    return Uneven(worst.driver, p, worst.nats, spread)
+    return Uneven(worst.follows, p, worst.nats, spread)
 
 
 def _drives(state: ArrayState) -> Iterator[tuple[str, Index]]:

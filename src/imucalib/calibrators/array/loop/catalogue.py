@@ -72,7 +72,7 @@ def named_effect(name: str, imus: Sequence[str]) -> Response:
 
 
 @dataclass(frozen=True)
-class Asked:
+class Scope:
     """Names of effects, of one IMU with "@imu3". declare : in the model from the start; only : the
     search tries no others; without : it does not try these; search : whether there is one"""
 
@@ -97,4 +97,4 @@ class Asked:
         )
 
 
-NOTHING_ASKED = Asked()
+EVERYTHING = Scope()

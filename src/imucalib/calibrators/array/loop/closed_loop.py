@@ -17,7 +17,7 @@ from imucalib.calibrators.array.estimate.covariance import (
     with_uneven,
 )
 from imucalib.calibrators.array.loop.ages import found_clock, with_clock, with_found_clock
-from imucalib.calibrators.array.loop.catalogue import NOTHING_ASKED, Asked
+from imucalib.calibrators.array.loop.catalogue import EVERYTHING, Scope
 from imucalib.calibrators.array.loop.cross_fit import Gained, cross_fitted
 from imucalib.calibrators.array.loop.search import (
     Explored,
@@ -47,7 +47,7 @@ class MotionLoop(Loop[ArrayState]):
     impact : what cannot be seen, with the m rms by which its typical size moves the positions;
     moved : the same of what has no name; dispersion : how many times fewer accelerometer samples
         noise that neighbours share leaves
-    asked : what the user declared; rests : the search at rest, of which `with_rests` made a part of
+    scope : what the user declared; rests : the search at rest, of which `with_rests` made a part of
         this one
     """
 
@@ -55,7 +55,7 @@ class MotionLoop(Loop[ArrayState]):
     impact: Mapping[str, float]
     moved: Mapping[str, float]
     dispersion: float
-    asked: Asked = NOTHING_ASKED
+    scope: Scope = EVERYTHING
     rests: FitLoop | None = None
 
     @property
@@ -73,20 +73,20 @@ def close_array_loop(
     curves: bool = False,
     halved: Setup | None = None,
     most: int | None = None,
-    asked: Asked = NOTHING_ASKED,
+    scope: Scope = EVERYTHING,
 ) -> MotionLoop:
     """The posterior over what the motion lacks; corrected is what is told, unless motion that took
     no part refuses it.
 
     curves : whether laws without a name are corrected; halved : more samples for the halves
     most : of all informative ones, how many the final fit takes, or None for those of the search
-    asked : effects that the user declares, or keeps out of the search
+    scope : effects that the user declares, or keeps out of the search
     """
 
     def searched(chosen: Setup) -> tuple[ArrayState, ArrayState, Explored]:
-        base = with_found_clock(with_declared(start_state(chosen, terms), asked.declare))
-        found = explored(base, asked, curves=curves)
-        return base, _named(found, asked, curves=curves) or base, found
+        base = with_found_clock(with_declared(start_state(chosen, terms), scope.declare))
+        found = explored(base, scope, curves=curves)
+        return base, _named(found, scope, curves=curves) or base, found
 
     base, final, found = searched(setup)
     gained = cross_fitted(halved or setup, lambda chosen: searched(chosen)[:2])
@@ -102,7 +102,7 @@ def close_array_loop(
         open_ends = dict.fromkeys(nameless, 0.0) | open_ends
         final, steps = base, ()
     final = _on_all(final, most)
-    open_ends |= dict.fromkeys(remembered(final) if asked.search else (), 0.0)
+    open_ends |= dict.fromkeys(remembered(final) if scope.search else (), 0.0)
     dispersion = shared_by_neighbours(final, gyro=False)
     final, uneven = with_uneven(final, dispersion)
     final = _as_far_as_known(final, shifts.values())
@@ -124,19 +124,19 @@ def close_array_loop(
         impact=absorbed(found.first[0]),
         moved={one.name: move for one, move in open_ends.items()},
         dispersion=dispersion,
-        asked=asked,
+        scope=scope,
     )
 
 
-def _named(found: Explored, asked: Asked, *, curves: bool) -> ArrayState | None:
+def _named(found: Explored, scope: Scope, *, curves: bool) -> ArrayState | None:
     """The fit without laws, which have no name, unless they are to be corrected; None where it runs
     away."""
     chosen = found.problem.of_set(found.said.hypothesis)
     named = [one for one in chosen if curves or found.problem.named(one.name)]
     known = {term.name for term in found.state.found}
-    if known == {one.name for one in named} | (known & set(asked.declare)):
+    if known == {one.name for one in named} | (known & set(scope.declare)):
         return found.state
-    return with_members(found.state, named, asked)
+    return with_members(found.state, named, scope)
 
 
 def _as_far_as_known(state: ArrayState, shifts: Iterable[Array]) -> ArrayState:
@@ -148,8 +148,8 @@ def _as_far_as_known(state: ArrayState, shifts: Iterable[Array]) -> ArrayState:
 
 
 def _as_positions(apart: Uneven) -> Unexplained:
-    name = POSITIONS + apart.driver
-    return Unexplained(name, apart.driver, "probe", 1.0 - apart.p, apart.nats)
+    name = POSITIONS + apart.follows
+    return Unexplained(name, apart.follows, "probe", 1.0 - apart.p, apart.nats)
 
 
 def _on_all(state: ArrayState, most: int | None) -> ArrayState:
@@ -223,7 +223,7 @@ def _unnamed(found: Explored, final: ArrayState) -> dict[Unexplained, Array]:
         moved = found.problem.moved(found.posterior, found.said.hypothesis, place.component)
         one = Unexplained(
             name=name,
-            driver=found.problem.components[place.component].driver,
+            follows=found.problem.components[place.component].follows,
             kind="probe",
             probability=place.probability,
             evidence=0.0,
@@ -247,7 +247,7 @@ def scores_of(problem: MotionProblem, posterior: Posterior) -> tuple[Score, ...]
         score = Score(
             name=component.name,
             kind="effect" if component.named else "probe",
-            driver=component.driver,
+            follows=component.follows,
             evidence=float(evidence[c]),
             probability=float(inside[c]),
             left=share if strength > OPEN else 0.0,

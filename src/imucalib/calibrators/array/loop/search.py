@@ -21,7 +21,7 @@ from imucalib.arrays import Array
 from imucalib.calibrators.array.estimate.base import Base
 from imucalib.calibrators.array.loop.ages import with_found_clock, with_phases
 from imucalib.calibrators.array.loop.catalogue import (
-    Asked,
+    Scope,
     array_catalogue,
     named_effect,
     twins_of,
@@ -195,27 +195,27 @@ class Explored:
     rejected: tuple[tuple[str, str], ...] = ()
 
 
-def explored(base: ArrayState, asked: Asked, *, curves: bool = False) -> Explored:
+def explored(base: ArrayState, scope: Scope, *, curves: bool = False) -> Explored:
     """The posterior over what a fitted state lacks, at the set that it tells.
 
-    asked : declared effects stay in the model; curves : whether what has no name is corrected
+    scope : declared effects stay in the model; curves : whether what has no name is corrected
     """
-    skipped = asked.skipped(base.setup.imus)
+    skipped = scope.skipped(base.setup.imus)
     state, seen, shares = base, set[frozenset[str]](), Shares()
     first: tuple[MotionProblem, Posterior] | None = None
     rejected: tuple[tuple[str, str], ...] = ()
     for _ in range(_ROUNDS):
-        problem, grams = products(state, skipped, asked.declare)
+        problem, grams = products(state, skipped, scope.declare)
         posterior = climbed(problem, grams, problem.picks(state))
         first = first or (problem, posterior)
         said = concluded(problem, posterior, names_first=not curves)
         chosen = problem.of_set(said.hypothesis)
         names = frozenset(one.name for one in chosen)
         held = {t.name for t in state.found}
-        if names == held.difference(asked.declare) or names in seen:
+        if names == held.difference(scope.declare) or names in seen:
             break
         seen.add(names)
-        grown = with_members(state, chosen, asked)
+        grown = with_members(state, chosen, scope)
         if grown is None:
             rejected = tuple((one.name, DIVERGED) for one in chosen if one.name not in held)
             break
@@ -233,9 +233,9 @@ def explored(base: ArrayState, asked: Asked, *, curves: bool = False) -> Explore
     )
 
 
-def with_members(state: ArrayState, chosen: Sequence[Member], asked: Asked) -> ArrayState | None:
+def with_members(state: ArrayState, chosen: Sequence[Member], scope: Scope) -> ArrayState | None:
     """The joint fit with these and what is declared, and no others; None where it runs away."""
-    names = {*asked.declare, *(one.name for one in chosen)}
+    names = {*scope.declare, *(one.name for one in chosen)}
     grown = replace(state, terms=tuple(t for t in state.terms if not t.found or t.name in names))
     for one in chosen:
         if one.name not in {t.name for t in grown.terms}:
