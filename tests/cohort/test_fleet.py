@@ -140,7 +140,7 @@ def test_five_cave_instruments_have_squares(tmp_path: Path) -> None:
         standalone_mode=False,
     )  # fmt: skip
     headline = " ".join(done.stdout.split())
-    assert "Explained: quadratic or asymmetry or cross_axis, in every device" in headline
+    assert "Explained: all devices have quadratic or asymmetry or cross axis" in headline
     page = (out / "report.html").read_text(encoding="utf-8")
     (bias,), (scale,) = (re.findall(rf"<tr>(<td[^>]*>{name}<.*?)</tr>", page, re.DOTALL)
                          for name in ("bias_x", "scale_x"))  # fmt: skip

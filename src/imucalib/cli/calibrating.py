@@ -273,7 +273,6 @@ def finish(
         together = replace(together, report=_gated(together.report, options["fail_on"]))
     every = [*reports, together.report] if together else reports
     codes = [report.run.outcome.exit_code for report in every]
-    click.get_current_context().meta[_CONTENT] = every[-1].content
     if options["output"] is not None:
         several = len(reports) > 1
         folders = [_folder(report, options, several) for report in reports]
@@ -284,6 +283,8 @@ def finish(
             codes.append(_write(together.report, options["output"], options))
     else:
         reports = [_unwritten(report) for report in reports]
+    last = together.report if together else reports[-1]
+    click.get_current_context().meta[_CONTENT] = last.content
     if options["as_json"]:
         contents = [report.content for report in reports]
         if together:
