@@ -26,7 +26,7 @@ from fused import (
 )
 
 from imucalib.calibrators.array.fused.fuse import Fused
-from imucalib.calibrators.array.fused.instrument import Instrument, Stretch, no_biases
+from imucalib.calibrators.array.fused.instrument import Instrument, Stretch
 from imucalib.calibrators.array.fused.noise import ChipNoise
 from imucalib.calibrators.array.fused.recording import fused_stretch
 from imucalib.calibrators.array.fused.survey import Survey, ages
@@ -48,7 +48,7 @@ def perfect(instrument: Instrument) -> Instrument:
     )
     beyond = replace(instrument.beyond, parts=tuple(p for p in instrument.beyond.parts if p.late))
     return replace(
-        instrument, triads=triads, biases=no_biases(len(triads)), beyond=beyond,
+        instrument, triads=triads, biases=None, beyond=beyond,
         accelerometer_range=np.inf, gyroscope_range=np.inf,
     )  # fmt: skip
 

@@ -17,7 +17,7 @@ from imucalib.core.references import KnownVector
 from imucalib.effects import named
 from imucalib.estimators import least_squares
 from imucalib.estimators.corrected import OBJECTIVES
-from imucalib.estimators.in_a_population import p_value_in_kind
+from imucalib.estimators.in_a_population import kind_chance
 from imucalib.estimators.least_squares import fit
 from imucalib.estimators.student import quantile
 from imucalib.estimators.variance import NoiseEstimate, estimate_with_prior
@@ -211,7 +211,7 @@ def test_few_rests_of_one_of_a_kind_have_honest_sds() -> None:
         found = fit(NINE, made, prior=prior)
         assert found.converged
         z.append((found.theta - theta) / found.sd)
-        strange.append(p_value_in_kind(found))
+        strange.append(kind_chance(found))
     assert 0.9 < float(np.std(z)) < 1.1
     assert 0.3 < np.mean(np.array(strange) < 0.5) < 0.7  # uniform; five standard errors are 0.32
     assert min(strange) > 1e-4
@@ -223,7 +223,7 @@ def test_one_of_another_kind_is_strange() -> None:
     theta = prior.mean.copy()
     theta[0] += 8.0 / prior.root[0, 0]
     made = data.with_reading(draw(NINE, theta, known, 7).reading)
-    assert p_value_in_kind(fit(NINE, made, prior=prior)) < 1e-6
+    assert kind_chance(fit(NINE, made, prior=prior)) < 1e-6
 
 
 def test_what_the_fleet_knows_of_the_noise_is_weighed() -> None:

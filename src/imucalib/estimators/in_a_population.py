@@ -52,7 +52,7 @@ def estimate_in_population(
     )
 
 
-def p_value_in_kind(fit: Fit) -> float:
+def kind_chance(fit: Fit) -> float:
     """Chance that one of the kind is as far from its mean: χ² of d' (Q - C)⁻¹ d with d = θ - m,
     whose covariance before the data are seen is Q - C, along what the data say something of."""
     from scipy.special import chdtrc

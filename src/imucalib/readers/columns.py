@@ -288,7 +288,7 @@ def _triad(words: Sequence[str], number: str = "") -> str:
 
 _SHOWN = 12
 #: Median norms that gravity has in the units in use, within this factor.
-_GRAVITY, _NEAR = (9.80665, 1.0, 1000.0), 1.15
+_GRAVITY, _WITHIN = (9.80665, 1.0, 1000.0), 1.15
 
 
 @dataclass(frozen=True)
@@ -320,7 +320,7 @@ class Content:
     @property
     def like_gravity(self) -> bool:
         """Whether the norm is that of gravity in m/s², g or mg."""
-        return any(g / _NEAR <= self.norm <= g * _NEAR for g in _GRAVITY)
+        return any(g / _WITHIN <= self.norm <= g * _WITHIN for g in _GRAVITY)
 
 
 def norm_of(values: Array) -> float:

@@ -27,7 +27,7 @@ _FEWEST = 8
 _FARTHEST = 50.0
 #: What every direction of the sphere must hold of the readings' spread, and how far the middle one
 #: of them may lie from the sphere, of its radius: scales and misalignments differ by less.
-_SPREAD, _NEAR = 0.05, 0.05
+_SPREAD, _OFF = 0.05, 0.05
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ def zero_g(rest: Array) -> ZeroG | None:
     out = own - centre
     away = float(np.median(np.abs(np.linalg.norm(out, axis=1) - radius)))
     least = float(np.linalg.eigvalsh(np.cov(out.T))[0])
-    if not radius or away > _NEAR * radius or least < _SPREAD * radius**2:
+    if not radius or away > _OFF * radius or least < _SPREAD * radius**2:
         return None
     level = middle + scale * centre
     if not 1.0 < np.linalg.norm(level) / (scale * radius) < _FARTHEST:
@@ -74,8 +74,9 @@ def zero_g(rest: Array) -> ZeroG | None:
 
 COUNTS = "counts"
 _IMPLAUSIBLE = 3.0  # a stated unit is refused when the norm at rest is off by this factor
-_NEAR_SCALE = 1.25  # the same for a device that has a few known scales
+_SAME_SCALE = 1.25  # the same for a device that has a few known scales
 _LIKE_1024 = (1012.0, 1037.0)  # norms that 1024 counts a g explain better than mg
+_REST_SECONDS = 0.5  # window of the look for rest
 _STILL_SHARE = 0.1  # the quietest windows that stand for "at rest"
 
 
@@ -206,6 +207,24 @@ def acceleration(
     return found(unit, factor)
 
 
+def of_looks(
+    quantity: str,
+    mapping: FieldMapping,
+    source: Source,
+    looks: Sequence[Array],
+    *,
+    rate: float,
+    where: str,
+) -> Conversion:
+    """Conversion of any quantity. looks : raw values (n, k), all finite; rate : Hz"""
+    if quantity == "acceleration":
+        rest = readings_at_rest(looks, max(3, round(_REST_SECONDS * rate)))
+        return acceleration(mapping, source, rest, where)
+    if quantity == "angular_rate":
+        return angular_rate(mapping, source.unit, where)
+    return temperature(mapping, source.unit, np.concatenate(looks)[:, 0], where)
+
+
 class _Quantity(Protocol):
     @property
     def quantity(self) -> str: ...
@@ -271,7 +290,7 @@ def _by_norm(source: Source, norms: Array, where: str) -> tuple[str, str]:
 
 def _scale_of(scales: tuple[float, ...], norm: float, where: str) -> float:
     """The one of a device's scales that makes the norm at rest 1 g."""
-    fitting = [s for s in scales if 1.0 / _NEAR_SCALE < norm / s < _NEAR_SCALE]
+    fitting = [s for s in scales if 1.0 / _SAME_SCALE < norm / s < _SAME_SCALE]
     if len(fitting) == 1:
         return fitting[0]
     raise UnreadableInput(
@@ -285,7 +304,7 @@ def _scale_of(scales: tuple[float, ...], norm: float, where: str) -> float:
 def _caution(norm: float, unit: str) -> str:
     """What is said of a norm that is not 1 g, in a format that leaves no doubt of its unit."""
     ratio = norm * units.ACCELERATION_UNITS[unit] / units.STANDARD_GRAVITY
-    if np.isnan(norm) or 1.0 / _NEAR_SCALE <= ratio <= _NEAR_SCALE:
+    if np.isnan(norm) or 1.0 / _SAME_SCALE <= ratio <= _SAME_SCALE:
         return ""
     return (
         f"acceleration: the norm where it is quietest is {ratio:.3g} g: it was not at rest there, "

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,7 +16,6 @@ from imucalib.calibrators.array.calibrate import calibrate_array
 from imucalib.calibrators.array.drawing import (
     SIGNED,
     Drawn,
-    common_gyro_axes,
     compared,
     in_words,
     places,
@@ -31,71 +28,23 @@ from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.simulation import LogPlan, simulated_log
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.segments import still_segments
-from worlds.boards import DEG, BoardPlan, board_log, handled, made_board, twisted
-
-Array = NDArray[np.float64]
-
-
-PLAN = BoardPlan(rests=10, twist_s=4.0)
-
+from worlds.boards import DEG, BoardPlan, board_log, made_board, twisted
 
 PLACES = 0.02 * np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0.2)])
 
 
-@cache
-def motion() -> tuple[Array, Array, Array, Array]:
-    """Times, ω, dω/dt and the force of the origin: rests and turns, then twisting."""
-    rng = np.random.default_rng(3)
-    parts = zip(handled(PLAN, rng), twisted(PLAN, rng), strict=True)
-    w, spin, force = (np.concatenate(p) for p in parts)
-    return np.arange(len(w)) / PLAN.hz, w, spin, force
-
-
-#: All packages mounted alike.
-ALIKE = np.tile(np.eye(3), (4, 1, 1))
-
-
-def felt() -> Array:
-    _, w, spin, force = motion()
-    out = np.cross(w[:, None], np.cross(w[:, None], PLACES)) + np.cross(spin[:, None], PLACES)
-    return force[:, None] + out
-
-
-def rests() -> tuple[Array, Array]:
-    start = np.arange(PLAN.rests) * (PLAN.rest_s + PLAN.turn_s)
-    return start, start + PLAN.rest_s - 1.0 / PLAN.hz
-
-
-def seen(acceleration: Array, gyro: Array, noise: float = 0.02) -> tuple[object, object]:
-    """The log and its rests, with every IMU's axes S of its readings: read = Sᵀ truth, biases of
-    gyros beside."""
-    t, w, _, _ = motion()
-    rng = np.random.default_rng(5)
-    read = np.einsum("kji,tkj->tki", acceleration, felt()) + noise * rng.normal(size=(len(t), 4, 3))
-    bias = np.radians([[1.0, -2.0, 0.5]] * 4)
-    rate = np.einsum("kji,tj->tki", gyro, w) + bias + 1e-3 * rng.normal(size=read.shape)
-    start, stop = rests()
-    at = [
-        slice(round(a * PLAN.hz), round(b * PLAN.hz) + 1) for a, b in zip(start, stop, strict=True)
-    ]
-    segments = SimpleNamespace(
-        mean=np.array([read[s].mean(axis=0) for s in at]),
-        rate=np.array([rate[s].mean(axis=0) for s in at]), start=start, stop=stop, n=len(start),
-    )  # fmt: skip
-    log = SimpleNamespace(t=t, acceleration=read, rate=rate, clipped=np.zeros(len(t), bool))
-    return log, segments
-
-
 def test_a_board_without_a_drawing_is_sketched_in_the_axes_of_its_first() -> None:
     """Each IMU in any of the 24 proper signed permutations; places to a millimetre."""
-    proper = SIGNED[np.linalg.det(SIGNED) > 0.0]
+    proper, rng = SIGNED[np.linalg.det(SIGNED) > 0.0], np.random.default_rng(5)
     own = np.stack([np.eye(3), *proper[[3, 11, 20]]])
-    log, segments = seen(own, own)
-    board = sketched(log, segments, undrawn_board(4))  # type: ignore[arg-type]
+    plan = BoardPlan(rests=10, twist_s=4.0, places=0.0)
+    parts = made_board(PLACES, own, ("imu0", "imu1", "imu2", "imu3"), plan, rng)
+    recording = board_log(parts, plan, rng).recording
+    log = array_log(recording, undrawn_board(4))
+    board = sketched(log, still_segments(recording), undrawn_board(4))
     np.testing.assert_array_equal(board.rotations, own)
     assert np.abs(board.positions - (PLACES - PLACES.mean(axis=0))).max() < 1e-3
     np.testing.assert_array_equal(board.accelerometer_axes, np.tile(np.eye(3), (4, 1, 1)))
-    assert board.prior_sd == 0.02
 
 
 def test_axes_are_told_where_the_others_agree() -> None:
@@ -113,18 +62,18 @@ def test_axes_are_told_where_the_others_agree() -> None:
 
 
 def test_places_are_seen_by_the_forces_differences() -> None:
-    t, w, _, _ = motion()
-    fast = np.linalg.norm(w, axis=1) > 60.0 * DEG
-    found = rough_places(t, felt() + np.array([0.1, 0.0, 0.0]), w, fast)
+    plan, rng = BoardPlan(twist_s=4.0), np.random.default_rng(3)
+    w, spin, force = twisted(plan, rng)
+    t, fast = np.arange(len(w)) / plan.hz, np.linalg.norm(w, axis=1) > 60.0 * DEG
+    felt = np.cross(w[:, None], np.cross(w[:, None], PLACES)) + np.cross(spin[:, None], PLACES)
+    felt += force[:, None]
+    found = rough_places(t, felt + np.array([0.1, 0.0, 0.0]), w, fast)
     assert found is not None
     assert np.abs(found - (PLACES - PLACES.mean(axis=0))).max() < 2e-4
-    rows = np.flatnonzero(fast)
-    few = np.zeros_like(fast)
-    few[rows[:40]] = True
-    assert rough_places(t, felt(), w, few) is None
-    noise = np.random.default_rng(0).normal(size=felt().shape)
-    assert rough_places(t, felt() + 300.0 * noise, w, fast) is None
-    swapped = places(t, felt()[:, [0, 2, 1, 3]], w, fast, drawn=PLACES, mounted=ALIKE)
+    assert rough_places(t, felt, w, fast & (np.cumsum(fast) < 40)) is None
+    assert rough_places(t, felt + 300.0 * rng.normal(size=felt.shape), w, fast) is None
+    alike = np.tile(np.eye(3), (4, 1, 1))
+    swapped = places(t, felt[:, [0, 2, 1, 3]], w, fast, drawn=PLACES, mounted=alike)
     assert swapped is not None
     assert swapped.place.tolist() == [0, 2, 1, 3]
     assert swapped.exchanged == [1, 2]
@@ -276,22 +225,3 @@ def test_a_sensor_wired_otherwise_is_calibrated_and_applied(
     two = apply_to_recording(mended.calibration, broken)
     for name, channel in one.channels.items():
         assert np.allclose(two.channels[name].values, channel.values, atol=1e-9), name
-
-
-def test_gravity_tells_how_all_gyros_turn() -> None:
-    from scipy.spatial.transform import Rotation
-
-    rng = np.random.default_rng(2)
-    t = 0.01 * np.arange(2400)
-    moving = (t % 3.0) > 2.0  # one second of turning after two of rest
-    axis = rng.normal(size=(8, 3)) * 0.9
-    rate = np.where(moving[:, None], axis[(t / 3.0).astype(int)], 0.0)
-    turn, up = Rotation.identity(), [np.array([0.0, 0.6, 0.8])]
-    for k in range(7):
-        turn = Rotation.from_rotvec(-axis[k] * 1.0)
-        up.append(turn.apply(up[-1]))
-    start = 3.0 * np.arange(8)
-    noisy = rate + 0.01 * rng.normal(size=rate.shape)
-    for chosen in (SIGNED[0], SIGNED[7], SIGNED[13], SIGNED[42]):
-        found = common_gyro_axes(t, noisy @ chosen, 9.81 * np.array(up), start, start + 1.99)
-        assert in_words(found) == in_words(chosen)

@@ -412,7 +412,7 @@ def test_a_damaged_index_never_gives_wrong_samples(tmp_path: Path) -> None:
     inside = np.concatenate([np.arange(at, at + 1200) for at in nodes])
     rng = np.random.default_rng(1)
     where = inside[np.frombuffer(data, np.uint8)[inside] > 0]
-    told = 0
+    lost = 0
     for at in rng.choice(where, 250, replace=False).tolist():
         damaged = bytearray(data)
         damaged[at] ^= 1 << int(rng.integers(8))
@@ -420,10 +420,10 @@ def test_a_damaged_index_never_gives_wrong_samples(tmp_path: Path) -> None:
         try:
             found = readers.read(path, FieldMapping())
         except ImucalError:
-            told += 1
+            lost += 1
             continue
         channel = next(iter(found.channels.values()))
         zero = (channel.values == 0).all(axis=1)
         assert not zero.any(), at
-        told += channel.t.size < ABSENT_N
-    assert told > 20
+        lost += channel.t.size < ABSENT_N
+    assert lost > 20

@@ -23,7 +23,7 @@ from imucalib.core.references import KnownNorm
 from imucalib.effects.table import covariates_before
 from imucalib.effects.thermal import RATE
 from imucalib.errors import NotConverged
-from imucalib.estimators.in_a_population import p_value_in_kind
+from imucalib.estimators.in_a_population import kind_chance
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.rests.runs import PostureRuns, Scan
 from imucalib.rests.thermal import REMEMBERED, ThermalHistory, remembered
@@ -146,7 +146,7 @@ def fit_of_a_kind(kind: Population, alone: Fit, runs: PostureRuns) -> tuple[OfAK
     effects = (*alone.model.effects, *kind.shared_effects(data.context))
     model = Model(tuple({e.name: e for e in effects}.values()))
     found, fewer = robust_fit(model, data, runs, kind.prior(model, data, ()))
-    chance = p_value_in_kind(found)
+    chance = kind_chance(found)
     return OfAKind(kind, alone, chance, used=chance >= UNLIKELY), found, fewer
 
 

@@ -92,7 +92,7 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
     board, asked = laid.board, replace(request.asked, search=request.loop)
     rests = fit_rests(laid.segments, board, request.gravity, asked=asked)
     say(f"{rests.poses} rests: triads fit gravity to {1e3 * rests.residual:.2f} mm/s² rms")
-    moving = moving_part(laid.log, rests, board.imus)
+    moving = moving_part(laid.log, rests)
     say("moving samples: " + ", ".join(f"{n} {name}" for name, n in moving.counts.items()))
     try:
         fit = _fitted(moving, rests, board, request)

@@ -15,52 +15,46 @@ from imucalib.calibrators.array.loop.closed_loop import MotionLoop
 from imucalib.calibrators.array.loop.terms import Term
 from imucalib.calibrators.array.rests import BASE, RestFit
 from imucalib.core.effect import Effect
-from imucalib.core.fit import Fit
 from imucalib.effects.record_error import is_record_error
 from imucalib.errors import UnreadableInput
 from imucalib.loop.found import FitLoop, Step
 
+#: How a name begins that speaks of the rests alone.
+AT_REST = "at rest: "
 _DIGITS = 9  # of a covariance in the file: an array of many IMUs has a hundred thousand
 
 
 def rest_blocks(rests: RestFit) -> list[dict[str, Any]]:
     """What was found at rest, with values, standard deviations and covariance."""
-    fit = rests.fit
+    fit, found = rests.fit, []
     slices, stored = fit.model.slices(fit.observations.context), stored_parameters(fit)
-    return [
-        {
-            "effect": AT_REST + effect.name,
-            "declared": False,
-            **_numbers(
-                effect,
-                [p for p in stored if p.effect == effect.name],
-                fit.covariance[slices[effect.name], slices[effect.name]],
-            ),
-        }
-        for effect in fit.model.effects
-        if effect.name not in BASE and not is_record_error(effect.name)
-    ]
+    for effect in fit.model.effects:
+        if effect.name not in BASE and not is_record_error(effect.name):
+            own, at = [p for p in stored if p.effect == effect.name], slices[effect.name]
+            found.append(_block(AT_REST + effect.name, effect, own, fit.covariance[at, at]))
+    return found
 
 
 def effect_blocks(loop: MotionLoop) -> list[dict[str, Any]]:
     """Accepted effects with values, standard deviations and covariance."""
-    return [
-        {
-            **_beats(loop, term),
-            "effect": term.name,
-            "declared": term.name in loop.asked.declare,
-            **_numbers(
-                term.effect, list(parameters_of(loop, term)), loop.final.covariance_of(term)
-            ),
-        }
-        for term in loop.final.found
-    ]
+    found = []
+    for term in loop.final.found:
+        own, declared = list(parameters_of(loop, term)), term.name in loop.asked.declare
+        block = _block(term.name, term.effect, own, loop.final.covariance_of(term), declared)
+        found.append({**_beats(loop, term), **block})
+    return found
 
 
-def _numbers(
-    effect: Effect, parameters: Sequence[StoredParameter], covariance: Array
+def _block(
+    name: str,
+    effect: Effect,
+    parameters: Sequence[StoredParameter],
+    covariance: Array,
+    declared: bool = False,
 ) -> dict[str, Any]:
     return {
+        "effect": name,
+        "declared": declared,
         "channel": effect.channel,
         "equation": effect.equation,
         "parameters": [
@@ -135,10 +129,6 @@ def _beats(loop: MotionLoop, term: Term) -> dict[str, Any]:
     }
 
 
-#: How a name begins that speaks of the rests alone.
-AT_REST = "at rest: "
-
-
 def with_rests(loop: MotionLoop, rests: FitLoop | None) -> MotionLoop:
     """The loop over the motion with the records, steps and doubts of the rests before its own."""
     if rests is None:
@@ -147,7 +137,7 @@ def with_rests(loop: MotionLoop, rests: FitLoop | None) -> MotionLoop:
         loop,
         rests=rests,
         records=rests.records,
-        steps=(*rest_steps(rests), *loop.steps),
+        steps=(*_rest_steps(rests), *loop.steps),
         rejected=(*((AT_REST + name, why) for name, why in rests.rejected), *loop.rejected),
         unexplained=(
             *loop.unexplained,
@@ -156,24 +146,21 @@ def with_rests(loop: MotionLoop, rests: FitLoop | None) -> MotionLoop:
     )
 
 
-def rest_steps(loop: FitLoop) -> tuple[Step, ...]:
+def _rest_steps(loop: FitLoop) -> Iterator[Step]:
     """The steps at rest, with their sizes in words."""
-    return tuple(
-        replace(
+    fit = loop.final
+    slices = fit.model.slices(fit.observations.context)
+    for step in loop.steps:
+        part = slices[step.effect]
+        rms = float(np.sqrt(np.mean(fit.theta[part] ** 2)))
+        unit, count = fit.parameters[part.start].unit, part.stop - part.start
+        yield replace(
             step,
             effect=AT_REST + step.effect,
-            value=_size(loop.final, step.effect),
+            value=f"{rms:.2g} {unit} rms of {count}",
             checked=tuple(replace(c, name="rests") for c in step.checked),
             rivals=tuple(
                 (AT_REST + name if name == step.effect else name, share)
                 for name, share in step.rivals
             ),
         )
-        for step in loop.steps
-    )
-
-
-def _size(fit: Fit, name: str) -> str:
-    part = fit.model.slices(fit.observations.context)[name]
-    rms = float(np.sqrt(np.mean(fit.theta[part] ** 2)))
-    return f"{rms:.2g} {fit.parameters[part.start].unit} rms of {part.stop - part.start}"

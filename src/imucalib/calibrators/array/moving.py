@@ -96,14 +96,14 @@ class Moving:
         return replace(self, rate=np.einsum("kij,nkj->nki", inverse, self.rate))
 
 
-def moving_part(log: ArrayLog, rests: RestFit, names: tuple[str, ...] = ()) -> Moving:
+def moving_part(log: ArrayLog, rests: RestFit) -> Moving:
     """Correct, and find the informative samples. Raises Undetermined when there are too few or a
     gyro is in another unit than the others."""
     t, force, rate, clipped = _around_motion(log, rests)
     speed = np.linalg.norm(np.median(rate, axis=1), axis=1)
     turning = speed > SLOWEST
     if turning.any():
-        _refuse_odd(np.linalg.norm(rate[turning], axis=2) / speed[turning, None], names)
+        _refuse_odd(np.linalg.norm(rate[turning], axis=2) / speed[turning, None], rests.imus)
     usable = turning & ~clipped
     counts = {"rotating": int(turning.sum()), "clipped": int((turning & clipped).sum())}
     _refuse_few(counts, int(usable.sum()))
@@ -136,14 +136,13 @@ def _around_motion(log: ArrayLog, rests: RestFit) -> tuple[Array, Array, Array, 
     return t, log.acceleration[turning], rate, log.clipped[turning]
 
 
-def _refuse_odd(ratio: Array, names: tuple[str, ...]) -> None:
+def _refuse_odd(ratio: Array, imus: tuple[str, ...]) -> None:
     """ratio : (n, K) each gyro's |ω| over that of their median."""
     typical = np.median(ratio, axis=0)
     worst = int(np.argmax(np.abs(np.log(np.maximum(typical, 1e-9)))))
     if not 1.0 / _ODD < typical[worst] < _ODD:
-        name = names[worst] if names else f"IMU {worst + 1}"
         raise Undetermined(
-            f"the gyro of {name} reads {typical[worst]:.2g} times what the others read",
+            f"the gyro of {imus[worst]} reads {typical[worst]:.2g} times what the others read",
             remedy="check its unit (deg/s against rad/s: 57.3) and scale in the recording or its "
             "mapping, or take the IMU off the board file",
         )

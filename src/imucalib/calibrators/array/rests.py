@@ -232,6 +232,10 @@ class RestFit:
     stop: float
 
     @property
+    def imus(self) -> tuple[str, ...]:
+        return self.fit.observations.context.triads
+
+    @property
     def poses(self) -> int:
         return self.fit.observations.n
 

@@ -25,7 +25,7 @@ from imucalib.core.sphere import KnownDirection
 from imucalib.effects import named
 from imucalib.errors import NotConverged, Undetermined, UsageError
 from imucalib.estimators.corrected import OBJECTIVES, fit_corrected
-from imucalib.estimators.in_a_population import p_value_in_kind
+from imucalib.estimators.in_a_population import kind_chance
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.estimators.noise_mixture import with_noise_integrated
 from imucalib.estimators.starting_point import full_matrix_start, linear_map
@@ -125,7 +125,7 @@ def calibrate(
         error=error_summary(base, final, data, splits, request.sigma),
         splits=splits,
         request=request,
-        kind_chance=float("nan") if request.population is None else p_value_in_kind(final),
+        kind_chance=float("nan") if request.population is None else kind_chance(final),
     )
 
 

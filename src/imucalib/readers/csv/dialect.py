@@ -100,7 +100,7 @@ def sniff(pieces: Sequence[bytes], mapping: FieldMapping, where: str) -> Dialect
     body = _body(lines, mapping.skip or 0)
     text = "".join(body)
     delimiters = [mapping.delimiter] if mapping.delimiter else list(_DELIMITERS)
-    # Those that are nowhere part the lines alike: the first of all stands for them.
+    # Of those that are nowhere, which all give one cell, the first is enough.
     delimiters = delimiters[:1] + [d for d in delimiters[1:] if d in text or d == " "]
     marks = [mapping.decimal] if mapping.decimal else [".", ","] if "," in text else ["."]
     best, most = Dialect("", "", 0), 0

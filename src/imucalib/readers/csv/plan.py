@@ -37,7 +37,6 @@ from imucalib.readers.devices.catalogue import Device
 from imucalib.readers.timebase import stepping
 from imucalib.recording.mapping import FieldMapping
 
-_REST_SECONDS = 0.5  # window of the look for rest that finds the unit
 _SAMPLES = 20  # stamps from each end of a look
 
 
@@ -232,15 +231,11 @@ def _signal(
         times = (clock.seconds(rows.stamps)[0] for rows in parsed)
         steps = stepping([t[k] for t, k in zip(times, known, strict=True)])
         rate, threshold = (1.0 / steps.step, steps.threshold) if steps else (rate, threshold)
-    if vector.quantity == "acceleration":
-        rest = conversion.readings_at_rest(whole, max(3, round(_REST_SECONDS * rate)))
-        integers = all((v == np.rint(v)).all() for v in whole)
-        source = conversion.Source(vector.unit, device.scales, integers)
-        how = conversion.acceleration(mapping, source, rest, f"{where}: {vector.triad}")
-    elif vector.quantity == "angular_rate":
-        how = conversion.angular_rate(mapping, vector.unit, where)
-    else:
-        how = conversion.temperature(mapping, vector.unit, np.concatenate(raw)[:, 0], where)
+    force = vector.quantity == "acceleration"
+    integers = force and all((v == np.rint(v)).all() for v in whole)
+    source = conversion.Source(vector.unit, device.scales, integers)
+    place = f"{where}: {vector.triad}" if force else where
+    how = conversion.of_looks(vector.quantity, mapping, source, whole, rate=rate, where=place)
     return Signal(vector, at, how, rate, threshold)
 
 

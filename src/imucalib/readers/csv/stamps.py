@@ -256,7 +256,7 @@ def text_to_ns(stamps: NDArray[np.bytes_], layout: TextTime) -> tuple[Int, Flags
     wrong = np.zeros(stamps.shape, dtype=np.bool_)
     wrong[filled] = True
     codes = codes[filled]
-    for shape, rows in _alike(codes):
+    for shape, rows in _by_form(codes):
         form = _form_of(shape, layout)
         if form is not None and _UNDERSTOOD.fullmatch(form.plain):
             ns, bad = _read(codes[rows], form, layout)
@@ -264,7 +264,7 @@ def text_to_ns(stamps: NDArray[np.bytes_], layout: TextTime) -> tuple[Int, Flags
     return out, wrong
 
 
-def _alike(codes: Codes) -> Iterator[tuple[bytes, Index | slice]]:
+def _by_form(codes: Codes) -> Iterator[tuple[bytes, Index | slice]]:
     """Every form of stamps (n, width), with zeros for its digits, and the rows that have it."""
     shapes = np.where((codes >= 48) & (codes <= 57), np.uint8(48), codes)
     if not len(shapes):

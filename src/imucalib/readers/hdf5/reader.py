@@ -62,7 +62,6 @@ def _content(node: Any, path: Path) -> Content:
 
 
 _LOOKS, _LOOK = 24, 4096  # looks spread over each field, and their rows
-_REST_SECONDS = 0.5
 
 
 @dataclass(frozen=True)
@@ -190,14 +189,9 @@ def _measured(signal: Signal, mapping: FieldMapping) -> Signal:
         steps = Stepping(1.0 / found.rate, 1.75 / found.rate)
     rate = found.rate or 1.0 / steps.step
     where = f"{file.where}: {found.parts[0].path}"
-    if found.quantity == "acceleration":
-        window = max(3, round(_REST_SECONDS * rate))
-        rest = conversion.readings_at_rest([v[g] for v, g in zip(looks, good, strict=True)], window)
-        how = conversion.acceleration(mapping, found.unit, rest, where)
-    elif found.quantity == "angular_rate":
-        how = conversion.angular_rate(mapping, found.unit, where)
-    else:
-        how = conversion.temperature(mapping, found.unit, np.concatenate(looks)[:, 0], where)
+    whole = [v[g] for v, g in zip(looks, good, strict=True)]
+    source = conversion.Source(found.unit)
+    how = conversion.of_looks(found.quantity, mapping, source, whole, rate=rate, where=where)
     return replace(signal, conversion=how, rate=rate, threshold=steps.threshold)
 
 

@@ -101,8 +101,7 @@ class Beyond:
     """imus, rotations : (K, 3, 3) package axes to board axes; back : for accelerometers and gyros,
     (K, 3, 3) that turns what is added to readings into what is wrong with corrected ones
     span : s of the gyros' sawtooth sample ages, 0 without; left_out : effects that belong to the
-    calibrated log's time; listed : whether the calibration lists effects at all
-    refuted : effects that the log's own rests contradict"""
+    calibrated log's time; refuted : effects that the log's own rests contradict"""
 
     imus: tuple[str, ...]
     rotations: Array
@@ -110,7 +109,6 @@ class Beyond:
     back: Pair
     span: float
     left_out: tuple[str, ...]
-    listed: bool
     refuted: tuple[str, ...] = ()
 
     def without(self, names: Sequence[str]) -> Beyond:
@@ -192,7 +190,6 @@ def beyond_linear(calibration: Calibration) -> Beyond:
         back=(one, two),
         span=span,
         left_out=tuple(left_out),
-        listed="effects" in calibration.facts,
     )
 
 
@@ -357,11 +354,6 @@ class Biases:
         return np.stack(each, axis=1).reshape(len(t), *self.rate.shape[1:])
 
 
-def no_biases(count: int) -> Biases:
-    """The calibration's own hold."""
-    return Biases(np.zeros((count, 3)), np.zeros(1), np.zeros((1, count, 3)))
-
-
 @dataclass(frozen=True)
 class Instrument:
     """K IMUs whose readings become one motion.
@@ -369,8 +361,8 @@ class Instrument:
     r : (K, 3) m, positions about the point whose specific force is wanted, which lies at `at` (m)
         in the frame of the board's drawing
     beyond : what found effects add beyond the linear correction
-    biases : what the log's own rests show beside the calibration's
     accelerometer_range, gyroscope_range : m/s² and rad/s; inf where not known
+    biases : what the log's own rests show beside the calibration's, None where these hold
     doubt : what the calibration leaves open, None where its file does not say
     partner : of a log that was looked through, its sensors -> indices of the triads
     """
@@ -379,9 +371,9 @@ class Instrument:
     r: Array
     at: Array
     beyond: Beyond
-    biases: Biases
     accelerometer_range: float
     gyroscope_range: float
+    biases: Biases | None = None
     doubt: Doubt | None = None
     partner: Mapping[str, int] | None = None
 
@@ -411,6 +403,8 @@ class Instrument:
                 (read.rate, [t.rate for t in self.triads]),
             )
         )
+        if self.biases is None:
+            return force, rate
         return force - self.biases.force, rate - self.biases.rate_at(read.t)
 
     def clipped(self, read: Stretch) -> tuple[Flags, Flags]:
@@ -449,7 +443,6 @@ def instrument_of(calibration: Calibration, at: Array | None = None) -> Instrume
         r=drawn - point,
         at=point,
         beyond=beyond_linear(calibration),
-        biases=no_biases(len(triads)),
         accelerometer_range=float(ranges.get("accelerometer_g", np.inf)) * STANDARD_GRAVITY,
         gyroscope_range=float(ranges.get("gyroscope_deg_per_s", np.inf)) * DEG,
         doubt=doubt_of(calibration, places - places[0]),

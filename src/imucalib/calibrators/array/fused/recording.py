@@ -194,8 +194,6 @@ class _Work:
     def _lost(self) -> Iterator[str]:
         """What is not undone, and what has no part in the result."""
         instrument, beyond = self.found.instrument, self.found.instrument.beyond
-        if not beyond.listed:
-            yield "the calibration lists no effects: what needs the motion is not undone"
         if beyond.refuted:
             yield (
                 "not applied, since the rests of this recording contradict it: "

@@ -16,14 +16,15 @@ from imucalib.calibrators.array.estimate.covariance import (
     settled_there,
     with_uneven,
 )
-from imucalib.calibrators.array.loop.ages import found_clock, with_clock
+from imucalib.calibrators.array.loop.ages import found_clock, with_clock, with_found_clock
 from imucalib.calibrators.array.loop.catalogue import NOTHING_ASKED, Asked
 from imucalib.calibrators.array.loop.cross_fit import Gained, cross_fitted
 from imucalib.calibrators.array.loop.search import (
     Explored,
     MotionProblem,
     explored,
-    started,
+    start_state,
+    with_declared,
     with_members,
 )
 from imucalib.calibrators.array.loop.setup import Setup
@@ -83,7 +84,7 @@ def close_array_loop(
     """
 
     def searched(chosen: Setup) -> tuple[ArrayState, ArrayState, Explored]:
-        base = started(chosen, terms, asked)
+        base = with_found_clock(with_declared(start_state(chosen, terms), asked.declare))
         found = explored(base, asked, curves=curves)
         return base, _named(found, asked, curves=curves) or base, found
 
@@ -95,7 +96,10 @@ def close_array_loop(
     refused: tuple[tuple[str, str], ...] = ()
     if steps and gained is not None and gained.refutes:
         refused = tuple((step.effect, _REFUSED) for step in steps)
-        open_ends = {_as_structure(step): 0.0 for step in steps} | open_ends
+        nameless = (
+            Unexplained(s.effect, s.effect, "effect", s.probability, s.evidence) for s in steps
+        )
+        open_ends = dict.fromkeys(nameless, 0.0) | open_ends
         final, steps = base, ()
     final = _on_all(final, most)
     open_ends |= dict.fromkeys(remembered(final) if asked.search else (), 0.0)
@@ -104,7 +108,6 @@ def close_array_loop(
     final = _as_far_as_known(final, shifts.values())
     if uneven is not None:
         open_ends = {_as_positions(uneven): float(uneven.spread.max())} | open_ends
-    first, posterior = found.first
     return MotionLoop(
         base=base,
         final=final,
@@ -113,12 +116,12 @@ def close_array_loop(
         refuted=tuple(name for name, _ in refused),
         unexplained=tuple(open_ends),
         scores=scores_of(found.problem, found.posterior),
-        first_scores=scores_of(first, posterior),
+        first_scores=scores_of(*found.first),
         missing=found.problem.missing,
         difference=None if gained is None else gained.principal,
         complete=found.said.complete,
         gained=gained,
-        impact=absorbed(first),
+        impact=absorbed(found.first[0]),
         moved={one.name: move for one, move in open_ends.items()},
         dispersion=dispersion,
         asked=asked,
@@ -147,11 +150,6 @@ def _as_far_as_known(state: ArrayState, shifts: Iterable[Array]) -> ArrayState:
 def _as_positions(apart: Uneven) -> Unexplained:
     name = POSITIONS + apart.driver
     return Unexplained(name, apart.driver, "probe", 1.0 - apart.p, apart.nats)
-
-
-def _as_structure(step: Step) -> Unexplained:
-    """A step that held-out motion refuses, as structure that has no name."""
-    return Unexplained(step.effect, step.effect, "effect", step.probability, step.evidence)
 
 
 def _on_all(state: ArrayState, most: int | None) -> ArrayState:

@@ -289,11 +289,6 @@ def own_gram(state: ArrayState, effect: Response, only: int | None = None) -> Ar
     return taken_out(found.matrix, base.rests)
 
 
-def started(setup: Setup, terms: tuple[Term, ...], asked: Asked) -> ArrayState:
-    """The base model on some samples, with what is declared, and the clocks that it shows."""
-    return with_found_clock(with_declared(start_state(setup, terms), asked.declare))
-
-
 def start_state(setup: Setup, terms: tuple[Term, ...]) -> ArrayState:
     """Fitted with the drawing and plain noise as the start."""
     one = np.ones(setup.triads)
