@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from imucalib.effects.shape import in_words
 
 from imucalib.calibrators.array.board import read_board
 from imucalib.calibrators.array.findings import advice
+from imucalib.effects.forms import in_words
 from worlds.array_stories import closed, moving_of, named
 from worlds.boards import made_board
 from worlds.odd_boards import PLAN, PLANTS, Plant, odd_log, slow
