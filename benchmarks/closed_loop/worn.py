@@ -47,7 +47,7 @@ class Worn(World):
         self.warm = bool(rng.random() < 0.6 or names & {*WARM, "thermal_lag", "thermal_loop"})
         self.grain = float(rng.uniform(2.0, 4.0))  # mg, of a sample
         self.scatter = float(rng.uniform(0.3, 0.7))  # mg, of a posture
-        self.wander = float(rng.uniform(0.3, 0.8)) if rng.random() < 0.5 else 0.0
+        self.drift = float(rng.uniform(0.3, 0.8)) if rng.random() < 0.5 else 0.0
         self.memory = HOUR * float(np.exp(rng.uniform(np.log(2.0), np.log(12.0))))
         self._postures(rng)
         self._courses(rng)
@@ -92,7 +92,7 @@ class Worn(World):
         keep = np.exp(-EVERY / self.memory)
         for k in range(1, n):
             steps[k] = keep * steps[k - 1] + np.sqrt(1.0 - keep**2) * steps[k]
-        self.walk = self.wander * steps
+        self.walk = self.drift * steps
 
     def _at(self, course: Array, time: Array) -> Array:
         if course.ndim == 1:
@@ -134,7 +134,7 @@ class Worn(World):
         return np.asarray(own + self._shared(self.time, self.time) * self._cosines(self.normals()))
 
     def _shared(self, one: Array, other: Array) -> Array:
-        return np.asarray(self.wander**2 * np.exp(-np.abs(one[:, None] - other) / self.memory))
+        return np.asarray(self.drift**2 * np.exp(-np.abs(one[:, None] - other) / self.memory))
 
     def _cosines(self, normals: Array) -> Array:
         return np.asarray(normals @ self.normals().T)

@@ -120,8 +120,8 @@ def slow(rng: np.random.Generator, kind: str) -> Log:
     elif kind == "creep":
         change = 30 * MG * (t if rng.random() < 0.5 else 1 - np.exp(-4 * t))[:, None] * across
     else:
-        wander = gaussian_filter1d(rng.normal(size=(n, 3)), c.rate / rng.uniform(0.5, 3), axis=0)
-        change = G * np.radians(rng.uniform(0.5, 2.0)) * wander / wander.std()
+        drift = gaussian_filter1d(rng.normal(size=(n, 3)), c.rate / rng.uniform(0.5, 3), axis=0)
+        change = G * np.radians(rng.uniform(0.5, 2.0)) * drift / drift.std()
     acceleration.values[inside] += change
     return Log(made, [(before / c.rate, (before + n) / c.rate)])
 

@@ -257,13 +257,13 @@ def test_the_filter_whitens_as_the_dense_factor(n: int) -> None:
         assert white.log_det[e] == pytest.approx(np.linalg.slogdet(v)[1])
 
 
-def worn(seed: int, n: int = 90, wander: float = 0.0, hours: float = 8.0) -> Observations:
-    """Postures of two days in plain numpy, 0.3 mg; wander : mg, of the bias."""
+def worn(seed: int, n: int = 90, drift: float = 0.0, hours: float = 8.0) -> Observations:
+    """Postures of two days in plain numpy, 0.3 mg; drift : mg, of the bias."""
     rng = np.random.default_rng(seed)
     time = np.sort(rng.uniform(0.0, SPAN, n))
     u = rng.normal(size=(n, 3))
     u /= np.linalg.norm(u, axis=1, keepdims=True)
-    off = wander * rng.normal(size=(n, 3))
+    off = drift * rng.normal(size=(n, 3))
     for k in range(1, n):
         keep = np.exp((time[k - 1] - time[k]) / (hours * HOUR))
         off[k] = keep * off[k - 1] + np.sqrt(1.0 - keep**2) * off[k]
@@ -286,7 +286,7 @@ def base() -> Model:
 
 @cache
 def made() -> tuple[Problem, Grams, Course]:
-    data = worn(2, wander=0.6)
+    data = worn(2, drift=0.6)
     plain = fit(base(), data)
     course, _ = course_of(plain, np.zeros(data.n))
     problem = problem_of(plain, components_of(plain.model, data, asked()))
@@ -326,11 +326,11 @@ def test_what_is_told_is_taken_back_into_the_misfit() -> None:
 @pytest.mark.slow
 def test_a_walk_is_followed_where_it_is_and_nowhere_else() -> None:
     known = np.zeros(240)
-    for wander in (0.0, 1.5):
-        plain = fit(base(), worn(7, 240, wander))
+    for drift in (0.0, 1.5):
+        plain = fit(base(), worn(7, 240, drift))
         closed = close_recording(plain, asked(), known)
         found = followed(closed.loop.final, closed.course)
-        assert (found is not None) == (wander > 0.0)
+        assert (found is not None) == (drift > 0.0)
         assert closed.loop.verdict == "nothing missing"
         if found is not None:
             error = np.std(found.at.residual * found.at.unit) / MG

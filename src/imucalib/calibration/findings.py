@@ -143,7 +143,7 @@ def findings_of(
     without: tuple[str, ...] = (),
 ) -> Findings:
     """The shared loop's search."""
-    facts, walk = [], loop.wander  # the walk that the noise holds
+    facts, walk = [], loop.drift  # the walk that the noise holds
     if walk is not None and (walk.counts or walk.followed):
         what = "which the calibration follows" if walk.followed else "which nothing follows"
         facts.append(("noise", f"{walk.words}, {what}"))

@@ -23,7 +23,7 @@ def sums_block(sums: Sums) -> dict[str, Any]:
         "gram": [_rounded(row[: k + 1]) for k, row in enumerate(sums.gram)],
         "along": _rounded(sums.along),
         "taken": [_rounded(row) for row in sums.taken],
-        **fields(sums, "noise_mg=noise noise_dof=dof wander_mg=wander"),
+        **fields(sums, "noise_mg=noise noise_dof=dof wander_mg=drift"),
     }
 
 
@@ -52,7 +52,7 @@ def sums_of(block: Mapping[str, Any]) -> Sums:
         taken=np.array(block["taken"], float).reshape(p, m),
         noise=float(block["noise_mg"]),
         dof=float(block["noise_dof"]),
-        wander=float(block["wander_mg"]),
+        drift=float(block["wander_mg"]),
     )
     if not all(
         np.isfinite(v).all()

@@ -71,7 +71,7 @@ class LazyGroup(click.Group):
             if "--json" in given[: given.index("--") if "--" in given else None]:
                 from imucalib.cli.output import emit_json
 
-                emit_json({"error": told(error)})
+                emit_json({"error": failure_of(error)})
             raise
 
     def list_commands(self, ctx: click.Context) -> list[str]:
@@ -181,7 +181,7 @@ def _example(error: click.ClickException) -> str:
     return next((line for line in typed if line.startswith("imucal ")), "")
 
 
-def told(error: Exception) -> dict[str, Any]:
+def failure_of(error: Exception) -> dict[str, Any]:
     """A failure for machines: message, where, remedy and exit code."""
     from imucalib.errors import ImucalError, UnreadableInput
 

@@ -141,8 +141,8 @@ def command(
     given = {"triad": triad, "use": use, "fused": fused, "at": at, "strict": strict, "again": again}
     with working("correcting", quiet=options["quiet"]):
         notes = _applied(loaded, recording, output, {**options, **given})
-        told = _angles(loaded, output, angles, triad, each) if angles is not None else ""
-    for text in (*notes, *filter(None, [told])):
+        frame = _angles(loaded, output, angles, triad, each) if angles is not None else ""
+    for text in (*notes, *filter(None, [frame])):
         note(text, options["quiet"])
     if options["as_json"]:
         emit_json({"output": str(output), "notes": list(notes)})

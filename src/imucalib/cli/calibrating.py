@@ -145,7 +145,7 @@ def _with_entry(work: Callable[[], int], options: Mapping[str, Any]) -> int:
     import time
 
     from imucalib.atomic_file import demand_output
-    from imucalib.cli import told
+    from imucalib.cli import failure_of
     from imucalib.cohort.entries import Entry, failure_words, kept_of, write_entry
     from imucalib.errors import CRASH_EXIT_CODE, ImucalError, UsageError
 
@@ -162,7 +162,7 @@ def _with_entry(work: Callable[[], int], options: Mapping[str, Any]) -> int:
     except (UsageError, click.ClickException, click.Abort):
         raise
     except (ImucalError, OSError) as error:
-        failure = told(error)
+        failure = failure_of(error)
         write(failure["exit_code"], failure_words(failure), None)
         raise
     except Exception as error:  # a study keeps what it was; the caller reports it as a crash

@@ -227,5 +227,5 @@ def _write(
     }
     write_together(texts)
     next_ = f"imucal {fleet.settings.calibrator} --fleet"
-    told = f", fleet.yaml for the next device ({next_})" if fleet.following else ""
-    note(f"wrote {folder}: report.html, report.json, {len(made)} calibrations{told}", quiet)
+    more = f", fleet.yaml for the next device ({next_})" if fleet.following else ""
+    note(f"wrote {folder}: report.html, report.json, {len(made)} calibrations{more}", quiet)

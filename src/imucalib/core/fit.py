@@ -180,8 +180,8 @@ class Fit:
 def shrinking(shrink: Array, away: Array) -> Array:
     """(k, 1 + p) rows of parameters whose standard deviation over the noise factor is finite; away
     : (p,) start less value."""
-    told = np.flatnonzero(np.isfinite(shrink))
-    rows = np.zeros((told.size, 1 + shrink.size))
-    rows[:, 0] = away[told] / shrink[told]
-    rows[np.arange(told.size), 1 + told] = 1.0 / shrink[told]
+    held = np.flatnonzero(np.isfinite(shrink))
+    rows = np.zeros((held.size, 1 + shrink.size))
+    rows[:, 0] = away[held] / shrink[held]
+    rows[np.arange(held.size), 1 + held] = 1.0 / shrink[held]
     return rows

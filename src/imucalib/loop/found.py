@@ -112,7 +112,7 @@ class Unexplained:
 
 
 @dataclass(frozen=True)
-class Wander:
+class Drift:
     """The walk of the bias that the noise holds beside the final model.
 
     size : mg, rms of what it does to |a|; hours : after which it forgets
@@ -135,8 +135,8 @@ class Wander:
     @property
     def words(self) -> str:
         if self.size == 0.0:
-            return "the bias does not wander"
-        return f"the bias wanders by {self.size:.2g} mg in {self.hours:.2g} h"
+            return "the bias does not drift"
+        return f"the bias drifts by {self.size:.2g} mg in {self.hours:.2g} h"
 
 
 S = TypeVar("S")
@@ -152,7 +152,7 @@ class Loop(Generic[S]):
         in the whole search refuse them
     unexplained : structure that no effect carries, also where a curve corrects it
     difference : of the errors on data that took no part in the whole search, before and after
-    wander : of the noise; complete : probability that nothing is missing
+    drift : of the noise; complete : probability that nothing is missing
     open_size : m/s², rms, by how much what is suspected or without a name changes a reading
     """
 
@@ -167,7 +167,7 @@ class Loop(Generic[S]):
     first_scores: tuple[Score, ...] = ()
     missing: Mapping[str, str] = field(default_factory=dict)
     difference: Difference | None = None
-    wander: Wander | None = None
+    drift: Drift | None = None
     complete: float = math.nan
     open_size: float = 0.0
 

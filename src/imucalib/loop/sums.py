@@ -38,7 +38,7 @@ class Sums:
     gram : (m, m) products of the columns, at typical sizes in units of the noise, with the base
         model's parameters taken out; along : (m,) their products with the data
     taken : (p, m) by how much the base's θ falls for one typical size of each column
-    noise : mg, of an observation; dof : its degrees of freedom; wander : mg, rms of what a bias
+    noise : mg, of an observation; dof : its degrees of freedom; drift : mg, rms of what a bias
         that wanders does beside it
     """
 
@@ -49,7 +49,7 @@ class Sums:
     taken: Array
     noise: float
     dof: float
-    wander: float
+    drift: float
 
     def together(self, names: Sequence[str], mean: Array, covariance: Array) -> tuple[Array, Array]:
         """θ and covariance of the base and of effects whose sizes (typical) are known: mean (k,),
@@ -68,10 +68,10 @@ def columns_of(blocks: Mapping[str, Index], names: Sequence[str]) -> Index:
     return np.concatenate([np.zeros(0, np.intp), *(blocks[name] for name in names)])
 
 
-def sums_of(problem: Problem, posterior: Posterior, base: Fit, noise: float, wander: float) -> Sums:
+def sums_of(problem: Problem, posterior: Posterior, base: Fit, noise: float, drift: float) -> Sums:
     """What a recording says of every name beside its base model, over the noises by their weights.
 
-    base : the base model's fit; noise, wander : mg
+    base : the base model's fit; noise, drift : mg
     """
     grams, p = posterior.grams, problem.base
     weight = noises_of(problem, grams, ())
@@ -105,7 +105,7 @@ def sums_of(problem: Problem, posterior: Posterior, base: Fit, noise: float, wan
         taken=np.einsum("e,epm->pm", weight, solved)[:, kept],
         noise=noise,
         dof=float(posterior.dof),
-        wander=wander,
+        drift=drift,
     )
 
 

@@ -82,8 +82,8 @@ def test_a_walk_is_measured_and_stated(worn: ModuleType) -> None:
         result = case.solved(WANTED)
         truth = np.concatenate([case.bias, np.diag(case.gain) - 1.0])
         z.append((result.base.theta[:6] - truth) / result.base.sd[:6])
-        sizes.append(result.loop.wander.size)
-        hours.append(result.loop.wander.hours)
+        sizes.append(result.loop.drift.size)
+        hours.append(result.loop.drift.hours)
     assert 0.6 < np.median(sizes) < 1.4
     assert 0.5 < np.median(hours) < 8.0
     assert 0.7 < np.std(z) < 1.25

@@ -144,6 +144,6 @@ def _searched(
         course = followed(final, closed.course)
         if course is not None:
             final = course
-            if loop.wander is not None:
-                loop = replace(loop, wander=replace(loop.wander, followed=True))
+            if loop.drift is not None:
+                loop = replace(loop, drift=replace(loop.drift, followed=True))
     return replace(loop, final=final), closed.before, closed.after, closed.course.light

@@ -346,14 +346,14 @@ def actigraph_details(
     }
     if parts is not None:
         details["series"] = series_block(parts)
-    if loop is not None and loop.wander is not None:
+    if loop is not None and loop.drift is not None:
         if loop.sums is not None:
             details[sums.KEY] = sums.sums_block(loop.sums)
         details[KEY] = recorded_block(
             final,
             loop.ambiguous,
-            reading=MG * loop.wander.scatter,
+            reading=MG * loop.drift.scatter,
             settings={},
-            drift=loop.wander.sd,
+            drift=loop.drift.sd,
         )
     return details

@@ -313,7 +313,7 @@ def _following(
     by_name = {one.name: one for one in spreads}
     if said is None or not sums or not set(sums[0].base.parameters) <= set(by_name):
         return None
-    noise: Array = MG * np.array([np.hypot(one.noise, one.wander) for one in sums])
+    noise: Array = MG * np.array([np.hypot(one.noise, one.drift) for one in sums])
     sure = np.array([np.sqrt(0.5 / one.dof) for one in sums])
     return population_of(
         [by_name[name] for name in sums[0].base.parameters],

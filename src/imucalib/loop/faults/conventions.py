@@ -54,14 +54,14 @@ def wrong_directions(reading: Array, direction: Array, row: Index) -> tuple[Faul
     def same(one: Array, other: Array) -> bool:
         return bool(np.allclose(one, other, atol=1e-9))
 
-    found, told = [], set[int]()
+    found, seen = [], set[int]()
     for k in wrong:
         other = [m for m in wrong if same(every[fits[m]], direction[k])]
         twin = next((m for m in other if m > k and same(every[fits[k]], direction[m])), None)
-        if k in told:
+        if k in seen:
             continue
-        if twin is not None and twin not in told:
-            told.add(int(twin))
+        if twin is not None and twin not in seen:
+            seen.add(int(twin))
             rows = (int(row[k]), int(row[twin]))
             what = f"rows {rows[0]} and {rows[1]}: their readings are exchanged"
             score = float(worth[k] + worth[twin])

@@ -25,7 +25,7 @@ from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.estimators.least_squares import evaluate
-from imucalib.loop.found import Wander
+from imucalib.loop.found import Drift
 from imucalib.loop.posterior.catalogue import Member
 from imucalib.loop.posterior.gram import Grams, Multiplied, log_sum, swept
 from imucalib.loop.posterior.noise import diagonal_logs
@@ -191,7 +191,7 @@ def fit_at(model: Model, data: Observations, theta: Array, covariance: Array) ->
     return replace(evaluate(model, data, theta, covariance, eta=eta), noise=Noise(1.0))
 
 
-def course_of(fit: Fit, known: Array, before: Course | None = None) -> tuple[Course, Wander]:
+def course_of(fit: Fit, known: Array, before: Course | None = None) -> tuple[Course, Drift]:
     """The noise beside a fitted model, and the likeliest walk in words.
 
     known : (n,) m²/s⁴, the part of each run's variance that its windows and the resolution explain
@@ -213,8 +213,8 @@ def course_of(fit: Fit, known: Array, before: Course | None = None) -> tuple[Cou
     )
     for _ in range(_SETTLED if before else _ROUNDS):
         every = np.column_stack([columns, misfit]) / course.scatter
-        course, wander = _settled(course, every, known)
-    return course, wander
+        course, drift = _settled(course, every, known)
+    return course, drift
 
 
 def _walks(time: Array) -> tuple[Walk, ...]:
@@ -225,7 +225,7 @@ def _walks(time: Array) -> tuple[Walk, ...]:
     return (none, *(Walk(s, m, float(np.log(WANDERS / len(some)))) for s, m in some))
 
 
-def _settled(course: Course, every: Array, known: Array) -> tuple[Course, Wander]:
+def _settled(course: Course, every: Array, known: Array) -> tuple[Course, Drift]:
     """Weights, scatter and walk once more; every : (n, p + 1) columns and the misfit over the
     scatter."""
     gram, weight = course.summed(every)
@@ -243,7 +243,7 @@ def _settled(course: Course, every: Array, known: Array) -> tuple[Course, Wander
     alone = every[:, -1] - every[:, :-1] @ theta
     rest = course.variance * whitens.back(whitens(alone[:, None]))[0, :, 0]
     scatter = factor * course.scatter
-    wander = Wander(
+    drift = Drift(
         size=float(np.sqrt(np.mean((alone - rest) ** 2))) * course.scatter / MG,
         hours=walk.memory / 3600.0,
         scatter=scatter / MG,
@@ -254,7 +254,7 @@ def _settled(course: Course, every: Array, known: Array) -> tuple[Course, Wander
     far = np.maximum(1.0, size / max(_MAD * float(np.median(size)), 1e-12) / UNLIKE)
     variance = far * (1.0 + known / scatter**2)
     light = int((far > 1.0).sum())
-    return replace(course, scatter=scatter, variance=variance, likeliest=walk, light=light), wander
+    return replace(course, scatter=scatter, variance=variance, likeliest=walk, light=light), drift
 
 
 def recorded_grams(problem: Problem, course: Course) -> Grams:
@@ -278,16 +278,16 @@ def recorded_grams(problem: Problem, course: Course) -> Grams:
 
 
 def looked(
-    problem: Problem, grams: Grams, told: Sequence[tuple[Member, float]] = ()
+    problem: Problem, grams: Grams, chosen: Sequence[tuple[Member, float]] = ()
 ) -> tuple[Index, dict[str, list[str]]]:
-    """One look at every narrow member under every walk. told : members and their sizes
+    """One look at every narrow member under every walk. chosen : members and their sizes
 
-    Returns the walks that the data do not exclude, be the base complete, lack what is told, or any
-    one thing beside, since what a model lacks looks like a walk; and by component the values of
+    Returns the walks that the data do not exclude, be the base complete, lack what is chosen, or
+    any one thing more, since what a model lacks looks like a walk; and by component the values of
     scans that lead the base far under some walk: what jumps under one is a walk under another.
     """
     place = {c.member.free: c.at for c in problem.choices}
-    blocks = [(place[m.free], size) for m, size in told if m.free in place]
+    blocks = [(place[m.free], size) for m, size in chosen if m.free in place]
     base = swept(grams, problem.flat)
     found, values = np.zeros(len(grams.points), bool), dict[str, list[str]]()
     for one in (base, swept(base, *blocks)) if blocks else (base,):

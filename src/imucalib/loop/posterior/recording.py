@@ -101,14 +101,14 @@ def close_recording(plain: Fit, wanted: Searched, known: Array, *, curves: bool 
         curves=curves,
     )
     before = left.before if left else base_left_out(problem, posterior, folds_of(data))
-    course, wander = course_of(loop.final, known, course)
+    course, drift = course_of(loop.final, known, course)
     loop = replace(
         loop,
         as_recorded=loop.final,
         weighed=rivals_of(problem, posterior),
-        wander=wander,
+        drift=drift,
         ambiguous=ambiguities(loop.final, loop.alternatives, course.white(loop.final.at.unit)),
-        sums=sums_of(problem, posterior, base, wander.scatter, wander.size),
+        sums=sums_of(problem, posterior, base, drift.scatter, drift.size),
     )
     return Closed(loop, course, before, left.after if left else before)
 

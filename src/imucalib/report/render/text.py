@@ -204,8 +204,8 @@ class _Sheet:
         if card is None:
             return []
         worth = [(w.quantity, f"{w.value} ({w.whole})") for w in card.good_to]
-        told = card.to_do or ("Nothing to do.",)
-        steps = [(f"{i}.", _spaced(step)) for i, step in enumerate(told, start=1)]
+        advice = card.to_do or ("Nothing to do.",)
+        steps = [(f"{i}.", _spaced(step)) for i, step in enumerate(advice, start=1)]
         return [
             *self.heading("Good to"),
             self.facts(worth),

@@ -199,7 +199,7 @@ class _Look:
             yield block
 
 
-_WANDER, _REST = 1e-2, 2e-3  # m/s²: what biases do from log to log, and one rest's own error
+_DRIFT, _REST = 1e-2, 2e-3  # m/s²: what biases do from log to log, and one rest's own error
 _GROUPS = 200  # of rests, at most
 #: Variance that a bias walks in the mean time between rests over what differs from rest to rest.
 _SHARES = np.concatenate([[0.0], np.geomspace(1e-3, 1e2, 26)])
@@ -235,7 +235,7 @@ def _with_rests(segments: Segments, order: Mapping[int, int], instrument: Instru
             instrument = replace(instrument, beyond=instrument.beyond.without(wrong))
     mean = (force * there[..., None]).sum(axis=1) / there.sum(axis=1)[:, None]
     apart = np.where(there[..., None], force - mean[:, None], 0.0)
-    known = segments.n / (segments.n + (_REST / _WANDER) ** 2)
+    known = segments.n / (segments.n + (_REST / _DRIFT) ** 2)
     rate = rate - instrument.beyond.added(_still(instrument, mean))[1]
     walk = _walk(segments, middle, np.where(turns[..., None], rate, 0.0))
     return replace(instrument, biases=Biases(known * apart.mean(axis=0), *walk))
