@@ -113,7 +113,13 @@ class Model:
             missed = reading - predicted
             # Newton's method leaps to and fro across a jump, ever shorter steps close in on it.
             short *= 1.0 if turn < _ROUNDS else 0.5
-            step = short * np.linalg.solve(response, missed[..., None])[..., 0]
+            try:
+                step = short * np.linalg.solve(response, missed[..., None])[..., 0]
+            except np.linalg.LinAlgError:
+                raise NotConverged(
+                    "the sensor effects cannot be inverted: an axis does not follow the force",
+                    remedy="look whether the readings of each axis change with the attitude",
+                ) from None
             x = x + step
             if np.abs(step).max(initial=0.0) <= 1e-12 * max(np.abs(x).max(initial=0.0), 1.0):
                 break

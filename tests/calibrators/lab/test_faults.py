@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shlex
+from dataclasses import replace
 from pathlib import Path
 
 import jsonschema
@@ -239,3 +240,17 @@ def test_bad_options(tmp_path: Path, options: tuple[str, ...], code: int, words:
     assert result.exit_code == code
     assert words in str(result.exception)
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("axis", [0, 2])
+@pytest.mark.parametrize("options", [(), ("--reference", "norm")])
+def test_an_axis_that_never_changes_is_named(
+    options: tuple[str, ...], axis: int, tmp_path: Path
+) -> None:
+    clean = sheets.bench(11, name="paper", scatter=0.1)
+    reading = np.array(clean.reading)
+    reading[:, axis] = reading[0, axis]
+    code, said, _ = lab(replace(clean, reading=reading).write(tmp_path / "dead.csv"), *options)
+    assert code == 3
+    assert f"{'xyz'[axis]} reads" in said
+    assert f"--columns {'xyz'[axis]}=" in said

@@ -348,6 +348,21 @@ def _so_are(bad: Index) -> str:
     return f" (so are {bad.size - 1} more)" if bad.size > 1 else ""
 
 
+def refuse_dead_axis(table: PositionTable, rows: Index) -> None:
+    """Raise UnreadableInput where an axis reads one value in all rows while others change."""
+    reading = table.raw()[rows]
+    still = np.ptp(reading, axis=0) == 0.0
+    if rows.size < 3 or still.all() or not still.any():
+        return
+    axis = "xyz"[int(np.argmax(still))]
+    raise UnreadableInput(
+        f"{axis} reads {reading[0, 'xyz'.index(axis)]:g} in every row: the axis is dead, or this "
+        "is another column",
+        where=table.path,
+        remedy=f"name the column of its readings: --columns {axis}=HEADING",
+    )
+
+
 def refuse_units(table: PositionTable, rows: Index) -> None:
     """Raise UsageError where some rows read another size of gravity than all others: two units in
     one column."""

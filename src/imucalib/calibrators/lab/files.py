@@ -17,6 +17,7 @@ from imucalib.calibrators.lab.bench import (
     kept_rows,
     observations_of,
     raw_unit,
+    refuse_dead_axis,
     refuse_units,
 )
 from imucalib.calibrators.lab.conventions import Conventions
@@ -343,6 +344,7 @@ def _seen(table: PositionTable, kind: Kind, mapping: FieldMapping) -> TableSeen:
         meant = in_celsius(table)
         notes = meant.left_out
         rows = kept_rows(table, ())
+        refuse_dead_axis(table, rows)
         refuse_units(table, rows)
         raw = raw_unit(table, request.unit, float(lsb[0]) if lsb else None)
         unit = raw.sentence

@@ -22,6 +22,7 @@ from imucalib.calibrators.lab.bench import (
     kept_rows,
     observations_of,
     raw_unit,
+    refuse_dead_axis,
     refuse_units,
     row_numbers,
 )
@@ -140,6 +141,7 @@ def _kept(
 ) -> tuple[Index, tuple[str, ...]]:
     """The rows that were not excluded and have a plausible size, and what was left out."""
     rows = kept_rows(table, (*request.exclude, *emptied))
+    refuse_dead_axis(table, rows)
     refuse_units(table, rows)
     bad = implausible_rows(table, rows, refuse=not request.auto_exclude)
     said = [f"row {r}: excluded as asked" for r in request.exclude]
