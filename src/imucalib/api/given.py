@@ -13,7 +13,7 @@ from typing import Any, TypedDict
 import numpy as np
 
 from imucalib.errors import UsageError
-from imucalib.recording.mapping import FieldMapping, from_dict
+from imucalib.recording.mapping import OPTION_FIELDS, FieldMapping, from_dict
 from imucalib.units import local_gravity
 
 #: Headings of an array's columns, by their number: of positions, and of a recording in time.
@@ -50,9 +50,6 @@ class Reading(TypedDict, total=False):
     delimiter: str
 
 
-_RENAMED = {"unit": "acc_unit", "lsb": "lsb_per_g", "gyro_lsb": "lsb_per_dps"}
-
-
 def mapping_of(base: FieldMapping | None, reading: Mapping[str, Any]) -> FieldMapping:
     """A mapping with single options over it. Raises UsageError for an option that there is not."""
     known = Reading.__annotations__
@@ -61,7 +58,7 @@ def mapping_of(base: FieldMapping | None, reading: Mapping[str, Any]) -> FieldMa
             close = difflib.get_close_matches(name, known, 1)
             remedy = f"did you mean {close[0]}" if close else f"there are: {', '.join(known)}"
             raise UsageError(f"no option '{name}'", remedy=remedy)
-    stated = {_RENAMED.get(name, name): value for name, value in reading.items()}
+    stated = {OPTION_FIELDS.get(name, name): value for name, value in reading.items()}
     return from_dict(stated, "keywords").filled_from(base or FieldMapping())
 
 

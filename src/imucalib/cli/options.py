@@ -62,9 +62,6 @@ _READING: dict[str, dict[str, Any]] = {
 }
 #: Parameters of `recording_options`.
 READING = tuple(_READING)
-_RENAMED = {"unit": "acc_unit", "lsb": "lsb_per_g", "gyro_lsb": "lsb_per_dps"}
-#: Option -> field of the mapping.
-_FIELDS = {name: _RENAMED.get(name, name) for name in READING if name != "mapping"}
 
 #: A fleet as a prior.
 fleet_option = click.option(
@@ -117,10 +114,11 @@ def inputs_of(options: dict[str, Any], *files: Path) -> list[Path]:
 
 def mapping_of(options: dict[str, Any]) -> FieldMapping:
     """The mapping that the options state; the file first, single options over it."""
-    from imucalib.recording.mapping import FieldMapping, from_dict, load_mapping
+    from imucalib.recording.mapping import OPTION_FIELDS, FieldMapping, from_dict, load_mapping
 
     words = {"tab": "\t", "\\t": "\t", "blank": " ", "blanks": " ", "space": " "}
-    stated = {name: options[option] for option, name in _FIELDS.items()}
+    single = (name for name in READING if name != "mapping")
+    stated = {OPTION_FIELDS.get(name, name): options[name] for name in single}
     delimiter = stated["delimiter"]
     stated["delimiter"] = words.get(delimiter, delimiter) if delimiter else None
     stated["where"] = list(stated["where"]) or None

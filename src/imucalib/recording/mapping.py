@@ -19,6 +19,8 @@ from imucalib.atomic_file import replaced_atomically
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.recording.yaml_text import dump, load
 
+#: Options and keywords that have another name than the field that they state.
+OPTION_FIELDS = {"unit": "acc_unit", "lsb": "lsb_per_g", "gyro_lsb": "lsb_per_dps"}
 #: Seconds in one unit of a numeric time stamp; "text" is a date or a time of day.
 TIME_UNITS: dict[str, float] = {
     "s": 1.0,

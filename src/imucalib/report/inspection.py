@@ -15,6 +15,7 @@ from imucalib.calibration.plain import fields, listed, plain
 from imucalib.calibrators.lab.files import TableSeen
 from imucalib.inspection.inspection import ChannelFacts, Inspection, advice, next_commands, problems
 from imucalib.inspection.noise import AxisNoise, Coefficient, SensorNoise
+from imucalib.recording.mapping import OPTION_FIELDS
 from imucalib.recording.yaml_text import load
 from imucalib.report.document import (
     Block,
@@ -38,7 +39,7 @@ _OPTIONS = (
     " acc gyro temperature time gyro_unit temperature_unit time_unit rate axis_map preset "
     "acc_offset skip decimal delimiter "
 )
-_RENAMED = {"acc_unit": "--unit", "lsb_per_g": "--lsb", "lsb_per_dps": "--gyro-lsb"}
+_RENAMED = {field: f"--{name.replace('_', '-')}" for name, field in OPTION_FIELDS.items()}
 _RESTS = (
     "Drift and noise of the worst axis. Turning: the mean goes further than 0.3 deg, or steadily "
     "by more than 0.025 deg/s, or the gyroscope is off its bias; vibrating: louder than a "
