@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import imucalib
+from imucalib.api.drawn import plots_of
 from imucalib.errors import UsageError
 from worlds.places import SAMPLES
 
@@ -128,6 +129,9 @@ def test_figures_are_drawn_where_there_is_matplotlib(
     monkeypatch.setitem(sys.modules, "matplotlib.pyplot", library)
     assert found.plot() == "figure"
     assert all("plot" in ax.seen and "set" in ax.seen for ax in made)
+    card = found.document.card
+    assert card is not None
+    assert plots_of(found.document, "")[0] is card.picture
     with pytest.raises(UsageError, match="there are: Error of"):
         found.plot("absent")
     monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)

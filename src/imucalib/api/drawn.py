@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from imucalib.errors import UsageError
-from imucalib.report.document import Document, Plot, Series
+from imucalib.report.document import RESIDUALS, Document, Plot, Series
 
 #: What a series is drawn with.
 _STYLES: dict[str, dict[str, Any]] = {
@@ -22,10 +22,7 @@ def plots_of(document: Document, which: str) -> tuple[Plot, ...]:
 
     Raises UsageError with the titles that there are.
     """
-    picture = document.card.picture if document.card else None
-    every = [("", picture)] if picture else []
-    every += [(s.title, b) for s in document.sections for b in s.blocks if isinstance(b, Plot)]
-    wanted = which.lower() or "residual before and after"
+    every, wanted = document.plots, which.lower() or RESIDUALS.lower()
     found = tuple(p for title, p in every if wanted in f"{title} {p.title}".lower())
     if not found:
         titles = "; ".join(dict.fromkeys(p.title for _, p in every)) or "none"

@@ -15,6 +15,7 @@ from imucalib.core.sphere import covered, even_directions
 from imucalib.exports.per_axis import nearest_row
 from imucalib.report import parameters, sections
 from imucalib.report.document import (
+    RESIDUALS,
     Card,
     Document,
     Facts,
@@ -52,7 +53,7 @@ def actigraph_document(run: ActigraphRun) -> Document:
         _parameters(run),
         _coverage(run),
         sections.advice_section(outcome),
-        Section("Residual before and after", plots, brief=False),
+        Section(RESIDUALS, plots, brief=False),
         Section("Error over the sphere", _sphere_blocks(run), brief=False),
         _rule(run),
         parameters.sensor_section(run.calibration),

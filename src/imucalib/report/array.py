@@ -13,7 +13,18 @@ from imucalib.calibrators.array.run import ArrayRun
 from imucalib.core.eigen import eigen
 from imucalib.report import sections
 from imucalib.report.array_figures import board_plots, chain_plots, residual_plots
-from imucalib.report.document import Card, Document, Facts, Plot, Section, Table, Text, Use, Worth
+from imucalib.report.document import (
+    RESIDUALS,
+    Card,
+    Document,
+    Facts,
+    Plot,
+    Section,
+    Table,
+    Text,
+    Use,
+    Worth,
+)
 from imucalib.report.plots import gain_plot
 from imucalib.significant_digits import plus_minus, with_sd
 from imucalib.units import DEG
@@ -47,7 +58,7 @@ def array_document(run: ArrayRun) -> Document:
         Section("Positions", (_position_table(*positions, note), known)),
         Section("The board", board_plots(run), brief=False),
         sections.loop_section(outcome),
-        Section("Residual before and after", residuals, brief=False),
+        Section(RESIDUALS, residuals, brief=False),
         _motion_section(run),
         _rests_section(run),
         Section("Observability", observability),

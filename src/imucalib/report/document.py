@@ -12,6 +12,8 @@ from typing import Literal
 
 from imucalib.arrays import Array
 
+#: Section of the plots of what is left before and after a search.
+RESIDUALS = "Residual before and after"
 Mark = Literal["line", "points", "rings", "bars", "band", "step", "net"]
 Tone = Literal["ok", "warning", "bad", "plain"]
 
@@ -171,6 +173,13 @@ class Document:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "sections", tuple(s for s in self.sections if s.blocks))
+
+    @property
+    def plots(self) -> tuple[tuple[str, Plot], ...]:
+        """Every plot with the title of its section; the card's picture first, as one of those."""
+        own = [(s.title, b) for s in self.sections for b in s.blocks if isinstance(b, Plot)]
+        picture = self.card.picture if self.card else None
+        return (*([(RESIDUALS, picture)] if picture else []), *own)
 
     def placed(self, places: Mapping[str, str]) -> Document:
         """The same, with the commands that use what was written: first of a result that passes,

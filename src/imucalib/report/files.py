@@ -25,7 +25,7 @@ from imucalib.errors import ImucalError, UsageError
 from imucalib.exports import Made
 from imucalib.loop.found import Score
 from imucalib.recording.yaml_text import load
-from imucalib.report.document import Document, Plot, Series
+from imucalib.report.document import Document, Series
 from imucalib.significant_digits import per_cent
 
 if TYPE_CHECKING:
@@ -190,9 +190,7 @@ def _why(score: Score, found: Findings) -> str:
 def shown_dict(document: Document) -> dict[str, Any]:
     """What only the document holds: its card, and its figures as series, five digits each."""
     card, plots = document.card, []
-    drawn = [("", card.picture)] if card and card.picture else []
-    drawn += [(s.title, b) for s in document.sections for b in s.blocks if isinstance(b, Plot)]
-    for title, plot in drawn:
+    for title, plot in document.plots:
         series = [_series(s) for s in plot.series]
         words = fields(plot, "title x=x_label y=y_label caption")
         plots.append({"section": title, **words, "series": series})

@@ -114,18 +114,18 @@ def _headline(fleet: Fleet) -> str:
 
 def _uses(fleet: Fleet) -> tuple[Use, ...]:
     """What a device's own calibration, and the fleet's, are for."""
-    made = [m.name for m in fleet.members if any(r.calibration for r in m.recordings)]
-    own, next_ = f"{{folder}}/{made[0]}/calibration.yaml" if made else "", "{folder}/fleet.yaml"
-    wanted = "TABLE" if fleet.settings.calibrator == "lab" else "RECORDING"
-    each = Use(
-        f"Correct a recording of {made[0] if made else ''}, and so for each device",
-        ("apply", own, "RECORDING", "-o", "corrected.mcap"),
-    )
-    another = Use(
-        "Calibrate another device of the kind",
-        (fleet.settings.calibrator, wanted, "--fleet", next_),
-    )
-    return (*[each] * bool(made), *[another] * bool(fleet.following))
+    uses = []
+    made = (m.name for m in fleet.members if any(r.calibration for r in m.recordings))
+    if name := next(made, ""):
+        own = f"{{folder}}/{name}/calibration.yaml"
+        purpose = f"Correct a recording of {name}, and so for each device"
+        uses.append(Use(purpose, ("apply", own, "RECORDING", "-o", "corrected.mcap")))
+    if fleet.following:
+        calibrator = fleet.settings.calibrator
+        wanted = "TABLE" if calibrator == "lab" else "RECORDING"
+        command = (calibrator, wanted, "--fleet", "{folder}/fleet.yaml")
+        uses.append(Use("Calibrate another device of the kind", command))
+    return tuple(uses)
 
 
 def _worth(fleet: Fleet) -> tuple[Worth, ...]:

@@ -12,6 +12,7 @@ from imucalib.calibrators.imu.plan import HandPlan
 from imucalib.calibrators.imu.run import ImuRun, heading_drift
 from imucalib.report import parameters, sections
 from imucalib.report.document import (
+    RESIDUALS,
     Card,
     Document,
     Facts,
@@ -37,7 +38,7 @@ def imu_document(run: ImuRun) -> Document:
     )
     parts = [
         sections.loop_section(outcome),
-        Section("Residual before and after", gain_plot(outcome.findings), brief=False),
+        Section(RESIDUALS, gain_plot(outcome.findings), brief=False),
         Section("Gyroscope", (_gains(run), _facts(run))),
         Section("Parameters", (parameters.parameter_table(run.calibration, ""),), brief=False),
         sections.advice_section(outcome),

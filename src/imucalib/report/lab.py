@@ -28,6 +28,7 @@ from imucalib.loop.held_out import Held, fitted
 from imucalib.loop.held_out import errors as held_errors
 from imucalib.report import parameters, sections
 from imucalib.report.document import (
+    RESIDUALS,
     Block,
     Card,
     Document,
@@ -71,7 +72,7 @@ def lab_document(run: LabRun) -> Document:
     plots = (*gain_plot(outcome.findings), *others, _attitude_map(run))
     parts = [
         sections.loop_section(outcome),
-        Section("Residual before and after", plots, brief=False),
+        Section(RESIDUALS, plots, brief=False),
         _angle_section(run),
         _parameter_section(run),
         parameters.kind_section(request.population, result.final, result.kind_chance, "position"),

@@ -354,12 +354,12 @@ def refuse_dead_axis(table: PositionTable, rows: Index) -> None:
     still = np.ptp(reading, axis=0) == 0.0
     if rows.size < 3 or still.all() or not still.any():
         return
-    axis = "xyz"[int(np.argmax(still))]
+    axis = int(np.argmax(still))
     raise UnreadableInput(
-        f"{axis} reads {reading[0, 'xyz'.index(axis)]:g} in every row: the axis is dead, or this "
-        "is another column",
+        f"{'xyz'[axis]} reads {reading[0, axis]:g} in every row: the axis is dead, or this is "
+        "another column",
         where=table.path,
-        remedy=f"name the column of its readings: --columns {axis}=HEADING",
+        remedy=f"name the column of its readings: --columns {'xyz'[axis]}=HEADING",
     )
 
 
