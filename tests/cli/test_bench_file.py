@@ -21,7 +21,7 @@ from imucalib.calibration.calibration import from_fit
 from imucalib.calibration.findings import findings_of
 from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Limit, Outcome, Run
 from imucalib.calibration.provenance import provenance_of
-from imucalib.cli.calibrating import Shared, calibrating, finish, shared_of
+from imucalib.cli.calibrating import calibrating, finish, shared_of
 from imucalib.cohort.entries import Entry, rows
 from imucalib.core.effect import Context
 from imucalib.core.model import Model
@@ -90,12 +90,12 @@ def test_what_is_wrong_in_it_is_said(bench: Path, text: str, words: str) -> None
 SCHEMAS = Path(imucalib.__file__).parent / "schemas"
 
 
-def toy_run(path: Path, asked: Shared) -> Run:
+def toy_run(path: Path, asked: dict[str, Any]) -> Run:
     """The library's part: readings at rest (x, y, z in m/s²) against the size of gravity."""
     reading = np.loadtxt(path, delimiter=",", skiprows=1)
     n = len(reading)
     data = Observations(
-        reading[:, None], np.full((n, 1, 3), MG), KnownNorm(n, asked.gravity),
+        reading[:, None], np.full((n, 1, 3), MG), KnownNorm(n, asked["gravity"]),
         Context(n, {"order": np.linspace(0.0, 1.0, n)}), np.arange(n),
         tuple(f"rest {k}" for k in range(n)),
     )  # fmt: skip
@@ -118,13 +118,13 @@ def toy_run(path: Path, asked: Shared) -> Run:
         calibrator="toy",
         errors=(error,),
         provenance=provenance_of(path=str(path), sha256="", samples=n, mapping={}, settings={},
-                                 seed=asked.seed, command=asked.command),
+                                 seed=asked["seed"], command=asked["command"]),
         findings=findings_of(loop),
         fit=final,
-        limits=tuple(Limit(k, out[1], v, "mg") for k, v in asked.limits.items()),
+        limits=tuple(Limit(k, out[1], v, "mg") for k, v in asked["limits"].items()),
     )  # fmt: skip
     calibration = from_fit(
-        final, "toy", raw_unit="m/s2", raw_to_si=1.0, gravity=asked.gravity,
+        final, "toy", raw_unit="m/s2", raw_to_si=1.0, gravity=asked["gravity"],
         status=outcome.status, reasons=outcome.reasons,
         facts={"errors": [error.as_dict()], "provenance": outcome.provenance.as_dict()},
     )  # fmt: skip
@@ -135,9 +135,9 @@ def _mg(held: Held) -> float:
     return held.rms() / MG
 
 
-def _raw(data: Observations, asked: Shared) -> float:
+def _raw(data: Observations, asked: dict[str, Any]) -> float:
     size = np.linalg.norm(data.reading[:, 0], axis=1)
-    return float(np.sqrt(np.mean((size - asked.gravity) ** 2))) / MG
+    return float(np.sqrt(np.mean((size - asked["gravity"]) ** 2))) / MG
 
 
 @click.command("toy")

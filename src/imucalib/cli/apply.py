@@ -9,13 +9,21 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imucalib.cli.options import (
-    PagedCommand,
+    FILE,
+    PATH,
+    calibration_of,
+    choice,
+    effects_option,
+    flag,
     force_option,
     inputs_of,
     json_option,
     mapping_of,
+    option,
+    paged,
     quiet_option,
     recording_options,
+    strict_option,
 )
 from imucalib.cli.output import emit_json, note, say, working
 
@@ -38,76 +46,43 @@ def _millimetres(
     return point
 
 
-@click.command("apply", cls=PagedCommand, short_help="Correct a recording with a calibration.")
-@click.argument("calibration", type=click.Path(path_type=Path))
-@click.argument("recording", type=click.Path(path_type=Path))
-@click.option(
-    "-o",
-    "--output",
-    required=True,
-    type=click.Path(path_type=Path),
-    help="File to write: .mcap, .h5 or .csv.",
+@paged(
+    "apply",
+    click.argument("calibration", type=PATH),
+    click.argument("recording", type=PATH),
+    option("-o --output", "File to write: .mcap, .h5 or .csv.", required=True, type=PATH),
+    strict_option,
+    option("--triad", "Which sensor, when the recording has several."),
+    effects_option,
+    option(
+        "--parts use", "Each sample by the part valid at its time (--every).", flag_value="parts"
+    ),
+    option("--angles", "Also write inclination and tool-face with their sd, as CSV.", type=FILE),
+    choice(
+        "--each",
+        "rest sample",
+        "A row of --angles for each rest, or for each sample.",
+        default="rest",
+    ),
+    option(
+        "--fused/--no-fused",
+        "Of an array: only the fused virtual IMU, or only the IMUs; default: both.",
+        default=None,
+    ),
+    option(
+        "--at",
+        "Of an array: point of the board's drawing whose force is given, mm; default: the middle.",
+        metavar="X,Y,Z",
+        callback=_millimetres,
+    ),
+    flag("--again", "Correct a recording that is corrected already."),
+    option("--whole use", "One calibration for all, whatever parts.", flag_value="whole"),
+    force_option,
+    recording_options,
+    json_option,
+    quiet_option,
 )
-@click.option(
-    "--strict", is_flag=True, help="Refuse a damaged recording instead of keeping what is left."
-)
-@click.option("--triad", help="Which sensor, when the recording has several.")
-@click.option(
-    "--effects",
-    "effects_file",
-    type=click.Path(path_type=Path),
-    help="Python file with effects of your own that the calibration uses.",
-)
-@click.option(
-    "--parts",
-    "use",
-    flag_value="parts",
-    help="Each sample by the part valid at its time (--every).",
-)
-@click.option(
-    "--angles",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="Also write inclination and tool-face with their sd, as CSV.",
-)
-@click.option(
-    "--each",
-    type=click.Choice(["rest", "sample"]),
-    default="rest",
-    show_default=True,
-    help="A row of --angles for each rest, or for each sample.",
-)
-@click.option(
-    "--fused/--no-fused",
-    default=None,
-    help="Of an array: only the fused virtual IMU, or only the IMUs; default: both.",
-)
-@click.option(
-    "--at",
-    metavar="X,Y,Z",
-    callback=_millimetres,
-    help="Of an array: point of the board's drawing whose force is given, mm; default: the middle.",
-)
-@click.option("--again", is_flag=True, help="Correct a recording that is corrected already.")
-@click.option("--whole", "use", flag_value="whole", help="One calibration for all, whatever parts.")
-@force_option
-@recording_options
-@json_option
-@quiet_option
-def command(
-    calibration: Path,
-    recording: Path,
-    output: Path,
-    strict: bool,
-    triad: str | None,
-    use: str | None,
-    fused: bool | None,
-    at: tuple[float, ...] | None,
-    again: bool,
-    angles: Path | None,
-    each: str,
-    force: bool,
-    **options: Any,
-) -> int:
+def command(calibration: Path, recording: Path, **options: Any) -> int:
     """Correct the acceleration of a recording; everything else stays as it was.
 
     With the calibration of an array, the readings of every IMU in board axes, and all of them fused
@@ -120,51 +95,34 @@ def command(
       imucal apply array/calibration.yaml run.mcap --fused -o fused.mcap
     """
     from imucalib.atomic_file import demand_output
-    from imucalib.calibration.file import check, read
-    from imucalib.effects import load_file
+    from imucalib.errors import UsageError
     from imucalib.writers import writer_for
 
+    output, angles, quiet = options["output"], options["angles"], options["quiet"]
     writer_for(output)
-    for made in (output, angles):
-        if made is not None:
-            demand_output(made, inputs_of(options, calibration, recording), force=force)
-    if options["effects_file"] is not None:
-        load_file(options["effects_file"])
-    loaded = read(calibration)
-    check(loaded, str(calibration))
-    _refuse_angles(loaded, angles)
-    if loaded.status != "ok":
-        note(
-            f"warning: this calibration is {loaded.status}: {'; '.join(loaded.reasons)}",
-            options["quiet"],
-        )
-    given = {"triad": triad, "use": use, "fused": fused, "at": at, "strict": strict, "again": again}
-    with working("correcting", quiet=options["quiet"]):
-        notes = _applied(loaded, recording, output, {**options, **given})
-        frame = _angles(loaded, output, angles, triad, each) if angles is not None else ""
-    for text in (*notes, *filter(None, [frame])):
-        note(text, options["quiet"])
-    if options["as_json"]:
-        emit_json({"output": str(output), "notes": list(notes)})
-    elif not options["quiet"]:
-        say(f"wrote {output}")
-    return 0
-
-
-def _refuse_angles(calibration: Calibration, path: Path | None) -> None:
-    """Angles are of one accelerometer; said before anything is written."""
-    from imucalib.errors import UsageError
-
-    if path is not None and calibration.triads:
+    for made in filter(None, (output, angles)):
+        demand_output(made, inputs_of(options, calibration, recording), force=options["force"])
+    loaded = calibration_of(calibration, options["effects_file"])
+    if angles is not None and loaded.triads:
         raise UsageError(
             "--angles is of one accelerometer, this calibration is of an array",
             remedy="leave it out: the fused specific force at rest has the array's tilt",
         )
+    if loaded.status != "ok":
+        note(f"warning: this calibration is {loaded.status}: {'; '.join(loaded.reasons)}", quiet)
+    with working("correcting", quiet=quiet):
+        notes = _applied(loaded, recording, output, options)
+        frame = _angles(loaded, output, options) if angles is not None else ""
+    for text in (*notes, *filter(None, [frame])):
+        note(text, quiet)
+    if options["as_json"]:
+        emit_json({"output": str(output), "notes": list(notes)})
+    elif not quiet:
+        say(f"wrote {output}")
+    return 0
 
 
-def _angles(
-    calibration: Calibration, corrected: Path, path: Path, triad: str | None, each: str
-) -> str:
+def _angles(calibration: Calibration, corrected: Path, options: dict[str, Any]) -> str:
     """Write the angles of the corrected recording; what must be said of their frame."""
     from imucalib.calibration.angles import angles_at_rests, angles_of_samples
     from imucalib.calibrators.lab.conventions import Conventions
@@ -175,14 +133,14 @@ def _angles(
     recording = read(corrected)
     rests = still_segments(recording)
     found = [c for c in recording.channels.values() if c.quantity == "acceleration"]
-    channel = next(c for c in found if triad is None or c.triad == triad)
+    channel = next(c for c in found if options["triad"] in (None, c.triad))
     k = rests.triads.index(channel.triad)
-    if each == "rest":
+    if options["each"] == "rest":
         angles = angles_at_rests(calibration, channel.values, rests, k)
     else:
         angles = angles_of_samples(calibration, channel.values, channel.t, rests, k)
     stated = calibration.facts.get("conventions")
-    write_angles(angles, Conventions(**stated) if stated else Conventions(), path)
+    write_angles(angles, Conventions(**stated) if stated else Conventions(), options["angles"])
     if stated:
         return ""
     return "angles are in the sensor's own axes: no bench has tied them to a tool"

@@ -8,11 +8,18 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from imucalib.cli.options import PagedCommand, json_option, quiet_option
+from imucalib.cli.options import (
+    PATH,
+    PagedCommand,
+    json_option,
+    option,
+    paged,
+    quiet_option,
+)
 from imucalib.cli.output import emit_json, note, progress
 
 if TYPE_CHECKING:
@@ -36,51 +43,36 @@ class BatchCommand(PagedCommand):
             raise click.UsageError(said, ctx) from None
 
 
-@click.command("batch", cls=BatchCommand, short_help="Calibrate a cohort, one recording a task.")
-@click.argument("inputs", metavar="INPUT... [-- OPTIONS]", nargs=-1, required=True)
-@click.option(
-    "-o", "--output", required=True, type=click.Path(path_type=Path), help="Folder of the entries."
+@paged(
+    "batch",
+    click.argument("inputs", metavar="INPUT... [-- OPTIONS]", nargs=-1, required=True),
+    option("-o --output", "Folder of the entries.", required=True, type=PATH),
+    option("--calibrator", "Command to run on each recording.", default="actigraph"),
+    option("--jobs", "Local processes at a time.", default=1),
+    option(
+        "--shard",
+        "Only every N-th recording, from the I-th.",
+        default="1/1",
+        metavar="I/N",
+    ),
+    option(
+        "--resume/--no-resume",
+        "Keep entries whose recording, files and settings are unchanged.",
+        default=True,
+    ),
+    option("--scheduler", "Address of a Dask scheduler to run on (extra cluster)."),
+    option(
+        "--wait",
+        "With --scheduler: how long to wait while there is no worker.",
+        default=60.0,
+        type=click.FloatRange(min=0.0),
+        metavar="SECONDS",
+    ),
+    json_option,
+    quiet_option,
+    cls=BatchCommand,
 )
-@click.option(
-    "--calibrator", default="actigraph", show_default=True, help="Command to run on each recording."
-)
-@click.option("--jobs", default=1, show_default=True, help="Local processes at a time.")
-@click.option(
-    "--shard",
-    default="1/1",
-    show_default=True,
-    metavar="I/N",
-    help="Only every N-th recording, from the I-th.",
-)
-@click.option(
-    "--resume/--no-resume",
-    default=True,
-    show_default=True,
-    help="Keep entries whose recording, files and settings are unchanged.",
-)
-@click.option("--scheduler", help="Address of a Dask scheduler to run on (extra cluster).")
-@click.option(
-    "--wait",
-    default=60.0,
-    show_default=True,
-    type=click.FloatRange(min=0.0),
-    metavar="SECONDS",
-    help="With --scheduler: how long to wait while there is no worker.",
-)
-@json_option
-@quiet_option
-def command(
-    inputs: tuple[str, ...],
-    output: Path,
-    calibrator: str,
-    jobs: int,
-    shard: str,
-    resume: bool,
-    scheduler: str | None,
-    wait: float,
-    as_json: bool,
-    quiet: bool,
-) -> int:
+def command(inputs: tuple[str, ...], output: Path, jobs: int, **options: Any) -> int:
     """Calibrate recordings, each by itself. An INPUT is a recording, a folder, a pattern such as
     'week*/*.cwa', or a manifest: a path a line, or a CSV with a column path.
 
@@ -96,23 +88,23 @@ def command(
     from imucalib.cohort.batch import plan, run_all
     from imucalib.cohort.recordings import recordings_of
 
+    calibrator, resume, quiet = (options[name] for name in ("calibrator", "resume", "quiet"))
     behind, files = _options_of(calibrator, click.get_current_context().meta[_BEHIND])
-    found = recordings_of(inputs)
-    tasks = plan(found.recordings, output, calibrator, behind, _shard_of(shard), files)
+    found, shard = recordings_of(inputs), _shard_of(options["shard"])
+    tasks = plan(found.recordings, output, calibrator, behind, shard, files)
     entries: list[Entry] = []
     start = time.monotonic()
-    with _workers(scheduler, wait) as cluster:
+    with _workers(options["scheduler"], options["wait"]) as cluster:
         for line in (*found.said, _what(tasks, cluster, jobs, output, resume)):
             note(line, quiet)
+        made = run_all(tasks, cluster, jobs, resume=resume, say=lambda text: note(text, quiet))
         with progress(len(tasks), "recordings", quiet) as advance:
-            for entry in run_all(
-                tasks, cluster, jobs, resume=resume, say=lambda text: note(text, quiet)
-            ):
+            for entry in made:
                 entries.append(entry)
                 advance(free=entry.reused)
                 if entry.key and not entry.calibrated:
                     note(f"{entry.recording}: {entry.error}", quiet)
-    return _summed_up(entries, time.monotonic() - start, output, as_json=as_json, quiet=quiet)
+    return _summed_up(entries, time.monotonic() - start, output, options)
 
 
 def _shard_of(text: str) -> tuple[int, int]:
@@ -135,12 +127,10 @@ def _what(
     )
 
 
-def _summed_up(
-    entries: list[Entry], seconds: float, output: Path, *, as_json: bool, quiet: bool
-) -> int:
+def _summed_up(entries: list[Entry], seconds: float, output: Path, options: dict[str, Any]) -> int:
     failed = [e for e in entries if not e.calibrated]
     for why, count in Counter(e.error for e in failed if not e.key).items():
-        note(f"{count} recordings have no entry: {why}", quiet)
+        note(f"{count} recordings have no entry: {why}", options["quiet"])
     summary = {
         "recordings": len(entries),
         "calibrated": len(entries) - len(failed),
@@ -148,9 +138,9 @@ def _summed_up(
         "failed": [{"recording": e.recording, "error": e.error} for e in failed],
         "seconds": round(seconds, 1),
     }
-    if as_json:
+    if options["as_json"]:
         emit_json(summary)
-    elif not quiet:
+    elif not options["quiet"]:
         click.echo(
             f"{summary['calibrated']} of {summary['recordings']} calibrated "
             f"({summary['reused']} from before), {len(failed)} failed; entries in {output}"

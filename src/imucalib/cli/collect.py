@@ -6,26 +6,23 @@ from pathlib import Path
 
 import click
 
-from imucalib.cli.options import PagedCommand, force_option, quiet_option
+from imucalib.cli.options import FILE, FOLDER, PATH, force_option, option, paged, quiet_option
 from imucalib.cli.output import note
 
 
-@click.command("collect", cls=PagedCommand, short_help="Make one table of a cohort's entries.")
-@click.argument("folder", type=click.Path(path_type=Path, file_okay=False))
-@click.option(
-    "-o",
-    "--output",
-    required=True,
-    type=click.Path(path_type=Path),
-    help="Table to write: .csv, or .parquet (extra parquet).",
+@paged(
+    "collect",
+    click.argument("folder", type=FOLDER),
+    option(
+        "-o --output",
+        "Table to write: .csv, or .parquet (extra parquet).",
+        required=True,
+        type=PATH,
+    ),
+    option("--html", "Page of all recordings, those to look at first.", type=FILE),
+    force_option,
+    quiet_option,
 )
-@click.option(
-    "--html",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="Page of all recordings, those to look at first.",
-)
-@force_option
-@quiet_option
 def command(folder: Path, output: Path, html: Path | None, force: bool, quiet: bool) -> int:
     """Gather the entries that `imucal batch`, or --entry of a calibrator, wrote into one table, a
     row a recording.

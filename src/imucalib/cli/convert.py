@@ -8,29 +8,29 @@ from typing import Any
 import click
 
 from imucalib.cli.options import (
-    PagedCommand,
+    PATH,
     force_option,
     inputs_of,
     json_option,
     mapping_of,
+    paged,
     quiet_option,
     recording_options,
+    strict_option,
 )
 from imucalib.cli.output import emit_json, note, say, working
 
 
-@click.command("convert", cls=PagedCommand, short_help="Rewrite a recording in another format.")
-@click.argument(
-    "sources", metavar="SOURCE...", nargs=-1, required=True, type=click.Path(path_type=Path)
+@paged(
+    "convert",
+    click.argument("sources", metavar="SOURCE...", nargs=-1, required=True, type=PATH),
+    click.argument("target", type=PATH),
+    strict_option,
+    force_option,
+    recording_options,
+    json_option,
+    quiet_option,
 )
-@click.argument("target", type=click.Path(path_type=Path))
-@click.option(
-    "--strict", is_flag=True, help="Refuse a damaged recording instead of keeping what is left."
-)
-@force_option
-@recording_options
-@json_option
-@quiet_option
 def command(
     sources: tuple[Path, ...], target: Path, strict: bool, force: bool, **options: Any
 ) -> int:
@@ -64,13 +64,8 @@ def command(
     for text in noted.notes:
         note(text, options["quiet"])
     if options["as_json"]:
-        emit_json(
-            {
-                "output": str(target),
-                "channels": list(noted.channels),
-                "notes": list(noted.notes),
-            }
-        )
+        seen = {"channels": list(noted.channels), "notes": list(noted.notes)}
+        emit_json({"output": str(target), **seen})
     elif not options["quiet"]:
         say(f"wrote {target}: {', '.join(noted.channels)}")
     return 0

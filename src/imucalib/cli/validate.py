@@ -6,36 +6,23 @@ from pathlib import Path
 
 import click
 
-from imucalib.cli.options import PagedCommand, json_option, quiet_option
+from imucalib.cli.options import PATH, calibration_of, json_option, paged, quiet_option
 from imucalib.cli.output import emit_json
 
 
-@click.command("validate", cls=PagedCommand, short_help="Check a calibration file.")
-@click.argument("file", type=click.Path(path_type=Path))
-@json_option
-@quiet_option
+@paged("validate", click.argument("file", type=PATH), json_option, quiet_option)
 def command(file: Path, as_json: bool, quiet: bool) -> int:
     """Check that a calibration file is whole, known to this version, and can be applied.
 
     \b
     Example: imucal validate out/calibration.yaml
     """
-    from imucalib.calibration.file import check, read
-
-    calibration = read(file)
-    check(calibration, str(file))
+    found = calibration_of(file, None)
+    count = len(found.parameters)
     if as_json:
-        emit_json(
-            {
-                "file": str(file),
-                "valid": True,
-                "status": calibration.status,
-                "parameters": len(calibration.parameters),
-            }
-        )
+        shown = {"status": found.status, "parameters": count}
+        emit_json({"file": str(file), "valid": True, **shown})
     elif not quiet:
-        click.echo(
-            f"{file}: valid {calibration.calibrator} calibration, status {calibration.status}, "
-            f"{len(calibration.parameters)} parameters"
-        )
+        what = f"valid {found.calibrator} calibration, status {found.status}"
+        click.echo(f"{file}: {what}, {count} parameters")
     return 0
