@@ -218,21 +218,16 @@ def one_scale(text: str | None) -> float | None:
 
 
 def gravity_of(options: Mapping[str, Any]) -> tuple[float, str]:
-    """Local gravity (m/s²) and where it comes from; raises click's usage errors."""
-    from imucalib.units import STANDARD_GRAVITY, local_gravity
+    """Local gravity (m/s²) and where it comes from. Raises UsageError."""
+    from imucalib.units import STANDARD_GRAVITY, stated_gravity
 
-    given, latitude, height = (options[name] for name in ("gravity", "latitude", "height"))
-    if given is not None and latitude is not None:
-        raise click.UsageError("--gravity and --latitude exclude each other")
-    if latitude is not None:
-        source = f"normal gravity at latitude {latitude:g}, height {height:g} m"
-        return local_gravity(latitude, height), source
-    if given is None:
-        return STANDARD_GRAVITY, "standard gravity; --gravity or --latitude gives the local value"
-    if not 9.7 < given < 9.9:
+    given = options["gravity"]
+    if given is not None and not 9.7 < given < 9.9:
         said = "local gravity is between 9.7 and 9.9 m/s²"
         raise click.BadParameter(said, param_hint="--gravity")
-    return given, "as given"
+    default = "standard gravity; --gravity or --latitude gives the local value"
+    found = stated_gravity(given, options["latitude"], options["height"])
+    return found or (STANDARD_GRAVITY, default)
 
 
 class ExportForm(Kind):
