@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from imucalib.cli import options as opt
 from imucalib.cli.calibrating import (
     ARGUMENTS,
     calibrating,
@@ -16,16 +17,6 @@ from imucalib.cli.calibrating import (
     finish,
     limit_option,
     shared_of,
-)
-from imucalib.cli.options import (
-    PATH,
-    choice,
-    flag,
-    fleet_option,
-    mapping_of,
-    option,
-    paged,
-    population_of,
 )
 
 
@@ -55,21 +46,21 @@ def _one_of(ctx: click.Context, _: click.Parameter, recordings: tuple[Path, ...]
     )
 
 
-@paged(
+@opt.paged(
     "actigraph",
     click.argument(
-        "recording", metavar="RECORDING", nargs=-1, required=True, type=PATH, callback=_one_of
+        "recording", metavar="RECORDING", nargs=-1, required=True, type=opt.PATH, callback=_one_of
     ),
-    option("--triad", "Which accelerometer, when the recording has several."),
-    option("--every", "Calibrate parts too, for example 7d or 12h.", metavar="TIME"),
-    flag("--as-published", "The paper's own method, as it was published."),
-    choice(
+    opt.option("--triad", "Which accelerometer, when the recording has several."),
+    opt.option("--every", "Calibrate parts too, for example 7d or 12h.", metavar="TIME"),
+    opt.flag("--as-published", "The paper's own method, as it was published."),
+    opt.choice(
         "--arithmetic",
         "float int32 int16",
         "Of the gradient descent, with --as-published.",
         default="float",
     ),
-    fleet_option,
+    opt.fleet,
     limit_option("--max-worst-error", "largest held-out error, mg."),
     calibrating,
 )
@@ -97,11 +88,11 @@ def command(recording: Path, **options: Any) -> int:
         **shared_of(options),
         **{name: options[name] for name in ("triad", "as_published", "arithmetic")},
         every=_seconds(options["every"]) if options["every"] else None,
-        kind=population_of(options, {"as_published": False, "every": None}, "norm", remedy),
+        kind=opt.population_of(options, {"as_published": False, "every": None}, "norm", remedy),
     )
     if not request.curves:
         request = replace(request, without=(*request.without, *FREE))
-    mapping = mapping_of(options)
+    mapping = opt.mapping_of(options)
     with calibrating_of(options) as say:
         if request.as_published:
             published = calibrate_as_published(recording, mapping, request, say)

@@ -8,23 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imucalib.cli.options import (
-    FILE,
-    PATH,
-    calibration_of,
-    choice,
-    effects_option,
-    flag,
-    force_option,
-    inputs_of,
-    json_option,
-    mapping_of,
-    option,
-    paged,
-    quiet_option,
-    recording_options,
-    strict_option,
-)
+from imucalib.cli import options as opt
 from imucalib.cli.output import emit_json, note, say, working
 
 if TYPE_CHECKING:
@@ -46,41 +30,43 @@ def _millimetres(
     return point
 
 
-@paged(
+@opt.paged(
     "apply",
-    click.argument("calibration", type=PATH),
-    click.argument("recording", type=PATH),
-    option("-o --output", "File to write: .mcap, .h5 or .csv.", required=True, type=PATH),
-    strict_option,
-    option("--triad", "Which sensor, when the recording has several."),
-    effects_option,
-    option(
+    click.argument("calibration", type=opt.PATH),
+    click.argument("recording", type=opt.PATH),
+    opt.option("-o --output", "File to write: .mcap, .h5 or .csv.", required=True, type=opt.PATH),
+    opt.strict,
+    opt.option("--triad", "Which sensor, when the recording has several."),
+    opt.effects,
+    opt.option(
         "--parts use", "Each sample by the part valid at its time (--every).", flag_value="parts"
     ),
-    option("--angles", "Also write inclination and tool-face with their sd, as CSV.", type=FILE),
-    choice(
+    opt.option(
+        "--angles", "Also write inclination and tool-face with their sd, as CSV.", type=opt.FILE
+    ),
+    opt.choice(
         "--each",
         "rest sample",
         "A row of --angles for each rest, or for each sample.",
         default="rest",
     ),
-    option(
+    opt.option(
         "--fused/--no-fused",
         "Of an array: only the fused virtual IMU, or only the IMUs; default: both.",
         default=None,
     ),
-    option(
+    opt.option(
         "--at",
         "Of an array: point of the board's drawing whose force is given, mm; default: the middle.",
         metavar="X,Y,Z",
         callback=_millimetres,
     ),
-    flag("--again", "Correct a recording that is corrected already."),
-    option("--whole use", "One calibration for all, whatever parts.", flag_value="whole"),
-    force_option,
-    recording_options,
-    json_option,
-    quiet_option,
+    opt.flag("--again", "Correct a recording that is corrected already."),
+    opt.option("--whole use", "One calibration for all, whatever parts.", flag_value="whole"),
+    opt.force,
+    opt.recording,
+    opt.json,
+    opt.quiet,
 )
 def command(calibration: Path, recording: Path, **options: Any) -> int:
     """Correct the acceleration of a recording; everything else stays as it was.
@@ -101,8 +87,8 @@ def command(calibration: Path, recording: Path, **options: Any) -> int:
     output, angles, quiet = options["output"], options["angles"], options["quiet"]
     writer_for(output)
     for made in filter(None, (output, angles)):
-        demand_output(made, inputs_of(options, calibration, recording), force=options["force"])
-    loaded = calibration_of(calibration, options["effects_file"])
+        demand_output(made, opt.inputs_of(options, calibration, recording), force=options["force"])
+    loaded = opt.calibration_of(calibration, options["effects_file"])
     if angles is not None and loaded.triads:
         raise UsageError(
             "--angles is of one accelerometer, this calibration is of an array",
@@ -152,7 +138,7 @@ def _applied(
     """Each sensor corrected, the array fused, or both; and what there is to say of it."""
     from imucalib.calibration.apply import correct_file
 
-    mapping, fused = mapping_of(options), options["fused"]
+    mapping, fused = opt.mapping_of(options), options["fused"]
     both = {"strict": options["strict"], "again": options["again"]}
     alone = options["triad"] is not None or options["use"] is not None or not calibration.triads
     words: tuple[str, ...] = ()

@@ -8,18 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from imucalib.cli import options as opt
 from imucalib.cli.calibrating import calibrating, calibrating_of, finish, limit_option, shared_of
-from imucalib.cli.options import (
-    PATH,
-    choice,
-    flag,
-    mapping_of,
-    option,
-    paged,
-    seed_option,
-    shortest_rest_option,
-    still_of,
-)
 from imucalib.cli.output import freed_memory, note
 
 if TYPE_CHECKING:
@@ -32,50 +22,50 @@ if TYPE_CHECKING:
 _LARGE, _KEPT = 1 << 22, 1 << 26
 
 
-@paged(
+@opt.paged(
     "array",
-    click.argument("logs", nargs=-1, required=True, type=PATH),
-    option(
+    click.argument("logs", nargs=-1, required=True, type=opt.PATH),
+    opt.option(
         "--board --layout board",
         "Board file (YAML), or a name: mimu4444, mimu4444_corners.",
         required=True,
     ),
-    flag(
+    opt.flag(
         "--as-drawn",
         "Keep the board file's axes and places even where the log contradicts them.",
     ),
-    choice("--sampler", "hmc pmmh", "pmmh: Algorithm 1 of the paper.", default="hmc"),
-    option(
+    opt.choice("--sampler", "hmc pmmh", "pmmh: Algorithm 1 of the paper.", default="hmc"),
+    opt.option(
         "--samples",
         "Moving samples, at most; default: all that say something.",
         type=click.IntRange(min=1),
     ),
-    choice("--motion-prior", "learned flat", "Of ω̇; flat is the paper's.", default="learned"),
-    choice(
+    opt.choice("--motion-prior", "learned flat", "Of ω̇; flat is the paper's.", default="learned"),
+    opt.choice(
         "--det-exponent",
         "0.5 1",
         "1: equation (25) as printed, with --motion-prior flat.",
         default="0.5",
     ),
-    option("--acc-sigma", "In motion: estimate, nonlinearity, or m/s².", default="estimate"),
-    choice(
+    opt.option("--acc-sigma", "In motion: estimate, nonlinearity, or m/s².", default="estimate"),
+    opt.choice(
         "--gyro-covariance",
         "scatter sample",
         "sample: equation (30) of the paper.",
         default="scatter",
     ),
-    option("--chains", "Number of chains.", type=int),
-    option("--ess", "Effective sample size to reach.", default=400.0),
-    option("--iterations", "Of --sampler pmmh.", default=100_000),
+    opt.option("--chains", "Number of chains.", type=int),
+    opt.option("--ess", "Effective sample size to reach.", default=400.0),
+    opt.option("--iterations", "Of --sampler pmmh.", default=100_000),
     limit_option("--max-gyro-error", "held-out gyro error, deg/s."),
     limit_option("--max-position-sd", "largest posterior sd, mm."),
-    option("--save-draws", "Also write the posterior's draws: .h5 or .nc.", type=PATH),
-    option(
+    opt.option("--save-draws", "Also write the posterior's draws: .h5 or .nc.", type=opt.PATH),
+    opt.option(
         "--checkpoint",
         "Keep the chains here after every block, and go on from there.",
-        type=PATH,
+        type=opt.PATH,
     ),
-    option(
+    opt.option(
         "--distance distances",
         "A distance that you measured, which fixes the size: imu0 imu7 26.73±0.05mm "
         "(+- works too).",
@@ -83,19 +73,19 @@ _LARGE, _KEPT = 1 << 22, 1 << 26
         multiple=True,
         metavar="IMU IMU MM±SD",
     ),
-    option(
+    opt.option(
         "--accept-mm",
         "By how much what is not explained may move the positions before the exit code is 5.",
         default=0.05,
     ),
-    option(
+    opt.option(
         "--accept-mg",
         "The same of the accelerometers' residual in motion, beyond their noise at rest.",
         default=50.0,
     ),
-    option("--accept-dps", "The same of the gyros', deg/s.", default=2.0),
-    shortest_rest_option,
-    seed_option,
+    opt.option("--accept-dps", "The same of the gyros', deg/s.", default=2.0),
+    opt.shortest_rest,
+    opt.seed,
     calibrating,
 )
 def command(logs: tuple[Path, ...], **options: Any) -> int:
@@ -119,7 +109,7 @@ def command(logs: tuple[Path, ...], **options: Any) -> int:
     from imucalib.report.files import Report, write_draws
 
     freed_memory(large=_LARGE, kept=_KEPT)
-    request, mapping, quiet = _request(options, logs), mapping_of(options), options["quiet"]
+    request, mapping, quiet = _request(options, logs), opt.mapping_of(options), options["quiet"]
     runs = []
     for k, log in enumerate(logs):
         note(f"{log}", quiet)
@@ -169,7 +159,7 @@ def _request(options: dict[str, Any], logs: tuple[Path, ...]) -> ArrayRequest:
         exponent=float(options["det_exponent"]),
         accelerometer_sigma=sigma,
         stop=Stop(ess=options["ess"]),
-        still=still_of(options),
+        still=opt.still_of(options),
         scope=scope,
         accepted=Accepted(options["accept_mm"], options["accept_mg"], options["accept_dps"]),
         distances=tuple(_distance(given, board.imus) for given in options["distances"]),

@@ -12,14 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imucalib.cli.options import (
-    PATH,
-    PagedCommand,
-    json_option,
-    option,
-    paged,
-    quiet_option,
-)
+from imucalib.cli import options as opt
 from imucalib.cli.output import emit_json, note, progress
 
 if TYPE_CHECKING:
@@ -30,7 +23,7 @@ if TYPE_CHECKING:
 _BEHIND = "imucal.behind"
 
 
-class BatchCommand(PagedCommand):
+class BatchCommand(opt.PagedCommand):
     """A command whose arguments behind -- are another's."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
@@ -43,33 +36,33 @@ class BatchCommand(PagedCommand):
             raise click.UsageError(said, ctx) from None
 
 
-@paged(
+@opt.paged(
     "batch",
     click.argument("inputs", metavar="INPUT... [-- OPTIONS]", nargs=-1, required=True),
-    option("-o --output", "Folder of the entries.", required=True, type=PATH),
-    option("--calibrator", "Command to run on each recording.", default="actigraph"),
-    option("--jobs", "Local processes at a time.", default=1),
-    option(
+    opt.option("-o --output", "Folder of the entries.", required=True, type=opt.PATH),
+    opt.option("--calibrator", "Command to run on each recording.", default="actigraph"),
+    opt.option("--jobs", "Local processes at a time.", default=1),
+    opt.option(
         "--shard",
         "Only every N-th recording, from the I-th.",
         default="1/1",
         metavar="I/N",
     ),
-    option(
+    opt.option(
         "--resume/--no-resume",
         "Keep entries whose recording, files and settings are unchanged.",
         default=True,
     ),
-    option("--scheduler", "Address of a Dask scheduler to run on (extra cluster)."),
-    option(
+    opt.option("--scheduler", "Address of a Dask scheduler to run on (extra cluster)."),
+    opt.option(
         "--wait",
         "With --scheduler: how long to wait while there is no worker.",
         default=60.0,
         type=click.FloatRange(min=0.0),
         metavar="SECONDS",
     ),
-    json_option,
-    quiet_option,
+    opt.json,
+    opt.quiet,
     cls=BatchCommand,
 )
 def command(inputs: tuple[str, ...], output: Path, jobs: int, **options: Any) -> int:

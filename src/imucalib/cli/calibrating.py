@@ -13,26 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from imucalib.cli import options as opt
 from imucalib.cli.bench_file import taken
-from imucalib.cli.options import (
-    EXPORT_FORM,
-    FILE,
-    FOLDER,
-    PATH,
-    Parameter,
-    choice,
-    combined,
-    force_option,
-    full_option,
-    gravity_of,
-    gravity_options,
-    json_option,
-    many,
-    option,
-    quiet_option,
-    recording_options,
-    verbose_option,
-)
 from imucalib.cli.output import Say, emit_json, note, say, show, working
 from imucalib.errors import LimitBroken
 
@@ -50,29 +32,31 @@ class _Limit(click.Option):
     """What a result is held against."""
 
 
-def limit_option(name: str, what: str) -> Parameter:
+def limit_option(name: str, what: str) -> opt.Parameter:
     """An option whose breach is exit 1; `shared_of` gives those that were stated."""
-    return option(name, f"Limit: {what}", type=float, cls=_Limit)
+    return opt.option(name, f"Limit: {what}", type=float, cls=_Limit)
 
 
-_OPTIONS = combined(
-    gravity_options,
-    option("-o --output", "Folder for calibration.yaml, report.html and report.json.", type=FOLDER),
-    option(
+_OPTIONS = opt.combined(
+    opt.gravity,
+    opt.option(
+        "-o --output", "Folder for calibration.yaml, report.html and report.json.", type=opt.FOLDER
+    ),
+    opt.option(
         "--entry",
         "Entry for `imucal collect`, as `imucal batch` writes it, of a failure too.",
-        type=FILE,
+        type=opt.FILE,
     ),
-    many(
+    opt.many(
         "--declare",
         "EFFECT",
         "Put an effect into the base model; of one IMU of an array: NAME@imu3.",
     ),
-    many("--only", "EFFECT", "Search only these effects."),
-    many("--without", "EFFECT", "Leave effects out of the search."),
-    option("--effects effects_file", "Python file with effects of your own.", type=PATH),
-    option("--loop/--no-loop", "Search for what the model lacks.", default=True),
-    option(
+    opt.many("--only", "EFFECT", "Search only these effects."),
+    opt.many("--without", "EFFECT", "Leave effects out of the search."),
+    opt.option("--effects effects_file", "Python file with effects of your own.", type=opt.PATH),
+    opt.option("--loop/--no-loop", "Search for what the model lacks.", default=True),
+    opt.option(
         "--curves/--no-curves",
         "Correct structure without a name by a smooth curve, where that holds out; "
         "default yes, of an array no.",
@@ -81,24 +65,24 @@ _OPTIONS = combined(
     limit_option(
         "--max-error", "held-out error, in the report's unit (mg; array: m/s²); exit 1 beyond."
     ),
-    choice(
+    opt.choice(
         "--fail-on",
         "suspected unexplained caution",
         "End with exit 5 also where a name is not proved yet, structure has no name, "
         "or anything at all is cautioned.",
     ),
-    full_option,
-    option(
+    opt.full,
+    opt.option(
         "--export",
         "Write them for another program, too; see `imucal export`.",
         multiple=True,
-        type=EXPORT_FORM,
+        type=opt.EXPORT_FORM,
     ),
-    recording_options,
-    force_option,
-    json_option,
-    verbose_option,
-    quiet_option,
+    opt.recording,
+    opt.force,
+    opt.json,
+    opt.verbose,
+    opt.quiet,
 )
 
 
@@ -202,7 +186,7 @@ def shared_of(options: Mapping[str, Any]) -> dict[str, Any]:
     for name, limit in limits.items():
         if not limit >= 0.0:
             raise click.BadParameter("a limit is zero or more", param_hint=f"--{name}")
-    gravity, source = gravity_of(options)
+    gravity, source = opt.gravity_of(options)
     return {
         "gravity": gravity,
         "gravity_source": source,

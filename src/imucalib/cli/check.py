@@ -7,29 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from imucalib.cli import options as opt
 from imucalib.cli.calibrating import command_line
-from imucalib.cli.options import (
-    PATH,
-    calibration_of,
-    effects_option,
-    force_option,
-    full_option,
-    gravity_of,
-    gravity_options,
-    inputs_of,
-    json_option,
-    many,
-    mapping_of,
-    one_scale,
-    option,
-    paged,
-    pairs,
-    quiet_option,
-    recording_options,
-    seed_option,
-    shortest_rest_option,
-    still_of,
-)
 from imucalib.cli.output import present, working
 
 if TYPE_CHECKING:
@@ -38,44 +17,44 @@ if TYPE_CHECKING:
     from imucalib.calibration.checking.noise import CheckNoise
 
 
-@paged(
+@opt.paged(
     "check",
-    click.argument("calibration", type=PATH),
-    click.argument("log", type=PATH),
-    many(
+    click.argument("calibration", type=opt.PATH),
+    click.argument("log", type=opt.PATH),
+    opt.many(
         "--limit limits",
         "SIZE",
         "Change that matters: 2mg of bias, 0.1deg of mounting, 0.5deg/s of a gyro's "
         "bias. Default: 5 sd of one corrected reading.",
     ),
-    option(
+    opt.option(
         "--noise",
         "Scatter of one rest or position, for example 0.5mg; "
         "default: as the calibration states it.",
         metavar="SIZE",
     ),
-    many(
+    opt.many(
         "--between-sessions",
         "SIZE",
         "Scatter between power-ups: 0.5mg of bias, 0.05deg of mounting; default: as a "
         "calibration of several sessions states it.",
     ),
-    option("--triad", "Which sensor, when the log has several."),
-    many(
+    opt.option("--triad", "Which sensor, when the log has several."),
+    opt.many(
         "--columns",
         "ROLE=NAME,...",
         "Columns of a table by heading: inclination, tool_face, face, x, y, z.",
     ),
-    effects_option,
-    option("--html", "Also write the report as a page.", type=PATH),
-    shortest_rest_option,
-    gravity_options,
-    force_option,
-    recording_options,
-    seed_option,
-    full_option,
-    json_option,
-    quiet_option,
+    opt.effects,
+    opt.option("--html", "Also write the report as a page.", type=opt.PATH),
+    opt.shortest_rest,
+    opt.gravity,
+    opt.force,
+    opt.recording,
+    opt.seed,
+    opt.full,
+    opt.json,
+    opt.quiet,
 )
 def command(calibration: Path, log: Path, **options: Any) -> int:
     """Say whether a calibration is still good, from a few rests or positions.
@@ -98,9 +77,9 @@ def command(calibration: Path, log: Path, **options: Any) -> int:
 
     page = options["html"]
     if page is not None:
-        demand_output(page, inputs_of(options, calibration, log), force=options["force"])
+        demand_output(page, opt.inputs_of(options, calibration, log), force=options["force"])
     limits = limits_of(options["limits"])
-    loaded = calibration_of(calibration, options["effects_file"])
+    loaded = opt.calibration_of(calibration, options["effects_file"])
     reading = options["noise"] and MG * size_of(options["noise"], ("mg",))[0]
     session = sessions_of(options["between_sessions"])
     noise = check_noise(loaded, reading=reading, session=session)
@@ -122,11 +101,15 @@ def _measured(
     from imucalib.calibrators.check_log import CheckRequest, array_log, sensor_log
     from imucalib.calibrators.lab.files import LabFiles
 
-    files = LabFiles(log, None, pairs(options["columns"], "--columns"), mapping_of(options))
+    files = LabFiles(log, None, opt.pairs(options["columns"], "--columns"), opt.mapping_of(options))
     stated = options["gravity"] is not None or options["latitude"] is not None
-    gravity = gravity_of(options)[0] if stated else calibration.gravity
+    gravity = opt.gravity_of(options)[0] if stated else calibration.gravity
     request = CheckRequest(
-        gravity, still_of(options), options["unit"], one_scale(options["lsb"]), options["triad"]
+        gravity,
+        opt.still_of(options),
+        options["unit"],
+        opt.one_scale(options["lsb"]),
+        options["triad"],
     )
     make = array_log if calibration.triads else sensor_log
     return make(replace(calibration, gravity=gravity), files, noise, request)

@@ -6,22 +6,22 @@ from pathlib import Path
 
 import click
 
-from imucalib.cli.options import FILE, FOLDER, PATH, force_option, option, paged, quiet_option
+from imucalib.cli import options as opt
 from imucalib.cli.output import note
 
 
-@paged(
+@opt.paged(
     "collect",
-    click.argument("folder", type=FOLDER),
-    option(
+    click.argument("folder", type=opt.FOLDER),
+    opt.option(
         "-o --output",
         "Table to write: .csv, or .parquet (extra parquet).",
         required=True,
-        type=PATH,
+        type=opt.PATH,
     ),
-    option("--html", "Page of all recordings, those to look at first.", type=FILE),
-    force_option,
-    quiet_option,
+    opt.option("--html", "Page of all recordings, those to look at first.", type=opt.FILE),
+    opt.force,
+    opt.quiet,
 )
 def command(folder: Path, output: Path, html: Path | None, force: bool, quiet: bool) -> int:
     """Gather the entries that `imucal batch`, or --entry of a calibrator, wrote into one table, a

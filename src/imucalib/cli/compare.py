@@ -7,51 +7,41 @@ from typing import Any
 
 import click
 
+from imucalib.cli import options as opt
 from imucalib.cli.calibrating import command_line
-from imucalib.cli.options import (
-    PATH,
-    calibration_of,
-    force_option,
-    full_option,
-    json_option,
-    many,
-    option,
-    paged,
-    quiet_option,
-)
 from imucalib.cli.output import present
 
 
-@paged(
+@opt.paged(
     "compare",
-    click.argument("calibrations", type=PATH, nargs=-1, required=True),
-    many(
+    click.argument("calibrations", type=opt.PATH, nargs=-1, required=True),
+    opt.many(
         "--limit limits",
         "SIZE",
         "Difference that matters: 2mg of force, 0.1deg of direction, 0.2mm of position, "
         "0.5deg/s of a gyro's bias. Default: twice the largest stated sd.",
     ),
-    option(
+    opt.option(
         "--dates",
         "When each was recorded, for the drift; default: as the files say.",
         metavar="DATE,...",
     ),
-    many(
+    opt.many(
         "--between-sessions between",
         "SIZE",
         "Scatter between power-ups: 0.5mg of bias, 0.05deg of mounting; default: as "
         "calibrations of several sessions state it.",
     ),
-    option(
+    opt.option(
         "--effects effects_file",
         "Python file with effects of your own that the calibrations use.",
-        type=PATH,
+        type=opt.PATH,
     ),
-    option("--html", "Also write the report as a page, with its control chart.", type=PATH),
-    force_option,
-    full_option,
-    json_option,
-    quiet_option,
+    opt.option("--html", "Also write the report as a page, with its control chart.", type=opt.PATH),
+    opt.force,
+    opt.full,
+    opt.json,
+    opt.quiet,
 )
 def command(calibrations: tuple[Path, ...], **options: Any) -> int:
     """Say whether calibrations of one sensor differ, what that means, and how they drift.
@@ -73,7 +63,7 @@ def command(calibrations: tuple[Path, ...], **options: Any) -> int:
     if page is not None:
         demand_output(page, calibrations, force=options["force"])
     wanted = limits_of(options["limits"])
-    loaded = [calibration_of(path, options["effects_file"]) for path in calibrations]
+    loaded = [opt.calibration_of(path, options["effects_file"]) for path in calibrations]
     dated = dates.split(",") if dates else ()
     sessions = sessions_of(options["between"])
     found = compared(loaded, _names(calibrations), wanted, dated, sessions)

@@ -7,29 +7,19 @@ from typing import Any
 
 import click
 
-from imucalib.cli.options import (
-    PATH,
-    force_option,
-    inputs_of,
-    json_option,
-    mapping_of,
-    paged,
-    quiet_option,
-    recording_options,
-    strict_option,
-)
+from imucalib.cli import options as opt
 from imucalib.cli.output import emit_json, note, say, working
 
 
-@paged(
+@opt.paged(
     "convert",
-    click.argument("sources", metavar="SOURCE...", nargs=-1, required=True, type=PATH),
-    click.argument("target", type=PATH),
-    strict_option,
-    force_option,
-    recording_options,
-    json_option,
-    quiet_option,
+    click.argument("sources", metavar="SOURCE...", nargs=-1, required=True, type=opt.PATH),
+    click.argument("target", type=opt.PATH),
+    opt.strict,
+    opt.force,
+    opt.recording,
+    opt.json,
+    opt.quiet,
 )
 def command(
     sources: tuple[Path, ...], target: Path, strict: bool, force: bool, **options: Any
@@ -49,8 +39,8 @@ def command(
     from imucalib.writers import ChannelsChange, Noted, write_blocks, writer_for
 
     writer_for(target)
-    demand_output(target, inputs_of(options, *sources), force=force)
-    mapping = mapping_of(options)
+    demand_output(target, opt.inputs_of(options, *sources), force=force)
+    mapping = opt.mapping_of(options)
     if len(sources) == 1:
         noted = Noted(blocks(sources[0], mapping, strict=strict))
     else:

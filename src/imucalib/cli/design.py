@@ -7,63 +7,53 @@ from typing import Any
 
 import click
 
-from imucalib.cli.options import (
-    FILE,
-    PATH,
-    flag,
-    force_option,
-    full_option,
-    json_option,
-    many,
-    option,
-    paged,
-    pairs,
-    quiet_option,
-)
+from imucalib.cli import options as opt
 from imucalib.cli.output import note, present, working
 
 
-@paged(
+@opt.paged(
     "design",
-    click.argument("table", type=PATH, required=False),
-    option(
+    click.argument("table", type=opt.PATH, required=False),
+    opt.option(
         "--recommend count",
         "Instead of TABLE: a good set of N positions.",
         type=click.IntRange(min=4),
     ),
-    many("--columns", "ROLE=NAME,...", "Columns by heading: inclination, tool_face."),
-    option("--convention", "Angles: paper, drilling-gravity or drilling-force.", default="paper"),
-    option(
+    opt.many("--columns", "ROLE=NAME,...", "Columns by heading: inclination, tool_face."),
+    opt.option(
+        "--convention", "Angles: paper, drilling-gravity or drilling-force.", default="paper"
+    ),
+    opt.option(
         "--separate",
         "Instead of TABLE: what to record next so that a calibration's rivals are told apart.",
-        type=PATH,
+        type=opt.PATH,
         metavar="CAL",
     ),
-    flag(
+    opt.flag(
         "--imu",
         "Turns of one IMU by hand: a plan for N rests with --recommend, or with the "
         "calibration of `imucal imu` as TABLE what to add to its log.",
     ),
-    option(
+    opt.option(
         "--temperatures",
         "With --separate: temperatures that can be held, degC; default: as recorded.",
         metavar="LOW,HIGH",
     ),
-    option(
+    opt.option(
         "--between-sessions",
         "With --separate: the recording comes after another power-up, between which the "
         "bias scatters by this, for example 0.5mg.",
         metavar="SIZE",
     ),
-    option(
+    opt.option(
         "-o --output",
         "Write the positions as a table (CSV) for `design` and `lab`.",
-        type=FILE,
+        type=opt.FILE,
     ),
-    force_option,
-    full_option,
-    json_option,
-    quiet_option,
+    opt.force,
+    opt.full,
+    opt.json,
+    opt.quiet,
 )
 def command(table: Path | None, count: int | None, **options: Any) -> int:
     """How good is a set of positions, and which one or two more would help most.
@@ -101,7 +91,7 @@ def _positions(table: Path | None, count: int | None, options: dict[str, Any]) -
     angles = preset(options["convention"])
     if table is not None:
         positions = read_position_table(
-            table, pairs(options["columns"], "--columns"), need_raw=False
+            table, opt.pairs(options["columns"], "--columns"), need_raw=False
         )
         plan = design_of(positions.columns["inclination"], positions.columns["tool_face"], angles)
     else:

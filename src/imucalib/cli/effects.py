@@ -7,18 +7,18 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imucalib.cli.options import PATH, json_option, option, paged
+from imucalib.cli import options as opt
 from imucalib.cli.output import emit_json, width
 
 if TYPE_CHECKING:
     from imucalib.core.effect import Effect
 
 
-@paged(
+@opt.paged(
     "effects",
     click.argument("name", required=False),
-    option("--effects effects_file", "Python file with effects of your own.", type=PATH),
-    json_option,
+    opt.option("--effects effects_file", "Python file with effects of your own.", type=opt.PATH),
+    opt.json,
 )
 def command(name: str | None, effects_file: Path | None, as_json: bool) -> int:
     """List the effects that a calibration can hold and the search can find, or show one.

@@ -8,18 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imucalib.cli.options import (
-    EXPORT_FORM,
-    FILE,
-    PATH,
-    calibration_of,
-    effects_option,
-    force_option,
-    json_option,
-    option,
-    paged,
-    quiet_option,
-)
+from imucalib.cli import options as opt
 from imucalib.cli.output import emit_json, note
 
 if TYPE_CHECKING:
@@ -37,34 +26,38 @@ class _Form(click.Option):
         return name, f"{text.rstrip('.')}: {', '.join(exports())}."
 
 
-@paged(
+@opt.paged(
     "export",
-    click.argument("calibration", type=PATH),
-    option("--to form", "Form of the other program", required=True, type=EXPORT_FORM, cls=_Form),
-    option("-o --output", "File to write; default: stdout.", type=FILE),
-    option("--noise", "Noise of the sensors, from `imucal inspect --save-noise`.", type=PATH),
-    option(
+    click.argument("calibration", type=opt.PATH),
+    opt.option(
+        "--to form", "Form of the other program", required=True, type=opt.EXPORT_FORM, cls=_Form
+    ),
+    opt.option("-o --output", "File to write; default: stdout.", type=opt.FILE),
+    opt.option(
+        "--noise", "Noise of the sensors, from `imucal inspect --save-noise`.", type=opt.PATH
+    ),
+    opt.option(
         "--random-walk",
         "Random walks that the rests do not show: their upper limits, or values in SI.",
         default="limit",
         metavar="limit|ACC,GYRO",
     ),
-    option(
+    opt.option(
         "--device-id",
         "px4, ardupilot: the sensors' ids, as CAL_ACC0_ID and CAL_GYRO0_ID, or INS_ACC_ID and "
         "INS_GYR_ID, have them.",
         metavar="ACC[,GYRO]",
     ),
-    effects_option,
-    option(
+    opt.effects,
+    opt.option(
         "--largest-loss",
         "Loss, mg of a force and deg/s of a rate, from which on only --force writes; default: "
         "three times the error that the calibration leaves.",
         metavar="MG[,DPS]",
     ),
-    force_option,
-    json_option,
-    quiet_option,
+    opt.force,
+    opt.json,
+    opt.quiet,
 )
 def command(calibration: Path, form: str, output: Path | None, **options: Any) -> int:
     """Write a calibration's coefficients in the form of another program.
@@ -87,7 +80,7 @@ def command(calibration: Path, form: str, output: Path | None, **options: Any) -
     if output is not None:
         read = (calibration, options["noise"], options["effects_file"])
         demand_output(output, filter(None, read), force=force)
-    loaded = _stated(calibration_of(calibration, options["effects_file"]), form, options)
+    loaded = _stated(opt.calibration_of(calibration, options["effects_file"]), form, options)
     source = str(dict(loaded.facts.get("provenance", {})).get("input", calibration.name))
     made = exported(loaded, source, form)
     if not force:

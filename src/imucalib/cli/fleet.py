@@ -9,31 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from imucalib.cli import options as opt
 from imucalib.cli.calibrating import command_line
-from imucalib.cli.options import (
-    FILE,
-    FOLDER,
-    PATH,
-    choice,
-    force_option,
-    full_option,
-    gravity_of,
-    gravity_options,
-    json_option,
-    many,
-    mapping_of,
-    numbers,
-    one_scale,
-    option,
-    paged,
-    pairs,
-    quiet_option,
-    recording_options,
-    seed_option,
-    shortest_rest_option,
-    still_of,
-    verbose_option,
-)
 from imucalib.cli.output import Say, note, present, working
 
 if TYPE_CHECKING:
@@ -41,40 +18,40 @@ if TYPE_CHECKING:
     from imucalib.report.document import Document
 
 
-@paged(
+@opt.paged(
     "fleet",
-    click.argument("inputs", metavar="INPUT...", nargs=-1, required=True, type=PATH),
-    option(
+    click.argument("inputs", metavar="INPUT...", nargs=-1, required=True, type=opt.PATH),
+    opt.option(
         "-o --output",
         "Folder for report.html, report.json and each device's calibration.yaml.",
-        type=FOLDER,
+        type=opt.FOLDER,
     ),
-    choice("--reference", "vector direction norm", "As of imucal lab.", default="vector"),
-    many("--columns", "ROLE=NAME,...", "Columns by heading."),
-    option("--exclude", "Rows to leave out of every table.", default="", metavar="ROWS"),
-    many("--only", "EFFECT", "Search only these effects."),
-    many("--without", "EFFECT", "Leave effects out of the search."),
-    option(
+    opt.choice("--reference", "vector direction norm", "As of imucal lab.", default="vector"),
+    opt.many("--columns", "ROLE=NAME,...", "Columns by heading."),
+    opt.option("--exclude", "Rows to leave out of every table.", default="", metavar="ROWS"),
+    opt.many("--only", "EFFECT", "Search only these effects."),
+    opt.many("--without", "EFFECT", "Leave effects out of the search."),
+    opt.option(
         "--draws",
         "Simulated fleets behind each p-value.",
         type=click.IntRange(min=99),
         default=1000,
     ),
-    option(
+    opt.option(
         "--devices",
         "Of calibrations: CSV that says which recording is of which device, columns "
         "recording and device; default: by serial number, else one each.",
-        type=FILE,
+        type=opt.FILE,
     ),
-    full_option,
-    gravity_options,
-    recording_options,
-    shortest_rest_option,
-    force_option,
-    seed_option,
-    json_option,
-    verbose_option,
-    quiet_option,
+    opt.full,
+    opt.gravity,
+    opt.recording,
+    opt.shortest_rest,
+    opt.force,
+    opt.seed,
+    opt.json,
+    opt.verbose,
+    opt.quiet,
 )
 def command(inputs: tuple[Path, ...], **options: Any) -> int:
     """Calibrate devices of one kind together: effects too small for one device, found in all.
@@ -135,16 +112,16 @@ def _fleet(inputs: tuple[Path, ...], options: dict[str, Any], say: Say) -> Fleet
         return run_recorded(made, wanted, say)
     if devices is not None:
         raise UsageError("--devices is for calibrations", remedy="each table is a device")
-    columns, mapping = pairs(options["columns"], "--columns"), mapping_of(options)
+    columns, mapping = opt.pairs(options["columns"], "--columns"), opt.mapping_of(options)
     files = [LabFiles(table, None, columns, mapping) for table in inputs]
-    gravity, source = gravity_of(options)
+    gravity, source = opt.gravity_of(options)
     request = LabRequest(
         **{name: options[name] for name in ("unit", "reference", "only", "without", "seed")},
-        lsb_per_g=one_scale(options["lsb"]),
+        lsb_per_g=opt.one_scale(options["lsb"]),
         gravity=gravity,
         gravity_source=source,
-        exclude=numbers(options["exclude"], "--exclude"),
-        still=still_of(options),
+        exclude=opt.numbers(options["exclude"], "--exclude"),
+        still=opt.still_of(options),
         command=command_line(),
     )
     return run_fleet(files, request, rules, say)

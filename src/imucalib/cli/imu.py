@@ -7,21 +7,21 @@ from typing import Any
 
 import click
 
+from imucalib.cli import options as opt
 from imucalib.cli.calibrating import calibrating, calibrating_of, finish, limit_option, shared_of
-from imucalib.cli.options import PATH, mapping_of, option, paged, shortest_rest_option, still_of
 
 
-@paged(
+@opt.paged(
     "imu",
-    click.argument("recordings", metavar="RECORDING...", nargs=-1, required=True, type=PATH),
-    option(
+    click.argument("recordings", metavar="RECORDING...", nargs=-1, required=True, type=opt.PATH),
+    opt.option(
         "--gyro-axes",
         "Rates that are the gyroscope's x, y, z, for example -y,x,z.",
         default="",
         metavar="X,Y,Z",
     ),
     limit_option("--max-force-error", "held-out error of |a|, mg rms."),
-    shortest_rest_option,
+    opt.shortest_rest,
     calibrating,
 )
 def command(recordings: tuple[Path, ...], **options: Any) -> int:
@@ -44,7 +44,7 @@ def command(recordings: tuple[Path, ...], **options: Any) -> int:
     from imucalib.report.imu import imu_document
 
     axes = parse_axis_map(options["gyro_axes"])
-    request = ImuRequest(**shared_of(options), gyro_axes=axes, still=still_of(options))
+    request = ImuRequest(**shared_of(options), gyro_axes=axes, still=opt.still_of(options))
     with calibrating_of(options) as say:
-        run = run_imu(recordings, mapping_of(options), request, say)
+        run = run_imu(recordings, opt.mapping_of(options), request, say)
     return finish([Report(run, imu_document(run))], options)

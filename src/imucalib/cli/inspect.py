@@ -8,50 +8,35 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imucalib.cli.options import (
-    PATH,
-    READING,
-    flag,
-    force_option,
-    full_option,
-    inputs_of,
-    json_option,
-    mapping_of,
-    option,
-    paged,
-    quiet_option,
-    recording_options,
-    shortest_rest_option,
-    still_of,
-)
+from imucalib.cli import options as opt
 from imucalib.cli.output import note, present, working
 
 if TYPE_CHECKING:
     from imucalib.report.document import Document
 
 
-@paged(
+@opt.paged(
     "inspect",
-    click.argument("file", type=PATH),
-    option("--save-mapping", "Write how the file was read, for --mapping.", type=PATH),
-    flag("--rests", "List every candidate for a rest, and what refused it."),
-    flag(
+    click.argument("file", type=opt.PATH),
+    opt.option("--save-mapping", "Write how the file was read, for --mapping.", type=opt.PATH),
+    opt.flag("--rests", "List every candidate for a rest, and what refused it."),
+    opt.flag(
         "--noise",
         "White noise, bias instability and random walk of every axis, from what is still.",
     ),
-    option(
+    opt.option(
         "--save-noise",
         "Write that noise as Kalibr's imu.yaml has it, also for `imucal export --noise`.",
-        type=PATH,
+        type=opt.PATH,
     ),
-    option("--html", "Also write all of it as a page, with plots.", type=PATH),
-    shortest_rest_option,
-    flag("--strict", "Refuse a damaged recording instead of reading what is left."),
-    force_option,
-    recording_options,
-    full_option,
-    json_option,
-    quiet_option,
+    opt.option("--html", "Also write all of it as a page, with plots.", type=opt.PATH),
+    opt.shortest_rest,
+    opt.flag("--strict", "Refuse a damaged recording instead of reading what is left."),
+    opt.force,
+    opt.recording,
+    opt.full,
+    opt.json,
+    opt.quiet,
 )
 def command(file: Path, **options: Any) -> int:
     """Say what a recording or a table of positions holds, what is wrong with it, and what to type.
@@ -74,13 +59,13 @@ def command(file: Path, **options: Any) -> int:
 
     mapping_file, noise_file, page = (options[n] for n in ("save_mapping", "save_noise", "html"))
     for output in filter(None, (mapping_file, noise_file, page)):
-        demand_output(output, inputs_of(options, file), force=options["force"])
+        demand_output(output, opt.inputs_of(options, file), force=options["force"])
     typed, rests = _typed(file), options["rests"]
     noisy = options["noise"] or noise_file
     if not (mapping_file or noisy or rests) and (seen := _no_recording(file, typed, options)):
         present(*seen, options, page)
         return 0
-    settings, mapping, strict = still_of(options), mapping_of(options), options["strict"]
+    settings, mapping, strict = opt.still_of(options), opt.mapping_of(options), options["strict"]
     with working("reading", quiet=options["quiet"]):
         found, noise = inspect_recording(blocks(file, mapping, strict=strict), settings), None
         if noisy:
@@ -106,7 +91,7 @@ def _typed(file: Path) -> str:
     for parameter in ctx.command.params:
         name = parameter.name or ""
         source = ctx.get_parameter_source(name)
-        if name not in READING or source is not click.core.ParameterSource.COMMANDLINE:
+        if name not in opt.READING or source is not click.core.ParameterSource.COMMANDLINE:
             continue
         value = ctx.params[name]
         for one in value if isinstance(value, tuple) else (value,):
@@ -123,5 +108,5 @@ def _no_recording(
 
     if file.is_file() and (own := own_document(file, typed)):
         return own
-    seen = inspect_table(file, mapping_of(options))
+    seen = inspect_table(file, opt.mapping_of(options))
     return None if seen is None else (table_document(seen, typed), table_dict(seen, typed))

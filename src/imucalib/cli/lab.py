@@ -7,23 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from imucalib.cli import options as opt
 from imucalib.cli.calibrating import calibrating, calibrating_of, finish, limit_option, shared_of
-from imucalib.cli.options import (
-    PATH,
-    choice,
-    flag,
-    fleet_option,
-    many,
-    mapping_of,
-    numbers,
-    one_scale,
-    option,
-    paged,
-    pairs,
-    population_of,
-    shortest_rest_option,
-    still_of,
-)
 from imucalib.cli.output import freed_memory
 
 if TYPE_CHECKING:
@@ -42,79 +27,81 @@ _CONVENTIONS = (
 )
 
 
-@paged(
+@opt.paged(
     "lab",
-    click.argument("tables", metavar="TABLE...", nargs=-1, required=True, type=PATH),
-    option(
+    click.argument("tables", metavar="TABLE...", nargs=-1, required=True, type=opt.PATH),
+    opt.option(
         "--recording",
         "Recording with the positions of TABLE in order; its still segments are averaged.",
-        type=PATH,
+        type=opt.PATH,
     ),
-    choice(
+    opt.choice(
         "--reference",
         "vector direction norm",
         "Known angles; directions without dials (a column face with +x ... -z, or ux, uy, "
         "uz); or only the size of gravity (TABLE may then be a recording).",
         default="vector",
     ),
-    many(
+    opt.many(
         "--columns",
         "ROLE=NAME,...",
         "By heading: inclination, tool_face, face, x, y, z, temperature, samples, driver.",
     ),
-    option("--convention", "Angles: paper, drilling-gravity or drilling-force.", default="paper"),
-    choice("--gravity-sign", "down up", "Which way an axis points that reads +g."),
-    choice("--z-axis", "down-hole up-hole", "The tool's end to which z points."),
-    choice("--inclination-zero", "horizontal vertical", "What inclination 0 means."),
-    choice("--toolface-zero-axis", "+x -x +y -y", "Axis that reads most at tool-face 0."),
-    choice("--toolface-sense", "clockwise counter-clockwise", "Clockwise: from +y towards +x."),
-    option("--toolface-offset", "Degrees added to every tool-face.", type=float),
-    option("--model", "linear12 or geometric9.", default="linear12"),
-    choice(
+    opt.option(
+        "--convention", "Angles: paper, drilling-gravity or drilling-force.", default="paper"
+    ),
+    opt.choice("--gravity-sign", "down up", "Which way an axis points that reads +g."),
+    opt.choice("--z-axis", "down-hole up-hole", "The tool's end to which z points."),
+    opt.choice("--inclination-zero", "horizontal vertical", "What inclination 0 means."),
+    opt.choice("--toolface-zero-axis", "+x -x +y -y", "Axis that reads most at tool-face 0."),
+    opt.choice("--toolface-sense", "clockwise counter-clockwise", "Clockwise: from +y towards +x."),
+    opt.option("--toolface-offset", "Degrees added to every tool-face.", type=float),
+    opt.option("--model", "linear12 or geometric9.", default="linear12"),
+    opt.choice(
         "--objective",
         "settings vector angles paper",
         "What is minimised; settings: angles are uncertain as set.",
         default="settings",
     ),
-    fleet_option,
-    flag("--as-published", "The paper's own method, as it was published."),
-    option(
+    opt.fleet,
+    opt.flag("--as-published", "The paper's own method, as it was published."),
+    opt.option(
         "--train",
         "Rows to choose and fit on, for example 1-20; the rest tests.",
         default="",
         metavar="ROWS",
     ),
-    option("--exclude", "Leave rows out.", default="", metavar="ROWS"),
-    many(
+    opt.option("--exclude", "Leave rows out.", default="", metavar="ROWS"),
+    opt.many(
         "--fix fixes",
         "ROWS:COLUMN=VALUE",
         "Repair a cell, or a column in rows 9-16, in the table's unit.",
     ),
-    many("--swap swaps", "ROW,ROW", "Exchange two rows' readings."),
-    many(
+    opt.many("--swap swaps", "ROW,ROW", "Exchange two rows' readings."),
+    opt.many(
         "--move moves",
         "ROW,ROW",
         "A row's reading belongs to the other row, those between one row nearer.",
     ),
-    many(
+    opt.many(
         "--shift shifts",
         "COLUMN[:ROWS]=STEP",
         "Readings, inclination or tool_face belong one row down (1) or up (-1).",
     ),
-    many(
+    opt.many(
         "--axes",
         "[ROWS:]X,Y,Z",
         "Columns that are the sensor's x, y, z, for example -y,x,z; of a part 17-32:-y,x,z.",
     ),
-    choice("--angle-unit", "deg rad", "Unit of the angles."),
-    flag("--auto-exclude", "Leave out records that the search finds wrong."),
-    flag("--swap-angles", "Exchange the two angle columns."),
-    flag("--keep-angles", "Do not refuse angles that look exchanged."),
-    option("--sigma", "Declared noise of a reading, mg; default: from the data.", type=float),
+    opt.choice("--angle-unit", "deg rad", "Unit of the angles."),
+    opt.flag("--auto-exclude", "Leave out records that the search finds wrong."),
+    opt.flag("--swap-angles", "Exchange the two angle columns."),
+    opt.flag("--keep-angles", "Do not refuse angles that look exchanged."),
+    opt.option("--sigma", "Declared noise of a reading, mg; default: from the data.", type=float),
     limit_option("--max-inclination-error", "largest held-out inclination error, deg."),
     limit_option("--max-toolface-error", "largest held-out tool-face error, deg."),
     limit_option("--max-norm-error", "held-out error of |a|, mg rms."),
-    shortest_rest_option,
+    opt.shortest_rest,
     calibrating,
 )
 def command(tables: tuple[Path, ...], **options: Any) -> int:
@@ -136,7 +123,7 @@ def command(tables: tuple[Path, ...], **options: Any) -> int:
     from imucalib.report.lab import lab_document
 
     freed_memory(large=_KEPT, kept=_KEPT)
-    columns, mapping = pairs(options["columns"], "--columns"), mapping_of(options)
+    columns, mapping = opt.pairs(options["columns"], "--columns"), opt.mapping_of(options)
     files = LabFiles(tables[0], options["recording"], columns, mapping, others=tables[1:])
     with calibrating_of(options) as say:
         run = calibrate_files(files, request_of(options), say)
@@ -158,15 +145,15 @@ def request_of(options: dict[str, Any]) -> LabRequest:
     request = LabRequest(
         **shared_of(options),
         **{name: options[name] for name in (*as_stated, "unit")},
-        lsb_per_g=one_scale(options["lsb"]),
+        lsb_per_g=opt.one_scale(options["lsb"]),
         conventions=replace(preset(options["convention"]), **stated),
         fixes=tuple(fix for text in options["fixes"] for fix in _fixes(text)),
         repairs=repairs_of(*repairs),
-        exclude=numbers(options["exclude"], "--exclude"),
-        train=numbers(options["train"], "--train"),
-        still=still_of(options),
+        exclude=opt.numbers(options["exclude"], "--exclude"),
+        train=opt.numbers(options["train"], "--train"),
+        still=opt.still_of(options),
         sigma=None if options["sigma"] is None else options["sigma"] * MG,
-        population=population_of(
+        population=opt.population_of(
             options,
             {"as_published": False, "objective": "settings"},
             options["reference"],

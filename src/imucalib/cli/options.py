@@ -93,17 +93,17 @@ _FORMS: dict[str, dict[str, Any]] = {
     "max_chunk": {"type": int},
     "allow_external": {"is_flag": True, "default": None},
 }
-#: Parameters of `recording_options`.
+#: Parameters of `recording`.
 READING = tuple(_READING)
 #: How a recording is read; `mapping_of` turns the values into a FieldMapping.
-recording_options = combined(
+recording = combined(
     *(
         option(f"--{name.replace('_', '-')}", text, **_FORMS.get(name, {}))
         for name, text in _READING.items()
     )
 )
 #: How large gravity is; `gravity_of` turns the values into m/s².
-gravity_options = combined(
+gravity = combined(
     option("--gravity", "Local gravity, m/s²; default: standard gravity.", type=float),
     option("--latitude", "Latitude in degrees, for normal gravity.", type=float),
     option(
@@ -113,31 +113,31 @@ gravity_options = combined(
         show_default=False,
     ),
 )
-fleet_option = option(
+fleet = option(
     "--fleet",
     "fleet.yaml of imucal fleet: what devices of its kind say where this one's data leave "
     "something open.",
     type=FILE,
 )
 #: Of commands that look for rests in a recording.
-shortest_rest_option = option(
+shortest_rest = option(
     "--shortest-rest",
     "Recording: what is still for less is no rest.",
     default=1.0,
     metavar="SECONDS",
 )
-strict_option = flag("--strict", "Refuse a damaged recording instead of keeping what is left.")
-effects_option = option(
+strict = flag("--strict", "Refuse a damaged recording instead of keeping what is left.")
+effects = option(
     "--effects effects_file",
     "Python file with effects of your own that the calibration uses.",
     type=PATH,
 )
-force_option = flag("--force", "Replace an output file that is there; never an input.")
-json_option = flag("--json as_json", "Print the result as JSON.")
-quiet_option = flag("-q --quiet", "Print nothing but errors.")
-verbose_option = flag("-v --verbose", "Say when each thing happened, and what it cost.")
-full_option = flag("--full", "Print every section, not one page.")
-seed_option = option("--seed", "Seed of all randomness: same seed, same result.", default=0)
+force = flag("--force", "Replace an output file that is there; never an input.")
+json = flag("--json as_json", "Print the result as JSON.")
+quiet = flag("-q --quiet", "Print nothing but errors.")
+verbose = flag("-v --verbose", "Say when each thing happened, and what it cost.")
+full = flag("--full", "Print every section, not one page.")
+seed = option("--seed", "Seed of all randomness: same seed, same result.", default=0)
 
 
 def still_of(options: Mapping[str, Any]) -> StillSettings:
@@ -317,7 +317,8 @@ class PagedCommand(click.Command):
         return [*super().get_params(ctx), _HELP_ALL]
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        shown = [(p, r) for p in self.get_params(ctx) if (r := p.get_help_record(ctx))]
+        options = [p for p in self.get_params(ctx) if isinstance(p, click.Option)]
+        shown = [(p, record) for p in options if (record := p.get_help_record(ctx))]
         whole = [record for parameter, record in shown if parameter is not _HELP_ALL]
         if self._fits(ctx, whole):
             _write(formatter, "Options", whole)

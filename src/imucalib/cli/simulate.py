@@ -8,32 +8,21 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imucalib.cli.options import (
-    PATH,
-    choice,
-    combined,
-    force_option,
-    json_option,
-    many,
-    option,
-    paged,
-    quiet_option,
-    seed_option,
-)
+from imucalib.cli import options as opt
 from imucalib.cli.output import emit_json, working
 
 if TYPE_CHECKING:
     from imucalib.recording.recording import Recording
 
-_RECORDING = click.argument("recording", type=PATH)
-_PLANT = many("--plant", "EFFECT=VALUE,...", "Effect to plant, in its own units.")
-_FAULT = many(
+_RECORDING = click.argument("recording", type=opt.PATH)
+_PLANT = opt.many("--plant", "EFFECT=VALUE,...", "Effect to plant, in its own units.")
+_FAULT = opt.many(
     "--fault",
     "FAULT",
     "gap@START:LENGTH, freeze@START:LENGTH (s), sign@SENSOR:AXIS, clip@G, exchange@SENSOR:SENSOR.",
 )
-_LAST = combined(seed_option, force_option, json_option, quiet_option)
-_RATE = option("--rate", "Samples a second.", default=100.0)
+_LAST = opt.combined(opt.seed, opt.force, opt.json, opt.quiet)
+_RATE = opt.option("--rate", "Samples a second.", default=100.0)
 
 
 @click.group("simulate")
@@ -51,14 +40,14 @@ def command() -> None:
     """
 
 
-@paged(
+@opt.paged(
     "actigraph",
     _RECORDING,
-    option("--days", "Length of the recording.", default=1.0),
-    option("--rate", "Samples a second.", default=10.0),
-    option("--rests", "Share of the time at rest.", default=0.6),
-    option("--noise", "Noise of a sample, mg.", default=4.0),
-    option("--temperature/--no-temperature", "Whether a thermometer records.", default=True),
+    opt.option("--days", "Length of the recording.", default=1.0),
+    opt.option("--rate", "Samples a second.", default=10.0),
+    opt.option("--rests", "Share of the time at rest.", default=0.6),
+    opt.option("--noise", "Noise of a sample, mg.", default=4.0),
+    opt.option("--temperature/--no-temperature", "Whether a thermometer records.", default=True),
     _PLANT,
     _FAULT,
     _LAST,
@@ -85,17 +74,17 @@ def actigraph(recording: Path, seed: int, **options: Any) -> int:
     return _finish([recording], plant, options, sensor={k: list(v) for k, v in plan.sensor.items()})
 
 
-@paged(
+@opt.paged(
     "array",
     _RECORDING,
-    option("--board", "Board file (YAML), or a name.", default="mimu4444_corners"),
-    option("--rests", "Attitudes at rest, 5 s each.", default=20),
-    option("--seconds", "Length of the motion.", default=60.0),
+    opt.option("--board", "Board file (YAML), or a name.", default="mimu4444_corners"),
+    opt.option("--rests", "Attitudes at rest, 5 s each.", default=20),
+    opt.option("--seconds", "Length of the motion.", default=60.0),
     _RATE,
-    option("--twist", "Of each axis, deg/s rms.", default=700.0),
-    option("--noise", "Noise of a sample, mg.", default=4.0),
-    option("--gyro-noise", "Noise of a rate, deg/s.", default=0.2),
-    option("--scatter", "Of the true places about the drawing, mm.", default=0.2),
+    opt.option("--twist", "Of each axis, deg/s rms.", default=700.0),
+    opt.option("--noise", "Noise of a sample, mg.", default=4.0),
+    opt.option("--gyro-noise", "Noise of a rate, deg/s.", default=0.2),
+    opt.option("--scatter", "Of the true places about the drawing, mm.", default=0.2),
     _PLANT,
     _FAULT,
     _LAST,
@@ -136,19 +125,19 @@ def array(recording: Path, seed: int, **options: Any) -> int:
     return _finish([recording], plant, options, positions_mm=(1e3 * made.positions).tolist())
 
 
-@paged(
+@opt.paged(
     "imu",
     _RECORDING,
-    option(
+    opt.option(
         "--rests",
         "Attitudes at rest, 2.5 s each, 135 deg apart.",
         type=click.IntRange(min=2),
         default=20,
     ),
     _RATE,
-    option("--noise", "Noise of a sample, mg.", default=3.0),
-    option("--gyro-noise", "Noise of a rate, deg/s.", default=0.06),
-    option("--late", "The gyroscope's delay, s.", default=0.0),
+    opt.option("--noise", "Noise of a sample, mg.", default=3.0),
+    opt.option("--gyro-noise", "Noise of a rate, deg/s.", default=0.06),
+    opt.option("--late", "The gyroscope's delay, s.", default=0.0),
     _PLANT,
     _FAULT,
     _LAST,
@@ -176,27 +165,27 @@ def imu(recording: Path, seed: int, **options: Any) -> int:
     return _finish([recording], plant, options, gyro_gain=gain.tolist())
 
 
-@paged(
+@opt.paged(
     "lab",
-    click.argument("table", type=PATH),
-    option(
+    click.argument("table", type=opt.PATH),
+    opt.option(
         "--recording",
         "Also a recording that rests in every position: .mcap, .h5 or .csv; "
         "TABLE then holds angles only.",
-        type=PATH,
+        type=opt.PATH,
     ),
-    choice("--layout", "sweeps rings random", "How the bench is worked.", default="sweeps"),
-    option("--positions", "Number of positions.", default=32),
+    opt.choice("--layout", "sweeps rings random", "How the bench is worked.", default="sweeps"),
+    opt.option("--positions", "Number of positions.", default=32),
     _PLANT,
-    many("--slip", "ROW:AXIS", "Lose the sign of one cell."),
-    option("--noise", "Noise of a reading, mg.", default=1.0),
-    option(
+    opt.many("--slip", "ROW:AXIS", "Lose the sign of one cell."),
+    opt.option("--noise", "Noise of a reading, mg.", default=1.0),
+    opt.option(
         "--setting-sd",
         "Scatter of the settings, deg: inclination,tool-face.",
         default="0.1,0.2",
     ),
-    option("--temperature", "FROM,TO in °C: warms up over the table."),
-    option("--gravity", "Local gravity, m/s².", default=9.80665),
+    opt.option("--temperature", "FROM,TO in °C: warms up over the table."),
+    opt.option("--gravity", "Local gravity, m/s².", default=9.80665),
     _FAULT,
     _LAST,
     short_help="A bench: a table, and a recording on request.",

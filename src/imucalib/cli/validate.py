@@ -6,18 +6,18 @@ from pathlib import Path
 
 import click
 
-from imucalib.cli.options import PATH, calibration_of, json_option, paged, quiet_option
+from imucalib.cli import options as opt
 from imucalib.cli.output import emit_json
 
 
-@paged("validate", click.argument("file", type=PATH), json_option, quiet_option)
+@opt.paged("validate", click.argument("file", type=opt.PATH), opt.json, opt.quiet)
 def command(file: Path, as_json: bool, quiet: bool) -> int:
     """Check that a calibration file is whole, known to this version, and can be applied.
 
     \b
     Example: imucal validate out/calibration.yaml
     """
-    found = calibration_of(file, None)
+    found = opt.calibration_of(file, None)
     count = len(found.parameters)
     if as_json:
         shown = {"status": found.status, "parameters": count}
