@@ -61,6 +61,12 @@ def _millimetres(
         metavar="X,Y,Z",
         callback=_millimetres,
     ),
+    opt.option(
+        "--residuals",
+        "Also write what rests read before and after, and the corrected sensors, to look at: "
+        ".mcap, with a layout for Foxglove.",
+        type=opt.FILE,
+    ),
     opt.flag("--again", "Correct a recording that is corrected already."),
     opt.option("--whole use", "One calibration for all, whatever parts.", flag_value="whole"),
     opt.force,
@@ -78,16 +84,20 @@ def command(calibration: Path, recording: Path, **options: Any) -> int:
     Examples:
       imucal apply out/calibration.yaml run.mcap -o corrected.mcap
       imucal apply out/calibration.yaml run.mcap -o new.mcap --angles angles.csv
+      imucal apply out/calibration.yaml run.mcap -o new.mcap --residuals r.mcap
       imucal apply array/calibration.yaml run.mcap --fused -o fused.mcap
     """
     from imucalib.atomic_file import demand_output
     from imucalib.errors import UsageError
     from imucalib.writers import writer_for
+    from imucalib.writers.residuals import residual_files
 
     output, angles, quiet = options["output"], options["angles"], options["quiet"]
     writer_for(output)
-    for made in filter(None, (output, angles)):
-        demand_output(made, opt.inputs_of(options, calibration, recording), force=options["force"])
+    pair = residual_files(options["residuals"]) if options["residuals"] else ()
+    made = [output, *([angles] if angles else []), *pair]
+    for path in made:
+        demand_output(path, opt.inputs_of(options, calibration, recording), force=options["force"])
     loaded = opt.calibration_of(calibration, options["effects_file"])
     if angles is not None and loaded.triads:
         raise UsageError(
@@ -99,12 +109,15 @@ def command(calibration: Path, recording: Path, **options: Any) -> int:
     with working("correcting", quiet=quiet):
         notes = _applied(loaded, recording, output, options)
         frame = _angles(loaded, output, options) if angles is not None else ""
+        if options["residuals"] is not None:
+            _residuals(loaded, recording, options)
     for text in (*notes, *filter(None, [frame])):
         note(text, quiet)
     if options["as_json"]:
         emit_json({"output": str(output), "notes": list(notes)})
     elif not quiet:
-        say(f"wrote {output}")
+        for path in made:
+            say(f"wrote {path}")
     return 0
 
 
@@ -130,6 +143,17 @@ def _angles(calibration: Calibration, corrected: Path, options: dict[str, Any]) 
     if stated:
         return ""
     return "angles are in the sensor's own axes: no bench has tied them to a tool"
+
+
+def _residuals(calibration: Calibration, source: Path, options: dict[str, Any]) -> None:
+    """Write what rests read before and after."""
+    from imucalib.calibration.residuals import with_residuals
+    from imucalib.readers import read
+    from imucalib.writers.residuals import write_residuals
+
+    recording = read(source, opt.mapping_of(options), strict=options["strict"])
+    chosen = {name: options[name] for name in ("triad", "use", "again")}
+    write_residuals(with_residuals(calibration, recording, **chosen), options["residuals"])
 
 
 def _applied(
