@@ -46,24 +46,22 @@ def _one_of(ctx: click.Context, _: click.Parameter, recordings: tuple[Path, ...]
     )
 
 
-@opt.paged(
-    "actigraph",
-    click.argument(
-        "recording", metavar="RECORDING", nargs=-1, required=True, type=opt.PATH, callback=_one_of
-    ),
-    opt.option("--triad", "Which accelerometer, when the recording has several."),
-    opt.option("--every", "Calibrate parts too, for example 7d or 12h.", metavar="TIME"),
-    opt.flag("--as-published", "The paper's own method, as it was published."),
-    opt.choice(
-        "--arithmetic",
-        "float int32 int16",
-        "Of the gradient descent, with --as-published.",
-        default="float",
-    ),
-    opt.fleet,
-    limit_option("--max-worst-error", "largest held-out error, mg."),
-    calibrating,
+@opt.paged("actigraph")
+@click.argument(
+    "recording", metavar="RECORDING", nargs=-1, required=True, type=opt.PATH, callback=_one_of
 )
+@opt.option("--triad", "Which accelerometer, when the recording has several.")
+@opt.option("--every", "Calibrate parts too, for example 7d or 12h.", metavar="TIME")
+@opt.flag("--as-published", "The paper's own method, as it was published.")
+@opt.choice(
+    "--arithmetic",
+    "float int32 int16",
+    "Of the gradient descent, with --as-published.",
+    default="float",
+)
+@opt.fleet
+@limit_option("--max-worst-error", "largest held-out error, mg.")
+@calibrating
 def command(recording: Path, **options: Any) -> int:
     """Calibrate a worn accelerometer from days of recording: gravity in every posture at rest.
 
@@ -83,12 +81,17 @@ def command(recording: Path, **options: Any) -> int:
     from imucalib.report.actigraph import actigraph_document, published_document
     from imucalib.report.files import Report
 
-    remedy = "give a fleet of worn sensors, or of tables with --reference norm"
     request = ActigraphRequest(
         **shared_of(options),
         **{name: options[name] for name in ("triad", "as_published", "arithmetic")},
         every=_seconds(options["every"]) if options["every"] else None,
-        kind=opt.population_of(options, {"as_published": False, "every": None}, "norm", remedy),
+        kind=opt.population_of(
+            options,
+            {"as_published": False, "every": None},
+            "norm",
+            "a worn sensor by the size of gravity",
+            "give a fleet of worn sensors, or of tables with --reference norm",
+        ),
     )
     if not request.curves:
         request = replace(request, without=(*request.without, *FREE))

@@ -30,50 +30,48 @@ def _millimetres(
     return point
 
 
-@opt.paged(
-    "apply",
-    click.argument("calibration", type=opt.PATH),
-    click.argument("recording", type=opt.PATH),
-    opt.option("-o --output", "File to write: .mcap, .h5 or .csv.", required=True, type=opt.PATH),
-    opt.strict,
-    opt.option("--triad", "Which sensor, when the recording has several."),
-    opt.effects,
-    opt.option(
-        "--parts use", "Each sample by the part valid at its time (--every).", flag_value="parts"
-    ),
-    opt.option(
-        "--angles", "Also write inclination and tool-face with their sd, as CSV.", type=opt.FILE
-    ),
-    opt.choice(
-        "--each",
-        "rest sample",
-        "A row of --angles for each rest, or for each sample.",
-        default="rest",
-    ),
-    opt.option(
-        "--fused/--no-fused",
-        "Of an array: only the fused virtual IMU, or only the IMUs; default: both.",
-        default=None,
-    ),
-    opt.option(
-        "--at",
-        "Of an array: point of the board's drawing whose force is given, mm; default: the middle.",
-        metavar="X,Y,Z",
-        callback=_millimetres,
-    ),
-    opt.option(
-        "--residuals",
-        "Also write what rests read before and after, and the corrected sensors, to look at: "
-        ".mcap, with a layout for Foxglove.",
-        type=opt.FILE,
-    ),
-    opt.flag("--again", "Correct a recording that is corrected already."),
-    opt.option("--whole use", "One calibration for all, whatever parts.", flag_value="whole"),
-    opt.force,
-    opt.recording,
-    opt.json,
-    opt.quiet,
+@opt.paged("apply")
+@click.argument("calibration", type=opt.PATH)
+@click.argument("recording", type=opt.PATH)
+@opt.option("-o --output", "File to write: .mcap, .h5 or .csv.", required=True, type=opt.PATH)
+@opt.strict
+@opt.option("--triad", "Which sensor, when the recording has several.")
+@opt.effects
+@opt.option(
+    "--parts use", "Each sample by the part valid at its time (--every).", flag_value="parts"
 )
+@opt.option(
+    "--angles", "Also write inclination and tool-face with their sd, as CSV.", type=opt.FILE
+)
+@opt.choice(
+    "--each",
+    "rest sample",
+    "A row of --angles for each rest, or for each sample.",
+    default="rest",
+)
+@opt.option(
+    "--fused/--no-fused",
+    "Of an array: only the fused virtual IMU, or only the IMUs; default: both.",
+    default=None,
+)
+@opt.option(
+    "--at",
+    "Of an array: point of the board's drawing whose force is given, mm; default: the middle.",
+    metavar="X,Y,Z",
+    callback=_millimetres,
+)
+@opt.option(
+    "--residuals",
+    "Also write what rests read before and after, and the corrected sensors, to look at: "
+    ".mcap, with a layout for Foxglove.",
+    type=opt.FILE,
+)
+@opt.flag("--again", "Correct a recording that is corrected already.")
+@opt.option("--whole use", "One calibration for all, whatever parts.", flag_value="whole")
+@opt.force
+@opt.recording
+@opt.json
+@opt.quiet
 def command(calibration: Path, recording: Path, **options: Any) -> int:
     """Correct the acceleration of a recording; everything else stays as it was.
 

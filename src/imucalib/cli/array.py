@@ -22,72 +22,69 @@ if TYPE_CHECKING:
 _LARGE, _KEPT = 1 << 22, 1 << 26
 
 
-@opt.paged(
-    "array",
-    click.argument("logs", nargs=-1, required=True, type=opt.PATH),
-    opt.option(
-        "--board --layout board",
-        "Board file (YAML), or a name: mimu4444, mimu4444_corners.",
-        required=True,
-    ),
-    opt.flag(
-        "--as-drawn",
-        "Keep the board file's axes and places even where the log contradicts them.",
-    ),
-    opt.choice("--sampler", "hmc pmmh", "pmmh: Algorithm 1 of the paper.", default="hmc"),
-    opt.option(
-        "--samples",
-        "Moving samples, at most; default: all that say something.",
-        type=click.IntRange(min=1),
-    ),
-    opt.choice("--motion-prior", "learned flat", "Of ω̇; flat is the paper's.", default="learned"),
-    opt.choice(
-        "--det-exponent",
-        "0.5 1",
-        "1: equation (25) as printed, with --motion-prior flat.",
-        default="0.5",
-    ),
-    opt.option("--acc-sigma", "In motion: estimate, nonlinearity, or m/s².", default="estimate"),
-    opt.choice(
-        "--gyro-covariance",
-        "scatter sample",
-        "sample: equation (30) of the paper.",
-        default="scatter",
-    ),
-    opt.option("--chains", "Number of chains.", type=int),
-    opt.option("--ess", "Effective sample size to reach.", default=400.0),
-    opt.option("--iterations", "Of --sampler pmmh.", default=100_000),
-    limit_option("--max-gyro-error", "held-out gyro error, deg/s."),
-    limit_option("--max-position-sd", "largest posterior sd, mm."),
-    opt.option("--save-draws", "Also write the posterior's draws: .h5 or .nc.", type=opt.PATH),
-    opt.option(
-        "--checkpoint",
-        "Keep the chains here after every block, and go on from there.",
-        type=opt.PATH,
-    ),
-    opt.option(
-        "--distance distances",
-        "A distance that you measured, which fixes the size: imu0 imu7 26.73±0.05mm "
-        "(+- works too).",
-        nargs=3,
-        multiple=True,
-        metavar="IMU IMU MM±SD",
-    ),
-    opt.option(
-        "--accept-mm",
-        "By how much what is not explained may move the positions before the exit code is 5.",
-        default=0.05,
-    ),
-    opt.option(
-        "--accept-mg",
-        "The same of the accelerometers' residual in motion, beyond their noise at rest.",
-        default=50.0,
-    ),
-    opt.option("--accept-dps", "The same of the gyros', deg/s.", default=2.0),
-    opt.shortest_rest,
-    opt.seed,
-    calibrating,
+@opt.paged("array")
+@click.argument("logs", nargs=-1, required=True, type=opt.PATH)
+@opt.option(
+    "--board --layout board",
+    "Board file (YAML), or a name: mimu4444, mimu4444_corners.",
+    required=True,
 )
+@opt.flag(
+    "--as-drawn",
+    "Keep the board file's axes and places even where the log contradicts them.",
+)
+@opt.choice("--sampler", "hmc pmmh", "pmmh: Algorithm 1 of the paper.", default="hmc")
+@opt.option(
+    "--samples",
+    "Moving samples, at most; default: all that say something.",
+    type=click.IntRange(min=1),
+)
+@opt.choice("--motion-prior", "learned flat", "Of ω̇; flat is the paper's.", default="learned")
+@opt.choice(
+    "--det-exponent",
+    "0.5 1",
+    "1: equation (25) as printed, with --motion-prior flat.",
+    default="0.5",
+)
+@opt.option("--acc-sigma", "In motion: estimate, nonlinearity, or m/s².", default="estimate")
+@opt.choice(
+    "--gyro-covariance",
+    "scatter sample",
+    "sample: equation (30) of the paper.",
+    default="scatter",
+)
+@opt.option("--chains", "Number of chains.", type=int)
+@opt.option("--ess", "Effective sample size to reach.", default=400.0)
+@opt.option("--iterations", "Of --sampler pmmh.", default=100_000)
+@limit_option("--max-gyro-error", "held-out gyro error, deg/s.")
+@limit_option("--max-position-sd", "largest posterior sd, mm.")
+@opt.option("--save-draws", "Also write the posterior's draws: .h5 or .nc.", type=opt.PATH)
+@opt.option(
+    "--checkpoint",
+    "Keep the chains here after every block, and go on from there.",
+    type=opt.PATH,
+)
+@opt.option(
+    "--distance distances",
+    "A distance that you measured, which fixes the size: imu0 imu7 26.73±0.05mm (+- works too).",
+    nargs=3,
+    multiple=True,
+    metavar="IMU IMU MM±SD",
+)
+@opt.option(
+    "--accept-mm",
+    "By how much what is not explained may move the positions before the exit code is 5.",
+    default=0.05,
+)
+@opt.option(
+    "--accept-mg",
+    "The same of the accelerometers' residual in motion, beyond their noise at rest.",
+    default=50.0,
+)
+@opt.option("--accept-dps", "The same of the gyros', deg/s.", default=2.0)
+@opt.shortest_rest
+@opt.seed
+@calibrating
 def command(logs: tuple[Path, ...], **options: Any) -> int:
     """Find the positions of an inertial array's accelerometers from a bench log.
 

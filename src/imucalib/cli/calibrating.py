@@ -38,51 +38,57 @@ def limit_option(name: str, what: str) -> opt.Parameter:
 
 
 _OPTIONS = opt.combined(
-    opt.gravity,
-    opt.option(
-        "-o --output", "Folder for calibration.yaml, report.html and report.json.", type=opt.FOLDER
-    ),
-    opt.option(
-        "--entry",
-        "Entry for `imucal collect`, as `imucal batch` writes it, of a failure too.",
-        type=opt.FILE,
-    ),
-    opt.many(
-        "--declare",
-        "EFFECT",
-        "Put an effect into the base model; of one IMU of an array: NAME@imu3.",
-    ),
-    opt.many("--only", "EFFECT", "Search only these effects."),
-    opt.many("--without", "EFFECT", "Leave effects out of the search."),
-    opt.option("--effects effects_file", "Python file with effects of your own.", type=opt.PATH),
-    opt.option("--loop/--no-loop", "Search for what the model lacks.", default=True),
-    opt.option(
-        "--curves/--no-curves",
-        "Correct structure without a name by a smooth curve, where that holds out; "
-        "default yes, of an array no.",
-        default=None,
-    ),
-    limit_option(
-        "--max-error", "held-out error, in the report's unit (mg; array: m/s²); exit 1 beyond."
-    ),
-    opt.choice(
-        "--fail-on",
-        "suspected unexplained caution",
-        "End with exit 5 also where a name is not proved yet, structure has no name, "
-        "or anything at all is cautioned.",
-    ),
-    opt.full,
-    opt.option(
-        "--export",
-        "Write them for another program, too; see `imucal export`.",
-        multiple=True,
-        type=opt.EXPORT_FORM,
-    ),
-    opt.recording,
-    opt.force,
-    opt.json,
-    opt.verbose,
-    opt.quiet,
+    [
+        opt.gravity,
+        opt.option(
+            "-o --output",
+            "Folder for calibration.yaml, report.html and report.json.",
+            type=opt.FOLDER,
+        ),
+        opt.option(
+            "--entry",
+            "Entry for `imucal collect`, as `imucal batch` writes it, of a failure too.",
+            type=opt.FILE,
+        ),
+        opt.many(
+            "--declare",
+            "EFFECT",
+            "Put an effect into the base model; of one IMU of an array: NAME@imu3.",
+        ),
+        opt.many("--only", "EFFECT", "Search only these effects."),
+        opt.many("--without", "EFFECT", "Leave effects out of the search."),
+        opt.option(
+            "--effects effects_file", "Python file with effects of your own.", type=opt.PATH
+        ),
+        opt.option("--loop/--no-loop", "Search for what the model lacks.", default=True),
+        opt.option(
+            "--curves/--no-curves",
+            "Correct structure without a name by a smooth curve, where that holds out; "
+            "default yes, of an array no.",
+            default=None,
+        ),
+        limit_option(
+            "--max-error", "held-out error, in the report's unit (mg; array: m/s²); exit 1 beyond."
+        ),
+        opt.choice(
+            "--fail-on",
+            "suspected unexplained caution",
+            "End with exit 5 also where a name is not proved yet, structure has no name, "
+            "or anything at all is cautioned.",
+        ),
+        opt.full,
+        opt.option(
+            "--export",
+            "Write them for another program, too; see `imucal export`.",
+            multiple=True,
+            type=opt.EXPORT_FORM,
+        ),
+        opt.recording,
+        opt.force,
+        opt.json,
+        opt.verbose,
+        opt.quiet,
+    ]
 )
 
 

@@ -1,4 +1,4 @@
-"""imucal check"""
+"""imucal check and validate"""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import click
 
 from imucalib.cli import options as opt
 from imucalib.cli.calibrating import command_line
-from imucalib.cli.output import present, working
+from imucalib.cli.output import emit_json, present, working
 
 if TYPE_CHECKING:
     from imucalib.calibration.calibration import Calibration
@@ -17,45 +17,42 @@ if TYPE_CHECKING:
     from imucalib.calibration.checking.noise import CheckNoise
 
 
-@opt.paged(
-    "check",
-    click.argument("calibration", type=opt.PATH),
-    click.argument("log", type=opt.PATH),
-    opt.many(
-        "--limit limits",
-        "SIZE",
-        "Change that matters: 2mg of bias, 0.1deg of mounting, 0.5deg/s of a gyro's "
-        "bias. Default: 5 sd of one corrected reading.",
-    ),
-    opt.option(
-        "--noise",
-        "Scatter of one rest or position, for example 0.5mg; "
-        "default: as the calibration states it.",
-        metavar="SIZE",
-    ),
-    opt.many(
-        "--between-sessions",
-        "SIZE",
-        "Scatter between power-ups: 0.5mg of bias, 0.05deg of mounting; default: as a "
-        "calibration of several sessions states it.",
-    ),
-    opt.option("--triad", "Which sensor, when the log has several."),
-    opt.many(
-        "--columns",
-        "ROLE=NAME,...",
-        "Columns of a table by heading: inclination, tool_face, face, x, y, z.",
-    ),
-    opt.effects,
-    opt.option("--html", "Also write the report as a page.", type=opt.PATH),
-    opt.shortest_rest,
-    opt.gravity,
-    opt.force,
-    opt.recording,
-    opt.seed,
-    opt.full,
-    opt.json,
-    opt.quiet,
+@opt.paged("check")
+@click.argument("calibration", type=opt.PATH)
+@click.argument("log", type=opt.PATH)
+@opt.many(
+    "--limit limits",
+    "SIZE",
+    "Change that matters: 2mg of bias, 0.1deg of mounting, 0.5deg/s of a gyro's "
+    "bias. Default: 5 sd of one corrected reading.",
 )
+@opt.option(
+    "--noise",
+    "Scatter of one rest or position, for example 0.5mg; default: as the calibration states it.",
+    metavar="SIZE",
+)
+@opt.many(
+    "--between-sessions",
+    "SIZE",
+    "Scatter between power-ups: 0.5mg of bias, 0.05deg of mounting; default: as a "
+    "calibration of several sessions states it.",
+)
+@opt.option("--triad", "Which sensor, when the log has several.")
+@opt.many(
+    "--columns",
+    "ROLE=NAME,...",
+    "Columns of a table by heading: inclination, tool_face, face, x, y, z.",
+)
+@opt.effects
+@opt.option("--html", "Also write the report as a page.", type=opt.PATH)
+@opt.shortest_rest
+@opt.gravity
+@opt.force
+@opt.recording
+@opt.seed
+@opt.full
+@opt.json
+@opt.quiet
 def command(calibration: Path, log: Path, **options: Any) -> int:
     """Say whether a calibration is still good, from a few rests or positions.
 
@@ -113,3 +110,24 @@ def _measured(
     )
     make = array_log if calibration.triads else sensor_log
     return make(replace(calibration, gravity=gravity), files, noise, request)
+
+
+@opt.paged("validate")
+@click.argument("file", type=opt.PATH)
+@opt.json
+@opt.quiet
+def validate(file: Path, as_json: bool, quiet: bool) -> int:
+    """Check that a calibration file is whole, known to this version, and can be applied.
+
+    \b
+    Example: imucal validate out/calibration.yaml
+    """
+    found = opt.calibration_of(file, None)
+    count = len(found.parameters)
+    if as_json:
+        shown = {"status": found.status, "parameters": count}
+        emit_json({"file": str(file), "valid": True, **shown})
+    elif not quiet:
+        what = f"valid {found.calibrator} calibration, status {found.status}"
+        click.echo(f"{file}: {what}, {count} parameters")
+    return 0

@@ -12,37 +12,35 @@ from imucalib.cli.calibrating import command_line
 from imucalib.cli.output import present
 
 
-@opt.paged(
-    "compare",
-    click.argument("calibrations", type=opt.PATH, nargs=-1, required=True),
-    opt.many(
-        "--limit limits",
-        "SIZE",
-        "Difference that matters: 2mg of force, 0.1deg of direction, 0.2mm of position, "
-        "0.5deg/s of a gyro's bias. Default: twice the largest stated sd.",
-    ),
-    opt.option(
-        "--dates",
-        "When each was recorded, for the drift; default: as the files say.",
-        metavar="DATE,...",
-    ),
-    opt.many(
-        "--between-sessions between",
-        "SIZE",
-        "Scatter between power-ups: 0.5mg of bias, 0.05deg of mounting; default: as "
-        "calibrations of several sessions state it.",
-    ),
-    opt.option(
-        "--effects effects_file",
-        "Python file with effects of your own that the calibrations use.",
-        type=opt.PATH,
-    ),
-    opt.option("--html", "Also write the report as a page, with its control chart.", type=opt.PATH),
-    opt.force,
-    opt.full,
-    opt.json,
-    opt.quiet,
+@opt.paged("compare")
+@click.argument("calibrations", type=opt.PATH, nargs=-1, required=True)
+@opt.many(
+    "--limit limits",
+    "SIZE",
+    "Difference that matters: 2mg of force, 0.1deg of direction, 0.2mm of position, "
+    "0.5deg/s of a gyro's bias. Default: twice the largest stated sd.",
 )
+@opt.option(
+    "--dates",
+    "When each was recorded, for the drift; default: as the files say.",
+    metavar="DATE,...",
+)
+@opt.many(
+    "--between-sessions between",
+    "SIZE",
+    "Scatter between power-ups: 0.5mg of bias, 0.05deg of mounting; default: as "
+    "calibrations of several sessions state it.",
+)
+@opt.option(
+    "--effects effects_file",
+    "Python file with effects of your own that the calibrations use.",
+    type=opt.PATH,
+)
+@opt.option("--html", "Also write the report as a page, with its control chart.", type=opt.PATH)
+@opt.force
+@opt.full
+@opt.json
+@opt.quiet
 def command(calibrations: tuple[Path, ...], **options: Any) -> int:
     """Say whether calibrations of one sensor differ, what that means, and how they drift.
 

@@ -11,16 +11,14 @@ from imucalib.cli import options as opt
 from imucalib.cli.output import emit_json, note, say, working
 
 
-@opt.paged(
-    "convert",
-    click.argument("sources", metavar="SOURCE...", nargs=-1, required=True, type=opt.PATH),
-    click.argument("target", type=opt.PATH),
-    opt.strict,
-    opt.force,
-    opt.recording,
-    opt.json,
-    opt.quiet,
-)
+@opt.paged("convert")
+@click.argument("sources", metavar="SOURCE...", nargs=-1, required=True, type=opt.PATH)
+@click.argument("target", type=opt.PATH)
+@opt.strict
+@opt.force
+@opt.recording
+@opt.json
+@opt.quiet
 def command(
     sources: tuple[Path, ...], target: Path, strict: bool, force: bool, **options: Any
 ) -> int:

@@ -11,50 +11,46 @@ from imucalib.cli import options as opt
 from imucalib.cli.output import note, present, working
 
 
-@opt.paged(
-    "design",
-    click.argument("table", type=opt.PATH, required=False),
-    opt.option(
-        "--recommend count",
-        "Instead of TABLE: a good set of N positions.",
-        type=click.IntRange(min=4),
-    ),
-    opt.many("--columns", "ROLE=NAME,...", "Columns by heading: inclination, tool_face."),
-    opt.option(
-        "--convention", "Angles: paper, drilling-gravity or drilling-force.", default="paper"
-    ),
-    opt.option(
-        "--separate",
-        "Instead of TABLE: what to record next so that a calibration's rivals are told apart.",
-        type=opt.PATH,
-        metavar="CAL",
-    ),
-    opt.flag(
-        "--imu",
-        "Turns of one IMU by hand: a plan for N rests with --recommend, or with the "
-        "calibration of `imucal imu` as TABLE what to add to its log.",
-    ),
-    opt.option(
-        "--temperatures",
-        "With --separate: temperatures that can be held, degC; default: as recorded.",
-        metavar="LOW,HIGH",
-    ),
-    opt.option(
-        "--between-sessions",
-        "With --separate: the recording comes after another power-up, between which the "
-        "bias scatters by this, for example 0.5mg.",
-        metavar="SIZE",
-    ),
-    opt.option(
-        "-o --output",
-        "Write the positions as a table (CSV) for `design` and `lab`.",
-        type=opt.FILE,
-    ),
-    opt.force,
-    opt.full,
-    opt.json,
-    opt.quiet,
+@opt.paged("design")
+@click.argument("table", type=opt.PATH, required=False)
+@opt.option(
+    "--recommend count",
+    "Instead of TABLE: a good set of N positions.",
+    type=click.IntRange(min=4),
 )
+@opt.many("--columns", "ROLE=NAME,...", "Columns by heading: inclination, tool_face.")
+@opt.option("--convention", "Angles: paper, drilling-gravity or drilling-force.", default="paper")
+@opt.option(
+    "--separate",
+    "Instead of TABLE: what to record next so that a calibration's rivals are told apart.",
+    type=opt.PATH,
+    metavar="CAL",
+)
+@opt.flag(
+    "--imu",
+    "Turns of one IMU by hand: a plan for N rests with --recommend, or with the "
+    "calibration of `imucal imu` as TABLE what to add to its log.",
+)
+@opt.option(
+    "--temperatures",
+    "With --separate: temperatures that can be held, degC; default: as recorded.",
+    metavar="LOW,HIGH",
+)
+@opt.option(
+    "--between-sessions",
+    "With --separate: the recording comes after another power-up, between which the "
+    "bias scatters by this, for example 0.5mg.",
+    metavar="SIZE",
+)
+@opt.option(
+    "-o --output",
+    "Write the positions as a table (CSV) for `design` and `lab`.",
+    type=opt.FILE,
+)
+@opt.force
+@opt.full
+@opt.json
+@opt.quiet
 def command(table: Path | None, count: int | None, **options: Any) -> int:
     """How good is a set of positions, and which one or two more would help most.
 

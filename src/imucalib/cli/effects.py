@@ -14,12 +14,10 @@ if TYPE_CHECKING:
     from imucalib.core.effect import Effect
 
 
-@opt.paged(
-    "effects",
-    click.argument("name", required=False),
-    opt.option("--effects effects_file", "Python file with effects of your own.", type=opt.PATH),
-    opt.json,
-)
+@opt.paged("effects")
+@click.argument("name", required=False)
+@opt.option("--effects effects_file", "Python file with effects of your own.", type=opt.PATH)
+@opt.json
 def command(name: str | None, effects_file: Path | None, as_json: bool) -> int:
     """List the effects that a calibration can hold and the search can find, or show one.
 

@@ -26,39 +26,35 @@ class _Form(click.Option):
         return name, f"{text.rstrip('.')}: {', '.join(exports())}."
 
 
-@opt.paged(
-    "export",
-    click.argument("calibration", type=opt.PATH),
-    opt.option(
-        "--to form", "Form of the other program", required=True, type=opt.EXPORT_FORM, cls=_Form
-    ),
-    opt.option("-o --output", "File to write; default: stdout.", type=opt.FILE),
-    opt.option(
-        "--noise", "Noise of the sensors, from `imucal inspect --save-noise`.", type=opt.PATH
-    ),
-    opt.option(
-        "--random-walk",
-        "Random walks that the rests do not show: their upper limits, or values in SI.",
-        default="limit",
-        metavar="limit|ACC,GYRO",
-    ),
-    opt.option(
-        "--device-id",
-        "px4, ardupilot: the sensors' ids, as CAL_ACC0_ID and CAL_GYRO0_ID, or INS_ACC_ID and "
-        "INS_GYR_ID, have them.",
-        metavar="ACC[,GYRO]",
-    ),
-    opt.effects,
-    opt.option(
-        "--largest-loss",
-        "Loss, mg of a force and deg/s of a rate, from which on only --force writes; default: "
-        "three times the error that the calibration leaves.",
-        metavar="MG[,DPS]",
-    ),
-    opt.force,
-    opt.json,
-    opt.quiet,
+@opt.paged("export")
+@click.argument("calibration", type=opt.PATH)
+@opt.option(
+    "--to form", "Form of the other program", required=True, type=opt.EXPORT_FORM, cls=_Form
 )
+@opt.option("-o --output", "File to write; default: stdout.", type=opt.FILE)
+@opt.option("--noise", "Noise of the sensors, from `imucal inspect --save-noise`.", type=opt.PATH)
+@opt.option(
+    "--random-walk",
+    "Random walks that the rests do not show: their upper limits, or values in SI.",
+    default="limit",
+    metavar="limit|ACC,GYRO",
+)
+@opt.option(
+    "--device-id",
+    "px4, ardupilot: the sensors' ids, as CAL_ACC0_ID and CAL_GYRO0_ID, or INS_ACC_ID and "
+    "INS_GYR_ID, have them.",
+    metavar="ACC[,GYRO]",
+)
+@opt.effects
+@opt.option(
+    "--largest-loss",
+    "Loss, mg of a force and deg/s of a rate, from which on only --force writes; default: "
+    "three times the error that the calibration leaves.",
+    metavar="MG[,DPS]",
+)
+@opt.force
+@opt.json
+@opt.quiet
 def command(calibration: Path, form: str, output: Path | None, **options: Any) -> int:
     """Write a calibration's coefficients in the form of another program.
 

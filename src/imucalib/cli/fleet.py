@@ -18,41 +18,39 @@ if TYPE_CHECKING:
     from imucalib.report.document import Document
 
 
-@opt.paged(
-    "fleet",
-    click.argument("inputs", metavar="INPUT...", nargs=-1, required=True, type=opt.PATH),
-    opt.option(
-        "-o --output",
-        "Folder for report.html, report.json and each device's calibration.yaml.",
-        type=opt.FOLDER,
-    ),
-    opt.choice("--reference", "vector direction norm", "As of imucal lab.", default="vector"),
-    opt.many("--columns", "ROLE=NAME,...", "Columns by heading."),
-    opt.option("--exclude", "Rows to leave out of every table.", default="", metavar="ROWS"),
-    opt.many("--only", "EFFECT", "Search only these effects."),
-    opt.many("--without", "EFFECT", "Leave effects out of the search."),
-    opt.option(
-        "--draws",
-        "Simulated fleets behind each p-value.",
-        type=click.IntRange(min=99),
-        default=1000,
-    ),
-    opt.option(
-        "--devices",
-        "Of calibrations: CSV that says which recording is of which device, columns "
-        "recording and device; default: by serial number, else one each.",
-        type=opt.FILE,
-    ),
-    opt.full,
-    opt.gravity,
-    opt.recording,
-    opt.shortest_rest,
-    opt.force,
-    opt.seed,
-    opt.json,
-    opt.verbose,
-    opt.quiet,
+@opt.paged("fleet")
+@click.argument("inputs", metavar="INPUT...", nargs=-1, required=True, type=opt.PATH)
+@opt.option(
+    "-o --output",
+    "Folder for report.html, report.json and each device's calibration.yaml.",
+    type=opt.FOLDER,
 )
+@opt.choice("--reference", "vector direction norm", "As of imucal lab.", default="vector")
+@opt.many("--columns", "ROLE=NAME,...", "Columns by heading.")
+@opt.option("--exclude", "Rows to leave out of every table.", default="", metavar="ROWS")
+@opt.many("--only", "EFFECT", "Search only these effects.")
+@opt.many("--without", "EFFECT", "Leave effects out of the search.")
+@opt.option(
+    "--draws",
+    "Simulated fleets behind each p-value.",
+    type=click.IntRange(min=99),
+    default=1000,
+)
+@opt.option(
+    "--devices",
+    "Of calibrations: CSV that says which recording is of which device, columns "
+    "recording and device; default: by serial number, else one each.",
+    type=opt.FILE,
+)
+@opt.full
+@opt.gravity
+@opt.recording
+@opt.shortest_rest
+@opt.force
+@opt.seed
+@opt.json
+@opt.verbose
+@opt.quiet
 def command(inputs: tuple[Path, ...], **options: Any) -> int:
     """Calibrate devices of one kind together: effects too small for one device, found in all.
 

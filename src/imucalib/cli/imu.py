@@ -11,19 +11,17 @@ from imucalib.cli import options as opt
 from imucalib.cli.calibrating import calibrating, calibrating_of, finish, limit_option, shared_of
 
 
-@opt.paged(
-    "imu",
-    click.argument("recordings", metavar="RECORDING...", nargs=-1, required=True, type=opt.PATH),
-    opt.option(
-        "--gyro-axes",
-        "Rates that are the gyroscope's x, y, z, for example -y,x,z.",
-        default="",
-        metavar="X,Y,Z",
-    ),
-    limit_option("--max-force-error", "held-out error of |a|, mg rms."),
-    opt.shortest_rest,
-    calibrating,
+@opt.paged("imu")
+@click.argument("recordings", metavar="RECORDING...", nargs=-1, required=True, type=opt.PATH)
+@opt.option(
+    "--gyro-axes",
+    "Rates that are the gyroscope's x, y, z, for example -y,x,z.",
+    default="",
+    metavar="X,Y,Z",
 )
+@limit_option("--max-force-error", "held-out error of |a|, mg rms.")
+@opt.shortest_rest
+@calibrating
 def command(recordings: tuple[Path, ...], **options: Any) -> int:
     """Calibrate accelerometer and gyroscope of one IMU from rests and the turns between them.
 

@@ -15,29 +15,27 @@ if TYPE_CHECKING:
     from imucalib.report.document import Document
 
 
-@opt.paged(
-    "inspect",
-    click.argument("file", type=opt.PATH),
-    opt.option("--save-mapping", "Write how the file was read, for --mapping.", type=opt.PATH),
-    opt.flag("--rests", "List every candidate for a rest, and what refused it."),
-    opt.flag(
-        "--noise",
-        "White noise, bias instability and random walk of every axis, from what is still.",
-    ),
-    opt.option(
-        "--save-noise",
-        "Write that noise as Kalibr's imu.yaml has it, also for `imucal export --noise`.",
-        type=opt.PATH,
-    ),
-    opt.option("--html", "Also write all of it as a page, with plots.", type=opt.PATH),
-    opt.shortest_rest,
-    opt.flag("--strict", "Refuse a damaged recording instead of reading what is left."),
-    opt.force,
-    opt.recording,
-    opt.full,
-    opt.json,
-    opt.quiet,
+@opt.paged("inspect")
+@click.argument("file", type=opt.PATH)
+@opt.option("--save-mapping", "Write how the file was read, for --mapping.", type=opt.PATH)
+@opt.flag("--rests", "List every candidate for a rest, and what refused it.")
+@opt.flag(
+    "--noise",
+    "White noise, bias instability and random walk of every axis, from what is still.",
 )
+@opt.option(
+    "--save-noise",
+    "Write that noise as Kalibr's imu.yaml has it, also for `imucal export --noise`.",
+    type=opt.PATH,
+)
+@opt.option("--html", "Also write all of it as a page, with plots.", type=opt.PATH)
+@opt.shortest_rest
+@opt.flag("--strict", "Refuse a damaged recording instead of reading what is left.")
+@opt.force
+@opt.recording
+@opt.full
+@opt.json
+@opt.quiet
 def command(file: Path, **options: Any) -> int:
     """Say what a recording or a table of positions holds, what is wrong with it, and what to type.
 

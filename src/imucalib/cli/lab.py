@@ -27,83 +27,79 @@ _CONVENTIONS = (
 )
 
 
-@opt.paged(
-    "lab",
-    click.argument("tables", metavar="TABLE...", nargs=-1, required=True, type=opt.PATH),
-    opt.option(
-        "--recording",
-        "Recording with the positions of TABLE in order; its still segments are averaged.",
-        type=opt.PATH,
-    ),
-    opt.choice(
-        "--reference",
-        "vector direction norm",
-        "Known angles; directions without dials (a column face with +x ... -z, or ux, uy, "
-        "uz); or only the size of gravity (TABLE may then be a recording).",
-        default="vector",
-    ),
-    opt.many(
-        "--columns",
-        "ROLE=NAME,...",
-        "By heading: inclination, tool_face, face, x, y, z, temperature, samples, driver.",
-    ),
-    opt.option(
-        "--convention", "Angles: paper, drilling-gravity or drilling-force.", default="paper"
-    ),
-    opt.choice("--gravity-sign", "down up", "Which way an axis points that reads +g."),
-    opt.choice("--z-axis", "down-hole up-hole", "The tool's end to which z points."),
-    opt.choice("--inclination-zero", "horizontal vertical", "What inclination 0 means."),
-    opt.choice("--toolface-zero-axis", "+x -x +y -y", "Axis that reads most at tool-face 0."),
-    opt.choice("--toolface-sense", "clockwise counter-clockwise", "Clockwise: from +y towards +x."),
-    opt.option("--toolface-offset", "Degrees added to every tool-face.", type=float),
-    opt.option("--model", "linear12 or geometric9.", default="linear12"),
-    opt.choice(
-        "--objective",
-        "settings vector angles paper",
-        "What is minimised; settings: angles are uncertain as set.",
-        default="settings",
-    ),
-    opt.fleet,
-    opt.flag("--as-published", "The paper's own method, as it was published."),
-    opt.option(
-        "--train",
-        "Rows to choose and fit on, for example 1-20; the rest tests.",
-        default="",
-        metavar="ROWS",
-    ),
-    opt.option("--exclude", "Leave rows out.", default="", metavar="ROWS"),
-    opt.many(
-        "--fix fixes",
-        "ROWS:COLUMN=VALUE",
-        "Repair a cell, or a column in rows 9-16, in the table's unit.",
-    ),
-    opt.many("--swap swaps", "ROW,ROW", "Exchange two rows' readings."),
-    opt.many(
-        "--move moves",
-        "ROW,ROW",
-        "A row's reading belongs to the other row, those between one row nearer.",
-    ),
-    opt.many(
-        "--shift shifts",
-        "COLUMN[:ROWS]=STEP",
-        "Readings, inclination or tool_face belong one row down (1) or up (-1).",
-    ),
-    opt.many(
-        "--axes",
-        "[ROWS:]X,Y,Z",
-        "Columns that are the sensor's x, y, z, for example -y,x,z; of a part 17-32:-y,x,z.",
-    ),
-    opt.choice("--angle-unit", "deg rad", "Unit of the angles."),
-    opt.flag("--auto-exclude", "Leave out records that the search finds wrong."),
-    opt.flag("--swap-angles", "Exchange the two angle columns."),
-    opt.flag("--keep-angles", "Do not refuse angles that look exchanged."),
-    opt.option("--sigma", "Declared noise of a reading, mg; default: from the data.", type=float),
-    limit_option("--max-inclination-error", "largest held-out inclination error, deg."),
-    limit_option("--max-toolface-error", "largest held-out tool-face error, deg."),
-    limit_option("--max-norm-error", "held-out error of |a|, mg rms."),
-    opt.shortest_rest,
-    calibrating,
+@opt.paged("lab")
+@click.argument("tables", metavar="TABLE...", nargs=-1, required=True, type=opt.PATH)
+@opt.option(
+    "--recording",
+    "Recording with the positions of TABLE in order; its still segments are averaged.",
+    type=opt.PATH,
 )
+@opt.choice(
+    "--reference",
+    "vector direction norm",
+    "Known angles; directions without dials (a column face with +x ... -z, or ux, uy, "
+    "uz); or only the size of gravity (TABLE may then be a recording).",
+    default="vector",
+)
+@opt.many(
+    "--columns",
+    "ROLE=NAME,...",
+    "By heading: inclination, tool_face, face, x, y, z, temperature, samples, driver.",
+)
+@opt.option("--convention", "Angles: paper, drilling-gravity or drilling-force.", default="paper")
+@opt.choice("--gravity-sign", "down up", "Which way an axis points that reads +g.")
+@opt.choice("--z-axis", "down-hole up-hole", "The tool's end to which z points.")
+@opt.choice("--inclination-zero", "horizontal vertical", "What inclination 0 means.")
+@opt.choice("--toolface-zero-axis", "+x -x +y -y", "Axis that reads most at tool-face 0.")
+@opt.choice("--toolface-sense", "clockwise counter-clockwise", "Clockwise: from +y towards +x.")
+@opt.option("--toolface-offset", "Degrees added to every tool-face.", type=float)
+@opt.option("--model", "linear12 or geometric9.", default="linear12")
+@opt.choice(
+    "--objective",
+    "settings vector angles paper",
+    "What is minimised; settings: angles are uncertain as set.",
+    default="settings",
+)
+@opt.fleet
+@opt.flag("--as-published", "The paper's own method, as it was published.")
+@opt.option(
+    "--train",
+    "Rows to choose and fit on, for example 1-20; the rest tests.",
+    default="",
+    metavar="ROWS",
+)
+@opt.option("--exclude", "Leave rows out.", default="", metavar="ROWS")
+@opt.many(
+    "--fix fixes",
+    "ROWS:COLUMN=VALUE",
+    "Repair a cell, or a column in rows 9-16, in the table's unit.",
+)
+@opt.many("--swap swaps", "ROW,ROW", "Exchange two rows' readings.")
+@opt.many(
+    "--move moves",
+    "ROW,ROW",
+    "A row's reading belongs to the other row, those between one row nearer.",
+)
+@opt.many(
+    "--shift shifts",
+    "COLUMN[:ROWS]=STEP",
+    "Readings, inclination or tool_face belong one row down (1) or up (-1).",
+)
+@opt.many(
+    "--axes",
+    "[ROWS:]X,Y,Z",
+    "Columns that are the sensor's x, y, z, for example -y,x,z; of a part 17-32:-y,x,z.",
+)
+@opt.choice("--angle-unit", "deg rad", "Unit of the angles.")
+@opt.flag("--auto-exclude", "Leave out records that the search finds wrong.")
+@opt.flag("--swap-angles", "Exchange the two angle columns.")
+@opt.flag("--keep-angles", "Do not refuse angles that look exchanged.")
+@opt.option("--sigma", "Declared noise of a reading, mg; default: from the data.", type=float)
+@limit_option("--max-inclination-error", "largest held-out inclination error, deg.")
+@limit_option("--max-toolface-error", "largest held-out tool-face error, deg.")
+@limit_option("--max-norm-error", "held-out error of |a|, mg rms.")
+@opt.shortest_rest
+@calibrating
 def command(tables: tuple[Path, ...], **options: Any) -> int:
     """Calibrate a tool's accelerometer on a bench with known tool-face and inclination.
 
@@ -157,6 +153,7 @@ def request_of(options: dict[str, Any]) -> LabRequest:
             options,
             {"as_published": False, "objective": "settings"},
             options["reference"],
+            f"this device with {options['reference']}",
             "give --reference {other}, or a fleet of that reference",
         ),
     )

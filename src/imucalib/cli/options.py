@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -46,11 +46,12 @@ def choice(names: str, words: str, text: str, **more: Any) -> Parameter:
     return option(names, text, type=click.Choice(words.split()), **more)
 
 
-def combined(*parameters: Parameter) -> Parameter:
+def combined(parameters: Iterable[Parameter]) -> Parameter:
     """Several parameters as one, in the order of the help."""
+    made = tuple(parameters)
 
     def add(command: Any) -> Any:
-        for parameter in reversed(parameters):
+        for parameter in reversed(made):
             command = parameter(command)
         return command
 
@@ -97,21 +98,21 @@ _FORMS: dict[str, dict[str, Any]] = {
 READING = tuple(_READING)
 #: How a recording is read; `mapping_of` turns the values into a FieldMapping.
 recording = combined(
-    *(
-        option(f"--{name.replace('_', '-')}", text, **_FORMS.get(name, {}))
-        for name, text in _READING.items()
-    )
+    option(f"--{name.replace('_', '-')}", text, **_FORMS.get(name, {}))
+    for name, text in _READING.items()
 )
 #: How large gravity is; `gravity_of` turns the values into m/s².
 gravity = combined(
-    option("--gravity", "Local gravity, m/s²; default: standard gravity.", type=float),
-    option("--latitude", "Latitude in degrees, for normal gravity.", type=float),
-    option(
-        "--height",
-        "Height above the ellipsoid in m, with --latitude.",
-        default=0.0,
-        show_default=False,
-    ),
+    [
+        option("--gravity", "Local gravity, m/s²; default: standard gravity.", type=float),
+        option("--latitude", "Latitude in degrees, for normal gravity.", type=float),
+        option(
+            "--height",
+            "Height above the ellipsoid in m, with --latitude.",
+            default=0.0,
+            show_default=False,
+        ),
+    ]
 )
 fleet = option(
     "--fleet",
@@ -170,11 +171,13 @@ def calibration_of(path: Path, effects_file: Path | None) -> Calibration:
 
 
 def population_of(
-    options: Mapping[str, Any], usual: Mapping[str, Any], reference: str, remedy: str
+    options: Mapping[str, Any], usual: Mapping[str, Any], reference: str, device: str, remedy: str
 ) -> Population | None:
-    """What --fleet says of the device. usual : values of options that know no prior, by name;
-    reference : by which the device is calibrated; remedy : where the fleet has another, which
-    {other} names. Raises UsageError."""
+    """What --fleet says of the device. Raises UsageError.
+
+    usual : values of options that know no prior, by name; reference : by which the device is
+    calibrated, and `device` says so; remedy : for a fleet of another, which {other} names
+    """
     from imucalib.calibrators.population import read
     from imucalib.errors import UsageError
 
@@ -187,8 +190,7 @@ def population_of(
     kind = read(options["fleet"])
     if kind.reference != reference:
         raise UsageError(
-            f"the fleet was calibrated with --reference {kind.reference}, this device with "
-            f"{reference}",
+            f"the fleet was calibrated with --reference {kind.reference}, {device}",
             where=str(options["fleet"]),
             remedy=remedy.format(other=kind.reference),
         )
@@ -353,13 +355,7 @@ def _write(formatter: click.HelpFormatter, heading: str, records: Records) -> No
 
 
 def paged(
-    name: str, *parameters: Parameter, cls: type[click.Command] = PagedCommand, short_help: str = ""
+    name: str, cls: type[click.Command] = PagedCommand, short_help: str | None = None
 ) -> Callable[[Callable[..., int]], click.Command]:
-    """A command of a function, with its parameters in the order of the help."""
-
-    def made(function: Callable[..., int]) -> click.Command:
-        return click.command(name, cls=cls, short_help=short_help or None)(
-            combined(*parameters)(function)
-        )
-
-    return made
+    """A command of a function."""
+    return click.command(name, cls=cls, short_help=short_help)

@@ -21,7 +21,7 @@ _FAULT = opt.many(
     "FAULT",
     "gap@START:LENGTH, freeze@START:LENGTH (s), sign@SENSOR:AXIS, clip@G, exchange@SENSOR:SENSOR.",
 )
-_LAST = opt.combined(opt.seed, opt.force, opt.json, opt.quiet)
+_LAST = opt.combined([opt.seed, opt.force, opt.json, opt.quiet])
 _RATE = opt.option("--rate", "Samples a second.", default=100.0)
 
 
@@ -40,19 +40,16 @@ def command() -> None:
     """
 
 
-@opt.paged(
-    "actigraph",
-    _RECORDING,
-    opt.option("--days", "Length of the recording.", default=1.0),
-    opt.option("--rate", "Samples a second.", default=10.0),
-    opt.option("--rests", "Share of the time at rest.", default=0.6),
-    opt.option("--noise", "Noise of a sample, mg.", default=4.0),
-    opt.option("--temperature/--no-temperature", "Whether a thermometer records.", default=True),
-    _PLANT,
-    _FAULT,
-    _LAST,
-    short_help="Days on a wrist.",
-)
+@opt.paged("actigraph", short_help="Days on a wrist.")
+@_RECORDING
+@opt.option("--days", "Length of the recording.", default=1.0)
+@opt.option("--rate", "Samples a second.", default=10.0)
+@opt.option("--rests", "Share of the time at rest.", default=0.6)
+@opt.option("--noise", "Noise of a sample, mg.", default=4.0)
+@opt.option("--temperature/--no-temperature", "Whether a thermometer records.", default=True)
+@_PLANT
+@_FAULT
+@_LAST
 def actigraph(recording: Path, seed: int, **options: Any) -> int:
     """Write days on a wrist (.h5, .csv or .mcap): postures at rest, movement, a thermometer.
 
@@ -74,22 +71,19 @@ def actigraph(recording: Path, seed: int, **options: Any) -> int:
     return _finish([recording], plant, options, sensor={k: list(v) for k, v in plan.sensor.items()})
 
 
-@opt.paged(
-    "array",
-    _RECORDING,
-    opt.option("--board", "Board file (YAML), or a name.", default="mimu4444_corners"),
-    opt.option("--rests", "Attitudes at rest, 5 s each.", default=20),
-    opt.option("--seconds", "Length of the motion.", default=60.0),
-    _RATE,
-    opt.option("--twist", "Of each axis, deg/s rms.", default=700.0),
-    opt.option("--noise", "Noise of a sample, mg.", default=4.0),
-    opt.option("--gyro-noise", "Noise of a rate, deg/s.", default=0.2),
-    opt.option("--scatter", "Of the true places about the drawing, mm.", default=0.2),
-    _PLANT,
-    _FAULT,
-    _LAST,
-    short_help="A board's bench log.",
-)
+@opt.paged("array", short_help="A board's bench log.")
+@_RECORDING
+@opt.option("--board", "Board file (YAML), or a name.", default="mimu4444_corners")
+@opt.option("--rests", "Attitudes at rest, 5 s each.", default=20)
+@opt.option("--seconds", "Length of the motion.", default=60.0)
+@_RATE
+@opt.option("--twist", "Of each axis, deg/s rms.", default=700.0)
+@opt.option("--noise", "Noise of a sample, mg.", default=4.0)
+@opt.option("--gyro-noise", "Noise of a rate, deg/s.", default=0.2)
+@opt.option("--scatter", "Of the true places about the drawing, mm.", default=0.2)
+@_PLANT
+@_FAULT
+@_LAST
 def array(recording: Path, seed: int, **options: Any) -> int:
     """Write a bench log of a board (.h5, .mcap or .csv): rests, then twisting by hand.
 
@@ -125,24 +119,21 @@ def array(recording: Path, seed: int, **options: Any) -> int:
     return _finish([recording], plant, options, positions_mm=(1e3 * made.positions).tolist())
 
 
-@opt.paged(
-    "imu",
-    _RECORDING,
-    opt.option(
-        "--rests",
-        "Attitudes at rest, 2.5 s each, 135 deg apart.",
-        type=click.IntRange(min=2),
-        default=20,
-    ),
-    _RATE,
-    opt.option("--noise", "Noise of a sample, mg.", default=3.0),
-    opt.option("--gyro-noise", "Noise of a rate, deg/s.", default=0.06),
-    opt.option("--late", "The gyroscope's delay, s.", default=0.0),
-    _PLANT,
-    _FAULT,
-    _LAST,
-    short_help="A log of one IMU turned by hand.",
+@opt.paged("imu", short_help="A log of one IMU turned by hand.")
+@_RECORDING
+@opt.option(
+    "--rests",
+    "Attitudes at rest, 2.5 s each, 135 deg apart.",
+    type=click.IntRange(min=2),
+    default=20,
 )
+@_RATE
+@opt.option("--noise", "Noise of a sample, mg.", default=3.0)
+@opt.option("--gyro-noise", "Noise of a rate, deg/s.", default=0.06)
+@opt.option("--late", "The gyroscope's delay, s.", default=0.0)
+@_PLANT
+@_FAULT
+@_LAST
 def imu(recording: Path, seed: int, **options: Any) -> int:
     """Write a log of one IMU (.h5, .mcap or .csv) that is turned by hand from rest to rest.
 
@@ -165,31 +156,28 @@ def imu(recording: Path, seed: int, **options: Any) -> int:
     return _finish([recording], plant, options, gyro_gain=gain.tolist())
 
 
-@opt.paged(
-    "lab",
-    click.argument("table", type=opt.PATH),
-    opt.option(
-        "--recording",
-        "Also a recording that rests in every position: .mcap, .h5 or .csv; "
-        "TABLE then holds angles only.",
-        type=opt.PATH,
-    ),
-    opt.choice("--layout", "sweeps rings random", "How the bench is worked.", default="sweeps"),
-    opt.option("--positions", "Number of positions.", default=32),
-    _PLANT,
-    opt.many("--slip", "ROW:AXIS", "Lose the sign of one cell."),
-    opt.option("--noise", "Noise of a reading, mg.", default=1.0),
-    opt.option(
-        "--setting-sd",
-        "Scatter of the settings, deg: inclination,tool-face.",
-        default="0.1,0.2",
-    ),
-    opt.option("--temperature", "FROM,TO in °C: warms up over the table."),
-    opt.option("--gravity", "Local gravity, m/s².", default=9.80665),
-    _FAULT,
-    _LAST,
-    short_help="A bench: a table, and a recording on request.",
+@opt.paged("lab", short_help="A bench: a table, and a recording on request.")
+@click.argument("table", type=opt.PATH)
+@opt.option(
+    "--recording",
+    "Also a recording that rests in every position: .mcap, .h5 or .csv; "
+    "TABLE then holds angles only.",
+    type=opt.PATH,
 )
+@opt.choice("--layout", "sweeps rings random", "How the bench is worked.", default="sweeps")
+@opt.option("--positions", "Number of positions.", default=32)
+@_PLANT
+@opt.many("--slip", "ROW:AXIS", "Lose the sign of one cell.")
+@opt.option("--noise", "Noise of a reading, mg.", default=1.0)
+@opt.option(
+    "--setting-sd",
+    "Scatter of the settings, deg: inclination,tool-face.",
+    default="0.1,0.2",
+)
+@opt.option("--temperature", "FROM,TO in °C: warms up over the table.")
+@opt.option("--gravity", "Local gravity, m/s².", default=9.80665)
+@_FAULT
+@_LAST
 def lab(table: Path, recording: Path | None, seed: int, **options: Any) -> int:
     """Write a bench table (CSV), and on request a recording, with known planted effects.
 
