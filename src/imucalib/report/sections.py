@@ -120,9 +120,9 @@ def card_of(
         tuple(said),
         tuple(_decision(text, command) for text in steps[:_STEPS]),
         command,
-        uses if usable else (),
-        _headline(outcome),
-        picture,
+        uses=uses if usable else (),
+        headline=_headline(outcome),
+        picture=picture,
     )
 
 
