@@ -146,7 +146,7 @@ def main(command: str, folder: str) -> None:
     step(steps, "The board's whole log, corrected with what its part has taught")
     raw, corrected = Path("sample_logs/board.h5"), out / "board.h5"
     calibration = str(out / "board" / "calibration.yaml")
-    imucal(command, ["apply", calibration, str(raw), "-o", str(corrected)])
+    imucal(command, ["apply", calibration, str(raw), "-o", str(corrected), "--no-fused"])
     compared(raw, corrected)
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     spent = sum(u.ru_utime + u.ru_stime for u in used)
