@@ -6,7 +6,6 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 
 from imucalib import cli
 from imucalib.calibration import apply as application
-from imucalib.calibration.apply import apply_to_recording, correct_file
+from imucalib.calibration.apply import apply_to_recording
 from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.file import read as read_calibration
 from imucalib.calibration.file import write as write_calibration
@@ -38,9 +37,7 @@ from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.thermal import (
     ThermalHistory,
-    is_gone,
     temperature_at,
-    thermal_history,
     thermometer_of,
     with_thermometer,
 )
@@ -102,11 +99,7 @@ def test_a_lag_is_undone_in_blocks_as_in_memory(
     early = apply_to_recording(without, read(path, SECONDS)).channels["imu0/acceleration"].values
     assert np.abs(np.linalg.norm(early, axis=1) - G).mean() > 2.0 * MG
 
-    from imucalib.calibration import apply as application
-
     for size in (777, 5000):
-        from imucalib.readers import blocks
-
         monkeypatch.setattr(
             application, "blocks", lambda *a, s=size, **k: blocks(*a, block_samples=s, **k)
         )
@@ -288,50 +281,6 @@ def test_a_jump_is_no_temperature(value: float) -> None:
     assert not any("outside" in n for n in found.notes)
 
 
-def test_a_slow_thermometer_tells_nothing_beside_a_jump(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """From the last reading before to the first one after, in blocks of any size."""
-    slow = WARM[::30].copy()
-    slow[100] = 85.0
-    path = tmp_path / "slow.h5"
-    whole = recording(slow, T[::30])
-    with h5py.File(path, "w") as file:
-        force = whole.channels["imu0/acceleration"].values / G
-        file.create_dataset("imu0/acceleration", data=force).attrs.update(unit="g", sample_rate=1.0)
-        warm = file.create_dataset("imu0/temperature", data=slow)
-        warm.attrs.update(unit="degC", sample_rate=1.0 / 30.0)
-    known = calibration()
-    expected = corrected(apply_to_recording(known, read(path)))
-    middle = expected[T == 3000.0]
-    alone = np.all(np.isclose(expected, middle, rtol=0.0, atol=1e-9), axis=1)
-    assert T[alone].min() == 2971.0
-    assert T[alone].max() == 3029.0
-    assert np.ptp(expected[:, 0]) < 10.0 * MG
-    for rows in (601, 2500):
-        monkeypatch.setattr(
-            application, "blocks", lambda *a, s=rows, **k: blocks(*a, block_samples=s, **k)
-        )
-        target = tmp_path / f"out{rows}.h5"
-        notes = correct_file(known, path, target, FieldMapping())
-        assert np.allclose(corrected(read(target)), expected, rtol=0.0, atol=1e-9)
-        assert sum("59 of 6000 samples have no temperature" in note for note in notes) == 1
-
-
-def test_a_thermometer_that_seldom_answers_is_as_none() -> None:
-    wild = WARM.copy()
-    wild[np.random.default_rng(1).random(T.size) < 0.8] = -127.0
-    history = thermal_history([recording(wild)], "imu0")
-    assert history is not None
-    assert is_gone(history.gone, T).all()
-    for made in (calibration(), calibration("thermal_lag@1h", "temperature_lag_1h")):
-        found = apply_to_recording(made, recording(wild))
-        without = recording(WARM)
-        del without.channels["imu0/temperature"]  # type: ignore[attr-defined]
-        bare = apply_to_recording(made, without)
-        assert np.allclose(corrected(found), corrected(bare), rtol=0.0, atol=1e-9)
-
-
 UNDO_NINE = ("bias", "scale", "non_orthogonality")
 TEMPERATURE = ("temperature_bias", "temperature_scale")
 SETS = [
@@ -400,20 +349,6 @@ def recorded(n: int, warm: Array | None = None, size: float = 1.0) -> Recording:
     if warm is not None:
         channels["warm"] = Channel(t, warm[:, None], "degC", "temperature", "imu0", 1.0)
     return Recording(channels, "made", "made", "", start_ns=0)
-
-
-def test_hysteresis_is_left_out_with_its_size() -> None:
-    span = {f"previous_{a}": (-9.8, 9.8) for a in "xyz"}
-    found = apply_to_recording(undo_calibration((*UNDO_NINE, "hysteresis"), span), recorded(50))
-    (note,) = [n for n in found.notes if "hysteresis" in n]
-    theta = sensor((*UNDO_NINE, "hysteresis"))[1]
-    largest = float(np.linalg.norm(theta[-3:]))  # mg/g at 1 g on every axis
-    size = float(note.partition("up to ")[2].partition(" mg")[0])
-    assert size == pytest.approx(largest, rel=0.05)
-    without = sensor(UNDO_NINE)[0].correct(
-        theta[:-3], recorded(50).channels["acc"].values[:, None], Context(50)
-    )
-    assert np.allclose(found.channels["acc"].values, without[:, 0], atol=1e-6)
 
 
 def test_samples_beyond_the_calibrated_range_are_counted_and_kept() -> None:

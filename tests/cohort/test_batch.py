@@ -268,19 +268,6 @@ def test_several_worn_recordings_are_answered_with_the_command_of_a_study(study:
 
 
 @pytest.mark.slow
-def test_entries_of_single_runs_are_collected(cohort: Path, tmp_path: Path) -> None:
-    for name in ("good0", "empty"):
-        run("lab", cohort / f"{name}.csv", *ARGUMENTS, "-q", "--entry", tmp_path / f"{name}.json")
-    run("batch", cohort / "good1.csv", "-o", tmp_path, "--calibrator", "lab", "--", *ARGUMENTS)
-    table = tmp_path / "cohort.csv"
-    assert run("collect", tmp_path, "-o", table).return_value == 0
-    found = {Path(r["recording"]).name: r["status"] for r in csv.DictReader(table.open())}
-    assert found.keys() == {"good0.csv", "good1.csv", "empty.csv"}
-    assert found["empty.csv"] == "unreadable"
-    assert found["good0.csv"] == found["good1.csv"] == "ok"
-
-
-@pytest.mark.slow
 def test_a_cluster_without_workers_says_so_and_ends(cohort: Path, tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(n_workers=0, dashboard_address=None) as cluster:

@@ -184,15 +184,6 @@ def test_a_noise_estimated_from_the_same_data_is_that_of_the_null_too() -> None:
     assert 0.0475 < share < 0.1525
 
 
-def test_the_scatter_between_devices_is_that_beyond_their_own() -> None:
-    values = np.random.default_rng(1).normal(5.0, 2.0, 400)
-    found = spread_of("bias_x", "mg", values, np.full(400, 1.0))
-    assert found.scatter == pytest.approx(np.sqrt(values.var(ddof=1) - 1.0), rel=1e-6)
-    assert outliers([str(k) for k in range(400)], [found]) == ()
-    none = spread_of("bias_x", "mg", np.array([1.0, 1.1, 0.9]), np.full(3, 1.0))
-    assert none.scatter == 0.0
-
-
 def test_one_of_five_that_is_off_is_told() -> None:
     """A bias of twenty times the others' scatter was nothing odd, by three degrees of freedom; of
     fleets that lack nothing one in a hundred is told odd, also where axes scatter unlike."""

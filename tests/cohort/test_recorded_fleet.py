@@ -19,7 +19,7 @@ from imucalib.calibration.file import read, to_yaml
 from imucalib.calibration.sums import KEY
 from imucalib.calibrators.population import read as read_population
 from imucalib.cli import cli
-from imucalib.cohort.fleet.outcome import Fleet, nested_spread
+from imucalib.cohort.fleet.outcome import Fleet
 from imucalib.cohort.fleet.recorded import Wanted, run_recorded
 from imucalib.cohort.fleet.search import Rules
 from imucalib.core.effect import Context
@@ -135,18 +135,6 @@ def test_scatter_between_devices_and_between_recordings_of_one(tmp_path: Path) -
     assert bias.sessions.sd == pytest.approx(1.0, rel=0.41)
     assert bias.sessions.low < 1.0 < bias.sessions.high
     assert bias.interval.low < 20.0 < bias.interval.high
-
-
-def test_the_scatter_within_devices_is_that_beyond_their_own_sds() -> None:
-    """Two recordings each, alike in sd: Q = Σ (a - b)² / 2 / (sd² + τ²) is as large as there are
-    pairs; and a device's value is their mean."""
-    rng = np.random.default_rng(0)
-    pairs = rng.normal(0.0, 3.0, (200, 1)) + rng.normal(0.0, 2.0, (200, 2))
-    found = nested_spread("b", "mg", pairs.ravel(), np.full(400, 0.5), np.arange(400) // 2)
-    expected = np.mean((pairs[:, 0] - pairs[:, 1]) ** 2) / 2.0 - 0.25
-    assert found.sessions.sd == pytest.approx(np.sqrt(expected), rel=1e-6)
-    assert found.values == pytest.approx(pairs.mean(axis=1))
-    assert found.sds == pytest.approx(np.full(200, np.sqrt((0.25 + expected) / 2.0)))
 
 
 def test_the_next_recording_has_both_scatters_before_it(tmp_path: Path) -> None:

@@ -37,15 +37,6 @@ def test_a_row_tells_a_manager_what_to_know() -> None:
     assert {"status", "hours_worn", "what_to_do", "bias_x", "held_out_final"} <= set(row)
 
 
-def test_a_report_of_another_calibrator_leaves_columns_empty() -> None:
-    error = {"held_out": {"raw": None, "base": 2.0, "final": 1.0}}
-    report = {"notes": [], "provenance": {"gaps": 0}, "loop": {"errors": [error], "advice": ["a"]}}
-    found = quality_of(report)
-    assert found["error_before"] is None
-    assert found["error_after"] == 1.0
-    assert found["hours_worn"] is None
-
-
 @pytest.mark.parametrize("text", ["=1+1", "+1", "-cmd|' /C calc'!A0", "@SUM(A1)", "\t=1"])
 def test_no_cell_is_a_formula(text: str, tmp_path: Path) -> None:
     path = tmp_path / "t.csv"

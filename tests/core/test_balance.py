@@ -62,16 +62,6 @@ def test_restricted_likelihood_is_the_density_of_contrasts() -> None:
         assert found - _restricted(at, noise) == pytest.approx(base, abs=1e-6)
 
 
-def test_restricted_likelihood_without_settings() -> None:
-    at = _norm().at
-    differences = [
-        estimate_noise(at, Noise(factor), fixed=True).log_likelihood
-        - _restricted(at, Noise(factor))
-        for factor in (0.5, 1.0, 3.0)
-    ]
-    assert np.ptp(differences) < 1e-8
-
-
 @pytest.mark.parametrize("seed", range(6))
 def test_the_noise_found_is_the_most_likely(seed: int) -> None:
     model, data = base_model(), bench(seed, 30, shared=seed % 2 == 0)
@@ -113,18 +103,6 @@ def test_covariance_slope_by_noise() -> None:
         assert np.abs((numeric - fit.slope[k]) / scale).max() < 1e-5
 
 
-def test_whitener_makes_noise_white() -> None:
-    fit = _known()
-    ratio = tuple(sd / fit.noise.factor for sd in fit.noise.sd)
-    white = whitener(fit.at.settings, ratio)
-    covariance = _dense(fit.at, fit.noise) / fit.noise.factor**2
-    assert np.abs(white(white(covariance).T) - np.eye(len(covariance))).max() < 1e-9
-    assert white.log_det == pytest.approx(np.linalg.slogdet(covariance)[1], rel=1e-10)
-    columns = np.ones((3, 2))
-    assert whitener((), ())(columns) is columns
-    assert whitener(fit.at.settings, (0.0, 0.0)).log_det == 0.0
-
-
 def test_setting_errors_are_the_conditional_mean() -> None:
     """E[η | r] of the joint Gaussian of η and r = N η + noise."""
     fit = _known()
@@ -138,18 +116,6 @@ def test_setting_errors_are_the_conditional_mean() -> None:
     found = setting_errors(fit.at, white, fit.noise.ratio, misfit)
     assert np.allclose(found, expected, rtol=1e-7, atol=1e-14)
     assert np.allclose(fit.eta, expected, atol=1e-9)
-
-
-def test_setting_errors_find_what_was_planted() -> None:
-    model, data = base_model(), bench(31, 40, shared=True)
-    rng = np.random.default_rng(32)
-    reference = data.reference
-    eta = 0.05 * np.pi / 180.0 * rng.standard_normal(reference.eta_size)
-    theta = ordinary_theta(model, data, 33)
-    clean = model.predict(theta, reference.truth(eta), data.context).reading
-    noisy = data.with_reading(clean + data.sigma * rng.standard_normal(clean.shape))
-    found = fit_model(model, noisy)
-    assert np.corrcoef(found.eta, eta)[0, 1] > 0.9
 
 
 def tangent_leak(fit: Fit) -> float:
@@ -167,14 +133,6 @@ def tangent_leak(fit: Fit) -> float:
 def test_moving_a_direction_leaves_the_projected_residual() -> None:
     assert _norm().at.residual.size == _norm().observations.n
     assert tangent_leak(_norm()) < 1e-4
-
-
-def test_candidate_columns_pass_the_same_projection() -> None:
-    fit = _norm()
-    prediction = fit.model.predict(
-        fit.theta, fit.observations.reference.truth(fit.eta), fit.observations.context
-    )
-    assert np.allclose(fit.at.columns(prediction.d_theta), fit.at.jacobian, atol=1e-9)
 
 
 @pytest.mark.parametrize("kind", ["known", "norm"])
@@ -228,15 +186,6 @@ def test_a_whitener_of_blocks_is_that_of_the_dense_matrix(rows: int) -> None:
     np.testing.assert_allclose(white.weighted(data), np.linalg.solve(dense, data), atol=1e-12)
     assert white.log_det == pytest.approx(np.linalg.slogdet(dense)[1])
     assert whitener((first, second), (0.0, 0.0)).plain
-
-
-def test_fewer_positions_leave_directions_open_in_words() -> None:
-    model, data = base_model(), bench(43, 24, exact=True)
-    level = np.flatnonzero(np.abs(data.context["inclination"]) < 0.3)
-    found = fit_model(model, draw(model, model.start(data.context), data, 1).take(level[:3]))
-    assert found.null_directions
-    assert all("bias" in w or "scale" in w or "mount" in w or "cross" in w
-               for w in found.null_directions)  # fmt: skip
 
 
 @pytest.mark.parametrize("seed", [1, 13, 15, 18, 55, 58])

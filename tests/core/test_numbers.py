@@ -15,7 +15,6 @@ from imucalib.core.eigen import eigen
 from imucalib.core.fit import null_directions
 from imucalib.core.model import Model
 from imucalib.effects import named
-from imucalib.errors import NotConverged
 from imucalib.units import MG
 
 
@@ -31,14 +30,6 @@ def test_a_reading_inside_a_jump_is_undone_to_within_it(jump: float) -> None:
     reading += np.random.default_rng(1).normal(0.0, 1.0 * MG, reading.shape)
     found = model.correct(theta, reading, known)
     assert np.abs(found[:, 0, 0] - x[:, 0, 0]).max() < 8.0 * MG
-
-
-def test_a_reading_beyond_the_model_is_refused() -> None:
-    effect = named("quadratic")
-    model, known = Model((effect,)), Context(1)
-    theta = np.full(len(model.parameters(known)), -40.0)
-    with pytest.raises(NotConverged, match="cannot be inverted"):
-        model.correct(theta, np.full((1, 1, 3), 10_000.0 * MG), known)
 
 
 H = 0.01  # s
@@ -81,13 +72,6 @@ def test_a_bend_of_known_slopes_is_that_of_the_swing(hz: float, off: float) -> N
     np.testing.assert_allclose(bend / w**2, -np.sin(w * t)[1:-1], atol=off)
 
 
-def test_a_parabola_has_one_bend() -> None:
-    t, beside = stretches(5, 3, 1, 2)
-    values, slopes = (3.0 * t**2 - t)[:, None], (6.0 * t - 1.0)[:, None]
-    for bend in bends_of(values, slopes, t, beside):
-        np.testing.assert_allclose(bend[:, 0], np.where(beside.any(axis=1), 6.0, 0.0), atol=1e-9)
-
-
 @pytest.mark.parametrize("lag", [1e-3, 4e-3, 9e-3])
 def test_what_is_corrected_by_neighbours_dies_out(lag: float) -> None:
     """A reading corrected by what it loses, again and again, with the true slope: noise that
@@ -99,13 +83,6 @@ def test_what_is_corrected_by_neighbours_dies_out(lag: float) -> None:
         course = course_of(noise, still, t, beside)
         noise = course.value - delayed(course, np.full((20, 1, 1), lag)).value
     assert np.abs(noise).max() < 1e-3
-
-
-def test_a_stretch_knows_nothing_of_the_next() -> None:
-    t, beside = stretches(8, 8)
-    values = np.sin(20.0 * t)[:, None]
-    other = values + np.where(t > 0.3, 5.0, 0.0)[:, None]
-    np.testing.assert_allclose(slope_of(values, t, beside), slope_of(other, t, beside), atol=1e-9)
 
 
 def test_a_delay_is_what_was_before_to_the_second_order() -> None:

@@ -10,10 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from imucalib.core.observations import BIAS, MOUNTING, session_of, with_sessions
 from imucalib.core.references import KnownNorm, KnownVector, Reference, angles_of, unit_vector
 from imucalib.core.sphere import KnownDirection, covered, even_directions
-from worlds.bench import bench
 
 Array = NDArray[np.float64]
 
@@ -56,14 +54,6 @@ def test_a_direction_has_length_one_and_gives_its_angles_back(i: float, t: float
     # Near the vertical the tool-face is lost in proportion; compare on the circle.
     away = np.mod(back_t[0] - t + np.pi, 2.0 * np.pi) - np.pi
     assert abs(away) * np.cos(i) < 1e-14
-
-
-def test_the_axes_are_the_papers() -> None:
-    level, up, east = (unit_vector(np.array(i), np.array(t)) for i, t in
-                       ((0.0, 0.0), (QUARTER, 1.0), (0.0, QUARTER)))  # fmt: skip
-    assert np.allclose(level, [0.0, 1.0, 0.0])
-    assert np.allclose(up, [0.0, 0.0, 1.0])
-    assert np.allclose(east, [1.0, 0.0, 0.0])
 
 
 def test_known_vector_truth_and_shared_settings() -> None:
@@ -126,14 +116,6 @@ def test_a_tilt_turns_by_its_length_and_keeps_gravity() -> None:
     assert np.array_equal(part.truth(np.zeros(4)), reference.truth(np.zeros(12))[[4, 1]])
 
 
-def test_every_entry_of_eta_belongs_to_one_component() -> None:
-    reference = _known_vector()
-    index = reference.directions(np.zeros(7)).index
-    assert set(index[:, 0]) == {0, 1, 2}
-    assert set(index[:, 1]) == {3, 4, 5, 6}
-    assert reference.directions(np.zeros(7)).component == KnownVector.COMPONENTS
-
-
 def test_known_norm_keeps_the_norm_and_is_flat() -> None:
     reference, eta = _known_norm()
     moved = reference.move(eta, 0.3 * np.random.default_rng(5).standard_normal(12))
@@ -180,16 +162,3 @@ def test_the_share_is_that_of_caps() -> None:
     two = covered(np.array([[0.0, 0.0, 9.8], [0.0, 0.0, -1.0]]))
     assert two == pytest.approx(2.0 * one, abs=0.01)
     assert covered(even_directions(200)) == 1.0
-
-
-SESSION = np.array([0, 0, 1, 1, 2, 2]).repeat(10)
-
-
-def test_each_session_is_a_level_of_its_components() -> None:
-    found = with_sessions(bench(1), SESSION)
-    bias, mounting = found.shared[:2]
-    assert (bias.name, mounting.name) == (BIAS, MOUNTING)
-    expected = (SESSION[:, None] == np.arange(3)).astype(float)
-    for one in (bias, mounting):
-        np.testing.assert_array_equal(one.factor, expected)
-    np.testing.assert_array_equal(session_of(found), SESSION)

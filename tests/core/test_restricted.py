@@ -81,9 +81,3 @@ def test_what_large_settings_leave_is_not_lost() -> None:
     expected = pytest.approx((rest**2).sum(axis=0) + column.shape[1], rel=1e-5)
     found = left.at(np.array([1e6]))
     assert [found.power(found.solve(one)) for one in moved.T] == expected
-
-
-def test_a_direction_that_the_data_leave_open_is_no_parameter() -> None:
-    jacobian = _rig(3)[0]
-    twice = np.column_stack([jacobian, jacobian[:, 0] + jacobian[:, 1]])
-    assert restricted(twice, ()).frame.shape == restricted(jacobian, ()).frame.shape

@@ -215,19 +215,6 @@ def test_the_error_models_rows_say_what_the_tool_reads() -> None:
     assert even() @ S.T + c == pytest.approx(read_by(even(), "non_orthogonality"), abs=1e-7)
 
 
-def test_a_tool_code_has_one_standard_deviation_of_what_is_left() -> None:
-    """A bias of ABZ tilts a tool at 30° by the weighting function's -sin I / G."""
-    rows = {r["code"]: r for r in error_model(made(*SIX)) if r["code"]}
-    abz = float(rows["ABZ"]["sd"])
-    assert abz == pytest.approx(0.1e-3 * G, rel=1e-3)
-    at = np.radians(30.0)
-    tilted = np.arctan2(G * np.sin(at), G * np.cos(at) + abz) - at
-    assert tilted == pytest.approx(-np.sin(at) / G * abz, rel=1e-3)
-    assert {r["propagation"] for r in rows.values()} == {"systematic"}
-    assert float(rows["ASXY-TI1S"]["sd"]) == pytest.approx(0.1, rel=0.05)
-    assert float(rows["AXYZ-MIS"]["sd"]) == 0.0
-
-
 def test_what_a_controller_does_not_take_is_refused() -> None:
     def with_first(name: str, value: float) -> Calibration:
         whole = made(*SIX)

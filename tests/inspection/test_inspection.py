@@ -66,15 +66,6 @@ def test_facts() -> None:
     assert found.mapping == {"acc": ["x"]}
 
 
-def test_too_short_is_told_with_all_samples_counted() -> None:
-    t = np.arange(4) / RATE
-    short = Channel(t, np.ones((4, 3)), "m/s2", "acceleration", "imu0", RATE)
-    found = inspect_recording([Recording({"imu0/acceleration": short}, "f", "made", "")])
-    assert found.still is None
-    assert found.channels[0].samples == 4
-    assert found.candidates == (("imu0/acceleration", "no rest was found"),)
-
-
 def test_blocks_and_whole_agree(tmp_path: object) -> None:
     path = f"{tmp_path}/a.h5"
     writers.write(recording(), path)

@@ -10,13 +10,11 @@ from itertools import groupby
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.stats import t as student
 
 from gates.bounds import at_most
 from imucalib.arrays import Index
 from imucalib.core.fit import Fit
 from imucalib.effects import named
-from imucalib.effects.forms import in_words
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.loop import held_out as held_out_module
 from imucalib.loop.candidates import effect_columns
@@ -28,7 +26,6 @@ from imucalib.loop.held_out import (
     fitted,
     folds_of,
     held_out,
-    with_density,
 )
 from imucalib.loop.posterior.noise import Point, Terms, terms_of
 from imucalib.loop.posterior.problem import problem_of
@@ -53,14 +50,6 @@ def test_every_row_is_predicted_once_by_data_without_it(n: int, groups: int) -> 
         assert not set(data.group[fold.rows]) & set(data.group[fold.rest])
 
 
-def test_stretches_have_a_gap() -> None:
-    folds = folds_of(_grouped(240, 12))
-    assert len(folds) == 12
-    for fold in folds[1:-1]:
-        away = np.abs(fold.rest[:, None] - fold.rows[None]).min()
-        assert away == 2  # 3 % of twenty rows, rounded up, are left between
-
-
 @pytest.mark.parametrize(("n", "groups"), [(32, 32), (24, 24), (60, 40)])
 def test_the_order_of_the_rows_is_no_part_of_the_design(n: int, groups: int) -> None:
     data = _grouped(n, groups)
@@ -83,16 +72,6 @@ def test_the_interval_covers_the_gain() -> None:
         proved += found.proved
     assert 900 - inside <= at_most(900, 0.004).most
     assert proved <= at_most(900, 0.004).most
-
-
-def test_the_gain_is_in_the_errors_unit() -> None:
-    before, after = np.full(12, 3.0), np.full(12, 1.0)
-    for metric in ("rms", "mean"):
-        found = difference(before, after, np.arange(12), 10, metric)  # type: ignore[arg-type]
-        assert found.gain == pytest.approx(2.0)
-        assert found.low == pytest.approx(2.0)
-        assert found.high == pytest.approx(2.0)
-        assert found.proved
 
 
 Array = NDArray[np.float64]
@@ -222,23 +201,6 @@ def test_a_walk_between_knots_is_nearly_the_walk(terms: Terms) -> None:
         assert np.abs(factor @ factor.T - whole).max() < 0.05
 
 
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        ("curve@bias:tool_face:0:5.235987756:6", "a curve of the bias against tool face"),
-        ("shape@response:xyz:soft_saturation:0.3", "a soft saturation of the response"),
-        ("follows@scale:supply_V:12:0.5", "scale follows supply_V"),
-        ("converter@xyz", "converter, xyz"),
-        ("squares_across", "squares across"),
-        ("slip@record18:z", "slip, record 18, z"),
-        ("thermal_lag@1.5h", "thermal lag, 1.5 h"),
-        ("thermal_hysteresis@2C", "thermal hysteresis, 2 °C"),
-    ],
-)
-def test_names_for_a_reader(name: str, words: str) -> None:
-    assert in_words(name) == words
-
-
 STEP = Step("cubic", 9.0, (), (), certain=True)
 
 
@@ -299,28 +261,3 @@ def test_what_a_gain_allows_to_say(
     found: Difference, proved: bool, likely: bool, holds: bool
 ) -> None:
     assert (found.proved, found.likely, found.holds) == (proved, likely, holds)
-
-
-@pytest.mark.parametrize("metric", ["mean", "rms"])
-def test_the_interval_of_a_gain_is_students_over_the_parts(metric: str) -> None:
-    """Parts of equal size, of five folds: widened by sqrt(1 + 5 / 4). Of an rms the interval of the
-    mean squares, divided by the sum of both roots."""
-    rng = np.random.default_rng(1)
-    before, after = np.abs(rng.normal(2.0, 0.5, (12, 3))), np.abs(rng.normal(1.5, 0.5, (12, 3)))
-    found = difference(before.ravel(), after.ravel(), np.repeat(np.arange(12), 3), 5, metric)  # type: ignore[arg-type]
-    power = 1 if metric == "mean" else 2
-    each = np.mean(before**power - after**power, axis=1)
-    start, end = (np.mean(e**power) ** (1 / power) for e in (before, after))
-    unit = 1.0 if metric == "mean" else start + end
-    half = student.ppf(0.975, 11) * np.std(each, ddof=1) / np.sqrt(12)
-    assert (found.before, found.after, found.parts) == pytest.approx((start, end, 12))
-    edges = [each.mean() - np.sqrt(2.25) * half, each.mean() + np.sqrt(2.25) * half]
-    assert [found.low, found.high] == pytest.approx([e / unit for e in edges])
-    assert found.plain_low == pytest.approx((each.mean() - half) / unit)
-
-
-def test_the_gain_in_density_has_students_lower_edge() -> None:
-    nats = np.array([1.0, 3.0, -0.5, 2.0, 2.5])
-    found = with_density(SURE, nats)
-    edge = 8.0 - student.ppf(0.975, 4) * np.std(nats, ddof=1) * np.sqrt(5)
-    assert (found.nats, found.nats_low) == pytest.approx((8.0, edge))

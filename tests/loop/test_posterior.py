@@ -18,16 +18,14 @@ from imucalib.core.references import KnownNorm
 from imucalib.effects import catalogue, families, named
 from imucalib.estimators.least_squares import fit
 from imucalib.loop.candidates import Searched, searched
-from imucalib.loop.posterior.catalogue import components_of, log_odds, log_set_prior, log_size_prior
+from imucalib.loop.posterior.catalogue import components_of
 from imucalib.loop.posterior.closed import close_loop
 from imucalib.loop.posterior.explored import Explored, explored
 from imucalib.loop.posterior.gram import Grams, swept, without
-from imucalib.loop.posterior.odds import SIZES
 from imucalib.loop.posterior.problem import Problem, problem_of
-from imucalib.loop.posterior.recorded import Course, course_of, fit_at, recorded_grams, whitener
+from imucalib.loop.posterior.recorded import Course, course_of, recorded_grams, whitener
 from imucalib.loop.posterior.recording import close_recording, followed
 from imucalib.loop.posterior.solution import solved
-from imucalib.loop.posterior.space import search
 from imucalib.loop.posterior.words import concluded
 from imucalib.units import MG
 from worlds.bench import base_model
@@ -121,24 +119,6 @@ def test_rows_left_out_are_as_good_as_never_taken() -> None:
     np.testing.assert_allclose(kept.along[0, own], a[own, -1], rtol=1e-6, atol=1e-9)
 
 
-def test_priors_sum_to_one_and_share_their_odds() -> None:
-    assert np.exp(log_size_prior(0.3 * SIZES)).sum() == pytest.approx(1.0)
-    flat = log_size_prior(SIZES * 0.001)
-    np.testing.assert_allclose(flat, flat[0])
-    components = found().problem.components
-    odds = np.exp(log_odds(components))
-    assert len({round(float(o), 12) for o in odds}) <= 2
-    assert log_set_prior(np.log(odds), ()) == 0.0
-
-
-def test_members_of_every_component_share_its_odds() -> None:
-    problem = found().problem
-    weight = np.zeros(len(problem.components))
-    for choice in problem.choices:
-        weight[choice.component] += np.exp(choice.log_weight)
-    np.testing.assert_allclose(weight, 1.0)
-
-
 def test_no_effect_s_name_stands_in_the_room() -> None:
     """Nothing here knows a single effect: what is wrong of one is its prior or its columns."""
     room = Path(imucalib.__file__).parent / "loop" / "posterior"
@@ -221,15 +201,6 @@ def test_the_linear_solution_is_the_fit_where_all_is_linear() -> None:
     assert off.max() < 0.2
 
 
-def test_fewer_choices_give_the_same_sets() -> None:
-    one = found()
-    best = one.posterior.hypotheses[0]
-    some = tuple(c for c in one.problem.choices if c.component in best.components)
-    again = search(replace(one.problem, choices=some), one.posterior.grams)
-    same = next(h for h in again.hypotheses if h.components == best.components)
-    assert same.evidence == pytest.approx(best.evidence, abs=1e-9)
-
-
 RECORDED_G, HOUR = 9.80665, 3600.0
 
 
@@ -308,19 +279,6 @@ def test_runs_left_out_are_as_good_as_never_taken() -> None:
         gram = left.rows(np.array([0, 4]))[e][:, [0, 4, -1]]
         assert gram == pytest.approx((some.T @ np.linalg.solve(v, some))[:2], rel=1e-8)
     assert left.numbers == grams.numbers - rows.size
-
-
-def test_what_is_told_is_taken_back_into_the_misfit() -> None:
-    """Linearised where an effect is in the model, the problem says the same of its size."""
-    problem, _, _ = made()
-    plain = problem.fit
-    drift = catalogue()["bias_drift"]
-    model = Model((*plain.model.effects, drift))
-    theta = np.concatenate([plain.theta, [0.05, -0.02, 0.03]])
-    at = fit_at(model, plain.observations, theta, np.eye(theta.size))
-    parts = components_of(plain.model, plain.observations, asked())
-    there = problem_of(at, parts, plain.model)
-    assert there.columns[:, -1] == pytest.approx(problem.columns[:, -1], abs=2e-3)
 
 
 @pytest.mark.slow

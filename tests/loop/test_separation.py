@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from imucalib.core.effect import Context
 from imucalib.core.observations import Observations
-from imucalib.core.references import KnownNorm, KnownVector
+from imucalib.core.references import KnownNorm
 from imucalib.effects import catalogue
 from imucalib.loop.candidates import Searched
 from imucalib.loop.found import FitLoop
@@ -21,7 +21,6 @@ from imucalib.loop.separation import (
     Ambiguity,
     ambiguities,
     apart,
-    columns_of,
     separation,
 )
 from imucalib.units import MG
@@ -177,56 +176,3 @@ def test_columns_that_the_data_hardly_show_end_no_calibration(hidden: float) -> 
     )  # fmt: skip
     for name, size in one.sizes.items():
         assert np.isfinite(size).all(), name
-
-
-def test_new_data_have_an_offset_of_their_own_after_a_power_up() -> None:
-    one, _ = linear(0, 40, 0.1, 1.5)
-    later = one.after_a_power_up(2.0, (10.0, 10.0, 20.0))
-    assert later.columns[:4] == ("next_bias_x", "next_bias_y", "next_bias_z", "x")
-    assert later.own.size == one.own.size + 3
-    assert [at.tolist() for at in later.blocks.values()] == [[5], [6]]
-    np.testing.assert_allclose(later.gram[:3, :3], np.diag([25.0, 25.0, 100.0]))
-    np.testing.assert_allclose(later.gram[3:, 3:], one.gram)
-    assert not later.gram[:3, 3:].any()
-    np.testing.assert_allclose(later.along, [0.0] * 3 + one.along.tolist())
-
-
-def test_columns_of_what_could_be_recorded_are_white_by_their_settings() -> None:
-    """Each position's three numbers by themselves: V = 1 + Σ sd² n nᵀ, in units of the noise; an
-    effect's own derivative at typical size."""
-    rng = np.random.default_rng(0)
-    n, sigma = 5, 3e-3
-    i, t, ids = rng.uniform(-1.0, 1.0, n), rng.uniform(0.0, 6.0, n), np.arange(n)
-    reference = KnownVector(i, t, 9.8, ids, ids)
-    model = base_model(("bias", "scale"))
-    theta = np.array([5.0, -3.0, 2.0, 0.01, -0.02, 0.005])
-    truth = reference.truth(np.zeros(2 * n))
-    reading = model.predict(theta, truth, Context(n)).reading
-    data = Observations(reading, np.full((n, 1, 3), sigma), reference, Context(n), ids, ("",) * n)
-    names, sds = KnownVector.COMPONENTS, (2e-3, 4e-3)
-    quadratic = catalogue()["quadratic"]
-    found = columns_of(model, theta, [quadratic], data, dict(zip(names, sds, strict=True)))
-
-    def by(values: Array, own: Array, angles: tuple[Array, Array]) -> Array:
-        """The reading of bias, scale and squares at angles, by their equations."""
-        u = np.stack([np.cos(angles[0]) * np.sin(angles[1]), np.cos(angles[0]) * np.cos(angles[1]),
-                      np.sin(angles[0])], axis=-1)  # fmt: skip
-        mg = 9.80665e-3
-        return 9.8 * u * (1.0 + values[3:6]) + mg * values[:3] + mg * own * (9.8 * u / 9.80665) ** 2
-
-    step = 1e-6
-    for k in range(n):
-        at = (i[k : k + 1], t[k : k + 1])
-        slopes = [(by(theta + step * e, np.zeros(3), at) - by(theta - step * e, np.zeros(3), at))[0]
-                  for e in np.eye(6)]  # fmt: skip
-        slopes += [(by(theta, step * e, at) - by(theta, -step * e, at))[0] for e in np.eye(3)]
-        typical = [50.0] * 3 + [0.03] * 3 + [3.0] * 3
-        rows = np.array(slopes).T / (2.0 * step) * typical / sigma
-        v = np.eye(3)
-        for sd, moved in zip(sds, ((step, 0.0), (0.0, step)), strict=True):
-            up, down = (by(theta, np.zeros(3), (at[0] + s * moved[0], at[1] + s * moved[1]))[0]
-                        for s in (1.0, -1.0))  # fmt: skip
-            away = sd * (up - down) / (2.0 * step) / sigma
-            v += np.outer(away, away)
-        np.testing.assert_allclose(found[k].T @ found[k], rows.T @ np.linalg.solve(v, rows),
-                                   rtol=1e-5)  # fmt: skip

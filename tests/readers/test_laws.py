@@ -123,45 +123,6 @@ def outcome(path: Path) -> Recording | ImucalError:
         return error
 
 
-@pytest.mark.slow
-@BY_FORMAT
-def test_a_cut_file_is_told(pair: Pair, tmp_path: Path) -> None:
-    example = written(pair, tmp_path, 24)
-    data = example.path.read_bytes()
-    cut = tmp_path / f"cut{example.path.suffix}"
-    step = max(1, len(data) // 1000)
-    for size in range(1, len(data), step):
-        cut.write_bytes(data[:size])
-        result = outcome(cut)
-        if isinstance(result, ImucalError):
-            assert isinstance(result, UnreadableInput)
-            continue
-        whole = example.recording
-        lost = any(
-            name not in result.channels or result.channels[name].t.size < c.t.size
-            for name, c in whole.channels.items()
-        )
-        assert result.notes or not lost, f"{size} of {len(data)} bytes: a loss without a note"
-        for name, channel in result.channels.items():
-            n = channel.t.size
-            np.testing.assert_array_equal(channel.values, whole.channels[name].values[:n])
-
-
-@pytest.mark.slow
-@BY_FORMAT
-def test_a_flipped_byte_is_no_traceback(pair: Pair, tmp_path: Path) -> None:
-    example = written(pair, tmp_path, 24)
-    data = example.path.read_bytes()
-    rng = random.Random(1)
-    damaged = tmp_path / f"flip{example.path.suffix}"
-    positions = range(len(data)) if len(data) < 700 else rng.sample(range(len(data)), 700)
-    for position in positions:
-        broken = bytearray(data)
-        broken[position] ^= 1 << rng.randrange(8)
-        damaged.write_bytes(bytes(broken))
-        outcome(damaged)
-
-
 FOREIGN = {
     "png": b"\x89PNG\r\n\x1a\n" + bytes(range(256)) * 20,
     "zip": b"PK\x03\x04" + bytes(range(256)) * 20,
@@ -329,22 +290,6 @@ def test_block_by_block_is_the_same(
     for name, channel in at_once.channels.items():
         np.testing.assert_array_equal(back.channels[name].values, channel.values)
         np.testing.assert_allclose(back.channels[name].t, channel.t, rtol=0, atol=1e-9)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("suffix", [".h5", ".csv", ".mcap"])
-def test_memory_is_that_of_a_block(tmp_path: Path, suffix: str) -> None:
-    def peak(blocks: int) -> int:
-        tracemalloc.start()
-        try:
-            parts = (recording(5000, 5000 * k) for k in range(blocks))
-            write_blocks(parts, tmp_path / f"a{suffix}")
-            return tracemalloc.get_traced_memory()[1]
-        finally:
-            tracemalloc.stop()
-
-    peak(2)
-    assert peak(24) < 1.1 * peak(6)
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".mcap"])

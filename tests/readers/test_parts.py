@@ -15,7 +15,6 @@ from imucalib.errors import UnreadableInput, UsageError
 from imucalib.inspection.inspection import Inspection, inspect_recording, problems
 from imucalib.readers import blocks, read
 from imucalib.readers.joining import join
-from imucalib.readers.repeats import with_held
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.pairing import channel_names, paired
 from imucalib.recording.recording import Channel, Recording
@@ -120,15 +119,6 @@ def test_a_gyroscope_with_a_dead_zone_hides_no_rest(zone: Change, tmp_path: Path
     assert found is not None
     assert found.n == 9
     assert (found.rate_noise >= RATE_STEP / np.sqrt(12.0) * 0.999).all()
-
-
-def test_damaged_numbers_of_any_size_are_no_repeats() -> None:
-    rng = np.random.default_rng(0)
-    values = rng.normal(size=(600, 3)) * (1e-170, 1.0, 0.0) + (0.0, 0.0, 1e305)
-    values[::10, 0] = 1e200
-    acc = Channel(np.arange(600) / 100.0, values, "counts", "acceleration", "imu0", 100.0)
-    (block,) = with_held([Recording({"imu0/acceleration": acc}, "made", "made", "")])
-    assert not block.held
 
 
 #: Measured recordings that lie with the project, and larger ones that need not be there.

@@ -19,7 +19,7 @@ from imucalib.cli import cli as root
 from imucalib.errors import UnreadableInput
 from imucalib.readers import read
 from imucalib.readers.conversion import zero_g
-from imucalib.readers.rates import FASTEST, carried
+from imucalib.readers.rates import FASTEST
 from imucalib.recording.mapping import FieldMapping, from_dict
 from imucalib.recording.recording import Recording
 from imucalib.units import ACCELERATION_UNITS, DEG, RATE_UNITS
@@ -244,14 +244,6 @@ def test_a_unit_that_nobody_states_is_named_where_turns_prove_it(true: str, tmp_
     again = readers.read(path, FieldMapping(gyro_unit=true))
     np.testing.assert_allclose(again.channels["imu0/angular_rate"].values, rate, atol=1e-6)
     assert not [note for note in again.notes if "--gyro-unit" in note]
-
-
-def test_gravity_is_carried_to_where_it_is_read() -> None:
-    t, acc, rate = turned(turns=8, peak=3.0)
-    errors = np.array(carried(t, acc, rate, np.array([1.0, DEG, 1.0 / DEG])))
-    assert len(errors) == 8
-    assert errors[:, 0].max() < 0.5 * DEG
-    assert np.median(errors[:, 1:], axis=0).min() > 20.0 * DEG
 
 
 @pytest.mark.parametrize("name", ["imu0.log.gz", "imu1.log.gz"])

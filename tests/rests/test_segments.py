@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from imucalib import cli
@@ -18,7 +15,7 @@ from imucalib.readers import read
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Gap, Recording
 from imucalib.rests.runs import PostureRuns, posture_runs, scan
-from imucalib.rests.segments import Segments, find_segments, still_segments
+from imucalib.rests.segments import still_segments
 from imucalib.units import MG, STANDARD_GRAVITY
 from worlds.places import MEASURED
 
@@ -49,12 +46,6 @@ def tumble(seed: int, rests: int, sigma: float = SIGMA) -> tuple[Recording, list
     return recorded(np.arange(len(values)) / RATE, values), spans
 
 
-def cut(recording: Recording, edges: list[int]) -> list[Recording]:
-    channel = recording.channels["imu0/acceleration"]
-    bounds = pairwise([0, *edges, channel.t.size])
-    return [recorded(channel.t[a:b], channel.values[a:b]) for a, b in bounds if b > a]
-
-
 @pytest.mark.parametrize("seed", range(5))
 def test_planted_rests_are_found_with_their_means(seed: int) -> None:
     recording, spans = tumble(seed, 12)
@@ -69,19 +60,6 @@ def test_planted_rests_are_found_with_their_means(seed: int) -> None:
         assert found.stop[k] == (last - 1) / RATE
     # The standard deviation of a standard deviation from some 4000 samples is about 1 %.
     np.testing.assert_allclose(found.noise[0], SIGMA, rtol=0.06)
-
-
-@pytest.mark.slow
-@given(st.lists(st.integers(1, 6000), max_size=6), st.integers(0, 3))
-@settings(max_examples=25, deadline=None)
-def test_blocks_give_what_the_whole_gives(edges: list[int], seed: int) -> None:
-    recording, _ = tumble(seed, 8)
-    size = recording.channels["imu0/acceleration"].t.size
-    whole = still_segments(recording)
-    parts = find_segments(cut(recording, sorted({e for e in edges if e < size})))
-    for name in Segments.__dataclass_fields__:
-        one, two = getattr(whole, name), getattr(parts, name)
-        np.testing.assert_array_equal(one, two, err_msg=name)
 
 
 def test_a_rest_never_crosses_a_gap() -> None:
@@ -238,13 +216,3 @@ def test_an_epoch_file_is_named_as_what_it_is(tmp_path: Path, columns: str, comm
     assert isinstance(result.exception, UnreadableInput)
     assert "activity counts per epoch of 00:00:05, not acceleration" in str(result.exception)
     assert ".gt3x" in str(result.exception)
-
-
-def test_a_raw_file_with_the_same_header_is_read(tmp_path: Path) -> None:
-    values = [0.0, 0.0, 1.0] + 0.01 * np.random.default_rng(0).standard_normal((900, 3))
-    rows = "\n".join(",".join(f"{v:.3f}" for v in row) for row in values)
-    path = tmp_path / "raw.csv"
-    axes = "Accelerometer X,Accelerometer Y,Accelerometer Z\n"
-    path.write_text(HEAD.format("00") + axes + rows + "\n")
-    result = CliRunner().invoke(cli.cli, ["inspect", str(path)], standalone_mode=False)
-    assert result.exception is None

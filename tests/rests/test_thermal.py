@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.runs import Scan, posture_runs, scan
-from imucalib.rests.thermal import ThermalHistory, believed, remembered
+from imucalib.rests.thermal import ThermalHistory, believed
 from imucalib.rests.windows import WindowBuilder, Windows
 from imucalib.units import MG, STANDARD_GRAVITY
 
@@ -97,24 +97,3 @@ def test_a_play_moves_only_at_its_ends(n: int) -> None:
     for width in (0.5, 2.0, 6.0):
         got = history.behind_play(width, history.time)
         np.testing.assert_allclose(got, behind(values, width), atol=1e-12)
-
-
-def test_the_rate_is_the_slope_of_a_steady_warming() -> None:
-    """Five time constants after the start; 3 °C an hour."""
-    time = np.arange(5.0, 7200.0, 10.0)
-    history = ThermalHistory(time, 20.0 + 3.0 * time / 3600.0)
-    rate = remembered(history, "temperature_rate_12min", np.array([3600.0, 7000.0]))
-    np.testing.assert_allclose(rate, 3.0, rtol=0.02)
-
-
-@pytest.mark.parametrize("hours", [1e-4, 0.003, 0.1, 3.0, 1e4])
-@pytest.mark.parametrize("size", [2, 7, 700])
-def test_a_lag_goes_a_share_of_the_way_at_each_reading(hours: float, size: int) -> None:
-    time = 10.0 * np.arange(size)
-    warm = 25.0 + np.random.default_rng(size).normal(size=size).cumsum()
-    share = -np.expm1(-10.0 / (3600.0 * hours))
-    expected = [warm[0]]
-    for reading in warm[1:]:
-        expected.append(expected[-1] + share * (reading - expected[-1]))
-    got = ThermalHistory(time, warm).lagged(hours, time)
-    np.testing.assert_allclose(got, expected, atol=1e-9)

@@ -68,93 +68,12 @@ def by_rate(m: Moved, r: Array, k: int) -> Planted:
     return Planted(m.felt(r + 2e-4 * share[:, None] * np.array([0.6, -0.5, 0.6])), m.rate)
 
 
-def drifting(m: Moved, r: Array, k: int) -> Planted:
-    """imu2's accelerometer scale grows by 3 % over the motion, as its supply does."""
-    if k != 2:
-        return plain(m, r, k)
-    start = m.t[m.moving].min()
-    late = np.clip((m.t - start) / (m.t.max() - start), 0.0, 1.0)
-    return Planted(m.felt(r) * (1.0 + 0.03 * late[:, None]), m.rate)
-
-
 def gyro_drifting(m: Moved, r: Array, k: int) -> Planted:
     """imu2's gyro scale grows by 2 % over the log."""
     if k != 2:
         return plain(m, r, k)
     late = m.t / m.t[-1]
     return Planted(m.felt(r), m.rate * (1.0 + 0.02 * late[:, None]))
-
-
-def loose(m: Moved, r: Array, k: int) -> Planted:
-    """imu4 sits loose: it lies 0.3 mm to one side or the other by the sign of the force along z."""
-    if k != 4:
-        return plain(m, r, k)
-    side = np.tanh(m.felt(r)[:, 2:] / 2.0)
-    return Planted(m.felt(r + 1.5e-4 * side * np.array([0.0, 0.0, 1.0])), m.rate)
-
-
-def sensitive(m: Moved, r: Array, k: int) -> Planted:
-    """imu1's gyro reads force: 0.5 deg/s a g, along one direction."""
-    if k != 1:
-        return plain(m, r, k)
-    felt = m.felt(r)
-    return Planted(felt, m.rate + 0.5 * DEG / G * felt[:, [1, 2, 0]])
-
-
-def shifted_pair(m: Moved, r: Array, k: int) -> Planted:
-    """imu5 and imu6 turned by 1.5 deg after the rests, by a knock."""
-    if k not in (5, 6):
-        return plain(m, r, k)
-    turn = 1.5 * DEG * np.array([0.6, -0.5, 0.62])
-    felt, rate = m.felt(r), m.rate
-    on = m.moving[:, None]
-    return Planted(felt + on * np.cross(turn, felt), rate + on * np.cross(turn, rate))
-
-
-def late_few(m: Moved, r: Array, k: int) -> Planted:
-    """imu0, imu1 and imu2 hang on a bus that is 2 ms late, both sensors."""
-    if k > 2:
-        return plain(m, r, k)
-    return Planted(shifted(m.t, m.felt(r), 2e-3), shifted(m.t, m.rate, 2e-3))
-
-
-def shifted(t: Array, values: Array, late: float) -> Array:
-    """(n, 3) the values as they were `late` seconds before: Taylor's series by differences, whose
-    fourth term is 1e-6 of a swing at 4 Hz and 2 ms."""
-    total, slope, step = values.copy(), values, t[1] - t[0]
-    for k in (1.0, 2.0, 3.0):
-        # Of the fifth order: plain differences lose a hundredth of a slope at 4 Hz and 100 Hz.
-        near, far = (np.roll(slope, -n, axis=0) - np.roll(slope, n, axis=0) for n in (1, 2))
-        slope = (8.0 * near - far) / (12.0 * step) * (-late / k)
-        total = total + slope
-    return np.asarray(total)
-
-
-def humming(m: Moved, r: Array, k: int) -> Planted:
-    """A motor beside imu7 shakes it at 31 Hz with 3 m/s² while the board moves."""
-    if k != 7:
-        return plain(m, r, k)
-    hum = 3.0 * np.sin(2.0 * np.pi * 31.0 * m.t)[:, None] * np.array([0.5, 0.2, 0.84])
-    return Planted(m.felt(r) + m.moving[:, None] * hum, m.rate)
-
-
-def saturating(limit: float, imus: frozenset[int]) -> Plant:
-    """Gyros that saturate softly: a tanh of so many deg/s."""
-
-    def plant(m: Moved, r: Array, k: int) -> Planted:
-        if k not in imus:
-            return plain(m, r, k)
-        return Planted(m.felt(r), limit * DEG * np.tanh(m.rate / (limit * DEG)))
-
-    return plant
-
-
-def one_sided(m: Moved, r: Array, k: int) -> Planted:
-    """imu3's gyro reads 1 % more of one direction of turning about one axis."""
-    if k != 3:
-        return plain(m, r, k)
-    more = np.maximum(m.rate, 0.0) * np.array([0.01, 0.0, 0.0])
-    return Planted(m.felt(r), m.rate + more)
 
 
 def slowed(t: Array, values: Array, tau: float) -> Array:
@@ -187,12 +106,10 @@ def slow(
 
 
 PLANTS: dict[str, Plant] = {
-    "clean": plain, "flexing": flexing, "by rate": by_rate, "drifting": drifting,
-    "gyro drifting": gyro_drifting, "loose": loose, "sensitive": sensitive,
-    "one-sided": one_sided, "shifted pair": shifted_pair, "late few": late_few, "humming": humming,
-    "gyro saturating": saturating(1500.0, frozenset({0})),
-    "gyros saturating": saturating(2500.0, frozenset(range(8))),
-}  # fmt: skip
+    "flexing": flexing,
+    "by rate": by_rate,
+    "gyro drifting": gyro_drifting,
+}
 
 
 def odd_log(

@@ -17,7 +17,6 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
-from rosbags.typesys import Stores, get_typestore
 
 from imucalib.errors import UsageError
 from imucalib.readers import read
@@ -113,26 +112,6 @@ def test_read_by_the_official_reader(tmp_path: Path) -> None:
     first = found[0][3]
     assert (first.header.frame_id, first.orientation_covariance[0]) == ("a", -1.0)
     assert first.header.stamp.sec * 10**9 + first.header.stamp.nanosec == START
-
-
-@pytest.mark.parametrize("unit", ["", "counts"])
-def test_read_by_rosbags(unit: str, tmp_path: Path) -> None:
-    made = recording(["a", "b2"], 300, unit=unit)
-    t = made.channels["a/acceleration"].t[::100]
-    warm = Channel(t, 20.0 + t[:, None], "degC", "temperature", "a", 2.0)
-    made = replace(made, channels={**made.channels, "a/temperature": warm})
-    path = tmp_path / "a.mcap"
-    write(made, path)
-    with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag:
-        kinds = {c.topic: c.msgtype for c in bag.connections}
-        own = "imucal_msgs/msg/RawImu" if unit else "sensor_msgs/msg/Imu"
-        temperature = "sensor_msgs/msg/Temperature"
-        assert kinds == {"/a/imu": own, "/b2/imu": own, "/a/temperature": temperature}
-        found = [(c.topic, bag.deserialize(raw, c.msgtype)) for c, _, raw in bag.messages()]
-    vectors = [m.linear_acceleration for topic, m in found if topic == "/b2/imu"]
-    acc = np.array([(v.x, v.y, v.z) for v in vectors])
-    assert same_bits(acc, made.channels["b2/acceleration"].values)
-    assert [m.temperature for topic, m in found if topic == "/a/temperature"] == list(20.0 + t)
 
 
 SAMPLES = Path(__file__).parents[2] / "sample_logs"

@@ -165,15 +165,6 @@ def test_misfits_scatter_and_hang_together_as_stated(alone: float) -> None:
     assert np.mean(values[:, 1:] * values[:, :-1]) == pytest.approx(0.0, abs=0.1)
 
 
-def test_a_reading_scatters_by_both_with_the_freedom_of_both() -> None:
-    noise = check_noise(calibration(ALONE))
-    assert noise.reading.sd / MG == pytest.approx(np.hypot(ALONE, SHARED))
-    squares = np.array([ALONE, SHARED]) ** 2
-    freedom = squares.sum() ** 2 / np.sum(squares**2 / np.array([200.0, 12.5]))
-    assert noise.reading.dof == pytest.approx(freedom)
-    assert "of which neighbours share 93 %" in noise.words[0]
-
-
 @pytest.mark.slow
 def test_an_unchanged_sensor_that_shares_all_its_noise_is_not_changed() -> None:
     """With the reading's own noise at its bound every later reading was a change. 60 checks at

@@ -6,22 +6,15 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
-from scipy import optimize, stats
+from scipy import stats
 
 from imucalib.calibration.comparison.agreement import (
-    Beyond,
     agreement,
-    beyond,
     noise_dof,
     odd_ones,
-    scatter,
 )
 from imucalib.calibration.comparison.basis import (
     Basis,
-    Seen,
-    worst_size,
-    worst_turn,
 )
 from imucalib.calibration.comparison.compare import (
     array_meanings,
@@ -29,8 +22,6 @@ from imucalib.calibration.comparison.compare import (
     slope_of,
 )
 from imucalib.units import DEG
-
-Array = NDArray[np.float64]
 
 
 def basis(seed: int = 0, m: int = 4) -> Basis:
@@ -70,34 +61,6 @@ def test_all_agree_by_generalised_least_squares() -> None:
         assert found.without[k] == pytest.approx(due)
 
 
-def test_freedom_is_shared_as_the_covariances_are() -> None:
-    """Of equal covariances by the harmonic mean: m² over the sum of 1 / ν."""
-    one = np.array([[2.0, 0.3], [0.3, 1.0]])
-    assert noise_dof(np.array([one, one, one]), np.array([4.0, 8.0, 8.0])) == pytest.approx(18.0)
-    assert noise_dof(np.array([one, 1e-9 * one]), np.array([4.0, 90.0])) == pytest.approx(4.0)
-
-
-def test_the_scatter_solves_its_own_equation() -> None:
-    """Q(τ²) = m - 1, and the quantiles of χ² for its interval; nothing where they agree."""
-    rng = np.random.default_rng(1)
-    value, variance = 3.0 * rng.normal(size=6), rng.uniform(0.1, 0.5, 6)
-
-    def q(tau: float) -> float:
-        w = 1.0 / (variance + tau**2)
-        return float(np.sum(w * (value - np.sum(w * value) / np.sum(w)) ** 2))
-
-    solved = beyond(value, variance)
-    assert q(solved.sd) == pytest.approx(5.0, rel=1e-6)
-    assert q(solved.low) == pytest.approx(stats.chi2.ppf(0.975, 5), rel=1e-6)
-    assert q(solved.high) == pytest.approx(stats.chi2.ppf(0.025, 5), rel=1e-6)
-    assert beyond(np.full(6, 2.0), variance) == Beyond(0.0, 0.0, 0.0)
-    made = basis()
-    found = scatter(made)
-    assert found is not None
-    assert found.sd[1] == pytest.approx(beyond(made.value[:, 1], made.covariance[:, 1, 1]).sd)
-    assert scatter(basis(m=2)) is None
-
-
 def test_fewer_than_half_may_be_the_odd_ones() -> None:
     def of(*away: float) -> tuple[int, ...]:
         m = len(away)
@@ -111,30 +74,6 @@ def test_fewer_than_half_may_be_the_odd_ones() -> None:
     assert of(0.0, 9.0, 0.1, -9.0) == ()  # two of four
     assert of(0.0, 9.0, 0.1, -9.0, 0.2) == (1, 3)
     assert of(0.0, 4.0, 8.0, 12.0, 16.0) == ()
-
-
-def test_a_slope_is_weighted_least_squares_with_what_scatters_beside() -> None:
-    days = np.array([0.0, 10.0, 40.0, 100.0])
-    variance = np.array([0.01, 0.04, 0.02, 0.01])
-    exact = slope_of(days, 0.5 + 0.03 * days, variance)
-    x = np.column_stack([np.ones(4), days]) / np.sqrt(variance)[:, None]
-    sd = np.sqrt(np.linalg.inv(x.T @ x)[1, 1])
-    assert exact.value == pytest.approx(0.03)
-    assert exact.half == pytest.approx(stats.t.ppf(0.975, 2) * sd)
-    two = slope_of(days[:2], np.array([0.0, 1.0]), variance[:2], among=5)
-    assert two.value == pytest.approx(0.1)
-    assert two.half == pytest.approx(stats.norm.ppf(1.0 - 0.025 / 5) * np.sqrt(0.05) / 10.0)
-    rough = 0.03 * days + np.array([1.0, -2.0, 2.0, -1.0])
-    found = slope_of(days, rough, variance)
-
-    def left(extra: float) -> tuple[float, float, float]:
-        w = 1.0 / (variance + extra)
-        fit, cov = np.polyfit(days, rough, 1, w=np.sqrt(w), cov="unscaled")
-        return fit[0], np.sqrt(cov[0, 0]), float(np.sum(w * (rough - np.polyval(fit, days)) ** 2))
-
-    best = optimize.brentq(lambda extra: left(extra)[2] - 2.0, 1e-9, 100.0)
-    assert found.value == pytest.approx(left(best)[0], rel=1e-3)
-    assert found.half == pytest.approx(stats.t.ppf(0.975, 2) * left(best)[1], rel=1e-3)
 
 
 def test_a_limit_is_due_where_the_surest_drift_reaches_it() -> None:
@@ -151,24 +90,6 @@ def test_a_limit_is_due_where_the_surest_drift_reaches_it() -> None:
     assert none.attitude.tolist() == [0.0, 0.0, 1.0]
     several = due(days, value, variance, attitude, 3.0, sensors=4)
     assert several.earliest < found.earliest
-
-
-def test_the_worst_of_all_pairs_and_attitudes() -> None:
-    attitude = np.eye(3)
-    size = np.array([[0.0, 1.0, 0.0], [0.5, 0.0, -1.0], [0.0, 0.0, 1.5]])
-    turn = np.zeros((3, 3, 2))
-    turn[1, 2], turn[2, 2] = [0.3, 0.0], [-0.1, 0.3]
-    covariance = np.tile(np.diag([0.04, 0.09]), (3, 3, 1, 1))
-    found = Seen(attitude, size, np.full((3, 3), 0.3), turn, covariance)
-    one = worst_size(found)
-    assert (one.pair, one.value, one.unit) == ((1, 2), 2.5, "mg")
-    assert one.sd == pytest.approx(0.3 * np.sqrt(2.0))
-    assert one.attitude.tolist() == [0.0, 0.0, 1.0]
-    other = worst_turn(found)
-    assert other.pair == (1, 2)
-    assert other.value == pytest.approx(0.5)
-    assert other.sd == pytest.approx(np.sqrt(2.0 * (0.64 * 0.04 + 0.36 * 0.09)))
-    assert found.largest_sd == pytest.approx((0.3, 0.3))
 
 
 def test_an_arrays_places_and_gyros_that_differ_most() -> None:

@@ -211,29 +211,8 @@ def test_a_scatter_that_is_given_is_in_every_sd_of_one_power_up() -> None:
     assert any("--between-sessions" in note for note in plain.notes)
 
 
-def forces(n: int = 5) -> Array:
-    found = np.random.default_rng(2).normal(size=(n, 3))
-    return G * found / np.linalg.norm(found, axis=1, keepdims=True)
-
-
 def imu() -> Triad:
     rng = np.random.default_rng(3)
     turn = rotation(np.array([20.0, -50.0, 110.0]))
     return Triad("imu0", turn, np.eye(3) + 0.1 * rng.normal(size=(3, 3)), rng.normal(size=3),
                  np.eye(3), np.zeros(3), np.diag(np.arange(1.0, 13.0)), 0.03, 0.1)  # fmt: skip
-
-
-def test_how_the_force_of_an_imu_moves_with_gain_and_bias() -> None:
-    """Nine of the gain, row by row, and three of the bias; central differences."""
-    one, force = imu(), forces()
-    reading = one.reading(force)
-    np.testing.assert_allclose(one.force(reading), force, rtol=1e-12)
-    slope = np.empty((5, 3, 12))
-    for k, step in enumerate(1e-6 * np.eye(12)):
-        up, down = (
-            replace(one, gain=one.gain + s[:9].reshape(3, 3), bias=one.bias + s[9:])
-            for s in (step, -step)
-        )
-        slope[:, :, k] = (up.force(reading) - down.force(reading)) / 2e-6
-    due = np.einsum("nip,pq,njq->nij", slope, one.covariance, slope)
-    np.testing.assert_allclose(one.force_covariance(force), due, rtol=1e-6)

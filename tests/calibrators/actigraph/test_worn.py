@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from gates.bounds import at_most
 from imucalib.calibrators.actigraph.calibrate import ActigraphResult, calibrate
@@ -173,50 +172,11 @@ def test_a_play_of_the_temperature_is_no_lag(loop_of: Callable[..., Any], width:
     assert certain <= {"thermal_hysteresis", "temperature_bias"}
 
 
-Array = NDArray[np.float64]
-
-
 DAYS = 4.0
 
 
 def solved(week: Week, request: ActigraphRequest | None = None) -> ActigraphResult:
     return calibrate(week.runs, week.scanned, request or ActigraphRequest())
-
-
-def knowing(week: Week, effect: str) -> float:
-    """Held-out error (mg) of one who knows which effect it is."""
-    request = ActigraphRequest(declare=(effect,), loop=False)
-    return solved(week, request).error.held_out.final
-
-
-def found_names(result: ActigraphResult) -> set[str]:
-    assert result.loop is not None
-    steps = result.loop.steps
-    every = [name for s in steps for name in (s.effect, *s.aliases)]
-    return {name.partition("@")[0] for name in every}
-
-
-STORIES = {
-    "temperature_bias": (0.8, -0.5, 1.2),
-    "bias_step@155555s": (3.0, -2.0, 4.0),
-    "cubic": (6.0, -5.0, 8.0),
-    "thermal_lag@1.5h": (0.8, -0.5, 1.2),
-    "bias_drift": (2.0, 1.0, -3.0),
-}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("effect", STORIES)
-def test_an_undeclared_effect_is_named_and_removed(effect: str) -> None:
-    week = simulated_week(WeekPlan(days=DAYS, plant={effect: STORIES[effect]}), 3)
-    result = solved(week)
-    assert effect.partition("@")[0] in found_names(result)
-    # In the block that is left out nobody can know when within it the bias jumped.
-    error = result.error.final if "step" in effect else result.error.held_out.final
-    assert error <= 1.3 * knowing(week, effect)
-    assert result.error.held_out.final < 0.8 * result.error.held_out.base
-    assert result.loop is not None
-    assert result.loop.verdict == "explained"
 
 
 @pytest.mark.slow
@@ -226,11 +186,3 @@ def test_a_converters_curve_is_found_and_removed() -> None:
     assert result.loop is not None
     assert result.loop.curves
     assert result.error.held_out.final < 0.8 * result.error.held_out.base
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(6))
-def test_a_clean_week_stays_as_it_is(seed: int) -> None:
-    result = solved(simulated_week(WeekPlan(days=2.0), 100 + seed))
-    assert result.loop is not None
-    assert not result.loop.steps

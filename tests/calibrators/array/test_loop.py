@@ -7,9 +7,7 @@ import pytest
 
 from gates.bounds import at_most
 from imucalib.calibrators.array.effect_blocks import effect_blocks
-from imucalib.calibrators.array.estimate.sampled import corrected_samples
 from imucalib.calibrators.array.findings import array_findings
-from imucalib.calibrators.array.linear_part import linear_part
 from imucalib.calibrators.array.loop.catalogue import Scope, array_catalogue, named_effect
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop
 from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
@@ -143,19 +141,6 @@ def test_every_array_effect_is_documented() -> None:
     shown = [n for n, e in array_catalogue().items() if not e.missing(_motion().context)]
     assert len(shown) > 20
     assert not [name for name in shown if f"## {name}\n" not in text]
-
-
-@pytest.mark.slow
-def test_corrected_readings_hold_no_effect(clean: MotionLoop) -> None:
-    data = corrected_samples(clean.final)
-    assert data.samples == len(clean.final.setup.inner)
-    assert linear_part(clean.final).gyro_gain == pytest.approx(
-        np.broadcast_to(np.eye(3), (8, 3, 3))
-    )
-    found = closed(planted_log("gyro scale of each IMU, 2 %", 2)[0], 150)
-    assert np.abs(linear_part(found.final).gyro_gain - np.eye(3)).max() == pytest.approx(
-        0.045, abs=0.03
-    )
 
 
 @pytest.mark.parametrize(

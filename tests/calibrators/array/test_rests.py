@@ -88,20 +88,6 @@ def test_gains_and_offsets_within_their_deviation() -> None:
     assert 0.93 < size < 1.07  # 480 numbers: sd of the rms is 0.032
 
 
-def test_the_frame_is_the_mean_of_the_triads() -> None:
-    segments, board, _, _ = simulated(3)
-    found = fitted(segments, board, Scope(search=False))
-    turn = board.rotations
-    mean = np.mean(turn @ found.gain @ turn.transpose(0, 2, 1), axis=0)
-    assert np.abs(mean - mean.T).max() < 1e-12
-    # Nothing is left of the rotation of all triads in the covariance either.
-    cross = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-    about_x = np.zeros((K, 12))
-    about_x[:, :9] = (turn.transpose(0, 2, 1) @ cross @ turn).reshape(K, 9)
-    covariance = found.covariance.reshape(12 * K, 12 * K)
-    assert about_x.ravel() @ covariance @ about_x.ravel() < 1e-6 * np.trace(covariance)
-
-
 @pytest.mark.slow
 def test_a_gain_that_drifts_is_undone_at_every_time() -> None:
     """An array whose rests showed it ended with a traceback."""

@@ -106,19 +106,6 @@ def test_exports_say_what_the_sensor_reads(tmp_path: Path) -> None:
     np.testing.assert_allclose(back, rate, atol=1e-9)
 
 
-def test_noise_that_the_rests_do_not_show_is_a_limit_and_no_value(tmp_path: Path) -> None:
-    """Of the sample log two axes do not show their white noise: nothing is stated about it with an
-    uncertainty of zero."""
-    log = Path(__file__).parents[3] / "sample_logs" / "turns.csv.gz"
-    run("imu", log, "-o", tmp_path / "out", "-q")
-    noise = json.loads((tmp_path / "out" / "report.json").read_text())["imu"]["gyroscope_noise"]
-    assert [sd is None for sd in noise["white_sd"]] == [False, True, True]
-    page = (tmp_path / "out" / "report.html").read_text()
-    said = page.split("white noise x, y, z")[1].split("deg/s/√Hz")[0]
-    assert said.count("at most") == 2
-    assert "± 0.0000" not in said
-
-
 @pytest.mark.parametrize("late", [0.005, pytest.param(0.0, marks=pytest.mark.slow)])
 def test_a_late_gyroscope_shows_in_the_moving_accelerometer(late: float, tmp_path: Path) -> None:
     rng = np.random.default_rng(5)

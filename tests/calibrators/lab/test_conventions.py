@@ -46,14 +46,6 @@ def test_in_and_out_again(c: Conventions, inclination: float, tool_face: float) 
     assert abs(np.mod(t[0] - tool_face + 180.0, 360.0) - 180.0) < 1e-9
 
 
-@given(conventions, st.floats(-1.5, 1.5), st.floats(0.0, 6.28))
-def test_out_and_in_again(c: Conventions, inclination: float, tool_face: float) -> None:
-    i, t = c.inside(*c.outside(np.array([inclination]), np.array([tool_face])))
-    assert np.allclose(
-        unit_vector(i, t), unit_vector(np.array([inclination]), np.array([tool_face]))
-    )
-
-
 @given(conventions)
 def test_the_zero_axis_reads_most_at_tool_face_zero(c: Conventions) -> None:
     level = 0.0 if c.inclination_zero == "horizontal" else 90.0

@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import gzip
-import re
 import struct
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, reject, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from imucalib import readers, writers
-from imucalib.errors import ImucalError, UnreadableInput
-from imucalib.readers.csv.dialect import Dialect
+from imucalib.errors import UnreadableInput
 from imucalib.readers.csv.reader import without_repeats
-from imucalib.readers.csv.rows import Layout, parse
-from imucalib.readers.csv.text import Lines, is_blank
 from imucalib.readers.joining import join
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Recording
@@ -240,36 +236,6 @@ def test_any_dialect_gives_the_right_numbers(
     np.testing.assert_allclose(read_t - read_t[0], t, atol=1e-9)
 
 
-@pytest.mark.slow
-@given(table=dialects(), data=st.data())
-@settings(
-    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-def test_a_damaged_table_is_right_or_refused(
-    table: tuple[str, np.ndarray, np.ndarray], data: st.DataObject, tmp_path: Path
-) -> None:
-    """Any bytes put over any place: an error, or rows in which at most the hit ones differ."""
-    text, _, values = table
-    raw = bytearray(text.encode())
-    at = data.draw(st.integers(0, len(raw) - 1))
-    patch = data.draw(st.binary(min_size=1, max_size=8))
-    raw[at : at + len(patch)] = patch
-    path = tmp_path / "a.csv"
-    path.write_bytes(bytes(raw))
-    try:
-        found = readers.read(path)
-    except ImucalError as error:
-        said = str(error)
-    else:
-        said = "a.csv"
-        got = acc_of(found)
-        assert got.shape[0] <= values.shape[0] + 8
-        want = {tuple(row) for row in np.round(values * G, 9)}
-        wrong = sum(tuple(row) not in want for row in np.round(got, 9))
-        assert wrong <= 2, "more rows changed than were hit"
-    assert "a.csv" in said
-
-
 def test_our_own_table_is_held_against_its_sum(tmp_path: Path) -> None:
     t = np.arange(300) / 100.0
     values = at_rest(300) * G
@@ -312,38 +278,6 @@ decimals = st.decimals(allow_nan=False, allow_infinity=False, places=7).map(str)
 cells = st.one_of(
     doubles, decimals, st.integers(-(2**63), 2**63 - 1).map(str), st.sampled_from(ODD)
 )
-
-
-def expected(cell: str) -> float | None:
-    """What a cell is worth; None for one that is neither a number nor blank."""
-    cell = cell.strip()
-    if re.fullmatch(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", cell):
-        number = float(cell)
-        return number if np.isfinite(number) else np.nan
-    return np.nan if is_blank(cell) else None
-
-
-@pytest.mark.slow
-@settings(max_examples=400, deadline=None)
-@given(
-    table=st.lists(st.tuples(cells, cells, cells, cells), min_size=1, max_size=6),
-    delimiter=st.sampled_from((",", ";", "\t")),
-)
-def test_every_cell_is_its_number_or_none(table: list[tuple[str, ...]], delimiter: str) -> None:
-    good = [("0", str(k), "0", "2.5") for k in range(8)]
-    rows = [row for row in table if delimiter not in "".join(row)] + good
-    text = "".join(delimiter.join(row) + "\n" for row in rows).encode()
-    want = [[expected(row[1]), expected(row[3])] for row in rows]
-    layout = Layout(Dialect(delimiter, ".", 4), (), "", (1, 3))
-    try:
-        found = parse(Lines(text, 1), layout, "file")
-    except UnreadableInput:
-        reject()
-    named = {int(error.where.split("line ")[1].split(",")[0]) - 1 for error in found.bad}
-    assert named <= {k for k, row in enumerate(want) if None in row}
-    plain = [[np.nan] * 2 if k in named else [np.nan if v is None else v for v in row]
-             for k, row in enumerate(want)]  # fmt: skip
-    np.testing.assert_array_equal(found.values, plain)
 
 
 RATE = 20.0

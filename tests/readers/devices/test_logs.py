@@ -17,8 +17,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from imucalib.errors import ImucalError, UnreadableInput
 from imucalib.readers import blocks, read
@@ -349,18 +347,6 @@ def test_a_lost_directory_is_told_and_the_checksum_holds(
     crc = zlib.crc32(activity).to_bytes(4, "little")
     path = saved(tmp_path, data[:directory].replace(crc, b"\x5a" * 4))
     assert any("checksum" in note for note in read(path).notes)
-
-
-@settings(
-    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-@given(at=st.floats(0.0, 1.0, exclude_max=True), bit=st.integers(0, 7))
-@pytest.mark.parametrize("name", ["gt3x", "gt3x activity"])
-def test_a_flipped_bit_is_no_traceback(name: str, tmp_path: Path, at: float, bit: int) -> None:
-    data = bytearray(FILES[name][0])
-    data[int(at * len(data))] ^= 1 << bit
-    with suppress(ImucalError):
-        read(saved(tmp_path, bytes(data)))
 
 
 def test_records_whose_stamp_is_not_later_are_told(tmp_path: Path) -> None:

@@ -10,22 +10,16 @@ import pytest
 from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.estimate.covariance import (
     Uneven,
-    fitted_on_all,
     information,
-    samples_taken,
     sandwich,
     uneven,
 )
 from imucalib.calibrators.array.findings import Residual, unexplained
-from imucalib.calibrators.array.loop.search import start_state
-from imucalib.calibrators.array.loop.setup import array_setup
 from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.calibrators.array.request import Accepted
 from imucalib.units import DEG
 from worlds.boards import Array, BoardPlan
-from worlds.twisted_board import BOARD, fitted, moved
-
-TWIST = BoardPlan(twist_s=6.0)
+from worlds.twisted_board import BOARD, fitted
 
 
 @pytest.mark.slow
@@ -87,21 +81,6 @@ def test_few_imus_tell_less_than_their_weights_say(count: int) -> None:
         assert np.mean(told) == pytest.approx(1.0, abs=0.03)
     else:
         assert 0.6 < np.median(told) < 0.92  # less than of three dimensions apiece
-
-
-def test_all_informative_samples_take_part() -> None:
-    moving, true = moved(TWIST, np.random.default_rng(3))
-    setup = array_setup(moving, BOARD, 150, robust=True)
-    assert setup is not None
-    some = start_state(setup, ())
-    assert samples_taken(moving, None) == len(moving.good)
-    assert samples_taken(moving, 200) == 200
-    every = fitted_on_all(some, len(moving.good))
-    assert np.array_equal(every.setup.rows[every.setup.inner], moving.good)
-    few, all_ = (np.sqrt(np.diag(sandwich(s)[0])) for s in (some, every))
-    expected = np.sqrt(len(setup.inner) / len(moving.good))
-    assert np.median(all_ / few) == pytest.approx(expected, rel=0.15)
-    assert np.sqrt(np.mean(((every.r - true)[1:].ravel() / all_) ** 2)) < 1.5
 
 
 @pytest.mark.parametrize(

@@ -2,21 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
-from imucalib.calibrators.array.board import undrawn_board
 from imucalib.calibrators.array.estimate.total import (
     Distance,
     GyroScale,
     Total,
-    frame_sd,
-    gyro_scale,
-    size_block,
-    size_over,
     total_of,
 )
 from imucalib.calibrators.array.estimate.turns import Turns, common_scale
@@ -24,7 +16,6 @@ from worlds.array import corners
 from worlds.boards import DEG, BoardPlan, handled
 
 PLAN = BoardPlan(rests=16)
-PLACES = 0.02 * np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0.2)])
 
 
 def turns_of(scale: float, seed: int) -> Turns | None:
@@ -53,14 +44,6 @@ def test_turns_between_rests_show_the_common_scale() -> None:
         assert found.sd < 2e-3
         z.append((found.scale - scale) / found.sd)
     assert 0.7 < np.sqrt(np.mean(np.square(z))) < 1.35
-
-
-def test_turns_and_data_sheets_are_weighed() -> None:
-    seen = Turns(0.004, 0.003, 20, 0.005)
-    both = gyro_scale(0.003, seen)
-    assert both.value == pytest.approx(0.002)
-    assert both.sd == pytest.approx(0.003 / np.sqrt(2.0))
-    assert gyro_scale(0.003, None).sd == 0.003
 
 
 def total(*distances: Distance, scale: float = 0.002) -> Total:
@@ -103,35 +86,3 @@ def test_a_distance_fixes_the_size_and_nothing_else() -> None:
     vague = total(Distance(0, 4, value * 1.1, 1.0))
     assert vague.mean == pytest.approx(plain.mean, abs=1e-9)
     assert vague.distance(0, 4)[1] == pytest.approx(sd, rel=1e-3)
-
-
-def test_the_frame_is_known_by_how_the_packages_turns_scatter() -> None:
-    """Root mean square about their mean with a belief of 0.3 deg worth one number, over √K."""
-    rng = np.random.default_rng(0)
-    angles = 0.01 * rng.normal(size=(5, 3)) + 0.5
-    x, y, z = angles.T
-    zero = np.zeros(5)
-    skew = np.stack([np.stack([zero, -z, y], -1), np.stack([z, zero, -x], -1),
-                     np.stack([-y, x, zero], -1)], 1)  # fmt: skip
-    made = SimpleNamespace(in_board_axes=lambda: (np.eye(3) + skew, None, None))
-    square = np.sum((angles - angles.mean(axis=0)) ** 2) + (0.3 * DEG) ** 2
-    assert frame_sd(made) == pytest.approx(np.sqrt(square / 13.0 / 5.0))  # type: ignore[arg-type]
-
-
-def test_the_size_is_the_regression_on_the_drawing() -> None:
-    root = np.random.default_rng(1).normal(size=(9, 9)) * 1e-5
-    open_ = GyroScale(0.0, 2e-3, 2e-3, None)
-    found = total_of(1.01 * PLACES, root @ root.T, gyros=open_, gravity_sd=1e-3, frame_sd=2e-3)
-    own = PLACES[1:].ravel()
-    value, sd, motion_sd = size_over(PLACES + 5.0, found)
-    row = own / np.sum(own**2)
-    assert value == pytest.approx(1.01)
-    assert sd == pytest.approx(np.sqrt(row @ found.covariance @ row))
-    assert motion_sd == pytest.approx(np.sqrt(row @ root @ root.T @ row))
-    board = replace(undrawn_board(4), imus=("a", "b", "c", "d"), positions=PLACES)
-    turns = Turns(0.01, 0.001, 9, 0.02)
-    block = size_block(found, GyroScale(0.008, 0.0009, 0.002, turns), board)
-    far = block["distances_mm"][2]
-    assert far["from"] + far["to"] == "ad"
-    assert (far["distance"], far["sd"]) == pytest.approx(np.multiply(1e3, found.distance(0, 3)))
-    assert block["frame"]["sd_deg"] == pytest.approx([2e-3 / DEG] * 3)

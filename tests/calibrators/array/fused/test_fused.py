@@ -17,7 +17,7 @@ from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.file import write
 from imucalib.calibrators.array.fused.fuse import Fused
 from imucalib.calibrators.array.fused.instrument import Stretch, instrument_of
-from imucalib.calibrators.array.fused.recording import determined, fused_stretch
+from imucalib.calibrators.array.fused.recording import fused_stretch
 from imucalib.calibrators.array.fused.survey import NotFusable, Survey, side_by_side, survey
 from imucalib.errors import ImucalError, UsageError
 from imucalib.readers import read
@@ -178,13 +178,6 @@ def test_what_cannot_be_fused_is_refused(plain: World) -> None:
     single = replace(calibration(plain.board), triads=(), calibrator="lab")
     with pytest.raises(UsageError, match="nothing to fuse"):
         instrument_of(single)
-
-
-def test_a_sample_that_nothing_determines_is_left_out() -> None:
-    covariance = np.tile(np.diag([0.01] * 3 + [1e6] * 3 + [1e-4] * 3), (4, 1, 1))
-    covariance[1, 1, 1] = 700.0**2  # m/s²: most readings clip
-    covariance[2, 8, 8] = 20.0**2  # rad/s
-    assert determined(covariance).tolist() == [True, False, False, True]
 
 
 @dataclass(frozen=True)

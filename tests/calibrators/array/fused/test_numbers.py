@@ -11,25 +11,12 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
-from imucalib.calibrators.array.fused.fuse import spin_by_neighbours
 from imucalib.calibrators.array.fused.instrument import Beyond, beyond_linear
-from imucalib.calibrators.array.fused.noise import ChipNoise, at_rest, fitted_noise
+from imucalib.calibrators.array.fused.noise import ChipNoise, fitted_noise
 from imucalib.calibrators.array.loop.motion import board_motion
-from imucalib.estimators.array.fusion import FusedMotion
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
-
-
-def test_what_a_sample_weighs_and_its_widening() -> None:
-    """Student's t of ν: (ν + d) / (ν + square); a Gaussian's from thirty sigmas square on."""
-    heavy = ChipNoise(np.ones((2, 3)), np.array([0.5, 0.0]), 4.0)
-    np.testing.assert_allclose(heavy.variance(np.array([0.0, 4.0]))[..., 0], [[1, 1], [5, 1]])
-    square, live = np.array([[1.0, 60.0]]), np.array([[3.0, 2.0]])
-    np.testing.assert_allclose(heavy.share(square, live), [[7.0 / 5.0, 6.0 / 64.0]])
-    plain = at_rest(np.ones((2, 3)))
-    np.testing.assert_allclose(plain.share(square, live), [[1.0, 0.25]])
-    assert (heavy.widening, plain.widening) == (pytest.approx(9.0 / 7.0), 1.0)
 
 
 T, K = 700, 3
@@ -74,37 +61,6 @@ def test_the_growth_and_the_tails_come_back(growth: Any, freedom: float) -> None
     for times in (0.5, 2.0):
         other = ChipNoise(rest, times * found.growth, found.freedom)
         assert best > density(other, off, speed, left)
-
-
-def moved(t: Array, hertz: float, sd: tuple[float, float]) -> FusedMotion:
-    """ω of one tone with noise; dω/dt as accelerometers show it."""
-    rng, w = np.random.default_rng(0), 2.0 * np.pi * hertz
-    rate, spin = np.sin(w * t)[:, None] * np.ones(3), w * np.cos(w * t)[:, None] * np.ones(3)
-    covariance = np.tile(np.diag([1.0] * 3 + [sd[0] ** 2] * 3 + [sd[1] ** 2] * 3), (len(t), 1, 1))
-    return FusedMotion(
-        np.zeros_like(rate), spin + sd[0] * rng.standard_normal(spin.shape),
-        rate + sd[1] * rng.standard_normal(rate.shape), covariance,
-    )  # fmt: skip
-
-
-def test_neighbours_say_dw_dt_as_well_as_their_noise_lets_them() -> None:
-    t = np.arange(400) * 0.01
-    made = moved(t, 0.5, (1.0, 1e-3))
-    found = spin_by_neighbours(t, made, None)
-    assert found is not None
-    spin, precision = found
-    np.testing.assert_allclose(spin[1:-1], (made.rate[2:] - made.rate[:-2]) / 0.02)
-    # Two rates of 1 mrad/s over 2 Δt; the third difference of so slow a motion adds a little.
-    assert 0.5 < np.median(precision[5:-5]) * (2.0 * 1e-6 / 0.02**2) < 1.0 + 1e-9
-    assert not precision[[0, -1]].any()
-    assert spin_by_neighbours(t[:24], made.take(slice(24)), None) is None
-    # Readings of 3 ms after the stamp: ω(t + 3 ms) is what they have, dω/dt(t) what is wanted.
-    late = spin_by_neighbours(
-        t, moved(t, 1.0, (1e-9, 1e-9)), np.tile(3e-3 * np.eye(3), (400, 2, 1, 1))
-    )
-    assert late is not None
-    w = 2.0 * np.pi
-    np.testing.assert_allclose(late[0][1:-1, 0], w * np.cos(w * t)[1:-1], atol=1e-2)
 
 
 QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])

@@ -6,45 +6,9 @@ import numpy as np
 import pytest
 
 from imucalib.arrays import Array
-from imucalib.calibrators.array.loop.ages import beats
 from imucalib.calibrators.array.loop.catalogue import array_catalogue
 from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
 from imucalib.calibrators.array.loop.terms import Term, columns_of, determined, lost, sensed
-from imucalib.estimators.array.sample_age import SampleAge, fit_sample_age
-
-
-def test_a_beat_is_the_steady_part_of_a_sawtooth() -> None:
-    t = 3.0 + np.arange(0.0, 20.0, 0.01)
-    turns = -0.7 * (t - 3.0) + 0.3 + 0.05 * np.sin(2.0 * np.pi * t / 10.0)
-    wave = np.stack([turns - np.floor(turns) - 0.5, np.zeros(t.size)], axis=1)
-    clock = SampleAge(wave, np.array([-0.7, np.nan]))
-    one, none = beats(clock, t, np.arange(t.size))
-    assert none is None
-    assert one is not None
-    assert one.frequency == pytest.approx(-0.7, abs=0.002)
-    assert one.phase == pytest.approx(0.3, abs=0.03)
-    assert one.at == 3.0
-    assert one.scatter == pytest.approx(0.05 / np.sqrt(2.0), rel=0.15)
-
-
-@pytest.mark.parametrize("frequency", [1.3, -0.8])
-def test_the_ages_of_readings_are_told_from_what_they_are_late_by(frequency: float) -> None:
-    """Off by -a dω/dt, a a sawtooth of 2 ms; a delay of the gyro's own beside it is no beat."""
-    rng = np.random.default_rng(3)
-    t = np.arange(0.0, 20.0, 0.01)
-    slope = 300.0 * np.stack([np.sin(w * t + p) for w, p in ((7.0, 0.0), (11.0, 1.0), (5.0, 2.0))],
-                             axis=1)  # fmt: skip
-    turns = frequency * t + 0.2
-    wave = turns - np.floor(turns) - 0.5
-    off = np.zeros((t.size, 2, 3))
-    off[:, 0] = -(2e-3 * wave + 1e-3)[:, None] * slope
-    off += 0.003 * rng.standard_normal(off.shape)
-    found = fit_sample_age(t, off, slope, np.arange(5, t.size - 5))
-    assert found.frequency[0] == pytest.approx(frequency, abs=0.01)
-    assert np.isnan(found.frequency[1])
-    assert not found.wave[:, 1].any()
-    away = np.mod(found.wave[:, 0] - wave + 0.5, 1.0) - 0.5
-    assert np.median(np.abs(away)) < 0.03
 
 
 def swung(t: Array) -> BoardMotion:
