@@ -11,9 +11,9 @@ import pytest
 from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from imucalib import cli
+from imucalib.arrays import Array
 from imucalib.calibration import apply as application
 from imucalib.calibration.apply import apply_to_recording
 from imucalib.calibration.calibration import Calibration, StoredParameter
@@ -44,9 +44,6 @@ from imucalib.rests.thermal import (
 from imucalib.units import MG, STANDARD_GRAVITY
 from worlds.sheets import Sheet, direction
 from worlds.week import WeekPlan, simulated_week
-
-Array = NDArray[np.float64]
-
 
 G = STANDARD_GRAVITY
 MODEL = Model(tuple(named(name) for name in NINE))

@@ -8,9 +8,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.stats import binom
 
+from imucalib.arrays import Array
 from imucalib.calibration import power
 from imucalib.calibration.angles import angles_at_rests, angles_of_samples
 from imucalib.calibration.calibration import Calibration, StoredParameter, matrices
@@ -113,9 +113,6 @@ def test_sds_are_the_derivatives_of_the_correction() -> None:
     assert every.still.all()
     np.testing.assert_allclose(every.norm_error, 2.0 * 9.81 / STANDARD_GRAVITY, rtol=1e-9)
     assert (every.inclination_sd[:25] > found.inclination_sd[0]).all()
-
-
-Array = NDArray[np.float64]
 
 
 def _attitudes() -> tuple[Array, Array]:

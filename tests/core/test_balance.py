@@ -8,10 +8,10 @@ from itertools import product
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.linalg import null_space
 from scipy.stats import multivariate_normal
 
+from imucalib.arrays import Array
 from imucalib.core.balance import Balanced, Noise, balance, setting_errors, whitener
 from imucalib.core.fit import Fit
 from imucalib.effects.record_error import record_error
@@ -19,8 +19,6 @@ from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.estimators.variance import estimate_noise
 from imucalib.loop.held_out import each_left_out, theta_without
 from worlds.bench import NINE, base_model, bench, draw, ordinary_theta, tumble
-
-Array = NDArray[np.float64]
 
 
 @cache

@@ -8,23 +8,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.core.references import KnownNorm, KnownVector, Reference, angles_of, unit_vector
 from imucalib.core.sphere import KnownDirection, covered, even_directions
 
-Array = NDArray[np.float64]
-
-
 G = 9.8061
-
-
 QUARTER = np.pi / 2.0
-
-
 inclinations = st.floats(-QUARTER, QUARTER)
-
-
 turns = st.floats(0.0, 2.0 * np.pi, exclude_max=True)
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.core.effect import MOTION, Context, Effect, Motion, Response, Truth
 from imucalib.core.model import Model
 from imucalib.effects import catalogue, named
@@ -18,7 +18,6 @@ from imucalib.estimators.least_squares import fit
 from imucalib.loop.candidates import effect_columns
 from worlds.bench import GRAVITY, base_model, bench, draw, ordinary_theta
 
-Array = NDArray[np.float64]
 EFFECTS: dict[str, Effect] = {
     **catalogue(),
     "record_error": record_error(7, "row 8"),

@@ -13,11 +13,7 @@ from imucalib.effects.strap import centres, posture
 from imucalib.units import MG, STANDARD_GRAVITY
 
 H = 0.01
-
-
 T = np.arange(600) * H
-
-
 TONES = 2.0 * np.pi * np.array([0.7, 1.9, 3.8])
 
 

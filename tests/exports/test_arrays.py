@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
 from imucalib.errors import LimitBroken, UnreadableInput, UsageError
 from imucalib.exports import exported
@@ -23,7 +23,6 @@ from imucalib.exports.imus import with_noise, with_walks
 from worlds.rigid_board import DEG, Board, G, Moves, board, calibration, readings
 from worlds.targets import by_kalibr, by_opencv
 
-Array = NDArray[np.float64]
 FORMS = ("kalibr", "openvins", "ros2-static", "urdf", "matlab", "c-header")
 
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.core.effect import Context
 from imucalib.effects import named
@@ -20,7 +20,6 @@ from imucalib.exports import exported
 from worlds.rigid_board import DEG, G, board
 from worlds.rigid_board import calibration as board_calibration
 
-Array = NDArray[np.float64]
 UG, COARSE = 1e-6, 1 / 2048
 
 #: Traps every overflow, shift and conversion that C leaves undefined.

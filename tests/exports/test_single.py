@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.core.effect import Context
 from imucalib.core.sphere import counted, even_directions
@@ -26,7 +26,6 @@ from imucalib.exports.bound import demand_carried
 from imucalib.exports.per_axis import nearest_row, with_ids
 from worlds.targets import by_ggir, by_qgroundcontrol
 
-Array = NDArray[np.float64]
 G = 9.80665
 SPAN = (15.0, 35.0)
 VALUES = {

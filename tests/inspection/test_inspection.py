@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from numpy.typing import NDArray
 from ruamel.yaml import YAML
 
 from imucalib import cli, readers, writers
+from imucalib.arrays import Array
 from imucalib.inspection.inspection import inspect_recording
 from imucalib.inspection.noise import AllanCurve, AllanSums, identified
 from imucalib.recording.recording import Channel, Gap, Recording
@@ -76,9 +76,6 @@ def test_blocks_and_whole_agree(tmp_path: object) -> None:
         assert (a.duplicates, a.longest_step) == (b.duplicates, b.longest_step)
         np.testing.assert_array_equal(a.low, b.low)
     assert one.gaps == many.gaps
-
-
-Array = NDArray[np.float64]
 
 
 HZ = 100.0

@@ -9,10 +9,9 @@ from itertools import groupby
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from gates.bounds import at_most
-from imucalib.arrays import Index
+from imucalib.arrays import Array, Index
 from imucalib.core.fit import Fit
 from imucalib.effects import named
 from imucalib.estimators.least_squares import fit as fit_model
@@ -72,9 +71,6 @@ def test_the_interval_covers_the_gain() -> None:
         proved += found.proved
     assert 900 - inside <= at_most(900, 0.004).most
     assert proved <= at_most(900, 0.004).most
-
-
-Array = NDArray[np.float64]
 
 
 def _clean(seed: int, n: int = 24) -> Fit:
@@ -202,20 +198,10 @@ def test_a_walk_between_knots_is_nearly_the_walk(terms: Terms) -> None:
 
 
 STEP = Step("cubic", 9.0, (), (), certain=True)
-
-
 CURVE = replace(STEP, effect="curve@bias:order:0:1:4", curve=True)
-
-
 RECORD = RecordError(3, "row 4", "y", 100.0, 3.0, "mg", "lost sign of y", (), 0.999)
-
-
 LEFT = Unexplained("a", "order", "bias", 0.999, 9.0)
-
-
 SURE = Difference(2.0, 1.0, 0.5, 1.5, 0.6, 20)
-
-
 UNSURE = replace(SURE, low=-0.1)
 
 

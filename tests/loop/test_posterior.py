@@ -31,8 +31,6 @@ from imucalib.units import MG
 from worlds.bench import base_model
 
 G = 9.80665
-
-
 NINE = ("bias", "scale", "non_orthogonality")
 
 
@@ -202,8 +200,6 @@ def test_the_linear_solution_is_the_fit_where_all_is_linear() -> None:
 
 
 RECORDED_G, HOUR = 9.80665, 3600.0
-
-
 SPAN = 48.0 * HOUR
 
 

@@ -6,8 +6,8 @@ from functools import cache
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.core.effect import Context
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm
@@ -25,8 +25,6 @@ from imucalib.loop.separation import (
 )
 from imucalib.units import MG
 from worlds.bench import base_model
-
-Array = NDArray[np.float64]
 
 G = 9.80665
 NAMES = ("quadratic", "asymmetry", "cross_axis")

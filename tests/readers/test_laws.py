@@ -25,23 +25,13 @@ from imucalib.writers import write, write_blocks
 from worlds.bag_logs import BagWriter
 
 Pair = tuple[readers.Reader, writers.Writer]
-
-
 PAIRS: list[Pair] = [
     (r, w) for r in readers.readers() for w in writers.writers() if r.name == w.name
 ]
-
-
 BAG = next(r for r in readers.readers() if r.name == "rosbag")
-
-
 #: Formats that are only read: tests write them.
 BAGS: list[Pair] = [(BAG, BagWriter((".bag",))), (BAG, BagWriter((".db3",)))]
-
-
 BY_NAME = pytest.mark.parametrize("pair", PAIRS, ids=lambda p: p[0].name)
-
-
 BY_FORMAT = pytest.mark.parametrize("pair", [*PAIRS, *BAGS], ids=lambda p: p[1].suffixes[0])
 
 

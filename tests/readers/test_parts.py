@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from imucalib import readers, writers
+from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.inspection.inspection import Inspection, inspect_recording, problems
 from imucalib.readers import blocks, read
@@ -24,18 +24,9 @@ from worlds.mcap_logs import IMU_ROS1, Reading, cdr, packed, readings, ros1, wri
 from worlds.places import DATA, MEASURED, SAMPLES
 from worlds.turned import turned
 
-Array = NDArray[np.float64]
-
-
 Change = Callable[[Array, Array], None]
-
-
 RATES = FieldMapping(gyro_unit="rad/s")
-
-
 WORDS = "repeat the one before to the last digit"
-
-
 #: Steps of a converter of 16 bits, a quarter of the noise of a sample and less.
 ACC_STEP, RATE_STEP = 0.0024, 0.00025
 
@@ -236,8 +227,6 @@ def test_one_wrong_stamp_sets_no_clock(row: int, off: float, tmp_path: Path) -> 
 
 
 START = 1_700_000_000.0
-
-
 UNITS = FieldMapping(gyro_unit="rad/s")
 
 
@@ -292,8 +281,6 @@ def test_what_does_not_belong_together_is_refused(tmp_path: Path) -> None:
 
 
 ROWS = 300
-
-
 HEADING = "time (s),acc_x (g),acc_y (g),acc_z (g)"
 
 
@@ -346,8 +333,6 @@ def test_a_last_line_that_lacks_only_its_end_is_a_row(tmp_path: Path) -> None:
 
 #: Topics whose words do not tell one from another.
 TOPICS = ("/imu/1/data", "/imu/2/data")
-
-
 Topics = dict[str, list[Reading]]
 
 

@@ -12,9 +12,9 @@ import pytest
 from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from imucalib import readers
+from imucalib.arrays import Array
 from imucalib.cli import cli as root
 from imucalib.errors import UnreadableInput
 from imucalib.readers import read
@@ -28,23 +28,11 @@ from worlds.places import MEASURED
 from worlds.turned import turned
 
 ROWS, RATE = 600, 100.0
-
-
 NAMES = {"acceleration": "acc", "angular_rate": "gyr"}
-
-
 FAMILIES = {"acceleration": ACCELERATION_UNITS, "angular_rate": RATE_UNITS}
-
-
 SI = {"acceleration": "m/s2", "angular_rate": "rad/s"}
-
-
 T = np.arange(ROWS) / RATE
-
-
 QUANTITIES = pytest.mark.parametrize("quantity", NAMES)
-
-
 AXES = pytest.mark.parametrize("axis", range(3))
 
 
@@ -58,8 +46,6 @@ def si(quantity: str) -> np.ndarray:
 
 #: How one axis may differ -> (attributes of it, what is stored of SI values)
 Stored = tuple[dict[str, object], Callable[[np.ndarray], np.ndarray]]
-
-
 DIFFERENT: dict[str, Callable[[str], Stored]] = {
     "unit": lambda q: ({"units": list(FAMILIES[q])[1]},
                        lambda v: v / list(FAMILIES[q].values())[1]),
@@ -202,8 +188,6 @@ def test_hdf5_reads_a_clock_by_its_own_attributes(form: str, tmp_path: Path) -> 
 
 
 RATES = FieldMapping(gyro_unit="rad/s")
-
-
 BY_FORMAT = pytest.mark.parametrize("name", WRITE)
 
 
@@ -255,9 +239,6 @@ def test_a_measured_log_proves_its_unit(name: str) -> None:
     readers.read(MEASURED / name, mapping)
     with pytest.raises(UnreadableInput, match="--gyro-unit rad/s"):
         readers.read(MEASURED / name, replace(mapping, gyro_unit="deg/s"))
-
-
-Array = NDArray[np.float64]
 
 
 _LEVEL, _SCALE = np.array([33123.0, 33276.0, 32360.0]), np.array([4076.0, 4006.0, 4052.0])

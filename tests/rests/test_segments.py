@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from numpy.typing import NDArray
 
 from imucalib import cli
+from imucalib.arrays import Array
 from imucalib.errors import Undetermined, UnreadableInput
 from imucalib.readers import read
 from imucalib.recording.mapping import FieldMapping
@@ -19,7 +19,6 @@ from imucalib.rests.segments import still_segments
 from imucalib.units import MG, STANDARD_GRAVITY
 from worlds.places import MEASURED
 
-Array = NDArray[np.float64]
 RATE, SIGMA = 100.0, 0.02
 
 

@@ -4,20 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.runs import Scan, posture_runs, scan
 from imucalib.rests.thermal import ThermalHistory, believed
 from imucalib.rests.windows import WindowBuilder, Windows
 from imucalib.units import MG, STANDARD_GRAVITY
 
-Array = NDArray[np.float64]
-
-
 T = 10.0 * np.arange(2000)
-
-
 CASE = 30.0 + 3.0 * np.sin(T / 3000.0)
 
 

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.readers import blocks, stored_blocks
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Recording
@@ -135,7 +135,6 @@ def test_a_scan_tells_what_was_recorded() -> None:
     assert (found.triad, len(found.windows.mean), found.gaps) == ("w", 9, 0)
 
 
-Array = NDArray[np.float64]
 G = 9.80665
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibrators.array.board import Board, read_board
 from imucalib.calibrators.array.log import array_log
 from imucalib.calibrators.array.loop.catalogue import array_catalogue
@@ -20,7 +20,6 @@ from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.segments import still_segments
 from imucalib.units import DEG
 
-Array = NDArray[np.float64]
 BOARD = read_board("mimu4444_corners")
 PLAN = LogPlan(
     poses=14, pose_seconds=3.0, seconds=14.0, twist=800.0, force=20.0, gyro_gain=0.0, gain=0.005

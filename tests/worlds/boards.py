@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.recording.recording import Channel, Recording
 
-Array = NDArray[np.float64]
 DEG = np.pi / 180.0
 
 

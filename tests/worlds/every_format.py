@@ -6,14 +6,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucalib import writers
+from imucalib.arrays import Array
 from worlds.bag_logs import BagWriter
 from worlds.flight_logs import dataflash, ulog
 from worlds.turned import recording_of
 
-Array = NDArray[np.float64]
 Write = Callable[[Path, Array, Array, Array], Path]
 
 

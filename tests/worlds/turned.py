@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.recording.recording import Channel, Recording
 
-Array = NDArray[np.float64]
 G = 9.81
 RATE, REST, TURN = 100.0, 2.0, 2.0  # Hz, s, s
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibrators.actigraph.calibrate import ActigraphResult, calibrate
 from imucalib.calibrators.actigraph.observations import covariates_of
 from imucalib.calibrators.actigraph.request import ActigraphRequest
@@ -19,7 +19,6 @@ from imucalib.core.effect import Context
 from imucalib.core.fit import Fit
 from imucalib.rests.runs import PostureRuns, Scan
 
-Array = NDArray[np.float64]
 G = 9.80665
 MG = 1e-3 * G
 HOUR = 3600.0

@@ -111,8 +111,6 @@ def test_the_imu_that_changed_is_named() -> None:
 
 
 MEMORY, ALONE, SHARED = 4.0, 0.2, 0.73
-
-
 NINE = (*(f"bias_{a}" for a in "xyz"), *(f"scale_{a}" for a in "xyz"), "cross_yx", "cross_zx",
         "cross_zy")  # fmt: skip
 

@@ -149,8 +149,6 @@ def test_two_rests_are_undecided_with_the_rests_to_add() -> None:
 
 
 STATED_G = 9.80665
-
-
 STATED_MG, DEG = 1e-3 * STATED_G, np.pi / 180.0
 
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from numpy.typing import NDArray
 
 from imucalib import cli
+from imucalib.arrays import Array
 from imucalib.calibrators.actigraph.observations import NINE
 from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.series import series
@@ -27,7 +27,6 @@ from imucalib.units import MG, STANDARD_GRAVITY
 from worlds.places import SAMPLES
 from worlds.week import WeekPlan, simulated_week
 
-Array = NDArray[np.float64]
 WRIST = SAMPLES / "wrist_day.csv.gz"
 G = STANDARD_GRAVITY
 

@@ -6,8 +6,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibrators.actigraph import errors
 from imucalib.calibrators.actigraph.observations import (
     observations_of,
@@ -32,12 +32,7 @@ from imucalib.rests.runs import PostureRuns, Scan, scan
 from imucalib.units import MG, STANDARD_GRAVITY
 from worlds.week import WeekPlan, simulated_week
 
-Array = NDArray[np.float64]
-
-
 G = STANDARD_GRAVITY
-
-
 NINE = ("bias", "scale", "non_orthogonality")
 
 
@@ -96,8 +91,6 @@ def test_errors_over_the_sphere_are_those_of_the_nearest_part() -> None:
 
 
 RATE, HOURS = 5.0, 6
-
-
 SCALE, OFFSET = np.array([1.01, 0.985, 1.004]), np.array([0.02, -0.03, 0.01])
 
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from numpy.typing import NDArray
 
 from imucalib import cli
+from imucalib.arrays import Array
 from imucalib.calibration.file import read as read_calibration
 from imucalib.calibrators.actigraph.published import PointCollector
 from imucalib.calibrators.actigraph.simulation import WeekPlan
@@ -30,8 +30,6 @@ from imucalib.estimators.gradient_descent import (
 from imucalib.units import MG, STANDARD_GRAVITY
 from imucalib.writers import write
 from worlds.week import simulated_blocks
-
-Array = NDArray[np.float64]
 
 
 def case(seed: int, noise: float = 1e-3, off_diagonal: float = 0.05) -> tuple[Array, Array]:

@@ -45,17 +45,9 @@ def test_a_board_without_a_drawing_is_sketched_in_the_axes_of_its_first() -> Non
 
 
 BOARD = read_board("mimu4444_corners")
-
-
 CHECK_PLAN = LogPlan(poses=12, pose_seconds=3.0, seconds=15.0)
-
-
 Matrix = NDArray[np.float64]
-
-
 FLIPPED, SWAPPED = np.diag([1.0, -1.0, 1.0]), np.eye(3)[[1, 0, 2]]
-
-
 QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 

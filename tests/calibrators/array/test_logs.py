@@ -19,11 +19,7 @@ from imucalib.errors import UsageError
 from worlds.boards import BoardPlan, board_log, made_board
 
 BOARD = read_board("mimu4444_corners")
-
-
 PLAN = BoardPlan(twist_s=8.0, gyro_scale=0.004, gyro_bias=1.0)
-
-
 PARTS = made_board(BOARD.positions, BOARD.rotations, BOARD.imus, PLAN, np.random.default_rng(7))
 
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibrators.array.board import read_board
 from imucalib.calibrators.array.effect_blocks import covariance_of, triangle
@@ -18,8 +18,6 @@ from imucalib.recording.recording import Recording
 from imucalib.units import DEG
 from worlds.boards import BoardPlan, board_log, made_board
 from worlds.rigid_board import board, calibration
-
-Array = NDArray[np.float64]
 
 
 def rates(seed: int, n: int = 400, noise: float = 0.0) -> tuple[Array, Array, Array]:

@@ -6,15 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.loop.catalogue import Scope
 from imucalib.calibrators.array.rests import RestFit, fit_rests
 from imucalib.rests.segments import Segments
 from imucalib.units import DEG, MG
 
-Array = NDArray[np.float64]
 G = 9.8
 K = 5
 SIGMA = 2e-3

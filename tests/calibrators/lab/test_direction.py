@@ -27,11 +27,7 @@ TRUTH = {
     "scale_x": 0.006, "scale_y": -0.004, "scale_z": 0.009,
     "cross_yx": 0.003, "cross_zx": -0.002, "cross_zy": 0.004,
 }  # fmt: skip
-
-
 FACES = ("+x", "+y", "+z", "-x", "-y", "-z")
-
-
 NOISE_MG, TILT_DEG = 1.0, 0.2
 
 

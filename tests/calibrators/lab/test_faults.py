@@ -162,11 +162,7 @@ def test_what_follows_a_named_column_is_found_and_done_without(tmp_path: Path, k
 
 
 SAMPLES = ROOT / "sample_logs"
-
-
 SCHEMAS = Path(imucalib.__file__).parent / "schemas"
-
-
 REPAIR = ("--fix", "10:y=-45.86119676")
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibrators.lab.files import LabFiles, calibrate_files
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import LabRun
@@ -19,11 +19,7 @@ from imucalib.readers.source import sha256_of
 from imucalib.writers import write as write_recording
 
 HEADER = ("session", "inclination", "tool_face", "x (mg)", "y (mg)", "z (mg)")
-
-
 SETTINGS = [(i, t + i / 2.0) for i in (-60.0, -20.0, 20.0, 60.0) for t in (0.0, 90.0, 180.0, 270.0)]
-
-
 REQUEST = LabRequest(loop=False)
 
 
@@ -136,9 +132,6 @@ def test_what_is_mistaken_is_told(planted, tmp_path: Path) -> None:
         run(each)
     with pytest.raises(UsageError, match="--recording goes with one table"):
         calibrate_files(LabFiles(bare, tmp_path / "x.mcap", others=(bare,)), REQUEST, print)
-
-
-Array = NDArray[np.float64]
 
 
 SCATTER, NOISE = 0.05, 0.5  # deg, mg

@@ -119,8 +119,6 @@ def test_one_effect_is_named_and_corrected(
 
 
 REPAIR = ((10, "y", -58593.0),)
-
-
 TRAIN = tuple(range(1, 21))
 
 

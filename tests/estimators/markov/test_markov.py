@@ -7,8 +7,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.estimators.markov import pmmh
 from imucalib.estimators.markov.convergence import (
     convergence,
@@ -33,9 +33,6 @@ def test_chains_apart_in_place_or_in_width_are_seen() -> None:
     assert convergence(wide).rhat[0] > 1.05
     drifting = good + np.linspace(-1.0, 1.0, 400)[None, :, None]
     assert convergence(drifting).rhat[0] > 1.05
-
-
-Array = NDArray[np.float64]
 
 
 MEAN, SD = np.array([1.0, -2.0]), np.array([0.5, 2.0])

@@ -81,8 +81,6 @@ def test_missing_values_become_gaps_and_are_never_filled(tmp_path: Path) -> None
 
 
 STAMPED = [f"{0.01 * k:.2f}," for k in range(500)]
-
-
 DATED = [f"2024-03-01 12:00:{0.01 * k:06.3f}," for k in range(500)]
 
 
@@ -267,19 +265,11 @@ ODD = (
     "9007199254740993", "9223372036854775808", "1.7976931348623159e308", "\t7", "#", "'1'", "1.0",
     "2.2250738585072011e-308", "2024-01-02 03:04:05.678",
 )  # fmt: skip
-
-
 doubles = st.integers(0, 2**64 - 1).map(lambda n: repr(struct.unpack("d", struct.pack("Q", n))[0]))
-
-
 decimals = st.decimals(allow_nan=False, allow_infinity=False, places=7).map(str)
-
-
 cells = st.one_of(
     doubles, decimals, st.integers(-(2**63), 2**63 - 1).map(str), st.sampled_from(ODD)
 )
-
-
 RATE = 20.0
 
 

@@ -23,8 +23,6 @@ from imucalib.recording.recording import Channel, Recording
 from imucalib.units import STANDARD_GRAVITY
 
 N = 4000
-
-
 TRUTH = np.array([0.1, -0.2, 9.75]) + np.random.default_rng(0).normal(scale=0.02, size=(N, 3))
 
 
@@ -161,17 +159,9 @@ def test_a_heap_whose_walk_would_not_end_is_refused(tmp_path: Path) -> None:
 
 
 RELATIVES_N, RATE = 3000, 100.0
-
-
 RNG = np.random.default_rng(0)
-
-
 ACC = np.array([0.2, -0.1, 9.8]) + RNG.normal(scale=0.03, size=(RELATIVES_N, 3))
-
-
 GYRO = RNG.normal(scale=0.01, size=(RELATIVES_N, 3))
-
-
 T = np.arange(RELATIVES_N) / RATE
 
 
@@ -265,16 +255,10 @@ def test_a_matlab_file_made_to_cost_ends_soon(tmp_path: Path) -> None:
 
 
 ABSENT_N, CHUNK = 2000, 100
-
-
 ABSENT_TRUTH = np.array([0.1, -0.2, 9.75]) + np.random.default_rng(0).normal(
     scale=0.02, size=(ABSENT_N, 3)
 )
-
-
 STAMPS = 1_600_000_000_000_000_001 + 10_000_000 * np.arange(ABSENT_N)
-
-
 ALLOWED = from_dict({"allow_external": True})
 
 

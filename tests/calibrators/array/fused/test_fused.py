@@ -10,9 +10,9 @@ import h5py
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
-from numpy.typing import NDArray
 
 from imucalib import cli
+from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.file import write
 from imucalib.calibrators.array.fused.fuse import Fused
@@ -35,7 +35,6 @@ from worlds.rigid_board import (
     turned_by,
 )
 
-Array = NDArray[np.float64]
 HZ = 100.0
 
 

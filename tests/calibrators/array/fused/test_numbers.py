@@ -8,16 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy import stats
 
+from imucalib.arrays import Array
 from imucalib.calibrators.array.fused.instrument import Beyond, beyond_linear
 from imucalib.calibrators.array.fused.noise import ChipNoise, fitted_noise
 from imucalib.calibrators.array.loop.motion import board_motion
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
-
-Array = NDArray[np.float64]
-
 
 T, K = 700, 3
 

@@ -15,11 +15,7 @@ from worlds.boards import made_board
 from worlds.odd_boards import PLAN, PLANTS, Plant, odd_log, slow
 
 BOARD = read_board("mimu4444_corners")
-
-
 ONE = frozenset({2})
-
-
 OTHERS = {"gyro_misalignment", "gyro_scale"}
 
 
