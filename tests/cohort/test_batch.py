@@ -10,13 +10,12 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from threading import Thread
 
 import numpy as np
 import pytest
 
 from imucalib.calibrators.lab.simulation import BenchPlan, simulated_recording, simulated_table
-from imucalib.cohort.batch import plan, run_task
+from imucalib.cohort.batch import plan
 from imucalib.cohort.entries import read_entry
 from imucalib.cohort.recordings import recordings_of
 from imucalib.errors import UnreadableInput
@@ -97,20 +96,6 @@ def test_a_killed_batch_is_finished_by_a_rerun(cohort: Path, tmp_path: Path) -> 
             if entry.report:
                 entry.report["provenance"].pop("time")
         assert (one.report, one.exit_code, one.key) == (two.report, two.exit_code, two.key)
-
-
-@pytest.mark.slow
-def test_other_settings_or_content_are_done_again(cohort: Path, tmp_path: Path) -> None:
-    recording = tmp_path / "one.csv"
-    recording.write_bytes((cohort / "good0.csv").read_bytes())
-    (task,) = plan((recording,), tmp_path / "out", "lab", ARGUMENTS)
-    (other,) = plan((recording,), tmp_path / "out", "lab", (*ARGUMENTS, "--gravity", "9.81"))
-    assert not run_task(task).reused
-    assert run_task(task).reused
-    assert not run_task(task, resume=False).reused
-    assert not run_task(other).reused
-    recording.write_bytes((cohort / "good1.csv").read_bytes())
-    assert not run_task(other).reused
 
 
 def names(*inputs: object) -> list[str]:
@@ -220,20 +205,6 @@ def test_a_file_that_takes_part_is_seen_to_change(
     assert (reused(), reused()) == (0, 1)
 
 
-@pytest.mark.slow
-def test_an_entry_is_where_it_was_asked_for_wherever_the_worker_is(
-    cohort: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for name in ("here", "there"):
-        (tmp_path / name).mkdir()
-    monkeypatch.chdir(tmp_path / "here")
-    (task,) = plan((cohort / "empty.csv",), Path("entries"), "lab", ARGUMENTS)
-    monkeypatch.chdir(tmp_path / "there")
-    run_task(task)
-    assert len(list((tmp_path / "here" / "entries").glob("*.json"))) == 1
-    assert not list((tmp_path / "there").iterdir())
-
-
 def test_what_will_be_done_is_said_before_it_is(study: Path, tmp_path: Path) -> None:
     done = run("batch", study / "lost.cwa", "-o", tmp_path / "out", "--", "--gravity", "9.81")
     assert done.return_value == 3
@@ -277,28 +248,6 @@ def test_a_cluster_without_workers_says_so_and_ends(cohort: Path, tmp_path: Path
     assert done.return_value == 3
     assert f"no worker at {address}; start one: dask worker {address}" in done.stderr
     assert not list((tmp_path / "out").glob("*"))
-
-
-@pytest.mark.slow
-def test_a_worker_that_is_killed_loses_nothing(cohort: Path, tmp_path: Path) -> None:
-    distributed = pytest.importorskip("distributed")
-    out = tmp_path / "out"
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address=None
-    ) as cluster:
-        first = cluster.workers[0].pid
-
-        def kill() -> None:
-            while not list(out.glob("*.json")):
-                time.sleep(0.02)
-            os.kill(first, signal.SIGKILL)
-
-        killer = Thread(target=kill, daemon=True)
-        killer.start()
-        summary = batch(cohort, out, "--scheduler", cluster.scheduler_address)
-        killer.join()
-    assert (summary["calibrated"], len(summary["failed"])) == (3, 3)
-    assert len(list(out.glob("*.json"))) == 6
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ from imucalib.core.fit import Fit
 from imucalib.effects.record_error import record_error
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.estimators.variance import estimate_noise
-from imucalib.loop.held_out import each_left_out, theta_without
+from imucalib.loop.held_out import theta_without
 from worlds.bench import NINE, base_model, bench, draw, ordinary_theta, tumble
 
 
@@ -86,21 +86,6 @@ def test_covariance_is_generalised_least_squares() -> None:
     assert float(gradient @ expected @ gradient) < 1e-8
 
 
-def test_covariance_slope_by_noise() -> None:
-    fit = _known()
-    for k in range(3):
-        values = np.array([fit.noise.factor, *fit.noise.sd])
-        found = []
-        for sign in (1.0, -1.0):
-            moved = values.copy()
-            moved[k] *= np.exp(sign * 1e-4)
-            noise = Noise(moved[0], fit.noise.component, tuple(moved[1:]))
-            found.append(estimate_noise(fit.at, noise, fixed=True).covariance)
-        numeric = (found[0] - found[1]) / 2e-4
-        scale = np.sqrt(np.outer(np.diag(fit.covariance), np.diag(fit.covariance)))
-        assert np.abs((numeric - fit.slope[k]) / scale).max() < 1e-5
-
-
 def test_setting_errors_are_the_conditional_mean() -> None:
     """E[η | r] of the joint Gaussian of η and r = N η + noise."""
     fit = _known()
@@ -147,25 +132,6 @@ def test_leaving_rows_out_is_a_full_refit(kind: str) -> None:
         assert np.all(np.abs(away) < 0.02 * refit.sd)
         moved = max(moved, float(np.max(np.abs(refit.theta - fit.theta) / refit.sd)))
     assert moved > 0.2
-
-
-@pytest.mark.parametrize("kind", ["known", "norm", "one row alone shows a parameter"])
-def test_each_left_out_is_every_group_left_out(kind: str) -> None:
-    """Also where nothing but a group shows a parameter, which then stays where it is."""
-    fit = _norm() if kind == "norm" else _known()
-    if kind == "one row alone shows a parameter":
-        jacobian = fit.at.jacobian.copy()
-        jacobian[6:, 0] = 0.0
-        fit = replace(fit, at=replace(fit.at, jacobian=jacobian))
-    group = np.arange(fit.observations.n) // 2
-    every = list(each_left_out(fit, group))
-    assert [rows.tolist() for rows, _ in every] == [
-        np.flatnonzero(group == key).tolist() for key in np.unique(group)
-    ]
-    for rows, theta in every:
-        np.testing.assert_allclose(
-            (theta - theta_without(fit, rows)) / fit.sd, 0.0, atol=1e-7, rtol=0.0
-        )
 
 
 @pytest.mark.parametrize("rows", [80, 400])

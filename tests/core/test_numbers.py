@@ -9,7 +9,7 @@ import pytest
 
 from imucalib.arrays import Array, Flags
 from imucalib.core import eigen as eigen_module
-from imucalib.core.course import Course, bends_of, course_of, delayed, slope_of
+from imucalib.core.course import Course, course_of, delayed, slope_of
 from imucalib.core.effect import Context, Parameter, Truth
 from imucalib.core.eigen import eigen
 from imucalib.core.fit import null_directions
@@ -52,24 +52,6 @@ def test_a_slope_is_that_of_the_swing(hz: float, off: float) -> None:
     w = 2.0 * np.pi * hz
     slope = slope_of(np.sin(w * t)[:, None], t, beside)[5:-5, 0]
     np.testing.assert_allclose(slope / w, np.cos(w * t)[5:-5], atol=off)
-
-
-@pytest.mark.parametrize("lengths", [(2,), (3,), (4,), (5, 2, 3), (1, 4, 1), (7, 6)])
-def test_short_stretches_have_the_slope_of_a_line(lengths: tuple[int, ...]) -> None:
-    t, beside = stretches(*lengths)
-    slope = slope_of(np.stack([3.0 * t, 1.0 - t], axis=1), t, beside)
-    alone = ~beside.any(axis=1)
-    np.testing.assert_allclose(slope[~alone], np.tile([3.0, -1.0], (int((~alone).sum()), 1)))
-    assert not slope[alone].any()
-
-
-@pytest.mark.parametrize(("hz", "off"), [(2.0, 1e-4), (5.0, 1e-3), (10.0, 1e-2)])
-def test_a_bend_of_known_slopes_is_that_of_the_swing(hz: float, off: float) -> None:
-    """Differences of the slopes are 0.3, 1.6 and 6.5 % too small."""
-    t, beside = stretches(20)
-    w = 2.0 * np.pi * hz
-    bend = bends_of(np.sin(w * t)[:, None], w * np.cos(w * t)[:, None], t, beside)[0][1:-1, 0]
-    np.testing.assert_allclose(bend / w**2, -np.sin(w * t)[1:-1], atol=off)
 
 
 @pytest.mark.parametrize("lag", [1e-3, 4e-3, 9e-3])

@@ -13,10 +13,8 @@ import pytest
 from gates.bounds import at_most
 from imucalib.arrays import Array, Index
 from imucalib.core.fit import Fit
-from imucalib.effects import named
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.loop import held_out as held_out_module
-from imucalib.loop.candidates import effect_columns
 from imucalib.loop.found import Loop, Step, Unexplained
 from imucalib.loop.held_out import (
     Difference,
@@ -81,30 +79,6 @@ def _clean(seed: int, n: int = 24) -> Fit:
 @cache
 def _one_clean() -> Fit:
     return _clean(0)
-
-
-def test_columns_are_what_the_effect_does_to_the_balance() -> None:
-    """A candidate's columns against the change of the residual that a small effect makes."""
-    fit = _one_clean()
-    for name in ("cubic", "temperature_scale", "inclination_zero", "tool_face_eccentricity"):
-        effect = named(name)
-        columns = effect_columns(fit, effect)
-        model, context = fit.model.plus(effect), fit.observations.context
-        typical = np.array([p.typical for p in effect.parameters(context)])
-        theta = model.start(context)
-        slices = model.slices(context)
-        for own, part in fit.model.slices(context).items():
-            theta[slices[own]] = fit.theta[part]
-        truth = fit.observations.reference.truth(fit.eta)
-        for k in range(typical.size):
-            both = []
-            for sign in (1.0, -1.0):
-                moved = theta.copy()
-                moved[slices[name].start + k] = sign * 1e-4 * typical[k]
-                reading = model.predict(moved, truth, context).reading
-                both.append((reading / fit.observations.sigma).ravel())
-            slope = (both[0] - both[1]) / 2e-4
-            assert np.allclose(slope, columns[:, k], atol=1e-4 * np.abs(columns).max())
 
 
 def held_out_gap(fit: Fit) -> float:
@@ -185,16 +159,6 @@ def test_the_evidence_is_that_of_the_whole_matrix(terms: Terms) -> None:
         log_det = np.linalg.slogdet(whole)[1]
         expected = point.log_prior - 0.5 * (log_det + base + dof * np.log(rest))
         assert one == pytest.approx(expected, rel=1e-7)
-
-
-def test_a_walk_between_knots_is_nearly_the_walk(terms: Terms) -> None:
-    """What the knots leave out is small beside the noise of a reading."""
-    for memory, factor in terms.walks.items():
-        apart = np.abs(terms.order[:, None] - terms.order)
-        axis = terms.axes[:, None] * terms.axes
-        bias = np.sqrt(axis).sum(axis=-1) * (terms.axes.argmax(1)[:, None] == terms.axes.argmax(1))
-        whole = np.exp(-apart / memory) * bias
-        assert np.abs(factor @ factor.T - whole).max() < 0.05
 
 
 STEP = Step("cubic", 9.0, (), (), certain=True)

@@ -25,7 +25,6 @@ from imucalib.loop.posterior.gram import Grams, swept, without
 from imucalib.loop.posterior.problem import Problem, problem_of
 from imucalib.loop.posterior.recorded import Course, course_of, recorded_grams, whitener
 from imucalib.loop.posterior.recording import close_recording, followed
-from imucalib.loop.posterior.solution import solved
 from imucalib.loop.posterior.words import concluded
 from imucalib.units import MG
 from worlds.bench import base_model
@@ -188,15 +187,6 @@ def test_the_same_recording_gives_the_same_answer_in_any_order() -> None:
     mixed = data.take(np.random.default_rng(0).permutation(data.n))
     one, two = (explored(fit(base_model(NINE), d), asked()) for d in (data, mixed))
     assert one.posterior.probability[0] == pytest.approx(two.posterior.probability[0], rel=1e-6)
-
-
-def test_the_linear_solution_is_the_fit_where_all_is_linear() -> None:
-    one = found()
-    said = concluded(one.problem, one.posterior).hypothesis
-    linear = solved(one.problem, one.posterior.grams, said)
-    again = fit(linear.model, one.base.observations, start=linear.theta, shrink=linear.shrink)
-    off = np.abs(again.theta - linear.theta) / np.sqrt(np.diag(linear.covariance))
-    assert off.max() < 0.2
 
 
 RECORDED_G, HOUR = 9.80665, 3600.0

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-import zstandard
 from mcap.reader import make_reader
 from mcap.writer import CompressionType
 from mcap_ros2.decoder import DecoderFactory
@@ -21,7 +18,6 @@ from imucalib.recording.mapping import FieldMapping, from_dict
 from imucalib.recording.recording import Recording
 from worlds.mcap_logs import (
     HEADER_ROS2,
-    IMU_ROS1,
     SEPARATOR,
     START,
     Reading,
@@ -29,14 +25,12 @@ from worlds.mcap_logs import (
     official_cdr,
     packed,
     readings,
-    ros1,
     same_bits,
     values,
     write_log,
 )
 
 COMPRESSIONS = [CompressionType.NONE, CompressionType.LZ4, CompressionType.ZSTD]
-ROS1 = ("sensor_msgs/Imu", "ros1msg", IMU_ROS1.encode())
 
 
 def official(path: Path, topic: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -105,24 +99,6 @@ def test_every_plain_cdr(tmp_path: Path, order: str, version: int, frame: str) -
     assert recording.start_ns == START
     if version == 1:
         assert_equals_official(recording, tmp_path / "a.mcap", ["/imu"])
-
-
-@pytest.mark.parametrize("frame", ["imu", "imulink"])
-@pytest.mark.parametrize(
-    ("pack", "options"),
-    [
-        (ros1, {"schema": ROS1, "encoding": "ros1"}),
-        (lambda r: zstandard.compress(cdr(r)), {}),  # as rosbag2 compresses message by message
-    ],
-)
-def test_other_packings(
-    pack: Callable[[Reading], bytes], options: dict[str, Any], frame: str, tmp_path: Path
-) -> None:
-    rows = readings(300, frame=frame)
-    path = write_log(tmp_path / "a.mcap", {"/imu": packed(rows, pack)}, **options)
-    recording = read(path, strict=True)
-    assert same_bits(recording.channels["imu0/acceleration"].values, values(rows, "acc"))
-    assert recording.start_ns == START
 
 
 def test_split_topics_become_one_triad(tmp_path: Path) -> None:
@@ -273,40 +249,6 @@ float64[3] acc
     mapping = FieldMapping(acc=("/b:samples.0.acc",), time="samples.0.header.stamp")
     recording = read(path, mapping, strict=True)
     assert same_bits(recording.channels["imu0/acceleration"].values, values(rows, "acc"))
-    assert recording.start_ns == START
-
-
-def test_protobuf_by_names(tmp_path: Path) -> None:
-    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
-
-    files = descriptor_pb2.FileDescriptorSet()
-    timestamp_pb2.DESCRIPTOR.CopyToProto(files.file.add())
-    file = files.file.add(name="imu.proto", package="p", syntax="proto3")
-    file.dependency.append("google/protobuf/timestamp.proto")
-    vector = file.message_type.add(name="Vector")
-    for i, axis in enumerate("xyz", 1):
-        vector.field.add(name=axis, number=i, type=1, label=1)
-    imu = file.message_type.add(name="Imu")
-    kinds = [("timestamp", ".google.protobuf.Timestamp"), ("acceleration", ".p.Vector")]
-    kinds.append(("angular_velocity", ".p.Vector"))
-    for i, (name, kind) in enumerate(kinds, 1):
-        imu.field.add(name=name, number=i, type=11, label=1, type_name=kind)
-    pool = descriptor_pool.DescriptorPool()
-    for part in files.file:
-        pool.Add(part)
-    make = message_factory.GetMessageClass(pool.FindMessageTypeByName("p.Imu"))
-    rows = readings(150)
-    pairs = []
-    for r in rows:
-        vectors = [dict(zip("xyz", v, strict=True)) for v in (r.acc, r.gyro)]
-        stamp = {"seconds": r.ns // 10**9, "nanos": r.ns % 10**9}
-        built = make(timestamp=stamp, acceleration=vectors[0], angular_velocity=vectors[1])
-        pairs.append((r.ns + 5, built.SerializeToString()))
-    schema = ("p.Imu", "protobuf", files.SerializeToString())
-    path = write_log(tmp_path / "a.mcap", {"/imu": pairs}, schema=schema, encoding="protobuf")
-    recording = read(path, FieldMapping(gyro_unit="rad/s"))
-    assert same_bits(recording.channels["imu0/acceleration"].values, values(rows, "acc"))
-    assert same_bits(recording.channels["imu0/angular_rate"].values, values(rows, "gyro"))
     assert recording.start_ns == START
 
 

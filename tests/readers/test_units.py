@@ -24,7 +24,6 @@ from imucalib.recording.mapping import FieldMapping, from_dict
 from imucalib.recording.recording import Recording
 from imucalib.units import ACCELERATION_UNITS, DEG, RATE_UNITS
 from worlds.every_format import WRITE
-from worlds.places import MEASURED
 from worlds.turned import turned
 
 ROWS, RATE = 600, 100.0
@@ -206,15 +205,6 @@ def test_degrees_called_radians_are_refused_with_what_reads_them(
     np.testing.assert_allclose(found.channels["imu0/angular_rate"].values, rate, atol=1e-4)
 
 
-@pytest.mark.parametrize("true", ["rad/s", "mdeg/s", "mrad/s"])
-def test_any_unit_called_another_is_refused(true: str, tmp_path: Path) -> None:
-    t, acc, rate = turned(turns=4)
-    path = WRITE["csv"](tmp_path, t, acc, rate / RATE_UNITS[true])
-    with pytest.raises(UnreadableInput, match="gyro-unit"):
-        readers.read(path, FieldMapping(gyro_unit="deg/s"))
-    readers.read(path, FieldMapping(gyro_unit=true))
-
-
 @pytest.mark.parametrize("true", ["rad/s", "deg/s", "mdeg/s"])
 def test_a_unit_that_nobody_states_is_named_where_turns_prove_it(true: str, tmp_path: Path) -> None:
     t, acc, rate = turned()
@@ -228,17 +218,6 @@ def test_a_unit_that_nobody_states_is_named_where_turns_prove_it(true: str, tmp_
     again = readers.read(path, FieldMapping(gyro_unit=true))
     np.testing.assert_allclose(again.channels["imu0/angular_rate"].values, rate, atol=1e-6)
     assert not [note for note in again.notes if "--gyro-unit" in note]
-
-
-@pytest.mark.parametrize("name", ["imu0.log.gz", "imu1.log.gz"])
-def test_a_measured_log_proves_its_unit(name: str) -> None:
-    mapping = FieldMapping(
-        acc=("1", "2", "3"), gyro=("4", "5", "6"), rate=100.0, header=False, acc_unit="m/s2",
-        gyro_unit="rad/s",
-    )  # fmt: skip
-    readers.read(MEASURED / name, mapping)
-    with pytest.raises(UnreadableInput, match="--gyro-unit rad/s"):
-        readers.read(MEASURED / name, replace(mapping, gyro_unit="deg/s"))
 
 
 _LEVEL, _SCALE = np.array([33123.0, 33276.0, 32360.0]), np.array([4076.0, 4006.0, 4052.0])
@@ -342,29 +321,3 @@ def test_a_counter_that_wraps_is_unrolled(
     parts = list(readers.blocks(path, block_samples=64))
     t = np.concatenate([p.channels["imu0/acceleration"].t for p in parts])
     np.testing.assert_allclose(t - t[0], true, atol=1e-5)
-
-
-def _two_tools(folder: Path, *, time: bool = True) -> Path:
-    lines = ["serial,id," + "time (s)," * time + "acc_x (m/s2),acc_y (m/s2),acc_z (m/s2)"]
-    for k, a in enumerate(acc().tolist()):
-        name, number = ("A12", "1.0") if k < 400 // 2 else ("B07", "2.0")
-        stamp = [f"{0.01 * k:.2f}"] * time
-        lines.append(",".join([name, number, *stamp, *map(repr, a)]))
-    path = folder / "two.csv"
-    path.write_text("\n".join(lines) + "\n")
-    return path
-
-
-@pytest.mark.parametrize("where", ["serial=B07", "id=2", "1=B07"])
-@pytest.mark.parametrize("time", [True, False])
-def test_rows_are_selected_by_a_value(where: str, time: bool, tmp_path: Path) -> None:
-    path = _two_tools(tmp_path, time=time)
-    mapping = FieldMapping(where=(where,), rate=None if time else 100.0)
-    found = readers.read(path, mapping)
-    np.testing.assert_array_equal(found.channels["imu0/acceleration"].values, acc()[400 // 2 :])
-    assert not any("serial" in note for note in found.notes)
-    again = readers.read(path, from_dict(found.mapping))
-    np.testing.assert_array_equal(again.channels["imu0/acceleration"].values, acc()[400 // 2 :])
-    parts = list(readers.blocks(path, mapping, block_samples=30))
-    values = np.concatenate([p.channels["imu0/acceleration"].values for p in parts])
-    np.testing.assert_array_equal(values, acc()[400 // 2 :])

@@ -84,25 +84,6 @@ def test_frozen_and_clipped_samples_are_left_out() -> None:
     assert any("clipped" in n for n in found.notes)
 
 
-def test_temperature_and_rate_come_along() -> None:
-    recording, spans = tumble(8, 5)
-    acc = recording.channels["imu0/acceleration"]
-    gyro = np.random.default_rng(0).normal([0.01, -0.02, 0.03], 0.002, acc.values.shape)
-    slow = np.arange(0.0, acc.t[-1], 1.0)
-    channels = {
-        "imu0/acceleration": acc,
-        "imu0/angular_rate": Channel(acc.t, gyro, "rad/s", "angular_rate", "imu0", RATE),
-        "imu0/temperature": Channel(
-            slow, 20.0 + 0.1 * slow[:, None], "degC", "temperature", "imu0", 1.0
-        ),
-    }
-    found = still_segments(Recording(channels, "", "", ""))
-    assert found.n == len(spans)
-    np.testing.assert_allclose(found.rate.mean(axis=(0, 1)), [0.01, -0.02, 0.03], atol=5e-4)
-    middle = 0.5 * (found.start + found.stop)
-    np.testing.assert_allclose(found.temperature[:, 0], 20.0 + 0.1 * middle, atol=0.01)
-
-
 @pytest.mark.parametrize("name", ["imu0.log.gz", "imu1.log.gz"])
 def test_rests_of_the_tumble_logs(name: str) -> None:
     mapping = FieldMapping(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
@@ -12,7 +10,6 @@ from imucalib.calibrators.actigraph import errors
 from imucalib.calibrators.actigraph.observations import (
     observations_of,
     robust_fit,
-    weighted,
 )
 from imucalib.calibrators.actigraph.simulation import scan_of
 from imucalib.calibrators.actigraph.wear import (
@@ -22,10 +19,7 @@ from imucalib.calibrators.actigraph.wear import (
     closest_point,
     wear_of,
 )
-from imucalib.core.effect import Context
 from imucalib.core.model import Model
-from imucalib.core.observations import Observations
-from imucalib.core.references import KnownNorm
 from imucalib.effects import named
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.runs import PostureRuns, Scan, scan
@@ -163,35 +157,3 @@ def test_night_is_the_least_active_part_of_the_clock() -> None:
     assert found.night_error == pytest.approx((4.0, 1.0))
     few = Minutes(minute[:600], minutes.count[:600], minutes.raw[:600], minutes.corrected[:600])
     assert activity_of(few, wear, 0.0, errors, at).night is None
-
-
-N = 600
-
-
-def world(between: float, seed: int) -> tuple[SimpleNamespace, SimpleNamespace, np.ndarray]:
-    """Runs of 1 to 40 windows whose |a| is off by `between` (m/s²) and their noise, ten of them by
-    thirty times that; the sd of each."""
-    rng = np.random.default_rng(seed)
-    windows = rng.integers(1, 41, N)
-    runs = SimpleNamespace(n=N, windows=windows, window_noise=4.0 * MG * np.ones(N),
-                           noise=np.full(3, 5.0 * MG), resolution=np.full(3, MG))  # fmt: skip
-    sd = np.hypot(between, 4.0 * MG / np.sqrt(windows))
-    misfit = sd * rng.standard_normal(N)
-    misfit[:10] = 30.0 * sd[:10]
-    data = Observations(np.zeros((N, 1, 3)), np.ones((N, 1, 3)), KnownNorm(N, 9.8), Context(N),
-                        np.arange(N), tuple(map(str, range(N))))  # fmt: skip
-    declared = rng.uniform(0.5, 2.0, N)
-    at = SimpleNamespace(residual=misfit / declared, sigma=declared[:, None] * np.ones((N, 3)))
-    return SimpleNamespace(at=at, observations=data), runs, sd
-
-
-@pytest.mark.parametrize("mg", [0.3, 1.0, 3.0, 30.0])
-def test_what_runs_differ_by_is_told_from_their_noise(mg: float) -> None:
-    """The scatter of the size of 600 numbers' median square is 4 %."""
-    fit, runs, sd = world(mg * MG, round(10 * mg))
-    found, heavy = weighted(fit, runs)  # type: ignore[arg-type]
-    usual = found.sigma[10:, 0, 0] / sd[10:]
-    assert np.median(usual) == pytest.approx(1.0, abs=0.12)
-    assert 10 <= heavy <= 12
-    # What is beyond four deviations counts as one at four.
-    np.testing.assert_allclose(30.0 * sd[:10] / found.sigma[:10, 0, 0], 4.0, rtol=1e-3)

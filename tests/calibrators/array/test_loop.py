@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 from gates.bounds import at_most
-from imucalib.calibrators.array.effect_blocks import effect_blocks
-from imucalib.calibrators.array.findings import array_findings
 from imucalib.calibrators.array.loop.catalogue import Scope, array_catalogue, named_effect
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop
 from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
@@ -15,7 +13,6 @@ from imucalib.errors import UsageError
 from imucalib.estimators.array.gram import Columns, gram
 from imucalib.estimators.array.noise import Squares, chosen_noise, plain_noise
 from imucalib.estimators.array.samples import Readings, Weights, fit_samples
-from imucalib.significant_digits import plus_minus
 from worlds.array import corners, skew
 from worlds.array_stories import BOARD, STORIES, closed, named, planted_log, positions_z
 from worlds.places import ROOT
@@ -42,26 +39,6 @@ def test_a_planted_error_is_named(name: str) -> None:
 def test_clean_logs_are_left_alone_as_often_as_stated() -> None:
     again = [closed(planted_log("clean", seed)[0], 150) for seed in range(20, 60)]
     assert sum(bool(found.steps) for found in again) <= at_most(40, 0.05).most
-
-
-@pytest.mark.slow
-def test_sizes_come_with_their_uncertainty() -> None:
-    found = closed(planted_log("common gyro delay, 1 ms", 3)[0], 200)
-    term = next(t for t in found.final.found if t.name == "gyro_delay")
-    sd = float(found.final.sd_of(term)[0])
-    assert sd < 0.05
-    assert abs(float(term.theta[0]) - 1.0) < 4.0 * sd
-    _page_and_file_agree(found)
-
-
-def _page_and_file_agree(found: MotionLoop) -> None:
-    """What the page says of an effect is what calibration.yaml has."""
-    blocks = {block["effect"]: block["parameters"] for block in effect_blocks(found)}
-    alone = [s for s in array_findings(found).steps if len(blocks.get(s.effect, ())) == 1]
-    assert alone
-    for step in alone:
-        (one,) = blocks[step.effect]
-        assert step.size == plus_minus(one["value"], one["sd"], one["unit"])
 
 
 def squares(errors: np.ndarray) -> Squares:

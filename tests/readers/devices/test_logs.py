@@ -9,7 +9,6 @@ import struct
 import time
 import zipfile
 import zlib
-from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from functools import reduce
 from operator import xor
@@ -18,8 +17,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imucalib.errors import ImucalError, UnreadableInput
-from imucalib.readers import blocks, read
+from imucalib.errors import UnreadableInput
+from imucalib.readers import read
 from imucalib.recording.recording import Channel, Recording
 from imucalib.units import DEG, STANDARD_GRAVITY
 from worlds.logger_files import (
@@ -119,25 +118,6 @@ def test_values_clock_and_unit_under_any_name(name: str, ending: str, tmp_path: 
     assert found.gaps == ()
     assert name.startswith(found.format)
     assert force(found).unit == "m/s2"
-
-
-@BY_FORMAT
-@pytest.mark.parametrize("size", [130, 700])
-def test_blocks_do_not_matter(name: str, size: int, tmp_path: Path) -> None:
-    path = saved(tmp_path, FILES[name][0])
-    parts = [force(block) for block in blocks(path, block_samples=size)]
-    assert len(parts) > 3
-    whole = force(read(path))
-    np.testing.assert_array_equal(np.concatenate([p.values for p in parts]), whole.values)
-    np.testing.assert_allclose(np.concatenate([p.t for p in parts]), whole.t, atol=1e-9)
-
-
-@pytest.mark.parametrize("name", ["cwa", "geneactiv"])
-def test_a_packed_file_is_the_same(name: str, tmp_path: Path) -> None:
-    found = read(saved(tmp_path, gzip.compress(FILES[name][0])), strict=True)
-    np.testing.assert_allclose(in_g(found), FILES[name][2], rtol=1e-12)
-    warm = found.channels["imu0/temperature"].values[:4, 0]
-    np.testing.assert_allclose(warm, 25.0 if name == "cwa" else 20 + np.arange(4) / 10)
 
 
 def test_what_a_format_fixes_is_never_refused_by_a_guess(tmp_path: Path) -> None:
@@ -310,24 +290,6 @@ def test_a_file_that_breaks_off_gives_what_comes_before(harm: str, tmp_path: Pat
     assert any(part in note for note in found.notes for part in words.split("|"))
     with pytest.raises(UnreadableInput, match=words):
         read(path, strict=True)
-
-
-@pytest.mark.parametrize("piped", [False, True])
-def test_an_archive_that_was_cut_gives_what_comes_before(piped: bool, tmp_path: Path) -> None:
-    true, sizes = MANY[:600] / 256, set[int]()
-    whole = gt3x(seconds_of(MANY[:600], list(range(20))), piped=piped)
-    for size in range(0, len(whole) - 1, 97):
-        path = saved(tmp_path, whole[:size], "cut.gt3x")
-        with suppress(ImucalError):
-            found = read(path)
-            assert any("breaks off" in n or "lost its directory" in n for n in found.notes)
-            values = in_g(found)
-            np.testing.assert_allclose(values, true[: len(values)], rtol=1e-12)
-            sizes.add(len(values))
-            with pytest.raises(UnreadableInput):
-                read(path, strict=True)
-    assert max(sizes) == len(true)
-    assert len(sizes) > 5
 
 
 @pytest.mark.parametrize(

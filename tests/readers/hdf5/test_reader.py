@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import time
-import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -242,18 +240,6 @@ def test_every_cut_of_a_matlab_file_is_told(tmp_path: Path) -> None:
             read(path)
 
 
-@pytest.mark.slow
-def test_a_matlab_file_made_to_cost_ends_soon(tmp_path: Path) -> None:
-    path = tmp_path / "a.mat"
-    savemat(path, {"acc": np.zeros((1 << 22, 3))}, do_compression=True)
-    assert path.stat().st_size < 1 << 18
-    start = time.process_time()
-    with pytest.raises(UnreadableInput, match="claim"):
-        read(path)
-    assert time.process_time() - start < 5.0
-    assert zlib.crc32(path.read_bytes())  # nothing wrote to it
-
-
 ABSENT_N, CHUNK = 2000, 100
 ABSENT_TRUTH = np.array([0.1, -0.2, 9.75]) + np.random.default_rng(0).normal(
     scale=0.02, size=(ABSENT_N, 3)
@@ -301,19 +287,6 @@ def test_chunks_that_were_never_written_are_missing(of: str, absent: slice, tmp_
     assert sum(c.t.size for p in parts for c in p.channels.values()) == ABSENT_N - 100 * (
         (absent.stop - absent.start) // 100
     )
-
-
-def test_storage_that_was_never_filled_is_missing(tmp_path: Path) -> None:
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        for name in ("left", "right"):
-            sensor = file.create_dataset(f"{name}/acc", shape=(ABSENT_N, 3), dtype="f8")
-            sensor.attrs["units"] = "m/s2"
-            file[name].attrs["rate"] = 100.0
-            if name == "left":
-                sensor[...] = ABSENT_TRUTH
-    found = readers.read(tmp_path / "a.h5")
-    assert list(found.channels) == ["left/acceleration"]
-    assert any("/right/acc: rows 0 to 1999" in note for note in found.notes)
 
 
 def virtual(path: Path, source: str) -> Path:
