@@ -8,11 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imucalib import cli
 from imucalib.arrays import Array
 from imucalib.calibration import apply as application
 from imucalib.calibration.apply import apply_to_recording
@@ -42,6 +40,7 @@ from imucalib.rests.thermal import (
     with_thermometer,
 )
 from imucalib.units import MG, STANDARD_GRAVITY
+from worlds.command import run
 from worlds.sheets import Sheet, direction
 from worlds.week import WeekPlan, simulated_week
 
@@ -101,18 +100,8 @@ def test_a_lag_is_undone_in_blocks_as_in_memory(
             application, "blocks", lambda *a, s=size, **k: blocks(*a, block_samples=s, **k)
         )
         target = tmp_path / f"out{size}.csv"
-        arguments = [
-            "apply",
-            str(folder / "calibration.yaml"),
-            str(path),
-            "-o",
-            str(target),
-            "-q",
-            "--time-unit",
-            "s",
-        ]
-        result = CliRunner().invoke(cli.cli, arguments, standalone_mode=False)
-        assert result.exception is None
+        done = run("apply", folder / "calibration.yaml", path, "-o", target, "--time-unit", "s")
+        assert done.exception is None
         got = read(target, SECONDS).channels["imu0/acceleration"].values
         assert np.allclose(got, whole, rtol=0.0, atol=1e-6)
 

@@ -11,12 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from imucalib.calibration.file import read
 from imucalib.calibrators.lab.files import LabFiles
 from imucalib.calibrators.lab.request import LabRequest
-from imucalib.cli import cli
 from imucalib.cohort.fleet.outcome import Fleet, outliers, spread_of
 from imucalib.cohort.fleet.pooled import (
     Device,
@@ -25,6 +23,7 @@ from imucalib.cohort.fleet.pooled import (
 from imucalib.cohort.fleet.run import run_fleet
 from imucalib.cohort.fleet.search import Rules
 from imucalib.errors import UsageError
+from worlds.command import run
 from worlds.places import SAMPLES
 
 REQUEST = replace(LabRequest(), reference="norm")
@@ -131,12 +130,9 @@ def test_a_device_of_another_kind_and_a_bad_table_are_told(tmp_path: Path) -> No
 
 @pytest.mark.slow
 def test_five_cave_instruments_have_squares(tmp_path: Path) -> None:
-    tables = [str(SAMPLES / f"cave_{name}.csv") for name in ("ab", "ai", "bi", "fb", "jd")]
+    tables = [SAMPLES / f"cave_{name}.csv" for name in ("ab", "ai", "bi", "fb", "jd")]
     out = tmp_path / "fleet"
-    done = CliRunner().invoke(
-        cli, ["fleet", *tables, "--reference", "norm", "-o", str(out), "--draws", "199"],
-        standalone_mode=False,
-    )  # fmt: skip
+    done = run("fleet", *tables, "--reference", "norm", "-o", out, "--draws", "199")
     headline = " ".join(done.stdout.split())
     assert "Explained: all devices have quadratic or asymmetry or cross axis" in headline
     page = (out / "report.html").read_text(encoding="utf-8")
@@ -147,7 +143,7 @@ def test_five_cave_instruments_have_squares(tmp_path: Path) -> None:
     for name in ("ab", "jd"):
         stored = read(out / f"cave_{name}" / "calibration.yaml")
         assert {p.effect for p in stored.parameters} >= {"bias", "quadratic"}
-    again = CliRunner().invoke(cli, ["fleet", *tables, "-o", str(out)], standalone_mode=False)
+    again = run("fleet", *tables, "-o", out)
     assert "not empty" in str(again.exception)
 
 

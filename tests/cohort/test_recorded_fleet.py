@@ -12,19 +12,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.file import read, to_yaml
 from imucalib.calibration.sums import KEY
 from imucalib.calibrators.population import read as read_population
-from imucalib.cli import cli
 from imucalib.cohort.fleet.outcome import Fleet
 from imucalib.cohort.fleet.recorded import Wanted, run_recorded
 from imucalib.cohort.fleet.search import Rules
 from imucalib.core.effect import Context
 from imucalib.effects import named
 from imucalib.errors import UnreadableInput, UsageError
+from worlds.command import run
 
 NINE = ("bias", "scale", "non_orthogonality")
 BASE = [(e, p) for e in NINE for p in named(e).parameters(Context(1))]
@@ -168,8 +167,7 @@ def test_folders_give_each_device_its_calibration_with_the_fleets_effects(tmp_pa
         content = report(f"w{k}.csv", device(rng), np.r_[2.5, 2.5, 2.5, 0.0, 0.0, 0.0], k)
         folders.append(str(folder_of(tmp_path / f"w{k}", content)))
     out = tmp_path / "fleet"
-    arguments = ["fleet", *folders, "-o", str(out), "--draws", "199"]
-    done = CliRunner().invoke(cli, arguments, standalone_mode=False)
+    done = run("fleet", *folders, "-o", out, "--draws", "199")
     assert "all devices have temperature bias" in " ".join(done.stdout.split()), done.exception
     stored = read(out / "w3" / "calibration.yaml")
     assert {p.effect for p in stored.parameters} == {*NINE, "temperature_bias"}
@@ -181,8 +179,7 @@ def test_folders_give_each_device_its_calibration_with_the_fleets_effects(tmp_pa
     assert read_population(out / "fleet.yaml").effects == ("temperature_bias",)
     content = json.loads((out / "report.json").read_text())
     assert content["devices"][3]["recordings"][0]["input"] == "w3.csv"
-    valid = CliRunner().invoke(cli, ["validate", str(out / "w3" / "calibration.yaml")])
-    assert valid.exit_code == 0
+    assert run("validate", out / "w3" / "calibration.yaml").exception is None
 
 
 def test_what_cannot_be_pooled_is_told(tmp_path: Path) -> None:
@@ -226,7 +223,7 @@ def test_input_that_makes_no_fleet_says_why(
     (tmp_path / "empty").mkdir()
     Path("table.csv").write_text("a,b\n1,2\n")
     Path("other.csv").write_text("recording,device\none.csv,x\n")
-    done = CliRunner().invoke(cli, ["fleet", *arguments], standalone_mode=False)
+    done = run("fleet", *arguments)
     assert isinstance(done.exception, UnreadableInput | UsageError)
     assert message in str(done.exception)
 

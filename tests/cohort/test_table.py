@@ -7,17 +7,15 @@ import json
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
-from imucalib import cli
 from imucalib.cohort.entries import Entry, quality_of, rows, write_table
+from worlds.command import run
 from worlds.places import SAMPLES
 
 
 @pytest.mark.slow
 def test_a_row_tells_a_manager_what_to_know() -> None:
-    arguments = ["actigraph", str(SAMPLES / "wrist_day.csv.gz"), "--no-loop", "--json", "-q"]
-    done = CliRunner().invoke(cli.cli, arguments, standalone_mode=False)
+    done = run("actigraph", SAMPLES / "wrist_day.csv.gz", "--no-loop", "--json", "-q")
     report = json.loads(done.stdout)
     found = quality_of(report)
     assert found["rate_hz"] == 1.0

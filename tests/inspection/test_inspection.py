@@ -8,16 +8,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from ruamel.yaml import YAML
 
-from imucalib import cli, readers, writers
+from imucalib import readers, writers
 from imucalib.arrays import Array
 from imucalib.inspection.inspection import inspect_recording
 from imucalib.inspection.noise import AllanCurve, AllanSums, identified
 from imucalib.recording.recording import Channel, Gap, Recording
 from imucalib.units import DEG, STANDARD_GRAVITY
 from imucalib.writers import write
+from worlds.command import run
 from worlds.places import ROOT
 
 RATE = 100.0
@@ -177,8 +177,7 @@ def night(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_inspect_tells_it_from_the_rests(night: Path, tmp_path: Path) -> None:
     target = tmp_path / "imu.yaml"
-    arguments = ["inspect", str(night), "--noise", "--save-noise", str(target), "--json"]
-    result = CliRunner().invoke(cli.cli, arguments, standalone_mode=False)
+    result = run("inspect", night, "--noise", "--save-noise", target, "--json")
     assert result.exception is None, result.exception
     rows = json.loads(result.stdout)["noise"]
     assert [(r["quantity"], r["axis"]) for r in rows] == [

@@ -9,13 +9,11 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
 
 from imucalib import readers
 from imucalib.arrays import Array
-from imucalib.cli import cli as root
 from imucalib.errors import UnreadableInput
 from imucalib.readers import read
 from imucalib.readers.conversion import zero_g
@@ -23,6 +21,7 @@ from imucalib.readers.rates import FASTEST
 from imucalib.recording.mapping import FieldMapping, from_dict
 from imucalib.recording.recording import Recording
 from imucalib.units import ACCELERATION_UNITS, DEG, RATE_UNITS
+from worlds.command import run
 from worlds.every_format import WRITE
 from worlds.turned import turned
 
@@ -243,16 +242,15 @@ def test_a_recording_from_an_offset_is_refused_with_the_options_that_read_it(
     tmp_path: Path,
 ) -> None:
     log = _recording(tmp_path / "acc.txt")
-    refused = CliRunner().invoke(root, ["inspect", str(log)])
+    refused = run("inspect", log)
     assert isinstance(refused.exception, UnreadableInput)
     told = str(refused.exception)
     assert "counted from an offset" in told
     line = told.split("offset. ")[1].split(" counts them", maxsplit=1)[0]
     assert line.startswith("--unit counts --lsb 40")
-    run = ["lab", str(log), "--reference", "norm", "-o", str(tmp_path / "out"), "--full"]
-    read = CliRunner().invoke(root, [*run, *line.split()])
-    assert read.exit_code == 0, read.stderr
-    assert "as the recording was read" in " ".join(read.stdout.split())
+    done = run("lab", log, "--reference", "norm", "-o", tmp_path / "out", "--full", *line.split())
+    assert done.exception is None, done.stderr
+    assert "as the recording was read" in " ".join(done.stdout.split())
 
 
 @given(

@@ -6,9 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from imucalib import cli
 from imucalib.arrays import Array
 from imucalib.errors import Undetermined, UnreadableInput
 from imucalib.readers import read
@@ -17,6 +15,7 @@ from imucalib.recording.recording import Channel, Gap, Recording
 from imucalib.rests.runs import PostureRuns, posture_runs, scan
 from imucalib.rests.segments import still_segments
 from imucalib.units import MG, STANDARD_GRAVITY
+from worlds.command import run
 from worlds.places import MEASURED
 
 RATE, SIGMA = 100.0, 0.02
@@ -192,7 +191,7 @@ def test_an_epoch_file_is_named_as_what_it_is(tmp_path: Path, columns: str, comm
     path, rows = tmp_path / "epochs.csv", np.random.default_rng(0).poisson(60, (3000, 3))
     text = "\n".join(",".join(map(str, row)) for row in rows)
     path.write_text(HEAD.format("05") + columns + text + "\n", encoding="utf-8")
-    result = CliRunner().invoke(cli.cli, [command, str(path)], standalone_mode=False)
+    result = run(command, path)
     assert isinstance(result.exception, UnreadableInput)
     assert "activity counts per epoch of 00:00:05, not acceleration" in str(result.exception)
     assert ".gt3x" in str(result.exception)

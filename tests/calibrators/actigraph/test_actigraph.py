@@ -7,9 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from imucalib import cli
 from imucalib.arrays import Array
 from imucalib.calibrators.actigraph.observations import NINE
 from imucalib.calibrators.actigraph.request import ActigraphRequest
@@ -24,6 +22,7 @@ from imucalib.estimators.least_squares import fit
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.runs import WORN, posture_runs, scan
 from imucalib.units import MG, STANDARD_GRAVITY
+from worlds.command import run
 from worlds.places import SAMPLES
 from worlds.week import WeekPlan, simulated_week
 
@@ -98,8 +97,7 @@ def test_series_finds_a_change_and_nothing_without_one() -> None:
 @pytest.fixture(scope="module")
 def wrist(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, int]:
     out = tmp_path_factory.mktemp("wrist")
-    arguments = ["actigraph", str(WRIST), "-o", str(out), "-q"]
-    result = CliRunner().invoke(cli.cli, arguments, standalone_mode=False)
+    result = run("actigraph", WRIST, "-o", out, "-q")
     assert result.exception is None
     return out, result.return_value
 

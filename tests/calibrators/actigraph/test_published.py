@@ -7,9 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from imucalib import cli
 from imucalib.arrays import Array
 from imucalib.calibration.file import read as read_calibration
 from imucalib.calibrators.actigraph.published import PointCollector
@@ -29,6 +27,7 @@ from imucalib.estimators.gradient_descent import (
 )
 from imucalib.units import MG, STANDARD_GRAVITY
 from imucalib.writers import write
+from worlds.command import run
 from worlds.week import simulated_blocks
 
 
@@ -131,9 +130,8 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.slow
 @pytest.mark.parametrize("arithmetic", ["float", "int32", "int16"])
 def test_as_published_writes_and_verifies(recording: Path, tmp_path: Path, arithmetic: str) -> None:
-    arguments = ["actigraph", str(recording), "-o", str(tmp_path), "-q", "--as-published",
-                 "--arithmetic", arithmetic]  # fmt: skip
-    result = CliRunner().invoke(cli.cli, arguments, standalone_mode=False)
+    how = ("-q", "--as-published", "--arithmetic", arithmetic)
+    result = run("actigraph", recording, "-o", tmp_path, *how)
     assert result.exception is None
     assert result.return_value == 0
     report = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))

@@ -9,9 +9,8 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import Result
 
-from imucalib import cli
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.file import write
@@ -19,10 +18,11 @@ from imucalib.calibrators.array.fused.fuse import Fused
 from imucalib.calibrators.array.fused.instrument import Stretch, instrument_of
 from imucalib.calibrators.array.fused.recording import fused_stretch
 from imucalib.calibrators.array.fused.survey import NotFusable, Survey, side_by_side, survey
-from imucalib.errors import ImucalError, UsageError
+from imucalib.errors import UsageError
 from imucalib.readers import read
 from imucalib.recording.recording import Recording
 from imucalib.writers import write as write_recording
+from worlds.command import run
 from worlds.rigid_board import (
     DEG,
     Board,
@@ -185,12 +185,8 @@ class Files:
     moves: Moves
 
     def apply(self, target: str, *options: object, source: str = "log.h5") -> Result:
-        given = [self.folder / "c.yaml", self.folder / source, "-o", self.folder / target]
-        arguments = ["apply", *map(str, given), "--force", *map(str, options)]
-        result = CliRunner().invoke(cli.cli, arguments, standalone_mode=False)
-        if isinstance(result.exception, ImucalError):
-            result.return_value = result.exception.exit_code
-        return result
+        given = (self.folder / "c.yaml", self.folder / source, "-o", self.folder / target)
+        return run("apply", *given, "--force", *options)
 
 
 @pytest.fixture(scope="module")
