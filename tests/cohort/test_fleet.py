@@ -77,20 +77,6 @@ def test_what_no_device_shows_alone_is_found_in_all(eight: Fleet) -> None:
 
 
 @pytest.mark.slow
-def test_each_device_has_its_own_size_with_its_doubt(tmp_path: Path) -> None:
-    planted = squares(8, 2.0)
-    request = replace(REQUEST, only=("quadratic",))
-    paths = [write(tmp_path / f"d{k}.csv", q, 100 + k) for k, q in enumerate(planted)]
-    found = run_fleet([LabFiles(p) for p in paths], request, RULES, lambda _: None)
-    z = []
-    for member, truth in zip(found.members, planted, strict=True):
-        own = [p for p in member.recordings[0].calibration.parameters if p.effect == "quadratic"]
-        z += [(p.value - q) / p.sd for p, q in zip(own, truth, strict=True)]
-    assert len(z) == 24
-    assert 0.6 < np.sqrt(np.mean(np.square(z))) < 1.5
-
-
-@pytest.mark.slow
 def test_devices_by_directions_are_a_fleet_too(tmp_path: Path) -> None:
     """Where each row's direction is known, a device has a mounting too, and squares are found."""
     paths = [write(tmp_path / f"d{k}.csv", q, 100 + k, directed=True)

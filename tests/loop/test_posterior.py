@@ -98,24 +98,6 @@ def test_the_evidence_is_that_of_the_joint_normal() -> None:
     assert gain == pytest.approx(density(whole + size**2 * c @ c.T) - density(whole), rel=1e-6)
 
 
-def test_rows_left_out_are_as_good_as_never_taken() -> None:
-    one = found()
-    problem, grams = one.problem, one.posterior.grams.of(np.array([0]))
-    rows = np.array([3, 7, 21])
-    kept = swept(without(grams, problem, rows), problem.flat)
-    n = len(problem.fit.at.owner)
-    inverse = grams.solves[0](np.eye(n))
-    rest = np.setdiff1d(np.arange(n), np.flatnonzero(np.isin(problem.owner, rows)))
-    alone = np.linalg.inv(np.linalg.inv(inverse)[np.ix_(rest, rest)])
-    z = problem.columns[rest]
-    a = z.T @ alone @ z
-    b = a[: problem.base]
-    a = a - b.T @ np.linalg.solve(b[:, : problem.base], b)
-    assert kept.power[0] == pytest.approx(a[-1, -1], rel=1e-6)
-    own = problem.choices[0].at
-    np.testing.assert_allclose(kept.along[0, own], a[own, -1], rtol=1e-6, atol=1e-9)
-
-
 def test_no_effect_s_name_stands_in_the_room() -> None:
     """Nothing here knows a single effect: what is wrong of one is its prior or its columns."""
     room = Path(imucalib.__file__).parent / "loop" / "posterior"

@@ -2,57 +2,17 @@
 
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
 import pytest
 
 from imucalib.arrays import Array
-from imucalib.core.effect import Context
-from imucalib.core.observations import Observations
-from imucalib.core.references import KnownNorm
-from imucalib.effects import catalogue
-from imucalib.loop.candidates import Searched
-from imucalib.loop.found import FitLoop
-from imucalib.loop.posterior.closed import close_loop
 from imucalib.loop.separation import (
     CERTAIN,
     FEWEST,
     Ambiguity,
-    ambiguities,
     apart,
     separation,
 )
-from imucalib.units import MG
-from worlds.bench import base_model
-
-G = 9.80665
-NAMES = ("quadratic", "asymmetry", "cross_axis")
-
-
-@cache
-def searched(seed: int = 3, noise: float = 0.3) -> FitLoop:
-    """Twenty-four attitudes of a sensor with squares, by the size of gravity."""
-    rng = np.random.default_rng(seed)
-    z = 1.0 - (2.0 * np.arange(24) + 1.0) / 24
-    turn = 2.399963 * np.arange(24)
-    u = np.column_stack([np.sqrt(1.0 - z**2) * np.cos(turn), np.sqrt(1.0 - z**2) * np.sin(turn), z])
-    reading = 1000.0 * u + np.array([12.0, -9.0, 20.0]) + np.array([3.0, -2.5, 3.5]) * u**2
-    reading = (reading + noise * rng.standard_normal((24, 3)))[:, None] * MG
-    context = Context(24, {"order": np.linspace(0.0, 1.0, 24)})
-    label = tuple(f"row {k + 1}" for k in range(24))
-    data = Observations(
-        reading, np.full((24, 1, 3), MG), KnownNorm(24, G), context, np.arange(24), label
-    )
-    model = base_model(("bias", "scale", "non_orthogonality"))
-    effects = {name: catalogue()[name] for name in NAMES}
-    return close_loop(model, data, Searched(effects, ())).loop
-
-
-def ambiguity() -> Ambiguity:
-    found = ambiguities(searched().final, searched().alternatives)
-    assert len(found) == 1
-    return found[0]
 
 
 def columns(u: Array) -> dict[str, Array]:
@@ -65,32 +25,6 @@ def columns(u: Array) -> dict[str, Array]:
         "asymmetry": 2.0 * u * np.abs(u),
         "cross_axis": 3.0 * np.column_stack([u[:, i] ** 2 * u[:, j] for i, j in cross]),
     }
-
-
-def pool(directions: Array, one: Ambiguity) -> Array:
-    """Rests by hand, in the units of the recording's noise."""
-    scale = searched().final.noise.factor
-    parts = columns(directions)
-    names = ["base", *one.blocks]
-    rows = np.column_stack([parts[name] for name in names]) / scale
-    return rows[:, :, None] * rows[:, None]
-
-
-def grid() -> Array:
-    rng = np.random.default_rng(1)
-    u = rng.standard_normal((150, 3))
-    return u / np.linalg.norm(u, axis=1, keepdims=True)
-
-
-def test_products_are_those_of_columns_by_hand() -> None:
-    one, u = ambiguity(), searched().final.observations.reading[:, 0]
-    u = u / np.linalg.norm(u, axis=1, keepdims=True)
-    parts = columns(u)
-    rows = np.column_stack([parts[name] for name in ("base", *one.blocks)])
-    rows = rows / searched().final.noise.factor
-    size = np.sqrt(np.diag(rows.T @ rows))
-    away = (one.gram - rows.T @ rows) / np.outer(size, size)
-    assert np.abs(away).max() < 0.12  # the bias of some 25 mg turns what is along the reading
 
 
 def linear(seed: int, numbers: int, near: float, size: float) -> tuple[Ambiguity, Array]:
@@ -141,18 +75,6 @@ def test_what_is_promised_is_had(count: int) -> None:
         left = [float(np.linalg.lstsq(every[:, [0, 1, k]], y, rcond=None)[1][0]) for k in (2, 3)]
         certain += (left[1] - left[0]) / 2.0 > CERTAIN
     assert promised == pytest.approx(certain / 1000, abs=0.06)
-
-
-def test_a_plan_beats_random_rests() -> None:
-    one = ambiguity()
-    seen = pool(grid(), one)
-    made = separation(one, seen)
-    able = [k for k, pair in enumerate(one.pairs) if pair in made.pairs]
-    rng = np.random.default_rng(0)
-    for _ in range(20):
-        some = rng.integers(0, len(seen), len(made.plan))
-        other = apart(one, one.gram + seen[some].sum(axis=0))[able]
-        assert made.then.min() > 1.1 * np.quantile(other, 0.15, axis=-1).min()
 
 
 @pytest.mark.parametrize("hidden", [1e-3, 1e-8, 1e-13, 0.0])

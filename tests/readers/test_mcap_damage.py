@@ -127,22 +127,6 @@ def test_losing_the_chunk_that_defines_the_topic(tmp_path: Path) -> None:
         read(path)
 
 
-def test_a_chunk_of_zeros_and_a_zero_tail(tmp_path: Path) -> None:
-    path = imu_log(tmp_path / "a.mcap", 1000)
-    data, (start, stop) = bytearray(path.read_bytes()), chunk_spans(path)[2]
-    whole = len(messages(path)[0])
-    lost = len(by_chunk(path)[2])
-    data[start:stop] = bytes(stop - start)
-    path.write_bytes(data)
-    found, scanner = messages(path)
-    assert len(found) == whole - lost
-    assert scanner.damages[0].offset == start
-    path.write_bytes(bytes(data) + bytes(4096))
-    found, scanner = messages(path)
-    assert len(found) == whole - lost
-    assert any("closing magic" in damage.reason for damage in scanner.damages)
-
-
 def test_unchunked_file_resumes_after_damage(tmp_path: Path) -> None:
     path = imu_log(tmp_path / "a.mcap", 300, use_chunking=False)
     intact, _ = messages(path)

@@ -47,14 +47,6 @@ def case(seed: int, noise: float = 1e-3, off_diagonal: float = 0.05) -> tuple[Ar
     return p, np.array(points.points)
 
 
-@pytest.mark.slow
-def test_descent_finds_the_sensor_up_to_its_slow_misalignment() -> None:
-    error = np.array([np.abs(np.subtract(descend(x), p)) for p, x in map(case, range(40))])
-    # Measured over 500 cases: 7.6e-4, 1.7e-3 and 6.9e-4 after 50 iterations at 1 mg.
-    for part, mark in zip(np.split(error.mean(axis=0), 3), (7.6e-4, 1.7e-3, 6.9e-4), strict=True):
-        assert 0.6 * mark < part.mean() < 1.6 * mark
-
-
 def test_the_printed_sum_diverges_and_the_mean_does_not() -> None:
     _, points = case(1)
     p = START.copy()

@@ -11,7 +11,6 @@ from imucalib.calibrators.array.loop.closed_loop import MotionLoop
 from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
 from imucalib.errors import UsageError
 from imucalib.estimators.array.gram import Columns, gram
-from imucalib.estimators.array.noise import Squares, chosen_noise, plain_noise
 from imucalib.estimators.array.samples import Readings, Weights, fit_samples
 from worlds.array import corners, skew
 from worlds.array_stories import BOARD, STORIES, closed, named, planted_log, positions_z
@@ -39,29 +38,6 @@ def test_a_planted_error_is_named(name: str) -> None:
 def test_clean_logs_are_left_alone_as_often_as_stated() -> None:
     again = [closed(planted_log("clean", seed)[0], 150) for seed in range(20, 60)]
     assert sum(bool(found.steps) for found in again) <= at_most(40, 0.05).most
-
-
-def squares(errors: np.ndarray) -> Squares:
-    """Of residuals (T, K, 3) from which nothing was taken."""
-    return Squares(np.sum(errors**2, axis=2), np.full(errors.shape[1], 3.0))
-
-
-def test_heavy_tails_are_taken_in() -> None:
-    rng = np.random.default_rng(2)
-    tails = rng.standard_t(4.0, size=(400, 8, 3))
-    plain = rng.standard_normal((400, 8, 3))
-    speed, first = rng.uniform(5.0, 30.0, 400), np.arange(400) % 2 == 0
-    square = squares(plain)
-    assert chosen_noise(square, speed, first).gained == 0.0
-    # Independent tails on three axes are lighter than those of one vector.
-    found = chosen_noise(squares(tails), speed, first)
-    assert found.freedom <= 10.0
-    grown = squares(plain * np.hypot(1.0, speed / 10.0)[:, None, None])
-    noise = chosen_noise(grown, speed, first)
-    assert noise.growth > 0.0
-    assert not np.isfinite(noise.freedom)
-    assert noise.variance(np.array([20.0]))[0, 0] == pytest.approx(5.0, rel=0.3)
-    assert plain_noise(square, speed).sigma == pytest.approx(1.0, rel=0.03)
 
 
 def test_the_motion_is_taken_out_exactly() -> None:

@@ -66,27 +66,6 @@ def test_efficiency_sd_and_gain_are_those_of_the_information() -> None:
     assert len(found.additions) == 2
 
 
-def test_what_a_ring_leaves_open_is_infinite() -> None:
-    """Level rings never turn z to gravity: its bias, scale and angles stay open, the rest not."""
-    t = np.arange(0.0, 360.0, 30.0)
-    found = judge(MODEL, 0.0 * t, np.deg2rad(t), norm=True)
-    assert found.efficiency == 0.0
-    shut = [n for n, sd in zip(found.names, found.sd, strict=True) if np.isfinite(sd)]
-    known = columns(0.0 * t, t)
-    seen = [n for n, c in zip(found.names, known.T, strict=True) if np.linalg.norm(c) > 1e-9]
-    assert shut == seen
-    assert 0 < len(seen) < 9
-    part = [found.names.index(n) for n in seen]
-    sd = np.sqrt(np.diag(np.linalg.inv(1e6 * known[:, part].T @ known[:, part])))
-    typical = np.array([p.typical for p in MODEL.parameters(Context(1))])
-    np.testing.assert_allclose(found.sd[part], (sd * typical[part]), rtol=1e-6)
-    bias = judge(Model((named("bias"),)), 0.0 * t, np.deg2rad(t), norm=True)
-    assert np.isfinite(bias.sd).tolist() == [True, True, False]
-    first, second = bias.additions
-    assert (abs(first.inclination), first.gain, first.parameter) == (90.0, np.inf, bias.names[2])
-    assert second.gain == pytest.approx(np.sqrt(2.0))  # the same once more
-
-
 def test_a_plan_is_judged_in_the_users_convention() -> None:
     """Drilling counts inclination from the vertical and tool-face from -y."""
     i, t = recommend(20)

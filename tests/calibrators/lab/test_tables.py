@@ -233,18 +233,6 @@ def test_every_synonym_of_a_heading(tmp_path: Path, role: str) -> None:
             assert role not in table.unit
 
 
-def test_columns_can_be_named(tmp_path: Path) -> None:
-    path = _write(tmp_path, PLAIN.replace("inclination", "dial A").replace("tool_face", "dial B"))
-    assert "no column for inclination, tool_face" in _refused(path).what
-    chosen = {"inclination": "dial A", "tool_face": "dial B"}
-    assert np.array_equal(read_position_table(path, chosen).columns["inclination"], [0.0, 10.0])
-    for bad, words in (({"incl": "dial A"}, "unknown column role"),
-                       ({"inclination": "dial C"}, "no column is called 'dial C'")):  # fmt: skip
-        with pytest.raises(UsageError, match=words) as caught:
-            read_position_table(path, bad)
-        assert caught.value.remedy
-
-
 @pytest.mark.parametrize(
     ("text", "what", "where"),
     [
