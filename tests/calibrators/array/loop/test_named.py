@@ -10,7 +10,9 @@ import pytest
 from imucalib.calibrators.array.board import read_board
 from imucalib.calibrators.array.findings import advice
 from imucalib.effects.forms import in_words
-from worlds.array_stories import closed, moving_of, named
+from imucalib.recording.recording import Recording
+from worlds.array_stories import PLAN as STORY
+from worlds.array_stories import closed, moving_of, named, planted_log
 from worlds.boards import made_board
 from worlds.odd_boards import PLAN, PLANTS, Plant, odd_log, slow
 
@@ -78,3 +80,23 @@ def test_it_is_told_as_that_imus(plant: str, name: str, true: tuple[float, ...])
         got = np.abs(turn) @ term.theta if plant == "gyro drifting" else turn @ term.theta
     # The order of the motion runs from the first turn to the end, 97 % of the log.
     assert np.abs(got - true).max() < 5.0 * sd.max() + 0.03 * np.abs(true).max()
+
+
+def _shaking(recording: Recording, *, at_rest: bool) -> Recording:
+    """The accelerometer of the fourth IMU with noise of 0.12 m/s² more, in motion or always."""
+    name = [n for n, c in recording.channels.items() if c.quantity == "acceleration"][3]
+    channel = recording.channels[name]
+    where = at_rest | (channel.t > STORY.poses * STORY.pose_seconds)
+    more = 0.12 * np.random.default_rng(1).normal(size=channel.values.shape) * where[:, None]
+    channels = {**recording.channels, name: replace(channel, values=channel.values + more)}
+    return replace(recording, channels=channels)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("at_rest", [False, True])
+def test_the_chip_that_shakes_is_named(at_rest: bool) -> None:
+    recording = _shaking(planted_log("clean", 5)[0], at_rest=at_rest)
+    told = advice(closed(recording, 150), moving_of(recording)[1])
+    assert len(told) == 1
+    assert "accelerometer of imu3 is " in told[0]
+    assert ("exchange the chip" if at_rest else "loose mount") in told[0]
