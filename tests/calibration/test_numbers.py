@@ -13,7 +13,7 @@ from scipy.stats import binom
 from imucalib.arrays import Array
 from imucalib.calibration import power
 from imucalib.calibration.angles import angles_at_rests, angles_of_samples
-from imucalib.calibration.calibration import Calibration, StoredParameter, matrices
+from imucalib.calibration.calibration import Calibration, matrices
 from imucalib.calibration.uncertainty import angle_uncertainty
 from imucalib.core.effect import Context
 from imucalib.core.fit import Fit
@@ -24,6 +24,7 @@ from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.rests.segments import Segments
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
 from worlds.bench import GRAVITY, NINE, base_model, bench, draw, ordinary_theta, tumble
+from worlds.stated import stated
 
 
 def angles(force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -35,23 +36,11 @@ def angles(force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def by_hand() -> Calibration:
     """Nine parameters and a mounting, with a full covariance."""
     rng = np.random.default_rng(3)
-    names = (
-        ("bias", "sensor", 3, "mg", 20.0),
-        ("scale", "sensor", 3, "1", 0.02),
-        ("non_orthogonality", "sensor", 3, "1", 0.01),
-        ("mounting", "mounting", 3, "deg", 1.0),  # last here, first in the model
-    )
-    stored = tuple(
-        StoredParameter(f"{effect}_{k}", effect, stage, float(size * rng.normal()), size, unit)
-        for effect, stage, count, unit, size in names
-        for k in range(count)
-    )
-    root = np.diag([p.sd for p in stored]) @ rng.normal(size=(12, 12)) * 1e-3
-    return Calibration(
-        calibrator="lab", parameters=stored, covariance=root @ root.T, raw_unit="m/s2",
-        raw_to_si=1.0, gravity=9.81, status="ok", reasons=(), valid={},
-        facts={"noise": {"reading_mg": 0.4}},
-    )  # fmt: skip
+    # The mounting is last here, first in the model.
+    sizes = {"bias": 20.0, "scale": 0.02, "non_orthogonality": 0.01, "mounting": 1.0}
+    values = {name: size * rng.normal(size=3) for name, size in sizes.items()}
+    root = np.diag(np.repeat([*sizes.values()], 3)) @ rng.normal(size=(12, 12)) * 1e-3
+    return stated(values, root @ root.T, gravity=9.81, facts={"noise": {"reading_mg": 0.4}})
 
 
 def rests_in(ways: np.ndarray, samples: int = 25) -> tuple[Segments, np.ndarray]:

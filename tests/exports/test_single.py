@@ -16,14 +16,13 @@ import numpy as np
 import pytest
 
 from imucalib.arrays import Array
-from imucalib.calibration.calibration import Calibration, StoredParameter
-from imucalib.core.effect import Context
+from imucalib.calibration.calibration import Calibration
 from imucalib.core.sphere import counted, even_directions
-from imucalib.effects import named
 from imucalib.errors import LimitBroken, UsageError
 from imucalib.exports import exported
 from imucalib.exports.bound import demand_carried
 from imucalib.exports.per_axis import nearest_row, with_ids
+from worlds.stated import stated
 from worlds.targets import by_ggir, by_qgroundcontrol
 
 G = 9.80665
@@ -40,13 +39,9 @@ SIX = ("bias", "scale")
 
 
 def made(*effects: str, **facts: Any) -> Calibration:
-    parameters = tuple(
-        StoredParameter(p.name, name, named(name).stage, value, 0.1, p.unit)
-        for name in effects
-        for p, value in zip(named(name).parameters(Context(1)), VALUES[name], strict=True)
-    )
-    return Calibration("lab", parameters, 0.01 * np.eye(len(parameters)), "ug", 1e-6 * G, G, "ok",
-                       valid={"temperature": SPAN}, facts=facts)  # fmt: skip
+    values = {name: VALUES[name] for name in effects}
+    units = {"raw_unit": "ug", "raw_to_si": 1e-6 * G}
+    return stated(values, valid={"temperature": SPAN}, facts=facts, **units)
 
 
 def even(count: int = 3000) -> Array:

@@ -14,11 +14,12 @@ from imucalib import readers, writers
 from imucalib.arrays import Array
 from imucalib.inspection.inspection import inspect_recording
 from imucalib.inspection.noise import AllanCurve, AllanSums, identified
-from imucalib.recording.recording import Channel, Gap, Recording
+from imucalib.recording.recording import Gap, Recording
 from imucalib.units import DEG, STANDARD_GRAVITY
 from imucalib.writers import write
 from worlds.command import run
 from worlds.places import ROOT
+from worlds.recordings import recording_of
 
 RATE = 100.0
 
@@ -36,13 +37,9 @@ def recording() -> Recording:
     t[1200:] += 3.0
     t[50] = t[49]
     gyro = rng.normal([0.02, 0.0, 0.0], 0.001, (2400, 3))
-    channels = {
-        "imu0/acceleration": Channel(t, values, "m/s2", "acceleration", "imu0", RATE),
-        "imu0/angular_rate": Channel(t, gyro, "rad/s", "angular_rate", "imu0", RATE),
-    }
     gap = Gap(float(t[1199]), float(t[1200]), "no samples")
     about = {"gaps": (gap,), "notes": ("a note",), "mapping": {"acc": ["x"]}}
-    return Recording(channels, "f", "made", "ab", start_ns=5, **about)
+    return recording_of(t, values, gyro, hz=RATE, start_ns=5, **about)
 
 
 def test_facts() -> None:
@@ -166,12 +163,8 @@ def night(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rate = 0.1 * DEG * rng.normal(size=(t.size, 3))
     force[moved] += 3.0 * np.sin(9.0 * t[moved])[:, None]
     rate[moved] += np.cos(9.0 * t[moved])[:, None]
-    channels = {
-        f"imu0/{q}": Channel(t, v, u, q, "imu0", HZ)
-        for q, u, v in (("acceleration", "m/s2", force), ("angular_rate", "rad/s", rate))
-    }
     path = tmp_path_factory.mktemp("night") / "night.h5"
-    write(Recording(channels, "made", "made", ""), path)
+    write(recording_of(t, force, rate, hz=HZ), path)
     return path
 
 

@@ -17,12 +17,13 @@ import pytest
 from imucalib import readers, writers
 from imucalib.calibration import apply as application
 from imucalib.calibration.apply import apply_to_recording, correct_file
-from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.errors import ImucalError, UnreadableInput, UsageError
 from imucalib.recording.mapping import FieldMapping, from_dict
 from imucalib.recording.recording import Channel, Recording
 from imucalib.writers import write, write_blocks
 from worlds.bag_logs import BagWriter
+from worlds.recordings import recording_of
+from worlds.stated import stated
 
 Pair = tuple[readers.Reader, writers.Writer]
 PAIRS: list[Pair] = [
@@ -240,27 +241,13 @@ def test_a_mapping_that_names_nothing_in_the_file_is_refused(tmp_path: Path) -> 
         assert reader.recognises(path, path.read_bytes()[:65536])
 
 
-CALIBRATION = Calibration(
-    calibrator="lab",
-    parameters=tuple(
-        StoredParameter(f"bias_{a}", "bias", "sensor", v, 0.1, "mg")
-        for a, v in zip("xyz", (20.0, -35.0, 5.0), strict=True)
-    ),
-    covariance=np.eye(3) * 0.01,
-    raw_unit="m/s2",
-    raw_to_si=1.0,
-    gravity=9.80665,
-    status="ok",
-)
+CALIBRATION = stated({"bias": (20.0, -35.0, 5.0)})
 
 
 def recording(n: int, first: int = 0) -> Recording:
     t = (first + np.arange(n)) / 100.0
     values = 9.8 * np.stack([np.sin(t), np.cos(t), 0.01 * np.ones(n)], axis=1)
-    warm = Channel(t, 20.0 + 0.0 * t[:, None], "degC", "temperature", "imu0", 100.0)
-    acceleration = Channel(t, values, "m/s2", "acceleration", "imu0", 100.0)
-    channels = {"imu0/acceleration": acceleration, "imu0/temperature": warm}
-    return Recording(channels, "made", "made", "", start_ns=1_700_000_000_000_000_000)
+    return recording_of(t, values, warm=20.0 + 0.0 * t, hz=100.0, start_ns=1_700_000_000 * 10**9)
 
 
 @pytest.mark.parametrize("source", ["a.csv", "a.h5", "a.mcap"])

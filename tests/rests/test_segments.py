@@ -11,19 +11,19 @@ from imucalib.arrays import Array
 from imucalib.errors import Undetermined, UnreadableInput
 from imucalib.readers import read
 from imucalib.recording.mapping import FieldMapping
-from imucalib.recording.recording import Channel, Gap, Recording
+from imucalib.recording.recording import Gap, Recording
 from imucalib.rests.runs import PostureRuns, posture_runs, scan
 from imucalib.rests.segments import still_segments
 from imucalib.units import MG, STANDARD_GRAVITY
 from worlds.command import run
 from worlds.places import MEASURED
+from worlds.recordings import recording_of
 
 RATE, SIGMA = 100.0, 0.02
 
 
 def recorded(t: Array, values: Array, rate: float = RATE, gaps: tuple[Gap, ...] = ()) -> Recording:
-    channel = Channel(t, values, "m/s2", "acceleration", "imu0", rate)
-    return Recording({"imu0/acceleration": channel}, "made", "made", "", gaps=gaps)
+    return recording_of(t, values, hz=rate, gaps=gaps)
 
 
 def tumble(seed: int, rests: int, sigma: float = SIGMA) -> tuple[Recording, list[tuple[int, int]]]:

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from imucalib.arrays import Array
-from imucalib.recording.recording import Channel, Recording
+from imucalib.recording.recording import Channel
 from imucalib.rests.runs import Scan, posture_runs, scan
 from imucalib.rests.thermal import ThermalHistory, believed
 from imucalib.rests.windows import WindowBuilder, Windows
 from imucalib.units import MG, STANDARD_GRAVITY
+from worlds.recordings import recording_of
 
 T = 10.0 * np.arange(2000)
 CASE = 30.0 + 3.0 * np.sin(T / 3000.0)
@@ -49,13 +50,7 @@ def scanned(values: Array) -> Scan:
     moves = np.arange(len(g)) % 1000 < 400
     g += np.where(moves[:, None], 0.2, 0.003) * rng.standard_normal(g.shape)
     t = 0.1 * np.arange(len(g))
-    channels = {
-        "imu0/acceleration": Channel(
-            t, MG * np.round(1e3 * g), "m/s2", "acceleration", "imu0", 10.0
-        ),
-        "imu0/temperature": Channel(T, values[:, None], "degC", "temperature", "imu0", 0.1),
-    }
-    return scan([Recording(channels, "a", "a", "")], 10.0)
+    return scan([recording_of(t, MG * np.round(1e3 * g), warm=(T, values), hz=10.0)], 10.0)
 
 
 def test_a_rest_has_the_temperature_of_its_good_readings_or_is_left_out() -> None:

@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 from scipy.stats import chi2, ncx2
 
-from imucalib.calibration.calibration import Calibration, StoredParameter
+from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.checking.check import Measured, checked
 from imucalib.calibration.checking.misfit import Misfits, gyro_rest, misfits_of
 from imucalib.calibration.checking.next_rests import MANY, next_rests
@@ -23,23 +23,6 @@ from worlds.instrument import MG, Array, G, four, vectors
 from worlds.stated import made
 
 NAMES = tuple(f"{what}_{axis}" for what in ("bias", "scale") for axis in "xyz")
-
-
-def six(bias: Array, scale: Array, covariance: Array, noise: float, dof: float) -> Calibration:
-    """A calibration of three biases (mg) and scales, whose readings scatter by `noise` mg."""
-    values, sd = np.concatenate([bias, scale]), np.sqrt(np.diag(covariance))
-    effects = ("bias",) * 3 + ("scale",) * 3
-    units = ("mg",) * 3 + ("1",) * 3
-    return Calibration(
-        calibrator="lab",
-        parameters=tuple(
-            StoredParameter(n, e, "sensor", float(v), float(s), u)
-            for n, e, v, s, u in zip(NAMES, effects, values, sd, units, strict=True)
-        ),
-        covariance=covariance,
-        raw_unit="m/s2", raw_to_si=1.0, gravity=G, status="ok",
-        facts={"noise": {"reading_mg": noise, "reading_sd_mg": noise / np.sqrt(2.0 * dof)}},
-    )  # fmt: skip
 
 
 def rests(reading: Array) -> PositionTable:
@@ -56,7 +39,7 @@ def test_misfits_and_their_covariance_are_the_physics_written_again() -> None:
     rng = np.random.default_rng(3)
     bias, scale = np.array([12.0, -7.0, 30.0]), np.array([4e-3, -6e-3, 2e-3])
     root = np.diag([0.2] * 3 + [3e-4] * 3) @ (np.eye(6) + 0.2 * rng.standard_normal((6, 6)))
-    calibration = six(bias, scale, root @ root.T, 0.3, 12.0)
+    calibration = made(np.r_[bias, scale], root @ root.T, 12.0, noise=0.3)
     force = vectors(*four(rng))
     reading = force * (1.0 + scale) + bias * MG + 0.5 * MG * rng.standard_normal((4, 3))
     found = misfits(calibration, reading)
@@ -85,8 +68,8 @@ def test_the_level_and_the_power_stated_are_had(dof: float) -> None:
     sign = np.concatenate([np.eye(3), -np.eye(3)])
     design = np.column_stack([sign, 1e3 * np.abs(sign)])
     covariance = noise**2 * np.linalg.inv(design.T @ design)
-    made = six(np.zeros(3), np.zeros(3), covariance, noise, dof)
-    reference = Statistic(misfits(made, force))
+    own = made(np.zeros(6), covariance, dof, noise=noise)
+    reference = Statistic(misfits(own, force))
     worst, stated = reference.worst("bias"), reference.seen("bias")
     assert worst is not None
     base, rows = reference.misfits, force / G
@@ -110,7 +93,7 @@ def test_the_level_and_the_power_stated_are_had(dof: float) -> None:
 def test_a_shift_is_found_named_and_sized() -> None:
     rng = np.random.default_rng(8)
     force = np.concatenate([vectors(*four(rng)) for _ in range(3)])
-    calibration = six(np.zeros(3), np.zeros(3), np.diag([0.01] * 3 + [1e-8] * 3), 0.2, 30.0)
+    calibration = made(np.zeros(6), np.diag([0.01] * 3 + [1e-8] * 3), 30.0, noise=0.2)
     for kind, size in (("bias", np.array([2.0, -1.0, 0.5])), ("scale", np.array([3.0, 0.0, -2.0]))):
         moved = force + MG * size if kind == "bias" else force * (1.0 + 1e-3 * size)
         moved = moved + 0.2 * MG * rng.standard_normal(force.shape)
@@ -126,7 +109,7 @@ def test_a_shift_is_found_named_and_sized() -> None:
 
 def test_two_rests_are_undecided_with_the_rests_to_add() -> None:
     rng = np.random.default_rng(5)
-    calibration = six(np.zeros(3), np.zeros(3), np.diag([0.01] * 3 + [1e-8] * 3), 0.2, 30.0)
+    calibration = made(np.zeros(6), np.diag([0.01] * 3 + [1e-8] * 3), 30.0, noise=0.2)
     force = G * np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     reading = force + 0.1 * MG * rng.standard_normal(force.shape)
     found = checked(

@@ -60,7 +60,7 @@ def test_the_difference_at_the_worst_attitude_is_the_plain_physics() -> None:
     half = root(rng, 9)
     first = np.concatenate([[10.0, -5.0, 3.0], [2e-3, -3e-3, 1e-3], [0.5, -0.3, 0.2]])
     other = first + np.array([1.5, 0.0, -1.0, 1e-3, 0.0, -5e-4, 0.1, 0.0, 0.2])
-    files = [made(t, half @ half.T, mounted=True) for t in (first, other)]
+    files = [made(t, half @ half.T) for t in (first, other)]
     found = compared(files, ["a", "b"], {})
     assert found.basis.words == "All hold the same parameters."
     u = even_directions(400)
@@ -163,7 +163,7 @@ def test_what_cannot_be_compared_is_refused() -> None:
         compared([one], ["a"], {})
     with pytest.raises(UnreadableInput, match="no uncertainty"):
         compared([one, made(np.zeros(6), 0.0 * covariance)], ["a", "b"], {})
-    tied = made(np.zeros(9), np.diag([0.04] * 3 + [1e-7] * 3 + [1e-4] * 3), mounted=True)
+    tied = made(np.zeros(9), np.diag([0.04] * 3 + [1e-7] * 3 + [1e-4] * 3))
     with pytest.raises(UsageError, match="not all tie a frame"):
         compared([one, tied], ["a", "b"], {"deg": 0.1})
     assert any("only b ties" in n for n in compared([one, tied], ["a", "b"], {}).notes)

@@ -19,11 +19,12 @@ from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm
 from imucalib.effects import named
 from imucalib.estimators.least_squares import fit
-from imucalib.recording.recording import Channel, Recording
+from imucalib.recording.recording import Recording
 from imucalib.rests.runs import WORN, posture_runs, scan
 from imucalib.units import MG, STANDARD_GRAVITY
 from worlds.command import run
 from worlds.places import SAMPLES
+from worlds.recordings import recording_of
 from worlds.week import WeekPlan, simulated_week
 
 WRIST = SAMPLES / "wrist_day.csv.gz"
@@ -72,9 +73,7 @@ def recorded(means: Array, seconds: float, rate: float = 20.0, noise: float = 4.
     rng = np.random.default_rng(1)
     values = np.repeat(means * G, round(seconds * rate), axis=0)
     values = values + noise * MG * rng.standard_normal(values.shape)
-    t = np.arange(len(values)) / rate
-    channel = Channel(t, values, "m/s2", "acceleration", "imu0", rate)
-    return Recording({"imu0/acceleration": channel}, "made", "made", "")
+    return recording_of(np.arange(len(values)) / rate, values, hz=rate)
 
 
 def test_a_new_posture_begins_a_run() -> None:

@@ -21,9 +21,10 @@ from imucalib.calibrators.actigraph.wear import (
 )
 from imucalib.core.model import Model
 from imucalib.effects import named
-from imucalib.recording.recording import Channel, Recording
+from imucalib.recording.recording import Recording
 from imucalib.rests.runs import PostureRuns, Scan, scan
 from imucalib.units import MG, STANDARD_GRAVITY
+from worlds.recordings import recording_of
 from worlds.week import WeekPlan, simulated_week
 
 G = STANDARD_GRAVITY
@@ -101,8 +102,7 @@ def log(seed: int = 0) -> Recording:
     off = (t >= 2 * 3600) & (t < 4 * 3600)
     truth[off] = [0.0, 0.0, 1.0]
     reading = truth / SCALE - OFFSET + rng.normal(0.0, 0.001, truth.shape)
-    channel = Channel(t, reading * STANDARD_GRAVITY, "m/s2", "acceleration", "imu0", RATE)
-    return Recording({"imu0/acceleration": channel}, "log", "csv", "0" * 64)
+    return recording_of(t, reading * STANDARD_GRAVITY, hz=RATE)
 
 
 @pytest.fixture(scope="module")

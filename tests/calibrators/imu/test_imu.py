@@ -16,6 +16,7 @@ from imucalib.recording.recording import Channel, Recording
 from imucalib.writers import write
 from worlds.command import run
 from worlds.places import MEASURED
+from worlds.recordings import recording_of
 from worlds.targets import by_kalibr, by_opencv
 from worlds.turned_imu import G0, Log, chip, plan, turned
 
@@ -182,16 +183,9 @@ def test_logs_at_several_temperatures_tell_what_follows_it(tmp_path: Path) -> No
             rate_bias=own.rate_bias + bias * (warm - 25.0),
         )  # fmt: skip
         log = turned(there, rng, rests=12)
-        heat = np.full((len(log.t), 1), warm) + 0.01 * rng.normal(size=(len(log.t), 1))
-        channels = {
-            "imu0/acceleration": Channel(
-                log.t, G0 * log.force, "m/s2", "acceleration", "imu0", 100.0
-            ),
-            "imu0/angular_rate": Channel(log.t, log.rate, "rad/s", "angular_rate", "imu0", 100.0),
-            "imu0/temperature": Channel(log.t, heat, "degC", "temperature", "imu0", 100.0),
-        }
+        heat = warm + 0.01 * rng.normal(size=len(log.t))
         paths.append(tmp_path / f"{k}.h5")
-        write(Recording(channels, "warm", "hdf5", ""), paths[-1])
+        write(recording_of(log.t, G0 * log.force, log.rate, heat, hz=100.0), paths[-1])
     result = run("imu", *paths, "-o", tmp_path / "out", "-q", "--json")
     names = [s["effect"] for s in json.loads(result.stdout)["loop"]["steps"]]
     assert sorted(names) == ["gyro_temperature_bias", "gyro_temperature_scale"]

@@ -17,8 +17,9 @@ from imucalib.errors import UnreadableInput
 from imucalib.readers.csv.reader import without_repeats
 from imucalib.readers.joining import join
 from imucalib.recording.mapping import FieldMapping
-from imucalib.recording.recording import Channel, Recording
+from imucalib.recording.recording import Recording
 from imucalib.units import STANDARD_GRAVITY
+from worlds.recordings import recording_of
 
 G = STANDARD_GRAVITY
 
@@ -236,11 +237,8 @@ def test_any_dialect_gives_the_right_numbers(
 
 def test_our_own_table_is_held_against_its_sum(tmp_path: Path) -> None:
     t = np.arange(300) / 100.0
-    values = at_rest(300) * G
-    channel = Channel(t, values, "m/s2", "acceleration", "imu0", 100.0)
-    whole = Recording({"imu0/acceleration": channel}, "made", "made", "", start_ns=10**18)
     path = tmp_path / "a.csv"
-    writers.write(whole, path)
+    writers.write(recording_of(t, at_rest(300) * G, hz=100.0, start_ns=10**18), path)
     data = path.read_bytes()
     at = data.rindex(b".") + 1
     other = b"1" if data[at : at + 1] == b"2" else b"2"
@@ -274,9 +272,7 @@ RATE = 20.0
 
 
 def recording(values: np.ndarray) -> Recording:
-    t = np.arange(len(values)) / RATE
-    channel = Channel(t, values, "m/s2", "acceleration", "imu0", RATE)
-    return Recording({"imu0/acceleration": channel}, "made", "csv", "")
+    return recording_of(np.arange(len(values)) / RATE, values, hz=RATE)
 
 
 def asleep(seconds: list[tuple[int, bool]]) -> np.ndarray:

@@ -16,9 +16,10 @@ from imucalib import readers, writers
 from imucalib.errors import ImucalError, UnreadableInput
 from imucalib.readers import blocks, read
 from imucalib.recording.mapping import FieldMapping, from_dict
-from imucalib.recording.recording import Channel, Recording
+from imucalib.recording.recording import Recording
 from imucalib.units import STANDARD_GRAVITY
 from worlds.command import run
+from worlds.recordings import recording_of
 
 N = 4000
 TRUTH = np.array([0.1, -0.2, 9.75]) + np.random.default_rng(0).normal(scale=0.02, size=(N, 3))
@@ -92,8 +93,7 @@ def test_axes_apart_tables_and_transposed(
 def own(path: Path, n: int = 40_000) -> Recording:
     rng = np.random.default_rng(1)
     values = np.array([0, 0, 9.8]) + rng.normal(scale=0.01, size=(n, 3))
-    channel = Channel(np.arange(n) / 100, values, "m/s2", "acceleration", "imu0", 100.0)
-    recording = Recording({"imu0/acceleration": channel}, "", "", "")
+    recording = recording_of(np.arange(n) / 100, values, hz=100.0)
     writers.write(recording, path)
     return recording
 
