@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import json
+import subprocess
 from io import StringIO
 from typing import Any
 
@@ -75,3 +77,14 @@ def by_opencv(text: str) -> dict[str, Any]:
     for key in (*needed, "rostopic", "Tw", "Ta", "R_IMUtoACC", "R_IMUtoGYRO", "Tg", "model"):
         assert key in found, key
     return found
+
+
+def by_octave(script: str, *expressions: str) -> list[Any]:
+    """Values of expressions after a script, as GNU Octave (7 or later) works them out."""
+    lines = [script, *(f"disp(jsonencode({e}));" for e in expressions)]
+    done = subprocess.run(
+        ["octave-cli", "--norc", "--quiet"], input="\n".join(lines), text=True, capture_output=True,
+        check=True, timeout=120,
+    )  # fmt: skip
+    assert not done.stderr, done.stderr
+    return [json.loads(line) for line in done.stdout.splitlines()]

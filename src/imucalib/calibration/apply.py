@@ -18,6 +18,7 @@ from imucalib.calibration.triads import (
     pairing_of,
     without_drift,
 )
+from imucalib.effects.forms import in_words
 from imucalib.errors import Undetermined
 from imucalib.readers import blocks, read, reader_for
 from imucalib.recording.mapping import FieldMapping
@@ -106,7 +107,8 @@ def imus_corrected(
     ]
     notes += ["undone in what was calibrated: drift of the rests"] if drift else []
     notes += [
-        f"not undone: {row['effect']}, {row['rms']:.3g} {row['unit']} rms while it was calibrated"
+        f"not undone: {in_words(row['effect'])}, {row['rms']:.3g} {row['unit']} rms while it was "
+        "calibrated"
         for row in facts.get("not_undone", ())
         if not (drift and row["effect"] == DRIFT)
     ]

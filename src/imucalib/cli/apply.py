@@ -87,6 +87,12 @@ def _millimetres(
     callback=_millimetres,
     help="Of an array: point of the board's drawing whose force is given, mm; default: the middle.",
 )
+@click.option(
+    "--residuals",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Also write what rests read before and after, and the corrected sensors, to look at: "
+    ".mcap, with a layout for Foxglove.",
+)
 @click.option("--again", is_flag=True, help="Correct a recording that is corrected already.")
 @click.option("--whole", "use", flag_value="whole", help="One calibration for all, whatever parts.")
 @force_option
@@ -105,6 +111,7 @@ def command(
     again: bool,
     angles: Path | None,
     each: str,
+    residuals: Path | None,
     force: bool,
     **options: Any,
 ) -> int:
@@ -117,17 +124,23 @@ def command(
     Examples:
       imucal apply out/calibration.yaml run.mcap -o corrected.mcap
       imucal apply out/calibration.yaml run.mcap -o new.mcap --angles angles.csv
+      imucal apply out/calibration.yaml run.mcap -o new.mcap --residuals r.mcap
       imucal apply array/calibration.yaml run.mcap --fused -o fused.mcap
     """
     from imucalib.atomic_file import demand_output
     from imucalib.calibration.file import check, read
     from imucalib.effects import load_file
     from imucalib.writers import writer_for
+    from imucalib.writers.residuals import residual_files
 
     writer_for(output)
-    for made in (output, angles):
-        if made is not None:
-            demand_output(made, inputs_of(options, calibration, recording), force=force)
+    made = [
+        output,
+        *([angles] if angles else []),
+        *(residual_files(residuals) if residuals else ()),
+    ]
+    for path in made:
+        demand_output(path, inputs_of(options, calibration, recording), force=force)
     if options["effects_file"] is not None:
         load_file(options["effects_file"])
     loaded = read(calibration)
@@ -142,12 +155,15 @@ def command(
     with working("correcting", quiet=options["quiet"]):
         notes = _applied(loaded, recording, output, {**options, **given})
         frame = _angles(loaded, output, angles, triad, each) if angles is not None else ""
+        if residuals is not None:
+            _residuals(loaded, recording, residuals, {**options, **given})
     for text in (*notes, *filter(None, [frame])):
         note(text, options["quiet"])
     if options["as_json"]:
         emit_json({"output": str(output), "notes": list(notes)})
     elif not options["quiet"]:
-        say(f"wrote {output}")
+        for path in made:
+            say(f"wrote {path}")
     return 0
 
 
@@ -186,6 +202,17 @@ def _angles(
     if stated:
         return ""
     return "angles are in the sensor's own axes: no bench has tied them to a tool"
+
+
+def _residuals(calibration: Calibration, source: Path, path: Path, options: dict[str, Any]) -> None:
+    """Write what rests read before and after."""
+    from imucalib.calibration.residuals import with_residuals
+    from imucalib.readers import read
+    from imucalib.writers.residuals import write_residuals
+
+    recording = read(source, mapping_of(options), strict=options["strict"])
+    chosen = {name: options[name] for name in ("triad", "use", "again")}
+    write_residuals(with_residuals(calibration, recording, **chosen), path)
 
 
 def _applied(

@@ -18,6 +18,7 @@ from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.file import identity
 from imucalib.calibration.gyroscope import gyroscope_of
 from imucalib.core.sphere import even_directions
+from imucalib.effects.forms import in_words
 from imucalib.errors import UsageError
 from imucalib.exports import Export, Made
 from imucalib.exports.imus import losses_of, places_of
@@ -125,7 +126,7 @@ def _of_array(calibration: Calibration) -> tuple[list[Correction], tuple[str, ..
     turn = np.array([np.linalg.inv(t.gyro_gain) @ t.rotation for t in triads])
     rest = np.array([-np.linalg.inv(t.gyro_gain) @ t.gyro_bias for t in triads])
     lost = tuple(
-        f"{row['effect']}, {_in_mg(float(row['rms']), str(row['unit']))} rms in the "
+        f"{in_words(row['effect'])}, {_in_mg(float(row['rms']), str(row['unit']))} rms in the "
         "motion that was calibrated"
         for row in calibration.facts.get("not_undone", ())
     )

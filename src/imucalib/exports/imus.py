@@ -21,6 +21,7 @@ from imucalib.calibration.gyroscope import Gyroscope, gyroscope_of
 from imucalib.calibration.triads import Triad
 from imucalib.core.effect import Response
 from imucalib.effects import catalogue
+from imucalib.effects.forms import in_words
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.exports import Made
 from imucalib.exports.linear import beyond_linear
@@ -194,8 +195,8 @@ def lost_of(calibration: Calibration, kept: tuple[str, ...] = _KEPT) -> tuple[st
     gyro = gyroscope_of(calibration)
     own = (*gyro.beyond, *filter(None, [beyond_linear(calibration)])) if gyro else ()
     return own + tuple(
-        f"{row['effect']}, {float(row['rms']):.3g} {row['unit']} rms in the motion that was "
-        "calibrated"
+        f"{in_words(row['effect'])}, {float(row['rms']):.3g} {row['unit']} rms in the motion that "
+        "was calibrated"
         for row in calibration.facts.get("not_undone", ())
         if row["effect"] not in kept
     )

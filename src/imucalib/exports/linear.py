@@ -11,6 +11,7 @@ from imucalib.calibration.calibration import LINEAR, PASSING, Calibration
 from imucalib.calibration.series import parts_of
 from imucalib.core.effect import Context
 from imucalib.core.sphere import even_directions
+from imucalib.effects.forms import in_words
 from imucalib.units import MG, STANDARD_GRAVITY
 
 
@@ -67,9 +68,9 @@ def nearest_linear(calibration: Calibration) -> NearestLinear:
 
 
 def beyond_linear(calibration: Calibration) -> str:
-    """Names of effects that a linear correction cannot carry."""
+    """The effects that a linear correction cannot carry, in words."""
     model, _ = calibration.model()
-    return ", ".join(name for name in model.names if name not in LINEAR)
+    return ", ".join(in_words(name) for name in model.names if name not in LINEAR)
 
 
 def lost_linear(calibration: Calibration, linear: NearestLinear, more: str = "") -> tuple[str, ...]:

@@ -10,6 +10,7 @@ from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.gyroscope import gyroscope_of
 from imucalib.core.sphere import CELLS, cell_of
+from imucalib.effects.forms import in_words
 from imucalib.errors import UsageError
 from imucalib.estimators.levenberg_marquardt import minimise
 from imucalib.exports.linear import lost_parts, sphere_of
@@ -132,7 +133,7 @@ def lost_per_axis(calibration: Calibration, row: Row, aside: str = "") -> tuple[
     """What a row does not carry, in words; aside : of the form, after the effects' names."""
     carried = ("mounting", "bias", "scale", *(["temperature_bias"] if np.any(row.slope) else []))
     names, words = calibration.model()[0].names, list[str]()
-    if beyond := ", ".join(n for n in names if n not in carried):
+    if beyond := ", ".join(in_words(n) for n in names if n not in carried):
         words.append(
             f"{beyond}{aside}: {row.lost:.2f} mg of |a| on average over the sphere and the "
             f"calibrated ranges, {row.worst:.2f} mg at most; direction {row.angle:.3f} deg at most"

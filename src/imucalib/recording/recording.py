@@ -12,6 +12,16 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array
 
+#: Quantity of a channel of rests, at their middles, and its columns: s; m/s², mean reading and
+#: corrected one; mg, by how much the size of both is beyond gravity.
+REST = "rest"
+REST_COLUMNS = (
+    "duration",
+    *(f"{which}.{axis}" for which in ("before", "after") for axis in "xyz"),
+    "residual_before",
+    "residual_after",
+)
+
 
 @dataclass(frozen=True)
 class Correction:

@@ -27,7 +27,12 @@ import imucalib
 from imucalib.arrays import Array, Index
 from imucalib.errors import UsageError
 from imucalib.readers.mcap import CORRECTIONS, MAGIC, RECORD_HEADER
-from imucalib.readers.messages.layout import ACCEL_ROS2, IMU_ROS2, TEMPERATURE_ROS2
+from imucalib.readers.messages.layout import (
+    ACCEL_ROS2,
+    IMU_ROS2,
+    REST_ROS2,
+    TEMPERATURE_ROS2,
+)
 from imucalib.readers.messages.records import HEAD_FIELDS, MESSAGE_HEAD, record_type
 from imucalib.readers.messages.select import (
     META_DATED,
@@ -36,7 +41,13 @@ from imucalib.readers.messages.select import (
     META_TRIAD,
     META_UNITS,
 )
-from imucalib.recording.recording import Channel, Correction, Recording
+from imucalib.recording.recording import (
+    REST,
+    REST_COLUMNS,
+    Channel,
+    Correction,
+    Recording,
+)
 from imucalib.writers import ChannelsChange
 
 #: Some 380 messages of one IMU: what one damaged byte costs. (1 MiB packs 12 % better on a board.)
@@ -53,6 +64,7 @@ _QUANTITIES = {
     f"acceleration{_DOUBTED}": ("m2/s4", 9, f"accel{_DOUBTED}"),
     f"angular_rate{_DOUBTED}": ("rad2/s2", 9, f"gyro{_DOUBTED}"),
     f"{_SPUN}{_DOUBTED}": ("rad2/s4", 9, f"{_SPUN}{_DOUBTED}"),
+    REST: ("", len(REST_COLUMNS), REST),
 }
 #: Names of the quantities that a mapping knows.
 SHORT_NAMES = {"acceleration": "acc", "angular_rate": "gyro", "temperature": "temperature"}
@@ -86,8 +98,9 @@ MESSAGES = (
         336,
         {"acceleration": (0, (3,)), _SPUN: (24, (3,)), "covariance": (48, (6, 6))},
     ),
+    _Message("imucal_msgs/msg/Rest", REST_ROS2, 72, {REST: (0, (len(REST_COLUMNS),))}),
 )
-_PLAIN, _RAW, _WARM, _ACCEL = range(len(MESSAGES))
+_PLAIN, _RAW, _WARM, _ACCEL, _REST = range(len(MESSAGES))
 
 
 class McapFile:
@@ -364,6 +377,8 @@ def _kind(recording: Recording, names: tuple[str, ...]) -> tuple[int, dict[str, 
         if raw:
             raise UsageError("a temperature in counts has no ROS message", where=recording.path)
         return _WARM, metadata
+    if channels[0].quantity == REST:
+        return _REST, metadata
     spun = any(c.quantity.startswith(_SPUN) for c in channels)
     return _ACCEL if spun else _RAW if raw else _PLAIN, metadata
 
@@ -470,10 +485,10 @@ def define_outputs(file: McapFile, outputs: list[Output], base: int = 0) -> None
 
 
 def topic_names(recording: Recording) -> dict[str, str]:
-    """The topic of each channel: "/<triad>/imu", "/<triad>/temperature", "/<triad>/accel"."""
+    """The topic of each channel: "/<triad>/imu", "temperature", "rest" or "accel" below it."""
     names = {}
     for name, channel in recording.channels.items():
-        ending = "temperature" if channel.quantity == "temperature" else "imu"
+        ending = channel.quantity if channel.quantity in ("temperature", REST) else "imu"
         ending = "accel" if channel.quantity.startswith(_SPUN) else ending
         names[name] = f"/{channel.triad}/{ending}"
     return names

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 
 import numpy as np
+from mcap.reader import make_reader
 from numpy.typing import NDArray
 
 from imucalib.readers import read
@@ -102,6 +103,15 @@ def _angles_of_samples(without: Outcome, done: Outcome, bench: Bench) -> None:
     rows = [len(o.text("angles.csv").splitlines()) - 1 for o in (without, done)]
     assert rows[0] == 12
     assert rows[1] > 12 * 50
+
+
+def _rests_seen(without: Outcome, done: Outcome, bench: Bench) -> None:
+    """A message a rest, and a layout beside the file."""
+    writes("rests.mcap")(without, done, bench)
+    writes("rests.foxglove.json")(without, done, bench)
+    with (done.folder / "rests.mcap").open("rb") as file:
+        topics = [channel.topic for _, channel, _ in make_reader(file).iter_messages()]
+    assert sum(topic.endswith("/rest") for topic in topics) == 12
 
 
 def _channels(outcome: Outcome) -> set[str]:
@@ -213,6 +223,8 @@ CASES: tuple[Case, ...] = (
     APPLY("--whole", _parts_differ, *PARTS, "--parts"),
     APPLY("--angles <out>/angles.csv", _angles, "apply", "<calibration.yaml>", "<pauses.csv>", "-o",
           "<out>/corrected.csv"),
+    APPLY("--residuals <out>/rests.mcap", _rests_seen, "apply", "<calibration.yaml>",
+          "<pauses.csv>", "-o", "<out>/corrected.csv"),
     APPLY("--each sample", _angles_of_samples, "apply", "<calibration.yaml>", "<pauses.csv>", "-o",
           "<out>/corrected.csv", "--angles", "<out>/angles.csv"),
     APPLY("--fused", _only_fused, *ARRAY),

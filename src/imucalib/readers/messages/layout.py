@@ -37,7 +37,14 @@ _PRIMITIVES = {
 _NEXT = "=" * 80  # between types; other readers look for exactly this
 _VECTOR = f"{_NEXT}\nMSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n"
 _HEADER = f"{_NEXT}\nMSG: std_msgs/Header\n"
-_HEADER_ROS2 = _HEADER + "builtin_interfaces/Time stamp\nstring frame_id\n"
+#: With the type of the stamp, as rosbag2 writes it: Rerun reads no definition without.
+_HEADER_ROS2 = f"""{_HEADER}builtin_interfaces/Time stamp
+string frame_id
+{_NEXT}
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
 _IMU = f"""std_msgs/Header header
 geometry_msgs/Quaternion orientation
 float64[9] orientation_covariance
@@ -67,6 +74,14 @@ float64[36] covariance
 MSG: geometry_msgs/Accel
 geometry_msgs/Vector3 linear
 geometry_msgs/Vector3 angular
+{_VECTOR}{_HEADER_ROS2}"""
+#: A rest of one accelerometer: s; m/s²; mg beyond gravity.
+REST_ROS2 = f"""std_msgs/Header header
+float64 duration
+geometry_msgs/Vector3 before
+geometry_msgs/Vector3 after
+float64 residual_before
+float64 residual_after
 {_VECTOR}{_HEADER_ROS2}"""
 
 
