@@ -13,8 +13,8 @@ from imucalib.effects.forms import in_words
 from imucalib.recording.recording import Recording
 from worlds.array_stories import PLAN as STORY
 from worlds.array_stories import closed, moving_of, named, planted_log
-from worlds.boards import made_board
-from worlds.odd_boards import PLAN, PLANTS, Plant, odd_log, slow
+from worlds.boards import board_log, made_board
+from worlds.odd_boards import PLAN, PLANTS, Plant, slow
 
 BOARD = read_board("mimu4444_corners")
 ONE = frozenset({2})
@@ -38,7 +38,7 @@ def test_it_is_told_as_that_and_by_its_time(
 ) -> None:
     rng = np.random.default_rng(1)
     parts = made_board(BOARD.positions, BOARD.rotations, BOARD.imus, PLAN, rng)
-    made = odd_log(parts, plant, PLAN, rng, often=10)
+    made = board_log(parts, PLAN, rng, plant, often=10)
     found = closed(made.recording, 400 if ms < 8.0 else 600)
     assert {s.effect for s in found.steps} == OTHERS | {name}
     assert next(s for s in found.steps if s.effect == name).aliases == rivals
@@ -58,7 +58,7 @@ def test_it_is_told_as_that_and_by_its_time(
 def test_it_is_told_as_that_imus(plant: str, name: str, true: tuple[float, ...]) -> None:
     rng = np.random.default_rng(1)
     parts = made_board(BOARD.positions, BOARD.rotations, BOARD.imus, PLAN, rng)
-    made = odd_log(parts, PLANTS[plant], PLAN, rng)
+    made = board_log(parts, PLAN, rng, PLANTS[plant])
     found = closed(made.recording, 400)
     assert name in {s.effect for s in found.steps if s.certain}
     assert named(found) <= {"gyro_misalignment", "gyro_scale", name}
