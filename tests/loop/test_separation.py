@@ -59,6 +59,17 @@ def test_the_distance_is_that_of_least_squares() -> None:
             assert found == pytest.approx(np.linalg.norm(left), rel=1e-6)
 
 
+def test_new_data_have_an_offset_of_their_own_after_a_power_up() -> None:
+    one, _ = linear(0, 40, 0.1, 1.5)
+    later = one.after_a_power_up(2.0, (10.0, 10.0, 20.0))
+    assert later.columns[:4] == ("next_bias_x", "next_bias_y", "next_bias_z", "x")
+    assert [at.tolist() for at in later.blocks.values()] == [[5], [6]]
+    np.testing.assert_allclose(later.gram[:3, :3], np.diag([25.0, 25.0, 100.0]))
+    np.testing.assert_allclose(later.gram[3:, 3:], one.gram)
+    assert not later.gram[:3, 3:].any()
+    np.testing.assert_allclose(later.along, [0.0] * 3 + one.along.tolist())
+
+
 @pytest.mark.parametrize("count", [60, 200, 600])
 def test_what_is_promised_is_had(count: int) -> None:
     """Data are drawn with the first as the truth and judged by the maxima of both likelihoods."""

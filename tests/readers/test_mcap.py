@@ -193,6 +193,21 @@ def test_json_by_names_and_unit_by_norm(tmp_path: Path) -> None:
     assert recording.mapping["acc"] == ["/imu:data.accel"]
 
 
+@pytest.mark.parametrize("bad", [b"{", b"{},{}", b'{"acc": [1, 2]}', b'{"acc": "none"}'])
+def test_a_message_that_cannot_be_read_costs_itself(bad: bytes, tmp_path: Path) -> None:
+    rows = readings(100)
+    pairs = [(r.ns, json.dumps({"acc": r.acc}).encode()) for r in rows]
+    pairs[40] = (pairs[40][0], bad)
+    schema = ("Imu", "jsonschema", b"{}")
+    path = write_log(tmp_path / "a.mcap", {"/imu": pairs}, schema=schema, encoding="json")
+    found = read(path, FieldMapping(acc_unit="m/s2"))
+    expected = np.delete(values(rows, "acc"), 40, axis=0)
+    assert same_bits(found.channels["imu0/acceleration"].values, expected)
+    assert any("1 messages cannot be decoded" in note for note in found.notes)
+    with pytest.raises(UnreadableInput, match="topic /imu"):
+        read(path, strict=True)
+
+
 def test_many_triads_in_one_message_and_mapping_reads_again(tmp_path: Path) -> None:
     rows = [readings(200, seed=i, rate=100.0) for i in range(3)]
     trees = [

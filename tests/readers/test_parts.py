@@ -88,6 +88,14 @@ def test_no_reader_tells_what_a_sound_sensor_does(
     assert not [note for note in readers.read(path, RATES).notes if WORDS in note]
 
 
+@pytest.mark.parametrize("zone", [_dead_zone, _offset_zone])
+def test_a_gyroscope_with_a_dead_zone_hides_no_rest(zone: Change, tmp_path: Path) -> None:
+    found = _inspected(WRITE["hdf5"](tmp_path, *_changed(zone))).still
+    assert found is not None
+    assert found.n == 9
+    assert (found.rate_noise >= RATE_STEP / np.sqrt(12.0) * 0.999).all()
+
+
 #: Measured recordings that lie with the project, and larger ones that need not be there.
 SOUND: dict[Path, FieldMapping] = {
     MEASURED / "ax3.cwa": FieldMapping(),

@@ -17,6 +17,7 @@ from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
 from imucalib.readers import read
 from imucalib.readers.conversion import zero_g
+from imucalib.readers.joining import join
 from imucalib.readers.rates import FASTEST
 from imucalib.recording.mapping import FieldMapping, from_dict
 from imucalib.recording.recording import Recording
@@ -283,6 +284,23 @@ def test_acceleration_without_gravity_is_said_to_be_that(stated: bool, tmp_path:
 def acc() -> np.ndarray:
     rng = np.random.default_rng(0)
     return np.array([0.3, -0.4, 9.7]) + rng.normal(scale=0.02, size=(400, 3))
+
+
+@pytest.mark.parametrize("where", ["serial=B07", "id=2", "1=B07"])
+@pytest.mark.parametrize("time", [True, False])
+def test_rows_are_selected_by_a_value(where: str, time: bool, tmp_path: Path) -> None:
+    lines = ["serial,id," + "time (s)," * time + "acc_x (m/s2),acc_y (m/s2),acc_z (m/s2)"]
+    for k, a in enumerate(acc().tolist()):
+        stamp = [f"{0.01 * k:.2f}"] * time
+        lines.append(",".join([*(("A12", "1.0"), ("B07", "2.0"))[k // 200], *stamp, *map(repr, a)]))
+    path = tmp_path / "two.csv"
+    path.write_text("\n".join(lines) + "\n")
+    mapping = FieldMapping(where=(where,), rate=None if time else 100.0)
+    found = readers.read(path, mapping)
+    parts = join(readers.blocks(path, mapping, block_samples=30), "")
+    for one in (found, readers.read(path, from_dict(found.mapping)), parts):
+        np.testing.assert_array_equal(one.channels["imu0/acceleration"].values, acc()[200:])
+        assert not any("serial" in note for note in one.notes)
 
 
 @pytest.mark.parametrize("name", ["csv", "hdf5", "mcap"])

@@ -19,6 +19,7 @@ from imucalib.calibration.checking.statistic import ANYTHING, Statistic
 from imucalib.calibration.triads import Triad
 from imucalib.calibrators.lab.bench import still_observations
 from imucalib.calibrators.lab.position_table import PositionTable
+from imucalib.errors import UnreadableInput
 from worlds.instrument import MG, Array, G, four, vectors
 from worlds.stated import made
 
@@ -137,6 +138,23 @@ STATED_MG, DEG = 1e-3 * STATED_G, np.pi / 180.0
 
 def file(noise: dict[str, float] | None = None, **facts: object) -> SimpleNamespace:
     return SimpleNamespace(facts={"noise": noise or {}, **facts}, triads=facts.pop("triads", ()))
+
+
+def test_a_readings_noise_has_the_freedom_of_its_parts() -> None:
+    """var(s) = s² / 2ν of a stated sd; with the rests' own and what neighbours share,
+    Satterthwaite's."""
+    noise = {"reading_mg": 0.4, "reading_sd_mg": 0.1}
+    assert check_noise(file(noise)).reading.dof == pytest.approx(8.0)  # type: ignore[arg-type]
+    shared = {"shared_mg": 0.3, "shared_sd_mg": 0.1, "shared_memory_positions": 5.0}
+    rests = {"count": 14, "residual_m_per_s2": 0.003}
+    found = check_noise(file(shared, rests=rests, triads=(1, 2, 3, 4)))  # type: ignore[arg-type]
+    parts = np.array([0.003**2, (0.3 * STATED_MG) ** 2])
+    dof = np.array([3.0 * 4 * 14 - 2 * 14 - 12 * 4, 4.5])
+    assert found.reading.sd == pytest.approx(np.sqrt(parts.sum()))
+    assert found.reading.dof == pytest.approx(parts.sum() ** 2 / np.sum(parts**2 / dof))
+    assert (found.share, found.memory) == pytest.approx((parts[1] / parts.sum(), 5.0))
+    with pytest.raises(UnreadableInput, match="does not state the noise"):
+        check_noise(file())  # type: ignore[arg-type]
 
 
 def test_a_gyroscope_is_tested_by_the_scatter_between_its_rests() -> None:

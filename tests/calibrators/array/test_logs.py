@@ -76,7 +76,6 @@ def logs(seed: int, n: int, tau: float, d: int = 21) -> tuple[Pooled, np.ndarray
     return pooled(true + noise + tau * rng.normal(size=(n, d)), spread), true
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("tau", [0.0, 1.0])
 def test_errors_and_predictions_are_what_is_stated(tau: float) -> None:
     errors, left_out, taus, p = [], [], [], []

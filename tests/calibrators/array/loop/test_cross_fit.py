@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from imucalib.arrays import Array
-from imucalib.calibrators.array.loop.ages import found_clock, voting
+from imucalib.calibrators.array.loop.ages import beats, found_clock, voting
 from imucalib.calibrators.array.loop.catalogue import array_catalogue
 from imucalib.calibrators.array.loop.cross_fit import Gained, difference_of_medians
 from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
@@ -24,6 +24,7 @@ from imucalib.calibrators.array.loop.terms import (
 )
 from imucalib.calibrators.array.moving import Moving
 from imucalib.calibrators.array.rests import RestFit
+from imucalib.estimators.array.sample_age import SampleAge
 from imucalib.loop.held_out import Difference
 from imucalib.recording.recording import Recording
 from worlds.array_stories import BOARD, moving_of, planted_log
@@ -183,3 +184,15 @@ def test_the_time_itself_is_nobodys(name: str, beside: str, rank: int) -> None:
     assert found.live.shape[1] == rank
     if rank == 1:
         assert abs(found.live.sum()) < 1e-12
+
+
+def test_a_beat_is_the_steady_part_of_a_sawtooth() -> None:
+    t = 3.0 + np.arange(0.0, 20.0, 0.01)
+    turns = -0.7 * (t - 3.0) + 0.3 + 0.05 * np.sin(2.0 * np.pi * t / 10.0)
+    wave = np.stack([turns - np.floor(turns) - 0.5, np.zeros(t.size)], axis=1)
+    one, none = beats(SampleAge(wave, np.array([-0.7, np.nan])), t, np.arange(t.size))
+    assert none is None
+    assert one is not None
+    assert (one.frequency, one.at) == (pytest.approx(-0.7, abs=0.002), 3.0)
+    assert one.phase == pytest.approx(0.3, abs=0.03)
+    assert one.scatter == pytest.approx(0.05 / np.sqrt(2.0), rel=0.15)
