@@ -30,8 +30,7 @@ import numpy as np
 
 from imucalib.calibrators.lab.position_table import read_position_table
 from imucalib.calibrators.lab.run import run_lab
-from imucalib.cli.lab import command
-from imucalib.cli.lab.options import request_of
+from imucalib.cli.lab import command, request_of
 from imucalib.errors import ImucalError
 from worlds import sheets
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 
 def digits_for(sd: float) -> int:
@@ -10,6 +11,21 @@ def digits_for(sd: float) -> int:
     if not math.isfinite(sd) or sd <= 0.0:
         return 4
     return max(0, 1 - math.floor(math.log10(sd)))
+
+
+def number(value: float, places: int = 2, absent: str = "-") -> str:
+    """With so many decimals; a word where there is none."""
+    return f"{value:.{places}f}" if math.isfinite(value) else absent
+
+
+def sized(value: float, unit: str) -> str:
+    """ "0.36 mg": two significant digits and the unit, of which "1" is none."""
+    return f"{value:.2g} {unit.removeprefix('1')}".rstrip()
+
+
+def signed(values: Iterable[float], places: int = 2) -> str:
+    """ "+0.10  -0.99  +0.00": components of a vector."""
+    return "  ".join(f"{value:+.{places}f}" for value in values)
 
 
 def with_sd(value: float, sd: float) -> tuple[str, str]:
@@ -38,11 +54,6 @@ def per_cent(share: float) -> str:
     if share > 0.99:
         return "> 99 %"
     return "< 1 %" if share < 0.01 else f"{100.0 * share:.0f} %"
-
-
-def spread(values: tuple[float, float], places: int = 2) -> str:
-    """Largest and rms value: "0.84 / 0.36"."""
-    return f"{values[0]:.{places}f} / {values[1]:.{places}f}"
 
 
 def two_digits(value: float) -> str:

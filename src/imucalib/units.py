@@ -154,3 +154,19 @@ def local_gravity(latitude_deg: float, height_m: float = 0.0) -> float:
     return surface * (
         1.0 - 2.0 / a * (1.0 + f + m - 2.0 * f * s2) * height_m + 3.0 * (height_m / a) ** 2
     )
+
+
+def stated_gravity(
+    given: float | None, latitude: float | None, height: float
+) -> tuple[float, str] | None:
+    """Local gravity (m/s²) with its source in words, as stated or of a place (deg, m); None where
+    neither is. Raises UsageError where both are."""
+    if given is not None and latitude is not None:
+        what = "a local gravity and a latitude exclude each other"
+        raise UsageError(what, remedy="leave one out")
+    if given is not None:
+        return given, "as given"
+    if latitude is None:
+        return None
+    source = f"normal gravity at latitude {latitude:g}, height {height:g} m"
+    return local_gravity(latitude, height), source

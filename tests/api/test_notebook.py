@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import imucalib
-from imucalib.api.drawn import plots_of
+from imucalib.api.result import plots_of
 from imucalib.errors import UsageError
 from worlds.places import SAMPLES
 

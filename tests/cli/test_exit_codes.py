@@ -141,14 +141,3 @@ def test_a_calibration_that_is_no_number_is_refused(
     path.write_text(dump(content))
     with pytest.raises(UnreadableInput, match=name):
         read(path)
-
-
-@pytest.mark.parametrize(("rows", "reference"), [(1, "angles"), (2, "norm")])
-def test_a_table_of_few_rows_asks_for_more(rows: int, reference: str, tmp_path: Path) -> None:
-    path = tmp_path / "few.csv"
-    lines = ["inclination,tool_face,x,y,z", "0,0,0.1,9.8,0.0", "90,0,9.8,0.1,0.1"]
-    path.write_text("\n".join(lines[: rows + 1]), encoding="utf-8")
-    how = [] if reference == "angles" else ["--reference", reference]
-    result = run("lab", path, *how, "-o", tmp_path / "out")
-    assert result.returncode == 4, result.stderr
-    assert b"add" in result.stderr

@@ -113,44 +113,6 @@ def test_json_is_pure_and_is_the_report(done: Done) -> None:
 
 
 @pytest.mark.slow
-def test_errors_are_told_before_and_after(done: Done) -> None:
-    principal = done.report["loop"]["errors"][0]
-    assert principal["held_out"]["final"] > 0.0
-    (limit,) = done.report["limits"]
-    assert limit["value"] == pytest.approx(principal["held_out"]["final"])
-    assert not limit["broken"]
-    page = (done.out / "report.html").read_text(encoding="utf-8")
-    assert "Closed loop" in page
-    assert done.recording.name in page
-    assert f"imucal {done.name}" in page  # the command line in the footer
-
-
-@pytest.mark.slow
-def test_validate_accepts_it_and_no_number_that_is_none(done: Done, tmp_path: Path) -> None:
-    assert run("validate", done.calibration).return_value == 0
-    yaml = YAML(typ="safe", pure=True)
-    for place in ("value", "sd", "covariance", "gravity", "facts"):
-        for bad in (math.nan, math.inf):
-            content = yaml.load(done.calibration.read_text(encoding="utf-8"))
-            if place == "covariance":
-                content["covariance"][0][0] = bad
-            elif place == "gravity":
-                content["gravity_m_per_s2"] = bad
-            elif place == "facts":
-                content["errors"][0]["floor"] = bad
-            else:
-                content["parameters"][0][place] = bad
-            path = tmp_path / "bad.yaml"
-            yaml.dump(content, path)
-            result = run("validate", path)
-            assert result.return_value == 3, (place, bad)
-            assert "finite" in str(result.exception)
-    refused = run("apply", path, done.recording, "-o", tmp_path / "c.csv")
-    assert refused.return_value == 3
-    assert not (tmp_path / "c.csv").exists()
-
-
-@pytest.mark.slow
 def test_apply_accepts_it(done: Done, tmp_path: Path) -> None:
     target = tmp_path / "corrected.h5"
     result = run("apply", done.calibration, done.recording, "-o", target, "-q")

@@ -37,14 +37,14 @@ ELSEWHERE: dict[tuple[str, str], str] = {
 
 def reading() -> tuple[str, ...]:
     """Options that say how a recording is read."""
-    from imucalib.cli.options import recording_options
+    from imucalib.cli.options import recording
 
     def nothing() -> None:
         """A command without options of its own."""
 
     import click
 
-    return tuple(options_of(click.command()(recording_options(nothing))))
+    return tuple(options_of(click.command()(recording(nothing))))
 
 
 def shown() -> dict[tuple[str, str], list[str]]:

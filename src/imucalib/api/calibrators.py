@@ -8,12 +8,17 @@ with.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import csv
+import difflib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Unpack
+from tempfile import TemporaryDirectory
+from typing import Any, TypedDict, TypeVar, Unpack
 
-from imucalib.api.given import RECORDING, TABLE, Reading, as_file, gravity_of, mapping_of
+import numpy as np
+
 from imucalib.api.result import Result
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibrators.actigraph.request import ActigraphRequest
@@ -21,15 +26,54 @@ from imucalib.calibrators.array.board import Board, read_board
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.imu.request import ImuRequest
 from imucalib.calibrators.lab.request import LabRequest
+from imucalib.errors import UsageError
 from imucalib.readers import read as read_recording
-from imucalib.recording.mapping import FieldMapping
+from imucalib.recording.mapping import OPTION_FIELDS, FieldMapping, from_dict
 from imucalib.recording.recording import Recording
-from imucalib.units import STANDARD_GRAVITY
+from imucalib.units import stated_gravity
 
 Say = Callable[[str], None]
+#: Local (m/s²), or latitude (deg) and height (m).
+Gravity = tuple[float | None, float | None, float]
+_SEVERAL = ("fixes", "exclude", "declare", "only", "without")
+Asked = TypeVar("Asked", LabRequest, ActigraphRequest, ImuRequest, ArrayRequest)
 Place = Path | str
-#: A file, or what a notebook holds: a DataFrame, columns by name, or an array (see `api.given`).
+#: A file, or what a notebook holds: a DataFrame, columns by name, or an array (see `read`).
 Given = Place | Mapping[str, Any] | Any
+
+
+#: Headings of an array's columns, by their number: of positions, and of a recording in time.
+_TABLE = {3: ("x", "y", "z"), 5: ("inclination", "tool_face", "x", "y", "z")}
+_ACC, _GYRO = ("acc_x", "acc_y", "acc_z"), ("gyr_x", "gyr_y", "gyr_z")
+_RECORDING = {
+    3: _ACC,
+    4: ("time (s)", *_ACC),
+    6: (*_ACC, *_GYRO),
+    7: ("time (s)", *_ACC, *_GYRO),
+}
+
+
+class Reading(TypedDict, total=False):
+    """How a recording or table is read, by the names of the command's options."""
+
+    acc: str
+    gyro: str
+    temperature: str
+    time: str
+    unit: str
+    gyro_unit: str
+    temperature_unit: str
+    time_unit: str
+    time_format: str
+    lsb: float
+    gyro_lsb: float
+    rate: float
+    axis_map: str
+    preset: str
+    acc_offset: str
+    skip: int
+    decimal: str
+    delimiter: str
 
 
 def _silent(_: str) -> None:
@@ -43,16 +87,16 @@ def _each(given: Given) -> tuple[Given, tuple[Path, ...]]:
     return given, ()
 
 
-def _search(
-    declare: Sequence[str] | None,
-    loop: bool | None,
-    only: Sequence[str] | None = None,
-    without: Sequence[str] | None = None,
-) -> dict[str, Any]:
-    """Fields of a request that choices of the search replace."""
-    named = {"declare": declare, "only": only, "without": without}
-    given = {name: tuple(value) for name, value in named.items() if value is not None}
-    return {**given, **({} if loop is None else {"loop": loop})}
+def _asked(request: Asked, gravity: Gravity, **stated: Any) -> Asked:
+    """The request with what keywords state, that is not None, in place of its fields."""
+    if (found := stated_gravity(*gravity)) is not None:
+        stated["gravity"], stated["gravity_source"] = found
+    given: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, Sequence) and name in _SEVERAL else value
+        for name, value in stated.items()
+        if value is not None
+    }
+    return replace(request, **given)
 
 
 def read(path: Given, mapping: FieldMapping | None = None, **reading: Unpack[Reading]) -> Recording:
@@ -60,8 +104,8 @@ def read(path: Given, mapping: FieldMapping | None = None, **reading: Unpack[Rea
 
     reading : options of the command, such as acc="X,Y,Z", unit="g", rate=100
     """
-    with as_file(path, RECORDING) as file:
-        return read_recording(file, mapping_of(mapping, reading))
+    with _as_file(path, _RECORDING) as file:
+        return read_recording(file, _mapping_of(mapping, reading))
 
 
 def load(path: Place) -> Calibration:
@@ -113,31 +157,24 @@ def lab(
     from imucalib.calibrators.lab.files import LabFiles, calibrate_files
     from imucalib.report.lab import lab_document
 
-    asked = request or LabRequest()
-    read_as = mapping_of(mapping, reading)
-    stated = {
-        "reference": reference,
-        "conventions": None if convention is None else preset(convention),
-        "fixes": None if fix is None else tuple(fix),
-        "exclude": None if exclude is None else tuple(exclude),
-        "swap_angles": swap_angles,
-        "seed": seed,
-        "unit": reading.get("unit"),
-        "lsb_per_g": reading.get("lsb"),
-        **gravity_of(gravity, latitude, height),
-        **_search(declare, loop, only, without),
-    }
-    given = {name: value for name, value in stated.items() if value is not None}
-    asked = replace(asked, **given)
+    asked = _asked(
+        request or LabRequest(),
+        (gravity, latitude, height),
+        reference=reference,
+        conventions=None if convention is None else preset(convention),
+        fixes=fix,
+        exclude=exclude,
+        swap_angles=swap_angles,
+        **{"declare": declare, "only": only, "without": without},
+        loop=loop,
+        seed=seed,
+        unit=reading.get("unit"),
+        lsb_per_g=reading.get("lsb"),
+    )
+    read_as, log = _mapping_of(mapping, reading), None if recording is None else Path(recording)
     first, others = _each(table)
-    with as_file(first, TABLE) as file:
-        files = LabFiles(
-            file,
-            None if recording is None else Path(recording),
-            columns=columns or {},
-            mapping=read_as,
-            others=others,
-        )
+    with _as_file(first, _TABLE) as file:
+        files = LabFiles(file, log, columns or {}, read_as, others=others)
         run = calibrate_files(files, asked, say)
     return Result(run, lab_document(run))
 
@@ -166,12 +203,15 @@ def actigraph(
     from imucalib.calibrators.actigraph.run import calibrate_recording
     from imucalib.report.actigraph import actigraph_document
 
-    asked = request or ActigraphRequest()
-    asked = replace(asked, **gravity_of(gravity, latitude, height))
-    asked = replace(asked, **_search(declare, loop, only, without))
-    asked = replace(asked, seed=asked.seed if seed is None else seed)
-    with as_file(recording, RECORDING) as file:
-        run = calibrate_recording(file, mapping_of(mapping, reading), asked, say)
+    asked = _asked(
+        request or ActigraphRequest(),
+        (gravity, latitude, height),
+        **{"declare": declare, "only": only, "without": without},
+        loop=loop,
+        seed=seed,
+    )
+    with _as_file(recording, _RECORDING) as file:
+        run = calibrate_recording(file, _mapping_of(mapping, reading), asked, say)
     return Result(run, actigraph_document(run))
 
 
@@ -199,12 +239,14 @@ def array(
     from imucalib.report.array import array_document
 
     drawn = board if isinstance(board, Board) else read_board(str(board))
-    asked = replace(request, board=drawn) if request else ArrayRequest(drawn, STANDARD_GRAVITY)
-    asked = replace(asked, **gravity_of(gravity, latitude, height))
-    if samples is not None:
-        asked = replace(asked, samples=samples)
-    asked = replace(asked, **_search(None, loop))
-    asked = replace(asked, seed=asked.seed if seed is None else seed)
+    asked = _asked(
+        request or ArrayRequest(drawn),
+        (gravity, latitude, height),
+        board=drawn,
+        samples=samples,
+        loop=loop,
+        seed=seed,
+    )
     found = log if isinstance(log, Recording) else read(log, mapping, **reading)
     run = calibrate_array(found, asked, say)
     return Result(run, array_document(run))
@@ -233,10 +275,65 @@ def imu(
     from imucalib.calibrators.imu.run import run_imu
     from imucalib.report.imu import imu_document
 
-    asked = request or ImuRequest()
-    asked = replace(asked, **gravity_of(gravity, latitude, height))
-    asked = replace(asked, **_search(declare, loop, only, without))
+    asked = _asked(
+        request or ImuRequest(),
+        (gravity, latitude, height),
+        **{"declare": declare, "only": only, "without": without},
+        loop=loop,
+    )
     first, others = _each(recording)
-    with as_file(first, RECORDING) as file:
-        run = run_imu((file, *others), mapping_of(mapping, reading), asked, say)
+    with _as_file(first, _RECORDING) as file:
+        run = run_imu((file, *others), _mapping_of(mapping, reading), asked, say)
     return Result(run, imu_document(run))
+
+
+def _mapping_of(base: FieldMapping | None, reading: Mapping[str, Any]) -> FieldMapping:
+    """A mapping with single options over it. Raises UsageError for an option that there is not."""
+    known = Reading.__annotations__
+    for name in reading:
+        if name not in known:
+            close = difflib.get_close_matches(name, known, 1)
+            remedy = f"did you mean {close[0]}" if close else f"there are: {', '.join(known)}"
+            raise UsageError(f"no option '{name}'", remedy=remedy)
+    stated = {OPTION_FIELDS.get(name, name): value for name, value in reading.items()}
+    return from_dict(stated, "keywords").filled_from(base or FieldMapping())
+
+
+@contextmanager
+def _as_file(data: Any, headings: Mapping[int, tuple[str, ...]]) -> Iterator[Path]:
+    """The path of a file, or of a file that holds a table for as long as it is read: a DataFrame,
+    columns by name, or an array (n, k) whose k columns are `headings[k]`. Raises UsageError."""
+    if isinstance(data, str | Path):
+        yield Path(data)
+        return
+    columns = _columns(data, headings)
+    with TemporaryDirectory(prefix="imucal-") as folder:
+        path = Path(folder) / "given.csv"
+        with path.open("w", newline="", encoding="utf-8") as stream:
+            writer = csv.writer(stream)
+            writer.writerow(columns)
+            writer.writerows(zip(*columns.values(), strict=True))
+        yield path
+
+
+def _columns(data: Any, headings: Mapping[int, tuple[str, ...]]) -> dict[str, list[Any]]:
+    """Name -> cells as text that reads back to the same number."""
+    if isinstance(data, Mapping) or hasattr(data, "columns"):
+        names = list(data) if isinstance(data, Mapping) else list(data.columns)
+        return {str(name): _cells(np.asarray(data[name])) for name in names}
+    values = np.asarray(data, np.float64)
+    if values.ndim != 2 or values.shape[1] not in headings:
+        allowed = "; ".join(f"{k}: {', '.join(names)}" for k, names in headings.items())
+        raise UsageError(
+            f"an array of shape {values.shape} has no known columns",
+            remedy=f"give a DataFrame, or an array with columns of {allowed}",
+        )
+    return {n: _cells(c) for n, c in zip(headings[values.shape[1]], values.T, strict=True)}
+
+
+def _cells(values: Any) -> list[Any]:
+    if values.dtype.kind == "M":
+        return list(np.datetime_as_string(values))
+    if values.dtype.kind == "f":
+        return ["" if np.isnan(v) else repr(float(v)) for v in values]
+    return [str(v) for v in values]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from html import escape
@@ -15,10 +15,17 @@ from imucalib.calibration.findings import Gain
 from imucalib.calibration.outcome import Run, Status
 from imucalib.effects.forms import in_words
 from imucalib.errors import UsageError
-from imucalib.report.document import Document
+from imucalib.report.document import RESIDUALS, Document, Plot, Series
 from imucalib.report.files import Report, write_report
 
 Rows = Literal["parameters", "errors", "candidates"]
+#: What a series is drawn with.
+_STYLES: dict[str, dict[str, Any]] = {
+    "points": {"linestyle": "", "marker": "."},
+    "rings": {"linestyle": "", "marker": "o", "fillstyle": "none"},
+    "bars": {"linestyle": "", "marker": "o"},
+    "step": {"drawstyle": "steps-post"},
+}
 
 
 @dataclass(frozen=True, repr=False)
@@ -92,9 +99,13 @@ class Result:
         """Figures of the report, drawn by matplotlib: those whose title or section holds the words,
         of none the residual before and after. Raises UsageError where it is not installed, or
         where no figure is called so."""
-        from imucalib.api.drawn import drawn, matplotlib, plots_of
-
-        return drawn(plots_of(self.document, which), matplotlib())
+        plots = plots_of(self.document, which)
+        try:
+            library = __import__("matplotlib.pyplot", fromlist=["pyplot"])
+        except ImportError:
+            remedy = "pip install matplotlib"
+            raise UsageError("matplotlib is not installed", remedy=remedy) from None
+        return _drawn(plots, library)
 
     def __repr__(self) -> str:
         """One line: what was calibrated, verdict, error on held-out data, what was found."""
@@ -136,3 +147,44 @@ def _rows(report: Mapping[str, Any], rows: Rows) -> list[dict[str, Any]]:
         | {f"held_out_{k}": v for k, v in error["held_out"].items()}
         for error in loop["errors"]
     ]
+
+
+def plots_of(document: Document, which: str) -> tuple[Plot, ...]:
+    """The plots whose title or section holds some words; of none, those before and after.
+
+    Raises UsageError with the titles that there are.
+    """
+    every, wanted = document.plots, which.lower() or RESIDUALS.lower()
+    found = tuple(p for title, p in every if wanted in f"{title} {p.title}".lower())
+    if not found:
+        titles = "; ".join(dict.fromkeys(p.title for _, p in every)) or "none"
+        raise UsageError(f"no figure '{which or wanted}'", remedy=f"there are: {titles}")
+    return found
+
+
+def _drawn(plots: Sequence[Plot], library: Any) -> Any:
+    """A figure with one set of axes a plot. library : matplotlib.pyplot, or what draws as it"""
+    figure, axes = library.subplots(
+        len(plots), 1, figsize=(7.0, 3.2 * len(plots)), squeeze=False, layout="constrained"
+    )
+    for plot, ax in zip(plots, axes[:, 0], strict=True):
+        for series in plot.series:
+            _add(ax, series)
+        ax.set(title=plot.title, xlabel=plot.x_label, ylabel=plot.y_label)
+        if plot.log_y:
+            ax.set_yscale("log")
+        if plot.equal:
+            ax.set_aspect("equal")
+        if plot.bare:
+            ax.set(xticks=[], yticks=[])
+        ax.legend()
+    return figure
+
+
+def _add(ax: Any, series: Series) -> None:
+    if series.mark == "band" and series.low is not None and series.high is not None:
+        ax.fill_between(series.x, series.low, series.high, alpha=0.2, label=series.label)
+        return
+    ax.plot(series.x, series.y, label=series.label, **_STYLES.get(series.mark, {}))
+    if series.low is not None and series.high is not None:
+        ax.vlines(series.x, series.low, series.high, linewidth=1.0)

@@ -81,15 +81,19 @@ class Gain:
     nats_low: float = math.nan
 
     @property
+    def dense(self) -> str:
+        """What the log density of held-out data gains, to end a sentence, where it was judged."""
+        if math.isnan(self.nats):
+            return ""
+        return f"; in log density {self.nats:+.1f} nats, at least {self.nats_low:+.1f}"
+
+    @property
     def words(self) -> str:
         """One sentence's part."""
-        dense = ""
-        if not math.isnan(self.nats):
-            dense = f"; in log density {self.nats:+.1f} nats, at least {self.nats_low:+.1f}"
         return (
             f"{self.before:.3g} -> {self.after:.3g} {self.unit} on data that took no part in any "
             f"choice (gain {self.before - self.after:.2g}, 95 % {self.low:.2g} to {self.high:.2g}"
-            f"{dense})"
+            f"{self.dense})"
         )
 
 

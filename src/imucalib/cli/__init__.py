@@ -14,7 +14,8 @@ import click
 
 from imucalib.errors import CRASH_EXIT_CODE, ImucalError
 
-#: Command -> one line for the overview; the module of the same name holds `command`.
+#: Command -> one line for the overview. The module of the same name holds `command`, or another
+#: one, of `_BESIDE`, a function of that name.
 COMMANDS = {
     "lab": "Calibrate a tool's accelerometer on a bench with known angles, or by gravity alone.",
     "actigraph": "Calibrate a worn sensor from days of recording, by gravity at rest.",
@@ -34,6 +35,9 @@ COMMANDS = {
     "effects": "List the catalogue of effects.",
     "validate": "Check a calibration file.",
 }
+
+
+_BESIDE = {"collect": "batch", "validate": "check"}
 
 
 class LazyGroup(click.Group):
@@ -80,8 +84,8 @@ class LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in COMMANDS:
             return None
-        module = importlib.import_module(f"imucalib.cli.{cmd_name}")
-        command: click.Command = module.command
+        module = importlib.import_module(f"imucalib.cli.{_BESIDE.get(cmd_name, cmd_name)}")
+        command: click.Command = getattr(module, cmd_name if cmd_name in _BESIDE else "command")
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

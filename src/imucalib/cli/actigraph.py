@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import shlex
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
+from imucalib.cli import options as opt
 from imucalib.cli.calibrating import (
     ARGUMENTS,
     calibrating,
@@ -16,11 +18,6 @@ from imucalib.cli.calibrating import (
     limit_option,
     shared_of,
 )
-from imucalib.cli.options import PagedCommand, fleet_option, mapping_of
-
-if TYPE_CHECKING:
-    from imucalib.calibrators.actigraph.request import ActigraphRequest
-    from imucalib.calibrators.population import Population
 
 
 def _one_of(ctx: click.Context, _: click.Parameter, recordings: tuple[Path, ...]) -> Path:
@@ -49,26 +46,20 @@ def _one_of(ctx: click.Context, _: click.Parameter, recordings: tuple[Path, ...]
     )
 
 
-@click.command("actigraph", cls=PagedCommand, short_help="Calibrate a worn sensor by gravity.")
+@opt.paged("actigraph")
 @click.argument(
-    "recording",
-    metavar="RECORDING",
-    nargs=-1,
-    required=True,
-    type=click.Path(path_type=Path),
-    callback=_one_of,
+    "recording", metavar="RECORDING", nargs=-1, required=True, type=opt.PATH, callback=_one_of
 )
-@click.option("--triad", help="Which accelerometer, when the recording has several.")
-@click.option("--every", metavar="TIME", help="Calibrate parts too, for example 7d or 12h.")
-@click.option("--as-published", is_flag=True, help="The paper's own method, as it was published.")
-@click.option(
+@opt.option("--triad", "Which accelerometer, when the recording has several.")
+@opt.option("--every", "Calibrate parts too, for example 7d or 12h.", metavar="TIME")
+@opt.flag("--as-published", "The paper's own method, as it was published.")
+@opt.choice(
     "--arithmetic",
-    type=click.Choice(["float", "int32", "int16"]),
+    "float int32 int16",
+    "Of the gradient descent, with --as-published.",
     default="float",
-    show_default=True,
-    help="Of the gradient descent, with --as-published.",
 )
-@fleet_option
+@opt.fleet
 @limit_option("--max-worst-error", "largest held-out error, mg.")
 @calibrating
 def command(recording: Path, **options: Any) -> int:
@@ -84,71 +75,35 @@ def command(recording: Path, **options: Any) -> int:
       imucal actigraph week.csv -o out
       imucal actigraph week.h5 -o out --latitude 46.3 --max-error 5
     """
+    from imucalib.calibrators.actigraph.published import calibrate_as_published
+    from imucalib.calibrators.actigraph.request import FREE, ActigraphRequest
+    from imucalib.calibrators.actigraph.run import calibrate_recording
+    from imucalib.report.actigraph import actigraph_document, published_document
     from imucalib.report.files import Report
 
-    request, mapping = request_of(options), mapping_of(options)
-    if request.as_published:
-        from imucalib.calibrators.actigraph.published import calibrate_as_published
-        from imucalib.report.actigraph import published_document
-
-        with calibrating_of(options) as say:
-            published = calibrate_as_published(recording, mapping, request, say)
-        return finish([Report(published, published_document(published))], options)
-    from imucalib.calibrators.actigraph.run import calibrate_recording
-    from imucalib.report.actigraph import actigraph_document
-
-    with calibrating_of(options) as say:
-        run = calibrate_recording(recording, mapping, request, say)
-    return finish([Report(run, actigraph_document(run))], options)
-
-
-def request_of(options: dict[str, Any]) -> ActigraphRequest:
-    """The request that the options state; raises click's usage errors."""
-    from imucalib.calibrators.actigraph.request import FREE, ActigraphRequest
-
-    shared = shared_of(options)
-    curves = ActigraphRequest.curves if shared.curves is None else shared.curves
-    return ActigraphRequest(
-        gravity=shared.gravity,
-        gravity_source=shared.gravity_source,
-        triad=options["triad"],
-        as_published=options["as_published"],
-        arithmetic=options["arithmetic"],
+    request = ActigraphRequest(
+        **shared_of(options),
+        **{name: options[name] for name in ("triad", "as_published", "arithmetic")},
         every=_seconds(options["every"]) if options["every"] else None,
-        kind=_kind(options),
-        declare=shared.declare,
-        only=shared.only,
-        without=(*shared.without, *(() if curves else FREE)),
-        loop=shared.loop,
-        curves=curves,
-        extra_effects=shared.extra_effects,
-        limits=shared.limits,
-        seed=shared.seed,
-        command=shared.command,
+        kind=opt.population_of(
+            options,
+            {"as_published": False, "every": None},
+            "norm",
+            "a worn sensor by the size of gravity",
+            "give a fleet of worn sensors, or of tables with --reference norm",
+        ),
     )
-
-
-def _kind(options: dict[str, Any]) -> Population | None:
-    from imucalib.calibrators.population import read
-    from imucalib.errors import UsageError
-
-    if options["fleet"] is None:
-        return None
-    for name in ("as_published", "every"):
-        if options[name]:
-            option = name.replace("_", "-")
-            raise UsageError(
-                f"--{option} knows no prior", remedy=f"leave out --fleet or --{option}"
-            )
-    kind = read(options["fleet"])
-    if kind.reference != "norm":
-        raise UsageError(
-            f"the fleet was calibrated with --reference {kind.reference}, a worn sensor by the "
-            "size of gravity",
-            where=str(options["fleet"]),
-            remedy="give a fleet of worn sensors, or of tables with --reference norm",
-        )
-    return kind
+    if not request.curves:
+        request = replace(request, without=(*request.without, *FREE))
+    mapping = opt.mapping_of(options)
+    with calibrating_of(options) as say:
+        if request.as_published:
+            published = calibrate_as_published(recording, mapping, request, say)
+            report = Report(published, published_document(published))
+        else:
+            run = calibrate_recording(recording, mapping, request, say)
+            report = Report(run, actigraph_document(run))
+    return finish([report], options)
 
 
 def _seconds(text: str) -> float:

@@ -8,15 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imucalib.cli.options import (
-    PagedCommand,
-    force_option,
-    inputs_of,
-    json_option,
-    mapping_of,
-    quiet_option,
-    recording_options,
-)
+from imucalib.cli import options as opt
 from imucalib.cli.output import emit_json, note, say, working
 
 if TYPE_CHECKING:
@@ -38,83 +30,49 @@ def _millimetres(
     return point
 
 
-@click.command("apply", cls=PagedCommand, short_help="Correct a recording with a calibration.")
-@click.argument("calibration", type=click.Path(path_type=Path))
-@click.argument("recording", type=click.Path(path_type=Path))
-@click.option(
-    "-o",
-    "--output",
-    required=True,
-    type=click.Path(path_type=Path),
-    help="File to write: .mcap, .h5 or .csv.",
+@opt.paged("apply")
+@click.argument("calibration", type=opt.PATH)
+@click.argument("recording", type=opt.PATH)
+@opt.option("-o --output", "File to write: .mcap, .h5 or .csv.", required=True, type=opt.PATH)
+@opt.strict
+@opt.option("--triad", "Which sensor, when the recording has several.")
+@opt.effects
+@opt.option(
+    "--parts use", "Each sample by the part valid at its time (--every).", flag_value="parts"
 )
-@click.option(
-    "--strict", is_flag=True, help="Refuse a damaged recording instead of keeping what is left."
+@opt.option(
+    "--angles", "Also write inclination and tool-face with their sd, as CSV.", type=opt.FILE
 )
-@click.option("--triad", help="Which sensor, when the recording has several.")
-@click.option(
-    "--effects",
-    "effects_file",
-    type=click.Path(path_type=Path),
-    help="Python file with effects of your own that the calibration uses.",
-)
-@click.option(
-    "--parts",
-    "use",
-    flag_value="parts",
-    help="Each sample by the part valid at its time (--every).",
-)
-@click.option(
-    "--angles",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="Also write inclination and tool-face with their sd, as CSV.",
-)
-@click.option(
+@opt.choice(
     "--each",
-    type=click.Choice(["rest", "sample"]),
+    "rest sample",
+    "A row of --angles for each rest, or for each sample.",
     default="rest",
-    show_default=True,
-    help="A row of --angles for each rest, or for each sample.",
 )
-@click.option(
+@opt.option(
     "--fused/--no-fused",
+    "Of an array: only the fused virtual IMU, or only the IMUs; default: both.",
     default=None,
-    help="Of an array: only the fused virtual IMU, or only the IMUs; default: both.",
 )
-@click.option(
+@opt.option(
     "--at",
+    "Of an array: point of the board's drawing whose force is given, mm; default: the middle.",
     metavar="X,Y,Z",
     callback=_millimetres,
-    help="Of an array: point of the board's drawing whose force is given, mm; default: the middle.",
 )
-@click.option(
+@opt.option(
     "--residuals",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="Also write what rests read before and after, and the corrected sensors, to look at: "
+    "Also write what rests read before and after, and the corrected sensors, to look at: "
     ".mcap, with a layout for Foxglove.",
+    type=opt.FILE,
 )
-@click.option("--again", is_flag=True, help="Correct a recording that is corrected already.")
-@click.option("--whole", "use", flag_value="whole", help="One calibration for all, whatever parts.")
-@force_option
-@recording_options
-@json_option
-@quiet_option
-def command(
-    calibration: Path,
-    recording: Path,
-    output: Path,
-    strict: bool,
-    triad: str | None,
-    use: str | None,
-    fused: bool | None,
-    at: tuple[float, ...] | None,
-    again: bool,
-    angles: Path | None,
-    each: str,
-    residuals: Path | None,
-    force: bool,
-    **options: Any,
-) -> int:
+@opt.flag("--again", "Correct a recording that is corrected already.")
+@opt.option("--whole use", "One calibration for all, whatever parts.", flag_value="whole")
+@opt.force
+@opt.recording
+@opt.json
+@opt.quiet
+def command(calibration: Path, recording: Path, **options: Any) -> int:
     """Correct the acceleration of a recording; everything else stays as it was.
 
     With the calibration of an array, the readings of every IMU in board axes, and all of them fused
@@ -128,59 +86,40 @@ def command(
       imucal apply array/calibration.yaml run.mcap --fused -o fused.mcap
     """
     from imucalib.atomic_file import demand_output
-    from imucalib.calibration.file import check, read
-    from imucalib.effects import load_file
+    from imucalib.errors import UsageError
     from imucalib.writers import writer_for
     from imucalib.writers.residuals import residual_files
 
+    output, angles, quiet = options["output"], options["angles"], options["quiet"]
     writer_for(output)
-    made = [
-        output,
-        *([angles] if angles else []),
-        *(residual_files(residuals) if residuals else ()),
-    ]
+    pair = residual_files(options["residuals"]) if options["residuals"] else ()
+    made = [output, *([angles] if angles else []), *pair]
     for path in made:
-        demand_output(path, inputs_of(options, calibration, recording), force=force)
-    if options["effects_file"] is not None:
-        load_file(options["effects_file"])
-    loaded = read(calibration)
-    check(loaded, str(calibration))
-    _refuse_angles(loaded, angles)
-    if loaded.status != "ok":
-        note(
-            f"warning: this calibration is {loaded.status}: {'; '.join(loaded.reasons)}",
-            options["quiet"],
+        demand_output(path, opt.inputs_of(options, calibration, recording), force=options["force"])
+    loaded = opt.calibration_of(calibration, options["effects_file"])
+    if angles is not None and loaded.triads:
+        raise UsageError(
+            "--angles is of one accelerometer, this calibration is of an array",
+            remedy="leave it out: the fused specific force at rest has the array's tilt",
         )
-    given = {"triad": triad, "use": use, "fused": fused, "at": at, "strict": strict, "again": again}
-    with working("correcting", quiet=options["quiet"]):
-        notes = _applied(loaded, recording, output, {**options, **given})
-        frame = _angles(loaded, output, angles, triad, each) if angles is not None else ""
-        if residuals is not None:
-            _residuals(loaded, recording, residuals, {**options, **given})
+    if loaded.status != "ok":
+        note(f"warning: this calibration is {loaded.status}: {'; '.join(loaded.reasons)}", quiet)
+    with working("correcting", quiet=quiet):
+        notes = _applied(loaded, recording, output, options)
+        frame = _angles(loaded, output, options) if angles is not None else ""
+        if options["residuals"] is not None:
+            _residuals(loaded, recording, options)
     for text in (*notes, *filter(None, [frame])):
-        note(text, options["quiet"])
+        note(text, quiet)
     if options["as_json"]:
         emit_json({"output": str(output), "notes": list(notes)})
-    elif not options["quiet"]:
+    elif not quiet:
         for path in made:
             say(f"wrote {path}")
     return 0
 
 
-def _refuse_angles(calibration: Calibration, path: Path | None) -> None:
-    """Angles are of one accelerometer; said before anything is written."""
-    from imucalib.errors import UsageError
-
-    if path is not None and calibration.triads:
-        raise UsageError(
-            "--angles is of one accelerometer, this calibration is of an array",
-            remedy="leave it out: the fused specific force at rest has the array's tilt",
-        )
-
-
-def _angles(
-    calibration: Calibration, corrected: Path, path: Path, triad: str | None, each: str
-) -> str:
+def _angles(calibration: Calibration, corrected: Path, options: dict[str, Any]) -> str:
     """Write the angles of the corrected recording; what must be said of their frame."""
     from imucalib.calibration.angles import angles_at_rests, angles_of_samples
     from imucalib.calibrators.lab.conventions import Conventions
@@ -191,28 +130,28 @@ def _angles(
     recording = read(corrected)
     rests = still_segments(recording)
     found = [c for c in recording.channels.values() if c.quantity == "acceleration"]
-    channel = next(c for c in found if triad is None or c.triad == triad)
+    channel = next(c for c in found if options["triad"] in (None, c.triad))
     k = rests.triads.index(channel.triad)
-    if each == "rest":
+    if options["each"] == "rest":
         angles = angles_at_rests(calibration, channel.values, rests, k)
     else:
         angles = angles_of_samples(calibration, channel.values, channel.t, rests, k)
     stated = calibration.facts.get("conventions")
-    write_angles(angles, Conventions(**stated) if stated else Conventions(), path)
+    write_angles(angles, Conventions(**stated) if stated else Conventions(), options["angles"])
     if stated:
         return ""
     return "angles are in the sensor's own axes: no bench has tied them to a tool"
 
 
-def _residuals(calibration: Calibration, source: Path, path: Path, options: dict[str, Any]) -> None:
+def _residuals(calibration: Calibration, source: Path, options: dict[str, Any]) -> None:
     """Write what rests read before and after."""
     from imucalib.calibration.residuals import with_residuals
     from imucalib.readers import read
     from imucalib.writers.residuals import write_residuals
 
-    recording = read(source, mapping_of(options), strict=options["strict"])
+    recording = read(source, opt.mapping_of(options), strict=options["strict"])
     chosen = {name: options[name] for name in ("triad", "use", "again")}
-    write_residuals(with_residuals(calibration, recording, **chosen), path)
+    write_residuals(with_residuals(calibration, recording, **chosen), options["residuals"])
 
 
 def _applied(
@@ -221,7 +160,7 @@ def _applied(
     """Each sensor corrected, the array fused, or both; and what there is to say of it."""
     from imucalib.calibration.apply import correct_file
 
-    mapping, fused = mapping_of(options), options["fused"]
+    mapping, fused = opt.mapping_of(options), options["fused"]
     both = {"strict": options["strict"], "again": options["again"]}
     alone = options["triad"] is not None or options["use"] is not None or not calibration.triads
     words: tuple[str, ...] = ()

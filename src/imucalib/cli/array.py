@@ -8,27 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imucalib.cli.calibrating import (
-    Together,
-    calibrating,
-    calibrating_of,
-    finish,
-    limit_option,
-    shared_of,
-)
-from imucalib.cli.options import (
-    PagedCommand,
-    mapping_of,
-    seed_option,
-    shortest_rest_option,
-    still_of,
-)
+from imucalib.cli import options as opt
+from imucalib.cli.calibrating import calibrating, calibrating_of, finish, limit_option, shared_of
 from imucalib.cli.output import freed_memory, note
 
 if TYPE_CHECKING:
     from imucalib.calibrators.array.estimate.total import Distance
     from imucalib.calibrators.array.request import ArrayRequest
-    from imucalib.calibrators.array.run import ArrayRun
 
 #: Bytes from which an array goes back to the system when it is freed, and that are kept at the end
 #: of all others: what is below 32 MB is kept otherwise, and of many IMUs that was 0.3 GB; with the
@@ -36,108 +22,68 @@ if TYPE_CHECKING:
 _LARGE, _KEPT = 1 << 22, 1 << 26
 
 
-@click.command(
-    "array", cls=PagedCommand, short_help="Find the positions of an array's accelerometers."
-)
-@click.argument("logs", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option(
-    "--board",
-    "--layout",
-    "board",
+@opt.paged("array")
+@click.argument("logs", nargs=-1, required=True, type=opt.PATH)
+@opt.option(
+    "--board --layout board",
+    "Board file (YAML), or a name: mimu4444, mimu4444_corners.",
     required=True,
-    help="Board file (YAML), or a name: mimu4444, mimu4444_corners.",
 )
-@click.option(
+@opt.flag(
     "--as-drawn",
-    is_flag=True,
-    help="Keep the board file's axes and places even where the log contradicts them.",
+    "Keep the board file's axes and places even where the log contradicts them.",
 )
-@click.option(
-    "--sampler",
-    type=click.Choice(["hmc", "pmmh"]),
-    default="hmc",
-    show_default=True,
-    help="pmmh: Algorithm 1 of the paper.",
-)
-@click.option(
+@opt.choice("--sampler", "hmc pmmh", "pmmh: Algorithm 1 of the paper.", default="hmc")
+@opt.option(
     "--samples",
+    "Moving samples, at most; default: all that say something.",
     type=click.IntRange(min=1),
-    help="Moving samples, at most; default: all that say something.",
 )
-@click.option(
-    "--motion-prior",
-    type=click.Choice(["learned", "flat"]),
-    default="learned",
-    show_default=True,
-    help="Of ω̇; flat is the paper's.",
-)
-@click.option(
+@opt.choice("--motion-prior", "learned flat", "Of ω̇; flat is the paper's.", default="learned")
+@opt.choice(
     "--det-exponent",
-    type=click.Choice(["0.5", "1"]),
+    "0.5 1",
+    "1: equation (25) as printed, with --motion-prior flat.",
     default="0.5",
-    show_default=True,
-    help="1: equation (25) as printed, with --motion-prior flat.",
 )
-@click.option(
-    "--acc-sigma",
-    default="estimate",
-    show_default=True,
-    help="In motion: estimate, nonlinearity, or m/s².",
-)
-@click.option(
+@opt.option("--acc-sigma", "In motion: estimate, nonlinearity, or m/s².", default="estimate")
+@opt.choice(
     "--gyro-covariance",
-    type=click.Choice(["scatter", "sample"]),
+    "scatter sample",
+    "sample: equation (30) of the paper.",
     default="scatter",
-    show_default=True,
-    help="sample: equation (30) of the paper.",
 )
-@click.option("--chains", type=int, help="Number of chains.")
-@click.option("--ess", default=400.0, show_default=True, help="Effective sample size to reach.")
-@click.option("--iterations", default=100_000, show_default=True, help="Of --sampler pmmh.")
+@opt.option("--chains", "Number of chains.", type=int)
+@opt.option("--ess", "Effective sample size to reach.", default=400.0)
+@opt.option("--iterations", "Of --sampler pmmh.", default=100_000)
 @limit_option("--max-gyro-error", "held-out gyro error, deg/s.")
 @limit_option("--max-position-sd", "largest posterior sd, mm.")
-@click.option(
-    "--save-draws",
-    type=click.Path(path_type=Path),
-    help="Also write the posterior's draws: .h5 or .nc.",
-)
-@click.option(
+@opt.option("--save-draws", "Also write the posterior's draws: .h5 or .nc.", type=opt.PATH)
+@opt.option(
     "--checkpoint",
-    type=click.Path(path_type=Path),
-    help="Keep the chains here after every block, and go on from there.",
+    "Keep the chains here after every block, and go on from there.",
+    type=opt.PATH,
 )
-@click.option(
-    "--distance",
-    "distances",
+@opt.option(
+    "--distance distances",
+    "A distance that you measured, which fixes the size: imu0 imu7 26.73±0.05mm (+- works too).",
     nargs=3,
     multiple=True,
     metavar="IMU IMU MM±SD",
-    help="A distance that you measured, which fixes the size: imu0 imu7 26.73±0.05mm "
-    "(+- works too).",
 )
-@click.option(
+@opt.option(
     "--accept-mm",
-    type=float,
+    "By how much what is not explained may move the positions before the exit code is 5.",
     default=0.05,
-    show_default=True,
-    help="By how much what is not explained may move the positions before the exit code is 5.",
 )
-@click.option(
+@opt.option(
     "--accept-mg",
-    type=float,
+    "The same of the accelerometers' residual in motion, beyond their noise at rest.",
     default=50.0,
-    show_default=True,
-    help="The same of the accelerometers' residual in motion, beyond their noise at rest.",
 )
-@click.option(
-    "--accept-dps",
-    type=float,
-    default=2.0,
-    show_default=True,
-    help="The same of the gyros', deg/s.",
-)
-@shortest_rest_option
-@seed_option
+@opt.option("--accept-dps", "The same of the gyros', deg/s.", default=2.0)
+@opt.shortest_rest
+@opt.seed
 @calibrating
 def command(logs: tuple[Path, ...], **options: Any) -> int:
     """Find the positions of an inertial array's accelerometers from a bench log.
@@ -154,26 +100,28 @@ def command(logs: tuple[Path, ...], **options: Any) -> int:
       imucal array log.mcap --board board.yaml --declare gyro_delay -o out
     """
     from imucalib.calibrators.array.calibrate import calibrate_array
+    from imucalib.calibrators.array.logs import board_run
     from imucalib.readers import read
-    from imucalib.report.array import array_document
+    from imucalib.report.array import array_document, board_document
     from imucalib.report.files import Report, write_draws
 
     freed_memory(large=_LARGE, kept=_KEPT)
-    request = _request(options, logs)
-    mapping, quiet = mapping_of(options), options["quiet"]
-    runs: list[ArrayRun] = []
+    request, mapping, quiet = _request(options, logs), opt.mapping_of(options), options["quiet"]
+    runs = []
     for k, log in enumerate(logs):
         note(f"{log}", quiet)
         own = replace(request, agreeing=tuple(one.name for one in logs[:k]))
         with calibrating_of(options) as say:
             runs.append(calibrate_array(read(log, mapping), own, say))
-        if options["save_draws"] is not None:
-            target = options["save_draws"]
-            path = target if len(logs) == 1 else target.with_stem(f"{target.stem}_{log.stem}")
+        if (path := options["save_draws"]) is not None:
+            path = path if len(logs) == 1 else path.with_stem(f"{path.stem}_{log.stem}")
             write_draws(runs[-1], path)
             note(f"wrote {path}", quiet)
     reports = [Report(run, array_document(run)) for run in runs]
-    return finish(reports, options, _together(tuple(runs)) if len(runs) > 1 else None)
+    if len(runs) == 1:
+        return finish(reports, options)
+    board = board_run(tuple(runs))
+    return finish(reports, options, Report(board, board_document(board)))
 
 
 def _request(options: dict[str, Any], logs: tuple[Path, ...]) -> ArrayRequest:
@@ -195,36 +143,23 @@ def _request(options: dict[str, Any], logs: tuple[Path, ...]) -> ArrayRequest:
         raise UsageError("--checkpoint goes with one log")
     if len({log.stem for log in logs}) < len(logs):
         raise UsageError("two logs have one name, and so would their folders")
-    shared = shared_of(options)
-    board = read_board(options["board"])
-    scope = Scope(shared.declare, shared.only, shared.without)
+    shared, board = shared_of(options), read_board(options["board"])
+    scope = Scope(*(shared.pop(name) for name in ("declare", "only", "without")))
     for name in (*scope.declare, *scope.only, *scope.without):
         named_effect(name.partition("@")[0], board.imus)  # the log may name its IMUs otherwise
+    as_stated = "sampler samples gyro_covariance chains iterations as_drawn checkpoint"
     return ArrayRequest(
         board,
-        shared.gravity,
-        shared.gravity_source,
-        options["sampler"],
-        options["samples"],
+        **shared,
+        **{name: options[name] for name in as_stated.split()},
         motion=options["motion_prior"],
         exponent=float(options["det_exponent"]),
         accelerometer_sigma=sigma,
-        gyro_covariance=options["gyro_covariance"],
-        chains=options["chains"],
         stop=Stop(ess=options["ess"]),
-        iterations=options["iterations"],
-        still=still_of(options),
-        loop=shared.loop,
+        still=opt.still_of(options),
         scope=scope,
-        curves=ArrayRequest.curves if shared.curves is None else shared.curves,
-        as_drawn=options["as_drawn"],
         accepted=Accepted(options["accept_mm"], options["accept_mg"], options["accept_dps"]),
         distances=tuple(_distance(given, board.imus) for given in options["distances"]),
-        checkpoint=options["checkpoint"],
-        seed=shared.seed,
-        extra_effects=shared.extra_effects,
-        limits=shared.limits,
-        command=shared.command,
     )
 
 
@@ -248,12 +183,3 @@ def _distance(given: tuple[str, str, str], imus: tuple[str, ...]) -> Distance:
             remedy="in mm, like 26.73±0.05mm or 26.73+-0.05",
         )
     return Distance(imus.index(one), imus.index(two), *found)
-
-
-def _together(runs: tuple[ArrayRun, ...]) -> Together:
-    from imucalib.calibrators.array.logs import board_run
-    from imucalib.report.array import board_document
-    from imucalib.report.files import Report
-
-    found = board_run(runs)
-    return Together("together", Report(found, board_document(found)))

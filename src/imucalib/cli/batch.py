@@ -1,4 +1,4 @@
-"""imucal batch"""
+"""imucal batch and collect"""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from imucalib.cli.options import PagedCommand, json_option, quiet_option
+from imucalib.cli import options as opt
 from imucalib.cli.output import emit_json, note, progress
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 _BEHIND = "imucal.behind"
 
 
-class BatchCommand(PagedCommand):
+class BatchCommand(opt.PagedCommand):
     """A command whose arguments behind -- are another's."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
@@ -36,51 +36,33 @@ class BatchCommand(PagedCommand):
             raise click.UsageError(said, ctx) from None
 
 
-@click.command("batch", cls=BatchCommand, short_help="Calibrate a cohort, one recording a task.")
+@opt.paged("batch", cls=BatchCommand)
 @click.argument("inputs", metavar="INPUT... [-- OPTIONS]", nargs=-1, required=True)
-@click.option(
-    "-o", "--output", required=True, type=click.Path(path_type=Path), help="Folder of the entries."
-)
-@click.option(
-    "--calibrator", default="actigraph", show_default=True, help="Command to run on each recording."
-)
-@click.option("--jobs", default=1, show_default=True, help="Local processes at a time.")
-@click.option(
+@opt.option("-o --output", "Folder of the entries.", required=True, type=opt.PATH)
+@opt.option("--calibrator", "Command to run on each recording.", default="actigraph")
+@opt.option("--jobs", "Local processes at a time.", default=1)
+@opt.option(
     "--shard",
+    "Only every N-th recording, from the I-th.",
     default="1/1",
-    show_default=True,
     metavar="I/N",
-    help="Only every N-th recording, from the I-th.",
 )
-@click.option(
+@opt.option(
     "--resume/--no-resume",
+    "Keep entries whose recording, files and settings are unchanged.",
     default=True,
-    show_default=True,
-    help="Keep entries whose recording, files and settings are unchanged.",
 )
-@click.option("--scheduler", help="Address of a Dask scheduler to run on (extra cluster).")
-@click.option(
+@opt.option("--scheduler", "Address of a Dask scheduler to run on (extra cluster).")
+@opt.option(
     "--wait",
+    "With --scheduler: how long to wait while there is no worker.",
     default=60.0,
-    show_default=True,
     type=click.FloatRange(min=0.0),
     metavar="SECONDS",
-    help="With --scheduler: how long to wait while there is no worker.",
 )
-@json_option
-@quiet_option
-def command(
-    inputs: tuple[str, ...],
-    output: Path,
-    calibrator: str,
-    jobs: int,
-    shard: str,
-    resume: bool,
-    scheduler: str | None,
-    wait: float,
-    as_json: bool,
-    quiet: bool,
-) -> int:
+@opt.json
+@opt.quiet
+def command(inputs: tuple[str, ...], output: Path, jobs: int, **options: Any) -> int:
     """Calibrate recordings, each by itself. An INPUT is a recording, a folder, a pattern such as
     'week*/*.cwa', or a manifest: a path a line, or a CSV with a column path.
 
@@ -96,23 +78,23 @@ def command(
     from imucalib.cohort.batch import plan, run_all
     from imucalib.cohort.recordings import recordings_of
 
+    calibrator, resume, quiet = (options[name] for name in ("calibrator", "resume", "quiet"))
     behind, files = _options_of(calibrator, click.get_current_context().meta[_BEHIND])
-    found = recordings_of(inputs)
-    tasks = plan(found.recordings, output, calibrator, behind, _shard_of(shard), files)
+    found, shard = recordings_of(inputs), _shard_of(options["shard"])
+    tasks = plan(found.recordings, output, calibrator, behind, shard, files)
     entries: list[Entry] = []
     start = time.monotonic()
-    with _workers(scheduler, wait) as cluster:
+    with _workers(options["scheduler"], options["wait"]) as cluster:
         for line in (*found.said, _what(tasks, cluster, jobs, output, resume)):
             note(line, quiet)
+        made = run_all(tasks, cluster, jobs, resume=resume, say=lambda text: note(text, quiet))
         with progress(len(tasks), "recordings", quiet) as advance:
-            for entry in run_all(
-                tasks, cluster, jobs, resume=resume, say=lambda text: note(text, quiet)
-            ):
+            for entry in made:
                 entries.append(entry)
                 advance(free=entry.reused)
                 if entry.key and not entry.calibrated:
                     note(f"{entry.recording}: {entry.error}", quiet)
-    return _summed_up(entries, time.monotonic() - start, output, as_json=as_json, quiet=quiet)
+    return _summed_up(entries, time.monotonic() - start, output, options)
 
 
 def _shard_of(text: str) -> tuple[int, int]:
@@ -135,12 +117,10 @@ def _what(
     )
 
 
-def _summed_up(
-    entries: list[Entry], seconds: float, output: Path, *, as_json: bool, quiet: bool
-) -> int:
+def _summed_up(entries: list[Entry], seconds: float, output: Path, options: dict[str, Any]) -> int:
     failed = [e for e in entries if not e.calibrated]
     for why, count in Counter(e.error for e in failed if not e.key).items():
-        note(f"{count} recordings have no entry: {why}", quiet)
+        note(f"{count} recordings have no entry: {why}", options["quiet"])
     summary = {
         "recordings": len(entries),
         "calibrated": len(entries) - len(failed),
@@ -148,9 +128,9 @@ def _summed_up(
         "failed": [{"recording": e.recording, "error": e.error} for e in failed],
         "seconds": round(seconds, 1),
     }
-    if as_json:
+    if options["as_json"]:
         emit_json(summary)
-    elif not quiet:
+    elif not options["quiet"]:
         click.echo(
             f"{summary['calibrated']} of {summary['recordings']} calibrated "
             f"({summary['reused']} from before), {len(failed)} failed; entries in {output}"
@@ -232,3 +212,57 @@ def _workers(address: str | None, patience: float) -> Iterator[Cluster | None]:
     with client:
         executor = client.get_executor(retries=2)  # type: ignore[no-untyped-call]
         yield Cluster(executor, workers, address, patience)
+
+
+@opt.paged("collect")
+@click.argument("folder", type=opt.FOLDER)
+@opt.option(
+    "-o --output",
+    "Table to write: .csv, or .parquet (extra parquet).",
+    required=True,
+    type=opt.PATH,
+)
+@opt.option("--html", "Page of all recordings, those to look at first.", type=opt.FILE)
+@opt.force
+@opt.quiet
+def collect(folder: Path, output: Path, html: Path | None, force: bool, quiet: bool) -> int:
+    """Gather the entries that `imucal batch`, or --entry of a calibrator, wrote into one table, a
+    row a recording.
+
+    \b
+    Example: imucal collect entries -o cohort.csv --html cohort.html
+    """
+    from imucalib.atomic_file import demand_output
+    from imucalib.calibration.file import write_whole
+    from imucalib.cohort.entries import read_entry, rows, write_table
+    from imucalib.errors import UnreadableInput
+    from imucalib.report.cohort import cohort_html
+
+    if not folder.is_dir():
+        raise UnreadableInput(
+            "no such folder", where=str(folder), remedy="name that of `imucal batch -o`"
+        )
+    paths = sorted(folder.glob("*.json"))
+    for target in filter(None, (output, html)):
+        demand_output(target, paths, force=force)
+    found = [read_entry(path) for path in sorted(paths, key=lambda path: path.stat().st_mtime)]
+    read = [entry for entry in found if entry is not None]
+    entries = tuple({entry.recording: entry for entry in read}.values())
+    if not entries:
+        raise UnreadableInput(
+            "no entries of a cohort in it",
+            where=str(folder),
+            remedy="`imucal batch MANIFEST -o FOLDER` writes them",
+        )
+    table = rows(entries)
+    write_table(table, output)
+    if html is not None:
+        write_whole(html, cohort_html(table, folder.absolute().name))
+    if len(read) < len(found):
+        note(f"{len(found) - len(read)} files are no entries", quiet)
+    if len(entries) < len(read):
+        note(f"{len(read) - len(entries)} entries are older ones of the same recording", quiet)
+    if not quiet:
+        for target in filter(None, (output, html)):
+            click.echo(f"wrote {target}: {len(entries)} recordings")
+    return 0

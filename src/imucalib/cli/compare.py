@@ -3,61 +3,45 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
+from imucalib.cli import options as opt
 from imucalib.cli.calibrating import command_line
-from imucalib.cli.options import PagedCommand, force_option, full_option, json_option, quiet_option
 from imucalib.cli.output import present
 
 
-@click.command("compare", cls=PagedCommand, short_help="Compare calibrations of one sensor.")
-@click.argument("calibrations", type=click.Path(path_type=Path), nargs=-1, required=True)
-@click.option(
-    "--limit",
-    "limits",
-    multiple=True,
-    metavar="SIZE",
-    help="Difference that matters: 2mg of force, 0.1deg of direction, 0.2mm of position, "
+@opt.paged("compare")
+@click.argument("calibrations", type=opt.PATH, nargs=-1, required=True)
+@opt.many(
+    "--limit limits",
+    "SIZE",
+    "Difference that matters: 2mg of force, 0.1deg of direction, 0.2mm of position, "
     "0.5deg/s of a gyro's bias. Default: twice the largest stated sd.",
 )
-@click.option(
+@opt.option(
     "--dates",
+    "When each was recorded, for the drift; default: as the files say.",
     metavar="DATE,...",
-    help="When each was recorded, for the drift; default: as the files say.",
 )
-@click.option(
-    "--between-sessions",
-    "between",
-    multiple=True,
-    metavar="SIZE",
-    help="Scatter between power-ups: 0.5mg of bias, 0.05deg of mounting; default: as "
+@opt.many(
+    "--between-sessions between",
+    "SIZE",
+    "Scatter between power-ups: 0.5mg of bias, 0.05deg of mounting; default: as "
     "calibrations of several sessions state it.",
 )
-@click.option(
-    "--effects",
-    "effects_file",
-    type=click.Path(path_type=Path),
-    help="Python file with effects of your own that the calibrations use.",
+@opt.option(
+    "--effects effects_file",
+    "Python file with effects of your own that the calibrations use.",
+    type=opt.PATH,
 )
-@click.option(
-    "--html",
-    type=click.Path(path_type=Path),
-    help="Also write the report as a page, with its control chart.",
-)
-@force_option
-@full_option
-@json_option
-@quiet_option
-def command(
-    calibrations: tuple[Path, ...],
-    limits: tuple[str, ...],
-    dates: str | None,
-    between: tuple[str, ...],
-    effects_file: Path | None,
-    html: Path | None,
-    **options: bool,
-) -> int:
+@opt.option("--html", "Also write the report as a page, with its control chart.", type=opt.PATH)
+@opt.force
+@opt.full
+@opt.json
+@opt.quiet
+def command(calibrations: tuple[Path, ...], **options: Any) -> int:
     """Say whether calibrations of one sensor differ, what that means, and how they drift.
 
     Exit 0 they agree, 1 they differ beyond the limit, 5 the files are too uncertain to tell.
@@ -70,28 +54,19 @@ def command(
     from imucalib.atomic_file import demand_output
     from imucalib.calibration.checking.noise import limits_of, sessions_of
     from imucalib.calibration.comparison.compare import compared
-    from imucalib.calibration.file import check, read
-    from imucalib.effects import load_file
     from imucalib.report.comparison import comparison_dict, comparison_document
     from imucalib.report.files import shown_dict
 
-    if html is not None:
-        demand_output(html, calibrations, force=options["force"])
-    if effects_file is not None:
-        load_file(effects_file)
-    wanted = limits_of(limits)
-    loaded = [read(path) for path in calibrations]
-    for calibration, path in zip(loaded, calibrations, strict=True):
-        check(calibration, str(path))
-    found = compared(
-        loaded,
-        _names(calibrations),
-        wanted,
-        dates.split(",") if dates else (),
-        sessions_of(between),
-    )
+    page, dates = options["html"], options["dates"]
+    if page is not None:
+        demand_output(page, calibrations, force=options["force"])
+    wanted = limits_of(options["limits"])
+    loaded = [opt.calibration_of(path, options["effects_file"]) for path in calibrations]
+    dated = dates.split(",") if dates else ()
+    sessions = sessions_of(options["between"])
+    found = compared(loaded, _names(calibrations), wanted, dated, sessions)
     document = comparison_document(found, calibrations, command_line())
-    present(document, {**comparison_dict(found), **shown_dict(document)}, options, html)
+    present(document, {**comparison_dict(found), **shown_dict(document)}, options, page)
     return found.exit_code
 
 

@@ -7,30 +7,18 @@ from typing import Any
 
 import click
 
-from imucalib.cli.options import (
-    PagedCommand,
-    force_option,
-    inputs_of,
-    json_option,
-    mapping_of,
-    quiet_option,
-    recording_options,
-)
+from imucalib.cli import options as opt
 from imucalib.cli.output import emit_json, note, say, working
 
 
-@click.command("convert", cls=PagedCommand, short_help="Rewrite a recording in another format.")
-@click.argument(
-    "sources", metavar="SOURCE...", nargs=-1, required=True, type=click.Path(path_type=Path)
-)
-@click.argument("target", type=click.Path(path_type=Path))
-@click.option(
-    "--strict", is_flag=True, help="Refuse a damaged recording instead of keeping what is left."
-)
-@force_option
-@recording_options
-@json_option
-@quiet_option
+@opt.paged("convert")
+@click.argument("sources", metavar="SOURCE...", nargs=-1, required=True, type=opt.PATH)
+@click.argument("target", type=opt.PATH)
+@opt.strict
+@opt.force
+@opt.recording
+@opt.json
+@opt.quiet
 def command(
     sources: tuple[Path, ...], target: Path, strict: bool, force: bool, **options: Any
 ) -> int:
@@ -49,8 +37,8 @@ def command(
     from imucalib.writers import ChannelsChange, Noted, write_blocks, writer_for
 
     writer_for(target)
-    demand_output(target, inputs_of(options, *sources), force=force)
-    mapping = mapping_of(options)
+    demand_output(target, opt.inputs_of(options, *sources), force=force)
+    mapping = opt.mapping_of(options)
     if len(sources) == 1:
         noted = Noted(blocks(sources[0], mapping, strict=strict))
     else:
@@ -64,13 +52,8 @@ def command(
     for text in noted.notes:
         note(text, options["quiet"])
     if options["as_json"]:
-        emit_json(
-            {
-                "output": str(target),
-                "channels": list(noted.channels),
-                "notes": list(noted.notes),
-            }
-        )
+        seen = {"channels": list(noted.channels), "notes": list(noted.notes)}
+        emit_json({"output": str(target), **seen})
     elif not options["quiet"]:
         say(f"wrote {target}: {', '.join(noted.channels)}")
     return 0

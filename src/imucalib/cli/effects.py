@@ -7,22 +7,17 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imucalib.cli.options import PagedCommand, json_option
+from imucalib.cli import options as opt
 from imucalib.cli.output import emit_json, width
 
 if TYPE_CHECKING:
     from imucalib.core.effect import Effect
 
 
-@click.command("effects", cls=PagedCommand, short_help="List the catalogue of effects.")
+@opt.paged("effects")
 @click.argument("name", required=False)
-@click.option(
-    "--effects",
-    "effects_file",
-    type=click.Path(path_type=Path),
-    help="Python file with effects of your own.",
-)
-@json_option
+@opt.option("--effects effects_file", "Python file with effects of your own.", type=opt.PATH)
+@opt.json
 def command(name: str | None, effects_file: Path | None, as_json: bool) -> int:
     """List the effects that a calibration can hold and the search can find, or show one.
 

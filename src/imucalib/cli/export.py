@@ -4,18 +4,11 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from imucalib.cli.options import (
-    EXPORT_FORM,
-    FormOption,
-    PagedCommand,
-    force_option,
-    json_option,
-    quiet_option,
-)
+from imucalib.cli import options as opt
 from imucalib.cli.output import emit_json, note
 
 if TYPE_CHECKING:
@@ -23,68 +16,46 @@ if TYPE_CHECKING:
     from imucalib.exports import Made
 
 
-@click.command("export", cls=PagedCommand, short_help="Write coefficients for another program.")
-@click.argument("calibration", type=click.Path(path_type=Path))
-@click.option(
-    "--to",
-    "form",
-    required=True,
-    type=EXPORT_FORM,
-    cls=FormOption,
-    help="Form of the other program",
+class _Form(click.Option):
+    """An option that names an export; its help lists them."""
+
+    def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
+        from imucalib.exports import exports
+
+        name, text = super().get_help_record(ctx) or ("", "")
+        return name, f"{text.rstrip('.')}: {', '.join(exports())}."
+
+
+@opt.paged("export")
+@click.argument("calibration", type=opt.PATH)
+@opt.option(
+    "--to form", "Form of the other program", required=True, type=opt.EXPORT_FORM, cls=_Form
 )
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="File to write; default: stdout.",
-)
-@click.option(
-    "--noise",
-    type=click.Path(path_type=Path),
-    help="Noise of the sensors, from `imucal inspect --save-noise`.",
-)
-@click.option(
+@opt.option("-o --output", "File to write; default: stdout.", type=opt.FILE)
+@opt.option("--noise", "Noise of the sensors, from `imucal inspect --save-noise`.", type=opt.PATH)
+@opt.option(
     "--random-walk",
+    "Random walks that the rests do not show: their upper limits, or values in SI.",
     default="limit",
-    show_default=True,
     metavar="limit|ACC,GYRO",
-    help="Random walks that the rests do not show: their upper limits, or values in SI.",
 )
-@click.option(
+@opt.option(
     "--device-id",
-    metavar="ACC[,GYRO]",
-    help="px4, ardupilot: the sensors' ids, as CAL_ACC0_ID and CAL_GYRO0_ID, or INS_ACC_ID and "
+    "px4, ardupilot: the sensors' ids, as CAL_ACC0_ID and CAL_GYRO0_ID, or INS_ACC_ID and "
     "INS_GYR_ID, have them.",
+    metavar="ACC[,GYRO]",
 )
-@click.option(
-    "--effects",
-    "effects_file",
-    type=click.Path(path_type=Path),
-    help="Python file with effects of your own that the calibration uses.",
-)
-@click.option(
+@opt.effects
+@opt.option(
     "--largest-loss",
-    metavar="MG[,DPS]",
-    help="Loss, mg of a force and deg/s of a rate, from which on only --force writes; default: "
+    "Loss, mg of a force and deg/s of a rate, from which on only --force writes; default: "
     "three times the error that the calibration leaves.",
+    metavar="MG[,DPS]",
 )
-@force_option
-@json_option
-@quiet_option
-def command(
-    calibration: Path,
-    form: str,
-    output: Path | None,
-    noise: Path | None,
-    random_walk: str,
-    effects_file: Path | None,
-    device_id: str | None,
-    largest_loss: str | None,
-    force: bool,
-    as_json: bool,
-    quiet: bool,
-) -> int:
+@opt.force
+@opt.json
+@opt.quiet
+def command(calibration: Path, form: str, output: Path | None, **options: Any) -> int:
     """Write a calibration's coefficients in the form of another program.
 
     What the form cannot carry is said in the file and on stderr, in mg and deg; beyond a bound
@@ -97,18 +68,15 @@ def command(
       imucal export out/calibration.yaml --to kalibr --noise imu.yaml -o imus.yaml
     """
     from imucalib.atomic_file import demand_output
-    from imucalib.calibration.file import check, read, write_whole
-    from imucalib.effects import load_file
+    from imucalib.calibration.file import write_together
     from imucalib.exports import exported
     from imucalib.exports.bound import demand_carried
 
-    bounds = _bounds(largest_loss)
+    bounds, force = _bounds(options["largest_loss"]), options["force"]
     if output is not None:
-        demand_output(output, filter(None, (calibration, noise, effects_file)), force=force)
-    if effects_file is not None:
-        load_file(effects_file)
-    loaded = _with_ids(_with_noise(read(calibration), noise, random_walk), form, device_id)
-    check(loaded, str(calibration))
+        read = (calibration, options["noise"], options["effects_file"])
+        demand_output(output, filter(None, read), force=force)
+    loaded = _stated(opt.calibration_of(calibration, options["effects_file"]), form, options)
     source = str(dict(loaded.facts.get("provenance", {})).get("input", calibration.name))
     made = exported(loaded, source, form)
     if not force:
@@ -117,72 +85,61 @@ def command(
     for path in files:
         if path != output:
             demand_output(path, (), force=force)
-    for path, text in files.items():
-        write_whole(path, text)
+    write_together(files)
     for text in made.lost:
-        note(f"{form} lacks {text}", quiet)
-    if as_json:
+        note(f"{form} lacks {text}", options["quiet"])
+    if options["as_json"]:
         place = {"files": [str(path) for path in files]} if files else {"text": made.text}
-        emit_json({"form": form, **place, "lost": list(made.lost), **_losses(made)})
-    elif not quiet or not files:
+        losses = {"loss_mg": made.loss, "loss_deg_per_s": made.rate_loss}
+        emit_json({"form": form, **place, "lost": list(made.lost), **losses})
+    elif not options["quiet"] or not files:
         said = "\n".join(f"wrote {path}" for path in files)
         click.echo(said or made.text, nl=bool(files))
     return 0
 
 
-def _with_noise(calibration: Calibration, noise: Path | None, walks: str) -> Calibration:
-    """What is told of the noise beside the calibration."""
+def _stated(calibration: Calibration, form: str, options: dict[str, Any]) -> Calibration:
+    """With the noise and the ids that are stated beside it; raises click's usage errors."""
     from imucalib.exports.imus import with_noise, with_walks
-
-    if noise is not None:
-        calibration = with_noise(calibration, noise)
-    return calibration if walks == "limit" else with_walks(calibration, *_two(walks))
-
-
-def _with_ids(calibration: Calibration, form: str, text: str | None) -> Calibration:
-    """With the ids that are stated; raises click's usage errors."""
     from imucalib.exports.per_axis import FLIGHT, with_ids
 
-    if text is None:
+    if options["noise"] is not None:
+        calibration = with_noise(calibration, options["noise"])
+    if (walks := options["random_walk"]) != "limit":
+        said = "give limit, or ACC,GYRO in m/s3/sqrt(Hz), rad/s2/sqrt(Hz)"
+        values = _numbers(walks)
+        if len(values) != 2 or min(values) <= 0.0:
+            raise click.BadParameter(said, param_hint="--random-walk")
+        calibration = with_walks(calibration, *values)
+    if (ids := options["device_id"]) is None:
         return calibration
     if form not in FLIGHT:
         raise click.UsageError(f"--device-id is for {' and '.join(FLIGHT)}")
-    words = text.split(",")
+    words = ids.split(",")
     if len(words) > 2 or not all(word.strip().isdigit() for word in words):
         said = "give the accelerometer's id, or ACC,GYRO: whole numbers"
         raise click.BadParameter(said, param_hint="--device-id")
     return with_ids(calibration, tuple(int(word) for word in words))
 
 
+def _numbers(text: str) -> list[float]:
+    """Numbers with commas between them; none where one of them is no number of zero or more."""
+    try:
+        found = [float(part) for part in text.split(",")]
+    except ValueError:
+        return []
+    return found if all(value >= 0.0 for value in found) else []
+
+
 def _bounds(text: str | None) -> tuple[float | None, float | None]:
     """mg and deg/s, None where it is not stated; raises click's usage error."""
     if text is None:
         return None, None
-    try:
-        first, *more = map(float, text.split(","))
-    except ValueError:
-        first, more = -1.0, []
-    if len(more) > 1 or not all(value >= 0.0 for value in (first, *more)):
+    values = _numbers(text)
+    if not 1 <= len(values) <= 2:
         said = "give MG or MG,DPS: a force in mg, a rate in deg/s, zero or more"
         raise click.BadParameter(said, param_hint="--largest-loss")
-    return first, more[0] if more else None
-
-
-def _losses(made: Made) -> dict[str, float]:
-    return {"loss_mg": made.loss, "loss_deg_per_s": made.rate_loss}
-
-
-def _two(text: str) -> tuple[float, float]:
-    """Two positive numbers; raises click's usage error."""
-    try:
-        first, second = map(float, text.split(","))
-    except ValueError:
-        first = second = -1.0
-    if not (first > 0.0 and second > 0.0):
-        raise click.BadParameter(
-            "give limit, or ACC,GYRO in m/s3/sqrt(Hz), rad/s2/sqrt(Hz)", param_hint="--random-walk"
-        )
-    return first, second
+    return values[0], values[1] if len(values) == 2 else None
 
 
 def _files(made: Made, output: Path | None) -> dict[Path, str]:

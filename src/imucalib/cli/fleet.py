@@ -9,74 +9,48 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from imucalib.cli import options as opt
 from imucalib.cli.calibrating import command_line
-from imucalib.cli.options import (
-    PagedCommand,
-    force_option,
-    full_option,
-    gravity_of,
-    gravity_options,
-    json_option,
-    mapping_of,
-    numbers,
-    one_scale,
-    pairs,
-    quiet_option,
-    recording_options,
-    seed_option,
-    shortest_rest_option,
-    still_of,
-)
-from imucalib.cli.output import Say, note, present, verbose_option, working
+from imucalib.cli.output import Say, note, present, working
 
 if TYPE_CHECKING:
     from imucalib.cohort.fleet.outcome import Fleet
     from imucalib.report.document import Document
 
 
-@click.command("fleet", cls=PagedCommand, short_help="Calibrate devices of one kind together.")
-@click.argument(
-    "inputs", metavar="INPUT...", nargs=-1, required=True, type=click.Path(path_type=Path)
+@opt.paged("fleet")
+@click.argument("inputs", metavar="INPUT...", nargs=-1, required=True, type=opt.PATH)
+@opt.option(
+    "-o --output",
+    "Folder for report.html, report.json and each device's calibration.yaml.",
+    type=opt.FOLDER,
 )
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(path_type=Path, file_okay=False),
-    help="Folder for report.html, report.json and each device's calibration.yaml.",
-)
-@click.option(
-    "--reference",
-    type=click.Choice(["vector", "direction", "norm"]),
-    default="vector",
-    show_default=True,
-    help="As of imucal lab.",
-)
-@click.option("--columns", multiple=True, metavar="ROLE=NAME,...", help="Columns by heading.")
-@click.option("--exclude", default="", metavar="ROWS", help="Rows to leave out of every table.")
-@click.option("--only", multiple=True, metavar="EFFECT", help="Search only these effects.")
-@click.option("--without", multiple=True, metavar="EFFECT", help="Leave effects out of the search.")
-@click.option(
+@opt.choice("--reference", "vector direction norm", "As of imucal lab.", default="vector")
+@opt.many("--columns", "ROLE=NAME,...", "Columns by heading.")
+@opt.option("--exclude", "Rows to leave out of every table.", default="", metavar="ROWS")
+@opt.many("--only", "EFFECT", "Search only these effects.")
+@opt.many("--without", "EFFECT", "Leave effects out of the search.")
+@opt.option(
     "--draws",
+    "Simulated fleets behind each p-value.",
     type=click.IntRange(min=99),
     default=1000,
-    show_default=True,
-    help="Simulated fleets behind each p-value.",
 )
-@click.option(
+@opt.option(
     "--devices",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="Of calibrations: CSV that says which recording is of which device, columns "
+    "Of calibrations: CSV that says which recording is of which device, columns "
     "recording and device; default: by serial number, else one each.",
+    type=opt.FILE,
 )
-@full_option
-@gravity_options
-@recording_options
-@shortest_rest_option
-@force_option
-@seed_option
-@json_option
-@verbose_option
-@quiet_option
+@opt.full
+@opt.gravity
+@opt.recording
+@opt.shortest_rest
+@opt.force
+@opt.seed
+@opt.json
+@opt.verbose
+@opt.quiet
 def command(inputs: tuple[Path, ...], **options: Any) -> int:
     """Calibrate devices of one kind together: effects too small for one device, found in all.
 
@@ -114,6 +88,7 @@ def command(inputs: tuple[Path, ...], **options: Any) -> int:
 def _fleet(inputs: tuple[Path, ...], options: dict[str, Any], say: Say) -> Fleet:
     """Of tables, or of calibrations; raises UsageError where they are mixed."""
     from imucalib.calibrators.lab.files import LabFiles
+    from imucalib.calibrators.lab.request import LabRequest
     from imucalib.cohort.fleet.calibrated import is_calibrated
     from imucalib.cohort.fleet.recorded import Wanted, run_recorded
     from imucalib.cohort.fleet.run import run_fleet
@@ -135,26 +110,23 @@ def _fleet(inputs: tuple[Path, ...], options: dict[str, Any], say: Say) -> Fleet
         return run_recorded(made, wanted, say)
     if devices is not None:
         raise UsageError("--devices is for calibrations", remedy="each table is a device")
-    columns, mapping = pairs(options["columns"], "--columns"), mapping_of(options)
+    columns, mapping = opt.pairs(options["columns"], "--columns"), opt.mapping_of(options)
     files = [LabFiles(table, None, columns, mapping) for table in inputs]
-    return run_fleet(files, _request(options), rules, say)
+    gravity, source = opt.gravity_of(options)
+    request = LabRequest(
+        **{name: options[name] for name in ("unit", "reference", "only", "without", "seed")},
+        lsb_per_g=opt.one_scale(options["lsb"]),
+        gravity=gravity,
+        gravity_source=source,
+        exclude=opt.numbers(options["exclude"], "--exclude"),
+        still=opt.still_of(options),
+        command=command_line(),
+    )
+    return run_fleet(files, request, rules, say)
 
 
 #: What holds for all inputs; other options are read with tables.
-_OF_ALL = {
-    "inputs",
-    "output",
-    "only",
-    "without",
-    "draws",
-    "devices",
-    "full",
-    "force",
-    "seed",
-    "as_json",
-    "verbose",
-    "quiet",
-}
+_OF_ALL = "inputs output only without draws devices full force seed as_json verbose quiet"
 
 
 def _demand_usable() -> None:
@@ -164,32 +136,14 @@ def _demand_usable() -> None:
     from imucalib.errors import UsageError
 
     context = click.get_current_context()
-    for option in context.command.params:
-        stated = context.get_parameter_source(str(option.name)) is ParameterSource.COMMANDLINE
-        if stated and option.name not in _OF_ALL:
+    for parameter in context.command.params:
+        name = str(parameter.name)
+        stated = context.get_parameter_source(name) is ParameterSource.COMMANDLINE
+        if stated and name not in _OF_ALL.split():
             raise UsageError(
-                f"{option.opts[0]} says how to read a table, and calibrations were given",
+                f"{parameter.opts[0]} says how to read a table, and calibrations were given",
                 remedy="leave it out",
             )
-
-
-def _request(options: dict[str, Any]) -> Any:
-    from imucalib.calibrators.lab.request import LabRequest
-
-    gravity, source = gravity_of(options)
-    return LabRequest(
-        unit=options["unit"],
-        lsb_per_g=one_scale(options["lsb"]),
-        gravity=gravity,
-        gravity_source=source,
-        reference=options["reference"],
-        exclude=numbers(options["exclude"], "--exclude"),
-        still=still_of(options),
-        only=options["only"],
-        without=options["without"],
-        seed=options["seed"],
-        command=command_line(),
-    )
 
 
 def _demand(folder: Path) -> None:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 
 if TYPE_CHECKING:
+    from imucalib.calibration.calibration import Calibration
+    from imucalib.calibrators.population import Population
     from imucalib.recording.mapping import FieldMapping
     from imucalib.rests.stillness import StillSettings
 
@@ -16,86 +18,130 @@ if TYPE_CHECKING:
 else:
     Kind = click.ParamType
 
-Command = TypeVar("Command", bound=Callable[..., Any])
+Parameter = Callable[[Any], Any]
+PATH = click.Path(path_type=Path)
+FILE = click.Path(path_type=Path, dir_okay=False)
+FOLDER = click.Path(path_type=Path, file_okay=False)
 
-#: Parameter -> what click has to know of the option of that name.
-_READING: dict[str, dict[str, Any]] = {
-    "mapping": {
-        "type": click.Path(path_type=Path),
-        "help": "Recording: mapping file, as `inspect --save-mapping` writes it.",
-    },
-    "acc": {"help": "Recording: accelerometer fields or columns, x,y,z."},
-    "gyro": {"help": "Recording: gyroscope fields or columns."},
-    "temperature": {"help": "Recording: temperature field or column."},
-    "time": {"help": "Recording: time field or column; log_time for an MCAP file."},
-    "unit": {
-        "help": "Unit of the accelerometer's readings: m/s2, g, mg, ug, counts. Default: as the "
-        "file states it, else by the norm at rest."
-    },
-    "lsb": {"help": "Accelerometer counts a g, with --unit counts."},
-    "gyro_unit": {"help": "Recording: unit of the gyroscope: rad/s, deg/s, counts."},
-    "gyro_lsb": {"help": "Recording: gyroscope counts a deg/s, with its unit counts."},
-    "temperature_unit": {"help": "Recording: unit of the temperature: degC, degF, K, counts."},
-    "time_unit": {
-        "help": "Recording: unit of the time stamps: s, ms, us, ns, min, h, d, excel, datenum, "
-        "julian, filetime, ticks, text."
-    },
-    "time_format": {"help": "CSV: strptime form of stamps, for example '%d/%m/%Y %H:%M:%S.%f'."},
-    "where": {
-        "multiple": True,
-        "metavar": "COLUMN=VALUE",
-        "help": "CSV: only rows that have the value; all of several.",
-    },
-    "rate": {"type": float, "help": "Recording: samples a second, without time stamps."},
-    "axis_map": {"help": 'Recording: axes, for example "x,-y,z".'},
-    "preset": {"help": "Recording: named mapping (actigraph, axivity, euroc, ...)."},
-    "acc_offset": {"help": "Accelerometer counts at zero g."},
-    "skip": {"type": int, "help": "CSV: lines before the header or the first row."},
-    "decimal": {"help": "CSV: decimal mark, . or ,"},
-    "max_chunk": {"type": int, "help": "MCAP: bytes that one packed chunk may unpack to."},
-    "allow_external": {
-        "is_flag": True,
-        "default": None,
-        "help": "HDF5: read data from other files.",
-    },
-    "delimiter": {"help": "CSV: between the columns; tab and blank are understood."},
+
+def option(names: str, text: str, **words: Any) -> Parameter:
+    """As click.option: spellings and name separated by blanks, its help, and click's words; a
+    default that says something is shown."""
+    shown = words.get("default") not in (None, "")
+    return click.option(*names.split(), help=text, **{"show_default": shown, **words})
+
+
+def flag(names: str, text: str, **words: Any) -> Parameter:
+    """An option without a value."""
+    return option(names, text, is_flag=True, **words)
+
+
+def many(names: str, metavar: str, text: str) -> Parameter:
+    """An option that may be repeated."""
+    return option(names, text, multiple=True, metavar=metavar)
+
+
+def choice(names: str, words: str, text: str, **more: Any) -> Parameter:
+    """An option whose value is one of some words."""
+    return option(names, text, type=click.Choice(words.split()), **more)
+
+
+def combined(parameters: Iterable[Parameter]) -> Parameter:
+    """Several parameters as one, in the order of the help."""
+    made = tuple(parameters)
+
+    def add(command: Any) -> Any:
+        for parameter in reversed(made):
+            command = parameter(command)
+        return command
+
+    return add
+
+
+#: Parameter -> help of the option of that name.
+_READING = {
+    "mapping": "Recording: mapping file, as `inspect --save-mapping` writes it.",
+    "acc": "Recording: accelerometer fields or columns, x,y,z.",
+    "gyro": "Recording: gyroscope fields or columns.",
+    "temperature": "Recording: temperature field or column.",
+    "time": "Recording: time field or column; log_time for an MCAP file.",
+    "unit": "Unit of the accelerometer's readings: m/s2, g, mg, ug, counts. Default: as the file "
+    "states it, else by the norm at rest.",
+    "lsb": "Accelerometer counts a g, with --unit counts.",
+    "gyro_unit": "Recording: unit of the gyroscope: rad/s, deg/s, counts.",
+    "gyro_lsb": "Recording: gyroscope counts a deg/s, with its unit counts.",
+    "temperature_unit": "Recording: unit of the temperature: degC, degF, K, counts.",
+    "time_unit": "Recording: unit of the time stamps: s, ms, us, ns, min, h, d, excel, datenum, "
+    "julian, filetime, ticks, text.",
+    "time_format": "CSV: strptime form of stamps, for example '%d/%m/%Y %H:%M:%S.%f'.",
+    "where": "CSV: only rows that have the value; all of several.",
+    "rate": "Recording: samples a second, without time stamps.",
+    "axis_map": 'Recording: axes, for example "x,-y,z".',
+    "preset": "Recording: named mapping (actigraph, axivity, euroc, ...).",
+    "acc_offset": "Accelerometer counts at zero g.",
+    "skip": "CSV: lines before the header or the first row.",
+    "decimal": "CSV: decimal mark, . or ,",
+    "max_chunk": "MCAP: bytes that one packed chunk may unpack to.",
+    "allow_external": "HDF5: read data from other files.",
+    "delimiter": "CSV: between the columns; tab and blank are understood.",
 }
-#: Parameters of `recording_options`.
+#: What click has to know of those that are no text.
+_FORMS: dict[str, dict[str, Any]] = {
+    "mapping": {"type": PATH},
+    "where": {"multiple": True, "metavar": "COLUMN=VALUE"},
+    "rate": {"type": float},
+    "skip": {"type": int},
+    "max_chunk": {"type": int},
+    "allow_external": {"is_flag": True, "default": None},
+}
+#: Parameters of `recording`.
 READING = tuple(_READING)
-
-#: A fleet as a prior.
-fleet_option = click.option(
+#: How a recording is read; `mapping_of` turns the values into a FieldMapping.
+recording = combined(
+    option(f"--{name.replace('_', '-')}", text, **_FORMS.get(name, {}))
+    for name, text in _READING.items()
+)
+#: How large gravity is; `gravity_of` turns the values into m/s².
+gravity = combined(
+    [
+        option("--gravity", "Local gravity, m/s²; default: standard gravity.", type=float),
+        option("--latitude", "Latitude in degrees, for normal gravity.", type=float),
+        option(
+            "--height",
+            "Height above the ellipsoid in m, with --latitude.",
+            default=0.0,
+            show_default=False,
+        ),
+    ]
+)
+fleet = option(
     "--fleet",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="fleet.yaml of imucal fleet: what devices of its kind say where this one's data leave "
+    "fleet.yaml of imucal fleet: what devices of its kind say where this one's data leave "
     "something open.",
+    type=FILE,
 )
-
-
-def recording_options(command: Command) -> Command:
-    """Add the options; `mapping_of` turns their values into a FieldMapping."""
-    for name, words in reversed(_READING.items()):
-        command = click.option(f"--{name.replace('_', '-')}", **words)(command)
-    return command
-
-
-force_option = click.option(
-    "--force", is_flag=True, help="Replace an output file that is there; never an input."
-)
-
-
 #: Of commands that look for rests in a recording.
-shortest_rest_option = click.option(
+shortest_rest = option(
     "--shortest-rest",
-    type=float,
+    "Recording: what is still for less is no rest.",
     default=1.0,
-    show_default=True,
     metavar="SECONDS",
-    help="Recording: what is still for less is no rest.",
 )
+strict = flag("--strict", "Refuse a damaged recording instead of keeping what is left.")
+effects = option(
+    "--effects effects_file",
+    "Python file with effects of your own that the calibration uses.",
+    type=PATH,
+)
+force = flag("--force", "Replace an output file that is there; never an input.")
+json = flag("--json as_json", "Print the result as JSON.")
+quiet = flag("-q --quiet", "Print nothing but errors.")
+verbose = flag("-v --verbose", "Say when each thing happened, and what it cost.")
+full = flag("--full", "Print every section, not one page.")
+seed = option("--seed", "Seed of all randomness: same seed, same result.", default=0)
 
 
-def still_of(options: dict[str, Any]) -> StillSettings:
+def still_of(options: Mapping[str, Any]) -> StillSettings:
     """What counts as a rest, by --shortest-rest."""
     from imucalib.errors import UsageError
     from imucalib.rests.stillness import StillSettings
@@ -106,13 +152,52 @@ def still_of(options: dict[str, Any]) -> StillSettings:
     return StillSettings(shortest=shortest)
 
 
-def inputs_of(options: dict[str, Any], *files: Path) -> list[Path]:
+def inputs_of(options: Mapping[str, Any], *files: Path) -> list[Path]:
     """Every file that a command reads: no output may be one of them."""
     named = (options.get("mapping"), options.get("effects_file"))
     return [*files, *(path for path in named if path is not None)]
 
 
-def mapping_of(options: dict[str, Any]) -> FieldMapping:
+def calibration_of(path: Path, effects_file: Path | None) -> Calibration:
+    """Read and checked, after the user's own effects. Raises UnreadableInput."""
+    from imucalib.calibration.file import check, read
+    from imucalib.effects import load_file
+
+    if effects_file is not None:
+        load_file(effects_file)
+    found = read(path)
+    check(found, str(path))
+    return found
+
+
+def population_of(
+    options: Mapping[str, Any], usual: Mapping[str, Any], reference: str, device: str, remedy: str
+) -> Population | None:
+    """What --fleet says of the device. Raises UsageError.
+
+    usual : values of options that know no prior, by name; reference : by which the device is
+    calibrated, and `device` says so; remedy : for a fleet of another, which {other} names
+    """
+    from imucalib.calibrators.population import read
+    from imucalib.errors import UsageError
+
+    if options["fleet"] is None:
+        return None
+    for name, value in usual.items():
+        if options[name] != value:
+            option = f"--{name.replace('_', '-')}"
+            raise UsageError(f"{option} knows no prior", remedy=f"leave out --fleet or {option}")
+    kind = read(options["fleet"])
+    if kind.reference != reference:
+        raise UsageError(
+            f"the fleet was calibrated with --reference {kind.reference}, {device}",
+            where=str(options["fleet"]),
+            remedy=remedy.format(other=kind.reference),
+        )
+    return kind
+
+
+def mapping_of(options: Mapping[str, Any]) -> FieldMapping:
     """The mapping that the options state; the file first, single options over it."""
     from imucalib.recording.mapping import OPTION_FIELDS, FieldMapping, from_dict, load_mapping
 
@@ -128,52 +213,23 @@ def mapping_of(options: dict[str, Any]) -> FieldMapping:
 
 def one_scale(text: str | None) -> float | None:
     """The value of --lsb where one number serves all axes, as in a table."""
-    if text is None:
-        return None
     try:
-        return float(text)
+        return None if text is None else float(text)
     except ValueError:
         raise click.BadParameter(f"'{text}' is not one number", param_hint="--lsb") from None
 
 
-_GRAVITY = (
-    click.option("--gravity", type=float, help="Local gravity, m/s²; default: standard gravity."),
-    click.option("--latitude", type=float, help="Latitude in degrees, for normal gravity."),
-    click.option(
-        "--height",
-        type=float,
-        default=0.0,
-        help="Height above the ellipsoid in m, with --latitude.",
-    ),
-)
-
-
-def gravity_options(command: Command) -> Command:
-    """Add the options; `gravity_of` turns their values into m/s²."""
-    for option in reversed(_GRAVITY):
-        command = option(command)
-    return command
-
-
 def gravity_of(options: Mapping[str, Any]) -> tuple[float, str]:
-    """Local gravity (m/s²) and where it comes from; raises click's usage errors."""
-    from imucalib.units import STANDARD_GRAVITY, local_gravity
+    """Local gravity (m/s²) and where it comes from. Raises UsageError."""
+    from imucalib.units import STANDARD_GRAVITY, stated_gravity
 
-    if options["gravity"] is not None and options["latitude"] is not None:
-        raise click.UsageError("--gravity and --latitude exclude each other")
-    if options["gravity"] is not None:
-        if not 9.7 < options["gravity"] < 9.9:
-            raise click.BadParameter(
-                "local gravity is between 9.7 and 9.9 m/s²", param_hint="--gravity"
-            )
-        return options["gravity"], "as given"
-    if options["latitude"] is not None:
-        value = local_gravity(options["latitude"], options["height"])
-        return (
-            value,
-            f"normal gravity at latitude {options['latitude']:g}, height {options['height']:g} m",
-        )
-    return STANDARD_GRAVITY, "standard gravity; --gravity or --latitude gives the local value"
+    given = options["gravity"]
+    if given is not None and not 9.7 < given < 9.9:
+        said = "local gravity is between 9.7 and 9.9 m/s²"
+        raise click.BadParameter(said, param_hint="--gravity")
+    default = "standard gravity; --gravity or --latitude gives the local value"
+    found = stated_gravity(given, options["latitude"], options["height"])
+    return found or (STANDARD_GRAVITY, default)
 
 
 class ExportForm(Kind):
@@ -189,23 +245,7 @@ class ExportForm(Kind):
         return str(value)
 
 
-class FormOption(click.Option):
-    """An option that names an export; its help lists them."""
-
-    def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
-        from imucalib.exports import exports
-
-        name, text = super().get_help_record(ctx) or ("", "")
-        return name, f"{text.rstrip('.')}: {', '.join(exports())}."
-
-
 EXPORT_FORM = ExportForm()
-json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
-quiet_option = click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
-full_option = click.option("--full", is_flag=True, help="Print every section, not one page.")
-seed_option = click.option(
-    "--seed", default=0, show_default=True, help="Seed of all randomness: same seed, same result."
-)
 
 
 def numbers(text: str, what: str) -> tuple[int, ...]:
@@ -217,9 +257,8 @@ def numbers(text: str, what: str) -> tuple[int, ...]:
             low = int(first)
             rows += range(low, int(last) + 1) if dash else [low]
         except ValueError:
-            raise click.BadParameter(
-                f"'{part}' is not a row or a range such as 1-20", param_hint=what
-            ) from None
+            said = f"'{part}' is not a row or a range such as 1-20"
+            raise click.BadParameter(said, param_hint=what) from None
     return tuple(rows)
 
 
@@ -237,66 +276,19 @@ def pairs(texts: tuple[str, ...], what: str) -> dict[str, str]:
 #: Lines of 80 columns.
 PAGE = 60
 #: Heading -> options, by parameter name, that a help longer than a page leaves to --help-all.
-RARE = {
-    "Reading a recording": (*(name for name in READING if name != "unit"), "shortest_rest"),
-    "Angles and rows of a table": (
-        "gravity_sign",
-        "z_axis",
-        "inclination_zero",
-        "toolface_zero_axis",
-        "toolface_sense",
-        "toolface_offset",
-        "angle_unit",
-        "swap_angles",
-        "keep_angles",
-        "axes",
-        "swaps",
-        "moves",
-        "shifts",
-    ),
-    "Fit and search": (
-        "train",
-        "model",
-        "objective",
-        "sigma",
-        "as_published",
-        "arithmetic",
-        "loop",
-        "curves",
-        "seed",
-        "height",
-        "effects_file",
-        "fleet",
-        "without",
-    ),
-    "Posterior of an array": (
-        "as_drawn",
-        "sampler",
-        "samples",
-        "motion_prior",
-        "det_exponent",
-        "acc_sigma",
-        "gyro_covariance",
-        "chains",
-        "ess",
-        "iterations",
-        "save_draws",
-        "checkpoint",
-        "accept_mm",
-        "accept_mg",
-        "accept_dps",
-    ),
-    "Limits": (
-        "max_inclination_error",
-        "max_toolface_error",
-        "max_norm_error",
-        "max_worst_error",
-        "max_gyro_error",
-        "max_position_sd",
-        "fail_on",
-    ),
-    "Studies": ("entry",),
+_RARE = {
+    "Reading a recording": f"{' '.join(name for name in READING if name != 'unit')} shortest_rest",
+    "Angles and rows of a table": "gravity_sign z_axis inclination_zero toolface_zero_axis "
+    "toolface_sense toolface_offset angle_unit swap_angles keep_angles axes swaps moves shifts",
+    "Fit and search": "train model objective sigma as_published arithmetic loop curves seed height "
+    "effects_file fleet without",
+    "Posterior of an array": "as_drawn sampler samples motion_prior det_exponent acc_sigma "
+    "gyro_covariance chains ess iterations save_draws checkpoint accept_mm accept_mg accept_dps",
+    "Limits": "max_inclination_error max_toolface_error max_norm_error max_worst_error "
+    "max_gyro_error max_position_sd fail_on",
+    "Studies": "entry",
 }
+RARE = {heading: tuple(names.split()) for heading, names in _RARE.items()}
 _HEADING = {name: heading for heading, names in RARE.items() for name in names}
 _ASKED = "imucal.help_all"
 
@@ -327,49 +319,43 @@ class PagedCommand(click.Command):
         return [*super().get_params(ctx), _HELP_ALL]
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        if self._fits(ctx):
-            _write(formatter, self._in_order(ctx))
+        options = [p for p in self.get_params(ctx) if isinstance(p, click.Option)]
+        shown = [(p, record) for p in options if (record := p.get_help_record(ctx))]
+        whole = [record for parameter, record in shown if parameter is not _HELP_ALL]
+        if self._fits(ctx, whole):
+            _write(formatter, "Options", whole)
             return
-        usual, rare = self._records(ctx)
-        _write(formatter, usual)
+        by_heading: dict[str, Records] = {name: [] for name in ("Options", *RARE)}
+        for parameter, record in shown:
+            by_heading[_HEADING.get(str(parameter.name), "Options")].append(record)
+        _write(formatter, "Options", by_heading.pop("Options"))
+        rare = {heading: records for heading, records in by_heading.items() if records}
         if ctx.meta.get(_ASKED):
             for heading, records in rare.items():
-                _write(formatter, records, heading)
+                _write(formatter, heading, records)
         else:
             formatter.write_paragraph()
             count = sum(map(len, rare.values()))
             what = ", ".join(heading.lower() for heading in rare)
             formatter.write_text(f"{ctx.command_path} --help-all: {count} more options ({what}).")
 
-    def _records(self, ctx: click.Context) -> tuple[Records, dict[str, Records]]:
-        """Usual options, and the others by heading."""
-        usual: Records = []
-        rare: dict[str, Records] = {}
-        for param in self.get_params(ctx):
-            if record := _record(param, ctx):
-                heading = _HEADING.get(str(param.name))
-                (rare.setdefault(heading, []) if heading else usual).append(record)
-        return usual, {heading: rare[heading] for heading in RARE if heading in rare}
-
-    def _in_order(self, ctx: click.Context) -> Records:
-        """All options in one list; there is nothing that --help-all would add."""
-        params = (p for p in self.get_params(ctx) if p is not _HELP_ALL)
-        return [record for p in params if (record := _record(p, ctx))]
-
-    def _fits(self, ctx: click.Context) -> bool:
+    def _fits(self, ctx: click.Context, whole: Records) -> bool:
         """Whether the whole help is a page, whatever the terminal's width."""
         page = click.HelpFormatter(width=78)
         self.format_usage(ctx, page)
         self.format_help_text(ctx, page)
-        _write(page, self._in_order(ctx))
+        _write(page, "Options", whole)
         self.format_epilog(ctx, page)
         return page.getvalue().count("\n") <= PAGE
 
 
-def _record(param: click.Parameter, ctx: click.Context) -> tuple[str, str] | None:
-    return param.get_help_record(ctx) if isinstance(param, click.Option) else None
-
-
-def _write(formatter: click.HelpFormatter, records: Records, heading: str = "Options") -> None:
+def _write(formatter: click.HelpFormatter, heading: str, records: Records) -> None:
     with formatter.section(heading):
         formatter.write_dl(records)
+
+
+def paged(
+    name: str, cls: type[click.Command] = PagedCommand, short_help: str | None = None
+) -> Callable[[Callable[..., int]], click.Command]:
+    """A command of a function."""
+    return click.command(name, cls=cls, short_help=short_help)

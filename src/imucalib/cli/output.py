@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from threading import Event, Thread
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol
 
 import click
 
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 #: What JSON may hold as it is but a terminal obeys: DEL, C1, line separators, direction marks.
 _CONTROLS = re.compile("[\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069]")
-Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 def width() -> int:
@@ -120,10 +119,6 @@ Say = Callable[[str], None]
 _FIRST, _NEXT = 1.0, 10.0
 #: `M_TRIM_THRESHOLD` and `M_MMAP_THRESHOLD` of <malloc.h>.
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
-
-verbose_option = click.option(
-    "-v", "--verbose", is_flag=True, help="Say when each thing happened, and what it cost."
-)
 
 
 @contextmanager

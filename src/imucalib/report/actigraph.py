@@ -27,7 +27,7 @@ from imucalib.report.document import (
     Worth,
 )
 from imucalib.report.plots import band, gain_plot, sphere_map
-from imucalib.significant_digits import plus_minus, probability, two_digits, with_sd
+from imucalib.significant_digits import number, plus_minus, probability, two_digits, with_sd
 from imucalib.units import MG
 
 _MOST_ROWS = 12  # parameters of one effect that are shown in full
@@ -44,16 +44,16 @@ def actigraph_document(run: ActigraphRun) -> Document:
         f"{error.held_out.base:.2f} with nine parameters, {error.held_out.final:.2f} final."
     )
     picture, *others = _residual_plots(run)
-    plots = (*gain_plot(outcome.findings), *others)
+    residuals = (*gain_plot(outcome.findings), *others)
     parts = [
         _of_a_kind(run),
         _activity(run),
         sections.loop_section(outcome),
-        *([_series_section(run.series)] if run.series else []),
+        _series_section(run.series),
         _parameters(run),
         _coverage(run),
         sections.advice_section(outcome),
-        Section(RESIDUALS, plots, brief=False),
+        Section(RESIDUALS, residuals, brief=False),
         Section("Error over the sphere", _sphere_blocks(run), brief=False),
         _rule(run),
         parameters.sensor_section(run.calibration),
@@ -61,8 +61,7 @@ def actigraph_document(run: ActigraphRun) -> Document:
     if outcome.findings:
         parts.append(sections.candidate_section(outcome.findings))
     title = f"Calibration of {Path(run.scanned.path).name} by gravity"
-    card = _card(run, picture)
-    return sections.calibration_document(title, head, parts, outcome, card, run.calibration)
+    return sections.calibration_document(title, head, parts, run, _card(run, picture))
 
 
 def _card(run: ActigraphRun, picture: Plot) -> Card:
@@ -81,7 +80,7 @@ def _card(run: ActigraphRun, picture: Plot) -> Card:
         good.append(Worth("ENMO at night", f"{two_digits(now)} mg", detail))
     ggir = sections.exporting(run.calibration, "For GGIR", "ggir-csv", "ggir.csv")
     uses = (sections.CORRECT, *ggir)
-    return sections.card_of(run.outcome, tuple(good), uses=uses, picture=picture)
+    return sections.card_of(run.outcome, good, uses=uses, picture=picture)
 
 
 def _of_a_kind(run: ActigraphRun) -> Section:
@@ -138,8 +137,7 @@ def _activity(run: ActigraphRun) -> Section:
     hour, ends = np.arange(25.0), np.concatenate([found.profile, found.profile[-1:]])
     steps = (Series(name, hour, ends[:, k], "step") for k, name in enumerate(("raw", "corrected")))
     labels = ("ENMO over the day", "hour of the day (h)", "ENMO (mg)")
-    caption = "Mean of each hour of the recording's clock, worn time."
-    plot = Plot(*labels, tuple(steps), caption)
+    plot = Plot(*labels, tuple(steps), "Mean of each hour of the recording's clock, worn time.")
     return Section("Wear and activity", (Facts(facts), table, plot))
 
 
@@ -179,8 +177,11 @@ def _rule(run: ActigraphRun) -> Section:
     return Section(title, (table, Facts(tuple(words))), brief=False)
 
 
-def _series_section(found: Calibrations) -> Section:
-    """Each part's parameters, and whether they differ."""
+def _series_section(found: Calibrations | None) -> Section:
+    """Each part's parameters, and whether they differ; empty where all is one part."""
+    title = "Recalibration over time"
+    if found is None:
+        return Section(title, ())
     good = [part for part in found.parts if part.fit is not None]
     words = f"One calibration serves all {len(good)} parts (p {found.p:.2g} if nothing changed)"
     if found.differ:
@@ -190,8 +191,7 @@ def _series_section(found: Calibrations) -> Section:
     for part in found.parts:
         cells = [part.reason, "-", "-"]
         if (fit := part.fit) is not None:
-            three = zip(fit.theta[:3], fit.sd[:3], strict=True)
-            cells = [plus_minus(v, s) for v, s in three]
+            cells = list(map(plus_minus, fit.theta[:3], fit.sd[:3]))
         rows.append((hours(part.start), str(part.runs), *cells))
     serves = "the part valid at its time" if found.differ else "the calibration of the whole"
     note = (
@@ -200,16 +200,14 @@ def _series_section(found: Calibrations) -> Section:
     )
     table = Table("Bias by part (mg)", ("from", "runs", "x", "y", "z"), tuple(rows), "lrrrr", note)
     middle = np.array([0.5 * (p.start + p.stop) / 86400.0 for p in good])
-    theta = np.array([p.fit.theta[:3] - found.common[:3] for p in good if p.fit])
-    half = 2.0 * np.array([p.fit.sd[:3] for p in good if p.fit])
-    names = (p.name for p in found.parameters[:3])
-    curves = tuple(
-        Series.about(name, middle, theta[:, k], half[:, k], "bars") for k, name in enumerate(names)
-    )
+    off = np.array([p.fit.theta[:3] - found.common[:3] for p in good if p.fit]).T
+    half = 2.0 * np.array([p.fit.sd[:3] for p in good if p.fit]).T
+    each = zip(found.parameters[:3], off, half, strict=True)
+    curves = tuple(Series.about(p.name, middle, y, two_sd, "bars") for p, y, two_sd in each)
     caption = "Change from what all parts have in common; whiskers: two standard deviations."
     plot = Plot("Bias over time", "time (d)", "change of bias (mg)", curves, caption)
     text = Text(f"{words}.", "warning" if found.differ else "ok")
-    return Section("Recalibration over time", (text, table, plot))
+    return Section(title, (text, table, plot))
 
 
 def _parameters(run: ActigraphRun) -> Section:
@@ -276,8 +274,8 @@ def _residual_plots(run: ActigraphRun) -> list[Plot]:
     axes = [("time", f"time ({unit})", when)]
     if np.isfinite(runs.temperature).all() and np.ptp(runs.temperature) > 0.0:
         axes.append(("temperature", "temperature (°C)", runs.temperature))
-    for k, a in enumerate("xyz"):
-        axes.append((f"the reading of {a}", f"{a} (g)", runs.mean[:, k] / run.request.gravity))
+    means = zip("xyz", runs.mean.T / run.request.gravity, strict=True)
+    axes += [(f"the reading of {a}", f"{a} (g)", mean) for a, mean in means]
     both = (Series("raw reading", when, raw, "points"), Series("corrected", when, after, "points"))
     caption = "One point a posture run; the figures below show the corrected ones alone."
     title, y_label = "Error of |a| raw and corrected", "error of |a| (mg)"
@@ -317,17 +315,13 @@ def _sphere_blocks(run: ActigraphRun) -> tuple[Plot, Table]:
         poor_words=f"|a| known to worse than {bar:.2g} mg (sd)",
     )
     rows = tuple(
-        (c.name, str(c.runs), *(_number(v) for v in (c.raw, c.base, c.final, c.held_out, c.sd)))
+        (c.name, str(c.runs), *(number(v) for v in (c.raw, c.base, c.final, c.held_out, c.sd)))
         for c in sphere_cells(result.base, result.final, result.final_held)
     )
     title = "Mean error of |a| by direction (mg)"
     header = ("towards", "runs", "raw", "nine", "final", "held out", "sd")
     note = "sd: what the parameters' uncertainty leaves there, with or without postures."
     return map_, Table(title, header, rows, "lrrrrrr", note)
-
-
-def _number(value: float, places: int = 2) -> str:
-    return "-" if np.isnan(value) else f"{value:.{places}f}"
 
 
 def published_document(run: PublishedRun) -> Document:
@@ -338,7 +332,7 @@ def published_document(run: PublishedRun) -> Document:
         f"{len(run.control)} points that were not used (paper 002, Table 3)."
     )
     rows = tuple(
-        (m.name, f"{m.fitted:.2f}", _number(m.verified), _number(m.improvement, 0))
+        (m.name, f"{m.fitted:.2f}", number(m.verified), number(m.improvement, 0))
         for m in run.methods
     )
     header = ("method", "fitted, mg", "second set, mg", "R, %")
@@ -353,5 +347,5 @@ def published_document(run: PublishedRun) -> Document:
     )
     title = f"Calibration of {Path(run.scanned.path).name} as published"
     worth = sections.error_worth(error, "|a| at rest", "points")
-    card = sections.card_of(run.outcome, (worth,), uses=(sections.CORRECT,))
-    return sections.calibration_document(title, head, parts, run.outcome, card, run.calibration)
+    card = sections.card_of(run.outcome, [worth], uses=(sections.CORRECT,))
+    return sections.calibration_document(title, head, parts, run, card)

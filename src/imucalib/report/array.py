@@ -67,7 +67,7 @@ def array_document(run: ArrayRun) -> Document:
     ]
     title = f"Positions of {run.board.name} from {outcome.provenance.path}"
     card = _card(run, observability, figures[0] if figures else None)
-    return sections.calibration_document(title, head, parts, outcome, card, run.calibration)
+    return sections.calibration_document(title, head, parts, run, card)
 
 
 _FUSE = Use(
@@ -245,8 +245,8 @@ def board_document(run: BoardRun) -> Document:
     ]
     title = f"{board.name} from {names}"
     worth = Worth("positions", f"± {1.96 * sd:.2g} mm", "95 %, median; size and frame included")
-    card = sections.card_of(run.outcome, (worth,))
-    return sections.calibration_document(title, head, parts, run.outcome, card, run.calibration)
+    card = sections.card_of(run.outcome, [worth])
+    return sections.calibration_document(title, head, parts, run, card)
 
 
 def _agreement(run: BoardRun) -> Section:

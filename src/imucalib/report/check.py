@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,20 @@ from imucalib.calibration.checking.next_rests import MANY, NextRests
 from imucalib.calibration.checking.noise import FAMILIES
 from imucalib.calibration.checking.statistic import ANYTHING, DRAWS
 from imucalib.calibration.plain import fields, plain
-from imucalib.report.document import Block, Card, Document, Section, Table, Text, Tone, Worth
-from imucalib.significant_digits import plus_minus, probability, two_digits
+from imucalib.report.document import (
+    Block,
+    Card,
+    Document,
+    Section,
+    Table,
+    Text,
+    Tone,
+    Worth,
+    capital,
+    lines,
+    marked,
+)
+from imucalib.significant_digits import plus_minus, probability, signed, two_digits
 from imucalib.units import MG
 
 SCHEMA = "imucal/check/1"
@@ -28,6 +41,7 @@ _HEADLINE = {
 }
 #: Rests that a card names.
 _RESTS = 6
+_OFTEN = f"{100 * POWER:.0f} %"
 
 
 def check_document(check: Check, log: Path, calibration: Path, command: str = "") -> Document:
@@ -36,20 +50,19 @@ def check_document(check: Check, log: Path, calibration: Path, command: str = ""
     command : the line that was typed
     """
     tested, array = _change_table(check), bool(check.sensors[0].name)
-    parts = [
+    parts = (
         Section("What was tested", (_each(check) if array else tested,)),
         Section("Every kind of change", (tested,) if array else (), brief=False),
-        Section("Readings", tuple(_readings(s) for s in check.sensors), brief=False),
+        Section("Readings", tuple(map(_readings, check.sensors)), brief=False),
         Section("Gyroscopes", _gyros(check)),
         Section("Record this next", _following(check.following) if check.following else ()),
-    ]
-    lines = (f"{t[0].upper()}{t[1:]}." for t in (*check.noise.words, *check.notes))
-    parts.append(Section("Notes", tuple(map(Text, lines))))
+        Section("Notes", lines(f"{capital(t)}." for t in (*check.noise.words, *check.notes))),
+    )
     typed = (("command", command),) if command else ()
     footer = (("calibration", str(calibration)), ("log", str(log)), *typed)
     title = f"Check of {calibration.name} with {log.name}"
     card = _card(check, calibration, command)
-    return Document(title, _verdict(check), tuple(parts), footer, card, drawn="--html")
+    return Document(title, _verdict(check), parts, footer, card, drawn="--html")
 
 
 def _how(check: Check) -> str:
@@ -62,38 +75,49 @@ def _of(sensor: SensorCheck) -> str:
     return f"{sensor.name}: " if sensor.name else ""
 
 
+def _least(check: Check, name: str) -> float:
+    """The change of a kind that would have been found in every sensor."""
+    return max(sensor.seen[name] for sensor in check.sensors)
+
+
+def _sizes(sizes: Iterable[tuple[str, float]]) -> str:
+    """Changes by kind, in words; an infinite one is none."""
+    return " or ".join(
+        f"{'no' if math.isinf(size) else f'{two_digits(size)} {FAMILIES[name]} of'} {name}"
+        for name, size in sizes
+    )
+
+
+def _odd(check: Check) -> list[str]:
+    """The readings that do not belong to the others of their sensor."""
+    return [f"{_of(s)}{s.misfits.label[s.alone]}" for s in check.disturbed if s.alone is not None]
+
+
 def _verdict(check: Check) -> Text:
     """The headline."""
     lead, tone = f"(p {probability(check.p, DRAWS)})", _TONE[check.verdict]
+    least = {name: _least(check, name) for name in check.limits}
     if check.verdict == "changed":
         return Text(f"Changed {lead}: {'; '.join(_changes(check))}.", tone)
-    sizes = {name: max(s.seen[name] for s in check.sensors) for name in check.limits}
-    seen = " or ".join(
-        f"{'no' if math.isinf(size) else f'{two_digits(size)} {FAMILIES[name]} of'} {name}"
-        for name, size in sizes.items()
-    )
     if check.disturbed:
-        odd = (
-            f"{_of(s)}{s.misfits.label[s.alone]}" for s in check.disturbed if s.alone is not None
-        )
         words = (
-            f"Undecided {lead}: only {' and '.join(odd)} does not belong to the others; without "
-            "it nothing shows. Hold that attitude again."
+            f"Undecided {lead}: only {' and '.join(_odd(check))} does not belong to the others; "
+            "without it nothing shows. Hold that attitude again."
         )
     elif check.verdict == "undecided":
         short = " or ".join(
             f"{limit:.2g} {FAMILIES[name]} of {name}"
             for name, limit in check.limits.items()
-            if sizes[name] > limit
+            if least[name] > limit
         )
         words = (
             f"Undecided {lead}: nothing shows, but these readings could not have shown a change of "
-            f"{short}; they could see {seen}."
+            f"{short}; they could see {_sizes(least.items())}."
         )
     else:
         words = (
-            f"Still good {lead}: a change of {seen} would have been found in {100 * POWER:.0f} % "
-            "of such checks."
+            f"Still good {lead}: a change of {_sizes(least.items())} would have been found in "
+            f"{_OFTEN} of such checks."
         )
     return Text(words, tone)
 
@@ -102,27 +126,24 @@ def _card(check: Check, calibration: Path, command: str) -> Card:
     """What it could have seen; what shows, and the reading that fits least; what to do."""
     worths = []
     for name, limit in check.limits.items():
-        size, unit = max(s.seen[name] for s in check.sensors), FAMILIES[name]
+        size, unit = _least(check, name), FAMILIES[name]
         shown = "no size" if math.isinf(size) else f"{two_digits(size)} {unit}"
-        detail = f"seen by {100 * POWER:.0f} % of such checks; limit {limit:.2g} {unit}"
-        worths.append(Worth(f"see a change of {name}", shown, f"{detail}, {_how(check)}"))
-    lines = [Text(f"{said[0].upper()}{said[1:]}.", "bad") for said in _changes(check)]
-    for sensor in check.disturbed:
-        if sensor.alone is not None:
-            label = f"{_of(sensor)}{sensor.misfits.label[sensor.alone]}"
-            lines.append(Text(f"{label} does not belong to the others.", "warning"))
-    if not lines:
+        detail = f"seen by {_OFTEN} of such checks; limit {limit:.2g} {unit}, {_how(check)}"
+        worths.append(Worth(f"see a change of {name}", shown, detail))
+    found = lines((f"{capital(said)}." for said in _changes(check)), "bad")
+    found += lines((f"{odd} does not belong to the others." for odd in _odd(check)), "warning")
+    if not found:
         words = "Nothing shows: the readings are as the calibration foretells them."
-        lines.append(Text(words, "ok" if check.verdict == "still good" else "plain"))
+        found = (Text(words, "ok" if check.verdict == "still good" else "plain"),)
     if moved := [s.name or "the gyroscope" for s in check.turned_on if s not in check.drifted]:
         words = f"The gyroscope's bias of {', '.join(moved)} moved, as at every switching on."
-        lines.append(Text(words))
+        found += (Text(words),)
     steps = _to_do(check, shlex.quote(str(calibration)))
-    headline = _HEADLINE[check.verdict]
-    return Card(tuple(worths), tuple(lines), steps, command, headline=headline)
+    return Card(tuple(worths), found, steps, command, headline=_HEADLINE[check.verdict])
 
 
 def _to_do(check: Check, calibration: str) -> tuple[str, ...]:
+    following = check.following
     if check.verdict == "changed":
         return (
             "Calibrate again; recordings since the last good check are in doubt.",
@@ -130,16 +151,15 @@ def _to_do(check: Check, calibration: str) -> tuple[str, ...]:
         )
     if check.disturbed:
         return ("Hold that attitude again, and check all readings together.",)
-    following = check.following
-    if check.verdict == "undecided" and following is not None and following.enough:
-        rests = "; ".join(_attitude(np.asarray(d)) for d in following.direction[:_RESTS])
+    if check.verdict != "undecided":
+        return (f"Go on with it: `imucal apply {calibration} RECORDING -o corrected.mcap`.",)
+    if following is not None and following.enough:
+        rests = "; ".join(map(_attitude, following.direction[:_RESTS]))
         more = "; ..." if len(following.direction) > _RESTS else ""
         return (f"Record these rests too, and check all of them together: {rests}{more}.",)
-    if check.verdict == "undecided":
-        many = None if following is None else following.many
-        lead = "No recording decides this" if many is None else f"It would take about {many} rests"
-        return (f"{lead}: calibrate again, or accept a wider limit (--limit).",)
-    return (f"Go on with it: `imucal apply {calibration} RECORDING -o corrected.mcap`.",)
+    many = None if following is None else following.many
+    lead = "No recording decides this" if many is None else f"It would take about {many} rests"
+    return (f"{lead}: calibrate again, or accept a wider limit (--limit).",)
 
 
 def _changes(check: Check) -> list[str]:
@@ -160,16 +180,14 @@ def _causes(sensor: SensorCheck) -> str:
         if sensor.together is None:
             return text + "and these are too few readings to tell more"
         return text + ("all together do" if sensor.together else "nor do all together")
-    named = []
-    for name in sensor.causes:
-        size = _size(sensor, name)
-        named.append((name, f" ({size})" if size else ""))
-    (name, size), *rest = named
-    first = f"the {name} has changed{size}"
-    if not rest:
+    sizes = {name: _size(sensor, name) for name in sensor.causes}
+    name, *others = (f"the {name}" for name in sizes)
+    size, *rest = (f" ({size})" if size else "" for size in sizes.values())
+    first = f"{name} has changed{size}"
+    if not others:
         return first
-    others = ", or ".join(f"the {name}{size}" for name, size in rest)
-    return f"{first}, or {others}: these readings cannot tell them apart"
+    named = ", or ".join(map(str.__add__, others, rest))
+    return f"{first}, or {named}: these readings cannot tell them apart"
 
 
 def _size(sensor: SensorCheck, name: str) -> str:
@@ -177,9 +195,8 @@ def _size(sensor: SensorCheck, name: str) -> str:
     test = sensor.tests[name]
     if np.isnan(test.size).any():
         return ""
-    axes = zip("xyz", test.size, test.sd, strict=True)
-    each = ", ".join(f"{axis} {plus_minus(v, s)}" for axis, v, s in axes)
-    return f"{each} {FAMILIES[name]}".strip()
+    axes = zip("xyz", map(plus_minus, test.size, test.sd), strict=True)
+    return f"{', '.join(map(' '.join, axes))} {FAMILIES[name]}".strip()
 
 
 def _attitude(direction: Array) -> str:
@@ -194,88 +211,75 @@ def _each(check: Check) -> Table:
         (s.name, f"{s.p:.2g}", _size(s, "bias") or "open", two_digits(s.seen["bias"]))
         for s in check.sensors
     )
-    tones: dict[int, Tone] = {k: "bad" for k, s in enumerate(check.sensors) if s in check.changed}
     limit = check.limits.get("bias")
     more = "" if limit is None else f"; limit {limit:.2g} mg, {_how(check)}"
     note = (
-        f"Could see: change of bias, mg, found in {100 * POWER:.0f} % of such checks at a level of "
+        f"Could see: change of bias, mg, found in {_OFTEN} of such checks at a level of "
         f"{100 * ALPHA:.0f} % over all IMUs{more}."
     )
     header = ("sensor", "p", "change of bias", "could see")
+    tones = marked("bad", (s in check.changed for s in check.sensors))
     return Table("", header, rows, "lrlr", note, tones)
 
 
 def _change_table(check: Check) -> Table:
-    sensors, named = check.sensors, bool(check.sensors[0].name)
-    tones: dict[int, Tone] = {}
-    rows: list[tuple[str, ...]] = []
-    for sensor, name in ((s, name) for s in sensors for name in s.tests):
-        test, limit = sensor.tests[name], check.limits.get(name)
-        seen = sensor.seen.get(name, math.nan)
+    several, every = bool(check.sensors[0].name), [(s, n) for s in check.sensors for n in s.tests]
+
+    def row(sensor: SensorCheck, name: str) -> tuple[str, ...]:
+        limit, seen = check.limits.get(name), sensor.seen.get(name, math.nan)
         size = "" if name == ANYTHING else _size(sensor, name)
         shown = "-" if math.isnan(seen) else "none" if math.isinf(seen) else two_digits(seen)
-        if test.p <= ALPHA / len(sensors) and sensor in check.changed:
-            tones[len(rows)] = "bad"
+        cells = (name, f"{sensor.tests[name].p:.2g}", size or "open", shown)
         last = ("-" if limit is None else f"{limit:.2g}", FAMILIES.get(name, ""))
-        lead = [sensor.name] * named
-        rows.append((*lead, name, f"{test.p:.2g}", size or "open", shown, *last))
+        return (*[sensor.name] * several, *cells, *last)
+
+    level = ALPHA / len(check.sensors)
+    tones = marked("bad", (s.tests[n].p <= level and s in check.changed for s, n in every))
     note = (
-        f"Could see: change in the direction that shows least, found in {100 * POWER:.0f} % of "
+        f"Could see: change in the direction that shows least, found in {_OFTEN} of "
         f"such checks at a level of {100 * ALPHA:.0f} % over all kinds. Limit: {_how(check)}. "
         "A scale of 1 mg/g is a thousandth."
     )
-    header = ("change", "p", "estimate", "could see", "limit", "unit")
-    lead = ["sensor"] * named
-    return Table("", (*lead, *header), tuple(rows), "l" * named + "lrlrrl", note, tones)
+    header = (*["sensor"] * several, "change", "p", "estimate", "could see", "limit", "unit")
+    rows = tuple(row(*one) for one in every)
+    return Table("", header, rows, "l" * several + "lrlrrl", note, tones)
 
 
 def _readings(sensor: SensorCheck) -> Table:
     misfits = sensor.misfits
     sd = np.sqrt(np.diag(misfits.covariance))
-    rows: list[tuple[str, ...]] = []
-    tones: dict[int, Tone] = {}
-    for k, label in enumerate(misfits.label):
-        own = np.flatnonzero(misfits.owner == k)
-        worst = own[int(np.argmax(np.abs(misfits.value[own]) / sd[own]))]
-        z = misfits.value[worst] / sd[worst]
-        if abs(z) > 3.0:
-            tones[k] = "warning"
-        force = misfits.force[k] / np.linalg.norm(misfits.force[k])
-        where = "  ".join(f"{v:+.2f}" for v in force)
-        size = (f"{misfits.value[worst] / MG:+.2f}", f"{sd[worst] / MG:.2f}")
-        rows.append((label, where, *size, f"{z:+.1f}"))
+    z = misfits.value / sd
+    owned = (np.flatnonzero(misfits.owner == k) for k in range(len(misfits.label)))
+    worst = [own[int(np.argmax(np.abs(z[own])))] for own in owned]
+    forces = misfits.force / np.linalg.norm(misfits.force, axis=1, keepdims=True)
+    rows = tuple(
+        (label, signed(force), f"{misfits.value[k] / MG:+.2f}", f"{sd[k] / MG:.2f}", f"{z[k]:+.1f}")
+        for label, force, k in zip(misfits.label, forces, worst, strict=True)
+    )
     what = "largest component" if misfits.directed else "along gravity"
     title = f"Misfits, {what}" + (f" ({sensor.name})" if sensor.name else "")
     header = ("reading", "direction", "misfit, mg", "sd, mg", "z")
     note = "Reading minus what the calibration foretells; sd: of an unchanged sensor."
-    return Table(title, header, tuple(rows), "llrrr", note, tones)
+    return Table(title, header, rows, "llrrr", note, marked("warning", np.abs(z[worst]) > 3.0))
 
 
 def _gyros(check: Check) -> tuple[Table, ...]:
-    rows: list[tuple[str, ...]] = []
-    tones: dict[int, Tone] = {}
-    for sensor in check.sensors:
-        if sensor.gyro is not None:
-            if sensor in check.turned_on:
-                tones[len(rows)] = "warning"
-            axes = zip(sensor.gyro.bias, sensor.gyro.sd, strict=True)
-            each = (plus_minus(v, s) for v, s in axes)
-            rows.append((sensor.name, *each, f"{sensor.gyro.p:.2g}"))
+    resting = [(s, s.gyro) for s in check.sensors if s.gyro is not None]
+    rows = tuple(
+        (s.name, *map(plus_minus, gyro.bias, gyro.sd), f"{gyro.p:.2g}") for s, gyro in resting
+    )
     note = (
         "Rate at rest beyond the calibrated bias, deg/s; sd by the scatter between rests. "
         "Gyroscopes move at every switching on: it counts as changed beyond a limit only "
         "(--limit 0.5deg/s)."
     )
+    tones = marked("warning", (s in check.turned_on for s, _ in resting))
     header = ("sensor", "x", "y", "z", "p")
-    return (Table("", header, tuple(rows), "lrrrr", note, tones),) if rows else ()
+    return (Table("", header, rows, "lrrrr", note, tones),) if rows else ()
 
 
 def _following(following: NextRests) -> tuple[Block, ...]:
-    count = len(following.direction)
-    seen = " or ".join(
-        f"{'nothing' if math.isinf(v) else two_digits(v)} {FAMILIES[n]} of {n}"
-        for n, v in following.seen.items()
-    )
+    count, seen = len(following.direction), _sizes(following.seen.items())
     if following.enough:
         more = f"{count} more rest{'s' * (count != 1)}" if count > 1 else "One more rest"
         words = f"{more} would decide: together with these they could see {seen}."
@@ -299,14 +303,11 @@ def _following(following: NextRests) -> tuple[Block, ...]:
 
 def check_dict(check: Check, log: str, calibration: str, sha256: str) -> dict[str, Any]:
     """Plain types, ready for JSON."""
-    next_rests = None
-    if (following := check.following) is not None:
-        rests = [{"attitude": _attitude(d), "direction": d} for d in following.direction]
-        next_rests = {
-            **fields(following, "enough rests_all_round_that_would_do=many"),
-            "rests": rests,
-            "could_see": following.seen,
-        }
+    following: Mapping[str, Any] | None = None
+    if (found := check.following) is not None:
+        rests = [{"attitude": _attitude(d), "direction": d} for d in found.direction]
+        many = fields(found, "enough rests_all_round_that_would_do=many")
+        following = {**many, "rests": rests, "could_see": found.seen}
     content = {
         "schema": SCHEMA,
         "calibration": calibration,
@@ -319,26 +320,27 @@ def check_dict(check: Check, log: str, calibration: str, sha256: str) -> dict[st
         "limits_stated": check.stated,
         "explanation": _changes(check),
         "sensors": [_sensor_dict(s) for s in check.sensors],
-        "next": next_rests,
+        "next": following,
         "notes": [*check.noise.words, *check.notes],
     }
     return dict(plain(content))
 
 
 def _sensor_dict(sensor: SensorCheck) -> dict[str, Any]:
-    misfits, changes = sensor.misfits, []
-    for name, test in sensor.tests.items():
-        test_ = fields(test, "f p rank p_of_what_is_left=rest estimate=size sd")
-        kind = {"kind": name, "unit": FAMILIES.get(name, "")}
-        changes.append({**kind, **test_, "could_see": sensor.seen.get(name)})
+    misfits = sensor.misfits
     sd = np.sqrt(np.diag(misfits.covariance))
     each = zip(misfits.owner, misfits.value, sd, strict=True)
+    test = "f p rank p_of_what_is_left=rest estimate=size sd"
     bias = "bias_deg_per_s=gyro.bias sd_deg_per_s=gyro.sd p=gyro.p"
     return {
         **fields(sensor, "name p causes"),
         "one_reading_alone": None if sensor.alone is None else misfits.label[sensor.alone],
         **fields(misfits, "dof readings=n directions_known=directed"),
-        "changes": changes,
+        "changes": [
+            {"kind": name, "unit": FAMILIES.get(name, ""), **fields(one, test)}
+            | {"could_see": sensor.seen.get(name)}
+            for name, one in sensor.tests.items()
+        ],
         "misfits": [
             {"reading": misfits.label[o], "mg": v / MG, "sd_mg": s / MG} for o, v, s in each
         ],

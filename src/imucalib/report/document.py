@@ -6,7 +6,7 @@ A block says what is shown, not how: `report.render` decides the looks.
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -24,6 +24,21 @@ class Text:
 
     text: str
     tone: Tone = "plain"
+
+
+def capital(text: str) -> str:
+    """The text with its first letter as a capital."""
+    return text[:1].upper() + text[1:]
+
+
+def lines(texts: Iterable[str], tone: Tone = "plain") -> tuple[Text, ...]:
+    """A paragraph each."""
+    return tuple(Text(text, tone) for text in texts)
+
+
+def marked(tone: Tone, which: Iterable[bool]) -> dict[int, Tone]:
+    """The tones of a table's rows, by whether each is marked."""
+    return {k: tone for k, one in enumerate(which) if one}
 
 
 @dataclass(frozen=True)

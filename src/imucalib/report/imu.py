@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from imucalib.calibration.gyroscope import STAGE
+from imucalib.calibration.plain import listed
 from imucalib.calibrators.imu.plan import HandPlan
 from imucalib.calibrators.imu.run import ImuRun, heading_drift
 from imucalib.report import parameters, sections
@@ -23,9 +24,10 @@ from imucalib.report.document import (
     Text,
     Use,
     Worth,
+    lines,
 )
 from imucalib.report.plots import gain_plot
-from imucalib.significant_digits import plus_minus, two_digits, with_sd
+from imucalib.significant_digits import number, plus_minus, two_digits, with_sd
 from imucalib.units import DEG
 
 
@@ -47,8 +49,7 @@ def imu_document(run: ImuRun) -> Document:
         *sections.closing_sections(outcome),
     ]
     title = f"IMU calibration of {outcome.provenance.path}"
-    card = _card(run)
-    return sections.calibration_document(title, head, parts, outcome, card, run.calibration)
+    return sections.calibration_document(title, head, parts, run, _card(run))
 
 
 def _card(run: ImuRun) -> Card:
@@ -92,19 +93,15 @@ def _facts(run: ImuRun) -> Facts:
     least = max(noise["bias_instability_deg_per_s"], default=float("nan"))
     word = "at most " if noise["upper_limit"] else ""
     turns = f"{imu['turns']} between {imu['rests']} rests; {len(imu['turns_left_out'])} left out"
-    return Facts(
-        (
-            ("frame", imu["frame"]),
-            ("white noise x, y, z", f"{white} deg/s/√Hz, from a rest of {noise['rest_s']:.0f} s"),
-            ("bias instability", f"{word}{least:.2g} deg/s"),
-            (
-                "gyroscope's delay",
-                f"{plus_minus(late, late_sd, 'ms')} behind the accelerometer, by the moving "
-                "accelerometer; nothing is corrected by it",
-            ),
-            ("turns", turns),
-        )
+    delay = f"{plus_minus(late, late_sd, 'ms')} behind the accelerometer, by the moving "
+    rows = (
+        ("frame", imu["frame"]),
+        ("white noise x, y, z", f"{white} deg/s/√Hz, from a rest of {noise['rest_s']:.0f} s"),
+        ("bias instability", f"{word}{least:.2g} deg/s"),
+        ("gyroscope's delay", f"{delay}accelerometer; nothing is corrected by it"),
+        ("turns", turns),
     )
+    return Facts(rows)
 
 
 def _picture(run: ImuRun) -> Plot:
@@ -123,9 +120,9 @@ def _turns(run: ImuRun) -> Table:
     log, held, weight = run.result.imu.turns, run.result.held_out, run.result.fit.weight
     spans = zip(log.turns, log.spans[2], held.raw, held.base, held.final, weight, strict=True)
     rows = []
-    for turn, path, raw, base, final, w in spans:
+    for turn, path, *off, w in spans:
         where = (str(turn.rest + 1), f"{turn.t[0]:.1f}", f"{path / DEG:.0f}")
-        rows.append((*where, f"{raw:.2f}", f"{base:.3f}", f"{final:.3f}", f"{w:.2f}"))
+        rows.append((*where, *map(number, off, (2, 3, 3)), number(w)))
     header = ("turn", "from, s", "path, deg", "as read", "base", "final", "weight")
     note = (
         "deg by which gravity is off after a turn that took no part; weight in the fit, 1.5 most."
@@ -145,55 +142,32 @@ def hand_plan_document(plan: HandPlan) -> Document:
         f"{words}: scales to {scale:.2g} %, cross terms to {cross:.2g} % (one standard deviation).",
         "bad" if plan.open_gains else "ok",
     )
-    turns = Table(
-        "",
-        ("turn", "about", "gravity before", "sd of a gain after, %"),
-        tuple(
-            (
-                str(k),
-                turn.axis,
-                "  ".join(f"{v:+.2f}" for v in turn.up),
-                f"{100.0 * turn.after:.2g}",
-            )
-            for k, turn in enumerate(plan.turns, start=1)
-        ),
-        "rllr",
+    rows = tuple(
+        (str(k), turn.axis, "  ".join(f"{v:+.2f}" for v in turn.up), f"{100.0 * turn.after:.2g}")
+        for k, turn in enumerate(plan.turns, start=1)
+    )
+    note = (
         "135 deg each, by hand, about the sensor's own axis, under the gyroscope's range, with two "
         "seconds of rest on something hard before and after. Gravity: what the accelerometer "
-        "reads, in g.",
+        "reads, in g."
     )
-    sds = Table(
-        "",
-        ("gain", *(("sd now, %",) if added else ()), "sd then, %"),
-        tuple(
-            (
-                name,
-                *((f"{100.0 * plan.before[k]:.2g}",) if plan.before is not None else ()),
-                f"{100.0 * plan.sd[k]:.2g}",
-            )
-            for k, name in enumerate(_NAMES)
-        ),
-        "l" + "r" * (1 + added),
-    )
-    left = tuple(Text(f"These stay open: {words}.", "bad") for words in plan.open_gains)
-    return Document(
-        "Turns to add" if added else "Turns to take",
-        verdict,
-        (Section("Turns", (turns,)), Section("Gains", (*left, sds))),
-    )
+    header = ("turn", "about", "gravity before", "sd of a gain after, %")
+    turns = Table("", header, rows, "rllr", note)
+    known = [plan.sd] if plan.before is None else [plan.before, plan.sd]
+    sds = tuple((name, *(f"{100.0 * sd[k]:.2g}" for sd in known)) for k, name in enumerate(_NAMES))
+    gains = Table("", ("gain", *["sd now, %"] * added, "sd then, %"), sds, "l" + "r" * len(known))
+    stay = lines((f"These stay open: {words}." for words in plan.open_gains), "bad")
+    parts = (Section("Turns", (turns,)), Section("Gains", (*stay, gains)))
+    return Document("Turns to add" if added else "Turns to take", verdict, parts)
 
 
 def hand_plan_dict(plan: HandPlan) -> dict[str, Any]:
     """The same for machines."""
+    sd, before = plan.sd.tolist(), None if plan.before is None else plan.before.tolist()
     return {
-        "turns": [
-            {"about": t.axis, "gravity_before": t.up.tolist(), "sd_after": t.after}
-            for t in plan.turns
-        ],
-        "sd": dict(zip(_NAMES, plan.sd.tolist(), strict=True)),
-        "sd_before": None
-        if plan.before is None
-        else dict(zip(_NAMES, plan.before.tolist(), strict=True)),
+        "turns": listed(plan.turns, "about=axis gravity_before=up sd_after=after"),
+        "sd": dict(zip(_NAMES, sd, strict=True)),
+        "sd_before": before and dict(zip(_NAMES, before, strict=True)),
         "open": list(plan.open_gains),
     }
 

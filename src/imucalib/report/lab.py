@@ -42,7 +42,7 @@ from imucalib.report.document import (
     Worth,
 )
 from imucalib.report.plots import band, gain_plot, sphere_map
-from imucalib.significant_digits import plus_minus, spread
+from imucalib.significant_digits import number, plus_minus
 from imucalib.units import DEG, MG
 
 #: deg off the vertical, where it has no meaning, from which a tool-face is promised.
@@ -89,8 +89,7 @@ def lab_document(run: LabRun) -> Document:
     if request.objective == "paper":
         parts.append(Section("As published", (_published_table(run),), brief=False))
     title = f"Lab calibration of {outcome.provenance.path}"
-    card = _card(run, picture)
-    return sections.calibration_document(title, head, parts, outcome, card, run.calibration)
+    return sections.calibration_document(title, head, parts, run, _card(run, picture))
 
 
 def _directed(run: LabRun) -> bool:
@@ -117,12 +116,13 @@ def _card(run: LabRun, picture: Plot) -> Card:
             name, size = f"{p.effect} after a power-up", f"± {p.half:.2g} {p.unit}"
             of_effect[p.effect] = Worth(name, size, detail)
         good += of_effect.values()
+    if _directed(run):
+        good += _angles(run)
     uses: tuple[Use, ...] = (sections.CORRECT,)
     if not run.recorded:
         purpose = "Take the coefficients to the instrument"
         uses = sections.exporting(run.calibration, purpose, "c-header", "calibration.h")
-    worths = (*good, *(_angles(run) if _directed(run) else ()))
-    return sections.card_of(run.outcome, worths, uses=uses, picture=picture)
+    return sections.card_of(run.outcome, good, uses=uses, picture=picture)
 
 
 def _worst(run: LabRun) -> Worth:
@@ -134,40 +134,32 @@ def _worst(run: LabRun) -> Worth:
     return sections.worst_attitude("vector", sd, directions, "calibration only, ")
 
 
-def _angles(run: LabRun) -> tuple[Worth, ...]:
+def _angles(run: LabRun) -> list[Worth]:
     """Of one corrected reading, 95 %, at the worst attitude; and on positions held out."""
     result, fit = run.result, run.result.final
     i, t = (g.ravel() for g in np.meshgrid(np.arange(-85.0, 86.0, 5.0), np.arange(0, 360, 15.0)))
     sigma = reading_noise(fit).whole
     found = angle_uncertainty(fit, i * DEG, t * DEG, run.request.gravity, sigma)
     held = _errors_of(run, result.splits[-1].final) if result.splits else None
-    flat = np.abs(i) <= 90.0 - _FROM_VERTICAL
     shown = run.request.conventions.outside(i * DEG, t * DEG)
-
-    def worth(name: str, half: Array, where: str, off: Array | None, most: float) -> Worth:
+    inclination = np.hypot(found.inclination_95, _NORMAL_95 * found.inclination_reading)
+    tool_face = np.hypot(found.tool_face_95, _NORMAL_95 * found.tool_face_reading)
+    tool_face[np.abs(i) > 90.0 - _FROM_VERTICAL] = 0.0
+    where = f" {_FROM_VERTICAL:.0f} deg or more off the vertical"
+    worths = []
+    for name, half, off, most, promised in (
+        ("inclination", inclination, held.inclination if held else None, 90.0, ""),
+        ("tool-face", tool_face, held.tool_face if held else None, 180.0, where),
+    ):
         k = int(np.argmax(half))
-        attitude = f"inclination {shown[0][k]:.0f}, tool-face {shown[1][k]:.0f} deg"
-        at = f"worst{where} ({attitude})"
+        at = f"worst{promised} (inclination {shown[0][k]:.0f}, tool-face {shown[1][k]:.0f} deg)"
         if off is not None:
             at += "; positions left out, with how they were set: "
             at += f"{rms(off):.2f} rms, {worst(off):.2f} largest"
         width = _within_a_circle(half[k], most, 2)
         value = f"± {width} deg" if half[k] < most else width
-        return Worth(name, value, "95 %, one reading, worst attitude", at)
-
-    inclination = np.hypot(found.inclination_95, _NORMAL_95 * found.inclination_reading)
-    tool_face = np.hypot(found.tool_face_95, _NORMAL_95 * found.tool_face_reading)
-    where = f" {_FROM_VERTICAL:.0f} deg or more off the vertical"
-    return (
-        worth("inclination", inclination, "", held.inclination if held else None, 90.0),
-        worth(
-            "tool-face",
-            np.where(flat, tool_face, 0.0),
-            where,
-            held.tool_face if held else None,
-            180.0,
-        ),
-    )
+        worths.append(Worth(name, value, "95 %, one reading, worst attitude", at))
+    return worths
 
 
 def _within_a_circle(half: float, most: float, places: int) -> str:
@@ -191,7 +183,7 @@ def _angle_section(run: LabRun) -> Section:
     def row(name: str, errors: AttitudeErrors) -> tuple[str, ...]:
         """Largest / rms of what the reference lets one compare."""
         values = [errors.tool_face, errors.inclination] if directed else []
-        return (name, *(spread((worst(v), rms(v))) for v in (*values, errors.norm)))
+        return (name, *(f"{worst(v):.2f} / {rms(v):.2f}" for v in (*values, errors.norm)))
 
     compared = [("fitted, base", fitted(result.base)), ("fitted, final", fitted(result.final))]
     for split in result.splits:
@@ -204,8 +196,8 @@ def _angle_section(run: LabRun) -> Section:
     blocks: list[Block] = [Table("Errors on the positions", header, rows, "", note)]
     if result.loop and result.loop.records:
         aside = _errors_of(run, fitted(result.loop.final))
-        bad = {r.row for r in result.loop.records}
-        rest = aside.take(np.array([k for k in range(len(aside.norm)) if k not in bad]))
+        bad = [r.row for r in result.loop.records]
+        rest = aside.take(np.setdiff1d(np.arange(len(aside.norm)), bad))
         title = "With the suspect records set aside"
         note = "The same model fitted without them, on the other rows."
         blocks.append(Table(title, header, (row("fitted, final", rest),), "", note))
@@ -274,13 +266,13 @@ def _uncertainty_section(run: LabRun) -> Section:
     inclination = np.max([c.inclination_95 for c in curves], axis=0)
     tool_face = np.max([c.tool_face_95 for c in curves], axis=0)
     x = run.request.conventions.outside(at, np.zeros_like(at))[0]
-
-    def half_width(title: str, y: Array) -> Plot:
-        caption = "Half width of 95 % intervals, worst of four tool-faces; one reading's noise "
-        caption += "comes on top."
-        curve = Series("95 %", x, y, "line")
-        return Plot(title, "inclination (deg)", "half width (deg)", (curve,), caption)
-
+    labels = ("inclination (deg)", "half width (deg)")
+    caption = "Half width of 95 % intervals, worst of four tool-faces; one reading's noise comes "
+    caption += "on top."
+    plots = (
+        Plot(f"{what}, calibration only", *labels, (Series("95 %", x, half, "line"),), caption)
+        for what, half in (("Inclination", inclination), ("Tool-face", tool_face))
+    )
     rows = tuple(
         (
             f"{x[k]:.0f}",
@@ -293,12 +285,8 @@ def _uncertainty_section(run: LabRun) -> Section:
     )
     header = ("inclination", "inc., 95 %", "inc., 1 reading", "tool-face, 95 %", "tf, 1 reading")
     note = "The frame's part (mounting, dial zero) is included; |a| cannot see it."
-    blocks = (
-        Table("Uncertainty carried to the angles (deg)", header, rows, "rrrrr", note),
-        half_width("Inclination, calibration only", inclination),
-        half_width("Tool-face, calibration only", tool_face),
-    )
-    return Section("Uncertainty of the angles", blocks, brief=False)
+    table = Table("Uncertainty carried to the angles (deg)", header, rows, "rrrrr", note)
+    return Section("Uncertainty of the angles", (table, *plots), brief=False)
 
 
 def _held(run: LabRun) -> tuple[Held, Held, bool]:
@@ -464,7 +452,7 @@ def _position_table(run: LabRun) -> Table:
 
     def cells(k: int, errors: AttitudeErrors) -> list[str]:
         angles = [errors.tool_face[k], errors.inclination[k]] if directed else []
-        return ["-" if not np.isfinite(v) else f"{v:.2f}" for v in (*angles, errors.norm[k])]
+        return [number(v) for v in (*angles, errors.norm[k])]
 
     rows = tuple(
         (label, *(f"{v:.2f}" for v in residual[k]), *cells(k, own), *cells(k, alone))
@@ -513,11 +501,10 @@ def _published_table(run: LabRun) -> Table:
     errors = _errors_of(run, held_errors(fit, fit.theta, whole))
 
     def row(k: int, label: str) -> tuple[str, ...]:
-        turned = np.isfinite(errors.tool_face[k])
-        shown = f"{np.mod(tool_face[k] + 1.0, 360.0) - 1.0:.3f}" if turned else "-"
-        off = f"{abs(errors.tool_face[k]):.3f}" if turned else "-"
-        tilt = (f"{inclination[k]:.3f}", f"{abs(errors.inclination[k]):.3f}")
-        return (label, *(f"{v:.5f}" for v in corrected[k]), shown, off, *tilt)
+        off = abs(errors.tool_face[k])
+        turn = np.mod(tool_face[k] + 1.0, 360.0) - 1.0 + 0.0 * off  # none at the vertical
+        angles = (turn, off, inclination[k], abs(errors.inclination[k]))
+        return (label, *(f"{v:.5f}" for v in corrected[k]), *(number(v, 3) for v in angles))
 
     rows = tuple(row(k, label) for k, label in enumerate(whole.label))
     header = ("position", "a_x", "a_y", "a_z", "tf", "error", "incl", "error")

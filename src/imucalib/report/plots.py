@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -11,7 +10,6 @@ from imucalib.arrays import Array
 from imucalib.calibration.findings import Findings
 from imucalib.report.document import Plot, Series
 from imucalib.report.render.svg import nice_step
-from imucalib.report.sections import density_words
 
 #: Radius of a hemisphere of the unit sphere, Lambert's azimuthal equal-area projection (Snyder, Map
 #: Projections: A Working Manual, USGS 1395, 1987, p. 185), and the gap between the two.
@@ -30,7 +28,7 @@ def gain_plot(found: Findings | None) -> tuple[Plot, ...]:
     bars = Series("held out", np.arange(3.0), y, "bars", low, high, names=names)
     words = "excludes" if gain.low > 0.0 else "includes"
     caption = f"On data that took no part in any choice. The interval of the gain {words} zero"
-    caption += "." if math.isnan(gain.nats) else f"; {density_words(gain)}."
+    caption += f"{gain.dense}."
     return (Plot("What the search is worth", "", f"error ({gain.unit})", (bars,), caption),)
 
 

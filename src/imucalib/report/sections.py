@@ -1,6 +1,8 @@
-"""What the report of every calibrator has: card, closed loop, sensor; and a whole report of these.
+"""What the report of every calibrator has: card, certificate, closed loop, candidates.
 
-The card says what the result is worth, what was found, and what to do next.
+The card says what the result is worth, what was found, and what to do next; the certificate, for
+one printed page, what a calibration states of one instrument. Its terms are those of JCGM 100:2008
+(GUM): standard uncertainty u, expanded uncertainty U = k u.
 """
 
 from __future__ import annotations
@@ -13,17 +15,16 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
-from imucalib.calibration.findings import Findings, FoundStep, Gain
+from imucalib.calibration.findings import Findings, FoundStep
 from imucalib.calibration.outcome import ErrorSummary, Outcome, Run, Status
 from imucalib.calibration.power import hidden
 from imucalib.effects import known
 from imucalib.effects.forms import in_words
 from imucalib.exports.bound import carries
-from imucalib.report import parameters
-from imucalib.report.certificate import certificate_of
 from imucalib.report.document import (
     Block,
     Card,
+    Certificate,
     Document,
     Facts,
     Plot,
@@ -33,8 +34,10 @@ from imucalib.report.document import (
     Tone,
     Use,
     Worth,
+    capital,
+    lines,
 )
-from imucalib.significant_digits import per_cent, plus_minus, two_digits
+from imucalib.significant_digits import number, per_cent, plus_minus, two_digits, with_sd
 from imucalib.units import MG
 
 #: Parameters of one effect that a card names, steps of advice that it gives, names still open.
@@ -66,46 +69,36 @@ _ANEW = (
     "it, or the test rows."
 )
 
+#: Coverage factor k of what a certificate states: about 95 % (GUM, 6.3.3).
+_COVERAGE = 2.0
+#: Parameters that a printed page has room for.
+_ROOM = 16
+_REFERENCES = {
+    "vector": "the inclination and tool-face that each position was set to",
+    "direction": "the direction of gravity in each position",
+    "norm": "the size of gravity at rest",
+    "actigraph": "the size of gravity at rest",
+    "imu": "the size of gravity at rest, and its direction carried over turns",
+    "array": "the size of gravity at rest, and the array's own motion",
+}
+
 
 def calibration_document(
-    title: str,
-    head: str,
-    parts: Sequence[Section],
-    outcome: Outcome,
-    card: Card,
-    calibration: Calibration,
+    title: str, head: str, parts: Sequence[Section], run: Run, card: Card
 ) -> Document:
     """The report of a calibration, with its certificate and its provenance.
 
     head : the figure that leads the verdict
     """
-    verdict, footer = _verdict(outcome, head), outcome.provenance.footer
-    certificate = certificate_of(calibration, outcome, card)
-    return Document(title, verdict, tuple(parts), footer, card, certificate)
-
-
-def standard_document(run: Run) -> Document:
-    """Everything that a reader of any calibration must know, headline first."""
-    outcome, calibration, error = run.outcome, run.calibration, run.outcome.error
-    head = (
-        f"Held-out {error.metric} {error.held_out.base:.3g} {error.unit} before, "
-        f"{error.held_out.final:.3g} {error.unit} after {floor_words(error, 3)}."
-    )
-    parts = [
-        loop_section(outcome),
-        Section("Parameters", (parameters.parameter_table(calibration, ""),)),
-        advice_section(outcome),
-        *([] if calibration.triads else [parameters.sensor_section(calibration)]),
-        *closing_sections(outcome),
-    ]
-    title = f"Calibration of {outcome.provenance.path} by {outcome.calibrator}"
-    card = card_of(outcome, (error_worth(error, error.metric),))
-    return calibration_document(title, head, parts, outcome, card, calibration)
+    outcome = run.outcome
+    certificate = _certificate(run, card)
+    footer = outcome.provenance.footer
+    return Document(title, _verdict(outcome, head), tuple(parts), footer, card, certificate)
 
 
 def card_of(
     outcome: Outcome,
-    good_to: tuple[Worth, ...],
+    good_to: Sequence[Worth],
     *more: str,
     uses: tuple[Use, ...] = (),
     picture: Plot | None = None,
@@ -116,23 +109,19 @@ def card_of(
     uses : commands that take what was written; picture : see `Card`
     """
     found, slips = outcome.findings or Findings("not run"), _slips(outcome)
-    said = [Text(f"{_upper(text.partition(_DECIDE)[0])}.", "bad") for text in slips]
+    said = [Text(f"{capital(text.partition(_DECIDE)[0])}.", "bad") for text in slips]
     said += _found(found) if not slips or found.verdict != "not run" else ()
+    # Until slips are decided the other advice is about an error that is none of the sensor's.
+    steps = slips or (*(f"{text}." for text in outcome.broken), *outcome.advice, *more)
     command = outcome.provenance.command
-    if slips:  # until then the rest of the advice is about an error that is none of the sensor's
-        steps = [_decision(text, command) for text in slips[:_STEPS]]
-    else:
-        steps = [*(f"{text}." for text in outcome.broken), *outcome.advice, *more][:_STEPS]
-        steps = [_decision(text, command) for text in steps]
     usable = outcome.status in ("ok", "marginal") and not outcome.undecided
-    headline = _headline(outcome)
     return Card(
-        good_to,
+        tuple(good_to),
         tuple(said),
-        tuple(steps),
+        tuple(_decision(text, command) for text in steps[:_STEPS]),
         command,
         uses=uses if usable else (),
-        headline=headline,
+        headline=_headline(outcome),
         picture=picture,
     )
 
@@ -171,9 +160,9 @@ def _decision(text: str, command: str) -> str:
         return text
     typed, rest = leading_options(options)
     if not (typed and command):
-        return f"{_upper(text).rstrip('.')}."
+        return f"{capital(text).rstrip('.')}."
     other = f"; else {rest}" if rest else ""
-    named = _upper(what.partition(":")[0])
+    named = capital(what.partition(":")[0])
     return f"{named}: if that is right, type this{other}: `{command} {typed}`"
 
 
@@ -184,7 +173,7 @@ def _headline(outcome: Outcome) -> str:
     if outcome.undecided:
         return "Decide first about what is marked below; then the figures are the sensor's."
     if why := _why(outcome):
-        return " ".join(f"{_upper(text)}." for text in why)
+        return " ".join(f"{capital(text)}." for text in why)
     return "Ready to use."
 
 
@@ -202,22 +191,19 @@ def error_worth(
     of : what was held out, for example "positions"; like : data that are held out are of the same
     attitudes as the rest: of what, and the share of the sphere that is close to one of them
     """
-    held, unit, size = error.held_out, error.unit, 1.0
-    if unit == "m/s²":  # people read accelerations in mg
-        unit, size = "mg", MG
-    final, base, raw = (v / size for v in (held.final, held.base, held.raw))
+    held = error.held_out
+    # People read accelerations in mg.
+    unit, size = ("mg", MG) if error.unit == "m/s²" else (error.unit, 1.0)
+    final, base, raw = (two_digits(v / size) for v in (held.final, held.base, held.raw))
     how = error.metric.rpartition(", ")[2].replace("MAD", "median deviation")
-    if math.isnan(final):
+    if math.isnan(held.final):
         fitted = f"{two_digits(error.final / size)} {unit}"
         return Worth(quantity, fitted, f"{how}, fitted; nothing was held out")
-    before = [] if math.isnan(raw) else [f"raw {two_digits(raw)}"]
-    searched = not math.isnan(base) and two_digits(base) != two_digits(final)
-    before += [f"before the search {two_digits(base)}"] if searched else []
-    like_these = ""
-    if like:
-        like_these = f"for {like[0]} like these, {100.0 * like[1]:.0f} % of all directions"
+    before = [] if math.isnan(held.raw) else [f"raw {raw}"]
+    before += [f"before the search {base}"] * (not math.isnan(held.base) and base != final)
     detail = f"{how} on {of} held out; {', '.join(before)}".rstrip("; ")
-    return Worth(quantity, f"{two_digits(final)} {unit}", detail, like_these)
+    more = f"for {like[0]} like these, {100.0 * like[1]:.0f} % of all directions" if like else ""
+    return Worth(quantity, f"{final} {unit}", detail, more)
 
 
 def worst_attitude(quantity: str, sd: Array, directions: Array, what: str = "") -> Worth:
@@ -237,7 +223,7 @@ def _found(found: Findings) -> list[Text]:
     tones: dict[str, Tone] = {"explained": "ok", "suspected": "warning"}
     lines = []
     for r in found.records:
-        off = f"{_upper(r.where)}: {r.channel} is {plus_minus(r.size, r.sd, r.unit)} off"
+        off = f"{capital(r.where)}: {r.channel} is {plus_minus(r.size, r.sd, r.unit)} off"
         lines.append(Text(f"{off} ({r.likely}, {per_cent(r.probability)}).", "bad"))
     for step in found.steps:
         effect, meaning = known(step.effect), ""
@@ -263,7 +249,7 @@ def _found(found: Findings) -> list[Text]:
         names = ", ".join(f"{in_words(s.name)} {per_cent(s.probability)}" for s in likely)
         could = f"; the likeliest that could be: {names}" if names else ""
         shown = f", as far as these data show{could}"
-        why = f": {refuted_words(found)}" if found.refuted else shown
+        why = f": {_refuted(found)}" if found.refuted else shown
         lines.append(Text(f"Nothing is missing from the model{why}.", "ok"))
     return lines
 
@@ -283,7 +269,7 @@ def _sized(step: FoundStep) -> str:
     own = step.parameters
     words = ", ".join(plus_minus(p.value, p.sd, p.unit) for p in own[:_PARAMETERS])
     size = step.size or (words if len(own) <= _PARAMETERS else f"{len(own)} parameters")
-    return _upper(step.formula or in_words(step.effect)) + (f": {size}" if size else "")
+    return capital(step.formula or in_words(step.effect)) + (f": {size}" if size else "")
 
 
 def _doubt(step: FoundStep, found: Findings) -> str:
@@ -305,12 +291,7 @@ def _doubt(step: FoundStep, found: Findings) -> str:
     return f" ({'; '.join(doubts)})" if doubts else ""
 
 
-def density_words(gain: Gain) -> str:
-    """What the log density of held-out data gains, where it was judged."""
-    return f"in log density {gain.nats:+.1f} nats, at least {gain.nats_low:+.1f}"
-
-
-def refuted_words(found: Findings) -> str:
+def _refuted(found: Findings) -> str:
     """Why nothing was added where nothing is open."""
     if not found.refuted or found.gain is None:
         return "no candidate passes the search"
@@ -330,7 +311,7 @@ def floor_words(error: ErrorSummary, digits: int = 2) -> str:
 
 def _verdict(outcome: Outcome, head: str) -> Text:
     """A figure, broken limits, what is undecided, and reasons, in the tone of the status."""
-    said = (*outcome.broken, *outcome.undecided, *map(_upper, _why(outcome)))
+    said = (*outcome.broken, *outcome.undecided, *map(capital, _why(outcome)))
     return Text(" ".join([head, *(f"{text}." for text in said)]), _TONE[outcome.status])
 
 
@@ -359,20 +340,7 @@ def loop_section(outcome: Outcome) -> Section:
         return Section("Closed loop", (Text("The search was not run."), *shown))
     blocks: list[Block] = []
     if found.records:
-        rows = tuple(
-            (
-                r.where,
-                r.channel,
-                plus_minus(r.size, r.sd, r.unit),
-                per_cent(r.probability),
-                r.likely,
-            )
-            for r in found.records
-        )
-        header = ("record", "channel", "off by", "p", "likely")
-        tones: dict[int, Tone] = dict.fromkeys(range(len(rows)), "bad")
-        title = "Records that do not belong to the rest"
-        blocks.append(Table(title, header, rows, "lllll", tones=tones))
+        blocks.append(_record_table(found))
     blocks.append(_loop_verdict(found))
     if any(size for _, size in found.declared):
         blocks.append(Table("Declared effects", ("effect", "size"), found.declared, "ll"))
@@ -389,16 +357,22 @@ def loop_section(outcome: Outcome) -> Section:
     return Section("Closed loop", tuple(blocks))
 
 
+def _record_table(found: Findings) -> Table:
+    rows = tuple(
+        (r.where, r.channel, plus_minus(r.size, r.sd, r.unit), per_cent(r.probability), r.likely)
+        for r in found.records
+    )
+    header = ("record", "channel", "off by", "p", "likely")
+    tones: dict[int, Tone] = dict.fromkeys(range(len(rows)), "bad")
+    return Table("Records that do not belong to the rest", header, rows, "lllll", tones=tones)
+
+
 def _error_table(error: ErrorSummary, note: str) -> Table:
     """Error before and after, fitted and on data that was not fitted, with the floor."""
     digits = 3 if error.unit == "m/s²" else 2
     held, fitted = error.held_out, not (math.isnan(error.base) and math.isnan(error.final))
-
-    def number(value: float) -> str:
-        return "-" if math.isnan(value) else f"{value:.{digits}f}"
-
     rows = [
-        (name, *[number(before)] * fitted, number(after))
+        (name, *[number(before, digits)] * fitted, number(after, digits))
         for name, before, after in (
             ("raw reading", error.raw, held.raw),
             ("base model", error.base, held.base),
@@ -406,8 +380,7 @@ def _error_table(error: ErrorSummary, note: str) -> Table:
         )
         if fitted or not math.isnan(after)
     ]
-    floor = "unknown" if math.isnan(error.floor) else number(error.floor)
-    rows.append(("noise floor", floor, *[""] * fitted))
+    rows.append(("noise floor", number(error.floor, digits, "unknown"), *[""] * fitted))
     header = ("", *["fitted"] * fitted, "held out")
     title = f"Error before and after ({error.metric}, {error.unit})"
     return Table(title, header, tuple(rows), "", note)
@@ -432,7 +405,7 @@ def _loop_verdict(found: Findings) -> Text:
         case "not run":
             return Text("Fitted with the declared effects; the search was not run.")
         case "nothing missing":
-            return Text(f"Nothing is missing: {refuted_words(found)}.", "ok")
+            return Text(f"Nothing is missing: {_refuted(found)}.", "ok")
         case "explained":
             return Text(f"The residual is explained by {cause}.{gained}", "ok")
         case "explained in part":
@@ -469,7 +442,7 @@ def _step_table(steps: Sequence[FoundStep]) -> Table:
     header += ["nats", "held out, nats"] * nats
     if len(checks) == 1:
         header += ["before", "after"]
-        note = f"{_upper(checks[0].metric).removesuffix(', rms')} in {checks[0].unit} rms, "
+        note = f"{capital(checks[0].metric).removesuffix(', rms')} in {checks[0].unit} rms, "
         note += "of all steps together. There: how likely it is, in this place or beside another."
     else:
         header += [f"{c.metric}, {c.unit}" for c in checks]
@@ -536,15 +509,52 @@ def candidate_section(found: Findings) -> Section:
 
 def advice_section(outcome: Outcome) -> Section:
     """What to do next."""
-    lines = tuple(map(Text, outcome.advice))
-    return Section("Advice", lines or (Text("Nothing to do."),), brief=False)
+    return Section("Advice", lines(outcome.advice or ("Nothing to do.",)), brief=False)
 
 
 def closing_sections(outcome: Outcome) -> tuple[Section, ...]:
     """The candidates, where there was a search, and the notes."""
     found = (candidate_section(outcome.findings),) if outcome.findings else ()
-    return (*found, Section("Notes", tuple(map(Text, outcome.notes)), brief=False))
+    return (*found, Section("Notes", lines(outcome.notes), brief=False))
 
 
-def _upper(text: str) -> str:
-    return text[0].upper() + text[1:]
+def _certificate(run: Run, card: Card) -> Certificate:
+    """Device, date, reference, conditions, method and input; every parameter of the sensor with U,
+    where a page has room for them, else what the card promises alone."""
+    calibration, made = run.calibration, run.outcome.provenance
+    settings = made.settings
+    kind = str(settings.get("reference", calibration.calibrator))
+    reference = _REFERENCES.get(kind, calibration.calibrator)
+    source = settings.get("gravity_source")
+    gravity = f"; local gravity {calibration.gravity:.5f} m/s²" + (f" ({source})" if source else "")
+    effects = dict.fromkeys(p.effect.replace("_", " ") for p in calibration.parameters)
+    facts = [
+        ("instrument", f"of {made.path}; readings in {calibration.raw_unit}"),
+        ("calibrated", made.time),
+        ("reference", reference + gravity),
+        ("conditions", "; ".join(_conditions(calibration, made.samples))),
+        ("method", f"imucal {calibration.calibrator}, least squares with {', '.join(effects)}"),
+        ("software", ", ".join(f"{name} {value}" for name, value in made.versions.items())),
+        ("input, sha256", made.sha256),
+        *((worth.quantity, f"{worth.value} ({worth.detail})") for worth in card.good_to),
+    ]
+    own = [p for p in calibration.parameters if p.stage != "fixture"]
+    shown = own if len(own) <= _ROOM else []
+    rows = tuple(
+        (p.name.replace("_", " "), *with_sd(p.value, _COVERAGE * p.sd), p.unit) for p in shown
+    )
+    note = f"U: expanded uncertainty, k = {_COVERAGE:g}, about 95 %."
+    return Certificate(
+        Facts(tuple(facts)), Table("Results", ("", "value", "U", "unit"), rows, "lrrl", note)
+    )
+
+
+def _conditions(calibration: Calibration, samples: int) -> list[str]:
+    """How much was recorded, and in which range of what the correction follows."""
+    units = {"temperature": " °C", "time": " s"}
+    ranges = [
+        f"{name} {low:.4g} to {high:.4g}{units.get(name, '')}"
+        for name, (low, high) in calibration.valid.items()
+    ]
+    unknown = ["temperature not recorded"] * ("temperature" not in calibration.valid)
+    return [f"{samples} readings", *ranges, *unknown]

@@ -1,0 +1,188 @@
+"""imucal lab"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from imucalib.cli import options as opt
+from imucalib.cli.calibrating import calibrating, calibrating_of, finish, limit_option, shared_of
+from imucalib.cli.output import freed_memory
+
+if TYPE_CHECKING:
+    from imucalib.calibrators.lab.request import LabRequest
+
+#: Bytes: a search takes the same few arrays again and again, and of hundreds of rows a quarter of
+#: its time went into pages that the system clears anew for each.
+_KEPT = 1 << 29
+_CONVENTIONS = (
+    "gravity_sign",
+    "z_axis",
+    "inclination_zero",
+    "toolface_zero_axis",
+    "toolface_sense",
+    "toolface_offset",
+)
+
+
+@opt.paged("lab")
+@click.argument("tables", metavar="TABLE...", nargs=-1, required=True, type=opt.PATH)
+@opt.option(
+    "--recording",
+    "Recording with the positions of TABLE in order; its still segments are averaged.",
+    type=opt.PATH,
+)
+@opt.choice(
+    "--reference",
+    "vector direction norm",
+    "Known angles; directions without dials (a column face with +x ... -z, or ux, uy, "
+    "uz); or only the size of gravity (TABLE may then be a recording).",
+    default="vector",
+)
+@opt.many(
+    "--columns",
+    "ROLE=NAME,...",
+    "By heading: inclination, tool_face, face, x, y, z, temperature, samples, driver.",
+)
+@opt.option("--convention", "Angles: paper, drilling-gravity or drilling-force.", default="paper")
+@opt.choice("--gravity-sign", "down up", "Which way an axis points that reads +g.")
+@opt.choice("--z-axis", "down-hole up-hole", "The tool's end to which z points.")
+@opt.choice("--inclination-zero", "horizontal vertical", "What inclination 0 means.")
+@opt.choice("--toolface-zero-axis", "+x -x +y -y", "Axis that reads most at tool-face 0.")
+@opt.choice("--toolface-sense", "clockwise counter-clockwise", "Clockwise: from +y towards +x.")
+@opt.option("--toolface-offset", "Degrees added to every tool-face.", type=float)
+@opt.option("--model", "linear12 or geometric9.", default="linear12")
+@opt.choice(
+    "--objective",
+    "settings vector angles paper",
+    "What is minimised; settings: angles are uncertain as set.",
+    default="settings",
+)
+@opt.fleet
+@opt.flag("--as-published", "The paper's own method, as it was published.")
+@opt.option(
+    "--train",
+    "Rows to choose and fit on, for example 1-20; the rest tests.",
+    default="",
+    metavar="ROWS",
+)
+@opt.option("--exclude", "Leave rows out.", default="", metavar="ROWS")
+@opt.many(
+    "--fix fixes",
+    "ROWS:COLUMN=VALUE",
+    "Repair a cell, or a column in rows 9-16, in the table's unit.",
+)
+@opt.many("--swap swaps", "ROW,ROW", "Exchange two rows' readings.")
+@opt.many(
+    "--move moves",
+    "ROW,ROW",
+    "A row's reading belongs to the other row, those between one row nearer.",
+)
+@opt.many(
+    "--shift shifts",
+    "COLUMN[:ROWS]=STEP",
+    "Readings, inclination or tool_face belong one row down (1) or up (-1).",
+)
+@opt.many(
+    "--axes",
+    "[ROWS:]X,Y,Z",
+    "Columns that are the sensor's x, y, z, for example -y,x,z; of a part 17-32:-y,x,z.",
+)
+@opt.choice("--angle-unit", "deg rad", "Unit of the angles.")
+@opt.flag("--auto-exclude", "Leave out records that the search finds wrong.")
+@opt.flag("--swap-angles", "Exchange the two angle columns.")
+@opt.flag("--keep-angles", "Do not refuse angles that look exchanged.")
+@opt.option("--sigma", "Declared noise of a reading, mg; default: from the data.", type=float)
+@limit_option("--max-inclination-error", "largest held-out inclination error, deg.")
+@limit_option("--max-toolface-error", "largest held-out tool-face error, deg.")
+@limit_option("--max-norm-error", "held-out error of |a|, mg rms.")
+@opt.shortest_rest
+@calibrating
+def command(tables: tuple[Path, ...], **options: Any) -> int:
+    """Calibrate a tool's accelerometer on a bench with known tool-face and inclination.
+
+    TABLE is a CSV or HDF5 file with one row a position. Several are power-ups of one sensor, as is
+    a column session: what changes between them is told. Writes calibration.yaml, report.html and
+    report.json into the folder given by -o, and prints the report.
+
+    \b
+    Examples:
+      imucal lab positions.csv -o out --gravity 9.8061
+      imucal lab positions.csv -o out --recording log.mcap
+      imucal lab rests.csv -o out --reference norm --latitude 59.3
+      imucal lab monday.csv tuesday.csv friday.csv -o out
+    """
+    from imucalib.calibrators.lab.files import LabFiles, calibrate_files
+    from imucalib.report.files import Report
+    from imucalib.report.lab import lab_document
+
+    freed_memory(large=_KEPT, kept=_KEPT)
+    columns, mapping = opt.pairs(options["columns"], "--columns"), opt.mapping_of(options)
+    files = LabFiles(tables[0], options["recording"], columns, mapping, others=tables[1:])
+    with calibrating_of(options) as say:
+        run = calibrate_files(files, request_of(options), say)
+    return finish([Report(run, lab_document(run))], options)
+
+
+def request_of(options: dict[str, Any]) -> LabRequest:
+    """The request that the options state; raises click's usage errors."""
+    from dataclasses import replace
+
+    from imucalib.calibrators.lab.conventions import preset
+    from imucalib.calibrators.lab.repairs import repairs_of
+    from imucalib.calibrators.lab.request import LabRequest, as_published
+    from imucalib.units import MG
+
+    stated = {key: options[key] for key in _CONVENTIONS if options[key] is not None}
+    repairs = (options[name] for name in ("swaps", "moves", "shifts", "axes", "angle_unit"))
+    as_stated = ("reference", "model", "objective", "auto_exclude", "swap_angles", "keep_angles")
+    request = LabRequest(
+        **shared_of(options),
+        **{name: options[name] for name in (*as_stated, "unit")},
+        lsb_per_g=opt.one_scale(options["lsb"]),
+        conventions=replace(preset(options["convention"]), **stated),
+        fixes=tuple(fix for text in options["fixes"] for fix in _fixes(text)),
+        repairs=repairs_of(*repairs),
+        exclude=opt.numbers(options["exclude"], "--exclude"),
+        train=opt.numbers(options["train"], "--train"),
+        still=opt.still_of(options),
+        sigma=None if options["sigma"] is None else options["sigma"] * MG,
+        population=opt.population_of(
+            options,
+            {"as_published": False, "objective": "settings"},
+            options["reference"],
+            f"this device with {options['reference']}",
+            "give --reference {other}, or a fleet of that reference",
+        ),
+    )
+    return as_published(request) if options["as_published"] else request
+
+
+def _face(value: str) -> dict[str, float]:
+    """The columns that stand for a face such as +x or -z."""
+    sign, axis = value.strip()[:1], value.strip()[1:]
+    if sign not in ("+", "-") or axis not in ("x", "y", "z"):
+        raise ValueError
+    return {f"u{a}": float(f"{sign}1") if a == axis else 0.0 for a in "xyz"}
+
+
+def _fixes(text: str) -> list[tuple[int, str, float]]:
+    rows, colon, cell = text.partition(":")
+    role, sign, value = cell.partition("=")
+    try:
+        if not colon or not sign:
+            raise ValueError
+        first, _, last = rows.partition("-")
+        every = range(int(first), int(last or first) + 1)
+        if not every:
+            raise ValueError
+        cells = _face(value) if role.strip() == "face" else {role.strip(): float(value)}
+        return [(row, name, number) for row in every for name, number in cells.items()]
+    except ValueError:
+        said = (
+            f"'{text}' is not ROWS:COLUMN=VALUE, for example 10:y=-58593, 9-16:inclination=30 or "
+            "8:face=+x"
+        )
+        raise click.BadParameter(said, param_hint="--fix") from None
