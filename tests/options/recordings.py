@@ -112,11 +112,11 @@ def _exchanged_board(path: Path) -> None:
     path.write_text(swapped.replace("imuX, pos", "imu2, pos"), encoding="utf-8")
 
 
-def board_log(path: Path, seed: int = 3) -> None:
+def board_log(path: Path) -> None:
     folder = path.parent / "board.yaml"
     _board(folder)
     plan = LogPlan(poses=12, pose_seconds=3.0, seconds=20.0, gyro_gain=0.0)
-    write(simulated_log(read_board(folder), plan, np.random.default_rng(seed)).recording, path)
+    write(simulated_log(read_board(folder), plan, np.random.default_rng(3)).recording, path)
 
 
 def samples() -> Rows:
@@ -299,7 +299,6 @@ RECORDINGS: dict[str, Make] = {
     "exchanged.yaml": _exchanged_board,
     "tight.yaml": lambda path: path.write_text(BOARD.replace("prior_sd: 3.0", "prior_sd: 0.001")),
     "log.h5": board_log,
-    "other_log.h5": lambda path: board_log(path, 4),
     "turns.csv": _turns,
     "turned_axes.csv": _turned_axes,
     "bent_turns.csv": _bent_turns,

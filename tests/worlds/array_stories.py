@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from imucalib.arrays import Array
@@ -132,6 +130,3 @@ def positions_z(found: MotionLoop, true: Array) -> Array:
     n = found.final.positions
     sd = np.sqrt(np.diag(found.final.covariance)[:n])
     return np.asarray((r - truth @ left @ right).ravel() / sd)
-
-
-__all__ = ["BOARD", "PLAN", "STORIES", "closed", "named", "planted_log", "positions_z", "replace"]

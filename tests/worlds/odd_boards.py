@@ -64,10 +64,3 @@ def slow(
         )
 
     return plant
-
-
-PLANTS: dict[str, Plant] = {
-    "flexing": flexing,
-    "by rate": by_rate,
-    "gyro drifting": gyro_drifting,
-}

@@ -37,10 +37,8 @@ EFFECTS: dict[str, Callable[[Array, Array, Array, Array], Array]] = {
     "temperature_scale": lambda x, t, u, c: c * x * t[:, None],
     "bias_drift": lambda x, t, u, c: c * u[:, None],
     "bias_step": lambda x, t, u, c: c * (u[:, None] > 0.07),
-    "quadratic": lambda x, t, u, c: c * x**2,
     "cubic": lambda x, t, u, c: c * x**3,
     "converter": lambda x, t, u, c: c * np.sin(2 * np.pi * x / 0.45 + 1.0),
-    "dead_band": lambda x, t, u, c: c * np.clip(x / 0.05, -1.0, 1.0),
 }
 
 
@@ -167,5 +165,4 @@ class Case:
 
     def oracle_name(self) -> str:
         at = 0.57 * SPAN
-        curved = {"converter": "converter@xyz", "dead_band": "converter@xyz"}
-        return {"bias_step": f"bias_step@{at:.10g}s", **curved}.get(self.effect, self.effect)
+        return f"bias_step@{at:.10g}s" if self.effect == "bias_step" else self.effect

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import gzip
-import struct
-from dataclasses import replace
+import re
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,6 @@ from hypothesis import strategies as st
 
 from imucalib import readers, writers
 from imucalib.errors import UnreadableInput
-from imucalib.readers.csv.reader import without_repeats
 from imucalib.readers.joining import join
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
@@ -67,6 +65,10 @@ def test_actigraph_raw(tmp_path: Path) -> None:
         assert [(g.start, g.stop) for g in found.gaps] == [(99 / 50, 150 / 50)]
         assert found.start_ns == 1_568_745_600_000_000_000
         assert any("50 rows of zeros" in n for n in found.notes)
+        for size in (1, 60, 130):
+            parts = join(readers.blocks(path, block_samples=size), "")
+            assert [(g.start, g.stop) for g in parts.gaps] == [(99 / 50, 150 / 50)]
+            np.testing.assert_array_equal(parts.channels["imu0/acceleration"].t, channel.t)
 
 
 def test_missing_values_become_gaps_and_are_never_filled(tmp_path: Path) -> None:
@@ -263,51 +265,20 @@ ODD = (
     "9007199254740993", "9223372036854775808", "1.7976931348623159e308", "\t7", "#", "'1'", "1.0",
     "2.2250738585072011e-308", "2024-01-02 03:04:05.678",
 )  # fmt: skip
-doubles = st.integers(0, 2**64 - 1).map(lambda n: repr(struct.unpack("d", struct.pack("Q", n))[0]))
-decimals = st.decimals(allow_nan=False, allow_infinity=False, places=7).map(str)
-cells = st.one_of(
-    doubles, decimals, st.integers(-(2**63), 2**63 - 1).map(str), st.sampled_from(ODD)
-)
-RATE = 20.0
 
 
-def recording(values: np.ndarray) -> Recording:
-    return recording_of(np.arange(len(values)) / RATE, values, hz=RATE)
-
-
-def asleep(seconds: list[tuple[int, bool]]) -> np.ndarray:
-    """Seconds of fresh readings, or (True) of the last one repeated."""
-    rng = np.random.default_rng(0)
-    rows = [np.zeros((1, 3))]
-    for length, sleeping in seconds:
-        n = length * int(RATE)
-        fresh = rng.standard_normal((n, 3))
-        rows.append(np.repeat(rows[-1][-1:], n, axis=0) if sleeping else fresh)
-    return np.concatenate(rows)[1:]
-
-
-def in_blocks(whole: Recording, rows: int) -> list[Recording]:
-    channel = whole.channels["imu0/acceleration"]
-    parts = []
-    for a in range(0, channel.t.size, rows):
-        cut = replace(channel, t=channel.t[a : a + rows], values=channel.values[a : a + rows])
-        parts.append(replace(whole, channels={"imu0/acceleration": cut}))
-    return parts
-
-
-@settings(deadline=None, max_examples=40)
-@given(
-    st.lists(st.tuples(st.integers(1, 4), st.booleans()), min_size=1, max_size=6),
-    st.integers(1, 130),
-)
-def test_blocks_do_not_matter(seconds: list[tuple[int, bool]], rows: int) -> None:
-    whole = recording(asleep([(1, False), *seconds]))
-    (one,) = without_repeats(iter([whole]))
-    parts = list(without_repeats(iter(in_blocks(whole, rows))))
-    many = [p.channels["imu0/acceleration"] for p in parts]
-    assert np.array_equal(one.channels["imu0/acceleration"].t, np.concatenate([c.t for c in many]))
-    assert one.gaps == tuple(g for p in parts for g in p.gaps)
-    assert one.notes == tuple(n for p in parts for n in p.notes)
+@pytest.mark.parametrize("cell", ODD)
+def test_an_odd_cell_is_its_number_or_none(cell: str, tmp_path: Path) -> None:
+    lines = rows(at_rest(600))
+    lines[20] = f"0.1,{cell},0.9"
+    path = put(tmp_path, "\n".join(["x [g],y [g],z [g]", *lines]) + "\n")
+    found = acc_of(readers.read(path, FieldMapping(rate=100)))
+    plain = re.fullmatch(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*", cell)
+    if plain is None or not np.isfinite(float(cell)):
+        assert found.shape == (599, 3)
+        np.testing.assert_allclose(found, np.delete(at_rest(600), 20, axis=0) * G, rtol=1e-14)
+    else:
+        np.testing.assert_allclose(found[20], np.array([0.1, float(cell), 0.9]) * G, rtol=1e-14)
 
 
 def test_coarse_stamps_are_spread_and_said(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from imucalib.recording.recording import Recording
 from worlds.array_stories import PLAN as STORY
 from worlds.array_stories import closed, moving_of, named, planted_log
 from worlds.boards import board_log, made_board
-from worlds.odd_boards import PLAN, PLANTS, Plant, slow
+from worlds.odd_boards import PLAN, Plant, by_rate, flexing, gyro_drifting, slow
 
 BOARD = read_board("mimu4444_corners")
 ONE = frozenset({2})
@@ -50,15 +50,15 @@ def test_it_is_told_as_that_and_by_its_time(
 @pytest.mark.parametrize(
     ("plant", "name", "true"),
     [
-        ("flexing", "flexing@imu3", (0.03, 0.03, 0.1, 0.0, 0.0, 0.0)),
-        ("by rate", "moved_by_rate@imu3", (0.12, -0.1, 0.12)),
-        ("gyro drifting", "gyro_scale_drift@imu2", (2.0, 2.0, 2.0)),
+        (flexing, "flexing@imu3", (0.03, 0.03, 0.1, 0.0, 0.0, 0.0)),
+        (by_rate, "moved_by_rate@imu3", (0.12, -0.1, 0.12)),
+        (gyro_drifting, "gyro_scale_drift@imu2", (2.0, 2.0, 2.0)),
     ],
 )
-def test_it_is_told_as_that_imus(plant: str, name: str, true: tuple[float, ...]) -> None:
+def test_it_is_told_as_that_imus(plant: Plant, name: str, true: tuple[float, ...]) -> None:
     rng = np.random.default_rng(1)
     parts = made_board(BOARD.positions, BOARD.rotations, BOARD.imus, PLAN, rng)
-    made = board_log(parts, PLAN, rng, PLANTS[plant])
+    made = board_log(parts, PLAN, rng, plant)
     found = closed(made.recording, 400)
     assert name in {s.effect for s in found.steps if s.certain}
     assert named(found) <= {"gyro_misalignment", "gyro_scale", name}
@@ -72,12 +72,12 @@ def test_it_is_told_as_that_imus(plant: str, name: str, true: tuple[float, ...])
     sd = found.final.sd_of(term)
     # In the package's own axes; the drawing's is board to package.
     turn = BOARD.rotations[int(name[-1])]
-    if plant == "flexing":
+    if plant is flexing:
         xx, yy, zz, xy, xz, yz = term.theta
         own = turn @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ turn.T
         got = np.array([*np.diag(own), own[0, 1], own[0, 2], own[1, 2]])
     else:
-        got = np.abs(turn) @ term.theta if plant == "gyro drifting" else turn @ term.theta
+        got = np.abs(turn) @ term.theta if plant is gyro_drifting else turn @ term.theta
     # The order of the motion runs from the first turn to the end, 97 % of the log.
     assert np.abs(got - true).max() < 5.0 * sd.max() + 0.03 * np.abs(true).max()
 
