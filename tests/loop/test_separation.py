@@ -15,18 +15,6 @@ from imucalib.loop.separation import (
 )
 
 
-def columns(u: Array) -> dict[str, Array]:
-    """What parameters do to the size of the reading, in mg at typical sizes: by hand."""
-    cross = [(0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1)]
-    own = [u[:, i] * u[:, j] for i, j in ((1, 0), (2, 0), (2, 1))]
-    return {
-        "base": np.column_stack([50.0 * u, 30.0 * u**2, *(20.0 * c for c in own)]),
-        "quadratic": 3.0 * u**3,
-        "asymmetry": 2.0 * u * np.abs(u),
-        "cross_axis": 3.0 * np.column_stack([u[:, i] ** 2 * u[:, j] for i, j in cross]),
-    }
-
-
 def linear(seed: int, numbers: int, near: float, size: float) -> tuple[Ambiguity, Array]:
     """Two base columns and two rivals of one column that are alike but for `near`, with data of the
     first; and the columns."""

@@ -25,6 +25,7 @@ from worlds.mcap_logs import (
     Reading,
     cdr,
     imu_log,
+    messages_of,
     official_cdr,
     packed,
     readings,
@@ -289,14 +290,8 @@ Message = tuple[int, int, int, int, bytes]
 
 
 def messages(path: Path) -> tuple[list[Message], McapLog]:
-    """Channel, sequence, log time, publish time and payload of every message."""
     scanner = McapLog(path)
-    found: list[Message] = []
-    for block in scanner.blocks():
-        names = ("channel", "sequence", "log_time", "publish_time")
-        columns = [block.header(name).tolist() for name in names]
-        found += list(zip(*columns, block.payloads(), strict=True))
-    return found, scanner
+    return messages_of(scanner), scanner
 
 
 def chunk_spans(path: Path) -> list[tuple[int, int]]:

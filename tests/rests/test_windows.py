@@ -13,12 +13,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imucalib.arrays import Array
 from imucalib.readers import blocks, stored_blocks
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.runs import scan
-from imucalib.rests.windows import WindowBuilder, Windows, window_statistics
+from imucalib.rests.windows import WindowBuilder, window_statistics
 
 KINDS = ("f4", "f8", "i2", "u1", "i4", "i8", "f2")
 
@@ -133,23 +132,3 @@ def test_a_scan_tells_what_was_recorded() -> None:
     found = scan(blocks_of, 10.0)
     assert (found.samples, found.rate, found.stop) == (4999, 50.0, t[4998])
     assert (found.triad, len(found.windows.mean), found.gaps) == ("w", 9, 0)
-
-
-G = 9.80665
-
-
-def windows(mean: Array, sd: Array | float = 1e-3, **changed: object) -> Windows:
-    """Half a second each at 100 Hz, one after the other, of readings (m, 3)."""
-    m = len(mean)
-    spread = np.broadcast_to(np.asarray(sd, float), (m, 3)).copy()
-    made: dict[str, object] = {
-        "samples": 50, "first": 50 * np.arange(m), "run": np.zeros(m, np.intp),
-        "start": 0.5 * np.arange(m), "stop": 0.5 * np.arange(m) + 0.49, "mean": mean,
-        "variance": spread**2, "low": mean - 2.0 * spread, "high": mean + 2.0 * spread,
-        "finest": np.full(3, np.inf),
-    }  # fmt: skip
-    return Windows(**{**made, **changed})  # type: ignore[arg-type]
-
-
-def level(m: int) -> Array:
-    return np.tile([0.0, 0.0, G], (m, 1))

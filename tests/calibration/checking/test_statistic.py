@@ -23,8 +23,6 @@ from imucalib.errors import UnreadableInput
 from worlds.instrument import MG, Array, G, four, vectors
 from worlds.stated import made
 
-NAMES = tuple(f"{what}_{axis}" for what in ("bias", "scale") for axis in "xyz")
-
 
 def rests(reading: Array) -> PositionTable:
     columns = dict(zip("xyz", reading.T, strict=True))

@@ -25,7 +25,6 @@ from imucalib.calibration.comparison.compare import (
     slope_of,
     with_power_ups,
 )
-from imucalib.calibration.triads import Triad
 from imucalib.core.sphere import even_directions
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.units import DEG
@@ -223,13 +222,6 @@ def test_a_scatter_that_is_given_is_in_every_sd_of_one_power_up() -> None:
     assert found.agreement.p > plain.agreement.p
     assert any("0.7 mg of bias, as given" in note for note in found.notes)
     assert any("--between-sessions" in note for note in plain.notes)
-
-
-def imu() -> Triad:
-    rng = np.random.default_rng(3)
-    turn = rotation(np.array([20.0, -50.0, 110.0]))
-    return Triad("imu0", turn, np.eye(3) + 0.1 * rng.normal(size=(3, 3)), rng.normal(size=3),
-                 np.eye(3), np.zeros(3), np.diag(np.arange(1.0, 13.0)), 0.03, 0.1)  # fmt: skip
 
 
 def basis(seed: int = 0, m: int = 4) -> Basis:

@@ -11,7 +11,6 @@ from imucalib.calibrators.actigraph.observations import (
     observations_of,
     robust_fit,
 )
-from imucalib.calibrators.actigraph.simulation import scan_of
 from imucalib.calibrators.actigraph.wear import (
     Minutes,
     Wear,
@@ -29,11 +28,6 @@ from worlds.week import WeekPlan, simulated_week
 
 G = STANDARD_GRAVITY
 NINE = ("bias", "scale", "non_orthogonality")
-
-
-def scanned(seconds: float, **changed: object) -> Scan:
-    made = scan_of(np.zeros(0), None, rate=25.0, seconds=seconds)
-    return Scan(**{**vars(made), **changed})  # type: ignore[arg-type]
 
 
 def fitted_nine(seed: int = 1) -> tuple[object, PostureRuns, Scan]:

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibrators.array.board import read_board
 from imucalib.calibrators.array.effect_blocks import covariance_of, triangle
@@ -18,16 +17,6 @@ from imucalib.recording.recording import Recording
 from imucalib.units import DEG
 from worlds.boards import BoardPlan, board_log, made_board
 from worlds.rigid_board import board, calibration
-
-
-def rates(seed: int, n: int = 400, noise: float = 0.0) -> tuple[Array, Array, Array]:
-    """(n, 4, 3) readings of four gyros in one motion, their gains, whose mean is one, and ω."""
-    rng = np.random.default_rng(seed)
-    gain = np.eye(3) + 0.03 * rng.standard_normal((4, 3, 3))
-    gain = gain @ np.linalg.inv(gain.mean(axis=0))
-    w = 5.0 * rng.standard_normal((n, 3))
-    off = noise * rng.standard_normal((n, 4, 3))
-    return np.einsum("kij,nj->nki", gain, w) + off, gain, w
 
 
 def stated(covariance: np.ndarray | None) -> Calibration:

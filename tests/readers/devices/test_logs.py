@@ -5,13 +5,10 @@ from __future__ import annotations
 import gzip
 import hashlib
 import io
-import struct
 import time
 import zipfile
 import zlib
 from datetime import UTC, datetime, timedelta
-from functools import reduce
-from operator import xor
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +25,8 @@ from worlds.logger_files import (
     ax_sector,
     gene_file,
     gene_page,
+    gt3x_record,
+    gt3x_second,
     old_gt3x,
     wav_file,
 )
@@ -67,21 +66,11 @@ def gt3x(log: bytes, info: str = INFO, **how: bool) -> bytes:
     return zipped(info_txt=info.encode(), log_bin=log, **how)
 
 
-def record(kind: int, stamp: int, payload: bytes) -> bytes:
-    body = struct.pack("<BBIH", 0x1E, kind, stamp, len(payload)) + payload
-    return body + bytes([reduce(xor, body) ^ 0xFF])
-
-
 def seconds_of(samples: np.ndarray, seconds: list[int], *, kind: int = 26) -> bytes:
-    """log.bin of 30 samples a second; kind 0 has 12 bits a number, axes y x z."""
-    rows = []
-    for second, some in zip(seconds, samples.reshape(-1, 30, 3), strict=True):
-        payload = some.astype("<i2").tobytes()
-        if kind == 0:
-            bits = "".join(f"{int(v) & 0xFFF:012b}" for v in some[:, [1, 0, 2]].ravel())
-            payload = int(bits, 2).to_bytes(len(bits) // 8, "big")
-        rows.append(record(kind, SECONDS + second, payload))
-    rows.insert(1, record(3, SECONDS, b"\x08"))
+    """log.bin of 30 samples a second."""
+    parts = zip(seconds, samples.reshape(-1, 30, 3), strict=True)
+    rows = [gt3x_second(some, SECONDS + second, kind) for second, some in parts]
+    rows.insert(1, gt3x_record(3, SECONDS, b"\x08"))
     return b"".join(rows)
 
 
