@@ -42,10 +42,8 @@ def _lower(p: Array, k: Known) -> Array:
 
 
 def _mounting(p: Array, k: Known) -> Array:
-    x = k["x"]
-    for axis, deg in zip(np.eye(3), p, strict=True):
-        x = turned(x, np.broadcast_to(axis, x.shape), deg)
-    return x
+    x, deg = k["x"], float(np.linalg.norm(p))
+    return turned(x, np.broadcast_to(p / deg, x.shape), deg) if deg else x
 
 
 def _crept(p: Array, k: Known) -> Array:
@@ -158,7 +156,7 @@ BY_HAND: dict[str, tuple[str, Callable[[Array, Known], Array]]] = {
         "y_k(t) = ω(t - T (φ_k(t) mod 1 - 1/2)), φ_k by the beat line of gyro k",
         lambda p, k: k["ω"] - p[0] * k["age"][:, None] * np.rad2deg(k["spin"])),
     "non_orthogonality": ("y_y = x_y + k_yx x_x;  y_z = x_z + k_zx x_x + k_zy x_y", _lower),
-    "mounting": ("x' = Rz(m_z) Ry(m_y) Rx(m_x) x", _mounting),
+    "mounting": ("x' = R(m) x,  m = (m_x, m_y, m_z)", _mounting),
     "clamp_creep": (
         "x' = Rz(c_z s) Ry(c_y s) Rx(c_x s) x,  s = order - 1/2, order from 0 to 1", _crept),
     "base_tilt_across": (

@@ -1,7 +1,7 @@
 """A tool's accelerometer in plain numpy, before and after something changed: nothing of the code
 under test.
 
-    reading = b + (I + S + K) x + noise,  x = Rz Ry Rx f
+    reading = b + (I + S + K) x + noise,  x = R f
 
 f is the specific force in the tool's frame, g (cos i sin t, cos i cos t, sin i) (docs/lab.md).
 """
@@ -20,7 +20,7 @@ MG, DEG = G * 1e-3, np.pi / 180.0
 
 @dataclass(frozen=True)
 class Instrument:
-    """bias : (3,) m/s²; gain : (3, 3) I + S + K; turn : (3, 3) Rz Ry Rx"""
+    """bias : (3,) m/s²; gain : (3, 3) I + S + K; turn : (3, 3) R"""
 
     bias: Array
     gain: Array
@@ -51,15 +51,13 @@ def instrument(rng: np.random.Generator) -> Instrument:
 
 
 def rotation(angles: Array) -> Array:
-    """Rz Ry Rx of angles in deg."""
-    out = np.eye(3)
-    for axis, angle in enumerate(angles * DEG):
-        c, s = np.cos(angle), np.sin(angle)
-        own = np.eye(3)
-        i, j = (axis + 1) % 3, (axis + 2) % 3
-        own[i, i], own[j, j], own[i, j], own[j, i] = c, c, -s, s
-        out = own @ out
-    return out
+    """A turn by the size of angles (deg) about the axis along them."""
+    x, y, z = angles * DEG
+    size = float(np.linalg.norm(angles)) * DEG
+    k = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    if size == 0.0:
+        return np.eye(3)
+    return np.eye(3) + np.sin(size) / size * k + (1.0 - np.cos(size)) / size**2 * k @ k
 
 
 def positions(n: int, rng: np.random.Generator) -> tuple[Array, Array]:

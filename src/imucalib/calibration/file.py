@@ -27,7 +27,7 @@ from imucalib.recording.pairing import fault
 from imucalib.recording.yaml_text import dump, load
 
 SCHEMA = "imucal/calibration"
-VERSION = 1
+VERSION = 2
 FORMULA = (
     "reading = x + sum of sensor effects(x), x = mounting turn of the specific force in the tool's "
     "frame; apply inverts it. Linear part: corrected = M raw + b, raw = S corrected + c (SI units)."
@@ -155,7 +155,7 @@ def from_dict(content: Any, where: str) -> Calibration:
         raise UnreadableInput(
             f"schema version {content.get('version')} is not known",
             where=where,
-            remedy="update imucal",
+            remedy="calibrate again, or use the imucal that wrote it",
         )
     _check_names(content, where)
     try:

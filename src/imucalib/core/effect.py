@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Index
 from imucalib.core.course import Lagged
+from imucalib.core.eigen import eigen
 from imucalib.units import DEG
 
 
@@ -367,6 +368,60 @@ class Rotation(Described):
             total = rotation @ total
         d_x = np.broadcast_to((total - np.eye(3))[:, None], (*x.shape, 3))
         return Action(turned - x, slope, d_x)
+
+
+@dataclass(frozen=True)
+class Turned(Described):
+    """A rotation of the truth by any angle, whose three parameters (deg) are the turn's axis times
+    its angle: three turns one after the other have no slope of their own where the second is one
+    of 90 deg, this one nowhere below 360 deg."""
+
+    each: tuple[Parameter, ...] = ()
+    channel: Channel = "acceleration"
+    stage: Stage = "mounting"
+
+    def parameters(self, context: Context) -> tuple[Parameter, ...]:
+        return self.each
+
+    def act(self, theta: Array, truth: Truth, context: Context) -> Action:
+        rotation, along = turn_of(theta * DEG)
+        x = truth.force
+        turned = x @ rotation.T
+        slope = -DEG * cross_matrix(turned) @ along
+        d_x = np.broadcast_to(rotation - np.eye(3), (*x.shape, 3))
+        return Action(turned - x, slope, d_x)
+
+
+def turn_of(vector: Array) -> tuple[Array, Array]:
+    """Rotation matrix (3, 3) of a turn by axis times angle (3,) rad, and (3, 3) the small turn that
+    each of the three numbers adds after it (the left Jacobian: Sola, Deray and Atchuthan 2018,
+    arXiv 1812.01537, eq. 145)."""
+    angle, cross = float(np.linalg.norm(vector)), cross_matrix(vector)
+    # sin a / a, (1 - cos a) / a² and (a - sin a) / a³, by their series at small angles.
+    first, second, third = 1.0 - angle**2 / 6.0, 0.5 - angle**2 / 24.0, 1.0 / 6.0 - angle**2 / 120.0
+    if angle > 1e-3:
+        first, second = np.sin(angle) / angle, (1.0 - np.cos(angle)) / angle**2
+        third = (1.0 - first) / angle**2
+    square = cross @ cross
+    return (
+        np.asarray(np.eye(3) + first * cross + second * square),
+        np.asarray(np.eye(3) + second * cross + third * square),
+    )
+
+
+def vector_of(rotation: Array) -> Array:
+    """(3,) rad, axis times angle of a rotation matrix, at most half a turn, by the eigenvector of
+    its quaternion (Bar-Itzhack 2000, J Guid Control Dyn 23, 1085-1087)."""
+    r = rotation
+    skew = np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]])
+    matrix = np.empty((4, 4))
+    matrix[:3, :3] = r + r.T - np.trace(r) * np.eye(3)
+    matrix[:3, 3] = matrix[3, :3] = skew
+    matrix[3, 3] = np.trace(r)
+    q = eigen(matrix)[1][:, -1]
+    q = -q if q[3] < 0.0 else q
+    size = float(np.linalg.norm(q[:3]))
+    return np.asarray(q[:3] * (2.0 * np.arctan2(size, q[3]) / size if size else 2.0))
 
 
 def cross_matrix(axis: Array) -> Array:

@@ -240,5 +240,3 @@ TOOL_FACE = Part(axes=(tool_face_axis,), needs=("tool_face",), stage="fixture")
 #: How the tool stands in its clamp, about x, then y, then z; about its own axis alone.
 CLAMP = Part(axes=tuple(map(_of_tool, range(3))), needs=("tool_face",), stage="fixture")
 CLAMP_Z = replace(CLAMP, axes=CLAMP.axes[2:])
-#: How the triad stands in the tool.
-MOUNTING = Part(axes=CLAMP.axes, stage="mounting")

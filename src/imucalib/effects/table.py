@@ -15,6 +15,7 @@ from imucalib.core.effect import (
     Response,
     Rotation,
     Truth,
+    Turned,
     own_axis,
 )
 from imucalib.core.references import unit_vector
@@ -25,7 +26,6 @@ from imucalib.effects.parts import (
     BIAS,
     CLAMP,
     INCLINATION,
-    MOUNTING,
     SCALE,
     TILTS,
     TOOL_FACE,
@@ -134,7 +134,7 @@ EFFECTS: tuple[Effect, ...] = (
         lambda context: context["inclination_approach"],
         "inclination_approach",
     ),
-    made("mounting", MOUNTING, _ALWAYS),
+    Turned(*words("mounting"), (), each=sizes("mounting", "xyz")),
     made("clamp_creep", CLAMP, _ORDER),
     made("non_orthogonality", ANGLES, _ALWAYS),
     made("temperature_non_orthogonality", ANGLES, _TEMPERATURE),

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucalib.arrays import Array, Index
+from imucalib.core.effect import vector_of
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownVector
@@ -49,7 +50,7 @@ def full_matrix_start(model: Model, observations: Observations) -> Array:
         )
     lower, rotation = _lower_times_rotation(sensitivity)
     slices = model.slices(observations.context)
-    theta[slices["mounting"]] = _turns(rotation) / DEG
+    theta[slices["mounting"]] = vector_of(rotation) / DEG
     theta[slices["scale"]] = np.diag(lower) - 1.0
     theta[slices["non_orthogonality"]] = [lower[1, 0], lower[2, 0], lower[2, 1]]
     theta[slices["bias"]] = offset / MG
@@ -111,11 +112,3 @@ def _lower_times_rotation(matrix: Array) -> tuple[Array, Array]:
     q, r = np.linalg.qr(matrix.T)
     sign = np.where(np.diag(r) < 0.0, -1.0, 1.0)
     return (r * sign[:, None]).T, (q * sign).T
-
-
-def _turns(rotation: Array) -> Array:
-    """Angles (rad) of turns about x, then y, then z that make a rotation matrix."""
-    y = -np.arcsin(np.clip(rotation[2, 0], -1.0, 1.0))
-    x = np.arctan2(rotation[2, 1], rotation[2, 2])
-    z = np.arctan2(rotation[1, 0], rotation[0, 0])
-    return np.array([x, y, z])

@@ -6,6 +6,7 @@ import json
 import re
 import shlex
 from dataclasses import replace
+from itertools import permutations, product
 from pathlib import Path
 
 import jsonschema
@@ -43,6 +44,39 @@ def test_pasting_the_line_ends_the_matter(tmp_path: Path, kind: str) -> None:
     code, text, report = lab(path, *shlex.split(made.slip.line))
     assert (code, text, report["status"]) == (0, "", "ok")
     assert not report["faults"]
+
+
+def _in_the_tool(turn: np.ndarray, path: Path) -> Path:
+    """Thirty-six set attitudes of a sensor that stands in the tool by a turn, in mg."""
+    rng = np.random.default_rng(4)
+    inclination, tool_face = 10.0 * rng.integers(-8, 9, 36), 30.0 * rng.integers(0, 12, 36)
+    i, t = np.deg2rad(inclination), np.deg2rad(tool_face)
+    force = np.stack([np.cos(i) * np.sin(t), np.cos(i) * np.cos(t), np.sin(i)], axis=1)
+    reading = 1000.0 * force @ turn.T * [1.004, 0.997, 1.002] + [12.0, -7.0, 3.0]
+    reading += 0.5 * rng.standard_normal((36, 3))
+    heading, rows = "inclination,tool_face,x_mg,y_mg,z_mg", np.c_[inclination, tool_face, reading]
+    np.savetxt(path, rows, "%.6g", ",", header=heading, comments="")
+    return path
+
+
+TURNS = [
+    np.eye(3)[list(order)] * np.array(sign)[:, None]
+    for order in permutations(range(3))
+    for sign in product((1.0, -1.0), repeat=3)
+]
+
+
+@pytest.mark.parametrize("turn", [t for t in TURNS if np.linalg.det(t) > 0.0], ids=str)
+def test_every_way_to_stand_in_the_tool_is_calibrated_alike(
+    turn: np.ndarray, tmp_path: Path
+) -> None:
+    """Exactly along its axes too, where three turns one after the other lose one of them."""
+    path = _in_the_tool(turn, tmp_path / "sheet.csv")
+    code, _, report = lab(path, "--no-loop", "--axes=x,y,z")
+    assert (code, report["status"]) == (0, "ok")
+    assert report["loop"]["errors"][0]["held_out"]["final"] < 1.2
+    sd = [p["sd"] for p in report["parameters"] if p["name"].startswith("mounting")]
+    assert max(sd) < 0.02
 
 
 @pytest.mark.slow
