@@ -19,9 +19,8 @@ from imucalib.core.references import KnownVector
 from imucalib.errors import UnreadableInput
 from imucalib.units import DEG, MG
 
-#: Share of the rows that make the map where the whole is mirrored, and steps in which they are
-#: found.
-_SHARE, _STEPS = 0.6, 20
+#: Steps in which the rows that make the map are found.
+_STEPS = 20
 
 
 def full_matrix_start(model: Model, observations: Observations) -> Array:
@@ -58,14 +57,8 @@ def full_matrix_start(model: Model, observations: Observations) -> Array:
 
 
 def consistent_rows(observations: Observations) -> Index:
-    """The larger part of the rows (K = 1, known directions) that fit one linear map best, from all
-    rows, from those in front and from those at the end."""
-    n = observations.n
-    many = max(5, int(_SHARE * n))
-    design, reading = _design(observations), observations.reading[:, 0]
-    starts = (np.arange(n), np.arange(many), np.arange(n - many, n))
-    found = (concentrated(design, reading, start, many) for start in starts)
-    return min(found, key=lambda f: f.misfit).rows
+    """The larger part of the rows (K = 1, known directions) that fit one linear map best."""
+    return larger_part(_design(observations), observations.reading[:, 0]).rows
 
 
 @dataclass(frozen=True)
@@ -76,6 +69,16 @@ class Concentrated:
     misfit: float
     rows: Index
     map: Array | None
+
+
+def larger_part(design: Array, reading: Array) -> Concentrated:
+    """The rows that fit one linear map best, as many as break down last (Rousseeuw and Leroy 1987,
+    section 3.4), from all, from those in front and from those at the end. design : (n, p)"""
+    n, columns = design.shape
+    many = max(columns + 1, (n + columns + 1) // 2)
+    starts = (np.arange(n), np.arange(many), np.arange(n - many, n))
+    found = (concentrated(design, reading, start, many) for start in starts)
+    return min(found, key=lambda f: f.misfit)
 
 
 def concentrated(design: Array, reading: Array, rows: Index, many: int) -> Concentrated:

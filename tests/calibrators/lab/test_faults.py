@@ -79,6 +79,19 @@ def test_every_way_to_stand_in_the_tool_is_calibrated_alike(
     assert max(sd) < 0.02
 
 
+@pytest.mark.parametrize("name", ["paper", "spread"])
+@pytest.mark.parametrize(("order", "sign"), [((0, 2, 1), (-1, 1, -1)), ((0, 1, 2), (1, -1, 1))])
+def test_the_part_whose_axes_are_turned_is_named(
+    name: str, order: tuple[int, ...], sign: tuple[int, ...], tmp_path: Path
+) -> None:
+    """Two rows of five, whatever the order of work, which no plain fit of all rows survives."""
+    clean = sheets.bench(11, name=name, scatter=0.1)
+    made = sheets.part_turned(clean, round(0.6 * len(clean.reading)), order, sign)
+    code, text, _ = lab(made.write(tmp_path / "sheet.csv"))
+    assert code == 5
+    assert made.slip.line in text, text
+
+
 @pytest.mark.slow
 def test_a_turned_sensor_is_a_question_until_it_is_answered(tmp_path: Path) -> None:
     made = sheets.axes(sheets.bench(4, name="spread"), (1, 0, 2), (1, -1, 1))

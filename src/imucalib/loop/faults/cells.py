@@ -336,7 +336,7 @@ def transposed(value: float) -> list[float]:
 def other_axes(base: Base) -> Iterator[Trial]:
     """Readings whose axes are exchanged or inverted from some row on, or up to it."""
     sheet = base.sheet
-    if not sheet.ordered or sheet.n < 2 * _LEAST:
+    if sheet.n < 2 * _LEAST:
         return
     at = np.arange(_LEAST, sheet.n - _LEAST + 1)
     count = 2.0 * len(_AXES) * len(at)

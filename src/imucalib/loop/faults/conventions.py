@@ -6,8 +6,8 @@ shows them, for the map takes any; the signed permutation nearest to it does.
 
 Rows of known directions, without dials, whose reading belongs to another direction.
 
-The linear map (12 parameters) of the three quarters of rows that fit it best, found by
-concentration steps (Rousseeuw and Van Driessen 1999), says where each reading belongs.
+The linear map (12 parameters) of the larger part of the rows, those that fit it best, says where
+each reading belongs and how the sensor stands.
 """
 
 from __future__ import annotations
@@ -20,15 +20,13 @@ from typing import NamedTuple
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.estimators.starting_point import concentrated
+from imucalib.estimators.starting_point import larger_part
 from imucalib.loop.faults.sheet import Fault, Sheet
 
 #: Nats beyond the sheet as it stands below which nothing is said.
 _ENOUGH = 5.0
 #: Misfit (mg rms) below which a linear map says nothing; how much better another meaning must fit.
 _BENCH, _FAR_BETTER = 2.0, 1.0 / 3.0
-#: Share of the rows that make the map.
-_SHARE = 0.75
 #: Misfit (mg) that any fixture may have: bias, tilt and noise.
 _FIXTURE = 20.0
 _FACES = {tuple(s * np.eye(3)[a]): f"{'-+'[s > 0]}{'xyz'[a]}" for a in range(3) for s in (1, -1)}
@@ -41,8 +39,7 @@ def wrong_directions(reading: Array, direction: Array, row: Index) -> tuple[Faul
     """
     every = np.unique(direction, axis=0)
     design, targets = (np.column_stack([d, np.ones(len(d))]) for d in (direction, every))
-    many = max(5, int(_SHARE * len(design)))
-    made = concentrated(design, reading, np.arange(len(design)), many).map
+    made = larger_part(design, reading).map
     if made is None:
         return ()
     own = np.linalg.norm(reading - design @ made, axis=1)
@@ -200,9 +197,9 @@ class Axes:
 
 
 def nearest_axes(sheet: Sheet) -> Axes | None:
-    """None where the rows do not determine the linear map."""
-    _, found, rank = _linear_map(sheet)
-    if rank < 4:
+    """Of the larger part of the rows; None where these do not determine the linear map."""
+    found = larger_part(np.column_stack([sheet.truth(), np.ones(sheet.n)]), sheet.reading).map
+    if found is None:
         return None
     u, _, v = np.linalg.svd(found[:3].T)
     turn, axes = u @ v, np.arange(3)

@@ -159,20 +159,31 @@ def explored(fit: Fit, wanted: Searched) -> Explored:
 
 def _anchored(fit: Fit) -> Fit:
     """The fit as it stands at the angles that were meant: a tilt that was fitted would be told from
-    the reading that it explains, and give a response the blame. Where settings were fitted to
-    scatter beyond what hands do, rows are in the wrong place: there θ is that of the larger part
-    of the rows that are alike."""
+    the reading that it explains, and give a response the blame. Where settings or readings were
+    fitted to scatter beyond what hands and chips do, rows are in the wrong place: there θ is that
+    of the larger part of the rows that are alike."""
     data, at, prior = fit.observations, fit.at, fit.observations.noise_prior
     if not at.free:
         return fit
     theta, noise = fit.theta, fit.noise
-    if prior is not None and max(noise.sd[: at.free], default=0.0) > FAR * prior.setting:
+    if prior is None:
+        return _standing(fit, theta, noise)
+    axes, widest = np.median(data.sigma, axis=(0, 1)), float(np.exp(prior.spread))
+    noisiest = noise.factor * float(axes.max() / axes.min()) / widest
+    scatter = max(noisiest, *(sd / prior.setting for sd in noise.sd[: at.free]))
+    if scatter > FAR:
         held = [min(sd, prior.setting) for sd in noise.sd[: at.free]]
-        noise = Noise(max(noise.factor, 1.0), at.component, (*held, *noise.sd[at.free :]))
+        factor = min(max(noise.factor, 1.0), widest)
+        noise = Noise(factor, at.component, (*held, *noise.sd[at.free :]))
         alike, start = data.take(consistent_rows(data)), full_matrix_start(fit.model, data)
         again = fit_model(fit.model, alike, start=start, noise=noise)
         theta = theta if again.null_directions else again.theta
-    meant = np.zeros_like(fit.eta)
+    return _standing(fit, theta, noise)
+
+
+def _standing(fit: Fit, theta: Array, noise: Noise) -> Fit:
+    """A fit at θ and the angles that were meant."""
+    meant, data = np.zeros_like(fit.eta), fit.observations
     return replace(
         fit, theta=theta, eta=meant, noise=noise, at=balance(fit.model, theta, meant, data)
     )

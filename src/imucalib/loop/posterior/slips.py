@@ -103,7 +103,12 @@ def _best(
         return replace(state, found=found, aside=aside), written.sheet if written else None
     close = (t.fault.line for o, t, _ in odds[1:] if t.repaired and o > nats - OPEN / 3.0)
     fault = replace(trial.fault, probability=share, rivals=tuple(dict.fromkeys(close)))
-    return replace(state, found=found, slips=(*state.slips, fault)), trial.repaired
+    assert written is not None
+    place = {int(row): k for k, row in enumerate(trial.repaired.row)}
+    numbers = ((int(written.sheet.row[row]), chance) for row, chance in state.aside)
+    aside = tuple((place[row], chance) for row, chance in numbers if row in place)
+    slips = (*state.slips, fault)
+    return replace(state, found=found, slips=slips, aside=aside), trial.repaired
 
 
 def _likeliest(
