@@ -8,14 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 
-from imucalib import cli
 from imucalib.calibration.findings import Findings, Gain
 from imucalib.report.document import Card, Document, Section, Table, Text, Tone, Worth
 from imucalib.report.plots import gain_plot, projected
 from imucalib.report.render.html import render_html
 from imucalib.report.render.text import render_text
+from worlds.command import run
 from worlds.places import SAMPLES
 
 CARD = Card(
@@ -67,12 +66,6 @@ def test_the_gains_picture_says_what_its_interval_holds(low: float, word: str) -
     assert bars.low is not None
     assert (np.isnan(bars.low[0]), bars.low[2]) == (True, low)
     assert gain_plot(Findings("nothing missing")) == ()
-
-
-def run(*words: object) -> Result:
-    return CliRunner().invoke(
-        cli.cli, [str(w) for w in words], standalone_mode=False, catch_exceptions=False
-    )
 
 
 @pytest.fixture(scope="module")

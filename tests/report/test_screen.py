@@ -9,12 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from click.testing import CliRunner, Result
 
-from imucalib import cli
 from imucalib.effects import catalogue
 from imucalib.report.document import Card, Document, Text, Worth
 from imucalib.report.render.text import SCREEN, render_text
+from worlds.command import run
 from worlds.places import SAMPLES
 
 TABLE = ("lab", "paper_table_1.csv", "--gravity", "9.8061")
@@ -42,11 +41,6 @@ CALLS = [
 ]
 #: An effect's id, a scan's, a parameter's: no word of a language.
 INTERNAL = re.compile(r"\b\w+@\w+|\b[a-z]+_[a-z_]+\b")
-
-
-def run(*words: object) -> Result:
-    line = [str(w) for w in words]
-    return CliRunner().invoke(cli.cli, line, standalone_mode=False, catch_exceptions=False)
 
 
 def located(call: tuple[str, ...]) -> list[str]:

@@ -51,7 +51,7 @@ def fleet_document(fleet: Fleet) -> Document:
         Section("Not of the kind", tuple(Text(text, "warning") for text in outlying)),
         Section("What was tried", _tried(fleet), brief=False),
         Section("Not calibrated", tuple(Text(f"{n}: {why}", "bad") for n, why in fleet.failed)),
-        Section("Notes", tuple(map(Text, notes))),
+        Section("Notes", Text.each(notes)),
     )
     command = fleet.settings.command
     footer = (("command", command), ("seed", str(fleet.settings.seed))) if command else ()

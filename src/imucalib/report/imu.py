@@ -24,7 +24,6 @@ from imucalib.report.document import (
     Text,
     Use,
     Worth,
-    lines,
 )
 from imucalib.report.plots import gain_plot
 from imucalib.significant_digits import number, plus_minus, two_digits, with_sd
@@ -156,7 +155,7 @@ def hand_plan_document(plan: HandPlan) -> Document:
     known = [plan.sd] if plan.before is None else [plan.before, plan.sd]
     sds = tuple((name, *(f"{100.0 * sd[k]:.2g}" for sd in known)) for k, name in enumerate(_NAMES))
     gains = Table("", ("gain", *["sd now, %"] * added, "sd then, %"), sds, "l" + "r" * len(known))
-    stay = lines((f"These stay open: {words}." for words in plan.open_gains), "bad")
+    stay = Text.each((f"These stay open: {words}." for words in plan.open_gains), "bad")
     parts = (Section("Turns", (turns,)), Section("Gains", (*stay, gains)))
     return Document("Turns to add" if added else "Turns to take", verdict, parts)
 

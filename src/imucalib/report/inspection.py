@@ -94,7 +94,7 @@ def inspection_document(
         Section("Candidates for rests", _candidates(found) if rests else (), kept=True),
         Section("Noise at rest", () if noise is None else _noise(noise), kept=True),
         Section("Losses and gaps", tuple(losses)),
-        Section("Notes", tuple(map(Text, notes))),
+        Section("Notes", Text.each(notes)),
         Section("How it was read", (Facts(_options(found)),) if found.mapping else ()),
         Section(
             "Next",
@@ -139,8 +139,8 @@ def table_document(seen: TableSeen, typed: str) -> Document:
     parts = (
         Section("Table", (Facts(tuple(facts)), Table("", header, rows, "lllrr"))),
         Section("What is wrong", tuple(wrong), kept=True),
-        Section("Notes", tuple(map(Text, seen.notes))),
-        Section("Next", tuple(map(Text, table_commands(seen, typed))), kept=True),
+        Section("Notes", Text.each(seen.notes)),
+        Section("Next", Text.each(table_commands(seen, typed)), kept=True),
     )
     said = f"{len(wrong)} thing{'s' * (len(wrong) != 1)} to settle" if wrong else "nothing is wrong"
     verdict = Text(
@@ -171,7 +171,7 @@ def own_document(path: Path, typed: str) -> tuple[Document, dict[str, Any]] | No
     else:
         return None
     content = {"schema": "imucal/inspection/1", "path": str(path), "format": kind, "next": steps}
-    section = Section("Next", tuple(map(Text, steps)), kept=True)
+    section = Section("Next", Text.each(steps), kept=True)
     return Document(str(path), Text(f"{what}."), (section,), drawn="--html"), content
 
 
