@@ -191,3 +191,30 @@ def test_a_unit_that_the_rests_contradict_is_refused(
         assert isinstance(result.exception, UnreadableInput)
         assert f"when the unit is {unit}, as --unit states" in str(result.exception)
         assert not target.exists()
+
+
+def test_every_candidate_for_a_rest_is_listed_with_its_reason(tmp_path: Path) -> None:
+    """Twelve rests in random attitudes; at the end a turn of two mg/s for 30 s."""
+    rng, parts = np.random.default_rng(0), []
+    for _ in range(12):
+        direction = rng.normal(size=3)
+        direction *= 9.80665 / np.linalg.norm(direction)
+        parts += [direction + rng.normal(0, 6.0, (250, 3)), np.tile(direction, (300, 1))]
+    across = np.cross(direction, [0.3, 0.5, 0.8])
+    parts.append(direction + rng.normal(0, 6.0, (250, 3)))
+    parts.append(direction + np.arange(3000)[:, None] / RATE * 2e-3 * across)
+    values = np.concatenate(parts)
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        file["accelerometer"] = values + rng.normal(0, 0.02, values.shape)
+        file["accelerometer"].attrs["unit"] = "m/s^2"
+        file["time"] = np.arange(len(values)) / RATE
+        file["time"].attrs["unit"] = "s"
+    rests = json.loads(inspect(tmp_path / "log.h5", "--rests", "--json", "-q").stdout)["rests"]
+    assert sum(bool(r["rest"]) for r in rests) == 12
+    (turn,) = (r for r in rests if r["reason"] == "turning")
+    assert turn["length_s"] == pytest.approx(30.0, abs=4.0)
+    assert turn["noise"] == pytest.approx(0.02, rel=0.2)
+    shown = inspect(tmp_path / "log.h5", "--rests").stdout
+    assert "12 rests" in shown
+    assert "turning" in shown
+    assert "Candidates for rests" not in inspect(tmp_path / "log.h5").stdout

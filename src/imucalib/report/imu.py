@@ -26,7 +26,7 @@ from imucalib.report.document import (
     Worth,
 )
 from imucalib.report.plots import gain_plot
-from imucalib.significant_digits import number, plus_minus, two_digits, with_sd
+from imucalib.significant_digits import number, plus_minus, signed, two_digits, with_sd
 from imucalib.units import DEG
 
 
@@ -142,7 +142,7 @@ def hand_plan_document(plan: HandPlan) -> Document:
         "bad" if plan.open_gains else "ok",
     )
     rows = tuple(
-        (str(k), turn.axis, "  ".join(f"{v:+.2f}" for v in turn.up), f"{100.0 * turn.after:.2g}")
+        (str(k), turn.axis, signed(turn.up), f"{100.0 * turn.after:.2g}")
         for k, turn in enumerate(plan.turns, start=1)
     )
     note = (
