@@ -11,6 +11,7 @@ import resource
 import shlex
 import subprocess
 import sys
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -88,13 +89,10 @@ def told(report: dict[str, Any]) -> None:
         return
     raw = [e["held_out"]["raw"] for e in loop["errors"] if e["unit"] == gain["unit"]][:1]
     first = f"raw reading {raw[0]:.3g}, " if raw and raw[0] is not None else ""
-    dense = ""
-    if gain["nats"] is not None:
-        dense = f"; log density {gain['nats']:+.1f} nats, at least {gain['nats_low']:+.1f}"
     print(
         f"error:  {first}calibrated {gain['before']:.3g}, with what was found {gain['after']:.3g} "
         f"{gain['unit']}, held out\n        (gain {gain['before'] - gain['after']:.2g}, 95 % "
-        f"{gain['low']:.2g} to {gain['high']:.2g}{dense})"
+        f"{gain['low']:.2g} to {gain['high']:.2g})"
     )
 
 
@@ -133,15 +131,22 @@ def main(command: str, folder: str) -> None:
     """Run everything; results go below `folder`."""
     command, out = os.path.abspath(command), Path(folder)
     os.chdir(ROOT)
-    for job in jobs():
-        print(f"\n== {job.title}")
+    steps, start = len(jobs()) + 1, time.monotonic()
+
+    def step(number: int, title: str) -> None:
+        print(
+            f"\n== Step {number} of {steps}, {time.monotonic() - start:.0f} s: {title}", flush=True
+        )
+
+    for number, job in enumerate(jobs(), 1):
+        step(number, job.title)
         imucal(command, [*job.arguments, "-o", str(out / job.name)])
         told(json.loads((out / job.name / "report.json").read_text(encoding="utf-8")))
         print(f"report: {out / job.name / 'report.html'}")
-    print("\n== The board's whole log, corrected with what its part has taught")
+    step(steps, "The board's whole log, corrected with what its part has taught")
     raw, corrected = Path("sample_logs/board.h5"), out / "board.h5"
     calibration = str(out / "board" / "calibration.yaml")
-    imucal(command, ["apply", calibration, str(raw), "-o", str(corrected)])
+    imucal(command, ["apply", calibration, str(raw), "-o", str(corrected), "--no-fused"])
     compared(raw, corrected)
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     spent = sum(u.ru_utime + u.ru_stime for u in used)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import string
+import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
+from ruamel.yaml import YAML
 
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.recording.mapping import FieldMapping, from_dict, load_mapping, save_mapping
@@ -168,3 +170,21 @@ def test_anchors_and_aliases_are_refused_with_their_line(tmp_path: Path, text: s
     path.write_text(text, encoding="utf-8")
     with pytest.raises(UnreadableInput, match=r"anchor or alias '[axy]0?'[\s\S]*line [12]"):
         load(path)
+
+
+_NUMBERS = st.lists(st.integers(-(10**6), 10**6) | NUMBERS, max_size=90)
+_TEXTS = st.sampled_from(["[1, 2]", "a [1.0, 2.0] b", "[1, 2] and [3, 4]", "x [", "[1,2]"])
+_CONTENT = st.recursive(
+    _NUMBERS | _TEXTS, lambda inner: st.lists(inner, max_size=4) | st.dictionaries(_TEXTS, inner)
+)
+
+
+@settings(max_examples=150, deadline=None)
+@given(content=st.dictionaries(st.text("abc", min_size=1), _CONTENT))
+def test_lists_of_numbers_are_read_as_any_yaml(content: dict[str, object]) -> None:
+    """What is loaded fast is what the package loads, texts with such a list in them too."""
+    text = dump(content)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a.yaml"
+        path.write_text(text, encoding="utf-8")
+        assert load(path) == YAML(typ="safe", pure=True).load(text) == content

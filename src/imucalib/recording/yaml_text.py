@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from io import StringIO
 from pathlib import Path
@@ -17,6 +18,9 @@ _TRUE_OR_FALSE = {"y", "yes", "on", "true", "n", "no", "off", "false"}
 #: Marks of a key, which end a word in a list on one line, and a line break that only double quotes
 #: keep: others fold it to a blank.
 _MARKS = re.compile("[?\x85]|^:")
+#: A list on one line of numbers that JSON and YAML read alike.
+_NUMBER = r"-?(?:0|[1-9]\d*)(?:\.\d+(?:e[-+]\d+)?)?"
+_NUMBERS = re.compile(rf"\[{_NUMBER}(?:, {_NUMBER})+\]")
 
 
 def load(path: Path, remedy: str = "") -> Any:
@@ -39,8 +43,16 @@ def load(path: Path, remedy: str = "") -> Any:
 
     yaml = YAML(typ="safe", pure=True)
     yaml.Composer = Plain
+    # Thousands of numbers of a covariance: a list of one mark for the parser, then these.
+    mark, lists = f"x{uuid4().hex}x", list[str]()
+
+    def marked(found: re.Match[str]) -> str:
+        lists.append(found[0])
+        return f"[{mark}{len(lists) - 1}x]"
+
     try:
-        return yaml.load(path.read_text(encoding="utf-8"))
+        content = yaml.load(_NUMBERS.sub(marked, path.read_text(encoding="utf-8")))
+        return _unmarked(content, re.compile(f"\\[?{mark}(\\d+)x\\]?"), lists)
     except OSError as error:
         what = f"the file cannot be read: {error.strerror or error}"
     except RecursionError:
@@ -48,6 +60,23 @@ def load(path: Path, remedy: str = "") -> Any:
     except (UnicodeDecodeError, YAMLError, ValueError) as error:
         what = f"not a YAML file: {error}"
     raise UnreadableInput(what, where=str(path), remedy=remedy)
+
+
+def _unmarked(content: Any, mark: re.Pattern[str], lists: list[str]) -> Any:
+    """Content with the numbers in their places; within a text, as they were written."""
+    if isinstance(content, dict):
+        pairs = content.items()
+        return {_unmarked(k, mark, lists): _unmarked(v, mark, lists) for k, v in pairs}
+    if isinstance(content, list):
+        found = mark.fullmatch(str(content[0])) if len(content) == 1 else None
+        if found and not content[0].startswith("["):
+            return json.loads(lists[int(found[1])])
+        return [_unmarked(v, mark, lists) for v in content]
+    if isinstance(content, tuple):  # a list that is a key
+        return tuple(_unmarked(list(content), mark, lists))
+    if isinstance(content, str):
+        return mark.sub(lambda found: lists[int(found[1])], content)
+    return content
 
 
 def dump(content: dict[str, Any], *, indented: bool = False) -> str:
@@ -73,7 +102,7 @@ def dump(content: dict[str, Any], *, indented: bool = False) -> str:
     mark, lines = f"x{uuid4().hex}x", list[str]()
 
     def sequence(self: RoundTripRepresenter, value: list[Any]) -> Any:
-        if value and len(value) < 64 and all(type(v) is float for v in value):
+        if value and all(type(v) is float for v in value):
             # Thousands of numbers of a covariance: a mark now, the numbers in its place at the end.
             lines.append("[" + ", ".join(_float(v) for v in value) + "]")
             return self.represent_scalar("tag:yaml.org,2002:str", f"{mark}{len(lines) - 1}x")

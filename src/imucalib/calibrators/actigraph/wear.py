@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Flags
 from imucalib.calibration.plain import fields
@@ -36,6 +37,7 @@ _SEEN = 0.8
 #: Of points of the field's rule: largest reading, and what each axis has to see on both sides (g).
 _LARGEST, _SPAN_SEEN = 2.0 * STANDARD_GRAVITY, 0.3
 _ROUNDS, _SETTLED, _NEAREST = 1000, 1e-10, 0.01
+_ONE_G, _NONE = np.float32(STANDARD_GRAVITY), np.float32(0.0)
 
 
 @dataclass(frozen=True)
@@ -132,20 +134,31 @@ def minutes_of(blocks: Iterable[Recording], triad: str, fit: Fit) -> Minutes:
 
 def _summed(t: Array, values: Array, slope: Array, origin: Array, fit: Fit) -> Array:
     """(m, 4) minute, samples, and the sums of ENMO raw and corrected, of each stretch within one
-    minute."""
+    minute; of samples in single precision, which is finer than any converter."""
     minute = np.floor(t / 60.0)
     starts = np.append(0, np.flatnonzero(np.diff(minute)) + 1)
     count = np.diff(np.append(starts, t.size))
     mean = np.add.reduceat(values, starts, axis=0) / count[:, None]
-    linear = values @ slope.T + origin
     shift = np.linalg.norm(corrected_by(fit, mean), axis=1)
     shift -= np.linalg.norm(mean @ slope.T + origin, axis=1)
-    size, corrected = (np.sqrt(np.vecdot(v, v)) for v in (values, linear))
+    # An axis a row: every step then runs along neighbouring numbers.
+    raw = values.T.astype(np.float32, order="C")
+    linear = slope.astype(np.float32) @ raw
+    linear += origin.astype(np.float32)[:, None]
+    above = _norms(raw), _norms(linear) + np.repeat(shift.astype(np.float32), count)
     over = (
-        np.add.reduceat(np.maximum(s - STANDARD_GRAVITY, 0.0), starts)
-        for s in (size, corrected + np.repeat(shift, count))
+        np.add.reduceat(np.maximum(size - _ONE_G, _NONE), starts, dtype=np.float64)
+        for size in above
     )
     return np.column_stack([minute[starts], count, *over])
+
+
+def _norms(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(n,) of vectors (3, n)."""
+    x, y, z = vectors
+    size: NDArray[np.float32] = x * x + y * y + z * z
+    np.sqrt(size, out=size)
+    return size
 
 
 def activity_of(
