@@ -2,30 +2,15 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
-import sys
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
 from options.tree import commands, options_of
+from worlds.places import ROOT, script
 
-ROOT = Path(__file__).parents[1]
-
-
-def script(name: str) -> ModuleType:
-    """A file of docs/ that makes pages."""
-    spec = importlib.util.spec_from_file_location(Path(name).stem, ROOT / "docs" / name)
-    assert spec is not None
-    assert spec.loader is not None
-    made = sys.modules[Path(name).stem] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(made)
-    return made
-
-
-site = script("site/pages.py")
+site = script("docs/site/pages.py")
 
 _FENCED = re.compile(r"^```.*?^```$", re.DOTALL | re.MULTILINE)
 
@@ -104,7 +89,7 @@ def test_the_benchmarks_page_names_what_is_there() -> None:
 
 def test_the_picture_shows_what_the_readme_says(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(ROOT / "docs"))
-    said = script("picture.py").description((ROOT / "docs/images/report.png").read_bytes())
+    said = script("docs/picture.py").description((ROOT / "docs/images/report.png").read_bytes())
     readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
     for line in said.splitlines():
         assert " ".join(line.split()) in readme

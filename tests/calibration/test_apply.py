@@ -6,17 +6,14 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
-from imucalib import cli
+from imucalib.arrays import Array
 from imucalib.calibration import apply as application
-from imucalib.calibration.apply import apply_to_recording, correct_file
+from imucalib.calibration.apply import apply_to_recording
 from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.file import read as read_calibration
 from imucalib.calibration.file import write as write_calibration
@@ -35,21 +32,18 @@ from imucalib.errors import UnreadableInput
 from imucalib.exports.linear import nearest_linear
 from imucalib.readers import blocks, read
 from imucalib.recording.mapping import FieldMapping
-from imucalib.recording.recording import Channel, Recording
+from imucalib.recording.recording import Recording
 from imucalib.rests.thermal import (
     ThermalHistory,
-    is_gone,
     temperature_at,
-    thermal_history,
     thermometer_of,
     with_thermometer,
 )
 from imucalib.units import MG, STANDARD_GRAVITY
+from worlds.command import run
+from worlds.recordings import recording_of
 from worlds.sheets import Sheet, direction
 from worlds.week import WeekPlan, simulated_week
-
-Array = NDArray[np.float64]
-
 
 G = STANDARD_GRAVITY
 MODEL = Model(tuple(named(name) for name in NINE))
@@ -102,27 +96,13 @@ def test_a_lag_is_undone_in_blocks_as_in_memory(
     early = apply_to_recording(without, read(path, SECONDS)).channels["imu0/acceleration"].values
     assert np.abs(np.linalg.norm(early, axis=1) - G).mean() > 2.0 * MG
 
-    from imucalib.calibration import apply as application
-
     for size in (777, 5000):
-        from imucalib.readers import blocks
-
         monkeypatch.setattr(
             application, "blocks", lambda *a, s=size, **k: blocks(*a, block_samples=s, **k)
         )
         target = tmp_path / f"out{size}.csv"
-        arguments = [
-            "apply",
-            str(folder / "calibration.yaml"),
-            str(path),
-            "-o",
-            str(target),
-            "-q",
-            "--time-unit",
-            "s",
-        ]
-        result = CliRunner().invoke(cli.cli, arguments, standalone_mode=False)
-        assert result.exception is None
+        done = run("apply", folder / "calibration.yaml", path, "-o", target, "--time-unit", "s")
+        assert done.exception is None
         got = read(target, SECONDS).channels["imu0/acceleration"].values
         assert np.allclose(got, whole, rtol=0.0, atol=1e-6)
 
@@ -131,19 +111,13 @@ def _blocks_of(
     t: Array, thermometer: tuple[Array, Array], cuts: Array
 ) -> tuple[Recording, list[Recording]]:
     """A recording, and the same in blocks; a block has the readings up to its last sample."""
-    values = np.zeros((t.size, 3))
-    edges = [0, *cuts.tolist(), t.size]
-    whole, parts, until = Recording({}, "made", "made", ""), [], -np.inf
-    for a, b in [(0, t.size), *pairwise(edges)]:
+    read, values = thermometer
+    parts, until = [], -np.inf
+    for a, b in [(0, t.size), *pairwise([0, *cuts.tolist(), t.size])]:
         end = np.inf if b == t.size else float(t[b - 1])
-        here = (thermometer[0] > (-np.inf if a == 0 else until)) & (thermometer[0] <= end)
-        channels = {"acc": Channel(t[a:b], values[a:b], "m/s2", "acceleration", "imu0", 1.0)}
-        if here.any():
-            warm = thermometer[1][here, None]
-            channels["temp"] = Channel(
-                thermometer[0][here], warm, "degC", "temperature", "imu0", 0.1
-            )
-        parts.append(replace(whole, channels=channels))
+        here = (read > (-np.inf if a == 0 else until)) & (read <= end)
+        warm = (read[here], values[here]) if here.any() else None
+        parts.append(recording_of(t[a:b], np.zeros((b - a, 3)), warm=warm, hz=1.0))
         until = end
     return parts[0], parts[1:]
 
@@ -170,7 +144,7 @@ def test_a_slow_thermometer_reads_the_same_in_blocks_of_any_size(
     assert channel is not None
     expected = temperature_at(channel, t)
     found = [
-        temperature_at(warm, block.channels["acc"].t)
+        temperature_at(warm, block.channels["imu0/acceleration"].t)
         for block, warm in with_thermometer(iter(parts), "imu0")
         if warm is not None
     ]
@@ -181,14 +155,13 @@ def test_a_lag_without_a_thermometer_is_left_out_and_told(
     lagging: tuple[Path, Calibration],
 ) -> None:
     calibration = lagging[1]
-    channel = Channel(np.arange(5.0), np.full((5, 3), 5.0), "m/s2", "acceleration", "imu0", 1.0)
-    bare = Recording({"imu0/acceleration": channel}, "made", "made", "", start_ns=0)
+    bare = recording_of(np.arange(5.0), np.full((5, 3), 5.0), start_ns=0)
     found = apply_to_recording(calibration, bare)
     (note,) = [n for n in found.notes if "left out" in n]
     assert "thermal_lag@1h" in note
     low, high = calibration.valid["temperature_lag_1h"]
     middle = calibration.apply(
-        channel.values, Context(5, {"temperature_lag_1h": np.full(5, 0.5 * (low + high))})
+        np.full((5, 3), 5.0), Context(5, {"temperature_lag_1h": np.full(5, 0.5 * (low + high))})
     )
     assert np.allclose(found.channels["imu0/acceleration"].values, middle, atol=1e-6)
     # Planted: 1.5, -2.0 and 1.0 mg/°C.
@@ -213,15 +186,13 @@ def test_each_sample_gets_the_part_valid_at_its_time(stepped: tuple[Path, Calibr
     force = G * np.tile([0.6, 0.0, 0.8], (5, 1))
     reading = MODEL.predict(THETA, force[:, None], Context(5)).reading[:, 0]
     reading[2:] += MG * np.array([12.0, 0.0, -9.0])
-    channel = Channel(t, reading, "m/s2", "acceleration", "imu0", 1.0)
-    recording = Recording({"imu0/acceleration": channel}, "made", "made", "", start_ns=0)
+    recording = recording_of(t, reading, hz=1.0, start_ns=0)
     out = apply_to_recording(calibration, recording).channels["imu0/acceleration"].values
     assert np.allclose(out, force, atol=0.6 * MG)
     one = apply_to_recording(calibration, recording, use="whole")
     assert not np.allclose(one.channels["imu0/acceleration"].values, force, atol=3.0 * MG)
     for k in range(5):
-        single = replace(channel, t=t[k : k + 1], values=reading[k : k + 1])
-        block = replace(recording, channels={"imu0/acceleration": single})
+        block = recording_of(t[k : k + 1], reading[k : k + 1], hz=1.0, start_ns=0)
         alone = apply_to_recording(calibration, block).channels["imu0/acceleration"].values
         assert np.allclose(alone[0], out[k], rtol=0.0, atol=1e-12)
     later = replace(recording, start_ns=86_400_000_000_000)
@@ -252,13 +223,7 @@ def calibration(effect: str = "temperature_bias", covariate: str = "temperature"
 
 def recording(warm: Array, t: Array = T) -> Recording:
     force = G * np.tile([0.0, 0.6, 0.8], (T.size, 1))
-    channels = {
-        "imu0/acceleration": Channel(T, force, "m/s2", "acceleration", "imu0", 1.0),
-        "imu0/temperature": Channel(
-            t, warm[:, None], "degC", "temperature", "imu0", 1.0 / float(np.median(np.diff(t)))
-        ),
-    }
-    return Recording(channels, "made", "made", "", start_ns=0)
+    return recording_of(T, force, warm=(t, warm), start_ns=0)
 
 
 def corrected(found: Recording) -> Array:
@@ -286,50 +251,6 @@ def test_a_jump_is_no_temperature(value: float) -> None:
     assert note.startswith(f"{int(gone.sum())} of 6000 samples have no temperature")
     assert not any("outside" in n or "jumps" in n for n in sound.notes)
     assert not any("outside" in n for n in found.notes)
-
-
-def test_a_slow_thermometer_tells_nothing_beside_a_jump(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """From the last reading before to the first one after, in blocks of any size."""
-    slow = WARM[::30].copy()
-    slow[100] = 85.0
-    path = tmp_path / "slow.h5"
-    whole = recording(slow, T[::30])
-    with h5py.File(path, "w") as file:
-        force = whole.channels["imu0/acceleration"].values / G
-        file.create_dataset("imu0/acceleration", data=force).attrs.update(unit="g", sample_rate=1.0)
-        warm = file.create_dataset("imu0/temperature", data=slow)
-        warm.attrs.update(unit="degC", sample_rate=1.0 / 30.0)
-    known = calibration()
-    expected = corrected(apply_to_recording(known, read(path)))
-    middle = expected[T == 3000.0]
-    alone = np.all(np.isclose(expected, middle, rtol=0.0, atol=1e-9), axis=1)
-    assert T[alone].min() == 2971.0
-    assert T[alone].max() == 3029.0
-    assert np.ptp(expected[:, 0]) < 10.0 * MG
-    for rows in (601, 2500):
-        monkeypatch.setattr(
-            application, "blocks", lambda *a, s=rows, **k: blocks(*a, block_samples=s, **k)
-        )
-        target = tmp_path / f"out{rows}.h5"
-        notes = correct_file(known, path, target, FieldMapping())
-        assert np.allclose(corrected(read(target)), expected, rtol=0.0, atol=1e-9)
-        assert sum("59 of 6000 samples have no temperature" in note for note in notes) == 1
-
-
-def test_a_thermometer_that_seldom_answers_is_as_none() -> None:
-    wild = WARM.copy()
-    wild[np.random.default_rng(1).random(T.size) < 0.8] = -127.0
-    history = thermal_history([recording(wild)], "imu0")
-    assert history is not None
-    assert is_gone(history.gone, T).all()
-    for made in (calibration(), calibration("thermal_lag@1h", "temperature_lag_1h")):
-        found = apply_to_recording(made, recording(wild))
-        without = recording(WARM)
-        del without.channels["imu0/temperature"]  # type: ignore[attr-defined]
-        bare = apply_to_recording(made, without)
-        assert np.allclose(corrected(found), corrected(bare), rtol=0.0, atol=1e-9)
 
 
 UNDO_NINE = ("bias", "scale", "non_orthogonality")
@@ -394,26 +315,7 @@ def undo_calibration(names: tuple[str, ...], valid: dict[str, tuple[float, float
 
 
 def recorded(n: int, warm: Array | None = None, size: float = 1.0) -> Recording:
-    t = np.arange(float(n))
-    values, _ = around(n, 8, size)
-    channels = {"acc": Channel(t, values, "m/s2", "acceleration", "imu0", 1.0)}
-    if warm is not None:
-        channels["warm"] = Channel(t, warm[:, None], "degC", "temperature", "imu0", 1.0)
-    return Recording(channels, "made", "made", "", start_ns=0)
-
-
-def test_hysteresis_is_left_out_with_its_size() -> None:
-    span = {f"previous_{a}": (-9.8, 9.8) for a in "xyz"}
-    found = apply_to_recording(undo_calibration((*UNDO_NINE, "hysteresis"), span), recorded(50))
-    (note,) = [n for n in found.notes if "hysteresis" in n]
-    theta = sensor((*UNDO_NINE, "hysteresis"))[1]
-    largest = float(np.linalg.norm(theta[-3:]))  # mg/g at 1 g on every axis
-    size = float(note.partition("up to ")[2].partition(" mg")[0])
-    assert size == pytest.approx(largest, rel=0.05)
-    without = sensor(UNDO_NINE)[0].correct(
-        theta[:-3], recorded(50).channels["acc"].values[:, None], Context(50)
-    )
-    assert np.allclose(found.channels["acc"].values, without[:, 0], atol=1e-6)
+    return recording_of(np.arange(float(n)), around(n, 8, size)[0], warm=warm, start_ns=0)
 
 
 def test_samples_beyond_the_calibrated_range_are_counted_and_kept() -> None:
@@ -423,12 +325,12 @@ def test_samples_beyond_the_calibrated_range_are_counted_and_kept() -> None:
     found = apply_to_recording(made, recorded(200, warm, size=3.0))
     notes = " ".join(found.notes)
     assert "40 of 200 samples lie outside the calibrated temperature, 20 to 30 °C" in notes
-    values = recorded(200, warm, 3.0).channels["acc"].values
+    values = recorded(200, warm, 3.0).channels["imu0/acceleration"].values
     far = int((np.abs(values) > 1.1 * STANDARD_GRAVITY).any(axis=1).sum())
     assert f"{far} of 200 samples read more than 1.1 g" in notes
     model, theta = sensor(names)
     exact = model.correct(theta, values[:, None], Context(200, {"temperature": warm}))[:, 0]
-    assert np.allclose(found.channels["acc"].values, exact, atol=1e-5)
+    assert np.allclose(found.channels["imu0/acceleration"].values, exact, atol=1e-5)
     inside = apply_to_recording(made, recorded(200, np.full(200, 25.0)))
     assert not any("outside" in n or "1.1 g" in n for n in inside.notes)
 
@@ -459,8 +361,8 @@ def test_the_time_of_day_and_of_the_calibration_go_by_the_clock(later: float) ->
     t = np.arange(50.0) + later
     angle = 2.0 * np.pi * (22.0 * 3600.0 + 800.0 + t) / 86400.0
     by_day = np.cos(angle)[:, None] * cosine + np.sin(angle)[:, None] * sine
-    expected = log.channels["acc"].values - bias - by_day - (t / 600.0 - 0.5)[:, None] * drift
-    found = apply_to_recording(made, log).channels["acc"].values
+    expected = corrected(log) - bias - by_day - (t / 600.0 - 0.5)[:, None] * drift
+    found = corrected(apply_to_recording(made, log))
     np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
@@ -494,9 +396,7 @@ def test_a_later_recording_finds_the_sensor_as_it_was_left(
     found = later_readings_calibrated(declared, course, tmp_path)
     true = 1000.0 * direction(np.array([10.0, -35.0]), np.array([75.0, 200.0]))
     raw = MG * (true + BIAS + CHANGE)
-    channel = Channel(np.arange(2.0), raw, "m/s2", "acceleration", "imu0", 1.0)
-    later = Recording({"imu0/acceleration": channel}, "later.csv", "csv", "")
-    done = apply_to_recording(found, later)
+    done = apply_to_recording(found, recording_of(np.arange(2.0), raw))
     off = np.linalg.norm(done.channels["imu0/acceleration"].values / MG - true, axis=1)
     assert off.max() < 0.3
     (note,) = [n for n in done.notes if "left out" in n]

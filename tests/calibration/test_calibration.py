@@ -5,16 +5,12 @@ from __future__ import annotations
 import os
 from dataclasses import replace
 from functools import cache
-from io import StringIO
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
-from ruamel.yaml import YAML
 
 from imucalib.calibration.calibration import Calibration, StoredParameter, from_fit
 from imucalib.calibration.file import as_dict, check, from_dict, read, to_yaml, write
@@ -28,7 +24,6 @@ from imucalib.effects.record_error import record_error
 from imucalib.errors import NotConverged, UnreadableInput
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.loop.found import Unexplained
-from imucalib.recording.yaml_text import dump
 from imucalib.units import MG
 from worlds.bench import GRAVITY, base_model, bench, draw, ordinary_theta
 
@@ -80,26 +75,6 @@ def test_written_and_read_bit_by_bit(tmp_path: Path) -> None:
     assert list(path.parent.iterdir()) == [path]
 
 
-floats = st.floats(allow_nan=False, allow_infinity=False)
-
-
-@pytest.mark.slow
-@settings(deadline=None, suppress_health_check=[HealthCheck.too_slow], max_examples=60)
-@given(st.lists(floats, min_size=9, max_size=9), floats, st.text(max_size=30))
-def test_any_numbers_and_words_come_back(values: list[float], sd: float, words: str) -> None:
-    text = dump({"values": values, "rows": [values[:3], values[3:]], "sd": sd, "words": words})
-    for version in ((1, 2), (1, 1)):
-        yaml = YAML(typ="safe", pure=True)
-        yaml.version = version
-        back = yaml.load(StringIO(text))
-        assert back["values"] == values
-        assert [str(v) for v in back["values"]] == [str(v) for v in values]  # -0.0 as well
-        assert back["rows"] == [values[:3], values[3:]]
-        assert back["sd"] == sd
-        assert isinstance(back["sd"], float)
-    assert YAML(typ="safe", pure=True).load(StringIO(text))["words"] == words
-
-
 @pytest.mark.parametrize(
     ("text", "what"),
     [
@@ -121,29 +96,6 @@ def test_foreign_files_are_refused(tmp_path: Path, text: str, what: str) -> None
         read(path)
     assert what in caught.value.what
     assert caught.value.where == str(path)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("summed", [True, False])
-def test_a_truncated_file_is_refused_or_whole_in_its_numbers(tmp_path: Path, summed: bool) -> None:
-    """Without the sum, the facts for people, which come last, may be cut off unseen."""
-    calibration = replace(_linear(), valid={"temperature": (13.0, 37.0)})
-    text, path = to_yaml(calibration), tmp_path / "cut.yaml"
-    text = text if summed else text.partition("\n")[2]
-    end = text.index("provenance:")
-    marks = [k for k in range(len(text)) if text[k] in "\n:,[" and k % 3 == 0]
-    cuts = sorted({*marks[::12], *range(text.index("valid:"), end), len(text) - 3})
-    read_whole = 0
-    for cut in cuts:
-        path.write_text(text[:cut], encoding="utf-8")
-        try:
-            found = read(path)
-        except UnreadableInput as error:
-            assert error.where == str(path)  # noqa: PT017
-            continue
-        read_whole += 1
-        _same(replace(found, facts={}), replace(calibration, facts={}))
-    assert read_whole == 0 if summed else 0 < read_whole < len(cuts)
 
 
 def test_a_changed_digit_is_refused_until_the_sum_is_deleted(tmp_path: Path) -> None:
@@ -266,10 +218,3 @@ def test_gates_are_stricter(findings: Findings, gates: set[Gate]) -> None:
     for gate in ("suspected", "unexplained", "caution"):
         strict = replace(found, fail_on=gate)  # type: ignore[arg-type]
         assert strict.exit_code == (5 if gate in gates else 0)
-
-
-def test_what_the_headline_warns_of_may_be_gated() -> None:
-    warned = replace(outcome(Findings("explained")), reasons=("few attitudes",))
-    assert warned.exit_code == 0
-    assert replace(warned, fail_on="suspected").exit_code == 0
-    assert replace(warned, fail_on="caution").exit_code == 5

@@ -8,23 +8,23 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.stats import binom
 
+from imucalib.arrays import Array
 from imucalib.calibration import power
 from imucalib.calibration.angles import angles_at_rests, angles_of_samples
-from imucalib.calibration.calibration import Calibration, StoredParameter, matrices
-from imucalib.calibration.uncertainty import angle_uncertainty, correcting, force_slope
+from imucalib.calibration.calibration import Calibration, matrices
+from imucalib.calibration.uncertainty import angle_uncertainty
 from imucalib.core.effect import Context
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.references import angles_of, unit_vector
 from imucalib.effects import named
-from imucalib.effects.record_error import record_error
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.rests.segments import Segments
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
 from worlds.bench import GRAVITY, NINE, base_model, bench, draw, ordinary_theta, tumble
+from worlds.stated import stated
 
 
 def angles(force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -36,23 +36,11 @@ def angles(force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def by_hand() -> Calibration:
     """Nine parameters and a mounting, with a full covariance."""
     rng = np.random.default_rng(3)
-    names = (
-        ("bias", "sensor", 3, "mg", 20.0),
-        ("scale", "sensor", 3, "1", 0.02),
-        ("non_orthogonality", "sensor", 3, "1", 0.01),
-        ("mounting", "mounting", 3, "deg", 1.0),  # last here, first in the model
-    )
-    stored = tuple(
-        StoredParameter(f"{effect}_{k}", effect, stage, float(size * rng.normal()), size, unit)
-        for effect, stage, count, unit, size in names
-        for k in range(count)
-    )
-    root = np.diag([p.sd for p in stored]) @ rng.normal(size=(12, 12)) * 1e-3
-    return Calibration(
-        calibrator="lab", parameters=stored, covariance=root @ root.T, raw_unit="m/s2",
-        raw_to_si=1.0, gravity=9.81, status="ok", reasons=(), valid={},
-        facts={"noise": {"reading_mg": 0.4}},
-    )  # fmt: skip
+    # The mounting is last here, first in the model.
+    sizes = {"bias": 20.0, "scale": 0.02, "non_orthogonality": 0.01, "mounting": 1.0}
+    values = {name: size * rng.normal(size=3) for name, size in sizes.items()}
+    root = np.diag(np.repeat([*sizes.values()], 3)) @ rng.normal(size=(12, 12)) * 1e-3
+    return stated(values, root @ root.T, gravity=9.81, facts={"noise": {"reading_mg": 0.4}})
 
 
 def rests_in(ways: np.ndarray, samples: int = 25) -> tuple[Segments, np.ndarray]:
@@ -116,51 +104,10 @@ def test_sds_are_the_derivatives_of_the_correction() -> None:
     assert (every.inclination_sd[:25] > found.inclination_sd[0]).all()
 
 
-Array = NDArray[np.float64]
-
-
-@cache
-def _fit() -> Fit:
-    model = base_model().plus(named("inclination_zero")).plus(record_error(3, "row 4"))
-    data = bench(81, 30)
-    return fit_model(model, draw(model, ordinary_theta(model, data, 82), data, 83))
-
-
 def _attitudes() -> tuple[Array, Array]:
     return np.array([-60.0, -20.0, 0.0, 35.0, 70.0]) * DEG, np.array(
         [10.0, 80, 170, 250, 340]
     ) * DEG
-
-
-def test_force_slope_is_the_derivative_of_correct() -> None:
-    fit, (i, t) = _fit(), _attitudes()
-    force = GRAVITY * unit_vector(i, t)[:, None]
-    slope, inverse = force_slope(fit, force)
-    model, context = correcting(fit.model), Context(len(i))
-    whole, own = fit.model.slices(fit.observations.context), model.slices(context)
-    theta = np.concatenate([fit.theta[whole[n]] for n in model.names])
-    reading = model.predict(theta, force, context).reading
-    for name, part in own.items():
-        for k in range(part.start, part.stop):
-            step = np.zeros(theta.size)
-            step[k] = 1e-5 * model.parameters(context)[k].typical
-            up, down = (model.correct(theta + s, reading, context)[:, 0] for s in (step, -step))
-            column = whole[name].start + k - part.start
-            numeric = (up - down) / (2.0 * step[k])
-            assert np.allclose(slope[..., column], numeric, rtol=1e-5, atol=1e-8)
-    for axis in range(3):
-        step = np.zeros(3)
-        step[axis] = 1e-5
-        up, down = (model.correct(theta, reading + s, context)[:, 0] for s in (step, -step))
-        assert np.allclose(inverse[..., axis], (up - down) / 2e-5, atol=1e-8)
-
-
-def test_degrees_of_freedom_of_one_noise_are_n_minus_p() -> None:
-    """Without settings the variance is one χ²: Satterthwaite's answer is exact."""
-    model, data = base_model(), bench(87, 20, exact=True)
-    fit = fit_model(model, draw(model, ordinary_theta(model, data, 1), data, 2))
-    for direction in np.eye(fit.theta.size):
-        assert fit.interval_dof(direction) == pytest.approx(60 - 12, rel=1e-6)
 
 
 def _inside(fit: Fit, theta: Array) -> Array:

@@ -1,4 +1,5 @@
-"""Cohorts: each recording gets its entry, a bad one stops nothing, a rerun does what is missing."""
+"""Cohorts: each recording gets its entry, a bad one stops nothing, a rerun does what is missing;
+the table of all."""
 
 from __future__ import annotations
 
@@ -10,18 +11,18 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from threading import Thread
 
 import numpy as np
 import pytest
 
 from imucalib.calibrators.lab.simulation import BenchPlan, simulated_recording, simulated_table
-from imucalib.cohort.batch import plan, run_task
-from imucalib.cohort.entries import read_entry
+from imucalib.cohort.batch import plan
+from imucalib.cohort.entries import Entry, quality_of, read_entry, rows, write_table
 from imucalib.cohort.recordings import recordings_of
 from imucalib.errors import UnreadableInput
 from imucalib.writers import write
 from worlds.command import run
+from worlds.places import SAMPLES
 
 ARGUMENTS = ("--reference", "norm", "--no-loop")
 
@@ -97,20 +98,6 @@ def test_a_killed_batch_is_finished_by_a_rerun(cohort: Path, tmp_path: Path) -> 
             if entry.report:
                 entry.report["provenance"].pop("time")
         assert (one.report, one.exit_code, one.key) == (two.report, two.exit_code, two.key)
-
-
-@pytest.mark.slow
-def test_other_settings_or_content_are_done_again(cohort: Path, tmp_path: Path) -> None:
-    recording = tmp_path / "one.csv"
-    recording.write_bytes((cohort / "good0.csv").read_bytes())
-    (task,) = plan((recording,), tmp_path / "out", "lab", ARGUMENTS)
-    (other,) = plan((recording,), tmp_path / "out", "lab", (*ARGUMENTS, "--gravity", "9.81"))
-    assert not run_task(task).reused
-    assert run_task(task).reused
-    assert not run_task(task, resume=False).reused
-    assert not run_task(other).reused
-    recording.write_bytes((cohort / "good1.csv").read_bytes())
-    assert not run_task(other).reused
 
 
 def names(*inputs: object) -> list[str]:
@@ -220,20 +207,6 @@ def test_a_file_that_takes_part_is_seen_to_change(
     assert (reused(), reused()) == (0, 1)
 
 
-@pytest.mark.slow
-def test_an_entry_is_where_it_was_asked_for_wherever_the_worker_is(
-    cohort: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for name in ("here", "there"):
-        (tmp_path / name).mkdir()
-    monkeypatch.chdir(tmp_path / "here")
-    (task,) = plan((cohort / "empty.csv",), Path("entries"), "lab", ARGUMENTS)
-    monkeypatch.chdir(tmp_path / "there")
-    run_task(task)
-    assert len(list((tmp_path / "here" / "entries").glob("*.json"))) == 1
-    assert not list((tmp_path / "there").iterdir())
-
-
 def test_what_will_be_done_is_said_before_it_is(study: Path, tmp_path: Path) -> None:
     done = run("batch", study / "lost.cwa", "-o", tmp_path / "out", "--", "--gravity", "9.81")
     assert done.return_value == 3
@@ -268,19 +241,6 @@ def test_several_worn_recordings_are_answered_with_the_command_of_a_study(study:
 
 
 @pytest.mark.slow
-def test_entries_of_single_runs_are_collected(cohort: Path, tmp_path: Path) -> None:
-    for name in ("good0", "empty"):
-        run("lab", cohort / f"{name}.csv", *ARGUMENTS, "-q", "--entry", tmp_path / f"{name}.json")
-    run("batch", cohort / "good1.csv", "-o", tmp_path, "--calibrator", "lab", "--", *ARGUMENTS)
-    table = tmp_path / "cohort.csv"
-    assert run("collect", tmp_path, "-o", table).return_value == 0
-    found = {Path(r["recording"]).name: r["status"] for r in csv.DictReader(table.open())}
-    assert found.keys() == {"good0.csv", "good1.csv", "empty.csv"}
-    assert found["empty.csv"] == "unreadable"
-    assert found["good0.csv"] == found["good1.csv"] == "ok"
-
-
-@pytest.mark.slow
 def test_a_cluster_without_workers_says_so_and_ends(cohort: Path, tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(n_workers=0, dashboard_address=None) as cluster:
@@ -293,28 +253,6 @@ def test_a_cluster_without_workers_says_so_and_ends(cohort: Path, tmp_path: Path
 
 
 @pytest.mark.slow
-def test_a_worker_that_is_killed_loses_nothing(cohort: Path, tmp_path: Path) -> None:
-    distributed = pytest.importorskip("distributed")
-    out = tmp_path / "out"
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address=None
-    ) as cluster:
-        first = cluster.workers[0].pid
-
-        def kill() -> None:
-            while not list(out.glob("*.json")):
-                time.sleep(0.02)
-            os.kill(first, signal.SIGKILL)
-
-        killer = Thread(target=kill, daemon=True)
-        killer.start()
-        summary = batch(cohort, out, "--scheduler", cluster.scheduler_address)
-        killer.join()
-    assert (summary["calibrated"], len(summary["failed"])) == (3, 3)
-    assert len(list(out.glob("*.json"))) == 6
-
-
-@pytest.mark.slow
 def test_a_dask_cluster_gives_the_same(cohort: Path, tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed")
     with (
@@ -324,3 +262,42 @@ def test_a_dask_cluster_gives_the_same(cohort: Path, tmp_path: Path) -> None:
     ):
         summary = batch(cohort, tmp_path / "out", "--scheduler", cluster.scheduler_address)
     assert summary["calibrated"] == 3
+
+
+@pytest.mark.slow
+def test_a_row_tells_a_manager_what_to_know() -> None:
+    done = run("actigraph", SAMPLES / "wrist_day.csv.gz", "--no-loop", "--json", "-q")
+    report = json.loads(done.stdout)
+    found = quality_of(report)
+    assert found["rate_hz"] == 1.0
+    assert found["hours_recorded"] == pytest.approx(24.0, abs=0.01)
+    assert 0.0 < found["hours_worn"] <= 24.0
+    assert found["axes_seen_both_ways"] == "yz"
+    assert found["error_after"] < found["error_before"]
+    assert found["enmo_after_mg"] < found["enmo_before_mg"]
+    assert found["worst_direction"] in {c["name"] for c in report["sphere"]}
+    assert found["serial"] is None
+    report["notes"].append("GENEActiv 012345")
+    assert quality_of(report)["serial"] == "012345"
+    (row,) = rows((Entry("a", "k", done.return_value or 0, 1.0, "", report),))
+    assert row["what_to_do"] == report["card"]["to_do"][0]
+    (lost,) = rows((Entry("b", "k", 4, 1.0, "no rest. wear it through a night", None),))
+    assert (lost["status"], lost["what_to_do"]) == ("undetermined", "wear it through a night")
+    assert {"status", "hours_worn", "what_to_do", "bias_x", "held_out_final"} <= set(row)
+
+
+@pytest.mark.parametrize("text", ["=1+1", "+1", "-cmd|' /C calc'!A0", "@SUM(A1)", "\t=1"])
+def test_no_cell_is_a_formula(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    write_table(({"input": text, text: "x", "offset": -0.5},), path)
+    with path.open(newline="", encoding="utf-8") as file:
+        head, row = csv.reader(file)
+    assert head[1] == row[0] == f"'{text}"
+    assert float(row[2]) == -0.5
+
+
+def test_no_text_ends_a_row(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    write_table(({"input": "a\r=1+1\n=2"},), path)
+    with path.open(newline="", encoding="utf-8") as file:
+        assert [row for row in csv.reader(file)] == [["input"], ["a =1+1\n=2"]]

@@ -12,19 +12,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.file import read, to_yaml
 from imucalib.calibration.sums import KEY
 from imucalib.calibrators.population import read as read_population
-from imucalib.cli import cli
-from imucalib.cohort.fleet.outcome import Fleet, nested_spread
+from imucalib.cohort.fleet.outcome import Fleet
 from imucalib.cohort.fleet.recorded import Wanted, run_recorded
 from imucalib.cohort.fleet.search import Rules
 from imucalib.core.effect import Context
 from imucalib.effects import named
 from imucalib.errors import UnreadableInput, UsageError
+from worlds.command import run
 
 NINE = ("bias", "scale", "non_orthogonality")
 BASE = [(e, p) for e in NINE for p in named(e).parameters(Context(1))]
@@ -137,18 +136,6 @@ def test_scatter_between_devices_and_between_recordings_of_one(tmp_path: Path) -
     assert bias.interval.low < 20.0 < bias.interval.high
 
 
-def test_the_scatter_within_devices_is_that_beyond_their_own_sds() -> None:
-    """Two recordings each, alike in sd: Q = Σ (a - b)² / 2 / (sd² + τ²) is as large as there are
-    pairs; and a device's value is their mean."""
-    rng = np.random.default_rng(0)
-    pairs = rng.normal(0.0, 3.0, (200, 1)) + rng.normal(0.0, 2.0, (200, 2))
-    found = nested_spread("b", "mg", pairs.ravel(), np.full(400, 0.5), np.arange(400) // 2)
-    expected = np.mean((pairs[:, 0] - pairs[:, 1]) ** 2) / 2.0 - 0.25
-    assert found.sessions.sd == pytest.approx(np.sqrt(expected), rel=1e-6)
-    assert found.values == pytest.approx(pairs.mean(axis=1))
-    assert found.sds == pytest.approx(np.full(200, np.sqrt((0.25 + expected) / 2.0)))
-
-
 def test_the_next_recording_has_both_scatters_before_it(tmp_path: Path) -> None:
     paths, table, _ = cohort(tmp_path, 12, 0.0)
     found = pooled(paths, table)
@@ -180,8 +167,7 @@ def test_folders_give_each_device_its_calibration_with_the_fleets_effects(tmp_pa
         content = report(f"w{k}.csv", device(rng), np.r_[2.5, 2.5, 2.5, 0.0, 0.0, 0.0], k)
         folders.append(str(folder_of(tmp_path / f"w{k}", content)))
     out = tmp_path / "fleet"
-    arguments = ["fleet", *folders, "-o", str(out), "--draws", "199"]
-    done = CliRunner().invoke(cli, arguments, standalone_mode=False)
+    done = run("fleet", *folders, "-o", out, "--draws", "199")
     assert "all devices have temperature bias" in " ".join(done.stdout.split()), done.exception
     stored = read(out / "w3" / "calibration.yaml")
     assert {p.effect for p in stored.parameters} == {*NINE, "temperature_bias"}
@@ -193,8 +179,7 @@ def test_folders_give_each_device_its_calibration_with_the_fleets_effects(tmp_pa
     assert read_population(out / "fleet.yaml").effects == ("temperature_bias",)
     content = json.loads((out / "report.json").read_text())
     assert content["devices"][3]["recordings"][0]["input"] == "w3.csv"
-    valid = CliRunner().invoke(cli, ["validate", str(out / "w3" / "calibration.yaml")])
-    assert valid.exit_code == 0
+    assert run("validate", out / "w3" / "calibration.yaml").exception is None
 
 
 def test_what_cannot_be_pooled_is_told(tmp_path: Path) -> None:
@@ -238,7 +223,7 @@ def test_input_that_makes_no_fleet_says_why(
     (tmp_path / "empty").mkdir()
     Path("table.csv").write_text("a,b\n1,2\n")
     Path("other.csv").write_text("recording,device\none.csv,x\n")
-    done = CliRunner().invoke(cli, ["fleet", *arguments], standalone_mode=False)
+    done = run("fleet", *arguments)
     assert isinstance(done.exception, UnreadableInput | UsageError)
     assert message in str(done.exception)
 

@@ -9,13 +9,12 @@ import pytest
 
 from imucalib.arrays import Array, Flags
 from imucalib.core import eigen as eigen_module
-from imucalib.core.course import Course, bends_of, course_of, delayed, slope_of
+from imucalib.core.course import Course, course_of, delayed, slope_of
 from imucalib.core.effect import Context, Parameter, Truth
 from imucalib.core.eigen import eigen
 from imucalib.core.fit import null_directions
 from imucalib.core.model import Model
 from imucalib.effects import named
-from imucalib.errors import NotConverged
 from imucalib.units import MG
 
 
@@ -31,14 +30,6 @@ def test_a_reading_inside_a_jump_is_undone_to_within_it(jump: float) -> None:
     reading += np.random.default_rng(1).normal(0.0, 1.0 * MG, reading.shape)
     found = model.correct(theta, reading, known)
     assert np.abs(found[:, 0, 0] - x[:, 0, 0]).max() < 8.0 * MG
-
-
-def test_a_reading_beyond_the_model_is_refused() -> None:
-    effect = named("quadratic")
-    model, known = Model((effect,)), Context(1)
-    theta = np.full(len(model.parameters(known)), -40.0)
-    with pytest.raises(NotConverged, match="cannot be inverted"):
-        model.correct(theta, np.full((1, 1, 3), 10_000.0 * MG), known)
 
 
 H = 0.01  # s
@@ -63,31 +54,6 @@ def test_a_slope_is_that_of_the_swing(hz: float, off: float) -> None:
     np.testing.assert_allclose(slope / w, np.cos(w * t)[5:-5], atol=off)
 
 
-@pytest.mark.parametrize("lengths", [(2,), (3,), (4,), (5, 2, 3), (1, 4, 1), (7, 6)])
-def test_short_stretches_have_the_slope_of_a_line(lengths: tuple[int, ...]) -> None:
-    t, beside = stretches(*lengths)
-    slope = slope_of(np.stack([3.0 * t, 1.0 - t], axis=1), t, beside)
-    alone = ~beside.any(axis=1)
-    np.testing.assert_allclose(slope[~alone], np.tile([3.0, -1.0], (int((~alone).sum()), 1)))
-    assert not slope[alone].any()
-
-
-@pytest.mark.parametrize(("hz", "off"), [(2.0, 1e-4), (5.0, 1e-3), (10.0, 1e-2)])
-def test_a_bend_of_known_slopes_is_that_of_the_swing(hz: float, off: float) -> None:
-    """Differences of the slopes are 0.3, 1.6 and 6.5 % too small."""
-    t, beside = stretches(20)
-    w = 2.0 * np.pi * hz
-    bend = bends_of(np.sin(w * t)[:, None], w * np.cos(w * t)[:, None], t, beside)[0][1:-1, 0]
-    np.testing.assert_allclose(bend / w**2, -np.sin(w * t)[1:-1], atol=off)
-
-
-def test_a_parabola_has_one_bend() -> None:
-    t, beside = stretches(5, 3, 1, 2)
-    values, slopes = (3.0 * t**2 - t)[:, None], (6.0 * t - 1.0)[:, None]
-    for bend in bends_of(values, slopes, t, beside):
-        np.testing.assert_allclose(bend[:, 0], np.where(beside.any(axis=1), 6.0, 0.0), atol=1e-9)
-
-
 @pytest.mark.parametrize("lag", [1e-3, 4e-3, 9e-3])
 def test_what_is_corrected_by_neighbours_dies_out(lag: float) -> None:
     """A reading corrected by what it loses, again and again, with the true slope: noise that
@@ -99,13 +65,6 @@ def test_what_is_corrected_by_neighbours_dies_out(lag: float) -> None:
         course = course_of(noise, still, t, beside)
         noise = course.value - delayed(course, np.full((20, 1, 1), lag)).value
     assert np.abs(noise).max() < 1e-3
-
-
-def test_a_stretch_knows_nothing_of_the_next() -> None:
-    t, beside = stretches(8, 8)
-    values = np.sin(20.0 * t)[:, None]
-    other = values + np.where(t > 0.3, 5.0, 0.0)[:, None]
-    np.testing.assert_allclose(slope_of(values, t, beside), slope_of(other, t, beside), atol=1e-9)
 
 
 def test_a_delay_is_what_was_before_to_the_second_order() -> None:

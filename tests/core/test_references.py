@@ -8,25 +8,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
-from imucalib.core.observations import BIAS, MOUNTING, session_of, with_sessions
+from imucalib.arrays import Array
 from imucalib.core.references import KnownNorm, KnownVector, Reference, angles_of, unit_vector
 from imucalib.core.sphere import KnownDirection, covered, even_directions
-from worlds.bench import bench
-
-Array = NDArray[np.float64]
-
 
 G = 9.8061
-
-
 QUARTER = np.pi / 2.0
-
-
 inclinations = st.floats(-QUARTER, QUARTER)
-
-
 turns = st.floats(0.0, 2.0 * np.pi, exclude_max=True)
 
 
@@ -58,29 +47,6 @@ def test_a_direction_has_length_one_and_gives_its_angles_back(i: float, t: float
     assert abs(away) * np.cos(i) < 1e-14
 
 
-def test_the_axes_are_the_papers() -> None:
-    level, up, east = (unit_vector(np.array(i), np.array(t)) for i, t in
-                       ((0.0, 0.0), (QUARTER, 1.0), (0.0, QUARTER)))  # fmt: skip
-    assert np.allclose(level, [0.0, 1.0, 0.0])
-    assert np.allclose(up, [0.0, 0.0, 1.0])
-    assert np.allclose(east, [1.0, 0.0, 0.0])
-
-
-def test_known_vector_truth_and_shared_settings() -> None:
-    reference = _known_vector()
-    assert reference.eta_size == 3 + 4
-    eta = np.zeros(7)
-    assert np.allclose(
-        reference.truth(eta)[:, 0], G * unit_vector(reference.inclination, reference.tool_face)
-    )
-    eta[1], eta[3 + 1] = 0.01, -0.02  # inclination setting 1, tool-face setting 1
-    i, t = angles_of(reference.truth(eta)[:, 0])
-    assert np.allclose(i - reference.inclination, [0, 0, 0.01, 0.01, 0, 0], atol=1e-13)
-    assert np.allclose(
-        np.mod(t - reference.tool_face + 1.0, 2 * np.pi) - 1.0, [0, -0.02, -0.02, 0, 0, 0]
-    )
-
-
 def _slope_error(reference: Reference, eta: Array) -> float:
     """d truth / d η against central differences along the reference's own moves."""
     found = reference.directions(eta)
@@ -97,14 +63,6 @@ def _slope_error(reference: Reference, eta: Array) -> float:
     return worst
 
 
-def test_free_directions_are_the_derivatives() -> None:
-    reference = _known_vector()
-    eta = 0.05 * np.random.default_rng(4).standard_normal(reference.eta_size)
-    assert _slope_error(reference, eta) < 1e-8
-    norm, at = _known_norm()
-    assert _slope_error(norm, at) < 1e-8
-
-
 @pytest.mark.parametrize("size", [0.0, 1e-4, 0.05, 0.5], ids=["none", "tiny", "small", "beyond"])
 def test_tilts_are_the_derivatives_at_any_attitude(size: float) -> None:
     directions = np.vstack([np.eye(3), -np.eye(3), unit_vector(np.array([0.3]), np.array([1.0]))])
@@ -112,26 +70,6 @@ def test_tilts_are_the_derivatives_at_any_attitude(size: float) -> None:
     eta = size * np.random.default_rng(4).standard_normal(reference.eta_size)
     assert _slope_error(reference, eta) < 1e-7
     assert reference.directions(eta).component == ("tilt", "tilt")
-
-
-def test_a_tilt_turns_by_its_length_and_keeps_gravity() -> None:
-    reference = KnownDirection(np.vstack([np.eye(3), -np.eye(3)]), G)
-    eta = 0.03 * np.random.default_rng(6).standard_normal(12)
-    truth = reference.truth(eta)[:, 0]
-    assert np.allclose(np.linalg.norm(truth, axis=1), G, rtol=1e-14)
-    turned = np.arccos(np.sum(truth * reference.direction, axis=1) / G)
-    assert np.allclose(turned, np.linalg.norm(eta.reshape(6, 2), axis=1), rtol=1e-9)
-    assert np.array_equal(reference.truth(np.zeros(12))[:, 0], G * reference.direction)
-    part = reference.take(np.array([4, 1]))
-    assert np.array_equal(part.truth(np.zeros(4)), reference.truth(np.zeros(12))[[4, 1]])
-
-
-def test_every_entry_of_eta_belongs_to_one_component() -> None:
-    reference = _known_vector()
-    index = reference.directions(np.zeros(7)).index
-    assert set(index[:, 0]) == {0, 1, 2}
-    assert set(index[:, 1]) == {3, 4, 5, 6}
-    assert reference.directions(np.zeros(7)).component == KnownVector.COMPONENTS
 
 
 def test_known_norm_keeps_the_norm_and_is_flat() -> None:
@@ -180,16 +118,3 @@ def test_the_share_is_that_of_caps() -> None:
     two = covered(np.array([[0.0, 0.0, 9.8], [0.0, 0.0, -1.0]]))
     assert two == pytest.approx(2.0 * one, abs=0.01)
     assert covered(even_directions(200)) == 1.0
-
-
-SESSION = np.array([0, 0, 1, 1, 2, 2]).repeat(10)
-
-
-def test_each_session_is_a_level_of_its_components() -> None:
-    found = with_sessions(bench(1), SESSION)
-    bias, mounting = found.shared[:2]
-    assert (bias.name, mounting.name) == (BIAS, MOUNTING)
-    expected = (SESSION[:, None] == np.arange(3)).astype(float)
-    for one in (bias, mounting):
-        np.testing.assert_array_equal(one.factor, expected)
-    np.testing.assert_array_equal(session_of(found), SESSION)

@@ -8,18 +8,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.core.effect import MOTION, Context, Effect, Motion, Response, Truth
 from imucalib.core.model import Model
-from imucalib.effects import catalogue, families, named
+from imucalib.effects import catalogue, named
 from imucalib.effects.record_error import is_record_error, record_error
 from imucalib.estimators.least_squares import fit
 from imucalib.loop.candidates import effect_columns
-from imucalib.units import MG
 from worlds.bench import GRAVITY, base_model, bench, draw, ordinary_theta
 
-Array = NDArray[np.float64]
 EFFECTS: dict[str, Effect] = {
     **catalogue(),
     "record_error": record_error(7, "row 8"),
@@ -246,25 +244,6 @@ def test_correct_inverts_predict(effects: list[Effect], seed: int) -> None:
 
 
 @pytest.mark.slow
-def test_model_slopes_chain_over_all_effects() -> None:
-    context, model = _context(), Model(tuple(AT_REST.values()))
-    x, typical = _force(context), np.array([p.typical for p in model.parameters(context)])
-    theta = typical * np.random.default_rng(5).uniform(-1.0, 1.0, typical.size)
-    whole = model.predict(theta, x, context)
-    for k, size in enumerate(typical):
-        step = np.zeros_like(theta)
-        step[k] = 1e-3 * size
-        up, down = (model.predict(theta + s, x, context).reading for s in (step, -step))
-        numeric = (up - down) / (2.0 * step[k])
-        assert np.abs(numeric - whole.d_theta[..., k]).max() * size < 1e-6
-    for axis in range(3):
-        step = np.zeros(3)
-        step[axis] = 1e-4
-        up, down = (model.predict(theta, x + s, context).reading for s in (step, -step))
-        assert np.abs((up - down) / 2e-4 - whole.d_truth[..., axis]).max() < 1e-7
-
-
-@pytest.mark.slow
 @each_at_rest
 def test_recovered_within_its_uncertainty(effect: Effect) -> None:
     data = bench(11)
@@ -287,20 +266,3 @@ def test_recovered_within_its_uncertainty(effect: Effect) -> None:
         assert np.all(np.abs(found.theta[part] - theta[part]) < 4.5 * sd)
         # Determined at all: what was planted stands out of its own uncertainty.
         assert np.all(sd < typical)
-
-
-def test_a_step_is_tried_where_both_sides_have_six_rows() -> None:
-    """Twenty rows: the step comes before row 7 at the earliest and before row 15 at the latest."""
-    tried = families()["bias_step"].values(Context(20, {"record": np.arange(20.0)}))
-    assert tried == tuple(f"record{k}" for k in range(7, 16))
-
-
-def test_a_step_before_a_record_begins_with_it() -> None:
-    """Records count from 1: before record 7 the bias is what it was, from the seventh on it is
-    off by the step."""
-    effect = families()["bias_step"].member("record7")
-    context = Context(20, {"record": np.arange(20.0)})
-    truth = Truth(np.zeros((20, 1, 3)))
-    off = effect.act(np.array([1.0, -2.0, 3.0]), truth, context).delta[:, 0] / MG
-    expected = np.where(np.arange(1, 21)[:, None] >= 7, [[1.0, -2.0, 3.0]], 0.0)
-    np.testing.assert_allclose(off, expected, atol=1e-12)

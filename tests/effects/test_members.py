@@ -7,17 +7,12 @@ import pytest
 
 from imucalib.core.course import course_of, slope_of
 from imucalib.core.effect import Context, Response, Truth
-from imucalib.effects import families
 from imucalib.effects.array.timing import slowed
 from imucalib.effects.strap import centres, posture
 from imucalib.units import MG, STANDARD_GRAVITY
 
 H = 0.01
-
-
 T = np.arange(600) * H
-
-
 TONES = 2.0 * np.pi * np.array([0.7, 1.9, 3.8])
 
 
@@ -56,18 +51,6 @@ def test_the_offset_is_along_gravity_and_as_the_equation_says() -> None:
     assert np.allclose(delta, (bumps @ sizes)[:, None] * up, rtol=0.01, atol=0.01)
     assert np.allclose(np.cross(delta, up), 0.0, atol=1e-12)
     assert np.all(effect.act(sizes, Truth(np.zeros((7, 1, 3))), context).delta == 0.0)
-
-
-@pytest.mark.parametrize(
-    ("n", "extra", "values"),
-    [(79, {}, ()), (80, {}, ("24", "80")), (320, {"inclination": 0.1}, ())],
-)
-def test_a_posture_needs_a_clock_and_rests_but_no_dial(
-    n: int, extra: dict[str, float], values: tuple[str, ...]
-) -> None:
-    known = {name: np.full(n, v) for name, v in {"time": 1.0, **extra}.items()}
-    assert families()["posture"].values(Context(n, known)) == values
-    assert families()["posture"].values(Context(n, {})) == ()
 
 
 @pytest.mark.parametrize("bumps", [24, 80])

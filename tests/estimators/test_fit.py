@@ -7,19 +7,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.special import stdtrit
 from scipy.stats import multivariate_normal
 
 from imucalib.core.balance import Balanced, Noise
 from imucalib.core.model import Model
-from imucalib.core.prior import Prior, independent
+from imucalib.core.prior import Prior
 from imucalib.core.references import KnownVector
 from imucalib.effects import named
 from imucalib.estimators import least_squares
 from imucalib.estimators.corrected import OBJECTIVES
 from imucalib.estimators.in_a_population import kind_chance
 from imucalib.estimators.least_squares import fit
-from imucalib.estimators.student import quantile
 from imucalib.estimators.variance import NoiseEstimate, estimate_with_prior
 from imucalib.units import DEG
 from worlds.bench import base_model, bench, draw, ordinary_theta, tumble
@@ -68,12 +66,6 @@ def test_slopes_are_differences(name: str) -> None:
         step[row, axis] = 1e-6
         up, down = (OBJECTIVES[name](corrected + s, reference)[0] for s in (step, -step))
         np.testing.assert_allclose(slope[:, row, axis], (up - down) / 2e-6, atol=1e-7)
-
-
-@pytest.mark.parametrize("freedom", [1, 2, 3, 4, 7, 11, 30, 1000])
-@pytest.mark.parametrize("probability", [0.6, 0.975, 0.995])
-def test_the_quantile_is_the_published_one(freedom: int, probability: float) -> None:
-    assert quantile(freedom, probability) == pytest.approx(stdtrit(freedom, probability), rel=1e-11)
 
 
 def test_a_fit_that_creeps_three_times_in_a_row_is_given_up(
@@ -138,37 +130,6 @@ def test_the_likelihood_is_the_density_with_the_parameters_integrated_out() -> N
         density = multivariate_normal(mean=slopes @ mean, cov=whole).logpdf(values)
         off.append(found.log_likelihood - density)
     assert off == pytest.approx([0.5 * N * np.log(2 * np.pi)] * 3, abs=1e-6)
-
-
-def test_covariance_and_degrees_of_freedom_are_those_of_the_posterior() -> None:
-    """A number of data is spent on a parameter as far as they determine it, not its prior."""
-    for slopes, values, mean, spread in worlds():
-        found, theta = fitted(slopes, values, mean, spread)
-        precision = np.linalg.inv(spread)
-        posterior = np.linalg.inv(slopes.T @ slopes / found.noise.factor**2 + precision)
-        np.testing.assert_allclose(found.covariance, posterior, rtol=1e-6, atol=1e-12)
-        assert found.dof == round(N - (P - np.trace(posterior @ precision)))
-        assert found.chi2 == pytest.approx(np.sum((values - slopes @ theta) ** 2))
-
-
-def test_the_prior_of_the_factor_is_worth_four_observations_at_one() -> None:
-    """Data that are zero, no parameter spent: (4 + 0) / (4 + n)."""
-    at = balanced(np.zeros(N), np.zeros((N, 1)))
-    found = estimate_with_prior(at, Noise(1.0), independent(np.zeros(1), np.ones(1)), np.zeros(1))
-    assert found.noise.factor**2 == pytest.approx(4.0 / (4.0 + N))
-
-
-def test_the_slope_of_the_covariance_by_the_noise_is_its_derivative() -> None:
-    """By the logarithm of the factor, central differences."""
-    slopes, values, mean, spread = worlds()[1]
-    found, _ = fitted(slopes, values, mean, spread)
-
-    def posterior(log: float) -> np.ndarray:
-        return np.linalg.inv(slopes.T @ slopes / np.exp(2 * log) + np.linalg.inv(spread))
-
-    at, step = np.log(found.noise.factor), 1e-5
-    numeric = (posterior(at + step) - posterior(at - step)) / (2 * step)
-    np.testing.assert_allclose(found.slope[0], numeric, rtol=1e-6, atol=1e-12)
 
 
 NINE = base_model(("bias", "scale", "non_orthogonality"))

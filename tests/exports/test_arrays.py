@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
 from imucalib.errors import LimitBroken, UnreadableInput, UsageError
 from imucalib.exports import exported
@@ -24,7 +24,6 @@ from imucalib.exports.imus import with_noise, with_walks
 from worlds.rigid_board import DEG, Board, G, Moves, board, calibration, readings
 from worlds.targets import by_kalibr, by_octave, by_opencv
 
-Array = NDArray[np.float64]
 FORMS = ("kalibr", "openvins", "ros2-static", "urdf", "matlab", "c-header")
 
 
@@ -287,18 +286,3 @@ def test_of_an_array_the_rates_of_motion_count(effect: str) -> None:
     assert exported(known, "x", "urdf").rate_loss == 0.0
     held = exported(known, "x", "matlab").rate_loss
     assert held == (0.0 if effect == "gyro_delay" else 9.0)
-
-
-def test_of_an_array_the_forces_of_motion_count() -> None:
-    whole = calibration(board(np.random.default_rng(0), chips=3))
-    facts = {"not_undone": [{"effect": "sensing_elements", "rms": 0.3, "unit": "m/s²"},
-                            {"effect": "gyro_cubic", "rms": 9.0, "unit": "deg/s"}],
-             "errors": [{"unit": "m/s²", "final": 0.05, "held_out": {"final": 0.05}}]}  # fmt: skip
-    facts = {**whole.facts, "sample_interval_s": 0.01, **facts}
-    known = with_walks(replace(whole, facts=facts), 1e-3, 2e-5)
-    loss = {f: exported(known, "x", f).loss for f in ("kalibr", "urdf", "c-header", "matlab")}
-    # Kalibr has a place for the elements, a frame none for any of it.
-    assert loss["kalibr"] == loss["urdf"] == 0.0
-    assert loss["c-header"] == loss["matlab"] == pytest.approx(0.3 / (1e-3 * G))
-    with pytest.raises(LimitBroken, match="sensing elements"):
-        demand_carried(exported(known, "x", "c-header"), "c-header", known, None)

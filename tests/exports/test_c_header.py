@@ -10,17 +10,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from imucalib.calibration.calibration import Calibration, StoredParameter
-from imucalib.core.effect import Context
-from imucalib.effects import named
+from imucalib.arrays import Array
+from imucalib.calibration.calibration import Calibration
 from imucalib.errors import UsageError
 from imucalib.exports import exported
 from worlds.rigid_board import DEG, G, board
 from worlds.rigid_board import calibration as board_calibration
+from worlds.stated import stated
 
-Array = NDArray[np.float64]
 UG, COARSE = 1e-6, 1 / 2048
 
 #: Traps every overflow, shift and conversion that C leaves undefined.
@@ -82,19 +80,14 @@ VALUES = {
 
 def one(values: dict[str, tuple[float, ...]] | None = None) -> Calibration:
     """An accelerometer whose parameters are correlated."""
-    parameters = tuple(
-        StoredParameter(p.name, name, named(name).stage, value, 0.0, p.unit)
-        for name, given in (values or VALUES).items()
-        for p, value in zip(named(name).parameters(Context(1)), given, strict=True)
-    )
+    plain = stated(values or VALUES)
     size = {"deg": 0.05, "mg": 0.7, "1": 6e-4}
-    sd = np.array([size[p.unit] for p in parameters])
+    sd = np.array([size[p.unit] for p in plain.parameters])
     root = np.random.default_rng(5).normal(size=(len(sd), len(sd)))
     correlation = root @ root.T
     scale = sd / np.sqrt(np.diag(correlation))
     covariance = correlation * np.outer(scale, scale)
-    stored = tuple(replace(p, sd=float(s)) for p, s in zip(parameters, sd, strict=True))
-    return Calibration("lab", stored, covariance, "ug", 1e-6 * G, G, "ok")
+    return stated(values or VALUES, covariance, raw_unit="ug", raw_to_si=1e-6 * G)
 
 
 def some(count: int = 300, size: float = 1.5) -> Array:

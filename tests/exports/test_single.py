@@ -14,19 +14,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from imucalib.calibration.calibration import Calibration, StoredParameter
-from imucalib.core.effect import Context
+from imucalib.arrays import Array
+from imucalib.calibration.calibration import Calibration
 from imucalib.core.sphere import counted, even_directions
-from imucalib.effects import named
 from imucalib.errors import LimitBroken, UsageError
 from imucalib.exports import exported
 from imucalib.exports.bound import demand_carried
 from imucalib.exports.per_axis import nearest_row, with_ids
+from worlds.stated import stated
 from worlds.targets import by_ggir, by_qgroundcontrol
 
-Array = NDArray[np.float64]
 G = 9.80665
 SPAN = (15.0, 35.0)
 VALUES = {
@@ -41,13 +39,9 @@ SIX = ("bias", "scale")
 
 
 def made(*effects: str, **facts: Any) -> Calibration:
-    parameters = tuple(
-        StoredParameter(p.name, name, named(name).stage, value, 0.1, p.unit)
-        for name in effects
-        for p, value in zip(named(name).parameters(Context(1)), VALUES[name], strict=True)
-    )
-    return Calibration("lab", parameters, 0.01 * np.eye(len(parameters)), "ug", 1e-6 * G, G, "ok",
-                       valid={"temperature": SPAN}, facts=facts)  # fmt: skip
+    values = {name: VALUES[name] for name in effects}
+    units = {"raw_unit": "ug", "raw_to_si": 1e-6 * G}
+    return stated(values, valid={"temperature": SPAN}, facts=facts, **units)
 
 
 def even(count: int = 3000) -> Array:
@@ -213,19 +207,6 @@ def test_the_error_models_rows_say_what_the_tool_reads() -> None:
             S[k, "xyz".index(r["towards"] or r["axis"])] += float(r["value"])
     assert len(found) == 12
     assert even() @ S.T + c == pytest.approx(read_by(even(), "non_orthogonality"), abs=1e-7)
-
-
-def test_a_tool_code_has_one_standard_deviation_of_what_is_left() -> None:
-    """A bias of ABZ tilts a tool at 30° by the weighting function's -sin I / G."""
-    rows = {r["code"]: r for r in error_model(made(*SIX)) if r["code"]}
-    abz = float(rows["ABZ"]["sd"])
-    assert abz == pytest.approx(0.1e-3 * G, rel=1e-3)
-    at = np.radians(30.0)
-    tilted = np.arctan2(G * np.sin(at), G * np.cos(at) + abz) - at
-    assert tilted == pytest.approx(-np.sin(at) / G * abz, rel=1e-3)
-    assert {r["propagation"] for r in rows.values()} == {"systematic"}
-    assert float(rows["ASXY-TI1S"]["sd"]) == pytest.approx(0.1, rel=0.05)
-    assert float(rows["AXYZ-MIS"]["sd"]) == 0.0
 
 
 def test_what_a_controller_does_not_take_is_refused() -> None:

@@ -1,9 +1,11 @@
-"""The gates' own numbers, and that tests on rates use them."""
+"""The gates' own numbers, that tests on rates use them, and that the acceptance benchmark runs."""
 
 from __future__ import annotations
 
 import ast
 import math
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -62,3 +64,15 @@ def test_counts_of_bad_runs_are_held_against_gates() -> None:
     found = {p: loose(p.read_text(encoding="utf-8")) for p in TESTS.rglob("test_*.py")}
     del found[Path(__file__)]
     assert not {str(p): each for p, each in found.items() if each}
+
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.mark.slow
+def test_a_world_is_judged() -> None:
+    command = [sys.executable, str(ROOT / "benchmarks" / "closed_loop"), "norm", "--count", "1"]
+    done = subprocess.run([*command, "--each"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "clean" in done.stderr
+    assert "| clean | 1 |" in done.stdout

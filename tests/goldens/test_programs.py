@@ -6,7 +6,6 @@ import csv
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from goldens.programs import (
     FOLDER,
@@ -19,14 +18,13 @@ from goldens.programs import (
     places,
     summary,
 )
+from imucalib.arrays import Array
 from imucalib.core.balance import Balanced, Noise
 from imucalib.core.references import angles_of
 from imucalib.estimators.markov.convergence import convergence
 from imucalib.estimators.variance import estimate_noise
 from imucalib.readers import read
 from imucalib.units import local_gravity
-
-Array = NDArray[np.float64]
 
 
 def golden(name: str) -> dict[str, Array]:

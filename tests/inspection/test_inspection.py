@@ -8,17 +8,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
-from numpy.typing import NDArray
 from ruamel.yaml import YAML
 
-from imucalib import cli, readers, writers
+from imucalib import readers, writers
+from imucalib.arrays import Array
 from imucalib.inspection.inspection import inspect_recording
 from imucalib.inspection.noise import AllanCurve, AllanSums, identified
-from imucalib.recording.recording import Channel, Gap, Recording
+from imucalib.recording.recording import Gap, Recording
 from imucalib.units import DEG, STANDARD_GRAVITY
 from imucalib.writers import write
+from worlds.command import run
 from worlds.places import ROOT
+from worlds.recordings import recording_of
 
 RATE = 100.0
 
@@ -36,13 +37,9 @@ def recording() -> Recording:
     t[1200:] += 3.0
     t[50] = t[49]
     gyro = rng.normal([0.02, 0.0, 0.0], 0.001, (2400, 3))
-    channels = {
-        "imu0/acceleration": Channel(t, values, "m/s2", "acceleration", "imu0", RATE),
-        "imu0/angular_rate": Channel(t, gyro, "rad/s", "angular_rate", "imu0", RATE),
-    }
     gap = Gap(float(t[1199]), float(t[1200]), "no samples")
     about = {"gaps": (gap,), "notes": ("a note",), "mapping": {"acc": ["x"]}}
-    return Recording(channels, "f", "made", "ab", start_ns=5, **about)
+    return recording_of(t, values, gyro, hz=RATE, start_ns=5, **about)
 
 
 def test_facts() -> None:
@@ -66,15 +63,6 @@ def test_facts() -> None:
     assert found.mapping == {"acc": ["x"]}
 
 
-def test_too_short_is_told_with_all_samples_counted() -> None:
-    t = np.arange(4) / RATE
-    short = Channel(t, np.ones((4, 3)), "m/s2", "acceleration", "imu0", RATE)
-    found = inspect_recording([Recording({"imu0/acceleration": short}, "f", "made", "")])
-    assert found.still is None
-    assert found.channels[0].samples == 4
-    assert found.candidates == (("imu0/acceleration", "no rest was found"),)
-
-
 def test_blocks_and_whole_agree(tmp_path: object) -> None:
     path = f"{tmp_path}/a.h5"
     writers.write(recording(), path)
@@ -85,9 +73,6 @@ def test_blocks_and_whole_agree(tmp_path: object) -> None:
         assert (a.duplicates, a.longest_step) == (b.duplicates, b.longest_step)
         np.testing.assert_array_equal(a.low, b.low)
     assert one.gaps == many.gaps
-
-
-Array = NDArray[np.float64]
 
 
 HZ = 100.0
@@ -178,19 +163,14 @@ def night(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rate = 0.1 * DEG * rng.normal(size=(t.size, 3))
     force[moved] += 3.0 * np.sin(9.0 * t[moved])[:, None]
     rate[moved] += np.cos(9.0 * t[moved])[:, None]
-    channels = {
-        f"imu0/{q}": Channel(t, v, u, q, "imu0", HZ)
-        for q, u, v in (("acceleration", "m/s2", force), ("angular_rate", "rad/s", rate))
-    }
     path = tmp_path_factory.mktemp("night") / "night.h5"
-    write(Recording(channels, "made", "made", ""), path)
+    write(recording_of(t, force, rate, hz=HZ), path)
     return path
 
 
 def test_inspect_tells_it_from_the_rests(night: Path, tmp_path: Path) -> None:
     target = tmp_path / "imu.yaml"
-    arguments = ["inspect", str(night), "--noise", "--save-noise", str(target), "--json"]
-    result = CliRunner().invoke(cli.cli, arguments, standalone_mode=False)
+    result = run("inspect", night, "--noise", "--save-noise", target, "--json")
     assert result.exception is None, result.exception
     rows = json.loads(result.stdout)["noise"]
     assert [(r["quantity"], r["axis"]) for r in rows] == [

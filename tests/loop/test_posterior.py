@@ -1,40 +1,52 @@
-"""The posterior over sets of effects: evidence, priors, what was planted, long recordings."""
+"""The posterior over sets of effects and its evidence by hand: priors, held-out parts, verdicts."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
-from itertools import permutations
+from itertools import groupby, permutations
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import imucalib
+from gates.bounds import at_most
+from imucalib.arrays import Array, Index
 from imucalib.core.effect import Context
+from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm
 from imucalib.effects import catalogue, families, named
 from imucalib.estimators.least_squares import fit
+from imucalib.estimators.least_squares import fit as fit_model
+from imucalib.loop import held_out as held_out_module
 from imucalib.loop.candidates import Searched, searched
-from imucalib.loop.posterior.catalogue import components_of, log_odds, log_set_prior, log_size_prior
+from imucalib.loop.found import Loop, Step, Unexplained
+from imucalib.loop.held_out import (
+    Difference,
+    difference,
+    errors,
+    fitted,
+    folds_of,
+    held_out,
+)
+from imucalib.loop.posterior.catalogue import components_of
 from imucalib.loop.posterior.closed import close_loop
 from imucalib.loop.posterior.explored import Explored, explored
 from imucalib.loop.posterior.gram import Grams, swept, without
-from imucalib.loop.posterior.odds import SIZES
+from imucalib.loop.posterior.noise import Point, Terms, terms_of
 from imucalib.loop.posterior.problem import Problem, problem_of
-from imucalib.loop.posterior.recorded import Course, course_of, fit_at, recorded_grams, whitener
+from imucalib.loop.posterior.recorded import Course, course_of, recorded_grams, whitener
 from imucalib.loop.posterior.recording import close_recording, followed
-from imucalib.loop.posterior.solution import solved
-from imucalib.loop.posterior.space import search
 from imucalib.loop.posterior.words import concluded
+from imucalib.loop.record_errors import RecordError
 from imucalib.units import MG
-from worlds.bench import base_model
+from worlds.bench import base_model, bench, draw, ordinary_theta
 
 G = 9.80665
-
-
 NINE = ("bias", "scale", "non_orthogonality")
 
 
@@ -101,42 +113,6 @@ def test_the_evidence_is_that_of_the_joint_normal() -> None:
 
     gain = log_evidence(problem, grams, [(at, size)]) - log_evidence(problem, grams, [])
     assert gain == pytest.approx(density(whole + size**2 * c @ c.T) - density(whole), rel=1e-6)
-
-
-def test_rows_left_out_are_as_good_as_never_taken() -> None:
-    one = found()
-    problem, grams = one.problem, one.posterior.grams.of(np.array([0]))
-    rows = np.array([3, 7, 21])
-    kept = swept(without(grams, problem, rows), problem.flat)
-    n = len(problem.fit.at.owner)
-    inverse = grams.solves[0](np.eye(n))
-    rest = np.setdiff1d(np.arange(n), np.flatnonzero(np.isin(problem.owner, rows)))
-    alone = np.linalg.inv(np.linalg.inv(inverse)[np.ix_(rest, rest)])
-    z = problem.columns[rest]
-    a = z.T @ alone @ z
-    b = a[: problem.base]
-    a = a - b.T @ np.linalg.solve(b[:, : problem.base], b)
-    assert kept.power[0] == pytest.approx(a[-1, -1], rel=1e-6)
-    own = problem.choices[0].at
-    np.testing.assert_allclose(kept.along[0, own], a[own, -1], rtol=1e-6, atol=1e-9)
-
-
-def test_priors_sum_to_one_and_share_their_odds() -> None:
-    assert np.exp(log_size_prior(0.3 * SIZES)).sum() == pytest.approx(1.0)
-    flat = log_size_prior(SIZES * 0.001)
-    np.testing.assert_allclose(flat, flat[0])
-    components = found().problem.components
-    odds = np.exp(log_odds(components))
-    assert len({round(float(o), 12) for o in odds}) <= 2
-    assert log_set_prior(np.log(odds), ()) == 0.0
-
-
-def test_members_of_every_component_share_its_odds() -> None:
-    problem = found().problem
-    weight = np.zeros(len(problem.components))
-    for choice in problem.choices:
-        weight[choice.component] += np.exp(choice.log_weight)
-    np.testing.assert_allclose(weight, 1.0)
 
 
 def test_no_effect_s_name_stands_in_the_room() -> None:
@@ -212,27 +188,7 @@ def test_the_same_recording_gives_the_same_answer_in_any_order() -> None:
     assert one.posterior.probability[0] == pytest.approx(two.posterior.probability[0], rel=1e-6)
 
 
-def test_the_linear_solution_is_the_fit_where_all_is_linear() -> None:
-    one = found()
-    said = concluded(one.problem, one.posterior).hypothesis
-    linear = solved(one.problem, one.posterior.grams, said)
-    again = fit(linear.model, one.base.observations, start=linear.theta, shrink=linear.shrink)
-    off = np.abs(again.theta - linear.theta) / np.sqrt(np.diag(linear.covariance))
-    assert off.max() < 0.2
-
-
-def test_fewer_choices_give_the_same_sets() -> None:
-    one = found()
-    best = one.posterior.hypotheses[0]
-    some = tuple(c for c in one.problem.choices if c.component in best.components)
-    again = search(replace(one.problem, choices=some), one.posterior.grams)
-    same = next(h for h in again.hypotheses if h.components == best.components)
-    assert same.evidence == pytest.approx(best.evidence, abs=1e-9)
-
-
 RECORDED_G, HOUR = 9.80665, 3600.0
-
-
 SPAN = 48.0 * HOUR
 
 
@@ -310,19 +266,6 @@ def test_runs_left_out_are_as_good_as_never_taken() -> None:
     assert left.numbers == grams.numbers - rows.size
 
 
-def test_what_is_told_is_taken_back_into_the_misfit() -> None:
-    """Linearised where an effect is in the model, the problem says the same of its size."""
-    problem, _, _ = made()
-    plain = problem.fit
-    drift = catalogue()["bias_drift"]
-    model = Model((*plain.model.effects, drift))
-    theta = np.concatenate([plain.theta, [0.05, -0.02, 0.03]])
-    at = fit_at(model, plain.observations, theta, np.eye(theta.size))
-    parts = components_of(plain.model, plain.observations, asked())
-    there = problem_of(at, parts, plain.model)
-    assert there.columns[:, -1] == pytest.approx(problem.columns[:, -1], abs=2e-3)
-
-
 @pytest.mark.slow
 def test_a_walk_is_followed_where_it_is_and_nowhere_else() -> None:
     known = np.zeros(240)
@@ -335,3 +278,186 @@ def test_a_walk_is_followed_where_it_is_and_nowhere_else() -> None:
         if found is not None:
             error = np.std(found.at.residual * found.at.unit) / MG
             assert error < 0.5 * np.std(plain.at.residual * plain.at.unit) / MG
+
+
+def _grouped(n: int, groups: int):  # type: ignore[no-untyped-def]
+    from dataclasses import replace
+
+    data = bench(1, n)
+    return replace(data, group=np.arange(n) * groups // n)
+
+
+@pytest.mark.parametrize(("n", "groups"), [(32, 32), (24, 24), (40, 20), (7, 7), (240, 12)])
+def test_every_row_is_predicted_once_by_data_without_it(n: int, groups: int) -> None:
+    data = _grouped(n, groups)
+    folds = folds_of(data)
+    assert sorted(np.concatenate([f.rows for f in folds])) == list(range(n))
+    for fold in folds:
+        assert not set(fold.rows) & set(fold.rest)
+        assert not set(data.group[fold.rows]) & set(data.group[fold.rest])
+
+
+@pytest.mark.parametrize(("n", "groups"), [(32, 32), (24, 24), (60, 40)])
+def test_the_order_of_the_rows_is_no_part_of_the_design(n: int, groups: int) -> None:
+    data = _grouped(n, groups)
+    moved = np.random.default_rng(0).permutation(n)
+    one = {frozenset(f.rows.tolist()) for f in folds_of(data)}
+    two = {frozenset(moved[f.rows].tolist()) for f in folds_of(data.take(moved))}
+    assert one == two
+
+
+@pytest.mark.slow
+def test_the_interval_covers_the_gain() -> None:
+    """Independent pairs: the plain interval covers 95 %, the widened one more."""
+    rng = np.random.default_rng(4)
+    inside = proved = 0
+    for _ in range(900):
+        before = np.abs(rng.normal(size=40)) * 2.0
+        after = np.abs(rng.normal(size=40)) * 2.0
+        found = difference(before, after, np.arange(40), 10, "rms")
+        inside += found.low <= 0.0 <= found.high
+        proved += found.proved
+    assert 900 - inside <= at_most(900, 0.004).most
+    assert proved <= at_most(900, 0.004).most
+
+
+def _clean(seed: int, n: int = 24) -> Fit:
+    base, data = base_model(), bench(seed, n)
+    return fit_model(base, draw(base, ordinary_theta(base, data, seed), data, 1000 + seed))
+
+
+@cache
+def _one_clean() -> Fit:
+    return _clean(0)
+
+
+def held_out_gap(fit: Fit) -> float:
+    """Largest difference (m/s²) of held-out errors from those of literal refits, over the noise."""
+    found, worst = held_out(fit).error, 0.0
+    for row in range(fit.observations.n):
+        rows = np.array([row])
+        rest = fit_model(
+            fit.model, fit.observations.without(rows), start=fit.theta, noise=fit.noise
+        )
+        literal = errors(rest, rest.theta, fit.observations.take(rows)).error[0]
+        worst = max(worst, float(np.abs(found[row] - literal).max()))
+    return worst / (fit.noise.factor * float(fit.observations.sigma.min()))
+
+
+def test_held_out_errors_are_those_of_literal_refits() -> None:
+    fit = _one_clean()
+    assert held_out_gap(fit) < 0.01
+    assert held_out(fit).rms() > fitted(fit).rms()
+
+
+def test_in_sample_errors_passed_off_as_held_out_are_caught(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def none_left_out(fit: Fit, group: Index) -> Iterator[tuple[Index, Array]]:
+        yield from ((np.flatnonzero(group == key), fit.theta) for key in np.unique(group))
+
+    monkeypatch.setattr(held_out_module, "each_left_out", none_left_out)
+    assert held_out_gap(_one_clean()) > 0.1
+
+
+ROWS = 120
+
+
+@pytest.fixture(scope="module")
+def terms() -> Terms:
+    model, data = base_model(), bench(43, ROWS)
+    found = fit_model(model, draw(model, ordinary_theta(model, data, 1), data, 42))
+    return terms_of(problem_of(found, ()))
+
+
+def dense_of(terms: Terms, point: Point) -> np.ndarray:
+    """V of a point without a walk, component by component."""
+    whole = np.eye(terms.order.size)
+    for factor, ratio in zip(terms.sharings[point.sharing], point.ratio, strict=True):
+        whole += ratio**2 * ((factor.few @ factor.few.T).toarray() + factor.many @ factor.many.T)
+    return whole
+
+
+def of_each_way(terms: Terms) -> list[Point]:
+    """The noisiest point of every way of sharing that has no walk."""
+    still = sorted((p for p in terms.points if not p.walk), key=lambda p: p.sharing)
+    return [max(own, key=lambda p: min(p.ratio)) for _, own in groupby(still, lambda p: p.sharing)]
+
+
+def test_the_inverse_is_that_of_the_whole_matrix(terms: Terms) -> None:
+    for point in of_each_way(terms):
+        whole, found = dense_of(terms, point), terms.covariance(point)
+        np.testing.assert_allclose(found.solve(whole), np.eye(len(whole)), atol=1e-8)
+        assert found.log_det == pytest.approx(np.linalg.slogdet(whole)[1], rel=1e-9)
+
+
+def test_the_evidence_is_that_of_the_whole_matrix(terms: Terms) -> None:
+    """Also beside what may be there too, and with one axis noisier than the others."""
+    rng = np.random.default_rng(0)
+    n, dof = terms.order.size, 300.0
+    free, lacked = rng.standard_normal((n, 4)), rng.standard_normal((n, 5))
+    known = rng.standard_normal((2, 4))
+    power = np.array([1.0, 4.0, 1.0])
+    points = of_each_way(terms)
+    own = replace(terms, base=free, known=known, dof=dof)
+    said = own.evidence(points, lacked, power)
+    for point, one in zip(points, said, strict=True):
+        whole = dense_of(terms, point) + lacked @ lacked.T + np.diag(terms.axes @ (power - 1.0))
+        gram = free.T @ np.linalg.solve(whole, free) + known.T @ known
+        base = np.linalg.slogdet(gram[:-1, :-1])[1]
+        rest = gram[-1, -1] - gram[-1, :-1] @ np.linalg.solve(gram[:-1, :-1], gram[:-1, -1])
+        log_det = np.linalg.slogdet(whole)[1]
+        expected = point.log_prior - 0.5 * (log_det + base + dof * np.log(rest))
+        assert one == pytest.approx(expected, rel=1e-7)
+
+
+STEP = Step("cubic", 9.0, (), (), certain=True)
+CURVE = replace(STEP, effect="curve@bias:order:0:1:4", curve=True)
+RECORD = RecordError(3, "row 4", "y", 100.0, 3.0, "mg", "lost sign of y", (), 0.999)
+LEFT = Unexplained("a", "order", "bias", 0.999, 9.0)
+SURE = Difference(2.0, 1.0, 0.5, 1.5, 0.6, 20)
+UNSURE = replace(SURE, low=-0.1)
+
+
+@pytest.mark.parametrize(
+    ("loop", "word"),
+    [
+        (Loop(0, 1), "nothing missing"),
+        (Loop(0, 1, steps=(STEP,), difference=SURE), "explained"),
+        (Loop(0, 1, steps=(STEP,)), "explained"),  # nothing was left out, as declared effects
+        (Loop(0, 1, steps=(STEP,), difference=UNSURE), "suspected"),
+        (Loop(0, 1, steps=(STEP, CURVE), difference=SURE), "explained in part"),
+        (Loop(0, 1, steps=(STEP,), unexplained=(LEFT,), difference=SURE), "explained in part"),
+        (Loop(0, 1, steps=(CURVE,), difference=SURE), "unexplained"),
+        (Loop(0, 1, unexplained=(LEFT,)), "unexplained"),
+        (Loop(0, 1, records=(RECORD,)), "explained"),
+        (Loop(0, 1, records=(replace(RECORD, probability=0.9),)), "suspected"),
+        (Loop(0, 1, records=(RECORD, replace(RECORD, probability=0.9))), "suspected"),
+        (Loop(0, 1, records=(RECORD,), unexplained=(LEFT,)), "explained in part"),
+    ],
+)
+def test_the_verdict(loop: Loop[int], word: str) -> None:
+    assert loop.verdict == word
+
+
+@pytest.mark.parametrize(
+    ("found", "proved", "likely", "holds"),
+    [
+        (SURE, True, True, True),
+        (UNSURE, False, True, True),
+        (replace(UNSURE, plain_low=-0.1), False, False, True),
+        (replace(UNSURE, after=2.1, plain_low=-0.3), False, False, False),
+        (replace(UNSURE, nats=3.0, nats_low=0.1), True, True, True),
+        # Without a gain beyond the scatter both error and density have to gain.
+        (replace(UNSURE, plain_low=-0.1, nats=0.1, nats_low=-2.0), False, False, True),
+        (replace(UNSURE, plain_low=-0.1, nats=-0.1, nats_low=-2.0), False, False, False),
+        (replace(UNSURE, after=2.1, plain_low=-0.3, nats=0.1, nats_low=-2.0), False, False, False),
+        # The density proves it where the error moves within its scatter, and not beyond.
+        (replace(UNSURE, after=2.1, plain_low=-0.3, nats=9.0, nats_low=4.0), True, True, True),
+        (replace(UNSURE, after=2.1, plain_low=-0.15, nats=9.0, nats_low=4.0), True, True, False),
+    ],
+)  # fmt: skip
+def test_what_a_gain_allows_to_say(
+    found: Difference, proved: bool, likely: bool, holds: bool
+) -> None:
+    assert (found.proved, found.likely, found.holds) == (proved, likely, holds)

@@ -2,98 +2,17 @@
 
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from imucalib.core.effect import Context
-from imucalib.core.observations import Observations
-from imucalib.core.references import KnownNorm, KnownVector
-from imucalib.effects import catalogue
-from imucalib.loop.candidates import Searched
-from imucalib.loop.found import FitLoop
-from imucalib.loop.posterior.closed import close_loop
+from imucalib.arrays import Array
 from imucalib.loop.separation import (
     CERTAIN,
     FEWEST,
     Ambiguity,
-    ambiguities,
     apart,
-    columns_of,
     separation,
 )
-from imucalib.units import MG
-from worlds.bench import base_model
-
-Array = NDArray[np.float64]
-
-G = 9.80665
-NAMES = ("quadratic", "asymmetry", "cross_axis")
-
-
-@cache
-def searched(seed: int = 3, noise: float = 0.3) -> FitLoop:
-    """Twenty-four attitudes of a sensor with squares, by the size of gravity."""
-    rng = np.random.default_rng(seed)
-    z = 1.0 - (2.0 * np.arange(24) + 1.0) / 24
-    turn = 2.399963 * np.arange(24)
-    u = np.column_stack([np.sqrt(1.0 - z**2) * np.cos(turn), np.sqrt(1.0 - z**2) * np.sin(turn), z])
-    reading = 1000.0 * u + np.array([12.0, -9.0, 20.0]) + np.array([3.0, -2.5, 3.5]) * u**2
-    reading = (reading + noise * rng.standard_normal((24, 3)))[:, None] * MG
-    context = Context(24, {"order": np.linspace(0.0, 1.0, 24)})
-    label = tuple(f"row {k + 1}" for k in range(24))
-    data = Observations(
-        reading, np.full((24, 1, 3), MG), KnownNorm(24, G), context, np.arange(24), label
-    )
-    model = base_model(("bias", "scale", "non_orthogonality"))
-    effects = {name: catalogue()[name] for name in NAMES}
-    return close_loop(model, data, Searched(effects, ())).loop
-
-
-def ambiguity() -> Ambiguity:
-    found = ambiguities(searched().final, searched().alternatives)
-    assert len(found) == 1
-    return found[0]
-
-
-def columns(u: Array) -> dict[str, Array]:
-    """What parameters do to the size of the reading, in mg at typical sizes: by hand."""
-    cross = [(0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1)]
-    own = [u[:, i] * u[:, j] for i, j in ((1, 0), (2, 0), (2, 1))]
-    return {
-        "base": np.column_stack([50.0 * u, 30.0 * u**2, *(20.0 * c for c in own)]),
-        "quadratic": 3.0 * u**3,
-        "asymmetry": 2.0 * u * np.abs(u),
-        "cross_axis": 3.0 * np.column_stack([u[:, i] ** 2 * u[:, j] for i, j in cross]),
-    }
-
-
-def pool(directions: Array, one: Ambiguity) -> Array:
-    """Rests by hand, in the units of the recording's noise."""
-    scale = searched().final.noise.factor
-    parts = columns(directions)
-    names = ["base", *one.blocks]
-    rows = np.column_stack([parts[name] for name in names]) / scale
-    return rows[:, :, None] * rows[:, None]
-
-
-def grid() -> Array:
-    rng = np.random.default_rng(1)
-    u = rng.standard_normal((150, 3))
-    return u / np.linalg.norm(u, axis=1, keepdims=True)
-
-
-def test_products_are_those_of_columns_by_hand() -> None:
-    one, u = ambiguity(), searched().final.observations.reading[:, 0]
-    u = u / np.linalg.norm(u, axis=1, keepdims=True)
-    parts = columns(u)
-    rows = np.column_stack([parts[name] for name in ("base", *one.blocks)])
-    rows = rows / searched().final.noise.factor
-    size = np.sqrt(np.diag(rows.T @ rows))
-    away = (one.gram - rows.T @ rows) / np.outer(size, size)
-    assert np.abs(away).max() < 0.12  # the bias of some 25 mg turns what is along the reading
 
 
 def linear(seed: int, numbers: int, near: float, size: float) -> tuple[Ambiguity, Array]:
@@ -128,6 +47,17 @@ def test_the_distance_is_that_of_least_squares() -> None:
             assert found == pytest.approx(np.linalg.norm(left), rel=1e-6)
 
 
+def test_new_data_have_an_offset_of_their_own_after_a_power_up() -> None:
+    one, _ = linear(0, 40, 0.1, 1.5)
+    later = one.after_a_power_up(2.0, (10.0, 10.0, 20.0))
+    assert later.columns[:4] == ("next_bias_x", "next_bias_y", "next_bias_z", "x")
+    assert [at.tolist() for at in later.blocks.values()] == [[5], [6]]
+    np.testing.assert_allclose(later.gram[:3, :3], np.diag([25.0, 25.0, 100.0]))
+    np.testing.assert_allclose(later.gram[3:, 3:], one.gram)
+    assert not later.gram[:3, 3:].any()
+    np.testing.assert_allclose(later.along, [0.0] * 3 + one.along.tolist())
+
+
 @pytest.mark.parametrize("count", [60, 200, 600])
 def test_what_is_promised_is_had(count: int) -> None:
     """Data are drawn with the first as the truth and judged by the maxima of both likelihoods."""
@@ -144,18 +74,6 @@ def test_what_is_promised_is_had(count: int) -> None:
         left = [float(np.linalg.lstsq(every[:, [0, 1, k]], y, rcond=None)[1][0]) for k in (2, 3)]
         certain += (left[1] - left[0]) / 2.0 > CERTAIN
     assert promised == pytest.approx(certain / 1000, abs=0.06)
-
-
-def test_a_plan_beats_random_rests() -> None:
-    one = ambiguity()
-    seen = pool(grid(), one)
-    made = separation(one, seen)
-    able = [k for k, pair in enumerate(one.pairs) if pair in made.pairs]
-    rng = np.random.default_rng(0)
-    for _ in range(20):
-        some = rng.integers(0, len(seen), len(made.plan))
-        other = apart(one, one.gram + seen[some].sum(axis=0))[able]
-        assert made.then.min() > 1.1 * np.quantile(other, 0.15, axis=-1).min()
 
 
 @pytest.mark.parametrize("hidden", [1e-3, 1e-8, 1e-13, 0.0])
@@ -177,56 +95,3 @@ def test_columns_that_the_data_hardly_show_end_no_calibration(hidden: float) -> 
     )  # fmt: skip
     for name, size in one.sizes.items():
         assert np.isfinite(size).all(), name
-
-
-def test_new_data_have_an_offset_of_their_own_after_a_power_up() -> None:
-    one, _ = linear(0, 40, 0.1, 1.5)
-    later = one.after_a_power_up(2.0, (10.0, 10.0, 20.0))
-    assert later.columns[:4] == ("next_bias_x", "next_bias_y", "next_bias_z", "x")
-    assert later.own.size == one.own.size + 3
-    assert [at.tolist() for at in later.blocks.values()] == [[5], [6]]
-    np.testing.assert_allclose(later.gram[:3, :3], np.diag([25.0, 25.0, 100.0]))
-    np.testing.assert_allclose(later.gram[3:, 3:], one.gram)
-    assert not later.gram[:3, 3:].any()
-    np.testing.assert_allclose(later.along, [0.0] * 3 + one.along.tolist())
-
-
-def test_columns_of_what_could_be_recorded_are_white_by_their_settings() -> None:
-    """Each position's three numbers by themselves: V = 1 + Σ sd² n nᵀ, in units of the noise; an
-    effect's own derivative at typical size."""
-    rng = np.random.default_rng(0)
-    n, sigma = 5, 3e-3
-    i, t, ids = rng.uniform(-1.0, 1.0, n), rng.uniform(0.0, 6.0, n), np.arange(n)
-    reference = KnownVector(i, t, 9.8, ids, ids)
-    model = base_model(("bias", "scale"))
-    theta = np.array([5.0, -3.0, 2.0, 0.01, -0.02, 0.005])
-    truth = reference.truth(np.zeros(2 * n))
-    reading = model.predict(theta, truth, Context(n)).reading
-    data = Observations(reading, np.full((n, 1, 3), sigma), reference, Context(n), ids, ("",) * n)
-    names, sds = KnownVector.COMPONENTS, (2e-3, 4e-3)
-    quadratic = catalogue()["quadratic"]
-    found = columns_of(model, theta, [quadratic], data, dict(zip(names, sds, strict=True)))
-
-    def by(values: Array, own: Array, angles: tuple[Array, Array]) -> Array:
-        """The reading of bias, scale and squares at angles, by their equations."""
-        u = np.stack([np.cos(angles[0]) * np.sin(angles[1]), np.cos(angles[0]) * np.cos(angles[1]),
-                      np.sin(angles[0])], axis=-1)  # fmt: skip
-        mg = 9.80665e-3
-        return 9.8 * u * (1.0 + values[3:6]) + mg * values[:3] + mg * own * (9.8 * u / 9.80665) ** 2
-
-    step = 1e-6
-    for k in range(n):
-        at = (i[k : k + 1], t[k : k + 1])
-        slopes = [(by(theta + step * e, np.zeros(3), at) - by(theta - step * e, np.zeros(3), at))[0]
-                  for e in np.eye(6)]  # fmt: skip
-        slopes += [(by(theta, step * e, at) - by(theta, -step * e, at))[0] for e in np.eye(3)]
-        typical = [50.0] * 3 + [0.03] * 3 + [3.0] * 3
-        rows = np.array(slopes).T / (2.0 * step) * typical / sigma
-        v = np.eye(3)
-        for sd, moved in zip(sds, ((step, 0.0), (0.0, step)), strict=True):
-            up, down = (by(theta, np.zeros(3), (at[0] + s * moved[0], at[1] + s * moved[1]))[0]
-                        for s in (1.0, -1.0))  # fmt: skip
-            away = sd * (up - down) / (2.0 * step) / sigma
-            v += np.outer(away, away)
-        np.testing.assert_allclose(found[k].T @ found[k], rows.T @ np.linalg.solve(v, rows),
-                                   rtol=1e-5)  # fmt: skip

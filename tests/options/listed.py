@@ -28,7 +28,7 @@ ELSEWHERE: dict[tuple[str, str], str] = {
     ("design", "--separate"): f"{NEXT}::test_a_plan_that_is_filled_in_ends_the_ambiguity",
     ("design", "--temperatures"): f"{NEXT}::test_temperatures_that_are_farther_apart_promise_more",
     ("design", "--between-sessions"): f"{NEXT}::test_another_power_up_promises_less",
-    ("design", "--imu"): "calibrators/imu/test_plan.py::test_a_plan_states_what_it_gives",
+    ("design", "--imu"): "calibrators/imu/test_imu.py::test_a_plan_states_what_it_gives",
     ("compare", "--limit"): f"{GOOD}::test_compare_says_what_differs",
     ("compare", "--dates"): f"{GOOD}::test_compare_says_what_differs",
     ("compare", "--html"): f"{GOOD}::test_compare_says_what_differs",

@@ -15,11 +15,12 @@ from imucalib.calibrators.array.board import read_board
 from imucalib.calibrators.array.simulation import LogPlan, simulated_log
 from imucalib.readers import read
 from imucalib.readers.joining import join
-from imucalib.recording.recording import Channel, Recording
+from imucalib.recording.recording import Recording
 from imucalib.writers import write
 from options.inputs import TABLES, Make, Rows, rows, still
 from options.outcome import run
 from worlds.places import ROOT
+from worlds.recordings import recording_of
 from worlds.turned_imu import Log, chip, turned
 from worlds.week import simulated_blocks
 
@@ -111,11 +112,11 @@ def _exchanged_board(path: Path) -> None:
     path.write_text(swapped.replace("imuX, pos", "imu2, pos"), encoding="utf-8")
 
 
-def board_log(path: Path, seed: int = 3) -> None:
+def board_log(path: Path) -> None:
     folder = path.parent / "board.yaml"
     _board(folder)
     plan = LogPlan(poses=12, pose_seconds=3.0, seconds=20.0, gyro_gain=0.0)
-    write(simulated_log(read_board(folder), plan, np.random.default_rng(seed)).recording, path)
+    write(simulated_log(read_board(folder), plan, np.random.default_rng(3)).recording, path)
 
 
 def samples() -> Rows:
@@ -211,11 +212,7 @@ def _rests_of(path: Path) -> None:
 def _packed(path: Path) -> None:
     t = np.arange(4000) / 100.0
     values = np.tile([0.1, 0.2, 9.8], (4000, 1))
-    made = Recording(
-        {"imu0/acceleration": Channel(t, values, "m/s2", "acceleration", "imu0", 100.0)},
-        "made", "made", "",
-    )  # fmt: skip
-    write(made, path)
+    write(recording_of(t, values, hz=100.0), path)
 
 
 def _external(path: Path) -> None:
@@ -236,11 +233,7 @@ def _night(path: Path) -> None:
     t = np.arange(12000) / 20.0
     a = np.array([0.0, 0.0, G]) + 0.02 * rng.standard_normal((12000, 3))
     w = 0.002 * rng.standard_normal((12000, 3))
-    channels = {
-        "imu0/acceleration": Channel(t, a, "m/s2", "acceleration", "imu0", 20.0),
-        "imu0/angular_rate": Channel(t, w, "rad/s", "angular_rate", "imu0", 20.0),
-    }
-    write(Recording(channels, "made", "made", ""), path)
+    write(recording_of(t, a, w, hz=20.0), path)
 
 
 def _noise_file(path: Path) -> None:
@@ -306,7 +299,6 @@ RECORDINGS: dict[str, Make] = {
     "exchanged.yaml": _exchanged_board,
     "tight.yaml": lambda path: path.write_text(BOARD.replace("prior_sd: 3.0", "prior_sd: 0.001")),
     "log.h5": board_log,
-    "other_log.h5": lambda path: board_log(path, 4),
     "turns.csv": _turns,
     "turned_axes.csv": _turned_axes,
     "bent_turns.csv": _bent_turns,

@@ -175,8 +175,6 @@ def _of(path: Path) -> tuple[str, float, float]:
 NEEDS_LINUX = pytest.mark.skipif(
     not Path("/proc/self/status").exists(), reason="asks Linux for the memory"
 )
-
-
 #: Of each way of costing one file in the fast tier.
 FAST = {"circle.mcap", "empty.mcap", "own_type.mcap", "zstd_1_0.9.mcap", "lz4_2048_1.0.mcap"}
 

@@ -1,4 +1,4 @@
-"""A small part of the truth fuzzer: no sample that was not written, unsaid, and no traceback."""
+"""Every format by files whose every sample is known: read as written, also when damaged."""
 
 from __future__ import annotations
 
@@ -11,19 +11,32 @@ import pytest
 
 from imucalib import readers
 from imucalib.readers.conversion import readings_at_rest
+from imucalib.readers.joining import join
 from imucalib.recording.recording import Recording
 from worlds.fuzz.cases import Fuzzer
 from worlds.fuzz.files import START, kinds
-from worlds.fuzz.truth import compare
-
-CASES = 3 * (len(kinds()) + 1)
+from worlds.fuzz.truth import Compared, compare
 
 
-@pytest.mark.slow
-def test_damage_is_told(tmp_path: Path) -> None:
+@pytest.mark.parametrize("in_blocks", [False, True])
+@pytest.mark.parametrize("name", kinds())
+def test_every_sample_is_read_as_written(name: str, in_blocks: bool, tmp_path: Path) -> None:
+    kind = kinds()[name]
+    made = kind.make(np.random.default_rng(0), tmp_path)
+    path = tmp_path / f"a{kind.suffix}"
+    path.write_bytes(made.pack(made.data))
+    blocks = readers.blocks(path, block_samples=64, strict=True)
+    found = join(blocks, "") if in_blocks else readers.read(path, strict=True)
+    assert compare(made.truth, found) == Compared(right=made.truth.samples)
+    assert not found.gaps
+
+
+@pytest.mark.parametrize("each", [4, pytest.param(20, marks=pytest.mark.slow)])
+def test_damage_is_told(each: int, tmp_path: Path) -> None:
+    """No sample that was not written, unsaid, and no traceback."""
     fuzzer = Fuzzer(tmp_path, 1)
     bad = []
-    for number in range(CASES):
+    for number in range(each * (len(kinds()) + 1)):
         verdict = fuzzer.case(number)
         untold = verdict.outcome == "silent" and verdict.checked == "all"
         if untold or verdict.outcome in ("traceback", "hang", "memory"):

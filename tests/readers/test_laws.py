@@ -17,31 +17,22 @@ import pytest
 from imucalib import readers, writers
 from imucalib.calibration import apply as application
 from imucalib.calibration.apply import apply_to_recording, correct_file
-from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.errors import ImucalError, UnreadableInput, UsageError
 from imucalib.recording.mapping import FieldMapping, from_dict
 from imucalib.recording.recording import Channel, Recording
 from imucalib.writers import write, write_blocks
 from worlds.bag_logs import BagWriter
+from worlds.recordings import recording_of
+from worlds.stated import stated
 
 Pair = tuple[readers.Reader, writers.Writer]
-
-
 PAIRS: list[Pair] = [
     (r, w) for r in readers.readers() for w in writers.writers() if r.name == w.name
 ]
-
-
 BAG = next(r for r in readers.readers() if r.name == "rosbag")
-
-
 #: Formats that are only read: tests write them.
 BAGS: list[Pair] = [(BAG, BagWriter((".bag",))), (BAG, BagWriter((".db3",)))]
-
-
 BY_NAME = pytest.mark.parametrize("pair", PAIRS, ids=lambda p: p[0].name)
-
-
 BY_FORMAT = pytest.mark.parametrize("pair", [*PAIRS, *BAGS], ids=lambda p: p[1].suffixes[0])
 
 
@@ -121,45 +112,6 @@ def outcome(path: Path) -> Recording | ImucalError:
         return readers.read(path)
     except ImucalError as error:
         return error
-
-
-@pytest.mark.slow
-@BY_FORMAT
-def test_a_cut_file_is_told(pair: Pair, tmp_path: Path) -> None:
-    example = written(pair, tmp_path, 24)
-    data = example.path.read_bytes()
-    cut = tmp_path / f"cut{example.path.suffix}"
-    step = max(1, len(data) // 1000)
-    for size in range(1, len(data), step):
-        cut.write_bytes(data[:size])
-        result = outcome(cut)
-        if isinstance(result, ImucalError):
-            assert isinstance(result, UnreadableInput)
-            continue
-        whole = example.recording
-        lost = any(
-            name not in result.channels or result.channels[name].t.size < c.t.size
-            for name, c in whole.channels.items()
-        )
-        assert result.notes or not lost, f"{size} of {len(data)} bytes: a loss without a note"
-        for name, channel in result.channels.items():
-            n = channel.t.size
-            np.testing.assert_array_equal(channel.values, whole.channels[name].values[:n])
-
-
-@pytest.mark.slow
-@BY_FORMAT
-def test_a_flipped_byte_is_no_traceback(pair: Pair, tmp_path: Path) -> None:
-    example = written(pair, tmp_path, 24)
-    data = example.path.read_bytes()
-    rng = random.Random(1)
-    damaged = tmp_path / f"flip{example.path.suffix}"
-    positions = range(len(data)) if len(data) < 700 else rng.sample(range(len(data)), 700)
-    for position in positions:
-        broken = bytearray(data)
-        broken[position] ^= 1 << rng.randrange(8)
-        damaged.write_bytes(bytes(broken))
-        outcome(damaged)
 
 
 FOREIGN = {
@@ -289,27 +241,13 @@ def test_a_mapping_that_names_nothing_in_the_file_is_refused(tmp_path: Path) -> 
         assert reader.recognises(path, path.read_bytes()[:65536])
 
 
-CALIBRATION = Calibration(
-    calibrator="lab",
-    parameters=tuple(
-        StoredParameter(f"bias_{a}", "bias", "sensor", v, 0.1, "mg")
-        for a, v in zip("xyz", (20.0, -35.0, 5.0), strict=True)
-    ),
-    covariance=np.eye(3) * 0.01,
-    raw_unit="m/s2",
-    raw_to_si=1.0,
-    gravity=9.80665,
-    status="ok",
-)
+CALIBRATION = stated({"bias": (20.0, -35.0, 5.0)})
 
 
 def recording(n: int, first: int = 0) -> Recording:
     t = (first + np.arange(n)) / 100.0
     values = 9.8 * np.stack([np.sin(t), np.cos(t), 0.01 * np.ones(n)], axis=1)
-    warm = Channel(t, 20.0 + 0.0 * t[:, None], "degC", "temperature", "imu0", 100.0)
-    acceleration = Channel(t, values, "m/s2", "acceleration", "imu0", 100.0)
-    channels = {"imu0/acceleration": acceleration, "imu0/temperature": warm}
-    return Recording(channels, "made", "made", "", start_ns=1_700_000_000_000_000_000)
+    return recording_of(t, values, warm=20.0 + 0.0 * t, hz=100.0, start_ns=1_700_000_000 * 10**9)
 
 
 @pytest.mark.parametrize("source", ["a.csv", "a.h5", "a.mcap"])
@@ -329,22 +267,6 @@ def test_block_by_block_is_the_same(
     for name, channel in at_once.channels.items():
         np.testing.assert_array_equal(back.channels[name].values, channel.values)
         np.testing.assert_allclose(back.channels[name].t, channel.t, rtol=0, atol=1e-9)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("suffix", [".h5", ".csv", ".mcap"])
-def test_memory_is_that_of_a_block(tmp_path: Path, suffix: str) -> None:
-    def peak(blocks: int) -> int:
-        tracemalloc.start()
-        try:
-            parts = (recording(5000, 5000 * k) for k in range(blocks))
-            write_blocks(parts, tmp_path / f"a{suffix}")
-            return tracemalloc.get_traced_memory()[1]
-        finally:
-            tracemalloc.stop()
-
-    peak(2)
-    assert peak(24) < 1.1 * peak(6)
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".mcap"])

@@ -8,35 +8,24 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from imucalib import readers, writers
+from imucalib import readers
+from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.inspection.inspection import Inspection, inspect_recording, problems
 from imucalib.readers import blocks, read
 from imucalib.readers.joining import join
-from imucalib.readers.repeats import with_held
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.pairing import channel_names, paired
-from imucalib.recording.recording import Channel, Recording
 from worlds.bag_logs import ros1_bag, ros2_bag
 from worlds.every_format import WRITE
 from worlds.mcap_logs import IMU_ROS1, Reading, cdr, packed, readings, ros1, write_log
 from worlds.places import DATA, MEASURED, SAMPLES
 from worlds.turned import turned
 
-Array = NDArray[np.float64]
-
-
 Change = Callable[[Array, Array], None]
-
-
 RATES = FieldMapping(gyro_unit="rad/s")
-
-
 WORDS = "repeat the one before to the last digit"
-
-
 #: Steps of a converter of 16 bits, a quarter of the noise of a sample and less.
 ACC_STEP, RATE_STEP = 0.0024, 0.00025
 
@@ -49,10 +38,6 @@ def _changed(change: Change | None = None, steps: float = 1.0) -> tuple[Array, A
     if change is not None:
         change(acc, rate)
     return t, acc, rate
-
-
-def _hold(acc: Array, rate: Array) -> None:
-    acc[800:1000], rate[800:1000] = acc[800], rate[800]
 
 
 def _fill(acc: Array, rate: Array) -> None:
@@ -103,32 +88,12 @@ def test_no_reader_tells_what_a_sound_sensor_does(
     assert not [note for note in readers.read(path, RATES).notes if WORDS in note]
 
 
-@pytest.mark.parametrize("change", [_hold, _fill])
-def test_what_is_held_is_no_rest(change: Change, tmp_path: Path) -> None:
-    path = WRITE["hdf5"](tmp_path, *_changed(change))
-    for block in (700, 1 << 18):
-        found = _inspected(path, block).still
-        assert found is not None
-        assert found.n == 8
-        assert not ((found.start < 9.9) & (found.stop > 8.1)).any()
-
-
 @pytest.mark.parametrize("zone", [_dead_zone, _offset_zone])
 def test_a_gyroscope_with_a_dead_zone_hides_no_rest(zone: Change, tmp_path: Path) -> None:
-    path = WRITE["hdf5"](tmp_path, *_changed(zone))
-    found = _inspected(path).still
+    found = _inspected(WRITE["hdf5"](tmp_path, *_changed(zone))).still
     assert found is not None
     assert found.n == 9
     assert (found.rate_noise >= RATE_STEP / np.sqrt(12.0) * 0.999).all()
-
-
-def test_damaged_numbers_of_any_size_are_no_repeats() -> None:
-    rng = np.random.default_rng(0)
-    values = rng.normal(size=(600, 3)) * (1e-170, 1.0, 0.0) + (0.0, 0.0, 1e305)
-    values[::10, 0] = 1e200
-    acc = Channel(np.arange(600) / 100.0, values, "counts", "acceleration", "imu0", 100.0)
-    (block,) = with_held([Recording({"imu0/acceleration": acc}, "made", "made", "")])
-    assert not block.held
 
 
 #: Measured recordings that lie with the project, and larger ones that need not be there.
@@ -193,38 +158,6 @@ def test_the_end_of_summer_time_makes_two_parts(tmp_path: Path) -> None:
     assert sum("a part of its own" in note for note in found.notes) == 1
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("size", [1000, 36_000, 10**6])
-def test_blocks_do_not_matter(size: int, tmp_path: Path) -> None:
-    path, _ = autumn(tmp_path, lose=range(45_000, 45_100))
-    whole, parts = read(path), join(blocks(path, block_samples=size), "")
-    np.testing.assert_allclose(
-        parts.channels["imu0/acceleration"].t, whole.channels["imu0/acceleration"].t, atol=1e-6
-    )
-    assert len(whole.gaps) == len(parts.gaps) == 2
-    assert whole.gaps[1].start == pytest.approx(4499.9)  # a gap of the second part moves with it
-    for one, two in zip(whole.gaps, parts.gaps, strict=True):
-        assert (one.start, one.stop) == (pytest.approx(two.start), pytest.approx(two.stop))
-
-
-@pytest.mark.parametrize("suffix", [".h5", ".csv"])
-def test_every_format_keeps_the_order(suffix: str, tmp_path: Path) -> None:
-    n = 4000
-    t = np.arange(n) / 100.0
-    t[2000:] -= 15.0
-    rng = np.random.default_rng(2)
-    values = np.array([0.0, 0.0, 9.8]) + rng.normal(scale=0.02, size=(n, 3))
-    acc = Channel(t, values, "m/s2", "acceleration", "imu0", 100.0)
-    path = tmp_path / f"a{suffix}"
-    made = Recording({"imu0/acceleration": acc}, "made", "made", "", start_ns=1_600_000_000 * 10**9)
-    writers.write(made, path)
-    found = readers.read(path)
-    back = found.channels["imu0/acceleration"]
-    np.testing.assert_array_equal(back.values, values)
-    np.testing.assert_allclose(back.t, np.arange(n) / 100.0, atol=1e-6)
-    assert any("set back by 14.99 s" in note for note in found.notes)
-
-
 @pytest.mark.parametrize("row", [0, 1, 2, 3, 500, 1998, 1999])
 @pytest.mark.parametrize("off", [-90.0, 90.0, 9e6])
 def test_one_wrong_stamp_sets_no_clock(row: int, off: float, tmp_path: Path) -> None:
@@ -246,8 +179,6 @@ def test_one_wrong_stamp_sets_no_clock(row: int, off: float, tmp_path: Path) -> 
 
 
 START = 1_700_000_000.0
-
-
 UNITS = FieldMapping(gyro_unit="rad/s")
 
 
@@ -302,8 +233,6 @@ def test_what_does_not_belong_together_is_refused(tmp_path: Path) -> None:
 
 
 ROWS = 300
-
-
 HEADING = "time (s),acc_x (g),acc_y (g),acc_z (g)"
 
 
@@ -356,8 +285,6 @@ def test_a_last_line_that_lacks_only_its_end_is_a_row(tmp_path: Path) -> None:
 
 #: Topics whose words do not tell one from another.
 TOPICS = ("/imu/1/data", "/imu/2/data")
-
-
 Topics = dict[str, list[Reading]]
 
 

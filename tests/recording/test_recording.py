@@ -24,11 +24,7 @@ NAMES = st.text(
     st.characters(codec="utf-8", exclude_categories=("Cs", "Cc"), exclude_characters=","),
     min_size=1,
 ).map(str.strip).filter(bool)  # fmt: skip
-
-
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
-
-
 MAPPINGS = st.builds(
     FieldMapping,
     acc=st.lists(NAMES, max_size=4).map(tuple),

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from imucalib.inspection.inspection import inspect_recording
 from imucalib.units import MG
-from worlds.turned import RATE, REST, TURN, recording_of, turned
+from worlds.recordings import recording_of
+from worlds.turned import RATE, REST, TURN, turned
 
 TURNS = 12
 

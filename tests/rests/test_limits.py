@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
-from imucalib.recording.recording import Channel, Recording
+from imucalib.recording.recording import Recording
 from imucalib.rests import windows
 from imucalib.rests.runs import two_ranges
 from imucalib.rests.segments import Segments, find_segments, still_segments
 from imucalib.rests.stillness import StillSettings
+from worlds.recordings import recording_of
 
 Array = np.ndarray
 RATE, G = 100.0, 9.80665
@@ -26,11 +26,7 @@ def shake(rng: np.random.Generator, seconds: float = 3.0) -> Array:
 
 
 def recorded(values: Array, rate: Array | None = None) -> Recording:
-    t = np.arange(len(values)) / RATE
-    channels = {"imu0/acceleration": Channel(t, values, "m/s2", "acceleration", "imu0", RATE)}
-    if rate is not None:
-        channels["imu0/angular_rate"] = Channel(t, rate, "rad/s", "angular_rate", "imu0", RATE)
-    return Recording(channels, "made", "made", "")
+    return recording_of(np.arange(len(values)) / RATE, values, rate, hz=RATE)
 
 
 def bench(
@@ -106,10 +102,8 @@ def test_what_moves_slowly_is_no_rest(name: str, noise: float, gyroscope: bool) 
 
 
 def in_blocks(values: Array) -> list[Recording]:
-    channel = recorded(values).channels["imu0/acceleration"]
-    parts = pairwise(range(0, len(values) + 1, 450))
-    blocks = (replace(channel, t=channel.t[a:b], values=values[a:b]) for a, b in parts)
-    return [Recording({"imu0/acceleration": block}, "made", "made", "") for block in blocks]
+    t, parts = np.arange(len(values)) / RATE, pairwise(range(0, len(values) + 1, 450))
+    return [recording_of(t[a:b], values[a:b], hz=RATE) for a, b in parts]
 
 
 @pytest.mark.parametrize("most", [0, 1 << 24])

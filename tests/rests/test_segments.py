@@ -2,33 +2,28 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from numpy.typing import NDArray
 
-from imucalib import cli
+from imucalib.arrays import Array
 from imucalib.errors import Undetermined, UnreadableInput
 from imucalib.readers import read
 from imucalib.recording.mapping import FieldMapping
-from imucalib.recording.recording import Channel, Gap, Recording
+from imucalib.recording.recording import Gap, Recording
 from imucalib.rests.runs import PostureRuns, posture_runs, scan
-from imucalib.rests.segments import Segments, find_segments, still_segments
+from imucalib.rests.segments import still_segments
 from imucalib.units import MG, STANDARD_GRAVITY
+from worlds.command import run
 from worlds.places import MEASURED
+from worlds.recordings import recording_of
 
-Array = NDArray[np.float64]
 RATE, SIGMA = 100.0, 0.02
 
 
 def recorded(t: Array, values: Array, rate: float = RATE, gaps: tuple[Gap, ...] = ()) -> Recording:
-    channel = Channel(t, values, "m/s2", "acceleration", "imu0", rate)
-    return Recording({"imu0/acceleration": channel}, "made", "made", "", gaps=gaps)
+    return recording_of(t, values, hz=rate, gaps=gaps)
 
 
 def tumble(seed: int, rests: int, sigma: float = SIGMA) -> tuple[Recording, list[tuple[int, int]]]:
@@ -49,12 +44,6 @@ def tumble(seed: int, rests: int, sigma: float = SIGMA) -> tuple[Recording, list
     return recorded(np.arange(len(values)) / RATE, values), spans
 
 
-def cut(recording: Recording, edges: list[int]) -> list[Recording]:
-    channel = recording.channels["imu0/acceleration"]
-    bounds = pairwise([0, *edges, channel.t.size])
-    return [recorded(channel.t[a:b], channel.values[a:b]) for a, b in bounds if b > a]
-
-
 @pytest.mark.parametrize("seed", range(5))
 def test_planted_rests_are_found_with_their_means(seed: int) -> None:
     recording, spans = tumble(seed, 12)
@@ -69,19 +58,6 @@ def test_planted_rests_are_found_with_their_means(seed: int) -> None:
         assert found.stop[k] == (last - 1) / RATE
     # The standard deviation of a standard deviation from some 4000 samples is about 1 %.
     np.testing.assert_allclose(found.noise[0], SIGMA, rtol=0.06)
-
-
-@pytest.mark.slow
-@given(st.lists(st.integers(1, 6000), max_size=6), st.integers(0, 3))
-@settings(max_examples=25, deadline=None)
-def test_blocks_give_what_the_whole_gives(edges: list[int], seed: int) -> None:
-    recording, _ = tumble(seed, 8)
-    size = recording.channels["imu0/acceleration"].t.size
-    whole = still_segments(recording)
-    parts = find_segments(cut(recording, sorted({e for e in edges if e < size})))
-    for name in Segments.__dataclass_fields__:
-        one, two = getattr(whole, name), getattr(parts, name)
-        np.testing.assert_array_equal(one, two, err_msg=name)
 
 
 def test_a_rest_never_crosses_a_gap() -> None:
@@ -105,25 +81,6 @@ def test_frozen_and_clipped_samples_are_left_out() -> None:
     assert found.n == 4
     assert any("frozen" in n for n in found.notes)
     assert any("clipped" in n for n in found.notes)
-
-
-def test_temperature_and_rate_come_along() -> None:
-    recording, spans = tumble(8, 5)
-    acc = recording.channels["imu0/acceleration"]
-    gyro = np.random.default_rng(0).normal([0.01, -0.02, 0.03], 0.002, acc.values.shape)
-    slow = np.arange(0.0, acc.t[-1], 1.0)
-    channels = {
-        "imu0/acceleration": acc,
-        "imu0/angular_rate": Channel(acc.t, gyro, "rad/s", "angular_rate", "imu0", RATE),
-        "imu0/temperature": Channel(
-            slow, 20.0 + 0.1 * slow[:, None], "degC", "temperature", "imu0", 1.0
-        ),
-    }
-    found = still_segments(Recording(channels, "", "", ""))
-    assert found.n == len(spans)
-    np.testing.assert_allclose(found.rate.mean(axis=(0, 1)), [0.01, -0.02, 0.03], atol=5e-4)
-    middle = 0.5 * (found.start + found.stop)
-    np.testing.assert_allclose(found.temperature[:, 0], 20.0 + 0.1 * middle, atol=0.01)
 
 
 @pytest.mark.parametrize("name", ["imu0.log.gz", "imu1.log.gz"])
@@ -234,17 +191,7 @@ def test_an_epoch_file_is_named_as_what_it_is(tmp_path: Path, columns: str, comm
     path, rows = tmp_path / "epochs.csv", np.random.default_rng(0).poisson(60, (3000, 3))
     text = "\n".join(",".join(map(str, row)) for row in rows)
     path.write_text(HEAD.format("05") + columns + text + "\n", encoding="utf-8")
-    result = CliRunner().invoke(cli.cli, [command, str(path)], standalone_mode=False)
+    result = run(command, path)
     assert isinstance(result.exception, UnreadableInput)
     assert "activity counts per epoch of 00:00:05, not acceleration" in str(result.exception)
     assert ".gt3x" in str(result.exception)
-
-
-def test_a_raw_file_with_the_same_header_is_read(tmp_path: Path) -> None:
-    values = [0.0, 0.0, 1.0] + 0.01 * np.random.default_rng(0).standard_normal((900, 3))
-    rows = "\n".join(",".join(f"{v:.3f}" for v in row) for row in values)
-    path = tmp_path / "raw.csv"
-    axes = "Accelerometer X,Accelerometer Y,Accelerometer Z\n"
-    path.write_text(HEAD.format("00") + axes + rows + "\n")
-    result = CliRunner().invoke(cli.cli, ["inspect", str(path)], standalone_mode=False)
-    assert result.exception is None

@@ -4,20 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from imucalib.recording.recording import Channel, Recording
+from imucalib.arrays import Array
+from imucalib.recording.recording import Channel
 from imucalib.rests.runs import Scan, posture_runs, scan
-from imucalib.rests.thermal import ThermalHistory, believed, remembered
+from imucalib.rests.thermal import ThermalHistory, believed
 from imucalib.rests.windows import WindowBuilder, Windows
 from imucalib.units import MG, STANDARD_GRAVITY
-
-Array = NDArray[np.float64]
-
+from worlds.recordings import recording_of
 
 T = 10.0 * np.arange(2000)
-
-
 CASE = 30.0 + 3.0 * np.sin(T / 3000.0)
 
 
@@ -54,13 +50,7 @@ def scanned(values: Array) -> Scan:
     moves = np.arange(len(g)) % 1000 < 400
     g += np.where(moves[:, None], 0.2, 0.003) * rng.standard_normal(g.shape)
     t = 0.1 * np.arange(len(g))
-    channels = {
-        "imu0/acceleration": Channel(
-            t, MG * np.round(1e3 * g), "m/s2", "acceleration", "imu0", 10.0
-        ),
-        "imu0/temperature": Channel(T, values[:, None], "degC", "temperature", "imu0", 0.1),
-    }
-    return scan([Recording(channels, "a", "a", "")], 10.0)
+    return scan([recording_of(t, MG * np.round(1e3 * g), warm=(T, values), hz=10.0)], 10.0)
 
 
 def test_a_rest_has_the_temperature_of_its_good_readings_or_is_left_out() -> None:
@@ -97,24 +87,3 @@ def test_a_play_moves_only_at_its_ends(n: int) -> None:
     for width in (0.5, 2.0, 6.0):
         got = history.behind_play(width, history.time)
         np.testing.assert_allclose(got, behind(values, width), atol=1e-12)
-
-
-def test_the_rate_is_the_slope_of_a_steady_warming() -> None:
-    """Five time constants after the start; 3 °C an hour."""
-    time = np.arange(5.0, 7200.0, 10.0)
-    history = ThermalHistory(time, 20.0 + 3.0 * time / 3600.0)
-    rate = remembered(history, "temperature_rate_12min", np.array([3600.0, 7000.0]))
-    np.testing.assert_allclose(rate, 3.0, rtol=0.02)
-
-
-@pytest.mark.parametrize("hours", [1e-4, 0.003, 0.1, 3.0, 1e4])
-@pytest.mark.parametrize("size", [2, 7, 700])
-def test_a_lag_goes_a_share_of_the_way_at_each_reading(hours: float, size: int) -> None:
-    time = 10.0 * np.arange(size)
-    warm = 25.0 + np.random.default_rng(size).normal(size=size).cumsum()
-    share = -np.expm1(-10.0 / (3600.0 * hours))
-    expected = [warm[0]]
-    for reading in warm[1:]:
-        expected.append(expected[-1] + share * (reading - expected[-1]))
-    got = ThermalHistory(time, warm).lagged(hours, time)
-    np.testing.assert_allclose(got, expected, atol=1e-9)

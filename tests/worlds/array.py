@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.estimators.array.problem import ArrayData
 from imucalib.units import DEG
-
-Array = NDArray[np.float64]
 
 
 def skew(v: Array) -> Array:

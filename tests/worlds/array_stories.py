@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibrators.array.board import Board, read_board
 from imucalib.calibrators.array.log import array_log
 from imucalib.calibrators.array.loop.catalogue import array_catalogue
@@ -20,7 +18,6 @@ from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.segments import still_segments
 from imucalib.units import DEG
 
-Array = NDArray[np.float64]
 BOARD = read_board("mimu4444_corners")
 PLAN = LogPlan(
     poses=14, pose_seconds=3.0, seconds=14.0, twist=800.0, force=20.0, gyro_gain=0.0, gain=0.005
@@ -133,6 +130,3 @@ def positions_z(found: MotionLoop, true: Array) -> Array:
     n = found.final.positions
     sd = np.sqrt(np.diag(found.final.covariance)[:n])
     return np.asarray((r - truth @ left @ right).ravel() / sd)
-
-
-__all__ = ["BOARD", "PLAN", "STORIES", "closed", "named", "planted_log", "positions_z", "replace"]

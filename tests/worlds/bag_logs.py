@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from rosbags import rosbag1, rosbag2
 from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
 
 from imucalib.recording.recording import Recording
 from worlds.mcap_logs import Reading, cdr, ros1
@@ -25,12 +26,7 @@ def ros1_bag(
     bag = rosbag1.Writer(path)
     if packed:
         bag.set_compression(rosbag1.Writer.CompressionFormat.LZ4)
-    with bag:
-        joined = {t: bag.add_connection(t, IMU, typestore=ROS1) for t in topics}
-        rows = [(r.ns + delay, t, r) for t, readings in topics.items() for r in readings]
-        for ns, topic, reading in sorted(rows, key=lambda row: row[:2]):
-            bag.write(joined[topic], ns, ros1(reading))
-    return path
+    return _filled(bag, path, topics, ROS1, ros1, delay)
 
 
 def ros2_bag(
@@ -40,11 +36,18 @@ def ros2_bag(
     bag = rosbag2.Writer(path, version=9)
     if mode:
         bag.set_compression(rosbag2.CompressionMode[mode], rosbag2.CompressionFormat.ZSTD)
+    return _filled(bag, path, topics, ROS2, cdr, delay)
+
+
+def _filled(
+    bag: rosbag1.Writer | rosbag2.Writer, path: Path, topics: dict[str, list[Reading]],
+    store: Typestore, pack: Callable[[Reading], bytes], delay: int,
+) -> Path:  # fmt: skip
     with bag:
-        joined = {t: bag.add_connection(t, IMU, typestore=ROS2) for t in topics}
+        joined = {t: bag.add_connection(t, IMU, typestore=store) for t in topics}
         rows = [(r.ns + delay, t, r) for t, readings in topics.items() for r in readings]
         for ns, topic, reading in sorted(rows, key=lambda row: row[:2]):
-            bag.write(joined[topic], ns, cdr(reading))
+            bag.write(joined[topic], ns, pack(reading))
     return path
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.core.balance import Noise
 from imucalib.core.effect import Context
 from imucalib.core.model import Model
@@ -13,7 +13,6 @@ from imucalib.core.references import KnownNorm, KnownVector, Reference, unit_vec
 from imucalib.effects import named
 from imucalib.units import DEG, MG
 
-Array = NDArray[np.float64]
 GRAVITY = 9.8061
 BASE = ("mounting", "bias", "scale", "non_orthogonality")
 NINE = ("bias", "scale", "non_orthogonality")

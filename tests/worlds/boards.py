@@ -3,14 +3,15 @@ twisting; written from the equations of rigid motion, apart from the program's o
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.recording.recording import Channel, Recording
 
-Array = NDArray[np.float64]
 DEG = np.pi / 180.0
 
 
@@ -142,22 +143,60 @@ def made_board(
     return Parts(names, positions - positions[0], acceleration, rate)
 
 
-def board_log(parts: Parts, plan: BoardPlan, rng: np.random.Generator) -> Made:
-    """A log of a board: its biases are anew, like its motion and noise."""
-    rests, twist = handled(plan, rng), twisted(plan, rng)
+@dataclass(frozen=True)
+class Moved:
+    """The truth: t (n,); rate, spin, force (n, 3) of the origin in board axes"""
+
+    t: Array
+    rate: Array
+    spin: Array
+    force: Array
+
+    def felt(self, r: Array) -> Array:
+        """(n, 3) specific force at places r (3,) or (n, 3) m that stand still on the board."""
+        r = np.broadcast_to(r, self.rate.shape)
+        return np.asarray(
+            self.force + np.cross(self.rate, np.cross(self.rate, r)) + np.cross(self.spin, r)
+        )
+
+
+@dataclass(frozen=True)
+class Planted:
+    """felt : (n, 3) force at the package; rate : (n, 3) that its gyro senses; both in board axes,
+    before the package's own gains"""
+
+    felt: Array
+    rate: Array
+
+
+#: From the truth, a place (m) and the number of the IMU to what that IMU senses.
+Plant = Callable[[Moved, Array, int], Planted]
+
+
+def plain(m: Moved, r: Array, k: int) -> Planted:
+    return Planted(m.felt(r), m.rate)
+
+
+def board_log(
+    parts: Parts, plan: BoardPlan, rng: np.random.Generator, plant: Plant = plain, often: int = 1
+) -> Made:
+    """A log of a board, whose biases are anew like its motion and noise; plant : what its IMUs
+    sense; often : steps of the truth from sample to sample, for what has a memory."""
+    fine = replace(plan, hz=often * plan.hz)
+    rests, twist = handled(fine, rng), twisted(fine, rng)
     w, spin, force = (np.concatenate(pair) for pair in zip(rests, twist, strict=True))
-    n = len(w)
-    t, motion = np.arange(n) / plan.hz, np.arange(n) >= len(rests[0])
-    channels = {}
+    truth = Moved(np.arange(len(w)) / fine.hz, w, spin, force)
+    t, motion = truth.t[::often], (np.arange(len(w)) >= len(rests[0]))[::often]
+    n, channels = len(t), {}
     for i, name in enumerate(parts.names):
-        r = parts.positions[i]
-        felt = force + np.cross(w, np.cross(w, r)) + np.cross(spin, r)
+        seen = plant(truth, parts.positions[i], i)
         noise = rng.normal(size=(2, n, 3))
         if np.isfinite(plan.tails):
             heavy = np.sqrt(plan.tails / rng.chisquare(plan.tails, (2, n, 1)))
             noise *= np.where(motion[:, None], heavy, 1.0)
-        x = felt @ parts.gain[i].T + rng.normal(size=3) * plan.bias + noise[0] * plan.sigma
-        y = w @ parts.gyro_gain[i].T
+        x = seen.felt[::often] @ parts.gain[i].T + rng.normal(size=3) * plan.bias
+        x = x + noise[0] * plan.sigma
+        y = seen.rate[::often] @ parts.gyro_gain[i].T
         y = y + (rng.normal(size=3) * plan.gyro_bias + noise[1] * plan.sigma_gyro) * DEG
         for quantity, unit, values in (("acceleration", "m/s2", x), ("angular_rate", "rad/s", y)):
             channels[f"{name}/{quantity}"] = Channel(t, values, unit, quantity, name, plan.hz)

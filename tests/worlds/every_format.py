@@ -6,21 +6,20 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucalib import writers
+from imucalib.arrays import Array
 from worlds.bag_logs import BagWriter
 from worlds.flight_logs import dataflash, ulog
-from worlds.turned import recording_of
+from worlds.recordings import recording_of
 
-Array = NDArray[np.float64]
 Write = Callable[[Path, Array, Array, Array], Path]
 
 
 def _written(writer: writers.Writer | BagWriter) -> Write:
     def write(folder: Path, t: Array, acc: Array, rate: Array) -> Path:
         path = folder / f"log{writer.suffixes[0]}"
-        writer.write_blocks([recording_of(t, acc, rate)], path)
+        writer.write_blocks([recording_of(t, acc, rate, start_ns=1_700_000_000 * 10**9)], path)
         return path
 
     return write

@@ -12,6 +12,11 @@ import struct
 import zipfile
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime, timedelta
+from functools import reduce
+from operator import xor
+
+import numpy as np
+from numpy.typing import NDArray
 
 Sample = Sequence[int]
 
@@ -122,6 +127,21 @@ def gene_file(
         when = start + timedelta(seconds=k * 300 / rate)
         out.append(gene_page(samples[300 * k : 300 * k + 300], when, number=k, rate=rate))
     return b"".join(out)
+
+
+def gt3x_record(kind: int, stamp: int, payload: bytes) -> bytes:
+    """A record of log.bin."""
+    body = struct.pack("<BBIH", 0x1E, kind, stamp, len(payload)) + payload
+    return body + bytes([reduce(xor, body) ^ 0xFF])
+
+
+def gt3x_second(samples: NDArray[np.int_], stamp: int, kind: int = 26) -> bytes:
+    """A second's samples (n, 3); kind 0 has 12 bits a number, axes y x z."""
+    payload = samples.astype("<i2").tobytes()
+    if kind == 0:
+        bits = "".join(f"{int(v) & 0xFFF:012b}" for v in samples[:, [1, 0, 2]].ravel())
+        payload = int(bits, 2).to_bytes(len(bits) // 8, "big")
+    return gt3x_record(kind, stamp, payload)
 
 
 def old_gt3x(samples: Iterable[Sample], start: datetime, *, rate: int = 30) -> bytes:

@@ -11,6 +11,8 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 from mcap_ros2._dynamic import serialize_dynamic
 
+from imucalib.readers.mcap import McapLog
+
 START = 1_700_000_000_123_456_789
 SEPARATOR = "=" * 80
 HEADER_ROS2 = f"""{SEPARATOR}
@@ -155,6 +157,16 @@ def packed(
 def imu_log(path: Path, count: int = 1000, **options: object) -> Path:
     """A plain one-IMU log."""
     return write_log(path, {"/imu/data": packed(readings(count), cdr)}, **options)
+
+
+def messages_of(log: McapLog) -> list[tuple[int, int, int, int, bytes]]:
+    """Channel, sequence, log time, publish time and payload of every message, in file order."""
+    found: list[tuple[int, int, int, int, bytes]] = []
+    for block in log.blocks():
+        names = ("channel", "sequence", "log_time", "publish_time")
+        columns = [block.header(name).tolist() for name in names]
+        found += list(zip(*columns, block.payloads(), strict=True))
+    return found
 
 
 def values(rows: list[Reading], name: str) -> np.ndarray:

@@ -5,51 +5,12 @@ Each plant changes what one IMU, or a few, read at the true motion.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-
 import numpy as np
 
-from imucalib.recording.recording import Channel, Recording
-from worlds.boards import DEG, Array, BoardPlan, Made, Parts, handled, twisted
+from worlds.boards import DEG, Array, BoardPlan, Moved, Plant, Planted, plain
 
 G = 9.80665
 PLAN = BoardPlan(twist_s=25.0, mounting=0.3, gyro_gain=0.005)
-
-
-@dataclass(frozen=True)
-class Moved:
-    """The truth: t (n,); rate, spin, force (n, 3) of the origin in board axes; moving (n,)"""
-
-    t: Array
-    rate: Array
-    spin: Array
-    force: Array
-    moving: Array
-
-    def felt(self, r: Array) -> Array:
-        """(n, 3) specific force at places r (3,) or (n, 3) m that stand still on the board."""
-        r = np.broadcast_to(r, self.rate.shape)
-        return np.asarray(
-            self.force + np.cross(self.rate, np.cross(self.rate, r)) + np.cross(self.spin, r)
-        )
-
-
-@dataclass(frozen=True)
-class Planted:
-    """felt : (n, 3) force at the package; rate : (n, 3) that its gyro senses; both in board axes,
-    before the package's own gains"""
-
-    felt: Array
-    rate: Array
-
-
-#: From the truth, a place (m) and the number of the IMU to what that IMU senses.
-Plant = Callable[[Moved, Array, int], Planted]
-
-
-def plain(m: Moved, r: Array, k: int) -> Planted:
-    return Planted(m.felt(r), m.rate)
 
 
 def flexing(m: Moved, r: Array, k: int) -> Planted:
@@ -68,93 +29,12 @@ def by_rate(m: Moved, r: Array, k: int) -> Planted:
     return Planted(m.felt(r + 2e-4 * share[:, None] * np.array([0.6, -0.5, 0.6])), m.rate)
 
 
-def drifting(m: Moved, r: Array, k: int) -> Planted:
-    """imu2's accelerometer scale grows by 3 % over the motion, as its supply does."""
-    if k != 2:
-        return plain(m, r, k)
-    start = m.t[m.moving].min()
-    late = np.clip((m.t - start) / (m.t.max() - start), 0.0, 1.0)
-    return Planted(m.felt(r) * (1.0 + 0.03 * late[:, None]), m.rate)
-
-
 def gyro_drifting(m: Moved, r: Array, k: int) -> Planted:
     """imu2's gyro scale grows by 2 % over the log."""
     if k != 2:
         return plain(m, r, k)
     late = m.t / m.t[-1]
     return Planted(m.felt(r), m.rate * (1.0 + 0.02 * late[:, None]))
-
-
-def loose(m: Moved, r: Array, k: int) -> Planted:
-    """imu4 sits loose: it lies 0.3 mm to one side or the other by the sign of the force along z."""
-    if k != 4:
-        return plain(m, r, k)
-    side = np.tanh(m.felt(r)[:, 2:] / 2.0)
-    return Planted(m.felt(r + 1.5e-4 * side * np.array([0.0, 0.0, 1.0])), m.rate)
-
-
-def sensitive(m: Moved, r: Array, k: int) -> Planted:
-    """imu1's gyro reads force: 0.5 deg/s a g, along one direction."""
-    if k != 1:
-        return plain(m, r, k)
-    felt = m.felt(r)
-    return Planted(felt, m.rate + 0.5 * DEG / G * felt[:, [1, 2, 0]])
-
-
-def shifted_pair(m: Moved, r: Array, k: int) -> Planted:
-    """imu5 and imu6 turned by 1.5 deg after the rests, by a knock."""
-    if k not in (5, 6):
-        return plain(m, r, k)
-    turn = 1.5 * DEG * np.array([0.6, -0.5, 0.62])
-    felt, rate = m.felt(r), m.rate
-    on = m.moving[:, None]
-    return Planted(felt + on * np.cross(turn, felt), rate + on * np.cross(turn, rate))
-
-
-def late_few(m: Moved, r: Array, k: int) -> Planted:
-    """imu0, imu1 and imu2 hang on a bus that is 2 ms late, both sensors."""
-    if k > 2:
-        return plain(m, r, k)
-    return Planted(shifted(m.t, m.felt(r), 2e-3), shifted(m.t, m.rate, 2e-3))
-
-
-def shifted(t: Array, values: Array, late: float) -> Array:
-    """(n, 3) the values as they were `late` seconds before: Taylor's series by differences, whose
-    fourth term is 1e-6 of a swing at 4 Hz and 2 ms."""
-    total, slope, step = values.copy(), values, t[1] - t[0]
-    for k in (1.0, 2.0, 3.0):
-        # Of the fifth order: plain differences lose a hundredth of a slope at 4 Hz and 100 Hz.
-        near, far = (np.roll(slope, -n, axis=0) - np.roll(slope, n, axis=0) for n in (1, 2))
-        slope = (8.0 * near - far) / (12.0 * step) * (-late / k)
-        total = total + slope
-    return np.asarray(total)
-
-
-def humming(m: Moved, r: Array, k: int) -> Planted:
-    """A motor beside imu7 shakes it at 31 Hz with 3 m/s² while the board moves."""
-    if k != 7:
-        return plain(m, r, k)
-    hum = 3.0 * np.sin(2.0 * np.pi * 31.0 * m.t)[:, None] * np.array([0.5, 0.2, 0.84])
-    return Planted(m.felt(r) + m.moving[:, None] * hum, m.rate)
-
-
-def saturating(limit: float, imus: frozenset[int]) -> Plant:
-    """Gyros that saturate softly: a tanh of so many deg/s."""
-
-    def plant(m: Moved, r: Array, k: int) -> Planted:
-        if k not in imus:
-            return plain(m, r, k)
-        return Planted(m.felt(r), limit * DEG * np.tanh(m.rate / (limit * DEG)))
-
-    return plant
-
-
-def one_sided(m: Moved, r: Array, k: int) -> Planted:
-    """imu3's gyro reads 1 % more of one direction of turning about one axis."""
-    if k != 3:
-        return plain(m, r, k)
-    more = np.maximum(m.rate, 0.0) * np.array([0.01, 0.0, 0.0])
-    return Planted(m.felt(r), m.rate + more)
 
 
 def slowed(t: Array, values: Array, tau: float) -> Array:
@@ -184,36 +64,3 @@ def slow(
         )
 
     return plant
-
-
-PLANTS: dict[str, Plant] = {
-    "clean": plain, "flexing": flexing, "by rate": by_rate, "drifting": drifting,
-    "gyro drifting": gyro_drifting, "loose": loose, "sensitive": sensitive,
-    "one-sided": one_sided, "shifted pair": shifted_pair, "late few": late_few, "humming": humming,
-    "gyro saturating": saturating(1500.0, frozenset({0})),
-    "gyros saturating": saturating(2500.0, frozenset(range(8))),
-}  # fmt: skip
-
-
-def odd_log(
-    parts: Parts, plant: Plant, plan: BoardPlan, rng: np.random.Generator, often: int = 1
-) -> Made:
-    """A log of a board of which some IMUs sense something else; often : steps of the truth from
-    sample to sample, for what has a memory."""
-    fine = replace(plan, hz=often * plan.hz)
-    rests, twist = handled(fine, rng), twisted(fine, rng)
-    w, spin, force = (np.concatenate(pair) for pair in zip(rests, twist, strict=True))
-    t, moving = np.arange(len(w)) / fine.hz, np.arange(len(w)) >= len(rests[0])
-    truth, channels = Moved(t, w, spin, force, moving), {}
-    t, moving = t[::often], moving[::often]
-    n = len(t)
-    for i, name in enumerate(parts.names):
-        seen = plant(truth, parts.positions[i], i)
-        noise = rng.normal(size=(2, n, 3))
-        seen = Planted(seen.felt[::often], seen.rate[::often])
-        x = seen.felt @ parts.gain[i].T + rng.normal(size=3) * plan.bias + noise[0] * plan.sigma
-        y = seen.rate @ parts.gyro_gain[i].T
-        y = y + (rng.normal(size=3) * plan.gyro_bias + noise[1] * plan.sigma_gyro) * DEG
-        for quantity, unit, values in (("acceleration", "m/s2", x), ("angular_rate", "rad/s", y)):
-            channels[f"{name}/{quantity}"] = Channel(t, values, unit, quantity, name, plan.hz)
-    return Made(Recording(channels, "simulated", "simulated", ""), parts.positions, moving)

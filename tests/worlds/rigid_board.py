@@ -8,13 +8,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.triads import Triad
 from imucalib.recording.recording import Channel, Recording
 
-Array = NDArray[np.float64]
 DEG = np.pi / 180.0
 G = 9.80665
 

@@ -246,12 +246,6 @@ def angle_late(sheet: Sheet, column: str) -> Sheet:
     return replace(sheet, **{column: moved}, slip=Slip("late", (), f"--shift {column}=1"))
 
 
-def in_counts(sheet: Sheet, per_g: float) -> Sheet:
-    """Readings in counts under headings without a unit."""
-    slip = Slip("counts", (), f"--unit counts --lsb {per_g:g}")
-    return replace(sheet, reading=sheet.reading * per_g / 1000.0, slip=slip)
-
-
 def apart(sheet: Sheet, p: int, q: int) -> float:
     """Distance (mg) of the positions of two rows (from 1)."""
     u = direction(sheet.inclination, sheet.tool_face)

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucalib.recording.recording import Channel, Recording
+from imucalib.arrays import Array
 
-Array = NDArray[np.float64]
 G = 9.81
 RATE, REST, TURN = 100.0, 2.0, 2.0  # Hz, s, s
 
@@ -39,13 +37,3 @@ def turned(
     acc += rng.normal(0.0, noise, acc.shape)
     rate += rng.normal(0.0, 0.1 * noise, rate.shape)
     return np.arange(len(acc)) / RATE, acc, rate
-
-
-def recording_of(t: Array, acc: Array, rate: Array, stated: str = "rad/s") -> Recording:
-    """One triad with a gyroscope whose numbers `rate` are called by the stated unit."""
-    hz = 1.0 / float(np.median(np.diff(t)))
-    channels = {
-        "imu0/acceleration": Channel(t, acc, "m/s2", "acceleration", "imu0", hz),
-        "imu0/angular_rate": Channel(t, rate, stated, "angular_rate", "imu0", hz),
-    }
-    return Recording(channels, "made", "made", "", start_ns=1_700_000_000_000_000_000)

@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibrators.actigraph import simulation
 from imucalib.calibrators.actigraph.observations import covariates_of
 from imucalib.calibrators.actigraph.simulation import (
@@ -20,8 +20,6 @@ from imucalib.core.effect import Context
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.runs import PostureRuns, Scan
 from imucalib.units import MG, STANDARD_GRAVITY
-
-Array = NDArray[np.float64]
 
 DAY = 86400.0
 POSTURE = 120.0  # s, mean length of a posture at rest

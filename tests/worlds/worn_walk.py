@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibrators.actigraph.calibrate import ActigraphResult, calibrate
 from imucalib.calibrators.actigraph.observations import covariates_of
 from imucalib.calibrators.actigraph.request import ActigraphRequest
@@ -19,7 +19,6 @@ from imucalib.core.effect import Context
 from imucalib.core.fit import Fit
 from imucalib.rests.runs import PostureRuns, Scan
 
-Array = NDArray[np.float64]
 G = 9.80665
 MG = 1e-3 * G
 HOUR = 3600.0
@@ -38,10 +37,8 @@ EFFECTS: dict[str, Callable[[Array, Array, Array, Array], Array]] = {
     "temperature_scale": lambda x, t, u, c: c * x * t[:, None],
     "bias_drift": lambda x, t, u, c: c * u[:, None],
     "bias_step": lambda x, t, u, c: c * (u[:, None] > 0.07),
-    "quadratic": lambda x, t, u, c: c * x**2,
     "cubic": lambda x, t, u, c: c * x**3,
     "converter": lambda x, t, u, c: c * np.sin(2 * np.pi * x / 0.45 + 1.0),
-    "dead_band": lambda x, t, u, c: c * np.clip(x / 0.05, -1.0, 1.0),
 }
 
 
@@ -168,5 +165,4 @@ class Case:
 
     def oracle_name(self) -> str:
         at = 0.57 * SPAN
-        curved = {"converter": "converter@xyz", "dead_band": "converter@xyz"}
-        return {"bias_step": f"bias_step@{at:.10g}s", **curved}.get(self.effect, self.effect)
+        return f"bias_step@{at:.10g}s" if self.effect == "bias_step" else self.effect

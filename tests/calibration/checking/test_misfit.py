@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imucalib.calibration.calibration import Calibration, StoredParameter
+from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.checking.check import Check, Measured, checked
 from imucalib.calibration.checking.misfit import Misfits, misfits_of, triad_misfits
 from imucalib.calibration.checking.noise import check_noise
@@ -17,6 +17,7 @@ from imucalib.core.effect import Context
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm
 from worlds.instrument import DEG, MG, G, four, vectors
+from worlds.stated import stated
 
 
 def looked_at(rests: int, shift: np.ndarray) -> Check:
@@ -113,24 +114,14 @@ def test_the_imu_that_changed_is_named() -> None:
 MEMORY, ALONE, SHARED = 4.0, 0.2, 0.73
 
 
-NINE = (*(f"bias_{a}" for a in "xyz"), *(f"scale_{a}" for a in "xyz"), "cross_yx", "cross_zx",
-        "cross_zy")  # fmt: skip
-
-
 def calibration(alone: float) -> Calibration:
     """Of a sensor without any error, known to next to nothing."""
-    effects = ["bias"] * 3 + ["scale"] * 3 + ["non_orthogonality"] * 3
-    units = ["mg"] * 3 + ["1"] * 6
-    stored = tuple(
-        StoredParameter(n, e, "sensor", 0.0, 1e-6, u)
-        for n, e, u in zip(NINE, effects, units, strict=True)
-    )
     noise = {
         "reading_mg": alone, "reading_sd_mg": 0.05 * alone, "shared_mg": SHARED,
         "shared_sd_mg": 0.2 * SHARED, "shared_memory_positions": MEMORY,
     }  # fmt: skip
-    return Calibration("lab", stored, 1e-12 * np.eye(9), "m/s2", 1.0, G, "ok",
-                       facts={"noise": noise})  # fmt: skip
+    nine = {name: np.zeros(3) for name in ("bias", "scale", "non_orthogonality")}
+    return stated(nine, 1e-12 * np.eye(9), facts={"noise": noise})
 
 
 def read(rests: int, rng: np.random.Generator, alone: float) -> Observations:
@@ -163,15 +154,6 @@ def test_misfits_scatter_and_hang_together_as_stated(alone: float) -> None:
     values = np.array(white)
     assert np.mean(values**2) == pytest.approx(1.0, abs=0.13)
     assert np.mean(values[:, 1:] * values[:, :-1]) == pytest.approx(0.0, abs=0.1)
-
-
-def test_a_reading_scatters_by_both_with_the_freedom_of_both() -> None:
-    noise = check_noise(calibration(ALONE))
-    assert noise.reading.sd / MG == pytest.approx(np.hypot(ALONE, SHARED))
-    squares = np.array([ALONE, SHARED]) ** 2
-    freedom = squares.sum() ** 2 / np.sum(squares**2 / np.array([200.0, 12.5]))
-    assert noise.reading.dof == pytest.approx(freedom)
-    assert "of which neighbours share 93 %" in noise.words[0]
 
 
 @pytest.mark.slow

@@ -1,20 +1,33 @@
-"""Calibrations compared: by chance, by attitude, by date and over power-ups."""
+"""Calibrations compared, each number by its equation: by chance, attitude, date and power-ups."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.checking.noise import sessions_of
-from imucalib.calibration.comparison.agreement import agreement, beyond
+from imucalib.calibration.comparison.agreement import (
+    agreement,
+    beyond,
+    noise_dof,
+    odd_ones,
+)
 from imucalib.calibration.comparison.basis import Basis, basis_of
-from imucalib.calibration.comparison.compare import compared, slope_of, with_power_ups
-from imucalib.calibration.triads import Triad
+from imucalib.calibration.comparison.compare import (
+    array_meanings,
+    compared,
+    due,
+    slope_of,
+    with_power_ups,
+)
 from imucalib.core.sphere import even_directions
 from imucalib.errors import UnreadableInput, UsageError
+from imucalib.units import DEG
 from worlds.instrument import MG, Array, G, rotation
 from worlds.stated import made
 
@@ -46,7 +59,7 @@ def test_the_difference_at_the_worst_attitude_is_the_plain_physics() -> None:
     half = root(rng, 9)
     first = np.concatenate([[10.0, -5.0, 3.0], [2e-3, -3e-3, 1e-3], [0.5, -0.3, 0.2]])
     other = first + np.array([1.5, 0.0, -1.0, 1e-3, 0.0, -5e-4, 0.1, 0.0, 0.2])
-    files = [made(t, half @ half.T, mounted=True) for t in (first, other)]
+    files = [made(t, half @ half.T) for t in (first, other)]
     found = compared(files, ["a", "b"], {})
     assert found.basis.words == "All hold the same parameters."
     u = even_directions(400)
@@ -149,7 +162,7 @@ def test_what_cannot_be_compared_is_refused() -> None:
         compared([one], ["a"], {})
     with pytest.raises(UnreadableInput, match="no uncertainty"):
         compared([one, made(np.zeros(6), 0.0 * covariance)], ["a", "b"], {})
-    tied = made(np.zeros(9), np.diag([0.04] * 3 + [1e-7] * 3 + [1e-4] * 3), mounted=True)
+    tied = made(np.zeros(9), np.diag([0.04] * 3 + [1e-7] * 3 + [1e-4] * 3))
     with pytest.raises(UsageError, match="not all tie a frame"):
         compared([one, tied], ["a", "b"], {"deg": 0.1})
     assert any("only b ties" in n for n in compared([one, tied], ["a", "b"], {}).notes)
@@ -211,29 +224,104 @@ def test_a_scatter_that_is_given_is_in_every_sd_of_one_power_up() -> None:
     assert any("--between-sessions" in note for note in plain.notes)
 
 
-def forces(n: int = 5) -> Array:
-    found = np.random.default_rng(2).normal(size=(n, 3))
-    return G * found / np.linalg.norm(found, axis=1, keepdims=True)
+def basis(seed: int = 0, m: int = 4) -> Basis:
+    rng = np.random.default_rng(seed)
+    roots = rng.normal(size=(m, 2, 2))
+    covariance = roots @ roots.swapaxes(1, 2) + 0.3 * np.eye(2)
+    dof = np.array([9.0, 20.0, 14.0, 30.0])[:m]
+    return Basis(("a", "b"), ("mg", "1"), 2.0 * rng.normal(size=(m, 2)), covariance, dof, "")
 
 
-def imu() -> Triad:
-    rng = np.random.default_rng(3)
-    turn = rotation(np.array([20.0, -50.0, 110.0]))
-    return Triad("imu0", turn, np.eye(3) + 0.1 * rng.normal(size=(3, 3)), rng.normal(size=3),
-                 np.eye(3), np.zeros(3), np.diag(np.arange(1.0, 13.0)), 0.03, 0.1)  # fmt: skip
+def test_all_agree_by_generalised_least_squares() -> None:
+    made = basis()
+    white = [np.linalg.inv(np.linalg.cholesky(c)) for c in made.covariance]
+    y = np.concatenate([w @ v for w, v in zip(white, made.value, strict=True)])
+    x = np.concatenate(white)
+    mean, rest = np.linalg.lstsq(x, y, rcond=None)[:2]
+    found = agreement(made)
+    np.testing.assert_allclose(found.mean, mean)
+    np.testing.assert_allclose(found.mean_sd, np.sqrt(np.diag(np.linalg.inv(x.T @ x))))
+    assert found.chi2 == pytest.approx(rest[0])
+    assert found.dof == 6
+    assert found.z_rms == pytest.approx(np.sqrt(rest[0] / 6.0))
+    assert found.p == pytest.approx(stats.f.sf(rest[0] / 6.0, 6, found.noise_dof))
+    # Each against the mean of the others.
+    for k in range(4):
+        others = [j for j in range(4) if j != k]
+        weight = np.sum([np.linalg.inv(made.covariance[j]) for j in others], axis=0)
+        own = np.linalg.inv(weight)
+        weighted = [np.linalg.solve(made.covariance[j], made.value[j]) for j in others]
+        other = own @ np.sum(weighted, axis=0)
+        whole = made.covariance[k] + own
+        away = made.value[k] - other
+        np.testing.assert_allclose(found.z[k], away / np.sqrt(np.diag(whole)))
+        nu = noise_dof(np.array([made.covariance[k], own]),
+                       np.array([made.dof[k], made.dof[others].sum()]))  # fmt: skip
+        due = stats.f.sf(away @ np.linalg.solve(whole, away) / 2.0, 2, nu)
+        assert found.without[k] == pytest.approx(due)
 
 
-def test_how_the_force_of_an_imu_moves_with_gain_and_bias() -> None:
-    """Nine of the gain, row by row, and three of the bias; central differences."""
-    one, force = imu(), forces()
-    reading = one.reading(force)
-    np.testing.assert_allclose(one.force(reading), force, rtol=1e-12)
-    slope = np.empty((5, 3, 12))
-    for k, step in enumerate(1e-6 * np.eye(12)):
-        up, down = (
-            replace(one, gain=one.gain + s[:9].reshape(3, 3), bias=one.bias + s[9:])
-            for s in (step, -step)
+def test_fewer_than_half_may_be_the_odd_ones() -> None:
+    def of(*away: float) -> tuple[int, ...]:
+        m = len(away)
+        value = np.array(away)[:, None] * np.ones(2)
+        return odd_ones(Basis(("a", "b"), ("", ""), value, np.tile(np.eye(2), (m, 1, 1)),
+                              np.full(m, 1e6), ""), 0.05)  # fmt: skip
+
+    assert of(0.0, 0.1, -0.1) == ()
+    assert of(0.0, 9.0, 0.1) == (1,)
+    assert of(0.0, 9.0) == ()
+    assert of(0.0, 9.0, 0.1, -9.0) == ()  # two of four
+    assert of(0.0, 9.0, 0.1, -9.0, 0.2) == (1, 3)
+    assert of(0.0, 4.0, 8.0, 12.0, 16.0) == ()
+
+
+def test_a_limit_is_due_where_the_surest_drift_reaches_it() -> None:
+    days = np.array([0.0, 50.0, 100.0])
+    value = np.outer(days, [0.02, -0.04, 0.0])
+    attitude, variance = np.eye(3), np.array([[1e-6, 1e-6, 4.0]] * 3)
+    found = due(days, value, variance, attitude, 3.0)
+    assert found.attitude.tolist() == [0.0, 1.0, 0.0]
+    assert found.expected == pytest.approx(75.0)
+    steepest = slope_of(days, value[:, 2], variance[:, 2], 30)
+    assert found.earliest == pytest.approx(3.0 / steepest.half)
+    none = due(days, 0.0 * value, variance, attitude, 3.0)
+    assert none.expected == np.inf
+    assert none.attitude.tolist() == [0.0, 0.0, 1.0]
+    several = due(days, value, variance, attitude, 3.0, sensors=4)
+    assert several.earliest < found.earliest
+
+
+def test_an_arrays_places_and_gyros_that_differ_most() -> None:
+    """Three boards of four IMUs; the first IMU is where places are counted from."""
+    rng = np.random.default_rng(6)
+    places, rates = rng.normal(size=(3, 3, 3)), rng.normal(size=(3, 4, 3))
+    boards = [
+        SimpleNamespace(
+            triads=[SimpleNamespace(name=f"imu{k}", gyro_bias=DEG * r[k]) for k in range(4)]
         )
-        slope[:, :, k] = (up.force(reading) - down.force(reading)) / 2e-6
-    due = np.einsum("nip,pq,njq->nij", slope, one.covariance, slope)
-    np.testing.assert_allclose(one.force_covariance(force), due, rtol=1e-6)
+        for r in rates
+    ]
+    root = 0.1 * rng.normal(size=(3, 9, 9))
+    covariance = root @ root.swapaxes(1, 2)
+    made = Basis(("p",) * 9, ("mm",) * 9, places.reshape(3, 9), covariance, np.full(3, 9.0), "")
+    (place, rate), (said,) = array_meanings(boards, made, {"mm": 0.5, "deg/s": 0.7})  # type: ignore[arg-type]
+    away = places[:, None] - places[None]
+    far = np.linalg.norm(away, axis=3)
+    i, j, k = (int(v) for v in np.unravel_index(np.argmax(far), far.shape))
+    assert set(place.pair) == {i, j}
+    assert place.value == pytest.approx(far.max())
+    assert place.sensor == f"imu{k + 1}"
+    assert place.limit == 0.5
+    along = away[i, j, k] / far.max()
+    own = covariance[[i, j], 3 * k : 3 * k + 3, 3 * k : 3 * k + 3].sum(axis=0)
+    assert place.sd == pytest.approx(np.sqrt(along @ own @ along))
+    apart = np.abs(rates[:, None] - rates[None])
+    i, j, k, axis = (int(v) for v in np.unravel_index(np.argmax(apart), apart.shape))
+    assert set(rate.pair) == {i, j}
+    assert rate.value == pytest.approx(apart.max())
+    assert rate.sensor == f"imu{k}"
+    assert f"{apart.max():.2g} deg/s at most (imu{k}, {'xyz'[axis]})" in said
+    # Without limits: twice the largest stated sd of a coordinate.
+    (place,), _ = array_meanings(boards, made, {})  # type: ignore[arg-type]
+    assert place.limit == pytest.approx(2.0 * np.sqrt(np.einsum("kii->ki", covariance).max()))

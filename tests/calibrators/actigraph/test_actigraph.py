@@ -3,38 +3,30 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
-from numpy.typing import NDArray
 
-from imucalib import cli
-from imucalib.calibration.apply import apply_to_recording
-from imucalib.calibration.file import read as read_calibration
-from imucalib.calibration.file import write as write_calibration
-from imucalib.calibrators.actigraph.errors import norm_sd
-from imucalib.calibrators.actigraph.observations import NINE, observations_of, robust_fit
+from imucalib.arrays import Array
+from imucalib.calibrators.actigraph.observations import NINE
 from imucalib.calibrators.actigraph.request import ActigraphRequest
-from imucalib.calibrators.actigraph.run import run_of
 from imucalib.calibrators.actigraph.series import series
 from imucalib.core.balance import Noise
 from imucalib.core.effect import Context
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm
-from imucalib.core.sphere import even_directions
 from imucalib.effects import named
 from imucalib.estimators.least_squares import fit
-from imucalib.recording.recording import Channel, Recording
+from imucalib.recording.recording import Recording
 from imucalib.rests.runs import WORN, posture_runs, scan
 from imucalib.units import MG, STANDARD_GRAVITY
+from worlds.command import run
 from worlds.places import SAMPLES
+from worlds.recordings import recording_of
 from worlds.week import WeekPlan, simulated_week
 
-Array = NDArray[np.float64]
 WRIST = SAMPLES / "wrist_day.csv.gz"
 G = STANDARD_GRAVITY
 
@@ -76,40 +68,12 @@ def test_errors_reach_the_cramer_rao_bound(n: int, cases: int) -> None:
     assert 0.9 < z.std() < 1.1
 
 
-@pytest.mark.slow
-def test_stated_uncertainty_covers_on_clustered_postures() -> None:
-    z = []
-    for seed in range(40):
-        week = simulated_week(WeekPlan(days=0.7), seed)
-        data = observations_of(week.runs, week.scanned, G)
-        found, _ = robust_fit(nine(), data, week.runs)
-        truth = np.concatenate([week.plan.sensor[name] for name in found.model.names])
-        z.append((found.theta - truth) / found.sd)
-    assert 0.9 < np.std(z) < 1.1
-
-
-def test_norm_sd_is_what_the_parameters_leave() -> None:
-    week = simulated_week(WeekPlan(days=0.5), 3)
-    found, _ = robust_fit(nine(), observations_of(week.runs, week.scanned, G), week.runs)
-    at = even_directions(60)
-    rng = np.random.default_rng(0)
-    draws = rng.multivariate_normal(found.theta, found.covariance, 300)
-    reading = found.model.predict(found.theta, G * at[:, None], Context(60)).reading
-    norms = [
-        np.linalg.norm(found.model.correct(t, reading, Context(60))[:, 0], axis=1) for t in draws
-    ]
-    ratio = np.std(norms, axis=0) / norm_sd(found, at)
-    assert 0.9 < ratio.mean() < 1.1
-
-
 def recorded(means: Array, seconds: float, rate: float = 20.0, noise: float = 4.0) -> Recording:
     """Postures (n, 3) in g held for some seconds each, without movement between."""
     rng = np.random.default_rng(1)
     values = np.repeat(means * G, round(seconds * rate), axis=0)
     values = values + noise * MG * rng.standard_normal(values.shape)
-    t = np.arange(len(values)) / rate
-    channel = Channel(t, values, "m/s2", "acceleration", "imu0", rate)
-    return Recording({"imu0/acceleration": channel}, "made", "made", "")
+    return recording_of(np.arange(len(values)) / rate, values, hz=rate)
 
 
 def test_a_new_posture_begins_a_run() -> None:
@@ -117,41 +81,6 @@ def test_a_new_posture_begins_a_run() -> None:
     runs = posture_runs(scan([recorded(means, 60.0)], WORN.window))
     assert runs.windows.tolist() == [6, 12, 6]
     assert np.allclose(runs.mean / G, means[[0, 1, 3]], atol=1e-3)
-
-
-def test_blocks_give_the_same_runs_as_the_whole() -> None:
-    means = even_directions(12)
-    whole = recorded(means, 33.0)
-    channel = whole.channels["imu0/acceleration"]
-    parts = []
-    for a in range(0, channel.t.size, 777):
-        part = replace(channel, t=channel.t[a : a + 777], values=channel.values[a : a + 777])
-        parts.append(replace(whole, channels={"imu0/acceleration": part}))
-    one, two = (posture_runs(scan(r, WORN.window)) for r in ([whole], parts))
-    assert np.array_equal(one.windows, two.windows)
-    assert np.allclose(one.mean, two.mean, rtol=0.0, atol=1e-12)
-
-
-@pytest.mark.slow
-def test_a_step_is_undone_at_its_own_time(tmp_path: Path) -> None:
-    plan = WeekPlan(days=2.0, plant={"bias_step@86400s": (30.0, -20.0, 40.0)})
-    week = simulated_week(plan, 8)
-    run = run_of(week.runs, week.scanned, ActigraphRequest(), lambda text: None)
-    assert [s.effect.partition("@")[0] for s in run.outcome.findings.steps] == ["bias_step"]
-    path = tmp_path / "calibration.yaml"
-    write_calibration(run.calibration, path)
-    t = np.array([3600.0, 170000.0])
-    theta = np.concatenate([plan.sensor[name] for name in NINE])
-    force = G * np.array([[0.6, 0.0, 0.8], [0.6, 0.0, 0.8]])
-    reading = nine().predict(theta, force[:, None], Context(2)).reading[:, 0]
-    reading[1] += MG * np.array([30.0, -20.0, 40.0])
-    channel = Channel(t, reading, "m/s2", "acceleration", "imu0", 1.0)
-    recording = Recording({"imu0/acceleration": channel}, "made", "made", "", start_ns=0)
-    out = apply_to_recording(read_calibration(path), recording)
-    assert np.allclose(out.channels["imu0/acceleration"].values, force, atol=0.5 * MG)
-    undated = replace(recording, start_ns=10**17)
-    later = apply_to_recording(read_calibration(path), undated)
-    assert not np.allclose(later.channels["imu0/acceleration"].values[0], force[0], atol=10.0 * MG)
 
 
 def test_series_finds_a_change_and_nothing_without_one() -> None:
@@ -167,8 +96,7 @@ def test_series_finds_a_change_and_nothing_without_one() -> None:
 @pytest.fixture(scope="module")
 def wrist(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, int]:
     out = tmp_path_factory.mktemp("wrist")
-    arguments = ["actigraph", str(WRIST), "-o", str(out), "-q"]
-    result = CliRunner().invoke(cli.cli, arguments, standalone_mode=False)
+    result = run("actigraph", WRIST, "-o", out, "-q")
     assert result.exception is None
     return out, result.return_value
 

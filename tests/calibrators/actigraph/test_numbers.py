@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibrators.actigraph import errors
 from imucalib.calibrators.actigraph.observations import (
-    covariates_of,
     observations_of,
-    quantisation,
     robust_fit,
-    weighted,
 )
-from imucalib.calibrators.actigraph.simulation import scan_of, worn_blocks
 from imucalib.calibrators.actigraph.wear import (
     Minutes,
     Wear,
@@ -25,72 +18,16 @@ from imucalib.calibrators.actigraph.wear import (
     closest_point,
     wear_of,
 )
-from imucalib.core.effect import Context
 from imucalib.core.model import Model
-from imucalib.core.observations import Observations
-from imucalib.core.references import KnownNorm
 from imucalib.effects import named
-from imucalib.recording.recording import Channel, Recording
+from imucalib.recording.recording import Recording
 from imucalib.rests.runs import PostureRuns, Scan, scan
 from imucalib.units import MG, STANDARD_GRAVITY
+from worlds.recordings import recording_of
 from worlds.week import WeekPlan, simulated_week
 
-Array = NDArray[np.float64]
-
-
 G = STANDARD_GRAVITY
-
-
 NINE = ("bias", "scale", "non_orthogonality")
-
-
-def runs_of(n: int = 6, **changed: object) -> PostureRuns:
-    u = np.concatenate([np.eye(3), -np.eye(3)])[np.arange(n) % 6]
-    made: dict[str, object] = {
-        "mean": G * u, "windows": np.arange(1, n + 1), "time": 3600.0 * np.arange(n),
-        "temperature": np.full(n, np.nan), "window_noise": 3.0 * MG, "still": 21, "total": 100,
-        "noise": np.full(3, 2.0 * MG), "resolution": np.zeros(3),
-    }  # fmt: skip
-    return PostureRuns(**{**made, **changed})  # type: ignore[arg-type]
-
-
-def scanned(seconds: float, **changed: object) -> Scan:
-    made = scan_of(np.zeros(0), None, rate=25.0, seconds=seconds)
-    return Scan(**{**vars(made), **changed})  # type: ignore[arg-type]
-
-
-def test_a_runs_noise_is_that_of_its_windows_beside_a_milli_g() -> None:
-    data = observations_of(runs_of(), scanned(6 * 3600.0), G, blocks=3)
-    np.testing.assert_allclose(data.sigma[:, 0, 0] / MG, np.sqrt(1.0 + 9.0 / np.arange(1.0, 7.0)))
-    # Three stretches of equal time between the first run and the last.
-    assert data.group.tolist() == [0, 0, 1, 1, 2, 2]
-    assert data.label[1] == "run at 0 d 01:00"
-
-
-def test_a_step_is_an_error_only_where_noise_does_not_average_it_out() -> None:
-    """Step / √12 of an axis whose noise is below half a step."""
-    coarse = runs_of(noise=np.array([1.9, 2.1, 2.1]) * MG, resolution=np.full(3, 4.0 * MG))
-    assert quantisation(coarse) == pytest.approx(4.0 * MG / np.sqrt(36.0))
-    assert quantisation(runs_of(noise=np.full(3, 2.0 * MG), resolution=np.full(3, 4.0 * MG))) == 0.0
-    data = observations_of(coarse, scanned(6 * 3600.0), G)
-    assert data.sigma[0, 0, 0] / MG == pytest.approx(np.sqrt(1.0 + 16.0 / 36.0 + 9.0))
-
-
-def test_what_effects_may_depend_on_is_there_where_it_varies() -> None:
-    n = 6
-    found = covariates_of(runs_of(), scanned(10 * 3600.0))
-    np.testing.assert_allclose(found["order"], np.arange(n) / 10.0)
-    np.testing.assert_allclose(found["previous_x"], G * np.array([1.0, 1.0, 0.0, 0.0, -1.0, 0.0]))
-    assert "time_of_day" not in found
-    assert "temperature" not in found
-    long = covariates_of(runs_of(), scanned(1.6 * 86400.0, start_ns=6 * 3600 * 10**9))
-    np.testing.assert_allclose(long["time_of_day"], 2.0 * np.pi * (6.0 + np.arange(n)) / 24.0)
-    assert "time_of_day" not in covariates_of(runs_of(), scanned(1.4 * 86400.0))
-    grid = np.arange(0.0, 36000.0, 60.0)
-    for swing, there in ((0.99, False), (1.0, True)):
-        warm = scan_of(grid, 20.0 + grid, rate=25.0, seconds=36000.0)
-        runs = runs_of(temperature=20.0 + swing * np.arange(n) / (n - 1.0))
-        assert ("temperature" in covariates_of(runs, warm)) == there
 
 
 def fitted_nine(seed: int = 1) -> tuple[object, PostureRuns, Scan]:
@@ -143,8 +80,6 @@ def test_errors_over_the_sphere_are_those_of_the_nearest_part() -> None:
 
 
 RATE, HOURS = 5.0, 6
-
-
 SCALE, OFFSET = np.array([1.01, 0.985, 1.004]), np.array([0.02, -0.03, 0.01])
 
 
@@ -161,8 +96,7 @@ def log(seed: int = 0) -> Recording:
     off = (t >= 2 * 3600) & (t < 4 * 3600)
     truth[off] = [0.0, 0.0, 1.0]
     reading = truth / SCALE - OFFSET + rng.normal(0.0, 0.001, truth.shape)
-    channel = Channel(t, reading * STANDARD_GRAVITY, "m/s2", "acceleration", "imu0", RATE)
-    return Recording({"imu0/acceleration": channel}, "log", "csv", "0" * 64)
+    return recording_of(t, reading * STANDARD_GRAVITY, hz=RATE)
 
 
 @pytest.fixture(scope="module")
@@ -217,69 +151,3 @@ def test_night_is_the_least_active_part_of_the_clock() -> None:
     assert found.night_error == pytest.approx((4.0, 1.0))
     few = Minutes(minute[:600], minutes.count[:600], minutes.raw[:600], minutes.corrected[:600])
     assert activity_of(few, wear, 0.0, errors, at).night is None
-
-
-PLAN = WeekPlan(days=0.5, rests=0.6, noise=4.0, rate=0.5, temperature=True)
-
-
-def values(plan: WeekPlan, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Times, readings and temperatures of all blocks."""
-    blocks = list(worn_blocks(plan, seed))
-    assert len(blocks) == 12
-    found = [[b.channels[f"imu0/{q}"] for b in blocks] for q in ("acceleration", "temperature")]
-    t, warm = found[0], found[1]
-    assert all(np.array_equal(a.t, b.t) for a, b in zip(t, warm, strict=True))
-    return (
-        np.concatenate([c.t for c in t]),
-        np.concatenate([c.values for c in t]),
-        np.concatenate([c.values[:, 0] for c in warm]),
-    )
-
-
-def test_what_is_planted_is_added_by_its_equation() -> None:
-    """Differences of two recordings of one seed: noise and postures fall out."""
-    t, plain, warm = values(PLAN)
-    day = 2.0 * np.pi * t / 86400.0
-    by_hand = {
-        "temperature_bias": ((1.0, 0.0, -2.0), (warm - 25.0)[:, None] * [1.0, 0.0, -2.0]),
-        "bias_drift": ((5.0, 0.0, 3.0), (t / 43200.0 - 0.5)[:, None] * [5.0, 0.0, 3.0]),
-        "time_of_day": (
-            (3.0, 0.0, 0.0, 0.0, 0.0, 2.0),
-            np.column_stack([3.0 * np.cos(day), 0.0 * day, 2.0 * np.sin(day)]),
-        ),
-    }
-    for name, (theta, expected) in by_hand.items():
-        with_it = values(replace(PLAN, plant={name: theta}))[1]
-        np.testing.assert_allclose((with_it - plain) / MG, expected, atol=1e-6)
-
-
-N = 600
-
-
-def world(between: float, seed: int) -> tuple[SimpleNamespace, SimpleNamespace, np.ndarray]:
-    """Runs of 1 to 40 windows whose |a| is off by `between` (m/s²) and their noise, ten of them by
-    thirty times that; the sd of each."""
-    rng = np.random.default_rng(seed)
-    windows = rng.integers(1, 41, N)
-    runs = SimpleNamespace(n=N, windows=windows, window_noise=4.0 * MG * np.ones(N),
-                           noise=np.full(3, 5.0 * MG), resolution=np.full(3, MG))  # fmt: skip
-    sd = np.hypot(between, 4.0 * MG / np.sqrt(windows))
-    misfit = sd * rng.standard_normal(N)
-    misfit[:10] = 30.0 * sd[:10]
-    data = Observations(np.zeros((N, 1, 3)), np.ones((N, 1, 3)), KnownNorm(N, 9.8), Context(N),
-                        np.arange(N), tuple(map(str, range(N))))  # fmt: skip
-    declared = rng.uniform(0.5, 2.0, N)
-    at = SimpleNamespace(residual=misfit / declared, sigma=declared[:, None] * np.ones((N, 3)))
-    return SimpleNamespace(at=at, observations=data), runs, sd
-
-
-@pytest.mark.parametrize("mg", [0.3, 1.0, 3.0, 30.0])
-def test_what_runs_differ_by_is_told_from_their_noise(mg: float) -> None:
-    """The scatter of the size of 600 numbers' median square is 4 %."""
-    fit, runs, sd = world(mg * MG, round(10 * mg))
-    found, heavy = weighted(fit, runs)  # type: ignore[arg-type]
-    usual = found.sigma[10:, 0, 0] / sd[10:]
-    assert np.median(usual) == pytest.approx(1.0, abs=0.12)
-    assert 10 <= heavy <= 12
-    # What is beyond four deviations counts as one at four.
-    np.testing.assert_allclose(30.0 * sd[:10] / found.sigma[:10, 0, 0], 4.0, rtol=1e-3)

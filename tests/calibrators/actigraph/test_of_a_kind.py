@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from imucalib.calibrators.actigraph.calibrate import ActigraphResult, calibrate
 from imucalib.calibrators.actigraph.request import ActigraphRequest
@@ -20,10 +19,10 @@ from imucalib.calibrators.population import (
     PriorParameter,
     to_yaml,
 )
-from imucalib.cli import cli
 from imucalib.errors import UsageError
 from imucalib.rests.runs import PostureRuns
 from imucalib.units import MG
+from worlds.command import run
 
 NAMES = [
     *(f"bias_{a}" for a in "xyz"), *(f"scale_{a}" for a in "xyz"), "cross_yx", "cross_zx",
@@ -136,7 +135,6 @@ def test_what_knows_no_prior_is_refused(
 ) -> None:
     file = tmp_path / "fleet.yaml"
     file.write_text(to_yaml(kind))
-    arguments = ["actigraph", "none.csv", "--fleet", str(file), *options]
-    done = CliRunner().invoke(cli, arguments, standalone_mode=False)
+    done = run("actigraph", "none.csv", "--fleet", file, *options)
     assert isinstance(done.exception, UsageError)
     assert message in str(done.exception)

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibrators.actigraph.observations import (
     NINE,
     base_fit,
@@ -25,15 +25,8 @@ from imucalib.rests.runs import PostureRuns, posture_runs, scan
 from imucalib.units import STANDARD_GRAVITY
 from worlds.week import Week, WeekPlan, code_steps, simulated_blocks, simulated_week
 
-Array = NDArray[np.float64]
-
-
 G = STANDARD_GRAVITY
-
-
 MODEL = Model(tuple(named(name) for name in NINE))
-
-
 TYPICAL = np.array([50.0] * 3 + [0.03] * 3 + [0.02] * 3)
 
 
@@ -84,8 +77,6 @@ OTHER = {
     "scale": (-0.02, 0.01, 0.03),
     "non_orthogonality": (-0.01, 0.004, 0.015),
 }
-
-
 WHEN = 1.4 * 86400.0
 
 

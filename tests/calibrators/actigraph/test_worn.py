@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
-from types import ModuleType
+from itertools import product
 from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from gates.bounds import at_most
-from imucalib.calibrators.actigraph.calibrate import ActigraphResult, calibrate
 from imucalib.calibrators.actigraph.request import ActigraphRequest
-from worlds.week import Week, WeekPlan, code_steps, simulated_week
+from worlds import worn_walk
+from worlds.worn_walk import Case
 
 WANTED = ActigraphRequest()
 
@@ -30,8 +28,8 @@ WANTED = ActigraphRequest()
         ("cubic", "walk 12 h"),
     ],
 )
-def test_an_effect_under_a_walk_is_named(worn: ModuleType, effect: str, noise: str) -> None:
-    case = worn.Case(noise, effect, 14.0, 31)
+def test_an_effect_under_a_walk_is_named(effect: str, noise: str) -> None:
+    case = Case(noise, effect, 14.0, 31)
     result = case.solved(WANTED)
     loop = result.loop
     names = {n.partition("@")[0] for s in loop.steps[:1] for n in (s.effect, *s.aliases)}
@@ -46,39 +44,32 @@ def test_an_effect_under_a_walk_is_named(worn: ModuleType, effect: str, noise: s
 
 @pytest.mark.slow
 @pytest.mark.parametrize("mg", [5.0, 10.0, 20.0, 40.0])
-def test_a_step_of_any_size_is_named(worn: ModuleType, mg: float) -> None:
+def test_a_step_of_any_size_is_named(mg: float) -> None:
     """The block that holds its moment cannot say when: it takes no part in the judgement."""
-    case = worn.Case("walk 2 h", "bias_step", 1.0, 31)
+    case = Case("walk 2 h", "bias_step", 1.0, 31)
     aim = mg / float(np.abs(case.size).max())
-    result = worn.Case("walk 2 h", "bias_step", aim, 31).solved(WANTED)
+    result = Case("walk 2 h", "bias_step", aim, 31).solved(WANTED)
     assert [s.effect.partition("@")[0] for s in result.loop.steps] == ["bias_step"]
     at = float(result.loop.steps[0].effect.partition("@")[2].removesuffix("s"))
     inside = np.sort(np.append(case.time, at))
-    moment = 0.57 * worn.SPAN
+    moment = 0.57 * worn_walk.SPAN
     assert np.sum((inside > min(at, moment)) & (inside < max(at, moment))) <= 2
     assert result.loop.verdict == "explained"
 
 
-NOISES = ("white", "walk 10 min", "walk 2 h", "walk 12 h", "t3")
-
-
-@cache
-def _without_effect(worn: ModuleType, noise: str, seed: int) -> Any:
-    return worn.Case(noise, "", 0.0, 500 + seed).solved(WANTED)
-
-
 @pytest.mark.slow
-def test_noise_is_taken_for_an_effect_as_seldom_as_stated(worn: ModuleType) -> None:
-    runs = [_without_effect(worn, noise, seed) for noise in NOISES for seed in range(8)]
+def test_noise_is_taken_for_an_effect_as_seldom_as_stated() -> None:
+    every = product(worn_walk.NOISES, range(500, 508))
+    runs = [Case(noise, "", 0.0, seed).solved(WANTED) for noise, seed in every]
     assert sum(bool(run.loop.steps) for run in runs) <= at_most(40, 0.05).most
 
 
 @pytest.mark.slow
-def test_a_walk_is_measured_and_stated(worn: ModuleType) -> None:
+def test_a_walk_is_measured_and_stated() -> None:
     """1 mg an axis, 2 h: seen in |a| as 1 mg beside 0.8 mg of scatter; the parameters cover it."""
     z, sizes, hours = [], [], []
     for seed in range(12):
-        case = worn.Case("walk 2 h", "", 0.0, 700 + seed)
+        case = Case("walk 2 h", "", 0.0, 700 + seed)
         result = case.solved(WANTED)
         truth = np.concatenate([case.bias, np.diag(case.gain) - 1.0])
         z.append((result.base.theta[:6] - truth) / result.base.sd[:6])
@@ -94,7 +85,7 @@ Planted = Callable[[Any, Any, Any, Any], Any]
 
 
 @pytest.fixture
-def loop_of(worn: ModuleType, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
+def loop_of(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
     """(planted, λ or 0 for its own size, seed, noise) -> the loop of a recording with it."""
 
     def found(planted: Planted, aim: float, seed: int, noise: str = "white") -> Any:
@@ -103,8 +94,8 @@ def loop_of(worn: ModuleType, monkeypatch: pytest.MonkeyPatch) -> Callable[..., 
         def one(x: Any, t: Any, u: Any, c: Any) -> Any:
             return (np.linalg.norm(c) if aim else 1.0) * planted(x, t, u, draws)
 
-        monkeypatch.setitem(worn.EFFECTS, "planted", one)
-        return worn.Case(noise, "planted", aim or 1.0, seed).solved(ActigraphRequest()).loop
+        monkeypatch.setitem(worn_walk.EFFECTS, "planted", one)
+        return Case(noise, "planted", aim or 1.0, seed).solved(ActigraphRequest()).loop
 
     return found
 
@@ -173,64 +164,9 @@ def test_a_play_of_the_temperature_is_no_lag(loop_of: Callable[..., Any], width:
     assert certain <= {"thermal_hysteresis", "temperature_bias"}
 
 
-Array = NDArray[np.float64]
-
-
-DAYS = 4.0
-
-
-def solved(week: Week, request: ActigraphRequest | None = None) -> ActigraphResult:
-    return calibrate(week.runs, week.scanned, request or ActigraphRequest())
-
-
-def knowing(week: Week, effect: str) -> float:
-    """Held-out error (mg) of one who knows which effect it is."""
-    request = ActigraphRequest(declare=(effect,), loop=False)
-    return solved(week, request).error.held_out.final
-
-
-def found_names(result: ActigraphResult) -> set[str]:
-    assert result.loop is not None
-    steps = result.loop.steps
-    every = [name for s in steps for name in (s.effect, *s.aliases)]
-    return {name.partition("@")[0] for name in every}
-
-
-STORIES = {
-    "temperature_bias": (0.8, -0.5, 1.2),
-    "bias_step@155555s": (3.0, -2.0, 4.0),
-    "cubic": (6.0, -5.0, 8.0),
-    "thermal_lag@1.5h": (0.8, -0.5, 1.2),
-    "bias_drift": (2.0, 1.0, -3.0),
-}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("effect", STORIES)
-def test_an_undeclared_effect_is_named_and_removed(effect: str) -> None:
-    week = simulated_week(WeekPlan(days=DAYS, plant={effect: STORIES[effect]}), 3)
-    result = solved(week)
-    assert effect.partition("@")[0] in found_names(result)
-    # In the block that is left out nobody can know when within it the bias jumped.
-    error = result.error.final if "step" in effect else result.error.held_out.final
-    assert error <= 1.3 * knowing(week, effect)
-    assert result.error.held_out.final < 0.8 * result.error.held_out.base
-    assert result.loop is not None
-    assert result.loop.verdict == "explained"
-
-
 @pytest.mark.slow
 def test_a_converters_curve_is_found_and_removed() -> None:
-    week = simulated_week(WeekPlan(days=DAYS, curve=code_steps(2.4)), 4)
-    result = solved(week)
+    result = Case("white", "converter", 20.0, 31).solved(WANTED)
     assert result.loop is not None
     assert result.loop.curves
     assert result.error.held_out.final < 0.8 * result.error.held_out.base
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(6))
-def test_a_clean_week_stays_as_it_is(seed: int) -> None:
-    result = solved(simulated_week(WeekPlan(days=2.0), 100 + seed))
-    assert result.loop is not None
-    assert not result.loop.steps

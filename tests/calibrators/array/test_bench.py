@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imucalib.calibrators.array.board import Board, board_names, read_board, undrawn_board
+from imucalib.calibrators.array.board import Board, read_board, undrawn_board
 from imucalib.calibrators.array.calibrate import calibrate_array
 from imucalib.calibrators.array.loop.search import start_state
 from imucalib.calibrators.array.loop.setup import array_setup
@@ -108,15 +108,6 @@ def test_logs_that_cannot_answer(plan: LogPlan, message: str) -> None:
     log = simulated_log(BOARD, plan, np.random.default_rng(1))
     with pytest.raises(Undetermined, match=message):
         calibrate(log.recording)
-
-
-def test_boards_that_come_along() -> None:
-    assert board_names() == ("mimu4444", "mimu4444_corners")
-    whole = read_board("mimu4444")
-    assert whole.count == 32
-    assert whole.drawn[1] == pytest.approx([0.0, 0.0, -2e-3])
-    distances = np.linalg.norm(whole.positions[:, None] - whole.positions, axis=2)
-    assert np.sort(distances + 9.0 * np.eye(32), axis=1)[:, 1] == pytest.approx(np.full(32, 6.3e-3))
 
 
 @pytest.mark.slow

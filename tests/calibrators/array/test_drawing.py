@@ -18,17 +18,14 @@ from imucalib.calibrators.array.drawing import (
     Drawn,
     compared,
     in_words,
-    places,
-    relative_axes,
-    rough_places,
     sketched,
 )
-from imucalib.calibrators.array.log import array_log, at_end, at_range, of_board
+from imucalib.calibrators.array.log import array_log, of_board
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.simulation import LogPlan, simulated_log
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.segments import still_segments
-from worlds.boards import DEG, BoardPlan, board_log, made_board, twisted
+from worlds.boards import BoardPlan, board_log, made_board
 
 PLACES = 0.02 * np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0.2)])
 
@@ -47,65 +44,10 @@ def test_a_board_without_a_drawing_is_sketched_in_the_axes_of_its_first() -> Non
     np.testing.assert_array_equal(board.accelerometer_axes, np.tile(np.eye(3), (4, 1, 1)))
 
 
-def test_axes_are_told_where_the_others_agree() -> None:
-    rng = np.random.default_rng(0)
-    truth = rng.normal(size=(30, 3))
-    own = SIGNED[[0, 0, 17, 0]]
-    read = np.einsum("kji,nj->nki", own, truth)
-    same = np.tile(np.eye(3), (4, 1, 1))
-    found = relative_axes(read + 0.05 * rng.normal(size=read.shape), same)
-    np.testing.assert_array_equal(found, own)
-    wild = relative_axes(read + 2.0 * rng.normal(size=read.shape), same)
-    np.testing.assert_array_equal(wild[2], np.eye(3))
-    assert in_words(SIGNED[0]) == "x,y,z"
-    assert in_words(np.array([[0.0, -1, 0], [0, 0, 1], [1, 0, 0]])) == "-y,z,x"
-
-
-def test_places_are_seen_by_the_forces_differences() -> None:
-    plan, rng = BoardPlan(twist_s=4.0), np.random.default_rng(3)
-    w, spin, force = twisted(plan, rng)
-    t, fast = np.arange(len(w)) / plan.hz, np.linalg.norm(w, axis=1) > 60.0 * DEG
-    felt = np.cross(w[:, None], np.cross(w[:, None], PLACES)) + np.cross(spin[:, None], PLACES)
-    felt += force[:, None]
-    found = rough_places(t, felt + np.array([0.1, 0.0, 0.0]), w, fast)
-    assert found is not None
-    assert np.abs(found - (PLACES - PLACES.mean(axis=0))).max() < 2e-4
-    assert rough_places(t, felt, w, fast & (np.cumsum(fast) < 40)) is None
-    assert rough_places(t, felt + 300.0 * rng.normal(size=felt.shape), w, fast) is None
-    alike = np.tile(np.eye(3), (4, 1, 1))
-    swapped = places(t, felt[:, [0, 2, 1, 3]], w, fast, drawn=PLACES, mounted=alike)
-    assert swapped is not None
-    assert swapped.place.tolist() == [0, 2, 1, 3]
-    assert swapped.exchanged == [1, 2]
-    assert not swapped.other_unit
-
-
-def test_clipping_is_at_the_range_or_where_an_end_repeats() -> None:
-    values = np.array([[0.0, 99.9, 0.0], [0.0, 99.7, 0.0], [-99.8, 0.0, 0.0]])
-    assert at_range(values, 100.0).tolist() == [True, False, True]
-    rng = np.random.default_rng(0)
-    noisy = rng.normal(size=(200, 3))
-    top = np.sort(np.abs(noisy[:, 0]))[::-1]
-    held = noisy.copy()
-    held[:, 0] = np.clip(held[:, 0], None, 3.5 * np.median(np.abs(noisy[:, 0])))
-    held[:6, 0] = 4.0 * top[0]
-    assert np.flatnonzero(at_end(held)).tolist() == list(range(6))
-    held[4:6, 0] = 0.0
-    assert not at_end(held).any()
-
-
 BOARD = read_board("mimu4444_corners")
-
-
 CHECK_PLAN = LogPlan(poses=12, pose_seconds=3.0, seconds=15.0)
-
-
 Matrix = NDArray[np.float64]
-
-
 FLIPPED, SWAPPED = np.diag([1.0, -1.0, 1.0]), np.eye(3)[[1, 0, 2]]
-
-
 QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 

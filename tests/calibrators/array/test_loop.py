@@ -6,18 +6,12 @@ import numpy as np
 import pytest
 
 from gates.bounds import at_most
-from imucalib.calibrators.array.effect_blocks import effect_blocks
-from imucalib.calibrators.array.estimate.sampled import corrected_samples
-from imucalib.calibrators.array.findings import array_findings
-from imucalib.calibrators.array.linear_part import linear_part
 from imucalib.calibrators.array.loop.catalogue import Scope, array_catalogue, named_effect
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop
 from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
 from imucalib.errors import UsageError
 from imucalib.estimators.array.gram import Columns, gram
-from imucalib.estimators.array.noise import Squares, chosen_noise, plain_noise
 from imucalib.estimators.array.samples import Readings, Weights, fit_samples
-from imucalib.significant_digits import plus_minus
 from worlds.array import corners, skew
 from worlds.array_stories import BOARD, STORIES, closed, named, planted_log, positions_z
 from worlds.places import ROOT
@@ -44,49 +38,6 @@ def test_a_planted_error_is_named(name: str) -> None:
 def test_clean_logs_are_left_alone_as_often_as_stated() -> None:
     again = [closed(planted_log("clean", seed)[0], 150) for seed in range(20, 60)]
     assert sum(bool(found.steps) for found in again) <= at_most(40, 0.05).most
-
-
-@pytest.mark.slow
-def test_sizes_come_with_their_uncertainty() -> None:
-    found = closed(planted_log("common gyro delay, 1 ms", 3)[0], 200)
-    term = next(t for t in found.final.found if t.name == "gyro_delay")
-    sd = float(found.final.sd_of(term)[0])
-    assert sd < 0.05
-    assert abs(float(term.theta[0]) - 1.0) < 4.0 * sd
-    _page_and_file_agree(found)
-
-
-def _page_and_file_agree(found: MotionLoop) -> None:
-    """What the page says of an effect is what calibration.yaml has."""
-    blocks = {block["effect"]: block["parameters"] for block in effect_blocks(found)}
-    alone = [s for s in array_findings(found).steps if len(blocks.get(s.effect, ())) == 1]
-    assert alone
-    for step in alone:
-        (one,) = blocks[step.effect]
-        assert step.size == plus_minus(one["value"], one["sd"], one["unit"])
-
-
-def squares(errors: np.ndarray) -> Squares:
-    """Of residuals (T, K, 3) from which nothing was taken."""
-    return Squares(np.sum(errors**2, axis=2), np.full(errors.shape[1], 3.0))
-
-
-def test_heavy_tails_are_taken_in() -> None:
-    rng = np.random.default_rng(2)
-    tails = rng.standard_t(4.0, size=(400, 8, 3))
-    plain = rng.standard_normal((400, 8, 3))
-    speed, first = rng.uniform(5.0, 30.0, 400), np.arange(400) % 2 == 0
-    square = squares(plain)
-    assert chosen_noise(square, speed, first).gained == 0.0
-    # Independent tails on three axes are lighter than those of one vector.
-    found = chosen_noise(squares(tails), speed, first)
-    assert found.freedom <= 10.0
-    grown = squares(plain * np.hypot(1.0, speed / 10.0)[:, None, None])
-    noise = chosen_noise(grown, speed, first)
-    assert noise.growth > 0.0
-    assert not np.isfinite(noise.freedom)
-    assert noise.variance(np.array([20.0]))[0, 0] == pytest.approx(5.0, rel=0.3)
-    assert plain_noise(square, speed).sigma == pytest.approx(1.0, rel=0.03)
 
 
 def test_the_motion_is_taken_out_exactly() -> None:
@@ -143,19 +94,6 @@ def test_every_array_effect_is_documented() -> None:
     shown = [n for n, e in array_catalogue().items() if not e.missing(_motion().context)]
     assert len(shown) > 20
     assert not [name for name in shown if f"## {name}\n" not in text]
-
-
-@pytest.mark.slow
-def test_corrected_readings_hold_no_effect(clean: MotionLoop) -> None:
-    data = corrected_samples(clean.final)
-    assert data.samples == len(clean.final.setup.inner)
-    assert linear_part(clean.final).gyro_gain == pytest.approx(
-        np.broadcast_to(np.eye(3), (8, 3, 3))
-    )
-    found = closed(planted_log("gyro scale of each IMU, 2 %", 2)[0], 150)
-    assert np.abs(linear_part(found.final).gyro_gain - np.eye(3)).max() == pytest.approx(
-        0.045, abs=0.03
-    )
 
 
 @pytest.mark.parametrize(

@@ -6,80 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibrators.array.board import read_board
 from imucalib.calibrators.array.effect_blocks import covariance_of, triangle
 from imucalib.calibrators.array.fused.instrument import doubt_of
 from imucalib.calibrators.array.log import array_log
-from imucalib.calibrators.array.moving import Moving, relative_gyros, samples_of
-from imucalib.calibrators.array.rests import gyro_drift
 from imucalib.errors import UnreadableInput
 from imucalib.recording.recording import Recording
 from imucalib.units import DEG
 from worlds.boards import BoardPlan, board_log, made_board
 from worlds.rigid_board import board, calibration
-
-Array = NDArray[np.float64]
-
-
-def rates(seed: int, n: int = 400, noise: float = 0.0) -> tuple[Array, Array, Array]:
-    """(n, 4, 3) readings of four gyros in one motion, their gains, whose mean is one, and ω."""
-    rng = np.random.default_rng(seed)
-    gain = np.eye(3) + 0.03 * rng.standard_normal((4, 3, 3))
-    gain = gain @ np.linalg.inv(gain.mean(axis=0))
-    w = 5.0 * rng.standard_normal((n, 3))
-    off = noise * rng.standard_normal((n, 4, 3))
-    return np.einsum("kij,nj->nki", gain, w) + off, gain, w
-
-
-def test_gyros_are_compared_with_their_mean() -> None:
-    read, gain, w = rates(1)
-    found = relative_gyros(read, np.arange(0, 400, 3))
-    # The mean of the corrected triads is ω where the gains' mean is one.
-    np.testing.assert_allclose(found.gain, gain, atol=1e-9)
-    np.testing.assert_allclose(found.mean, w, atol=1e-8)
-    read, _, _ = rates(2, 4000, 0.01)
-    found = relative_gyros(read, np.arange(4000))
-    np.testing.assert_allclose(np.sqrt(np.mean(found.scatter**2)), 0.01, rtol=0.02)
-    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), 0.01, rtol=0.03)
-    assert np.abs(found.covariance[0, 1]) < 5e-6
-    read[::50] += 0.3 * np.random.default_rng(0).standard_normal((80, 4, 3))
-    wild = relative_gyros(read, np.arange(4000))
-    np.testing.assert_allclose(np.sqrt(np.diag(wild.covariance)), 0.01, rtol=0.2)
-
-
-@pytest.mark.parametrize("order", [0, 1, 2])
-def test_offsets_drift_with_the_order_that_they_need(order: int) -> None:
-    rng = np.random.default_rng(order)
-    t = np.array([3.0, 10.0, 21.0, 35.0, 48.0, 60.0, 90.0, 103.0])
-    late = (t - 103.0) / 100.0  # -1 at the first rest, 0 at the last
-    truth = rng.standard_normal((order + 1, 2, 3))
-    clean = np.einsum("tp,pkj->tkj", late[:, None] ** np.arange(order + 1), truth)
-    read = clean + 1e-3 * rng.standard_normal((8, 2, 3))
-    found, sd = gyro_drift(read, t)
-    assert found.shape == (order + 1, 2, 3)
-    np.testing.assert_allclose(found, truth, atol=0.02)
-    powers = late[:, None] ** np.arange(order + 1)
-    rest = read - np.einsum("tp,pkj->tkj", powers, found)
-    of_end = np.linalg.inv(powers.T @ powers)[0, 0]
-    np.testing.assert_allclose(sd, np.sqrt(of_end * np.sum(rest**2, axis=0) / (7 - order)))
-
-
-def test_the_sampler_gets_the_scatter_of_the_mean() -> None:
-    """Pooled: one triad's covariance over their number; of one sample: equation (30b), with a
-    thousandth of the pooled variance beside it."""
-    read, sigma, rows = rates(3, 200, 0.02)[0], np.full(4, 0.1), np.array([4, 90])
-    every, gyros = np.arange(200), relative_gyros(read, np.arange(200))
-    made = Moving(every.astype(float), read, read, gyros, every, 0.01, {})
-    covariance = gyros.covariance
-    pooled = samples_of(made, rows, sigma, "scatter").rate_precision
-    np.testing.assert_allclose(np.linalg.inv(pooled), covariance / 4.0)
-    alone = samples_of(made, rows, sigma, "sample").rate_precision
-    own = np.array([np.cov(one.T) for one in made.levelled.rate[rows]])
-    floor = 1e-3 * np.trace(covariance) / 3.0
-    np.testing.assert_allclose(np.linalg.inv(alone), own + floor * np.eye(3), rtol=1e-6)
 
 
 def stated(covariance: np.ndarray | None) -> Calibration:

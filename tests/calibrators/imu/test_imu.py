@@ -1,4 +1,4 @@
-"""`imucal imu` on logs whose truth is known, measured logs, and logs that are no good."""
+"""`imucal imu` on logs whose truth is known, measured logs, logs that are no good; its plans."""
 
 from __future__ import annotations
 
@@ -11,11 +11,13 @@ import pytest
 
 from imucalib.calibration.file import read as read_calibration
 from imucalib.calibration.gyroscope import gyroscope_of
+from imucalib.calibrators.imu.plan import hand_plan, of_turn
 from imucalib.readers import read
 from imucalib.recording.recording import Channel, Recording
 from imucalib.writers import write
 from worlds.command import run
 from worlds.places import MEASURED
+from worlds.recordings import recording_of
 from worlds.targets import by_kalibr, by_opencv
 from worlds.turned_imu import G0, Log, chip, plan, turned
 
@@ -106,19 +108,6 @@ def test_exports_say_what_the_sensor_reads(tmp_path: Path) -> None:
     np.testing.assert_allclose(back, rate, atol=1e-9)
 
 
-def test_noise_that_the_rests_do_not_show_is_a_limit_and_no_value(tmp_path: Path) -> None:
-    """Of the sample log two axes do not show their white noise: nothing is stated about it with an
-    uncertainty of zero."""
-    log = Path(__file__).parents[3] / "sample_logs" / "turns.csv.gz"
-    run("imu", log, "-o", tmp_path / "out", "-q")
-    noise = json.loads((tmp_path / "out" / "report.json").read_text())["imu"]["gyroscope_noise"]
-    assert [sd is None for sd in noise["white_sd"]] == [False, True, True]
-    page = (tmp_path / "out" / "report.html").read_text()
-    said = page.split("white noise x, y, z")[1].split("deg/s/√Hz")[0]
-    assert said.count("at most") == 2
-    assert "± 0.0000" not in said
-
-
 @pytest.mark.parametrize("late", [0.005, pytest.param(0.0, marks=pytest.mark.slow)])
 def test_a_late_gyroscope_shows_in_the_moving_accelerometer(late: float, tmp_path: Path) -> None:
     rng = np.random.default_rng(5)
@@ -195,16 +184,9 @@ def test_logs_at_several_temperatures_tell_what_follows_it(tmp_path: Path) -> No
             rate_bias=own.rate_bias + bias * (warm - 25.0),
         )  # fmt: skip
         log = turned(there, rng, rests=12)
-        heat = np.full((len(log.t), 1), warm) + 0.01 * rng.normal(size=(len(log.t), 1))
-        channels = {
-            "imu0/acceleration": Channel(
-                log.t, G0 * log.force, "m/s2", "acceleration", "imu0", 100.0
-            ),
-            "imu0/angular_rate": Channel(log.t, log.rate, "rad/s", "angular_rate", "imu0", 100.0),
-            "imu0/temperature": Channel(log.t, heat, "degC", "temperature", "imu0", 100.0),
-        }
+        heat = warm + 0.01 * rng.normal(size=len(log.t))
         paths.append(tmp_path / f"{k}.h5")
-        write(Recording(channels, "warm", "hdf5", ""), paths[-1])
+        write(recording_of(log.t, G0 * log.force, log.rate, heat, hz=100.0), paths[-1])
     result = run("imu", *paths, "-o", tmp_path / "out", "-q", "--json")
     names = [s["effect"] for s in json.loads(result.stdout)["loop"]["steps"]]
     assert sorted(names) == ["gyro_temperature_bias", "gyro_temperature_scale"]
@@ -258,3 +240,51 @@ def test_a_plan_of_135_deg_and_two_logs_together(tmp_path: Path) -> None:
     values = [p["value"] for p in both["parameters"] if p["effect"] == "gyro_gain"]
     sds = [p["sd"] for p in both["parameters"] if p["effect"] == "gyro_gain"]
     assert np.abs((np.array(values) - np.linalg.inv(own.M).ravel()) / sds).max() < 4.0
+
+
+def test_a_plan_states_what_it_gives(tmp_path: Path) -> None:
+    """The gains of logs that follow the plan, with errors as large as it assumes."""
+    content = json.loads(run("design", "--imu", "--recommend", "20", "--json").stdout)
+    assert len(content["turns"]) == 19
+    assert content["open"] == []
+    few = json.loads(run("design", "--imu", "--recommend", "12", "--json").stdout)
+    assert all(few["sd"][name] > sd for name, sd in content["sd"].items())
+    rng, plan = np.random.default_rng(1), hand_plan(20)
+    rows = np.concatenate([of_turn(t.up, np.radians(135.0) * _signed(t.axis)) for t in plan.turns])
+    found = [
+        np.linalg.lstsq(rows, np.radians(0.1) * rng.normal(size=len(rows)), rcond=None)[0]
+        for _ in range(400)
+    ]
+    np.testing.assert_allclose(np.std(found, axis=0), plan.sd, rtol=0.15)
+
+
+def _signed(axis: str) -> np.ndarray:
+    return (-1.0 if axis[0] == "-" else 1.0) * np.eye(3)["xyz".index(axis[1])]
+
+
+def test_what_a_log_leaves_open_is_told_with_the_turns_that_show_it(tmp_path: Path) -> None:
+    log, made = tmp_path / "turns.h5", tmp_path / "out"
+    assert run("simulate", "imu", log, "--rests", "14", "-q").exception is None
+    assert run("imu", log, "-o", made, "--no-loop", "-q").exception is None
+    content = json.loads(run("design", "--imu", made / "calibration.yaml", "--json").stdout)
+    assert len(content["turns"]) == 3
+    assert all(content["sd"][name] < sd for name, sd in content["sd_before"].items())
+    page = run("design", "--imu", made / "calibration.yaml").stdout
+    assert "3 more turns" in page
+
+
+@pytest.mark.slow
+def test_what_is_simulated_is_found(tmp_path: Path) -> None:
+    log = tmp_path / "turns.h5"
+    words = ("--plant", "gyro_g_sensitivity=0.1", "--late", "0.004", "--seed", "5", "--json")
+    made = json.loads(run("simulate", "imu", log, *words).stdout)
+    content = json.loads(run("imu", log, "--json", "-q").stdout)
+    assert [s["effect"] for s in content["loop"]["steps"]] == ["gyro_g_sensitivity"]
+    own = {p["name"]: p for p in content["parameters"]}
+    for i, a in enumerate("xyz"):
+        for j, b in enumerate("xyz"):
+            p = own[f"gyro_gain_{a}{b}"]
+            assert abs(p["value"] - made["gyro_gain"][i][j]) < 5.0 * p["sd"]
+            assert abs(own[f"gyro_g_sensitivity_{a}{b}"]["value"] - 0.1) < 0.02
+    late = content["imu"]["gyroscope_late_s"]
+    assert abs(late["value"] - 0.004) < 4.0 * late["sd"]

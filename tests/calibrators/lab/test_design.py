@@ -21,7 +21,6 @@ from imucalib.core.effect import Context
 from imucalib.core.model import Model
 from imucalib.effects import named
 from imucalib.errors import UsageError
-from imucalib.units import MG
 from worlds.sheets import direction
 
 MODEL = Model(tuple(named(n) for n in ("bias", "scale", "non_orthogonality")))
@@ -67,39 +66,6 @@ def test_efficiency_sd_and_gain_are_those_of_the_information() -> None:
     assert len(found.additions) == 2
 
 
-def test_what_a_ring_leaves_open_is_infinite() -> None:
-    """Level rings never turn z to gravity: its bias, scale and angles stay open, the rest not."""
-    t = np.arange(0.0, 360.0, 30.0)
-    found = judge(MODEL, 0.0 * t, np.deg2rad(t), norm=True)
-    assert found.efficiency == 0.0
-    shut = [n for n, sd in zip(found.names, found.sd, strict=True) if np.isfinite(sd)]
-    known = columns(0.0 * t, t)
-    seen = [n for n, c in zip(found.names, known.T, strict=True) if np.linalg.norm(c) > 1e-9]
-    assert shut == seen
-    assert 0 < len(seen) < 9
-    part = [found.names.index(n) for n in seen]
-    sd = np.sqrt(np.diag(np.linalg.inv(1e6 * known[:, part].T @ known[:, part])))
-    typical = np.array([p.typical for p in MODEL.parameters(Context(1))])
-    np.testing.assert_allclose(found.sd[part], (sd * typical[part]), rtol=1e-6)
-    bias = judge(Model((named("bias"),)), 0.0 * t, np.deg2rad(t), norm=True)
-    assert np.isfinite(bias.sd).tolist() == [True, True, False]
-    first, second = bias.additions
-    assert (abs(first.inclination), first.gain, first.parameter) == (90.0, np.inf, bias.names[2])
-    assert second.gain == pytest.approx(np.sqrt(2.0))  # the same once more
-
-
-def test_the_recommended_rings() -> None:
-    """Level, +45 and -45 deg, each turned a third of its step against the last; both poles from
-    fourteen positions on."""
-    i, t = np.rad2deg(recommend(14))
-    np.testing.assert_allclose(i, [0.0] * 4 + [45.0] * 4 + [-45.0] * 4 + [90.0, -90.0])
-    np.testing.assert_allclose(
-        t, [0, 90, 180, 270, 30, 120, 210, 300, 60, 150, 240, 330, 0, 0], atol=1e-9
-    )
-    assert np.abs(recommend(13)[0]).max() == pytest.approx(np.pi / 4.0)
-    assert design_of(i, t, PRESETS["paper"]).settings == (5, 13)
-
-
 def test_a_plan_is_judged_in_the_users_convention() -> None:
     """Drilling counts inclination from the vertical and tool-face from -y."""
     i, t = recommend(20)
@@ -128,30 +94,3 @@ def test_a_simulated_sheet_reads_its_sensor_with_the_noise_asked_for() -> None:
     np.testing.assert_allclose(off.std(axis=0), 1.5, rtol=0.1)
     with pytest.raises(UsageError, match="no such cell"):
         simulation.simulated_table(replace(plan, slips=((401, "y"),)), np.random.default_rng(1))
-
-
-def test_a_simulated_recording_rests_and_moves_in_turn() -> None:
-    """Four seconds in each position, 1.5 s of motion between, from one to the next without a
-    jump."""
-    plan = BenchPlan(positions=12, noise=1e-6)
-    table = simulation.simulated_table(plan, np.random.default_rng(0))
-    made = simulation.simulated_recording(table, np.random.default_rng(0), noise=2.0)
-    channel = made.channels["imu0/acceleration"]
-    assert len(channel.t) == 12 * 400 + 11 * 150
-    np.testing.assert_allclose(np.diff(channel.t), 0.01)
-    for k in range(12):
-        rest = channel.values[550 * k : 550 * k + 400] / MG
-        np.testing.assert_allclose(rest.mean(axis=0), table.raw()[k], atol=0.6)
-        np.testing.assert_allclose(rest.std(axis=0), 2.0, rtol=0.15)
-        if k < 11:
-            motion = channel.values[550 * k + 400 : 550 * k + 550] / MG
-            half = motion[65:85].mean(axis=0)
-            np.testing.assert_allclose(half, table.raw()[k : k + 2].mean(axis=0), atol=45.0)
-            assert 30.0 < (motion[60:90] - _even(motion[60:90])).std() < 50.0
-            np.testing.assert_allclose(motion[0], table.raw()[k], atol=12.0)
-
-
-def _even(values: np.ndarray) -> np.ndarray:
-    """The straight line through values (n, 3)."""
-    at = np.arange(len(values))
-    return np.stack([np.polyval(np.polyfit(at, v, 1), at) for v in values.T], axis=1)

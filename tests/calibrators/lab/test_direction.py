@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -19,7 +17,7 @@ from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import LabRun, run_lab
 from imucalib.errors import Undetermined, UnreadableInput, UsageError
 from worlds.command import run
-from worlds.places import ROOT
+from worlds.places import script
 
 TRUTH = {
     "mounting_x": 0.4, "mounting_y": -0.7, "mounting_z": 1.1,  # deg
@@ -27,11 +25,7 @@ TRUTH = {
     "scale_x": 0.006, "scale_y": -0.004, "scale_z": 0.009,
     "cross_yx": 0.003, "cross_zx": -0.002, "cross_zy": 0.004,
 }  # fmt: skip
-
-
 FACES = ("+x", "+y", "+z", "-x", "-y", "-z")
-
-
 NOISE_MG, TILT_DEG = 1.0, 0.2
 
 
@@ -138,17 +132,7 @@ def test_end_to_end(tmp_path: Path) -> None:
     assert run("validate", out / "calibration.yaml").return_value == 0
 
 
-def _generator() -> ModuleType:
-    path = ROOT / "benchmarks" / "lab" / "few_rows.py"
-    spec = importlib.util.spec_from_file_location("few_rows", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-SHEETS = _generator()
+SHEETS = script("benchmarks/lab/few_rows.py")
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import pytest
 from imucalib.calibrators.lab.headings import bare
 from imucalib.calibrators.lab.position_table import read_position_table
 from imucalib.readers import read
+from worlds.command import run
 from worlds.places import SAMPLES
 
 ROWS = [r for r in (SAMPLES / "paper_table_1.csv").read_text().splitlines() if r[0] != "#"]
@@ -49,6 +50,13 @@ def test_a_table_is_read_under_the_headings_of_the_trade(heading: str, tmp_path:
 def test_where_an_inclination_counts_from_is_understood(heading: str, zero: str) -> None:
     assert bare(heading).zero == zero
     assert bare(heading).name in ("neigung", "inclinaison", "inclinacion")
+
+
+def test_an_inclination_from_another_zero_than_the_runs_is_asked_about(tmp_path: Path) -> None:
+    text = (SAMPLES / "paper_table_1.csv").read_text()
+    path = tmp_path / "t.csv"
+    path.write_text(text.replace("inclination_deg", "Inclination (deg from vertical)"))
+    assert "--inclination-zero vertical" in str(run("lab", path, "--no-loop").exception)
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,20 +11,13 @@ from imucalib.calibrators.lab.bench import (
     implausible_rows,
     in_celsius,
     position_observations,
-    still_observations,
 )
 from imucalib.calibrators.lab.conventions import Conventions
-from imucalib.calibrators.lab.errors import attitude_errors, noise_floor
+from imucalib.calibrators.lab.errors import attitude_errors
 from imucalib.calibrators.lab.position_table import PositionTable
-from imucalib.calibrators.lab.run import noise_block
-from imucalib.core.effect import Context
-from imucalib.core.observations import Observations
-from imucalib.core.references import KnownNorm, KnownVector
+from imucalib.core.references import KnownVector
 from imucalib.errors import UsageError
-from imucalib.estimators.least_squares import fit
 from imucalib.loop.held_out import Held
-from imucalib.loop.posterior.noise import shared_bias
-from worlds.bench import base_model, bench, draw, ordinary_theta
 from worlds.sheets import direction
 
 G = 9.80665
@@ -123,32 +115,6 @@ def test_what_a_thermometer_says_that_has_not_measured_is_no_temperature(code: f
     assert "--exclude 2" in caught.value.remedy
 
 
-def late(warm: Sequence[float], share: float) -> list[float]:
-    found = [warm[0]]
-    for value in warm[1:]:
-        found.append(found[-1] + share * (value - found[-1]))
-    return found
-
-
-def test_a_sensor_may_trail_its_thermometer_by_rows_or_by_the_clock() -> None:
-    warm = [20.0, 30.0, 30.0, 10.0, 10.0, 10.0, 25.0, 25.0]
-    sheet = table(temperature=warm)
-    found = still_observations(sheet, sheet.raw(), G).context
-    share = 1.0 - np.exp(-0.5)
-    np.testing.assert_allclose(found["temperature_lag_2rows"], late(warm, share))
-    assert "temperature_lag_4rows" not in found  # four lags do not pass in eight rows
-    timed = table({"time": "s"}, temperature=warm, time=36.0 * np.arange(8))
-    found = still_observations(timed, timed.raw(), G).context
-    np.testing.assert_allclose(found["temperature_lag_0.02h"], late(warm, share))
-    # Every power-up begins as warm as its thermometer.
-    twice = table(temperature=2 * warm, session=[0] * 8 + [1] * 8)
-    found = still_observations(twice, twice.raw(), G).context
-    np.testing.assert_allclose(found["temperature_lag_2rows"], 2 * late(warm, share))
-    for without in (table(samples=[1] * 8), table(temperature=[20.0] * 8)):
-        known = still_observations(without, without.raw(), G).context.covariates
-        assert not [name for name in known if "lag" in name]
-
-
 def errors_of(
     meant: tuple[float, float], read: tuple[float, float], size: float = G
 ) -> list[float]:
@@ -175,50 +141,3 @@ def test_angles_are_compared_on_vectors(
     meant: tuple[float, float], read: tuple[float, float], inclination: float, tool_face: float
 ) -> None:
     assert errors_of(meant, read) == pytest.approx([inclination, tool_face, 0.0], abs=1e-9)
-
-
-def test_tool_face_means_nothing_within_three_degrees_of_the_vertical() -> None:
-    assert np.isnan(errors_of((87.2, 0.0), (87.2, 5.0))[1])
-    assert errors_of((87.1, 0.0), (87.1, 5.0))[1] == pytest.approx(5.0)
-    assert np.isnan(errors_of((-88.0, 0.0), (-88.0, 5.0))[1])
-
-
-def repeated(pairs: int, apart: float) -> Observations:
-    """Attitudes that are taken twice, in mixed order, whose readings differ by 1, 2 and 2 times
-    `apart`; and as many that are taken once."""
-    place = np.array([*range(pairs), *range(pairs), *range(pairs, 2 * pairs)])
-    i, t = 3.0 * place - 40.0, 11.0 * place
-    reading = G * direction(i, t)
-    reading[pairs : 2 * pairs] += apart * np.array([1.0, 2.0, 2.0])
-    ids = np.arange(len(place))
-    reference = KnownVector(np.radians(i), np.radians(t), G, ids, ids)
-    names = tuple(map(str, ids))
-    return Observations(reading[:, None], np.ones((len(ids), 1, 3)), reference, Context(len(ids)),
-                        ids, names)  # fmt: skip
-
-
-def test_the_floor_is_that_of_six_repeats_or_more() -> None:
-    """Differences of two readings scatter by √2; 1.4826 makes a median a standard deviation."""
-    assert noise_floor(repeated(6, 1e-2), None) == pytest.approx(1.4826 * 3e-2 / np.sqrt(2.0))
-    assert np.isnan(noise_floor(repeated(5, 1e-2), None))
-    assert noise_floor(repeated(5, 1e-2), 1e-3) == pytest.approx(3**0.5 * 1e-3)
-    norm = Observations(np.ones((3, 1, 3)), np.ones((3, 1, 3)), KnownNorm(3, G), Context(3),
-                        np.arange(3), ("",) * 3)  # fmt: skip
-    assert noise_floor(norm, 1e-3) == pytest.approx(1e-3)
-    assert np.isnan(noise_floor(norm, None))
-
-
-def test_noise_that_rows_share_is_in_mg() -> None:
-    """An AR(1) noise of 30 mm/s² beside 0.3 mg: 3.06 mg, within its own standard deviation."""
-    base, data = base_model(), bench(5, 60)
-    rng, walk = np.random.default_rng(3), np.zeros((60, 3))
-    for k in range(1, 60):
-        walk[k] = 0.6 * walk[k - 1] + 0.024 * rng.standard_normal(3)
-    made = draw(base, ordinary_theta(base, data, 5), data, 6)
-    memory = -1.0 / np.log(0.6)
-    shared = (shared_bias(data, memory),)
-    found = fit(base, replace(made.with_reading(made.reading + walk[:, None]), shared=shared))
-    block = noise_block(found)
-    assert block["shared_mg"] == pytest.approx(30.0 / 9.80665, abs=4.0 * block["shared_sd_mg"])
-    assert 0.05 < block["shared_sd_mg"] < 1.0
-    assert block["shared_memory_positions"] == pytest.approx(memory)

@@ -8,20 +8,15 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from click.testing import CliRunner
-from hypothesis import given
-from hypothesis import strategies as st
 
 from imucalib.arrays import Array
 from imucalib.calibrators.lab.bench import in_celsius, observations_of, raw_unit
 from imucalib.calibrators.lab.files import LabFiles, positions_in
 from imucalib.calibrators.lab.position_table import ROLES, PositionTable, read_position_table
 from imucalib.calibrators.lab.request import LabRequest
-from imucalib.cli import cli
 from imucalib.core.references import unit_vector
 from imucalib.errors import ImucalError, UnreadableInput, UsageError
 from imucalib.recording.mapping import FieldMapping
-from worlds.places import ROOT
 
 #: inclination, tool-face (deg), x, y, z (1e-6 g)
 SHEET = np.array([
@@ -29,8 +24,6 @@ SHEET = np.array([
     [50.0, 120.0, -31151.4, -583006.0, 778122.8], [-60.0, 240.5, 1037109.0, 440330.4, -874997.0],
     [90.0, 0.0, -40000.5, 31000.25, 1009000.0],
 ])  # fmt: skip
-
-
 HEADING = ["inclination", "tool_face", "x", "y", "z"]
 
 
@@ -153,17 +146,6 @@ def test_a_blank_tool_face_at_the_vertical_is_none(zero: str, tmp_path: Path) ->
 ROWS = [(10.5, 90.0, 0.1, 0.97, 0.18), (-45.0, 180.25, -0.7, 0.02, -0.7), (0.0, 0.0, 0.0, 1, 0.0)]
 
 
-def test_inclination_from_the_vertical_is_asked_about(tmp_path: Path) -> None:
-    text = (ROOT / "sample_logs" / "bench.csv").read_text()
-    path = tmp_path / "t.csv"
-    line = next(row for row in text.split("\n") if "inclination" in row and "," in row)
-    new = line.replace("inclination", "Inclination (deg from vertical)", 1)
-    path.write_text(text.replace(line, new))
-    found = CliRunner().invoke(cli, ["lab", str(path), "--no-loop"])
-    assert isinstance(found.exception, UsageError)
-    assert "--inclination-zero vertical" in str(found.exception)
-
-
 def workbook(path: Path) -> Path:
     openpyxl = pytest.importorskip("openpyxl")
     book = openpyxl.Workbook()
@@ -251,18 +233,6 @@ def test_every_synonym_of_a_heading(tmp_path: Path, role: str) -> None:
             assert role not in table.unit
 
 
-def test_columns_can_be_named(tmp_path: Path) -> None:
-    path = _write(tmp_path, PLAIN.replace("inclination", "dial A").replace("tool_face", "dial B"))
-    assert "no column for inclination, tool_face" in _refused(path).what
-    chosen = {"inclination": "dial A", "tool_face": "dial B"}
-    assert np.array_equal(read_position_table(path, chosen).columns["inclination"], [0.0, 10.0])
-    for bad, words in (({"incl": "dial A"}, "unknown column role"),
-                       ({"inclination": "dial C"}, "no column is called 'dial C'")):  # fmt: skip
-        with pytest.raises(UsageError, match=words) as caught:
-            read_position_table(path, bad)
-        assert caught.value.remedy
-
-
 @pytest.mark.parametrize(
     ("text", "what", "where"),
     [
@@ -336,26 +306,6 @@ def test_hdf5_columns(tmp_path: Path) -> None:
     table = read_position_table(path)
     assert np.array_equal(table.raw(), [[1.0, 3.0, 5.5], [2.0, 4.0, 0.1]])
     assert np.array_equal(table.columns["tool_face"], [0.0, 90.0])
-
-
-@given(
-    st.lists(
-        st.lists(
-            st.floats(allow_nan=False, allow_infinity=False, width=64), min_size=5, max_size=5
-        ),
-        min_size=1,
-        max_size=6,
-    )
-)
-def test_numbers_come_back_bit_by_bit(rows: list[list[float]]) -> None:
-    import tempfile
-
-    with tempfile.TemporaryDirectory() as folder:
-        text = "inclination,tool_face,x,y,z\n"
-        text += "".join(",".join(map(repr, row)) + "\n" for row in rows)
-        table = read_position_table(_write(Path(folder), text))
-    roles = ("inclination", "tool_face", "x", "y", "z")
-    assert np.array_equal(np.stack([table.columns[r] for r in roles], axis=-1), np.array(rows))
 
 
 @pytest.mark.parametrize(

@@ -6,11 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.loop.faults.converter import cut_off, flat_tops, rows_of
 
-Array = NDArray[np.float64]
 GOLDENS = Path(__file__).parents[2] / "goldens"
 
 

@@ -189,8 +189,6 @@ CURVED: dict[str, tuple[str, tuple[str, ...]]] = {
     "array": ("--curves", ("array", "<loose_log.h5>", "--board", "<board.yaml>", "--samples",
                            "150", "--only", "gyro_delay")),
 }  # fmt: skip
-
-
 #: What a call of each ends with, and exit 0; the call.
 GATE = {"lab": "caution", "actigraph": "caution", "array": "unexplained", "imu": "caution"}
 CAUTIONED: dict[str, tuple[str, ...]] = {

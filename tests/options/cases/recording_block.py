@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.readers import read
 from options.bench import Bench
 from options.case import Case, Check, Of, ends
@@ -17,7 +17,6 @@ from options.outcome import Outcome
 from options.recordings import G, samples
 
 CONVERT = Of("convert")
-Array = NDArray[np.float64]
 TO = "<out>/samples.csv"
 ACC, RATE, WARM = slice(1, 4), slice(4, 7), slice(7, 8)
 QUANTITY = {"acceleration": ACC, "angular_rate": RATE, "temperature": WARM}

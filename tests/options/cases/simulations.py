@@ -6,15 +6,14 @@ import csv
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.readers import read
 from imucalib.recording.recording import Channel
 from options.bench import Bench
 from options.case import USUAL, Case, Check, Of
 from options.outcome import Outcome
 
-Array = NDArray[np.float64]
 LAB, WORN, BOARD, TURNS, DESIGN = (
     Of("simulate lab"), Of("simulate actigraph"), Of("simulate array"), Of("simulate imu"),
     Of("design"),

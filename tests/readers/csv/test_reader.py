@@ -4,25 +4,20 @@ from __future__ import annotations
 
 import gzip
 import re
-import struct
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, reject, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from imucalib import readers, writers
-from imucalib.errors import ImucalError, UnreadableInput
-from imucalib.readers.csv.dialect import Dialect
-from imucalib.readers.csv.reader import without_repeats
-from imucalib.readers.csv.rows import Layout, parse
-from imucalib.readers.csv.text import Lines, is_blank
+from imucalib.errors import UnreadableInput
 from imucalib.readers.joining import join
 from imucalib.recording.mapping import FieldMapping
-from imucalib.recording.recording import Channel, Recording
+from imucalib.recording.recording import Recording
 from imucalib.units import STANDARD_GRAVITY
+from worlds.recordings import recording_of
 
 G = STANDARD_GRAVITY
 
@@ -70,6 +65,10 @@ def test_actigraph_raw(tmp_path: Path) -> None:
         assert [(g.start, g.stop) for g in found.gaps] == [(99 / 50, 150 / 50)]
         assert found.start_ns == 1_568_745_600_000_000_000
         assert any("50 rows of zeros" in n for n in found.notes)
+        for size in (1, 60, 130):
+            parts = join(readers.blocks(path, block_samples=size), "")
+            assert [(g.start, g.stop) for g in parts.gaps] == [(99 / 50, 150 / 50)]
+            np.testing.assert_array_equal(parts.channels["imu0/acceleration"].t, channel.t)
 
 
 def test_missing_values_become_gaps_and_are_never_filled(tmp_path: Path) -> None:
@@ -85,8 +84,6 @@ def test_missing_values_become_gaps_and_are_never_filled(tmp_path: Path) -> None
 
 
 STAMPED = [f"{0.01 * k:.2f}," for k in range(500)]
-
-
 DATED = [f"2024-03-01 12:00:{0.01 * k:06.3f}," for k in range(500)]
 
 
@@ -240,43 +237,10 @@ def test_any_dialect_gives_the_right_numbers(
     np.testing.assert_allclose(read_t - read_t[0], t, atol=1e-9)
 
 
-@pytest.mark.slow
-@given(table=dialects(), data=st.data())
-@settings(
-    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-def test_a_damaged_table_is_right_or_refused(
-    table: tuple[str, np.ndarray, np.ndarray], data: st.DataObject, tmp_path: Path
-) -> None:
-    """Any bytes put over any place: an error, or rows in which at most the hit ones differ."""
-    text, _, values = table
-    raw = bytearray(text.encode())
-    at = data.draw(st.integers(0, len(raw) - 1))
-    patch = data.draw(st.binary(min_size=1, max_size=8))
-    raw[at : at + len(patch)] = patch
-    path = tmp_path / "a.csv"
-    path.write_bytes(bytes(raw))
-    try:
-        found = readers.read(path)
-    except ImucalError as error:
-        said = str(error)
-    else:
-        said = "a.csv"
-        got = acc_of(found)
-        assert got.shape[0] <= values.shape[0] + 8
-        want = {tuple(row) for row in np.round(values * G, 9)}
-        wrong = sum(tuple(row) not in want for row in np.round(got, 9))
-        assert wrong <= 2, "more rows changed than were hit"
-    assert "a.csv" in said
-
-
 def test_our_own_table_is_held_against_its_sum(tmp_path: Path) -> None:
     t = np.arange(300) / 100.0
-    values = at_rest(300) * G
-    channel = Channel(t, values, "m/s2", "acceleration", "imu0", 100.0)
-    whole = Recording({"imu0/acceleration": channel}, "made", "made", "", start_ns=10**18)
     path = tmp_path / "a.csv"
-    writers.write(whole, path)
+    writers.write(recording_of(t, at_rest(300) * G, hz=100.0, start_ns=10**18), path)
     data = path.read_bytes()
     at = data.rindex(b".") + 1
     other = b"1" if data[at : at + 1] == b"2" else b"2"
@@ -303,91 +267,18 @@ ODD = (
 )  # fmt: skip
 
 
-doubles = st.integers(0, 2**64 - 1).map(lambda n: repr(struct.unpack("d", struct.pack("Q", n))[0]))
-
-
-decimals = st.decimals(allow_nan=False, allow_infinity=False, places=7).map(str)
-
-
-cells = st.one_of(
-    doubles, decimals, st.integers(-(2**63), 2**63 - 1).map(str), st.sampled_from(ODD)
-)
-
-
-def expected(cell: str) -> float | None:
-    """What a cell is worth; None for one that is neither a number nor blank."""
-    cell = cell.strip()
-    if re.fullmatch(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", cell):
-        number = float(cell)
-        return number if np.isfinite(number) else np.nan
-    return np.nan if is_blank(cell) else None
-
-
-@pytest.mark.slow
-@settings(max_examples=400, deadline=None)
-@given(
-    table=st.lists(st.tuples(cells, cells, cells, cells), min_size=1, max_size=6),
-    delimiter=st.sampled_from((",", ";", "\t")),
-)
-def test_every_cell_is_its_number_or_none(table: list[tuple[str, ...]], delimiter: str) -> None:
-    good = [("0", str(k), "0", "2.5") for k in range(8)]
-    rows = [row for row in table if delimiter not in "".join(row)] + good
-    text = "".join(delimiter.join(row) + "\n" for row in rows).encode()
-    want = [[expected(row[1]), expected(row[3])] for row in rows]
-    layout = Layout(Dialect(delimiter, ".", 4), (), "", (1, 3))
-    try:
-        found = parse(Lines(text, 1), layout, "file")
-    except UnreadableInput:
-        reject()
-    named = {int(error.where.split("line ")[1].split(",")[0]) - 1 for error in found.bad}
-    assert named <= {k for k, row in enumerate(want) if None in row}
-    plain = [[np.nan] * 2 if k in named else [np.nan if v is None else v for v in row]
-             for k, row in enumerate(want)]  # fmt: skip
-    np.testing.assert_array_equal(found.values, plain)
-
-
-RATE = 20.0
-
-
-def recording(values: np.ndarray) -> Recording:
-    t = np.arange(len(values)) / RATE
-    channel = Channel(t, values, "m/s2", "acceleration", "imu0", RATE)
-    return Recording({"imu0/acceleration": channel}, "made", "csv", "")
-
-
-def asleep(seconds: list[tuple[int, bool]]) -> np.ndarray:
-    """Seconds of fresh readings, or (True) of the last one repeated."""
-    rng = np.random.default_rng(0)
-    rows = [np.zeros((1, 3))]
-    for length, sleeping in seconds:
-        n = length * int(RATE)
-        fresh = rng.standard_normal((n, 3))
-        rows.append(np.repeat(rows[-1][-1:], n, axis=0) if sleeping else fresh)
-    return np.concatenate(rows)[1:]
-
-
-def in_blocks(whole: Recording, rows: int) -> list[Recording]:
-    channel = whole.channels["imu0/acceleration"]
-    parts = []
-    for a in range(0, channel.t.size, rows):
-        cut = replace(channel, t=channel.t[a : a + rows], values=channel.values[a : a + rows])
-        parts.append(replace(whole, channels={"imu0/acceleration": cut}))
-    return parts
-
-
-@settings(deadline=None, max_examples=40)
-@given(
-    st.lists(st.tuples(st.integers(1, 4), st.booleans()), min_size=1, max_size=6),
-    st.integers(1, 130),
-)
-def test_blocks_do_not_matter(seconds: list[tuple[int, bool]], rows: int) -> None:
-    whole = recording(asleep([(1, False), *seconds]))
-    (one,) = without_repeats(iter([whole]))
-    parts = list(without_repeats(iter(in_blocks(whole, rows))))
-    many = [p.channels["imu0/acceleration"] for p in parts]
-    assert np.array_equal(one.channels["imu0/acceleration"].t, np.concatenate([c.t for c in many]))
-    assert one.gaps == tuple(g for p in parts for g in p.gaps)
-    assert one.notes == tuple(n for p in parts for n in p.notes)
+@pytest.mark.parametrize("cell", ODD)
+def test_an_odd_cell_is_its_number_or_none(cell: str, tmp_path: Path) -> None:
+    lines = rows(at_rest(600))
+    lines[20] = f"0.1,{cell},0.9"
+    path = put(tmp_path, "\n".join(["x [g],y [g],z [g]", *lines]) + "\n")
+    found = acc_of(readers.read(path, FieldMapping(rate=100)))
+    plain = re.fullmatch(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*", cell)
+    if plain is None or not np.isfinite(float(cell)):
+        assert found.shape == (599, 3)
+        np.testing.assert_allclose(found, np.delete(at_rest(600), 20, axis=0) * G, rtol=1e-14)
+    else:
+        np.testing.assert_allclose(found[20], np.array([0.1, float(cell), 0.9]) * G, rtol=1e-14)
 
 
 def test_coarse_stamps_are_spread_and_said(tmp_path: Path) -> None:

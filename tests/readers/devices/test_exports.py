@@ -18,8 +18,6 @@ from imucalib.recording.mapping import FieldMapping, from_dict
 from imucalib.units import DEG, STANDARD_GRAVITY
 
 G = np.array([0.02, -0.01, 1.0]) + np.random.default_rng(0).normal(scale=0.003, size=(400, 3))
-
-
 TURN = np.array([0.1, -0.2, 0.3])
 
 
@@ -209,8 +207,6 @@ DEVICE = Device(
     start=lambda text: Start(1_600_000_000_000_000_000, ("the start is the maker's birthday",)),
 )
 """
-
-
 TABLE = "Tumbler 3000 data logger, sample rate 50 Hz\n" + "".join(
     f"{k};{a};{b};{c};{21 + k % 2}\n"
     for k, (a, b, c) in enumerate(np.tile([[3, -1000, 12]], (200, 1)) + np.arange(200)[:, None] % 3)

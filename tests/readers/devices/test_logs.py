@@ -1,35 +1,32 @@
-"""Loggers' own files: packings, clocks, restarts, damage, cost; known by bytes, not by a name."""
+"""Loggers' own files and flight logs: packings, clocks, restarts, damage, cost; known by bytes."""
 
 from __future__ import annotations
 
 import gzip
 import hashlib
 import io
-import struct
 import time
 import zipfile
 import zlib
-from contextlib import suppress
 from datetime import UTC, datetime, timedelta
-from functools import reduce
-from operator import xor
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
-from imucalib.errors import ImucalError, UnreadableInput
-from imucalib.readers import blocks, read
+from imucalib.errors import UnreadableInput
+from imucalib.readers import read
 from imucalib.recording.recording import Channel, Recording
 from imucalib.units import DEG, STANDARD_GRAVITY
+from worlds import flight_logs
 from worlds.logger_files import (
     ax_file,
     ax_header,
     ax_sector,
     gene_file,
     gene_page,
+    gt3x_record,
+    gt3x_second,
     old_gt3x,
     wav_file,
 )
@@ -69,21 +66,11 @@ def gt3x(log: bytes, info: str = INFO, **how: bool) -> bytes:
     return zipped(info_txt=info.encode(), log_bin=log, **how)
 
 
-def record(kind: int, stamp: int, payload: bytes) -> bytes:
-    body = struct.pack("<BBIH", 0x1E, kind, stamp, len(payload)) + payload
-    return body + bytes([reduce(xor, body) ^ 0xFF])
-
-
 def seconds_of(samples: np.ndarray, seconds: list[int], *, kind: int = 26) -> bytes:
-    """log.bin of 30 samples a second; kind 0 has 12 bits a number, axes y x z."""
-    rows = []
-    for second, some in zip(seconds, samples.reshape(-1, 30, 3), strict=True):
-        payload = some.astype("<i2").tobytes()
-        if kind == 0:
-            bits = "".join(f"{int(v) & 0xFFF:012b}" for v in some[:, [1, 0, 2]].ravel())
-            payload = int(bits, 2).to_bytes(len(bits) // 8, "big")
-        rows.append(record(kind, SECONDS + second, payload))
-    rows.insert(1, record(3, SECONDS, b"\x08"))
+    """log.bin of 30 samples a second."""
+    parts = zip(seconds, samples.reshape(-1, 30, 3), strict=True)
+    rows = [gt3x_second(some, SECONDS + second, kind) for second, some in parts]
+    rows.insert(1, gt3x_record(3, SECONDS, b"\x08"))
     return b"".join(rows)
 
 
@@ -121,25 +108,6 @@ def test_values_clock_and_unit_under_any_name(name: str, ending: str, tmp_path: 
     assert found.gaps == ()
     assert name.startswith(found.format)
     assert force(found).unit == "m/s2"
-
-
-@BY_FORMAT
-@pytest.mark.parametrize("size", [130, 700])
-def test_blocks_do_not_matter(name: str, size: int, tmp_path: Path) -> None:
-    path = saved(tmp_path, FILES[name][0])
-    parts = [force(block) for block in blocks(path, block_samples=size)]
-    assert len(parts) > 3
-    whole = force(read(path))
-    np.testing.assert_array_equal(np.concatenate([p.values for p in parts]), whole.values)
-    np.testing.assert_allclose(np.concatenate([p.t for p in parts]), whole.t, atol=1e-9)
-
-
-@pytest.mark.parametrize("name", ["cwa", "geneactiv"])
-def test_a_packed_file_is_the_same(name: str, tmp_path: Path) -> None:
-    found = read(saved(tmp_path, gzip.compress(FILES[name][0])), strict=True)
-    np.testing.assert_allclose(in_g(found), FILES[name][2], rtol=1e-12)
-    warm = found.channels["imu0/temperature"].values[:4, 0]
-    np.testing.assert_allclose(warm, 25.0 if name == "cwa" else 20 + np.arange(4) / 10)
 
 
 def test_what_a_format_fixes_is_never_refused_by_a_guess(tmp_path: Path) -> None:
@@ -314,24 +282,6 @@ def test_a_file_that_breaks_off_gives_what_comes_before(harm: str, tmp_path: Pat
         read(path, strict=True)
 
 
-@pytest.mark.parametrize("piped", [False, True])
-def test_an_archive_that_was_cut_gives_what_comes_before(piped: bool, tmp_path: Path) -> None:
-    true, sizes = MANY[:600] / 256, set[int]()
-    whole = gt3x(seconds_of(MANY[:600], list(range(20))), piped=piped)
-    for size in range(0, len(whole) - 1, 97):
-        path = saved(tmp_path, whole[:size], "cut.gt3x")
-        with suppress(ImucalError):
-            found = read(path)
-            assert any("breaks off" in n or "lost its directory" in n for n in found.notes)
-            values = in_g(found)
-            np.testing.assert_allclose(values, true[: len(values)], rtol=1e-12)
-            sizes.add(len(values))
-            with pytest.raises(UnreadableInput):
-                read(path, strict=True)
-    assert max(sizes) == len(true)
-    assert len(sizes) > 5
-
-
 @pytest.mark.parametrize(
     ("method", "piped"),
     [(zipfile.ZIP_STORED, False), (zipfile.ZIP_DEFLATED, False), (zipfile.ZIP_DEFLATED, True)],
@@ -349,18 +299,6 @@ def test_a_lost_directory_is_told_and_the_checksum_holds(
     crc = zlib.crc32(activity).to_bytes(4, "little")
     path = saved(tmp_path, data[:directory].replace(crc, b"\x5a" * 4))
     assert any("checksum" in note for note in read(path).notes)
-
-
-@settings(
-    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-@given(at=st.floats(0.0, 1.0, exclude_max=True), bit=st.integers(0, 7))
-@pytest.mark.parametrize("name", ["gt3x", "gt3x activity"])
-def test_a_flipped_bit_is_no_traceback(name: str, tmp_path: Path, at: float, bit: int) -> None:
-    data = bytearray(FILES[name][0])
-    data[int(at * len(data))] ^= 1 << bit
-    with suppress(ImucalError):
-        read(saved(tmp_path, bytes(data)))
 
 
 def test_records_whose_stamp_is_not_later_are_told(tmp_path: Path) -> None:
@@ -451,3 +389,92 @@ def test_the_makers_own_csv_of_the_same_recording() -> None:
     at = np.rint(force(found).t * 100).astype(int) + first
     assert at.size == 33_000
     assert np.abs(rows[at] - in_g(found)).max() <= 0.00051  # 3 decimals
+
+
+N = 400
+RNG = np.random.default_rng(3)
+ACC = np.float32(np.array([0.3, -0.2, -9.8]) + RNG.normal(scale=0.05, size=(2, N, 3)))
+GYRO = np.float32(RNG.normal(scale=0.01, size=(2, N, 3)))
+STAMPS = 5_000_000 + 4000 * np.arange(N)  # µs since boot
+
+
+def ulog(path: Path, *, combined: bool = False) -> Path:
+    path.write_bytes(flight_logs.ulog(STAMPS, ACC, GYRO, combined=combined))
+    return path
+
+
+def dataflash(path: Path, *, old: bool = False, junk: bytes = b"") -> Path:
+    path.write_bytes(flight_logs.dataflash(STAMPS, ACC, GYRO, old=old, junk=junk))
+    return path
+
+
+@pytest.mark.parametrize("old", [False, True])
+def test_every_imu_of_a_dataflash_log(old: bool, tmp_path: Path) -> None:
+    found = read(dataflash(tmp_path / "1.bin", old=old), strict=True)
+    _both(found)
+    assert found.format == "dataflash"
+
+
+@pytest.mark.parametrize("combined", [False, True])
+def test_a_px4_log_has_every_sensor_or_what_the_filter_was_fed(
+    combined: bool, tmp_path: Path
+) -> None:
+    pytest.importorskip("pyulog")
+    found = read(ulog(tmp_path / "1.ulg", combined=combined), strict=True)
+    assert found.format == "ulog"
+    if combined:
+        assert sorted(found.channels) == ["imu0/acceleration", "imu0/angular_rate"]
+        np.testing.assert_array_equal(found.channels["imu0/acceleration"].values, ACC[0])
+    else:
+        _both(found)
+
+
+def test_a_damaged_px4_log_is_told_in_notes_not_on_stdout(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = ulog(tmp_path / "1.ulg")
+    data = bytearray(path.read_bytes())
+    at = data.rindex(b"D\x01\x00")  # a message of an unknown number
+    data[at + 1 : at + 3] = b"\xff\x3f"
+    path.write_bytes(bytes(data))
+    found = read(path)
+    assert any("damaged" in note for note in found.notes)
+    assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize(("raw_every", "read_from"), [(200, 0), (2, 1)])
+def test_px4_sensors_that_are_thinned_out_give_way_to_what_the_filter_was_fed(
+    raw_every: int, read_from: int, tmp_path: Path
+) -> None:
+    pytest.importorskip("pyulog")
+    path = tmp_path / "1.ulg"
+    path.write_bytes(flight_logs.ulog(STAMPS, ACC, GYRO, raw_every=raw_every))
+    found = read(path, strict=False)
+    channel = found.channels["imu0/acceleration"]
+    every = (1, raw_every)[read_from]
+    np.testing.assert_array_equal(channel.values, ACC[0][::every])
+    said = [n for n in found.notes if "sensor_accel 0 (1" in n and "sensor_combined" in n]
+    assert bool(said) == (read_from == 0)
+
+
+def test_bytes_of_no_message_cost_only_themselves(tmp_path: Path) -> None:
+    path = dataflash(tmp_path / "1.bin", junk=b"\xa3\x95\x64" + bytes(3) + b"lost")
+    found = read(path)
+    # The message before them has no other at its end; all others are as written.
+    assert any("belong to no message" in note for note in found.notes)
+    values = found.channels["imu1/acceleration"].values
+    assert len(values) >= N - 2
+    assert all(any(np.array_equal(v, a) for a in ACC[1]) for v in values)
+    with pytest.raises(UnreadableInput, match="belong to no message"):
+        read(path, strict=True)
+
+
+def _both(found) -> None:  # type: ignore[no-untyped-def]
+    for k in range(2):
+        acc, gyro = (found.channels[f"imu{k}/{q}"] for q in ("acceleration", "angular_rate"))
+        np.testing.assert_array_equal(acc.values, ACC[k])
+        np.testing.assert_array_equal(gyro.values, GYRO[k])
+        np.testing.assert_allclose(acc.t, STAMPS / 1e6, atol=1e-9)
+        warm = found.channels[f"imu{k}/temperature"].values[:, 0]
+        np.testing.assert_allclose(warm, 30 + k + np.arange(N) / 1024)
+    assert acc.rate == pytest.approx(250.0)

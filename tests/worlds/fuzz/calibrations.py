@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from imucalib.calibration import file
-from imucalib.calibration.calibration import Calibration, StoredParameter
+from imucalib.calibration.calibration import Calibration
 from worlds.fuzz.damage import damaged
+from worlds.stated import stated
 
 NAME = "calibration.yaml"
 
@@ -19,17 +20,9 @@ NAME = "calibration.yaml"
 @cache
 def _whole() -> tuple[bytes, Calibration]:
     rng = np.random.default_rng(3)
-    stated = [("bias", f"bias_{a}", "mg", 30.0) for a in "xyz"]
-    stated += [("scale", f"scale_{a}", "1", 0.01) for a in "xyz"]
-    parameters = tuple(
-        StoredParameter(name, effect, "sensor", float(rng.normal(scale=size)), 0.02 * size, unit)
-        for effect, name, unit, size in stated
-    )
-    sd = np.array([p.sd for p in parameters])
-    calibration = Calibration(
-        calibrator="lab", parameters=parameters, covariance=np.diag(sd**2), raw_unit="m/s2",
-        raw_to_si=1.0, gravity=9.81, status="ok", facts={"noise": {"sd_mg": 1.25}},
-    )  # fmt: skip
+    values = {"bias": rng.normal(scale=30.0, size=3), "scale": rng.normal(scale=0.01, size=3)}
+    covariance = np.diag([0.36] * 3 + [4e-8] * 3)
+    calibration = stated(values, covariance, gravity=9.81, facts={"noise": {"sd_mg": 1.25}})
     return file.to_yaml(calibration).encode(), calibration
 
 

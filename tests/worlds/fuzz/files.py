@@ -6,13 +6,10 @@ from __future__ import annotations
 import gzip
 import io
 import json
-import struct
 import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
-from functools import reduce
-from operator import xor
 from pathlib import Path
 
 import h5py
@@ -24,7 +21,7 @@ from imucalib.recording.recording import Channel, Recording
 from worlds.bag_logs import ros1_bag
 from worlds.flight_logs import dataflash, ulog
 from worlds.fuzz.truth import Series, Truth
-from worlds.logger_files import Sample, ax_file, gene_file, old_gt3x
+from worlds.logger_files import Sample, ax_file, gene_file, gt3x_second, old_gt3x
 from worlds.mcap_logs import IMU_ROS1, Reading, cdr, packed, ros1, write_log
 
 G, DEG = 9.80665, np.pi / 180.0
@@ -359,11 +356,6 @@ def gt3x_archive(log: bytes) -> bytes:
     return out.getvalue()
 
 
-def _record(kind: int, stamp: int, payload: bytes) -> bytes:
-    body = struct.pack("<BBIH", 0x1E, kind, stamp, len(payload)) + payload
-    return body + bytes([reduce(xor, body) ^ 0xFF])
-
-
 def _gt3x(inside: bool) -> Callable[[np.random.Generator, Path], Made]:
     def make(rng: np.random.Generator, folder: Path) -> Made:
         seconds = 40
@@ -371,12 +363,7 @@ def _gt3x(inside: bool) -> Callable[[np.random.Generator, Path], Made]:
         wide = bool(rng.integers(2))
         log, edges = b"", [0]
         for k, some in enumerate(counts.reshape(seconds, 30, 3)):
-            if wide:
-                payload = some.astype("<i2").tobytes()
-            else:
-                bits = "".join(f"{int(v) & 0xFFF:012b}" for v in some[:, [1, 0, 2]].ravel())
-                payload = int(bits, 2).to_bytes(len(bits) // 8, "big")
-            log += _record(26 if wide else 0, START // 10**9 + k, payload)
+            log += gt3x_second(some, START // 10**9 + k, 26 if wide else 0)
             edges.append(len(log))
         ns = _times(30.0, 30 * seconds)
         truth = Truth({"acceleration": (Series(ns, counts / 256.0 * G),)}, 1e-12)

@@ -1,4 +1,4 @@
-"""What an array's estimate states: errors, what is left, places that follow a drive."""
+"""What an array's estimate states: errors, what is left, drives, size and frame."""
 
 from __future__ import annotations
 
@@ -7,25 +7,23 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.estimate.covariance import (
     Uneven,
-    fitted_on_all,
-    information,
-    samples_taken,
     sandwich,
     uneven,
 )
+from imucalib.calibrators.array.estimate.total import (
+    Distance,
+    GyroScale,
+    Total,
+    total_of,
+)
+from imucalib.calibrators.array.estimate.turns import Turns, common_scale
 from imucalib.calibrators.array.findings import Residual, unexplained
-from imucalib.calibrators.array.loop.search import start_state
-from imucalib.calibrators.array.loop.setup import array_setup
-from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.calibrators.array.request import Accepted
-from imucalib.units import DEG
-from worlds.boards import Array, BoardPlan
-from worlds.twisted_board import BOARD, fitted, moved
-
-TWIST = BoardPlan(twist_s=6.0)
+from worlds.array import corners
+from worlds.boards import DEG, Array, BoardPlan, handled
+from worlds.twisted_board import BOARD, fitted
 
 
 @pytest.mark.slow
@@ -45,63 +43,6 @@ def test_errors_are_what_is_stated_with_tails_and_without(tails: float) -> None:
         assert plain > 1.08 * z  # the weights alone say too little
     else:
         assert plain == pytest.approx(z, rel=0.1)
-
-
-def _of_a_pair(state: ArrayState) -> float:
-    """What two accelerometers tell over what their weights say, by hand.
-
-    The motion leaves of two errors their difference e along the line, in units of the scale, and
-    parts it so that (ν + 3) / 2 · Σ log(ν + r²) is least: in halves up to e = 2 √ν, beyond so that
-    r₁ r₂ = ν. The score is (ν + 3) 2 e / (4 ν + e²) and (ν + 3) / e; its slope over itself / e.
-    """
-    noise, inner = state.noise[0], state.setup.inner
-    scale = np.sqrt(noise.variance(np.linalg.norm(state.sampled.rate[inner], axis=1)))
-    off = np.linalg.norm(state.sampled.off.acceleration[inner], axis=2)
-    e2, nu = np.sum(off / scale, axis=1) ** 2, noise.freedom
-    if not np.isfinite(nu):
-        return 1.0
-    halves = e2 < 4.0 * nu
-    weight = np.where(halves, 2.0 / (4.0 * nu + e2), 1.0 / e2)
-    slope = np.where(halves, weight * (4.0 * nu - e2) / (4.0 * nu + e2), -weight)
-    return float(slope.mean() / weight.mean())
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("count", [2, 4])
-def test_few_imus_tell_less_than_their_weights_say(count: int) -> None:
-    """Of few chips' errors the motion takes a part, and may lay one on another."""
-    flat = 0.02 * np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0)], dtype=float)[:count]
-    board = Board("flat", BOARD.imus[:count], flat, np.tile(np.eye(3), (count, 1, 1)))
-    plan = BoardPlan(twist_s=8.0, tails=3.0)
-    size, told = [], []
-    for seed in range(16):
-        state, true = fitted(plan, seed, 400, board)
-        off, free = (state.r - true)[1:].ravel(), 3 * (count - 1)
-        covariance = sandwich(state)[0][:free, :free]
-        size.append(off @ np.linalg.solve(covariance, off) / free)
-        due = _of_a_pair(state) if count == 2 else state.noise[0].information
-        told.append(information(state)[0] / due)
-    # 16 sets of 3 and of 9 numbers: standard deviations of 0.10 and 0.06.
-    assert 0.8 < np.sqrt(np.mean(size)) < (1.24 if count == 2 else 1.15)
-    if count == 2:
-        assert np.mean(told) == pytest.approx(1.0, abs=0.03)
-    else:
-        assert 0.6 < np.median(told) < 0.92  # less than of three dimensions apiece
-
-
-def test_all_informative_samples_take_part() -> None:
-    moving, true = moved(TWIST, np.random.default_rng(3))
-    setup = array_setup(moving, BOARD, 150, robust=True)
-    assert setup is not None
-    some = start_state(setup, ())
-    assert samples_taken(moving, None) == len(moving.good)
-    assert samples_taken(moving, 200) == 200
-    every = fitted_on_all(some, len(moving.good))
-    assert np.array_equal(every.setup.rows[every.setup.inner], moving.good)
-    few, all_ = (np.sqrt(np.diag(sandwich(s)[0])) for s in (some, every))
-    expected = np.sqrt(len(setup.inner) / len(moving.good))
-    assert np.median(all_ / few) == pytest.approx(expected, rel=0.15)
-    assert np.sqrt(np.mean(((every.r - true)[1:].ravel() / all_) ** 2)) < 1.5
 
 
 @pytest.mark.parametrize(
@@ -164,3 +105,76 @@ def test_places_that_follow_a_drive_are_told_with_their_spread(drive: str) -> No
     # Four parts of an even drive hold 0.97 of its sd, twelve nearly all.
     assert 0.9 < found.spread[2] / 0.5 < 1.05
     assert np.delete(found.spread, 2).max() < 0.05
+
+
+PLAN = BoardPlan(rests=16)
+
+
+def turns_of(scale: float, seed: int) -> Turns | None:
+    """Gyros that read (1 + scale) ω with an offset that wanders, and gravity a little off."""
+    rng = np.random.default_rng(seed)
+    w, _, force = handled(PLAN, rng)
+    t = np.arange(len(w)) / PLAN.hz
+    drift = (0.02 + 0.01 * t[:, None] / t[-1]) * np.array([1.0, -1.0, 0.5])
+    rate = (1.0 + scale) * w + drift + rng.normal(size=w.shape) * 0.1 * DEG
+    start = np.arange(PLAN.rests) * (PLAN.rest_s + PLAN.turn_s)
+    stop = start + PLAN.rest_s - 1.0 / PLAN.hz
+    at = np.round((start + 1.0) * PLAN.hz).astype(int)
+    up = force[at] / np.linalg.norm(force[at], axis=1, keepdims=True)
+    up += rng.normal(size=up.shape) * 2e-3
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    return common_scale(t, rate, np.ones(len(t), dtype=np.bool_), up, start, stop)
+
+
+@pytest.mark.slow
+def test_turns_between_rests_show_the_common_scale() -> None:
+    z = []
+    for seed in range(30):
+        scale = 0.005 * np.random.default_rng(100 + seed).normal()
+        found = turns_of(scale, seed)
+        assert found is not None
+        assert found.sd < 2e-3
+        z.append((found.scale - scale) / found.sd)
+    assert 0.7 < np.sqrt(np.mean(np.square(z))) < 1.35
+
+
+def total(*distances: Distance, scale: float = 0.002) -> Total:
+    r = corners(5)
+    root = np.random.default_rng(1).normal(size=(12, 12)) * 1e-5
+    return total_of(
+        r, root @ root.T, gyros=GyroScale(scale, 1e-3, 1e-3, None), gravity_sd=5e-4, frame_sd=2e-3,
+        distances=distances,
+    )  # fmt: skip
+
+
+def test_the_total_is_what_draws_scatter() -> None:
+    found, rng = total(), np.random.default_rng(2)
+    n = 40_000
+    moved = rng.multivariate_normal(np.zeros(12), found.motion, n).reshape(n, 4, 3)
+    r = found.by_motion[1:] + moved
+    size = (1.0 + 0.002 + 1e-3 * rng.normal(size=n)) ** 2 * (1.0 + 5e-4 * rng.normal(size=n))
+    turn = 2e-3 * rng.normal(size=(n, 1, 3))
+    drawn = (size[:, None, None] * (r + np.cross(turn, r))).reshape(n, 12)
+    assert found.mean[1:].ravel() == pytest.approx(drawn.mean(axis=0), abs=1e-6)
+    white = np.linalg.solve(np.linalg.cholesky(found.covariance), (drawn - drawn.mean(axis=0)).T)
+    assert np.cov(white) == pytest.approx(np.eye(12), abs=0.04)
+    value, sd = found.distance(1, 3)
+    apart = np.linalg.norm(drawn[:, 6:9] - drawn[:, 0:3], axis=1)
+    assert (value, sd) == pytest.approx((apart.mean(), apart.std()), rel=0.02)
+    # The shape has neither size nor turn in it.
+    rank = np.linalg.matrix_rank(found.shape, tol=1e-9 * np.linalg.norm(found.shape))
+    assert rank == 12 - 4
+
+
+def test_a_distance_fixes_the_size_and_nothing_else() -> None:
+    plain = total()
+    value, sd = plain.distance(0, 4)
+    found = total(Distance(0, 4, value * 1.001, 1e-7))
+    assert found.distance(0, 4) == pytest.approx((value * 1.001, 1e-7), rel=0.05)
+    assert found.distance(0, 4)[0] == pytest.approx(value * 1.001, rel=1e-6)
+    assert found.distance(0, 3)[1] < plain.distance(0, 3)[1]
+    assert found.size_sd < 0.9 * plain.size_sd
+    assert found.frame_sd == pytest.approx(plain.frame_sd)
+    vague = total(Distance(0, 4, value * 1.1, 1.0))
+    assert vague.mean == pytest.approx(plain.mean, abs=1e-9)
+    assert vague.distance(0, 4)[1] == pytest.approx(sd, rel=1e-3)

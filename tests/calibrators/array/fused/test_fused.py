@@ -1,28 +1,37 @@
-"""The fused IMU: its noise, its output in every format, and what it must not do."""
+"""The fused IMU: its noise, its output in every format, what it must not do, its lags by hand."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import h5py
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
-from numpy.typing import NDArray
+from click.testing import Result
 
-from imucalib import cli
+from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.file import write
 from imucalib.calibrators.array.fused.fuse import Fused
-from imucalib.calibrators.array.fused.instrument import Stretch, instrument_of
-from imucalib.calibrators.array.fused.recording import determined, fused_stretch
+from imucalib.calibrators.array.fused.instrument import (
+    Beyond,
+    Stretch,
+    beyond_linear,
+    instrument_of,
+)
+from imucalib.calibrators.array.fused.recording import fused_stretch
 from imucalib.calibrators.array.fused.survey import NotFusable, Survey, side_by_side, survey
-from imucalib.errors import ImucalError, UsageError
+from imucalib.calibrators.array.loop.motion import board_motion
+from imucalib.errors import UsageError
 from imucalib.readers import read
 from imucalib.recording.recording import Recording
 from imucalib.writers import write as write_recording
+from worlds.command import run
 from worlds.rigid_board import (
     DEG,
     Board,
@@ -35,7 +44,6 @@ from worlds.rigid_board import (
     turned_by,
 )
 
-Array = NDArray[np.float64]
 HZ = 100.0
 
 
@@ -180,25 +188,14 @@ def test_what_cannot_be_fused_is_refused(plain: World) -> None:
         instrument_of(single)
 
 
-def test_a_sample_that_nothing_determines_is_left_out() -> None:
-    covariance = np.tile(np.diag([0.01] * 3 + [1e6] * 3 + [1e-4] * 3), (4, 1, 1))
-    covariance[1, 1, 1] = 700.0**2  # m/s²: most readings clip
-    covariance[2, 8, 8] = 20.0**2  # rad/s
-    assert determined(covariance).tolist() == [True, False, False, True]
-
-
 @dataclass(frozen=True)
 class Files:
     folder: Path
     moves: Moves
 
     def apply(self, target: str, *options: object, source: str = "log.h5") -> Result:
-        given = [self.folder / "c.yaml", self.folder / source, "-o", self.folder / target]
-        arguments = ["apply", *map(str, given), "--force", *map(str, options)]
-        result = CliRunner().invoke(cli.cli, arguments, standalone_mode=False)
-        if isinstance(result.exception, ImucalError):
-            result.return_value = result.exception.exit_code
-        return result
+        given = (self.folder / "c.yaml", self.folder / source, "-o", self.folder / target)
+        return run("apply", *given, "--force", *options)
 
 
 @pytest.fixture(scope="module")
@@ -325,3 +322,40 @@ def test_what_the_calibration_leaves_open_is_in_the_covariance() -> None:
     z = np.stack([z_of(seed) for seed in range(12)])
     for k in (0, 3, 6):  # one draw a board: twelve of them know an rms to a tenth or two
         assert 0.75 < rms(z[..., k : k + 3]) < 1.3
+
+
+QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+TURN = np.array([np.eye(3), QUARTER])
+
+
+def block(effect: str, *values: float) -> dict[str, Any]:
+    return {"effect": effect, "parameters": [{"value": v} for v in values]}
+
+
+def beyond(*blocks: dict[str, Any]) -> Beyond:
+    triads = [SimpleNamespace(name=n, rotation=r) for n, r in zip("ab", TURN, strict=True)]
+    return beyond_linear(SimpleNamespace(triads=triads, facts={"effects": blocks}))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("name", "answer"),
+    [("gyro_low_pass", lambda x: 1.0 / (1.0 + x)), ("gyro_delay", lambda x: np.exp(-x))],
+)
+def test_lags_over_time_are_not_those_of_the_first_order(
+    name: str, answer: Callable[[complex], complex]
+) -> None:
+    """A tone of 4 Hz, 4 ms: the second order is 1 % of it, and half of that for a delay."""
+    t, pace = 0.01 * np.arange(400), 2.0j * np.pi * 4.0
+    tone = np.exp(pace * t)[:, None] * np.array([12.0, 0.0, 5.0])
+    beside = np.stack([np.arange(400) > 0, np.arange(400) < 399], axis=1)
+    motion = board_motion(
+        imus=("a", "b"), rotations=TURN, t=t, rate=tone.imag, spin=(pace * tone).imag
+    ).coursed(beside)
+    made = beyond(block(name, 4.0))
+    late = made.late(t, None)
+    assert late is not None
+    read = (answer(4e-3 * pace) * tone).imag[:, None]
+    first = tone.imag[:, None] + np.matmul(late, (pace * tone).imag[:, None, :, None])[..., 0]
+    inner = slice(20, -20)
+    assert np.abs(first - read)[inner].max() > 0.05
+    assert np.abs(first + made.added_by_lags(motion)[1] - read)[inner].max() < 0.004
