@@ -38,15 +38,10 @@ class BatchCommand(opt.PagedCommand):
 
 @opt.paged("batch", cls=BatchCommand)
 @click.argument("inputs", metavar="INPUT... [-- OPTIONS]", nargs=-1, required=True)
-@opt.option("-o --output", "Folder of the entries.", required=True, type=opt.PATH)
+@opt.path("-o --output", "Folder of the entries.", required=True)
 @opt.option("--calibrator", "Command to run on each recording.", default="actigraph")
 @opt.option("--jobs", "Local processes at a time.", default=1)
-@opt.option(
-    "--shard",
-    "Only every N-th recording, from the I-th.",
-    default="1/1",
-    metavar="I/N",
-)
+@opt.option("--shard", "Only every N-th recording, from the I-th.", default="1/1", metavar="I/N")
 @opt.option(
     "--resume/--no-resume",
     "Keep entries whose recording, files and settings are unchanged.",
@@ -216,13 +211,8 @@ def _workers(address: str | None, patience: float) -> Iterator[Cluster | None]:
 
 @opt.paged("collect")
 @click.argument("folder", type=opt.FOLDER)
-@opt.option(
-    "-o --output",
-    "Table to write: .csv, or .parquet (extra parquet).",
-    required=True,
-    type=opt.PATH,
-)
-@opt.option("--html", "Page of all recordings, those to look at first.", type=opt.FILE)
+@opt.path("-o --output", "Table to write: .csv, or .parquet (extra parquet).", required=True)
+@opt.file("--html", "Page of all recordings, those to look at first.")
 @opt.force
 @opt.quiet
 def collect(folder: Path, output: Path, html: Path | None, force: bool, quiet: bool) -> int:

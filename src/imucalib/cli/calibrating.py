@@ -40,26 +40,22 @@ def limit_option(name: str, what: str) -> opt.Parameter:
 _OPTIONS = opt.combined(
     [
         opt.gravity,
-        opt.option(
+        opt.folder(
             "-o --output",
             "Folder for calibration.yaml, report.html and report.json.",
-            type=opt.FOLDER,
         ),
-        opt.option(
+        opt.file(
             "--entry",
             "Entry for `imucal collect`, as `imucal batch` writes it, of a failure too.",
-            type=opt.FILE,
         ),
         opt.many(
             "--declare",
             "EFFECT",
             "Put an effect into the base model; of one IMU of an array: NAME@imu3.",
         ),
-        opt.many("--only", "EFFECT", "Search only these effects."),
-        opt.many("--without", "EFFECT", "Leave effects out of the search."),
-        opt.option(
-            "--effects effects_file", "Python file with effects of your own.", type=opt.PATH
-        ),
+        opt.only,
+        opt.without,
+        opt.own_effects,
         opt.option("--loop/--no-loop", "Search for what the model lacks.", default=True),
         opt.option(
             "--curves/--no-curves",

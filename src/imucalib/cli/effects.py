@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @opt.paged("effects")
 @click.argument("name", required=False)
-@opt.option("--effects effects_file", "Python file with effects of your own.", type=opt.PATH)
+@opt.own_effects
 @opt.json
 def command(name: str | None, effects_file: Path | None, as_json: bool) -> int:
     """List the effects that a calibration can hold and the search can find, or show one.
