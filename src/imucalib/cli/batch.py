@@ -86,7 +86,7 @@ def command(inputs: tuple[str, ...], output: Path, jobs: int, **options: Any) ->
         with progress(len(tasks), "recordings", quiet) as advance:
             for entry in made:
                 entries.append(entry)
-                advance(free=entry.reused)
+                advance(entry.reused)
                 if entry.key and not entry.calibrated:
                     note(f"{entry.recording}: {entry.error}", quiet)
     return _summed_up(entries, time.monotonic() - start, output, options)
