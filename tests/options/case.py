@@ -6,6 +6,8 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from options.bench import Bench
 from options.outcome import Outcome, blocks, differ, differences
 
@@ -138,6 +140,31 @@ def both(*checks: Check) -> Check:
     def check(without: Outcome, done: Outcome, bench: Bench) -> None:
         for one in checks:
             one(without, done, bench)
+
+    return check
+
+
+def longer(without: Outcome, done: Outcome, bench: Bench) -> None:
+    """One screen, and with the option more than that."""
+    lines = without.stdout.splitlines()
+    assert len(lines) <= 60 < len(done.stdout.splitlines())
+    assert {x.strip() for x in lines[:5]} <= {x.strip() for x in done.stdout.splitlines()}
+
+
+def says_the_cost(without: Outcome, done: Outcome, bench: Bench) -> None:
+    assert "s of CPU time" in done.stderr
+    assert "s of CPU time" not in without.stderr
+    assert not differences(without.content, done.content)
+
+
+def as_its_kind(bias: float) -> Check:
+    """What the fleet knows to a thousandth of a mg stands; what it does not know the data tell."""
+
+    def check(without: Outcome, done: Outcome, bench: Bench) -> None:
+        before, after = values(without), values(done)
+        assert abs(before["bias_x"] - bias) > 0.004 > abs(after["bias_x"] - bias)
+        for name in ("bias_y", "bias_z", "scale_y", "scale_z"):
+            assert np.isclose(after[name], before[name], rtol=0.02, atol=2e-4), name
 
     return check
 
