@@ -24,11 +24,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy import sparse
 
 from imucalib.arrays import Array, Flags, Index
-from imucalib.core.balance import below
 from imucalib.core.effect import cross_matrix
 from imucalib.estimators.carried import attitudes, between, shares
+from imucalib.estimators.chain import chain_of, taken_out, turns_of
 
 #: What else a gyroscope does: (rate (n, 3) rad/s in its axes, force (n, 3) g, time (n,) s) to
 #: (n, 3, m) rad/s per unit of each of m parameters.
@@ -146,11 +147,11 @@ class TurnNoise:
 
 @dataclass(frozen=True)
 class Rows:
-    """The linearised problem: residual (R,) + jacobian (R, P) dx, two rows a turn, then the rests'
-    forces (3), rates (3), the walk's steps (3), and what is known before."""
+    """The linearised problem: residual (R,) + jacobian (R, P), sparse, times dx, two rows a turn,
+    then the rests' forces (3), rates (3), the walk's steps (3), and what is known before."""
 
     residual: Array
-    jacobian: Array
+    jacobian: sparse.csr_array
     turns: int
 
 
@@ -243,7 +244,7 @@ def _round(fit: TurnFit, prior: Array, *, held: bool) -> tuple[TurnFit, Array]:
     square = rows.residual[:own] ** 2
     if fit.covariance.size:
         jacobian = rows.jacobian[:own]
-        square = square + np.sum((jacobian @ fit.covariance) * jacobian, axis=1)
+        square = square + jacobian.multiply(jacobian @ fit.covariance).sum(axis=1)
     if not held:
         noise = _estimated(fit, prior)
     variance = variances(fit.log, noise, prior)
@@ -251,12 +252,12 @@ def _round(fit: TurnFit, prior: Array, *, held: bool) -> tuple[TurnFit, Array]:
     weight = (_NU + 2.0) / (_NU + square.reshape(-1, 2).sum(axis=1) / variance[:own:2])
     inverse = 1.0 / variance
     inverse[:own] *= np.repeat(np.where(fit.used, weight, 0.0), 2)
-    weighted = rows.jacobian * inverse[:, None]
-    normal = rows.jacobian.T @ weighted
+    weighed = rows.jacobian.multiply(inverse[:, None]).tocsr()
+    normal = (rows.jacobian.T @ weighed).toarray()
     scale = 1.0 / np.sqrt(np.diag(normal))
     covariance = np.linalg.inv(normal * scale[:, None] * scale) * scale[:, None] * scale
     found = replace(fit, noise=noise, covariance=covariance, variance=variance, weight=weight)
-    return found, -covariance @ (weighted.T @ rows.residual)
+    return found, -covariance @ (weighed.T @ rows.residual)
 
 
 def tangents(up: Array) -> Array:
@@ -333,7 +334,7 @@ def linearised(log: TurnLog, state: State, laws: Laws | None, prior: Array) -> R
     rests, off = _rest_rows(log, state, laws, across, prior, size)
     return Rows(
         np.concatenate([misfit.ravel(), off]),
-        np.concatenate([turns.reshape(-1, size), rests]),
+        sparse.csr_array(np.concatenate([turns.reshape(-1, size), rests])),
         len(log.turns),
     )
 
@@ -442,19 +443,19 @@ def _estimated(fit: TurnFit, prior: Array) -> TurnNoise:
     the likelihood of the turns with all unknowns integrated out, at their prior."""
     log, state = fit.log, fit.state
     noise = TurnNoise(0.0, 0.0, _walk(log, state, fit.laws), _scatter(log, state))
-    variance, weight = variances(log, noise, prior), np.where(fit.used, fit.weight, 0.0)
-    numbers = np.flatnonzero(np.repeat(weight > 0.0, 2))
-    misfit, shared = _by_rests(fit.rows, variance, numbers)
-    every, size = np.repeat(weight, 2)[numbers], len(numbers)
-    logs = np.empty((len(_FLOORS), len(ANGLES)))
-    for i, floor in enumerate(_FLOORS):
-        for j, angle in enumerate(ANGLES):
-            point = replace(noise, floor=float(floor), per_angle=float(angle))
-            own = np.repeat(_of_turns(log, point), 2)[numbers] / every
-            root = np.linalg.cholesky(shared + np.diag(own))
-            white = below(root, misfit)
-            logs[i, j] = -0.5 * float(white @ white) - float(np.log(np.diag(root)).sum())
-    likely = np.exp(logs - logs.max()) * ANGLE_PRIOR if size else np.ones(logs.shape)
+    used = fit.used & (fit.weight > 0.0)
+    points = noise_points(log, noise)
+    own = points[:, used] / fit.weight[used]
+    shared = np.append(np.arange(state.first_up - state.drift.size), fit.rows.jacobian.shape[1])
+    weight = np.where(used, fit.weight, 0.0) / points
+    every = variances(log, noise, prior)
+    corner, logs = rests_taken_out(fit.rows, log, every, shared, weight)
+    root = np.linalg.cholesky(corner[:, :-1, :-1])
+    known = np.linalg.solve(root, corner[:, :-1, -1:])[..., 0]
+    square = corner[:, -1, -1] - np.sum(known * known, axis=1)
+    logs += np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1) + np.log(own).sum(axis=1)
+    logs = (-0.5 * square - logs).reshape(len(_FLOORS), len(ANGLES))
+    likely = np.exp(logs - logs.max()) * ANGLE_PRIOR if used.any() else np.ones(logs.shape)
     likely /= likely.sum()
     return replace(
         noise,
@@ -463,17 +464,33 @@ def _estimated(fit: TurnFit, prior: Array) -> TurnNoise:
     )
 
 
-def _by_rests(rows: Rows, variance: Array, numbers: Index) -> tuple[Array, Array]:
-    """(n,) some of the turns' numbers as all other rows leave them, and (n, n) their covariance."""
-    own = 2 * rows.turns
-    weighted = rows.jacobian[own:] / variance[own:, None]
-    normal = rows.jacobian[own:].T @ weighted
-    scale = 1.0 / np.sqrt(np.diag(normal))
-    root = np.linalg.cholesky(normal * scale[:, None] * scale)
-    jacobian = rows.jacobian[numbers] * scale
-    white = below(root, jacobian.T)
-    step = below(root, scale * (weighted.T @ rows.residual[own:]))
-    return rows.residual[numbers] - white.T @ step, np.asarray(white.T @ white)
+def noise_points(log: TurnLog, noise: TurnNoise) -> Array:
+    """(B, T) rad², variances of the turns at every floor, and for each at every κ of `ANGLES`."""
+    each = (
+        replace(noise, floor=float(floor), per_angle=float(angle))
+        for floor in _FLOORS
+        for angle in ANGLES
+    )
+    return np.array([_of_turns(log, point) for point in each])
+
+
+def rests_taken_out(
+    rows: Rows, log: TurnLog, variance: Array, shared: Index, weight: Array
+) -> tuple[Array, Array]:
+    """What `chain.taken_out` makes of all rows. variance : (R,); shared : (g,) the columns that no
+    rest has, the residual's after all others; weight : (B, T) of the turns"""
+    whole = sparse.hstack([rows.jacobian, rows.residual[:, None]], format="csr")
+    ups = rows.jacobian.shape[1] - 2 * log.rests
+    each = np.arange(log.rests)[:, None]
+    drift, up = ups - 3 * log.rests + 3 * each + np.arange(3), ups + 2 * each + np.arange(2)
+    order, numbers = np.concatenate([drift, up], axis=1), 2 * rows.turns
+    rest = whole[numbers:]
+    normal = (rest.T @ rest.multiply(1.0 / variance[numbers:, None])).toarray()
+    at = np.array([turn.rest for turn in log.turns], dtype=np.intp)
+    heavy = np.zeros((len(weight), log.rests - 1))
+    heavy[:, at] = weight
+    turns = turns_of(whole[:numbers].toarray(), at, order, shared)
+    return taken_out(chain_of(normal, order, shared), turns, heavy)
 
 
 def _walk(log: TurnLog, state: State, laws: Laws | None) -> Array:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +22,6 @@ from imucalib.core.effect import Context, Motion, Response, Truth
 from imucalib.estimators.turns import (
     ACCELEROMETER,
     ANGLE_PRIOR,
-    ANGLES,
     GAIN,
     Laws,
     Rows,
@@ -31,6 +29,8 @@ from imucalib.estimators.turns import (
     TurnLog,
     fitted,
     linearised,
+    noise_points,
+    rests_taken_out,
     variances,
     without,
 )
@@ -254,29 +254,29 @@ class Lacking:
 
     def _grams(self, fit: TurnFit) -> Grams:
         """All but accelerometer, gains, columns and y taken out, at the noise points that count."""
-        whole = np.column_stack([self.rows.jacobian, self.rows.residual])
-        size, turns = whole.shape[1], 2 * self.rows.turns
-        out = np.r_[_FIXED : _FIXED + self.held, _FIXED + self.prior.size : size - 1]
-        kept = np.setdiff1d(np.arange(size), out)
-        used = np.repeat(fit.used, 2)
-        share = np.where(used, np.repeat(fit.weight, 2), 0.0)
-        rest = whole[turns:] / variances(fit.log, fit.noise, self.prior)[turns:, None]
-        rest = whole[turns:].T @ rest
-        matrices, logs = [], []
-        for floor, (angle, share_of) in product(_FLOORS, zip(ANGLES, ANGLE_PRIOR, strict=True)):
-            noise = replace(fit.noise, floor=float(floor), per_angle=float(angle))
-            variance = variances(fit.log, noise, self.prior)[:turns]
-            every = rest + whole[:turns].T @ (whole[:turns] * (share / variance)[:, None])
-            root = np.linalg.cholesky(every[np.ix_(out, out)])
-            across = np.linalg.solve(root, every[np.ix_(out, kept)])
-            matrices.append(every[np.ix_(kept, kept)] - across.T @ across)
-            volume = 0.5 * np.log(variance[used]).sum() + np.log(np.diag(root)).sum()
-            logs.append(float(np.log(share_of) - volume))
-        numbers = float(used.sum()) + 4.0 * fit.log.rests - 3.0
+        size = self.rows.jacobian.shape[1]
+        held = np.arange(_FIXED, _FIXED + self.held)
+        tried = np.arange(_FIXED + self.held, _FIXED + self.prior.size)
+        kept = np.concatenate([np.arange(_FIXED), tried, [size]])
+        points = noise_points(fit.log, fit.noise)
+        every, logs = rests_taken_out(
+            self.rows,
+            fit.log,
+            variances(fit.log, fit.noise, self.prior),
+            np.concatenate([held, kept]),
+            np.where(fit.used, fit.weight, 0.0) / points,
+        )
+        root = np.linalg.cholesky(every[:, : self.held, : self.held])
+        across = np.linalg.solve(root, every[:, : self.held, self.held :])
+        matrices = every[:, self.held :, self.held :] - across.swapaxes(1, 2) @ across
+        logs += np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
+        logs += np.log(points[:, fit.used]).sum(axis=1)  # of two numbers a turn, the half
+        weights = np.tile(np.log(ANGLE_PRIOR), len(points) // len(ANGLE_PRIOR)) - logs
+        numbers = 2.0 * fit.used.sum() + 4.0 * fit.log.rests - 3.0
         grams = Grams(
-            products=Multiplied(np.array(matrices)),
+            products=Multiplied(matrices),
             removed=np.zeros((len(matrices), 0, kept.size)),
-            log_weight=np.array(logs) - max(logs),
+            log_weight=weights - weights.max(),
             numbers=numbers,
             points=(None,) * len(matrices),
             spread=np.inf,
@@ -303,12 +303,13 @@ def lacking_of(fit: TurnFit, course: Course, request: ImuRequest) -> Lacking:
     prior = np.concatenate([held, np.full(sizes.size, np.inf)])
     state = replace(fit.state, theta=np.zeros(prior.size))
     rows = linearised(fit.log, state, laws_of((*declared, *whole), course), prior)
-    rows.jacobian[:, _FIXED + held.size : _FIXED + prior.size] *= sizes
+    scale = np.ones(rows.jacobian.shape[1])
+    scale[_FIXED + held.size : _FIXED + prior.size] = sizes
     return Lacking(
         components=components,
         missing=missing,
         tried=tried,
-        rows=rows,
+        rows=replace(rows, jacobian=rows.jacobian.multiply(scale).tocsr()),
         prior=prior,
         held=held.size,
     )
