@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from imucalib.cohort.batch import Cluster, Task
     from imucalib.cohort.entries import Entry
 
-#: Where the command leaves what stands behind --.
-_BEHIND = "imucal.behind"
+#: Where the command leaves the arguments after --.
+_PASSED_ON = "imucal.passed_on"
 
 
 class BatchCommand(opt.PagedCommand):
@@ -28,7 +28,7 @@ class BatchCommand(opt.PagedCommand):
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         at = args.index("--") if "--" in args else len(args)
-        ctx.meta[_BEHIND] = tuple(args[at + 1 :])
+        ctx.meta[_PASSED_ON] = tuple(args[at + 1 :])
         try:
             return super().parse_args(ctx, args[:at])
         except click.NoSuchOption as error:
@@ -79,9 +79,9 @@ def command(inputs: tuple[str, ...], output: Path, jobs: int, **options: Any) ->
     from imucalib.cohort.recordings import recordings_of
 
     calibrator, resume, quiet = (options[name] for name in ("calibrator", "resume", "quiet"))
-    behind, files = _options_of(calibrator, click.get_current_context().meta[_BEHIND])
+    passed, files = _options_of(calibrator, click.get_current_context().meta[_PASSED_ON])
     found, shard = recordings_of(inputs), _shard_of(options["shard"])
-    tasks = plan(found.recordings, output, calibrator, behind, shard, files)
+    tasks = plan(found.recordings, output, calibrator, passed, shard, files)
     entries: list[Entry] = []
     start = time.monotonic()
     with _workers(options["scheduler"], options["wait"]) as cluster:
@@ -145,7 +145,7 @@ def _options_of(calibrator: str, typed: tuple[str, ...]) -> tuple[tuple[str, ...
     Raises UsageError for what is no calibrator, and click's usage errors for options it lacks.
     """
     from imucalib.cli import COMMANDS, cli
-    from imucalib.cli.bench_file import defaults, sections, taken
+    from imucalib.cli.bench_file import defaults, from_file, sections
     from imucalib.cli.calibrating import calibrates
     from imucalib.errors import UsageError
 
@@ -162,7 +162,7 @@ def _options_of(calibrator: str, typed: tuple[str, ...]) -> tuple[tuple[str, ...
             "-o behind -- would be the folder of every recording",
             remedy="leave it out: each entry holds its recording's report",
         )
-    return _placed(command, [*taken(context), *typed])
+    return _placed(command, [*from_file(context), *typed])
 
 
 def _placed(command: click.Command, words: list[str]) -> tuple[tuple[str, ...], frozenset[str]]:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imucalib.cli import options as opt
-from imucalib.cli.bench_file import taken
+from imucalib.cli.bench_file import from_file
 from imucalib.cli.output import Say, emit_json, note, say, show, working
 from imucalib.errors import LimitBroken
 
@@ -208,7 +208,7 @@ def shared_of(options: Mapping[str, Any]) -> dict[str, Any]:
 def command_line() -> str:
     """The line that was typed, with what imucal.toml added, ready to be pasted."""
     ctx = click.get_current_context()
-    return shlex.join(["imucal", *ctx.meta.get(ARGUMENTS, ()), *taken(ctx)])
+    return shlex.join(["imucal", *ctx.meta.get(ARGUMENTS, ()), *from_file(ctx)])
 
 
 def finish(

@@ -56,7 +56,7 @@ def _scanned(name: str, names: list[str]) -> Effect:
         if name in scans:
             example = f"{name}@{scans[name].example}"
             raise UsageError(f"'{name}' needs its value", remedy=f"for example: {example}")
-        near = ", ".join(difflib.get_close_matches(name, names, 3))
-        remedy = f"did you mean: {near}" if near else "`imucal effects` lists them all"
+        similar = ", ".join(difflib.get_close_matches(name, names, 3))
+        remedy = f"did you mean: {similar}" if similar else "`imucal effects` lists them all"
         raise UsageError(f"no effect is called '{name}'", remedy=remedy)
     return found

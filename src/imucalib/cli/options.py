@@ -290,14 +290,14 @@ _RARE = {
 }
 RARE = {heading: tuple(names.split()) for heading, names in _RARE.items()}
 _HEADING = {name: heading for heading, names in RARE.items() for name in names}
-_ASKED = "imucal.help_all"
+_WHOLE_HELP = "imucal.help_all"
 
 Records = list[tuple[str, str]]
 
 
 def _show_all(ctx: click.Context, _: click.Parameter, wanted: bool) -> None:
     if wanted and not ctx.resilient_parsing:
-        ctx.meta[_ASKED] = True
+        ctx.meta[_WHOLE_HELP] = True
         click.echo(ctx.get_help(), color=ctx.color)
         ctx.exit()
 
@@ -330,7 +330,7 @@ class PagedCommand(click.Command):
             by_heading[_HEADING.get(str(parameter.name), "Options")].append(record)
         _write(formatter, "Options", by_heading.pop("Options"))
         rare = {heading: records for heading, records in by_heading.items() if records}
-        if ctx.meta.get(_ASKED):
+        if ctx.meta.get(_WHOLE_HELP):
             for heading, records in rare.items():
                 _write(formatter, heading, records)
         else:
