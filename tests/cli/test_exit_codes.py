@@ -13,15 +13,10 @@ import numpy as np
 import pytest
 
 from imucalib import cli, writers
-from imucalib.calibration.calibration import Calibration, StoredParameter
-from imucalib.calibration.file import read
-from imucalib.calibration.file import write as write_calibration
-from imucalib.errors import CRASH_EXIT_CODE, UnreadableInput
+from imucalib.errors import CRASH_EXIT_CODE
 from imucalib.recording.recording import Channel, Recording
-from imucalib.recording.yaml_text import dump, load
 
 N = 20_000
-NAMES = ("b_x", "b_y", "b_z")
 
 
 @pytest.fixture
@@ -110,34 +105,3 @@ def test_a_file_that_may_not_grow_ends_cleanly(log: Path, suffix: str) -> None:
     assert found.stderr.count(b"\n") == 1
     assert b"too large" in found.stderr
     assert [p.name for p in log.parent.iterdir()] == ["log.h5"]
-
-
-@pytest.mark.parametrize("name", ["b_x", "gravity_m_per_s2", "to_m_per_s2"])
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_a_calibration_that_is_no_number_is_refused(
-    name: str, value: float, tmp_path: Path
-) -> None:
-    stored = tuple(StoredParameter(n, "bias", "sensor", 1.0, 1.0, "mg") for n in NAMES)
-    path = tmp_path / "c.yaml"
-    write_calibration(
-        Calibration(
-            calibrator="lab",
-            parameters=stored,
-            covariance=np.eye(3),
-            raw_unit="m/s2",
-            raw_to_si=1.0,
-            gravity=9.8,
-            status="ok",
-        ),
-        path,
-    )
-    content = load(path)
-    if name == "b_x":
-        content["parameters"][0]["value"] = value
-    elif name == "to_m_per_s2":
-        content["raw"][name] = value
-    else:
-        content[name] = value
-    path.write_text(dump(content))
-    with pytest.raises(UnreadableInput, match=name):
-        read(path)

@@ -292,3 +292,16 @@ def test_a_failure_is_json_on_stdout_and_words_on_stderr(name: str, tmp_path: Pa
     assert error["exit_code"] == 3
     assert error["message"] in done[1].stderr
     assert "none.csv" in error["where"]
+
+
+@pytest.mark.slow
+def test_several_logs_say_where_their_common_report_is(tmp_path: Path) -> None:
+    given, out = INPUTS["array"](tmp_path), tmp_path / "out"
+    other = given.recording.with_stem("other")
+    other.write_bytes(given.recording.read_bytes())
+    shown = run("array", given.recording, other, *given.options, "--no-loop", "-o", out)
+    assert shown.exception is None, shown.output
+    where = f"--full, or {out / 'report.html'}"
+    assert "".join(shown.stdout.split()).endswith("".join(where.split()))
+    kept = run("array", given.recording, other, *given.options, "--no-loop")
+    assert kept.stdout.rstrip().endswith("--full")

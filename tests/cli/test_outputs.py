@@ -25,6 +25,7 @@ from imucalib.calibration.file import write_together
 from imucalib.errors import UsageError
 from imucalib.readers import sha256_of
 from imucalib.recording.recording import Channel, Recording
+from imucalib.recording.yaml_text import dump, load
 from worlds.command import run
 from worlds.mcap_logs import START, cdr, packed, readings, write_log
 from worlds.places import ROOT
@@ -292,3 +293,17 @@ def test_a_form_that_loses_too_much_is_left_out_and_the_rest_is_written(tmp_path
     assert {p.name for p in out.iterdir()} == whole
     assert run(*usual, "--export", "px4", "-o", out, "--force").return_value == 0
     assert (out / "imucal_px4.params").read_text().count("\tCAL_ACC0_") == 6
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+@pytest.mark.parametrize("name", ["b_x", "gravity_m_per_s2", "to_m_per_s2"])
+def test_a_calibration_that_is_no_number_is_refused(
+    name: str, value: float, calibration: Path
+) -> None:
+    content = load(calibration)
+    place = {"b_x": content["parameters"][0], "to_m_per_s2": content["raw"]}.get(name, content)
+    place["value" if name == "b_x" else name] = value
+    calibration.write_text(dump(content))
+    result = run("validate", calibration)
+    assert result.return_value == 3
+    assert name in str(result.exception)

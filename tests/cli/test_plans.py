@@ -8,23 +8,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import Result
 
-from imucalib import cli
 from imucalib.errors import UsageError
 from imucalib.readers import read
 from imucalib.units import MG, STANDARD_GRAVITY
-
-
-def design(*arguments: object) -> str:
-    words = ["design", *(str(a) for a in arguments), "--json"]
-    return CliRunner().invoke(cli.cli, words, standalone_mode=False, catch_exceptions=False).stdout
+from worlds.command import run
 
 
 def test_a_recommended_plan_is_judged_as_it_was(tmp_path: Path) -> None:
     path = tmp_path / "plan.csv"
-    made = json.loads(design("--recommend", 12, "-o", path))
-    read = json.loads(design(path))
+    made = json.loads(run("design", "--recommend", 12, "-o", path, "--json").stdout)
+    read = json.loads(run("design", path, "--json").stdout)
     assert read["positions"] == [
         {k: round(v, 1) for k, v in p.items()} for p in made["positions"]
     ]  # fmt: skip
@@ -37,9 +32,8 @@ SMALL = ("--days", "0.1", "--rate", "2", "--noise", "0", "--rests", "1")
 PLAIN = ("--plant", "scale=0,0,0", "--plant", "non_orthogonality=0,0,0", "--plant", "bias=0,0,0")
 
 
-def run(*arguments: object) -> Result:
-    words = [str(a) for a in arguments]
-    return CliRunner().invoke(cli.cli, ["simulate", *words], standalone_mode=False)
+def simulate(*arguments: object) -> Result:
+    return run("simulate", *arguments)
 
 
 def readings(path: Path, name: str = "imu0/acceleration") -> np.ndarray:
@@ -48,7 +42,7 @@ def readings(path: Path, name: str = "imu0/acceleration") -> np.ndarray:
 
 def test_a_worn_days_effects_are_in_its_samples(tmp_path: Path) -> None:
     path = tmp_path / "day.h5"
-    done = run("actigraph", path, *SMALL, *PLAIN, "--plant", "quadratic=3,-2,4", "--json")
+    done = simulate("actigraph", path, *SMALL, *PLAIN, "--plant", "quadratic=3,-2,4", "--json")
     content = json.loads(done.stdout)
     assert content["planted"]["quadratic"] == [3.0, -2.0, 4.0]
     assert content["written"] == [str(path)]
@@ -62,7 +56,7 @@ def test_a_worn_days_effects_are_in_its_samples(tmp_path: Path) -> None:
 
 def test_a_worn_days_bias_follows_its_thermometer(tmp_path: Path) -> None:
     path = tmp_path / "day.h5"
-    run("actigraph", path, *SMALL, *PLAIN, "--plant", "temperature_bias=2,0,-1")
+    simulate("actigraph", path, *SMALL, *PLAIN, "--plant", "temperature_bias=2,0,-1")
     warm = readings(path, "imu0/temperature")
     assert np.ptp(warm) > 1.0
     truth = readings(path) - np.array([2.0, 0.0, -1.0]) * MG * (warm - 25.0)
@@ -71,7 +65,7 @@ def test_a_worn_days_bias_follows_its_thermometer(tmp_path: Path) -> None:
 
 
 def _cold(folder: Path) -> Path:
-    run("actigraph", folder / "cold.h5", *SMALL, "--no-temperature")
+    simulate("actigraph", folder / "cold.h5", *SMALL, "--no-temperature")
     return folder / "cold.h5"
 
 
@@ -86,8 +80,8 @@ FAULTS: list[tuple[str, Any]] = [
 @pytest.mark.parametrize(("fault", "holds"), FAULTS, ids=[f[0] for f in FAULTS])
 def test_faults_are_what_they_say(tmp_path: Path, fault: str, holds: Any) -> None:
     plain, broken = tmp_path / "plain.h5", tmp_path / "broken.h5"
-    run("array", plain, "--rests", 3, "--seconds", 3)
-    run("array", broken, "--rests", 3, "--seconds", 3, "--fault", fault)
+    simulate("array", plain, "--rests", 3, "--seconds", 3)
+    simulate("array", broken, "--rests", 3, "--seconds", 3, "--fault", fault)
     found = read(broken)
     assert holds(readings(plain), found.channels["imu0/acceleration"].values, len(found.gaps))
 
@@ -95,14 +89,14 @@ def test_faults_are_what_they_say(tmp_path: Path, fault: str, holds: Any) -> Non
 @pytest.mark.parametrize("fault", ["gap", "gap@1", "melt@1:2", "gap@x:2", "sign@imu0:w",
                                    "sign@imu99:x"])  # fmt: skip
 def test_what_is_no_fault_is_refused(tmp_path: Path, fault: str) -> None:
-    done = run("array", tmp_path / "a.h5", "--rests", 3, "--seconds", 1, "--fault", fault)
+    done = simulate("array", tmp_path / "a.h5", "--rests", 3, "--seconds", 1, "--fault", fault)
     assert isinstance(done.exception, UsageError)
     assert not (tmp_path / "a.h5").exists()
 
 
 def test_a_benchs_recording_rests_four_seconds_with_four_mg_of_noise(tmp_path: Path) -> None:
     path = tmp_path / "rests.h5"
-    done = run("lab", tmp_path / "b.csv", "--recording", path, "--positions", "12")
+    done = simulate("lab", tmp_path / "b.csv", "--recording", path, "--positions", "12")
     assert done.exception is None
     values = readings(path)
     assert len(values) == 12 * 400 + 11 * 150  # 100 Hz, 1.5 s of motion between

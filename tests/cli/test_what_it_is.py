@@ -8,20 +8,15 @@ import shlex
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import Result
 
-from imucalib import cli
+from worlds.command import run
 from worlds.places import SAMPLES
 
 ROWS, TABLE = (
     [line for line in (SAMPLES / name).read_text().splitlines() if line[0] != "#"]
     for name in ("cave_ai.csv", "paper_table_1.csv")
 )
-
-
-def run(*words: object) -> Result:
-    line = [str(w) for w in words]
-    return CliRunner().invoke(cli.cli, line, standalone_mode=False)
 
 
 def said(done: Result) -> str:

@@ -16,10 +16,9 @@ from gates.bounds import at_most
 from imucalib.arrays import Array, Index
 from imucalib.core.effect import Context
 from imucalib.core.fit import Fit
-from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm
-from imucalib.effects import catalogue, families, named
+from imucalib.effects import catalogue, families
 from imucalib.estimators.least_squares import fit
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.loop import held_out as held_out_module
@@ -44,10 +43,9 @@ from imucalib.loop.posterior.recording import close_recording, followed
 from imucalib.loop.posterior.words import concluded
 from imucalib.loop.record_errors import RecordError
 from imucalib.units import MG
-from worlds.bench import base_model, bench, draw, ordinary_theta
+from worlds.bench import NINE, base_model, bench, draw, ordinary_theta
 
 G = 9.80665
-NINE = ("bias", "scale", "non_orthogonality")
 
 
 def at_rest(seed: int, n: int = 40, bend: float = 0.0, noise: float = 0.3) -> Observations:
@@ -59,13 +57,15 @@ def at_rest(seed: int, n: int = 40, bend: float = 0.0, noise: float = 0.3) -> Ob
     reading = 1000.0 * u @ gain.T + [12.0, -9.0, 20.0] + bend * np.array([1.0, -0.8, 1.2]) * u**2
     reading = reading + noise * rng.normal(size=(n, 3))
     context = Context(n, {"order": np.linspace(0.0, 1.0, n), "record": np.arange(n, dtype=float)})
+    return observed(reading, context, np.arange(n), "row")
+
+
+def observed(reading: Array, context: Context, group: Index, name: str) -> Observations:
+    """Of readings (n, 3) mg by the size of gravity."""
+    n = len(reading)
+    labels = tuple(f"{name} {k + 1}" for k in range(n))
     return Observations(
-        reading[:, None] * MG,
-        np.full((n, 1, 3), MG),
-        KnownNorm(n, G),
-        context,
-        np.arange(n),
-        tuple(f"row {k + 1}" for k in range(n)),
+        reading[:, None] * MG, np.full((n, 1, 3), MG), KnownNorm(n, G), context, group, labels
     )
 
 
@@ -188,7 +188,7 @@ def test_the_same_recording_gives_the_same_answer_in_any_order() -> None:
     assert one.posterior.probability[0] == pytest.approx(two.posterior.probability[0], rel=1e-6)
 
 
-RECORDED_G, HOUR = 9.80665, 3600.0
+HOUR = 3600.0
 SPAN = 48.0 * HOUR
 
 
@@ -226,24 +226,14 @@ def worn(seed: int, n: int = 90, drift: float = 0.0, hours: float = 8.0) -> Obse
     gain = np.eye(3) + np.diag([0.004, -0.003, 0.002])
     reading = 1000.0 * u @ gain.T + [12.0, -9.0, 20.0] + off + 0.3 * rng.normal(size=(n, 3))
     covariates = {"time": time, "order": time / SPAN, "record": np.arange(n, dtype=float)}
-    return Observations(
-        reading[:, None] * MG,
-        np.full((n, 1, 3), MG),
-        KnownNorm(n, RECORDED_G),
-        Context(n, covariates),
-        np.minimum((time / SPAN * 12).astype(int), 11),
-        tuple(f"run {k + 1}" for k in range(n)),
-    )
-
-
-def base() -> Model:
-    return Model(tuple(named(name) for name in ("bias", "scale", "non_orthogonality")))
+    group = np.minimum((time / SPAN * 12).astype(int), 11)
+    return observed(reading, Context(n, covariates), group, "run")
 
 
 @cache
 def made() -> tuple[Problem, Grams, Course]:
     data = worn(2, drift=0.6)
-    plain = fit(base(), data)
+    plain = fit(base_model(NINE), data)
     course, _ = course_of(plain, np.zeros(data.n))
     problem = problem_of(plain, components_of(plain.model, data, asked()))
     return problem, recorded_grams(problem, course), course
@@ -270,7 +260,7 @@ def test_runs_left_out_are_as_good_as_never_taken() -> None:
 def test_a_walk_is_followed_where_it_is_and_nowhere_else() -> None:
     known = np.zeros(240)
     for drift in (0.0, 1.5):
-        plain = fit(base(), worn(7, 240, drift))
+        plain = fit(base_model(NINE), worn(7, 240, drift))
         closed = close_recording(plain, asked(), known)
         found = followed(closed.loop.final, closed.course)
         assert (found is not None) == (drift > 0.0)
@@ -280,9 +270,7 @@ def test_a_walk_is_followed_where_it_is_and_nowhere_else() -> None:
             assert error < 0.5 * np.std(plain.at.residual * plain.at.unit) / MG
 
 
-def _grouped(n: int, groups: int):  # type: ignore[no-untyped-def]
-    from dataclasses import replace
-
+def _grouped(n: int, groups: int) -> Observations:
     data = bench(1, n)
     return replace(data, group=np.arange(n) * groups // n)
 

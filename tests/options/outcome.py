@@ -64,7 +64,8 @@ def run(arguments: list[str], folder: Path) -> Outcome:
 
 
 def leaves(node: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Every number and word of a result with its place, its origin left out."""
+    """Every number and word of a result with its place, its origin left out, and the command that
+    was typed where it is proposed again."""
     if isinstance(node, dict):
         for key, value in node.items():
             if key not in ORIGIN:
@@ -72,6 +73,8 @@ def leaves(node: Any, path: str = "") -> Iterator[tuple[str, Any]]:
     elif isinstance(node, list):
         for k, value in enumerate(node):
             yield from leaves(value, f"{path}/{k}")
+    elif "/to_do/" in path:
+        yield path, re.sub(r"`imucal .*?`", "", node)
     else:
         yield path, node
 

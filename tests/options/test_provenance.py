@@ -39,7 +39,8 @@ BEGINS: dict[str, tuple[str, ...]] = {
     ),
 }
 #: What is printed, and where; and what only names other inputs, which have their own check sums.
-NO_NUMBER = {*LAWS, "--output", "--full", "--verbose", "--export", "--save-draws", "--recording"}
+NO_NUMBER = {*LAWS, "--output", "--entry", "--full", "--verbose", "--export", "--save-draws"}
+NO_NUMBER |= {"--recording"}
 #: A chain goes on where the file has it; the file's own check sum refuses another question.
 NO_NUMBER |= {"--checkpoint"}
 #: What a run ends with.

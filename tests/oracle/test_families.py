@@ -4,7 +4,6 @@ second time with numpy alone."""
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +12,7 @@ from imucalib.core.effect import Context, Truth
 from imucalib.effects import families, named
 from imucalib.effects.forms import FORMS
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
+from oracle.equations import PAGE
 
 N = 60
 #: kind -> (equation as printed, the columns that its sizes multiply, of u and the form's numbers).
@@ -359,7 +359,7 @@ def test_the_neighbours_of_a_step_are_tried_after_it() -> None:
 
 
 def test_every_scan_shows_one_of_its_members_on_the_page() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "effects.md").read_text(encoding="utf-8")
+    page = PAGE.read_text(encoding="utf-8")
     for family in families().values():
         member = family.member(family.example)
         assert member.name == f"{family.name}@{family.example}"

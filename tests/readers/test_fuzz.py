@@ -31,7 +31,7 @@ def test_every_sample_is_read_as_written(name: str, in_blocks: bool, tmp_path: P
     assert not found.gaps
 
 
-@pytest.mark.parametrize("each", [4, pytest.param(20, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("each", [2, pytest.param(20, marks=pytest.mark.slow)])
 def test_damage_is_told(each: int, tmp_path: Path) -> None:
     """No sample that was not written, unsaid, and no traceback."""
     fuzzer = Fuzzer(tmp_path, 1)

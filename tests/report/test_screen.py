@@ -9,12 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from click.testing import CliRunner, Result
 
-from imucalib import cli
 from imucalib.effects import catalogue
 from imucalib.report.document import Card, Document, Text, Worth
 from imucalib.report.render.text import SCREEN, render_text
+from worlds.command import run
 from worlds.places import SAMPLES
 
 TABLE = ("lab", "paper_table_1.csv", "--gravity", "9.8061")
@@ -42,11 +41,6 @@ CALLS = [
 ]
 #: An effect's id, a scan's, a parameter's: no word of a language.
 INTERNAL = re.compile(r"\b\w+@\w+|\b[a-z]+_[a-z_]+\b")
-
-
-def run(*words: object) -> Result:
-    line = [str(w) for w in words]
-    return CliRunner().invoke(cli.cli, line, standalone_mode=False, catch_exceptions=False)
 
 
 def located(call: tuple[str, ...]) -> list[str]:
@@ -177,3 +171,51 @@ def test_what_has_no_room_is_counted(count: int, width: int) -> None:
         re.findall(r"^\d+\. ", text, flags=re.M)
     )
     assert shown + (int(told[1]) if told else 0) == 2 * count
+
+
+def card(*words: object) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(run(*words, "--json").stdout)["card"]
+    return found
+
+
+def test_a_check_that_passes_says_what_it_would_have_seen(devices: Path) -> None:
+    told = card(
+        "check", devices / "cave_ai" / "calibration.yaml", devices / "rests.csv", "--limit", "20mg"
+    )
+    (worth,) = told["good_to"]
+    assert worth["quantity"] == "see a change of bias"
+    assert "limit 20 mg, as stated" in worth["detail"]
+    assert told["found"][0].startswith("Nothing shows")
+    assert "imucal apply" in told["to_do"][0]
+    assert "imucal check" in told["command"]
+
+
+def test_an_undecided_check_names_the_rests(devices: Path) -> None:
+    told = card(
+        "check",
+        devices / "cave_ai" / "calibration.yaml",
+        devices / "rests.csv",
+        "--limit",
+        "0.02mg",
+    )
+    assert "Nothing shows" in told["found"][0]
+    assert "Record these rests" in told["to_do"][0] or "accept a wider" in told["to_do"][0]
+
+
+def test_a_fleet_says_what_a_device_is_good_to(tmp_path: Path) -> None:
+    tables = [SAMPLES / f"cave_{n}.csv" for n in ("ai", "bi", "fb")]
+    out = tmp_path / "fleet"
+    done = run("fleet", *tables, "--reference", "norm", "--only", "quadratic", "--draws", "99",
+               "-o", out)  # fmt: skip
+    content = json.loads((out / "report.json").read_text())
+    names = [w["quantity"] for w in content["card"]["good_to"]]
+    assert names == ["all devices", "the worst device"]
+    worst = max(content["devices"], key=lambda d: d["final_mg"])
+    assert content["card"]["good_to"][1]["value"] == f"{worst['final_mg']:.3g} mg"
+    assert worst["name"] in content["card"]["good_to"][1]["detail"]
+    assert "Quadratic, in every device" in content["card"]["found"][0]
+    assert "Good to ─" in done.stdout
+    page = (out / "report.html").read_text()
+    assert 'class="card"' in page
+    assert "imucal fleet" in page
+    assert content["figures"]

@@ -36,6 +36,7 @@ from worlds.mcap_logs import (
     same_bits,
     write_log,
 )
+from worlds.places import SAMPLES
 
 
 def recording(
@@ -112,9 +113,6 @@ def test_read_by_the_official_reader(tmp_path: Path) -> None:
     first = found[0][3]
     assert (first.header.frame_id, first.orientation_covariance[0]) == ("a", -1.0)
     assert first.header.stamp.sec * 10**9 + first.header.stamp.nanosec == START
-
-
-SAMPLES = Path(__file__).parents[2] / "sample_logs"
 
 
 def by_rosbags(path: Path) -> list[tuple[str, object]]:

@@ -36,7 +36,7 @@ Say = Callable[[str], None]
 #: Local (m/s²), or latitude (deg) and height (m).
 Gravity = tuple[float | None, float | None, float]
 _SEVERAL = ("fixes", "exclude", "declare", "only", "without")
-Asked = TypeVar("Asked", LabRequest, ActigraphRequest, ImuRequest, ArrayRequest)
+AnyRequest = TypeVar("AnyRequest", LabRequest, ActigraphRequest, ImuRequest, ArrayRequest)
 Place = Path | str
 #: A file, or what a notebook holds: a DataFrame, columns by name, or an array (see `read`).
 Given = Place | Mapping[str, Any] | Any
@@ -87,7 +87,7 @@ def _each(given: Given) -> tuple[Given, tuple[Path, ...]]:
     return given, ()
 
 
-def _asked(request: Asked, gravity: Gravity, **stated: Any) -> Asked:
+def _with(request: AnyRequest, gravity: Gravity, **stated: Any) -> AnyRequest:
     """The request with what keywords state, that is not None, in place of its fields."""
     if (found := stated_gravity(*gravity)) is not None:
         stated["gravity"], stated["gravity_source"] = found
@@ -157,7 +157,7 @@ def lab(
     from imucalib.calibrators.lab.files import LabFiles, calibrate_files
     from imucalib.report.lab import lab_document
 
-    asked = _asked(
+    wanted = _with(
         request or LabRequest(),
         (gravity, latitude, height),
         reference=reference,
@@ -175,7 +175,7 @@ def lab(
     first, others = _each(table)
     with _as_file(first, _TABLE) as file:
         files = LabFiles(file, log, columns or {}, read_as, others=others)
-        run = calibrate_files(files, asked, say)
+        run = calibrate_files(files, wanted, say)
     return Result(run, lab_document(run))
 
 
@@ -203,7 +203,7 @@ def actigraph(
     from imucalib.calibrators.actigraph.run import calibrate_recording
     from imucalib.report.actigraph import actigraph_document
 
-    asked = _asked(
+    wanted = _with(
         request or ActigraphRequest(),
         (gravity, latitude, height),
         **{"declare": declare, "only": only, "without": without},
@@ -211,7 +211,7 @@ def actigraph(
         seed=seed,
     )
     with _as_file(recording, _RECORDING) as file:
-        run = calibrate_recording(file, _mapping_of(mapping, reading), asked, say)
+        run = calibrate_recording(file, _mapping_of(mapping, reading), wanted, say)
     return Result(run, actigraph_document(run))
 
 
@@ -239,7 +239,7 @@ def array(
     from imucalib.report.array import array_document
 
     drawn = board if isinstance(board, Board) else read_board(str(board))
-    asked = _asked(
+    wanted = _with(
         request or ArrayRequest(drawn),
         (gravity, latitude, height),
         board=drawn,
@@ -248,7 +248,7 @@ def array(
         seed=seed,
     )
     found = log if isinstance(log, Recording) else read(log, mapping, **reading)
-    run = calibrate_array(found, asked, say)
+    run = calibrate_array(found, wanted, say)
     return Result(run, array_document(run))
 
 
@@ -275,7 +275,7 @@ def imu(
     from imucalib.calibrators.imu.run import run_imu
     from imucalib.report.imu import imu_document
 
-    asked = _asked(
+    wanted = _with(
         request or ImuRequest(),
         (gravity, latitude, height),
         **{"declare": declare, "only": only, "without": without},
@@ -283,7 +283,7 @@ def imu(
     )
     first, others = _each(recording)
     with _as_file(first, _RECORDING) as file:
-        run = run_imu((file, *others), _mapping_of(mapping, reading), asked, say)
+        run = run_imu((file, *others), _mapping_of(mapping, reading), wanted, say)
     return Result(run, imu_document(run))
 
 

@@ -14,8 +14,8 @@ import click
 
 from imucalib.errors import CRASH_EXIT_CODE, ImucalError
 
-#: Command -> one line for the overview. The module of the same name holds `command`, or another
-#: one, of `_BESIDE`, a function of that name.
+#: Command -> one line for the overview. The module of that name holds `command`; of those in
+#: `_MODULES` another one, a function of their name.
 COMMANDS = {
     "lab": "Calibrate a tool's accelerometer on a bench with known angles, or by gravity alone.",
     "actigraph": "Calibrate a worn sensor from days of recording, by gravity at rest.",
@@ -37,7 +37,7 @@ COMMANDS = {
 }
 
 
-_BESIDE = {"collect": "batch", "validate": "check"}
+_MODULES = {"collect": "batch", "validate": "check"}
 
 
 class LazyGroup(click.Group):
@@ -84,8 +84,8 @@ class LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in COMMANDS:
             return None
-        module = importlib.import_module(f"imucalib.cli.{_BESIDE.get(cmd_name, cmd_name)}")
-        command: click.Command = getattr(module, cmd_name if cmd_name in _BESIDE else "command")
+        module = importlib.import_module(f"imucalib.cli.{_MODULES.get(cmd_name, cmd_name)}")
+        command: click.Command = getattr(module, cmd_name if cmd_name in _MODULES else "command")
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

@@ -33,21 +33,16 @@ def _millimetres(
 @opt.paged("apply")
 @click.argument("calibration", type=opt.PATH)
 @click.argument("recording", type=opt.PATH)
-@opt.option("-o --output", "File to write: .mcap, .h5 or .csv.", required=True, type=opt.PATH)
+@opt.path("-o --output", "File to write: .mcap, .h5 or .csv.", required=True)
 @opt.strict
 @opt.option("--triad", "Which sensor, when the recording has several.")
 @opt.effects
 @opt.option(
     "--parts use", "Each sample by the part valid at its time (--every).", flag_value="parts"
 )
-@opt.option(
-    "--angles", "Also write inclination and tool-face with their sd, as CSV.", type=opt.FILE
-)
+@opt.file("--angles", "Also write inclination and tool-face with their sd, as CSV.")
 @opt.choice(
-    "--each",
-    "rest sample",
-    "A row of --angles for each rest, or for each sample.",
-    default="rest",
+    "--each", "rest sample", "A row of --angles for each rest, or for each sample.", default="rest"
 )
 @opt.option(
     "--fused/--no-fused",
@@ -60,11 +55,10 @@ def _millimetres(
     metavar="X,Y,Z",
     callback=_millimetres,
 )
-@opt.option(
+@opt.file(
     "--residuals",
     "Also write what rests read before and after, and the corrected sensors, to look at: "
     ".mcap, with a layout for Foxglove.",
-    type=opt.FILE,
 )
 @opt.flag("--again", "Correct a recording that is corrected already.")
 @opt.option("--whole use", "One calibration for all, whatever parts.", flag_value="whole")

@@ -30,8 +30,7 @@ _LARGE, _KEPT = 1 << 22, 1 << 26
     required=True,
 )
 @opt.flag(
-    "--as-drawn",
-    "Keep the board file's axes and places even where the log contradicts them.",
+    "--as-drawn", "Keep the board file's axes and places even where the log contradicts them."
 )
 @opt.choice("--sampler", "hmc pmmh", "pmmh: Algorithm 1 of the paper.", default="hmc")
 @opt.option(
@@ -48,22 +47,15 @@ _LARGE, _KEPT = 1 << 22, 1 << 26
 )
 @opt.option("--acc-sigma", "In motion: estimate, nonlinearity, or m/s².", default="estimate")
 @opt.choice(
-    "--gyro-covariance",
-    "scatter sample",
-    "sample: equation (30) of the paper.",
-    default="scatter",
+    "--gyro-covariance", "scatter sample", "sample: equation (30) of the paper.", default="scatter"
 )
 @opt.option("--chains", "Number of chains.", type=int)
 @opt.option("--ess", "Effective sample size to reach.", default=400.0)
 @opt.option("--iterations", "Of --sampler pmmh.", default=100_000)
 @limit_option("--max-gyro-error", "held-out gyro error, deg/s.")
 @limit_option("--max-position-sd", "largest posterior sd, mm.")
-@opt.option("--save-draws", "Also write the posterior's draws: .h5 or .nc.", type=opt.PATH)
-@opt.option(
-    "--checkpoint",
-    "Keep the chains here after every block, and go on from there.",
-    type=opt.PATH,
-)
+@opt.path("--save-draws", "Also write the posterior's draws: .h5 or .nc.")
+@opt.path("--checkpoint", "Keep the chains here after every block, and go on from there.")
 @opt.option(
     "--distance distances",
     "A distance that you measured, which fixes the size: imu0 imu7 26.73±0.05mm (+- works too).",

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from imucalib.cohort.batch import Cluster, Task
     from imucalib.cohort.entries import Entry
 
-#: Where the command leaves what stands behind --.
-_BEHIND = "imucal.behind"
+#: Where the command leaves the arguments after --.
+_PASSED_ON = "imucal.passed_on"
 
 
 class BatchCommand(opt.PagedCommand):
@@ -28,7 +28,7 @@ class BatchCommand(opt.PagedCommand):
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         at = args.index("--") if "--" in args else len(args)
-        ctx.meta[_BEHIND] = tuple(args[at + 1 :])
+        ctx.meta[_PASSED_ON] = tuple(args[at + 1 :])
         try:
             return super().parse_args(ctx, args[:at])
         except click.NoSuchOption as error:
@@ -38,15 +38,10 @@ class BatchCommand(opt.PagedCommand):
 
 @opt.paged("batch", cls=BatchCommand)
 @click.argument("inputs", metavar="INPUT... [-- OPTIONS]", nargs=-1, required=True)
-@opt.option("-o --output", "Folder of the entries.", required=True, type=opt.PATH)
+@opt.path("-o --output", "Folder of the entries.", required=True)
 @opt.option("--calibrator", "Command to run on each recording.", default="actigraph")
 @opt.option("--jobs", "Local processes at a time.", default=1)
-@opt.option(
-    "--shard",
-    "Only every N-th recording, from the I-th.",
-    default="1/1",
-    metavar="I/N",
-)
+@opt.option("--shard", "Only every N-th recording, from the I-th.", default="1/1", metavar="I/N")
 @opt.option(
     "--resume/--no-resume",
     "Keep entries whose recording, files and settings are unchanged.",
@@ -79,9 +74,9 @@ def command(inputs: tuple[str, ...], output: Path, jobs: int, **options: Any) ->
     from imucalib.cohort.recordings import recordings_of
 
     calibrator, resume, quiet = (options[name] for name in ("calibrator", "resume", "quiet"))
-    behind, files = _options_of(calibrator, click.get_current_context().meta[_BEHIND])
+    passed, files = _options_of(calibrator, click.get_current_context().meta[_PASSED_ON])
     found, shard = recordings_of(inputs), _shard_of(options["shard"])
-    tasks = plan(found.recordings, output, calibrator, behind, shard, files)
+    tasks = plan(found.recordings, output, calibrator, passed, shard, files)
     entries: list[Entry] = []
     start = time.monotonic()
     with _workers(options["scheduler"], options["wait"]) as cluster:
@@ -91,7 +86,7 @@ def command(inputs: tuple[str, ...], output: Path, jobs: int, **options: Any) ->
         with progress(len(tasks), "recordings", quiet) as advance:
             for entry in made:
                 entries.append(entry)
-                advance(free=entry.reused)
+                advance(entry.reused)
                 if entry.key and not entry.calibrated:
                     note(f"{entry.recording}: {entry.error}", quiet)
     return _summed_up(entries, time.monotonic() - start, output, options)
@@ -145,7 +140,7 @@ def _options_of(calibrator: str, typed: tuple[str, ...]) -> tuple[tuple[str, ...
     Raises UsageError for what is no calibrator, and click's usage errors for options it lacks.
     """
     from imucalib.cli import COMMANDS, cli
-    from imucalib.cli.bench_file import defaults, sections, taken
+    from imucalib.cli.bench_file import defaults, from_file, sections
     from imucalib.cli.calibrating import calibrates
     from imucalib.errors import UsageError
 
@@ -162,7 +157,7 @@ def _options_of(calibrator: str, typed: tuple[str, ...]) -> tuple[tuple[str, ...
             "-o behind -- would be the folder of every recording",
             remedy="leave it out: each entry holds its recording's report",
         )
-    return _placed(command, [*taken(context), *typed])
+    return _placed(command, [*from_file(context), *typed])
 
 
 def _placed(command: click.Command, words: list[str]) -> tuple[tuple[str, ...], frozenset[str]]:
@@ -216,13 +211,8 @@ def _workers(address: str | None, patience: float) -> Iterator[Cluster | None]:
 
 @opt.paged("collect")
 @click.argument("folder", type=opt.FOLDER)
-@opt.option(
-    "-o --output",
-    "Table to write: .csv, or .parquet (extra parquet).",
-    required=True,
-    type=opt.PATH,
-)
-@opt.option("--html", "Page of all recordings, those to look at first.", type=opt.FILE)
+@opt.path("-o --output", "Table to write: .csv, or .parquet (extra parquet).", required=True)
+@opt.file("--html", "Page of all recordings, those to look at first.")
 @opt.force
 @opt.quiet
 def collect(folder: Path, output: Path, html: Path | None, force: bool, quiet: bool) -> int:

@@ -12,7 +12,7 @@ from typing import Any
 import click
 
 NAME = "imucal.toml"
-#: Never taken from a file that lies about: code to run, and where to write.
+#: Never read from a file that lies about: code to run, and where to write.
 _TYPED_ONLY = ("effects_file", "output", "force")
 
 
@@ -52,7 +52,7 @@ def defaults(command: click.Command, stated: Mapping[str, Any]) -> dict[str, Any
     return found
 
 
-def taken(ctx: click.Context) -> list[str]:
+def from_file(ctx: click.Context) -> list[str]:
     """The options that came from the file, as they would be typed."""
     typed = []
     for parameter in ctx.command.params:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imucalib.cli import options as opt
-from imucalib.cli.bench_file import taken
+from imucalib.cli.bench_file import from_file
 from imucalib.cli.output import Say, emit_json, note, say, show, working
 from imucalib.errors import LimitBroken
 
@@ -40,26 +40,22 @@ def limit_option(name: str, what: str) -> opt.Parameter:
 _OPTIONS = opt.combined(
     [
         opt.gravity,
-        opt.option(
+        opt.folder(
             "-o --output",
             "Folder for calibration.yaml, report.html and report.json.",
-            type=opt.FOLDER,
         ),
-        opt.option(
+        opt.file(
             "--entry",
             "Entry for `imucal collect`, as `imucal batch` writes it, of a failure too.",
-            type=opt.FILE,
         ),
         opt.many(
             "--declare",
             "EFFECT",
             "Put an effect into the base model; of one IMU of an array: NAME@imu3.",
         ),
-        opt.many("--only", "EFFECT", "Search only these effects."),
-        opt.many("--without", "EFFECT", "Leave effects out of the search."),
-        opt.option(
-            "--effects effects_file", "Python file with effects of your own.", type=opt.PATH
-        ),
+        opt.only,
+        opt.without,
+        opt.own_effects,
         opt.option("--loop/--no-loop", "Search for what the model lacks.", default=True),
         opt.option(
             "--curves/--no-curves",
@@ -208,7 +204,7 @@ def shared_of(options: Mapping[str, Any]) -> dict[str, Any]:
 def command_line() -> str:
     """The line that was typed, with what imucal.toml added, ready to be pasted."""
     ctx = click.get_current_context()
-    return shlex.join(["imucal", *ctx.meta.get(ARGUMENTS, ()), *taken(ctx)])
+    return shlex.join(["imucal", *ctx.meta.get(ARGUMENTS, ()), *from_file(ctx)])
 
 
 def finish(

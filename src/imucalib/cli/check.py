@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     "Columns of a table by heading: inclination, tool_face, face, x, y, z.",
 )
 @opt.effects
-@opt.option("--html", "Also write the report as a page.", type=opt.PATH)
+@opt.path("--html", "Also write the report as a page.")
 @opt.shortest_rest
 @opt.gravity
 @opt.force

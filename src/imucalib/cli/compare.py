@@ -31,12 +31,10 @@ from imucalib.cli.output import present
     "Scatter between power-ups: 0.5mg of bias, 0.05deg of mounting; default: as "
     "calibrations of several sessions state it.",
 )
-@opt.option(
-    "--effects effects_file",
-    "Python file with effects of your own that the calibrations use.",
-    type=opt.PATH,
+@opt.path(
+    "--effects effects_file", "Python file with effects of your own that the calibrations use."
 )
-@opt.option("--html", "Also write the report as a page, with its control chart.", type=opt.PATH)
+@opt.path("--html", "Also write the report as a page, with its control chart.")
 @opt.force
 @opt.full
 @opt.json

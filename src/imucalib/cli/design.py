@@ -14,16 +14,13 @@ from imucalib.cli.output import note, present, working
 @opt.paged("design")
 @click.argument("table", type=opt.PATH, required=False)
 @opt.option(
-    "--recommend count",
-    "Instead of TABLE: a good set of N positions.",
-    type=click.IntRange(min=4),
+    "--recommend count", "Instead of TABLE: a good set of N positions.", type=click.IntRange(min=4)
 )
 @opt.many("--columns", "ROLE=NAME,...", "Columns by heading: inclination, tool_face.")
-@opt.option("--convention", "Angles: paper, drilling-gravity or drilling-force.", default="paper")
-@opt.option(
+@opt.convention
+@opt.path(
     "--separate",
     "Instead of TABLE: what to record next so that a calibration's rivals are told apart.",
-    type=opt.PATH,
     metavar="CAL",
 )
 @opt.flag(
@@ -42,11 +39,7 @@ from imucalib.cli.output import note, present, working
     "bias scatters by this, for example 0.5mg.",
     metavar="SIZE",
 )
-@opt.option(
-    "-o --output",
-    "Write the positions as a table (CSV) for `design` and `lab`.",
-    type=opt.FILE,
-)
+@opt.file("-o --output", "Write the positions as a table (CSV) for `design` and `lab`.")
 @opt.force
 @opt.full
 @opt.json

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @opt.paged("effects")
 @click.argument("name", required=False)
-@opt.option("--effects effects_file", "Python file with effects of your own.", type=opt.PATH)
+@opt.own_effects
 @opt.json
 def command(name: str | None, effects_file: Path | None, as_json: bool) -> int:
     """List the effects that a calibration can hold and the search can find, or show one.
@@ -56,7 +56,7 @@ def _scanned(name: str, names: list[str]) -> Effect:
         if name in scans:
             example = f"{name}@{scans[name].example}"
             raise UsageError(f"'{name}' needs its value", remedy=f"for example: {example}")
-        near = ", ".join(difflib.get_close_matches(name, names, 3))
-        remedy = f"did you mean: {near}" if near else "`imucal effects` lists them all"
+        similar = ", ".join(difflib.get_close_matches(name, names, 3))
+        remedy = f"did you mean: {similar}" if similar else "`imucal effects` lists them all"
         raise UsageError(f"no effect is called '{name}'", remedy=remedy)
     return found

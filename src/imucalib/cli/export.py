@@ -31,8 +31,8 @@ class _Form(click.Option):
 @opt.option(
     "--to form", "Form of the other program", required=True, type=opt.EXPORT_FORM, cls=_Form
 )
-@opt.option("-o --output", "File to write; default: stdout.", type=opt.FILE)
-@opt.option("--noise", "Noise of the sensors, from `imucal inspect --save-noise`.", type=opt.PATH)
+@opt.file("-o --output", "File to write; default: stdout.")
+@opt.path("--noise", "Noise of the sensors, from `imucal inspect --save-noise`.")
 @opt.option(
     "--random-walk",
     "Random walks that the rests do not show: their upper limits, or values in SI.",

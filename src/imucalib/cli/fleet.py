@@ -20,27 +20,21 @@ if TYPE_CHECKING:
 
 @opt.paged("fleet")
 @click.argument("inputs", metavar="INPUT...", nargs=-1, required=True, type=opt.PATH)
-@opt.option(
-    "-o --output",
-    "Folder for report.html, report.json and each device's calibration.yaml.",
-    type=opt.FOLDER,
+@opt.folder(
+    "-o --output", "Folder for report.html, report.json and each device's calibration.yaml."
 )
 @opt.choice("--reference", "vector direction norm", "As of imucal lab.", default="vector")
 @opt.many("--columns", "ROLE=NAME,...", "Columns by heading.")
 @opt.option("--exclude", "Rows to leave out of every table.", default="", metavar="ROWS")
-@opt.many("--only", "EFFECT", "Search only these effects.")
-@opt.many("--without", "EFFECT", "Leave effects out of the search.")
+@opt.only
+@opt.without
 @opt.option(
-    "--draws",
-    "Simulated fleets behind each p-value.",
-    type=click.IntRange(min=99),
-    default=1000,
+    "--draws", "Simulated fleets behind each p-value.", type=click.IntRange(min=99), default=1000
 )
-@opt.option(
+@opt.file(
     "--devices",
     "Of calibrations: CSV that says which recording is of which device, columns "
     "recording and device; default: by serial number, else one each.",
-    type=opt.FILE,
 )
 @opt.full
 @opt.gravity

@@ -17,18 +17,16 @@ if TYPE_CHECKING:
 
 @opt.paged("inspect")
 @click.argument("file", type=opt.PATH)
-@opt.option("--save-mapping", "Write how the file was read, for --mapping.", type=opt.PATH)
+@opt.path("--save-mapping", "Write how the file was read, for --mapping.")
 @opt.flag("--rests", "List every candidate for a rest, and what refused it.")
 @opt.flag(
-    "--noise",
-    "White noise, bias instability and random walk of every axis, from what is still.",
+    "--noise", "White noise, bias instability and random walk of every axis, from what is still."
 )
-@opt.option(
+@opt.path(
     "--save-noise",
     "Write that noise as Kalibr's imu.yaml has it, also for `imucal export --noise`.",
-    type=opt.PATH,
 )
-@opt.option("--html", "Also write all of it as a page, with plots.", type=opt.PATH)
+@opt.path("--html", "Also write all of it as a page, with plots.")
 @opt.shortest_rest
 @opt.flag("--strict", "Refuse a damaged recording instead of reading what is left.")
 @opt.force

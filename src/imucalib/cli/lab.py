@@ -29,10 +29,9 @@ _CONVENTIONS = (
 
 @opt.paged("lab")
 @click.argument("tables", metavar="TABLE...", nargs=-1, required=True, type=opt.PATH)
-@opt.option(
+@opt.path(
     "--recording",
     "Recording with the positions of TABLE in order; its still segments are averaged.",
-    type=opt.PATH,
 )
 @opt.choice(
     "--reference",
@@ -46,7 +45,7 @@ _CONVENTIONS = (
     "ROLE=NAME,...",
     "By heading: inclination, tool_face, face, x, y, z, temperature, samples, driver.",
 )
-@opt.option("--convention", "Angles: paper, drilling-gravity or drilling-force.", default="paper")
+@opt.convention
 @opt.choice("--gravity-sign", "down up", "Which way an axis points that reads +g.")
 @opt.choice("--z-axis", "down-hole up-hole", "The tool's end to which z points.")
 @opt.choice("--inclination-zero", "horizontal vertical", "What inclination 0 means.")

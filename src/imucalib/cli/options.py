@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,9 +32,9 @@ def option(names: str, text: str, **words: Any) -> Parameter:
     return click.option(*names.split(), help=text, **{"show_default": shown, **words})
 
 
-def flag(names: str, text: str, **words: Any) -> Parameter:
-    """An option without a value."""
-    return option(names, text, is_flag=True, **words)
+#: Options without a value, and those whose value is any path, a file's or a folder's.
+flag = partial(option, is_flag=True)
+path, file, folder = (partial(option, type=kind) for kind in (PATH, FILE, FOLDER))
 
 
 def many(names: str, metavar: str, text: str) -> Parameter:
@@ -114,11 +115,10 @@ gravity = combined(
         ),
     ]
 )
-fleet = option(
+fleet = file(
     "--fleet",
     "fleet.yaml of imucal fleet: what devices of its kind say where this one's data leave "
     "something open.",
-    type=FILE,
 )
 #: Of commands that look for rests in a recording.
 shortest_rest = option(
@@ -128,10 +128,14 @@ shortest_rest = option(
     metavar="SECONDS",
 )
 strict = flag("--strict", "Refuse a damaged recording instead of keeping what is left.")
-effects = option(
-    "--effects effects_file",
-    "Python file with effects of your own that the calibration uses.",
-    type=PATH,
+effects = path(
+    "--effects effects_file", "Python file with effects of your own that the calibration uses."
+)
+own_effects = path("--effects effects_file", "Python file with effects of your own.")
+only = many("--only", "EFFECT", "Search only these effects.")
+without = many("--without", "EFFECT", "Leave effects out of the search.")
+convention = option(
+    "--convention", "Angles: paper, drilling-gravity or drilling-force.", default="paper"
 )
 force = flag("--force", "Replace an output file that is there; never an input.")
 json = flag("--json as_json", "Print the result as JSON.")
@@ -290,14 +294,14 @@ _RARE = {
 }
 RARE = {heading: tuple(names.split()) for heading, names in _RARE.items()}
 _HEADING = {name: heading for heading, names in RARE.items() for name in names}
-_ASKED = "imucal.help_all"
+_WHOLE_HELP = "imucal.help_all"
 
 Records = list[tuple[str, str]]
 
 
 def _show_all(ctx: click.Context, _: click.Parameter, wanted: bool) -> None:
     if wanted and not ctx.resilient_parsing:
-        ctx.meta[_ASKED] = True
+        ctx.meta[_WHOLE_HELP] = True
         click.echo(ctx.get_help(), color=ctx.color)
         ctx.exit()
 
@@ -330,7 +334,7 @@ class PagedCommand(click.Command):
             by_heading[_HEADING.get(str(parameter.name), "Options")].append(record)
         _write(formatter, "Options", by_heading.pop("Options"))
         rare = {heading: records for heading, records in by_heading.items() if records}
-        if ctx.meta.get(_ASKED):
+        if ctx.meta.get(_WHOLE_HELP):
             for heading, records in rare.items():
                 _write(formatter, heading, records)
         else:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from threading import Event, Thread
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -81,17 +81,12 @@ def say(text: str, *, err: bool = False) -> None:
     click.echo(safe(text), err=err)
 
 
-class Advance(Protocol):
-    """Says that one more is done; free : at no cost, so that it says nothing of the others'."""
-
-    def __call__(self, *, free: bool = False) -> None: ...
-
-
 @contextmanager
-def progress(total: int, what: str, quiet: bool) -> Iterator[Advance]:
-    """Advance by one at each call: a bar on a terminal, else a line for every tenth part."""
+def progress(total: int, what: str, quiet: bool) -> Iterator[Callable[[bool], None]]:
+    """Yields what says that one more is done, and whether at no cost, which says nothing of the
+    others: a bar on a terminal, else a line for every tenth part."""
     if quiet:
-        yield lambda *, free=False: None
+        yield lambda free: None
     elif sys.stderr.isatty():
         from rich.console import Console
         from rich.progress import Progress, TimeRemainingColumn
@@ -99,11 +94,11 @@ def progress(total: int, what: str, quiet: bool) -> Iterator[Advance]:
         columns = (*Progress.get_default_columns()[:-1], TimeRemainingColumn())
         with Progress(*columns, console=Console(stderr=True)) as bar:
             task = bar.add_task(what, total=total)
-            yield lambda *, free=False: bar.advance(task)
+            yield lambda free: bar.advance(task)
     else:
         done, paid, start = 0, 0, time.monotonic()
 
-        def advance(*, free: bool = False) -> None:
+        def advance(free: bool) -> None:
             nonlocal done, paid
             done, paid = done + 1, paid + (not free)
             if done == total or done * 10 // total > (done - 1) * 10 // total:

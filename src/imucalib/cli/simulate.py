@@ -158,11 +158,10 @@ def imu(recording: Path, seed: int, **options: Any) -> int:
 
 @opt.paged("lab", short_help="A bench: a table, and a recording on request.")
 @click.argument("table", type=opt.PATH)
-@opt.option(
+@opt.path(
     "--recording",
     "Also a recording that rests in every position: .mcap, .h5 or .csv; "
     "TABLE then holds angles only.",
-    type=opt.PATH,
 )
 @opt.choice("--layout", "sweeps rings random", "How the bench is worked.", default="sweeps")
 @opt.option("--positions", "Number of positions.", default=32)
@@ -170,9 +169,7 @@ def imu(recording: Path, seed: int, **options: Any) -> int:
 @opt.many("--slip", "ROW:AXIS", "Lose the sign of one cell.")
 @opt.option("--noise", "Noise of a reading, mg.", default=1.0)
 @opt.option(
-    "--setting-sd",
-    "Scatter of the settings, deg: inclination,tool-face.",
-    default="0.1,0.2",
+    "--setting-sd", "Scatter of the settings, deg: inclination,tool-face.", default="0.1,0.2"
 )
 @opt.option("--temperature", "FROM,TO in °C: warms up over the table.")
 @opt.option("--gravity", "Local gravity, m/s².", default=9.80665)

@@ -8,7 +8,7 @@ from typing import Any
 
 from imucalib.calibration.plain import fields, listed
 from imucalib.core.effect import Context, Effect, Family, Parameter, Response
-from imucalib.report.document import Document, Facts, Section, Table, Text
+from imucalib.report.document import Document, Facts, Section, Table, Text, capital
 from imucalib.report.render.templates import filled
 
 #: Needs as a list of a line each has them.
@@ -50,7 +50,7 @@ def catalogue_document(effects: Sequence[Effect], scans: Sequence[Family] = ()) 
         same.setdefault(_acts_on(effect), {}).setdefault(_needed(effect), []).append(effect.name)
     sections = tuple(
         Section(
-            f"{what[0].upper()}{what[1:]}, by what they need",
+            f"{capital(what)}, by what they need",
             (Facts(tuple((needs, ", ".join(names)) for needs, names in by.items())),),
         )
         for what, by in same.items()

@@ -25,9 +25,6 @@ from imucalib.report.document import (
     Text,
     Tone,
     Worth,
-    capital,
-    lines,
-    marked,
 )
 from imucalib.significant_digits import plus_minus, probability, signed, two_digits
 from imucalib.units import MG
@@ -56,7 +53,7 @@ def check_document(check: Check, log: Path, calibration: Path, command: str = ""
         Section("Readings", tuple(map(_readings, check.sensors)), brief=False),
         Section("Gyroscopes", _gyros(check)),
         Section("Record this next", _following(check.following) if check.following else ()),
-        Section("Notes", lines(f"{capital(t)}." for t in (*check.noise.words, *check.notes))),
+        Section("Notes", Text.sentences((*check.noise.words, *check.notes))),
     )
     typed = (("command", command),) if command else ()
     footer = (("calibration", str(calibration)), ("log", str(log)), *typed)
@@ -130,8 +127,8 @@ def _card(check: Check, calibration: Path, command: str) -> Card:
         shown = "no size" if math.isinf(size) else f"{two_digits(size)} {unit}"
         detail = f"seen by {_OFTEN} of such checks; limit {limit:.2g} {unit}, {_how(check)}"
         worths.append(Worth(f"see a change of {name}", shown, detail))
-    found = lines((f"{capital(said)}." for said in _changes(check)), "bad")
-    found += lines((f"{odd} does not belong to the others." for odd in _odd(check)), "warning")
+    found = Text.sentences(_changes(check), "bad")
+    found += Text.each((f"{odd} does not belong to the others." for odd in _odd(check)), "warning")
     if not found:
         words = "Nothing shows: the readings are as the calibration foretells them."
         found = (Text(words, "ok" if check.verdict == "still good" else "plain"),)
@@ -218,7 +215,7 @@ def _each(check: Check) -> Table:
         f"{100 * ALPHA:.0f} % over all IMUs{more}."
     )
     header = ("sensor", "p", "change of bias", "could see")
-    tones = marked("bad", (s in check.changed for s in check.sensors))
+    tones = Table.marked("bad", (s in check.changed for s in check.sensors))
     return Table("", header, rows, "lrlr", note, tones)
 
 
@@ -234,7 +231,7 @@ def _change_table(check: Check) -> Table:
         return (*[sensor.name] * several, *cells, *last)
 
     level = ALPHA / len(check.sensors)
-    tones = marked("bad", (s.tests[n].p <= level and s in check.changed for s, n in every))
+    tones = Table.marked("bad", (s.tests[n].p <= level and s in check.changed for s, n in every))
     note = (
         f"Could see: change in the direction that shows least, found in {_OFTEN} of "
         f"such checks at a level of {100 * ALPHA:.0f} % over all kinds. Limit: {_how(check)}. "
@@ -260,7 +257,9 @@ def _readings(sensor: SensorCheck) -> Table:
     title = f"Misfits, {what}" + (f" ({sensor.name})" if sensor.name else "")
     header = ("reading", "direction", "misfit, mg", "sd, mg", "z")
     note = "Reading minus what the calibration foretells; sd: of an unchanged sensor."
-    return Table(title, header, rows, "llrrr", note, marked("warning", np.abs(z[worst]) > 3.0))
+    return Table(
+        title, header, rows, "llrrr", note, Table.marked("warning", np.abs(z[worst]) > 3.0)
+    )
 
 
 def _gyros(check: Check) -> tuple[Table, ...]:
@@ -273,7 +272,7 @@ def _gyros(check: Check) -> tuple[Table, ...]:
         "Gyroscopes move at every switching on: it counts as changed beyond a limit only "
         "(--limit 0.5deg/s)."
     )
-    tones = marked("warning", (s in check.turned_on for s, _ in resting))
+    tones = Table.marked("warning", (s in check.turned_on for s, _ in resting))
     header = ("sensor", "x", "y", "z", "p")
     return (Table("", header, rows, "lrrrr", note, tones),) if rows else ()
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import PurePath
 from typing import Any
 
@@ -28,51 +27,12 @@ _NUMBERS = {
 _TEXTS = {"axes_seen_both_ways": "axes both ways", "effects_added": "effects"}
 
 
-@dataclass(frozen=True)
-class Row:
-    """One recording: what its cells show.
-
-    numbers, texts : the cells between its status and its picture, and behind that
-    before, after : places of the errors in the picture, None without; order : what it sorts by
-    """
-
-    path: str
-    name: str
-    tone: Tone
-    status: str
-    numbers: tuple[str, ...]
-    before: float | None
-    after: float | None
-    picture: str
-    order: str
-    texts: tuple[str, ...]
-    to_do: str
-
-
-@dataclass(frozen=True)
-class Page:
-    """What stands on the page; ends : of the pictures' scale."""
-
-    title: str
-    verdict: str
-    tone: Tone
-    header: tuple[str, ...]
-    rows: tuple[Row, ...]
-    plot: Plot | None
-    ends: tuple[str, str]
-
-
 def cohort_html(table: Sequence[Mapping[str, Any]], title: str) -> str:
     """One self-contained HTML page of the rows that `cohort.entries.rows` makes.
 
-    Without a script the table stands sorted: recordings without a calibration, then those whose
-    exit code is not 0, then by the error left, largest first.
+    Without a script the table is sorted: recordings without a calibration, then those whose exit
+    code is not 0, then by the error left, largest first.
     """
-    page = _page(table, title)
-    return filled("cohort.html.j2", page=page, signs=SIGNS, words=WORDS, svg=render_svg)
-
-
-def _page(table: Sequence[Mapping[str, Any]], title: str) -> Page:
     errors = [v for row in table for v in (row.get("error_before"), row.get("error_after")) if v]
     ends = (min(errors), max(errors)) if errors else (1.0, 1.0)
     units = sorted({str(row["error_unit"]) for row in table if row.get("error_unit")})
@@ -85,16 +45,17 @@ def _page(table: Sequence[Mapping[str, Any]], title: str) -> Page:
         for names in (_NUMBERS, _TEXTS)
     )
     heads = [f"{name}{unit if 'error' in key else ''}" for key, name in numbers.items()]
-    return Page(
-        title=title,
-        verdict=f"{len(table) - failed} of {len(table)} recordings are calibrated; "
+    page = {
+        "title": title,
+        "verdict": f"{len(table) - failed} of {len(table)} recordings are calibrated; "
         f"{doubted} of them should be looked at.",
-        tone="bad" if failed else "warning" if doubted else "ok",
-        header=("recording", "status", *heads, "error", *texts.values(), "what to do"),
-        rows=tuple(_row(row, ends, units, (tuple(numbers), tuple(texts))) for row in ordered),
-        plot=_plot(table, unit),
-        ends=(f"{ends[0]:.2g}", f"{ends[1]:.2g}{unit}"),
-    )
+        "tone": "bad" if failed else "warning" if doubted else "ok",
+        "header": ("recording", "status", *heads, "error", *texts.values(), "what to do"),
+        "rows": [_row(row, ends, len(units) > 1, numbers, texts) for row in ordered],
+        "plot": _plot(table, unit),
+        "ends": (f"{ends[0]:.2g}", f"{ends[1]:.2g}{unit}"),
+    }
+    return filled("cohort.html.j2", page=page, signs=SIGNS, words=WORDS, svg=render_svg)
 
 
 def _tone(row: Mapping[str, Any]) -> Tone:
@@ -106,35 +67,35 @@ def _tone(row: Mapping[str, Any]) -> Tone:
 def _row(
     row: Mapping[str, Any],
     ends: tuple[float, float],
-    units: Sequence[str],
-    columns: tuple[tuple[str, ...], tuple[str, ...]],
-) -> Row:
+    mixed: bool,
+    numbers: Iterable[str],
+    texts: Iterable[str],
+) -> dict[str, Any]:
+    """What the cells of one recording show.
+
+    ends : of the pictures' scale; mixed : whether errors have several units, so that each says its
+    own; numbers, texts : columns between the status and the picture, and after it
+    """
+    tone, unit = _tone(row), str(row.get("error_unit") or "")
     before, after = (row.get(f"error_{name}") for name in ("before", "after"))
-    places = [_place(value, ends) if value else None for value in (before, after)]
-    known = None not in places
-    own = str(row.get("error_unit") or "")
-    return Row(
-        path=str(row["recording"]),
-        name=PurePath(str(row["recording"])).name,
-        tone=_tone(row),
-        status=f"{row['status']}, exit {row['exit_code']}" if row["exit_code"] else row["status"],
-        numbers=tuple(
-            _shown(row.get(key), own if "error" in key and len(units) > 1 else "")
-            for key in columns[0]
-        ),
-        before=places[0] if known else None,
-        after=places[1] if known else None,
-        picture=f"{_shown(before)} before, {_shown(after)} {own} after" if known else "",
-        order="" if after is None else f"{after:.6g}",
-        texts=tuple(str(row.get(key) or "") for key in columns[1]),
-        to_do=_to_do(row),
-    )
-
-
-def _to_do(row: Mapping[str, Any]) -> str:
-    """Of what is flagged: why it failed, or the first step."""
-    tone = _tone(row)
-    return "" if tone == "ok" else str(row["reasons" if tone == "bad" else "what_to_do"])
+    known = bool(before and after)
+    # Of what is flagged: why it failed, or the first step.
+    to_do = "" if tone == "ok" else str(row["reasons" if tone == "bad" else "what_to_do"])
+    return {
+        "path": str(row["recording"]),
+        "name": PurePath(str(row["recording"])).name,
+        "tone": tone,
+        "status": f"{row['status']}, exit {row['exit_code']}"
+        if row["exit_code"]
+        else row["status"],
+        "numbers": [_shown(row.get(k), unit if mixed and "error" in k else "") for k in numbers],
+        "before": _place(before, ends) if before and known else None,
+        "after": _place(after, ends) if after and known else None,
+        "picture": f"{_shown(before)} before, {_shown(after)} {unit} after" if known else "",
+        "order": "" if after is None else f"{after:.6g}",
+        "texts": [str(row.get(key) or "") for key in texts],
+        "to_do": to_do,
+    }
 
 
 def _shown(value: Any, unit: str = "") -> str:

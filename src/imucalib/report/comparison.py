@@ -12,11 +12,22 @@ from typing import Any
 import numpy as np
 
 from imucalib.calibration.comparison.basis import Worst
-from imucalib.calibration.comparison.compare import ALPHA, SIGNIFICANT, Comparison, Drift
+from imucalib.calibration.comparison.compare import ALPHA, SIGNIFICANT, Comparison, Drift, Slope
 from imucalib.calibration.plain import fields, plain
-from imucalib.report.document import Card, Document, Plot, Section, Series, Table, Text, Tone, Worth
+from imucalib.report.document import (
+    Card,
+    Document,
+    Plot,
+    Section,
+    Series,
+    Table,
+    Text,
+    Tone,
+    Worth,
+    capital,
+)
 from imucalib.report.plots import band
-from imucalib.significant_digits import plus_minus, two_digits, with_sd
+from imucalib.significant_digits import plus_minus, signed, two_digits, with_sd
 
 SCHEMA = "imucal/comparison/1"
 #: Columns of single calibrations that a table has room for.
@@ -42,16 +53,16 @@ def comparison_document(found: Comparison, paths: Sequence[Path], command: str =
 
     paths : of the calibrations; command : the line that was typed
     """
-    parts = [
+    parts = (
         Section("What it means", (_meanings(found),)),
         Section("Parameters", (Text(found.basis.words), _parameters(found))),
         Section("Between calibrations", _scatter(found)),
         Section("Drift", _drift(found)),
-        Section("Control chart", control_chart(found), brief=False),
-    ]
-    title, verdict = f"Comparison of {', '.join(found.names)}", _verdict(found)
-    footer, card = (("command", command),) if command else (), _card(found, paths, command)
-    return Document(title, verdict, tuple(parts), footer, card, drawn="--html")
+        Section("Control chart", _control_chart(found), brief=False),
+    )
+    title, footer = f"Comparison of {', '.join(found.names)}", (("command", command),)
+    card = _card(found, paths, command)
+    return Document(title, _verdict(found), parts, footer[: bool(command)], card, drawn="--html")
 
 
 def _how(found: Comparison) -> str:
@@ -60,21 +71,22 @@ def _how(found: Comparison) -> str:
 
 
 def _verdict(found: Comparison) -> Text:
-    fit, tone = found.agreement, _TONE[found.verdict]
+    fit = found.agreement
     proof = f"χ² {fit.chi2:.3g} with {fit.dof} degrees of freedom, p {fit.p:.2g}"
     worst = "; ".join(_words(found, m) for m in found.meanings)
     if found.verdict == "differ":
         which = f" Without {' and '.join(found.odd)} the others agree." if found.odd else ""
-        return Text(f"They differ beyond the limit ({proof}): {worst}.{which}", tone)
-    if found.verdict == "undecided":
+        words = f"They differ beyond the limit ({proof}): {worst}.{which}"
+    elif found.verdict == "undecided":
         kinds = " and ".join(_QUANTITY[m.unit] for m in found.meanings if m.beyond)
         words = (
             f"Undecided ({proof}): {kinds} differs by more than the limit, within what the files "
             f"state themselves: {worst}. Calibrate from more positions."
         )
-        return Text(words, tone)
-    lead = "They agree" if not found.differ else "They differ, but within the limit"
-    return Text(f"{lead} ({proof}): {worst}.", tone)
+    else:
+        lead = "They agree" if not found.differ else "They differ, but within the limit"
+        words = f"{lead} ({proof}): {worst}."
+    return Text(words, _TONE[found.verdict])
 
 
 def _words(found: Comparison, worst: Worst) -> str:
@@ -91,7 +103,7 @@ def _card(found: Comparison, paths: Sequence[Path], command: str) -> Card:
         unit = worst.unit
         size = plus_minus(worst.value, worst.sd) if worst.sd > 0.0 else two_digits(worst.value)
         limit = f"limit {worst.limit:.2g} {unit}, {_how(found)}"
-        detail = f"at most, where the force is {_signed(worst.attitude)}; {limit}"
+        detail = f"at most, where the force is {signed(worst.attitude)}; {limit}"
         sensor = f", {worst.sensor}" if worst.sensor else ""
         worths.append(Worth(f"difference of {_WORTH[unit]}{sensor}", f"{size} {unit}", detail))
     fit = found.agreement
@@ -100,14 +112,14 @@ def _card(found: Comparison, paths: Sequence[Path], command: str) -> Card:
         f"parameters together z rms {fit.z_rms:.2f}, where 1 is what they state ({fit.dof} of "
         "them)."
     )
-    lines = [Text(words, _TONE[found.verdict])]
+    said = [Text(words, _TONE[found.verdict])]
     if found.odd:
-        lines.append(Text(f"Without {' and '.join(found.odd)} the others agree.", "warning"))
+        said.append(Text(f"Without {' and '.join(found.odd)} the others agree.", "warning"))
     if found.drift is not None:
-        lines.append(_due(found.drift))
-    lines += (Text(f"{n[0].upper()}{n[1:]}.", "warning") for n in found.notes)
+        said.append(_due(found.drift))
+    said += Text.sentences(found.notes, "warning")
     steps, headline = _to_do(found, paths), _HEADLINE[found.verdict]
-    return Card(tuple(worths), tuple(lines), steps, command, headline=headline)
+    return Card(tuple(worths), tuple(said), steps, command, headline=headline)
 
 
 def _to_do(found: Comparison, paths: Sequence[Path]) -> tuple[str, ...]:
@@ -130,54 +142,53 @@ def _to_do(found: Comparison, paths: Sequence[Path]) -> tuple[str, ...]:
 
 
 def _meanings(found: Comparison) -> Table:
-    tones: dict[int, Tone] = {}
-    named, rows = any(m.sensor for m in found.meanings), []
-    for k, worst in enumerate(found.meanings):
-        if worst.beyond:
-            tones[k] = "bad" if found.differ else "warning"
+    named = any(m.sensor for m in found.meanings)
+
+    def row(worst: Worst) -> tuple[str, ...]:
         pair = " - ".join(found.names[j] for j in reversed(worst.pair))
         size = with_sd(worst.value, worst.sd) if worst.sd > 0.0 else (two_digits(worst.value), "-")
-        last = (f"{worst.limit:.2g}", worst.unit, _signed(worst.attitude))
-        rows.append((_QUANTITY[worst.unit], *[worst.sensor] * named, pair, *size, *last))
+        last = (f"{worst.limit:.2g}", worst.unit, signed(worst.attitude))
+        return (_QUANTITY[worst.unit], *[worst.sensor] * named, pair, *size, *last)
+
     note = f"The worst attitude of all, as the direction of the force. Limit: {_how(found)}."
-    last_heads = ("pair", "at most", "sd", "limit", "unit", "attitude")
-    header = ("difference of", *["sensor"] * named, *last_heads)
-    return Table("", header, tuple(rows), "l" + "l" * named + "lrrrll", note, tones)
-
-
-def _signed(attitude: Any) -> str:
-    return "  ".join(f"{v:+.2f}" for v in attitude)
+    last = ("pair", "at most", "sd", "limit", "unit", "attitude")
+    header = ("difference of", *["sensor"] * named, *last)
+    tones = Table.marked("bad" if found.differ else "warning", (m.beyond for m in found.meanings))
+    rows = tuple(map(row, found.meanings))
+    return Table("", header, rows, "l" + "l" * named + "lrrrll", note, tones)
 
 
 def _parameters(found: Comparison) -> Table:
     basis, fit, count = found.basis, found.agreement, len(found.names)
     sd = np.sqrt(np.einsum("kii->ki", basis.covariance))
-    rows, tones = [], dict[int, Tone]()
-    for k, (name, unit) in enumerate(zip(basis.names, basis.units, strict=True)):
-        z = fit.z[-1, k] if count == 2 else fit.z[np.argmax(np.abs(fit.z[:, k])), k]
-        if abs(z) > 3.0:
-            tones[k] = "warning"
-        values = zip(basis.value[:_ROOM, k], sd[:_ROOM, k], strict=True)
-        each = (plus_minus(v, s) for v, s in values)
-        rows.append((name if unit == "1" else f"{name}, {unit}", *each, f"{z:+.1f}"))
+    worst = np.argmax(np.abs(fit.z), axis=0) if count > 2 else np.full(fit.z.shape[1], -1)
+    z = np.take_along_axis(fit.z, worst[None], axis=0)[0]
+    rows = tuple(
+        (
+            name if unit == "1" else f"{name}, {unit}",
+            *map(plus_minus, basis.value[:_ROOM, k], sd[:_ROOM, k]),
+            f"{z[k]:+.1f}",
+        )
+        for k, (name, unit) in enumerate(zip(basis.names, basis.units, strict=True))
+    )
     note = "z: the last minus the first over the sd of the difference."
     if count > 2:
         note = "z: the largest of one against the mean of the others."
     if count > _ROOM:
         note += f" Shown are the first {_ROOM} of {count}; all are in the JSON."
     header = ("parameter", *found.names[:_ROOM], "z")
-    return Table("", header, tuple(rows), "", note, tones)
+    return Table("", header, rows, "", note, Table.marked("warning", np.abs(z) > 3.0))
 
 
 def _scatter(found: Comparison) -> tuple[Text | Table, ...]:
     scatter, basis = found.scatter, found.basis
     if scatter is None:
         return ()
-    sizes = zip(scatter.sd, scatter.low, scatter.high, scatter.z_rms, strict=True)
-    rows = []
-    for name, unit, (sd, low, high, z) in zip(basis.names, basis.units, sizes, strict=True):
-        interval = f"{two_digits(low)} to {two_digits(high)}"
-        rows.append((name, two_digits(sd), interval, f"{z:.2f}", unit))
+    columns = (basis.names, basis.units, scatter.sd, scatter.low, scatter.high, scatter.z_rms)
+    rows = tuple(
+        (name, two_digits(sd), f"{two_digits(low)} to {two_digits(high)}", f"{z:.2f}", unit)
+        for name, unit, sd, low, high, z in zip(*columns, strict=True)
+    )
     note = (
         "sd: between calibrations, beyond what each states (Paule and Mandel); 95 % interval by "
         "its χ²; z rms: 1 where the scatter is what they state."
@@ -185,8 +196,7 @@ def _scatter(found: Comparison) -> tuple[Text | Table, ...]:
     z = found.agreement.z_rms
     said = f"All parameters together: z rms {z:.2f}, where 1 is what the files state."
     said += " A single calibration is worth less than its sd says." if found.differ else ""
-    header = ("parameter", "sd", "95 %", "z rms", "unit")
-    table = Table("", header, tuple(rows), "lrrrl", note)
+    table = Table("", ("parameter", "sd", "95 %", "z rms", "unit"), rows, "lrrrl", note)
     return Text(said, "warning" if found.differ else "plain"), table
 
 
@@ -198,10 +208,9 @@ def _drift(found: Comparison) -> tuple[Text | Table, ...]:
         (name, *with_sd(s.value, s.half), f"{unit}/day")
         for name, unit, s in zip(basis.names, basis.units, drift.slopes, strict=True)
     )
-    tones: dict[int, Tone] = {k: "warning" for k, s in enumerate(drift.slopes) if s.shown}
-    dates = Text(f"{drift.dates.words[0].upper()}{drift.dates.words[1:]}.")
+    tones = Table.marked("warning", (s.shown for s in drift.slopes))
     table = Table("", ("parameter", "drift", "± 95 %", "unit"), rows, "lrrl", "", tones)
-    return dates, _due(drift), table
+    return Text(f"{capital(drift.dates.words)}."), _due(drift), table
 
 
 def _due(drift: Drift) -> Text:
@@ -223,7 +232,7 @@ def _due(drift: Drift) -> Text:
         return Text(words)
     words = (
         f"The corrected force drifts by {plus_minus(due.slope.value, due.slope.half)} (95 %) "
-        f"{due.unit} a day at its worst attitude ({_signed(due.attitude)}): the limit of "
+        f"{due.unit} a day at its worst attitude ({signed(due.attitude)}): the limit of "
         f"{due.limit:.2g} {due.unit} is reached on {day(due.expected)}, {early}."
     )
     return Text(words, "warning")
@@ -233,7 +242,7 @@ def _day(drift: Drift, days: float) -> str:
     return (drift.dates.start + timedelta(days=days)).strftime("%Y-%m-%d")
 
 
-def control_chart(found: Comparison) -> tuple[Plot, ...]:
+def _control_chart(found: Comparison) -> tuple[Plot, ...]:
     """Size of the corrected force at the attitude where the calibrations differ most, against time
     or their order, with its sd and the limit; none where no force was compared."""
     force = next((m for m in found.meanings if m.unit == "mg"), None)
@@ -283,10 +292,7 @@ def comparison_dict(found: Comparison) -> dict[str, Any]:
             one |= {"between_sd": between.sd[k], "between_95": interval, "z_rms": between.z_rms[k]}
         if drift is not None:
             own = drift.slopes[k]
-            one |= {
-                "per_day": own.value,
-                "per_day_95": [own.value - own.half, own.value + own.half],
-            }
+            one |= {"per_day": own.value, "per_day_95": _interval(own)}
         parameters.append(one)
     content = {
         "schema": SCHEMA,
@@ -312,8 +318,12 @@ def _drift_dict(drift: Drift) -> dict[str, Any]:
     )
     return {
         **fields(drift, "dates_from=dates.words days=dates.days per_day=due.slope.value"),
-        "per_day_95": [slope.value - slope.half, slope.value + slope.half],
+        "per_day_95": _interval(slope),
         **fields(due, "unit attitude limit"),
         "reached": reached,
         "earliest": earliest,
     }
+
+
+def _interval(slope: Slope) -> list[float]:
+    return [slope.value - slope.half, slope.value + slope.half]

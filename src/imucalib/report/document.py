@@ -25,20 +25,20 @@ class Text:
     text: str
     tone: Tone = "plain"
 
+    @classmethod
+    def each(cls, texts: Iterable[str], tone: Tone = "plain") -> tuple[Text, ...]:
+        """A paragraph each."""
+        return tuple(cls(text, tone) for text in texts)
+
+    @classmethod
+    def sentences(cls, texts: Iterable[str], tone: Tone = "plain") -> tuple[Text, ...]:
+        """A paragraph each, with its capital and its full stop."""
+        return cls.each((f"{capital(text)}." for text in texts), tone)
+
 
 def capital(text: str) -> str:
     """The text with its first letter as a capital."""
     return text[:1].upper() + text[1:]
-
-
-def lines(texts: Iterable[str], tone: Tone = "plain") -> tuple[Text, ...]:
-    """A paragraph each."""
-    return tuple(Text(text, tone) for text in texts)
-
-
-def marked(tone: Tone, which: Iterable[bool]) -> dict[int, Tone]:
-    """The tones of a table's rows, by whether each is marked."""
-    return {k: tone for k, one in enumerate(which) if one}
 
 
 @dataclass(frozen=True)
@@ -62,6 +62,11 @@ class Table:
     align: str
     note: str = ""
     tones: Mapping[int, Tone] = field(default_factory=dict)
+
+    @staticmethod
+    def marked(tone: Tone, which: Iterable[bool]) -> dict[int, Tone]:
+        """One tone for rows, by whether each is marked."""
+        return {k: tone for k, one in enumerate(which) if one}
 
 
 @dataclass(frozen=True)

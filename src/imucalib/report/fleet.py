@@ -23,8 +23,9 @@ from imucalib.report.document import (
     Tone,
     Use,
     Worth,
+    capital,
 )
-from imucalib.significant_digits import plus_minus
+from imucalib.significant_digits import plus_minus, sized
 
 _TONE: dict[str, Tone] = {"explained": "ok", "suspected": "warning", "unexplained": "warning"}
 #: What an error of a device is an error of.
@@ -48,15 +49,17 @@ def fleet_document(fleet: Fleet) -> Document:
         Section("What the devices share", _shared(fleet)),
         Section("Devices", _each(fleet)),
         Section("Between devices", _spread(fleet), brief=False),
-        Section("Not of the kind", tuple(Text(text, "warning") for text in outlying)),
+        Section("Not of the kind", Text.each(outlying, "warning")),
         Section("What was tried", _tried(fleet), brief=False),
-        Section("Not calibrated", tuple(Text(f"{n}: {why}", "bad") for n, why in fleet.failed)),
-        Section("Notes", tuple(map(Text, notes))),
+        Section("Not calibrated", Text.each((f"{n}: {why}" for n, why in fleet.failed), "bad")),
+        Section("Notes", Text.each(notes)),
     )
     command = fleet.settings.command
     footer = (("command", command), ("seed", str(fleet.settings.seed))) if command else ()
     title, verdict = f"Fleet of {len(fleet.members)} devices", _verdict(fleet)
-    return Document(title, verdict, parts, footer, _card(fleet))
+    uses, headline = _uses(fleet), _headline(fleet)
+    card = Card(_worth(fleet), _found(fleet), _to_do(fleet), command, uses, headline)
+    return Document(title, verdict, parts, footer, card)
 
 
 def _verdict(fleet: Fleet) -> Text:
@@ -89,19 +92,6 @@ def _verdict(fleet: Fleet) -> Text:
     return Text(text, _TONE.get(fleet.verdict, "plain"))
 
 
-def _card(fleet: Fleet) -> Card:
-    """What a device is good to, on positions held out by what the other devices say; what they
-    share; and what to do."""
-    return Card(
-        _worth(fleet),
-        _found(fleet),
-        _to_do(fleet),
-        fleet.settings.command,
-        _uses(fleet),
-        _headline(fleet),
-    )
-
-
 def _headline(fleet: Fleet) -> str:
     """The verdict without its figures."""
     if fleet.search is None:
@@ -129,13 +119,14 @@ def _uses(fleet: Fleet) -> tuple[Use, ...]:
 
 
 def _worth(fleet: Fleet) -> tuple[Worth, ...]:
+    """What a device is good to, on positions held out by what the other devices say."""
     members = [m for m in fleet.members if np.isfinite(m.final)]
     if not members:  # compared by their parameters: how much they differ, those of a unit together
         made = []
         for unit in dict.fromkeys(s.unit for s in fleet.spreads):
             own = np.array([s.scatter for s in fleet.spreads if s.unit == unit])
             what = "shares" if unit == "1" else f"parameters in {unit}"
-            size = f"{np.sqrt(np.mean(own**2)):.2g} {unit.removeprefix('1')}".rstrip()
+            size = sized(float(np.sqrt(np.mean(own**2))), unit)
             made.append(Worth(f"{len(own)} {what}", size, "between devices, rms"))
         return tuple(made)
     worst, how = max(members, key=lambda m: m.final), _HOW[fleet.settings.calibrator]
@@ -163,7 +154,7 @@ def _found(fleet: Fleet) -> tuple[Text, ...]:
         what = "Nothing that the devices share stands out beyond chance."
         if fleet.search and fleet.search.refused:
             what = "; ".join(f"{name} stands out, but {why}" for name, why in fleet.search.refused)
-            what = f"{what[0].upper()}{what[1:]}."
+            what = f"{capital(what)}."
         lines.append(Text(what if fleet.search else "No effect was searched for.", tone))
     if fleet.outliers:
         odd = dict.fromkeys(o.device for o in fleet.outliers)
@@ -243,8 +234,9 @@ def _spread(fleet: Fleet) -> tuple[Table, ...]:
         parameters = named(one.effect).parameters(Context(1))
         for p, m, sd in zip(parameters, one.sizes.common, sds, strict=True):
             mean = plus_minus(m * p.typical, sd * p.typical, p.unit)
-            size = f"{one.sizes.scatter * p.typical:.2g} {p.unit.removeprefix('1')}".rstrip()
-            rows.append((p.name, mean, size, *["-"] * twice))
+            rows.append(
+                (p.name, mean, sized(one.sizes.scatter * p.typical, p.unit), *["-"] * twice)
+            )
     note = "Scatter: sd between devices beyond what each one's own sd explains, 95 % in brackets."
     header = ["parameter", "mean of the fleet", "between devices"]
     header += ["between recordings of a device"] * twice
@@ -252,8 +244,7 @@ def _spread(fleet: Fleet) -> tuple[Table, ...]:
 
 
 def _scatter(one: Beyond, unit: str) -> str:
-    text = f"{one.sd:.2g} {unit.removeprefix('1')}".rstrip()
-    return f"{text} ({one.low:.2g} to {one.high:.2g})"
+    return f"{sized(one.sd, unit)} ({one.low:.2g} to {one.high:.2g})"
 
 
 def _tried(fleet: Fleet) -> tuple[Table | Text, ...]:
@@ -263,7 +254,7 @@ def _tried(fleet: Fleet) -> tuple[Table | Text, ...]:
         (one.effect, f"{one.evidence:.1f}", f"{one.p:.2g}", str(one.devices))
         for one in fleet.search.first
     )
-    refused = (Text(f"{name}: {why}") for name, why in fleet.search.refused)
+    refused = Text.each(f"{name}: {why}" for name, why in fleet.search.refused)
     header = ("effect", "evidence, nats", "chance", "devices")
     return (Table("", header, rows, "lrrr"), *refused)
 

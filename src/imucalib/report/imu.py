@@ -24,10 +24,9 @@ from imucalib.report.document import (
     Text,
     Use,
     Worth,
-    lines,
 )
 from imucalib.report.plots import gain_plot
-from imucalib.significant_digits import number, plus_minus, two_digits, with_sd
+from imucalib.significant_digits import number, plus_minus, signed, two_digits, with_sd
 from imucalib.units import DEG
 
 
@@ -143,7 +142,7 @@ def hand_plan_document(plan: HandPlan) -> Document:
         "bad" if plan.open_gains else "ok",
     )
     rows = tuple(
-        (str(k), turn.axis, "  ".join(f"{v:+.2f}" for v in turn.up), f"{100.0 * turn.after:.2g}")
+        (str(k), turn.axis, signed(turn.up), f"{100.0 * turn.after:.2g}")
         for k, turn in enumerate(plan.turns, start=1)
     )
     note = (
@@ -156,7 +155,7 @@ def hand_plan_document(plan: HandPlan) -> Document:
     known = [plan.sd] if plan.before is None else [plan.before, plan.sd]
     sds = tuple((name, *(f"{100.0 * sd[k]:.2g}" for sd in known)) for k, name in enumerate(_NAMES))
     gains = Table("", ("gain", *["sd now, %"] * added, "sd then, %"), sds, "l" + "r" * len(known))
-    stay = lines((f"These stay open: {words}." for words in plan.open_gains), "bad")
+    stay = Text.each((f"These stay open: {words}." for words in plan.open_gains), "bad")
     parts = (Section("Turns", (turns,)), Section("Gains", (*stay, gains)))
     return Document("Turns to add" if added else "Turns to take", verdict, parts)
 

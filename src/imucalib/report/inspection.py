@@ -13,7 +13,7 @@ import numpy as np
 
 from imucalib.calibration.plain import fields, listed, plain
 from imucalib.calibrators.lab.files import TableSeen
-from imucalib.inspection.inspection import ChannelFacts, Inspection, advice, next_commands, problems
+from imucalib.inspection.inspection import Inspection, advice, next_commands, problems
 from imucalib.inspection.noise import AxisNoise, Coefficient, SensorNoise
 from imucalib.recording.mapping import OPTION_FIELDS
 from imucalib.recording.yaml_text import load
@@ -26,7 +26,6 @@ from imucalib.report.document import (
     Series,
     Table,
     Text,
-    Tone,
 )
 from imucalib.report.sections import leading_options
 from imucalib.rests.candidates import Candidate, refusals
@@ -61,6 +60,12 @@ _UNITS = {
         "deg/h/h": DEG / 3600.0**2,
     },
 }
+#: Unit -> of a noise, a norm at rest and a largest value: what one is, its format and its unit.
+_FIELD = {
+    "m/s2": ((MG, ".2f", " mg"), (STANDARD_GRAVITY, ".4f", " g"), (STANDARD_GRAVITY, ".2f", " g")),
+    "rad/s": ((DEG, ".3f", " deg/s"), (DEG, ".2f", " deg/s"), (DEG, ".1f", " deg/s")),
+}
+_AS_RECORDED = ((1.0, ".4g", ""), (1.0, ".5g", ""), (1.0, ".4g", ""))
 _TERMS = ("white", "instability", "walk", "ramp")
 _NOISE = (
     "White noise N, bias instability B, random walk K and ramp R of the overlapping Allan variance "
@@ -94,7 +99,7 @@ def inspection_document(
         Section("Candidates for rests", _candidates(found) if rests else (), kept=True),
         Section("Noise at rest", () if noise is None else _noise(noise), kept=True),
         Section("Losses and gaps", tuple(losses)),
-        Section("Notes", tuple(map(Text, notes))),
+        Section("Notes", Text.each(notes)),
         Section("How it was read", (Facts(_options(found)),) if found.mapping else ()),
         Section(
             "Next",
@@ -139,8 +144,8 @@ def table_document(seen: TableSeen, typed: str) -> Document:
     parts = (
         Section("Table", (Facts(tuple(facts)), Table("", header, rows, "lllrr"))),
         Section("What is wrong", tuple(wrong), kept=True),
-        Section("Notes", tuple(map(Text, seen.notes))),
-        Section("Next", tuple(map(Text, table_commands(seen, typed))), kept=True),
+        Section("Notes", Text.each(seen.notes)),
+        Section("Next", Text.each(table_commands(seen, typed)), kept=True),
     )
     said = f"{len(wrong)} thing{'s' * (len(wrong) != 1)} to settle" if wrong else "nothing is wrong"
     verdict = Text(
@@ -171,7 +176,7 @@ def own_document(path: Path, typed: str) -> tuple[Document, dict[str, Any]] | No
     else:
         return None
     content = {"schema": "imucal/inspection/1", "path": str(path), "format": kind, "next": steps}
-    section = Section("Next", tuple(map(Text, steps)), kept=True)
+    section = Section("Next", Text.each(steps), kept=True)
     return Document(str(path), Text(f"{what}."), (section,), drawn="--html"), content
 
 
@@ -204,26 +209,24 @@ def table_commands(seen: TableSeen, typed: str) -> tuple[str, ...]:
 def table_dict(seen: TableSeen, typed: str) -> dict[str, Any]:
     """Plain types, ready for JSON."""
     table = seen.table
-    return dict(
-        plain(
-            {
-                "schema": "imucal/inspection/1",
-                "path": table.path,
-                "format": "positions",
-                "sha256": table.sha256,
-                "reference": seen.kind,
-                "rows": table.n,
-                "columns": [
-                    {"heading": heading, "role": role, "unit": table.unit.get(role)}
-                    for role, heading in table.names.items()
-                ],
-                "readings": seen.unit,
-                "problems": [what for what, _ in seen.wrong],
-                "notes": seen.notes,
-                "next": table_commands(seen, typed),
-            }
-        )
-    )
+    columns = [
+        {"heading": heading, "role": role, "unit": table.unit.get(role)}
+        for role, heading in table.names.items()
+    ]
+    content = {
+        "schema": "imucal/inspection/1",
+        "path": table.path,
+        "format": "positions",
+        "sha256": table.sha256,
+        "reference": seen.kind,
+        "rows": table.n,
+        "columns": columns,
+        "readings": seen.unit,
+        "problems": [what for what, _ in seen.wrong],
+        "notes": seen.notes,
+        "next": table_commands(seen, typed),
+    }
+    return dict(plain(content))
 
 
 def _options(found: Inspection) -> tuple[tuple[str, str], ...]:
@@ -265,18 +268,20 @@ def _rest(still: Segments | None) -> tuple[Table, ...]:
     """Where gravity lay while the sensors were still."""
     if still is None or not still.n:
         return ()
-    rows, tones = [], dict[int, Tone]()
-    for i, triad in enumerate(still.triads):
-        mean = still.mean[:, i]
-        unit = float(np.median(np.linalg.norm(mean, axis=1)))
-        low, high = np.round([mean.min(axis=0) / unit, mean.max(axis=0) / unit], 2)
-        ends = (f"{a:+.2f} to {b:+.2f}" for a, b in zip(low + 0.0, high + 0.0, strict=True))
-        rows.append((triad, *ends))
-        if (low > -0.5).any() or (high < 0.5).any():
-            tones[i] = "warning"
+    means = [still.mean[:, k] for k in range(len(still.triads))]
+    norms = [float(np.median(np.linalg.norm(mean, axis=1))) for mean in means]
+    spans = [
+        np.round([mean.min(axis=0) / norm, mean.max(axis=0) / norm], 2) + 0.0
+        for mean, norm in zip(means, norms, strict=True)
+    ]
+    rows = tuple(
+        (triad, *(f"{low:+.2f} to {high:+.2f}" for low, high in span.T))
+        for triad, span in zip(still.triads, spans, strict=True)
+    )
+    tones = Table.marked("warning", ((s[0] > -0.5).any() or (s[1] < 0.5).any() for s in spans))
     title = f"{still.n} still segments; gravity along each axis, in units of its norm at rest"
     note = "Scale and bias of an axis show only when it has pointed both up and down."
-    return (Table(title, ("sensor", "x", "y", "z"), tuple(rows), "lrrr", note, tones),)
+    return (Table(title, ("sensor", "x", "y", "z"), rows, "lrrr", note, tones),)
 
 
 def _file(found: Inspection) -> Facts:
@@ -289,22 +294,15 @@ def _file(found: Inspection) -> Facts:
 
 
 def _channels(found: Inspection) -> Table:
-    def scaled(value: float, unit: str, fine: bool) -> str:
-        """In the field's units: g or mg, deg/s."""
-        if unit == "m/s2":
-            return f"{value / MG:.2f} mg" if fine else f"{value / STANDARD_GRAVITY:.2f} g"
-        digits = 3 if fine else 1
-        return f"{value / DEG:.{digits}f} deg/s" if unit == "rad/s" else f"{value:.4g}"
-
     rows = tuple(
         (
             f.name,
             f.unit,
             str(f.samples),
             f"{f.rate:.4g}" if math.isfinite(f.rate) else "-",
-            scaled(float(f.noise.max()), f.unit, True) if len(f.noise) else "-",
-            _norm(f),
-            scaled(float(np.abs([f.low, f.high]).max()), f.unit, False),
+            _size(float(f.noise.max()) if len(f.noise) else math.nan, f.unit, 0),
+            _size(f.norm_at_rest, f.unit, 1),
+            _size(float(np.abs([f.low, f.high]).max()), f.unit, 2),
         )
         for f in found.channels
     )
@@ -312,12 +310,12 @@ def _channels(found: Inspection) -> Table:
     return Table("", header, rows, "llrrrrr", "Noise of one sample at rest, worst axis.")
 
 
-def _norm(f: ChannelFacts) -> str:
-    if math.isnan(f.norm_at_rest):
+def _size(value: float, unit: str, kind: int) -> str:
+    """A noise (0), a norm at rest (1) or a largest value (2) in the field's units."""
+    if math.isnan(value):
         return "-"
-    if f.unit == "m/s2":
-        return f"{f.norm_at_rest / STANDARD_GRAVITY:.4f} g"
-    return f"{f.norm_at_rest / DEG:.2f} deg/s" if f.unit == "rad/s" else f"{f.norm_at_rest:.5g}"
+    size, form, name = _FIELD.get(unit, _AS_RECORDED)[kind]
+    return f"{value / size:{form}}{name}"
 
 
 def _clocks(found: Inspection) -> Table:
@@ -331,15 +329,14 @@ def _clocks(found: Inspection) -> Table:
             str(f.back_steps),
         )
         same.setdefault(facts, []).append(f.name)
-    rows, tones = [], dict[int, Tone]()
-    for i, (shown, (first, *more)) in enumerate(same.items()):
+    rows = []
+    for shown, (first, *more) in same.items():
         label = f"{first} + {len(more)}" if more else first
         if len(same) == 1 and more:
             label = ("both" if len(more) == 1 else f"all {len(more) + 1}") + " channels"
         rows.append((label, *shown))
-        if shown[2:] != ("0", "0"):
-            tones[i] = "warning"
     header = ("channel", "jitter, µs", "longest step, ms", "repeated stamps", "back steps")
+    tones = Table.marked("warning", (shown[2:] != ("0", "0") for shown in same))
     return Table("", header, tuple(rows), "lrrrr", tones=tones)
 
 
@@ -359,7 +356,7 @@ def _candidates(found: Inspection) -> tuple[Block, ...]:
         )
         for c in candidates
     )
-    tones: dict[int, Tone] = {i: "warning" for i, c in enumerate(candidates) if c.reason}
+    tones = Table.marked("warning", (bool(c.reason) for c in candidates))
     header = ("start, s", "length, s", f"drift, {unit}", f"noise, {unit}", "")
     rests = sum(not c.reason for c in candidates)
     title = f"{rests} rests, {len(candidates) - rests} refused"

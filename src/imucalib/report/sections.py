@@ -35,7 +35,6 @@ from imucalib.report.document import (
     Use,
     Worth,
     capital,
-    lines,
 )
 from imucalib.significant_digits import number, per_cent, plus_minus, two_digits, with_sd
 from imucalib.units import MG
@@ -509,13 +508,13 @@ def candidate_section(found: Findings) -> Section:
 
 def advice_section(outcome: Outcome) -> Section:
     """What to do next."""
-    return Section("Advice", lines(outcome.advice or ("Nothing to do.",)), brief=False)
+    return Section("Advice", Text.each(outcome.advice or ("Nothing to do.",)), brief=False)
 
 
 def closing_sections(outcome: Outcome) -> tuple[Section, ...]:
     """The candidates, where there was a search, and the notes."""
     found = (candidate_section(outcome.findings),) if outcome.findings else ()
-    return (*found, Section("Notes", lines(outcome.notes), brief=False))
+    return (*found, Section("Notes", Text.each(outcome.notes), brief=False))
 
 
 def _certificate(run: Run, card: Card) -> Certificate:

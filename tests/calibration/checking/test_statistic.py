@@ -20,7 +20,7 @@ from imucalib.calibration.triads import Triad
 from imucalib.calibrators.lab.bench import still_observations
 from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.errors import UnreadableInput
-from worlds.instrument import MG, Array, G, four, vectors
+from worlds.instrument import DEG, MG, Array, G, four, vectors
 from worlds.stated import made
 
 
@@ -130,10 +130,6 @@ def test_two_rests_are_undecided_with_the_rests_to_add() -> None:
     assert again == pytest.approx(plan.seen["bias"], rel=0.1)
 
 
-STATED_G = 9.80665
-STATED_MG, DEG = 1e-3 * STATED_G, np.pi / 180.0
-
-
 def file(noise: dict[str, float] | None = None, **facts: object) -> SimpleNamespace:
     return SimpleNamespace(facts={"noise": noise or {}, **facts}, triads=facts.pop("triads", ()))
 
@@ -146,7 +142,7 @@ def test_a_readings_noise_has_the_freedom_of_its_parts() -> None:
     shared = {"shared_mg": 0.3, "shared_sd_mg": 0.1, "shared_memory_positions": 5.0}
     rests = {"count": 14, "residual_m_per_s2": 0.003}
     found = check_noise(file(shared, rests=rests, triads=(1, 2, 3, 4)))  # type: ignore[arg-type]
-    parts = np.array([0.003**2, (0.3 * STATED_MG) ** 2])
+    parts = np.array([0.003**2, (0.3 * MG) ** 2])
     dof = np.array([3.0 * 4 * 14 - 2 * 14 - 12 * 4, 4.5])
     assert found.reading.sd == pytest.approx(np.sqrt(parts.sum()))
     assert found.reading.dof == pytest.approx(parts.sum() ** 2 / np.sum(parts**2 / dof))

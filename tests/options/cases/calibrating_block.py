@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from options.bench import Bench
-from options.case import USUAL, Case, Check, Of, ends, values, writes
-from options.outcome import Outcome, differences
+from options.case import USUAL, Case, Check, Of, ends, longer, says_the_cost, values, writes
+from options.outcome import Outcome
 
 #: Search restricted to one effect, on the small input of each command, and what it may search.
 SEARCH: dict[str, tuple[str, str]] = {
@@ -149,22 +149,10 @@ def _collected(without: Outcome, done: Outcome, bench: Bench) -> None:
     assert float(row[first["name"]]) == first["value"]
 
 
-def _longer(without: Outcome, done: Outcome, bench: Bench) -> None:
-    lines = without.stdout.splitlines()
-    assert len(lines) <= 60 < len(done.stdout.splitlines())
-    assert {x.strip() for x in lines[:5]} <= {x.strip() for x in done.stdout.splitlines()}
-
-
 def _other_draws(without: Outcome, done: Outcome, bench: Bench) -> None:
     """Another seed moves what is drawn, and nothing else."""
     assert done.content["provenance"]["seed"] == 5
     assert without.content["provenance"]["seed"] == 0
-
-
-def _says_the_cost(without: Outcome, done: Outcome, bench: Bench) -> None:
-    assert "s of CPU time" in done.stderr
-    assert "s of CPU time" not in without.stderr
-    assert not differences(without.content, done.content)
 
 
 def _curve_corrected(name: str) -> Check:
@@ -263,8 +251,8 @@ def _of(name: str) -> tuple[Case, ...]:
         of(curves, _curve_corrected(name), *bent, "--json"),
         *((of("--seed 5", _other_draws, *search),) if name == "array" else ()),
         of(f"--fail-on {GATE[name]}", ends(5), *CAUTIONED[name], "--json"),
-        of("--full", _longer, *words),
-        of("--verbose", _says_the_cost),
+        of("--full", longer, *words),
+        of("--verbose", says_the_cost),
     )
 
 

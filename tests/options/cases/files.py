@@ -107,8 +107,7 @@ def _angles_of_samples(without: Outcome, done: Outcome, bench: Bench) -> None:
 
 def _rests_seen(without: Outcome, done: Outcome, bench: Bench) -> None:
     """A message a rest, and a layout beside the file."""
-    writes("rests.mcap")(without, done, bench)
-    writes("rests.foxglove.json")(without, done, bench)
+    writes("rests.mcap", "rests.foxglove.json")(without, done, bench)
     with (done.folder / "rests.mcap").open("rb") as file:
         topics = [channel.topic for _, channel, _ in make_reader(file).iter_messages()]
     assert sum(topic.endswith("/rest") for topic in topics) == 12

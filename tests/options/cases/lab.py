@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from options.bench import Bench
-from options.case import USUAL, Case, Of, ends, gives_what, numbers_of, values
+from options.case import USUAL, Case, Of, as_its_kind, ends, gives_what, numbers_of, values
 from options.inputs import BIAS, GAIN, G, rows
 from options.outcome import Outcome
 
@@ -115,20 +115,11 @@ def _straightened(without: Outcome, done: Outcome, bench: Bench) -> None:
     assert done.code != 2
 
 
-def _as_its_kind(without: Outcome, done: Outcome, bench: Bench) -> None:
-    """What the fleet knows to a thousandth of a mg stands; what it does not know the rows tell."""
-    before, after = values(without), values(done)
-    assert abs(before["bias_x"] - 11.0) > 0.1
-    assert abs(after["bias_x"] - 11.0) < 0.01
-    for name in ("bias_y", "bias_z", "scale_y", "scale_z"):
-        assert np.isclose(after[name], before[name], rtol=0.02, atol=2e-4), name
-
-
 CASES: tuple[Case, ...] = (
     LAB("--recording <rests.csv>", _of_recording, *_on("angles.csv")),
     LAB("--reference direction", _by_directions, *_on("faces.csv")),
     LAB("--reference norm", _nine),
-    LAB("--fleet <kind.yaml>", _as_its_kind),
+    LAB("--fleet <kind.yaml>", as_its_kind(11.0)),
     _repairs("--columns inclination=alpha,tool_face=beta", "renamed.csv"),
     _means("--convention drilling-gravity", "drilling.csv"),
     _means("--gravity-sign up", "upward.csv"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from options.bench import Bench
-from options.case import USUAL, Case, Of, ends, values
+from options.case import USUAL, Case, Of, as_its_kind, ends, values
 from options.outcome import Outcome
 
 WORN = Of("actigraph")
@@ -45,20 +45,11 @@ def _coarse(without: Outcome, done: Outcome, bench: Bench) -> None:
     assert np.isclose(scale * 2.0**13 % 1.0, [0.0], atol=1e-6).all()
 
 
-def _as_its_kind(without: Outcome, done: Outcome, bench: Bench) -> None:
-    """What the fleet knows to a thousandth of a mg stands; what it does not know the runs tell."""
-    before, after = values(without), values(done)
-    assert abs(before["bias_x"] - 25.0) > 0.004
-    assert abs(after["bias_x"] - 25.0) < 0.004
-    for name in ("bias_y", "bias_z", "scale_y", "scale_z"):
-        assert np.isclose(after[name], before[name], rtol=0.02, atol=2e-4), name
-
-
 CASES: tuple[Case, ...] = (
     WORN("--triad other", _other_sensor, "actigraph", "<worn_twice.h5>", "--no-loop", "--json"),
     WORN("--every 80min", _in_parts),
     WORN("--every 0h", ends(2, "is not a time")),
-    WORN("--fleet <worn_kind.yaml>", _as_its_kind),
+    WORN("--fleet <worn_kind.yaml>", as_its_kind(25.0)),
     WORN("--as-published", _published),
     WORN("--arithmetic int16", _coarse, *PUBLISHED),
 )

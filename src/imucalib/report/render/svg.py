@@ -156,22 +156,17 @@ def limits(parts: Iterable[Array], *, log: bool = False, pad: float = 0.07) -> t
     return low - margin, high + margin
 
 
-def y_parts(plot: Plot) -> list[Array]:
-    """Everything the y axis must hold: values, edges, and the foot of bars."""
-    parts = [s.y for s in plot.series]
-    parts += [edge for s in plot.series for edge in (s.low, s.high) if edge is not None]
-    if any(s.mark == "bars" for s in plot.series) and not plot.log_y:
-        parts.append(np.zeros(1))
-    return parts
-
-
 def plot_limits(plot: Plot) -> tuple[tuple[float, float], tuple[float, float]]:
     """Limits of x and of y (log10 where logarithmic), before scales are made equal."""
-    x_low, x_high = limits([s.x for s in plot.series], pad=0.04)
-    y_low, y_high = limits(y_parts(plot), log=plot.log_y)
     slot = bar_slot(plot)
-    if slot and not plot.log_y:  # all bars end on one side: they stand on zero, without a margin
-        shown = np.concatenate([drawable(part) for part in y_parts(plot)])
+    parts = [part for s in plot.series for part in (s.y, s.low, s.high) if part is not None]
+    standing = slot > 0.0 and not plot.log_y
+    if standing:  # the foot of the bars
+        parts.append(np.zeros(1))
+    x_low, x_high = limits([s.x for s in plot.series], pad=0.04)
+    y_low, y_high = limits(parts, log=plot.log_y)
+    if standing:  # all bars end on one side: they stand on zero, without a margin
+        shown = np.concatenate([drawable(part) for part in parts])
         y_low = 0.0 if np.nanmin(shown) >= 0 else y_low
         y_high = 0.0 if np.nanmax(shown) <= 0 and np.nanmin(shown) < 0 else y_high
     return (x_low - slot / 2, x_high + slot / 2), (y_low, y_high)

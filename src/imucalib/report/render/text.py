@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import replace
 from io import StringIO
@@ -71,9 +72,9 @@ class _Sheet:
             foot = self.lines(*self.foot(titles, full=False))
             sections = self.fitting(sections, PAGE - len(lines) - len(foot))
         hidden = [title for title in titles if title not in {s.title for s in sections}]
-        everything = full or set(hidden) <= drawn
+        last = self.foot(hidden, full=full or set(hidden) <= drawn)
         shown = (part for section in sections for part in self.section(section))
-        return self.put(lines + self.lines(*shown, *self.foot(hidden, full=everything)))
+        return self.put(lines + self.lines(*shown, *last))
 
     def put(self, lines: Sequence[Line]) -> str:
         """Lines as text."""
@@ -111,16 +112,14 @@ class _Sheet:
 
     def shortened(self, sections: Sequence[Section], room: int) -> list[Section]:
         """The sections with as many rows of each table as fit into `room` lines together."""
-        if self.length(sections) <= room:
-            return list(sections)
-        counts = [len(b.rows) for s in sections for b in s.blocks if isinstance(b, Table)]
-        bare = self.length([_cut(s, LEAST) for s in sections]) - sum(min(n, LEAST) for n in counts)
-        rows = max(counts, default=LEAST)
-        while rows > LEAST and bare + sum(min(n, rows) for n in counts) > room:
-            rows -= 1
-        while rows > LEAST and self.length([_cut(s, rows) for s in sections]) > room:
-            rows -= 1  # some rows fold
-        return [_cut(section, rows) for section in sections]
+        rows = [len(b.rows) for s in sections for b in s.blocks if isinstance(b, Table)]
+        counts = range(LEAST, max(rows, default=LEAST) + 1)
+
+        def cut(count: int) -> list[Section]:
+            return [_cut(section, count) for section in sections]
+
+        fitting = bisect_right(counts, room, key=lambda count: self.length(cut(count)))
+        return cut(counts[max(fitting - 1, 0)])
 
     def screen(self, card: Card) -> list[Line]:
         """The card alone, in `SCREEN` lines of 80 columns: of what has no room the last goes."""
