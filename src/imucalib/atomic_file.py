@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import platform
 import re
@@ -66,7 +67,7 @@ def replaced_atomically(path: str | os.PathLike[str]) -> Iterator[Path]:
         _fill_permissions(temporary)
         os.replace(temporary, target)
     except OSError as error:
-        raise UsageError(f"the output cannot be written: {error}", where=str(path)) from error
+        raise _unwritable(error, str(path)) from error
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -87,7 +88,7 @@ def replaced_together(paths: Sequence[Path]) -> Iterator[tuple[Path, ...]]:
         _take_places(list(zip(made, paths, strict=True)))
     except OSError as error:
         where = str(error.filename2 or error.filename or paths[0])
-        raise UsageError(f"the output cannot be written: {error}", where=where) from error
+        raise _unwritable(error, where) from error
     finally:
         for temporary in made:
             temporary.unlink(missing_ok=True)
@@ -127,12 +128,18 @@ def _temporary_beside(target: Path) -> Path:
             dir=target.parent,
         )
     except (OSError, ValueError) as error:
-        raise UsageError(
-            f"the output cannot be written: {getattr(error, 'strerror', None) or error}",
-            where=str(target),
-        ) from error
+        raise _unwritable(error, str(target)) from error
     os.close(handle)
     return Path(name)
+
+
+def _unwritable(error: OSError | ValueError, where: str) -> UsageError:
+    """The failure in the system's words, and what to do about it."""
+    remedy = "name a place where you may write"
+    if getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+        remedy = "make room there, or name a file on another disk"
+    what = getattr(error, "strerror", None) or error
+    return UsageError(f"the output cannot be written: {what}", where=where, remedy=remedy)
 
 
 def _remove_stale(target: Path) -> None:

@@ -146,7 +146,10 @@ def local_gravity(latitude_deg: float, height_m: float = 0.0) -> float:
     latitude is outside [-90, 90].
     """
     if not -90.0 <= latitude_deg <= 90.0:
-        raise UsageError(f"latitude {latitude_deg} is outside [-90, 90] degrees")
+        raise UsageError(
+            f"latitude {latitude_deg:g} is outside [-90, 90] degrees",
+            remedy="give it in degrees, north of the equator positive",
+        )
     gamma_e, k, e2 = 9.7803253359, 0.00193185265241, 0.00669437999014
     a, f, m = 6378137.0, 1.0 / 298.257223563, 0.00344978650684
     s2 = math.sin(latitude_deg * DEG) ** 2

@@ -69,8 +69,11 @@ def test_the_next_command_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         (lambda r: [r[0], r[1].replace("0", "O", 1), *r[2:]], "is not a number", "--exclude 1"),
         (lambda r: [r[0].replace("inclination_deg", "inc (deg from vertical)"), *r[1:]], "",
          "--inclination-zero"),
+        (lambda r: [r[0].replace("raw_x,raw_y,raw_z", "raw_z,raw_x,raw_y"), *r[1:]],
+         "stands turned by 90 or 180 deg in the tool",
+         "--axes=x,y,z -o out` (else --axes=z,x,y if columns or dial are misread)"),
     ],
-    ids=["ten times", "columns", "letter", "zero"],
+    ids=["ten times", "columns", "letter", "zero", "mounting"],
 )  # fmt: skip
 def test_what_is_wrong_is_said_with_what_mends_it(
     change: object, what: str, mend: str, tmp_path: Path
@@ -91,3 +94,24 @@ def test_counts_are_told_with_their_scale(tmp_path: Path) -> None:
     file.write_text("\n".join(lines) + "\n")
     page = said(run(file))
     assert re.search(r"--unit counts\s+--lsb\s+16\d{3}", page)
+
+
+def test_what_was_corrected_is_no_calibration_of_the_sensor(tmp_path: Path) -> None:
+    made, once, twice = tmp_path / "made", tmp_path / "once.mcap", tmp_path / "twice"
+    log, quick = SAMPLES / "turns.csv.gz", ("--no-loop", "-q", "-o")
+    assert run("imu", log, *quick, made).return_value == 0
+    assert run("apply", made / "calibration.yaml", log, "-o", once, "-q").return_value == 0
+    page = said(run(once))
+    assert "repeat the one before" not in page  # its axes are mixed: no step of a converter is left
+    assert run("imu", once, *quick, twice).return_value == 0
+    report = json.loads((twice / "report.json").read_text())
+    assert report["status"] == "marginal"
+    assert "corrected already" in report["reasons"][0]
+    assert "from which it was made" in report["card"]["to_do"][0]
+    assert not any("apply" in step for step in report["card"]["to_do"])  # which would be refused
+
+
+def test_values_of_a_column_of_words_are_named_without_a_count_of_pieces() -> None:
+    page = " ".join(said(run(SAMPLES / "wrist_day.csv.gz")).split())
+    assert "column 'Activity' is SB, LPA" in page
+    assert "rows)" not in page

@@ -141,6 +141,14 @@ def test_an_axis_that_is_held_and_keeps_its_noise_is_left_out() -> None:
     )
 
 
+def test_of_what_is_shaken_all_the_time_no_axis_is_said_to_stay() -> None:
+    """Noise of 170 mg changes gravity's size by itself."""
+    values = np.array([0.0, G, 0.0]) + np.random.default_rng(5).normal(0.0, 0.17 * G, (20000, 3))
+    seconds = np.arange(20000.0)
+    with pytest.raises(Undetermined, match=r"^(?!.*stays at).*shakes by 1[67]\d mg"):
+        posture_runs(scan([recorded(seconds, values, 1.0)], 10.0))
+
+
 @pytest.mark.parametrize("noise", [3.0, 0.6, 0.1])
 def test_a_live_axis_is_not_stuck(noise: float) -> None:
     runs = found(worn(40, noise, 1.0))

@@ -14,12 +14,20 @@ from imucalib.calibration.provenance import Provenance
 from imucalib.core.fit import Fit
 from imucalib.errors import UNEXPLAINED_EXIT_CODE, LimitBroken, Undetermined
 from imucalib.loop.found import FitLoop
+from imucalib.recording.recording import CORRECTED
 from imucalib.units import MG
 
 Status = Literal["ok", "marginal", "weak", "failed"]
 #: What a run that is otherwise consistent may be made to fail on: a name that held-out data do not
 #: prove, structure without a name, anything that the headline warns of.
 Gate = Literal["suspected", "unexplained", "caution"]
+
+
+#: The step that a run which wrote nothing is told.
+KEEP = "Write the calibration to use it"
+_CORRECTED = (
+    "the recording was corrected already: this is no calibration of the sensor's own readings"
+)
 
 
 @dataclass(frozen=True)
@@ -125,6 +133,15 @@ class Outcome:
     weak: bool = False
     left: tuple[Left, ...] = ()
     fail_on: Gate | None = None
+
+    def __post_init__(self) -> None:
+        if self.corrected and _CORRECTED not in self.reasons:
+            object.__setattr__(self, "reasons", (_CORRECTED, *self.reasons))
+
+    @property
+    def corrected(self) -> bool:
+        """Whether the readings were corrected by a calibration before."""
+        return any(CORRECTED in note for note in self.notes)
 
     @property
     def error(self) -> ErrorSummary:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from imucalib.atomic_file import replaced_atomically
+from imucalib.calibration.outcome import KEEP
 from imucalib.errors import UsageError
 from imucalib.recording.pairing import cell
 
@@ -86,12 +87,12 @@ def rows(entries: tuple[Entry, ...]) -> tuple[dict[str, Any], ...]:
 
 
 def _next(entry: Entry) -> str:
-    """The first step that the report advises, or how to mend what failed."""
+    """The first step that the report advises for the recording, or how to mend what failed."""
     if entry.report is None:
         return entry.error.rpartition(". ")[2]
     card = entry.report.get("card")
     steps = card["to_do"] if card else entry.report["loop"]["advice"]
-    return str(steps[0]) if steps else ""
+    return next((str(step) for step in steps if not step.startswith(KEEP)), "")
 
 
 def _numbers(report: Mapping[str, Any]) -> dict[str, Any]:

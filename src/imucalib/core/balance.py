@@ -209,7 +209,8 @@ def whitener(settings: Sequence[Array | csr_array], ratio: Sequence[float]) -> W
         return Whitener((), 0.0)
     if scaled[0].shape[0] < _FEW:
         columns = np.column_stack([m if isinstance(m, np.ndarray) else m.toarray() for m in scaled])
-        every, whole = [np.arange(len(columns))], columns @ columns.T
+        with np.errstate(over="ignore"):  # of a ratio that nothing bounds
+            every, whole = [np.arange(len(columns))], columns @ columns.T
     else:
         from scipy.sparse import csr_array, hstack
 

@@ -24,7 +24,7 @@ from imucalib.units import STANDARD_GRAVITY
 _KEPT = 10  # candidates and gaps that are listed; the rest is counted
 _LOSS = re.compile(
     r"\bdamaged\b|\blost\b|cannot be (read|decoded)|did not close|may be cut|never defines"
-    r"|zero bytes|are missing|without its footer|^\d+ rows left out"
+    r"|breaks off|zero bytes|are missing|without its footer|^\d+ rows left out"
 )
 _REPEATS = re.compile(r"repeat the one before to the last digit")
 _STEPS = 1 << 16  # steps a channel keeps for the jitter

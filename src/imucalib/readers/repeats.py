@@ -38,14 +38,16 @@ _ZONE, _ZONE_SHARE = 3, 0.2  # runs of one number, and of all of them, that make
 
 def with_held(blocks: Iterable[Recording]) -> Iterator[Recording]:
     """The same blocks with `Recording.held` filled; the last one's notes say how many samples these
-    are where there are any."""
+    are where there are any. Of a corrected sensor nothing is told: its axes are mixed, and no step
+    of a converter is left to judge by."""
     seen: dict[str, _Repeats] = {}
     last: Recording | None = None
     for block in blocks:
-        held = list[Held]()
+        held, corrected = list[Held](), {mark.triad for mark in block.corrections}
         # Accelerometers first: what both repeat at once is no gyroscope's dead zone.
         for name, channel in sorted(block.channels.items(), key=lambda c: c[1].quantity):
-            if channel.quantity in ("acceleration", "angular_rate") and channel.t.size:
+            measured = channel.quantity in ("acceleration", "angular_rate") and channel.t.size
+            if measured and channel.triad not in corrected:
                 force = [h for h in held if h.channel == f"{channel.triad}/acceleration"]
                 # A damaged number may be of any size.
                 with np.errstate(over="ignore", invalid="ignore"):

@@ -23,6 +23,10 @@ REST_COLUMNS = (
 )
 
 
+#: What the note on a corrected sensor says.
+CORRECTED = "is corrected by a calibration of"
+
+
 @dataclass(frozen=True)
 class Correction:
     """One calibration that was applied.
@@ -40,9 +44,7 @@ class Correction:
         return json.dumps([self.triad, self.calibrator, self.sha256])
 
     def __str__(self) -> str:
-        return (
-            f"{self.triad} is corrected by a calibration of {self.calibrator} ({self.sha256[:12]})"
-        )
+        return f"{self.triad} {CORRECTED} {self.calibrator} ({self.sha256[:12]})"
 
 
 def corrections_of(texts: Iterable[str]) -> tuple[Correction, ...]:

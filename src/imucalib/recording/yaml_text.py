@@ -57,7 +57,12 @@ def load(path: Path, remedy: str = "") -> Any:
         what = f"the file cannot be read: {error.strerror or error}"
     except RecursionError:
         what = "not a YAML file: it is nested too deep"
-    except (UnicodeDecodeError, YAMLError, ValueError) as error:
+    except UnicodeDecodeError:
+        what = "not a YAML file, nor any other text"
+    except MarkedYAMLError as error:
+        line = f", line {error.problem_mark.line + 1}" if error.problem_mark else ""
+        what = f"not a YAML file: {error.problem or error.context}{line}"
+    except (YAMLError, ValueError) as error:
         what = f"not a YAML file: {error}"
     raise UnreadableInput(what, where=str(path), remedy=remedy)
 

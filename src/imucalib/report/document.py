@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from imucalib.arrays import Array
+from imucalib.calibration.outcome import KEEP
 
 #: Section of the plots of what is left before and after a search.
 RESIDUALS = "Residual before and after"
@@ -212,11 +213,12 @@ class Document:
         return replace(self, card=card, drawn=drawn)
 
     def unwritten(self, command: str) -> Document:
-        """The same of a run that wrote nothing, with the command that writes it."""
-        card = self.card
+        """The same of a run that wrote nothing, with the command that writes it: placed as those
+        of `placed`."""
+        card, at = self.card, 0 if self.verdict.tone == "ok" else 1
         if card is not None and card.uses:
-            keep = f"Write the calibration to use it: `{command}`"
-            card = replace(card, to_do=(keep, *card.to_do), uses=())
+            keep = f"{KEEP}: `{command}`"
+            card = replace(card, to_do=(*card.to_do[:at], keep, *card.to_do[at:]), uses=())
         return replace(self, card=card, drawn="")
 
     def calm(self) -> Document:

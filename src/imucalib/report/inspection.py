@@ -26,6 +26,7 @@ from imucalib.report.document import (
     Series,
     Table,
     Text,
+    capital,
 )
 from imucalib.report.sections import leading_options
 from imucalib.rests.candidates import Candidate, refusals
@@ -199,7 +200,7 @@ def table_commands(seen: TableSeen, typed: str) -> tuple[str, ...]:
         name = what.partition(":")[0]
         if options:
             other = f" (else {rest})" if rest else ""
-            found.append(f"`{command} {options} -o out`: if it is so, {name}{other}.")
+            found.append(f"{capital(name)}: if that is right, `{command} {options} -o out`{other}.")
         elif remedy:
             found.append(f"{name}: {remedy}.")
     local = "add --latitude or --gravity for the local gravity"

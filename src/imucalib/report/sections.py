@@ -114,8 +114,12 @@ def card_of(
     steps = slips or (*(f"{text}." for text in outcome.broken), *outcome.advice, *more)
     command = outcome.provenance.command
     usable = outcome.status in ("ok", "marginal") and not outcome.undecided
+    usable = usable and not outcome.corrected
+    if outcome.corrected:
+        steps = ("Calibrate the recording from which it was made.", *steps)
+    settled = outcome.fit is None or outcome.fit.converged
     return Card(
-        tuple(good_to),
+        tuple(good_to) if settled else (),  # figures of a fit that did not settle mean nothing
         tuple(said),
         tuple(_decision(text, command) for text in steps[:_STEPS]),
         command,
@@ -212,9 +216,9 @@ def worst_attitude(quantity: str, sd: Array, directions: Array, what: str = "") 
     """
     k = int(np.argmax(sd))
     towards = ", ".join(f"{a} {v:+.1f}" for a, v in zip("xyz", directions[k], strict=True))
-    detail = f"95 %; {1.96 * sd.mean():.2g} mg on average"
+    detail = f"95 %; {two_digits(1.96 * sd.mean())} mg on average"
     where = f"{what}with gravity along {towards}"
-    return Worth(f"{quantity}, worst attitude", f"± {1.96 * sd[k]:.2g} mg", detail, where)
+    return Worth(f"{quantity}, worst attitude", f"± {two_digits(1.96 * sd[k])} mg", detail, where)
 
 
 def _found(found: Findings) -> list[Text]:
@@ -234,7 +238,8 @@ def _found(found: Findings) -> list[Text]:
     if found.gain is not None and found.steps:
         g = found.gain
         aside = ", the wrong records set aside," if found.records else ""
-        gained = f"gain {g.before - g.after:.2g}, 95 % {g.low:.2g} to {g.high:.2g}."
+        gain, low, high = map(two_digits, (g.before - g.after, g.low, g.high))
+        gained = f"gain {gain}, 95 % {low} to {high}."
         words = f"On held-out data{aside} {g.before:.3g} -> {g.after:.3g} {g.unit}: {gained}"
         lines.append(Text(words))
     if nameless := _nameless(found):

@@ -230,6 +230,8 @@ def _held(sensor: Sensor, axis: int, known: Flags) -> Flags:
     """Stretches in which an axis keeps its mean and its noise, through all that moves the others:
     what is still there has a size that gravity has not."""
     w, noise = sensor.windows, np.maximum(sensor.noise, sensor.step)
+    if _CALM * noise.max() > _FAR:  # what is shaken all the time changes its size by itself
+        return np.zeros(w.start.size, dtype=np.bool_)
     calm = (w.variance <= (_CALM * noise) ** 2) & ~known[:, None]
     value, size = w.mean[:, axis], np.linalg.norm(w.mean, axis=1)
     joined = calm[1:, axis] & calm[:-1, axis]
@@ -448,7 +450,8 @@ def posture_runs(scanned: Scan, settings: StillSettings = WORN) -> PostureRuns:
     dead, words = _stuck(sensor)
     live = np.flatnonzero(~dead)
     if not live.size:
-        raise Undetermined("; ".join(words), where=scanned.path)
+        remedy = "record again with another sensor, or once the axis is mended"
+        raise Undetermined("; ".join(words), where=scanned.path, remedy=remedy)
     sensor = replace(sensor, windows=w.take(live)) if dead.any() else sensor
     still, notes = still_windows(sensor)
     chosen = live[still]

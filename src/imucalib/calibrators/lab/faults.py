@@ -118,9 +118,8 @@ def _axes_questions(sheet: Sheet, request: LabRequest) -> tuple[str, ...]:
     if before:
         return ()
     return (
-        f"the sensor would be mounted near 90 or 180 deg in the tool (its axes as {axes.text}); "
-        f"decide with {' or '.join(lines)} if columns or dial are misread, or --axes=x,y,z if it "
-        "is mounted so",
+        f"the sensor stands turned by 90 or 180 deg in the tool (its axes as {axes.text}); "
+        f"decide with --axes=x,y,z (or: {' or '.join(lines)} if columns or dial are misread)",
     )
 
 

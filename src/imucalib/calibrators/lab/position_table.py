@@ -37,6 +37,7 @@ _MOST = 2000
 #: From one position to the next readings change by more than this share of gravity (samples at rest
 #: do not), or stated seconds pass.
 _TURNED, _PASSED = 0.05, 1.0
+_LARGEST = 1e30  # no sensor, angle or count is as large
 _SHOWN = 10  # rows that an error lists
 
 
@@ -184,7 +185,7 @@ def read_position_table(
     upright = _upright(cells, names, columns, vertical)
     if upright.any():
         columns["tool_face"][upright] = 0.0  # any angle is the same direction there
-    bad = {role: ~np.isfinite(values) for role, values in columns.items()}
+    bad = {role: ~(np.abs(values) < _LARGEST) for role, values in columns.items()}
     needed = [role for role in bad if role in (*required, *wanted)]
     out = np.isin(cells.row, list(exclude)) & np.any([bad[role] for role in needed], axis=0)
     _demand_numbers(cells, names, {role: bad[role] & ~out for role in needed}, where)
@@ -286,8 +287,9 @@ def _demand_numbers(
     cell = str(cells.columns[names[role]][k])
     rows = list(dict.fromkeys(cells.row[k] for k, _ in places))
     shown = ",".join(map(str, rows[:_SHOWN]))
+    what = f"'{cell}' is {'too large' if is_number(cell) else 'not a number'}"
     raise UnreadableInput(
-        (f"'{cell}' is not a number" if cell else "the cell is empty") + and_more(said[1:]),
+        (what if cell else "the cell is empty") + and_more(said[1:]),
         where=f"{where}, {said[0]}",
         remedy=f"correct {'the cell' if len(said) == 1 else 'the cells'}, or leave "
         f"{'the row' if len(rows) == 1 else 'the rows'} out of the table (lab: --exclude {shown})",

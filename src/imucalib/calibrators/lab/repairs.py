@@ -91,7 +91,9 @@ def _matched(pattern: str, option: str, text: str, refusal: str, remedy: str) ->
 
 
 def _pair(text: str, option: str) -> tuple[int, int]:
-    first, second = _matched(r"(\d+),(\d+)", option, text, "not two rows", f"{option} 3,10")
+    first, second = _matched(
+        r"(\d+),(\d+)", option, text, "not two rows", f"for example {option} 3,10"
+    )
     return int(first), int(second)
 
 
@@ -101,14 +103,14 @@ def _shift(text: str) -> Shift:
         "--shift",
         text,
         "not COLUMN[:ROWS]=STEP",
-        "--shift readings:5-12=-1 or --shift inclination=1; the step is 1 or -1",
+        "for example --shift readings:5-12=-1 or --shift inclination=1; the step is 1 or -1",
     )
     return Shift(what, int(first), int(last), int(step))
 
 
 def _part(text: str) -> Part:
     first, last, axes = _matched(
-        r"(\d+)-(\d+):(.*)", "--axes", text, "not ROWS:x,y,z", "--axes=17-32:-y,x,z"
+        r"(\d+)-(\d+):(.*)", "--axes", text, "not ROWS:x,y,z", "for example --axes=17-32:-y,x,z"
     )
     return Part(int(first), int(last), _axes(axes))
 
@@ -116,7 +118,9 @@ def _part(text: str) -> Part:
 def _axes(text: str) -> tuple[str, ...]:
     parts = tuple(part.strip().removeprefix("+") for part in text.split(","))
     if sorted(part.removeprefix("-") for part in parts) != ["x", "y", "z"]:
-        raise UsageError(f"--axes {text}: not x, y and z once each", remedy="--axes=-y,x,z")
+        raise UsageError(
+            f"--axes {text}: not x, y and z once each", remedy="for example --axes=-y,x,z"
+        )
     return parts
 
 

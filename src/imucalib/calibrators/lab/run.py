@@ -170,7 +170,8 @@ def _judged(
         if not faulty:
             faults.with_axes(request)  # which may say why
         if not faulty or isinstance(error, Undetermined):
-            raise
+            where = error.where or table.path
+            raise type(error)(error.what, where=where, remedy=error.remedy) from error
         raise UnreadableInput(
             "; ".join(f.what for f in faults.slips),
             where=error.where,

@@ -134,8 +134,12 @@ def _columns_of(
             remedy="add a heading line such as: inclination,tool_face,x,y,z",
         )
     heading = [name or f"column {k}" for k, name in enumerate(heading, start=1)]
-    if len(set(heading)) != len(heading):
-        raise UnreadableInput("two columns have the same heading", where=top)
+    if twice := [name for k, name in enumerate(heading) if name in heading[:k]]:
+        raise UnreadableInput(
+            f"two columns have the same heading '{twice[0]}'",
+            where=top,
+            remedy="rename one of them, or take it out",
+        )
     thousands = _thousands([cell for row in rows for cell in row], decimal, stated)
     rows, lost = _without_footer(
         [[_plain_number(cell, comma, thousands) for cell in row] for row in rows]
@@ -151,7 +155,11 @@ def _columns_of(
             remedy="complete the row, or give --delimiter and --decimal",
         )
     if not rows:
-        raise UnreadableInput("a heading but no rows", where=where)
+        raise UnreadableInput(
+            "a heading but no rows",
+            where=where,
+            remedy="write a row a position below it; --skip where the heading stands further down",
+        )
     columns = {name: [rows[k][c] for k in kept] for c, name in enumerate(heading)}
     return Cells(columns, tuple(k + 1 for k in kept), len(rows), tuple(notes))
 

@@ -8,7 +8,6 @@ import gzip
 import io
 import re
 import zlib
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -266,7 +265,7 @@ def no_row_has(
 ) -> UnreadableInput:
     """The error where no row is left. cells : of each condition's column"""
     pairs = zip(conditions, cells, strict=True)
-    there = [f"{Condition.of(text).name} is {_listed(Counter(v))}" for text, v in pairs]
+    there = [f"{Condition.of(text).name} is {_listed(v)}" for text, v in pairs]
     return UnreadableInput(
         f"no row has {' and '.join(conditions)}",
         where=where,
@@ -276,16 +275,18 @@ def no_row_has(
 
 def few_values(name: str, cells: Sequence[str]) -> str:
     """A sentence on a column that takes a few values of words or names, or ""."""
-    found = Counter(cell for cell in cells if cell)
+    found = list(dict.fromkeys(cell for cell in cells if cell))
     words = not all(is_number(cell) for cell in found)
     named = bool(set(name.lower().replace("-", "_").replace(" ", "_").split("_")) & _NAMES)
     if not 2 <= len(found) <= _FEW or not (words or named):
         return ""
-    first = next(iter(found))
-    return f"column '{name}' is {_listed(found)} (--where '{name}={first}' reads those rows alone)"
+    return (
+        f"column '{name}' is {_listed(found)} (--where '{name}={found[0]}' reads those rows alone)"
+    )
 
 
-def _listed(found: Counter[str]) -> str:
-    """Values and how often they occur."""
-    shown = ", ".join(f"{value or 'empty'} ({n} rows)" for value, n in list(found.items())[:_FEW])
+def _listed(cells: Sequence[str]) -> str:
+    """Values, not how often they occur: of a long file only pieces are looked at."""
+    found = list(dict.fromkeys(cells))
+    shown = ", ".join(value or "empty" for value in found[:_FEW])
     return shown + (", ..." if len(found) > _FEW else "")
