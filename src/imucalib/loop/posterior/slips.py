@@ -185,15 +185,17 @@ def _given_each(found: Explored, sets: Iterable[tuple[Pick, ...]]) -> list[Grams
     every = [blocks_of(problem.choices, picks) for picks in sets]
     used = np.array(sorted({int(k) for one in every for at, _ in one for k in at}), np.intp)
     own, n = np.r_[:p, used, grams.columns.shape[1] - 1], len(grams.columns)
-    inverse = np.array([solve(np.eye(n)) for solve in grams.solves])
     weighted, known = grams.weighted[:, :, own], problem.columns[n:, own]
     inner = grams.columns[:, own].T @ weighted + known.T @ known
     # The base model leaves as in `swept`, multiplied out.
     lower = np.linalg.cholesky(inner[:, :p, :p])
     across = np.concatenate([weighted[:, :, :p].swapaxes(1, 2), inner[:, :p, p:]], axis=2)
     across, weighted = np.linalg.solve(lower, across), weighted[:, :, p:]
-    matrix = np.block([[inverse, weighted], [weighted.swapaxes(1, 2), inner[:, p:, p:]]])
-    matrix -= across.swapaxes(1, 2) @ across
+    matrix = np.empty((len(inner), across.shape[2], across.shape[2]))
+    for k, solve in enumerate(grams.solves):  # of many readings one noise alone fills the memory
+        matrix[k, :n, :n], matrix[k, :n, n:] = solve(np.eye(n)), weighted[k]
+        matrix[k, n:, :n], matrix[k, n:, n:] = weighted[k].T, inner[k, p:, p:]
+        matrix[k] -= across[k].T @ across[k]
     log_size = np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1)
     base = replace(
         grams,
