@@ -14,7 +14,7 @@ from imucalib.calibrators.array.effect_blocks import with_rests
 from imucalib.calibrators.array.estimate.covariance import (
     Uneven,
     fitted_on_all,
-    samples_taken,
+    samples_used,
     with_uneven,
 )
 from imucalib.calibrators.array.estimate.sampled import sampled_positions
@@ -214,7 +214,7 @@ def _refuse_restless(segments: Segments, board: Board, recording: Recording, log
 
 def _fitted(moving: Moving, rests: RestFit, board: Board, request: ArrayRequest) -> _Fit:
     robust = request.accelerometer_sigma == "estimate"
-    most = samples_taken(moving, request.samples)
+    most = samples_used(moving, request.samples)
     searched = request.loop or bool(request.declare)
     # Where nothing is searched, gyros are made like their mean by plain comparison.
     part = moving if searched else moving.levelled
