@@ -45,6 +45,17 @@ def test_flagged_recordings_come_first_and_then_the_largest_errors() -> None:
     assert page.count("<circle") == 2 * 3
 
 
+def test_a_cautioned_recording_is_flagged_with_its_step_in_sight_and_effects_in_words() -> None:
+    doubted = row("b.csv", status="marginal", effects_added="curve@response:x:-1:1:32 quadratic")
+    page = cohort_html((row("a.csv"), doubted | {"what_to_do": "rest with x up"}), "cohort")
+    assert names_of(page) == ["b.csv", "a.csv"]
+    assert "1 of them should be looked at" in page
+    cells = re.findall(r"<td[^>]*>(.*?)</td>", page)
+    assert cells[2] == "rest with x up"  # before the numbers, which a narrow window cuts off
+    assert "a curve of the response of x, quadratic" in page
+    assert "curve@" not in page
+
+
 def test_a_cohort_of_failures_and_of_one_have_a_page() -> None:
     assert names_of(cohort_html((failed("d.csv"),), "c")) == ["d.csv"]
     assert names_of(cohort_html((row("a.csv", after=None),), "c")) == ["a.csv"]

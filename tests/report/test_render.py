@@ -334,6 +334,10 @@ def test_the_card_says_worth_findings_and_steps_before_the_sections() -> None:
         places = [shown.index(text) for text in order]
         assert places == sorted(places)
     assert "<code>imucal apply calibration.yaml LOG</code>" in render_html(document("ok"))
+    option = replace(CARD, to_do=("Take it: `imucal export c.yaml --to kalibr`",))
+    page = render_html(replace(document("ok"), card=option))
+    assert "export c.yaml <span>--to</span> kalibr" in page  # which no line parts at its hyphens
+    assert page.index("Take it") > page.index('role="status"')
 
 
 def test_the_map_keeps_areas() -> None:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from imucalib.effects.forms import in_words
 from imucalib.report.document import Plot, Series, Tone
 from imucalib.report.render.html import SIGNS, WORDS
 from imucalib.report.render.svg import render_svg
@@ -30,8 +31,8 @@ _TEXTS = {"axes_seen_both_ways": "axes both ways", "effects_added": "effects"}
 def cohort_html(table: Sequence[Mapping[str, Any]], title: str) -> str:
     """One self-contained HTML page of the rows that `cohort.entries.rows` makes.
 
-    Without a script the table is sorted: recordings without a calibration, then those whose exit
-    code is not 0, then by the error left, largest first.
+    Without a script the table is sorted: recordings without a calibration, then those that are
+    not passed, then by the error left, largest first.
     """
     errors = [v for row in table for v in (row.get("error_before"), row.get("error_after")) if v]
     ends = (min(errors), max(errors)) if errors else (1.0, 1.0)
@@ -50,7 +51,7 @@ def cohort_html(table: Sequence[Mapping[str, Any]], title: str) -> str:
         "verdict": f"{len(table) - failed} of {len(table)} recordings are calibrated; "
         f"{doubted} of them should be looked at.",
         "tone": "bad" if failed else "warning" if doubted else "ok",
-        "header": ("recording", "status", *heads, "error", *texts.values(), "what to do"),
+        "header": ("recording", "status", "what to do", *heads, "error", *texts.values()),
         "rows": [_row(row, ends, len(units) > 1, numbers, texts) for row in ordered],
         "plot": _plot(table, unit),
         "ends": (f"{ends[0]:.2g}", f"{ends[1]:.2g}{unit}"),
@@ -61,7 +62,7 @@ def cohort_html(table: Sequence[Mapping[str, Any]], title: str) -> str:
 def _tone(row: Mapping[str, Any]) -> Tone:
     if row["verdict"] is None:
         return "bad"
-    return "ok" if row["exit_code"] == 0 else "warning"
+    return "ok" if row["exit_code"] == 0 and row["status"] == "ok" else "warning"
 
 
 def _row(
@@ -93,9 +94,13 @@ def _row(
         "after": _place(after, ends) if after and known else None,
         "picture": f"{_shown(before)} before, {_shown(after)} {unit} after" if known else "",
         "order": "" if after is None else f"{after:.6g}",
-        "texts": [str(row.get(key) or "") for key in texts],
+        "texts": [_words(key, str(row.get(key) or "")) for key in texts],
         "to_do": to_do,
     }
+
+
+def _words(key: str, cell: str) -> str:
+    return ", ".join(map(in_words, cell.split())) if key == "effects_added" else cell
 
 
 def _shown(value: Any, unit: str = "") -> str:

@@ -108,9 +108,8 @@ def _card(found: Comparison, paths: Sequence[Path], command: str) -> Card:
         worths.append(Worth(f"difference of {_WORTH[unit]}{sensor}", f"{size} {unit}", detail))
     fit = found.agreement
     words = (
-        f"The files differ by {'more' if found.differ else 'no more'} than they state: all "
-        f"parameters together z rms {fit.z_rms:.2f}, where 1 is what they state ({fit.dof} of "
-        "them)."
+        f"The files differ by {'more' if found.differ else 'no more'} than they state: over "
+        f"{fit.dof} parameters by {two_digits(fit.z_rms)} times that, rms."
     )
     said = [Text(words, _TONE[found.verdict])]
     if found.odd:
