@@ -18,8 +18,8 @@ from imucalib.calibration.shared_gravity import held_against_gravity
 from imucalib.calibration.triads import named_triads, pairing_of
 from imucalib.calibrators.lab.bench import in_celsius, observations_of, raw_unit
 from imucalib.calibrators.lab.conventions import Conventions
-from imucalib.calibrators.lab.files import ANGLES, LabFiles, positions_in, still_rests
-from imucalib.calibrators.lab.position_table import PositionTable
+from imucalib.calibrators.lab.files import LabFiles, positions_in, still_rests
+from imucalib.calibrators.lab.position_table import ANGLES, PositionTable
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.core.effect import Context
 from imucalib.core.observations import Observations

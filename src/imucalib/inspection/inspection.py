@@ -118,8 +118,9 @@ class _Running:
             self.steps.append(steps[:_STEPS])
         self.samples += channel.t.size
         self.last = float(channel.t[-1])
-        self.low = np.minimum(self.low, channel.values.min(axis=0))
-        self.high = np.maximum(self.high, channel.values.max(axis=0))
+        axes = channel.values.T  # rows of three are slow to reduce
+        self.low = np.minimum(self.low, [axis.min() for axis in axes])
+        self.high = np.maximum(self.high, [axis.max() for axis in axes])
 
     def facts(self, name: str, still: Segments | None) -> ChannelFacts:
         """The channel, with what its rests say of it."""

@@ -22,11 +22,18 @@ from imucalib.calibrators.lab.bench import (
 )
 from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.calibrators.lab.faults import look_for_faults
-from imucalib.calibrators.lab.position_table import PositionTable, read_position_table, roles_in
+from imucalib.calibrators.lab.headings import roles_of
+from imucalib.calibrators.lab.position_table import (
+    ANGLES,
+    PositionTable,
+    cells_of_positions,
+    read_position_table,
+)
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import LabRun, run_lab
 from imucalib.errors import ImucalError, UnreadableInput, UsageError
 from imucalib.readers import read
+from imucalib.readers.csv.table import Cells
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
 from imucalib.rests.candidates import refusals
@@ -34,7 +41,6 @@ from imucalib.rests.segments import Segments, still_segments
 from imucalib.rests.stillness import StillSettings
 from imucalib.units import ACCELERATION_UNITS
 
-ANGLES = {"inclination", "tool_face"}
 #: Inclinations at which the tool-face is none, deg.
 _VERTICAL = {"horizontal": (90.0, -90.0), "vertical": (0.0, 180.0)}
 #: What a mapping may state of a table; anything else is of a recording in time.
@@ -163,9 +169,18 @@ def _counted_from(zero: tuple[float, ...], table: PositionTable) -> PositionTabl
     return replace(table, columns={k: v - less.get(k, 0.0) for k, v in table.columns.items()})
 
 
-def positions_in(files: LabFiles) -> PositionTable | None:
-    """The table of positions that a file is, or None where it is a recording in time."""
+def positions_in(files: LabFiles, cells: Cells | None = None) -> PositionTable | None:
+    """The table of positions that a file is, or None where it is a recording in time.
+
+    cells : of the table, where they were read already
+    """
     if not files.mapping.to_dict().keys() <= _OF_TABLES:
+        return None
+    try:
+        cells = cells or cells_of_positions(files.table, files.mapping)
+    except ImucalError:
+        return None
+    if cells is None:
         return None
     for direction in (True, False):
         try:
@@ -175,6 +190,7 @@ def positions_in(files: LabFiles) -> PositionTable | None:
                 need_angles=False,
                 need_direction=direction,
                 mapping=files.mapping,
+                cells=cells,
             )
         except ImucalError:
             continue
@@ -317,16 +333,19 @@ def inspect_table(path: Path, mapping: FieldMapping) -> TableSeen | None:
     """A table of positions as it would be read, or None where a file is none. Raises
     UnreadableInput where headings say that it is one and its cells cannot be read."""
     try:
-        roles = roles_in(path, mapping)
+        cells = cells_of_positions(path, mapping)
+        if cells is None:
+            return None
+        roles = set(roles_of(list(cells.columns), {}, str(path)))
     except ImucalError:
         return None
     if roles >= ANGLES:
         whole = set("xyz") <= roles
-        table = read_position_table(path, need_raw=whole, mapping=mapping)
+        table = read_position_table(path, need_raw=whole, mapping=mapping, cells=cells)
         if not whole:
             return TableSeen(table, "plan", "", (), table.left_out)
         return _seen(table, "vector", mapping)
-    found = positions_in(LabFiles(path, mapping=mapping))
+    found = positions_in(LabFiles(path, mapping=mapping), cells)
     if found is None or not ("ux" in found or found.turns):
         return None
     return _seen(found, "direction" if "ux" in found else "norm", mapping)

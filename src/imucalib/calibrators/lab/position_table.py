@@ -28,7 +28,7 @@ from imucalib.units import DEG
 #: A column of words stands for the direction ux, uy, uz: the axis that reads +g in the position.
 _FACE_NAMES = ("face", "up", "face_up", "face up")
 _FACES = tuple(f"{sign}{letter}" for sign in "+-" for letter in "xyz")
-_DIRECTION = ("ux", "uy", "uz")
+ANGLES, _DIRECTION = {"inclination", "tool_face"}, ("ux", "uy", "uz")
 #: Rows that sessions have on average, at least.
 _OF_A_SESSION = 3
 _HDF5 = b"\x89HDF\r\n\x1a\n"
@@ -161,6 +161,7 @@ def read_position_table(
     mapping: FieldMapping | None = None,
     exclude: Collection[int] = (),
     vertical: tuple[float, ...] = (90.0, -90.0),
+    cells: Cells | None = None,
 ) -> PositionTable:
     """Read a CSV, HDF5 or XLSX table.
 
@@ -168,11 +169,12 @@ def read_position_table(
     mapping : of a CSV, lines to skip, delimiter, decimal mark and conditions on rows
     exclude : rows (from 1) that may hold anything; those that cannot be read are left out
     vertical : inclinations (deg) at which the tool-face, which is none there, may be blank
+    cells : of `cells_of`, where the file was read already
     Raises UnreadableInput (missing or non-numeric cells, with row and column; no file) and
     UsageError (an unknown role or heading in `chosen`).
     """
     where = str(path)
-    cells = _cells_of(path, mapping or FieldMapping(), exclude)
+    cells = cells or cells_of(path, mapping or FieldMapping(), exclude)
     wanted, every = dict(chosen or {}), list(cells.columns)
     face = _face_heading(every, wanted.pop("face", ""), where) if need_direction else ""
     names = roles_of(every, wanted, where)
@@ -221,21 +223,32 @@ def read_position_table(
     )
 
 
-def roles_in(path: Path, mapping: FieldMapping) -> set[str]:
-    """What the columns of a file are, by their headings. Errors as in `read_position_table`."""
-    return set(roles_of(list(_cells_of(path, mapping, ()).columns), {}, str(path)))
-
-
-def _cells_of(path: Path, mapping: FieldMapping, exclude: Collection[int]) -> Cells:
+def cells_of(
+    path: Path, mapping: FieldMapping, exclude: Collection[int] = (), most: int = 0
+) -> Cells:
+    """The cells of a CSV, HDF5 or XLSX table. most : rows after which no more are read, all where
+    it is 0. Errors as in `read_position_table`."""
     if not path.is_file():
         raise UnreadableInput("no such file", where=str(path), remedy="check the path")
     head = head_of(path)
     refuse_foreign(path, head)
     if head.startswith(_HDF5):
-        columns = table_columns(path)
+        columns = table_columns(path, most)
         count = len(next(iter(columns.values()), ()))
         return selected(Cells(columns, tuple(range(1, count + 1)), count), mapping, str(path))
-    return table_cells(path, mapping, exclude)
+    return table_cells(path, mapping, exclude, most)
+
+
+def cells_of_positions(path: Path, mapping: FieldMapping) -> Cells | None:
+    """The cells of what may be a table of positions; None of a file that is longer than one, where
+    no heading says that it is. Errors as in `read_position_table`."""
+    cells = cells_of(path, mapping, most=_MOST + 1)
+    if cells.file_rows <= _MOST:
+        return cells
+    names = list(cells.columns)
+    roles = set(roles_of(names, {}, str(path)))
+    stated = roles >= ANGLES or roles >= set(_DIRECTION) or _face_heading(names, "", str(path))
+    return cells_of(path, mapping) if stated else None
 
 
 def _without_unreadable(

@@ -70,7 +70,9 @@ class Cells:
         return replace(self, columns=columns, row=tuple(self.row[k] for k in keep))
 
 
-def table_cells(path: Path, mapping: FieldMapping, exclude: Collection[int] = ()) -> Cells:
+def table_cells(
+    path: Path, mapping: FieldMapping, exclude: Collection[int] = (), most: int = 0
+) -> Cells:
     """The cells of a text or of the first sheet of a workbook; numbers with a point as decimal mark
     and no mark of thousands.
 
@@ -79,13 +81,14 @@ def table_cells(path: Path, mapping: FieldMapping, exclude: Collection[int] = ()
         title lines above the heading too, the frame of a Markdown table, and lines below the last
         blank one that are no rows; a row of units below the heading goes into it. Formulas count
         by the value that was saved with them.
-    exclude : rows that may have any number of cells
+    exclude : rows that may have any number of cells; most : rows of a text after which no more
+        are read, all where it is 0
     Raises UnreadableInput with the row, counted from 1 below the heading.
     """
     if _is_spreadsheet(path):
         (rows, top), decimal, stated = _sheet(path, mapping.skip or 0), ",", False
     else:
-        rows, top, delimiter = _text(path, mapping)
+        rows, top, delimiter = _text(path, mapping, most)
         decimal, stated = mapping.decimal or "," * (delimiter != ","), bool(mapping.decimal)
     found = _columns_of(rows, top, str(path), decimal=decimal, stated=stated, exclude=exclude)
     return selected(found, mapping, str(path))
@@ -187,9 +190,9 @@ def _thousands(cells: Sequence[str], decimal: str, stated: bool) -> str:
     return found.pop() if len(found) == 1 else ""
 
 
-def _text(path: Path, mapping: FieldMapping) -> tuple[list[list[str]], str, str]:
+def _text(path: Path, mapping: FieldMapping, most: int) -> tuple[list[list[str]], str, str]:
     """Rows of cells, the heading first, where that is, and the delimiter."""
-    lines, delimiter = list(_lines(path, mapping.skip or 0)), mapping.delimiter
+    lines, delimiter = list(_lines(path, mapping.skip or 0, most)), mapping.delimiter
     if not any(line for _, line in lines):
         raise UnreadableInput("no rows in it", where=str(path))
     lines = _without_titles(lines, delimiter)
@@ -237,6 +240,8 @@ def _with_unit(name: str, cell: str) -> str:
 def _plain_number(cell: str, comma: bool, thousands: str) -> str:
     """The cell with a point, without a degree sign, with the minus of a keyboard and without marks
     between thousands."""
+    if thousands != "." and is_number(cell):
+        return cell
     text = _BLANK_BETWEEN.sub("", cell.replace("\u2212", "-"))
     text = text.removesuffix("°").rstrip()
     if thousands and _WITH[thousands].fullmatch(text):
@@ -246,9 +251,10 @@ def _plain_number(cell: str, comma: bool, thousands: str) -> str:
     return text if is_number(text) else cell
 
 
-def _lines(path: Path, skip: int) -> Iterator[tuple[int, str]]:
-    """Lines that are no remarks, blank ones too, with their numbers from 1."""
-    data = whole_text(path)
+def _lines(path: Path, skip: int, most: int) -> Iterator[tuple[int, str]]:
+    """Lines that are no remarks, blank ones too, with their numbers from 1, about `most` at least
+    unless that is 0."""
+    data = whole_text(path, most)
     binary = _BINARY.search(data)
     if binary:
         raise UnreadableInput(

@@ -86,11 +86,17 @@ def _opened(path: Path) -> Iterator[tuple[Callable[[int], bytes], BinaryIO | Non
         yield stream.read1, None if packed else raw
 
 
-def whole_text(path: Path) -> bytes:
-    """All of a small text file, unpacked and as UTF-8, its line ends as line feeds."""
+def whole_text(path: Path, most: int = 0) -> bytes:
+    """All of a small text file, unpacked and as UTF-8, its line ends as line feeds; most : of a
+    large one, lines after which it may end, at the end of one."""
+    held = list[bytes]()
     with _opened(path) as (read, _):
-        pieces = _chunks(read, path, _LONGEST_LINE, strict=True)
-        return _clean(b"".join(piece for piece, _ in pieces))
+        for piece, _ in _chunks(read, path, _LONGEST_LINE, strict=True):
+            held.append(piece)
+            if most and sum(part.count(b"\n") for part in held) > most:
+                held[-1] = piece[: piece.rfind(b"\n") + 1]
+                break
+    return _clean(b"".join(held))
 
 
 def looks(path: Path) -> list[bytes]:

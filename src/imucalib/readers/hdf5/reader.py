@@ -401,24 +401,25 @@ def put_channel(held: Any, name: str, seconds: Array, values: Array, units: str)
     group.create_dataset("values", data=values).attrs["units"] = units
 
 
-def table_columns(path: Path) -> dict[str, Array | list[str]]:
+def table_columns(path: Path, most: int = 0) -> dict[str, Array | list[str]]:
     """Every column by name: a dataset (n,), a field of a compound one, x, y, z of one (n, 3).
 
+    most : rows that are read, all where it is 0
     Raises UnreadableInput for a damaged file and for columns of different length.
     """
     with opened(path, strict=True) as file:
         nodes = list(datasets(file.handle, str(path)))
         for node in nodes:
             file.demand_whole(node)
-        found = dict(part for node in nodes for part in _columns(node))
+        found = dict(part for node in nodes for part in _columns(node, most))
     if len({len(v) for v in found.values()}) > 1:
         sizes = ", ".join(f"{name} {len(v)}" for name, v in found.items())
         raise UnreadableInput(f"datasets of different length ({sizes})", where=str(path))
     return found
 
 
-def _columns(node: Any) -> Iterator[tuple[str, Array | list[str]]]:
-    values = np.asarray(node[...])
+def _columns(node: Any, most: int) -> Iterator[tuple[str, Array | list[str]]]:
+    values = np.asarray(node[:most] if most and node.shape else node[...])
     if values.dtype.names:
         for field in values.dtype.names:
             yield field, _column(values[field])
