@@ -102,7 +102,7 @@ def _stem(name: str) -> str:
 def _plain(equation: str) -> str:
     """Without what is said beside the formula, powers and bars as operators."""
     text = re.split(r",\s+(?:j ≠|order from|φ =)", equation)[0]
-    for power, digit in zip("²³⁵", "235", strict=True):
+    for power, digit in zip("²³⁴⁵⁶", "23456", strict=True):
         text = text.replace(power, f"**{digit}")
     text = text.replace("sign(x_i - x_i(previous position))", "side_i")
     text = text.replace("x_i(previous position)", "previous_i")
