@@ -38,7 +38,7 @@ def one(seed: int, *, loop: bool) -> dict[str, np.ndarray]:
     )
     parts = made_board(BOARD.positions, BOARD.rotations, BOARD.imus, plan, rng)
     made = board_log(parts, plan, rng)
-    run = calibrate_array(made.recording, ArrayRequest(BOARD, loop=loop), lambda _: None)
+    run = calibrate_array(made.recording, ArrayRequest(board=BOARD, loop=loop), lambda _: None)
     total, true = run.total, made.positions
     off = (total.mean - true)[1:].ravel()
     pairs = [(a, b) for a in range(BOARD.count) for b in range(a)]

@@ -43,7 +43,7 @@ def calibration_of(data: Path, name: str, folder: Path) -> Calibration:
     """The calibration of a log, made once."""
     path = folder / f"{name}.yaml"
     if not path.exists():
-        request = ArrayRequest(read_board("mimu4444_corners"), gravity=GRAVITY)
+        request = ArrayRequest(board=read_board("mimu4444_corners"), gravity=GRAVITY)
         run = calibrate_array(read(data / f"{name}.h5"), request, lambda _: None)
         write_calibration(run.calibration, path)
     return read_calibration(path)

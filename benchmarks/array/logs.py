@@ -41,13 +41,13 @@ def main() -> None:
     print("| logs | z rms of a log by the others (10, 90 %) | χ² | p < 0.01 | tau, mm | sd between "
           "logs, mm | pooled sd, mm |\n|---|---|---|---|---|---|---|")  # fmt: skip
     if sys.argv[1] == "measured":
-        request = ArrayRequest(BOARD, gravity=9.8189, gravity_source="as given")
+        request = ArrayRequest(board=BOARD, gravity=9.8189, gravity_source="as given")
         runs = [calibrate_array(read(Path(f)), request, lambda _: None) for f in sys.argv[2:]]
     else:
         count = int(sys.argv[2]) if len(sys.argv) > 2 else 12
         plan, rng = BoardPlan(mounting=0.3, tails=3.0, gyro_scale=0.003), np.random.default_rng(77)
         parts = made_board(BOARD.positions, BOARD.rotations, BOARD.imus, plan, rng)
-        request = ArrayRequest(BOARD, loop="--loop" in sys.argv)
+        request = ArrayRequest(board=BOARD, loop="--loop" in sys.argv)
         runs = [
             calibrate_array(board_log(parts, plan, rng).recording, request, lambda _: None)
             for _ in range(count)

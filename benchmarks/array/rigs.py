@@ -53,7 +53,7 @@ def one(name: str, seed: int) -> tuple[np.ndarray, np.ndarray, float]:
     parts = replace(parts, gyro_gain=parts.gyro_gain / common)
     asked = undrawn_board(board.count) if name.endswith("no drawing") else board
     recording = board_log(parts, plan, rng).recording
-    run = calibrate_array(recording, ArrayRequest(asked, loop=False), lambda _: None)
+    run = calibrate_array(recording, ArrayRequest(board=asked, loop=False), lambda _: None)
     true = parts.positions
     # Gravity and the gyros' common scale are right here: what the motion alone says is tested.
     found = Total(run.total.by_motion, np.zeros_like(run.total.joint), run.total.by_motion,

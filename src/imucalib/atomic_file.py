@@ -41,7 +41,7 @@ def demand_output(
         raise UsageError(
             "the file is there already", where=str(path), remedy="name another, or give --force"
         )
-    _temporary_beside(target).unlink(missing_ok=True)
+    _temporary_for(target).unlink(missing_ok=True)
 
 
 def _same(one: Path, other: Path) -> bool:
@@ -60,7 +60,7 @@ def replaced_atomically(path: str | os.PathLike[str]) -> Iterator[Path]:
     """
     target = Path(path)
     _remove_stale(target)
-    temporary = _temporary_beside(target)
+    temporary = _temporary_for(target)
     try:
         yield temporary
         _fill_permissions(temporary)
@@ -82,7 +82,7 @@ def replaced_together(paths: Sequence[Path]) -> Iterator[tuple[Path, ...]]:
         _remove_stale(target)
     made = list[Path]()
     try:
-        made += (_temporary_beside(target) for target in paths)
+        made += (_temporary_for(target) for target in paths)
         yield tuple(made)
         _take_places(list(zip(made, paths, strict=True)))
     except OSError as error:
@@ -99,7 +99,7 @@ def _take_places(pairs: list[tuple[Path, Path]]) -> None:
     try:
         for _, target in pairs:
             if target.is_file():
-                kept[target] = _temporary_beside(target)
+                kept[target] = _temporary_for(target)
                 shutil.copyfile(target, kept[target])
         for temporary, target in pairs:
             _fill_permissions(temporary)
@@ -118,7 +118,7 @@ def _take_places(pairs: list[tuple[Path, Path]]) -> None:
             old.unlink(missing_ok=True)
 
 
-def _temporary_beside(target: Path) -> Path:
+def _temporary_for(target: Path) -> Path:
     """A new empty file that names its target, this machine and this process."""
     try:
         handle, name = tempfile.mkstemp(

@@ -85,5 +85,5 @@ def test_a_play_moves_only_at_its_ends(n: int) -> None:
     values = 30.0 + np.cumsum(np.random.default_rng(n).standard_normal(n))
     history = ThermalHistory(10.0 * np.arange(n), values)
     for width in (0.5, 2.0, 6.0):
-        got = history.behind_play(width, history.time)
+        got = history.within_play(width, history.time)
         np.testing.assert_allclose(got, behind(values, width), atol=1e-12)

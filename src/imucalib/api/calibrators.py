@@ -240,7 +240,7 @@ def array(
 
     drawn = board if isinstance(board, Board) else read_board(str(board))
     wanted = _with(
-        request or ArrayRequest(drawn),
+        request or ArrayRequest(board=drawn),
         (gravity, latitude, height),
         board=drawn,
         samples=samples,

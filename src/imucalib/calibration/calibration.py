@@ -42,7 +42,7 @@ PASSING = ("order", "record", "time")
 LINEAR = ("mounting", "bias", "scale", "non_orthogonality")
 
 
-def taken_at(covariate: str) -> str:
+def assumed_at(covariate: str) -> str:
     """In words, where in what was calibrated a covariate acts that was not recorded."""
     return "at the end" if covariate in PASSING else "in the middle"
 

@@ -15,7 +15,7 @@ from itertools import chain, product
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibration.calibration import Calibration, taken_at
+from imucalib.calibration.calibration import Calibration, assumed_at
 from imucalib.calibration.file import identity
 from imucalib.calibration.gyroscope import gyroscope_of, with_rates_corrected
 from imucalib.calibration.series import part_at, parts_of
@@ -252,7 +252,7 @@ class Correction:
 def _held_words(effect: str, lost: list[str], valid: Spans, size: float) -> str:
     spans = ", ".join(f"{valid[name][0]:.3g} to {valid[name][1]:.3g}" for name in lost)
     names = ", ".join(lost)
-    where = " and ".join(dict.fromkeys(taken_at(name) for name in lost))
+    where = " and ".join(dict.fromkeys(assumed_at(name) for name in lost))
     return (
         f"{effect} is left out, for the recording has no {names}: it acts as "
         f"{where} of what was calibrated ({spans}), which leaves up to {size / MG:.2g} mg"

@@ -118,7 +118,7 @@ def command(logs: tuple[Path, ...], **options: Any) -> int:
 
 def _request(options: dict[str, Any], logs: tuple[Path, ...]) -> ArrayRequest:
     from imucalib.calibrators.array.board import read_board
-    from imucalib.calibrators.array.loop.catalogue import Scope, named_effect
+    from imucalib.calibrators.array.loop.catalogue import named_effect
     from imucalib.calibrators.array.request import Accepted, ArrayRequest
     from imucalib.errors import UsageError
     from imucalib.estimators.markov.hmc import Stop
@@ -136,12 +136,11 @@ def _request(options: dict[str, Any], logs: tuple[Path, ...]) -> ArrayRequest:
     if len({log.stem for log in logs}) < len(logs):
         raise UsageError("two logs have one name, and so would their folders")
     shared, board = shared_of(options), read_board(options["board"])
-    scope = Scope(*(shared.pop(name) for name in ("declare", "only", "without")))
-    for name in (*scope.declare, *scope.only, *scope.without):
+    for name in (*options["declare"], *options["only"], *options["without"]):
         named_effect(name.partition("@")[0], board.imus)  # the log may name its IMUs otherwise
     as_stated = "sampler samples gyro_covariance chains iterations as_drawn checkpoint"
     return ArrayRequest(
-        board,
+        board=board,
         **shared,
         **{name: options[name] for name in as_stated.split()},
         motion=options["motion_prior"],
@@ -149,7 +148,6 @@ def _request(options: dict[str, Any], logs: tuple[Path, ...]) -> ArrayRequest:
         accelerometer_sigma=sigma,
         stop=Stop(ess=options["ess"]),
         still=opt.still_of(options),
-        scope=scope,
         accepted=Accepted(options["accept_mm"], options["accept_mg"], options["accept_dps"]),
         distances=tuple(_distance(given, board.imus) for given in options["distances"]),
     )

@@ -62,7 +62,7 @@ class SharedNoise:
     basis: Array | None = None
 
     @property
-    def wanders(self) -> bool:
+    def walks(self) -> bool:
         """Whether it forgets in the order of recording."""
         return math.isfinite(self.memory)
 
@@ -116,7 +116,7 @@ class Observations:
     @property
     def walk(self) -> SharedNoise | None:
         """The noise that neighbours share, which stands last, if there is any."""
-        return self.shared[-1] if self.shared and self.shared[-1].wanders else None
+        return self.shared[-1] if self.shared and self.shared[-1].walks else None
 
     @property
     def of_sessions(self) -> tuple[SharedNoise, ...]:

@@ -73,7 +73,7 @@ def turns_of(jacobian: Array, rest: Index, order: Index, shared: Index) -> Turns
     )
 
 
-def taken_out(chain: Chain, turns: Turns, weight: Array) -> tuple[Array, Array]:
+def eliminated(chain: Chain, turns: Turns, weight: Array) -> tuple[Array, Array]:
     """(B, g, g) the products of the shared columns with all rests taken out of the chain and of the
     turns, each times its weight, and (B,) half the logarithm of the determinant of these.
 

@@ -29,7 +29,7 @@ from scipy import sparse
 from imucalib.arrays import Array, Flags, Index
 from imucalib.core.effect import cross_matrix
 from imucalib.estimators.carried import attitudes, between, shares
-from imucalib.estimators.chain import chain_of, taken_out, turns_of
+from imucalib.estimators.chain import chain_of, eliminated, turns_of
 
 #: What else a gyroscope does: (rate (n, 3) rad/s in its axes, force (n, 3) g, time (n,) s) to
 #: (n, 3, m) rad/s per unit of each of m parameters.
@@ -449,7 +449,7 @@ def _estimated(fit: TurnFit, prior: Array) -> TurnNoise:
     shared = np.append(np.arange(state.first_up - state.drift.size), fit.rows.jacobian.shape[1])
     weight = np.where(used, fit.weight, 0.0) / points
     every = variances(log, noise, prior)
-    corner, logs = rests_taken_out(fit.rows, log, every, shared, weight)
+    corner, logs = rests_eliminated(fit.rows, log, every, shared, weight)
     root = np.linalg.cholesky(corner[:, :-1, :-1])
     known = np.linalg.solve(root, corner[:, :-1, -1:])[..., 0]
     square = corner[:, -1, -1] - np.sum(known * known, axis=1)
@@ -474,10 +474,10 @@ def noise_points(log: TurnLog, noise: TurnNoise) -> Array:
     return np.array([_of_turns(log, point) for point in each])
 
 
-def rests_taken_out(
+def rests_eliminated(
     rows: Rows, log: TurnLog, variance: Array, shared: Index, weight: Array
 ) -> tuple[Array, Array]:
-    """What `chain.taken_out` makes of all rows. variance : (R,); shared : (g,) the columns that no
+    """What `chain.eliminated` makes of all rows. variance : (R,); shared : (g,) the columns that no
     rest has, the residual's after all others; weight : (B, T) of the turns"""
     whole = sparse.hstack([rows.jacobian, rows.residual[:, None]], format="csr")
     ups = rows.jacobian.shape[1] - 2 * log.rests
@@ -490,7 +490,7 @@ def rests_taken_out(
     heavy = np.zeros((len(weight), log.rests - 1))
     heavy[:, at] = weight
     turns = turns_of(whole[:numbers].toarray(), at, order, shared)
-    return taken_out(chain_of(normal, order, shared), turns, heavy)
+    return eliminated(chain_of(normal, order, shared), turns, heavy)
 
 
 def _walk(log: TurnLog, state: State, laws: Laws | None) -> Array:

@@ -154,7 +154,7 @@ class ThermalHistory:
         now = np.interp(at, self.time, self.values)
         return np.asarray((now - self.lagged(hours, at)) / hours)
 
-    def behind_play(self, width: float, at: Array) -> Array:
+    def within_play(self, width: float, at: Array) -> Array:
         """Temperature (°C) behind a play of a width (°C), in the middle of it at the start, at
         times (s)."""
         return np.asarray(np.interp(at, self.time, _with_play(self.values, width)))
@@ -283,7 +283,7 @@ def is_remembered(name: str) -> bool:
 
 def remembered(history: ThermalHistory, name: str, at: Array) -> Array:
     """The covariate (°C) at times (s)."""
-    of = {LAG: history.lagged, PLAY: history.behind_play, RATE: history.rate}
+    of = {LAG: history.lagged, PLAY: history.within_play, RATE: history.rate}
     past = next(past for past in of if name.startswith(past.prefix))
     return of[past](past.size(name.removeprefix(past.prefix)), at)
 
@@ -305,7 +305,7 @@ def remembered_in_rows(temperature: Array, time: Array | None, session: Array) -
         sizes[RATE.covariate(value)] = ThermalHistory.rate, rows * every
     for value in PLAY.values:
         if 2.0 * PLAY.size(value) <= np.ptp(temperature):
-            sizes[PLAY.covariate(value)] = ThermalHistory.behind_play, PLAY.size(value)
+            sizes[PLAY.covariate(value)] = ThermalHistory.within_play, PLAY.size(value)
     found = {name: np.empty(len(temperature)) for name in sizes}
     for one in np.unique(session):
         of = session == one

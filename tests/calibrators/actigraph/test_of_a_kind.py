@@ -76,7 +76,7 @@ def test_sensors_of_the_kind_are_within_their_sds_from_six_postures() -> None:
         theta = MEAN + SD * rng.standard_normal(9)
         found = result(sensor(theta, 6, rng), KIND)
         strange += found.of_a_kind.chance < UNLIKELY
-        if found.beside_fleet:
+        if found.with_fleet:
             z += list((found.final.theta - theta) / found.final.sd)
             assert np.all(found.final.sd <= SD * (1.0 + 1e-9))
             assert np.all(found.final.sd < found.of_a_kind.alone.sd)
@@ -92,7 +92,7 @@ def test_a_sensor_that_contradicts_its_fleet_is_calibrated_alone(off: np.ndarray
     runs = sensor(MEAN + off, 8, np.random.default_rng(3))
     found, alone = result(runs, KIND), result(runs, None)
     assert found.of_a_kind.chance < UNLIKELY
-    assert not found.beside_fleet
+    assert not found.with_fleet
     np.testing.assert_array_equal(found.final.theta, alone.final.theta)
     np.testing.assert_array_equal(found.final.sd, alone.final.sd)
     told = run_of(runs, SCAN, replace(REQUEST, kind=KIND), lambda _: None).outcome

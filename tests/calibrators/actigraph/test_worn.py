@@ -146,7 +146,7 @@ def test_a_step_of_the_bias_alone_stays_certain(loop_of: Callable[..., Any], see
     assert loop.unexplained == ()
 
 
-def behind_play(warm: Any, width: float) -> Any:
+def within_play(warm: Any, width: float) -> Any:
     """°C, moved only at the ends of a play."""
     at, found = warm[0], []
     for value in warm:
@@ -158,7 +158,7 @@ def behind_play(warm: Any, width: float) -> Any:
 @pytest.mark.slow
 @pytest.mark.parametrize("width", [2.0, 3.5, 5.0])
 def test_a_play_of_the_temperature_is_no_lag(loop_of: Callable[..., Any], width: float) -> None:
-    loop = loop_of(lambda x, t, u, c: c[0] * behind_play(t, width)[:, None], 30.0, 5)
+    loop = loop_of(lambda x, t, u, c: c[0] * within_play(t, width)[:, None], 30.0, 5)
     assert loop.steps[0].effect.startswith("thermal_hysteresis@")
     certain = {s.effect.partition("@")[0] for s in loop.steps if s.certain}
     assert certain <= {"thermal_hysteresis", "temperature_bias"}

@@ -13,7 +13,6 @@ from imucalib.calibration.file import read, write
 from imucalib.calibration.triads import DRIFT, drift_block
 from imucalib.calibrators.array.board import read_board
 from imucalib.calibrators.array.calibrate import calibrate_array
-from imucalib.calibrators.array.loop.catalogue import Scope
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.run import ArrayRun
 from imucalib.calibrators.array.simulation import LogPlan, SimulatedLog, simulated_log
@@ -34,8 +33,8 @@ def log() -> SimulatedLog:
 
 @pytest.fixture(scope="module")
 def run(log: SimulatedLog) -> ArrayRun:
-    asked = Scope(declare=("gyro_scale", "gyro_misalignment", "quadratic"), only=("gyro_delay",))
-    request = ArrayRequest(BOARD, samples=150, loop=False, scope=asked)
+    asked = {"declare": ("gyro_scale", "gyro_misalignment", "quadratic"), "only": ("gyro_delay",)}
+    request = ArrayRequest(board=BOARD, samples=150, loop=False, **asked)
     return calibrate_array(log.recording, request, lambda _: None)
 
 

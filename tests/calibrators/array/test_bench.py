@@ -29,7 +29,7 @@ PLAN = LogPlan(poses=14, pose_seconds=3.0, seconds=25.0, gyro_gain=0.0)
 
 
 def calibrate(recording: Recording, **options: object) -> ArrayRun:
-    request = replace(ArrayRequest(BOARD, samples=150), **options)  # type: ignore[arg-type]
+    request = replace(ArrayRequest(board=BOARD, samples=150), **options)  # type: ignore[arg-type]
     return calibrate_array(recording, request, lambda _: None)
 
 

@@ -159,7 +159,7 @@ def test_a_sensor_wired_otherwise_is_calibrated_and_applied(
 ) -> None:
     broken = wired(wired(recording, "3", "angular", FLIPPED), "5", "accel", SWAPPED)
     board = with_lines(check_seen(broken, BOARD).lines, tmp_path / "board.yaml")
-    request = ArrayRequest(BOARD, samples=60, loop=False)
+    request = ArrayRequest(board=BOARD, samples=60, loop=False)
     right = calibrate_array(recording, request, lambda _: None)
     mended = calibrate_array(broken, replace(request, board=board), lambda _: None)
     assert mended.final.mean == pytest.approx(right.final.mean, abs=1e-9)

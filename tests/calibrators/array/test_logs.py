@@ -26,7 +26,7 @@ PARTS = made_board(BOARD.positions, BOARD.rotations, BOARD.imus, PLAN, np.random
 def log(seed: int, plan: BoardPlan = PLAN) -> ArrayRun:
     made = board_log(PARTS, plan, np.random.default_rng(seed))
     recording = replace(made.recording, path=f"log_{seed}.h5")
-    return calibrate_array(recording, ArrayRequest(BOARD, loop=False), lambda _: None)
+    return calibrate_array(recording, ArrayRequest(board=BOARD, loop=False), lambda _: None)
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +50,7 @@ def test_a_log_of_another_board_is_seen() -> None:
     moved = replace(PARTS, positions=PARTS.positions + np.array([0.0, 0.0, 2e-4]) *
                     (np.arange(8) % 2)[:, None])  # fmt: skip
     made = board_log(moved, PLAN, np.random.default_rng(5))
-    other = calibrate_array(made.recording, ArrayRequest(BOARD, loop=False), lambda _: None)
+    other = calibrate_array(made.recording, ArrayRequest(board=BOARD, loop=False), lambda _: None)
     found = board_run((log(1), other))
     assert found.pooled.p < 1e-6
     assert found.pooled.tau > 3e-5

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from imucalib.arrays import Array, Index
-from imucalib.calibration.calibration import Calibration, taken_at
+from imucalib.calibration.calibration import Calibration, assumed_at
 from imucalib.calibration.checking.noise import FAMILIES, CheckNoise, Scatter
 from imucalib.calibration.triads import Triad, gain_and_bias_slope
 from imucalib.core.balance import Balanced, balance, below
@@ -208,7 +208,7 @@ def _complete(
             )
         value = calibration.unrecorded(name)
         found[name] = np.full(context.n, value)
-        notes.append(f"{name} is taken as {taken_at(name)} of the calibration, {value:.3g}")
+        notes.append(f"{name} is taken as {assumed_at(name)} of the calibration, {value:.3g}")
     return replace(observations, context=replace(context, covariates=found)), tuple(notes)
 
 

@@ -59,7 +59,7 @@ class ActigraphResult:
         return len(self.final.theta) > len(self.base.theta)
 
     @property
-    def beside_fleet(self) -> bool:
+    def with_fleet(self) -> bool:
         """Whether the calibration rests on what a fleet said."""
         return self.of_a_kind is not None and self.of_a_kind.used
 

@@ -233,7 +233,7 @@ def _coverage_words(result: ActigraphResult, coverage: Coverage) -> str:
     count = f"{result.runs.n} posture run" + "s" * (result.runs.n != 1)
     never = f" (never {', '.join(coverage.unseen)})" if coverage.unseen else ""
     text = f"weak coverage of the sphere: {count}{never} leave open {open_words(result.base)}"
-    if result.beside_fleet:
+    if result.with_fleet:
         text += "; what is open stays as devices of its kind have it"
     elif result.base.prior is not None:
         text += "; what is open stays near its nominal value, with a data sheet's uncertainty"
@@ -243,7 +243,7 @@ def _coverage_words(result: ActigraphResult, coverage: Coverage) -> str:
 def advice(result: ActigraphResult, coverage: Coverage) -> tuple[str, ...]:
     """The next steps, most useful first."""
     found, loop = [], result.loop
-    if result.beside_fleet:
+    if result.with_fleet:
         found.append("What the model lacks is not searched for beside a fleet.")
     elif result.weak and loop is None:
         found.append(_UNSEARCHED.format("postures which determine all of them"))

@@ -14,7 +14,7 @@ from imucalib.calibrators.array.effect_blocks import with_rests
 from imucalib.calibrators.array.estimate.covariance import (
     Uneven,
     fitted_on_all,
-    samples_taken,
+    samples_used,
     with_uneven,
 )
 from imucalib.calibrators.array.estimate.sampled import sampled_positions
@@ -85,11 +85,11 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
     rests or the motion do not hold the answer or contradict the board, NotConverged when the
     chains disagree.
     """
-    if request.limits and not (request.loop or request.scope.declare):
+    if request.limits and not (request.loop or request.declare):
         raise UsageError("limits need held-out data", remedy="leave --no-loop out")
     laid = _laid(recording, request, say)
     del recording  # from here on a log is side by side: held twice, one of many IMUs is large
-    board, scope = laid.board, replace(request.scope, search=request.loop)
+    board, scope = laid.board, request.scope
     rests = fit_rests(laid.segments, board, request.gravity, scope=scope)
     say(f"{rests.poses} rests: triads fit gravity to {1e3 * rests.residual:.2f} mm/s² rms")
     moving = moving_part(laid.log, rests)
@@ -214,13 +214,13 @@ def _refuse_restless(segments: Segments, board: Board, recording: Recording, log
 
 def _fitted(moving: Moving, rests: RestFit, board: Board, request: ArrayRequest) -> _Fit:
     robust = request.accelerometer_sigma == "estimate"
-    most = samples_taken(moving, request.samples)
-    searched = request.loop or bool(request.scope.declare)
+    most = samples_used(moving, request.samples)
+    searched = request.loop or bool(request.declare)
     # Where nothing is searched, gyros are made like their mean by plain comparison.
     part = moving if searched else moving.levelled
     setup = array_setup(part, board, min(most, SEARCH_SAMPLES), robust=robust)
     if setup is None:
-        if request.scope.declare:
+        if request.declare:
             raise Undetermined(
                 "the motion is too broken up to fit declared effects",
                 remedy="record longer stretches without gaps and clipping",
@@ -238,7 +238,7 @@ def _fitted(moving: Moving, rests: RestFit, board: Board, request: ArrayRequest)
         curves=request.curves,
         halved=array_setup(moving, board, min(most, HALVED_SAMPLES), robust=robust),
         most=most,
-        scope=replace(request.scope, search=request.loop),
+        scope=request.scope,
     )
     return _Fit(with_rests(loop, rests.loop), loop.final, None)
 

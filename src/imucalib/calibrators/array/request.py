@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
 from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.estimate.total import Distance
-from imucalib.calibrators.array.loop.catalogue import EVERYTHING, Scope
+from imucalib.calibrators.array.loop.catalogue import Scope
 from imucalib.calibrators.array.moving import GyroCovariance
-from imucalib.core.effect import Effect
-from imucalib.effects import own_effects
+from imucalib.calibrators.request import Request
 from imucalib.estimators.array.problem import MotionPrior
 from imucalib.estimators.markov.hmc import Stop
 from imucalib.rests.stillness import StillSettings
-from imucalib.units import STANDARD_GRAVITY
 
 Sampler = Literal["hmc", "pmmh"]
 #: The paper's rule: a data sheet's non-linearity, as a share of the accelerometers' range.
@@ -33,22 +30,16 @@ class Accepted:
     deg_per_s: float = 2.0
 
 
-@dataclass(frozen=True)
-class ArrayRequest:
+@dataclass(frozen=True, kw_only=True)
+class ArrayRequest(Request):
     """samples : moving samples used at most, or None for all that say something;
     accelerometer_sigma : m/s², "estimate", or "nonlinearity"; iterations : of `pmmh`
-    loop : whether there is a search; scope : effects declared, or kept out of the search
-    curves : whether structure without a name is corrected by smooth curves
-    distances : between IMUs, measured otherwise; accepted : what may stay unexplained
     still : what counts as a rest
+    distances : between IMUs, measured otherwise; accepted : what may stay unexplained
     as_drawn : whether axes and places are those of the board file, whatever the log says
-    agreeing : other logs that are calibrated along and agree with the board file
-    extra_effects : of the user's own files
-    limits : name -> largest allowed value; command : the line that was typed"""
+    agreeing : other logs that are calibrated along and agree with the board file"""
 
     board: Board
-    gravity: float = STANDARD_GRAVITY
-    gravity_source: str = "standard gravity"
     sampler: Sampler = "hmc"
     samples: int | None = None
     motion: MotionPrior = "learned"
@@ -59,18 +50,17 @@ class ArrayRequest:
     stop: Stop = field(default_factory=Stop)
     iterations: int = 100_000
     still: StillSettings = field(default_factory=StillSettings)
-    loop: bool = True
-    scope: Scope = EVERYTHING
     curves: bool = False
     distances: tuple[Distance, ...] = ()
     accepted: Accepted = field(default_factory=Accepted)
     as_drawn: bool = False
     agreeing: tuple[str, ...] = ()
     checkpoint: Path | None = None
-    seed: int = 0
-    extra_effects: Mapping[str, Effect] = field(default_factory=dict)
-    limits: Mapping[str, float] = field(default_factory=dict)
-    command: str = ""
+
+    @property
+    def scope(self) -> Scope:
+        """What the search may try."""
+        return Scope(self.declare, self.only, self.without, self.loop)
 
     def stated(self) -> dict[str, object]:
         """The settings as provenance keeps them."""
@@ -88,10 +78,7 @@ class ArrayRequest:
             "prior_sd_mm": 1e3 * self.board.prior_sd,
             "gravity_m_per_s2": self.gravity,
             "gravity_source": self.gravity_source,
-            "declare": list(self.scope.declare),
-            "only": list(self.scope.only),
-            "without": list(self.scope.without),
-            "own_effects": own_effects(self.extra_effects),
+            **self.search_settings(),
             "loop": self.loop,
             "curves": self.curves,
             "accepted": dict(vars(self.accepted)),

@@ -330,7 +330,7 @@ def fit_rests(
     loop = _searched(model, data, scope) if scope.search else None
     fit = fit_model(model, data) if loop is None else loop.final
     if (fit if loop is None else loop.plain).null_directions:
-        raise _too_alike()
+        raise _too_similar()
     if not fit.converged:
         raise NotConverged("the fit of the rests did not settle", remedy="check the recording")
     gain, covariance = in_the_mean_frame(fit, board.rotations)
@@ -366,7 +366,7 @@ def _searched(model: Model, data: Observations, scope: Scope) -> FitLoop:
     return close_loop(model, data, Searched(effects, scans)).loop
 
 
-def _too_alike() -> Undetermined:
+def _too_similar() -> Undetermined:
     return Undetermined(
         "the attitudes of the rests are too alike to tell scale, misalignment and bias apart",
         remedy="turn the board so that each axis points up, down and sideways at least once",
@@ -377,7 +377,7 @@ def _refuse_vague(gain: Array, covariance: Array, board: Board) -> None:
     count = board.count
     sd = np.sqrt(np.maximum(np.diag(covariance.reshape(12 * count, -1)), 0.0)).reshape(count, 12)
     if float(sd[:, :9].max()) > _VAGUE:
-        raise _too_alike()
+        raise _too_similar()
     worst = np.abs(gain - np.eye(3)).max(axis=(1, 2))
     if float(worst.max()) > _LOOSE:
         raise Undetermined(

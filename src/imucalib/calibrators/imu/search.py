@@ -30,7 +30,7 @@ from imucalib.estimators.turns import (
     fitted,
     linearised,
     noise_points,
-    rests_taken_out,
+    rests_eliminated,
     variances,
     without,
 )
@@ -259,7 +259,7 @@ class Lacking:
         tried = np.arange(_FIXED + self.held, _FIXED + self.prior.size)
         kept = np.concatenate([np.arange(_FIXED), tried, [size]])
         points = noise_points(fit.log, fit.noise)
-        every, logs = rests_taken_out(
+        every, logs = rests_eliminated(
             self.rows,
             fit.log,
             variances(fit.log, fit.noise, self.prior),

@@ -167,7 +167,7 @@ def _anchored(fit: Fit) -> Fit:
         return fit
     theta, noise = fit.theta, fit.noise
     if prior is None:
-        return _standing(fit, theta, noise)
+        return _as_meant(fit, theta, noise)
     axes, widest = np.median(data.sigma, axis=(0, 1)), float(np.exp(prior.spread))
     noisiest = noise.factor * float(axes.max() / axes.min()) / widest
     scatter = max(noisiest, *(sd / prior.setting for sd in noise.sd[: at.free]))
@@ -178,10 +178,10 @@ def _anchored(fit: Fit) -> Fit:
         alike, start = data.take(consistent_rows(data)), full_matrix_start(fit.model, data)
         again = fit_model(fit.model, alike, start=start, noise=noise)
         theta = theta if again.null_directions else again.theta
-    return _standing(fit, theta, noise)
+    return _as_meant(fit, theta, noise)
 
 
-def _standing(fit: Fit, theta: Array, noise: Noise) -> Fit:
+def _as_meant(fit: Fit, theta: Array, noise: Noise) -> Fit:
     """A fit at θ and the angles that were meant."""
     meant, data = np.zeros_like(fit.eta), fit.observations
     return replace(

@@ -8,7 +8,7 @@ free.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -139,8 +139,8 @@ def _trials(state: Mended, written: Written | None) -> Iterator[Trial]:
     if n > _LONGEST:
         return
     sets = _sets(found)
-    sheets = _given_each(found, sets)
-    gains = _gains_of_records(found, sheets)
+    beside = _given_each(found, list(sets))
+    gains = np.array([_gains_of_records(found, beside(k)) for k in range(len(sets))])
     order = np.argsort(-gains.max(axis=1) - [*sets.values()])
     best, prior = gains.max(axis=0) + prior_of(n), prior_of(n)
     aside = {row for row, _ in state.aside}
@@ -152,7 +152,7 @@ def _trials(state: Mended, written: Written | None) -> Iterator[Trial]:
     touched = {row for fault in state.slips for row in fault.rows}
     slips = dict[str, Trial]()
     for k in dict.fromkeys((0, *map(int, order[:2]))):
-        base = base_of(found, written.sheet, sheets[k])
+        base = base_of(found, written.sheet, beside(k))
         for slip in (
             *exchanges(base),
             *cells(base, written.cell[written.sheet.place]),
@@ -177,23 +177,25 @@ def _sets(found: Explored) -> dict[tuple[Pick, ...], float]:
     return {base: known[base]} | {p: b for p, b in known.items() if b > -OPEN}
 
 
-def _given_each(found: Explored, sets: Iterable[tuple[Pick, ...]]) -> list[Grams]:
-    """Of each set the products beside the base model and it: of one column for each number of a
-    reading by itself, of the columns of all sets, and y. A number that is free is as good as one
-    that is not there."""
+def _given_each(found: Explored, sets: Sequence[tuple[Pick, ...]]) -> Callable[[int], Grams]:
+    """What makes of a set's place the products beside the base model and it: of one column for each
+    number of a reading by itself, of the columns of all sets, and y. A number that is free is as
+    good as one that is not there."""
     problem, grams, p = found.problem, found.every, found.problem.base
     every = [blocks_of(problem.choices, picks) for picks in sets]
     used = np.array(sorted({int(k) for one in every for at, _ in one for k in at}), np.intp)
     own, n = np.r_[:p, used, grams.columns.shape[1] - 1], len(grams.columns)
-    inverse = np.array([solve(np.eye(n)) for solve in grams.solves])
     weighted, known = grams.weighted[:, :, own], problem.columns[n:, own]
     inner = grams.columns[:, own].T @ weighted + known.T @ known
     # The base model leaves as in `swept`, multiplied out.
     lower = np.linalg.cholesky(inner[:, :p, :p])
     across = np.concatenate([weighted[:, :, :p].swapaxes(1, 2), inner[:, :p, p:]], axis=2)
     across, weighted = np.linalg.solve(lower, across), weighted[:, :, p:]
-    matrix = np.block([[inverse, weighted], [weighted.swapaxes(1, 2), inner[:, p:, p:]]])
-    matrix -= across.swapaxes(1, 2) @ across
+    matrix = np.empty((len(inner), across.shape[2], across.shape[2]))
+    for k, solve in enumerate(grams.solves):  # of many readings one noise alone fills the memory
+        matrix[k, :n, :n], matrix[k, :n, n:] = solve(np.eye(n)), weighted[k]
+        matrix[k, n:, :n], matrix[k, n:, n:] = weighted[k].T, inner[k, p:, p:]
+        matrix[k] -= across[k].T @ across[k]
     log_size = np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1)
     base = replace(
         grams,
@@ -202,19 +204,18 @@ def _given_each(found: Explored, sets: Iterable[tuple[Pick, ...]]) -> list[Grams
         log_weight=grams.log_weight - log_size,
         inverse=None,
     )
-    return [swept(base, *((n + np.searchsorted(used, at), s) for at, s in one)) for one in every]
+    blocks = [[(n + np.searchsorted(used, at), size) for at, size in one] for one in every]
+    return lambda k: swept(base, *blocks[k])
 
 
-def _gains_of_records(found: Explored, sheets: Sequence[Grams]) -> Array:
-    """(sets, n) nats that freeing each record gains beside each set, before anything is solved
-    again; sheets : the products beside each, the readings' own numbers first"""
+def _gains_of_records(found: Explored, one: Grams) -> Array:
+    """(n,) nats that freeing each record gains beside a set, before anything is solved again; one :
+    the products beside it, the readings' own numbers first"""
     dof, fit = found.posterior.dof, found.base
     rows = np.arange(len(fit.at.owner)).reshape(fit.observations.n, -1)
     size = np.array([GROSS_MG * MG / float(np.median(fit.at.unit)) / fit.noise.factor])
-    whole = sheets[0].products.blocks(rows)
-    logs = [block_logs(one, rows, size, dof, whole)[0][..., 0] for one in sheets]
-    now = np.array([one.evidence(dof) for one in sheets])
-    return np.asarray(np.array([log_sum(each) for each in logs]) - now[:, None])
+    logs = block_logs(one, rows, size, dof)[0][..., 0]
+    return np.asarray(log_sum(logs) - one.evidence(dof))
 
 
 def _solved_again(base: Fit, trial: Trial, written: Written | None) -> Fit | None:

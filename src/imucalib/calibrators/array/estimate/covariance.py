@@ -200,7 +200,7 @@ READINGS = 60_000
 _FOLLOWED = 1  # round of the motion at new samples, so that a fit there begins with its noise
 
 
-def samples_taken(moving: Moving, asked: int | None) -> int:
+def samples_used(moving: Moving, asked: int | None) -> int:
     """How many informative samples a fit takes: all, up to what was asked or to `READINGS`."""
     return min(len(moving.good), asked or max(READINGS // moving.gyros.triads, 1))
 

@@ -148,7 +148,7 @@ class _Rounds:
         self.late = instrument.beyond.late(self.t, None if age is None else np.nan_to_num(age))
         self.share = [np.ones((*shape, 1)), np.ones((*shape, 1))]
         self.motion: FusedMotion | None = None
-        near = near_next(self.t)
+        near = adjoining(self.t)
         self.beside = np.column_stack([np.append(False, near), np.append(near, False)])
 
     def next(self, turn: int) -> None:
@@ -285,7 +285,7 @@ def _if_smooth(more: Array) -> Array | float:
     return more if goes_on else 0.0
 
 
-def near_next(t: Array) -> Flags:
+def adjoining(t: Array) -> Flags:
     """(T - 1,) whether a sample and the next are neighbours, none being lost between them."""
     step = np.diff(t)
     return np.asarray(step < _LOST * np.median(step)) if step.size else np.zeros(0, np.bool_)

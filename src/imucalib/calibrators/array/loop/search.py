@@ -42,7 +42,7 @@ from imucalib.calibrators.array.loop.terms import (
 )
 from imucalib.core.effect import Effect, Response
 from imucalib.errors import Undetermined
-from imucalib.estimators.array.gram import Columns, gram, inverse_root, taken_out
+from imucalib.estimators.array.gram import Columns, eliminated, gram, inverse_root
 from imucalib.estimators.array.noise import SensorNoise, log_density
 from imucalib.estimators.array.samples import reweighed
 from imucalib.loop.posterior.catalogue import Member
@@ -142,7 +142,7 @@ def products(
     along = (found.along + toward)[:, None]
     power = found.power + 2.0 * float(theta @ found.along) + float(theta @ toward)
     whole = np.block([[found.matrix, along], [along.T, np.array([[power]])]])
-    matrix = taken_out(whole, base.prior)
+    matrix = eliminated(whole, base.prior)
     loose = inverse_root(found.matrix[:b, :b] + np.diag(base.rests))
     carried, square = loose.T @ found.matrix[:b, b:], np.diag(found.matrix)[b:]
     problem = MotionProblem(
@@ -220,7 +220,7 @@ def explored(base: ArrayState, scope: Scope, *, curves: bool = False) -> Explore
             rejected = tuple((one.name, DIVERGED) for one in chosen if one.name not in held)
             break
         state = refitted(with_found_clock(grown)) or grown
-        state, shares = told_apart(state, skipped)
+        state, shares = distinguished(state, skipped)
     assert first is not None
     return Explored(
         state=state,
@@ -286,7 +286,7 @@ def own_gram(state: ArrayState, effect: Response, only: int | None = None) -> Ar
     motion, positions and terms taken out."""
     columns, base = typical_columns(effect, state.motion, only), state.base
     found = base.free(gram(state.sampled, [*base.blocks, columns], state.setup.inner))
-    return taken_out(found.matrix, base.rests)
+    return eliminated(found.matrix, base.rests)
 
 
 def start_state(setup: Setup, terms: tuple[Term, ...]) -> ArrayState:
@@ -316,7 +316,7 @@ def refitted(state: ArrayState) -> ArrayState | None:
     return found if found.converged else None
 
 
-def told_apart(state: ArrayState, skipped: Collection[str]) -> tuple[ArrayState, Shares]:
+def distinguished(state: ArrayState, skipped: Collection[str]) -> tuple[ArrayState, Shares]:
     """Of a settled fit, every found effect that has twins against these, each fitted anew in its
     place; again where one has gone to a twin, for with a wrong one another seems right.
 
