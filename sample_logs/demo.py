@@ -75,7 +75,7 @@ def told(report: dict[str, Any]) -> None:
                f"{r['unit']} off ({r['likely']})" for r in loop["record_errors"]]  # fmt: skip
     slips = [f["what"] for f in report.get("faults", ())]
     named = [_likely(step) for step in loop["steps"]]
-    left = [u["name"] for u in loop["unexplained"]]
+    left = [u["name"].replace("@", ", ") for u in loop["unexplained"]]
     print(f"found:  {'; '.join(slips + records + named) or 'nothing missing'} ({loop['verdict']})")
     if left:
         print(f"left:   {'; '.join(left[:2])}" + (f" and {len(left) - 2} more" * (len(left) > 2)))
