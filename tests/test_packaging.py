@@ -8,7 +8,6 @@ import tomllib
 from fnmatch import fnmatch
 from pathlib import Path
 
-from imucalib.effects import catalogue, families
 from imucalib.recording.yaml_text import load
 
 ROOT = Path(__file__).parents[1]
@@ -73,16 +72,6 @@ def test_the_conda_recipe_states_what_the_package_states() -> None:
     run = (line.split(" >=") for line in recipe["requirements"]["run"])
     assert {name: version for name, version in run} == stated
     assert recipe["context"]["version"] == PROJECT["version"]
-
-
-def test_every_unit_has_its_code() -> None:
-    """Of the effects' parameters, in the page that maps them to the standard's."""
-    page = (ROOT / "docs" / "terms.md").read_text(encoding="utf-8").partition("## Units")[2]
-    coded = set(re.findall(r"`([^`]+)`", page))
-    effects = [*catalogue().values(), *(f.member(f.example) for f in families().values())]
-    units = {p.unit for e in effects for p in getattr(e, "each", ()) or ()}
-    assert len(units) > 9
-    assert units <= coded
 
 
 def test_the_tests_run_on_every_platform_that_is_promised() -> None:

@@ -43,9 +43,9 @@ SHARED = {
     "output", "as_json", "quiet", "loop", "curves", "declare", "only", "without",
     "effects_file", "export", "max_error", "gravity", "latitude", "height", "mapping", "acc",
 }  # fmt: skip
-#: Forms that hold one accelerometer, and that hold IMUs with gyros.
-OF_ONE = ("ggir-csv", "px4", "ardupilot", "omconvert", "iscwsa-csv")
-OF_ARRAYS = ("kalibr", "openvins", "ros2-static", "urdf")
+#: Forms that hold IMUs with gyros, and all that hold an array; every other holds one accelerometer.
+OF_IMUS = ("kalibr", "openvins", "ros2-static", "urdf")
+OF_ARRAYS = (*OF_IMUS, "c-header", "matlab")
 #: Forms whose readers need the walks of the noise, which a bench or a board does not tell.
 WITH_WALKS = ("kalibr", "openvins")
 
@@ -141,8 +141,8 @@ def _at_rest(recording: Recording, name: str) -> np.ndarray:
 def test_export_accepts_it_or_says_why_not(done: Done, form: str, tmp_path: Path) -> None:
     content = done.calibration.read_text(encoding="utf-8")
     triads = "\ntriads:" in content
-    alone = () if "\nimu:" in content else OF_ARRAYS
-    if form in (OF_ONE if triads else alone):
+    alone = form not in OF_IMUS or "\nimu:" in content
+    if not (form in OF_ARRAYS if triads else alone):
         words = "8 IMUs" if triads else "one accelerometer"
         _refused_export(done, form, tmp_path / "form.txt", words)
     else:

@@ -10,6 +10,7 @@ from typing import NoReturn
 import pytest
 
 from imucalib import readers
+from imucalib.cli import calibrators
 from imucalib.errors import UnreadableInput
 from imucalib.recording.mapping import FieldMapping
 from options.bench import Bench
@@ -70,10 +71,7 @@ def test_quiet_prints_nothing_and_changes_no_file(name: str, bench: Bench) -> No
 
 #: The option that names an output, where it is not part of the usual call.
 OUTPUTS: dict[str, tuple[tuple[str, ...], ...]] = {
-    "lab": (("-o", "<out>/made"),),
-    "actigraph": (("-o", "<out>/made"),),
-    "array": (("-o", "<out>/made"),),
-    "imu": (("-o", "<out>/made"),),
+    **dict.fromkeys(calibrators(), (("-o", "<out>/made"),)),
     "check": (("--html", "<out>/made"),),
     "compare": (("--html", "<out>/made"),),
     "design": (("-o", "<out>/made"),),
@@ -107,7 +105,7 @@ def test_another_file_is_replaced_by_force_alone(name: str, bench: Bench, tmp_pa
         words = [a.replace("<out>", str(folder)) for a in (*USUAL[name], *option)]
         typed = [re.sub(r"<([^<>]+)>", lambda m: str(bench.path(m[1])), a) for a in words]
         target = Path(next(a for a in reversed(typed) if a.startswith(str(folder))))
-        if name in ("lab", "actigraph", "array", "imu", "fleet"):
+        if name in (*calibrators(), "fleet"):
             target.mkdir(parents=True)
             target = target / ("report.json" if name == "fleet" else "calibration.yaml")
         target.parent.mkdir(parents=True, exist_ok=True)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import click
 
+from imucalib.cli import calibrators
 from options.cases import cases
 from options.listed import ELSEWHERE, LAWS, shown
 from options.tree import commands, options_of, spellings
@@ -28,7 +29,7 @@ VALUES = {
     "test_devices_by_directions_are_a_fleet_too",
     **{
         (name, "--fail-on", gate): "calibration/test_calibration.py::test_gates_are_stricter"
-        for name in ("lab", "actigraph", "array", "imu")
+        for name in calibrators()
         for gate in ("suspected", "unexplained", "caution")
     },
 }

@@ -16,12 +16,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 PAGE = Path(__file__).parents[2] / "docs" / "effects.md"
-#: Of printed units, in g, deg/s, deg, s, m and °C.
-UNITS = {
-    "mg": 1e-3, "mg/g": 1e-3, "mg/g2": 1e-3, "mg/g3": 1e-3, "mg/degC": 1e-3, "mg/g/degC": 1e-3,
-    "%": 1e-2, "1": 1.0, "": 1.0, "deg": 1.0, "deg per 90 deg": 1.0, "deg/s": 1.0, "deg/s/g": 1.0,
-    "mm": 1e-3, "deg/s/degC": 1.0, "%/degC": 1e-2, "ms": 1e-3, "mm/g": 1e-3,
-}  # fmt: skip
+#: Of printed units, whatever they are per, in g, deg, s and m.
+_SIZES = {"mg": 1e-3, "mm": 1e-3, "ms": 1e-3, "%": 1e-2, "deg": 1.0, "1": 1.0, "": 1.0}
 _FUNCTIONS: dict[str, Callable[[Array], Array]] = {
     "sin": lambda v: np.sin(np.deg2rad(v)), "cos": lambda v: np.cos(np.deg2rad(v)),
     "exp": np.exp, "sign": np.sign, "abs": np.abs,
@@ -39,6 +35,11 @@ class Entry:
     parameters: Mapping[str, str]
     typical: tuple[float, ...] = ()
     most: tuple[float, ...] = ()
+
+
+def size_of(unit: str) -> float:
+    """Of a printed unit. Raises KeyError for one that is not known."""
+    return _SIZES[re.split("[ /]", unit)[0]]
 
 
 def page(path: Path = PAGE) -> dict[str, Entry]:
@@ -74,7 +75,7 @@ def evaluated(entry: Entry, theta: Array, known: Mapping[str, Array]) -> Array:
     stems = list(dict.fromkeys(_stem(n) for n in entry.parameters))
     if len(symbols) != len(stems):
         raise ValueError(f"{entry.name}: symbols {symbols} for parameters {stems}")
-    units = np.array([UNITS[u] for u in entry.parameters.values()])
+    units = np.array([size_of(u) for u in entry.parameters.values()])
     values = dict(zip(entry.parameters, theta * units, strict=True))
 
     def look(name: str, i: str, j: str) -> Array:
@@ -101,7 +102,7 @@ def _stem(name: str) -> str:
 def _plain(equation: str) -> str:
     """Without what is said beside the formula, powers and bars as operators."""
     text = re.split(r",\s+(?:j ≠|order from|φ =)", equation)[0]
-    for power, digit in zip("²³⁵", "235", strict=True):
+    for power, digit in zip("²³⁴⁵⁶", "23456", strict=True):
         text = text.replace(power, f"**{digit}")
     text = text.replace("sign(x_i - x_i(previous position))", "side_i")
     text = text.replace("x_i(previous position)", "previous_i")

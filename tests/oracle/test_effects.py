@@ -9,7 +9,7 @@ from imucalib.core.effect import Context, Effect, Motion, Truth
 from imucalib.effects import catalogue
 from imucalib.units import DEG, STANDARD_GRAVITY
 from oracle.by_hand import BY_HAND, direction
-from oracle.equations import UNITS, evaluated, page
+from oracle.equations import evaluated, page, size_of
 
 PAGE = page()
 N, SWEEPS = 40, 3
@@ -49,7 +49,7 @@ def expected(effect: Effect, theta: np.ndarray, known: dict[str, np.ndarray]) ->
     if effect.name in BY_HAND:
         text, formula = BY_HAND[effect.name]
         assert entry.equation == text, "the page has another equation than the one below"
-        units = [UNITS[u] for u in entry.parameters.values()]
+        units = [size_of(u) for u in entry.parameters.values()]
         return formula(theta * (np.array(units) if len(units) == len(theta) else 1.0), known)
     dials = {n: known[n] for n in ("i", "t", "approach")}
     if effect.stage == "fixture":

@@ -6,6 +6,7 @@ import warnings
 from dataclasses import replace
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
@@ -13,6 +14,7 @@ from imucalib import readers
 from imucalib.readers.conversion import readings_at_rest
 from imucalib.readers.joining import join
 from imucalib.recording.recording import Recording
+from worlds.flight_logs import dataflash
 from worlds.fuzz.cases import Fuzzer
 from worlds.fuzz.files import START, kinds
 from worlds.fuzz.truth import Compared, compare
@@ -68,6 +70,25 @@ def _with(whole: Recording, t: np.ndarray, values: np.ndarray) -> Recording:
     name = "imu0/acceleration"
     channel = replace(whole.channels[name], t=t, values=values)
     return replace(whole, channels={**whole.channels, name: channel})
+
+
+@pytest.mark.parametrize("suffix", [".h5", ".bin"])
+def test_a_signalling_nan_is_no_warning(suffix: str, tmp_path: Path) -> None:
+    path, acc = tmp_path / f"a{suffix}", np.full((300, 3), 5.66, np.float32)
+    acc += np.random.default_rng(0).normal(0.0, 0.02, acc.shape).astype(np.float32)
+    acc.view(np.uint32)[7, 1] = 0x7F800001
+    if suffix == ".h5":
+        with h5py.File(path, "w") as file:
+            file["acc"], file["t"] = acc, np.arange(300) / 100.0
+    else:
+        signalling, quiet = (np.uint32(n).tobytes() for n in (0x7F800001, 0x7FC00001))
+        log = dataflash(np.arange(1, 301) * 10_000, acc[None], np.zeros_like(acc)[None])
+        path.write_bytes(log.replace(quiet, signalling))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = (readers.read(path), join(readers.blocks(path, block_samples=64), ""))
+    for one in found:
+        assert (~np.isfinite(one.channels["imu0/acceleration"].values)).sum() <= 1
 
 
 def test_a_damaged_number_of_any_size_is_no_warning() -> None:

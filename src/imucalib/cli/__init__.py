@@ -15,7 +15,8 @@ import click
 from imucalib.errors import CRASH_EXIT_CODE, ImucalError
 
 #: Command -> one line for the overview. The module of that name holds `command`; of those in
-#: `_MODULES` another one, a function of their name.
+#: `_MODULES` another one, a function of their name. A file beside them that begins with
+#: `"""imucal NAME: one line.` is a command too.
 COMMANDS = {
     "lab": "Calibrate a tool's accelerometer on a bench with known angles, or by gravity alone.",
     "actigraph": "Calibrate a worn sensor from days of recording, by gravity at rest.",
@@ -35,9 +36,21 @@ COMMANDS = {
     "effects": "List the catalogue of effects.",
     "validate": "Check a calibration file.",
 }
+_MODULES = {"collect": "batch", "convert": "apply", "validate": "check"}
 
 
-_MODULES = {"collect": "batch", "validate": "check"}
+def _named() -> dict[str, str]:
+    """Commands whose file names them, with the line for the overview."""
+    found = {}
+    for name in sorted(set(os.listdir(os.path.dirname(__file__))) - {f"{c}.py" for c in COMMANDS}):
+        if name.endswith(".py"):
+            with open(os.path.join(os.path.dirname(__file__), name), encoding="utf-8") as file:
+                if own := re.match(r'"""imucal (\w+): ([^"]+)', file.readline()):
+                    found[own[1]] = own[2].strip()
+    return found
+
+
+COMMANDS |= _named()
 
 
 class LazyGroup(click.Group):
@@ -122,6 +135,15 @@ _MEANT = {
 _CALIBRATE = ("calibrate", "calibration", "cal", "calib", "fit")
 
 
+def calibrators() -> list[str]:
+    """The commands that calibrate."""
+    from imucalib.cli.calibrating import calibrates
+
+    root = click.Context(cli)
+    every = ((name, cli.get_command(root, name)) for name in COMMANDS)
+    return [name for name, command in every if command and calibrates(command)]
+
+
 def _no_command(args: Sequence[str]) -> str:
     """What to type in the place of a command that is none."""
     import difflib
@@ -130,9 +152,8 @@ def _no_command(args: Sequence[str]) -> str:
     if word in ("help", "version"):
         return f"no command '{args[0]}'. Type: imucal --{word}"
     if word in _CALIBRATE:
-        names = ("lab", "actigraph", "imu", "array")
-        kinds = "\n".join(f"  imucal {name:9}  {COMMANDS[name]}" for name in names)
-        return f"no command '{args[0]}'. There are four, by what was recorded:\n{kinds}"
+        kinds = "\n".join(f"  imucal {name:9}  {COMMANDS[name]}" for name in calibrators())
+        return f"no command '{args[0]}'. These calibrate, by what was recorded:\n{kinds}"
     meant = next((name for name, words in _MEANT.items() if word in words), "")
     close = difflib.get_close_matches(word, COMMANDS, 1)
     if meant or close:

@@ -139,17 +139,14 @@ def _options_of(calibrator: str, typed: tuple[str, ...]) -> tuple[tuple[str, ...
 
     Raises UsageError for what is no calibrator, and click's usage errors for options it lacks.
     """
-    from imucalib.cli import COMMANDS, cli
+    from imucalib.cli import calibrators, cli
     from imucalib.cli.bench_file import defaults, from_file, sections
-    from imucalib.cli.calibrating import calibrates
     from imucalib.errors import UsageError
 
-    root = click.Context(cli)
-    command = cli.get_command(root, calibrator)
-    if command is None or not calibrates(command):
-        every = ((name, cli.get_command(root, name)) for name in COMMANDS)
-        names = ", ".join(name for name, one in every if one and calibrates(one))
-        raise UsageError(f"'{calibrator}' is no calibrator", remedy=f"use: {names}")
+    command = cli.get_command(click.Context(cli), calibrator)
+    if command is None or calibrator not in calibrators():
+        known = ", ".join(calibrators())
+        raise UsageError(f"'{calibrator}' is no calibrator", remedy=f"use: {known}")
     stated = defaults(command, sections(Path.cwd()).get(calibrator, {}))
     context = command.make_context(calibrator, ["recording", *typed], default_map=stated)
     if context.params["output"] is not None:

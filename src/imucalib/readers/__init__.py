@@ -13,6 +13,8 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Protocol
 
+import numpy as np
+
 from imucalib.core.discovery import modules_of
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.readers.devices.catalogue import refuse_foreign, with_preset
@@ -124,8 +126,8 @@ def read(
     """
     full = with_preset(mapping or FieldMapping())
     reader = _reader(path, full)
-    found = reader.read(Path(path), full, strict=strict)
-    return next(_looked_at(iter([found]), full, reader))
+    found = (reader.read(Path(path), full, strict=strict) for _ in range(1))
+    return next(_looked_at(found, full, reader))
 
 
 def read_together(
@@ -190,4 +192,14 @@ def _looked_at(
     unit that is stated, and samples that are no measurement."""
     fixed = getattr(reader, "fixed", False)
     clocked = with_plausible_clocks(in_parts(found))
-    return with_held(with_checked_rates(clocked, mapping, fixed=fixed))
+    return _unwarned(with_held(with_checked_rates(clocked, mapping, fixed=fixed)))
+
+
+def _unwarned(found: Iterator[Recording]) -> Iterator[Recording]:
+    """The same; a damaged number, of any size or a signalling NaN, is no warning of numpy's."""
+    while True:
+        with np.errstate(invalid="ignore", over="ignore"):
+            one = next(found, None)
+        if one is None:
+            return
+        yield one
