@@ -21,6 +21,9 @@ from imucalib.effects.record_error import is_record_error
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.units import DEG, MG
 
+#: The reason of a calibration that is none, kept for the record errors in its report.
+UNSETTLED = "the fit did not settle"
+
 
 @dataclass(frozen=True)
 class StoredParameter:

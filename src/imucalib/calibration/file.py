@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 
 from imucalib.atomic_file import replaced_together
-from imucalib.calibration.calibration import Calibration, StoredParameter
+from imucalib.calibration.calibration import UNSETTLED, Calibration, StoredParameter
 from imucalib.calibration.plain import plain
 from imucalib.calibration.triads import triad_from
 from imucalib.core.effect import Context
-from imucalib.errors import UnreadableInput
+from imucalib.errors import NotConverged, UnreadableInput
 from imucalib.readers.source import sha256_of
 from imucalib.recording.pairing import fault
 from imucalib.recording.yaml_text import dump, load
@@ -130,7 +130,8 @@ def write_together(texts: Mapping[Path, str]) -> None:
 
 
 def read(path: Path) -> Calibration:
-    """Read a calibration of any known version. Raises UnreadableInput with what is wrong where."""
+    """Read a calibration of any known version. Raises UnreadableInput with what is wrong where, and
+    NotConverged for one whose fit did not settle."""
     if path.is_dir():
         inside = path / "calibration.yaml"
         remedy = f"name {inside}" if inside.is_file() else "name the calibration's file"
@@ -144,7 +145,16 @@ def read(path: Path) -> Calibration:
             where=str(path),
             remedy="restore it, or delete its first line if the change is meant",
         )
-    return replace(from_dict(load(path, _GIVE), str(path)), sha256=sha256_of(path))
+    found = from_dict(load(path, _GIVE), str(path))
+    demand_settled(found, str(path))
+    return replace(found, sha256=sha256_of(path))
+
+
+def demand_settled(calibration: Calibration, where: str) -> None:
+    """Raise NotConverged for the numbers of a fit that did not settle."""
+    if UNSETTLED in calibration.reasons:
+        remedy = "decide about what its report marks, and calibrate again"
+        raise NotConverged(UNSETTLED, where=where, remedy=remedy)
 
 
 def from_dict(content: Any, where: str) -> Calibration:

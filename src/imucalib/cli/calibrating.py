@@ -276,7 +276,8 @@ def _write(report: Report, folder: Path, options: Mapping[str, Any]) -> int:
     from imucalib.report.files import write_report
 
     run, made, refused = report.run, [], []
-    for name in options["export"]:
+    fit = run.outcome.fit
+    for name in options["export"] if fit is None or fit.converged else ():
         one = exported(run.calibration, run.outcome.provenance.path, name)
         try:
             if not options["force"]:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 
 from imucalib.calibration.calibration import Calibration
+from imucalib.calibration.file import demand_settled
 from imucalib.core.discovery import modules_of
 from imucalib.errors import UsageError
 from imucalib.recording.pairing import printable
@@ -51,8 +52,10 @@ def exports() -> dict[str, Export]:
 def exported(calibration: Calibration, source: str, name: str) -> Made:
     """A calibration in the form that is named.
 
-    Raises UsageError for an unknown form and for a calibration that it cannot hold.
+    Raises UsageError for an unknown form and for a calibration that it cannot hold, NotConverged
+    for the numbers of a fit that did not settle.
     """
+    demand_settled(calibration, source)
     if name not in exports():
         raise UsageError(f"no form is called '{name}'", remedy=f"use: {', '.join(exports())}")
     form = exports()[name]

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from imucalib.calibration.calibration import Calibration
-from imucalib.errors import LimitBroken, UsageError
+from imucalib.errors import LimitBroken, NotConverged, UsageError
 from imucalib.exports import Made, exported
 from imucalib.units import DEG, MG
 
@@ -55,7 +55,7 @@ def carries(calibration: Calibration, form: str) -> bool:
     """Whether a form is written unasked."""
     try:
         demand_carried(exported(calibration, "", form), form, calibration, None)
-    except (LimitBroken, UsageError):
+    except (LimitBroken, NotConverged, UsageError):
         return False
     return True
 

@@ -60,6 +60,11 @@ def test_a_slip_that_keeps_the_fit_from_settling_is_named_on_a_card(tmp_path: Pa
     assert "row 14: z lost its sign" in text
     assert "--fix 14:z=815.2" in report["card"]["to_do"][0]
     assert report["card"]["good_to"] == []
+    out = ("-q", "-o", tmp_path / "out", "--export", "matlab")
+    assert run("lab", path, "--latitude", "59.3", *out).return_value == 5
+    assert not list((tmp_path / "out").glob("*.m"))
+    refused = run("export", tmp_path / "out" / "calibration.yaml", "--to", "matlab").exception
+    assert "did not settle" in str(refused)
 
 
 def _in_the_tool(turn: np.ndarray, path: Path) -> Path:

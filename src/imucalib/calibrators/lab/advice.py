@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from imucalib.calibration.calibration import UNSETTLED
 from imucalib.calibration.outcome import Limit
 from imucalib.calibration.power import advice_of, hidden
 from imucalib.calibration.uncertainty import correcting
@@ -51,6 +52,8 @@ def reasons(result: LabResult) -> tuple[str, ...]:
     """Why the status is not "ok": short, machine-stable beginnings."""
     found: list[str] = []
     loop = result.loop
+    if not result.final.converged:
+        found.append(UNSETTLED)
     if loop and loop.records:
         found.append(f"record errors: {', '.join(r.where for r in loop.records)}")
     if loop and loop.unexplained:
