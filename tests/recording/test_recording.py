@@ -175,7 +175,7 @@ _CONTENT = st.recursive(
 )
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(content=st.dictionaries(st.text("abc", min_size=1), _CONTENT))
 def test_lists_of_numbers_are_read_as_any_yaml(content: dict[str, object]) -> None:
     """What is loaded fast is what the package loads, texts with such a list in them too."""
