@@ -219,3 +219,12 @@ def test_a_fleet_says_what_a_device_is_good_to(tmp_path: Path) -> None:
     assert 'class="card"' in page
     assert "imucal fleet" in page
     assert content["figures"]
+
+
+def test_a_certificate_says_its_method_in_words(tmp_path: Path) -> None:
+    """Of a recording that is corrected by curves, which have ids only within."""
+    run("actigraph", SAMPLES / "wrist_day.csv.gz", "-q", "-o", tmp_path)
+    page = (tmp_path / "report.html").read_text()
+    certificate = page[page.index('class="certificate"') : page.index("<header>")]
+    assert "a curve of the response of x" in certificate
+    assert "@" not in certificate

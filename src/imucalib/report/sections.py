@@ -531,7 +531,7 @@ def _certificate(run: Run, card: Card) -> Certificate:
     reference = _REFERENCES.get(kind, calibration.calibrator)
     source = settings.get("gravity_source")
     gravity = f"; local gravity {calibration.gravity:.5f} m/s²" + (f" ({source})" if source else "")
-    effects = dict.fromkeys(p.effect.replace("_", " ") for p in calibration.parameters)
+    effects = dict.fromkeys(in_words(p.effect) for p in calibration.parameters)
     facts = [
         ("instrument", f"of {made.path}; readings in {calibration.raw_unit}"),
         ("calibrated", made.time),
@@ -557,7 +557,7 @@ def _conditions(calibration: Calibration, samples: int) -> list[str]:
     """How much was recorded, and in which range of what the correction follows."""
     units = {"temperature": " °C", "time": " s"}
     ranges = [
-        f"{name} {low:.4g} to {high:.4g}{units.get(name, '')}"
+        f"{name} {low:.7g} to {high:.7g}{units.get(name, '')}"
         for name, (low, high) in calibration.valid.items()
     ]
     unknown = ["temperature not recorded"] * ("temperature" not in calibration.valid)
