@@ -42,11 +42,9 @@ class Angles:
 
 def angles_at_rests(calibration: Calibration, corrected: Array, rests: Segments, k: int) -> Angles:
     """corrected : (N, 3) m/s² of triad number `k`; the mean of each rest."""
-    spans = zip(rests.first[:, k], rests.last[:, k], strict=True)
-    mean = np.array([corrected[a:b].mean(axis=0) for a, b in spans]).reshape(-1, 3)
     noise = rests.noise[k] / np.sqrt(np.maximum(rests.samples[:, k], 1))[:, None]
-    t = 0.5 * (rests.start + rests.stop)
-    return _angles(calibration, mean, noise, t, np.ones(t.size, np.bool_))
+    still = np.ones(rests.n, np.bool_)
+    return _angles(calibration, rests.means(corrected, k), noise, rests.middle, still)
 
 
 def angles_of_samples(

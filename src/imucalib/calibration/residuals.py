@@ -47,17 +47,11 @@ def with_residuals(
             continue
         k = rests.triads.index(channel.triad)
         scale = 1.0 if recording.channels[name].unit == "m/s2" else calibration.raw_to_si
-        after = _means(channel.values, rests, k)
+        after = rests.means(channel.values, k)
         values = _rows(rests, scale * rests.mean[:, k], after, calibration.gravity)
-        middle = 0.5 * (rests.start + rests.stop)
-        kept[f"{channel.triad}/{REST}"] = Channel(middle, values, "", REST, channel.triad, 0.0)
+        made = Channel(rests.middle, values, "", REST, channel.triad, 0.0)
+        kept[f"{channel.triad}/{REST}"] = made
     return replace(corrected, channels=kept)
-
-
-def _means(values: Array, rests: Segments, k: int) -> Array:
-    """(n, 3) mean of a triad's samples (N, 3) at each rest."""
-    spans = zip(rests.first[:, k], rests.last[:, k], strict=True)
-    return np.array([values[first:last].mean(axis=0) for first, last in spans])
 
 
 def _rows(rests: Segments, before: Array, after: Array, gravity: float) -> Array:

@@ -163,7 +163,7 @@ def _of_rests(
     noise = si * segments.noise[k].max() / np.sqrt(np.maximum(segments.samples[:, k], 1))
     sigma = np.maximum(noise / reading_sd, 1.0)
     reading = si * segments.mean[:, k]
-    middle = 0.5 * (segments.start + segments.stop)
+    middle = segments.middle
     return Observations(
         reading=reading[:, None],
         sigma=np.broadcast_to(sigma[:, None, None], (segments.n, 1, 3)).copy(),

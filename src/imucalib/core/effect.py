@@ -384,7 +384,7 @@ class Turned(Described):
         return self.each
 
     def act(self, theta: Array, truth: Truth, context: Context) -> Action:
-        rotation, along = turn_of(theta * DEG)
+        rotation, along = rotations(theta * DEG), left_jacobian(theta * DEG)
         x = truth.force
         turned = x @ rotation.T
         slope = -DEG * cross_matrix(turned) @ along
@@ -392,21 +392,30 @@ class Turned(Described):
         return Action(turned - x, slope, d_x)
 
 
-def turn_of(vector: Array) -> tuple[Array, Array]:
-    """Rotation matrix (3, 3) of a turn by axis times angle (3,) rad, and (3, 3) the small turn that
-    each of the three numbers adds after it (the left Jacobian: Sola, Deray and Atchuthan 2018,
-    arXiv 1812.01537, eq. 145)."""
-    angle, cross = float(np.linalg.norm(vector)), cross_matrix(vector)
-    # sin a / a, (1 - cos a) / a² and (a - sin a) / a³, by their series at small angles.
-    first, second, third = 1.0 - angle**2 / 6.0, 0.5 - angle**2 / 24.0, 1.0 / 6.0 - angle**2 / 120.0
-    if angle > 1e-3:
-        first, second = np.sin(angle) / angle, (1.0 - np.cos(angle)) / angle**2
-        third = (1.0 - first) / angle**2
-    square = cross @ cross
-    return (
-        np.asarray(np.eye(3) + first * cross + second * square),
-        np.asarray(np.eye(3) + second * cross + third * square),
-    )
+def rotations(vectors: Array) -> Array:
+    """(..., 3, 3) of rotation vectors (..., 3) rad (Rodrigues' formula)."""
+    first, second, _ = _of_angles(vectors)
+    cross = cross_matrix(vectors)
+    return np.asarray(np.eye(3) + first * cross + second * (cross @ cross))
+
+
+def left_jacobian(vector: Array) -> Array:
+    """(3, 3) the small turn, rad, that each number of a rotation vector (3,) adds after it (Sola,
+    Deray and Atchuthan 2018, arXiv 1812.01537, eq. 145)."""
+    _, second, third = _of_angles(vector)
+    cross = cross_matrix(vector)
+    return np.asarray(np.eye(3) + second * cross + third * (cross @ cross))
+
+
+def _of_angles(vectors: Array) -> tuple[Array, Array, Array]:
+    """sin a / a, (1 - cos a) / a² and (a - sin a) / a³ (..., 1, 1), by their series at small a."""
+    square = np.sum(vectors * vectors, axis=-1)[..., None, None]
+    angle = np.sqrt(square)
+    small = angle < 1e-4
+    safe = np.where(small, 1.0, angle)
+    first = np.where(small, 1.0 - square / 6.0, np.sin(safe) / safe)
+    second = np.where(small, 0.5 - square / 24.0, (1.0 - np.cos(safe)) / safe**2)
+    return first, second, np.where(small, 1.0 / 6.0, (1.0 - first) / safe**2)
 
 
 def vector_of(rotation: Array) -> Array:

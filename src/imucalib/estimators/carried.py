@@ -13,19 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.core.effect import cross_matrix
-
-
-def rotations(vectors: Array) -> Array:
-    """(..., 3, 3) of rotation vectors (..., 3) rad (Rodrigues' formula)."""
-    square = np.sum(vectors * vectors, axis=-1)[..., None, None]
-    angle = np.sqrt(square)
-    small = angle < 1e-4
-    safe = np.where(small, 1.0, angle)
-    first = np.where(small, 1.0 - square / 6.0, np.sin(safe) / safe)
-    second = np.where(small, 0.5 - square / 24.0, (1.0 - np.cos(safe)) / safe**2)
-    cross = cross_matrix(vectors)
-    return np.asarray(np.eye(3) + first * cross + second * (cross @ cross))
+from imucalib.core.effect import rotations
 
 
 def steps(t: Array, rate: Array) -> Array:

@@ -63,6 +63,16 @@ class Segments:
         """Number of segments."""
         return int(self.start.size)
 
+    @property
+    def middle(self) -> Array:
+        """(n,) s, of each segment."""
+        return 0.5 * (self.start + self.stop)
+
+    def means(self, values: Array, k: int) -> Array:
+        """(n, 3) mean of samples (N, 3) of triad number `k` at each segment."""
+        spans = zip(self.first[:, k], self.last[:, k], strict=True)
+        return np.array([values[a:b].mean(axis=0) for a, b in spans]).reshape(-1, 3)
+
 
 def still_segments(recording: Recording, settings: StillSettings | None = None) -> Segments:
     """The still segments of a whole recording; see `find_segments`."""

@@ -249,7 +249,7 @@ def _held_against_rests(loop: MotionLoop, laid: _Laid, rests: RestFit) -> Motion
     segments = laid.segments
     if segments.n < ATTITUDES:
         return loop
-    t, turns = 0.5 * (segments.start + segments.stop), laid.board.rotations
+    t, turns = segments.middle, laid.board.rotations
     read, rate = (
         np.einsum("kij,nkj->nki", turns, values) for values in (segments.mean, segments.rate)
     )

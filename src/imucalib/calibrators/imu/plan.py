@@ -17,10 +17,9 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.gyroscope import GAIN
-from imucalib.core.effect import cross_matrix
+from imucalib.core.effect import cross_matrix, left_jacobian, rotations
 from imucalib.core.eigen import eigen
 from imucalib.errors import UnreadableInput
-from imucalib.estimators.carried import rotations
 from imucalib.estimators.turns import tangents
 from imucalib.units import DEG
 
@@ -69,9 +68,7 @@ def of_turn(up: Array, vector: Array) -> Array:
     """(2, 9) columns of the gains, of a turn by the rotation vector (3,) from gravity along up."""
     angle = float(np.linalg.norm(vector))
     n, whole = vector / angle, rotations(vector)
-    along = np.outer(n, n)
-    swept = angle * along + np.sin(angle) * (np.eye(3) - along)
-    swept += (1.0 - np.cos(angle)) * cross_matrix(n)
+    swept = angle * left_jacobian(vector)
     across = tangents((whole.T @ up)[None])[0]
     moved = across.T @ whole.T @ cross_matrix(up) @ swept
     return np.asarray(np.einsum("ai,j->aij", moved, n).reshape(2, 9))

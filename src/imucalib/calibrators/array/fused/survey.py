@@ -213,7 +213,7 @@ def _with_rests(segments: Segments, order: Mapping[int, int], instrument: Instru
     A rest shows every gyro's bias, and what accelerometers differ by; what all of them share would
     hang on the place's gravity. The calibration's biases count as one more value of them.
     """
-    middle = 0.5 * (segments.start + segments.stop)
+    middle = segments.middle
     shape = (segments.n, len(instrument.triads), 3)
     read = Stretch(middle, np.full(shape, np.nan), np.full(shape, np.nan))
     for k, column in order.items():
