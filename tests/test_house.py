@@ -21,6 +21,7 @@ FLOORS: dict[str, int] = {
     "units": 0,
     "significant_digits": 0,
     "atomic_file": 0,
+    "file_hash": 0,
     "arrays": 0,
     "recording": 1,
     "core": 2,
@@ -212,5 +213,16 @@ def test_modules_have_names_with_a_meaning() -> None:
 def test_importing_is_light(module: str) -> None:
     heavy = ("numpy", "scipy", "h5py", "mcap", "zstandard", "lz4", "rich", "ruamel", "jinja2")
     code = f"import sys, {module}; print([m for m in {heavy!r} if m in sys.modules])"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("room", ["core", "effects", "estimators", "loop"])
+def test_the_model_is_imported_without_the_readers(room: str) -> None:
+    modules = [name for name in SOURCES if name.split(".")[0] == room]
+    load = "; ".join(f"import imucalib.{name}" for name in modules)
+    code = (
+        f"import sys; {load}; print([m for m in sys.modules if m.startswith('imucalib.readers')])"
+    )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "[]"

@@ -23,7 +23,7 @@ from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.file import write as write_calibration
 from imucalib.calibration.file import write_together
 from imucalib.errors import UsageError
-from imucalib.readers import sha256_of
+from imucalib.file_hash import sha256_of
 from imucalib.recording.recording import Channel, Recording
 from imucalib.recording.yaml_text import dump, load
 from worlds.command import run

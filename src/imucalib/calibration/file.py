@@ -22,7 +22,7 @@ from imucalib.calibration.plain import plain
 from imucalib.calibration.triads import triad_from
 from imucalib.core.effect import Context
 from imucalib.errors import NotConverged, UnreadableInput
-from imucalib.readers.source import sha256_of
+from imucalib.file_hash import sha256_of
 from imucalib.recording.pairing import fault
 from imucalib.recording.yaml_text import dump, load
 

@@ -24,7 +24,7 @@ from imucalib.core.prior import Prior, correlated
 from imucalib.effects import named
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.estimators.least_squares import fit
-from imucalib.readers.source import sha256_of
+from imucalib.file_hash import sha256_of
 from imucalib.recording.yaml_text import dump, load
 from imucalib.units import MG
 

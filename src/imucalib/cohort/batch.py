@@ -21,7 +21,7 @@ from pathlib import Path
 
 from imucalib.cohort.entries import Entry, failure_words, kept_of, read_entry, write_entry
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.readers import sha256_of
+from imucalib.file_hash import sha256_of
 
 
 @dataclass(frozen=True)

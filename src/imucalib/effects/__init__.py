@@ -16,7 +16,7 @@ from imucalib.core.discovery import modules_of
 from imucalib.core.effect import Effect, Family
 from imucalib.effects.contract import checked_effects
 from imucalib.errors import UsageError
-from imucalib.readers.source import sha256_of
+from imucalib.file_hash import sha256_of
 
 #: Effects of files that this process has loaded; a calibration may need them to be applied.
 _LOADED: dict[str, Effect] = {}

@@ -21,7 +21,7 @@ from imucalib.readers.devices.catalogue import refuse_foreign, with_preset
 from imucalib.readers.joining import in_parts, together, with_plausible_clocks
 from imucalib.readers.rates import with_checked_rates
 from imucalib.readers.repeats import with_held
-from imucalib.readers.source import UNREAD, head_of, named, sha256_of
+from imucalib.readers.source import UNREAD, head_of, named
 from imucalib.recording.mapping import TIME_ZEROS, FieldMapping
 from imucalib.recording.recording import Recording
 
@@ -33,7 +33,6 @@ __all__ = [
     "read_together",
     "reader_for",
     "readers",
-    "sha256_of",
     "stored_blocks",
 ]
 

@@ -18,6 +18,7 @@ from mcap.opcode import Opcode
 from mcap.records import Schema
 
 from imucalib.errors import UnreadableInput, UsageError
+from imucalib.file_hash import sha256_of
 from imucalib.readers.messages.recording import log_blocks, read_log
 from imucalib.readers.messages.records import (
     MESSAGE_HEAD,
@@ -26,7 +27,6 @@ from imucalib.readers.messages.records import (
     MessageLog,
     Topic,
 )
-from imucalib.readers.source import sha256_of
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
 

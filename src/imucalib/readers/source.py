@@ -1,16 +1,13 @@
-"""The input file before any format is known: can it be opened at all, what is its hash, and of what
-kind is a file that is no recording."""
+"""The input file before any format is known: can it be opened at all, and of what kind is a file
+that is no recording."""
 
 from __future__ import annotations
 
-import hashlib
 import os
 import re
 import stat
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 
 from imucalib.errors import UnreadableInput
@@ -19,9 +16,6 @@ HEAD_BYTES = 65536  #: what `recognises` gets to see
 #: Bytes within which a zip archive's end record lies (22 and a comment of 64 KiB), and of its
 #: directory: some 10,000 files.
 _ARCHIVE_END, _MOST_DIRECTORY = 22 + (1 << 16), 1 << 20
-
-#: ns, well beyond what file systems tell apart.
-_TICK_NS = 3 * 10**9
 
 
 def head_of(path: Path) -> bytes:
@@ -71,27 +65,6 @@ def small_directory(path: Path) -> bool:
         tail = stream.read()
     at = tail.rfind(b"PK\x05\x06")
     return at >= 0 and int.from_bytes(tail[at + 12 : at + 16], "little") <= _MOST_DIRECTORY
-
-
-def sha256_of(path: str | os.PathLike[str]) -> str:
-    """SHA-256 of the file's bytes as lower-case hex; of a file that has not changed, once."""
-    try:
-        seen = os.stat(path)
-        state = (seen.st_dev, seen.st_ino, seen.st_size, seen.st_mtime_ns, seen.st_ctime_ns)
-        # Two states within one tick of the file system's clock look the same.
-        settled = time.time_ns() - max(state[-2:]) > _TICK_NS
-        digest = _digest if settled else _digest.__wrapped__
-        return digest(os.path.abspath(path), state)
-    except OSError as error:
-        raise UnreadableInput(
-            f"the file cannot be read: {error.strerror}", where=str(path)
-        ) from error
-
-
-@lru_cache(maxsize=64)
-def _digest(path: str, state: tuple[int, ...]) -> str:
-    with open(path, "rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import LabRun
 from imucalib.calibrators.lab.simulation import BenchPlan, simulated_recording, simulated_table
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.readers.source import sha256_of
+from imucalib.file_hash import sha256_of
 from imucalib.writers import write as write_recording
 
 HEADER = ("session", "inclination", "tool_face", "x (mg)", "y (mg)", "z (mg)")

@@ -17,11 +17,12 @@ from imucalib.arrays import Array, Flags, Index
 from imucalib.atomic_file import replaced_atomically
 from imucalib.calibrators.lab.headings import ROLES, bare, roles_of, says_something
 from imucalib.errors import UnreadableInput, UsageError
+from imucalib.file_hash import sha256_of
 from imucalib.readers.csv.table import Cells, and_more, selected, table_cells
 from imucalib.readers.csv.text import few_values, is_blank, is_number
 from imucalib.readers.devices.catalogue import refuse_foreign
 from imucalib.readers.hdf5.reader import table_columns
-from imucalib.readers.source import head_of, sha256_of
+from imucalib.readers.source import head_of
 from imucalib.recording.mapping import FieldMapping
 from imucalib.units import DEG
 

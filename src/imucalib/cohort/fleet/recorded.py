@@ -29,10 +29,10 @@ from imucalib.cohort.fleet.search import Priors, Rules, Said, said_by
 from imucalib.core.effect import Context
 from imucalib.effects import named
 from imucalib.errors import UnreadableInput, UsageError
+from imucalib.file_hash import sha256_of
 from imucalib.loop.candidates import searched
 from imucalib.loop.held_out import Difference, difference, with_density
 from imucalib.loop.sums import Sums, columns_of
-from imucalib.readers.source import sha256_of
 from imucalib.units import MG
 
 #: sd of an effect that a recording has by itself, in typical sizes: its own data decide.

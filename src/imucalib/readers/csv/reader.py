@@ -16,13 +16,13 @@ import numpy as np
 
 from imucalib.arrays import Array, Flags
 from imucalib.errors import UnreadableInput
+from imucalib.file_hash import sha256_of
 from imucalib.readers.csv.clock import bad_stamp
 from imucalib.readers.csv.plan import Plan, make_plan
 from imucalib.readers.csv.rows import Rows, parse
 from imucalib.readers.csv.stamps import spread
 from imucalib.readers.csv.text import Lines, cells_of, is_number, line_blocks, text_head
 from imucalib.readers.joining import Joined
-from imucalib.readers.source import sha256_of
 from imucalib.readers.timebase import find_gaps
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Gap, Recording

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
+from imucalib.file_hash import sha256_of
 from imucalib.readers.conversion import (
     Conversion,
     Source,
@@ -31,7 +32,6 @@ from imucalib.readers.conversion import (
     readings_at_rest,
     temperature,
 )
-from imucalib.readers.source import sha256_of
 from imucalib.readers.timebase import find_gaps
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Recording

@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
+from imucalib.file_hash import sha256_of
 from imucalib.readers import conversion
 from imucalib.readers.columns import Content, listing, norm_of, suggestion
 from imucalib.readers.conversion import AS_STORED, Conversion
 from imucalib.readers.hdf5.fields import Found, datasets, fields_of, number_of, text_of, unit_of
 from imucalib.readers.hdf5.file import File, Walk, opened
 from imucalib.readers.joining import Joined
-from imucalib.readers.source import sha256_of
 from imucalib.readers.timebase import (
     Stepping,
     clock_unit,

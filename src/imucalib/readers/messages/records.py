@@ -13,7 +13,7 @@ from mcap.records import Schema
 from numpy.typing import NDArray
 
 from imucalib.errors import UnreadableInput
-from imucalib.readers.source import sha256_of
+from imucalib.file_hash import sha256_of
 from imucalib.recording.recording import Correction
 
 #: What comes before a message's payload in its record, the record's own nine bytes counted.
