@@ -142,6 +142,13 @@ def _crossed(table: Rows) -> Rows:
     return np.column_stack([table[:, :4], table[:, 4] + 30.0 * u[:, 0] * u[:, 1]])
 
 
+def _jumped(table: Rows) -> Rows:
+    """The tool turns by 2 deg in its clamp before row 10."""
+    u = direction(table[9:, 0], table[9:, 1])
+    moved = direction(table[9:, 0], table[9:, 1] + 2.0) - u
+    return np.vstack([table[:9], np.column_stack([table[9:, :2], table[9:, 2:] + 1000.0 * moved])])
+
+
 def _comma(table: Rows) -> str:
     """A table with ; between its columns and , in its numbers."""
     return text_of(table, mark=";").replace(".", ",")
@@ -206,6 +213,7 @@ TABLES: dict[str, Make] = {
     "radians.csv": _angles(np.deg2rad, np.deg2rad),
     "swapped_angles.csv": sheet(lambda r: r[:, [1, 0, 2, 3, 4]]),
     "mistyped.csv": _cell(5, 3, 7000.0),
+    "jumped.csv": sheet(_jumped),
     "slip.csv": _cell(5, 4, -float(rows()[4, 4])),
     "exchanged.csv": _order([0, 8, 2, 3, 4, 5, 6, 7, 1, *range(9, 18)]),
     "moved.csv": _order(_moved(3, 9)),

@@ -115,6 +115,7 @@ class Findings:
     declared : effects of the base model beyond the usual ones, with their size in words
     only, without : how the user limited the search; missing : why effects were not tested
     facts : name and words of what else it estimated
+    complete : probability that nothing is missing; NaN where nothing was searched for
     """
 
     verdict: str
@@ -131,6 +132,7 @@ class Findings:
     without: tuple[str, ...] = ()
     facts: tuple[tuple[str, str], ...] = ()
     gain: Gain | None = None
+    complete: float = math.nan
 
     @property
     def open(self) -> bool:
@@ -161,6 +163,7 @@ def findings_of(
         scores=loop.scores,
         missing=loop.missing,
         gain=_gain_of(loop.difference),
+        complete=loop.complete,
         facts=tuple(facts),
         declared=tuple((name, _size(loop.final, name)) for name in declared),
         only=only,

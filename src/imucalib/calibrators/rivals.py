@@ -29,25 +29,24 @@ _RIDGE = 1e-3
 def with_rivals(fit: Fit, rivals: Sequence[Rival], gravity: float) -> Fit:
     """The fit with its covariance and its intervals widened by what the rivals correct otherwise.
 
-    rivals : likeliest first, `fit` among them; gravity : m/s²
+    rivals : likeliest first, `fit` the first with its names; gravity : m/s²
     """
     names = set(fit.model.names)
-    own = [r for r in rivals if set(r.fit.model.names) == names]
-    others = [r for r in rivals if set(r.fit.model.names) != names]
-    if not others or not own:
+    own = next((r for r in rivals if set(r.fit.model.names) == names), None)
+    others = [r for r in rivals if r is not own]
+    if not others or own is None:
         return fit
     force = gravity * even_directions(_ATTITUDES)[:, None]
     slope = force_slope(fit, force)[0].reshape(3 * _ATTITUDES, -1)
     try:
-        reading = _readings(own[0].fit, force)
-        plain = corrected_by(own[0].fit, reading)
+        reading = _readings(own.fit, force)
+        plain = corrected_by(own.fit, reading)
     except NotConverged:  # its inverse ends where the recording did
         return fit
     mixture = fit.mixture or NoiseMixture(
         np.zeros(1), np.ones(1), np.zeros((1, fit.theta.size)), fit.covariance[None]
     )
-    kept = sum(r.weight for r in own)
-    weight, shift, spread = [kept * mixture.weight], [mixture.shift], [mixture.covariance]
+    weight, shift, spread = [own.weight * mixture.weight], [mixture.shift], [mixture.covariance]
     more = np.zeros_like(fit.covariance)
     for rival in others:
         try:

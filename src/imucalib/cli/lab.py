@@ -67,6 +67,12 @@ _CONVENTIONS = (
     default="",
     metavar="ROWS",
 )
+@opt.option(
+    "--trust",
+    "Where a tool slipped: rows that stand right.",
+    default="",
+    metavar="ROWS",
+)
 @opt.option("--exclude", "Leave rows out.", default="", metavar="ROWS")
 @opt.many(
     "--fix fixes",
@@ -146,6 +152,7 @@ def request_of(options: dict[str, Any]) -> LabRequest:
         repairs=repairs_of(*repairs),
         exclude=opt.numbers(options["exclude"], "--exclude"),
         train=opt.numbers(options["train"], "--train"),
+        trust=opt.numbers(options["trust"], "--trust"),
         still=opt.still_of(options),
         sigma=None if options["sigma"] is None else options["sigma"] * MG,
         population=opt.population_of(

@@ -164,7 +164,7 @@ def _sessions(context: Context) -> tuple[str, ...]:
 # Moments: a bias that jumps (a knock, a new battery, a restart), a scale (an amplifier, a supply,
 # another range), a tool that slips in its clamp, a dial whose zero moves.
 
-_SCANNED = 48  # times tried at first; the neighbours of the best one are tried after
+_SCANNED = 48  # times, or half as many records, tried at first; around the best all are after
 _FEWEST = 12  # observations on each side of a step
 _FEWEST_RECORDS = 6  # of a table, whose rows know their direction
 
@@ -198,6 +198,28 @@ def moment_of(name: str) -> float:
     return float(value[:-1]) if family == "bias_step" and value.endswith("s") else float("nan")
 
 
+#: Covariates: first and last record, from 0, of the part of a sheet that stands as it was set.
+TRUSTED = ("trusted_from", "trusted_to")
+
+
+def trusting(context: Context, first: float, last: float) -> Context:
+    """The context with the records first to last, from 0, said to stand as they were set."""
+    said = {name: np.full(context.n, at) for name, at in zip(TRUSTED, (first, last), strict=True)}
+    return replace(context, covariates={**context.covariates, **said})
+
+
+def _stood_until(value: str) -> tuple[int, Covariate]:
+    """17 of "record17", and what is 1 from there on; where a part from there on is trusted, 0 there
+    and -1 before. ValueError otherwise."""
+    first, since = _from_record(value)
+
+    def values(context: Context) -> Array:
+        trusted = context.covariates.get(TRUSTED[0], np.zeros(context.n))
+        return since.values(context) - (trusted >= first - 1)
+
+    return first, Covariate(since.needs, values)
+
+
 def scale_step(value: str) -> Effect:
     """The step of the scale from a record of a table on, "record17" (counted from 1); ValueError
     otherwise."""
@@ -211,14 +233,14 @@ def slip(value: str) -> Effect:
     record, _, axis = value.partition(":")
     if axis not in ("", "z"):
         raise ValueError(f"no way to slip: {value}")
-    first, since = _from_record(record)
+    first, since = _stood_until(record)
     return made(f"slip@{axis}", CLAMP_Z if axis else CLAMP, since, value, record=first)
 
 
 def inclination_step(value: str) -> Effect:
     """The inclination dial whose zero moves before a record of a table, "record17" (counted from
     1); ValueError otherwise."""
-    first, since = _from_record(value)
+    first, since = _stood_until(value)
     return made("inclination_step@", INCLINATION, since, value, record=first)
 
 
@@ -230,15 +252,36 @@ def _between(context: Context) -> Array:
     return np.asarray(np.round(0.5 * (time[1:] + time[:-1]), 3)[_FEWEST - 1 : -_FEWEST + 1])
 
 
+def _inner_records(context: Context) -> Array:
+    """First records, from 0, of what may stand after a jump."""
+    return context["record"][_FEWEST_RECORDS : 1 - _FEWEST_RECORDS]
+
+
 def _records(context: Context) -> tuple[str, ...]:
-    first = context["record"][_FEWEST_RECORDS : 1 - _FEWEST_RECORDS]
+    """Every record of a sheet; of a longer one evenly spread ones."""
+    first = _inner_records(context)
     picked = np.unique(np.linspace(0, first.size - 1, min(2 * _SCANNED, first.size)).astype(int))
     return tuple(f"record{int(r) + 1}" for r in first[picked])
+
+
+def _finer_records(context: Context, value: str) -> tuple[str, ...]:
+    """Records between those that are tried beside one, in the same way."""
+    first, (record, *way) = _inner_records(context), value.split(":")
+    reach = -(-first.size // (2 * _SCANNED))
+    near = np.abs(first + 1.0 - float(record.removeprefix("record"))) < reach
+    return tuple(":".join((f"record{int(r) + 1}", *way)) for r in first[near])
 
 
 def _on_dials(context: Context) -> tuple[str, ...]:
     """Gravity alone does not see how a tool stands."""
     return _records(context) if "tool_face" in context and "record" in context else ()
+
+
+def _on_standing_dials(context: Context) -> tuple[str, ...]:
+    """But for jumps within a part that stands as it was set."""
+    low, high = (context.covariates.get(name, np.zeros(1))[0] for name in TRUSTED)
+    number = (float(text.removeprefix("record")) - 1.0 for text in _on_dials(context))
+    return tuple(f"record{r + 1.0:.0f}" for r in number if not low < r <= high)
 
 
 def _of_records(context: Context) -> tuple[str, ...]:
@@ -256,7 +299,7 @@ def _times(context: Context) -> tuple[str, ...]:
 
 def _finer_times(context: Context, value: str) -> tuple[str, ...]:
     if value.startswith("record"):
-        return ()
+        return _finer_records(context, value)
     every = _between(context)
     reach = max(1, every.size // _SCANNED) + 1
     at = int(np.searchsorted(every, float(value.removesuffix("s"))))
@@ -356,15 +399,17 @@ FAMILIES = (
         "scale_step",
         scale_step,
         lambda context: _on_dials(context) or _of_records(context),
+        _finer_records,
         unfounded=True,
     ),
     scan(
         "slip",
         slip,
-        lambda context: tuple(r + way for r in _on_dials(context) for way in ("", ":z")),
+        lambda context: tuple(r + w for r in _on_standing_dials(context) for w in ("", ":z")),
+        _finer_records,
         unfounded=True,
     ),
-    scan("inclination_step", inclination_step, _on_dials, unfounded=True),
+    scan("inclination_step", inclination_step, _on_standing_dials, _finer_records, unfounded=True),
     scan("shape", shape, lambda context: (), unfounded=True, free=True),
     scan("thermal_hysteresis", thermal_hysteresis, PLAY.recorded),
     scan("thermal_lag", thermal_lag, LAG.recorded),

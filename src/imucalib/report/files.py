@@ -147,6 +147,7 @@ def _found(found: Findings) -> dict[str, Any]:
     records, scores = found.records, found.scores
     return {
         "verdict": found.verdict,
+        "p_nothing_missing": found.complete,
         "gain": None if found.gain is None else vars(found.gain),
         "declared": [{"effect": name, "size": size} for name, size in found.declared],
         **fields(found, "only without"),

@@ -115,6 +115,16 @@ def _straightened(without: Outcome, done: Outcome, bench: Bench) -> None:
     assert done.code != 2
 
 
+def _part_that_stands(without: Outcome, done: Outcome, bench: Bench) -> None:
+    """The mounting is that of the rows that are trusted, 2 deg from that of the others."""
+    assert (without.code, done.code) == (5, 0)
+    assert "--trust 10-18" in " ".join(without.content["undecided"])
+    other = bench.run(("lab", "<jumped.csv>", *_SLIPS, "--trust", "1-9"))
+    turns = [[values(one)[f"mounting_{a}"] for a in "xyz"] for one in (done, other)]
+    assert np.isclose(np.linalg.norm(np.subtract(*turns)), 2.0, atol=0.1)
+
+
+_SLIPS = ("--only", "slip", "--json")
 CASES: tuple[Case, ...] = (
     LAB("--recording <rests.csv>", _of_recording, *_on("angles.csv")),
     LAB("--reference direction", _by_directions, *_on("faces.csv")),
@@ -153,6 +163,7 @@ CASES: tuple[Case, ...] = (
         *_on("aligned.csv"),
     ),
     LAB("--train 1-12", _first_twelve),
+    LAB("--trust 10-18", _part_that_stands, "lab", "<jumped.csv>", *_SLIPS),
     LAB("--exclude 3,8", _without_rows),
     _repairs(f"--fix 5:y={rows()[4, 3]:.10g}", "mistyped.csv"),
     _repairs("--swap 2,9", "exchanged.csv"),

@@ -188,6 +188,7 @@ def array_findings(loop: MotionLoop) -> Findings:
         scores=loop.scores,
         missing=loop.missing,
         gain=_gain(loop.gained),
+        complete=loop.complete,
         not_testable=tuple(_untestable(name, m) for name, m in loop.impact.items()),
         declared=tuple(
             (t.name, size_in_words(loop.final, t))

@@ -156,6 +156,7 @@ def _findings(result: ImuResult, request: ImuRequest) -> Findings:
         ),
         declared=(*rests.declared, *((n, "") for n in declared)),
         gain=gain,
+        complete=rests.complete * result.found.said.complete,
         facts=(*rests.facts, ("turns", words)),
     )
 

@@ -11,7 +11,7 @@ from imucalib.calibration.calibration import UNSETTLED
 from imucalib.calibration.outcome import Limit
 from imucalib.calibration.power import advice_of, hidden
 from imucalib.calibration.uncertainty import correcting
-from imucalib.calibrators.lab.bench import RawUnit
+from imucalib.calibrators.lab.bench import RawUnit, row_numbers
 from imucalib.calibrators.lab.calibrate import LabResult
 from imucalib.calibrators.lab.design import judge
 from imucalib.calibrators.lab.errors import (
@@ -32,6 +32,7 @@ from imucalib.effects.forms import in_words
 from imucalib.errors import UsageError
 from imucalib.estimators.corrected import OBJECTIVES
 from imucalib.loop.found import Unexplained
+from imucalib.loop.posterior.trust import parts_of
 from imucalib.loop.record_errors import RecordError
 from imucalib.units import DEG, MG
 
@@ -46,6 +47,25 @@ def fix_option(record: RecordError, raw: RawUnit) -> str:
     row = record.where.split()[-1]
     repair = [f"--fix {row}:{axis}={value / raw.si:.10g}" for axis, value in record.fix]
     return " ".join(repair) + (" or " if repair else "") + f"--exclude {row} (or --auto-exclude)"
+
+
+def undecided_parts(result: LabResult) -> tuple[str, ...]:
+    """Jumps of the bench after which the readings do not say which part stands as it was set."""
+    found = list[str]()
+    if result.loop is None:
+        return ()
+    base = result.loop.base
+    rows = row_numbers(base.observations)
+    for step in result.loop.steps:
+        effect = known(step.effect)
+        parts = None if effect is None else parts_of(base, base.model, effect)
+        if parts is not None:
+            first, then = (f"{r.min()}-{r.max()}" for r in (rows[~parts.after], rows[parts.after]))
+            found.append(
+                f"rows {first} stand as they were set, rows {then} do not: the readings fit the "
+                f"other way round as well; decide with --trust {first} (or: --trust {then})"
+            )
+    return tuple(found)
 
 
 def reasons(result: LabResult) -> tuple[str, ...]:

@@ -25,6 +25,7 @@ class LabRequest(Request):
         "angles" (the paper's suggestion for steep inclinations), "paper" (its objective 5)
     fixes : (row from 1, column role, value in the table's unit); exclude : rows from 1
     train : rows from 1 to choose and fit on, the rest is the test set
+    trust : rows from 1 that stand as they were set, where the readings do not say which part does
     sigma : declared noise of a reading, m/s², or None to take it from the data
     still : what counts as a rest
     partial : whether positions may leave something open, which other data close
@@ -45,6 +46,7 @@ class LabRequest(Request):
     swap_angles: bool = False
     keep_angles: bool = False
     train: tuple[int, ...] = ()
+    trust: tuple[int, ...] = ()
     sigma: float | None = None
     still: StillSettings = field(default_factory=StillSettings)
     population: Population | None = None
@@ -70,6 +72,7 @@ class LabRequest(Request):
             "exclude": list(self.exclude),
             "auto_exclude": self.auto_exclude,
             "train": list(self.train),
+            "trust": list(self.trust),
             "swap_angles": self.swap_angles,
             "keep_angles": self.keep_angles,
             "shortest_rest_s": self.still.shortest,

@@ -14,7 +14,13 @@ from imucalib.calibration.calibration import Calibration, from_fit
 from imucalib.calibration.outcome import Outcome, Run, left_open
 from imucalib.calibration.plain import fields, listed
 from imucalib.calibration.provenance import provenance_of
-from imucalib.calibrators.lab.advice import advice, fix_option, limits_of, reasons
+from imucalib.calibrators.lab.advice import (
+    advice,
+    fix_option,
+    limits_of,
+    reasons,
+    undecided_parts,
+)
 from imucalib.calibrators.lab.bench import (
     RawUnit,
     implausible_rows,
@@ -191,6 +197,7 @@ def _undecided(
         f"({r.likely}, {per_cent(r.probability)}); decide with {fix_option(r, raw)}"
         for r in _records(result)
     )
+    found += undecided_parts(result)
     instead = "calibrate it alone, in 24 positions or more, without --fleet"
     return (found or doubts(result, raw, request)) + not_of_its_kind(result.kind_chance, instead)
 

@@ -22,7 +22,7 @@ from imucalib.core.observations import Observations
 from imucalib.effects import known
 from imucalib.effects.forms import curve, shape
 from imucalib.loop.candidates import Searched
-from imucalib.loop.posterior.odds import KNOWN, LOOSE, MISSING, SCANNED, SPREAD, TOGETHER
+from imucalib.loop.posterior.odds import KNOWN, LOOSE, MISSING, SPREAD, TOGETHER
 
 #: name : of the catalogue; loose : a scan without physics for one value before another; free : a
 #: smooth function of a covariate; law : a simple shape of one that has no name.
@@ -97,8 +97,6 @@ def log_size_prior(size: Array) -> Array:
 
 #: Terms of free functions: of a response one for so many rows, within bounds; of others.
 _ROWS_A_TERM, _RESPONSE_TERMS, _TERMS = 3, (8, 32), 6
-#: Of a scan one value is tried for so many observations, where they are many.
-_APART = 32
 #: What bias and scale may follow, and what dials may beside themselves.
 _SLOW, _DIALS = ("order", "temperature"), ("inclination", "tool_face")
 #: Periods of a swing that is no day's, in hours.
@@ -169,18 +167,16 @@ def _names(
 
 
 def scan_of(data: Observations, family: Family, about: Sequence[str] = ()) -> Component | None:
-    """A scan as a component: values over all of its range, each with the same weight, which those
-    around a value that is refined share with it; about : values that are"""
+    """A scan as a component: every value of it with the same weight, which those around a value
+    that is refined share with it; about : values that are"""
     values = family.values(data.context)
-    count = max(SCANNED, data.n // _APART)
-    some = values[:: max(1, -(-len(values) // count))]
     members, seen = list[Member](), set[str]()
-    for text in dict.fromkeys((*some, *about)):
-        finer = family.nearby(data.context, text) if text in about else ()
-        effects = [family.member(one) for one in dict.fromkeys((text, *finer))]
+    for text in dict.fromkeys((*values, *about)):
+        finer = set(family.nearby(data.context, text) if text in about else ()) - set(values)
+        effects = [family.member(one) for one in (text, *sorted(finer))]
         new = [e for e in effects if e.name not in seen and _usable(data, e)]
         seen.update(e.name for e in new)
-        share = -float(np.log(max(len(new), 1) * len(some)))
+        share = -float(np.log(max(len(new), 1) * len(values)))
         members += [Member((_whole(e, data.context),), share) for e in new]
     if not members:
         return None

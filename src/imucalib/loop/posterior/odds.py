@@ -63,7 +63,5 @@ WALKS, WALK_SIZES, WALK_MEMORIES = 0.15, (0.5, 2.0), (0.2,)
 #: The same of a recording, sizes over a run's scatter and memories over the span; simulated
 #: (`benchmarks/closed_loop worn`: of 66 clean worlds none claims anything).
 WANDERS, WALK_SIZE, WALK_MEMORY = 0.2, (0.3, 1.0, 3.0, 10.0), (0.5, 1 / 6, 1 / 24, 1 / 96)
-#: Values of a scan that are tried at first; nearer ones are tried around those that lead.
-SCANNED = 16
 #: Scatters beyond which a run counts less (Huber 1964).
 UNLIKE = 2.5

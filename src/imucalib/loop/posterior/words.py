@@ -8,24 +8,28 @@ function or unnamed law is likelier than not to replace it.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imucalib.arrays import Array
+from imucalib.core.fit import Fit
 from imucalib.loop.found import Rival, Score
 from imucalib.loop.posterior.gram import swept
 from imucalib.loop.posterior.odds import CERTAIN, COMPLETE, OCCAM
 from imucalib.loop.posterior.problem import Contest, Problem
 from imucalib.loop.posterior.solution import solved
 from imucalib.loop.posterior.space import Hypothesis, Posterior
+from imucalib.loop.posterior.trust import parts_of
 
 #: Probability of a model that is weighed, and how many are at most.
 _LEAST, _MOST = 0.005, 12
 
 
 def rivals_of(problem: Problem, posterior: Posterior) -> tuple[Rival, ...]:
-    """The likeliest sets, each as a fit."""
+    """The likeliest sets, each as a fit, and where the readings do not say which part of a sheet
+    stands as it was set, as one with either part."""
     likely = [(h, p) for h, p in posterior.weighed if p > _LEAST][:_MOST]
     total = sum(p for _, p in likely)
     context, found = problem.fit.observations.context, []
@@ -41,8 +45,23 @@ def rivals_of(problem: Problem, posterior: Posterior) -> tuple[Rival, ...]:
             noise_covariance=np.zeros((0, 0)),
         )
         names = tuple(problem.components[c].name for c in hypothesis.components)
-        found.append(Rival(names, p / total, fit))
+        either = [fit, *_other_parts(problem, fit)]
+        found += [Rival(names, p / total / len(either), one) for one in either]
     return tuple(found)
+
+
+def _other_parts(problem: Problem, fit: Fit) -> Iterator[Fit]:
+    """A set's fit with what comes after each of its jumps standing as it was set."""
+    base, slices = problem.model, fit.model.slices(fit.observations.context)
+    into = np.concatenate([np.arange(fit.theta.size)[slices[name]] for name in base.names])
+    for effect in fit.model.effects:
+        added = effect.name not in base.names
+        parts = parts_of(problem.fit, base, effect) if added else None
+        if parts is not None:
+            turn = np.eye(fit.theta.size)
+            turn[into, slices[effect.name]] -= parts.taken_over
+            covariance = turn @ fit.covariance @ turn.T
+            yield replace(fit, theta=turn @ fit.theta, covariance=covariance)
 
 
 def scores_of(problem: Problem, posterior: Posterior) -> tuple[Score, ...]:
