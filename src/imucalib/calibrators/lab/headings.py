@@ -10,8 +10,8 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.readers.columns import unaccented, without_tex
 from imucalib.readers.csv.text import is_number
+from imucalib.readers.words import unaccented, without_tex
 
 
 def _words(text: str) -> tuple[str, ...]:

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from imucalib.errors import UnreadableInput
-from imucalib.readers.columns import understand
 from imucalib.readers.csv.text import COMMENT, cells_of, decoded, is_blank, is_number
 from imucalib.readers.devices.catalogue import rows_of_heading
+from imucalib.readers.words import understand
 from imucalib.recording.mapping import FieldMapping
 from imucalib.units import without_brackets
 

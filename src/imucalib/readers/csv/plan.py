@@ -11,6 +11,7 @@ import numpy as np
 from imucalib.arrays import Array, Flags
 from imucalib.errors import UnreadableInput
 from imucalib.readers import conversion
+from imucalib.readers.contents import unread
 from imucalib.readers.conversion import Conversion
 from imucalib.readers.csv.clock import Clock, clock_by_rate, clock_by_stamps
 from imucalib.readers.csv.dialect import Dialect, sniff
@@ -20,6 +21,7 @@ from imucalib.readers.csv.select import (
     Selection,
     Vector,
     column_index,
+    contents_of,
     facts_of,
     nothing_found,
     select,
@@ -137,6 +139,8 @@ def make_plan(path: Path, mapping: FieldMapping) -> Plan:
     signals = conversion.readable(used, signal, notes)
     notes += [s.conversion.note for s in signals if s.conversion.note]
     resolved = _resolved(mapping, dialect, selection, signals, clock=clock, device=facts.device)
+    wheres = {at for at, _ in conditions}
+    notes += unread(contents_of(dialect, pieces, {*layout.values, *selection.time, *wheres}))
     unique = tuple(dict.fromkeys(notes))
     return Plan(layout, clock, signals, facts, unique, resolved, conditions=conditions)
 

@@ -7,26 +7,19 @@ from __future__ import annotations
 
 import re
 import zlib
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.readers.columns import (
-    Column,
-    Content,
-    is_date,
-    listing,
-    norm_of,
-    parts_of_time,
-    understand,
-)
+from imucalib.readers.contents import Content, listing, norm_of
 from imucalib.readers.csv.dialect import Dialect
 from imucalib.readers.csv.text import is_number
 from imucalib.readers.devices.catalogue import UNKNOWN, Device, Start, device_named_in
 from imucalib.readers.timebase import start_of
+from imucalib.readers.words import Meaning, is_date, parts_of_time, triples_of, understand
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Correction, corrections_of
 from imucalib.units import ACCELERATION_UNITS, RATE_UNITS, canonical
@@ -118,21 +111,38 @@ def _sum_of(text: str) -> int:
         return -1
 
 
+def contents_of(
+    dialect: Dialect, pieces: Sequence[bytes], used: Container[int] = ()
+) -> list[Content]:
+    """Every column of numbers that is not used with its median, those of a vector with its norm;
+    where none is used, columns of text as well."""
+    rows = dialect.rows_of(pieces)
+    names = [dialect.address(i) for i in range(dialect.width)]
+    left = [i for i in range(dialect.width) if dialect.numeric[i] and i not in used]
+    threes = [[left[k] for k in one] for one in triples_of([names[i] for i in left])]
+    found = {}
+    for three in threes:
+        norm = norm_of(_numbers(rows, three, dialect.decimal))
+        found[three[0]] = Content(", ".join(names[i] for i in three), "numbers", 0, norm=norm)
+        left = [i for i in left if i not in three]
+    for i in left:
+        values = _numbers(rows, (i,), dialect.decimal)
+        finite = values[np.isfinite(values)]
+        median = float(np.median(finite)) if finite.size else float("nan")
+        found[i] = Content(names[i], "numbers", 0, median=median)
+    for i, numeric in enumerate(dialect.numeric if not used else ()):
+        if not numeric:
+            example = next((row[i] for row in rows), "")
+            found[i] = Content(names[i], f"text such as '{example[:30]}'", 0)
+    return [found[i] for i in sorted(found)]
+
+
 def nothing_found(dialect: Dialect, pieces: Sequence[bytes], where: str) -> UnreadableInput:
     """The error for a table in which no names tell of an acceleration or an angular rate: every
     column with its median, and every three neighbours whose norm is that of gravity."""
     rows = dialect.rows_of(pieces)
     names = [dialect.address(i) for i in range(dialect.width)]
-    columns, vectors = list[Content](), list[Content]()
-    for i, name in enumerate(names):
-        if not dialect.numeric[i]:
-            example = next((row[i] for row in rows), "")
-            columns.append(Content(name, f"text such as '{example[:30]}'", 0))
-            continue
-        values = _numbers(rows, (i,), dialect.decimal)
-        finite = values[np.isfinite(values)]
-        median = float(np.median(finite)) if finite.size else float("nan")
-        columns.append(Content(name, "numbers", 0, median=median))
+    columns, vectors = contents_of(dialect, pieces), list[Content]()
     for i in range(dialect.width - 2):
         if all(dialect.numeric[i : i + 3]):
             values = _numbers(rows, range(i, i + 3), dialect.decimal)
@@ -240,7 +250,7 @@ class _Table:
     mapping: FieldMapping
     facts: HeaderFacts
     pieces: Sequence[bytes]
-    columns: list[Column]
+    columns: list[Meaning]
     notes: list[str]
 
     def vectors(self, quantity: str) -> list[Vector]:
@@ -248,20 +258,15 @@ class _Table:
         stated = self.mapping.acc if quantity == "acceleration" else self.mapping.gyro
         if stated:
             return self._stated(quantity, stated)
-        groups: dict[str, dict[int, Column]] = {}
+        groups: dict[str, dict[int, Meaning]] = {}
         for column in self.columns:
-            if column.quantity == quantity and self.dialect.numeric[column.index]:
-                axes = groups.setdefault(column.triad, {})
-                used = axes.setdefault(column.axis, column)
-                if used is not column:
-                    self.notes.append(f"column '{column.name}' left out: '{used.name}' is used")
+            numeric = self.dialect.numeric[column.index]
+            if column.quantity == quantity and column.is_axis and numeric:
+                groups.setdefault(column.triad, {}).setdefault(column.axis, column)
         found = []
         for triad, axes in groups.items():
-            if len(axes) < 3:
-                names = ", ".join(c.name for c in axes.values())
-                self.notes.append(f"columns {names} left out: a triad needs x, y and z")
-                continue
-            found.append(self._vector(quantity, triad, tuple(axes[k].index for k in range(3))))
+            if len(axes) == 3:
+                found.append(self._vector(quantity, triad, tuple(axes[k].index for k in range(3))))
         return found
 
     def _vector(self, quantity: str, triad: str, indices: tuple[int, ...]) -> Vector:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.readers.columns import by_word, understand
+from imucalib.readers.words import Meaning, instant_rank, understand
 from imucalib.recording.mapping import FieldMapping
 from imucalib.units import canonical
 
@@ -81,11 +81,6 @@ def fills_of(node: Any, column: str = "") -> list[Any]:
     fills = [v for values in found for v in values if np.asarray(v).dtype.kind in "iuf"]
     own = node.fillvalue[column] if column in (node.dtype.names or ()) else node.fillvalue
     return [*fills, own] if np.asarray(own).dtype.kind in "iuf" and own else fills
-
-
-_TIME_NAMES = {"t", "times", "timestamps", "stamp"} | {
-    name + unit for name in ("time", "timestamp") for unit in ("", "_ns", "_us", "_ms")
-}
 
 
 @dataclass(frozen=True)
@@ -215,10 +210,9 @@ def _with_clock(field: Found, nodes: dict[str, Any], file: Any, mapping: FieldMa
         for path, stamps in nodes.items():
             head, _, name = path.rpartition("/")
             fits = stamps.size == field.rows and stamps.dtype.kind in "iuf"
-            if head == folder and name.lower() in _TIME_NAMES and fits:
-                suffix = name.lower().rpartition("_")[2]
-                named = field.time_unit or (suffix if suffix in ("ns", "us", "ms") else "")
-                return stamped(_stamps(stamps), named)
+            if head == folder and instant_rank(name) >= 0 and fits:
+                (meaning,) = understand([name])
+                return stamped(_stamps(stamps), field.time_unit or meaning.unit)
         holder = file[folder] if folder else file
         rate = number_of(node, *RATE_NAMES) or number_of(holder, *RATE_NAMES)
         if rate and rate > 0:
@@ -231,16 +225,6 @@ def _stamps(node: Any) -> Place:
     return place_of(node, transposed=len(node.shape) == 2 and node.shape[0] == 1 < node.shape[1])
 
 
-_QUANTITY = by_word(
-    {
-        "acceleration": "accelerometer acceleration accel acc linear_acceleration accelerations",
-        "angular_rate": "gyroscope gyro gyr angular_velocity angular_rate angular_velocities omega",
-        "temperature": "temperature temp",
-    }
-)
-_GENERIC = {""} | set(
-    str.split("sensors data raw calibrated imu readings table value values processed x")
-)
 _MOST = 4096  # datasets with rows: each costs half a millisecond before it is read
 _MOST_OBJECTS = 4 * _MOST  # with groups and datasets without rows: each costs 0.15 ms
 _DEEPEST = 32  # groups within groups
@@ -301,33 +285,13 @@ def fields_of(file: Any, held: Iterable[Any], mapping: FieldMapping) -> list[Fou
         found = list(_stated(nodes, mapping))
         found += list(_temperatures_of(nodes, found))
     else:
-        found = [f for node in nodes.values() for f in _vectors(node)]
-        found += list(_single_axes(nodes))
+        found = list(_named(nodes))
     if mapping.temperature:
         found = [f for f in found if f.quantity != "temperature"]
         found += list(_stated_temperatures(nodes, mapping))
     unique = {(f.triad, f.quantity): f for f in reversed(found)}  # the first of each
     kept = [f for f in found if unique[f.triad, f.quantity] is f]
     return [_with_clock(_with_device(f, file), nodes, file, mapping) for f in kept]
-
-
-def _quantity_of(path: str) -> tuple[str, int]:
-    """Quantity that the path names, and which of its parts does; "" and -1 when none."""
-    parts = words_of(path)
-    for k in range(len(parts) - 1, -1, -1):
-        name = parts[k].lower()
-        for tail in ("_counts", "_raw", "_data", "_xyz"):
-            name = name.removesuffix(tail)
-        if name in _QUANTITY:
-            return _QUANTITY[name], k
-    return "", -1
-
-
-def _triad_name(parts: list[str], number: int) -> str:
-    base = "_".join(p for p in parts if p.lower() not in _GENERIC)
-    if number >= 0:
-        return f"{base}_imu{number}" if base else f"imu{number}"
-    return base or "imu0"
 
 
 def _triads_in(node: Any) -> list[tuple[Place, int]]:
@@ -341,45 +305,40 @@ def _triads_in(node: Any) -> list[tuple[Place, int]]:
     return []
 
 
-def _vectors(node: Any) -> Iterator[Found]:
+def _named(nodes: dict[str, Any]) -> Iterator[Found]:
+    """The channels that the names of datasets, of columns of a table and of their groups tell."""
+    held = [(node, column) for node in nodes.values() for column in node.dtype.names or ("",)]
+    paths = [(*words_of(node.name), *filter(None, [column])) for node, column in held]
+    meanings = understand(paths)
+    axes: dict[tuple[str, str, str], dict[int, tuple[Place, Any]]] = {}
+    for (node, column), one in zip(held, meanings, strict=True):
+        if one.is_axis and len(node.shape) == 1 and _is_numeric(node, column):
+            folder = node.name if column else node.name.rpartition("/")[0]
+            three = axes.setdefault((folder, one.quantity, one.triad), {})
+            three.setdefault(one.axis, (place_of(node, column, named=one.unit), node))
+        elif not column:
+            yield from _whole(node, one)
+    for (_, quantity, triad), three in axes.items():
+        if len(three) == 3 and len({node.shape for _, node in three.values()}) == 1:
+            yield found_in(quantity, triad, [three[k][0] for k in range(3)], three[0][1].shape[0])
+
+
+def _is_numeric(node: Any, column: str = "") -> bool:
+    return (node.dtype[column] if column else node.dtype).kind in "iuf"
+
+
+def _whole(node: Any, one: Meaning) -> Iterator[Found]:
     """The channels in one dataset whose path names the quantity."""
-    quantity, at = _quantity_of(node.name)
-    words, shape = words_of(node.name), node.shape
-    if node.dtype.kind not in "iuf" or not quantity or words[-1].lower() in _TIME_NAMES:
+    shape = node.shape
+    if not _is_numeric(node):
         return
-    if quantity == "temperature":
-        if len(shape) == 1 or (len(shape) == 2 and shape[1] == 1):
-            yield found_in(quantity, _triad_name(words[:at], -1), [place_of(node)], shape[0])
-        return
-    for place, rows in _triads_in(node):
-        name = _triad_name(words[:at], place.triad)
-        numbered = place.triad >= 0 and name == f"imu{place.triad}"
-        yield replace(found_in(quantity, name, [place], rows), numbered=numbered)
-
-
-def _single_axes(nodes: dict[str, Any]) -> Iterator[Found]:
-    """Triads whose axes are datasets of their own, or columns of a table."""
-    groups: dict[str, list[tuple[str, str, Any]]] = {}
-    for path, node in nodes.items():
-        if node.dtype.names:
-            for name in node.dtype.names:
-                groups.setdefault(path, []).append((name, name, node))
-        elif len(node.shape) == 1:
-            folder, _, name = path.rpartition("/")
-            groups.setdefault(folder, []).append((name, "", node))
-    for folder, members in groups.items():
-        axes: dict[tuple[str, str], dict[int, tuple[Place, Any]]] = {}
-        for column, (_, field, node) in zip(
-            understand([m[0] for m in members]), members, strict=True
-        ):
-            if column.axis >= 0:
-                triads = axes.setdefault((column.quantity, column.triad), {})
-                triads.setdefault(column.axis, (place_of(node, field, named=column.unit), node))
-        for (quantity, triad), three in axes.items():
-            if len(three) == 3 and len({node.shape for _, node in three.values()}) == 1:
-                name = _triad_name(words_of(folder), -1) if triad == "imu0" else triad
-                parts = [three[k][0] for k in range(3)]
-                yield found_in(quantity, name, parts, three[0][1].shape[0])
+    if one.quantity == "temperature" and shape in ((shape[0],), (shape[0], 1)):
+        yield found_in(one.quantity, one.triad or "imu0", [place_of(node)], shape[0])
+    for place, rows in _triads_in(node) if one.is_vector else ():
+        number = f"imu{place.triad}"
+        own = one.triad if place.triad < 0 else f"{one.triad}_{number}"
+        name = number if place.triad >= 0 and one.triad == "imu0" else own
+        yield replace(found_in(one.quantity, name, [place], rows), numbered=name == number)
 
 
 def _stated(nodes: dict[str, Any], mapping: FieldMapping) -> Iterator[Found]:
@@ -402,21 +361,19 @@ def _stated(nodes: dict[str, Any], mapping: FieldMapping) -> Iterator[Found]:
 
 
 def _temperatures_of(nodes: dict[str, Any], stated: list[Found]) -> Iterator[Found]:
-    """Temperatures in the folder of a stated triad, or of a file with one triad."""
+    """Temperatures of the sensor of a stated triad, or of a file with one triad."""
     triads = tuple(dict.fromkeys(f.triad for f in stated))
-    for node in nodes.values():
-        for field in _vectors(node):
-            if field.quantity == "temperature":
-                there = [f.triad for f in stated if _holder(f) == _holder(field)]
-                for triad in dict.fromkeys(there) or triads[: len(triads) == 1]:
-                    yield replace(field, triad=triad)
+    for field in _named(nodes):
+        if field.quantity == "temperature":
+            there = [f.triad for f in stated if _sensor(f) == _sensor(field)]
+            for triad in dict.fromkeys(there) or triads[: len(triads) == 1]:
+                yield replace(field, triad=triad)
 
 
-def _holder(field: Found) -> list[str]:
-    """The folder of the sensor that a field belongs to."""
-    parts = words_of(field.parts[0].path)
-    _, at = _quantity_of(field.parts[0].path)
-    return parts[: at if at >= 0 else -1]
+def _sensor(field: Found) -> str:
+    """What the path of a field calls its sensor."""
+    (one,) = understand([tuple(words_of(field.parts[0].path))])
+    return one.triad or "imu0"
 
 
 def _stated_temperatures(nodes: dict[str, Any], mapping: FieldMapping) -> Iterator[Found]:

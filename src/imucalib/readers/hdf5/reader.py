@@ -7,7 +7,7 @@ Other formats that have to be held in memory are read as an HDF5 file with their
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
@@ -19,7 +19,7 @@ from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
 from imucalib.file_hash import sha256_of
 from imucalib.readers import conversion
-from imucalib.readers.columns import Content, listing, norm_of, suggestion
+from imucalib.readers.contents import Content, listing, norm_of, suggestion, unread
 from imucalib.readers.conversion import AS_STORED, Conversion
 from imucalib.readers.hdf5.fields import Found, datasets, fields_of, number_of, text_of, unit_of
 from imucalib.readers.hdf5.file import File, Walk, opened
@@ -40,17 +40,21 @@ from imucalib.recording.recording import Channel, Gap, Recording, corrections_of
 _ROWS = 500
 
 
-def _content(node: Any, path: Path) -> Content:
-    """A dataset with its shape, type and unit, and the norm or median of some rows."""
+def _content(node: Any, path: Path, used: Container[str] = ()) -> Content:
+    """A dataset with its shape, type and unit, and the norm or median of its first rows.
+
+    used : columns of a table that are not told
+    """
     shape = " x ".join(map(str, node.shape[1:]))
-    fields = f" of {', '.join(node.dtype.names)}" if node.dtype.names else ""
+    names = [name for name in node.dtype.names or () if name not in used]
+    fields = f" of {', '.join(names)}" if names else ""
     unit = unit_of(node)
     kind = f"{shape + ' ' if shape else ''}{node.dtype if not fields else 'records'}{fields}"
     found = Content(node.name, f"{kind} in {unit}" if unit else kind, node.shape[0])
     try:
         Walk(str(path)).spans(node, path)
         if not fields and node.dtype.kind in "iuf" and node.shape[1:] in ((), (3,)):
-            values = np.asarray(node[:: max(1, node.shape[0] // _ROWS)], dtype=np.float64)
+            values = np.asarray(node[:_ROWS], dtype=np.float64)
             if values.ndim == 2:
                 return replace(found, norm=norm_of(values))
             return replace(found, median=float(np.median(values[np.isfinite(values)])))
@@ -59,6 +63,21 @@ def _content(node: Any, path: Path) -> Content:
     except (OSError, RuntimeError):
         return replace(found, why="its first rows cannot be read")
     return found
+
+
+def _unread(nodes: Sequence[Any], signals: Sequence[Signal], path: Path) -> tuple[str, ...]:
+    """The sentence on numbers of the file that no signal reads."""
+    places = [p for s in signals for p in (*s.found.parts, s.found.time) if p]
+    used: dict[str, set[str]] = {}
+    for place in places:
+        used.setdefault(place.path, set()).add(place.column)
+    left = list[Content]()
+    for node in nodes:
+        names, taken = node.dtype.names, used.get(node.name, set())
+        numeric = names or node.dtype.kind in "iuf"
+        if numeric and (set(names) - taken if names else not taken):
+            left.append(_content(node, path, taken))
+    return unread(left)
 
 
 _LOOKS, _LOOK = 24, 4096  # looks spread over each field, and their rows
@@ -281,6 +300,7 @@ def _blocks_of(
         corrections=marks,
     )
     notes += map(str, marks)
+    notes += _unread(nodes, signals, path)
     last: dict[str, float] = {}
     at = {s.name: 0 for s in signals}
     main = max(signals, key=lambda s: s.found.rows)

@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.readers import conversion
-from imucalib.readers.columns import listing, suggestion
+from imucalib.readers.contents import listing, suggestion
 from imucalib.readers.conversion import Conversion
 from imucalib.readers.messages.clock import Clock, Timeline, choose_clock
 from imucalib.readers.messages.records import MessageLog
 from imucalib.readers.messages.select import (
+    CHANNEL_NAMES,
     QUANTITIES,
     Triad,
     contents_of,
@@ -30,7 +31,6 @@ from imucalib.readers.messages.topics import Samples, Source
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Recording
 
-_CHANNEL_NAMES = {"acc": "acceleration", "gyro": "angular_rate", "temperature": "temperature"}
 _HOUR = 3_600_000_000_000  # ns
 _FEWEST_ROWS = 1 << 12  # that an array has room for
 
@@ -227,7 +227,7 @@ def _decide(stream: TopicStream) -> Plan:
         format=log.format,
         sha256=log.sha256(),
         start_ns=start if dated else None,
-        notes=(*notes, *stream.losses(), *map(str, marks)),
+        notes=(*notes, *stream.losses(), *map(str, marks), *stream.unread()),
         mapping=_resolved(mapping, triads, sources, parts).to_dict(),
         corrections=marks,
     )
@@ -303,7 +303,7 @@ def _part(
         t=np.empty(0),
         values=np.empty((0, source.fields[column].group.width)),
         unit=how.unit,
-        quantity=_CHANNEL_NAMES[quantity],
+        quantity=CHANNEL_NAMES[quantity],
         triad=triad.name,
         rate=1e9 / clock.period if clock.period else 0.0,
         names=(source.name, source.frame) if source.frame else (source.name,),

@@ -9,36 +9,30 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.errors import UsageError
-from imucalib.readers.columns import Content, norm_of
+from imucalib.readers.contents import Content, norm_of
 from imucalib.readers.messages.decode import Decoder, Look, decoder_for
 from imucalib.readers.messages.layout import Group, LayoutError
 from imucalib.readers.messages.records import MessageBlock, MessageLog, Topic
 from imucalib.readers.messages.topics import Field, Source
+from imucalib.readers.words import Meaning, instant_rank, understand, vectors_in
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.pairing import distinct_names
 
 QUANTITIES = ("acc", "gyro", "temperature")
-#: Names of fields, best first, without what is no letter or digit.
-_NAMES = {
-    "acc": "linearacceleration acceleration accelerometerms2 accelerometer specificforce linearacc "
-    "accel acc a",
-    "gyro": "angularvelocity angularrate gyrorad gyroscope gyro gyr rotationrate w g",
-    "time": "stamp timestamp timestampns timestampus timestampms timens timeus time t",
-}
+#: Of each quantity of a mapping its name in channels.
+CHANNEL_NAMES = {"acc": "acceleration", "gyro": "angular_rate", "temperature": "temperature"}
 _SECONDS = (("sec", "nanosec"), ("sec", "nsec"), ("secs", "nsecs"), ("seconds", "nanos"))
 _AXES = (("x", "y", "z"), ("0", "1", "2"))
 _CLOCKS = ("log_time", "publish_time")
 _SENSOR_WORDS = re.compile(r"accelerometer|accel|acc|gyroscope|gyro|gyr", re.IGNORECASE)
 _SI = {"acc": "m/s2", "gyro": "rad/s", "temperature": "degC"}
-#: Names that state their unit themselves (PX4's SensorCombined).
-_UNITS_OF_NAMES = {"accelerometerms2": "m/s2", "gyrorad": "rad/s"}
 #: Channel metadata of the files that this package writes: what a ROS message cannot say.
 META_TRIAD, META_QUANTITIES = "imucal.triad", "imucal.quantities"
 META_ORIGIN, META_DATED = "imucal.origin_ns", "imucal.dated"
@@ -83,10 +77,12 @@ def split_address(text: str, topic: Topic) -> str | None:
 
 
 def vector(leaves: Leaves, address: str) -> Group | None:
-    """The 3-vector at an address; "acc_*" is short for acc_x, acc_y, acc_z."""
-    if "*" in address:
-        paths = tuple(address.replace("*", axis) for axis in "xyz")
-        return Group(paths, 3) if all(leaves.get(p) == 1 for p in paths) else None
+    """The 3-vector at an address; "acc_*" is short for acc_x, acc_y, acc_z, and "p+q+r" is three
+    fields that share no name."""
+    if "*" in address or "+" in address:
+        each = address.split("+") if "+" in address else [address.replace("*", c) for c in "xyz"]
+        known = len(each) == 3 and all(leaves.get(p) == 1 for p in each)
+        return Group(tuple(each), 3) if known else None
     if leaves.get(address) == 3:
         return Group((address,), 3)
     for axes in _AXES:
@@ -122,24 +118,58 @@ def _stars(leaves: Leaves) -> list[str]:
     return [f"{path[:-1]}*" for path in leaves if len(path) > 1 and path[-1] == "x"]
 
 
-def _plain(path: str) -> str:
-    return re.sub(r"[^a-z0-9]", "", path.rpartition(".")[2].lower())
+@dataclass(frozen=True)
+class _Named:
+    """A 3-vector that its name tells: where it is, and what of"""
+
+    address: str
+    group: Group
+    meaning: Meaning
+
+
+def _named_vectors(leaves: Leaves) -> list[_Named]:
+    """Every acceleration and angular rate, those of one sensor in the order in which they are
+    read: what is called linear (gravity may lack) last, then by depth."""
+    paths = list(leaves)
+    found = understand([tuple(path.split(".")) for path in paths])
+    named = [
+        _Named(paths[m.index], Group((paths[m.index],), 3), m)
+        for m in found
+        if m.is_vector and leaves[paths[m.index]] == 3
+    ]
+    for axes in vectors_in([m for m in found if leaves[paths[m.index]] == 1]).values():
+        if None not in axes:
+            three = [paths[m.index] for m in axes if m]
+            address = _address_of(three)
+            group = vector(leaves, address)
+            named += [_Named(address, group, m) for m in axes[:1] if m and group]
+    return sorted(named, key=lambda n: ("linear" in n.address.lower(), n.address.count(".")))
+
+
+def _address_of(three: Sequence[str]) -> str:
+    """The shortest text that `vector` reads as these three paths."""
+    for address in (three[0][:-2], f"{three[0][:-1]}*"):
+        for path in (f"{address}.", address.rstrip("*")):
+            if list(three) == [f"{path}{axis}" for axis in "xyz"]:
+                return address
+    return "+".join(three)
 
 
 def _address(leaves: Leaves, quantity: str) -> str:
-    """The address of the field with the best name of a quantity or of the time, or ""."""
-    names = _NAMES.get(quantity, "").split()
-    timed, best = quantity == "time", list[tuple[float, float, str]]()
-    for path in (*_nodes(leaves), *(() if timed else _stars(leaves))):
-        name, depth = _plain(path), path.count(".")
-        # One letter means something only with an axis letter ("ax", "g_x").
-        if name not in names or not (timed or len(name) > 1 or "*" in path):
-            continue
-        rank = names.index(name)
-        if timed and instant(leaves, path):
+    """The address of the field with the best name of a quantity, or ""; of a topic that holds one
+    vector that of this."""
+    own = [n.address for n in _named_vectors(leaves) if n.meaning.quantity == quantity]
+    every = list(_vectors_of(leaves))
+    return (own or (every if len(every) == 1 else [""]))[0]
+
+
+def _time_address(leaves: Leaves) -> str:
+    """The address of the time with the best name, or ""."""
+    best = list[tuple[int, int, str]]()
+    for path in _nodes(leaves):
+        rank, depth = instant_rank(path.rpartition(".")[2]), path.count(".")
+        if rank >= 0 and instant(leaves, path):
             best.append((depth if rank else -1, rank, path))
-        elif not timed and vector(leaves, path):
-            best.append((rank, depth, path))
     return min(best)[2] if best else ""
 
 
@@ -155,14 +185,11 @@ def source_of(topic: Topic, look: Look, mapping: FieldMapping) -> Source | None:
     own = topic.metadata.get(META_QUANTITIES, "").split()
     fields = stated
     if own and not stated:
-        fields = [replace(f, found=False) for q in own for f in _found(topic, leaves, q)]
+        every = [*_found(topic, leaves), *_own_temperature(leaves)]
+        fields = [replace(f, found=False) for f in every if f.quantity in own]
     elif len(stated) <= 1:
-        fields = stated + [
-            f
-            for q in ("acc", "gyro")
-            if all(one.quantity != q for one in stated) and not getattr(mapping, q)
-            for f in _found(topic, leaves, q)
-        ]
+        named = {*(f.quantity for f in stated), *(q for q in QUANTITIES if getattr(mapping, q))}
+        fields = stated + [f for f in _found(topic, leaves) if f.quantity not in named]
         if not stated and all(f.quantity != "acc" for f in fields):
             return None  # a rate alone is also in odometry and in many a controller's messages
     if not fields:
@@ -191,7 +218,7 @@ def _stated(topic: Topic, leaves: Leaves, mapping: FieldMapping, quantity: str) 
         path = split_address(text, topic) if text else None
         if path is None:
             continue
-        address = path or _address(leaves, quantity)
+        address = path or ("" if single else _address(leaves, CHANNEL_NAMES[quantity]))
         group = (scalar if single else vector)(leaves, address) if address else None
         if group is None:
             raise UsageError(
@@ -199,27 +226,41 @@ def _stated(topic: Topic, leaves: Leaves, mapping: FieldMapping, quantity: str) 
                 where=f"mapping: {quantity}",
                 remedy=f"its fields: {', '.join(list(leaves)[:40])}",
             )
-        unit = "" if single else _unit_of(topic, quantity, address)
+        unit = "" if single else _unit_of(topic, quantity, group)
         fields.append(Field(quantity, address, group, unit, found=False))
     return fields
 
 
-def _found(topic: Topic, leaves: Leaves, quantity: str) -> list[Field]:
-    """The field of a quantity by its name, or none."""
-    if quantity == "temperature":  # read only where a file of this package has it
-        number = scalar(leaves, quantity)
-        return [Field(quantity, quantity, number, _SI[quantity])] if number else []
-    address = _address(leaves, quantity)
-    group = vector(leaves, address) if address else None
-    return [Field(quantity, address, group, _unit_of(topic, quantity, address))] if group else []
+def _found(topic: Topic, leaves: Leaves) -> list[Field]:
+    """The vectors that their names tell, a field for each sensor and quantity."""
+    fields = list[Field]()
+    for named in _named_vectors(leaves):
+        quantity = next(q for q, name in CHANNEL_NAMES.items() if name == named.meaning.quantity)
+        if all((f.quantity, f.sensor) != (quantity, named.meaning.triad) for f in fields):
+            unit = _unit_of(topic, quantity, named.group)
+            sensor = named.meaning.triad
+            fields.append(Field(quantity, named.address, named.group, unit, sensor=sensor))
+    force = [f for f in fields if f.quantity == "acc"]
+    if len(force) > 1:
+        return [f for f in fields if f.sensor in {one.sensor for one in force}]
+    turn = [f for f in fields if f.quantity == "gyro"]
+    turn.sort(key=lambda f: f.sensor not in {one.sensor for one in force})
+    return [replace(f, sensor="") for f in (*force, *turn[:1])]
 
 
-def _unit_of(topic: Topic, quantity: str, address: str) -> str:
+def _own_temperature(leaves: Leaves) -> list[Field]:
+    """Read only where a file of this package has it."""
+    number = scalar(leaves, "temperature")
+    return [Field("temperature", "temperature", number, _SI["temperature"])] if number else []
+
+
+def _unit_of(topic: Topic, quantity: str, group: Group) -> str:
     """The unit that the message type or the field's own name states, or ""."""
     stated = topic.metadata.get(META_UNITS[quantity])
-    if stated is not None:
-        return stated
-    return _SI[quantity] if is_imu(topic) else _UNITS_OF_NAMES.get(_plain(address), "")
+    if stated is not None or is_imu(topic):
+        return _SI[quantity] if stated is None else stated
+    units = {m.unit for m in understand([tuple(path.split(".")) for path in group.paths])}
+    return units.pop() if len(units) == 1 else ""
 
 
 def _time(topic: Topic, leaves: Leaves, mapping: FieldMapping) -> tuple[str, Group | None]:
@@ -227,7 +268,7 @@ def _time(topic: Topic, leaves: Leaves, mapping: FieldMapping) -> tuple[str, Gro
     if mapping.time in _CLOCKS:
         return mapping.time, None
     if not mapping.time:
-        address = _address(leaves, "time")
+        address = _time_address(leaves)
         return address, instant(leaves, address) if address else None
     path = split_address(mapping.time, topic) or mapping.time
     group = instant(leaves, path)
@@ -266,7 +307,10 @@ def triads_of(mapping: FieldMapping, sources: Mapping[str, Source]) -> list[Tria
     own = tuple(name for names in owns if len(names) == 1 for name in names if name)
     numbered = False
     if len(set(own)) != len(parts):
-        topics_of = [list(dict.fromkeys(topic for topic, _ in p.values())) for p in parts]
+        topics_of = [
+            list(dict.fromkeys(n for t, i in p.values() for n in (t, sources[t].fields[i].sensor)))
+            for p in parts
+        ]
         own = distinct_names(topics_of) if len(parts) > 1 else ()
         numbered = not own and not mapping.triads
         own = own or tuple(f"imu{i}" for i in range(len(parts)))
@@ -320,13 +364,15 @@ def _found_parts(mapping: FieldMapping, sources: Mapping[str, Source]) -> list[_
     halves: dict[str, list[_Parts]] = {}
     for name in sorted(sources, key=natural):
         source = sources[name]
-        part = {
-            f.quantity: (name, i)
-            for i, f in enumerate(source.fields)
-            if source.alive[i] or not f.found
-        }
-        if not part:
+        live = [(i, f) for i, f in enumerate(source.fields) if source.alive[i] or not f.found]
+        sensors = [
+            {f.quantity: (name, i) for i, f in live if f.sensor == sensor}
+            for sensor in dict.fromkeys(f.sensor for _, f in live)
+        ]
+        parts += sensors[1:]
+        if not sensors:
             continue
+        part = sensors[0]
         stem = source.triad or _SENSOR_WORDS.sub("*", name)
         other = next((o for o in halves.get(stem, []) if not set(o) & set(part)), None)
         if other is not None:
@@ -400,6 +446,23 @@ def _vectors_of(leaves: Leaves) -> dict[str, Group]:
     addresses = (*_nodes(leaves), *stars)
     named = {found: a for a in reversed(addresses) if (found := vector(leaves, a))}
     return {a: found for found, a in reversed(named.items())}
+
+
+def left_in(decoder: Decoder, look: Look, payload: bytes, source: Source | None) -> list[Content]:
+    """What a message of a topic holds beside what is read: its vectors with their norm, and other
+    numbers, but for those of its header."""
+    groups = source.groups if source else ()
+    used = {path for group in groups for path in group.paths}
+    block = MessageBlock(payload, np.array([0]), np.array([len(payload)]))
+    vectors = {a: g for a, g in _vectors_of(look.leaves).items() if not used & set(g.paths)}
+    columns = decoder.decode(block, tuple(vectors.values())).columns if vectors else []
+    found = []
+    for (address, group), column in zip(vectors.items(), columns, strict=True):
+        used |= {*group.paths, address}
+        found.append(Content(address, "3 numbers", 0, norm=norm_of(column.astype(np.float64))))
+    texts = {path for path in look.texts if path not in used}
+    rest = [p for p in look.leaves if p not in used | texts and not p.startswith("header.")]
+    return [*found, *(Content(path, f"{look.leaves[path]} numbers", 0) for path in rest)]
 
 
 def contents_of(log: MessageLog) -> tuple[Content, ...]:

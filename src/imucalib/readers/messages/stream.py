@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput, UsageError
+from imucalib.readers.contents import Content, unread
 from imucalib.readers.messages.decode import Decoder, decoder_for
 from imucalib.readers.messages.layout import Groups, LayoutError
 from imucalib.readers.messages.records import MessageBlock, MessageLog, Topic
-from imucalib.readers.messages.select import is_imu, is_stated, source_of
+from imucalib.readers.messages.select import is_imu, is_stated, left_in, natural, source_of
 from imucalib.readers.messages.topics import Samples, Source, Stamps
 from imucalib.recording.mapping import FieldMapping
 
@@ -63,8 +64,9 @@ class TopicStream:
         self._lanes: list[_Lane] = []
         self._decoders: dict[tuple[object, ...], Decoder] = {}
         self._source_of: dict[int, Source] = {}
-        self._unread: dict[str, int] = {}
+        self._undecoded: dict[str, int] = {}
         self._orphans = 0
+        self._left: dict[int, list[Content]] = {}
 
     @property
     def topics(self) -> dict[int, Topic]:
@@ -105,10 +107,22 @@ class TopicStream:
         for source in self.sources.values():
             if source.bad:
                 notes.append(f"{source.name}: {source.bad} {words} ({source.problem})")
-        notes += [f"{name}: {count} {words}" for name, count in self._unread.items()]
+        notes += [f"{name}: {count} {words}" for name, count in self._undecoded.items()]
         if self._orphans:
             notes.append(f"{self._orphans} messages belong to channels that the file never defines")
         return notes
+
+    def unread(self) -> tuple[str, ...]:
+        """The sentence on topics and fields beside those that are read."""
+        left = list[Content]()
+        for number, topic in sorted(self.topics.items(), key=lambda t: natural(t[1].name)):
+            if number in self._source_of:
+                left += self._left.get(number, [])
+            elif count := self.counts.get(number, 0):
+                vectors = ", ".join(map(str, self._left.get(number, [])))
+                kind = f"{topic.type_name} ({topic.encoding or 'no encoding'})"
+                left.append(Content(topic.name, f"{kind}{': ' * bool(vectors)}{vectors}", count))
+        return unread(left)
 
     # -- choosing -----------------------------------------------------------------------------
 
@@ -135,7 +149,9 @@ class TopicStream:
             return _SKIPPED
         try:
             decoder = self._decoder(topic)
-            found = source_of(topic, decoder.look(payload), self.mapping)
+            look = decoder.look(payload)
+            found = source_of(topic, look, self.mapping)
+            self._left[number] = [] if imu else left_in(decoder, look, payload, found)
             if found is None:
                 return _SKIPPED
             source = self.sources.setdefault(topic.name, found)
@@ -154,7 +170,7 @@ class TopicStream:
         if not (stated or imu or topic.name in self.sources):
             return _SKIPPED
         self._fail(f"topic {topic.name} cannot be decoded: {why}")
-        self._unread[topic.name] = self._unread.get(topic.name, 0) + count
+        self._undecoded[topic.name] = self._undecoded.get(topic.name, 0) + count
         return _UNDECIDED  # its first message may be the damaged one: the next block may do
 
     def _decoder(self, topic: Topic) -> Decoder:

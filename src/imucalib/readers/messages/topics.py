@@ -27,6 +27,7 @@ class Field:
     address : its place as the mapping writes it; group : the numbers that make it
     unit : what the message type states, "" when it does not
     found : whether the names decided, rather than the user
+    sensor : its name within messages of several sensors, else ""
     """
 
     quantity: str
@@ -34,6 +35,7 @@ class Field:
     group: Group
     unit: str = ""
     found: bool = True
+    sensor: str = ""
 
 
 @dataclass

@@ -1,0 +1,168 @@
+"""One vocabulary for all formats: equal names are equal readings, and what is not read is named."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from mcap.writer import Writer
+from mcap_ros2._dynamic import serialize_dynamic
+
+from imucalib import readers
+from imucalib.arrays import Array
+
+N, RATE = 400, 100.0
+Table = Mapping[str, Array]
+
+
+def written_csv(path: Path, table: Table) -> Path:
+    names, columns = ["time", *table], [np.arange(N) / RATE, *table.values()]
+    rows = zip(*columns, strict=True)
+    lines = [",".join(names), *(",".join(f"{float(v)!r}" for v in row) for row in rows)]
+    path.with_suffix(".csv").write_text("\n".join(lines) + "\n")
+    return path.with_suffix(".csv")
+
+
+def written_hdf5(path: Path, table: Table) -> Path:
+    with h5py.File(path.with_suffix(".h5"), "w") as file:
+        file["time"] = np.arange(N) / RATE
+        for name, values in table.items():
+            file[name] = values
+    return path.with_suffix(".h5")
+
+
+def _mcap(path: Path, table: Table, schema: tuple[str, str, bytes], encode: Callable) -> Path:
+    with path.with_suffix(".mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        name, kind, text = schema
+        of = writer.register_schema(name=name, encoding=kind, data=text)
+        topic = writer.register_channel("/log", "json" if kind == "jsonschema" else "cdr", of)
+        for k in range(N):
+            ns = k * round(1e9 / RATE)
+            message = {"stamp": {"sec": ns // 10**9, "nanosec": ns % 10**9}}
+            message |= {name: float(values[k]) for name, values in table.items()}
+            writer.add_message(topic, ns, encode(message), ns)
+        writer.finish()
+    return path.with_suffix(".mcap")
+
+
+def written_json(path: Path, table: Table) -> Path:
+    return _mcap(path, table, ("Log", "jsonschema", b"{}"), lambda m: json.dumps(m).encode())
+
+
+def written_cdr(path: Path, table: Table) -> Path:
+    table = {name.lower(): values for name, values in table.items()}  # ROS has no capitals
+    lines = ["builtin_interfaces/Time stamp", *(f"float64 {name}" for name in table)]
+    lines += ["=" * 80, "MSG: builtin_interfaces/Time", "int32 sec", "uint32 nanosec"]
+    text = "\n".join(lines) + "\n"
+    encode = serialize_dynamic("own_msgs/msg/Log", text)["own_msgs/msg/Log"]
+    return _mcap(path, table, ("own_msgs/msg/Log", "ros2msg", text.encode()), encode)
+
+
+FORMATS = (written_csv, written_hdf5, written_json, written_cdr)
+
+
+def axes(name: str) -> list[str]:
+    return [f"{name}_{axis}" for axis in "xyz"]
+
+
+FORCES = {
+    name: axes(name)
+    for name in (
+        "acc", "accel", "acce", "acceleration", "accelerometer", "linear_acceleration", "lin_acc",
+        "linacc", "specific_force", "specificForce", "acc_raw", "a", "f", "ACC", "imu_accel",
+        "accelerometer_m_s2", "beschleunigung",
+    )
+} | {"ax": ["ax", "ay", "az"], "xacc": ["xacc", "yacc", "zacc"]}  # fmt: skip
+TURNS = {
+    name: axes(name)
+    for name in (
+        "gyr", "gyro", "gyroscope", "angular_velocity", "angularVelocity", "rotation_rate",
+        "rotationRate", "omega", "w", "ang_vel", "angvel", "angular_rate", "gyro_rad", "body_rate",
+        "turn_rate", "gyro_raw", "drehrate",
+    )
+} | {
+    "p": ["p", "q", "r"],
+    "rollspeed": ["rollspeed", "pitchspeed", "yawspeed"],
+    "xgyro": ["xgyro", "ygyro", "zgyro"],
+}  # fmt: skip
+OTHERS = {
+    name: axes(name)
+    for name in ("mag", "angular_acceleration", "gyro_bias", "velocity", "foo", "orientation")
+}
+
+
+def table_of(force: Sequence[str], others: Sequence[str]) -> dict[str, Array]:
+    rng = np.random.default_rng(1)
+    acc = np.array([0.0, 0.0, 9.81]) + rng.normal(scale=0.02, size=(N, 3))
+    rates = rng.normal(scale=0.01, size=(N, 3))
+    return dict(zip((*force, *others), [*acc.T, *rates.T], strict=True))
+
+
+def readings(path: Path) -> dict[str, Array]:
+    return {c.quantity: c.values for c in readers.read(path).channels.values()}
+
+
+def notes_in(path: Path) -> str:
+    return "\n".join(readers.read(path).notes)
+
+
+@pytest.mark.parametrize("write", FORMATS)
+@pytest.mark.parametrize("name", FORCES)
+def test_an_acceleration_is_known_by_its_name_in_every_format(
+    name: str, write: Callable[[Path, Table], Path], tmp_path: Path
+) -> None:
+    table = table_of(FORCES[name], axes("gyr"))
+    found = readings(write(tmp_path / "log", table))
+    assert set(found) == {"acceleration", "angular_rate"}
+    expected = np.column_stack([table[axis] for axis in FORCES[name]])
+    np.testing.assert_array_equal(found["acceleration"], expected)
+
+
+@pytest.mark.parametrize("write", FORMATS)
+@pytest.mark.parametrize("name", TURNS)
+def test_an_angular_rate_is_known_by_its_name_in_every_format(
+    name: str, write: Callable[[Path, Table], Path], tmp_path: Path
+) -> None:
+    table = table_of(axes("acc"), TURNS[name])
+    found = readings(write(tmp_path / "log", table))
+    assert set(found) == {"acceleration", "angular_rate"}
+    expected = np.column_stack([table[axis] for axis in TURNS[name]])
+    np.testing.assert_array_equal(found["angular_rate"], expected)
+
+
+@pytest.mark.parametrize("write", FORMATS)
+@pytest.mark.parametrize("name", OTHERS)
+def test_what_is_not_read_is_named_in_every_format(
+    name: str, write: Callable[[Path, Table], Path], tmp_path: Path
+) -> None:
+    path = write(tmp_path / "log", table_of(axes("acc"), OTHERS[name]))
+    assert set(readings(path)) == {"acceleration"}
+    assert f"{name}_" in notes_in(path)
+
+
+@pytest.mark.parametrize("write", FORMATS)
+def test_two_sensors_of_one_table_are_two_in_every_format(
+    write: Callable[[Path, Table], Path], tmp_path: Path
+) -> None:
+    table = table_of(axes("left_acc"), axes("right_acc"))
+    table |= {"right_acc_z": table["right_acc_z"] + 9.81}
+    force = {
+        c.triad: c.values for c in readers.read(write(tmp_path / "log", table)).channels.values()
+    }
+    assert set(force) == {"left", "right"}
+    expected = np.column_stack([table[axis] for axis in axes("left_acc")])
+    np.testing.assert_array_equal(force["left"], expected)
+
+
+def test_the_folder_of_an_axis_tells_its_quantity(tmp_path: Path) -> None:
+    nested = [f"{sensor}/{axis}" for sensor in ("accelerometer", "gyroscope") for axis in "xyz"]
+    table = table_of(nested[:3], nested[3:])
+    found = readings(written_hdf5(tmp_path / "log", table))
+    np.testing.assert_array_equal(found["angular_rate"][:, 1], table["gyroscope/y"])
+    np.testing.assert_array_equal(found["acceleration"][:, 2], table["accelerometer/z"])
