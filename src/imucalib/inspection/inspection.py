@@ -218,7 +218,7 @@ def inspect_recording(
         why_not_still=why,
         candidates=_candidates(facts),
         mapping=whole.mapping,
-        notes=(*notes, *(still.notes if still else ())),
+        notes=(*notes, *map(str, whole.counts), *(still.notes if still else ())),
     )
 
 

@@ -30,16 +30,17 @@ def join(blocks: Iterable[Recording], where: str) -> Recording:
     Raises UnreadableInput when there is no block at all.
     """
     first: Recording | None = None
+    last = first
     parts: dict[str, list[Channel]] = {}
     gaps: list[Gap] = []
     notes: list[str] = []
     for block in blocks:
-        first = first or block
+        first, last = first or block, block
         for name, channel in block.channels.items():
             parts.setdefault(name, []).append(channel)
         gaps.extend(block.gaps)
         notes.extend(note for note in block.notes if note not in notes)
-    if first is None:
+    if first is None or last is None:
         raise UnreadableInput(
             "the file holds no samples", where=where, remedy="check how it was recorded"
         )
@@ -47,7 +48,9 @@ def join(blocks: Iterable[Recording], where: str) -> Recording:
     for name, pieces in parts.items():
         t, values = (np.concatenate([getattr(p, part) for p in pieces]) for part in ("t", "values"))
         channels[name] = pieces[0] if len(pieces) == 1 else replace(pieces[0], t=t, values=values)
-    return replace(first, channels=channels, gaps=tuple(gaps), notes=tuple(notes))
+    return replace(
+        first, channels=channels, gaps=tuple(gaps), notes=tuple(notes), counts=last.counts
+    )
 
 
 class Joined(ABC):
@@ -113,6 +116,7 @@ def together(recordings: Sequence[Recording]) -> Recording:
         notes=tuple(notes) if others else first.notes,
         mapping=first.mapping if not others else {},
         corrections=marks,
+        counts=tuple(count for one in recordings for count in one.counts),
     )
 
 

@@ -122,6 +122,23 @@ class Held:
 
 
 @dataclass(frozen=True)
+class Count:
+    """What became of the samples of one source: a table's rows, a topic's messages, a dataset's.
+
+    held : in the file; read : of them, whole; left : others by why, which a note tells as well
+    """
+
+    source: str
+    held: int
+    read: int
+    left: Mapping[str, int] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        others = "".join(f" + {count} {why}" for why, count in self.left.items() if count)
+        return f"{self.source}: {self.held} in the file = {self.read} read{others}"
+
+
+@dataclass(frozen=True)
 class Recording:
     """Channels by name ("imu0/acceleration"), with where they come from and what was lost.
 
@@ -130,6 +147,7 @@ class Recording:
     mapping : the resolved mapping (column or topic -> channel, unit, ...) that read the file
     corrections : calibrations that were applied to it, as the file itself says
     held : stretches that repeat one reading as the channel's noise never does
+    counts : what became of every sample in the file; of the last block, for the whole file
     """
 
     channels: Mapping[str, Channel]
@@ -142,3 +160,4 @@ class Recording:
     mapping: Mapping[str, object] = field(default_factory=dict)
     corrections: tuple[Correction, ...] = ()
     held: tuple[Held, ...] = ()
+    counts: tuple[Count, ...] = ()

@@ -25,7 +25,7 @@ from imucalib.readers.csv.text import Lines, cells_of, is_number, line_blocks, t
 from imucalib.readers.joining import Joined
 from imucalib.readers.timebase import find_gaps
 from imucalib.recording.mapping import FieldMapping
-from imucalib.recording.recording import Channel, Gap, Recording
+from imucalib.recording.recording import Channel, Count, Gap, Recording
 
 _SHORTEST = 1.0  # s: no sensor whose noise exceeds its resolution repeats itself for so long
 
@@ -69,7 +69,8 @@ class _Table:
 
     row : rows so far; last : time of each channel's last sample
     moved : s that stamps without a date have been moved on; last_of_period : their last time
-    held : coarse stamps and values of a group that may go on; idle, missing, bad : rows left out
+    held : coarse stamps and values of a group that may go on
+    whole : rows that have a value of every sensor; idle, missing, unstamped, bad : other rows
     """
 
     def __init__(self, path: Path, plan: Plan) -> None:
@@ -78,7 +79,7 @@ class _Table:
         self.last: dict[str, float] = {}
         self.held: tuple[Array, Array] | None = None
         self.first_group = True
-        self.idle = self.missing = self.bad = 0
+        self.whole = self.idle = self.missing = self.unstamped = self.bad = 0
         self.first_bad = ""
 
     def blocks(self, block_samples: int, strict: bool) -> Iterator[Recording]:
@@ -119,7 +120,17 @@ class _Table:
         missing = self.missing - (0 if plan.clock.unit else self.bad)
         if missing > 0:
             lost.append(f"{missing} rows without a value left out")
-        yield replace(last, notes=(*last.notes, *lost))
+        if self.unstamped:
+            lost.append(f"{self.unstamped} rows without a time stamp left out")
+        left = {
+            "cannot be read": self.bad,
+            "of zeros": self.idle,
+            "lack a value": missing,
+            "lack a stamp": self.unstamped,
+        }
+        held = self.row + (self.bad if plan.clock.unit else 0)
+        count = Count("rows", held, self.whole, left)
+        yield replace(last, notes=(*last.notes, *lost), counts=(count,))
 
     def _ended(self, lines: Lines) -> Lines:
         """The lines; a last one that lacks nothing but its end is a row."""
@@ -145,6 +156,7 @@ class _Table:
         numbers = self.row + np.arange(t.size)
         self.row += t.size
         keep = np.isfinite(t)
+        self.unstamped += int(t.size - np.count_nonzero(keep))
         if self.plan.facts.device.sleeps:
             idle = (values == 0.0).all(axis=1)
             self.idle += int(idle.sum())
@@ -217,6 +229,7 @@ class _Table:
                     at, how.apply(known), how.unit, vector.quantity, vector.triad, signal.rate
                 )
         self.missing += int(missing.sum())
+        self.whole += int(np.count_nonzero(keep & ~missing))
         return (channels, tuple(gaps.values())) if channels else None
 
 

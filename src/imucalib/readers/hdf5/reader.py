@@ -35,7 +35,7 @@ from imucalib.readers.timebase import (
     stepping,
 )
 from imucalib.recording.mapping import TIME_UNITS, FieldMapping
-from imucalib.recording.recording import Channel, Gap, Recording, corrections_of
+from imucalib.recording.recording import Channel, Count, Gap, Recording, corrections_of
 
 _ROWS = 500
 
@@ -302,7 +302,7 @@ def _blocks_of(
     notes += map(str, marks)
     notes += _unread(nodes, signals, path)
     last: dict[str, float] = {}
-    at = {s.name: 0 for s in signals}
+    at, read = ({s.name: 0 for s in signals} for _ in range(2))
     main = max(signals, key=lambda s: s.found.rows)
     while True:
         until = _time_after(main, at[main.name] + size)
@@ -313,14 +313,30 @@ def _blocks_of(
             at[signal.name] = stop
             gaps.update({(g.start, g.stop): g for g in new})
             if channel is not None:
+                read[signal.name] += channel.t.size
                 values = channel.values if stored else signal.conversion.apply(channel.values)
                 pending = signal.conversion if stored else None
                 channels[signal.name] = replace(channel, values=values, pending=pending)
-        own = (*notes, *file.lost)
+        ended = all(at[s.name] >= s.found.rows for s in signals)
+        counts = [_count(s, read[s.name]) for s in signals if ended]
+        left = [note for count in counts for note in _left_out(count)]
+        own = (*notes, *file.lost, *left)
         notes, file.lost = [], []
-        yield replace(empty, channels=channels, gaps=tuple(gaps.values()), notes=own)
-        if all(at[s.name] >= s.found.rows for s in signals):
+        block = replace(empty, channels=channels, gaps=tuple(gaps.values()), notes=own)
+        yield replace(block, counts=tuple(counts))
+        if ended:
             return
+
+
+def _count(signal: Signal, read: int) -> Count:
+    rows = signal.found.rows
+    return Count(signal.name, rows, read, {"lack a value or a stamp": rows - read})
+
+
+def _left_out(count: Count) -> Iterator[str]:
+    for why, rows in count.left.items():
+        if rows:
+            yield f"{count.source}: {rows} rows {why}, left out"
 
 
 def _time_after(signal: Signal, row: int) -> float:

@@ -31,11 +31,19 @@ _MOST_LAYOUTS = 16  # that are remembered for each definition
 
 
 class Decoded(NamedTuple):
-    """columns : (n, k) for each group, in the file's numeric types; good : (n,) decoded at all."""
+    """columns : (n, k) for each group, in the file's numeric types; good : (n,) decoded at all.
+
+    rows : (n,) message of each sample, where messages hold lists of them; else None
+    """
 
     columns: list[NDArray[Any]]
     good: NDArray[np.bool_]
     problem: str = ""
+    rows: NDArray[np.int64] | None = None
+
+
+#: In a path, what stands for each element of a list of objects.
+EACH = "[]"
 
 
 class Look(NamedTuple):
@@ -266,7 +274,13 @@ class TreeDecoder(Decoder):
         return found
 
     def decode(self, block: MessageBlock, groups: Groups) -> Decoded:
-        trees = self._parse(block.payloads())
+        trees, rows = self._parse(block.payloads()), None
+        if any(EACH in path for group in groups for path in group.paths):
+            trees, rows = _elements(trees, groups)
+            groups = tuple(g._replace(paths=tuple(map(_within, g.paths))) for g in groups)
+        return self._decoded(trees, groups)._replace(rows=rows)
+
+    def _decoded(self, trees: list[Any], groups: Groups) -> Decoded:
         good = np.array([tree is not None for tree in trees], dtype=np.bool_)
         try:
             return Decoded(_columns(trees, groups), good)
@@ -277,6 +291,40 @@ class TreeDecoder(Decoder):
         if kept.size:
             out.put(kept, _columns([trees[row] for row in kept.tolist()], groups))
         return Decoded(out.whole(), good, "not parsable, or a field is missing or no number")
+
+
+class _Element(NamedTuple):
+    """One element of a list of objects, and the message that holds it."""
+
+    message: Any
+    element: Any
+
+
+def _within(path: str) -> str:
+    """A path of the message as one of an `_Element`."""
+    _, each, rest = path.partition(f".{EACH}.")
+    return f"element.{rest}" if each else f"message.{path}"
+
+
+def _elements(trees: list[Any], groups: Groups) -> tuple[list[Any], NDArray[np.int64]]:
+    """Every element of the list that the groups name, and the message of each; a message without
+    the list is one that cannot be read. Raises LayoutError for two lists."""
+    paths = [path for group in groups for path in group.paths if EACH in path]
+    lists = {path.partition(f".{EACH}.")[0] for path in paths}
+    if len(lists) > 1 or any(path.count(EACH) > 1 for path in paths):
+        raise LayoutError(f"its samples lie in {len(lists)} lists")
+    keys, found, rows = lists.pop().split("."), list[Any](), list[int]()
+    for row, tree in enumerate(trees):
+        held = tree
+        try:
+            for key in keys:
+                held = _child(held, key)
+            each: list[Any] = [_Element(tree, element) for element in held]
+        except _UNREADABLE:
+            each = [None]
+        found += each
+        rows += [row] * len(each)
+    return found, np.array(rows, dtype=np.int64)
 
 
 def _columns(trees: list[Any], groups: Groups) -> list[NDArray[Any]]:
@@ -309,6 +357,10 @@ def _at(keys: Sequence[str], reached: dict[tuple[str, ...], list[Any]]) -> list[
 def _child(tree: Any, key: str) -> Any:
     if isinstance(tree, dict):
         return tree[key]
+    if hasattr(tree, "DESCRIPTOR"):  # a message that is not set reads as zeros
+        part = tree.DESCRIPTOR.fields_by_name[key]
+        if part.has_presence and not tree.HasField(key):
+            raise KeyError(key)
     return tree[int(key)] if key.isdigit() else getattr(tree, key)
 
 
@@ -347,6 +399,8 @@ def _descend(tree: Any, path: str, found: Look, depth: int) -> None:
     if children and isinstance(children[0][0], int) and all(_is_number(v) for _, v in children):
         found.leaves[path] = len(children)
         return
+    if children and isinstance(children[0][0], int) and _children(children[0][1], depth):
+        children = [(EACH, children[0][1])]
     for key, value in children:
         _descend(value, f"{path}.{key}" if path else str(key), found, depth + 1)
 

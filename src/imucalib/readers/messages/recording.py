@@ -69,16 +69,23 @@ class FirstPass:
     """One whole pass: what was decided, and with `keep` every sample."""
 
     def __init__(self, log: MessageLog, mapping: FieldMapping, *, keep: bool) -> None:
-        self.stream = TopicStream(log, mapping)
-        self._kept: dict[str, list[_Growing]] = {}  # log times, columns, stamps
         with _readable(log):
-            for samples in self.stream.samples():
-                samples.source.survey(samples)
-                if keep:
-                    self._keep(samples)
+            self._survey(log, mapping, frozenset(), keep=keep)
+            if apart := self.stream.overlapping():
+                self._survey(log, mapping, apart, keep=keep)
             self.plan = _decide(self.stream)
         for source in self.stream.sources.values():
             source.pieces.clear()
+
+    def _survey(
+        self, log: MessageLog, mapping: FieldMapping, apart: frozenset[int], *, keep: bool
+    ) -> None:
+        self.stream = TopicStream(log, mapping, apart)
+        self._kept: dict[str, list[_Growing]] = {}  # log times, columns, stamps
+        for samples in self.stream.samples():
+            samples.source.survey(samples)
+            if keep:
+                self._keep(samples)
 
     def _keep(self, samples: Samples) -> None:
         name, parts = samples.source.name, [samples.log, *samples.columns]
@@ -145,10 +152,11 @@ def log_blocks(
     log: MessageLog, mapping: FieldMapping, *, block_samples: int
 ) -> Iterator[Recording]:
     """Read the log twice: what holds for all of it first, then the samples in blocks."""
-    plan = FirstPass(log, mapping, keep=False).plan
+    first = FirstPass(log, mapping, keep=False)
     with _readable(log):
-        stream = TopicStream(log, mapping, gather=min(block_samples, GATHER))
-        yield from _recordings(plan, stream.samples(), block_samples=block_samples)
+        apart = first.stream.apart
+        stream = TopicStream(log, mapping, apart, gather=min(block_samples, GATHER))
+        yield from _recordings(first.plan, stream.samples(), block_samples=block_samples)
 
 
 def _recordings(
@@ -230,6 +238,7 @@ def _decide(stream: TopicStream) -> Plan:
         notes=(*notes, *stream.losses(), *map(str, marks), *stream.unread()),
         mapping=_resolved(mapping, triads, sources, parts).to_dict(),
         corrections=marks,
+        counts=tuple(c for c in stream.tallies() if c.source.removeprefix("messages of ") in used),
     )
     return Plan(head, tuple(parts), clocks, start)
 
@@ -240,7 +249,7 @@ def _refuse_unknown(stream: TopicStream) -> None:
             if text and all(split_address(text, t) is None for t in stream.topics.values()):
                 raise UsageError(
                     f"'{text}' is not a topic of {stream.log.path}, which holds:"
-                    f"{listing(contents_of(stream.log)) or ' none'}\n",
+                    f"{listing(contents_of(stream.log, stream.topics)) or ' none'}\n",
                     where=f"mapping: {quantity}",
                     remedy="Write it as TOPIC or TOPIC:FIELD",
                 )
@@ -249,7 +258,7 @@ def _refuse_unknown(stream: TopicStream) -> None:
 def _no_imu(stream: TopicStream) -> UnreadableInput:
     """The error for a file without a topic to read, with everything that it has."""
     lost = "; ".join(stream.losses())
-    held = contents_of(stream.log)
+    held = contents_of(stream.log, stream.topics)
     named = tuple(replace(c, why=c.why or stream.reasons.get(c.address, "")) for c in held)
     return UnreadableInput(
         f"no IMU topic was found among:{listing(named) or ' none'}\n"

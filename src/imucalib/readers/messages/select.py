@@ -455,27 +455,23 @@ def left_in(decoder: Decoder, look: Look, payload: bytes, source: Source | None)
     used = {path for group in groups for path in group.paths}
     block = MessageBlock(payload, np.array([0]), np.array([len(payload)]))
     vectors = {a: g for a, g in _vectors_of(look.leaves).items() if not used & set(g.paths)}
-    columns = decoder.decode(block, tuple(vectors.values())).columns if vectors else []
     found = []
-    for (address, group), column in zip(vectors.items(), columns, strict=True):
+    for address, group in vectors.items():
         used |= {*group.paths, address}
+        column = decoder.decode(block, (group,)).columns[0]
         found.append(Content(address, "3 numbers", 0, norm=norm_of(column.astype(np.float64))))
     texts = {path for path in look.texts if path not in used}
     rest = [p for p in look.leaves if p not in used | texts and not p.startswith("header.")]
     return [*found, *(Content(path, f"{look.leaves[path]} numbers", 0) for path in rest)]
 
 
-def contents_of(log: MessageLog) -> tuple[Content, ...]:
-    """Every topic of a log in natural order, after one pass over it."""
-    indexed = log.indexed_topics()
-    seen: dict[int, _Seen] = {}
+def contents_of(log: MessageLog, topics: Mapping[int, Topic]) -> tuple[Content, ...]:
+    """Every topic of a log, by its channel, in natural order, after one pass over it."""
+    seen = {number: _Seen(topic) for number, topic in topics.items()}
     for block in log.blocks():
         channels = block.header("channel")
         for number in np.flatnonzero(np.bincount(channels)).tolist():
-            topic = log.topics.get(number) or indexed.get(number)
-            if topic is not None:
-                seen.setdefault(number, _Seen(topic)).add(block.take(channels == number))
-    for number, topic in {**indexed, **log.topics}.items():
-        seen.setdefault(number, _Seen(topic))
+            if number in seen:
+                seen[number].add(block.take(channels == number))
     ordered = sorted(seen.values(), key=lambda s: natural(s.topic.name))
     return tuple(content for one in ordered for content in one.contents())

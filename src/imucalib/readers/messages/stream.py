@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,9 +15,18 @@ from imucalib.readers.contents import Content, unread
 from imucalib.readers.messages.decode import Decoder, decoder_for
 from imucalib.readers.messages.layout import Groups, LayoutError
 from imucalib.readers.messages.records import MessageBlock, MessageLog, Topic
-from imucalib.readers.messages.select import is_imu, is_stated, left_in, natural, source_of
+from imucalib.readers.messages.select import (
+    QUANTITIES,
+    is_imu,
+    is_stated,
+    left_in,
+    natural,
+    source_of,
+    split_address,
+)
 from imucalib.readers.messages.topics import Samples, Source, Stamps
 from imucalib.recording.mapping import FieldMapping
+from imucalib.recording.recording import Count
 
 #: Rows that are decoded before they are divided among their topics.
 GATHER = 1 << 16
@@ -49,16 +58,23 @@ _UNDECIDED, _SKIPPED = -1, -2
 class TopicStream:
     """Reads the topics that the mapping wants; `sources`, `counts` and losses fill meanwhile.
 
+    apart : channels whose topic has others at the same time: each is a topic of its own, "/imu#2"
     gather : rows that are decoded before they are divided among their topics
     """
 
-    def __init__(self, log: MessageLog, mapping: FieldMapping, gather: int = GATHER) -> None:
-        self.log, self.mapping, self._gather = log, mapping, gather
+    def __init__(
+        self,
+        log: MessageLog,
+        mapping: FieldMapping,
+        apart: frozenset[int] = frozenset(),
+        gather: int = GATHER,
+    ) -> None:
+        self.log, self.mapping, self.apart, self._gather = log, mapping, apart, gather
         self.sources: dict[str, Source] = {}
         self.counts: dict[int, int] = {}
         self.reasons: dict[str, str] = {}  # topics that could not be read, and why
         self._indexed = log.indexed_topics()
-        self._imu_known = any(is_imu(topic) for topic in self._indexed.values())
+        self._imus = {topic.name for topic in self._indexed.values() if is_imu(topic)}
         self._any_stated = is_stated(mapping)
         self._lane_of = np.full(1 << 16, _UNDECIDED, dtype=np.int64)
         self._lanes: list[_Lane] = []
@@ -67,15 +83,38 @@ class TopicStream:
         self._undecoded: dict[str, int] = {}
         self._orphans = 0
         self._left: dict[int, list[Content]] = {}
+        self._spans: dict[int, tuple[int, int]] = {}  # log times of each channel
 
     @property
     def topics(self) -> dict[int, Topic]:
         """Topics of the pass so far and of the log's index, by channel number."""
-        return {**self._indexed, **self.log.topics}
+        return {n: self._named(t) for n, t in {**self._indexed, **self.log.topics}.items()}
+
+    def _named(self, topic: Topic) -> Topic:
+        """A channel that is apart, or that the mapping names so, with the name of its own."""
+        own = f"{topic.name}#{topic.id}"
+        texts = (text for q in QUANTITIES for text in getattr(self.mapping, q))
+        if topic.id in self.apart or any(
+            split_address(t, replace(topic, name=own)) is not None for t in texts
+        ):
+            return replace(topic, name=own)
+        return topic
+
+    def overlapping(self) -> frozenset[int]:
+        """Channels of one topic that were logged at the same time: of several publishers."""
+        found = set[int]()
+        for one, (low, high) in self._spans.items():
+            for other, (first, last) in self._spans.items():
+                same = one != other and self._source_of[one] is self._source_of[other]
+                if same and low < last and first < high:
+                    found.add(one)
+        return frozenset(found)
 
     def expected(self, name: str) -> int:
         """How many messages of a topic the index counts, at most what the file can hold."""
-        total = sum(topic.count for topic in self._indexed.values() if topic.name == name)
+        total = sum(
+            t.count for n, t in self.topics.items() if t.name == name and n in self._indexed
+        )
         return min(total, 100 * self.log.path.stat().st_size)
 
     def samples(self) -> Iterator[Samples]:
@@ -107,10 +146,26 @@ class TopicStream:
         for source in self.sources.values():
             if source.bad:
                 notes.append(f"{source.name}: {source.bad} {words} ({source.problem})")
-        notes += [f"{name}: {count} {words}" for name, count in self._undecoded.items()]
+            if source.moved:
+                said = (
+                    "messages are stored out of order: put in that of log_time, and of their stamps"
+                )
+                notes.append(f"{source.name}: {source.moved} {said}")
+        for name, count in self._undecoded.items():
+            notes.append(f"{name}: {count} {words} ({self.reasons[name]})")
         if self._orphans:
             notes.append(f"{self._orphans} messages belong to channels that the file never defines")
         return notes
+
+    def tallies(self) -> tuple[Count, ...]:
+        """What became of the messages of the topics that are read."""
+        found = []
+        for name, source in self.sources.items():
+            numbers = [n for n, topic in self.topics.items() if topic.name == name]
+            held = sum(self.counts.get(n, 0) for n in numbers) + source.more
+            left = {"cannot be decoded": source.bad + self._undecoded.get(name, 0)}
+            found.append(Count(f"messages of {name}", held, source.rows, left))
+        return tuple(found)
 
     def unread(self) -> tuple[str, ...]:
         """The sentence on topics and fields beside those that are read."""
@@ -137,15 +192,15 @@ class TopicStream:
 
     def _decide(self, number: int, payload: bytes, count: int) -> int:
         """The lane of a channel by its first message; `count` of its messages are at hand."""
-        topic = self.log.topics.get(number) or self._indexed.get(number)
+        topic = self.topics.get(number)
         if topic is None:
             self._orphans += count
             self._fail("a message belongs to a channel that the file never defines")
             return _UNDECIDED
-        imu = is_imu(topic)
-        self._imu_known = self._imu_known or imu
+        imu, bare = is_imu(topic), topic.name.removesuffix(f"#{topic.id}")
+        self._imus |= {bare} if imu else set()
         stated = self._any_stated and is_stated(self.mapping, topic)
-        if not (stated if self._any_stated else imu or not self._imu_known):
+        if not (stated if self._any_stated else bare in self._imus or not self._imus):
             return _SKIPPED
         try:
             decoder = self._decoder(topic)
@@ -157,6 +212,7 @@ class TopicStream:
             source = self.sources.setdefault(topic.name, found)
             if source.groups != found.groups:
                 raise LayoutError("its fields differ within the file")
+            source.imu |= imu  # another encoding may have come first
         except LayoutError as error:
             why = str(error)
         except UsageError as error:
@@ -194,8 +250,15 @@ class TopicStream:
     # -- decoding -----------------------------------------------------------------------------
 
     def _decode(self, lane: _Lane, block: MessageBlock, channels: NDArray[np.int64]) -> None:
-        columns, good, problem = lane.decoder.decode(block, lane.groups)
+        columns, good, problem, rows = lane.decoder.decode(block, lane.groups)
         log = block.header("publish_time" if self.mapping.time == "publish_time" else "log_time")
+        if rows is not None:
+            for number in np.unique(channels).tolist():  # a list counts by its elements
+                more = np.count_nonzero(channels[rows] == number) - np.count_nonzero(
+                    channels == number
+                )
+                self._source_of[number].more += int(more)
+            channels, log = channels[rows], log[rows]
         instants: NDArray[Any] | None = None
         if lane.timed:
             *columns, instants = columns
@@ -236,7 +299,20 @@ class TopicStream:
             source, rows = self._source_of[number], np.flatnonzero(channels == number)
             source.rows += rows.size
             own = stamps[rows] if stamps is not None else None
+            low, high = self._spans.get(number, (1 << 64, 0))
+            self._spans[number] = min(low, int(log[rows].min())), max(high, int(log[rows].max()))
+            if own is not None and (order := _order_of(own, log[rows])) is not None:
+                source.moved += int(np.count_nonzero(order != np.arange(order.size)))
+                rows, own = rows[order], own[order]
             yield Samples(source, own, log[rows], [c[rows] for c in columns])
+
+
+def _order_of(stamps: Stamps, log: NDArray[np.int64]) -> NDArray[np.intp] | None:
+    """The order of log_time, where that puts stamps in order that are not so in the file."""
+    if not (np.diff(stamps) < 0).any():
+        return None
+    order = np.argsort(log, kind="stable")
+    return None if (np.diff(stamps[order]) < 0).any() else order
 
 
 def _joined(instants: NDArray[Any]) -> Stamps:

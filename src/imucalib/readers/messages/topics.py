@@ -86,6 +86,8 @@ class Source:
     frame : the frame_id of its first message, "" for none
     triad, origin_ns, dated : as this package's own files state them, else "", None and True
     rows : samples that were read; bad, problem : messages that could not be, and why the last
+    moved : samples that were put in another order than that of the file
+    more : samples beyond one a message, where messages hold lists of them
     marks : rows before which a part of the file is damaged
     alive : of each field, whether any value differs from zero
     pieces : stretches of raw samples from all over the recording, by number, each in parts
@@ -102,6 +104,8 @@ class Source:
     dated: bool = True
     rows: int = 0
     bad: int = 0
+    moved: int = 0
+    more: int = 0
     problem: str = ""
     marks: list[int] = field(default_factory=list)
     stamps: ClockFacts = field(default_factory=ClockFacts)
