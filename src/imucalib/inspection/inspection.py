@@ -15,6 +15,7 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.errors import ImucalError
 from imucalib.readers.conversion import zero_g
+from imucalib.readers.timebase import mean_period
 from imucalib.recording.recording import Channel, Gap, Recording
 from imucalib.rests.candidates import refusals
 from imucalib.rests.segments import Segments, find_segments
@@ -34,7 +35,7 @@ _STEPS = 1 << 16  # steps a channel keeps for the jitter
 class ChannelFacts:
     """One channel; low, high : (k,) extremes; noise : (k,) of one sample at rest, or empty.
 
-    rate : Hz, from the median step; jitter : s, 1.4826 times the median absolute deviation of the
+    rate : Hz, samples over time; jitter : s, 1.4826 times the median absolute deviation of the
     steps; duplicates, back_steps : counts; longest_step : s
     norm_at_rest : median norm over the still segments, in the channel's unit; NaN without rest
     names : what the file calls the sensor: topic, dataset; a board or a calibration may go by these
@@ -143,7 +144,7 @@ class _Running:
             triad=channel.triad,
             unit=channel.unit,
             samples=self.samples,
-            rate=1.0 / middle,
+            rate=1.0 / mean_period(steps, middle) if steps.size else math.nan,
             jitter=jitter,
             duplicates=self.duplicates,
             back_steps=self.back_steps,

@@ -18,7 +18,12 @@ import numpy as np
 from imucalib.core.discovery import modules_of
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.readers.devices.catalogue import refuse_foreign, with_preset
-from imucalib.readers.joining import in_parts, together, with_plausible_clocks
+from imucalib.readers.joining import (
+    in_parts,
+    together,
+    with_order_told,
+    with_plausible_clocks,
+)
 from imucalib.readers.rates import with_checked_rates
 from imucalib.readers.repeats import with_held
 from imucalib.readers.source import UNREAD, head_of, named
@@ -190,7 +195,7 @@ def _looked_at(
     """What holds for every format: a clock's parts, clocks that such sensors can have, rates in the
     unit that is stated, and samples that are no measurement."""
     fixed = getattr(reader, "fixed", False)
-    clocked = with_plausible_clocks(in_parts(found))
+    clocked = with_plausible_clocks(with_order_told(in_parts(found)))
     return _unwarned(with_held(with_checked_rates(clocked, mapping, fixed=fixed)))
 
 

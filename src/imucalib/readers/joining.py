@@ -134,7 +134,7 @@ def _span(recording: Recording) -> tuple[float, float]:
     return min(float(t.min()) for t in times), max(float(t.max()) for t in times)
 
 
-_BACK = 1.0  # s; smaller steps are stamps out of order, which the gaps alone tell
+_BACK = 1.0  # s; smaller steps are stamps out of order, which a note counts
 _MOST = 100  # parts: a clock that is set back more often is no clock
 #: Seconds after which counters begin again: of 16, 24 and 32 bits in s, ms, us or 100 us, of 32 in
 #: ns; stamps within a minute, an hour or a day.
@@ -253,6 +253,44 @@ class _Clock:
                 part = int(parts[name][inside[0]])
                 break
         return replace(gap, start=gap.start + self.moves[part], stop=gap.stop + self.moves[part])
+
+
+@dataclass
+class _Order:
+    """Steps back of a channel's times: their number, and the largest, s"""
+
+    count: int = 0
+    most: float = 0.0
+    last: float = -np.inf
+
+    def add(self, t: Array) -> None:
+        """The next times."""
+        steps = np.diff(t, prepend=self.last)
+        self.last = float(t[-1])
+        if steps.min() < 0.0:
+            self.count += int(np.count_nonzero(steps < 0.0))
+            self.most = max(self.most, -float(steps.min()))
+
+    def words(self, name: str) -> Iterator[str]:
+        """What there is to say of them."""
+        if self.count:
+            yield f"{name}: {self.count} steps back in time, by up to {self.most:.3g} s"
+
+
+def with_order_told(blocks: Iterator[Recording]) -> Iterator[Recording]:
+    """The same blocks; the last one's notes count the steps back in time that are left."""
+    order: dict[str, _Order] = {}
+    last: Recording | None = None
+    for block in blocks:
+        for name, channel in block.channels.items():
+            if channel.t.size:
+                order.setdefault(name, _Order()).add(channel.t)
+        if last is not None:
+            yield last
+        last = block
+    if last is not None:
+        notes = tuple(note for name, one in order.items() for note in one.words(name))
+        yield replace(last, notes=(*last.notes, *notes)) if notes else last
 
 
 def with_plausible_clocks(blocks: Iterator[Recording]) -> Iterator[Recording]:

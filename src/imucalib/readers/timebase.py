@@ -21,6 +21,7 @@ from imucalib.recording.recording import Gap
 #: Samples a second of what this package calibrates: epochs of accelerometers take seconds, and no
 #: converter of an inertial sensor is faster than the second.
 SLOWEST, FASTEST = 0.1, 1e5
+_FASTEST_USUAL = 8000.0  # beyond it a unit of time is doubted
 #: Oscillators of sensors are off by per cent, dividers by factors of two or more: a rate that is
 #: stated and one that is found contradict each other beyond the middle.
 _OTHER_RATE = 2.0**0.5
@@ -32,7 +33,7 @@ _JITTERY = 5.0  # else only a step of this many times its 99th percentile is a g
 
 @dataclass(frozen=True)
 class Stepping:
-    """step : median positive step, s; threshold : a longer step is a gap, s."""
+    """step : mean sampling period, s; threshold : a longer step is a gap, s."""
 
     step: float
     threshold: float
@@ -44,9 +45,22 @@ def stepping(pieces: Sequence[Array]) -> Stepping | None:
     steps = steps[np.isfinite(steps) & (steps > 0)]
     if steps.size == 0:
         return None
-    step = float(np.median(steps))
+    middle = float(np.median(steps))
     high = float(np.percentile(steps, 99))
-    return Stepping(step, max(_MISSING_ONE * step, _JITTERY * high if high > 1.5 * step else 0.0))
+    longest = max(_MISSING_ONE * middle, _JITTERY * high if high > 1.5 * middle else 0.0)
+    return Stepping(mean_period(steps, middle), longest)
+
+
+def mean_period(steps: Array, middle: float) -> float:
+    """Time over samples, lost ones counted: stamps that are rounded have a median step of their
+    grain (80 Hz in whole ms: 12 or 13).
+
+    steps : positive; middle : their median, all in one unit
+    """
+    usual = steps[steps <= _MISSING_ONE * middle]
+    period = float(usual.mean())
+    taken = np.maximum(np.rint(usual / period), 1.0)
+    return float(usual.sum() / taken.sum())
 
 
 def find_gaps(t: Array, rows: Array | range, threshold: float, before: float | None) -> list[Gap]:
@@ -123,7 +137,7 @@ def guess_unit(
         fitting = [u for u, rate in rates.items() if not contradicts(rate, stated)]
         said = f", as {stated:g} Hz is stated"
     else:
-        fitting = [u for u in ("s", "ms", "us", "ns") if 5.0 <= rates[u] <= 8000.0]
+        fitting = [u for u in ("s", "ms", "us", "ns") if 5.0 <= rates[u] <= _FASTEST_USUAL]
         fitting = ["s"] if step < 1.0 and rates["s"] <= FASTEST else fitting
         said = f" ({rates[fitting[0]]:.6g} Hz)" if len(fitting) == 1 and step >= 1.0 else ""
     if len(fitting) == 1 and (step != 1.0 or stated):  # steps of one may be a counter
@@ -141,7 +155,7 @@ def known_unit(
     """The unit of stamps where it is one that is known, else the one that `guess_unit` finds, with
     its sentence. who : whose words the unit is; raises UnreadableInput for a word that is none."""
     if unit in TIME_UNITS:
-        return unit, ""
+        return _dated_unit(unit, first, step, who) or (unit, "")
     guessed, note = guess_unit(first, step, where, stated)
     if unit and date_of(first, guessed) is None:
         raise UnreadableInput(
@@ -150,6 +164,19 @@ def known_unit(
             remedy=f"name it with --time-unit: {', '.join(TIME_UNITS)}",
         )
     return guessed, note
+
+
+def _dated_unit(unit: str, first: float, step: float, who: str) -> tuple[str, str] | None:
+    """The unit in which stamps are dates at a rate that sensors have, where they are neither in the
+    one that is stated; with its sentence."""
+    if date_of(first, unit) is not None or 1.0 / (step * TIME_UNITS[unit]) <= _FASTEST_USUAL:
+        return None
+    for other in ("s", "ms", "us", "ns"):
+        rate = 1.0 / (step * TIME_UNITS[other])
+        if SLOWEST <= rate <= _FASTEST_USUAL and date_of(first, other) is not None:
+            said = f"{who} states {unit}, in which they are no dates and advance too fast"
+            return other, f"time: the stamps are dates in {other} ({rate:.6g} Hz); {said}"
+    return None
 
 
 def seconds_of(

@@ -157,7 +157,8 @@ class Meaning:
     index : position of the field, from 0; name : as in the file, without its unit
     quantity : "acceleration", "angular_rate", "temperature", "time" or "" (none of these)
     axis : 0, 1, 2; -1 of a whole vector, and of what has none
-    triad : name of the sensor; unit : as stated by the name, or ""
+    triad : name of the sensor; of a time, the quantity that it is of ("acc_time"), or ""
+    unit : as stated by the name, or ""
     """
 
     index: int
@@ -325,6 +326,8 @@ def _meaning(index: int, name: Name) -> Meaning:
         known = bool(_OTHER & words) or (words == {"angular"} and _forces(parts[:k]))
         if known or (found.quantity == "time" and k < len(parts) - 1):
             break  # the angular acceleration of geometry_msgs/Accel, a clock's folder
+        if found.quantity == "time":
+            return found
         if found.quantity:
             above = _sensor_of(parts[:k])
             own = found.triad if found.triad != "imu0" else above or "imu0"
@@ -364,9 +367,8 @@ def _of_part(index: int, text: str) -> Meaning:
         return Meaning(index, name, "temperature", triad=_triad(words), unit=unit)
     if _TIME & set(words) or (unit in _STAMP_UNITS and not _OTHER & set(words)):
         stated = _TIME_WORDS.get(words[-1], "") if len(words) > 1 else ""
-        return Meaning(
-            index, name, "time", unit=unit or stated or _UNIT_WORDS.get("".join(words), "")
-        )
+        unit = unit or stated or _UNIT_WORDS.get("".join(words), "")
+        return Meaning(index, name, "time", triad=column.quantity if column else "", unit=unit)
     return column or Meaning(index, name, unit=unit)
 
 

@@ -82,7 +82,7 @@ class Channel:
     triad : the sensor that it belongs to, for example "imu0"
     names : what else the file calls that sensor, in full: topic or dataset, then its frame_id
     numbered : whether `triad` is only a number, since the file has no name for the sensor
-    rate : samples a second, from the median time step (or the file's header)
+    rate : samples a second, over all that no gap interrupts (or of the file's header)
     pending : None, except in blocks that were asked for as stored (`readers.stored_blocks`): there
         `values` are the file's own numbers of any type, and this turns them into `unit`
     """

@@ -6,11 +6,12 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import accumulate
 
 from imucalib.errors import UnreadableInput
 from imucalib.readers.csv.text import COMMENT, cells_of, decoded, is_blank, is_number
 from imucalib.readers.devices.catalogue import rows_of_heading
-from imucalib.readers.words import understand
+from imucalib.readers.words import instant_rank, understand, vectors_in
 from imucalib.recording.mapping import FieldMapping
 from imucalib.units import without_brackets
 
@@ -19,6 +20,7 @@ _DELIMITERS = (",", ";", "\t", "|", " ")
 #: What some loggers write before the names of the columns.
 _BEFORE_NAMES = re.compile(r"^\s*;\s*(headers\s*,)?\s*", re.IGNORECASE)
 _ROWS = 50  # of each look
+_HEADING = 3  # lines of it, at most: groups, names, units
 
 
 @dataclass(frozen=True)
@@ -165,7 +167,7 @@ def _with_header(shape: Dialect, lines: list[str], mapping: FieldMapping, where:
     above = [k for k in above if "\0" not in lines[k] or lines[k].strip("\0") not in whole]
     while above and not given and not rows and shape.is_damaged_row(lines[above[-1]]):
         first = above.pop()
-    names = () if mapping.header is False else _names([lines[k] for k in above[-2:]], shape)
+    names = () if mapping.header is False else _names([lines[k] for k in above], shape)
     if any(c < " " for name in names for c in name):
         raise UnreadableInput(
             "the heading is damaged: it holds control characters",
@@ -176,19 +178,50 @@ def _with_header(shape: Dialect, lines: list[str], mapping: FieldMapping, where:
 
 
 def _names(above: list[str], shape: Dialect) -> tuple[str, ...]:
-    """Column names from the last line above the table, or the last but one with units below."""
-    found = [_split_names(line, shape) for line in above]
-    if not found or not found[-1]:
+    """Column names from the last lines above the table: from the last alone, or from it and those
+    above together (groups of columns, axes, units), where these tell more sensors."""
+    rows = list[tuple[str, ...]]()
+    for line in reversed(above[-_HEADING:]):
+        cells = _split_names(line, shape) or _filled(line, shape, merged=bool(rows))
+        if not cells:
+            break
+        rows.insert(0, cells)
+    if not rows:
         return ()
-    names, upper = found[-1], found[0]
-    if upper and not _understood(names) and _understood(upper):
-        pairs = zip(upper, names, strict=True)
-        return tuple(f"{n} [{without_brackets(u)}]" if u else n for n, u in pairs)
-    return names
+    found, score = rows[-1], (-1, -1)
+    for first in reversed(range(len(rows))):
+        names = rows[-1] if first == len(rows) - 1 else _joined(rows[first:])
+        told = understand(names)
+        axes = [vector for vector in vectors_in(told).values() if None not in vector]
+        own = len(axes), sum(any(m.quantity == q for m in told) for q in ("time", "temperature"))
+        if own > score and any(map(any, names)):
+            found, score = names, own
+    return found if score > (0, 0) or _split_names(above[-1], shape) else ()
 
 
-def _understood(names: Sequence[str]) -> bool:
-    return any(c.quantity for c in understand(names))
+def _joined(rows: Sequence[tuple[str, ...]]) -> tuple[str, ...]:
+    """One name a column out of several rows of heading; a last row that names no axis has units."""
+    upper, lower = rows[0] if len(rows) == 2 else _joined(rows[:-1]), rows[-1]
+    axes = any(m.is_axis for m in understand(lower)) or {"x", "y", "z"} & set(map(str.lower, lower))
+    named = [axes or instant_rank(cell) >= 0 for cell in lower]
+    whole = [
+        f"{u}_{low}" if own else f"{u} [{without_brackets(low)}]"
+        for u, low, own in zip(upper, lower, named, strict=True)
+    ]
+    return tuple(
+        w if u and low else u or low for w, u, low in zip(whole, upper, lower, strict=True)
+    )
+
+
+def _filled(line: str, shape: Dialect, *, merged: bool) -> tuple[str, ...]:
+    """The cells of a heading that lacks some; none of another line. merged : whether each goes on
+    up to the next"""
+    cells = cells_of(COMMENT.sub("", line), shape.delimiter)
+    if len(cells) != shape.width or not 0 < sum(map(bool, cells)) < shape.width:
+        return ()
+    if any(is_number(cell, shape.decimal) for cell in cells):
+        return ()
+    return tuple(accumulate(cells, lambda last, cell: cell or last)) if merged else tuple(cells)
 
 
 def _split_names(line: str, shape: Dialect) -> tuple[str, ...]:

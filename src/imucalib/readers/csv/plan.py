@@ -20,6 +20,7 @@ from imucalib.readers.csv.select import (
     HeaderFacts,
     Selection,
     Vector,
+    by_clock,
     column_index,
     contents_of,
     facts_of,
@@ -37,6 +38,7 @@ from imucalib.readers.csv.text import (
 )
 from imucalib.readers.devices.catalogue import Device
 from imucalib.readers.timebase import stepping
+from imucalib.readers.words import understand
 from imucalib.recording.mapping import FieldMapping
 
 _SAMPLES = 20  # stamps from each end of a look
@@ -54,6 +56,15 @@ class Signal:
     conversion: Conversion
     rate: float
     threshold: float
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What is known of a table before its columns are chosen, as in `Plan`."""
+
+    dialect: Dialect
+    facts: HeaderFacts
+    conditions: tuple[tuple[int, Condition], ...]
 
 
 @dataclass(frozen=True)
@@ -95,8 +106,9 @@ def _chosen(lines: Lines, conditions: Sequence[tuple[int, Condition]], dialect: 
     return replace(lines, data=b"".join(kept), numbers=tuple(numbers))
 
 
-def make_plan(path: Path, mapping: FieldMapping) -> Plan:
-    """Look at the file's start, middle and end, and decide. Errors as in `readers.read`."""
+def make_plans(path: Path, mapping: FieldMapping) -> list[Plan]:
+    """Look at the file's start, middle and end, and decide: one plan, or one for each clock where
+    sensors have their own. Errors as in `readers.read`."""
     where = str(path)
     pieces = looks(path)
     if not pieces:
@@ -116,6 +128,60 @@ def make_plan(path: Path, mapping: FieldMapping) -> Plan:
     selection = select(dialect, mapping, facts, pieces, path.name)
     if not selection.vectors:
         raise nothing_found(dialect, pieces, where)
+    used = {k for v in selection.vectors for k in (*v.columns, v.clock)} | set(selection.time)
+    used |= {at for at, _ in conditions}
+    left = (*words, *unread(contents_of(dialect, pieces, used)))
+    selection = replace(selection, notes=(*selection.notes, *left))
+    shape = Shape(dialect, facts, conditions)
+    plans = [
+        _plan(shape, one, mapping, pieces, where)
+        for one in by_clock(selection, understand(dialect.names))
+    ]
+    return _of_one_origin(plans, where)
+
+
+def _of_one_origin(plans: list[Plan], where: str) -> list[Plan]:
+    """The plans with times from one start, and the mapping that reads all of them. Raises
+    UnreadableInput for clocks that do not count from one date."""
+    main = plans[0]
+    for other in plans[1:]:
+        if (other.clock.unit, other.clock.start_ns is None) != (
+            main.clock.unit,
+            main.clock.start_ns is None,
+        ):
+            raise UnreadableInput(
+                "the clocks of its sensors count from different starts",
+                where=where,
+                remedy="read one sensor with --acc or --gyro and its own --time",
+            )
+    whole = main.resolved
+    for other in plans[1:]:
+        more = other.resolved
+        whole = replace(
+            whole,
+            acc=whole.acc + more.acc,
+            gyro=whole.gyro + more.gyro,
+            temperature=whole.temperature + more.temperature,
+            triads=tuple(dict.fromkeys(whole.triads + more.triads)),
+            time="",
+            acc_unit=whole.acc_unit or more.acc_unit,
+            gyro_unit=whole.gyro_unit or more.gyro_unit,
+            temperature_unit=whole.temperature_unit or more.temperature_unit,
+        )
+    origin, start = main.clock.origin, main.clock.start_ns
+    clocks = [replace(p.clock, origin=origin, start_ns=start) for p in plans]
+    return [replace(p, resolved=whole, clock=c) for p, c in zip(plans, clocks, strict=True)]
+
+
+def _plan(
+    shape: Shape,
+    selection: Selection,
+    mapping: FieldMapping,
+    pieces: Sequence[bytes],
+    where: str,
+) -> Plan:
+    """What is read by one clock."""
+    dialect, facts = shape.dialect, shape.facts
     layout, stamps = _layout(dialect, selection, pieces)
     parsed = _parse_looks(pieces, layout, where)
     if layout.kind:
@@ -125,7 +191,7 @@ def make_plan(path: Path, mapping: FieldMapping) -> Plan:
         )
     else:
         clock, clock_notes = clock_by_rate(mapping.rate or facts.rate, facts.start_ns, where)
-    notes = [*facts.notes, *selection.notes, *clock_notes, *words]
+    notes = [*facts.notes, *selection.notes, *clock_notes]
     used = [v for v in selection.vectors if any(_has_all(v, layout, r).any() for r in parsed)]
     notes += [f"{v.name} left out: no values" for v in selection.vectors if v not in used]
     if not any(v.quantity != "temperature" for v in used):
@@ -139,10 +205,8 @@ def make_plan(path: Path, mapping: FieldMapping) -> Plan:
     signals = conversion.readable(used, signal, notes)
     notes += [s.conversion.note for s in signals if s.conversion.note]
     resolved = _resolved(mapping, dialect, selection, signals, clock=clock, device=facts.device)
-    wheres = {at for at, _ in conditions}
-    notes += unread(contents_of(dialect, pieces, {*layout.values, *selection.time, *wheres}))
     unique = tuple(dict.fromkeys(notes))
-    return Plan(layout, clock, signals, facts, unique, resolved, conditions=conditions)
+    return Plan(layout, clock, signals, facts, unique, resolved, conditions=shape.conditions)
 
 
 def _pieces_chosen(

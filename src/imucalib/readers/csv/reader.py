@@ -7,9 +7,9 @@ The shape, the columns, the clock and the units are decided once, from looks all
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import chain
+from itertools import chain, zip_longest
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,7 @@ from imucalib.arrays import Array, Flags
 from imucalib.errors import UnreadableInput
 from imucalib.file_hash import sha256_of
 from imucalib.readers.csv.clock import bad_stamp
-from imucalib.readers.csv.plan import Plan, make_plan
+from imucalib.readers.csv.plan import Plan, make_plans
 from imucalib.readers.csv.rows import Rows, parse
 from imucalib.readers.csv.stamps import spread
 from imucalib.readers.csv.text import Lines, cells_of, is_number, line_blocks, text_head
@@ -52,9 +52,10 @@ class CsvReader(Joined):
     ) -> Iterator[Recording]:
         """Yield the table in blocks of about `block_samples` rows."""
         try:
-            table = _Table(path, make_plan(path, mapping))
-            found = table.blocks(block_samples, strict)
-            yield from without_repeats(found) if table.plan.facts.device.sleeps else found
+            plans = make_plans(path, mapping)
+            tables = [_Table(path, plan).blocks(block_samples, strict) for plan in plans]
+            found = tables[0] if len(tables) == 1 else _side_by_side(tables)
+            yield from without_repeats(found) if plans[0].facts.device.sleeps else found
         except OSError as error:
             raise UnreadableInput(
                 f"the file cannot be read: {error.strerror or error}", where=str(path)
@@ -64,10 +65,27 @@ class CsvReader(Joined):
 READER = CsvReader()
 
 
+def _side_by_side(tables: Sequence[Iterator[Recording]]) -> Iterator[Recording]:
+    """The blocks of sensors that have clocks of their own, of the same rows at a time."""
+    told = set[str]()
+    for blocks in zip_longest(*tables):
+        some = [block for block in blocks if block is not None]
+        notes = dict.fromkeys(note for block in some for note in block.notes)
+        yield replace(
+            some[0],
+            channels={name: c for block in some for name, c in block.channels.items()},
+            gaps=tuple(sorted({g for block in some for g in block.gaps}, key=lambda g: g.start)),
+            notes=tuple(note for note in notes if note not in told),
+            counts=tuple(count for block in some for count in block.counts),
+        )
+        told.update(notes)
+
+
 class _Table:
     """One table as it is read, block after block.
 
-    row : rows so far; last : time of each channel's last sample
+    row : rows so far; last, sums : of each channel's times the last, their sum and number
+    leaps : seconds :60 that are over; in_leap : whether the last row lies in one
     moved : s that stamps without a date have been moved on; last_of_period : their last time
     held : coarse stamps and values of a group that may go on
     whole : rows that have a value of every sensor; idle, missing, unstamped, bad : other rows
@@ -76,7 +94,9 @@ class _Table:
     def __init__(self, path: Path, plan: Plan) -> None:
         self.path, self.plan = path, plan
         self.row, self.moved, self.last_of_period = 0, 0.0, -np.inf
+        self.leaps, self.in_leap = 0, False
         self.last: dict[str, float] = {}
+        self.sums: dict[str, tuple[float, int]] = {}
         self.held: tuple[Array, Array] | None = None
         self.first_group = True
         self.whole = self.idle = self.missing = self.unstamped = self.bad = 0
@@ -111,26 +131,34 @@ class _Table:
                 last = replace(empty, channels=block[0], gaps=block[1])
         if last is None:
             raise UnreadableInput("no row of the table could be read", where=str(self.path))
+        means = {
+            name: (total - self.last[name]) / max(count - 1, 1)
+            for name, (total, count) in self.sums.items()
+        }
+        last, footer = _without_footer(last, means)
         lost += [f"{self.bad} rows left out; {self.first_bad}"] if self.bad else []
         lost += plan.facts.contradicted(self.row, crc)
         if strict and lost:
             raise UnreadableInput(lost[0], where=str(self.path), remedy="copy the file again")
-        if self.idle:
-            lost.append(f"{self.idle} rows of zeros (idle sleep) left out")
-        missing = self.missing - (0 if plan.clock.unit else self.bad)
-        if missing > 0:
-            lost.append(f"{missing} rows without a value left out")
-        if self.unstamped:
-            lost.append(f"{self.unstamped} rows without a time stamp left out")
-        left = {
-            "cannot be read": self.bad,
-            "of zeros": self.idle,
-            "lack a value": missing,
-            "lack a stamp": self.unstamped,
-        }
-        held = self.row + (self.bad if plan.clock.unit else 0)
-        count = Count("rows", held, self.whole, left)
+        count = self._count(footer)
+        lost += [f"{rows} rows {why}, left out" for why, rows in self._left(footer)[1:] if rows > 0]
         yield replace(last, notes=(*last.notes, *lost), counts=(count,))
+
+    def _left(self, footer: int) -> list[tuple[str, int]]:
+        """Why rows were left out, those that cannot be read first."""
+        missing = self.missing - (0 if self.plan.clock.unit else self.bad)
+        return [
+            ("that cannot be read", self.bad),
+            ("of zeros (idle sleep)", self.idle),
+            ("without a value", max(missing, 0)),
+            ("without a time stamp", self.unstamped),
+            ("below the table, which step back in time as means do", footer),
+        ]
+
+    def _count(self, footer: int) -> Count:
+        held = self.row + (self.bad if self.plan.clock.unit else 0)
+        names = ", ".join(s.vector.name for s in self.plan.signals)
+        return Count(f"rows of {names}", held, self.whole - footer, dict(self._left(footer)))
 
     def _ended(self, lines: Lines) -> Lines:
         """The lines; a last one that lacks nothing but its end is a row."""
@@ -169,7 +197,9 @@ class _Table:
         if not clock.unit:
             count = rows.values.shape[0]
             return (self.row + np.arange(count, dtype=np.float64)) / clock.rate, rows
-        t, wrong = clock.seconds(rows.stamps)
+        t, wrong, leap = clock.seconds(rows.stamps)
+        if leap.any() or self.leaps:
+            t = t + self._leaps(leap)
         if wrong.any():
             bad = [bad_stamp(rows, k, line, str(self.path)) for k in np.flatnonzero(wrong).tolist()]
             if 2 * len(bad) > wrong.size:
@@ -185,6 +215,13 @@ class _Table:
         moved = self.moved + period * np.cumsum(back)
         self.moved = float(moved[-1])
         return np.asarray(t + moved), rows
+
+    def _leaps(self, leap: Flags) -> Array:
+        """Leap seconds that have ended before each row: clocks of a date leave them out."""
+        ended = np.diff(leap.astype(np.int8), prepend=np.int8(self.in_leap)) < 0
+        passed = self.leaps + np.cumsum(ended)
+        self.leaps, self.in_leap = int(passed[-1]), bool(leap[-1])
+        return passed.astype(np.float64)
 
     def _spread(self, t: Array, values: Array, *, flush: bool) -> tuple[Array, Array]:
         """Coarse stamps spread; the last group waits for the next block, where it may go on."""
@@ -225,12 +262,29 @@ class _Table:
                     gaps.setdefault((gap.start, gap.stop), gap)
             if at.size:
                 self.last[vector.name] = float(at[-1])
+                total, count = self.sums.get(vector.name, (0.0, 0))
+                self.sums[vector.name] = total + float(at.sum()), count + at.size
                 channels[vector.name] = Channel(
                     at, how.apply(known), how.unit, vector.quantity, vector.triad, signal.rate
                 )
         self.missing += int(missing.sum())
         self.whole += int(np.count_nonzero(keep & ~missing))
         return (channels, tuple(gaps.values())) if channels else None
+
+
+def _without_footer(block: Recording, means: Mapping[str, float]) -> tuple[Recording, int]:
+    """The last block without a last row at the mean of the times before it, which is that of the
+    means of the columns; and whether there was one.
+
+    means : of each channel's times, the last left out
+    """
+    channels, cut = dict[str, Channel](), 0
+    for name, c in block.channels.items():
+        below = c.t.size > 1 and c.t[-1] < c.t[-2] and abs(c.t[-1] - means[name]) * c.rate < 1.0
+        cut = max(cut, int(below))
+        channels[name] = replace(c, t=c.t[:-1], values=c.values[:-1]) if below else c
+    gaps = tuple(g for g in block.gaps if not cut or g.stop >= g.start)
+    return replace(block, channels=channels, gaps=gaps), cut
 
 
 def without_repeats(blocks: Iterator[Recording]) -> Iterator[Recording]:

@@ -181,12 +181,13 @@ def _numbers(rows: Sequence[Sequence[str]], columns: Sequence[int], decimal: str
 @dataclass(frozen=True)
 class Vector:
     """One quantity of one triad: three columns, or one for a temperature, and the stated unit,
-    or one an axis: "m/s2,m/s2,g"."""
+    or one an axis: "m/s2,m/s2,g"; clock : its own column of stamps, where it has one."""
 
     quantity: str
     triad: str
     columns: tuple[int, ...]
     unit: str = ""
+    clock: int = -1
 
     @property
     def name(self) -> str:
@@ -238,8 +239,26 @@ def select(
         names = ", ".join(dialect.names[k] if dialect.names else str(k + 1) for k in time)
         notes.append(f"time: columns {names} taken together")
     vectors = _paired([_with_unit(v, facts) for v in vectors])
-    every = (*vectors, *table.temperatures())
-    return Selection(every, time, time_unit, tuple(notes), order)
+    every = [*vectors, *table.temperatures()]
+    if len(time) == 1 and not mapping.time:
+        every = table.with_clocks(every)
+    return Selection(tuple(every), time, time_unit, tuple(notes), order)
+
+
+def by_clock(selection: Selection, columns: Sequence[Meaning]) -> list[Selection]:
+    """What is read by each clock of a table whose sensors have their own."""
+    clocks = list(dict.fromkeys(v.clock for v in selection.vectors))
+    if clocks == [-1]:
+        return [selection]
+    return [
+        replace(
+            selection,
+            vectors=tuple(v for v in selection.vectors if v.clock == clock),
+            time=(clock,),
+            time_unit=columns[clock].unit,
+        )
+        for clock in clocks
+    ]
 
 
 @dataclass(frozen=True)
@@ -342,6 +361,25 @@ class _Table:
             return (dates[0], at), "", ""
         return (at,), best.unit, ""
 
+    def with_clocks(self, vectors: list[Vector]) -> list[Vector]:
+        """The vectors with the column of stamps of each, where they do not share one: that which
+        is named after its quantity, else the nearest to the left where there are some between
+        vectors (to the right, where the first one has none to its left)."""
+        times = [c for c in self.columns if c.quantity == "time" and self.dialect.numeric[c.index]]
+        main = [v for v in vectors if v.quantity != "temperature"]
+        if any(c.triad for c in times):
+            named = [[c.index for c in times if c.triad == v.quantity] for v in vectors]
+            own = [at[0] if len(at) == 1 else -1 for at in named]
+        else:
+            first, last = min(v.columns[0] for v in main), max(v.columns[0] for v in main)
+            if not any(first < c.index < last for c in times):
+                return vectors
+            right = not any(c.index < first for c in times)
+            own = [_nearest([c.index for c in times], v.columns[0], right) for v in vectors]
+        if len({at for at, v in zip(own, vectors, strict=True) if v in main}) < 2 or -1 in own:
+            return vectors
+        return [replace(v, clock=at) for v, at in zip(vectors, own, strict=True)]
+
     def time_without_names(self, vectors: Sequence[Vector]) -> tuple[int, ...]:
         """The time column of a table without names whose other columns the user has named."""
         used = {c for v in vectors for c in v.columns}
@@ -388,6 +426,11 @@ class _Table:
         self.notes.append(f"no column names: taken as {said}{first}, by the norm of gravity")
         force, turn = halves if heavy[0] else halves[::-1]
         return [Vector("acceleration", "imu0", force), Vector("angular_rate", "imu0", turn)]
+
+
+def _nearest(times: Sequence[int], column: int, right: bool) -> int:
+    side = [k for k in times if (k > column if right else k < column)]
+    return (min if right else max)(side, default=-1)
 
 
 def _paired(vectors: list[Vector]) -> list[Vector]:

@@ -246,22 +246,24 @@ def _order_of(
     return ("DMY" if day_first or faster else "MDY") + clock, True, ambiguous and not faster
 
 
-def text_to_ns(stamps: NDArray[np.bytes_], layout: TextTime) -> tuple[Int, Flags]:
+def text_to_ns(stamps: NDArray[np.bytes_], layout: TextTime) -> tuple[Int, Flags, Flags]:
     """(n,) nanoseconds since 1970 (UTC when a zone is stated), or since the start of the period
-    without a date; and which stamps are not understood. These and blank ones are MISSING."""
+    without a date; which stamps are not understood; and which lie in a leap second (:60), whose
+    times are those of the next one. The former and blank ones are MISSING."""
     out = np.full(stamps.shape, MISSING, dtype=np.int64)
     codes = np.frombuffer(stamps.tobytes(), dtype=np.uint8).reshape(stamps.size, -1)
     codes = np.where((codes >= 65) & (codes <= 90), codes + np.uint8(32), codes)  # lower case
     filled = np.flatnonzero(~np.isin(codes.view(stamps.dtype)[:, 0], _BLANK))
-    wrong = np.zeros(stamps.shape, dtype=np.bool_)
+    wrong, leap = np.zeros((2, *stamps.shape), dtype=np.bool_)
     wrong[filled] = True
     codes = codes[filled]
     for shape, rows in _by_form(codes):
         form = _form_of(shape, layout)
         if form is not None and _UNDERSTOOD.fullmatch(form.plain):
-            ns, bad = _read(codes[rows], form, layout)
+            ns, bad, sixty = _read(codes[rows], form, layout)
             out[filled[rows]], wrong[filled[rows]] = np.where(bad, MISSING, ns), bad
-    return out, wrong
+            leap[filled[rows]] = sixty & ~bad
+    return out, wrong, leap
 
 
 def _by_form(codes: Codes) -> Iterator[tuple[bytes, Index | slice]]:
@@ -289,16 +291,16 @@ def _number(codes: Codes, span: tuple[int, int]) -> Int:
     return out
 
 
-def _read(codes: Codes, form: _Form, layout: TextTime) -> tuple[Int, Flags]:
-    """Stamps of one form in ns, and which are impossible."""
+def _read(codes: Codes, form: _Form, layout: TextTime) -> tuple[Int, Flags, Flags]:
+    """Stamps of one form in ns, which are impossible, and which lie in a leap second."""
     spans = [found.span() for found in re.finditer(rb"\d+", form.plain)]
     order = layout.order
     zero, every = np.zeros(len(codes), dtype=np.int64), np.ones(len(codes), dtype=np.bool_)
     if not len(order) - order.endswith("f") <= len(spans) <= len(order):
-        return zero, every
+        return zero, every, ~every
     size = {letter: stop - start for letter, (start, stop) in zip(order, spans, strict=False)}
     if any(n > _LONGEST.get(c, 2) for c, n in size.items()) or size.get("H", 6) != 6:
-        return zero, every
+        return zero, every, ~every
     at = {letter: _number(codes, span) for letter, span in zip(order, spans, strict=False)}
     if form.month >= 0:
         number = int(form.plain[form.month : form.month + 2])
@@ -318,7 +320,8 @@ def _read(codes: Codes, form: _Form, layout: TextTime) -> tuple[Int, Flags]:
         bad, ns = bad | impossible, ns + days * _PER_DAY
     hours, minutes = _number(codes, form.hours), _number(codes, form.minutes)
     bad |= (hours > 14) | (minutes > 59)
-    return ns - form.east - form.sign * (hours * _PER_HOUR + minutes * _PER_MINUTE), bad
+    east = form.east + form.sign * (hours * _PER_HOUR + minutes * _PER_MINUTE)
+    return ns - east, bad, second == 60
 
 
 def _days(at: dict[str, Int], size: dict[str, int]) -> tuple[Int, Flags]:

@@ -100,7 +100,7 @@ class GeneactivReader(Joined):
             if zone_s is None:
                 notes.append("the time zone is not in the file: times are the wearer's")
             packets = _packets(pages, gain, offset, facts.get("Number of Pages", ""), loss)
-            log = Log(self.name, packets, tuple(notes), loss.lost, _DRIFT, zone_s or 0)
+            log = Log(self.name, packets, tuple(notes), loss.lost, _DRIFT, zone_s or 0, cut=True)
             yield from recordings(log, path, mapping, block_samples)
 
 

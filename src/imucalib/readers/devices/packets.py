@@ -14,14 +14,14 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.arrays import Array
+from imucalib.arrays import Array, Flags
 from imucalib.errors import UnreadableInput
 from imucalib.file_hash import sha256_of
 from imucalib.readers.conversion import (
@@ -164,6 +164,7 @@ class Log:
     lost : filled while the packets are read, with a sentence for what was damaged
     drift : share by which the sensor's true rate may differ from what it states
     zone_s : of the device's clock, east of UTC
+    cut : whether its stamps may be cut to whole seconds
     """
 
     format: str
@@ -172,6 +173,7 @@ class Log:
     lost: list[str]
     drift: float
     zone_s: int = 0
+    cut: bool = False
 
 
 def recordings(log: Log, path: Path, mapping: FieldMapping, samples: int) -> Iterator[Recording]:
@@ -184,7 +186,8 @@ def recordings(log: Log, path: Path, mapping: FieldMapping, samples: int) -> Ite
     units: dict[str, Conversion] = {}
     held: Recording | None = None
     rate = 0.0
-    for packets, origin, t in _timed(log.packets, log.drift, samples):
+    whole = _within_seconds(log.packets, log.drift) if log.cut else log.packets
+    for packets, origin, t in _timed(whole, log.drift, samples):
         notes: tuple[str, ...] = ()
         if held is None:
             rate = float(packets.heads["rate"][0])
@@ -278,16 +281,73 @@ def _timed(
         held = [whole.part(ready, whole.heads.size)]
 
 
+_SECOND = 1_000_000_000  # ns
+
+
+def _within_seconds(pieces: Iterator[Packets], drift: float) -> Iterator[Packets]:
+    """The same packets; stamps that are whole seconds where the samples between them are not are
+    moved within these, so that each packet begins where the one before ends, at the rate that is
+    stated as far as that goes."""
+    ahead = np.nan  # ns, where the next packet begins
+    for piece in pieces:
+        stamps, index, period = _clock_of(piece)
+        lasts = np.diff(index) * period[1:] % _SECOND  # beyond whole seconds
+        exact = np.isnan(ahead) and bool(((lasts < 1.0) | (lasts > _SECOND - 1.0)).all())
+        if exact or (stamps % _SECOND).any():
+            ahead = np.nan
+            yield piece
+            continue
+        apart = ~_follow(stamps, index, period, drift, float(_SECOND))
+        edges = [0, *(np.flatnonzero(apart) + 1).tolist(), stamps.size]
+        moved = stamps.astype(np.float64)
+        for a, b in pairwise(edges):
+            ran = (index[a:b] - index[a]) * period[a]
+            begins = _cut(moved[a:b] - ran, ahead + piece.heads["at"][a] * period[a])
+            moved[a:b] = begins + ran
+            ahead = moved[b - 1] + (piece.heads["count"] - piece.heads["at"])[b - 1] * period[a]
+        heads = piece.heads.copy()
+        heads["stamp"] = np.rint(moved).astype(np.int64)
+        yield piece._replace(heads=heads)
+
+
+def _cut(least: Array, start: float) -> Array:
+    """(k,) where a line lies above each of k stamps by less than the second that was cut off.
+
+    least : (k,) ns, of the line were nothing cut off; start : where it comes from, NaN for nowhere
+    """
+    low, high = float(least.max()), float(least.min()) + _SECOND
+    start = start if abs(start - least[0]) < 2 * _SECOND else 0.5 * (low + high)
+    if low <= high:
+        return np.full(least.size, np.clip(start, low, high))
+    each = accumulate(least.tolist(), lambda at, b: min(max(at, b), b + _SECOND), initial=start)
+    return np.array(list(each)[1:])
+
+
+def _clock_of(packets: Packets) -> tuple[NDArray[np.int64], Array, Array]:
+    """(p,) stamps (ns), samples to which they belong, sampling periods (ns)."""
+    heads = packets.heads
+    return heads["stamp"], (packets.first + heads["at"]).astype(np.float64), 1e9 / heads["rate"]
+
+
+def _follow(
+    stamps: NDArray[Any], index: Array, period: Array, drift: float, cut: float = 0.0
+) -> Flags:
+    """(p - 1,) whether each packet follows the one before; cut : what stamps may lack"""
+    steps, took = np.diff(index), np.diff(stamps)
+    expected = steps * period[1:]
+    slack = drift * np.abs(expected) + _SLACK * period[1:] + cut
+    return np.asarray(
+        (np.abs(took - expected) <= slack) & (steps >= 0) & (period[1:] == period[:-1])
+    )
+
+
 def _times(packets: Packets, base: int, drift: float) -> Array:
     """Seconds since `base` of every sample."""
     heads, first = packets.heads, packets.first
-    index: Array = (first + heads["at"]).astype(np.float64)
+    _, index, _ = _clock_of(packets)
     stamp: Array = (heads["stamp"] - base) * 1e-9
     period: Array = 1.0 / heads["rate"]
-    steps, took = np.diff(index), np.diff(stamp)
-    expected = steps * period[1:]
-    slack = drift * np.abs(expected) + _SLACK * period[1:]
-    follows = (np.abs(took - expected) <= slack) & (steps >= 0) & (period[1:] == period[:-1])
+    follows = _follow(stamp, index, period, drift)
     edges = np.concatenate([[0], np.flatnonzero(~follows) + 1, [index.size]])
     out = np.empty(packets.acc.shape[0])
     for a, b in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):

@@ -89,6 +89,7 @@ class Place:
 
     unit, scale, offset : that the file states for them, one or one an axis: what is stored times
         `scale` plus `offset` is in `unit`
+    order : of x, y, z among the three numbers that are stored
     """
 
     path: str
@@ -98,6 +99,7 @@ class Place:
     unit: str = ""
     scale: tuple[float, ...] = (1.0,)
     offset: tuple[float, ...] = (0.0,)
+    order: tuple[int, ...] = (0, 1, 2)
 
     def unpacked(self, values: NDArray[np.generic]) -> NDArray[np.generic]:
         """Stored values (n,) or (n, 3) in the unit, of the type that they have where that is it."""
@@ -116,9 +118,44 @@ def place_of(
     names = ("scale", "scale_factor", "Scale")
     scale = _numbers_of(node, column, names, zero=False) or (1.0,)
     offset = _numbers_of(node, column, ("add_offset",), zero=True) or (0.0,)
-    return Place(
+    place = Place(
         node.name, column, triad, transposed, unit=unit or named, scale=scale, offset=offset
     )
+    return replace(place, order=_order_of(node, transposed)) if len(node.shape) > 1 else place
+
+
+#: Attributes that name the columns of a dataset.
+_LABELS = ("columns", "axes", "axis", "labels", "components", "channels")
+
+
+def labels_of(node: Any, dimension: int) -> list[str]:
+    """The names of the positions along a dimension: of a scale that is attached to it (netCDF's
+    coordinate), or of an attribute with as many texts; none where there are none."""
+    size = node.shape[dimension]
+    scales = list(node.dims[dimension].values())
+    texts = [scale[...] for scale in scales if scale.dtype.kind in "SO" and scale.size == size]
+    texts += [np.asarray(node.attrs[name]) for name in _LABELS if name in node.attrs]
+    each = (values.reshape(-1) for values in map(np.asarray, texts))
+    named = (v for v in each if v.size == size and v.dtype.kind in "SUO")
+    return [text_of(value) for value in next(named, [])]
+
+
+def _order_of(node: Any, transposed: bool) -> tuple[int, ...]:
+    """Where x, y, z stand among three numbers, by their labels. Raises UnreadableInput for labels
+    that are no axes."""
+    dimension = 0 if transposed else len(node.shape) - 1
+    labels = labels_of(node, dimension) if node.shape[dimension] == 3 else []
+    letters = {letter: axis for axis, letter in enumerate("xyz")}
+    axes = [m.axis if m.is_axis else letters.get(m.name.lower(), -1) for m in understand(labels)]
+    if not labels or axes == [0, 1, 2]:
+        return 0, 1, 2
+    if sorted(axes) != [0, 1, 2]:
+        raise UnreadableInput(
+            f"the columns of {node.name} are called {', '.join(labels)}, not x, y, z",
+            where=str(node.file.filename),
+            remedy="write it with its columns in the order x, y, z and without these names",
+        )
+    return tuple(axes.index(axis) for axis in range(3))
 
 
 @dataclass(frozen=True)
@@ -155,6 +192,8 @@ class Found:
 def found_in(quantity: str, triad: str, parts: Sequence[Place], rows: int) -> Found:
     """The channel that lies at some places, with their unit."""
     units = [part.unit for part in parts]
+    if len(parts) == 1 and "," in units[0]:  # one an axis, in the order of the file
+        units = [units[0].split(",")[k] for k in parts[0].order]
     unit = units[0] if len(set(units)) == 1 else ",".join(units)
     return Found(quantity, triad, tuple(parts), rows, unit)
 

@@ -120,7 +120,8 @@ class Signal:
         far as no factor has to be applied."""
         parts = [self.file.rows(p, start, stop) for p in self.found.parts]
         if len(parts) == 1:
-            return parts[0].reshape(stop - start, -1)
+            order, whole = self.found.parts[0].order, parts[0].reshape(stop - start, -1)
+            return whole if order == (0, 1, 2) else whole[:, order]
         return np.stack([p.reshape(-1) for p in parts], axis=1)
 
 

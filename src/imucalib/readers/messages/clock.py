@@ -130,7 +130,7 @@ def choose_clock(source: Source, mapping: FieldMapping, where: str, apart: str =
         )
     steps = np.diff(times)
     found = stepping([(times - times[0]) * 1e-9])
-    period = float(np.median(steps[steps > 0])) if found else 0.0
+    period = found.step * 1e9 if found else 0.0
     if facts.count > 1:
         jitter = np.quantile(np.abs(steps - period), 0.99) * 1e-3
         stamped = "" if why else f"{_pace(facts, factor):.6g} Hz by its stamps, "

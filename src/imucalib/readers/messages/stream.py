@@ -308,11 +308,15 @@ class TopicStream:
 
 
 def _order_of(stamps: Stamps, log: NDArray[np.int64]) -> NDArray[np.intp] | None:
-    """The order of log_time, where that puts stamps in order that are not so in the file."""
+    """The order of log_time, where that puts stamps in order and makes their steps more alike than
+    they are in the file: after a clock was set back, where both count alike, it does not."""
     if not (np.diff(stamps) < 0).any():
         return None
     order = np.argsort(log, kind="stable")
-    return None if (np.diff(stamps[order]) < 0).any() else order
+    steps = np.diff(stamps[order])
+    own, usual = np.diff(stamps), np.median(steps)
+    alike = [np.count_nonzero(np.abs(s - usual) <= 0.5 * usual) for s in (steps, own)]
+    return order if (steps >= 0).all() and alike[0] > alike[1] else None
 
 
 def _joined(instants: NDArray[Any]) -> Stamps:
