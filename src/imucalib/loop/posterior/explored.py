@@ -10,10 +10,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 
-from imucalib.arrays import Array, Index
+from imucalib.arrays import Array
 from imucalib.core.balance import Noise, balance
 from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations
@@ -21,11 +22,16 @@ from imucalib.effects.record_error import GROSS_MG
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.estimators.starting_point import consistent_rows, full_matrix_start
 from imucalib.loop.candidates import Searched
-from imucalib.loop.posterior.catalogue import Component, components_of, scan_of
+from imucalib.loop.posterior.catalogue import (
+    Component,
+    components_of,
+    log_set_prior,
+    scan_of,
+)
 from imucalib.loop.posterior.gram import Grams, grams_of
 from imucalib.loop.posterior.noise import Point, Terms, terms_of
 from imucalib.loop.posterior.odds import AXES, FAR, GROSS, HEARD, REACH, SIZES, UNEVEN
-from imucalib.loop.posterior.problem import Problem, problem_of
+from imucalib.loop.posterior.problem import Choice, Problem, problem_of
 from imucalib.loop.posterior.solution import noises_of
 from imucalib.loop.posterior.space import Posterior, search
 from imucalib.units import MG
@@ -84,29 +90,23 @@ class Start:
 
     def axis_noise(self) -> Array:
         """(K, 3) likeliest standard deviations of the axes' noise over each other, in steps, be the
-        base complete or lack every free function at once or any one of them, however large, with
-        gross errors: neither an effect on one axis nor a wrong record is its noise."""
+        base complete or lack any one free function, at its prior odds, with gross errors: neither
+        an effect on one axis nor a wrong record is its noise."""
         terms = self.terms
-        still = [k for k, p in enumerate(terms.points) if p.walk is None]
-        points = [terms.points[k] for k in still]
+        points = [p for p in terms.points if p.walk is None]
         plain = terms.evidence(points, self._gross)
-        alone = self._one_function(points[int(plain.argmax())])
-        best, power = -np.inf, np.ones(terms.axes.shape[1])
-        for lacked, logs in (
-            (self._gross, plain),
-            (self._everything, self._lacking_all[still]),
-            (alone, terms.evidence(points, alone)),
-        ):
-            reached, own = self._uneven(lacked, points[int(logs.argmax())], float(logs.max()))
-            if reached > best:
-                best, power = reached, own
+        alone, odds = self._one_function(points[int(plain.argmax())])
+        best, power = self._uneven(self._gross, points[int(plain.argmax())])
+        beside = points[int(terms.evidence(points, alone).argmax())]
+        reached, own = self._uneven(alone, beside)
+        power = own if reached + odds > best else power
         return np.asarray(np.sqrt(power).reshape(-1, 3))
 
-    def _uneven(self, lacked: Array, point: Point, reached: float) -> tuple[float, Array]:
+    def _uneven(self, lacked: Array, point: Point) -> tuple[float, Array]:
         """Log evidence and variances (K 3,) of the axes, climbed axis by axis from even ones, at
         one noise."""
         terms, rare = self.terms, float(np.log(UNEVEN / (1.0 - UNEVEN) / len(AXES)))
-        own = np.ones(terms.axes.shape[1])
+        own, reached = np.ones(terms.axes.shape[1]), float(terms.evidence([point], lacked)[0])
         misfit = terms.base[:, -1] ** 2 @ terms.axes / np.maximum(terms.axes.sum(axis=0), 1e-12)
         for axis in np.argsort(-misfit):
             for step in AXES:
@@ -128,7 +128,8 @@ class Start:
     @cached_property
     def _everything(self) -> Array:
         """(N, m) factor of every free function that the base may lack, and of gross errors."""
-        free = np.unique(np.concatenate([np.zeros(0, np.intp), *self._functions]))
+        every = (choice.at for choice in self._functions)
+        free = np.unique(np.concatenate([np.zeros(0, np.intp), *every]))
         return np.hstack([REACH * self.problem.columns[: len(self._gross), free], self._gross])
 
     @cached_property
@@ -137,19 +138,24 @@ class Start:
         return self.terms.evidence(self.terms.points, self._everything)
 
     @property
-    def _functions(self) -> list[Index]:
-        """Columns of every free function."""
-        components, choices = self.problem.components, self.problem.choices
-        return [c.at for c in choices if components[c.component].kind == "free"]
+    def _functions(self) -> list[Choice]:
+        """Of every free function how it may act."""
+        problem = self.problem
+        return [c for c in problem.choices if problem.components[c.component].kind == "free"]
 
-    def _one_function(self, point: Point) -> Array:
-        """(N, m) factor of gross errors and of the one free function, at its size, beside which the
-        base is likeliest at a noise."""
-        columns = self.problem.columns[: len(self._gross)]
-        factors = [size * columns[:, at] for at in self._functions for size in (REACH, SIZES[-1])]
-        every = [np.hstack([self._gross, f]) for f in (np.zeros((len(columns), 0)), *factors)]
-        logs = [float(self.terms.evidence([point], one)[0]) for one in every[1:]]
-        return every[1 + int(np.argmax(logs))] if logs else every[0]
+    def _one_function(self, point: Point) -> tuple[Array, float]:
+        """(N, m) factor of gross errors and of the free function, at its size, beside which a noise
+        is likeliest, and its log prior odds."""
+        columns, sizes = self.problem.columns[: len(self._gross)], (REACH, SIZES[-1])
+        best, found = -np.inf, (self._gross, 0.0)
+        for choice, size in product(self._functions, sizes):
+            lacked = np.hstack([self._gross, size * columns[:, choice.at]])
+            odds = log_set_prior(self.problem.odds, (choice.component,)) + choice.log_weight
+            odds -= float(np.log(len(sizes)))
+            reached = odds + float(self.terms.evidence([point], lacked)[0])
+            if reached > best:
+                best, found = reached, (lacked, odds)
+        return found
 
 
 def explored(fit: Fit, wanted: Searched) -> Explored:
