@@ -1,7 +1,7 @@
 """One IMU turned by hand from rest to rest: its own equations, nothing of the code under test.
 
 f, ω in the accelerometer's frame. a = S f + b_a + noise, S lower triangular;
-w = M ω + G f + asymmetry |ω| + bias + walk + noise, M = K⁻¹.
+w = M ω + G f + asymmetry |ω| + square ω² + bias + walk + noise, M = K⁻¹.
 """
 
 from __future__ import annotations
@@ -21,9 +21,10 @@ _STEP = 1.0 / 1600.0
 @dataclass(frozen=True)
 class Chip:
     """S, M : (3, 3); force_bias : (3,) g; rate_bias : (3,) rad/s; by_force : (3, 3) rad/s per g;
-    asymmetry : (3,) rad/s per rad/s; noise of a sample at 100 Hz: force_noise g, rate_noise rad/s;
-    walk : rad/s per root second; late : s by which the gyroscope is late; per_angle : sd, rad a rad
-    turned, by which it is off in each turn anew, as by motion between samples"""
+    asymmetry : (3,) rad/s per rad/s; square : (3,) per rad/s; noise of a sample at 100 Hz:
+    force_noise g, rate_noise rad/s; walk : rad/s per root second; late : s by which the gyroscope
+    is late; per_angle : sd, rad a rad turned, by which it is off in each turn anew, as by motion
+    between samples"""
 
     S: Array
     M: Array
@@ -31,6 +32,7 @@ class Chip:
     rate_bias: Array
     by_force: Array = field(default_factory=lambda: np.zeros((3, 3)))
     asymmetry: Array = field(default_factory=lambda: np.zeros(3))
+    square: Array = field(default_factory=lambda: np.zeros(3))
     force_noise: float = 3e-3
     rate_noise: float = 1e-3
     walk: float = 2e-5
@@ -114,9 +116,8 @@ def turned(
     walk = made.walk * np.sqrt(_STEP) * np.cumsum(rng.normal(size=(n, 3)), axis=0)
     true = up + whole[1:].inv().apply(force_more)
     own = omega @ made.M.T
-    read = (
-        own + true @ made.by_force.T + np.abs(own) * made.asymmetry + made.rate_bias + walk + astray
-    )
+    read = own + true @ made.by_force.T + made.rate_bias + walk + astray
+    read += np.abs(own) * made.asymmetry + own**2 * made.square
     every, of_gyro = (_sampled(n, r) for r in (rate, gyro_rate or rate))
     force = true @ made.S.T + made.force_bias
     root = np.sqrt(rate / 100.0), np.sqrt((gyro_rate or rate) / 100.0)

@@ -47,6 +47,8 @@ _FEW, _RIVALS = 3, 3
 _WEAK = 3
 #: From this probability on something that was not found is likely enough to be named; how many.
 _LIKELY, _NAMED = 0.1, 2
+#: Probability from which on "nothing is missing" has a tick.
+_EVEN = 0.5
 #: What parts a slip from the option that repairs it.
 _DECIDE = "; decide with"
 #: The options that a decision begins with, each with its value, and what else there is to decide.
@@ -209,6 +211,15 @@ def error_worth(
     return Worth(quantity, f"{final} {unit}", detail, more)
 
 
+def assumed_gravity(outcome: Outcome, gravity: float) -> tuple[Worth, ...]:
+    """What every size above is a multiple of, where the place's gravity (m/s²) was not given: on
+    Earth it is 9.780 to 9.832 (GRS 80, Moritz 2000)."""
+    if not str(outcome.provenance.settings["gravity_source"]).startswith("standard"):
+        return ()
+    value = f"{gravity:.6g} m/s²"
+    return (Worth("gravity", value, "assumed; a place's differs by up to 2.7 mg: --latitude"),)
+
+
 def worst_attitude(quantity: str, sd: Array, directions: Array, what: str = "") -> Worth:
     """Of a 95 % interval, with gravity along some directions (n, 3).
 
@@ -249,12 +260,7 @@ def _found(found: Findings) -> list[Text]:
     if found.verdict == "not run":
         lines.append(Text("What the model lacks was not searched for."))
     elif not lines:
-        likely = [s for s in found.scores if s.probability > _LIKELY][:_NAMED]
-        names = ", ".join(f"{in_words(s.name)} {per_cent(s.probability)}" for s in likely)
-        could = f"; the likeliest that could be: {names}" if names else ""
-        shown = f", as far as these data show{could}"
-        why = f": {_refuted(found)}" if found.refuted else shown
-        lines.append(Text(f"Nothing is missing from the model{why}.", "ok"))
+        lines.append(_nothing_found(found))
     return lines
 
 
@@ -295,15 +301,13 @@ def _doubt(step: FoundStep, found: Findings) -> str:
     return f" ({'; '.join(doubts)})" if doubts else ""
 
 
-def _refuted(found: Findings) -> str:
-    """Why nothing was added where nothing is open."""
-    if not found.refuted or found.gain is None:
-        return "no candidate passes the search"
-    g, names = found.gain, " and ".join(map(in_words, found.refuted))
-    return (
-        f"{names} stood out by more than chance, but not on data that took no part "
-        f"({g.before:.3g} {g.unit} without, {g.after:.3g} with)"
-    )
+def _nothing_found(found: Findings) -> Text:
+    """How likely it is that nothing is missing, and what could be; a tick above even odds."""
+    likely = [s for s in found.scores if s.probability > _LIKELY][:_NAMED]
+    names = ", ".join(f"{in_words(s.name)} {per_cent(s.probability)}" for s in likely)
+    could = f"; what could be missing: {names}" if names else ""
+    said = f"No missing effect was detected: nothing is missing with {per_cent(found.complete)}"
+    return Text(f"{said}{could}.", "ok" if found.complete > _EVEN else "plain")
 
 
 def floor_words(error: ErrorSummary, digits: int = 2) -> str:
@@ -409,7 +413,7 @@ def _loop_verdict(found: Findings) -> Text:
         case "not run":
             return Text("Fitted with the declared effects; the search was not run.")
         case "nothing missing":
-            return Text(f"Nothing is missing: {_refuted(found)}.", "ok")
+            return _nothing_found(found)
         case "explained":
             return Text(f"The residual is explained by {cause}.{gained}", "ok")
         case "explained in part":

@@ -81,6 +81,18 @@ def test_sensitivity_to_force_is_named_and_undone(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 4, 5])
+def test_gains_know_of_laws_that_the_turns_cannot_name(seed: int, tmp_path: Path) -> None:
+    """A square that twelve rests cannot tell from other laws moves a gain by three of the standard
+    deviations that the likeliest law alone would leave it."""
+    rng = np.random.default_rng(seed)
+    bent = chip(rng, square=np.array([0.0, 0.002, 0.0]), per_angle=5e-4)
+    content = report(turned(bent, rng, rests=12).write(tmp_path / "log.csv"))
+    (gain,) = (p for p in content["parameters"] if p["name"] == "gyro_gain_yy")
+    assert abs(gain["value"] - np.linalg.inv(bent.M)[1, 1]) < 2.5 * gain["sd"]
+
+
 def test_exports_say_what_the_sensor_reads(tmp_path: Path) -> None:
     """Kalibr's and OpenVINS' equations, by hand, against the calibration's own inverse."""
     rng = np.random.default_rng(4)

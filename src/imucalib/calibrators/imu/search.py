@@ -36,9 +36,10 @@ from imucalib.estimators.turns import (
 )
 from imucalib.loop.posterior.catalogue import Component, Kind, Member
 from imucalib.loop.posterior.gram import Grams, Multiplied, swept
-from imucalib.loop.posterior.odds import HEARD, TOGETHER
+from imucalib.loop.posterior.odds import HEARD, LEAST, TOGETHER
 from imucalib.loop.posterior.problem import Choice, Contest
-from imucalib.loop.posterior.space import Hypothesis, Posterior, climbed
+from imucalib.loop.posterior.solution import moments
+from imucalib.loop.posterior.space import Hypothesis, Posterior, blocks_of, climbed
 from imucalib.loop.posterior.words import Conclusion, concluded
 from imucalib.units import DEG, STANDARD_GRAVITY
 
@@ -170,6 +171,9 @@ def searched(base: TurnFit, course: Course, request: ImuRequest) -> Searched:
         final = joint_fit(base.log, terms, course, base)
     if not new:
         final, terms = base, declared
+    covariance = final.covariance.copy()
+    covariance[:_FIXED, :_FIXED] += _between_names(problem, posterior, said)
+    final = replace(final, covariance=covariance)
     return Searched(
         base=base,
         lacking=lacking,
@@ -179,6 +183,22 @@ def searched(base: TurnFit, course: Course, request: ImuRequest) -> Searched:
         terms=terms,
         final=final,
     )
+
+
+def _between_names(problem: TurnProblem, posterior: Posterior, said: Conclusion) -> Array:
+    """(18, 18) by how far other sets that would do have accelerometer and gains from where the
+    set that is told has them, in the mean over the posterior."""
+
+    def fixed(hypothesis: Hypothesis) -> Array:
+        blocks = blocks_of(problem.choices, hypothesis.picks)
+        return moments(problem, posterior.grams, blocks)[0][:_FIXED]
+
+    told, spread = fixed(said.hypothesis), np.zeros((_FIXED, _FIXED))
+    for hypothesis, probability in posterior.weighed:
+        if probability > LEAST:
+            away = fixed(hypothesis) - told
+            spread += probability * np.outer(away, away)
+    return spread
 
 
 def _keys(terms: Sequence[Term]) -> tuple[str, ...]:

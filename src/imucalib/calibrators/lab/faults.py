@@ -10,7 +10,7 @@ from typing import get_args, get_type_hints
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.calibrators.lab.bench import RawUnit, held_settings, in_degrees
+from imucalib.calibrators.lab.bench import NOISE, RawUnit, held_settings, in_degrees
 from imucalib.calibrators.lab.calibrate import LabResult
 from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.calibrators.lab.errors import setting_noise
@@ -123,9 +123,9 @@ def _axes_questions(sheet: Sheet, request: LabRequest) -> tuple[str, ...]:
     )
 
 
-#: Scatter of a bench's settings (deg) beyond which rows or angles are wrong, and how far held-out
-#: errors must lie below the raw readings' for a calibration to be worth its name.
-SCATTER, WORTH = 3.0, 0.9
+#: Scatter of a bench's settings (deg) that is none of hands, three times what they set angles to,
+#: and how far held-out errors must lie below the raw readings' to be worth their name.
+SCATTER, WORTH = 3.0 * NOISE.setting / DEG, 0.9
 
 
 @dataclass(frozen=True)
@@ -259,13 +259,14 @@ def _converter_questions(
 
 def doubts(result: LabResult, raw: RawUnit, request: LabRequest) -> tuple[str, ...]:
     """What no bench can be, once fitted: settings beyond a hand's, a unit guessed wrong."""
-    found = []
+    found, how = [], "take more settings of it, and compare the sheet with the notes"
+    if not request.loop and request.command:
+        how = f"search for it: `{request.command.replace(' --no-loop', '')}`"
     for name, sd in setting_noise(result.final).items():
         if sd / DEG > SCATTER:
             found.append(
-                f"{name}s scatter by {sd / DEG:.1f} deg, a bench is set within {SCATTER:g}: rows "
-                "or angles are wrong in a way that no single slip explains; compare the sheet "
-                "with the notes"
+                f"{name}s scatter by {sd / DEG:.1f} deg, hands set within {SCATTER:.1g}: the dial "
+                f"or rows are off in a way that these settings cannot show; {how}"
             )
     model = result.final.model
     slices = model.slices(result.final.observations.context)

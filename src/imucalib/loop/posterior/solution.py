@@ -19,7 +19,7 @@ from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.loop.posterior.gram import Block, Grams
-from imucalib.loop.posterior.problem import Problem
+from imucalib.loop.posterior.problem import Contest, Problem
 from imucalib.loop.posterior.space import Hypothesis, Pick, blocks_of
 
 #: Of its typical size, what is left to a parameter that a member does not free.
@@ -40,7 +40,7 @@ class Solved:
 def solved(problem: Problem, grams: Grams, hypothesis: Hypothesis) -> Solved:
     """The model of a set and its parameters, at the mean over the noises of these Grams."""
     picks = [(problem.choices[p.choice], p.size) for p in hypothesis.picks]
-    mean, covariance = _moments(problem, grams, blocks_of(problem.choices, hypothesis.picks))
+    mean, covariance = moments(problem, grams, blocks_of(problem.choices, hypothesis.picks))
     context = problem.fit.observations.context
     effects = {e.name: e for c, _ in picks for e, _, _ in c.member.effects}
     model = Model((*problem.model.effects, *effects.values()))
@@ -67,7 +67,7 @@ def solved(problem: Problem, grams: Grams, hypothesis: Hypothesis) -> Solved:
     return Solved(model, theta + turn @ mean, whole, shrink)
 
 
-def _moments(problem: Problem, grams: Grams, blocks: Sequence[Block]) -> tuple[Array, Array]:
+def moments(problem: Contest, grams: Grams, blocks: Sequence[Block]) -> tuple[Array, Array]:
     """Mean (k,) and covariance (k, k) of the numbers of base and blocks over the noises."""
     weight, each, spread = _conditional(problem, grams, blocks)
     mean = weight @ each
@@ -80,8 +80,8 @@ def change(problem: Problem, grams: Grams, hypothesis: Hypothesis) -> float:
     """m/s², rms over the observations: by how much the model of a set and the base model differ in
     what they make of a reading, at the mean over the noises."""
     blocks = blocks_of(problem.choices, hypothesis.picks)
-    numbers = _moments(problem, grams, blocks)[0]
-    numbers[: problem.base] -= _moments(problem, grams, ())[0]
+    numbers = moments(problem, grams, blocks)[0]
+    numbers[: problem.base] -= moments(problem, grams, ())[0]
     used = np.concatenate([np.arange(problem.base), *(c for c, _ in blocks)])
     unit = problem.fit.at.unit
     moved = unit * (problem.columns[: unit.size, used] @ numbers)
@@ -94,7 +94,7 @@ def noises_of(problem: Problem, grams: Grams, picks: Sequence[Pick]) -> Array:
 
 
 def _conditional(
-    problem: Problem, grams: Grams, blocks: Sequence[Block]
+    problem: Contest, grams: Grams, blocks: Sequence[Block]
 ) -> tuple[Array, Array, Array]:
     """(E,) weight of each noise beside blocks of columns, (E, k) the numbers of base and blocks
     there, and their covariance (E, k, k)."""

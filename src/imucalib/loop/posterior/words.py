@@ -1,6 +1,6 @@
 """What the posterior says, in names and probabilities.
 
-Something is missing where the base model is unlikely. Concluded is the simplest set that the best
+Something is claimed where being silent would cost more. Concluded is the simplest set that the best
 does not beat by more than chance (Occam's window); in each of its places is everything that could
 be there, with its share. A name is certain where it is in nearly all of the posterior, and no free
 function or unnamed law is likelier than not to replace it.
@@ -17,20 +17,20 @@ from imucalib.arrays import Array
 from imucalib.core.fit import Fit
 from imucalib.loop.found import Rival, Score
 from imucalib.loop.posterior.gram import swept
-from imucalib.loop.posterior.odds import CERTAIN, COMPLETE, OCCAM
+from imucalib.loop.posterior.odds import CERTAIN, FALSE_CLAIM, LEAST, OCCAM
 from imucalib.loop.posterior.problem import Contest, Problem
 from imucalib.loop.posterior.solution import solved
 from imucalib.loop.posterior.space import Hypothesis, Posterior
 from imucalib.loop.posterior.trust import parts_of
 
-#: Probability of a model that is weighed, and how many are at most.
-_LEAST, _MOST = 0.005, 12
+#: Models that are weighed at most.
+_MOST = 12
 
 
 def rivals_of(problem: Problem, posterior: Posterior) -> tuple[Rival, ...]:
     """The likeliest sets, each as a fit, and where the readings do not say which part of a sheet
     stands as it was set, as one with either part."""
-    likely = [(h, p) for h, p in posterior.weighed if p > _LEAST][:_MOST]
+    likely = [(h, p) for h, p in posterior.weighed if p > LEAST][:_MOST]
     total = sum(p for _, p in likely)
     context, found = problem.fit.observations.context, []
     for hypothesis, p in likely:
@@ -150,7 +150,7 @@ def concluded(problem: Contest, posterior: Posterior, *, names_first: bool = Fal
         return sum(not problem.components[c].named for c in hypothesis.components)
 
     complete = sum(p for h, p in posterior.weighed if not h.components)
-    if complete >= COMPLETE:
+    if FALSE_CLAIM * complete >= 1.0 - complete:  # claiming costs more than being silent
         return Conclusion(complete, posterior.base, ())
     bar = np.exp(-OCCAM) * posterior.probability[0]
     said, _ = min(

@@ -28,7 +28,7 @@ from imucalib.estimators.array.noise import (
 from imucalib.estimators.array.sample_age import SampleAge
 from imucalib.estimators.array.samples import Readings, Sampled, Weights, fit_samples
 from imucalib.loop.found import Unexplained
-from imucalib.loop.posterior.odds import COMPLETE
+from imucalib.loop.posterior.odds import CERTAIN
 
 #: Newton steps at most, those before which the matrix is made again in any case, and the squared
 #: steps at which a fit is settled: one in the search, which compares nats, and one that is stated.
@@ -280,6 +280,6 @@ def remembered(state: ArrayState) -> Iterator[Unexplained]:
         rho, n = next(_shared(state, gyro=gyro), (0.0, 1.0))
         nats = 0.5 * n * max(rho, 0.0) ** 2 - 0.5 * float(np.log(n))
         p = 1.0 / (1.0 + float(np.exp(min(nats, 700.0))))
-        if p < COMPLETE:
+        if p < 1.0 - CERTAIN:
             name = f"{sensor} noise correlated in time"
             yield Unexplained(name, "time", "noise", 1.0 - p, nats)
