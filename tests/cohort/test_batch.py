@@ -279,9 +279,10 @@ def test_a_row_tells_a_manager_what_to_know() -> None:
     assert found["serial"] is None
     report["notes"].append("GENEActiv 012345")
     assert quality_of(report)["serial"] == "012345"
+    report["card"]["to_do"].append("Wear it for a night more.")
     (row,) = rows((Entry("a", "k", done.return_value or 0, 1.0, "", report),))
-    steps = [step for step in report["card"]["to_do"] if not step.startswith("Write the")]
-    assert row["what_to_do"] == steps[0]  # of the recording, not of the run that wrote nothing
+    # Of the recording, not of the run that wrote nothing.
+    assert row["what_to_do"] == "Wear it for a night more."
     (lost,) = rows((Entry("b", "k", 4, 1.0, "no rest. wear it through a night", None),))
     assert (lost["status"], lost["what_to_do"]) == ("undetermined", "wear it through a night")
     assert {"status", "hours_worn", "what_to_do", "bias_x", "held_out_final"} <= set(row)

