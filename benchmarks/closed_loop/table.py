@@ -39,7 +39,7 @@ def table(judged: Sequence[Judged]) -> str:
     lines += [
         f"no report: {j.recipe.kind} {j.recipe.seed}, exit {j.code}: {j.said}" for j in failed
     ]
-    return "\n".join([*lines, *_slips(judged), *_reliability(judged)])
+    return "\n".join([*lines, *_slips(judged), *_reliability(judged), *_of_nothing(judged)])
 
 
 def _cells(row: str, some: Sequence[Judged]) -> list[str]:
@@ -107,3 +107,16 @@ def _reliability(judged: Sequence[Judged]) -> list[str]:
                 f"| {words} | {mine.sum()} | {p[mine].mean():.2f} | {true[mine].mean():.2f} |"
             )
     return lines
+
+
+def _of_nothing(judged: Sequence[Judged]) -> list[str]:
+    """How often nothing is missing where that is said, against its stated probability."""
+    said = [
+        (j.told.nothing, j.recipe.row == "clean")
+        for j in judged
+        if j.told and j.told.nothing is not None and not j.told.claims and not j.recipe.slip
+    ]
+    if not said:
+        return []
+    stated, true = np.mean(said, axis=0)
+    return ["", f"Nothing missing: said of {len(said)}, stated {stated:.2f}, true {true:.2f}"]

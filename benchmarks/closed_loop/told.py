@@ -42,12 +42,14 @@ class Step:
 
 @dataclass(frozen=True)
 class Told:
-    """verdict : of the search; lines : what the user has to decide; exit_code : of the report"""
+    """verdict : of the search; lines : what the user has to decide; exit_code : of the report
+    nothing : stated probability that nothing is missing, None where it is not stated"""
 
     verdict: str
     steps: tuple[Step, ...]
     lines: tuple[str, ...]
     exit_code: int
+    nothing: float | None = None
 
     @property
     def claims(self) -> bool:
@@ -73,7 +75,8 @@ def read_report(folder: Path) -> Told:
         for s in loop.get("steps", ())
     )
     lines = tuple(str(line) for line in report.get("undecided") or ())
-    return Told(str(loop.get("verdict", "")), steps, lines, int(report["exit_code"]))
+    nothing = loop.get("p_nothing_missing")
+    return Told(str(loop.get("verdict", "")), steps, lines, int(report["exit_code"]), nothing)
 
 
 def _plain(name: str) -> str:
