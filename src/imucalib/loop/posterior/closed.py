@@ -20,7 +20,6 @@ from imucalib.loop.held_out import Difference, Fold, difference, folds_of, parts
 from imucalib.loop.posterior.explored import Explored, Start
 from imucalib.loop.posterior.held_out import LeftOut, left_out
 from imucalib.loop.posterior.noise import Point, shared_bias
-from imucalib.loop.posterior.odds import OPEN
 from imucalib.loop.posterior.slips import Mended, Written, mended
 from imucalib.loop.posterior.solution import Solved, change, fit_of, noises_of, solved
 from imucalib.loop.posterior.words import Conclusion, concluded, name_of, rivals_of, scores_of
@@ -204,13 +203,14 @@ def _name(found: Explored, said: Conclusion, component: int) -> str:
 
 
 def _refused(loop: FitLoop, found: Explored, said: Conclusion, gain: Difference | None) -> FitLoop:
-    """Nothing is corrected; what is missing beyond doubt stays without a name."""
+    """Nothing is corrected: what is missing stays without a name."""
     why = "it has no inverse, no fit settles with it, or curves are not wanted"
     if gain is not None:
-        why = f"on data that took no part the error is {gain.before / MG:.3g} mg without it, "
-        why += f"{gain.after / MG:.3g} with it"
+        why = (
+            f"held-out data speak against it: {gain.before / MG:.3g} -> {gain.after / MG:.3g} mg, "
+        )
+        why += f"{gain.nats:+.1f} nats in density"
     names = tuple(_name(found, said, place.component) for place in said.places)
-    beyond_doubt = said.complete < np.exp(-OPEN)
     unexplained = tuple(
         Unexplained(
             name=name,
@@ -221,14 +221,12 @@ def _refused(loop: FitLoop, found: Explored, said: Conclusion, gain: Difference 
             rivals=tuple(_name(found, said, c) for c, _ in place.rivals),
         )
         for place, name in zip(said.places, names, strict=True)
-        if beyond_doubt
     )
-    size = change(found.problem, found.posterior.grams, said.hypothesis) if unexplained else 0.0
     return replace(
         loop,
         difference=gain,
         rejected=tuple((name, why) for name in names),
         refuted=names if gain is not None else (),
         unexplained=unexplained,
-        open_size=size,
+        open_size=change(found.problem, found.posterior.grams, said.hypothesis),
     )

@@ -192,7 +192,7 @@ def _proved(course: Course, misfit: Array) -> bool:
     white = whitener(time, variance, shares, np.full(_FOLDS, walk.memory))
     predicted = variance * white.back(white(misfit[:, None]))[..., 0]
     after = predicted[stretch % _FOLDS, np.arange(time.size)]
-    return difference(np.abs(misfit), np.abs(after), stretch, _FOLDS, "mean").plain_low > 0.0
+    return difference(np.abs(misfit), np.abs(after), stretch, _FOLDS, "mean").proved
 
 
 @dataclass(frozen=True)
