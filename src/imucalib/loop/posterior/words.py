@@ -139,12 +139,10 @@ class Conclusion:
     places: tuple[Place, ...]
 
 
-def concluded(problem: Contest, posterior: Posterior, *, names_first: bool = False) -> Conclusion:
-    """The simplest set that explains the data, and what else could be in each of its places.
-
-    names_first : whether a set of names comes before one of its size that has no name in it, and
-        does not beat it by more than chance: where what has no name is not corrected
-    """
+def concluded(problem: Contest, posterior: Posterior) -> Conclusion:
+    """The simplest set that explains the data, and what else could be in each of its places. Of
+    sets of one size that differ by no more than chance it is the one with the most names: on two
+    temperatures a line and a curve are one function, and a curve says nothing beyond them."""
 
     def nameless(hypothesis: Hypothesis) -> int:
         return sum(not problem.components[c].named for c in hypothesis.components)
@@ -155,7 +153,7 @@ def concluded(problem: Contest, posterior: Posterior, *, names_first: bool = Fal
     bar = np.exp(-OCCAM) * posterior.probability[0]
     said, _ = min(
         ((h, p) for h, p in posterior.weighed if p > bar and h.components),
-        key=lambda one: (len(one[0].components), names_first and nameless(one[0]), -one[1]),
+        key=lambda one: (len(one[0].components), nameless(one[0]), -one[1]),
     )
     inside = of_each(posterior, len(problem.components))[1]
     without_name = sum(p for h, p in posterior.weighed if nameless(h))
