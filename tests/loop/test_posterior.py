@@ -446,7 +446,7 @@ def test_what_a_gain_allows_to_say(found: Difference, proved: bool, holds: bool)
     assert (found.proved, found.holds) == (proved, holds)
 
 
-@pytest.mark.parametrize(("seed", "n"), [(4, 40), (17, 40), (3, 40)])
+@pytest.mark.parametrize(("seed", "n"), [(4, 40), (8, 40), (13, 40), (20, 40)])
 def test_what_makes_held_out_data_worse_is_neither_corrected_nor_nothing(seed: int, n: int) -> None:
     """A swing of the bias in time, which no name has, on few rests."""
     rng, data = np.random.default_rng(seed), at_rest(seed, n, noise=1.0)
