@@ -446,7 +446,47 @@ def test_what_a_gain_allows_to_say(found: Difference, proved: bool, holds: bool)
     assert (found.proved, found.holds) == (proved, holds)
 
 
-@pytest.mark.parametrize(("seed", "n"), [(4, 40), (8, 40), (13, 40), (20, 40)])
+@pytest.mark.parametrize(
+    ("sizes", "walk"),
+    [
+        ((10.0, 20.0, 30.0), 0.0),
+        *(
+            pytest.param(sizes, walk, marks=pytest.mark.slow)
+            for sizes, walk in (((10.0, 20.0, 30.0), 0.3), ((15.0, 25.0), 0.0), ((20.0,), 0.3))
+        ),
+    ],
+)
+def test_every_step_of_a_week_is_found(sizes: tuple[float, ...], walk: float) -> None:
+    """mg, each in a direction of its own, under white noise and a walk of four hours: a walk of
+    any size would swallow them one by one."""
+    seed = 10 * len(sizes)
+    rng, data = np.random.default_rng((seed, 1)), at_rest(seed, 160)
+    hours = np.sort(rng.uniform(0.0, 168.0, data.n))
+    at = np.sort(rng.choice(np.arange(15, 146, 10), len(sizes), replace=False))
+    off = np.zeros((data.n, 3))
+    for row, size in zip(at, rng.permutation(sizes), strict=True):
+        axis = rng.normal(size=3)
+        off[row:] += size * axis / np.linalg.norm(axis)
+    near = np.exp(-np.abs(hours[:, None] - hours) / 4.0) + 1e-9 * np.eye(data.n)
+    off += walk * np.linalg.cholesky(near) @ rng.normal(size=off.shape)
+    known = {**data.context.covariates, "time": 3600.0 * hours}
+    group = np.minimum(hours / 14.0, 11.0).astype(np.intp)
+    data = replace(
+        data, reading=data.reading + off[:, None] * MG, context=Context(data.n, known), group=group
+    )
+    closed = close_recording(fit(base_model(NINE), data), asked(), np.zeros(data.n))
+    said = [s.effect.partition("@") for s in closed.loop.steps]
+    assert {family for family, *_ in said} == {"bias_step"}
+    found = np.sort([float(value.removesuffix("s")) / 3600.0 for *_, value in said])
+    assert found.size == len(sizes)
+    # Which run is the first after it the size of gravity alone says to a few.
+    assert np.abs(np.searchsorted(hours, found) - at).max() <= 2
+    assert closed.loop.verdict == "explained"
+
+
+@pytest.mark.parametrize(
+    ("seed", "n"), [(8, 40), *(pytest.param(s, 40, marks=pytest.mark.slow) for s in (4, 13, 20))]
+)
 def test_what_makes_held_out_data_worse_is_neither_corrected_nor_nothing(seed: int, n: int) -> None:
     """A swing of the bias in time, which no name has, on few rests."""
     rng, data = np.random.default_rng(seed), at_rest(seed, n, noise=1.0)

@@ -48,6 +48,10 @@ class Member:
         """What it is called: of several effects the first's."""
         return self.effects[0][0].name
 
+    def values(self, scan: str) -> list[str]:
+        """Of a scan ("name@"), at which it acts."""
+        return [effect.name.removeprefix(scan) for effect, _, _ in self.effects]
+
     @property
     def free(self) -> tuple[tuple[str, bytes], ...]:
         """Which parameters of which effects it frees."""

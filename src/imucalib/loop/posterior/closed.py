@@ -22,7 +22,14 @@ from imucalib.loop.posterior.held_out import LeftOut, left_out
 from imucalib.loop.posterior.noise import Point, shared_bias
 from imucalib.loop.posterior.slips import Mended, Written, mended
 from imucalib.loop.posterior.solution import Solved, change, fit_of, noises_of, solved
-from imucalib.loop.posterior.words import Conclusion, concluded, name_of, rivals_of, scores_of
+from imucalib.loop.posterior.words import (
+    Conclusion,
+    concluded,
+    member_of,
+    name_of,
+    rivals_of,
+    scores_of,
+)
 from imucalib.loop.record_errors import accused, record_names, reduced
 from imucalib.units import MG
 
@@ -180,21 +187,25 @@ def judged(
 
 
 def _steps(found: Explored, said: Conclusion, left: LeftOut) -> tuple[Step, ...]:
+    """One of each place, and of each time that a cause acts."""
     steps = []
     for place in said.places:
+        component = found.problem.components[place.component]
+        member = member_of(found.problem, found.posterior, said, place.component)
         named = [(_name(found, said, c), share) for c, share in place.rivals]
-        name = _name(found, said, place.component)
         step = Step(
-            effect=name,
+            effect=member.name,
             evidence=place.log_odds,
             checked=(Checked("error", "m/s2", left.before.rms(), left.after.rms()),),
-            aliases=tuple(dict.fromkeys(n for n, _ in named if n != name)),
-            curve=found.problem.components[place.component].kind == "free",
+            aliases=tuple(dict.fromkeys(n for n, _ in named if n != member.name)),
+            curve=component.kind == "free",
             probability=place.probability,
             rivals=tuple(named),
             certain=place.certain,
         )
-        steps.append(step)
+        again = member.effects[1:] if component.named else ()
+        alone = replace(step, aliases=(), rivals=())
+        steps += [step, *(replace(alone, effect=effect.name) for effect, _, _ in again)]
     return tuple(steps)
 
 

@@ -47,6 +47,7 @@ from imucalib.loop.posterior.recorded import (
     looked,
     recorded_grams,
     whitener,
+    with_jumps,
 )
 from imucalib.loop.posterior.solution import Solved, solved
 from imucalib.loop.posterior.space import search
@@ -125,6 +126,7 @@ def _explored(plain: Fit, wanted: Searched, known: Array) -> tuple[Explored, Cou
         at = fit_at(fit.model, scaled, fit.theta, fit.covariance)
         problem = problem_of(at, refined(first, values, data, wanted), plain.model)
         every = recorded_grams(problem, course)
+        problem = with_jumps(problem, every)
         kept, leading = looked(problem, every, before)
         grams = every.of(kept)
         del every  # the products of all walks are most of the memory

@@ -16,6 +16,7 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.core.fit import Fit
 from imucalib.loop.found import Rival, Score
+from imucalib.loop.posterior.catalogue import Member
 from imucalib.loop.posterior.gram import swept
 from imucalib.loop.posterior.odds import CERTAIN, FALSE_CLAIM, LEAST, OCCAM
 from imucalib.loop.posterior.problem import Contest, Problem
@@ -168,10 +169,15 @@ def concluded(problem: Contest, posterior: Posterior) -> Conclusion:
 
 def name_of(problem: Contest, posterior: Posterior, said: Conclusion, component: int) -> str:
     """The effect of a component in what is concluded, or in its likeliest set."""
+    return member_of(problem, posterior, said, component).name
+
+
+def member_of(problem: Contest, posterior: Posterior, said: Conclusion, component: int) -> Member:
+    """How a component acts there."""
     sets = (said.hypothesis, *posterior.hypotheses)
     own = next(h for h in sets if component in h.components)
     picked = (problem.choices[p.choice] for p in own.picks)
-    return next(choice.member.name for choice in picked if choice.component == component)
+    return next(choice.member for choice in picked if choice.component == component)
 
 
 def _rivals(
