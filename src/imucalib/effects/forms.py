@@ -248,21 +248,22 @@ def curve(value: str) -> Effect:
 
 def _of_input(order: Index) -> Bend:
     """Cosines over the range less their constant and line over all inputs that a sphere of
-    attitudes gives, an even measure from -1 g to 1 g: those are bias and scale."""
+    attitudes gives, an even measure from -1 g to 1 g: those are bias and scale. Beyond the range
+    the curve keeps its value at the edge."""
     pace = 0.5 * np.pi * order
     turn = pace / _REACH
     even, odd = np.sin(turn) / turn, (np.sin(turn) - turn * np.cos(turn)) / turn**2
     constant, line = np.cos(pace) * even, -3.0 * np.sin(pace) * odd
 
-    def phase(u: Array) -> Array:
-        return np.asarray(turn * u[..., None] + pace)
+    def values(u: Array) -> Array:
+        inside = np.clip(u, -_REACH, _REACH)[..., None]
+        return np.asarray(np.cos(turn * inside + pace) - constant - line * inside)
 
-    return Bend(
-        lambda u: np.asarray(np.cos(phase(u)) - constant - line * u[..., None]),
-        lambda u: np.asarray(-np.sin(phase(u)) * turn - line),
-        tuple(str(k) for k in order),
-        tuple(2.0 / order),
-    )
+    def slope(u: Array) -> Array:
+        steep = -turn * np.sin(turn * u[..., None] + pace) - line
+        return np.where((np.abs(u) <= _REACH)[..., None], steep, 0.0)
+
+    return Bend(values, slope, tuple(str(k) for k in order), tuple(2.0 / order))
 
 
 def _around(order: Index) -> Bend:
