@@ -257,8 +257,8 @@ UNDO_NINE = ("bias", "scale", "non_orthogonality")
 TEMPERATURE = ("temperature_bias", "temperature_scale")
 SETS = [
     UNDO_NINE,
-    (*UNDO_NINE, "converter@y"),
-    (*UNDO_NINE, "converter@xyz", *TEMPERATURE),
+    (*UNDO_NINE, "curve@response:y:-1:1:32"),
+    (*UNDO_NINE, "curve@response:xyz:-1:1:32", *TEMPERATURE),
     (*UNDO_NINE, "quadratic", "cubic"),
     (*UNDO_NINE, "asymmetry", "cross_axis"),
     (*UNDO_NINE, "hysteresis"),

@@ -41,7 +41,10 @@ FORMULAS: dict[str, tuple[str, Callable[..., list[np.ndarray]]]] = {
         "a ((u / {0} + {1}) mod 1 - 1/2)",
         lambda u, p, s: [u / p + s - np.floor(u / p + s) - 0.5],
     ),
-    "exponential": ("a exp(-(u - {1}) / {0})", lambda u, s, m: [np.exp(-(u - m) / s)]),
+    "exponential": (
+        "a exp(-max((u - {1}) / {0}, 0))",
+        lambda u, s, m: [np.where((u - m) / s > 0.0, np.exp(-(u - m) / s), 1.0)],
+    ),
 }
 #: kind -> numbers of a form of an axis' input in g, and of one of a temperature in °C.
 NUMBERS = {
@@ -150,25 +153,36 @@ def test_a_form_of_an_angle_is_in_degrees() -> None:
     np.testing.assert_allclose(got, plain, atol=1e-12)
 
 
-def test_a_curve_of_the_input_is_cosines_over_its_range() -> None:
-    """u from 0 at -1.06 g to 1 at 1.06 g; the constant and the line are the base's."""
+def test_a_curve_of_the_input_has_no_bias_and_no_scale() -> None:
+    """Cosines, u from 0 at -1.06 g to 1 at 1.06 g, less the line that fits them best over the even
+    inputs of a sphere."""
     force, context = world()
     theta = np.array([2.0, -1.0, 0.5])
-    u = (force[:, 1] / 1.06 + 1.0) / 2.0
+
+    def cosines(x: np.ndarray) -> np.ndarray:
+        return sum(c * np.cos(k * np.pi * (x / 1.06 + 1.0) / 2.0) for k, c in enumerate(theta, 2))
+
+    x = (np.arange(200_000) + 0.5) / 100_000 - 1.0
+    line = np.polynomial.Polynomial.fit(x, cosines(x), 1, domain=[-1.0, 1.0])
     expected = np.zeros_like(force)
-    expected[:, 1] = 1e-3 * sum(c * np.cos(k * np.pi * u) for k, c in enumerate(theta, 2))
+    expected[:, 1] = 1e-3 * (cosines(force[:, 1]) - line(force[:, 1]))
     got = added("curve@response:y:-1:1:3", theta, force, context)
     np.testing.assert_allclose(got, expected, atol=1e-12)
 
 
-def test_a_curve_of_a_covariate_keeps_its_edge() -> None:
-    """u from 0 to 1 over the recorded range, 15 to 30 °C; outside as at its ends."""
+def test_a_curve_of_a_covariate_goes_on_beyond_its_ends() -> None:
+    """u from 0 to 1 over the recorded range, 15 to 30 °C; outside by slopes of its own."""
     force, context = world()
-    theta = np.array([1.0, 2.0, 0.0, 0.0, -3.0, 0.5])
-    u = np.clip((context["temperature"] - 15.0) / 15.0, 0.0, 1.0)
-    columns = np.stack([np.cos(np.pi * u), np.cos(2 * np.pi * u)], axis=1)
+    theta = np.array([1.0, 2.0, 0.7, -0.4, 0.0, 0.0, 0.2, 0.3, -3.0, 0.5, 0.0, 1.0])
+    u = (context["temperature"] - 15.0) / 15.0
+    assert u.min() < 0.0
+    assert u.max() > 1.0
+    inside = np.clip(u, 0.0, 1.0)
+    ends = [np.where(u < 0.0, -u, 0.0), np.where(u > 1.0, u - 1.0, 0.0)]
+    waves = [np.cos(np.pi * inside), np.cos(2 * np.pi * inside)]
+    columns = np.stack([*waves, *(np.pi * e for e in ends)], axis=1)
     got = added("curve@bias:temperature:15:30:2", theta, force, context)
-    np.testing.assert_allclose(got, 1e-3 * columns @ theta.reshape(3, 2).T, atol=1e-12)
+    np.testing.assert_allclose(got, 1e-3 * columns @ theta.reshape(3, 4).T, atol=1e-12)
 
 
 def test_a_curve_of_the_tool_face_closes() -> None:

@@ -76,7 +76,7 @@ def command(recording: Path, **options: Any) -> int:
       imucal actigraph week.h5 -o out --latitude 46.3 --max-error 5
     """
     from imucalib.calibrators.actigraph.published import calibrate_as_published
-    from imucalib.calibrators.actigraph.request import FREE, ActigraphRequest
+    from imucalib.calibrators.actigraph.request import ActigraphRequest
     from imucalib.calibrators.actigraph.run import calibrate_recording
     from imucalib.report.actigraph import actigraph_document, published_document
     from imucalib.report.files import Report
@@ -94,7 +94,7 @@ def command(recording: Path, **options: Any) -> int:
         ),
     )
     if not request.curves:
-        request = replace(request, without=(*request.without, *FREE))
+        request = replace(request, without=(*request.without, "posture"))
     mapping = opt.mapping_of(options)
     with calibrating_of(options) as say:
         if request.as_published:

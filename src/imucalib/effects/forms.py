@@ -3,7 +3,8 @@ a formula, or a smooth curve, without a cause.
 
 The number is an axis' own input in g, or a covariate (of forms, angles in degrees). A form has up
 to three numbers that a search scans or takes from the range; its sizes are fitted. A curve stands
-over the range that was recorded; beyond it, that of a covariate keeps its value at the edge.
+over the range that was recorded. Beyond it that of a covariate goes on with slopes that no reading
+knows: their sizes are zero, and their standard deviations what the curve's own size makes likely.
 """
 
 import inspect
@@ -32,7 +33,7 @@ _REACH = 1.06  # g, of an axis' own input
 @dataclass(frozen=True)
 class Bend:
     """values : (...) -> (..., m) of the number; slope : the same of its derivative, needed for a
-    response; labels : (m,) of the parameters, typical : their sizes in mg"""
+    response; labels : (m,) of the parameters, typical : their sizes over that of the largest"""
 
     values: Callable[[Array], Array]
     slope: Callable[[Array], Array]
@@ -42,7 +43,7 @@ class Bend:
     def sizes(self, prefix: str, axes: str, unit: str, plausible: float) -> tuple[Parameter, ...]:
         """Parameters of some axes, each with all of its own in a row."""
         return tuple(
-            Parameter(f"{prefix}_{axis}{label}", unit, typical, plausible)
+            Parameter(f"{prefix}_{axis}{label}", unit, typical, plausible * typical)
             for axis in axes
             for label, typical in zip(self.labels, self.typical, strict=True)
         )
@@ -107,14 +108,15 @@ def _bent(
     of the parameters' names."""
     if what == "response":
         return own_input(texts, against, bend, bend.sizes(prefix, against, "mg", 300.0))
-    part, own, unit, plausible = _BENT[what]
+    part, before, unit, plausible = _BENT[what]
 
     def values(context: Context) -> Array:
         return bend.values(context[against])
 
-    name = f"{prefix}_{own}{against}"
+    name = f"{prefix}_{before}{against}"
     if part.axes:
-        each = tuple(Parameter(name + k, unit, 0.1, plausible) for k in bend.labels)
+        own = zip(bend.labels, bend.typical, strict=True)
+        each = tuple(Parameter(name + k, unit, 0.1 * t, plausible * t) for k, t in own)
         needs = tuple(dict.fromkeys((against, "tool_face")))
         return Rotation(*texts, needs, named=each, turns=turned(part.axes, values))
     basis, basis_dx = linear(part.columns, values, unit, inside=True)
@@ -182,9 +184,11 @@ FORMS = {
         lambda u, period, phase: np.full(u.shape, 1.0 / period),
     ),
     "exponential": Form(
-        "a exp(-(u - {1}) / {0})",
-        lambda u, scale, start: np.exp(-(u - start) / scale),
-        lambda u, scale, start: -np.exp(-(u - start) / scale) / scale,
+        "a exp(-max((u - {1}) / {0}, 0))",
+        lambda u, scale, start: np.exp(-np.maximum((u - start) / scale, 0.0)),
+        lambda u, scale, start: (
+            -np.exp(-np.maximum((u - start) / scale, 0.0)) / scale * ((u - start) / scale > 0.0)
+        ),
     ),
 }
 
@@ -235,36 +239,56 @@ def curve(value: str) -> Effect:
     texts = words(key, value, kind=KINDS[what], covariate=covariate)
     if what == "response":
         bend = _of_input(np.arange(2, terms + 2))
+    elif around:
+        bend = _around(np.arange(1, terms // 2 + 1))
     else:
-        bend = _of_covariate(against, low, high, terms)
+        bend = _of_covariate(low, high, np.arange(1, terms + 1), ends=against != "time")
     return _bent(texts, "curve", what, against, bend)
 
 
 def _of_input(order: Index) -> Bend:
-    """Cosines over the range, whose constant and line are bias and scale."""
+    """Cosines over the range less their constant and line over all inputs that a sphere of
+    attitudes gives, an even measure from -1 g to 1 g: those are bias and scale. Beyond the range
+    the curve keeps its value at the edge."""
+    pace = 0.5 * np.pi * order
+    turn = pace / _REACH
+    even, odd = np.sin(turn) / turn, (np.sin(turn) - turn * np.cos(turn)) / turn**2
+    constant, line = np.cos(pace) * even, -3.0 * np.sin(pace) * odd
 
-    def phase(u: Array) -> Array:
-        return np.asarray(0.5 * np.pi * order * (u[..., None] / _REACH + 1.0))
+    def values(u: Array) -> Array:
+        inside = np.clip(u, -_REACH, _REACH)[..., None]
+        return np.asarray(np.cos(turn * inside + pace) - constant - line * inside)
 
-    return Bend(
-        lambda u: np.asarray(np.cos(phase(u))),
-        lambda u: np.asarray(-np.sin(phase(u)) * 0.5 * np.pi * order / _REACH),
-        tuple(str(k) for k in order),
-        (1.0,) * len(order),
-    )
+    def slope(u: Array) -> Array:
+        steep = -turn * np.sin(turn * u[..., None] + pace) - line
+        return np.where((np.abs(u) <= _REACH)[..., None], steep, 0.0)
+
+    return Bend(values, slope, tuple(str(k) for k in order), tuple(2.0 / order))
 
 
-def _of_covariate(name: str, low: float, high: float, terms: int) -> Bend:
+def _around(order: Index) -> Bend:
+    """Sines and cosines of whole turns."""
+
     def values(v: Array) -> Array:
-        if name == "tool_face":  # periodic
-            k = np.arange(1, terms // 2 + 1) * v[:, None]
-            return np.concatenate([np.sin(k), np.cos(k)], axis=1)
-        unit = np.clip((v - low) / (high - low), 0.0, 1.0)
-        return np.asarray(np.cos(np.pi * np.arange(1, terms + 1) * unit[..., None]))
+        k = order * v[:, None]
+        return np.concatenate([np.sin(k), np.cos(k)], axis=1)
 
-    # What drifts without end is the smaller the quicker.
-    typical = tuple(1.0 / k if name == "time" else 1.0 for k in range(1, terms + 1))
-    return Bend(values, values, tuple(str(k) for k in range(terms)), typical)
+    labels = tuple(str(k) for k in range(2 * order.size))
+    return Bend(values, values, labels, tuple(np.tile(1.0 / order, 2)))
+
+
+def _of_covariate(low: float, high: float, order: Index, *, ends: bool) -> Bend:
+    """Cosines from one end to the other. ends : with a slope beyond each, as steep as the first
+    cosine at its steepest"""
+
+    def values(v: Array) -> Array:
+        unit = (v[..., None] - low) / (high - low)
+        waves = np.cos(np.pi * order * np.clip(unit, 0.0, 1.0))
+        beyond = [np.maximum(-unit, 0.0), np.maximum(unit - 1.0, 0.0)]
+        return np.concatenate([waves, *(np.pi * b for b in beyond if ends)], axis=-1)
+
+    labels = (*(str(k) for k in range(order.size)), *(("below", "above") if ends else ()))
+    return Bend(values, values, labels, (*(1.0 / order), *((1.0, 1.0) if ends else ())))
 
 
 def is_form(name: str) -> bool:

@@ -2,8 +2,9 @@
 
 The size of gravity shows of a bias b(u) at the posture u only its part along gravity, u·b(u). That
 part is free here: a sum of bumps spread evenly over the sphere, each as wide as the way to its
-neighbours. It holds every response of the axes too, if coarsely: what a few numbers explain as well
-has their name. Without a force there is no posture: the offset fades below a twentieth of g.
+neighbours, less what bias, scale and non-orthogonality do, the harmonics up to second degree. It
+holds every response of the axes too, if coarsely: what a few numbers explain as well has their
+name. Without a force there is no posture: the offset fades below a twentieth of g.
 """
 
 import numpy as np
@@ -33,38 +34,56 @@ def _up(truth: Truth) -> tuple[Array, Array]:
     return truth.force / size, size
 
 
+def _harmonics(sharp: float) -> Array:
+    """(3,) coefficients of 1, t and t² in exp(sharp (t - 1)), t the cosine to a bump's centre: its
+    Legendre series up to second degree, over a sphere of postures."""
+    t, weight = np.polynomial.legendre.leggauss(64)
+    each = np.polynomial.legendre.legvander(t, 2)
+    series = (np.arange(3) + 0.5) * ((weight * np.exp(sharp * (t - 1.0))) @ each)
+    return np.asarray(np.polynomial.legendre.leg2poly(series))
+
+
 def posture(value: str) -> Effect:
     """The offset as a sum of so many bumps, "24"; ValueError otherwise."""
     bumps = int(value)
     if not 0 < bumps <= _MOST:
         raise ValueError(f"'{value}' is no number of bumps")
     middle, sharp = centres(bumps), bumps / (4.0 * np.pi)  # one over the area of each
+    lower = _harmonics(sharp)
+    steep = np.polynomial.Polynomial(lower).deriv().coef
 
-    def heights(truth: Truth) -> tuple[Array, Array, Array]:
+    def heights(truth: Truth) -> tuple[Array, Array, Array, Array]:
         up, size = _up(truth)
-        return up, size, np.exp(sharp * (up @ middle.T - 1.0))
+        near = up @ middle.T
+        return up, size, near, np.exp(sharp * (near - 1.0))
 
     def total(theta: Array, truth: Truth, context: Context) -> Array:
         # A long recording asks for this; single precision is a part in ten million of the offset.
         up, _ = _up(truth)
         fall = up.astype(np.float32) @ (sharp * middle.T).astype(np.float32) - np.float32(sharp)
-        return np.asarray(MG * up * (np.exp(fall) @ theta.astype(np.float32))[..., None])
+        square = np.sum((up @ (middle.T * theta @ middle)) * up, axis=-1)
+        base = lower[0] * theta.sum() + lower[1] * (up @ (theta @ middle)) + lower[2] * square
+        return np.asarray(MG * up * (np.exp(fall) @ theta.astype(np.float32) - base)[..., None])
 
     def basis(truth: Truth, context: Context) -> Array:
-        up, _, height = heights(truth)
+        up, _, near, height = heights(truth)
+        height = height - np.polynomial.polynomial.polyval(near, lower)
         return np.asarray(MG * up[..., :, None] * height[..., None, :])
 
     def basis_dx(truth: Truth, context: Context) -> Array:
-        up, size, height = heights(truth)
+        up, size, near, height = heights(truth)
         flat = (np.eye(3) - up[..., :, None] * up[..., None, :]) / size[..., None]
-        turned = flat[..., :, None, :] * height[..., None, :, None]
-        uphill = sharp * height[..., None] * (middle @ flat)
+        rest = height - np.polynomial.polynomial.polyval(near, lower)
+        turned = flat[..., :, None, :] * rest[..., None, :, None]
+        slope = sharp * height - np.polynomial.polynomial.polyval(near, steep)
+        uphill = slope[..., None] * (middle @ flat)
         return np.asarray(MG * (turned + up[..., :, None, None] * uphill[..., None, :, :]))
 
     return Response(
         f"posture@{value}",
         "The reading is off along gravity by what depends on the posture, smoothly.",
-        f"y = x + u Σ_k c_k exp({value}/4π (u·e_k - 1)),  u = x/|x|, e_k evenly over the sphere",
+        f"y = x + u Σ_k c_k (exp({value}/4π (u·e_k - 1)) - a - b u·e_k - c (u·e_k)²),  u = x/|x|, "
+        "e_k evenly over the sphere, a, b, c such that bias and scale are not in it",
         "a strap or a cable that presses the case; parts of a mg, practice",
         "Record the same postures with the sensor worn otherwise, or not worn.",
         each=tuple(Parameter(f"posture_{value}_{k + 1}", "mg", 1.0, 50.0) for k in range(bumps)),

@@ -149,7 +149,7 @@ class _Problem:
             # A gross error looks like a gross setting error until θ has had its say: start from
             # whichever comes out better, η settled before the first step of θ or after it.
             point = self._point(theta, eta)
-            residual, jacobian = point.white(point.at.residual), point.white(point.at.jacobian)
+            residual, jacobian = self._linearise(point)
             scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
             step = np.linalg.lstsq(jacobian / scale, residual, rcond=1e-10)[0] / scale
             with suppress(

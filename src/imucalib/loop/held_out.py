@@ -104,7 +104,7 @@ class Difference:
     """Held-out error before and after, in the errors' unit.
 
     gain : before - after; low, high : its 95 % interval, widened for the training data that the
-    folds share; plain_low : the lower edge without that
+    folds share
     parts : numbers that the interval rests on
     nats, nats_low : what the log density of the rows that were left out has gained, and the lower
         edge of its plain interval over the folds; NaN where it was not computed
@@ -114,7 +114,6 @@ class Difference:
     after: float
     low: float
     high: float
-    plain_low: float
     parts: int
     nats: float = float("nan")
     nats_low: float = float("nan")
@@ -124,24 +123,16 @@ class Difference:
         return self.before - self.after
 
     @property
-    def proved(self) -> bool:
-        """Whether the interval of the error or of the density lies above zero."""
-        return self.low > 0.0 or self.nats_low > 0.0
-
-    @property
-    def likely(self) -> bool:
-        """Whether the parts as they are gained, in error or in density: enough to correct, not to
-        call it explained."""
-        return self.plain_low > 0.0 or self.nats_low > 0.0
-
-    @property
     def holds(self) -> bool:
-        """Whether data that took no part allow the steps: error or density gains beyond the scatter
-        of the parts, or both gain, and the error grows by no more than that scatter. Where rows
-        share setting errors the plain error is mostly theirs and hardly moves, while the density
-        excuses what a dial does by its other rows: each alone may be blind."""
-        both = self.gain > 0.0 and not self.nats <= 0.0
-        return (self.likely or both) and 2.0 * self.gain > self.plain_low
+        """Whether nothing speaks against a correction: the error that is printed has not grown, nor
+        has the density fallen, whatever else speaks for it."""
+        return self.after <= self.before and not self.nats < 0.0
+
+    @property
+    def proved(self) -> bool:
+        """Whether the gain is beyond chance besides: in density where that was computed, since
+        where rows share setting errors the plain error is mostly theirs, else in error."""
+        return self.holds and (self.low if np.isnan(self.nats) else self.nats_low) > 0.0
 
 
 def difference(
@@ -168,8 +159,8 @@ def difference(
     # rms_b - rms_a is (ms_b - ms_a) / (rms_b + rms_a): the interval of the squares in the unit.
     unit = start + end if metric == "rms" else 1.0
     unit = unit if unit > 0.0 else 1.0
-    low, high = (mean - reach * wide * error) / unit, (mean + reach * wide * error) / unit
-    return Difference(start, end, low, high, (mean - reach * error) / unit, m)
+    away = reach * wide * error
+    return Difference(start, end, (mean - away) / unit, (mean + away) / unit, m)
 
 
 def with_density(found: Difference, nats: Array) -> Difference:

@@ -246,13 +246,13 @@ def _found(found: Findings) -> list[Text]:
             meaning = f" {effect.sentence}" if len(found.steps) <= _FEW else ""
         said = f"{_sized(step)}{_doubt(step, found)}.{meaning}"
         lines.append(Text(said, tones.get(found.verdict, "plain")))
-    if found.gain is not None and found.steps:
-        g = found.gain
+    if (g := found.gain) is not None and (found.steps or found.refuted):
         aside = ", the wrong records set aside," if found.records else ""
         gain, low, high = map(two_digits, (g.before - g.after, g.low, g.high))
-        gained = f"gain {gain}, 95 % {low} to {high}."
+        gained = f"gain {gain}, 95 % {low} to {high}{g.dense}"
         words = f"On held-out data{aside} {g.before:.3g} -> {g.after:.3g} {g.unit}: {gained}"
-        lines.append(Text(words))
+        refused = "; so it is not corrected" if found.refuted else ""
+        lines.append(Text(f"{words}{refused}."))
     if nameless := _nameless(found):
         count = len(nameless) - _OPEN
         more = f", and {count} more" if count > 0 else ""
@@ -408,7 +408,8 @@ def _loop_verdict(found: Findings) -> Text:
     curves = [f"{s.curve}, corrected by a curve" for s in found.steps if s.curve]
     unknown = ", ".join([*_nameless(found), *curves])
     aside = f", {records} set aside" if records else ""
-    gained = f" Held out{aside}: {found.gain.words}." if found.gain and found.steps else ""
+    judged = found.gain if found.steps or found.refuted else None
+    gained = f" Held out{aside}: {judged.words}." if judged else ""
     match found.verdict:
         case "not run":
             return Text("Fitted with the declared effects; the search was not run.")
@@ -426,7 +427,7 @@ def _loop_verdict(found: Findings) -> Text:
                 doubt += "is left out"
             more = f"; left: {unknown}" if unknown else ""
             return Text(f"Suspected: {cause}. {doubt}{more}.{gained}", "warning")
-    words = f"Unexplained structure: {unknown}. No effect that was searched fits."
+    words = f"Unexplained structure: {unknown}. No effect that was searched fits.{gained}"
     return Text(words, "bad")
 
 

@@ -172,7 +172,7 @@ def _curve_corrected(name: str) -> Check:
 #: Data with structure that has no name, searched for an effect that it is not.
 CURVED: dict[str, tuple[str, tuple[str, ...]]] = {
     "lab": ("--no-curves", ("lab", "<curved.csv>", "--reference", "norm", "--only", "bias_drift")),
-    "actigraph": ("--no-curves", ("actigraph", "<bent.h5>", "--only", "converter")),
+    "actigraph": ("--no-curves", ("actigraph", "<bent.h5>", "--only", "posture")),
     "imu": ("--no-curves", ("imu", "<bent_turns.csv>", "--only", "bias_drift")),
     "array": ("--curves", ("array", "<loose_log.h5>", "--board", "<board.yaml>", "--samples",
                            "150", "--only", "gyro_delay")),

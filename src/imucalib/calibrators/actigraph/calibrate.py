@@ -15,7 +15,7 @@ from imucalib.calibrators.actigraph.observations import (
     is_weak,
     observations_of,
 )
-from imucalib.calibrators.actigraph.request import HELD, ActigraphRequest
+from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.rivals import with_rivals
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
@@ -135,8 +135,6 @@ def _searched(
     wanted = searched(
         request.only, request.without, request.extra_effects, lambda e: e.stage == "sensor"
     )
-    families = tuple(f for f in wanted.families if f.name not in HELD)
-    wanted = replace(wanted, families=families)
     closed = close_recording(base, wanted, averaged_noise(runs), curves=request.curves)
     loop = closed.loop
     final = with_rivals(loop.final, loop.weighed, request.gravity)

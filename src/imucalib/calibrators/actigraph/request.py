@@ -7,11 +7,6 @@ from dataclasses import dataclass
 from imucalib.calibrators.population import Population
 from imucalib.calibrators.request import Request
 
-#: Scans whose members may have any form: of an axis' response, of the temperature, of the posture.
-FREE = ("converter", "curve", "posture")
-#: Those of them that every posterior has beside its names.
-HELD = ("converter", "curve")
-
 
 @dataclass(frozen=True, kw_only=True)
 class ActigraphRequest(Request):

@@ -68,8 +68,8 @@ def residual_in_motion(
         np.asarray(NORMAL_MAD * np.median(force, axis=(0, 2))),
         np.asarray(NORMAL_MAD * np.median(rate, axis=(0, 2))),
     )
-    if loop is not None and loop.gained is not None:
-        after = loop.gained.after
+    if loop is not None and loop.held_out is not None:
+        _, after = loop.held_out
         held = NORMAL_MAD * after.acceleration, NORMAL_MAD * after.rate * DEG
         return Residual(*held, held_out=True, each=each)
     one, two = (float(NORMAL_MAD * np.median(v)) for v in (force, rate))
@@ -187,7 +187,7 @@ def array_findings(loop: MotionLoop) -> Findings:
         unexplained=loop.unexplained,
         scores=loop.scores,
         missing=loop.missing,
-        gain=_gain(loop.gained),
+        gain=_gain(loop),
         complete=loop.complete,
         not_testable=tuple(_untestable(name, m) for name, m in loop.impact.items()),
         declared=tuple(
@@ -206,14 +206,14 @@ def array_findings(loop: MotionLoop) -> Findings:
     )
 
 
-def _gain(found: Gained | None) -> Gain | None:
-    """Of the sensor that gained most, in the unit of its error."""
-    if found is None:
+def _gain(loop: MotionLoop) -> Gain | None:
+    """Of the sensor that decided, in the unit of its error."""
+    d, found = loop.difference, loop.gained
+    if d is None or found is None:
         return None
-    gyro, d = found.principal is found.rate, found.principal
-    scale, unit = (DEG, "deg/s") if gyro else (1.0, "m/s²")
+    scale, unit = (DEG, "deg/s") if d is found.rate else (1.0, "m/s²")
     before, after, low, high = (v / scale for v in (d.before, d.after, d.low, d.high))
-    return Gain(before, after, low, high, found.proved, unit)
+    return Gain(before, after, low, high, d.proved, unit)
 
 
 def _gains(found: Gained | None) -> tuple[tuple[str, str], ...]:
@@ -283,8 +283,8 @@ def array_errors(
     accelerometers (dω/dt and s) and 3 from the gyros (ω).
     """
     held = ((_NAN, _NAN), (_NAN, _NAN))
-    if loop is not None and loop.gained is not None:
-        before, after = loop.gained.before, loop.gained.after
+    if loop is not None and loop.held_out is not None:
+        before, after = loop.held_out
         held = (before.acceleration, after.acceleration), (before.rate, after.rate)
     found = []
     for sensor, value, (size, name), still, taken, gains in (

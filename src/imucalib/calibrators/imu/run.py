@@ -129,7 +129,7 @@ def _findings(result: ImuResult, request: ImuRequest) -> Findings:
     if {rests.verdict, turns} == {"explained", "unexplained"}:
         verdict = "explained in part"
     gain, noise = rests.gain, result.fit.noise
-    if steps:
+    if names:
         sizes = (gained.before, gained.after, gained.low, gained.high)
         gain = Gain(*sizes, gained.proved, "deg")
     words = (
@@ -144,7 +144,7 @@ def _findings(result: ImuResult, request: ImuRequest) -> Findings:
         steps=(*steps, *rests.steps),
         rejected=(
             *rests.rejected,
-            *((n, "turns that took no part refuse it") for n in names if refused),
+            *((n, "it makes the held-out error larger") for n in names if refused),
         ),
         refuted=(*rests.refuted, *(names if refused else ())),
         unexplained=(*unnamed, *rests.unexplained),

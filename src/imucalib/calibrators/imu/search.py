@@ -162,7 +162,7 @@ def searched(base: TurnFit, course: Course, request: ImuRequest) -> Searched:
         lacking = lacking_of(final, course, request)
         problem, grams = lacking.contest(final)
         posterior = climbed(problem, grams)
-        said = concluded(problem, posterior, names_first=True)
+        said = concluded(problem, posterior)
         new = problem.terms_of(said.hypothesis)
         if not request.loop or not new or _keys(new) in seen:
             break
@@ -214,7 +214,7 @@ def in_fold(
     if not request.loop:
         return base, base
     problem, grams = found.lacking.contest(base)
-    new = problem.terms_of(concluded(problem, climbed(problem, grams), names_first=True).hypothesis)
+    new = problem.terms_of(concluded(problem, climbed(problem, grams)).hypothesis)
     if not new:
         return base, base
     terms = (*declared_terms(request), *new)

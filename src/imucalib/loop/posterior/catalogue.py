@@ -48,6 +48,10 @@ class Member:
         """What it is called: of several effects the first's."""
         return self.effects[0][0].name
 
+    def values(self, scan: str) -> list[str]:
+        """Of a scan ("name@"), at which it acts."""
+        return [effect.name.removeprefix(scan) for effect, _, _ in self.effects]
+
     @property
     def free(self) -> tuple[tuple[str, bytes], ...]:
         """Which parameters of which effects it frees."""
@@ -97,6 +101,8 @@ def log_size_prior(size: Array) -> Array:
 
 #: Terms of free functions: of a response one for so many rows, within bounds; of others.
 _ROWS_A_TERM, _RESPONSE_TERMS, _TERMS = 3, (8, 32), 6
+#: Powers of its order by which a term is smaller than the first.
+_FALLS = (0, 1, 2)
 #: What bias and scale may follow, and what dials may beside themselves.
 _SLOW, _DIALS = ("order", "temperature"), ("inclination", "tool_face")
 #: Periods of a swing that is no day's, in hours.
@@ -188,15 +194,14 @@ def _functions(data: Observations, *, walks: bool) -> Iterator[Component]:
     """Smooth functions: of each axis' own input and of all three, of what is slow, of the dials."""
     low, high = _RESPONSE_TERMS
     terms = int(np.clip(data.n // _ROWS_A_TERM, low, high))
-    axes = {
-        a: [_curved(data, f"response:{a}:-1:1:{t}", d) for t, d in ((terms, 1.0), (low, 2.0))]
-        for a in "xyz"
-    }
-    half = float(np.log(0.5))
+    # What falls as 1 / k² has nothing left beyond the first few.
+    many = dict(zip(_FALLS, (terms, terms, low), strict=True))
+    share = -float(np.log(len(_FALLS)))
+    axes = {a: [_curved(data, f"response:{a}:-1:1:{many[f]}", f) for f in _FALLS] for a in "xyz"}
     for a, curves in axes.items():
-        members = tuple(Member((one,), half) for one in curves)
+        members = tuple(Member((one,), share) for one in curves)
         yield Component(f"response of {a}", "free", members, "response")
-    every = tuple(Member(together, half) for together in zip(*axes.values(), strict=True))
+    every = tuple(Member(together, share) for together in zip(*axes.values(), strict=True))
     yield Component("response of all axes", "free", every, "response")
     slow = [(what, name) for name in _varying(data, (*_SLOW, DAILY)) for what in ("bias", "scale")]
     dials = _varying(data, _DIALS) if data.reference.directed else []
@@ -205,27 +210,20 @@ def _functions(data: Observations, *, walks: bool) -> Iterator[Component]:
         if not (walks and (what, name) == ("bias", "order")):
             values = data.context[name]
             text = f"{what}:{name}:{values.min():.6g}:{values.max():.6g}:{_TERMS}"
-            member = Member((_curved(data, text, 1.0),), 0.0)
+            members = tuple(Member((_curved(data, text, f),), share) for f in _FALLS)
             title = f"{what} against {name}".replace("_", "-")
-            yield Component(title, "free", (member,), name)
+            yield Component(title, "free", members, name)
 
 
 def _varying(data: Observations, names: Sequence[str]) -> list[str]:
     return [n for n in names if n in data.context and np.ptp(data.context[n]) > 0.0]
 
 
-def _curved(data: Observations, text: str, decay: float) -> tuple[Effect, Index, Array]:
-    """A curve whose terms are the smaller the quicker they turn."""
-    effect = curve(text)
-    what, against = text.split(":")[:2]
-    _, every, typical = _whole(effect, data.context)
-    axes = 3 if what in ("bias", "scale") else 1
-    count = every.size // axes
-    first = 2 if what == "response" else 1
-    order = np.arange(first, count + first)
-    if against == "tool_face" and what != "response":
-        order = np.tile(np.arange(1, count // 2 + 1), 2)
-    return effect, every, np.tile((first / order) ** decay, axes) * typical
+def _curved(data: Observations, text: str, fall: int) -> tuple[Effect, Index, Array]:
+    """A curve whose terms of order k are 1 / k^fall of the first."""
+    effect, every, typical = _whole(curve(text), data.context)
+    largest = typical.max()
+    return effect, every, largest * (typical / largest) ** fall
 
 
 def _laws(data: Observations) -> Iterator[Component]:

@@ -20,10 +20,16 @@ from imucalib.loop.held_out import Difference, Fold, difference, folds_of, parts
 from imucalib.loop.posterior.explored import Explored, Start
 from imucalib.loop.posterior.held_out import LeftOut, left_out
 from imucalib.loop.posterior.noise import Point, shared_bias
-from imucalib.loop.posterior.odds import OPEN
 from imucalib.loop.posterior.slips import Mended, Written, mended
 from imucalib.loop.posterior.solution import Solved, change, fit_of, noises_of, solved
-from imucalib.loop.posterior.words import Conclusion, concluded, name_of, rivals_of, scores_of
+from imucalib.loop.posterior.words import (
+    Conclusion,
+    concluded,
+    member_of,
+    name_of,
+    rivals_of,
+    scores_of,
+)
 from imucalib.loop.record_errors import accused, record_names, reduced
 from imucalib.units import MG
 
@@ -181,21 +187,25 @@ def judged(
 
 
 def _steps(found: Explored, said: Conclusion, left: LeftOut) -> tuple[Step, ...]:
+    """One of each place, and of each time that a cause acts."""
     steps = []
     for place in said.places:
+        component = found.problem.components[place.component]
+        member = member_of(found.problem, found.posterior, said, place.component)
         named = [(_name(found, said, c), share) for c, share in place.rivals]
-        name = _name(found, said, place.component)
         step = Step(
-            effect=name,
+            effect=member.name,
             evidence=place.log_odds,
             checked=(Checked("error", "m/s2", left.before.rms(), left.after.rms()),),
-            aliases=tuple(dict.fromkeys(n for n, _ in named if n != name)),
-            curve=found.problem.components[place.component].kind == "free",
+            aliases=tuple(dict.fromkeys(n for n, _ in named if n != member.name)),
+            curve=component.kind == "free",
             probability=place.probability,
             rivals=tuple(named),
             certain=place.certain,
         )
-        steps.append(step)
+        again = member.effects[1:] if component.named else ()
+        alone = replace(step, aliases=(), rivals=())
+        steps += [step, *(replace(alone, effect=effect.name) for effect, _, _ in again)]
     return tuple(steps)
 
 
@@ -204,13 +214,12 @@ def _name(found: Explored, said: Conclusion, component: int) -> str:
 
 
 def _refused(loop: FitLoop, found: Explored, said: Conclusion, gain: Difference | None) -> FitLoop:
-    """Nothing is corrected; what is missing beyond doubt stays without a name."""
+    """Nothing is corrected: what is missing stays without a name."""
     why = "it has no inverse, no fit settles with it, or curves are not wanted"
     if gain is not None:
-        why = f"on data that took no part the error is {gain.before / MG:.3g} mg without it, "
-        why += f"{gain.after / MG:.3g} with it"
+        sizes = f"{gain.before / MG:.3g} -> {gain.after / MG:.3g} mg"
+        why = f"held-out data refuse it: {sizes}, {gain.nats:+.1f} nats in density"
     names = tuple(_name(found, said, place.component) for place in said.places)
-    beyond_doubt = said.complete < np.exp(-OPEN)
     unexplained = tuple(
         Unexplained(
             name=name,
@@ -221,14 +230,12 @@ def _refused(loop: FitLoop, found: Explored, said: Conclusion, gain: Difference 
             rivals=tuple(_name(found, said, c) for c, _ in place.rivals),
         )
         for place, name in zip(said.places, names, strict=True)
-        if beyond_doubt
     )
-    size = change(found.problem, found.posterior.grams, said.hypothesis) if unexplained else 0.0
     return replace(
         loop,
         difference=gain,
         rejected=tuple((name, why) for name in names),
         refuted=names if gain is not None else (),
         unexplained=unexplained,
-        open_size=size,
+        open_size=change(found.problem, found.posterior.grams, said.hypothesis),
     )

@@ -246,9 +246,9 @@ def values_found(found: Explored) -> dict[str, list[str]]:
         for pick in hypothesis.picks if p > _LIKELY else ():
             choice = problem.choices[pick.choice]
             name = problem.components[choice.component].name
-            value = choice.member.name.removeprefix(name)
-            if name.endswith("@") and value not in values.get(name, []):
-                values.setdefault(name, []).append(value)
+            if name.endswith("@"):
+                own = values.setdefault(name, [])
+                own += [value for value in choice.member.values(name) if value not in own]
     return values
 
 

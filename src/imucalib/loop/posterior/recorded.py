@@ -30,6 +30,7 @@ from imucalib.loop.posterior.catalogue import Member
 from imucalib.loop.posterior.gram import Grams, Multiplied, log_sum, swept
 from imucalib.loop.posterior.noise import diagonal_logs
 from imucalib.loop.posterior.odds import (
+    DEEPEST,
     HEARD,
     OPEN,
     SIZES,
@@ -38,7 +39,7 @@ from imucalib.loop.posterior.odds import (
     WALK_SIZE,
     WANDERS,
 )
-from imucalib.loop.posterior.problem import Problem
+from imucalib.loop.posterior.problem import Choice, Problem
 from imucalib.loop.posterior.space import NARROW, block_logs
 from imucalib.units import MG
 
@@ -295,15 +296,46 @@ def looked(
         likely = logs.max(axis=0) > logs.max() - HEARD
         found |= (logs[:, likely] > logs[:, likely].max(axis=0) - HEARD).any(axis=1)
         lead = (logs[:, 1:] - logs[:, :1]).max(axis=0)
-        best: dict[str, tuple[float, str]] = {}
+        best = dict[str, tuple[float, Member]]()
         for k, nats in zip(every, lead, strict=True):
             name = problem.components[problem.choices[k].component].name
-            value = problem.choices[k].member.name.removeprefix(name)
-            if name.endswith("@") and nats > best.get(name, (OPEN, ""))[0]:
-                best[name] = nats, value
-        for name, (_, value) in best.items():
-            values.setdefault(name, []).append(value)
+            if name.endswith("@") and (name not in best or nats > best[name][0]):
+                best[name] = nats, problem.choices[k].member
+        for name, (nats, member) in best.items():
+            if nats > OPEN:
+                values.setdefault(name, []).extend(member.values(name))
     return np.flatnonzero(found), values
+
+
+def with_jumps(problem: Problem, grams: Grams) -> Problem:
+    """With members of scans that act several times: what leads beside those before it, one after
+    the other, where nothing walks. A walk swallows each jump by itself, and not all together."""
+    still, dof = grams.of(np.zeros(1, np.intp)), grams.numbers - problem.base
+    more = list[Choice]()
+    for k, component in enumerate(problem.components):
+        if component.kind != "name" or not component.name.endswith("@"):
+            continue
+        every = [c for c in problem.choices if c.component == k]
+        index, taken = np.array([c.at for c in every]), list[Choice]()
+        own = swept(still, problem.flat)
+        while len(taken) < DEEPEST:
+            logs = block_logs(own, index, SIZES, dof)[0][0]
+            at, size = np.unravel_index(np.argmax(logs), logs.shape)
+            if any(c is every[at] for c in taken) or logs[at, size] < own.evidence(dof) + OPEN:
+                break
+            taken.append(every[at])
+            own = swept(own, (every[at].at, float(SIZES[size])))
+            if len(taken) > 1:
+                more.append(_joined(taken, float(problem.odds[k])))
+    return replace(problem, choices=(*problem.choices, *more))
+
+
+def _joined(taken: Sequence[Choice], odds: float) -> Choice:
+    """Members of one component as one; odds : log prior odds of each after the first."""
+    effects = tuple(effect for c in taken for effect in c.member.effects)
+    weight = sum(c.log_weight for c in taken) + odds * (len(taken) - 1)
+    at = np.concatenate([c.at for c in taken])
+    return Choice(taken[0].component, Member(effects, weight), at, weight)
 
 
 def _profiles(problem: Problem, grams: Grams) -> tuple[Index, Array]:

@@ -9,7 +9,7 @@ Given what is read, the walk at any moments g is normal, C its covariance with t
     w_g | y, θ ~ N(Cᵀ V⁻¹ (y - X θ),  K_gg - Cᵀ V⁻¹ C)
 
 A calibration holds it as a smooth curve of time. It is followed only where short stretches of the
-recording, each predicted by the others, prove that it tells what a reading there is off by.
+recording, each predicted by the others, are told no worse with it.
 """
 
 from __future__ import annotations
@@ -47,6 +47,7 @@ from imucalib.loop.posterior.recorded import (
     looked,
     recorded_grams,
     whitener,
+    with_jumps,
 )
 from imucalib.loop.posterior.solution import Solved, solved
 from imucalib.loop.posterior.space import search
@@ -125,6 +126,7 @@ def _explored(plain: Fit, wanted: Searched, known: Array) -> tuple[Explored, Cou
         at = fit_at(fit.model, scaled, fit.theta, fit.covariance)
         problem = problem_of(at, refined(first, values, data, wanted), plain.model)
         every = recorded_grams(problem, course)
+        problem = with_jumps(problem, every)
         kept, leading = looked(problem, every, before)
         grams = every.of(kept)
         del every  # the products of all walks are most of the memory
@@ -170,10 +172,10 @@ def _gain(final: Fit, left: LeftOut) -> Difference:
 
 
 def followed(fit: Fit, course: Course) -> Fit | None:
-    """The fit with the course of its bias, or None where nothing proves that there is one to
-    follow; course : the noise beside the fit."""
+    """The fit with the course of its bias, or None where none is likely or held-out stretches speak
+    against it; course : the noise beside the fit."""
     misfit = fit.at.residual * fit.at.unit / course.scatter
-    if not course.likeliest.size.any() or not _proved(course, misfit):
+    if not course.likeliest.size.any() or not _holds(course, misfit):
         return None
     time = course.time
     effect = curve(f"bias:time:{time[0]:.10g}:{time[-1]:.10g}:{_TERMS}")
@@ -181,8 +183,8 @@ def followed(fit: Fit, course: Course) -> Fit | None:
     return _joined(fit, model, effect.name, _curve_of_walk(fit, course, misfit))
 
 
-def _proved(course: Course, misfit: Array) -> bool:
-    """Whether stretches that are left out are predicted better with the walk, beyond chance."""
+def _holds(course: Course, misfit: Array) -> bool:
+    """Whether stretches that are left out are predicted no worse with the walk."""
     time, walk = course.time, course.likeliest
     unit = (time - time[0]) / max(float(np.ptp(time)), 1e-300)
     stretch = np.minimum((_STRETCHES * unit).astype(int), _STRETCHES - 1)
@@ -192,7 +194,7 @@ def _proved(course: Course, misfit: Array) -> bool:
     white = whitener(time, variance, shares, np.full(_FOLDS, walk.memory))
     predicted = variance * white.back(white(misfit[:, None]))[..., 0]
     after = predicted[stretch % _FOLDS, np.arange(time.size)]
-    return difference(np.abs(misfit), np.abs(after), stretch, _FOLDS, "mean").plain_low > 0.0
+    return difference(np.abs(misfit), np.abs(after), stretch, _FOLDS, "mean").holds
 
 
 @dataclass(frozen=True)

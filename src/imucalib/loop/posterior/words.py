@@ -16,6 +16,7 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.core.fit import Fit
 from imucalib.loop.found import Rival, Score
+from imucalib.loop.posterior.catalogue import Member
 from imucalib.loop.posterior.gram import swept
 from imucalib.loop.posterior.odds import CERTAIN, FALSE_CLAIM, LEAST, OCCAM
 from imucalib.loop.posterior.problem import Contest, Problem
@@ -139,12 +140,10 @@ class Conclusion:
     places: tuple[Place, ...]
 
 
-def concluded(problem: Contest, posterior: Posterior, *, names_first: bool = False) -> Conclusion:
-    """The simplest set that explains the data, and what else could be in each of its places.
-
-    names_first : whether a set of names comes before one of its size that has no name in it, and
-        does not beat it by more than chance: where what has no name is not corrected
-    """
+def concluded(problem: Contest, posterior: Posterior) -> Conclusion:
+    """The simplest set that explains the data, and what else could be in each of its places. Of
+    sets of one size that differ by no more than chance it is the one with the most names: on two
+    temperatures a line and a curve are one function, and a curve says nothing beyond them."""
 
     def nameless(hypothesis: Hypothesis) -> int:
         return sum(not problem.components[c].named for c in hypothesis.components)
@@ -155,7 +154,7 @@ def concluded(problem: Contest, posterior: Posterior, *, names_first: bool = Fal
     bar = np.exp(-OCCAM) * posterior.probability[0]
     said, _ = min(
         ((h, p) for h, p in posterior.weighed if p > bar and h.components),
-        key=lambda one: (len(one[0].components), names_first and nameless(one[0]), -one[1]),
+        key=lambda one: (len(one[0].components), nameless(one[0]), -one[1]),
     )
     inside = of_each(posterior, len(problem.components))[1]
     without_name = sum(p for h, p in posterior.weighed if nameless(h))
@@ -170,10 +169,15 @@ def concluded(problem: Contest, posterior: Posterior, *, names_first: bool = Fal
 
 def name_of(problem: Contest, posterior: Posterior, said: Conclusion, component: int) -> str:
     """The effect of a component in what is concluded, or in its likeliest set."""
+    return member_of(problem, posterior, said, component).name
+
+
+def member_of(problem: Contest, posterior: Posterior, said: Conclusion, component: int) -> Member:
+    """How a component acts there."""
     sets = (said.hypothesis, *posterior.hypotheses)
     own = next(h for h in sets if component in h.components)
     picked = (problem.choices[p.choice] for p in own.picks)
-    return next(choice.member.name for choice in picked if choice.component == component)
+    return next(choice.member for choice in picked if choice.component == component)
 
 
 def _rivals(

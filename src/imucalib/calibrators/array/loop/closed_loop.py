@@ -18,7 +18,7 @@ from imucalib.calibrators.array.estimate.covariance import (
 )
 from imucalib.calibrators.array.loop.ages import found_clock, with_clock, with_found_clock
 from imucalib.calibrators.array.loop.catalogue import EVERYTHING, Scope
-from imucalib.calibrators.array.loop.cross_fit import Gained, cross_fitted
+from imucalib.calibrators.array.loop.cross_fit import CHANNELS, Gained, Residuals, cross_fitted
 from imucalib.calibrators.array.loop.search import (
     Explored,
     MotionProblem,
@@ -36,7 +36,7 @@ from imucalib.loop.posterior.space import Posterior
 from imucalib.loop.posterior.words import name_of, of_each
 from imucalib.significant_digits import plus_minus
 
-_REFUSED = "motion that took no part in the search refuses it"
+_REFUSED = "it makes the held-out error larger"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +63,14 @@ class MotionLoop(Loop[ArrayState]):
         """Whether the motion names a cause that the other half of it does not prove."""
         own = self.rests.steps if self.rests is not None else ()
         in_motion = len(self.named) > len(own)
-        return in_motion and self.gained is not None and not self.gained.proved
+        return in_motion and self.difference is not None and not self.difference.proved
+
+    @property
+    def held_out(self) -> tuple[Residuals, Residuals] | None:
+        """Errors on motion that took no part, of the base model and of what is corrected."""
+        if self.gained is None:
+            return None
+        return self.gained.before, self.gained.before if self.refuted else self.gained.after
 
 
 def close_array_loop(
@@ -93,8 +100,10 @@ def close_array_loop(
     steps = steps_of(found, final, gained)
     shifts = _unnamed(found, final)
     open_ends = {one: float(np.sqrt(np.mean(moved**2))) for one, moved in shifts.items()}
+    acts = {term.effect.channel for term in final.found} or set(CHANNELS)
+    deciding = None if gained is None else gained.deciding(acts)
     refused: tuple[tuple[str, str], ...] = ()
-    if steps and gained is not None and gained.refutes:
+    if steps and deciding is not None and not deciding.holds:
         refused = tuple((step.effect, _REFUSED) for step in steps)
         nameless = (
             Unexplained(s.effect, s.effect, "effect", s.probability, s.evidence) for s in steps
@@ -118,7 +127,7 @@ def close_array_loop(
         scores=scores_of(found.problem, found.posterior),
         first_scores=scores_of(*found.first),
         missing=found.problem.missing,
-        difference=None if gained is None else gained.principal,
+        difference=deciding,
         complete=found.said.complete,
         gained=gained,
         impact=absorbed(found.first[0]),

@@ -8,7 +8,7 @@ between that are never predicted. Base and final model stand on the same samples
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +18,7 @@ from imucalib.calibrators.array.estimate.covariance import transferred
 from imucalib.calibrators.array.loop.ages import voting, with_clock
 from imucalib.calibrators.array.loop.setup import FEWEST, Setup, part_of
 from imucalib.calibrators.array.loop.state import ArrayState, followed
+from imucalib.core.effect import Channel
 from imucalib.loop.found import Checked
 from imucalib.loop.held_out import Difference, difference
 from imucalib.units import DEG
@@ -26,10 +27,8 @@ from imucalib.units import DEG
 NORMAL_MAD = 1.4826
 _HALVES = 2
 _FOLLOWED = 3  # rounds of the motion, with its weights, under a model that does not move
-#: Share of an error from which on a loss of one sensor counts against the other's gain, and the
-#: same of a loss that speaks against all that was found.
-_COUNTS, _HARM = 0.1, 0.01
 _NO_ERROR = 1e-12  # m/s² or rad/s
+CHANNELS: tuple[Channel, Channel] = ("acceleration", "angular_rate")
 
 
 @dataclass(frozen=True)
@@ -42,16 +41,10 @@ class Residuals:
 
 @dataclass(frozen=True)
 class Gained:
-    """acceleration (m/s²), rate (rad/s) : median absolute deviations before and after
-
-    own : the same of the sensors' own errors, residuals over the root of what the motion leaves of
-    them. One of few chips that counts little leaves the motion to the others, which then agree with
-    it whatever they read: only against that has an error grown
-    """
+    """acceleration (m/s²), rate (rad/s) : median absolute deviations before and after"""
 
     acceleration: Difference
     rate: Difference
-    own: tuple[Difference, Difference]
 
     @property
     def before(self) -> Residuals:
@@ -70,25 +63,15 @@ class Gained:
             Checked("gyros", "deg/s", before.rate, after.rate),
         )
 
-    @property
-    def principal(self) -> Difference:
-        """The sensor that has gained the larger share of its error."""
-        return max((self.acceleration, self.rate), key=lambda d: d.gain / max(d.before, 1e-300))
-
-    @property
-    def proved(self) -> bool:
-        """Whether one sensor has gained beyond chance, and the other lost nothing that counts."""
-        lost = any(d.high < 0.0 and d.after > (1.0 + _COUNTS) * d.before for d in self.own)
-        return any(d.proved for d in (self.acceleration, self.rate)) and not lost
-
-    @property
-    def refutes(self) -> bool:
-        """Whether neither error has fallen, and one has grown beyond chance, by as much as counts.
-        Where a half of the motion shows too little for its search to find an effect as it is,
-        errors are the same but for what noise makes of them: that says nothing against what the
-        whole shows, nor for it."""
-        grown = (d.high < 0.0 and d.gain < -_HARM * d.before for d in self.own)
-        return self.principal.gain < 0.0 and any(grown)
+    def deciding(self, channels: Collection[Channel]) -> Difference:
+        """The error that has gained the least share of itself, of the sensors that effects act on:
+        what helps one of them is no proof of what is made of the other."""
+        own = [
+            d
+            for c, d in zip(CHANNELS, (self.acceleration, self.rate), strict=True)
+            if c in channels
+        ]
+        return min(own, key=lambda d: d.gain / max(d.before, 1e-300))
 
 
 def cross_fitted(
@@ -108,11 +91,12 @@ def cross_fitted(
         blocks.append(test.block[silent])
     before, after = (np.concatenate(parts, axis=1) for parts in zip(*sizes, strict=True))
     block = np.concatenate(blocks)
-    acceleration, rate, *own = (
-        difference_of_medians(one, two, block, _HALVES)
-        for one, two in zip(before, after, strict=True)
+    return Gained(
+        *(
+            difference_of_medians(one, two, block, _HALVES)
+            for one, two in zip(before, after, strict=True)
+        )
     )
-    return Gained(acceleration, rate, (own[0], own[1]))
 
 
 def _predicted(state: ArrayState, setup: Setup) -> ArrayState:
@@ -124,12 +108,10 @@ def _predicted(state: ArrayState, setup: Setup) -> ArrayState:
 
 
 def _sizes(state: ArrayState, rows: Flags) -> Array:
-    """(4, n, 3 K) m/s² and rad/s: what remains of the samples `rows` (inner,) of accelerometers and
-    gyros, and the same over the root of the share that the motion leaves."""
+    """(2, n, 3 K) m/s² and rad/s: what remains of the samples `rows` (inner,) of accelerometers and
+    gyros."""
     off, inner = state.sampled.off, state.setup.inner[rows]
-    rest = np.abs([off.acceleration[inner], off.rate[inner]])
-    share = np.stack([kept.share[inner] for kept in state.sampled.kept])[..., None]
-    return np.concatenate([rest, rest / np.sqrt(share)]).reshape(4, len(inner), -1)
+    return np.abs([off.acceleration[inner], off.rate[inner]]).reshape(2, len(inner), -1)
 
 
 def difference_of_medians(before: Array, after: Array, block: Index, folds: int) -> Difference:
@@ -147,10 +129,8 @@ def difference_of_medians(before: Array, after: Array, block: Index, folds: int)
     mean = difference(ratio[of], np.zeros(len(of)), block, folds, "mean")
     start, end = float(np.median(before)), float(np.median(after))
     away = _log_ratio(before, after) - mean.gain
-    low, high, plain_low = (
-        start * -float(np.expm1(-(edge + away))) for edge in (mean.low, mean.high, mean.plain_low)
-    )
-    return Difference(start, end, low, high, plain_low, mean.parts)
+    low, high = (start * -float(np.expm1(-(edge + away))) for edge in (mean.low, mean.high))
+    return Difference(start, end, low, high, mean.parts)
 
 
 def _log_ratio(before: Array, after: Array) -> float:

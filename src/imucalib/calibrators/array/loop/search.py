@@ -208,7 +208,7 @@ def explored(base: ArrayState, scope: Scope, *, curves: bool = False) -> Explore
         problem, grams = products(state, skipped, scope.declare)
         posterior = climbed(problem, grams, problem.picks(state))
         first = first or (problem, posterior)
-        said = concluded(problem, posterior, names_first=not curves)
+        said = concluded(problem, posterior)
         chosen = problem.of_set(said.hypothesis)
         names = frozenset(one.name for one in chosen)
         held = {t.name for t in state.found}
