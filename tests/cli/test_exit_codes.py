@@ -111,7 +111,7 @@ def test_a_file_that_may_not_grow_ends_cleanly(log: Path, suffix: str) -> None:
 @pytest.mark.parametrize("rows", [1, 2, 3, 4])
 @pytest.mark.parametrize("option", [[], ["--no-loop"]])
 def test_a_sheet_of_too_few_rows_is_told_so(option: list[str], rows: int, tmp_path: Path) -> None:
-    lines = [f"{10 * k},0,4.5,978.{k},57.{k}" for k in range(rows)]
+    lines = [f"{10 * k},0,4.{k},97{8 - k},{57 + 170 * k}" for k in range(rows)]
     path = tmp_path / "few.csv"
     path.write_text("\n".join(["inclination,tool_face,x_mg,y_mg,z_mg", *lines]) + "\n")
     done = command.run("lab", path, "-o", tmp_path / "out", *option)
