@@ -34,6 +34,7 @@ from imucalib.calibrators.lab.run import LabRun, run_lab
 from imucalib.errors import ImucalError, UnreadableInput, UsageError
 from imucalib.readers import read
 from imucalib.readers.csv.table import Cells
+from imucalib.readers.csv.text import take_turns
 from imucalib.readers.words import triples_of
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
@@ -347,7 +348,8 @@ def inspect_table(path: Path, mapping: FieldMapping) -> TableSeen | None:
         if not whole:
             return TableSeen(table, "plan", "", (), table.left_out)
         return _seen(table, "vector", mapping)
-    found = positions_in(LabFiles(path, mapping=mapping), cells)
+    devices = any(take_turns(n, [str(c) for c in own]) for n, own in cells.columns.items())
+    found = None if devices else positions_in(LabFiles(path, mapping=mapping), cells)
     if found is None or not ("ux" in found or found.turns):
         return None
     return _seen(found, "direction" if "ux" in found else "norm", mapping)

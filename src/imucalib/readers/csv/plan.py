@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +35,7 @@ from imucalib.readers.csv.text import (
     is_blank,
     looks,
     no_row_has,
+    take_turns,
 )
 from imucalib.readers.devices.catalogue import Device
 from imucalib.readers.timebase import stepping
@@ -238,8 +238,8 @@ def _demand_one_device(dialect: Dialect, piece: bytes, where: str) -> None:
     rows = [row for row in each if len(row) == dialect.width]
     for k, name in enumerate(dialect.names if len(rows) > 1 else ()):
         cells = [row[k] for row in rows]
-        turns = sum(one != other for one, other in pairwise(cells))
-        if 2 * turns > len(rows) and (said := few_values(name, cells)):
+        if take_turns(name, cells):
+            said = few_values(name, cells)
             raise UnreadableInput(
                 f"rows of several sensors take turns: {said.partition(' (')[0]}",
                 where=where,
