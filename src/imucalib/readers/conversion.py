@@ -411,11 +411,11 @@ def _refuse_wrong(unit: str, norm: float, ratio: float, by_user: bool, where: st
 def _without_gravity(norm: float, where: str) -> UnreadableInput:
     """The error for numbers that are no gravity in any unit, and smaller than it in all."""
     return UnreadableInput(
-        f"the norm at rest is {norm:.3g}: gravity was removed from it (linear acceleration), and "
-        "without gravity nothing can be calibrated",
+        f"the norm at rest is {norm:.3g}, in which there is no gravity: it was removed (linear "
+        "acceleration), or these are angular rates or steps of velocity",
         where=where,
-        remedy="record the raw acceleration, gravity included; if it is included, give the scale "
-        "with --unit counts --lsb N",
+        remedy="record the raw acceleration, gravity included; name rates with --gyro; if gravity "
+        "is in it, give the scale with --unit counts --lsb N (steps of velocity: 9.80665 / rate)",
     )
 
 
