@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 
 from imucalib import cli, writers
-from imucalib.errors import CRASH_EXIT_CODE
+from imucalib.errors import CRASH_EXIT_CODE, Undetermined
 from imucalib.recording.recording import Channel, Recording
+from worlds import command
 
 N = 20_000
 
@@ -105,3 +106,14 @@ def test_a_file_that_may_not_grow_ends_cleanly(log: Path, suffix: str) -> None:
     assert found.stderr.count(b"\n") == 1
     assert b"too large" in found.stderr
     assert [p.name for p in log.parent.iterdir()] == ["log.h5"]
+
+
+@pytest.mark.parametrize("rows", [1, 2, 3, 4])
+@pytest.mark.parametrize("option", [[], ["--no-loop"]])
+def test_a_sheet_of_too_few_rows_is_told_so(option: list[str], rows: int, tmp_path: Path) -> None:
+    lines = [f"{10 * k},0,4.{k},97{8 - k},{57 + 170 * k}" for k in range(rows)]
+    path = tmp_path / "few.csv"
+    path.write_text("\n".join(["inclination,tool_face,x_mg,y_mg,z_mg", *lines]) + "\n")
+    done = command.run("lab", path, "-o", tmp_path / "out", *option)
+    assert isinstance(done.exception, Undetermined)
+    assert done.exception.exit_code == 4

@@ -78,6 +78,14 @@ def test_two_stamps_of_the_same_rows_are_one_clock(tmp_path: Path) -> None:
     np.testing.assert_array_equal(times[0], times[1])
 
 
+def test_the_clock_of_something_else_between_sensors_is_none_of_theirs(tmp_path: Path) -> None:
+    names = ["time", "acc_x", "acc_y", "acc_z", "gps_time", "gyr_x", "gyr_y", "gyr_z"]
+    columns = [T.tolist(), *ACC.T.tolist(), (T * 2 + 7.0).tolist(), *GYR.T.tolist()]
+    found = readers.read(written(tmp_path / "log.csv", names, columns))
+    np.testing.assert_allclose(found.channels["imu0/angular_rate"].t, T, atol=1e-9)
+    assert any("not read: gps_time" in note for note in found.notes)
+
+
 def test_a_leap_second_is_a_second_of_its_own(tmp_path: Path) -> None:
     stamps = []
     for k in range(N):

@@ -277,7 +277,7 @@ def test_acceleration_without_gravity_is_said_to_be_that(stated: bool, tmp_path:
     head = "t_s,acc_x [m/s2],acc_y [m/s2],acc_z [m/s2]" if stated else "t_s,acc_x,acc_y,acc_z"
     path = tmp_path / "linear.csv"
     np.savetxt(path, np.column_stack([t, moved]), delimiter=",", header=head, comments="")
-    with pytest.raises(UnreadableInput, match="gravity was removed"):
+    with pytest.raises(UnreadableInput, match="no gravity: it was removed"):
         read(path)
 
 

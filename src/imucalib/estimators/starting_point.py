@@ -75,7 +75,7 @@ def larger_part(design: Array, reading: Array) -> Concentrated:
     """The rows that fit one linear map best, as many as break down last (Rousseeuw and Leroy 1987,
     section 3.4), from all, from those in front and from those at the end. design : (n, p)"""
     n, columns = design.shape
-    many = max(columns + 1, (n + columns + 1) // 2)
+    many = min(max(columns + 1, (n + columns + 1) // 2), n)
     starts = (np.arange(n), np.arange(many), np.arange(n - many, n))
     found = (concentrated(design, reading, start, many) for start in starts)
     return min(found, key=lambda f: f.misfit)

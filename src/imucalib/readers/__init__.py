@@ -24,6 +24,7 @@ from imucalib.readers.joining import (
     with_order_told,
     with_plausible_clocks,
 )
+from imucalib.readers.possible import without_the_impossible
 from imucalib.readers.rates import with_checked_rates
 from imucalib.readers.repeats import with_held
 from imucalib.readers.source import UNREAD, head_of, named
@@ -195,7 +196,8 @@ def _looked_at(
     """What holds for every format: a clock's parts, clocks that such sensors can have, rates in the
     unit that is stated, and samples that are no measurement."""
     fixed = getattr(reader, "fixed", False)
-    clocked = with_plausible_clocks(with_order_told(in_parts(found)))
+    possible = without_the_impossible(found)
+    clocked = with_plausible_clocks(with_order_told(in_parts(possible)))
     return _unwarned(with_held(with_checked_rates(clocked, mapping, fixed=fixed)))
 
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from imucalib import units
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput, UsageError
+from imucalib.readers.words import INERTIAL
 from imucalib.recording.mapping import UNCHANGED, AxisMap, FieldMapping, parse_axis_map
 
 _FEWEST = 8
@@ -89,6 +90,8 @@ class Conversion:
     factor, offset : (1,) or (3,) per file axis
     note : how the unit was found, or empty when the file states it
     counts_per_g : the device's scale, where the norm at rest chose it, else 0
+    missing : raw values that stand for none: they become NaN
+    wrap : of numbers in two's complement without their sign, 65536 for 16 bits; else 0
     """
 
     unit: str
@@ -98,10 +101,12 @@ class Conversion:
     axes: AxisMap = UNCHANGED
     note: str = ""
     counts_per_g: float = 0.0
+    missing: tuple[float, ...] = ()
+    wrap: float = 0.0
 
     def apply(self, raw: NDArray[np.generic]) -> Array:
         """Convert raw values (..., 3), or (..., 1) for a scalar quantity, to float64."""
-        values = np.asarray(raw, dtype=np.float64)
+        values = signed(without(np.asarray(raw, dtype=np.float64), self.missing), self.wrap)
         if self.offset.any():
             values = values - self.offset
         if (self.factor != 1.0).any():
@@ -112,6 +117,49 @@ class Conversion:
         """Convert sizes (standard deviations, steps) of raw values: no offset, no sign."""
         values = np.asarray(raw, dtype=np.float64) * np.abs(self.factor)
         return np.abs(self.axes.apply(values))
+
+
+#: Values that are written where there is none, as integers of 16 and 32 bits and by hand.
+_MISSING = (-999.0, 9999.0, -9999.0, 99999.0, -99999.0, 1e20, -1e20, -32768.0, -2147483648.0)
+_SET_APART = 3.0  # times what else an axis reads
+_BITS = (12, 16, 24, 32)
+
+
+def missing_values(looks: Sequence[Array]) -> tuple[float, ...]:
+    """Which of the values that are written for none an axis of raw readings (n, 3) holds, far from
+    all else that it reads."""
+    whole = np.concatenate(looks)
+    codes = np.isin(whole, _MISSING)
+    if not codes.any():
+        return ()
+    most = np.where(codes | ~np.isfinite(whole), 0.0, np.abs(whole)).max(axis=0)
+    apart = codes & (np.abs(whole) > _SET_APART * most) & (most > 0.0)
+    return tuple(np.unique(whole[apart]).tolist())
+
+
+def without(values: Array, missing: tuple[float, ...]) -> Array:
+    """The values with NaN for those that stand for none."""
+    return np.where(np.isin(values, missing), np.nan, values) if missing else values
+
+
+def wrap_of(looks: Sequence[Array]) -> float:
+    """How many numbers there are in the converter's range, where readings (n, 3) are its two's
+    complement read without the sign: they leap over half of the range, and else never do. Else 0"""
+    low, high = min(v.min() for v in looks), max(v.max() for v in looks)
+    size = next((2.0**bits for bits in _BITS if high < 2.0**bits), np.inf)
+    if low < 0.0 or high < 0.5 * size or any((v != np.rint(v)).any() for v in looks):
+        return 0.0
+    leaps = [max(_leap(f(v)) for v in looks) for f in (np.asarray, lambda v: signed(v, size))]
+    return size if leaps[0] > 0.5 * size >= leaps[1] else 0.0
+
+
+def _leap(values: Array) -> float:
+    return float(np.abs(np.diff(values, axis=0)).max(initial=0.0))
+
+
+def signed(values: Array, wrap: float) -> Array:
+    """Numbers of a two's complement with their sign."""
+    return np.where(values >= 0.5 * wrap, values - wrap, values) if wrap else values
 
 
 #: Numbers that are kept as they are.
@@ -189,6 +237,9 @@ def acceleration(
         raise UnreadableInput(away.sentence, where=where, remedy=remedy)
     if mapping.lsb_per_g and unit in ("", COUNTS):
         scale = units.STANDARD_GRAVITY / _per_axis(mapping.lsb_per_g, "lsb_per_g", 1.0)
+        if rest.size:
+            si = float(np.median(np.linalg.norm((rest - offset) * scale, axis=1)))
+            _refuse_wrong(COUNTS, norm, si / units.STANDARD_GRAVITY, True, where)
         return found(COUNTS, scale, "acceleration from counts per g")
     if source.scales and not mapping.acc_unit:
         one = _scale_of(source.scales, norm, where)
@@ -217,12 +268,39 @@ def of_looks(
     where: str,
 ) -> Conversion:
     """Conversion of any quantity. looks : raw values (n, k), all finite; rate : Hz"""
-    if quantity == "acceleration":
-        rest = readings_at_rest(looks, max(3, round(_REST_SECONDS * rate)))
-        return acceleration(mapping, source, rest, where)
-    if quantity == "angular_rate":
-        return angular_rate(mapping, source.unit, where)
+    window = max(3, round(_REST_SECONDS * rate))
+    if quantity in INERTIAL:
+        return of_vectors(quantity, mapping, source, looks, window=window, where=where)
     return temperature(mapping, source.unit, np.concatenate(looks)[:, 0], where)
+
+
+def of_vectors(
+    quantity: str,
+    mapping: FieldMapping,
+    source: Source,
+    looks: Sequence[Array],
+    *,
+    window: int,
+    where: str,
+) -> Conversion:
+    """Conversion of an acceleration or an angular rate, of what it holds for "no value" and of a
+    sign that was lost. looks : raw values (n, 3); window : samples of a rest; else as `of_looks`"""
+    missing = missing_values(looks)
+    looks = [without(v, missing) for v in looks]
+    known = [v[np.isfinite(v).all(axis=1)] for v in looks]
+    wrap = wrap_of(known) if any(v.size for v in known) else 0.0
+    if quantity == "acceleration":
+        rest = readings_at_rest([signed(v, wrap) for v in looks], window)
+        how = acceleration(mapping, source, rest, where)
+    else:
+        how = angular_rate(mapping, source.unit, where)
+    said = [how.note] if how.note else []
+    if missing:
+        codes = ", ".join(f"{code:g}" for code in missing)
+        said.append(f"{codes} stands for no value: such samples are left out")
+    if wrap:
+        said.append(f"numbers above {wrap / 2 - 1:.0f} are negative ones without their sign")
+    return replace(how, missing=missing, wrap=wrap, note="; ".join(said))
 
 
 class _Quantity(Protocol):
@@ -319,7 +397,8 @@ def _refuse_wrong(unit: str, norm: float, ratio: float, by_user: bool, where: st
     what = f"the norm at rest is {norm:.6g}, which is {ratio:.3g} g when the unit is {unit}"
     if by_user:
         remedy = "leave --unit away or name the true one; counts need --unit counts --lsb N"
-        raise UnreadableInput(f"{what}, as --unit states", where=where, remedy=remedy)
+        said = "--lsb states" if unit == COUNTS else "--unit states"
+        raise UnreadableInput(f"{what}, as {said}", where=where, remedy=remedy)
     known = units.ACCELERATION_UNITS.items()
     fitting = [u for u, si in known if abs(norm * si / units.STANDARD_GRAVITY - 1.0) <= 0.25]
     if ratio < 1.0 and not fitting:
@@ -332,11 +411,11 @@ def _refuse_wrong(unit: str, norm: float, ratio: float, by_user: bool, where: st
 def _without_gravity(norm: float, where: str) -> UnreadableInput:
     """The error for numbers that are no gravity in any unit, and smaller than it in all."""
     return UnreadableInput(
-        f"the norm at rest is {norm:.3g}: gravity was removed from it (linear acceleration), and "
-        "without gravity nothing can be calibrated",
+        f"the norm at rest is {norm:.3g}, in which there is no gravity: it was removed (linear "
+        "acceleration), or these are angular rates or steps of velocity",
         where=where,
-        remedy="record the raw acceleration, gravity included; if it is included, give the scale "
-        "with --unit counts --lsb N",
+        remedy="record the raw acceleration, gravity included; name rates with --gyro; if gravity "
+        "is in it, give the scale with --unit counts --lsb N (steps of velocity: 9.80665 / rate)",
     )
 
 

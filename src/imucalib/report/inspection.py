@@ -156,11 +156,17 @@ def table_document(seen: TableSeen, typed: str) -> Document:
     return Document(table.path, verdict, parts, drawn="--html")
 
 
+_OWN = 4096  # bytes in which a file of this program says that it is one
+
+
 def own_document(path: Path, typed: str) -> tuple[Document, dict[str, Any]] | None:
     """What a file is that this program wrote, the next command, and the same for machines; None of
     another's file. Raises UnreadableInput where it is damaged."""
     if path.suffix.lower() not in (".yaml", ".yml", ".json"):
         return None
+    with path.open("rb") as stream:  # a log of a phone may be as long as it likes
+        if b"imucal" not in stream.read(_OWN):
+            return None
     content = load(path)
     found = content if isinstance(content, dict) else {}
     kind = str(found.get("schema", ""))

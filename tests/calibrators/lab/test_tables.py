@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable
 from pathlib import Path
 
@@ -323,3 +324,47 @@ def test_still_positions_are_not_the_samples_of_a_recording(
 ) -> None:
     table = read_position_table(_write(tmp_path, f"{heading}\n{rows}"), need_angles=False)
     assert table.of_positions == positions
+
+
+ABOVE = {
+    "a title with two commas": "Protocol, tool 4711, bench 2\n",
+    "a title and a blank line": "Protocol, tool 4711, bench 2\n\n",
+    "a title of all cells": "Protocol, tool 4711, bench 2;;;;;\n",
+    "a group": ";;;Sensor A;;\n",
+    "a title and a group": "Protocol, tool 4711;;;;;\nOperator: NN;;;Sensor A (primary);;\n",
+    "keys and values": "Tool;4711\nOperator;NN\nDate;02.03.2026\ng;9,8123\n\n",
+}
+NUMBERED = """No;INC;HSTF;Gx;Gy;Gz
+;deg;deg;g;g;g
+1;0,0;0,0;0,0118;-0,0053;1,0171
+2;0,0;90,0;0,0125;-0,0053;1,0172
+3;10,0;0,0;-0,1619;-0,0048;1,0012
+4;10,0;90,0;0,0127;0,1666;1,0027
+"""
+
+
+@pytest.mark.parametrize("above", ABOVE.values(), ids=ABOVE)
+@pytest.mark.parametrize("units", [True, False])
+def test_a_table_is_read_from_its_numbers_upwards(units: bool, above: str, tmp_path: Path) -> None:
+    path = tmp_path / "sheet.csv"
+    lines = NUMBERED.splitlines(keepends=True)
+    path.write_text(above + "".join(lines if units else [lines[0], *lines[2:]]))
+    table = read_position_table(path)
+    np.testing.assert_array_equal(table.columns["inclination"], [0.0, 0.0, 10.0, 10.0])
+    np.testing.assert_array_equal(table.raw()[2], [-0.1619, -0.0048, 1.0012])
+    assert table.unit.get("x", "") == ("g" if units else "")
+
+
+@pytest.mark.parametrize("heading", [
+    "Operator: NN;;;Sensor A;;;Sensor B;;\nNo;INC;HSTF;Gx;Gy;Gz;Gx;Gy;Gz\n",
+    "No;INC;HSTF;Gx A;Gy A;Gz A;Gx B;Gy B;Gz B\n",
+])  # fmt: skip
+def test_of_two_sensors_the_columns_to_choose_are_told(heading: str, tmp_path: Path) -> None:
+    path = tmp_path / "sheet.csv"
+    rows = [f"{k};{10 * k},0;0,0;0,1;0,2;0,9{k};-0,1;0,3;0,9{k}\n" for k in range(6)]
+    path.write_text(heading + "".join(rows))
+    with pytest.raises(UnreadableInput, match="2 sensors may be meant") as caught:
+        read_position_table(path)
+    option = caught.value.remedy.partition("--columns ")[2].partition(";")[0]
+    chosen = dict(part.split("=") for part in shlex.split(option)[0].split(","))
+    assert read_position_table(path, chosen).raw()[3].tolist() == [0.1, 0.2, 0.93]

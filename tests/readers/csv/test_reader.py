@@ -274,7 +274,7 @@ def test_an_odd_cell_is_its_number_or_none(cell: str, tmp_path: Path) -> None:
     path = put(tmp_path, "\n".join(["x [g],y [g],z [g]", *lines]) + "\n")
     found = acc_of(readers.read(path, FieldMapping(rate=100)))
     plain = re.fullmatch(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*", cell)
-    if plain is None or not np.isfinite(float(cell)):
+    if plain is None or not abs(float(cell)) < 1000.0:  # g: more reads no sensor
         assert found.shape == (599, 3)
         np.testing.assert_allclose(found, np.delete(at_rest(600), 20, axis=0) * G, rtol=1e-14)
     else:

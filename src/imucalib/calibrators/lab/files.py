@@ -34,6 +34,8 @@ from imucalib.calibrators.lab.run import LabRun, run_lab
 from imucalib.errors import ImucalError, UnreadableInput, UsageError
 from imucalib.readers import read
 from imucalib.readers.csv.table import Cells
+from imucalib.readers.csv.text import take_turns
+from imucalib.readers.words import triples_of
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
 from imucalib.rests.candidates import refusals
@@ -341,11 +343,13 @@ def inspect_table(path: Path, mapping: FieldMapping) -> TableSeen | None:
         return None
     if roles >= ANGLES:
         whole = set("xyz") <= roles
-        table = read_position_table(path, need_raw=whole, mapping=mapping, cells=cells)
+        raw = whole or bool(triples_of(list(cells.columns)))  # of which sensor, is asked
+        table = read_position_table(path, need_raw=raw, mapping=mapping, cells=cells)
         if not whole:
             return TableSeen(table, "plan", "", (), table.left_out)
         return _seen(table, "vector", mapping)
-    found = positions_in(LabFiles(path, mapping=mapping), cells)
+    devices = any(take_turns(n, [str(c) for c in own]) for n, own in cells.columns.items())
+    found = None if devices else positions_in(LabFiles(path, mapping=mapping), cells)
     if found is None or not ("ux" in found or found.turns):
         return None
     return _seen(found, "direction" if "ux" in found else "norm", mapping)

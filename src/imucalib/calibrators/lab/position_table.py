@@ -7,6 +7,7 @@ Columns are found by name or given; every cell that is used must be a number. Ro
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -23,6 +24,7 @@ from imucalib.readers.csv.text import few_values, is_blank, is_number
 from imucalib.readers.devices.catalogue import refuse_foreign
 from imucalib.readers.hdf5.reader import table_columns
 from imucalib.readers.source import head_of
+from imucalib.readers.words import triples_of
 from imucalib.recording.mapping import FieldMapping
 from imucalib.units import DEG
 
@@ -334,7 +336,12 @@ def _demand(roles: tuple[str, ...], found: Mapping[str, str], have: list[str], w
     if not absent:
         return
     remedy = f"name it: --columns {','.join(f'{role}=HEADING' for role in absent)}"
-    if set("xyz") <= set(absent):
+    threes = [[have[k] for k in three] for three in triples_of(have)] if "x" in absent else []
+    if set("xyz") <= set(absent) and threes:
+        named = [",".join(f"{a}={h}" for a, h in zip("xyz", t, strict=True)) for t in threes]
+        chosen = "; ".join(f"--columns {shlex.quote(columns)}" for columns in named)
+        remedy = f"{len(threes)} sensors may be meant, choose one: {chosen}"
+    elif set("xyz") <= set(absent):
         remedy += "; or give the log of rests in these positions: --recording LOG"
     elif {"inclination", "tool_face"} <= set(absent):
         remedy += "; or, without known angles, add --reference norm"

@@ -35,12 +35,14 @@ from imucalib.readers.csv.text import (
     is_blank,
     looks,
     no_row_has,
+    take_turns,
 )
 from imucalib.readers.devices.catalogue import Device
 from imucalib.readers.timebase import stepping
 from imucalib.readers.words import understand
 from imucalib.recording.mapping import FieldMapping
 
+_ADJACENT = 200  # rows that show whether those of devices take turns
 _SAMPLES = 20  # stamps from each end of a look
 
 
@@ -122,6 +124,8 @@ def make_plans(path: Path, mapping: FieldMapping) -> list[Plan]:
     wanted = map(Condition.of, mapping.where)
     conditions = tuple((column_index(c.name, dialect, "where"), c) for c in wanted)
     words = [] if conditions else _columns_of_words(dialect, pieces)
+    if not conditions:
+        _demand_one_device(dialect, pieces[0], where)
     if conditions:
         pieces = _pieces_chosen(pieces, conditions, dialect, mapping, where)
         facts = replace(facts, rows=None, crc=None)
@@ -225,6 +229,22 @@ def _pieces_chosen(
         rows = dialect.rows_of(pieces)
         raise no_row_has(mapping.where, [[row[at] for row in rows] for at, _ in conditions], where)
     return [above + kept[0], *filter(None, kept[1:])]
+
+
+def _demand_one_device(dialect: Dialect, piece: bytes, where: str) -> None:
+    """Raise UnreadableInput for a table in which rows of several devices take turns."""
+    lines = piece.decode("utf-8", errors="replace").split("\n")[dialect.data_line - 1 :]
+    each = [cells_of(line, dialect.delimiter) for line in lines[:_ADJACENT]]
+    rows = [row for row in each if len(row) == dialect.width]
+    for k, name in enumerate(dialect.names if len(rows) > 1 else ()):
+        cells = [row[k] for row in rows]
+        if take_turns(name, cells):
+            said = few_values(name, cells)
+            raise UnreadableInput(
+                f"rows of several sensors take turns: {said.partition(' (')[0]}",
+                where=where,
+                remedy=f"read one of them: --where '{name}={cells[0]}'",
+            )
 
 
 def _columns_of_words(dialect: Dialect, pieces: Sequence[bytes]) -> list[str]:

@@ -363,8 +363,8 @@ class _Table:
 
     def with_clocks(self, vectors: list[Vector]) -> list[Vector]:
         """The vectors with the column of stamps of each, where they do not share one: that which
-        is named after its quantity, else the nearest to the left where there are some between
-        vectors (to the right, where the first one has none to its left)."""
+        is named after its quantity, else the nearest to the left where some of one name stand
+        between vectors (to the right, where the first one has none to its left)."""
         times = [c for c in self.columns if c.quantity == "time" and self.dialect.numeric[c.index]]
         main = [v for v in vectors if v.quantity != "temperature"]
         if any(c.triad for c in times):
@@ -372,7 +372,8 @@ class _Table:
             own = [at[0] if len(at) == 1 else -1 for at in named]
         else:
             first, last = min(v.columns[0] for v in main), max(v.columns[0] for v in main)
-            if not any(first < c.index < last for c in times):
+            alike = {re.sub(r"[\W\d_]+$", "", c.name.lower()) for c in times}
+            if len(alike) > 1 or not any(first < c.index < last for c in times):
                 return vectors
             right = not any(c.index < first for c in times)
             own = [_nearest([c.index for c in times], v.columns[0], right) for v in vectors]

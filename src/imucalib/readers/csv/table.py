@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import re
 import zipfile
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import accumulate
 from pathlib import Path
 
 import numpy as np
@@ -22,9 +24,10 @@ from imucalib.readers.csv.text import (
     decoded,
     is_number,
     no_row_has,
+    text_head,
     whole_text,
 )
-from imucalib.readers.source import small_directory
+from imucalib.readers.source import head_of, small_directory
 from imucalib.recording.mapping import FieldMapping
 from imucalib.units import ACCELERATION_UNITS, ANGLE_UNITS, RATE_UNITS, canonical, without_brackets
 
@@ -33,6 +36,8 @@ _FEWEST = 3  # cells of a heading
 _UNITS = {*ACCELERATION_UNITS, *RATE_UNITS, *ANGLE_UNITS}
 _OTHER_UNITS = {"°", "degc", "°c", "c", "k", "s", "ms", "counts", "count", "lsb", "-"}
 _DELIMITERS = (",", ";", "\t", "|")
+_LOOKED = 200  # lines that show the delimiter
+_LONGEST = 1 << 16  # characters of a line of a table
 _SHOWN = 10  # rows that an error lists
 _MOST_BYTES, _MOST_ROWS, _MOST_COLUMNS = 64 << 20, 100_000, 500  # of a workbook
 _RULE = re.compile(r"\|[\s|:\-]+\|")  # below the heading of a Markdown table
@@ -200,15 +205,71 @@ def _thousands(cells: Sequence[str], decimal: str, stated: bool) -> str:
 
 def _text(path: Path, mapping: FieldMapping, most: int) -> tuple[list[list[str]], str, str]:
     """Rows of cells, the heading first, where that is, and the delimiter."""
-    lines, delimiter = list(_lines(path, mapping.skip or 0, most)), mapping.delimiter
+    lines = list(_lines(path, mapping.skip or 0, most))
     if not any(line for _, line in lines):
         raise UnreadableInput("no rows in it", where=str(path))
-    lines = _without_titles(lines, delimiter)
-    at, first = lines[0]
-    if not delimiter:  # blanks where nothing else is
-        best = max(_DELIMITERS, key=first.count)
-        delimiter = best if best in first else " "
-    return [_cells(line, delimiter) for _, line in lines], f"{path}, line {at}", delimiter
+    delimiter = mapping.delimiter or _delimiter_of([line for _, line in lines])
+    rows = [_cells(line, delimiter) for _, line in lines]
+    at, rows = _from_heading(rows)
+    return rows, f"{path}, line {lines[at][0]}", delimiter
+
+
+def _delimiter_of(lines: Sequence[str]) -> str:
+    """The delimiter of the lines that hold most numbers, or else of most cells; blanks where there
+    is no other."""
+    some = lines[:_LOOKED]
+
+    def numbers(mark: str) -> tuple[int, int]:
+        rows = [[c for c in cells_of(line, mark) if c] for line in some]
+        cells = [cell for row in rows if len(row) > 1 for cell in row]
+        return sum(map(_reads, cells)), len(cells)
+
+    best = max(_DELIMITERS, key=numbers)
+    return best if max(numbers(best)) else " "
+
+
+def _reads(cell: str) -> bool:
+    grouped = any(form.fullmatch(cell) for form in _WITH.values())
+    return grouped or is_number(cell) or is_number(cell, ",")
+
+
+def _from_heading(rows: list[list[str]]) -> tuple[int, list[list[str]]]:
+    """Where the heading is, and the rows from there: above the block of numbers, beyond a row of
+    units; where there is none, the first row with three cells. Names that repeat get those of the
+    groups above them."""
+    widths = Counter(len(row) for row in rows if 2 * sum(map(_reads, row)) > sum(map(bool, row)))
+    width = next((w for w, _ in widths.most_common() if w > 1), 0)
+    many = [sum(map(_reads, row)) for row in rows]
+    data = next(
+        (k for k, r in enumerate(rows) if len(r) == width and many[k] >= max(2, _share(r))), None
+    )
+    filled = [k for k, row in enumerate(rows[:data]) if any(row)]
+    units = bool(filled) and _are_units(rows[filled[-1]])
+    names = filled[:-1] if units else filled
+    if data is None or not names:
+        wide = (k for k, row in enumerate(rows) if sum(map(bool, row)) >= _FEWEST)
+        at = next(wide, 0)
+        return at, rows[at:]
+    at, between = names[-1], rows[filled[-1] : filled[-1] + 1] if units else []
+    heading = list(rows[at])
+    groups = rows[names[-2]] if len(names) > 1 else []
+    again = {name for name, count in Counter(heading).items() if name and count > 1}
+    if again and len(groups) == len(heading):
+        merged = list(accumulate(groups, _or_last))
+        heading = [
+            f"{name} {group}" if name in again and group else name
+            for name, group in zip(heading, merged, strict=True)
+        ]
+    return at, [heading, *between, *rows[data:]]
+
+
+def _or_last(last: str, cell: str) -> str:
+    return cell or last
+
+
+def _share(row: Sequence[str]) -> float:
+    """Half of a row's cells with something in them: of a row of numbers so many are."""
+    return 0.5 * sum(map(bool, row))
 
 
 def _cells(line: str, delimiter: str) -> list[str]:
@@ -217,18 +278,6 @@ def _cells(line: str, delimiter: str) -> list[str]:
         wide = re.split(r"\s{2,}|\t", line.strip())
         return wide if len(wide) >= _FEWEST else line.split()
     return cells_of(line, delimiter)
-
-
-def _without_titles(lines: list[tuple[int, str]], delimiter: str) -> list[tuple[int, str]]:
-    """The lines from the first that has three cells with something in them."""
-    for k, (_, line) in enumerate(lines):
-        mark = delimiter or max(_DELIMITERS, key=line.count)
-        if sum(cell != "" for cell in cells_of(line, mark)) >= _FEWEST:
-            return lines[k:]
-    for k, (_, line) in enumerate(lines):
-        if not delimiter and len(line.split()) >= _FEWEST:
-            return lines[k:]
-    return [line for line in lines if line[1]]
 
 
 def _are_units(row: list[str]) -> bool:
@@ -262,7 +311,22 @@ def _plain_number(cell: str, comma: bool, thousands: str) -> str:
 def _lines(path: Path, skip: int, most: int) -> Iterator[tuple[int, str]]:
     """Lines that are no remarks, blank ones too, with their numbers from 1, about `most` at least
     unless that is 0."""
+    # Of a log of gigabytes no more is read.
+    _demand_text(text_head(head_of(path)) or b"\0", path)
     data = whole_text(path, most)
+    _demand_text(data, path)
+    text = decoded(data)
+    for number, line in enumerate(text.split("\n"), start=1):
+        if len(line) > _LONGEST:
+            what, remedy = f"a line of {len(line)} characters", "give a table, a row a position"
+            raise UnreadableInput(what, where=f"{path}, line {number}", remedy=remedy)
+        bare = line.strip()
+        if number <= skip or COMMENT.match(line) or _RULE.fullmatch(bare):
+            continue
+        yield number, bare.removeprefix("|").removesuffix("|").strip() if bare[:1] == "|" else line
+
+
+def _demand_text(data: bytes, path: Path) -> None:
     binary = _BINARY.search(data)
     if binary:
         raise UnreadableInput(
@@ -271,12 +335,6 @@ def _lines(path: Path, skip: int, most: int) -> Iterator[tuple[int, str]]:
             remedy="give a CSV or HDF5 table, and save a spreadsheet as CSV; of a recording the "
             "rests are read with --reference norm, or beside a table with --recording",
         )
-    text = decoded(data)
-    for number, line in enumerate(text.split("\n"), start=1):
-        bare = line.strip()
-        if number <= skip or COMMENT.match(line) or _RULE.fullmatch(bare):
-            continue
-        yield number, bare.removeprefix("|").removesuffix("|").strip() if bare[:1] == "|" else line
 
 
 def _is_spreadsheet(path: Path) -> bool:
@@ -295,14 +353,13 @@ def _is_spreadsheet(path: Path) -> bool:
 
 def _sheet(path: Path, skip: int) -> tuple[list[list[str]], str]:
     """Rows of cells of the first sheet, the heading first, and where that is."""
-    rows = [(n, row) for n, row in enumerate(_sheet_rows(path), start=1) if n > skip]
-    while rows and sum(cell != "" for cell in rows[0][1]) < _FEWEST:
-        del rows[0]
-    if not rows:
+    rows = _sheet_rows(path)[skip:]
+    if not any(sum(map(bool, row)) >= _FEWEST for row in rows):
         raise UnreadableInput("no table in its first sheet", where=str(path))
-    width = max(k + 1 for k, cell in enumerate(rows[0][1]) if cell)
-    cut = [row[:width] + [""] * (width - len(row)) for _, row in rows]
-    return cut, f"{path}, row {rows[0][0]} of the sheet"
+    at, rows = _from_heading(rows)
+    width = max(k + 1 for k, cell in enumerate(rows[0]) if cell)
+    cut = [row[:width] + [""] * (width - len(row)) for row in rows]
+    return cut, f"{path}, row {skip + at + 1} of the sheet"
 
 
 def _sheet_rows(path: Path) -> list[list[str]]:

@@ -11,6 +11,7 @@ import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import BinaryIO
 
@@ -289,6 +290,12 @@ def few_values(name: str, cells: Sequence[str]) -> str:
     return (
         f"column '{name}' is {_listed(found)} (--where '{name}={found[0]}' reads those rows alone)"
     )
+
+
+def take_turns(name: str, cells: Sequence[str]) -> bool:
+    """Whether rows of several devices take turns, by a column of their words or numbers."""
+    turns = sum(one != other for one, other in pairwise(cells))
+    return 2 * turns > len(cells) and bool(few_values(name, cells))
 
 
 def _listed(cells: Sequence[str]) -> str:

@@ -83,6 +83,17 @@ def fills_of(node: Any, column: str = "") -> list[Any]:
     return [*fills, own] if np.asarray(own).dtype.kind in "iuf" and own else fills
 
 
+def valid_of(node: Any, column: str = "") -> tuple[float, float]:
+    """The least and the most that is a value: netCDF's `valid_range`, `valid_min`, `valid_max`."""
+    both = np.asarray(node.attrs.get("valid_range", ())).reshape(-1)
+    if both.size == 2 and both.dtype.kind in "iuf":
+        return float(both[0]), float(both[1])
+    low, high = (
+        _numbers_of(node, column, (name,), zero=True) for name in ("valid_min", "valid_max")
+    )
+    return min(low, default=-np.inf), max(high, default=np.inf)
+
+
 @dataclass(frozen=True)
 class Place:
     """Where numbers lie: dataset, then a field of a compound, then the triad in (N, K, 3).

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Flags
 from imucalib.errors import ImucalError, UnreadableInput
-from imucalib.readers.hdf5.fields import Place, fills_of
+from imucalib.readers.hdf5.fields import Place, fills_of, valid_of
 
 _MARK, _SIZE = b"GCOL\x01\0\0\0", struct.Struct("<Q")
 _OBJECT = struct.Struct("<HHIQ")  # number (0: free space), uses, nothing, size
@@ -216,7 +216,9 @@ class File:
     lost: list[str] = field(default_factory=list)
     external: bool = False
     nodes: dict[str, Any] = field(default_factory=dict)  # datasets in use: looking one up is slow
-    fills: dict[tuple[str, str], list[Any]] = field(default_factory=dict)
+    fills: dict[tuple[str, str], tuple[list[Any], tuple[float, float]]] = field(
+        default_factory=dict
+    )
     held: dict[tuple[str, int], Spans] = field(default_factory=dict)
 
     def rows(self, place: Place, start: int, stop: int) -> NDArray[np.generic]:
@@ -254,9 +256,13 @@ class File:
         """The values, and which rows of them hold none of the values that stand for nothing."""
         key = (node.name, place.column)
         if key not in self.fills:
-            self.fills[key] = fills_of(node, place.column)
-        for fill in self.fills[key]:
-            there = (values != fill).reshape(values.shape[0], -1).all(axis=1)
+            self.fills[key] = fills_of(node, place.column), valid_of(node, place.column)
+        fills, (low, high) = self.fills[key]
+        wrong = [np.asarray(values == fill) for fill in fills]
+        if (low, high) != (-np.inf, np.inf):
+            wrong.append(np.less(values, low) | np.greater(values, high))
+        for cells in wrong:
+            there: Flags = np.logical_not(cells.reshape(values.shape[0], -1).any(axis=1))
             if not there.all():
                 held = there if held is None else held & there
         return values, held

@@ -295,13 +295,17 @@ def _conversion(
 ) -> Conversion:
     """How the values of a field become SI, from what is stated and from the values."""
     stated, pieces = source.fields[column].unit, source.rest_pieces(column)
-    if quantity == "acc":
-        window = int(np.clip(0.5e9 / period, 16, 1024)) if period else 16
-        rest = conversion.readings_at_rest(pieces, window)
-        return conversion.acceleration(mapping, stated, rest, where)
-    if quantity == "gyro":
-        return conversion.angular_rate(mapping, stated, where)
-    return conversion.temperature(mapping, stated, np.concatenate(pieces), where)
+    if quantity == "temperature":
+        return conversion.temperature(mapping, stated, np.concatenate(pieces), where)
+    window = int(np.clip(0.5e9 / period, 16, 1024)) if period else 16
+    return conversion.of_vectors(
+        CHANNEL_NAMES[quantity],
+        mapping,
+        conversion.Source(stated),
+        pieces,
+        window=window,
+        where=where,
+    )
 
 
 def _part(
