@@ -27,6 +27,7 @@ from imucalib.writers import write
 from imucalib.writers.mcap_over import write_with_topics_of
 from worlds.mcap_logs import (
     IMU_ROS1,
+    IMU_ROS2,
     START,
     cdr,
     messages_of,
@@ -248,7 +249,14 @@ def packed_alone(count: int) -> list[tuple[int, bytes]]:
     return packed(readings(count), lambda r: zstandard.compress(cdr(r)))
 
 
-@pytest.mark.parametrize("messages", [set_back, packed_alone])
+def out_of_order(count: int) -> list[tuple[int, bytes]]:
+    """Messages that are stored in another order than that of their times."""
+    order = np.random.default_rng(0).permutation(count).tolist()
+    made = packed(readings(count, rate=100.0), cdr)
+    return [made[k] for k in order]
+
+
+@pytest.mark.parametrize("messages", [set_back, packed_alone, out_of_order])
 def test_every_message_gets_its_own_vector(
     messages: Callable[[int], list[tuple[int, bytes]]], tmp_path: Path
 ) -> None:
@@ -259,6 +267,28 @@ def test_every_message_gets_its_own_vector(
     back = read(tmp_path / "c.mcap", from_dict(whole.mapping))
     for name, channel in channels.items():
         assert same_bits(back.channels[name].values, channel.values)
+
+
+def test_two_publishers_of_a_topic_keep_its_name(tmp_path: Path) -> None:
+    source = tmp_path / "a.mcap"
+    with source.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2")
+        kind = writer.register_schema("sensor_msgs/msg/Imu", "ros2msg", IMU_ROS2.encode())
+        channels = [writer.register_channel("/imu", "cdr", kind) for _ in range(2)]
+        for one, other in zip(readings(300), readings(300, seed=1), strict=True):
+            for channel, reading in zip(channels, (one, other), strict=True):
+                writer.add_message(channel, reading.ns, cdr(reading), reading.ns)
+        writer.finish()
+    whole = read(source)
+    twice = {n: replace(c, values=c.values * 2.0) for n, c in whole.channels.items()}
+    write_with_topics_of(replace(whole, channels=twice), source, tmp_path / "c.mcap")
+    back = read(tmp_path / "c.mcap")
+    assert len(back.channels) == 4
+    for name, channel in twice.items():
+        assert same_bits(back.channels[name].values, channel.values)
+    with (tmp_path / "c.mcap").open("rb") as stream:
+        assert {c.topic for _, c, _ in make_reader(stream).iter_messages()} == {"/imu"}
 
 
 def test_attachments_metadata_and_a_thermometer_are_kept(tmp_path: Path) -> None:

@@ -129,6 +129,8 @@ def _patched(recording: Recording, first: FirstPass) -> list[_Patched]:
         source = first.stream.sources[name]
         if len(numbers) != 1 or not parts or not all(_in_place(p, recording) for p in parts):
             continue
+        if source.moved:  # its samples are in another order than its messages
+            continue
         decoder = decoder_for(first.stream.topics[numbers[0]])
         values = [recording.channels[part.name].values for part in parts]
         if isinstance(decoder, RosDecoder) and {len(v) for v in values} == {source.rows}:
@@ -197,7 +199,8 @@ def _define_kept(file: McapFile, kept: dict[int, Topic]) -> None:
         file.define(replace(schema, data=data))
     for number, topic in kept.items():
         schema_id = topic.schema.id if topic.schema else 0
-        file.define(mr.Channel(number, topic.name, topic.encoding, dict(topic.metadata), schema_id))
+        name = topic.name.removesuffix(f"#{number}")  # of a publisher beside another one
+        file.define(mr.Channel(number, name, topic.encoding, dict(topic.metadata), schema_id))
 
 
 def _copy(file: McapFile, log: McapLog, kept: Iterable[int], patched: list[_Patched]) -> None:
