@@ -141,9 +141,12 @@ class Conclusion:
 
 
 def concluded(problem: Contest, posterior: Posterior) -> Conclusion:
-    """The simplest set that explains the data, and what else could be in each of its places. Of
-    sets of one size that differ by no more than chance it is the one with the most names: on two
-    temperatures a line and a curve are one function, and a curve says nothing beyond them."""
+    """The simplest set that explains the data, and what else could be in each of its places: of few
+    components, and of few free functions, which hold what a name or a law says and more. On two
+    temperatures a line and a curve are one function."""
+
+    def free(hypothesis: Hypothesis) -> int:
+        return sum(problem.components[c].kind == "free" for c in hypothesis.components)
 
     def nameless(hypothesis: Hypothesis) -> int:
         return sum(not problem.components[c].named for c in hypothesis.components)
@@ -154,7 +157,7 @@ def concluded(problem: Contest, posterior: Posterior) -> Conclusion:
     bar = np.exp(-OCCAM) * posterior.probability[0]
     said, _ = min(
         ((h, p) for h, p in posterior.weighed if p > bar and h.components),
-        key=lambda one: (len(one[0].components), nameless(one[0]), -one[1]),
+        key=lambda one: (len(one[0].components), free(one[0]), -one[1]),
     )
     inside = of_each(posterior, len(problem.components))[1]
     without_name = sum(p for h, p in posterior.weighed if nameless(h))
