@@ -59,27 +59,20 @@ def notes_in(path: Path) -> str:
 
 
 @pytest.mark.parametrize("write", FORMATS)
-@pytest.mark.parametrize("name", FORCES)
-def test_an_acceleration_is_known_by_its_name_in_every_format(
-    name: str, write: Callable[[Path, Table], Path], tmp_path: Path
+@pytest.mark.parametrize(
+    ("quantity", "name"),
+    [*(("acceleration", n) for n in FORCES), *(("angular_rate", n) for n in TURNS)],
+)
+def test_a_quantity_is_known_by_its_name_in_every_format(
+    quantity: str, name: str, write: Callable[[Path, Table], Path], tmp_path: Path
 ) -> None:
-    table = table_of(FORCES[name], axes("gyr"))
+    own = (FORCES if quantity == "acceleration" else TURNS)[name]
+    force = quantity == "acceleration"
+    table = table_of(own, axes("gyr")) if force else table_of(axes("acc"), own)
     found = readings(write(tmp_path / "log", table))
     assert set(found) == {"acceleration", "angular_rate"}
-    expected = np.column_stack([table[axis] for axis in FORCES[name]])
-    np.testing.assert_array_equal(found["acceleration"], expected)
-
-
-@pytest.mark.parametrize("write", FORMATS)
-@pytest.mark.parametrize("name", TURNS)
-def test_an_angular_rate_is_known_by_its_name_in_every_format(
-    name: str, write: Callable[[Path, Table], Path], tmp_path: Path
-) -> None:
-    table = table_of(axes("acc"), TURNS[name])
-    found = readings(write(tmp_path / "log", table))
-    assert set(found) == {"acceleration", "angular_rate"}
-    expected = np.column_stack([table[axis] for axis in TURNS[name]])
-    np.testing.assert_array_equal(found["angular_rate"], expected)
+    expected = np.column_stack([table[axis] for axis in own])
+    np.testing.assert_array_equal(found[quantity], expected)
 
 
 @pytest.mark.parametrize("write", FORMATS)

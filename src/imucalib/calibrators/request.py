@@ -12,6 +12,10 @@ from imucalib.errors import UsageError
 from imucalib.loop.found import FitLoop
 from imucalib.units import STANDARD_GRAVITY
 
+#: Relative sd of gravity, by where its value comes from: anywhere on Earth (9.78 to 9.83 m/s²); of
+#: a formula for the latitude (anomalies of some 50 mGal); as a user gives it, to a few digits.
+_ANYWHERE, _BY_LATITUDE, _GIVEN = 1.3e-3, 5e-5, 1e-4
+
 
 @dataclass(frozen=True, kw_only=True)
 class Request:
@@ -35,6 +39,18 @@ class Request:
     limits: Mapping[str, float] = field(default_factory=dict)
     seed: int = 0
     command: str = ""
+
+    @property
+    def gravity_assumed(self) -> bool:
+        """Whether nobody said what gravity is at the place."""
+        return self.gravity_source.startswith("standard")
+
+    @property
+    def gravity_sd(self) -> float:
+        """Relative standard deviation of gravity by where its value comes from."""
+        if self.gravity_assumed:
+            return _ANYWHERE
+        return _BY_LATITUDE if self.gravity_source.startswith("normal") else _GIVEN
 
     def search_settings(self) -> dict[str, object]:
         """The names of the search as provenance keeps them."""

@@ -202,7 +202,7 @@ def moment_of(name: str) -> float:
 TRUSTED = ("trusted_from", "trusted_to")
 
 
-def trusting(context: Context, first: float, last: float) -> Context:
+def trust_records(context: Context, first: float, last: float) -> Context:
     """The context with the records first to last, from 0, said to stand as they were set."""
     said = {name: np.full(context.n, at) for name, at in zip(TRUSTED, (first, last), strict=True)}
     return replace(context, covariates={**context.covariates, **said})

@@ -106,7 +106,7 @@ class Conversion:
 
     def apply(self, raw: NDArray[np.generic]) -> Array:
         """Convert raw values (..., 3), or (..., 1) for a scalar quantity, to float64."""
-        values = signed(without(np.asarray(raw, dtype=np.float64), self.missing), self.wrap)
+        values = restore_sign(without(np.asarray(raw, dtype=np.float64), self.missing), self.wrap)
         if self.offset.any():
             values = values - self.offset
         if (self.factor != 1.0).any():
@@ -149,7 +149,7 @@ def wrap_of(looks: Sequence[Array]) -> float:
     size = next((2.0**bits for bits in _BITS if high < 2.0**bits), np.inf)
     if low < 0.0 or high < 0.5 * size or any((v != np.rint(v)).any() for v in looks):
         return 0.0
-    leaps = [max(_leap(f(v)) for v in looks) for f in (np.asarray, lambda v: signed(v, size))]
+    leaps = [max(_leap(f(v)) for v in looks) for f in (np.asarray, lambda v: restore_sign(v, size))]
     return size if leaps[0] > 0.5 * size >= leaps[1] else 0.0
 
 
@@ -157,7 +157,7 @@ def _leap(values: Array) -> float:
     return float(np.abs(np.diff(values, axis=0)).max(initial=0.0))
 
 
-def signed(values: Array, wrap: float) -> Array:
+def restore_sign(values: Array, wrap: float) -> Array:
     """Numbers of a two's complement with their sign."""
     return np.where(values >= 0.5 * wrap, values - wrap, values) if wrap else values
 
@@ -290,7 +290,7 @@ def of_vectors(
     known = [v[np.isfinite(v).all(axis=1)] for v in looks]
     wrap = wrap_of(known) if any(v.size for v in known) else 0.0
     if quantity == "acceleration":
-        rest = readings_at_rest([signed(v, wrap) for v in looks], window)
+        rest = readings_at_rest([restore_sign(v, wrap) for v in looks], window)
         how = acceleration(mapping, source, rest, where)
     else:
         how = angular_rate(mapping, source.unit, where)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import hashlib
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -132,6 +132,24 @@ def _shifted(recording: Recording, ns: int) -> Recording:
 def _span(recording: Recording) -> tuple[float, float]:
     times = [c.t for c in recording.channels.values() if c.t.size]
     return min(float(t.min()) for t in times), max(float(t.max()) for t in times)
+
+
+def amend_last(
+    blocks: Iterable[Recording], amend: Callable[[Recording], Recording]
+) -> Iterator[Recording]:
+    """The same blocks, the last one amended once it is known that none follows; amend : of it"""
+    last: Recording | None = None
+    for block in blocks:
+        if last is not None:
+            yield last
+        last = block
+    if last is not None:
+        yield amend(last)
+
+
+def add_notes(recording: Recording, notes: Iterable[str]) -> Recording:
+    """The recording with more notes after its own."""
+    return replace(recording, notes=(*recording.notes, *notes))
 
 
 _BACK = 1.0  # s; smaller steps are stamps out of order, which a note counts
@@ -280,17 +298,17 @@ class _Order:
 def with_order_told(blocks: Iterator[Recording]) -> Iterator[Recording]:
     """The same blocks; the last one's notes count the steps back in time that are left."""
     order: dict[str, _Order] = {}
-    last: Recording | None = None
-    for block in blocks:
+
+    def look(block: Recording) -> Recording:
         for name, channel in block.channels.items():
             if channel.t.size:
                 order.setdefault(name, _Order()).add(channel.t)
-        if last is not None:
-            yield last
-        last = block
-    if last is not None:
-        notes = tuple(note for name, one in order.items() for note in one.words(name))
-        yield replace(last, notes=(*last.notes, *notes)) if notes else last
+        return block
+
+    def notes() -> Iterator[str]:
+        return (note for name, one in order.items() for note in one.words(name))
+
+    return amend_last(map(look, blocks), lambda last: add_notes(last, notes()))
 
 
 def with_plausible_clocks(blocks: Iterator[Recording]) -> Iterator[Recording]:

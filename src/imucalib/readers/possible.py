@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucalib.arrays import Array, Flags
+from imucalib.readers.joining import add_notes, amend_last
 from imucalib.readers.timebase import find_gaps, stepping
 from imucalib.recording.recording import Channel, Count, Gap, Recording
 from imucalib.units import STANDARD_GRAVITY
@@ -22,21 +23,22 @@ def without_the_impossible(blocks: Iterable[Recording]) -> Iterator[Recording]:
     """The same blocks without such samples of accelerometers and gyroscopes; the last one's notes
     and counts say how many there were."""
     found: dict[str, _Impossible] = {}
-    last: Recording | None = None
-    for block in blocks:
+
+    def leave_out(block: Recording) -> Recording:
         channels, gaps = dict(block.channels), list(block.gaps)
         for name, channel in block.channels.items():
             if channel.quantity in ("acceleration", "angular_rate") and channel.t.size:
                 one = found.setdefault(name, _Impossible())
                 channels[name], new = one.without(channel)
                 gaps += new
-        if last is not None:
-            yield last
-        last = replace(block, channels=channels, gaps=tuple(gaps))
-    if last is not None:
-        notes = [note for name, one in found.items() for note in one.words(name)]
+        return replace(block, channels=channels, gaps=tuple(gaps))
+
+    def tell(last: Recording) -> Recording:
+        notes = (note for name, one in found.items() for note in one.words(name))
         counts = tuple(_count(c, found, last) for c in last.counts)
-        yield replace(last, notes=(*last.notes, *notes), counts=counts)
+        return add_notes(replace(last, counts=counts), notes)
+
+    return amend_last(map(leave_out, blocks), tell)
 
 
 @dataclass

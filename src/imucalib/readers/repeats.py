@@ -16,6 +16,7 @@ from math import erf, log, sqrt
 import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
+from imucalib.readers.joining import add_notes, amend_last
 from imucalib.recording.recording import Channel, Held, Recording
 
 #: s, and samples at least and at most, that a difference's size and step are taken from: half of a
@@ -41,8 +42,8 @@ def with_held(blocks: Iterable[Recording]) -> Iterator[Recording]:
     are where there are any. Of a corrected sensor nothing is told: its axes are mixed, and no step
     of a converter is left to judge by."""
     seen: dict[str, _Repeats] = {}
-    last: Recording | None = None
-    for block in blocks:
+
+    def look(block: Recording) -> Recording:
         held, corrected = list[Held](), {mark.triad for mark in block.corrections}
         # Accelerometers first: what both repeat at once is no gyroscope's dead zone.
         for name, channel in sorted(block.channels.items(), key=lambda c: c[1].quantity):
@@ -52,12 +53,12 @@ def with_held(blocks: Iterable[Recording]) -> Iterator[Recording]:
                 # A damaged number may be of any size.
                 with np.errstate(over="ignore", invalid="ignore"):
                     held += seen.setdefault(name, _Repeats(name, channel)).add(channel, force)
-        if last is not None:
-            yield last
-        last = replace(block, held=tuple(held)) if held else block
-    if last is not None:
-        notes = tuple(word for found in seen.values() for word in found.words())
-        yield replace(last, notes=(*last.notes, *notes)) if notes else last
+        return replace(block, held=tuple(held)) if held else block
+
+    def notes() -> Iterator[str]:
+        return (word for found in seen.values() for word in found.words())
+
+    return amend_last(map(look, blocks), lambda last: add_notes(last, notes()))
 
 
 @dataclass

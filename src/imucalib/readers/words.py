@@ -392,7 +392,7 @@ def _with_unit(words: list[str]) -> tuple[list[str], str]:
     return words, ""
 
 
-def _joined(words: Sequence[str]) -> list[str]:
+def _join_words(words: Sequence[str]) -> list[str]:
     """The words, two that are one joined."""
     out = list[str]()
     for word in words:
@@ -403,7 +403,7 @@ def _joined(words: Sequence[str]) -> list[str]:
 
 def _inertial(index: int, name: str, words: list[str], unit: str) -> Meaning | None:
     """An acceleration or an angular rate, or one axis of it; None of another."""
-    words = _joined(words)
+    words = _join_words(words)
     if _OTHER & set(words):
         return None
     for position, word in enumerate(words):

@@ -118,7 +118,8 @@ def _card(run: LabRun, picture: Plot) -> Card:
         good += of_effect.values()
     if _directed(run):
         good += _angles(run)
-    good += sections.assumed_gravity(run.outcome, run.request.gravity)
+    if run.request.gravity_assumed:
+        good.append(sections.gravity_worth(run.request.gravity))
     uses: tuple[Use, ...] = (sections.CORRECT,)
     if not run.recorded:
         purpose = "Take the coefficients to the instrument"

@@ -211,13 +211,11 @@ def error_worth(
     return Worth(quantity, f"{final} {unit}", detail, more)
 
 
-def assumed_gravity(outcome: Outcome, gravity: float) -> tuple[Worth, ...]:
-    """What every size above is a multiple of, where the place's gravity (m/s²) was not given: on
-    Earth it is 9.780 to 9.832 (GRS 80, Moritz 2000)."""
-    if not str(outcome.provenance.settings["gravity_source"]).startswith("standard"):
-        return ()
-    value = f"{gravity:.6g} m/s²"
-    return (Worth("gravity", value, "assumed; a place's differs by up to 2.7 mg: --latitude"),)
+def gravity_worth(gravity: float) -> Worth:
+    """What every size above is a multiple of (m/s²), where the place's was not given: on Earth it
+    is 9.780 to 9.832 (GRS 80, Moritz 2000)."""
+    detail = "assumed; a place's differs by up to 2.7 mg: --latitude"
+    return Worth("gravity", f"{gravity:.6g} m/s²", detail)
 
 
 def worst_attitude(quantity: str, sd: Array, directions: Array, what: str = "") -> Worth:

@@ -20,7 +20,6 @@ from imucalib.calibrators.array.estimate.covariance import (
 from imucalib.calibrators.array.estimate.sampled import sampled_positions
 from imucalib.calibrators.array.estimate.total import (
     frame_sd,
-    gravity_sd,
     restated,
     scale_by_turns,
     total_of,
@@ -142,7 +141,7 @@ def _stated(
         found.mean,
         motion,
         gyros=gyros,
-        gravity_sd=gravity_sd(request.gravity_source),
+        gravity_sd=request.gravity_sd,
         frame_sd=frame_sd(rests),
         distances=request.distances,
     )

@@ -16,7 +16,6 @@ from imucalib.calibrators.array.estimate.total import (
     GyroScale,
     Total,
     frame_sd,
-    gravity_sd,
     gyro_scale,
     size_block,
     total_of,
@@ -239,7 +238,7 @@ def board_run(runs: tuple[ArrayRun, ...]) -> BoardRun:
         np.concatenate([np.zeros((1, 3)), found.mean.reshape(-1, 3)]),
         found.covariance,
         gyros=gyros,
-        gravity_sd=gravity_sd(request.gravity_source),
+        gravity_sd=request.gravity_sd,
         frame_sd=float(np.sqrt(np.mean([frame_sd(run.rests) ** 2 for run in runs]))),
         distances=request.distances,
     )

@@ -32,7 +32,7 @@ from imucalib.effects.forms import in_words
 from imucalib.errors import UsageError
 from imucalib.estimators.corrected import OBJECTIVES
 from imucalib.loop.found import Unexplained
-from imucalib.loop.posterior.trust import parts_of
+from imucalib.loop.posterior.trust import split_at_jump
 from imucalib.loop.record_errors import RecordError
 from imucalib.units import DEG, MG
 
@@ -58,7 +58,7 @@ def undecided_parts(result: LabResult) -> tuple[str, ...]:
     rows = row_numbers(base.observations)
     for step in result.loop.steps:
         effect = known(step.effect)
-        parts = None if effect is None else parts_of(base, base.model, effect)
+        parts = None if effect is None else split_at_jump(base, base.model, effect)
         if parts is not None:
             first, then = (f"{r.min()}-{r.max()}" for r in (rows[~parts.after], rows[parts.after]))
             found.append(

@@ -16,7 +16,7 @@ from imucalib.core.effect import Context
 from imucalib.core.observations import NoisePrior, Observations, with_sessions
 from imucalib.core.references import KnownNorm, KnownVector, Reference
 from imucalib.core.sphere import KnownDirection
-from imucalib.effects.scans import COLUMN, trusting
+from imucalib.effects.scans import COLUMN, trust_records
 from imucalib.effects.table import covariates_before
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.loop.faults.cells import transposed
@@ -147,16 +147,16 @@ def observations_of(table: PositionTable, raw: RawUnit, request: LabRequest) -> 
             setting_errors=not exact,
         )
     if request.trust:
-        data = _trusted(data, request.trust)
+        data = _trust(data, request.trust)
     return with_sessions(data, table.columns["session"].astype(int)) if table.sessions else data
 
 
-def _trusted(data: Observations, rows: tuple[int, ...]) -> Observations:
+def _trust(data: Observations, rows: tuple[int, ...]) -> Observations:
     """With some rows, as the file counts them, said to stand as they were set."""
     at = np.flatnonzero(np.isin(row_numbers(data), rows))
     if not at.size:
         raise UsageError("--trust names no row of the table")
-    context = trusting(data.context, *data.context["record"][at[[0, -1]]])
+    context = trust_records(data.context, *data.context["record"][at[[0, -1]]])
     return replace(data, context=context)
 
 

@@ -96,10 +96,11 @@ class Start:
         points = [p for p in terms.points if p.walk is None]
         plain = terms.evidence(points, self._gross)
         alone, odds = self._one_function(points[int(plain.argmax())])
-        best, power = self._uneven(self._gross, points[int(plain.argmax())])
+        complete, power = self._uneven(self._gross, points[int(plain.argmax())])
         beside = points[int(terms.evidence(points, alone).argmax())]
-        reached, own = self._uneven(alone, beside)
-        power = own if reached + odds > best else power
+        lacking, own = self._uneven(alone, beside)
+        if lacking + odds > complete:
+            power = own
         return np.asarray(np.sqrt(power).reshape(-1, 3))
 
     def _uneven(self, lacked: Array, point: Point) -> tuple[float, Array]:

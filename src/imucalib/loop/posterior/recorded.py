@@ -326,11 +326,11 @@ def with_jumps(problem: Problem, grams: Grams) -> Problem:
             taken.append(every[at])
             own = swept(own, (every[at].at, float(SIZES[size])))
             if len(taken) > 1:
-                more.append(_joined(taken, float(problem.odds[k])))
+                more.append(_join(taken, float(problem.odds[k])))
     return replace(problem, choices=(*problem.choices, *more))
 
 
-def _joined(taken: Sequence[Choice], odds: float) -> Choice:
+def _join(taken: Sequence[Choice], odds: float) -> Choice:
     """Members of one component as one; odds : log prior odds of each after the first."""
     effects = tuple(effect for c in taken for effect in c.member.effects)
     weight = sum(c.log_weight for c in taken) + odds * (len(taken) - 1)

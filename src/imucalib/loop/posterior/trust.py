@@ -17,13 +17,13 @@ from imucalib.arrays import Array, Flags
 from imucalib.core.effect import Effect
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
-from imucalib.effects.scans import TRUSTED, trusting
+from imucalib.effects.scans import TRUSTED, trust_records
 from imucalib.loop.candidates import effect_slopes, fitted_prediction
 from imucalib.loop.posterior.odds import ABSORBED
 
 
 @dataclass(frozen=True)
-class Parts:
+class JumpParts:
     """The two parts of a sheet beside a jump, either of which may stand as it was set.
 
     after : (n,) whether an observation comes after the jump
@@ -34,7 +34,7 @@ class Parts:
     taken_over: Array
 
 
-def parts_of(fit: Fit, base: Model, effect: Effect) -> Parts | None:
+def split_at_jump(fit: Fit, base: Model, effect: Effect) -> JumpParts | None:
     """The parts beside a jump of the bench; None where the readings or the user say which stands as
     it was set, or where nothing jumps.
 
@@ -46,7 +46,7 @@ def parts_of(fit: Fit, base: Model, effect: Effect) -> Parts | None:
     if effect.stage != "fixture" or "record" not in context or TRUSTED[0] in context:
         return None
     last, prediction = float(context["record"].max()), fitted_prediction(fit)
-    other = replace(fit, observations=replace(data, context=trusting(context, last, last)))
+    other = replace(fit, observations=replace(data, context=trust_records(context, last, last)))
     own = effect_slopes(fit, effect, prediction)
     moved = effect_slopes(other, effect, prediction) - own
     if not moved.any():
@@ -57,4 +57,4 @@ def parts_of(fit: Fit, base: Model, effect: Effect) -> Parts | None:
     taken_over = np.linalg.lstsq(columns / size, moved, rcond=1e-10)[0] / size[:, None]
     if np.sum((moved - columns @ taken_over) ** 2) > ABSORBED * np.sum(moved**2):
         return None
-    return Parts(np.any(own.reshape(data.n, -1), axis=1), taken_over)
+    return JumpParts(np.any(own.reshape(data.n, -1), axis=1), taken_over)

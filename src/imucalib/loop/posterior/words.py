@@ -22,7 +22,7 @@ from imucalib.loop.posterior.odds import CERTAIN, FALSE_CLAIM, LEAST, OCCAM
 from imucalib.loop.posterior.problem import Contest, Problem
 from imucalib.loop.posterior.solution import solved
 from imucalib.loop.posterior.space import Hypothesis, Posterior
-from imucalib.loop.posterior.trust import parts_of
+from imucalib.loop.posterior.trust import split_at_jump
 
 #: Models that are weighed at most.
 _MOST = 12
@@ -57,7 +57,7 @@ def _other_parts(problem: Problem, fit: Fit) -> Iterator[Fit]:
     into = np.concatenate([np.arange(fit.theta.size)[slices[name]] for name in base.names])
     for effect in fit.model.effects:
         added = effect.name not in base.names
-        parts = parts_of(problem.fit, base, effect) if added else None
+        parts = split_at_jump(problem.fit, base, effect) if added else None
         if parts is not None:
             turn = np.eye(fit.theta.size)
             turn[into, slices[effect.name]] -= parts.taken_over

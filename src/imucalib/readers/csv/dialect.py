@@ -182,7 +182,7 @@ def _names(above: list[str], shape: Dialect) -> tuple[str, ...]:
     above together (groups of columns, axes, units), where these tell more sensors."""
     rows = list[tuple[str, ...]]()
     for line in reversed(above[-_HEADING:]):
-        cells = _split_names(line, shape) or _filled(line, shape, merged=bool(rows))
+        cells = _split_names(line, shape) or _fill_cells(line, shape, merged=bool(rows))
         if not cells:
             break
         rows.insert(0, cells)
@@ -190,7 +190,7 @@ def _names(above: list[str], shape: Dialect) -> tuple[str, ...]:
         return ()
     found, score = rows[-1], (-1, -1)
     for first in reversed(range(len(rows))):
-        names = rows[-1] if first == len(rows) - 1 else _joined(rows[first:])
+        names = rows[-1] if first == len(rows) - 1 else _join_rows(rows[first:])
         told = understand(names)
         axes = [vector for vector in vectors_in(told).values() if None not in vector]
         own = len(axes), sum(any(m.quantity == q for m in told) for q in ("time", "temperature"))
@@ -199,9 +199,9 @@ def _names(above: list[str], shape: Dialect) -> tuple[str, ...]:
     return found if score > (0, 0) or _split_names(above[-1], shape) else ()
 
 
-def _joined(rows: Sequence[tuple[str, ...]]) -> tuple[str, ...]:
+def _join_rows(rows: Sequence[tuple[str, ...]]) -> tuple[str, ...]:
     """One name a column out of several rows of heading; a last row that names no axis has units."""
-    upper, lower = rows[0] if len(rows) == 2 else _joined(rows[:-1]), rows[-1]
+    upper, lower = rows[0] if len(rows) == 2 else _join_rows(rows[:-1]), rows[-1]
     axes = any(m.is_axis for m in understand(lower)) or {"x", "y", "z"} & set(map(str.lower, lower))
     named = [axes or instant_rank(cell) >= 0 for cell in lower]
     whole = [
@@ -213,7 +213,7 @@ def _joined(rows: Sequence[tuple[str, ...]]) -> tuple[str, ...]:
     )
 
 
-def _filled(line: str, shape: Dialect, *, merged: bool) -> tuple[str, ...]:
+def _fill_cells(line: str, shape: Dialect, *, merged: bool) -> tuple[str, ...]:
     """The cells of a heading that lacks some; none of another line. merged : whether each goes on
     up to the next"""
     cells = cells_of(COMMENT.sub("", line), shape.delimiter)

@@ -278,9 +278,9 @@ class TreeDecoder(Decoder):
         if any(EACH in path for group in groups for path in group.paths):
             trees, rows = _elements(trees, groups)
             groups = tuple(g._replace(paths=tuple(map(_within, g.paths))) for g in groups)
-        return self._decoded(trees, groups)._replace(rows=rows)
+        return self._decode(trees, groups)._replace(rows=rows)
 
-    def _decoded(self, trees: list[Any], groups: Groups) -> Decoded:
+    def _decode(self, trees: list[Any], groups: Groups) -> Decoded:
         good = np.array([tree is not None for tree in trees], dtype=np.bool_)
         try:
             return Decoded(_columns(trees, groups), good)

@@ -19,9 +19,6 @@ from imucalib.estimators.array.sampler import ArrayPositions
 from imucalib.rests.segments import Segments
 from imucalib.units import DEG
 
-#: Relative sd of gravity, by where its value comes from: anywhere on Earth (9.78 to 9.83 m/s²); of
-#: a formula for the latitude (anomalies of some 50 mGal); as a user gives it, to a few digits.
-_ANYWHERE, _BY_LATITUDE, _GIVEN = 1.3e-3, 5e-5, 1e-4
 #: A package's turn on the board: sd, and how many degrees of freedom that belief is worth.
 _MOUNTED, _BELIEF = 0.3 * DEG, 1.0
 _ROUNDS = 3  # of the linearisation of a distance
@@ -202,13 +199,6 @@ def scale_by_turns(
     up /= np.linalg.norm(up, axis=1, keepdims=True)
     turns = common_scale(log.t, rate, ~log.clipped, up, segments.start, segments.stop)
     return gyro_scale(SCALE_TOLERANCE / float(np.sqrt(9.0 * len(gain))), turns)
-
-
-def gravity_sd(source: str) -> float:
-    """Relative standard deviation of gravity by where its value comes from."""
-    if source.startswith("standard"):
-        return _ANYWHERE
-    return _BY_LATITUDE if source.startswith("normal") else _GIVEN
 
 
 def frame_sd(rests: RestFit) -> float:
