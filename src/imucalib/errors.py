@@ -11,13 +11,16 @@ from typing import ClassVar
 class ImucalError(Exception):
     """A failure that the user can act on.
 
-    `what` states the problem, `where` the file, row, byte or option, `remedy` the next step.
+    `what` states the problem, `where` the file, row, byte or option, `remedy` the next step; `add`
+    are words that the same command lacks: with them it runs.
     """
 
     exit_code: ClassVar[int] = 1
 
-    def __init__(self, what: str, *, where: str = "", remedy: str = "") -> None:
-        self.what, self.where, self.remedy = what, where, remedy
+    def __init__(
+        self, what: str, *, where: str = "", remedy: str = "", add: tuple[str, ...] = ()
+    ) -> None:
+        self.what, self.where, self.remedy, self.add = what, where, remedy, add
         super().__init__(str(self))
 
     def __str__(self) -> str:

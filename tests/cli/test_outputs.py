@@ -85,7 +85,7 @@ def test_no_output_is_an_input(suffix: str, tmp_path: Path, calibration: Path) -
     before, was = path.read_bytes(), calibration.read_bytes()
     for output in spellings(path):
         for arguments in (
-            ("apply", calibration, path, "-o", output, "--triad", "left"),
+            ("apply", calibration, path, "-o", output, "--sensor", "left"),
             ("convert", path, output, "--force"),
             ("inspect", path, "--save-mapping", output, "--force"),
         ):
@@ -101,20 +101,20 @@ def test_a_corrected_recording_is_marked(suffix: str, tmp_path: Path, calibratio
     raw, once = tmp_path / f"raw{suffix}", tmp_path / f"once{suffix}"
     writers.write(recording("left", "right"), raw)
     assert readers.read(raw).corrections == ()
-    assert run("apply", calibration, raw, "-o", once, "--triad", "left").exception is None
+    assert run("apply", calibration, raw, "-o", once, "--sensor", "left").exception is None
     found = readers.read(once)
     assert [(c.triad, c.calibrator, c.sha256) for c in found.corrections] == [
         ("left", "lab", sha256_of(calibration))
     ]
     assert any("left is corrected" in note for note in found.notes)
     assert list(readers.blocks(once, block_samples=100))[-1].corrections == found.corrections
-    twice = ("apply", calibration, once, "-o", tmp_path / f"twice{suffix}", "--triad")
+    twice = ("apply", calibration, once, "-o", tmp_path / f"twice{suffix}", "--sensor")
     assert "--again" in refused(*twice, "left")
     assert not (tmp_path / f"twice{suffix}").exists()
     assert run(*twice, "right").exception is None
     assert len(readers.read(tmp_path / f"twice{suffix}").corrections) == 2
     insisted = tmp_path / f"again{suffix}"
-    again = ("apply", calibration, once, "-o", insisted, "--triad", "left", "--again")
+    again = ("apply", calibration, once, "-o", insisted, "--sensor", "left", "--again")
     assert run(*again).exception is None
     sizes = [readers.read(p).channels["left/acceleration"].values for p in (raw, once, insisted)]
     np.testing.assert_allclose(sizes[2] - sizes[1], sizes[1] - sizes[0], atol=1e-9)

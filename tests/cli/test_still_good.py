@@ -101,7 +101,7 @@ def test_a_recording_with_rests_is_a_log_too(folder: Path, tmp_path: Path) -> No
     again = run("check", calibration, corrected)
     assert again.return_value == 2
     assert "is corrected" in str(again.exception)
-    lost = run("check", calibration, log, "--triad", "imu7")
+    lost = run("check", calibration, log, "--sensor", "imu7")
     assert lost.return_value == 2
 
 

@@ -21,7 +21,7 @@ ELSEWHERE: dict[tuple[str, str], str] = {
     ("batch", "--wait"): "cohort/test_batch.py::test_a_cluster_without_workers_says_so_and_ends",
     ("check", "--limit"): f"{GOOD}::test_a_limit_that_could_not_be_seen_is_undecided_with_a_plan",
     ("check", "--noise"): f"{GOOD}::test_a_limit_that_could_not_be_seen_is_undecided_with_a_plan",
-    ("check", "--triad"): f"{GOOD}::test_a_recording_with_rests_is_a_log_too",
+    ("check", "--sensor"): f"{GOOD}::test_a_recording_with_rests_is_a_log_too",
     ("check", "--html"): f"{GOOD}::test_a_page_and_no_file_overwritten",
     ("check", "--full"): f"{GOOD}::test_a_long_result_is_one_screen_unless_all_is_shown",
     ("compare", "--full"): f"{GOOD}::test_a_long_result_is_one_screen_unless_all_is_shown",

@@ -56,6 +56,7 @@ _RECORDING = {
 class Reading(TypedDict, total=False):
     """How a recording or table is read, by the names of the command's options."""
 
+    sensor: str
     acc: str
     gyro: str
     temperature: str

@@ -33,15 +33,15 @@ _OF_MESSAGES = ("mcap", "rosbag")
 def apply_to_recording(
     calibration: Calibration,
     recording: Recording,
-    triad: str | None = None,
+    sensor: str = "",
     *,
     use: str | None = None,
     again: bool = False,
 ) -> Recording:
-    """A recording whose acceleration of one triad is corrected specific force in m/s²; with the
+    """A recording whose acceleration of one sensor is corrected specific force in m/s²; with the
     calibration of an array all its IMUs', and their rates.
 
-    triad : which sensor, when there are several
+    sensor : which one, when there are several
     use : "parts" or "whole", of a calibration in parts; by default what it says itself
     again : correct what is marked as corrected already
     Raises UsageError when it is not clear which sensor, and when that one is corrected already;
@@ -50,9 +50,9 @@ def apply_to_recording(
     """
     if calibration.triads:
         pairing = paired_at_rest(calibration.triads, [recording])
-        found = imus_corrected(calibration, recording, pairing.partner, triad)
+        found = imus_corrected(calibration, recording, pairing.partner, sensor)
         return replace(found, notes=(*found.notes, *pairing.notes))
-    ready = Correction(calibration, triad, use=use, again=again)
+    ready = Correction(calibration, sensor, use=use, again=again)
     (found,) = ready.corrected(lambda: iter([recording]))
     return replace(found, notes=(*found.notes, *ready.notes))
 
@@ -85,11 +85,11 @@ def imus_corrected(
     calibration: Calibration,
     recording: Recording,
     partner: Mapping[str, int],
-    only: str | None = None,
+    only: str = "",
 ) -> Recording:
     """Every IMU's acceleration and rate by its gains and biases, in board axes.
 
-    partner : recorded sensor -> index of its triad; only : the one that is wanted, or None
+    partner : recorded sensor -> index of its triad; only : the one that is wanted, or empty
     """
     facts, notes = calibration.facts, []
     chosen = named_triads(calibration.triads, partner, only)
@@ -121,7 +121,6 @@ def correct_file(
     target: Path,
     mapping: FieldMapping,
     *,
-    triad: str | None = None,
     strict: bool = False,
     use: str | None = None,
     again: bool = False,
@@ -130,13 +129,14 @@ def correct_file(
 
     Goes block by block, so a week takes no more memory than an hour. Logs of messages are held
     whole, since their topics come at their own times; from MCAP to MCAP every other topic is
-    copied untouched. What follows the temperature takes a first pass of its own. Options and errors
-    as in `apply_to_recording`.
+    copied untouched. What follows the temperature takes a first pass of its own; the sensor is the
+    mapping's. Options and errors as in `apply_to_recording`.
     """
+    sensor, mapping = mapping.sensor, replace(mapping, sensor="")
 
     def at_once() -> tuple[str, ...]:
         whole = read(source, mapping, strict=strict)
-        corrected = apply_to_recording(calibration, whole, triad, use=use, again=again)
+        corrected = apply_to_recording(calibration, whole, sensor, use=use, again=again)
         write_over(corrected, source, target)
         return corrected.notes
 
@@ -144,14 +144,14 @@ def correct_file(
         return at_once()
     every = partial(blocks, source, mapping, strict=strict)
     notes: dict[str, None] = {}
-    ready = None if calibration.triads else Correction(calibration, triad, use=use, again=again)
+    ready = None if calibration.triads else Correction(calibration, sensor, use=use, again=again)
     found: Iterator[Recording]
     if ready is not None:
         found = ready.corrected(every)
     else:
         pairing = paired_at_rest(calibration.triads, every())
         notes = dict.fromkeys(pairing.notes)
-        found = (imus_corrected(calibration, b, pairing.partner, triad) for b in every())
+        found = (imus_corrected(calibration, b, pairing.partner, sensor) for b in every())
 
     def noted() -> Iterator[Recording]:
         for block in found:

@@ -25,6 +25,7 @@ from imucalib.effects.thermal import LAG, ROWS
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.recording.recording import Channel, Recording
 from imucalib.recording.recording import Correction as Mark
+from imucalib.recording.sensors import accelerometer
 from imucalib.rests.thermal import (
     ThermalHistory,
     is_remembered,
@@ -51,14 +52,14 @@ _GRAVITY = 1.1 * STANDARD_GRAVITY  # m/s² on one axis: calibrations by gravity 
 class Correction:
     """Corrects a recording of one sensor, block by block, and remembers what to say of it.
 
-    triad : which sensor, None where there is one; use : "parts" or "whole" of a calibration in
+    sensor : which one, empty where there is one; use : "parts" or "whole" of a calibration in
     parts, by default what it says; again : correct what is corrected already
     """
 
     def __init__(
-        self, calibration: Calibration, triad: str | None, *, use: str | None, again: bool
+        self, calibration: Calibration, sensor: str, *, use: str | None, again: bool
     ) -> None:
-        self._calibration, self._triad, self._again = calibration, triad, again
+        self._calibration, self._sensor, self._again = calibration, sensor, again
         self._parts = parts_of(calibration, use)
         chosen = [own for _, own in self._parts] or [calibration]
         self._models = [one.model() for one in chosen]
@@ -95,8 +96,7 @@ class Correction:
         first = next(found, None)
         if first is None:
             return "", iter(())
-        names = [c.triad for c in first.channels.values() if c.quantity == "acceleration"]
-        return self._triad or (names[0] if names else ""), chain([first], found)
+        return accelerometer(first, self._sensor).triad, chain([first], found)
 
     def _block(self, recording: Recording, thermometer: Channel | None) -> Recording:
         calibration = self._calibration
@@ -120,22 +120,15 @@ class Correction:
         return with_rates_corrected(self._gyro, done, channel.triad, thermometer)
 
     def _chosen(self, recording: Recording) -> tuple[str, Channel]:
-        found = {n: c for n, c in recording.channels.items() if c.quantity == "acceleration"}
-        chosen = [n for n, c in found.items() if self._triad in (None, c.triad)]
-        if len(chosen) != 1:
-            raise UsageError(
-                f"{len(chosen)} accelerometers to choose from",
-                where=recording.path,
-                remedy=f"name one with --triad: {', '.join(c.triad for c in found.values())}",
-            )
-        channel = found[chosen[0]]
+        channel = accelerometer(recording, self._sensor)
         if channel.unit != "m/s2":
             raise UnreadableInput(
                 f"the acceleration has no scale (unit {channel.unit})",
                 where=recording.path,
                 remedy="give --unit, or --unit counts with --lsb",
             )
-        return chosen[0], channel
+        name = next(n for n, c in recording.channels.items() if c is channel)
+        return name, channel
 
     def _force(self, recording: Recording, channel: Channel, thermometer: Channel | None) -> Array:
         """Specific force (n, 3) m/s² of a block. Raises UnreadableInput where a covariate is

@@ -18,6 +18,7 @@ from imucalib.core.effect import Context, Motion, Response, Truth
 from imucalib.effects import known
 from imucalib.errors import UnreadableInput
 from imucalib.recording.recording import Channel, Recording
+from imucalib.recording.sensors import angular_rate
 from imucalib.rests.thermal import temperature_at
 from imucalib.units import DEG, STANDARD_GRAVITY
 
@@ -103,11 +104,9 @@ def with_rates_corrected(
     """A recording whose acceleration is corrected, with the rates of the same sensor corrected too;
     rates that are not in rad/s stay, which is noted."""
     channels, notes = dict(recording.channels), list(recording.notes)
-    found = [n for n, c in channels.items() if c.quantity == "angular_rate"]
-    own = [n for n in found if channels[n].triad == triad] or found[:1]
-    force = channels[f"{triad}/acceleration"]
-    for name in own:
-        channel = channels[name]
+    force, channel = channels[f"{triad}/acceleration"], angular_rate(recording, triad)
+    if channel is not None:
+        name = next(n for n, c in channels.items() if c is channel)
         if channel.unit != "rad/s":
             notes.append(f"{name}: rates in {channel.unit} stay as they are")
         elif channel.t.size:

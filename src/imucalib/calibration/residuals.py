@@ -18,7 +18,7 @@ from imucalib.units import MG
 def with_residuals(
     calibration: Calibration,
     recording: Recording,
-    triad: str | None = None,
+    sensor: str = "",
     *,
     use: str | None = None,
     again: bool = False,
@@ -28,7 +28,7 @@ def with_residuals(
 
     Options and errors as in `apply_to_recording`; Undetermined where the recording has no rest.
     """
-    corrected = apply_to_recording(calibration, recording, triad, use=use, again=again)
+    corrected = apply_to_recording(calibration, recording, sensor, use=use, again=again)
     rests = still_segments(recording)
     if rests.n == 0:
         raise Undetermined(

@@ -107,17 +107,17 @@ def pairing_of(triads: Sequence[Triad], recording: Recording) -> Pairing:
 
 
 def named_triads(
-    triads: Sequence[Triad], partner: Mapping[str, int], only: str | None = None
+    triads: Sequence[Triad], partner: Mapping[str, int], only: str = ""
 ) -> dict[str, Triad]:
     """The triad of each recorded sensor that is wanted, by the recording's name.
 
-    only : the one IMU that is wanted, by either name, or None for all. Raises UsageError where
+    only : the one IMU that is wanted, by either name, or empty for all. Raises UsageError where
     there is no such one.
     """
-    chosen = {r: triads[k] for r, k in partner.items() if only in (None, r, triads[k].name)}
+    chosen = {r: triads[k] for r, k in partner.items() if only in ("", r, triads[k].name)}
     if not chosen:
         known = ", ".join(f"{r} ({triads[k].name})" for r, k in partner.items())
-        raise UsageError(f"no IMU '{only}'", remedy=f"name one with --triad: {known}")
+        raise UsageError(f"no IMU '{only}'", remedy=f"name one with --sensor: {known}")
     return chosen
 
 

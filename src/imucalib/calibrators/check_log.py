@@ -18,7 +18,7 @@ from imucalib.calibration.shared_gravity import held_against_gravity
 from imucalib.calibration.triads import named_triads, pairing_of
 from imucalib.calibrators.lab.bench import in_celsius, observations_of, raw_unit
 from imucalib.calibrators.lab.conventions import Conventions
-from imucalib.calibrators.lab.files import LabFiles, positions_in, still_rests
+from imucalib.calibrators.lab.files import LabFiles, positions_in, rests_of, still_rests
 from imucalib.calibrators.lab.position_table import ANGLES, PositionTable
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.core.effect import Context
@@ -26,7 +26,9 @@ from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm
 from imucalib.effects.scans import COLUMN
 from imucalib.errors import UsageError
+from imucalib.readers import read
 from imucalib.recording.recording import Recording
+from imucalib.recording.sensors import accelerometer
 from imucalib.rests.segments import Segments
 from imucalib.rests.stillness import StillSettings
 from imucalib.units import STANDARD_GRAVITY
@@ -39,13 +41,12 @@ Found = tuple[list[Measured], tuple[str, ...]]
 @dataclass(frozen=True)
 class CheckRequest:
     """What the user says of the log. gravity : m/s²; still : what counts as a rest of a recording
-    unit, lsb_per_g : of a table's readings; triad : which sensor of a recording"""
+    unit, lsb_per_g : of a table's readings"""
 
     gravity: float
     still: StillSettings
     unit: str | None = None
     lsb_per_g: float | None = None
-    triad: str | None = None
 
 
 def _silent(text: str) -> None:
@@ -80,10 +81,11 @@ def array_log(
     calibration: Calibration, files: LabFiles, noise: CheckNoise, request: CheckRequest
 ) -> Found:
     """The misfits of every IMU of an array, or of the one that is asked for."""
-    recording, segments = still_rests(files.table, files.mapping, request.still, _silent)
+    recording = read(files.table, replace(files.mapping, sensor=""))
+    segments = rests_of(recording, request.still, _silent)
     pairing = pairing_of(calibration.triads, recording)
     said = held_against_gravity(calibration.triads, pairing.partner, segments, recording.path)
-    triads = named_triads(calibration.triads, pairing.partner, request.triad)
+    triads = named_triads(calibration.triads, pairing.partner, files.mapping.sensor)
     rests = calibration.facts.get("rests") or {}
     # The usual scatter holds the usual noise of samples: an IMU that is noisier has more.
     own = segments.noise.max(axis=1) ** 2 / np.maximum(segments.samples, 1)
@@ -140,42 +142,33 @@ def _of_rests(
     """The rests of one accelerometer. reading_sd : m/s², noise of a reading; a rest so short
     that its samples alone have more counts by that.
 
-    Raises UsageError where it is not clear which sensor, or without a scale.
+    Raises UsageError where it has no scale.
     """
-    refuse_second(recording, request.triad or segments.triads[0])
-    names = [t for t in segments.triads if request.triad in (None, t)]
-    if len(names) != 1:
+    channel = accelerometer(recording)
+    refuse_second(recording, channel.triad)
+    if channel.unit != "m/s2" and {channel.unit, calibration.raw_unit} != {"counts"}:
         raise UsageError(
-            f"{len(names)} accelerometers to choose from",
-            where=recording.path,
-            remedy=f"name one with --triad: {', '.join(segments.triads)}",
-        )
-    k = segments.triads.index(names[0])
-    own = (c for c in recording.channels.values() if c.triad == names[0])
-    units = {c.unit for c in own if c.quantity == "acceleration"}
-    if units != {"m/s2"} and (calibration.raw_unit != "counts" or units != {"counts"}):
-        raise UsageError(
-            f"the acceleration has no scale (unit {', '.join(sorted(units))})",
+            f"the acceleration has no scale (unit {channel.unit})",
             where=recording.path,
             remedy="give --unit, or --unit counts with --lsb",
         )
-    si = 1.0 if units == {"m/s2"} else calibration.raw_to_si
-    noise = si * segments.noise[k].max() / np.sqrt(np.maximum(segments.samples[:, k], 1))
+    si = 1.0 if channel.unit == "m/s2" else calibration.raw_to_si
+    noise = si * segments.noise[0].max() / np.sqrt(np.maximum(segments.samples[:, 0], 1))
     sigma = np.maximum(noise / reading_sd, 1.0)
-    reading = si * segments.mean[:, k]
+    reading = si * segments.mean[:, 0]
     middle = segments.middle
     return Observations(
         reading=reading[:, None],
         sigma=np.broadcast_to(sigma[:, None, None], (segments.n, 1, 3)).copy(),
         reference=KnownNorm(segments.n, request.gravity),
-        context=Context(segments.n, _covariates(segments, k, reading)),
+        context=Context(segments.n, _covariates(segments, reading)),
         group=np.arange(segments.n),
         label=tuple(f"rest at {t:.1f} s" for t in middle),
     )
 
 
-def _covariates(segments: Segments, k: int, reading: Array) -> dict[str, Array]:
+def _covariates(segments: Segments, reading: Array) -> dict[str, Array]:
     before = np.concatenate([reading[:1], reading[:-1]])
     found = {f"previous_{a}": before[:, i] for i, a in enumerate("xyz")}
-    warm = segments.temperature[:, k]
+    warm = segments.temperature[:, 0]
     return found | ({"temperature": warm} if np.isfinite(warm).all() else {})

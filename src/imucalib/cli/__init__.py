@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import os
 import re
+import shlex
 import signal
 import sys
 from collections.abc import Sequence
@@ -85,6 +86,8 @@ class LazyGroup(click.Group):
             return super().main(args, *others, **options)
         except (ImucalError, click.ClickException, OSError) as error:
             given = list(sys.argv[1:] if args is None else args)
+            if isinstance(error, ImucalError) and error.add:
+                error.remedy += f", for example: {shlex.join(['imucal', *given, *error.add])}"
             if "--json" in given[: given.index("--") if "--" in given else None]:
                 from imucalib.cli.output import emit_json
 

@@ -50,7 +50,6 @@ def _one_of(ctx: click.Context, _: click.Parameter, recordings: tuple[Path, ...]
 @click.argument(
     "recording", metavar="RECORDING", nargs=-1, required=True, type=opt.PATH, callback=_one_of
 )
-@opt.option("--triad", "Which accelerometer, when the recording has several.")
 @opt.option("--every", "Calibrate parts too, for example 7d or 12h.", metavar="TIME")
 @opt.flag("--as-published", "The paper's own method, as it was published.")
 @opt.choice(
@@ -83,7 +82,7 @@ def command(recording: Path, **options: Any) -> int:
 
     request = ActigraphRequest(
         **shared_of(options),
-        **{name: options[name] for name in ("triad", "as_published", "arithmetic")},
+        **{name: options[name] for name in ("as_published", "arithmetic")},
         every=_seconds(options["every"]) if options["every"] else None,
         kind=opt.population_of(
             options,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -35,7 +36,6 @@ def _millimetres(
 @click.argument("recording", type=opt.PATH)
 @opt.path("-o --output", "File to write: .mcap, .h5 or .csv.", required=True)
 @opt.strict
-@opt.option("--triad", "Which sensor, when the recording has several.")
 @opt.effects
 @opt.option(
     "--parts use", "Each sample by the part valid at its time (--every).", flag_value="parts"
@@ -118,13 +118,13 @@ def _angles(calibration: Calibration, corrected: Path, options: dict[str, Any]) 
     from imucalib.calibration.angles import angles_at_rests, angles_of_samples
     from imucalib.calibrators.lab.conventions import Conventions
     from imucalib.readers import read
+    from imucalib.recording.sensors import accelerometer
     from imucalib.report.files import write_angles
     from imucalib.rests.segments import still_segments
 
     recording = read(corrected)
     rests = still_segments(recording)
-    found = [c for c in recording.channels.values() if c.quantity == "acceleration"]
-    channel = next(c for c in found if options["triad"] in (None, c.triad))
+    channel = accelerometer(recording, opt.mapping_of(options).sensor)
     k = rests.triads.index(channel.triad)
     if options["each"] == "rest":
         angles = angles_at_rests(calibration, channel.values, rests, k)
@@ -143,9 +143,11 @@ def _residuals(calibration: Calibration, source: Path, options: dict[str, Any]) 
     from imucalib.readers import read
     from imucalib.writers.residuals import write_residuals
 
-    recording = read(source, opt.mapping_of(options), strict=options["strict"])
-    chosen = {name: options[name] for name in ("triad", "use", "again")}
-    write_residuals(with_residuals(calibration, recording, **chosen), options["residuals"])
+    mapping = opt.mapping_of(options)
+    recording = read(source, replace(mapping, sensor=""), strict=options["strict"])
+    chosen = {name: options[name] for name in ("use", "again")}
+    found = with_residuals(calibration, recording, mapping.sensor, **chosen)
+    write_residuals(found, options["residuals"])
 
 
 def _applied(
@@ -156,7 +158,7 @@ def _applied(
 
     mapping, fused = opt.mapping_of(options), options["fused"]
     both = {"strict": options["strict"], "again": options["again"]}
-    alone = options["triad"] is not None or options["use"] is not None or not calibration.triads
+    alone = bool(mapping.sensor) or options["use"] is not None or not calibration.triads
     words: tuple[str, ...] = ()
     if fused or options["at"] is not None or (fused is None and not alone):
         import numpy as np
@@ -164,7 +166,7 @@ def _applied(
         from imucalib.calibrators.array.fused.recording import fuse_file
         from imucalib.calibrators.array.fused.survey import NotFusable
 
-        if fused is False or options["triad"] is not None:
+        if fused is False or mapping.sensor:
             raise click.UsageError("--at and --fused are of all IMUs together: leave the other out")
         point = options["at"] and 1e-3 * np.array(options["at"])
         try:
@@ -173,9 +175,7 @@ def _applied(
             if fused or point is not None:
                 raise
             words = (f"not fused: {error.what}",)
-    notes = correct_file(
-        calibration, source, target, mapping, triad=options["triad"], use=options["use"], **both
-    )
+    notes = correct_file(calibration, source, target, mapping, use=options["use"], **both)
     return (*notes, *words)
 
 

@@ -109,7 +109,8 @@ def command(logs: tuple[Path, ...], **options: Any) -> int:
             path = path if len(logs) == 1 else path.with_stem(f"{path.stem}_{log.stem}")
             write_draws(runs[-1], path)
             note(f"wrote {path}", quiet)
-    reports = [Report(run, array_document(run)) for run in runs]
+    named = zip(runs, logs, strict=True)
+    reports = [Report(run, array_document(run), log.stem) for run, log in named]
     if len(runs) == 1:
         return finish(reports, options)
     board = board_run(tuple(runs))

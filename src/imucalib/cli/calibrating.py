@@ -212,7 +212,7 @@ def finish(
 ) -> int:
     """Write the files, print the result, and return the exit code.
 
-    Several reports go to folders of their own, named after their inputs. together : what several
+    Several reports go to folders of their own, by their names. together : what several
     logs say as one, written above their folders, printed last, and as JSON under "together"
     """
     count_, output = len(reports), options["output"]
@@ -224,14 +224,14 @@ def finish(
         every = [_unwritten(report) for report in every]
     else:
         for k, report in enumerate(every):
-            stem = Path(report.run.outcome.provenance.path).stem
-            folder = output / stem if k < count_ and count_ > 1 else output
-            every[k] = _placed(report, folder, options)
+            folder = output / report.name if k < count_ and count_ > 1 else output
+            every[k] = _placed(report, folder)
             codes.append(_write(every[k], folder, options))
     click.get_current_context().meta[_CONTENT] = every[-1].content
     if options["as_json"]:
         logs = [report.content for report in every[:count_]]
-        emit_json({"logs": logs, "together": every[-1].content} if together else logs[0])
+        both = {"logs": logs, **({"together": every[-1].content} if together else {})}
+        emit_json(both if len(every) > 1 else logs[0])
     elif not options["quiet"]:
         for report in every:
             show(report.document, full=options["full"])
@@ -247,11 +247,12 @@ def _gated(report: Report, fail_on: Gate) -> Report:
     return replace(report, run=replace(report.run, outcome=gated))
 
 
-def _placed(report: Report, folder: Path, options: Mapping[str, Any]) -> Report:
+def _placed(report: Report, folder: Path) -> Report:
     """The report with its advice in terms of the files that are read and written."""
     source = report.run.outcome.provenance.path
-    named = _paths((*click.get_current_context().params.values(), *options.values()))
-    given = next((p for p in named if p.name == source), Path(source))
+    typed = click.get_current_context().params
+    read = [*_inputs(typed), *_paths(v for name, v in typed.items() if name != "output")]
+    given = next((path for path in read if path.name == source), read[0])
     places = {
         "calibration": str(folder / "calibration.yaml"),
         "folder": str(folder),

@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     "Scatter between power-ups: 0.5mg of bias, 0.05deg of mounting; default: as a "
     "calibration of several sessions states it.",
 )
-@opt.option("--triad", "Which sensor, when the log has several.")
 @opt.many(
     "--columns",
     "ROLE=NAME,...",
@@ -106,7 +105,6 @@ def _measured(
         opt.still_of(options),
         options["unit"],
         opt.one_scale(options["lsb"]),
-        options["triad"],
     )
     make = array_log if calibration.triads else sensor_log
     return make(replace(calibration, gravity=gravity), files, noise, request)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from imucalib.cli import options as opt
 from imucalib.cli.calibrating import calibrating, calibrating_of, finish, limit_option, shared_of
+
+if TYPE_CHECKING:
+    from imucalib.recording.mapping import FieldMapping
 
 
 @opt.paged("imu")
@@ -28,11 +32,13 @@ def command(recordings: tuple[Path, ...], **options: Any) -> int:
     RECORDING is a log in which the IMU rests for two seconds in ten attitudes or more and is turned
     by hand from each to the next. Gravity at the rests calibrates the accelerometer, and how the
     rate carries it over the turns the gyroscope. Writes calibration.yaml, report.html and
-    report.json into the folder given by -o, and prints the report.
+    report.json into the folder given by -o, and prints the report. Of several IMUs in it, --sensor
+    names one, or all: then each has a folder of its own.
 
     \b
     Examples:
       imucal imu turns.csv -o out
+      imucal imu flight.ulg -o out --sensor all
       imucal imu log.mcap -o out --latitude 59.3 --export kalibr
     """
     from imucalib.calibrators.imu.request import ImuRequest
@@ -43,6 +49,20 @@ def command(recordings: tuple[Path, ...], **options: Any) -> int:
 
     axes = parse_axis_map(options["gyro_axes"])
     request = ImuRequest(**shared_of(options), gyro_axes=axes, still=opt.still_of(options))
+    mapping, reports = opt.mapping_of(options), []
     with calibrating_of(options) as say:
-        run = run_imu(recordings, opt.mapping_of(options), request, say)
-    return finish([Report(run, imu_document(run))], options)
+        for sensor in _each(recordings[0], mapping):
+            run = run_imu(recordings, replace(mapping, sensor=sensor), request, say)
+            reports.append(Report(run, imu_document(run), sensor))
+    return finish(reports, options)
+
+
+def _each(recording: Path, mapping: FieldMapping) -> tuple[str, ...]:
+    """The sensor that is named, or every one of the recording."""
+    from imucalib.readers import blocks
+    from imucalib.recording.sensors import ALL, accelerometers
+
+    if mapping.sensor != ALL:
+        return (mapping.sensor,)
+    found = blocks(recording, replace(mapping, sensor=""))
+    return tuple(dict.fromkeys(name for block in found for name in accelerometers(block)))

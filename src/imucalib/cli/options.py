@@ -62,6 +62,8 @@ def combined(parameters: Iterable[Parameter]) -> Parameter:
 #: Parameter -> help of the option of that name.
 _READING = {
     "mapping": "Recording: mapping file, as `inspect --save-mapping` writes it.",
+    "sensor": "Recording: which sensor, by its name, where there are several; imu: all, each "
+    "by itself.",
     "acc": "Recording: accelerometer fields or columns, x,y,z.",
     "gyro": "Recording: gyroscope fields or columns.",
     "temperature": "Recording: temperature field or column.",

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import re
+import shlex
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
@@ -284,7 +285,6 @@ _WORN, _TURNS, _RESTS = 2 * 3600.0, 5, 6
 def next_commands(found: Inspection, typed: str) -> tuple[str, ...]:
     """What to type next, and why. typed : the file and the options of its reading"""
     sensors = [f for f in found.of("acceleration") if f.unit == "m/s2"]
-    still = found.still.n if found.still else 0
     if not sensors:
         return tuple(
             f"`imucal inspect {typed} --unit counts --lsb {f.norm_at_rest:.0f}`: reads it with "
@@ -294,9 +294,16 @@ def next_commands(found: Inspection, typed: str) -> tuple[str, ...]:
         )[:1]
     if len(sensors) > 1:
         return (
+            *_of_one(found, f"{typed} --sensor {shlex.quote(sensors[0].triad)}"),
             f"`imucal array {typed} --board BOARD -o out`: where its accelerometers are; BOARD is "
             "the drawing's file, or one of those that ship.",
         )
+    return _of_one(found, typed)
+
+
+def _of_one(found: Inspection, typed: str) -> tuple[str, ...]:
+    """What to type of one sensor, and why."""
+    still = found.still.n if found.still else 0
     if found.span >= _WORN and still:
         return (f"`imucal actigraph {typed} -o out`: a worn sensor, by gravity at rest.",)
     if still >= _TURNS and found.of("angular_rate"):
@@ -326,8 +333,6 @@ def advice(found: Inspection) -> Iterator[tuple[str, str]]:
         yield "--rests", "lists what came near a rest, and what refused it"
     if found.losses:
         yield "--strict", "refuses this file instead of reading what is left"
-    if len(accelerometers) > 1:
-        yield "--triad NAME", "apply corrects one sensor, named as above"
     yield "--save-mapping FILE", "keeps this reading; --mapping FILE repeats it"
 
 

@@ -30,6 +30,7 @@ from imucalib.readers.repeats import with_held
 from imucalib.readers.source import UNREAD, head_of, named
 from imucalib.recording.mapping import TIME_ZEROS, FieldMapping
 from imucalib.recording.recording import Recording
+from imucalib.recording.sensors import select_sensor
 
 __all__ = [
     "BLOCK_SAMPLES",
@@ -193,9 +194,10 @@ def _reader(path: str | os.PathLike[str], mapping: FieldMapping) -> Reader:
 def _looked_at(
     found: Iterator[Recording], mapping: FieldMapping, reader: Reader
 ) -> Iterator[Recording]:
-    """What holds for every format: a clock's parts, clocks that such sensors can have, rates in the
-    unit that is stated, and samples that are no measurement."""
+    """What holds for every format: the sensor that is wanted, a clock's parts, clocks that such
+    sensors can have, rates in the unit that is stated, and samples that are no measurement."""
     fixed = getattr(reader, "fixed", False)
+    found = select_sensor(found, mapping.sensor) if mapping.sensor else found
     possible = without_the_impossible(found)
     clocked = with_plausible_clocks(with_order_told(in_parts(possible)))
     return _unwarned(with_held(with_checked_rates(clocked, mapping, fixed=fixed)))

@@ -72,6 +72,7 @@ class FieldMapping:
     header : whether a line of column names exists
     decimal, delimiter : of a CSV; delimiter " " stands for any run of blanks
     preset : the device (`readers/devices`) that filled what was not stated
+    sensor : the one that is read, of several; what belongs to others is left out
     max_chunk : of an MCAP file, bytes that one packed chunk may unpack to
     allow_external : of an HDF5 file, whether its data may lie in other files
     """
@@ -98,6 +99,7 @@ class FieldMapping:
     decimal: str = ""
     delimiter: str = ""
     preset: str = ""
+    sensor: str = ""
     max_chunk: int | None = None
     allow_external: bool | None = None
 

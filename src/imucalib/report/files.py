@@ -50,10 +50,12 @@ _ANGLES = {
 
 @dataclass(frozen=True)
 class Report:
-    """A run and its document; report.json's content is made once."""
+    """A run and its document; report.json's content is made once. name : of the folder that it has
+    where there are several"""
 
     run: Run
     document: Document
+    name: str = ""
 
     @cached_property
     def content(self) -> dict[str, Any]:

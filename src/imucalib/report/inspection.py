@@ -36,7 +36,7 @@ from imucalib.units import DEG, MG, STANDARD_GRAVITY
 
 #: Fields of a mapping that have an option of their own.
 _OPTIONS = (
-    " acc gyro temperature time gyro_unit temperature_unit time_unit rate axis_map preset "
+    " sensor acc gyro temperature time gyro_unit temperature_unit time_unit rate axis_map preset "
     "acc_offset skip decimal delimiter "
 )
 _RENAMED = {field: f"--{name.replace('_', '-')}" for name, field in OPTION_FIELDS.items()}

@@ -24,6 +24,7 @@ import numpy as np
 from imucalib.arrays import Array, Flags, Index
 from imucalib.errors import Undetermined, UnreadableInput, UsageError
 from imucalib.recording.recording import Channel, Gap, Held, Recording
+from imucalib.recording.sensors import accelerometers, undecided
 from imucalib.rests.stillness import Sensor, StillSettings, every, some, still_windows
 from imucalib.rests.thermal import ThermalHistory, believed, mean_of_known
 from imucalib.rests.windows import (
@@ -349,7 +350,7 @@ class PostureRuns:
         return int(self.time.size)
 
 
-def scan(blocks: Iterable[Recording], window: float, triad: str | None = None) -> Scan:
+def scan(blocks: Iterable[Recording], window: float) -> Scan:
     """One pass over a recording in blocks; memory is that of a block and of the windows.
 
     Raises UsageError when it is not clear which accelerometer, UnreadableInput when it has no
@@ -357,6 +358,7 @@ def scan(blocks: Iterable[Recording], window: float, triad: str | None = None) -
     """
     builders: dict[str, WindowBuilder] = {}
     tails: _TailBuilder | None = None
+    known: dict[str, Channel] = {}
     name, rate, samples, stop, gaps = "", 0.0, 0, 0.0, 0
     notes: list[str] = []
     held: list[Held] = []
@@ -366,7 +368,8 @@ def scan(blocks: Iterable[Recording], window: float, triad: str | None = None) -
         notes += block.notes
         held += block.held
         gaps += len(block.gaps)
-        name = name or _accelerometer(block, triad)
+        known |= accelerometers(block)
+        name = _accelerometer(known, block.path) if known else ""
         for key, channel in _chosen(block, name):
             per = max(1 if key == "temperature" else 5, round(window * channel.rate))
             builders.setdefault(key, WindowBuilder(per)).add(channel, block.gaps)
@@ -409,23 +412,15 @@ def scan(blocks: Iterable[Recording], window: float, triad: str | None = None) -
     )
 
 
-def _accelerometer(block: Recording, triad: str | None) -> str:
-    """The triad to calibrate, or "" when this block has none."""
-    found = [c for c in block.channels.values() if c.quantity == "acceleration"]
-    names = [c.triad for c in found]
-    if not names:
-        return ""
-    if (triad is None and len(names) > 1) or (triad is not None and triad not in names):
-        raise UsageError(
-            f"{len(names)} accelerometers to choose from",
-            where=block.path,
-            remedy=f"name one with --triad: {', '.join(names)}",
-        )
-    chosen = found[names.index(triad)] if triad else found[0]
+def _accelerometer(found: dict[str, Channel], path: str) -> str:
+    """The sensor to calibrate."""
+    if len(found) > 1:
+        raise undecided(found, "", path)
+    (chosen,) = found.values()
     if chosen.unit != "m/s2":
         raise UnreadableInput(
             f"the acceleration has no scale (unit {chosen.unit})",
-            where=block.path,
+            where=path,
             remedy="give --unit, or --unit counts with --lsb; epoch counts cannot be used",
         )
     return chosen.triad

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Callable
 from pathlib import Path
 
@@ -359,12 +358,13 @@ def test_a_table_is_read_from_its_numbers_upwards(units: bool, above: str, tmp_p
     "Operator: NN;;;Sensor A;;;Sensor B;;\nNo;INC;HSTF;Gx;Gy;Gz;Gx;Gy;Gz\n",
     "No;INC;HSTF;Gx A;Gy A;Gz A;Gx B;Gy B;Gz B\n",
 ])  # fmt: skip
-def test_of_two_sensors_the_columns_to_choose_are_told(heading: str, tmp_path: Path) -> None:
+def test_of_two_sensors_the_names_are_told(heading: str, tmp_path: Path) -> None:
     path = tmp_path / "sheet.csv"
     rows = [f"{k};{10 * k},0;0,0;0,1;0,2;0,9{k};-0,1;0,3;0,9{k}\n" for k in range(6)]
     path.write_text(heading + "".join(rows))
-    with pytest.raises(UnreadableInput, match="2 sensors may be meant") as caught:
+    with pytest.raises(UsageError, match="2 sensors to choose from") as caught:
         read_position_table(path)
-    option = caught.value.remedy.partition("--columns ")[2].partition(";")[0]
-    chosen = dict(part.split("=") for part in shlex.split(option)[0].split(","))
-    assert read_position_table(path, chosen).raw()[3].tolist() == [0.1, 0.2, 0.93]
+    option, sensor = caught.value.add
+    found = read_position_table(path, mapping=FieldMapping(sensor=sensor))
+    assert option == "--sensor"
+    assert found.raw()[3].tolist() == [0.1, 0.2, 0.93]

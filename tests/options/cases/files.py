@@ -214,7 +214,7 @@ CASES: tuple[Case, ...] = (
     APPLY("--output <out>/other.csv", _elsewhere),
     APPLY("--strict", ends(3, "31"), "apply", "<calibration.yaml>", "<damaged.csv>", "-o",
                "<out>/corrected.csv"),
-    APPLY("--triad other", _by_calibration, "apply", "<calibration.yaml>", "<worn_twice.h5>", "-o",
+    APPLY("--sensor other", _by_calibration, "apply", "<calibration.yaml>", "<worn_twice.h5>", "-o",
           "<out>/corrected.h5"),
     APPLY("--effects <own.py>", _own_is_known, "apply", "<own_calibration.yaml>", "<samples.csv>",
           "-o", "<out>/corrected.csv"),

@@ -46,7 +46,7 @@ def _coarse(without: Outcome, done: Outcome, bench: Bench) -> None:
 
 
 CASES: tuple[Case, ...] = (
-    WORN("--triad other", _other_sensor, "actigraph", "<worn_twice.h5>", "--no-loop", "--json"),
+    WORN("--sensor other", _other_sensor, "actigraph", "<worn_twice.h5>", "--no-loop", "--json"),
     WORN("--every 80min", _in_parts),
     WORN("--every 0h", ends(2, "is not a time")),
     WORN("--fleet <worn_kind.yaml>", as_its_kind(25.0)),

@@ -126,7 +126,7 @@ def calibrate_as_published(
     Raises Undetermined with the bins that stayed empty.
     """
     request = replace(request, window=SECONDS, as_published=True, loop=False)
-    scanned = scan(blocks(path, mapping), request.window, request.triad)
+    scanned = scan(blocks(path, mapping), request.window)
     # At rest are segments whose max - min along x is below 0.12 g, and that are not stuck.
     spread = scanned.windows.high[:, 0] - scanned.windows.low[:, 0]
     still = np.flatnonzero((spread > 0.0) & (spread < RANGE_G * request.gravity))

@@ -13,7 +13,7 @@ class ActigraphRequest(Request):
     """Everything that the user chose; see `Request` for what all calibrators have. The field takes
     every place's gravity as 1 g, and so does the default.
 
-    triad : which accelerometer, or None; window : s, of the windows that are tested for rest
+    window : s, of the windows that are tested for rest
     as_published : the paper's own stillness rule, points and gradient descent
     arithmetic : of the gradient descent: "float", "int32" or "int16"
     every : s, length of the parts that are calibrated each on its own, or None
@@ -21,7 +21,6 @@ class ActigraphRequest(Request):
     kind : what a fleet says of the device, for postures that leave parameters open
     """
 
-    triad: str | None = None
     window: float = 10.0
     as_published: bool = False
     arithmetic: str = "float"
@@ -35,7 +34,6 @@ class ActigraphRequest(Request):
             "window_s": self.window,
             "gravity_m_per_s2": self.gravity,
             "gravity_source": self.gravity_source,
-            "triad": self.triad,
             "every_s": self.every,
             "as_published": self.as_published,
             "arithmetic": self.arithmetic,

@@ -76,7 +76,7 @@ def calibrate_recording(
     path: Path, mapping: FieldMapping, request: ActigraphRequest, say: Callable[[str], None]
 ) -> ActigraphRun:
     """Read in blocks and calibrate; `say` gets a line for each thing worth knowing on the way."""
-    scanned = scan(stored_blocks(path, mapping), request.window, request.triad)
+    scanned = scan(stored_blocks(path, mapping), request.window)
     runs = posture_runs(scanned, WORN)
     wear, rule = wear_of(scanned), closest_point(scanned)
     run = run_of(runs, scanned.without_windows(), request, say)

@@ -22,6 +22,7 @@ from imucalib.errors import Undetermined, UnreadableInput, UsageError
 from imucalib.estimators.carried import attitudes, between
 from imucalib.estimators.turns import Turn, TurnLog
 from imucalib.recording.recording import Channel, Recording
+from imucalib.recording.sensors import angular_rate
 from imucalib.rests.segments import Segments
 from imucalib.units import DEG
 
@@ -67,9 +68,8 @@ class Imu:
 def gyroscope_of(recording: Recording, triad: str) -> Channel:
     """The angular rate of the IMU. Raises UsageError where there is none, UnreadableInput where it
     has no scale."""
-    found = [c for c in recording.channels.values() if c.quantity == "angular_rate"]
-    own = [c for c in found if c.triad == triad] or found
-    if not own:
+    own = angular_rate(recording, triad)
+    if own is None:
         raise UsageError(
             "the recording has no gyroscope, and there is nothing to calibrate beside the "
             "accelerometer",
@@ -77,14 +77,14 @@ def gyroscope_of(recording: Recording, triad: str) -> Channel:
             remedy="name its columns with --gyro X,Y,Z; `imucal lab --reference norm` calibrates "
             "an accelerometer alone",
         )
-    if own[0].unit != "rad/s":
+    if own.unit != "rad/s":
         raise UnreadableInput(
-            f"the angular rate has no scale (unit {own[0].unit})",
+            f"the angular rate has no scale (unit {own.unit})",
             where=recording.path,
             remedy="state it with --gyro-unit rad/s or deg/s, or --gyro-unit counts --gyro-lsb N "
             "(counts a deg/s)",
         )
-    return own[0]
+    return own
 
 
 def imu_of(recordings: Sequence[Recording], segments: Sequence[Segments], gravity: float) -> Imu:

@@ -38,6 +38,7 @@ from imucalib.readers.csv.text import take_turns
 from imucalib.readers.words import triples_of
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
+from imucalib.recording.sensors import accelerometer
 from imucalib.rests.candidates import refusals
 from imucalib.rests.segments import Segments, still_segments
 from imucalib.rests.stillness import StillSettings
@@ -46,7 +47,16 @@ from imucalib.units import ACCELERATION_UNITS
 #: Inclinations at which the tool-face is none, deg.
 _VERTICAL = {"horizontal": (90.0, -90.0), "vertical": (0.0, 180.0)}
 #: What a mapping may state of a table; anything else is of a recording in time.
-_OF_TABLES = {"acc_unit", "lsb_per_g", "acc_offset", "skip", "decimal", "delimiter", "where"}
+_OF_TABLES = {
+    "sensor",
+    "acc_unit",
+    "lsb_per_g",
+    "acc_offset",
+    "skip",
+    "decimal",
+    "delimiter",
+    "where",
+}
 
 Say = Callable[[str], None]
 Kind = Literal["vector", "direction", "norm", "plan"]
@@ -204,8 +214,16 @@ def positions_in(files: LabFiles, cells: Cells | None = None) -> PositionTable |
 def still_rests(
     path: Path, mapping: FieldMapping, still: StillSettings, say: Say
 ) -> tuple[Recording, Segments]:
-    """A recording and its rests; raises UnreadableInput where it has none."""
+    """A recording of one sensor and its rests; raises UsageError where it is of several, else as
+    `rests_of`."""
     recording = read(path, mapping)
+    accelerometer(recording)
+    return recording, rests_of(recording, still, say)
+
+
+def rests_of(recording: Recording, still: StillSettings, say: Say) -> Segments:
+    """The rests of a recording; raises UnreadableInput where it has none."""
+    path = recording.path
     segments = still_segments(recording, still)
     span = max((float(c.t[-1]) for c in recording.channels.values() if c.t.size), default=0.0)
     say(f"read {path} ({recording.format}, {span:.0f} s): {segments.n} still segments")
@@ -214,15 +232,15 @@ def still_rests(
     if segments.n == 0:
         raise UnreadableInput(
             f"no rest in it: {refusals(segments.candidates)}",
-            where=str(path),
+            where=path,
             remedy=f"hold each position still for {still.shortest:g} s or more "
             "(--shortest-rest); `imucal inspect FILE --rests` lists what was refused",
         )
-    return recording, segments
+    return segments
 
 
 def table_of_rests(segments: Segments, recording: Recording) -> PositionTable:
-    """Still segments of the first triad as a table in m/s². Every rest weighs the same: between
+    """Still segments of a sensor as a table in m/s². Every rest weighs the same: between
     rests a sensor scatters more than averaging suggests."""
     columns = dict(zip("xyz", segments.mean[:, 0].T, strict=True))
     columns["time"] = 0.5 * (segments.start + segments.stop)

@@ -7,7 +7,7 @@ Columns are found by name or given; every cell that is used must be a number. Ro
 
 from __future__ import annotations
 
-import shlex
+import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -26,6 +26,7 @@ from imucalib.readers.hdf5.reader import table_columns
 from imucalib.readers.source import head_of
 from imucalib.readers.words import triples_of
 from imucalib.recording.mapping import FieldMapping
+from imucalib.recording.sensors import undecided
 from imucalib.units import DEG
 
 #: A column of words stands for the direction ux, uy, uz: the axis that reads +g in the position.
@@ -42,6 +43,7 @@ _MOST = 2000
 _TURNED, _PASSED = 0.05, 1.0
 _LARGEST = 1e30  # no sensor, angle or count is as large
 _SHOWN = 10  # rows that an error lists
+_UNIT = re.compile(r"[\[(][^\[\]()]*[\])]\s*$")
 
 
 def ranges(rows: Sequence[int] | Index) -> str:
@@ -170,16 +172,16 @@ def read_position_table(
     """Read a CSV, HDF5 or XLSX table.
 
     chosen : role (or "face") -> heading, overriding what is found by name
-    mapping : of a CSV, lines to skip, delimiter, decimal mark and conditions on rows
+    mapping : the sensor; of a CSV, lines to skip, delimiter, decimal mark, conditions on rows
     exclude : rows (from 1) that may hold anything; those that cannot be read are left out
     vertical : inclinations (deg) at which the tool-face, which is none there, may be blank
     cells : of `cells_of`, where the file was read already
     Raises UnreadableInput (missing or non-numeric cells, with row and column; no file) and
     UsageError (an unknown role or heading in `chosen`).
     """
-    where = str(path)
     cells = cells or cells_of(path, mapping or FieldMapping(), exclude)
-    wanted, every = dict(chosen or {}), list(cells.columns)
+    every, where = list(cells.columns), str(path)
+    wanted = {**_columns_of(mapping, every, where), **(chosen or {})}
     face = _face_heading(every, wanted.pop("face", ""), where) if need_direction else ""
     names = roles_of(every, wanted, where)
     if not need_raw:  # of a plan they are still to be filled in
@@ -336,12 +338,9 @@ def _demand(roles: tuple[str, ...], found: Mapping[str, str], have: list[str], w
     if not absent:
         return
     remedy = f"name it: --columns {','.join(f'{role}=HEADING' for role in absent)}"
-    threes = [[have[k] for k in three] for three in triples_of(have)] if "x" in absent else []
-    if set("xyz") <= set(absent) and threes:
-        named = [",".join(f"{a}={h}" for a, h in zip("xyz", t, strict=True)) for t in threes]
-        chosen = "; ".join(f"--columns {shlex.quote(columns)}" for columns in named)
-        remedy = f"{len(threes)} sensors may be meant, choose one: {chosen}"
-    elif set("xyz") <= set(absent):
+    if set("xyz") <= set(absent):
+        if sensors := sensors_in(have):
+            raise undecided(sensors, "", where)
         remedy += "; or give the log of rests in these positions: --recording LOG"
     elif {"inclination", "tool_face"} <= set(absent):
         remedy += "; or, without known angles, add --reference norm"
@@ -352,6 +351,30 @@ def _demand(roles: tuple[str, ...], found: Mapping[str, str], have: list[str], w
     raise UnreadableInput(
         f"no column for {', '.join(absent)} among: {', '.join(have)}", where=where, remedy=remedy
     )
+
+
+def sensors_in(headings: list[str]) -> dict[str, tuple[str, str, str]]:
+    """The headings of x, y and z of each sensor of a table, by what they share beside the word that
+    names the axis: "A" of "Gx A [g]"."""
+    found = {}
+    for x, y, z in ([headings[k] for k in three] for three in triples_of(headings)):
+        at = next(k for k, pair in enumerate(zip(x, y, strict=True)) if pair[0] != pair[1])
+        word = next(m for m in re.finditer(r"[^\s_.:/-]+", x) if m.start() <= at < m.end())
+        left = _UNIT.sub("", f"{x[: word.start()]} {x[word.end() :]}").strip(" _.:/-")
+        name = " ".join(left.split()) or f"{x[:at]}{x[at + 1 :]}"
+        found[name] = (x, y, z)
+    return found
+
+
+def _columns_of(mapping: FieldMapping | None, headings: list[str], where: str) -> dict[str, str]:
+    """Role -> heading of the readings of the sensor that is named, if one is. Raises UsageError
+    where it has none."""
+    if mapping is None or not mapping.sensor:
+        return {}
+    found = sensors_in(headings)
+    if mapping.sensor not in found:
+        raise undecided(found, mapping.sensor, where)
+    return dict(zip("xyz", found[mapping.sensor], strict=True))
 
 
 def _numbers(cells: Array | list[str]) -> Array:
