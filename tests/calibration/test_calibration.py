@@ -84,7 +84,7 @@ def test_written_and_read_bit_by_bit(tmp_path: Path) -> None:
         ("camera_model: pinhole\nintrinsics: [1, 2]\n", "not a calibration of imucal"),
         ("schema: imucal/calibration\n", "version None is not known"),
         ("schema: imucal/calibration\nversion: 999\n", "version 999 is not known"),
-        ("schema: imucal/calibration\nversion: 2\n", "incomplete"),
+        ("schema: imucal/calibration\nversion: 3\n", "incomplete"),
         ("a: [1, 2\n", "not a YAML file"),
         ("\tx: 1\n", "not a YAML file"),
     ],

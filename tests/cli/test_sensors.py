@@ -129,3 +129,27 @@ def test_a_name_that_is_none_is_refused_with_those_there_are(folder: Path, tmp_p
         done = run(*typed(name, folder, tmp_path), "--sensor", "third")
         assert done.return_value == 2
         assert all(sensor in str(done.exception) for sensor in NAMES)
+
+
+def test_the_name_is_in_all_that_is_made_of_it(folder: Path, tmp_path: Path) -> None:
+    two, out = next(folder.glob("two.*")), tmp_path / "out"
+    done = run("imu", two, "--sensor", "aux", "--no-loop", "--json", "-o", out)
+    report = json.loads(done.stdout)
+    text = (out / "calibration.yaml").read_text(encoding="utf-8")
+    for block in (report, YAML(typ="safe", pure=True).load(text)):
+        sensor = block["sensor"]
+        assert (sensor["name"], sensor["unit"]) == ("aux", "m/s2")
+        assert sensor["rate_hz"] == pytest.approx(100.0)
+        assert sensor["to_m_per_s2"] == [1.0]
+    assert "aux" in (out / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", ["ax3.cwa", "geneactiv.bin"])
+def test_a_device_keeps_its_number_through_conversions(name: str, tmp_path: Path) -> None:
+    first = read(Path(__file__).parents[1] / "measured" / name)
+    assert first.device
+    assert first.serial
+    for suffix in (".csv", ".h5"):
+        path = tmp_path / f"again{suffix}"
+        assert run("convert", first.path, path, "-q").return_value == 0
+        assert read(path).serial == first.serial

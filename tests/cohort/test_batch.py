@@ -277,7 +277,7 @@ def test_a_row_tells_a_manager_what_to_know() -> None:
     assert found["enmo_after_mg"] < found["enmo_before_mg"]
     assert found["worst_direction"] in {c["name"] for c in report["sphere"]}
     assert found["serial"] is None
-    report["notes"].append("GENEActiv 012345")
+    report["sensor"]["serial"] = "012345"
     assert quality_of(report)["serial"] == "012345"
     report["card"]["to_do"].append("Wear it for a night more.")
     (row,) = rows((Entry("a", "k", done.return_value or 0, 1.0, "", report),))

@@ -19,6 +19,7 @@ from imucalib.core.model import Model
 from imucalib.effects import known
 from imucalib.effects.record_error import is_record_error
 from imucalib.errors import UnreadableInput, UsageError
+from imucalib.recording.identity import NAMELESS, Identity
 from imucalib.units import DEG, MG
 
 #: The reason of a calibration that is none, kept for the record errors in its report.
@@ -156,7 +157,7 @@ class Calibration:
     raw_unit, raw_to_si : of the readings that it applies to
     facts : the blocks that only people read (gravity, conventions, noise, ranges, provenance)
     triads : of an array, each IMU's linear correction; the parameters then are the positions
-    sha256 : of the file that it was read from, or empty
+    sha256 : of the file that it was read from, or empty; sensor : whose it is
     """
 
     calibrator: str
@@ -171,6 +172,7 @@ class Calibration:
     facts: Mapping[str, Any] = field(default_factory=dict)
     triads: tuple[Triad, ...] = ()
     sha256: str = ""
+    sensor: Identity = NAMELESS
 
     def model(self, *, fixture: bool = False) -> tuple[Model, Array]:
         """The correcting part as effects of the catalogue, with its θ; `fixture` : also what the
@@ -290,6 +292,7 @@ def from_fit(
     status: str,
     reasons: tuple[str, ...],
     facts: Mapping[str, Any],
+    sensor: Identity = NAMELESS,
 ) -> Calibration:
     """The calibration of a fit; records that were set aside are no part of it."""
     context = fit.observations.context
@@ -309,4 +312,5 @@ def from_fit(
         reasons=reasons,
         valid=valid,
         facts=facts,
+        sensor=sensor,
     )

@@ -23,11 +23,12 @@ from imucalib.calibration.triads import triad_from
 from imucalib.core.effect import Context
 from imucalib.errors import NotConverged, UnreadableInput
 from imucalib.file_hash import sha256_of
+from imucalib.recording.identity import identity_from
 from imucalib.recording.pairing import fault
 from imucalib.recording.yaml_text import dump, load
 
 SCHEMA = "imucal/calibration"
-VERSION = 2
+VERSION = 3
 FORMULA = (
     "reading = x + sum of sensor effects(x), x = mounting turn of the specific force in the tool's "
     "frame; apply inverts it. Linear part: corrected = M raw + b, raw = S corrected + c (SI units)."
@@ -55,6 +56,7 @@ _KEYS = {
     "matrices",
     "triads",
     "valid",
+    "sensor",
 }
 #: Keys whose values are names, wherever they stand.
 _NAMES = {
@@ -69,6 +71,9 @@ _NAMES = {
     "status",
     "channel",
     "quantity",
+    "names",
+    "device",
+    "serial",
 }
 
 
@@ -93,6 +98,7 @@ def as_dict(calibration: Calibration) -> dict[str, Any]:
         "calibrator": calibration.calibrator,
         "status": calibration.status,
         "reasons": list(calibration.reasons),
+        "sensor": calibration.sensor.as_dict(),
         "formula": ARRAY_FORMULA if triads else FORMULA,
         "raw": {"unit": calibration.raw_unit, "to_m_per_s2": calibration.raw_to_si},
         "gravity_m_per_s2": calibration.gravity,
@@ -215,6 +221,7 @@ def _calibration(content: dict[str, Any]) -> Calibration:
         valid={name: (float(a), float(b)) for name, (a, b) in content["valid"].items()},
         facts={name: block for name, block in content.items() if name not in _KEYS},
         triads=tuple(triad_from(block) for block in content.get("triads", ())),
+        sensor=identity_from(content["sensor"]),
     )
 
 

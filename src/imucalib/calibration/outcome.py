@@ -14,6 +14,7 @@ from imucalib.calibration.provenance import Provenance
 from imucalib.core.fit import Fit
 from imucalib.errors import UNEXPLAINED_EXIT_CODE, LimitBroken, Undetermined
 from imucalib.loop.found import FitLoop
+from imucalib.recording.identity import NAMELESS, Identity
 from imucalib.recording.recording import CORRECTED
 from imucalib.units import MG
 
@@ -118,6 +119,7 @@ class Outcome:
     near their nominal values
     left : sizes of what is not explained, and what of each is accepted
     fail_on : what more than that ends with the code of the unexplained
+    sensor : whose readings they are
     """
 
     calibrator: str
@@ -133,6 +135,7 @@ class Outcome:
     weak: bool = False
     left: tuple[Left, ...] = ()
     fail_on: Gate | None = None
+    sensor: Identity = NAMELESS
 
     def __post_init__(self) -> None:
         if self.corrected and _CORRECTED not in self.reasons:

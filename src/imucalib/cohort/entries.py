@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -117,15 +116,6 @@ def _numbers(report: Mapping[str, Any]) -> dict[str, Any]:
     return found
 
 
-#: How readers begin the note that names a device.
-_DEVICE = re.compile(r"(?:ActiGraph|GENEActiv|Axivity AX\d) (?!of unknown)([\w-]+)")
-
-
-def device_of(report: Mapping[str, Any]) -> str | None:
-    """Serial number of the device, where the recording's file names it."""
-    return next((m[1] for n in report["notes"] if (m := _DEVICE.match(n))), None)
-
-
 def quality_of(report: Mapping[str, Any]) -> dict[str, Any]:
     """Columns of one recording from its report.json; None where a report does not tell.
 
@@ -133,6 +123,7 @@ def quality_of(report: Mapping[str, Any]) -> dict[str, Any]:
     temperatures in °C.
     """
     coverage, activity = report.get("coverage", {}), report.get("activity") or {}
+    sensor = report.get("sensor", {})
     held = report["loop"]["errors"][0]["held_out"]
     warm = coverage.get("temperature_degC") or (None, None)
     # The direction with the largest held-out error of those that were seen.
@@ -143,7 +134,8 @@ def quality_of(report: Mapping[str, Any]) -> dict[str, Any]:
     span = coverage.get("axis_range_g")
     seen = span and "".join(a for a, (low, high) in span.items() if low < -0.5 and high > 0.5)
     return {
-        "serial": device_of(report),
+        "sensor": sensor.get("name"),
+        **{key: sensor.get(key) for key in ("device", "serial")},
         "rate_hz": coverage.get("rate_hz"),
         "hours_recorded": _rounded(activity.get("hours_recorded", coverage.get("hours"))),
         "hours_worn": _rounded(activity.get("hours_worn")),

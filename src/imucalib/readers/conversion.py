@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,6 +103,12 @@ class Conversion:
     counts_per_g: float = 0.0
     missing: tuple[float, ...] = ()
     wrap: float = 0.0
+
+    @property
+    def units(self) -> dict[str, Any]:
+        """Fields of a channel: the unit, and what the file has."""
+        factor = tuple(self.factor.tolist())
+        return {"unit": self.unit, "raw_unit": self.source_unit, "raw_to_si": factor}
 
     def apply(self, raw: NDArray[np.generic]) -> Array:
         """Convert raw values (..., 3), or (..., 1) for a scalar quantity, to float64."""

@@ -82,6 +82,7 @@ class Channel:
     triad : the sensor that it belongs to, for example "imu0"
     names : what else the file calls that sensor, in full: topic or dataset, then its frame_id
     numbered : whether `triad` is only a number, since the file has no name for the sensor
+    raw_unit, raw_to_si : unit of the numbers in the file, and `unit` in one of it, (1,) or an axis
     rate : samples a second, over all that no gap interrupts (or of the file's header)
     pending : None, except in blocks that were asked for as stored (`readers.stored_blocks`): there
         `values` are the file's own numbers of any type, and this turns them into `unit`
@@ -96,6 +97,8 @@ class Channel:
     pending: Pending | None = None
     names: tuple[str, ...] = ()
     numbered: bool = False
+    raw_unit: str = ""
+    raw_to_si: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         if self.values.ndim != 2 or self.t.shape != self.values.shape[:1]:
@@ -148,6 +151,7 @@ class Recording:
     corrections : calibrations that were applied to it, as the file itself says
     held : stretches that repeat one reading as the channel's noise never does
     counts : what became of every sample in the file; of the last block, for the whole file
+    device, serial : kind and number of the device, where the file names it
     """
 
     channels: Mapping[str, Channel]
@@ -161,3 +165,5 @@ class Recording:
     corrections: tuple[Correction, ...] = ()
     held: tuple[Held, ...] = ()
     counts: tuple[Count, ...] = ()
+    device: str = ""
+    serial: str = ""

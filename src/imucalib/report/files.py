@@ -110,6 +110,7 @@ def report_dict(run: Run) -> dict[str, Any]:
     content: dict[str, Any] = {
         "schema": SCHEMA,
         **fields(outcome, "calibrator status exit_code reasons"),
+        "sensor": outcome.sensor.as_dict(),
         "parameters": listed(calibration.parameters, _PARAMETER),
         "covariance": _covariance(run),
         "loop": {

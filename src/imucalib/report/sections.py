@@ -536,7 +536,7 @@ def _certificate(run: Run, card: Card) -> Certificate:
     gravity = f"; local gravity {calibration.gravity:.5f} m/s²" + (f" ({source})" if source else "")
     effects = dict.fromkeys(in_words(p.effect) for p in calibration.parameters)
     facts = [
-        ("instrument", f"of {made.path}; readings in {calibration.raw_unit}"),
+        ("instrument", f"{run.outcome.sensor}; of {made.path}; readings in {calibration.raw_unit}"),
         ("calibrated", made.time),
         ("reference", reference + gravity),
         ("conditions", "; ".join(_conditions(calibration, made.samples))),

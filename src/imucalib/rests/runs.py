@@ -23,6 +23,7 @@ import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
 from imucalib.errors import Undetermined, UnreadableInput, UsageError
+from imucalib.recording.identity import NAMELESS, Identity, identity_of
 from imucalib.recording.recording import Channel, Gap, Held, Recording
 from imucalib.recording.sensors import accelerometers, undecided
 from imucalib.rests.stillness import Sensor, StillSettings, every, some, still_windows
@@ -300,7 +301,7 @@ WORN = StillSettings(
 class Scan:
     """What one pass over a recording leaves: windows of the accelerometer and the temperature.
 
-    samples : of the accelerometer; rate : Hz; stop : s, time of the last sample
+    samples : of the accelerometer; rate : Hz; stop : s, time of the last sample; sensor : whose
     """
 
     windows: Windows
@@ -316,6 +317,7 @@ class Scan:
     start_ns: int | None
     notes: tuple[str, ...]
     mapping: Mapping[str, object] = field(default_factory=dict)
+    sensor: Identity = NAMELESS
 
     def without_windows(self) -> Scan:
         """The rest, once the runs are made: the windows are most of the memory."""
@@ -359,6 +361,7 @@ def scan(blocks: Iterable[Recording], window: float) -> Scan:
     builders: dict[str, WindowBuilder] = {}
     tails: _TailBuilder | None = None
     known: dict[str, Channel] = {}
+    sensor = NAMELESS
     name, rate, samples, stop, gaps = "", 0.0, 0, 0.0, 0
     notes: list[str] = []
     held: list[Held] = []
@@ -369,7 +372,9 @@ def scan(blocks: Iterable[Recording], window: float) -> Scan:
         held += block.held
         gaps += len(block.gaps)
         known |= accelerometers(block)
-        name = _accelerometer(known, block.path) if known else ""
+        if known and not name:
+            name = _accelerometer(known, block.path)
+            sensor = identity_of(block, name)
         for key, channel in _chosen(block, name):
             per = max(1 if key == "temperature" else 5, round(window * channel.rate))
             builders.setdefault(key, WindowBuilder(per)).add(channel, block.gaps)
@@ -408,6 +413,7 @@ def scan(blocks: Iterable[Recording], window: float) -> Scan:
         sha256=first.sha256,
         start_ns=first.start_ns,
         mapping=first.mapping,
+        sensor=sensor,
         notes=tuple(dict.fromkeys([*notes, *words])),
     )
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.errors import UsageError
+from imucalib.recording.pairing import printable
 from imucalib.recording.recording import Channel, Recording
 from imucalib.writers import ChannelsChange
 
@@ -47,6 +48,8 @@ class CsvWriter:
                     }
                     file.write(_head(0, start_ns, 0))
                     marks = "".join(f"# corrected: {c.to_text()}\n" for c in recording.corrections)
+                    if recording.serial:
+                        marks += f"# serial number: {printable(recording.serial)}\n"
                     out.write(marks + ",".join(_names(empty)) + "\n")
                 if not set(channels) <= set(empty):
                     raise ChannelsChange(

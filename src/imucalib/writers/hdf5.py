@@ -52,6 +52,8 @@ def _write_block(file: Any, recording: Recording) -> None:
     # A name of any bytes is kept as text.
     _put(file, "source_path", recording.path)
     _put(file, "source_sha256", recording.sha256)
+    _put(file, "device", recording.device)
+    _put(file, "serial", recording.serial)
     _put(file, "corrections", "\n".join(c.to_text() for c in recording.corrections))
     for name, channel in recording.channels.items():
         if name not in file:

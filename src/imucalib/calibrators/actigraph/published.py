@@ -153,6 +153,7 @@ def calibrate_as_published(
         reasons=() if len(second) else ("no second set of points to verify with",),
         limits=tuple(Limit(n, held.get(n, np.nan), v, "mg") for n, v in request.limits.items()),
         notes=scanned.notes,
+        sensor=scanned.sensor,
     )
     blocks_of = {m.name: _method_block(m) for m in methods}
     facts = {
@@ -173,6 +174,7 @@ def calibrate_as_published(
             status=outcome.status,
             reasons=outcome.reasons,
             facts=facts,
+            sensor=outcome.sensor,
         ),
         details={"methods": blocks_of, **sets},
         points=first,

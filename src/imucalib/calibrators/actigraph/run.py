@@ -133,6 +133,7 @@ def run_of(
         ),
         weak=result.weak,
         left=left_open(result.loop, result.error),
+        sensor=scanned.sensor,
     )
     parts = None
     if request.every:
@@ -316,6 +317,7 @@ def actigraph_calibration(
         status=outcome.status,
         reasons=outcome.reasons,
         facts=facts,
+        sensor=outcome.sensor,
     )
     if parts is None:
         return whole

@@ -376,6 +376,7 @@ def _outcome(runs: Sequence[ArrayRun], found: Pooled, total: Total) -> Outcome:
             for name, limit in runs[0].request.limits.items()
             if name == "max-position-sd"
         ),
+        sensor=runs[0].outcome.sensor,
     )
 
 

@@ -36,6 +36,7 @@ from imucalib.calibrators.array.moving import Moving
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.rests import RestFit
 from imucalib.estimators.array.sampler import ArrayPositions
+from imucalib.recording.identity import Identity
 from imucalib.recording.pairing import channel_names
 from imucalib.recording.recording import Recording
 from imucalib.rests.segments import Segments
@@ -120,6 +121,7 @@ def finished(made: Stages) -> ArrayRun:
         ),
         notes=made.notes,
         left=left,
+        sensor=Identity(device=recording.device, serial=recording.serial),
     )
     details = _details(made)
     calibration = array_calibration(
@@ -167,6 +169,7 @@ def array_calibration(
             "provenance": outcome.provenance.as_dict(),
         },
         triads=triads,
+        sensor=outcome.sensor,
     )
 
 

@@ -36,6 +36,7 @@ from imucalib.readers import read
 from imucalib.readers.csv.table import Cells
 from imucalib.readers.csv.text import take_turns
 from imucalib.readers.words import triples_of
+from imucalib.recording.identity import identity_of
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
 from imucalib.recording.sensors import accelerometer
@@ -254,6 +255,7 @@ def table_of_rests(segments: Segments, recording: Recording) -> PositionTable:
         np.arange(1, segments.n + 1),
         recording.path,
         recording.sha256,
+        sensor=identity_of(recording, segments.triads[0], segments.step[0]),
     )
 
 

@@ -25,6 +25,7 @@ from imucalib.readers.devices.catalogue import refuse_foreign
 from imucalib.readers.hdf5.reader import table_columns
 from imucalib.readers.source import head_of
 from imucalib.readers.words import triples_of
+from imucalib.recording.identity import NAMELESS, Identity
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.sensors import undecided
 from imucalib.units import DEG
@@ -63,6 +64,7 @@ class PositionTable:
     sessions : names of the power-ups, which the column session counts from 0, in order
     others : the columns that take no part, as they stand in the file
     rows : that the file has, of which some may not be here; notes : what was left out, and why
+    sensor : whose readings it has
     upright : rows (from 1) whose tool-face is blank at the vertical, where it is none
     """
 
@@ -79,6 +81,7 @@ class PositionTable:
     rows: int = 0
     notes: tuple[str, ...] = ()
     upright: tuple[int, ...] = ()
+    sensor: Identity = NAMELESS
 
     def __contains__(self, role: object) -> bool:
         return role in self.columns
@@ -207,8 +210,7 @@ def read_position_table(
     columns = {role: values[~out] for role, values in columns.items() if role in names}
     sessions: tuple[str, ...] = ()
     if "session" in names:
-        of_rows = cells.columns[names["session"]]
-        sessions, columns["session"] = _sessions(of_rows, names["session"], path)
+        sessions, columns["session"] = _sessions(cells, names["session"], path)
     if face:
         columns |= _directions(cells, face, where)
         names["face"] = face
@@ -226,6 +228,7 @@ def read_position_table(
         rows=cells.file_rows,
         notes=tuple(notes),
         upright=tuple(row[upright & ~out].tolist()),
+        sensor=Identity(name=mapping.sensor if mapping else ""),
     )
 
 
@@ -314,9 +317,9 @@ def _demand_numbers(
     )
 
 
-def _sessions(cells: Array | list[str], name: str, path: Path) -> tuple[tuple[str, ...], Array]:
+def _sessions(cells: Cells, name: str, path: Path) -> tuple[tuple[str, ...], Array]:
     """Names of sessions in order, and the number of each row's."""
-    words = [f"{c:g}" if isinstance(c, float) else str(c).strip() for c in cells]
+    words = [f"{c:g}" if isinstance(c, float) else str(c).strip() for c in cells.columns[name]]
     if "" in words:
         raise UnreadableInput(
             "the session is empty",

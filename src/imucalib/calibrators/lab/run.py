@@ -92,8 +92,7 @@ def run_lab(
     raw = raw_unit(table, request.unit, request.lsb_per_g)
     if mapping is not None:
         raw = replace(raw, sentence="m/s², as the recording was read")
-    table = in_celsius(table)
-    whole = observations_of(table, raw, request)
+    whole = observations_of(table := in_celsius(table), raw, request)
     rows, excluded = _kept(table, request, emptied)
     result, faults = _judged(table, whole, rows, request, first=True)
     bad = _wrong_rows(result, faults, rows, table) if request.auto_exclude else {}
@@ -124,6 +123,7 @@ def run_lab(
         limits=limits_of(result, request.limits),
         notes=(raw.sentence, *table.left_out, *faults.notes, *notes),
         left=left_open(result.loop, result.error),
+        sensor=replace(table.sensor, unit=table.sensor.unit or raw.name),
     )
     sessions = sessions_of(result.final, table.sessions)
     details = lab_details(result, excluded, undecided, faults, sessions)
@@ -252,6 +252,7 @@ def lab_calibration(
         status=outcome.status,
         reasons=(*outcome.reasons, *outcome.undecided),
         facts=facts,
+        sensor=outcome.sensor,
     )
 
 

@@ -16,7 +16,6 @@ from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.file import check, read
 from imucalib.calibration.provenance import Provenance
 from imucalib.calibration.triads import triad_from
-from imucalib.cohort.entries import device_of
 from imucalib.errors import ImucalError, UnreadableInput
 from imucalib.loop.sums import Sums
 from imucalib.units import MG
@@ -133,7 +132,7 @@ def _of(report: Mapping[str, Any], recording: str, own: Calibration | None) -> C
     return Calibrated(
         name=Path(made["input"]).name.partition(".")[0],
         recording=recording,
-        device=device_of(report) or "",
+        device=report.get("sensor", {}).get("serial", ""),
         calibrator=str(report["calibrator"]),
         status=str(report["status"]),
         values=(*values, *_of_imus(report.get("triads", ()))),

@@ -114,6 +114,8 @@ class _Table:
             notes=plan.notes,
             mapping=plan.resolved.to_dict(),
             corrections=plan.facts.corrections,
+            device=plan.facts.device.name,
+            serial=plan.facts.serial,
         )
         last: Recording | None = None
         size = block_samples * max(16, 10 * plan.layout.dialect.width)
@@ -246,6 +248,7 @@ class _Table:
         channels: dict[str, Channel] = {}
         gaps: dict[tuple[float, float], Gap] = {}
         missing = np.zeros(t.shape, dtype=np.bool_)
+        alone = len({s.vector.triad for s in self.plan.signals}) == 1
         for signal in self.plan.signals:
             vector, how = signal.vector, signal.conversion
             whole = signal.at == tuple(range(values.shape[1]))
@@ -265,7 +268,13 @@ class _Table:
                 total, count = self.sums.get(vector.name, (0.0, 0))
                 self.sums[vector.name] = total + float(at.sum()), count + at.size
                 channels[vector.name] = Channel(
-                    at, how.apply(known), how.unit, vector.quantity, vector.triad, signal.rate
+                    at,
+                    how.apply(known),
+                    quantity=vector.quantity,
+                    triad=vector.triad,
+                    rate=signal.rate,
+                    numbered=vector.triad == "imu0" and alone,
+                    **how.units,
                 )
         self.missing += int(missing.sum())
         self.whole += int(np.count_nonzero(keep & ~missing))

@@ -43,6 +43,7 @@ _OWN_ROWS = re.compile(
     r"(# imucal recording, rows: (\d+)[^\n]*?)(?:, crc32: ([^\n]*))?$", re.MULTILINE
 )
 _OWN_MARK = re.compile(r"^# corrected: (.*)$", re.MULTILINE)
+_SERIAL = re.compile(r"serial (?:number|no\.?|code)[\s:;,]+([\w-]+)", re.IGNORECASE)
 _OWN_START = re.compile(r"start_ns\s*[:=]\s*(-?\d+)")
 _GYROSCOPE = re.compile(r"gyro|angular|drehrate", re.IGNORECASE)
 
@@ -51,7 +52,7 @@ _GYROSCOPE = re.compile(r"gyro|angular|drehrate", re.IGNORECASE)
 class HeaderFacts:
     """What the lines above the table state.
 
-    device : whose export it is; rate in Hz; start_ns, corrections as in Recording
+    device : whose export it is; rate in Hz; start_ns, corrections, serial as in Recording
     units : quantity -> unit, in the usual spelling
     rows : that our own first line states, or None; crc : its CRC-32 of the lines below it followed
         by `line`, its own start
@@ -62,6 +63,7 @@ class HeaderFacts:
     start_ns: int | None = None
     notes: tuple[str, ...] = ()
     corrections: tuple[Correction, ...] = ()
+    serial: str = ""
     units: dict[str, str] = field(default_factory=dict)
     rows: int | None = None
     line: str = ""
@@ -97,6 +99,7 @@ def facts_of(preamble: Sequence[str], where: str) -> HeaderFacts:
         start_ns=begin.start_ns,
         notes=(*notes, *begin.notes, *map(str, marks)),
         corrections=marks,
+        serial=number[1] if (number := _SERIAL.search(text)) else "",
         units={quantity: unit for quantity, unit in units.items() if unit in _UNITS[quantity]},
         rows=int(own[2]) if own else None,
         line=own[1] if own else "",

@@ -12,6 +12,7 @@ import struct
 import zipfile
 import zlib
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
@@ -90,11 +91,13 @@ class Archive:
 
     def log(self, name: str, packets: Iterator[Packets]) -> Log:
         """The packets of a format with what info.txt says."""
-        serial, zone = self.info.get("Serial Number", "of unknown number"), self._zone()
-        notes = [f"ActiGraph {serial}, {self.rate:g} Hz, {self.scale:g} counts a g"]
+        serial, zone = self.info.get("Serial Number", ""), self._zone()
+        known = f"{serial or 'of unknown number'}, {self.rate:g} Hz"
+        notes = [f"ActiGraph {known}, {self.scale:g} counts a g"]
         if zone is None:
             notes.append("the time zone is not in the file: times are the wearer's")
-        return Log(name, packets, tuple(notes), self.lost, 0.0, zone or 0)
+        log = Log(name, packets, tuple(notes), self.lost, 0.0, zone or 0)
+        return replace(log, device="ActiGraph", serial=serial)
 
     def pieces(self) -> Iterator[bytes]:
         """The samples' bytes; what a damaged archive still gives.

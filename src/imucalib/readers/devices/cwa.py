@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -79,20 +80,24 @@ class CwaReader(Joined):
         with opened(path, strict=strict, lost=lost) as stream:
             head = stream.read(_HEAD)
             packets = map(_packets, _sectors(stream, str(path), lost=lost, strict=strict))
-            log = Log(self.name, packets, _notes(head), lost, _DRIFT)
+            kind, number = _device(head)
+            clock = "times are the device's own, without a zone: taken as UTC"
+            notes = (*([f"Axivity {kind} {number}"] if number else []), clock)
+            log = Log(self.name, packets, notes, lost, _DRIFT)
+            log = replace(log, device=f"Axivity {kind}", serial=number)
             yield from recordings(log, path, mapping, block_samples)
 
 
 READER = CwaReader()
 
 
-def _notes(head: bytes) -> tuple[str, ...]:
+def _device(head: bytes) -> tuple[str, str]:
+    """Kind and number of the device, the number empty where the header is damaged."""
     kind = "AX6" if head[4:5] == b"\x64" else "AX3"
     number = int.from_bytes(head[5:7], "little")
     upper = int.from_bytes(head[11:13], "little")
     number += 0 if upper == 0xFFFF else upper << 16
-    clock = "times are the device's own, without a zone: taken as UTC"
-    return (f"Axivity {kind} {number}", clock) if head.startswith(_START) else (clock,)
+    return kind, str(number) if head.startswith(_START) else ""
 
 
 def _sectors(stream: Stream, where: str, *, lost: list[str], strict: bool) -> Iterator[Bytes]:

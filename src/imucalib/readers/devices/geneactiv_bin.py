@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -96,11 +96,13 @@ class GeneactivReader(Joined):
             facts = _facts(next(pages, [b""])[0])
             gain, offset = _calibration(facts, str(path))
             zone_s = _zone(facts.get("Time Zone", ""))
-            notes = [f"GENEActiv {facts.get('Device Unique Serial Code', 'of unknown number')}"]
+            serial = facts.get("Device Unique Serial Code", "")
+            notes = [f"GENEActiv {serial or 'of unknown number'}"]
             if zone_s is None:
                 notes.append("the time zone is not in the file: times are the wearer's")
             packets = _packets(pages, gain, offset, facts.get("Number of Pages", ""), loss)
             log = Log(self.name, packets, tuple(notes), loss.lost, _DRIFT, zone_s or 0, cut=True)
+            log = replace(log, device="GENEActiv", serial=serial)
             yield from recordings(log, path, mapping, block_samples)
 
 

@@ -161,6 +161,7 @@ def packets_of(
 class Log:
     """A device's file, opened: packets piece by piece, and what its header says.
 
+    device, serial : what the header names, or empty
     lost : filled while the packets are read, with a sentence for what was damaged
     drift : share by which the sensor's true rate may differ from what it states
     zone_s : of the device's clock, east of UTC
@@ -174,6 +175,8 @@ class Log:
     drift: float
     zone_s: int = 0
     cut: bool = False
+    device: str = ""
+    serial: str = ""
 
 
 def recordings(log: Log, path: Path, mapping: FieldMapping, samples: int) -> Iterator[Recording]:
@@ -206,6 +209,8 @@ def recordings(log: Log, path: Path, mapping: FieldMapping, samples: int) -> Ite
             gaps=tuple(gaps),
             notes=notes,
             mapping={"acc_unit": units["acceleration"].source_unit},
+            device=log.device,
+            serial=log.serial,
         )
     if held is None:
         what = "; ".join(["no samples with times in it", *log.lost])
@@ -238,7 +243,13 @@ def _channels(
     }
     return {
         f"imu0/{quantity}": Channel(
-            at, units[quantity].apply(raw), units[quantity].unit, quantity, "imu0", float(own)
+            at,
+            units[quantity].apply(raw),
+            quantity=quantity,
+            triad="imu0",
+            rate=float(own),
+            numbered=True,
+            **units[quantity].units,
         )
         for quantity, (at, raw, own) in found.items()
         if at.size or quantity == "acceleration"

@@ -67,12 +67,13 @@ class WavReader(Joined):
             if strict and whole < head.size:
                 what = f"the header states {head.size} bytes of samples, {whole} were found"
                 raise UnreadableInput(what, where=str(path), remedy="read it without --strict")
+            serial = facts.get("Id", "")
             notes = (
-                f"Axivity {facts.get('Id') or 'of unknown number'}, resampled to {head.rate:g} Hz",
+                f"Axivity {serial or 'of unknown number'}, resampled to {head.rate:g} Hz",
                 "times are the device's own, without a zone: taken as UTC",
             )
             packets = _packets(stream, head, lost)
-            log = Log(self.name, packets, notes, lost, 0.0)
+            log = Log(self.name, packets, notes, lost, 0.0, device="Axivity", serial=serial)
             yield from recordings(log, path, mapping, block_samples)
 
 

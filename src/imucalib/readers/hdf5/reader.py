@@ -299,6 +299,8 @@ def _blocks_of(
         start_ns,
         mapping=_resolved(mapping, signals).to_dict(),
         corrections=marks,
+        device=text_of(file.handle.attrs.get("device", "")),
+        serial=text_of(file.handle.attrs.get("serial", "")),
     )
     notes += map(str, marks)
     notes += _unread(nodes, signals, path)
@@ -389,12 +391,12 @@ def _channel(
     return Channel(
         t=t,
         values=cast(Array, raw),
-        unit=signal.conversion.unit,
         quantity=found.quantity,
         triad=found.triad,
         rate=signal.rate,
         names=(found.address,) if found.address else (),
         numbered=found.numbered,
+        **signal.conversion.units,
     ), gaps
 
 

@@ -315,12 +315,12 @@ def _part(
     channel = Channel(
         t=np.empty(0),
         values=np.empty((0, source.fields[column].group.width)),
-        unit=how.unit,
         quantity=CHANNEL_NAMES[quantity],
         triad=triad.name,
         rate=1e9 / clock.period if clock.period else 0.0,
         names=(source.name, source.frame) if source.frame else (source.name,),
         numbered=triad.numbered,
+        **how.units,
     )
     return Part(f"{triad.name}/{channel.quantity}", source.name, column, how, channel)
 
