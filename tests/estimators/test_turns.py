@@ -57,7 +57,7 @@ def known(seed: int, rests: int = 16, **planted: object) -> tuple[Chip, TurnLog]
     sd = 1.0 / np.sqrt(sizes)
     return made, TurnLog(
         time=log.t[middles], force=force, rate=rate, force_sd=3e-3 * sd,
-        rate_sd=np.outer(1e-3 * sd, np.ones(3)), linked=np.ones(len(spans) - 1, bool),
+        rate_sd=np.outer(1e-3 * sd, np.ones(3)), session=np.zeros(len(spans), np.intp),
         turns=tuple(turns), white=1e-4,
     )  # fmt: skip
 

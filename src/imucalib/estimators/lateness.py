@@ -65,7 +65,8 @@ def _of_turn(fit: TurnFit, turn: Turn) -> tuple[Array, Array, Array, Array, floa
     (3, 3) that the gyroscope's white noise gives it, and how long it lasts."""
     log, state, k = fit.log, fit.state, turn.rest
     seen, share = moved_by(log, state.drift, turn)
-    force, away = state.force(turn.force), turn.force - state.bias
+    session = log.session[k]
+    force, away = state.force(turn.force, session), turn.force - state.bias_at(session)
     rate, columns = exposed(state, seen, force, turn, fit.laws)
     true, h = rate @ state.gain.T, shares(turn.t)
     whole, fast = attitudes(turn.t, true), h * (turn.moving == 1.0)
@@ -74,15 +75,17 @@ def _of_turn(fit: TurnFit, turn: Turn) -> tuple[Array, Array, Array, Array, floa
     ahead = np.cumsum(each[::-1], axis=0)[::-1] - 0.5 * each
     moved = -cross_matrix(ahead) @ (whole * h[:, None, None])
     gained = moved @ state.gain
-    first, walk, ups = ACCELEROMETER + GAIN, ACCELEROMETER + GAIN + state.theta.size, state.first_up
+    first, apart, ups = ACCELEROMETER + GAIN, state.first_offset, state.first_up
     jacobian, span = np.zeros((3, fit.covariance.shape[0])), float(fast.sum())
     jacobian[:, :3] = -weighted.sum(axis=0) @ state.lower
+    if state.offset.size:
+        jacobian[:, apart + 3 * session : apart + 3 * session + 3] = jacobian[:, :3]
     for column, (i, j) in enumerate(LOWER):
         jacobian[:, 3 + column] = away[:, j] @ weighted[:, :, i]
     jacobian[:, ACCELEROMETER:first] = np.tensordot(moved, rate, (0, 0)).reshape(3, GAIN)
-    jacobian[:, first:walk] = -np.einsum("nij,njm->im", gained, columns)
+    jacobian[:, first:apart] = -np.einsum("nij,njm->im", gained, columns)
     for rest, own in ((k, 1.0 - share), (k + 1, share)):
-        at = walk + 3 * rest
+        at = state.first_drift + 3 * rest
         jacobian[:, at : at + 3] = -np.tensordot(own * turn.moving, gained, 1)
     jacobian[:, ups + 2 * k : ups + 2 * k + 2] = -span * tangents(state.up)[k]
     noisy = np.einsum("nij,nkj->ik", gained * (turn.moving**2 / h)[:, None, None], gained)

@@ -5,7 +5,8 @@
 a : readings in g, L lower triangular: the frame is the accelerometer's, x along its x axis, y in
 its x-y plane; w : rates as read; h_j : what else the gyroscope does, of what its axes meet;
 b : its bias, a walk linked at the rests, linear between them; u_k : gravity's direction at rest k,
-R_k : the rotation of the turn after it (`carried`).
+R_k : the rotation of the turn after it (`carried`). Of several logs b_a is the mean over power-ups
+and a part of each one's own, whose scatter is estimated; b begins anew.
 
 At a rest f_k = u_k + noise and w_k = b_k + Σ θ_j h_j; a turn is two numbers in the plane across
 u_{k+1}. One Gauss-Newton over all, as Skog and Händel (2006) for the norm and Tedaldi, Pretto and
@@ -46,8 +47,10 @@ ANGLE_PRIOR = np.diff(np.arctan(_EDGES / 3e-4)) * 2.0 / np.pi
 _NU = 4.0  # degrees of freedom of a turn's errors
 #: Known before any reading (data sheets): accelerometer's bias (g), scale and cross terms, gains.
 _BIAS, _SCALE, _CROSS, _GAIN = 0.1, 0.03, 0.02, 0.1
-#: rad/s by which a bias is another at the next power-up (data sheets: 0.05 to 0.3 deg/s).
-_AWAKE = np.radians(0.2)
+#: By how much a bias is another at the next power-up: rad/s (data sheets: 0.05 to 0.3 deg/s) and g;
+#: the latter's size is estimated, and begins free.
+_AWAKE, _FREE = np.radians(0.2), 0.02
+_USUAL = 0.001  # g, measured of MPU-9250s: weighs as one number beside what is seen
 _MOST, _SETTLED = 30, 1e-2  # steps, and standard deviations that the last one may go
 _NOISES = 6  # steps in which the noise is estimated anew
 _AT_ONCE = 2048  # samples of which all columns are held at once
@@ -81,9 +84,8 @@ class TurnLog:
     """N rests and the turns between them that can be used.
 
     time : (N,) s; force : (N, 3) g and rate : (N, 3) rad/s, means as read; force_sd : (N,) g and
-    rate_sd : (N, 3) rad/s of these means; linked : (N - 1,) whether the bias walks from a rest to
-    the next one, as within one log, or is another power-up's; white : rad/s √s, noise density of
-    the gyroscope
+    rate_sd : (N, 3) rad/s of these means; session : (N,) number of the power-up, from 0; white :
+    rad/s √s, noise density of the gyroscope
     """
 
     time: Array
@@ -91,13 +93,24 @@ class TurnLog:
     rate: Array
     force_sd: Array
     rate_sd: Array
-    linked: Flags
+    session: Index
     turns: tuple[Turn, ...]
     white: float
 
     @property
     def rests(self) -> int:
         return len(self.time)
+
+    @property
+    def sessions(self) -> int:
+        """Power-ups that have a part of their own: none where there is one alone."""
+        count = int(self.session[-1]) + 1
+        return count if count > 1 else 0
+
+    @property
+    def linked(self) -> Flags:
+        """(N - 1,) whether the bias walks from a rest to the next one, or is another power-up's."""
+        return np.diff(self.session) == 0
 
     @cached_property
     def spans(self) -> Array:
@@ -115,34 +128,49 @@ class TurnLog:
 @dataclass(frozen=True)
 class State:
     """bias : (3,) g, lower : (3, 3), of the accelerometer; gain : (3, 3) K; theta : (m,)
+    offset : (L, 3) g, what each power-up adds to the bias, (0, 3) where there is one alone
     drift : (N, 3) rad/s, the gyroscope's bias at every rest; up : (N, 3) u"""
 
     bias: Array
     lower: Array
     gain: Array
     theta: Array
+    offset: Array
     drift: Array
     up: Array
 
-    def force(self, reading: Array) -> Array:
+    def bias_at(self, session: Index | int) -> Array:
+        """(..., 3) g, of power-ups."""
+        return self.bias + self.offset[session] if self.offset.size else self.bias
+
+    def force(self, reading: Array, session: Index | int) -> Array:
         """(..., 3) g."""
-        return np.asarray((reading - self.bias) @ self.lower.T)
+        return np.asarray((reading - self.bias_at(session)) @ self.lower.T)
+
+    @property
+    def first_offset(self) -> int:
+        """Column at which the parts of power-ups begin; before it are accelerometer, K and θ."""
+        return ACCELEROMETER + GAIN + self.theta.size
+
+    @property
+    def first_drift(self) -> int:
+        return self.first_offset + self.offset.size
 
     @property
     def first_up(self) -> int:
-        """Column at which directions begin; before it are accelerometer, K, θ and biases."""
-        return ACCELEROMETER + GAIN + self.theta.size + self.drift.size
+        return self.first_drift + self.drift.size
 
 
 @dataclass(frozen=True)
 class TurnNoise:
     """floor : rad, s; per_angle : κ; walk : (3,) rad/s/√s, q; force : g, of a rest's mean reading
-    beside what its samples say"""
+    beside what its samples say; power_up : g, by which power-ups scatter"""
 
     floor: float
     per_angle: float
     walk: Array
     force: float
+    power_up: float = _FREE
 
 
 @dataclass(frozen=True)
@@ -158,7 +186,7 @@ class Rows:
 @dataclass(frozen=True)
 class TurnFit:
     """A settled fit. covariance : (P, P) in the order accelerometer (bias, `LOWER`), K rows first,
-    θ, biases, directions; variance : (R,) of every row; used : (T,) turns that took part; weight :
+    θ, power-ups, biases, directions; variance : (R,) of every row; used : (T,) turns that took part; weight :
     (T,) Student's"""
 
     log: TurnLog
@@ -197,7 +225,15 @@ def fitted(
     prior = np.zeros(0) if sizes is None else sizes
     if start is None:  # plain readings: the norm's own fit is a few Gauss-Newton steps away
         up = log.force / np.linalg.norm(log.force, axis=1)[:, None]
-        start = State(np.zeros(3), np.eye(3), np.eye(3), np.zeros(prior.size), log.rate.copy(), up)
+        start = State(
+            bias=np.zeros(3),
+            lower=np.eye(3),
+            gain=np.eye(3),
+            theta=np.zeros(prior.size),
+            offset=np.zeros((log.sessions, 3)),
+            drift=log.rate.copy(),
+            up=up,
+        )
     elif start.theta.size != prior.size:
         start = replace(start, theta=np.zeros(prior.size))
     fit = TurnFit(
@@ -225,7 +261,8 @@ def without(fit: TurnFit, out: Flags, sizes: Array | None = None) -> TurnFit:
     """The fit without some turns, linear about where it stands: what a refit would end at, to the
     second order in what these turns move. out : (T,); sizes : (m,) sd of θ, or as it was"""
     rows, m = fit.rows, fit.state.theta.size
-    prior = np.sqrt(fit.variance[len(fit.variance) - m :]) if sizes is None else sizes
+    last = len(fit.variance) - fit.state.offset.size
+    prior = np.sqrt(fit.variance[last - m : last]) if sizes is None else sizes
     found, whole = replace(fit, used=fit.used & ~out), np.zeros(rows.jacobian.shape[1])
     for _ in range(_NOISES):
         moved = replace(rows, residual=rows.residual + rows.jacobian @ whole)
@@ -300,24 +337,23 @@ def moved_by(log: TurnLog, drift: Array, turn: Turn) -> tuple[Array, Array]:
 def linearised(log: TurnLog, state: State, laws: Laws | None, prior: Array) -> Rows:
     """All rows at a state; prior : (m,) sd of θ."""
     n, m, across = log.rests, state.theta.size, tangents(state.up)
-    first = ACCELEROMETER + GAIN
-    walk, ups = first + m, state.first_up
-    size = ups + 2 * n
+    first, apart, ups = ACCELEROMETER + GAIN, state.first_offset, state.first_up
+    walk, size = state.first_drift, ups + 2 * n
     turns = np.zeros((len(log.turns), 2, size))
     misfit = np.zeros((len(log.turns), 2))
     for i, turn in enumerate(log.turns):
         k = turn.rest
         seen, share = moved_by(log, state.drift, turn)
-        force = state.force(turn.force)
+        force = state.force(turn.force, log.session[k])
         rate = exposed(state, seen, force, turn, laws)[0] if state.theta.any() else seen
         whole = attitudes(turn.t, rate @ state.gain.T)
         weighted = whole * shares(turn.t)[:, None, None]
         gained = weighted @ state.gain
-        q = np.zeros((3, walk + 6))
+        q = np.zeros((3, apart + 6))
         q[:, ACCELEROMETER:first] = np.tensordot(weighted, rate, (0, 0)).reshape(3, 9)
         if laws is not None:
-            q[:, first:walk] = -_integrated(gained, laws, rate, force, turn)
-        q[:, walk:] = -np.concatenate(
+            q[:, first:apart] = -_integrated(gained, laws, rate, force, turn)
+        q[:, apart:] = -np.concatenate(
             [
                 np.tensordot(v, gained, 1)
                 for v in ((1.0 - share) * turn.moving, share * turn.moving)
@@ -326,8 +362,8 @@ def linearised(log: TurnLog, state: State, laws: Laws | None, prior: Array) -> R
         )
         back = across[k + 1].T @ whole[-1].T
         own = back @ cross_matrix(state.up[k]) @ q
-        turns[i, :, :walk] = own[:, :walk]
-        turns[i, :, walk + 3 * k : walk + 3 * k + 6] = own[:, walk:]
+        turns[i, :, :apart] = own[:, :apart]
+        turns[i, :, walk + 3 * k : walk + 3 * k + 6] = own[:, apart:]
         turns[i, :, ups + 2 * k : ups + 2 * k + 2] = back @ across[k]
         turns[i, :, ups + 2 * k + 2 : ups + 2 * k + 4] = -np.eye(2)
         misfit[i] = back @ state.up[k]  # u_{k+1} is across the plane
@@ -354,28 +390,30 @@ def _rest_rows(
     log: TurnLog, state: State, laws: Laws | None, across: Array, prior: Array, size: int
 ) -> tuple[Array, Array]:
     """Jacobian and residual of the rests' forces and rates, of the walk, and of what is known."""
-    n, m = log.rests, state.theta.size
-    first, ups = ACCELEROMETER + GAIN, state.first_up
-    walk, each = first + m, np.arange(n)
+    n, m, many = log.rests, state.theta.size, state.offset.size
+    first, apart, ups = ACCELEROMETER + GAIN, state.first_offset, state.first_up
+    walk, each = state.first_drift, np.arange(n)
     force, rate, step = (np.zeros((n, 3, size)) for _ in range(3))
-    away = log.force - state.bias
+    away = log.force - state.bias_at(log.session)
     force[:, :, :3] = -state.lower
+    for axis in range(3 if many else 0):
+        force[each, :, apart + 3 * log.session + axis] = -state.lower[:, axis]
     for column, (i, j) in enumerate(LOWER):
         force[:, i, 3 + column] = away[:, j]
     columns = _at_rest(log, state, laws)
-    rate[:, :, first:walk] = columns
+    rate[:, :, first:apart] = columns
     for axis in range(3):
         rate[each, axis, walk + 3 * each + axis] = 1.0
         step[each, axis, walk + 3 * each + axis] = 1.0
         step[each[1:], axis, walk + 3 * each[:-1] + axis] = -1.0
         for k in range(2):
             force[each, axis, ups + 2 * each + k] = -across[:, axis, k]
-    known = np.zeros((ACCELEROMETER + GAIN + m, size))
-    known[:, : len(known)] = np.eye(len(known))
+    known = np.eye(walk, size)
     lower = np.array([state.lower[i, j] - (i == j) for i, j in LOWER])
-    own = np.concatenate([state.bias, lower, (state.gain - np.eye(3)).ravel(), state.theta])
+    gain, offset = (state.gain - np.eye(3)).ravel(), state.offset.ravel()
+    own = np.concatenate([state.bias, lower, gain, state.theta, offset])
     residual = [
-        state.force(log.force) - state.up,
+        state.force(log.force, log.session) - state.up,
         state.drift + columns @ state.theta - log.rate,
         np.diff(state.drift, axis=0),
     ]
@@ -410,6 +448,7 @@ def variances(log: TurnLog, noise: TurnNoise, prior: Array) -> Array:
             )
             ** 2,
             prior**2,
+            np.full(3 * log.sessions, noise.power_up**2),
         ]
     )
 
@@ -426,27 +465,34 @@ def _moved(state: State, step: Array) -> State:
     lower = state.lower.copy()
     for (i, j), more in zip(LOWER, step[3:9], strict=True):
         lower[i, j] += more
-    parts = np.split(step[9:], np.cumsum([9, m, 3 * n]))
-    up = state.up + np.einsum("nij,nj->ni", tangents(state.up), parts[3].reshape(n, 2))
+    parts = np.split(step[9:], np.cumsum([9, m, state.offset.size, 3 * n]))
+    up = state.up + np.einsum("nij,nj->ni", tangents(state.up), parts[4].reshape(n, 2))
     return State(
         bias=state.bias + step[:3],
         lower=lower,
         gain=state.gain + parts[0].reshape(3, 3),
         theta=state.theta + parts[1],
-        drift=state.drift + parts[2].reshape(n, 3),
+        offset=state.offset + parts[2].reshape(-1, 3),
+        drift=state.drift + parts[3].reshape(n, 3),
         up=up / np.linalg.norm(up, axis=1)[:, None],
     )
 
 
 def _estimated(fit: TurnFit, prior: Array) -> TurnNoise:
-    """Walk and the rests' scatter by their moments; floor and κ as the means of their squares under
+    """Walk, the rests' and the power-ups' scatter by their moments; floor and κ as the means of their squares under
     the likelihood of the turns with all unknowns integrated out, at their prior."""
     log, state = fit.log, fit.state
-    noise = TurnNoise(0.0, 0.0, _walk(log, state, fit.laws), _scatter(log, state))
+    noise = TurnNoise(
+        floor=0.0,
+        per_angle=0.0,
+        walk=_walk(log, state, fit.laws),
+        force=_scatter(log, state),
+        power_up=_between_power_ups(fit),
+    )
     used = fit.used & (fit.weight > 0.0)
     points = noise_points(log, noise)
     own = points[:, used] / fit.weight[used]
-    shared = np.append(np.arange(state.first_up - state.drift.size), fit.rows.jacobian.shape[1])
+    shared = np.append(np.arange(state.first_drift), fit.rows.jacobian.shape[1])
     weight = np.where(used, fit.weight, 0.0) / points
     every = variances(log, noise, prior)
     corner, logs = rests_eliminated(fit.rows, log, every, shared, weight)
@@ -506,16 +552,30 @@ def _walk(log: TurnLog, state: State, laws: Laws | None) -> Array:
     return np.asarray(np.sqrt(np.maximum(more, 0.09 * np.median(noise / apart, axis=0))))
 
 
+def _between_power_ups(fit: TurnFit) -> float:
+    """g, of the parts of power-ups about their mean, as they are and may still be."""
+    count, first = len(fit.state.offset), fit.state.first_offset
+    if not (count and fit.covariance.size):
+        return _FREE
+    centre = np.kron(np.eye(count) - 1.0 / count, np.eye(3))
+    own = slice(first, first + 3 * count)
+    spread = centre @ fit.covariance[own, own] @ centre
+    square = float(np.sum((centre @ fit.state.offset.ravel()) ** 2) + np.trace(spread))
+    return float(np.sqrt((square + _USUAL**2) / (3 * (count - 1) + 1)))
+
+
 def _scatter(log: TurnLog, state: State) -> float:
     """g, of the norms of the rests beside what their samples say: of what nine parameters leave of
     them, for the turns, which hold these too, leave more."""
-    force, away = state.force(log.force), log.force - state.bias
+    force, away = state.force(log.force, log.session), log.force - state.bias_at(log.session)
     size = np.linalg.norm(force, axis=1)
     up = force / size[:, None]
-    slopes = np.column_stack([up @ state.lower, *(up[:, i] * away[:, j] for i, j in LOWER)])
+    each = np.eye(max(log.sessions, 1))[log.session]
+    biases = (each[:, :, None] * (up @ state.lower)[:, None, :]).reshape(log.rests, -1)
+    slopes = np.column_stack([biases, *(up[:, i] * away[:, j] for i, j in LOWER)])
     basis = np.linalg.qr(slopes)[0]
     off = (1.0 - size) - basis @ (basis.T @ (1.0 - size))
-    whole = float(off @ off) / max(log.rests - ACCELEROMETER, 1)
+    whole = float(off @ off) / max(log.rests - slopes.shape[1], 1)
     return float(np.sqrt(max(whole - float(np.mean(log.force_sd**2)), 1e-14)))
 
 
@@ -526,12 +586,13 @@ def carried_error(fit: TurnFit, at: Index) -> Array:
     at : turns, of which none need have taken part in the fit
     """
     log, state = fit.log, fit.state
-    force = state.force(log.force)
+    force = state.force(log.force, log.session)
     found = []
     for i in at:
         turn = log.turns[i]
         seen, _ = moved_by(log, state.drift, turn)
-        rate, _ = exposed(state, seen, state.force(turn.force), turn, fit.laws)
+        of = state.force(turn.force, log.session[turn.rest])
+        rate, _ = exposed(state, seen, of, turn, fit.laws)
         whole = attitudes(turn.t, rate @ state.gain.T)[-1]
         found.append(float(between(whole.T @ force[turn.rest], force[turn.rest + 1])))
     return np.array(found)

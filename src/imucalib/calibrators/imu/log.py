@@ -120,14 +120,14 @@ def _together(logs: list[Imu]) -> Imu:
         for log, n, s in zip(logs, before, apart, strict=False)
         for turn in log.turns.turns
     ]
-    linked = np.concatenate([np.r_[log.turns.linked, False] for log in logs])[:-1]
+    session = np.repeat(np.arange(len(logs)), [log.turns.rests for log in logs])
     parts = {
         name: np.concatenate([getattr(log.turns, name) for log in logs])
         for name in ("force", "rate", "force_sd", "rate_sd")
     }
     time = np.concatenate([log.turns.time + s for log, s in zip(logs, apart, strict=False)])
     white = float(np.sqrt(np.mean([log.turns.white**2 for log in logs])))
-    whole = TurnLog(time=time, linked=linked, turns=tuple(turns), white=white, **parts)
+    whole = TurnLog(time=time, session=session, turns=tuple(turns), white=white, **parts)
     return Imu(
         turns=whole,
         left_out=tuple(w for log in logs for w in log.left_out),
@@ -178,7 +178,7 @@ def _of_one(recording: Recording, segments: Segments, gravity: float) -> Imu:
         rate=biases,
         force_sd=own / np.sqrt(np.maximum(segments.samples[:, 0], 1)),
         rate_sd=bias_sd,
-        linked=np.ones(segments.n - 1, bool),
+        session=np.zeros(segments.n, np.intp),
         turns=tuple(turns),
         white=float(np.sqrt(np.mean(noise**2) * step)),
     )

@@ -230,7 +230,7 @@ class Lacking:
     """Rows of a joint fit with the columns of all that it may lack, in typical sizes.
 
     missing : why effects could not be tried; tried : an effect a block of the columns, after the
-    `held` ones of the base; prior : (m,) sd of all
+    `held` ones of the base; prior : (m,) sd of all; power_ups : columns of theirs
     """
 
     components: tuple[Component, ...]
@@ -239,6 +239,7 @@ class Lacking:
     rows: Rows
     prior: Array
     held: int
+    power_ups: Index
 
     def contest(self, fit: TurnFit) -> tuple[TurnProblem, Grams]:
         """The problem and its products with the turns, weights and noise of a fit."""
@@ -275,7 +276,7 @@ class Lacking:
     def _grams(self, fit: TurnFit) -> Grams:
         """All but accelerometer, gains, columns and y taken out, at the noise points that count."""
         size = self.rows.jacobian.shape[1]
-        held = np.arange(_FIXED, _FIXED + self.held)
+        held = np.r_[_FIXED : _FIXED + self.held, self.power_ups]
         tried = np.arange(_FIXED + self.held, _FIXED + self.prior.size)
         kept = np.concatenate([np.arange(_FIXED), tried, [size]])
         points = noise_points(fit.log, fit.noise)
@@ -286,9 +287,9 @@ class Lacking:
             np.concatenate([held, kept]),
             np.where(fit.used, fit.weight, 0.0) / points,
         )
-        root = np.linalg.cholesky(every[:, : self.held, : self.held])
-        across = np.linalg.solve(root, every[:, : self.held, self.held :])
-        matrices = every[:, self.held :, self.held :] - across.swapaxes(1, 2) @ across
+        root = np.linalg.cholesky(every[:, : held.size, : held.size])
+        across = np.linalg.solve(root, every[:, : held.size, held.size :])
+        matrices = every[:, held.size :, held.size :] - across.swapaxes(1, 2) @ across
         logs += np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
         logs += np.log(points[:, fit.used]).sum(axis=1)  # of two numbers a turn, the half
         weights = np.tile(np.log(ANGLE_PRIOR), len(points) // len(ANGLE_PRIOR)) - logs
@@ -332,6 +333,7 @@ def lacking_of(fit: TurnFit, course: Course, request: ImuRequest) -> Lacking:
         rows=replace(rows, jacobian=rows.jacobian.multiply(scale).tocsr()),
         prior=prior,
         held=held.size,
+        power_ups=np.arange(state.first_offset, state.first_drift),
     )
 
 
