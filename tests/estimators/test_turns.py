@@ -9,7 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from imucalib.estimators.carried import attitudes
-from imucalib.estimators.turns import LOWER, Turn, TurnFit, TurnLog, carried_error, fitted, without
+from imucalib.estimators.turn_log import Turn, TurnLog
+from imucalib.estimators.turns import LOWER, TurnFit, carried_error, fitted, without
 from worlds.turned_imu import Chip, chip, turned
 
 

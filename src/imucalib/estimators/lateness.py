@@ -18,14 +18,13 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.core.effect import cross_matrix
 from imucalib.estimators.carried import attitudes, shares
+from imucalib.estimators.turn_log import Turn, moved_by
 from imucalib.estimators.turns import (
     ACCELEROMETER,
     GAIN,
     LOWER,
-    Turn,
     TurnFit,
     exposed,
-    moved_by,
     tangents,
 )
 

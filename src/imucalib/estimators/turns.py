@@ -31,6 +31,7 @@ from imucalib.arrays import Array, Flags, Index
 from imucalib.core.effect import cross_matrix
 from imucalib.estimators.carried import attitudes, between, shares
 from imucalib.estimators.chain import chain_of, eliminated, turns_of
+from imucalib.estimators.turn_log import Turn, TurnLog, moved_by
 
 #: What else a gyroscope does: (rate (n, 3) rad/s in its axes, force (n, 3) g, time (n,) s) to
 #: (n, 3, m) rad/s per unit of each of m parameters.
@@ -57,72 +58,6 @@ _AT_ONCE = 2048  # samples of which all columns are held at once
 #: rad, floors of a turn that are weighed.
 _FLOORS = np.radians([0.0, *0.005 * 2.0 ** np.arange(11)])
 _NORMAL = 0.455  # median of the square of a normal number
-
-
-@dataclass(frozen=True)
-class Turn:
-    """The samples of a turn, from inside rest `rest` to inside the next one.
-
-    t : (n,) s; rate : (n, 3) rad/s, force : (n, 3) g, as read at t
-    moving : (n,) share of a rate beside the bias that is motion: one in the turn, less at rest
-    """
-
-    rest: int
-    t: Array
-    rate: Array
-    force: Array
-    moving: Array
-
-    @property
-    def lasting(self) -> float:
-        """s that it is in motion."""
-        return float(shares(self.t) @ self.moving)
-
-
-@dataclass(frozen=True)
-class TurnLog:
-    """N rests and the turns between them that can be used.
-
-    time : (N,) s; force : (N, 3) g and rate : (N, 3) rad/s, means as read; force_sd : (N,) g and
-    rate_sd : (N, 3) rad/s of these means; session : (N,) number of the power-up, from 0; white :
-    rad/s √s, noise density of the gyroscope
-    """
-
-    time: Array
-    force: Array
-    rate: Array
-    force_sd: Array
-    rate_sd: Array
-    session: Index
-    turns: tuple[Turn, ...]
-    white: float
-
-    @property
-    def rests(self) -> int:
-        return len(self.time)
-
-    @property
-    def sessions(self) -> int:
-        """Power-ups that have a part of their own: none where there is one alone."""
-        count = int(self.session[-1]) + 1
-        return count if count > 1 else 0
-
-    @property
-    def linked(self) -> Flags:
-        """(N - 1,) whether the bias walks from a rest to the next one, or is another power-up's."""
-        return np.diff(self.session) == 0
-
-    @cached_property
-    def spans(self) -> Array:
-        """(3, T) of every turn: s that count for what is steady, and for white noise; rad, the path
-        in all."""
-        found = np.empty((3, len(self.turns)))
-        for k, turn in enumerate(self.turns):
-            h, (seen, _) = shares(turn.t), moved_by(self, self.rate, turn)
-            found[:, k] = h @ np.stack(
-                [turn.moving, turn.moving**2, np.linalg.norm(seen, axis=1)], axis=1
-            )
-        return found
 
 
 @dataclass(frozen=True)
@@ -186,8 +121,8 @@ class Rows:
 @dataclass(frozen=True)
 class TurnFit:
     """A settled fit. covariance : (P, P) in the order accelerometer (bias, `LOWER`), K rows first,
-    θ, power-ups, biases, directions; variance : (R,) of every row; used : (T,) turns that took part; weight :
-    (T,) Student's"""
+    θ, power-ups, biases, directions; variance : (R,) of every row; used : (T,) turns that took
+    part; weight : (T,) Student's"""
 
     log: TurnLog
     state: State
@@ -325,18 +260,9 @@ def exposed(
     return rate - columns @ state.theta, columns
 
 
-def moved_by(log: TurnLog, drift: Array, turn: Turn) -> tuple[Array, Array]:
-    """(n, 3) rad/s along a turn, as read without the bias, and the share (n,) of the bias there
-    that is of the rest which ends it."""
-    k = turn.rest
-    share = (turn.t - log.time[k]) / (log.time[k + 1] - log.time[k])
-    bias = drift[k] + share[:, None] * (drift[k + 1] - drift[k])
-    return turn.moving[:, None] * (turn.rate - bias), share
-
-
 def linearised(log: TurnLog, state: State, laws: Laws | None, prior: Array) -> Rows:
     """All rows at a state; prior : (m,) sd of θ."""
-    n, m, across = log.rests, state.theta.size, tangents(state.up)
+    n, across = log.rests, tangents(state.up)
     first, apart, ups = ACCELEROMETER + GAIN, state.first_offset, state.first_up
     walk, size = state.first_drift, ups + 2 * n
     turns = np.zeros((len(log.turns), 2, size))
@@ -390,7 +316,7 @@ def _rest_rows(
     log: TurnLog, state: State, laws: Laws | None, across: Array, prior: Array, size: int
 ) -> tuple[Array, Array]:
     """Jacobian and residual of the rests' forces and rates, of the walk, and of what is known."""
-    n, m, many = log.rests, state.theta.size, state.offset.size
+    n, many = log.rests, state.offset.size
     first, apart, ups = ACCELEROMETER + GAIN, state.first_offset, state.first_up
     walk, each = state.first_drift, np.arange(n)
     force, rate, step = (np.zeros((n, 3, size)) for _ in range(3))
@@ -409,9 +335,6 @@ def _rest_rows(
         for k in range(2):
             force[each, axis, ups + 2 * each + k] = -across[:, axis, k]
     known = np.eye(walk, size)
-    lower = np.array([state.lower[i, j] - (i == j) for i, j in LOWER])
-    gain, offset = (state.gain - np.eye(3)).ravel(), state.offset.ravel()
-    own = np.concatenate([state.bias, lower, gain, state.theta, offset])
     residual = [
         state.force(log.force, log.session) - state.up,
         state.drift + columns @ state.theta - log.rate,
@@ -420,8 +343,27 @@ def _rest_rows(
     jacobian = [v.reshape(-1, size) for v in (force, rate, step[1:])]
     return (
         np.concatenate([*jacobian, known]),
-        np.concatenate([*(v.ravel() for v in residual), own]),
+        np.concatenate([*(v.ravel() for v in residual), away_from_nominal(state)]),
     )
+
+
+def away_from_nominal(state: State) -> Array:
+    """Accelerometer, K - 1, θ and power-ups, in the order of the columns."""
+    lower = np.array([state.lower[i, j] - (i == j) for i, j in LOWER])
+    gain, offset = (state.gain - np.eye(3)).ravel(), state.offset.ravel()
+    return np.concatenate([state.bias, lower, gain, state.theta, offset])
+
+
+def without_laws(fit: TurnFit) -> TurnLog:
+    """The log as it would read without the laws of a fit."""
+    log, state, turns = fit.log, fit.state, []
+    for turn in log.turns:
+        seen, _ = moved_by(log, state.drift, turn)
+        force = state.force(turn.force, log.session[turn.rest])
+        true, _ = exposed(state, seen, force, turn, fit.laws)
+        turns.append(replace(turn, rate=turn.rate - (seen - true)))
+    still = log.rate - _at_rest(log, state, fit.laws) @ state.theta
+    return replace(log, rate=still, turns=tuple(turns))
 
 
 def _at_rest(log: TurnLog, state: State, laws: Laws | None) -> Array:
@@ -479,8 +421,8 @@ def _moved(state: State, step: Array) -> State:
 
 
 def _estimated(fit: TurnFit, prior: Array) -> TurnNoise:
-    """Walk, the rests' and the power-ups' scatter by their moments; floor and κ as the means of their squares under
-    the likelihood of the turns with all unknowns integrated out, at their prior."""
+    """Walk, the rests' and power-ups' scatter by their moments; floor and κ as the means of their
+    squares under the likelihood of the turns with all unknowns integrated out, at their prior."""
     log, state = fit.log, fit.state
     noise = TurnNoise(
         floor=0.0,

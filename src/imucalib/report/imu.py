@@ -26,6 +26,7 @@ from imucalib.report.document import (
     Worth,
 )
 from imucalib.report.plots import gain_plot
+from imucalib.report.power_ups import power_up_worths, sessions_section
 from imucalib.significant_digits import number, plus_minus, signed, two_digits, with_sd
 from imucalib.units import DEG
 
@@ -42,6 +43,7 @@ def imu_document(run: ImuRun) -> Document:
         Section(RESIDUALS, gain_plot(outcome.findings), brief=False),
         Section("Gyroscope", (_gains(run), _facts(run))),
         Section("Parameters", (parameters.parameter_table(run.calibration, ""),), brief=False),
+        sessions_section(run.sessions),
         sections.advice_section(outcome),
         parameters.sensor_section(run.calibration),
         Section("Turns", (_turns(run),), brief=False),
@@ -57,10 +59,12 @@ def _card(run: ImuRun) -> Card:
     carried = sections.error_worth(outcome.error, "gravity after a turn", "turns")
     drift = f"± {two_digits(heading_drift(run.result.fit))} deg"
     how = "95 %, worst axis, beside what the bias does"
+    left_out = "rests" if run.sessions is None else "power-ups"
     good = (
         Worth(carried.quantity, carried.value, carried.detail, f"median {median} deg"),
         Worth("heading after 360 deg", drift, how),
-        sections.error_worth(outcome.errors[1], "size of a force", "rests"),
+        sections.error_worth(outcome.errors[1], "size of a force", left_out),
+        *power_up_worths(run.sessions),
     )
     uses = (sections.CORRECT, *_for_kalibr(run))
     return sections.card_of(outcome, good, uses=uses, picture=_picture(run))

@@ -19,7 +19,6 @@ from imucalib.calibrators.lab.errors import (
     worst,
 )
 from imucalib.calibrators.lab.run import LabRun
-from imucalib.calibrators.lab.sessions import Between, Sessions
 from imucalib.core.references import KnownVector, angles_of
 from imucalib.core.sphere import covered, even_directions
 from imucalib.effects import known
@@ -42,6 +41,7 @@ from imucalib.report.document import (
     Worth,
 )
 from imucalib.report.plots import band, gain_plot, sphere_map
+from imucalib.report.power_ups import power_up_worths, sessions_section
 from imucalib.significant_digits import number, plus_minus
 from imucalib.units import DEG, MG
 
@@ -77,7 +77,7 @@ def lab_document(run: LabRun) -> Document:
         _parameter_section(run),
         parameters.kind_section(request.population, result.final, result.kind_chance, "position"),
         _bench_section(run),
-        _sessions_section(run.sessions),
+        sessions_section(run.sessions),
         _dial_section(run),
         sections.advice_section(outcome),
         parameters.sensor_section(run.calibration, _iscwsa_table(run.calibration)),
@@ -106,16 +106,11 @@ def _card(run: LabRun, picture: Plot) -> Card:
     """Errors on positions held out, angles at the worst attitude."""
     metric = "vector" if _directed(run) else run.outcome.error.metric.partition(",")[0]
     like = ("attitudes", covered(run.result.final.observations.reading[:, 0]))
-    good = [sections.error_worth(run.outcome.error, metric, "positions", like)]
+    left_out = "positions" if run.sessions is None else "power-ups"
+    good = [sections.error_worth(run.outcome.error, metric, left_out, like)]
     if run.result.observations.reference.directed:
         good.append(_worst(run))
-    if run.sessions is not None:  # how far what changes between them lets a calibration carry
-        count, of_effect = len(run.sessions.names), dict[str, Worth]()
-        for p in sorted(run.sessions.parameters, key=lambda p: p.half):
-            detail = f"95 %, worst axis, from {count} sessions; their mean ± {1.96 * p.mean:.2g}"
-            name, size = f"{p.effect} after a power-up", f"± {p.half:.2g} {p.unit}"
-            of_effect[p.effect] = Worth(name, size, detail)
-        good += of_effect.values()
+    good += power_up_worths(run.sessions)
     if _directed(run):
         good += _angles(run)
     if run.request.gravity_assumed:
@@ -399,49 +394,6 @@ def _attitude_map(run: LabRun) -> Plot:
     )
     names = run.result.final.observations.label
     return sphere_map(final.expected[:, 0], error, caption, names=names)
-
-
-def _sessions_section(sessions: Sessions | None) -> Section:
-    """What changes between power-ups, and the parameters after the next; empty of one session."""
-    if sessions is None:
-        return Section("Sessions", ())
-    count = len(sessions.names)
-    rows = tuple(
-        (
-            p.name.replace("_", " "),
-            plus_minus(p.value, p.mean, p.unit),
-            plus_minus(p.value, p.sd, p.unit),
-            f"{p.value - p.half:.3g} to {p.value + p.half:.3g}",
-        )
-        for p in sessions.parameters
-    )
-    header = ("", f"mean of {count} power-ups", "next power-up", "95 %")
-    note = (
-        "What changes between power-ups is in the sd of the next one; a calibration that is used "
-        "after switching off is good to that."
-    )
-    words = [
-        Text(
-            f"Between {count} power-ups the {one.effect} scatters by {one.sd:.2g} {one.unit} an "
-            f"axis (95 %: {one.interval[0]:.2g} to {one.interval[1]:.2g})."
-        )
-        for one in sessions.between
-    ]
-    table = Table("After the next power-up", header, rows, "lrrr", note)
-    plots = (_session_plot(one, sessions.names) for one in sessions.between)
-    return Section("Sessions", (*words, table, *plots))
-
-
-def _session_plot(one: Between, names: tuple[str, ...]) -> Plot:
-    at = np.arange(1.0, len(names) + 1.0)
-    axes = enumerate(zip("xyz", one.offsets.T, one.offsets_sd.T, strict=True))
-    series = tuple(
-        Series.about(axis, at + 0.08 * (k - 1), off, sd, "bars", names)
-        for k, (axis, off, sd) in axes
-    )
-    title, y_label = f"{one.effect.capitalize()} of each session", f"{one.effect} less the mean"
-    caption = "Offset of each power-up from the mean, with its sd."
-    return Plot(title, "session", f"{y_label}, {one.unit}", series, caption)
 
 
 def _position_table(run: LabRun) -> Table:

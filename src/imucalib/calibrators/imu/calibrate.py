@@ -25,7 +25,8 @@ from imucalib.calibrators.lab.files import run_of_rests, still_rests, table_of_r
 from imucalib.calibrators.lab.run import LabRun
 from imucalib.errors import UnreadableInput
 from imucalib.estimators.carried import attitudes, between
-from imucalib.estimators.turns import TurnFit, TurnLog, carried_error, moved_by
+from imucalib.estimators.turn_log import TurnLog, moved_by
+from imucalib.estimators.turns import TurnFit, carried_error
 from imucalib.inspection.noise import SensorNoise, noise_at_rest
 from imucalib.loop.held_out import Difference, difference
 from imucalib.recording.mapping import UNCHANGED, AxisMap, FieldMapping

@@ -20,7 +20,7 @@ from imucalib.calibration.gyroscope import at_times
 from imucalib.core.effect import Context
 from imucalib.errors import Undetermined, UnreadableInput, UsageError
 from imucalib.estimators.carried import attitudes, between
-from imucalib.estimators.turns import Turn, TurnLog
+from imucalib.estimators.turn_log import Turn, TurnLog
 from imucalib.recording.recording import Channel, Recording
 from imucalib.recording.sensors import angular_rate
 from imucalib.rests.segments import Segments
@@ -38,16 +38,19 @@ _TILT = 10.0 * DEG
 
 @dataclass(frozen=True)
 class Course:
-    """What a gyroscope's effects may follow. span : s, of all logs; time : (N,) s and warm : (N,)
-    °C, of the rests, None without a thermometer in each log"""
+    """What a gyroscope's effects may follow. begin, span : (L,) s, of each log; time : (N,) s and
+    warm : (N,) °C, of the rests, None without a thermometer in each log"""
 
-    span: float
+    begin: Array
+    span: Array
     time: Array
     warm: Array | None
 
     def context(self, t: Array) -> Context:
-        """At times (n,) s."""
-        known = {"order": t / self.span, "time": t}
+        """At times (n,) s: a log's own clock, for logs one after another are no time series."""
+        log = np.maximum(np.searchsorted(self.begin, t, side="right") - 1, 0)
+        own = t - self.begin[log]
+        known = {"order": own / self.span[log], "time": own}
         if self.warm is not None:
             known["temperature"] = np.interp(t, self.time, self.warm)
         return Context(len(t), known, moving=True)
@@ -113,7 +116,8 @@ def imu_of(recordings: Sequence[Recording], segments: Sequence[Segments], gravit
 def _together(logs: list[Imu]) -> Imu:
     """Logs one after another: from one to the next the bias is what it is at another power-up."""
     before = np.cumsum([0, *(log.turns.rests for log in logs)])
-    apart = np.cumsum([0.0, *(log.course.span for log in logs)])
+    span = np.concatenate([log.course.span for log in logs])
+    apart = np.cumsum(np.r_[0.0, span[:-1]])
     warm = [log.course.warm for log in logs if log.course.warm is not None]
     turns = [
         replace(turn, rest=turn.rest + int(n), t=turn.t + s)
@@ -131,9 +135,7 @@ def _together(logs: list[Imu]) -> Imu:
     return Imu(
         turns=whole,
         left_out=tuple(w for log in logs for w in log.left_out),
-        course=Course(
-            float(apart[-1]), time, np.concatenate(warm) if len(warm) == len(logs) else None
-        ),
+        course=Course(apart, span, time, np.concatenate(warm) if len(warm) == len(logs) else None),
     )
 
 
@@ -183,7 +185,7 @@ def _of_one(recording: Recording, segments: Segments, gravity: float) -> Imu:
         white=float(np.sqrt(np.mean(noise**2) * step)),
     )
     known = warm if np.isfinite(warm).all() else None
-    return Imu(log, tuple(why), Course(float(t[-1] - t[0]), t[middle], known))
+    return Imu(log, tuple(why), Course(np.zeros(1), np.array([t[-1] - t[0]]), t[middle], known))
 
 
 def _demand_together(recording: Recording, gyro: Channel, force: Channel) -> None:

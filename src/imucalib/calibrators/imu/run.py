@@ -17,8 +17,10 @@ from imucalib.calibration.gyroscope import GAIN as GAIN_EFFECT
 from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Limit, Outcome, Run
 from imucalib.calibrators.imu.calibrate import ImuResult, calibrate_imu
 from imucalib.calibrators.imu.plan import open_words
+from imucalib.calibrators.imu.power_ups import bias_parts, moved, products_of
 from imucalib.calibrators.imu.request import ImuRequest, gyro_effects
 from imucalib.calibrators.lab.errors import rms
+from imucalib.calibrators.sessions import Sessions, scattered
 from imucalib.core.sphere import even_directions
 from imucalib.estimators.lateness import lateness
 from imucalib.estimators.turns import ACCELEROMETER, GAIN, LOWER, TurnFit
@@ -51,6 +53,7 @@ class ImuRun(Run):
 
     result: ImuResult
     request: ImuRequest
+    sessions: Sessions | None = None
 
 
 def run_imu(
@@ -60,7 +63,8 @@ def run_imu(
     result = calibrate_imu(paths, mapping, request, say)
     rests = result.accelerometer.outcome
     open_gains = open_words(result.fit.gains[:GAIN, :GAIN])
-    error = _error(result)
+    error, names = _error(result), result.accelerometer.table.sessions
+    products = products_of(result.fit) if names else None
     samples = sum(max(len(c.t) for c in r.channels.values()) for r in result.recordings)
     both = rests.fit is not None and rests.fit.converged and result.fit.converged
     outcome = replace(
@@ -70,20 +74,47 @@ def run_imu(
         provenance=replace(rests.provenance, samples=samples, settings=request.stated()),
         findings=_findings(result, request),
         fit=rests.fit and replace(rests.fit, converged=both),
-        reasons=(*rests.reasons, *(f"the turns leave open {words}" for words in open_gains)),
+        reasons=(
+            *rests.reasons,
+            *(f"the turns leave open {words}" for words in open_gains),
+            *(moved(*products, names) if products else ()),
+        ),
         advice=(*_advice(result, open_gains), *rests.advice),
         limits=_limits(request, error, rests.errors[0]),
         notes=(*rests.notes, *_notes(result)),
         weak=bool(open_gains),
     )
     details = imu_details(result)
+    calibration = imu_calibration(result, outcome, details)
+    sessions = None
+    if products:
+        sessions = _sessions(result.fit, products, names, calibration)
+        block = {"between_sessions": sessions.block()}
+        details |= block
+        calibration = replace(calibration, facts={**calibration.facts, **block})
     return ImuRun(
         outcome=outcome,
-        calibration=imu_calibration(result, outcome, details),
+        calibration=calibration,
         details=details,
         result=result,
         request=request,
+        sessions=sessions,
     )
+
+
+def _sessions(
+    fit: TurnFit, products: tuple[Array, Array], names: tuple[str, ...], made: Calibration
+) -> Sessions:
+    """What power-ups do to the bias that a calibration states."""
+    stated = {p.name: (p.name, p.value, p.sd) for p in made.parameters if p.effect == "bias"}
+    own = {e: [p.value for p in made.parameters if p.effect == e] for e in _LINEAR}
+    sensitivity = np.diag(1.0 + np.array(own["scale"]))
+    sensitivity[[1, 2, 2], [0, 0, 1]] = own["non_orthogonality"]
+    slope = sensitivity @ fit.state.lower * made.gravity / MG
+    sd = float(fit.noise.power_up * np.mean(np.diag(slope)))
+    what = ("session bias", "bias", "mg")
+    between, after = scattered(what, bias_parts(*products, slope), sd, list(stated.values()))
+    return Sessions(names, (between,), after)
 
 
 def _error(result: ImuResult) -> ErrorSummary:

@@ -19,6 +19,7 @@ from imucalib.calibrators.array.loop.motion import BoardMotion
 from imucalib.calibrators.imu.log import Course
 from imucalib.calibrators.imu.request import ImuRequest, gyro_effects
 from imucalib.core.effect import Context, Motion, Response, Truth
+from imucalib.estimators.turn_log import TurnLog
 from imucalib.estimators.turns import (
     ACCELEROMETER,
     ANGLE_PRIOR,
@@ -26,7 +27,6 @@ from imucalib.estimators.turns import (
     Laws,
     Rows,
     TurnFit,
-    TurnLog,
     fitted,
     linearised,
     noise_points,

@@ -85,7 +85,7 @@ def _by_hand(plan: ImuPlan, t: Array, rng: np.random.Generator) -> Array:
 def _planted(planted: Mapping[str, tuple[float, ...]], rate: Array, up: Array, t: Array) -> Array:
     """(n, 3) rad/s that effects add to what a gyroscope's axes turn by."""
     known, added = gyro_effects({}), np.zeros(rate.shape)
-    truth, context = exposed_to(rate, up, t, Course(float(t[-1]), t, None))
+    truth, context = exposed_to(rate, up, t, Course(np.zeros(1), t[-1:], t, None))
     for name, values in planted.items():
         effect = known.get(name)
         if effect is None or effect.missing(context):

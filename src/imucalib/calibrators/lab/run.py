@@ -12,7 +12,6 @@ from imucalib.arrays import Index
 from imucalib.calibration.ambiguity import KEY
 from imucalib.calibration.calibration import Calibration, from_fit
 from imucalib.calibration.outcome import Outcome, Run, left_open
-from imucalib.calibration.plain import fields, listed
 from imucalib.calibration.provenance import provenance_of
 from imucalib.calibrators.lab.advice import (
     advice,
@@ -45,9 +44,10 @@ from imucalib.calibrators.lab.faults import Faults, doubts, look_for_faults, wor
 from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.calibrators.lab.repairs import repaired
 from imucalib.calibrators.lab.request import LabRequest
-from imucalib.calibrators.lab.sessions import Sessions, sessions_of
+from imucalib.calibrators.lab.sessions import sessions_of
 from imucalib.calibrators.next_recording import recorded_block
 from imucalib.calibrators.population import not_of_its_kind
+from imucalib.calibrators.sessions import Sessions
 from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownVector
@@ -275,7 +275,7 @@ def lab_details(
     if isinstance(result.observations.reference, KnownVector):
         details["fixture"] = _fixture_block(result)
     if sessions:
-        details["between_sessions"] = _sessions_block(sessions)
+        details["between_sessions"] = sessions.block()
     if result.loop is not None:
         fit = result.final
         # What neighbours share is noise of a later rest too.
@@ -283,26 +283,6 @@ def lab_details(
         found = ambiguities(result.loop.final, result.loop.alternatives)
         details[KEY] = recorded_block(fit, found, reading=reading, settings=setting_noise(fit))
     return details
-
-
-def _sessions_block(sessions: Sessions) -> dict[str, Any]:
-    """How much power-ups scatter, each session's own offset, and the next one's parameters."""
-    return {
-        "sessions": list(sessions.names),
-        "scatter": [
-            {
-                **fields(one, "what=name unit sd"),
-                "low_95": one.interval[0],
-                "high_95": one.interval[1],
-                **fields(one, "offsets offsets_sd"),
-            }
-            for one in sessions.between
-        ],
-        "next_power_up": listed(
-            sessions.parameters,
-            "parameter=name unit value sd_of_mean=mean sd_next_power_up=sd half_of_95=half",
-        ),
-    }
 
 
 def noise_block(fit: Fit) -> dict[str, Any]:

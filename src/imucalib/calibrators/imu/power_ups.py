@@ -1,0 +1,75 @@
+"""Several logs of one IMU: the bias of each power-up, and whether anything else differs.
+
+Every log has a fit of its own, and leaves products of it: information and vector of accelerometer
+and gains. What a power-up changes is a bias; a gain that has a part of its own in
+each log says that they are no one calibration (another temperature, another chip, a blow).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from imucalib.arrays import Array, Index
+from imucalib.estimators.power_ups import Parts, log_odds_moved, parts_of
+from imucalib.estimators.turns import (
+    ACCELEROMETER,
+    GAIN,
+    LOWER,
+    TurnFit,
+    away_from_nominal,
+    fitted,
+    without_laws,
+)
+from imucalib.loop.posterior.odds import FALSE_CLAIM
+from imucalib.significant_digits import per_cent
+
+_FIXED, _BIAS = ACCELEROMETER + GAIN, np.arange(3)
+_OWN = np.array([i == j for i, j in LOWER])
+_FACES = np.eye(3, dtype=bool).ravel()
+#: What no power-up changes: columns, which move by this where they do (data sheets: 0.1 %).
+_BLOCKS: dict[str, Index] = {
+    "the accelerometer's scale": 3 + np.flatnonzero(_OWN),
+    "the accelerometer's cross terms": 3 + np.flatnonzero(~_OWN),
+    "the gyroscope's scale": ACCELEROMETER + np.flatnonzero(_FACES),
+    "the gyroscope's cross terms": ACCELEROMETER + np.flatnonzero(~_FACES),
+}
+_MOVED = 1e-3
+#: Prior odds that one of these differs between logs which are said to be of one sensor.
+_ODDS = 0.05
+
+
+def products_of(fit: TurnFit) -> tuple[Array, Array]:
+    """(L, 18, 18) and (L, 18): what each log alone says of accelerometer and gains beside nominal
+    ones, what was known before taken off and other effects held."""
+    known = np.diag(fit.variance[-fit.state.first_drift :][:_FIXED] ** -1.0)
+    log, information, vector = without_laws(fit), [], []
+    for k in range(log.sessions):
+        own = fitted(log.of_session(k))
+        whole = np.linalg.inv(own.covariance[:_FIXED, :_FIXED])
+        information.append(whole - known)
+        vector.append(whole @ away_from_nominal(own.state)[:_FIXED])
+    return np.array(information), np.array(vector)
+
+
+def moved(information: Array, vector: Array, names: tuple[str, ...]) -> tuple[str, ...]:
+    """One sentence for each kind of parameter that differs from log to log. names : of the logs"""
+    said = []
+    for what, block in _BLOCKS.items():
+        parts = parts_of(information, vector, block, _BIAS)
+        odds = log_odds_moved(parts, np.full(block.size, _MOVED), _ODDS)
+        if odds < np.log(FALSE_CLAIM):
+            continue
+        away = parts.predicted(np.full(block.size, 10.0 * _MOVED))[0]
+        k, axis = np.unravel_index(np.argmax(np.abs(away)), away.shape)
+        chance = per_cent(float(1.0 / (1.0 + np.exp(-odds))))
+        said.append(
+            f"{what} differs between the recordings ({chance}): {names[k]} is "
+            f"{100.0 * away[k, axis]:+.2g} % off the mean of all; they are no one calibration"
+        )
+    return tuple(said)
+
+
+def bias_parts(information: Array, vector: Array, slope: Array) -> Parts:
+    """Of the accelerometer's bias in mg. slope : (3, 3) mg per g, of the bias that is stated by the
+    fit's"""
+    return parts_of(information, vector, _BIAS, np.arange(0)).in_unit(slope)

@@ -1,0 +1,119 @@
+"""What changes from one power-up to the next, and how far it carries: this session and the next."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from imucalib.arrays import Array
+from imucalib.calibration.plain import fields, listed
+from imucalib.estimators.power_ups import Parts, half_of_95, sizes_allowed
+
+
+@dataclass(frozen=True)
+class Between:
+    """The scatter of one component between sessions.
+
+    name : of the component; effect : whose parameters carry it; unit : that it is given in; sd : of
+    all axes; interval : 95 % of what the data allow
+    offsets, offsets_sd : (sessions, 3) of each session from the mean, in that unit
+    """
+
+    name: str
+    effect: str
+    unit: str
+    sd: float
+    interval: tuple[float, float]
+    offsets: Array
+    offsets_sd: Array
+
+
+@dataclass(frozen=True)
+class NextPowerUp:
+    """A parameter after the next power-up: mean : sd of the mean over power-ups, sd : of the next
+    one, half : half of its 95 % interval"""
+
+    name: str
+    effect: str
+    unit: str
+    value: float
+    mean: float
+    sd: float
+    half: float
+
+
+@dataclass(frozen=True)
+class Sessions:
+    """names : of the sessions, in the order of the offsets; between : what scatters between them;
+    parameters : every one that changes with power-ups"""
+
+    names: tuple[str, ...]
+    between: tuple[Between, ...]
+    parameters: tuple[NextPowerUp, ...]
+
+    def block(self) -> dict[str, Any]:
+        """How much power-ups scatter, each one's own offset, and the next one's parameters, in
+        plain types."""
+        return {
+            "sessions": list(self.names),
+            "scatter": [
+                {
+                    **fields(one, "what=name unit sd"),
+                    "low_95": one.interval[0],
+                    "high_95": one.interval[1],
+                    **fields(one, "offsets offsets_sd"),
+                }
+                for one in self.between
+            ],
+            "next_power_up": listed(
+                self.parameters,
+                "parameter=name unit value sd_of_mean=mean sd_next_power_up=sd half_of_95=half",
+            ),
+        }
+
+
+def scattered(
+    what: tuple[str, str, str],
+    parts: Parts,
+    sd: float,
+    parameters: Sequence[tuple[str, float, float]],
+) -> tuple[Between, tuple[NextPowerUp, ...]]:
+    """The scatter of parts, and their parameters after the next power-up.
+
+    what : name, effect and unit; parts : three each, in that unit; sd : that the fit has taken them
+    to scatter by; parameters : name, value of the mean and its sd, none where nothing carries them
+    """
+    sizes, weights, by_axis = sizes_allowed(parts, sd)
+    offsets, spread = parts.predicted(np.full(3, sd))
+    below = np.cumsum(weights) - 0.5 * weights
+    low, high = np.interp((0.025, 0.975), below, sizes)
+    found = []
+    name, effect, unit = what
+    for axis, (parameter, value, mean) in enumerate(parameters):
+        # The mean's variance holds a share of what the scatter is taken to be.
+        share = (sizes**2 - sd**2) / len(offsets)
+        var = np.maximum(mean**2 + share, 0.1 * mean**2) + sizes**2
+        found.append(
+            NextPowerUp(
+                name=parameter,
+                effect=effect,
+                unit=unit,
+                value=value,
+                mean=mean,
+                sd=float(np.sqrt(by_axis[axis] @ var)),
+                half=half_of_95(np.sqrt(var), by_axis[axis]),
+            )
+        )
+    between = Between(
+        name=name,
+        effect=effect,
+        unit=unit,
+        sd=sd,
+        interval=(float(low), float(high)),
+        offsets=offsets,
+        offsets_sd=np.sqrt(np.maximum(np.diag(spread), 0.0)).reshape(-1, 3),
+    )
+    return between, tuple(found)
