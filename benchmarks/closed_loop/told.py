@@ -108,7 +108,7 @@ def corrected(folder: Path, reading: Array, known: dict[str, Array]) -> tuple[Ar
         moved = tuple(
             replace(p, value=float(v)) for p, v in zip(calibration.parameters, values, strict=True)
         )
-        done = replace(calibration, parameters=moved).apply(_UNIT * reading, context)
+        done = replace(calibration, parameters=moved).apply(_UNIT * reading, context, unit="m/s2")
         return np.asarray(done) / _UNIT
 
     value = np.array([p.value for p in calibration.parameters])

@@ -2,7 +2,7 @@
 
     import imucalib
     found = imucalib.lab("positions.csv", gravity=9.8061)
-    found.calibration.apply(reading)  # (n, 3) m/s²
+    found.calibration.apply(reading)  # (n, 3), in the unit of the table
 
 What stands in `__all__` is imported when it is first asked for.
 """

@@ -47,7 +47,8 @@ def test_a_loaded_calibration_corrects_as_the_run_does(
     found.save(tmp_path)
     reading = np.random.default_rng(0).normal(0.0, 5.0, (20, 3))
     loaded = imucalib.load(tmp_path / "calibration.yaml")
-    np.testing.assert_array_equal(loaded.apply(reading), found.calibration.apply(reading))
+    made = (one.apply(reading, unit="m/s2") for one in (loaded, found.calibration))
+    np.testing.assert_array_equal(*made)
 
 
 def test_keywords_replace_the_requests_fields() -> None:
@@ -161,9 +162,9 @@ def test_a_recording_of_a_notebook_is_read_as_a_file_is() -> None:
 
 def test_one_vector_or_many(found: imucalib.Result) -> None:
     readings = np.random.default_rng(1).normal(0.0, 5.0, (4, 5, 3))
-    many = found.calibration.apply(readings)
+    many = found.calibration.apply(readings, unit="m/s2")
     assert many.shape == readings.shape
-    one = found.calibration.apply(readings[2, 3].tolist())  # type: ignore[arg-type]
+    one = found.calibration.apply(readings[2, 3].tolist(), unit="m/s2")  # type: ignore[arg-type]
     np.testing.assert_array_equal(one, many[2, 3])
     with pytest.raises(UsageError, match="not x, y, z"):
         found.calibration.apply(np.ones((3, 4)))
@@ -203,3 +204,17 @@ def test_figures_are_drawn_where_there_is_matplotlib(
     monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)
     with pytest.raises(UsageError, match="pip install matplotlib"):
         found.plot()
+
+
+@pytest.mark.parametrize(("unit", "size"), [("g", 1.0), ("mg", 1000.0), ("m/s2", 9.80665)])
+def test_readings_are_taken_in_the_unit_that_was_calibrated(unit: str, size: float) -> None:
+    turns = np.random.default_rng(1).normal(size=(14, 3))
+    up = turns / np.linalg.norm(turns, axis=1)[:, None]
+    raw = size * (up * [1.02, 0.97, 1.01] + [0.03, -0.02, 0.01])
+    found = imucalib.lab(raw, unit=unit, reference="norm", loop=False)
+    assert found.calibration.sensor is not None
+    assert found.calibration.sensor.unit == unit
+    norms = np.linalg.norm(found.calibration.apply(raw), axis=1)
+    np.testing.assert_allclose(norms, size, rtol=1e-3)
+    in_si = found.calibration.apply(raw * 9.80665 / size, unit="m/s2")
+    np.testing.assert_allclose(np.linalg.norm(in_si, axis=1), 9.80665, rtol=1e-3)

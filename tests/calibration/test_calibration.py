@@ -158,9 +158,9 @@ def test_apply_refuses_readings_that_no_force_gives() -> None:
     bent = tuple(StoredParameter(p.name, "quadratic", "sensor", -150.0, 1.0, p.unit)
                  for p in named("quadratic").parameters(Context(1)))  # fmt: skip
     calibration = replace(_calibration(), parameters=bent, covariance=np.eye(3))
-    assert np.all(np.isfinite(calibration.apply(np.full((1, 3), 10.0))))
+    assert np.all(np.isfinite(calibration.apply(np.full((1, 3), 10.0), unit="m/s2")))
     with pytest.raises(NotConverged) as caught:
-        calibration.apply(np.full((1, 3), 60.0))
+        calibration.apply(np.full((1, 3), 60.0), unit="m/s2")
     assert caught.value.remedy
 
 

@@ -79,6 +79,7 @@ def test_both_are_named_and_the_command_that_is_advised_runs(
         assert run(*words[1:]).return_value in (0, 1, 4, 5)
 
 
+@pytest.mark.slow
 def test_of_the_sensor_that_is_named_are_the_numbers(folder: Path, tmp_path: Path) -> None:
     two = next(folder.glob("two.*"))
     found = []
@@ -96,6 +97,7 @@ def test_of_the_sensor_that_is_named_are_the_numbers(folder: Path, tmp_path: Pat
     assert not np.allclose(*found, rtol=0.1)
 
 
+@pytest.mark.slow
 def test_all_gives_each_a_calibration_of_its_own(folder: Path, tmp_path: Path) -> None:
     two = next(folder.glob("two.*"))
     done = run("imu", two, "--sensor", "all", "--no-loop", "--json", "-o", tmp_path / "out")
@@ -114,7 +116,7 @@ def test_all_gives_each_a_calibration_of_its_own(folder: Path, tmp_path: Path) -
 
 def test_what_is_not_chosen_stays_as_it_was(folder: Path, tmp_path: Path) -> None:
     words = typed("apply", folder, tmp_path)
-    assert run(*words, "--sensor", "aux").return_value == 0
+    assert run(*words, "--sensor", "aux", "--same-device").return_value == 0
     before, after = read(next(folder.glob("two.*"))), read(tmp_path / "corrected.csv")
     for name, channel in before.channels.items():
         same = np.allclose(channel.values, after.channels[name].values, atol=1e-7)
@@ -131,6 +133,7 @@ def test_a_name_that_is_none_is_refused_with_those_there_are(folder: Path, tmp_p
         assert all(sensor in str(done.exception) for sensor in NAMES)
 
 
+@pytest.mark.slow
 def test_the_name_is_in_all_that_is_made_of_it(folder: Path, tmp_path: Path) -> None:
     two, out = next(folder.glob("two.*")), tmp_path / "out"
     done = run("imu", two, "--sensor", "aux", "--no-loop", "--json", "-o", out)
@@ -153,3 +156,55 @@ def test_a_device_keeps_its_number_through_conversions(name: str, tmp_path: Path
         path = tmp_path / f"again{suffix}"
         assert run("convert", first.path, path, "-q").return_value == 0
         assert read(path).serial == first.serial
+
+
+def recorded(folder: Path, kind: str = "two") -> Path:
+    return next(folder.glob(f"{kind}.*"))
+
+
+@pytest.fixture(scope="module")
+def of_aux(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("aux")
+    call = ("imu", recorded(folder), "--sensor", "aux", "--no-loop", "-q", "-o", out)
+    assert run(*call).return_value == 0
+    return out / "calibration.yaml"
+
+
+@pytest.mark.slow
+def test_a_calibration_finds_its_own_sensor_and_refuses_another(
+    folder: Path, of_aux: Path, tmp_path: Path
+) -> None:
+    two, out = recorded(folder), tmp_path / "corrected.h5"
+    assert run("apply", of_aux, two, "-o", out, "-q").return_value == 0
+    before, after = read(two), read(out)
+    for name, channel in before.channels.items():
+        same = np.allclose(channel.values, after.channels[name].values, atol=1e-7)
+        assert same == (channel.triad == "main"), name
+    assert run("check", of_aux, two, "-q").return_value in (0, 5)
+    for call in (
+        ("apply", of_aux, two, "-o", tmp_path / "main.h5", "--sensor", "main"),
+        ("check", of_aux, two, "--sensor", "main"),
+    ):
+        done = run(*call)
+        assert done.return_value == 2
+        assert all(sensor in str(done.exception) for sensor in NAMES)
+        words = shlex.split(str(done.exception).rpartition("for example: ")[2])
+        assert run(*words[1:]).return_value in (0, 1)
+    assert not np.allclose(
+        read(tmp_path / "main.h5").channels["main/acceleration"].values,
+        before.channels["main/acceleration"].values,
+    )
+
+
+def test_where_names_are_silent_gravity_decides(folder: Path, tmp_path: Path) -> None:
+    """The calibration of one chip, from a table without names, on that of another."""
+    log = logs(two_sensors(tmp_path / "pair.csv"))[1].write(tmp_path / "other.csv")
+    own, out = folder / "of_one" / "calibration.yaml", tmp_path / "c.csv"
+    done = run("apply", own, folder / "one.csv", "-o", out, "--json")
+    assert done.return_value == 0
+    assert any("mg as read" in note for note in json.loads(done.stdout)["notes"])
+    done = run("apply", own, log, "-o", tmp_path / "wrong.csv")
+    assert done.return_value == 2
+    assert "another sensor" in str(done.exception)
+    assert not (tmp_path / "wrong.csv").exists()
+    assert run("apply", own, log, "-o", tmp_path / "wrong.csv", "--same-device").return_value == 0

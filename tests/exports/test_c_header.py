@@ -101,7 +101,7 @@ def test_all_three_arithmetics_correct_as_the_calibration_does(tmp_path: Path) -
     made = one()
     program = compiled(exported(made, "x.csv", "c-header").text, tmp_path)
     wrong, as_float, fine, coarse = corrected(program, some())
-    due = made.apply(some() * G) / G
+    due = made.apply(some() * G, unit="m/s2") / G
     assert wrong == 0
     assert as_float == pytest.approx(due, abs=2e-6)
     # Half a count of the offset, of the result, and for 32 bits of the reading cut to whole ug.
@@ -115,7 +115,7 @@ def test_fixed_point_ends_at_its_largest_number(tmp_path: Path) -> None:
     program = compiled(exported(made, "x.csv", "c-header").text, tmp_path)
     reading = np.array([[-15.99, 15.99, 15.99]])
     _, _, fine, coarse = corrected(program, reading)
-    due = made.apply(reading * G) / G
+    due = made.apply(reading * G, unit="m/s2") / G
     assert due[0, 0] < -16.0 < 16.0 < due[0, 1]
     assert coarse[0].tolist()[:2] == [-32768, 32767]
     assert np.abs(fine * UG - due).max() < 3 * UG

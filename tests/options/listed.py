@@ -15,6 +15,7 @@ LAWS: dict[str, str] = {
 }
 GOOD = "cli/test_still_good.py"
 NEXT = "cli/test_separate.py"
+OWN = "cli/test_sensors.py"
 #: Shown by a test of another room, which is run by its name.
 ELSEWHERE: dict[tuple[str, str], str] = {
     ("batch", "--scheduler"): "cohort/test_batch.py::test_a_dask_cluster_gives_the_same",
@@ -22,6 +23,11 @@ ELSEWHERE: dict[tuple[str, str], str] = {
     ("check", "--limit"): f"{GOOD}::test_a_limit_that_could_not_be_seen_is_undecided_with_a_plan",
     ("check", "--noise"): f"{GOOD}::test_a_limit_that_could_not_be_seen_is_undecided_with_a_plan",
     ("check", "--sensor"): f"{GOOD}::test_a_recording_with_rests_is_a_log_too",
+    (
+        "check",
+        "--same-device",
+    ): f"{OWN}::test_a_calibration_finds_its_own_sensor_and_refuses_another",
+    ("apply", "--same-device"): f"{OWN}::test_where_names_are_silent_gravity_decides",
     ("check", "--html"): f"{GOOD}::test_a_page_and_no_file_overwritten",
     ("check", "--full"): f"{GOOD}::test_a_long_result_is_one_screen_unless_all_is_shown",
     ("compare", "--full"): f"{GOOD}::test_a_long_result_is_one_screen_unless_all_is_shown",

@@ -21,6 +21,7 @@ from imucalib.calibration.triads import (
 from imucalib.effects.forms import in_words
 from imucalib.errors import Undetermined
 from imucalib.readers import blocks, read, reader_for
+from imucalib.recording.identity import demand_device
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.pairing import Pairing
 from imucalib.recording.recording import Recording
@@ -91,6 +92,7 @@ def imus_corrected(
 
     partner : recorded sensor -> index of its triad; only : the one that is wanted, or empty
     """
+    demand_device(calibration.sensor, recording)
     facts, notes = calibration.facts, []
     chosen = named_triads(calibration.triads, partner, only)
     drift = (facts.get("rests") or {}).get("drift")

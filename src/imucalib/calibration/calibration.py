@@ -20,7 +20,7 @@ from imucalib.effects import known
 from imucalib.effects.record_error import is_record_error
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.recording.identity import NAMELESS, Identity
-from imucalib.units import DEG, MG
+from imucalib.units import ACCELERATION_UNITS, DEG, MG
 
 #: The reason of a calibration that is none, kept for the record errors in its report.
 UNSETTLED = "the fit did not settle"
@@ -38,6 +38,8 @@ class StoredParameter:
     unit: str
 
 
+#: Times gravity from which on a reading of usual size is in another unit.
+_ANOTHER_UNIT = 4.0
 #: Stages of parameters that no correction of a reading undoes.
 NEVER_APPLIED = ("fixture", "array", "gyroscope")
 #: Covariates by which time drives an effect: a later reading finds what they have come to.
@@ -157,7 +159,8 @@ class Calibration:
     raw_unit, raw_to_si : of the readings that it applies to
     facts : the blocks that only people read (gravity, conventions, noise, ranges, provenance)
     triads : of an array, each IMU's linear correction; the parameters then are the positions
-    sha256 : of the file that it was read from, or empty; sensor : whose it is
+    sha256 : of the file that it was read from, or empty
+    sensor : whose it is, None where it is used for whichever
     """
 
     calibrator: str
@@ -172,7 +175,7 @@ class Calibration:
     facts: Mapping[str, Any] = field(default_factory=dict)
     triads: tuple[Triad, ...] = ()
     sha256: str = ""
-    sensor: Identity = NAMELESS
+    sensor: Identity | None = NAMELESS
 
     def model(self, *, fixture: bool = False) -> tuple[Model, Array]:
         """The correcting part as effects of the catalogue, with its θ; `fixture` : also what the
@@ -223,10 +226,13 @@ class Calibration:
         """Of `count` readings of which no covariate was recorded."""
         return Context(count, {n: np.full(count, self.unrecorded(n)) for n in self.valid})
 
-    def apply(self, reading: Array, context: Context | None = None) -> Array:
-        """Correct readings (..., 3) in m/s², one or many, to specific force of the same shape in
-        m/s² in the tool's frame; a DataFrame's three columns too.
+    def apply(self, reading: Array, context: Context | None = None, *, unit: str = "") -> Array:
+        """Correct readings (..., 3), one or many, to specific force of the same shape and unit in
+        the tool's frame; a DataFrame's three columns too.
 
+        unit : of both; by default that of the readings that were calibrated (`sensor.unit`), as
+        they stood in their file, or m/s² where it is not known; then sizes that cannot be gravity
+        are a UsageError
         context : covariates of each that the effects need ("temperature"); raises UsageError for
         other shapes, UnreadableInput when a covariate is missing, NotConverged when a reading lies
         outside the calibration's range
@@ -235,9 +241,12 @@ class Calibration:
         if not values.ndim or values.shape[-1] != 3:
             raise UsageError(
                 f"readings of shape {values.shape} are not x, y, z",
-                remedy="give three numbers, or an array (n, 3), in m/s²",
+                remedy="give three numbers, or an array (n, 3)",
             )
-        flat = values.reshape(-1, 3)
+        size, zero = self._unit(unit)
+        flat = size * (values.reshape(-1, 3) - zero)
+        if not unit:
+            self._demand_gravity(flat)
         model, theta = self.model()
         known = context or Context(len(flat))
         for effect in model.effects:
@@ -247,7 +256,29 @@ class Calibration:
                     f"effect {effect.name} needs {', '.join(absent)}, which the recording lacks",
                     remedy="record it, or calibrate with --without " + effect.name,
                 )
-        return model.correct(theta, flat[:, None], known)[:, 0].reshape(values.shape)
+        force = model.correct(theta, flat[:, None], known)[:, 0]
+        return np.asarray(force / size).reshape(values.shape)
+
+    def _demand_gravity(self, reading: Array) -> None:
+        """Raise UsageError for readings (n, 3) m/s² whose usual size is another unit's."""
+        sizes = np.linalg.norm(reading, axis=1)
+        usual = float(np.median(sizes)) / self.gravity if sizes.size else 1.0
+        if not 1.0 / _ANOTHER_UNIT < usual < _ANOTHER_UNIT:
+            own = (self.sensor or NAMELESS).unit or "m/s2"
+            raise UsageError(
+                f"in {own}, in which this was calibrated, the usual size would be {usual:.3g} g",
+                remedy='say which unit it is: unit="m/s2"',
+            )
+
+    def _unit(self, unit: str) -> tuple[Array, Array]:
+        """m/s² in one of a unit, and what is taken off readings in it, (1,) or one an axis."""
+        own, plain = self.sensor or NAMELESS, ACCELERATION_UNITS.get(unit or "m/s2")
+        if own.to_m_per_s2 and unit in ("", own.unit):
+            return np.array(own.to_m_per_s2), np.array(own.zero or (0.0,))
+        if plain is None:
+            known = ", ".join(ACCELERATION_UNITS)
+            raise UsageError(f"unknown unit '{unit}'", remedy=f"use one of: {known}")
+        return np.array([plain]), np.zeros(1)
 
     def matrices(self) -> Matrices:
         """M, b and S, c of the linear part, with intrinsic scales and angles."""

@@ -19,10 +19,12 @@ from imucalib.calibration.calibration import Calibration, assumed_at
 from imucalib.calibration.file import identity
 from imucalib.calibration.gyroscope import gyroscope_of, with_rates_corrected
 from imucalib.calibration.series import part_at, parts_of
+from imucalib.calibration.shared_gravity import GravityAtRest
 from imucalib.calibration.undo import Undo
 from imucalib.core.effect import Context, Effect, Truth
 from imucalib.effects.thermal import LAG, ROWS
 from imucalib.errors import UnreadableInput, UsageError
+from imucalib.recording.identity import accelerometer_of, says_which
 from imucalib.recording.recording import Channel, Recording
 from imucalib.recording.recording import Correction as Mark
 from imucalib.recording.sensors import accelerometer
@@ -76,6 +78,7 @@ class Correction:
         self._samples = self._far = self._unsettled = self._unheard = 0
         self._left: dict[str, tuple[int, float, float]] = {}
         self._held: dict[str, None] = {}
+        self._rests, self._said, self._path = GravityAtRest(), again, ""
 
     def corrected(self, blocks: Callable[[], Iterator[Recording]]) -> Iterator[Recording]:
         """The blocks of a recording with acceleration, and rate, corrected; what follows the
@@ -90,13 +93,18 @@ class Correction:
         else:
             for block in found:
                 yield self._block(block, None)
+        if not self._said:
+            self._rests.demand_better(self._calibration.gravity, self._path)
 
     def _named(self, found: Iterator[Recording]) -> tuple[str, Iterator[Recording]]:
         """The sensor whose thermometer counts, and the blocks."""
         first = next(found, None)
         if first is None:
             return "", iter(())
-        return accelerometer(first, self._sensor).triad, chain([first], found)
+        self._sensor = accelerometer_of(self._calibration.sensor, first, self._sensor).triad
+        self._said = self._again or says_which(self._calibration.sensor, first, self._sensor)
+        self._path = first.path
+        return self._sensor, chain([first], found)
 
     def _block(self, recording: Recording, thermometer: Channel | None) -> Recording:
         calibration = self._calibration
@@ -105,6 +113,7 @@ class Correction:
             refuse_second(recording, channel.triad)
         thermometer = thermometer or thermometer_of(recording, channel.triad)
         values = self._force(recording, channel, thermometer)
+        self._rests.add(channel, values)
         note = f"{name} corrected with a calibration by {calibration.calibrator}"
         if self._parts:
             count = len(self._parts)
@@ -155,7 +164,7 @@ class Correction:
     @property
     def notes(self) -> tuple[str, ...]:
         """What was done without, and what lies beyond the calibrated range."""
-        found = list(self._held)
+        found = [*self._held, *self._rests.words(self._calibration.gravity)]
         for name, (count, lowest, highest) in self._left.items():
             word, unit = _RANGED[name]
             low, high = self._calibration.valid[name]

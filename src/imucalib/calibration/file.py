@@ -23,7 +23,7 @@ from imucalib.calibration.triads import triad_from
 from imucalib.core.effect import Context
 from imucalib.errors import NotConverged, UnreadableInput
 from imucalib.file_hash import sha256_of
-from imucalib.recording.identity import identity_from
+from imucalib.recording.identity import NAMELESS, identity_from
 from imucalib.recording.pairing import fault
 from imucalib.recording.yaml_text import dump, load
 
@@ -98,7 +98,7 @@ def as_dict(calibration: Calibration) -> dict[str, Any]:
         "calibrator": calibration.calibrator,
         "status": calibration.status,
         "reasons": list(calibration.reasons),
-        "sensor": calibration.sensor.as_dict(),
+        "sensor": (calibration.sensor or NAMELESS).as_dict(),
         "formula": ARRAY_FORMULA if triads else FORMULA,
         "raw": {"unit": calibration.raw_unit, "to_m_per_s2": calibration.raw_to_si},
         "gravity_m_per_s2": calibration.gravity,

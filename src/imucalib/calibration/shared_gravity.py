@@ -1,4 +1,5 @@
-"""The IMUs of an array see one gravity: whether a recording's are the ones that were calibrated.
+"""Gravity at rest tells whether a recording's sensors are those that were calibrated: by its size,
+and by its being one for all IMUs of an array.
 
 At rest the corrected forces of all IMUs, turned into the board's axes, are one vector. What they
 differ by is held against the same readings paired otherwise, and against what is stated.
@@ -13,7 +14,8 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.calibration.triads import Triad
-from imucalib.errors import Undetermined
+from imucalib.errors import Undetermined, UsageError
+from imucalib.recording.recording import Channel
 from imucalib.rests.segments import Segments
 from imucalib.units import MG, STANDARD_GRAVITY
 
@@ -23,6 +25,55 @@ _PRIOR = log(100.0)
 #: life and temperature, stay below a tenth of g; another axis or sign is worth more than half of g.
 _ANOTHER_SENSOR = 0.25 * STANDARD_GRAVITY
 _SURE = 5.0  # standard deviations from which a change is stated
+#: s of a window; those are quiet that scatter at most so many times what this share of them does.
+_SECONDS, _LOUDER, _QUIET = 1.0, 2.0, 0.1
+
+
+class GravityAtRest:
+    """What a correction does to the size of gravity, from windows of a recording's blocks."""
+
+    def __init__(self) -> None:
+        self._windows: list[Array] = []
+
+    def add(self, channel: Channel, corrected: Array) -> None:
+        """A block: readings (n, 3) and what they are corrected to, m/s²."""
+        width = max(3, round(_SECONDS * channel.rate))
+        shape = (len(corrected) // width, width, 3)
+        before, after = (v[: shape[0] * width].reshape(shape) for v in (channel.values, corrected))
+        sizes = (np.linalg.norm(v.mean(axis=1), axis=1) for v in (before, after))
+        scatter = np.sqrt(before.var(axis=1).sum(axis=1))
+        self._windows.append(np.column_stack([scatter, *sizes]))
+
+    def off(self, gravity: float) -> tuple[float, float, float] | None:
+        """mg rms where it is quiet: scatter within a window, and by how much |a| is off
+        gravity before and after; None where nothing was recorded."""
+        every = np.concatenate([*self._windows, np.zeros((0, 3))])
+        every = every[np.isfinite(every).all(axis=1) & (every[:, 0] > 0.0)]
+        every[:, 1:] -= gravity
+        if not len(every):
+            return None
+        quiet = every[every[:, 0] <= _LOUDER * np.quantile(every[:, 0], _QUIET)]
+        scatter, before, after = np.sqrt(np.mean(quiet**2, axis=0)) / MG
+        return float(scatter), float(before), float(after)
+
+    def words(self, gravity: float) -> tuple[str, ...]:
+        """What is to be said of it."""
+        if (off := self.off(gravity)) is None:
+            return ()
+        where = "where the recording is quietest, |a| is off gravity by"
+        return (f"{where} {off[1]:.3g} mg as read, {off[2]:.3g} mg corrected (rms)",)
+
+    def demand_better(self, gravity: float, where: str) -> None:
+        """Raise UsageError where gravity is off by more than motion can be, and not less so after
+        the correction."""
+        off = self.off(gravity)
+        if off is not None and off[0] < off[1] <= off[2]:
+            raise UsageError(
+                f"{self.words(gravity)[0]}: the calibration is another sensor's",
+                where=where,
+                remedy="give the calibration of this one; if it is the same, insist",
+                add=("--same-device",),
+            )
 
 
 def held_against_gravity(

@@ -18,7 +18,7 @@ from imucalib.calibration.shared_gravity import held_against_gravity
 from imucalib.calibration.triads import named_triads, pairing_of
 from imucalib.calibrators.lab.bench import in_celsius, observations_of, raw_unit
 from imucalib.calibrators.lab.conventions import Conventions
-from imucalib.calibrators.lab.files import LabFiles, positions_in, rests_of, still_rests
+from imucalib.calibrators.lab.files import LabFiles, positions_in, rests_of
 from imucalib.calibrators.lab.position_table import ANGLES, PositionTable
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.core.effect import Context
@@ -27,8 +27,9 @@ from imucalib.core.references import KnownNorm
 from imucalib.effects.scans import COLUMN
 from imucalib.errors import UsageError
 from imucalib.readers import read
+from imucalib.recording.identity import accelerometer_of, demand_device
 from imucalib.recording.recording import Recording
-from imucalib.recording.sensors import accelerometer
+from imucalib.recording.sensors import accelerometer, select_sensor
 from imucalib.rests.segments import Segments
 from imucalib.rests.stillness import StillSettings
 from imucalib.units import STANDARD_GRAVITY
@@ -68,7 +69,10 @@ def sensor_log(
     if table is not None:
         data, notes = _of_table(calibration, table, request)
     else:
-        recording, segments = still_rests(files.table, files.mapping, request.still, _silent)
+        whole = read(files.table, replace(files.mapping, sensor=""))
+        chosen = accelerometer_of(calibration.sensor, whole, files.mapping.sensor).triad
+        (recording,) = select_sensor([whole], chosen)
+        segments = rests_of(recording, request.still, _silent)
         data = _of_rests(calibration, segments, recording, request, noise.reading.sd)
         notes = recording.notes
     misfits, more = misfits_of(calibration, data, noise)
@@ -82,6 +86,7 @@ def array_log(
 ) -> Found:
     """The misfits of every IMU of an array, or of the one that is asked for."""
     recording = read(files.table, replace(files.mapping, sensor=""))
+    demand_device(calibration.sensor, recording)
     segments = rests_of(recording, request.still, _silent)
     pairing = pairing_of(calibration.triads, recording)
     said = held_against_gravity(calibration.triads, pairing.partner, segments, recording.path)

@@ -36,6 +36,7 @@ def _millimetres(
 @click.argument("recording", type=opt.PATH)
 @opt.path("-o --output", "File to write: .mcap, .h5 or .csv.", required=True)
 @opt.strict
+@opt.same_device
 @opt.effects
 @opt.option(
     "--parts use", "Each sample by the part valid at its time (--every).", flag_value="parts"
@@ -90,7 +91,9 @@ def command(calibration: Path, recording: Path, **options: Any) -> int:
     made = [output, *([angles] if angles else []), *pair]
     for path in made:
         demand_output(path, opt.inputs_of(options, calibration, recording), force=options["force"])
-    loaded = opt.calibration_of(calibration, options["effects_file"])
+    loaded = opt.calibration_of(
+        calibration, options["effects_file"], same_device=options["same_device"]
+    )
     if angles is not None and loaded.triads:
         raise UsageError(
             "--angles is of one accelerometer, this calibration is of an array",

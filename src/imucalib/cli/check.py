@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     "ROLE=NAME,...",
     "Columns of a table by heading: inclination, tool_face, face, x, y, z.",
 )
+@opt.same_device
 @opt.effects
 @opt.path("--html", "Also write the report as a page.")
 @opt.shortest_rest
@@ -75,7 +76,8 @@ def command(calibration: Path, log: Path, **options: Any) -> int:
     if page is not None:
         demand_output(page, opt.inputs_of(options, calibration, log), force=options["force"])
     limits = limits_of(options["limits"])
-    loaded = opt.calibration_of(calibration, options["effects_file"])
+    insisted = options["same_device"]
+    loaded = opt.calibration_of(calibration, options["effects_file"], same_device=insisted)
     reading = options["noise"] and MG * size_of(options["noise"], ("mg",))[0]
     session = sessions_of(options["between_sessions"])
     noise = check_noise(loaded, reading=reading, session=session)

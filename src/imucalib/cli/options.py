@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -136,6 +137,10 @@ effects = path(
 own_effects = path("--effects effects_file", "Python file with effects of your own.")
 only = many("--only", "EFFECT", "Search only these effects.")
 without = many("--without", "EFFECT", "Leave effects out of the search.")
+same_device = flag(
+    "--same-device",
+    "Use the calibration although names or numbers say that it is another sensor's.",
+)
 convention = option(
     "--convention", "Angles: paper, drilling-gravity or drilling-force.", default="paper"
 )
@@ -164,8 +169,13 @@ def inputs_of(options: Mapping[str, Any], *files: Path) -> list[Path]:
     return [*files, *(path for path in named if path is not None)]
 
 
-def calibration_of(path: Path, effects_file: Path | None) -> Calibration:
-    """Read and checked, after the user's own effects. Raises UnreadableInput."""
+def calibration_of(
+    path: Path, effects_file: Path | None, *, same_device: bool = False
+) -> Calibration:
+    """Read and checked, after the user's own effects. Raises UnreadableInput.
+
+    same_device : take it for the calibration of whichever sensor it is used for
+    """
     from imucalib.calibration.file import check, read
     from imucalib.effects import load_file
 
@@ -173,7 +183,7 @@ def calibration_of(path: Path, effects_file: Path | None) -> Calibration:
         load_file(effects_file)
     found = read(path)
     check(found, str(path))
-    return found
+    return replace(found, sensor=None) if same_device else found
 
 
 def population_of(

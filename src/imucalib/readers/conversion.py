@@ -107,8 +107,9 @@ class Conversion:
     @property
     def units(self) -> dict[str, Any]:
         """Fields of a channel: the unit, and what the file has."""
-        factor = tuple(self.factor.tolist())
-        return {"unit": self.unit, "raw_unit": self.source_unit, "raw_to_si": factor}
+        zero = tuple(self.offset.tolist()) if self.offset.any() else ()
+        raw = {"raw_to_si": tuple(self.factor.tolist()), "raw_zero": zero}
+        return {"unit": self.unit, "raw_unit": self.source_unit, **raw}
 
     def apply(self, raw: NDArray[np.generic]) -> Array:
         """Convert raw values (..., 3), or (..., 1) for a scalar quantity, to float64."""

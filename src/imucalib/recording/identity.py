@@ -7,9 +7,10 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from imucalib.arrays import Array
+from imucalib.errors import UsageError
 from imucalib.recording.pairing import fault
-from imucalib.recording.recording import Recording
-from imucalib.recording.sensors import accelerometers
+from imucalib.recording.recording import Channel, Recording
+from imucalib.recording.sensors import accelerometer, accelerometers
 
 
 @dataclass(frozen=True)
@@ -19,7 +20,8 @@ class Identity:
     name : in the recording, empty where the reader only numbered it
     names : what else the file calls it, in full: topic or dataset, then its frame_id
     device, serial : kind of the device that holds it, and its number
-    unit : of the readings in the file; to_m_per_s2 : one of it, (1,) or one an axis
+    unit : of the readings in the file; to_m_per_s2 : one of it, zero : what is taken off them
+        before, (1,) or one an axis
     step : smallest step between readings, m/s², an axis; rate_hz : samples a second
     """
 
@@ -29,6 +31,7 @@ class Identity:
     serial: str = ""
     unit: str = ""
     to_m_per_s2: tuple[float, ...] = ()
+    zero: tuple[float, ...] = ()
     step: tuple[float, ...] = ()
     rate_hz: float = 0.0
 
@@ -71,6 +74,51 @@ def identity_of(recording: Recording, sensor: str, step: Array | None = None) ->
         serial=recording.serial,
         unit=channel.raw_unit,
         to_m_per_s2=channel.raw_to_si,
+        zero=channel.raw_zero,
         step=tuple(step.tolist()) if step is not None and known else (),
         rate_hz=channel.rate,
+    )
+
+
+def accelerometer_of(wanted: Identity | None, recording: Recording, sensor: str = "") -> Channel:
+    """The accelerometer of a recording that a calibration is of: the one that is named, or the one
+    of its name, or the only one. wanted : whose calibration it is, None for whichever
+
+    Raises UsageError, with both names, for another sensor or device, and where it may be several.
+    """
+    found = accelerometers(recording)
+    names = _names(wanted) if wanted else set[str]()
+    alike = [name for name in found if names & _names(identity_of(recording, name))]
+    chosen = accelerometer(recording, sensor or (alike[0] if len(alike) == 1 else ""))
+    if wanted is not None:
+        own = identity_of(recording, chosen.triad)
+        demand_device(wanted, recording)
+        if names and _names(own) and not names & _names(own):
+            raise _another(wanted, own, recording.path)
+    return chosen
+
+
+def demand_device(wanted: Identity | None, recording: Recording) -> None:
+    """Raise UsageError where a recording is of another device than a calibration."""
+    own = Identity(device=recording.device, serial=recording.serial)
+    if wanted and wanted.serial and own.serial and wanted.serial != own.serial:
+        raise _another(wanted, own, recording.path)
+
+
+def says_which(wanted: Identity | None, recording: Recording, sensor: str) -> bool:
+    """Whether names or numbers say that a sensor is the one of a calibration, or the user does."""
+    own = identity_of(recording, sensor)
+    return wanted is None or bool(_names(wanted) & _names(own) or (wanted.serial and own.serial))
+
+
+def _names(identity: Identity) -> set[str]:
+    return {identity.name, *identity.names} - {""}
+
+
+def _another(wanted: Identity, own: Identity, path: str) -> UsageError:
+    return UsageError(
+        f"the calibration is of {wanted}, the recording of {own}",
+        where=path,
+        remedy="give the calibration of this sensor; if it is the same, insist",
+        add=("--same-device",),
     )

@@ -82,7 +82,8 @@ class Channel:
     triad : the sensor that it belongs to, for example "imu0"
     names : what else the file calls that sensor, in full: topic or dataset, then its frame_id
     numbered : whether `triad` is only a number, since the file has no name for the sensor
-    raw_unit, raw_to_si : unit of the numbers in the file, and `unit` in one of it, (1,) or an axis
+    raw_unit, raw_to_si, raw_zero : unit of the numbers in the file, `unit` in one of it, and what
+        is taken off them before, (1,) or one an axis
     rate : samples a second, over all that no gap interrupts (or of the file's header)
     pending : None, except in blocks that were asked for as stored (`readers.stored_blocks`): there
         `values` are the file's own numbers of any type, and this turns them into `unit`
@@ -99,6 +100,7 @@ class Channel:
     numbered: bool = False
     raw_unit: str = ""
     raw_to_si: tuple[float, ...] = ()
+    raw_zero: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         if self.values.ndim != 2 or self.t.shape != self.values.shape[:1]:

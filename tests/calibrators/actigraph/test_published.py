@@ -132,7 +132,7 @@ def test_as_published_writes_and_verifies(recording: Path, tmp_path: Path, arith
     assert methods["gradient descent"]["improvement_percent"] > 200.0
     assert methods["global"]["fitted_mg"] <= methods["gradient descent"]["fitted_mg"] + 1e-3
     corrected = read_calibration(tmp_path / "calibration.yaml").apply(
-        np.array(report["control_points_g"]) * STANDARD_GRAVITY
+        np.array(report["control_points_g"]) * STANDARD_GRAVITY, unit="m/s2"
     )
     error = np.abs(np.linalg.norm(corrected, axis=1) - STANDARD_GRAVITY).mean() / MG
     names = {"float": "", "int32": ", 32-bit", "int16": ", 16-bit"}

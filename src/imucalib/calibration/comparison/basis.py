@@ -88,7 +88,8 @@ def seen(calibrations: Sequence[Calibration], imu: int | None, gravity: float) -
     for one in calibrations:
         if imu is None:
             context = one.context(len(truth))
-            force, own = one.apply(reading, context), one.force_covariance(truth, context)
+            force = one.apply(reading, context, unit="m/s2")
+            own = one.force_covariance(truth, context)
         else:
             force = one.triads[imu].force(reading)
             own = one.triads[imu].force_covariance(truth)

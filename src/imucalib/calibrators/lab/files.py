@@ -179,7 +179,8 @@ def _counted_from(zero: tuple[float, ...], table: PositionTable) -> PositionTabl
     if len(zero) not in (1, 3):
         raise UsageError("--acc-offset needs one value, or one an axis", where=table.path)
     less = dict(zip("xyz", np.broadcast_to(zero, 3), strict=True))
-    return replace(table, columns={k: v - less.get(k, 0.0) for k, v in table.columns.items()})
+    columns = {k: v - less.get(k, 0.0) for k, v in table.columns.items()}
+    return replace(table, columns=columns, sensor=replace(table.sensor, zero=zero))
 
 
 def positions_in(files: LabFiles, cells: Cells | None = None) -> PositionTable | None:

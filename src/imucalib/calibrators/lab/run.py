@@ -55,6 +55,7 @@ from imucalib.errors import NotConverged, Undetermined, UnreadableInput, UsageEr
 from imucalib.loop.held_out import errors
 from imucalib.loop.record_errors import RecordError
 from imucalib.loop.separation import ambiguities
+from imucalib.recording.identity import Identity
 from imucalib.significant_digits import per_cent
 from imucalib.units import DEG, MG
 
@@ -123,7 +124,7 @@ def run_lab(
         limits=limits_of(result, request.limits),
         notes=(raw.sentence, *table.left_out, *faults.notes, *notes),
         left=left_open(result.loop, result.error),
-        sensor=replace(table.sensor, unit=table.sensor.unit or raw.name),
+        sensor=_sensor(table, raw),
     )
     sessions = sessions_of(result.final, table.sessions)
     details = lab_details(result, excluded, undecided, faults, sessions)
@@ -221,6 +222,12 @@ def _wrong_rows(
 
 def _records(result: LabResult) -> tuple[RecordError, ...]:
     return result.loop.records if result.loop else ()
+
+
+def _sensor(table: PositionTable, raw: RawUnit) -> Identity:
+    """Whose readings a table has: of a recording's rests as the recording says."""
+    own = table.sensor
+    return own if own.unit else replace(own, unit=raw.name, to_m_per_s2=(raw.si,))
 
 
 def lab_calibration(

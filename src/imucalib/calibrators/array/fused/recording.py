@@ -17,6 +17,7 @@ from imucalib.calibrators.array.fused.instrument import Stretch, instrument_of
 from imucalib.calibrators.array.fused.survey import Survey, ages, side_by_side, survey
 from imucalib.calibrators.array.moving import SLOWEST
 from imucalib.readers import blocks, read, reader_for
+from imucalib.recording.identity import demand_device
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Recording
 from imucalib.units import DEG, STANDARD_GRAVITY
@@ -68,7 +69,9 @@ def fuse_file(
     instrument = instrument_of(calibration, at)
 
     def once() -> Iterator[Recording]:
-        return blocks(source, mapping, block_samples=_BLOCK, strict=strict)
+        for block in blocks(source, mapping, block_samples=_BLOCK, strict=strict):
+            demand_device(calibration.sensor, block)
+            yield block
 
     def whole() -> Recording:
         (found,) = work.blocks([read(source, mapping, strict=strict)])
