@@ -76,7 +76,8 @@ def test_both_are_named_and_the_command_that_is_advised_runs(
         line = str(done.exception).rpartition("for example: ")[2]
         words = shlex.split(line)
         assert words[:2] == ["imucal", name]
-        assert run(*words[1:]).return_value in (0, 1, 4, 5)
+        again = run(*words[1:])  # of a calibration by another chip its gravity says so
+        assert again.return_value in (0, 1, 4, 5) or "--same-device" in str(again.exception)
 
 
 @pytest.mark.slow
