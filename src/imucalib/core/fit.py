@@ -120,9 +120,12 @@ class Fit:
         its derivative, with the noise factor for its noise."""
         if self.prior is not None:
             return self.noise.factor * self.prior.rows(theta)
-        if self.shrink is None:
-            return np.zeros((0, 1 + theta.size))
-        return shrinking(self.shrink, np.array([p.start for p in self.parameters]) - theta)
+        sheet = self.observations.noise_prior
+        told = sheet.parameters if sheet is not None else {}
+        sd = np.array([told.get(p.name, np.inf) for p in self.parameters]) / self.noise.factor
+        if self.shrink is not None:
+            sd = np.minimum(sd, self.shrink)
+        return shrinking(sd, np.array([p.start for p in self.parameters]) - theta)
 
     @property
     def sd(self) -> Array:
