@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from imucalib.loop.posterior.odds import MISSING
+from imucalib.loop.odds import MISSING
 
 #: Factors beyond which one more tells nothing of the share.
 _BEYOND = 1e6

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from imucalib.arrays import Array
+from imucalib.loop.odds import CERTAIN, PLANNED
 from imucalib.loop.separation import (
-    CERTAIN,
-    FEWEST,
     Ambiguity,
     apart,
     separation,
@@ -65,14 +64,14 @@ def test_what_is_promised_is_had(count: int) -> None:
     rng = np.random.default_rng(1)
     base, a, b = rng.normal(size=(count, 2)), *rng.normal(size=(2, count))
     rows = np.column_stack([base, a, a + 0.4 * b])
-    promised = separation(one, rows.T[None] @ rows / FEWEST).ends["a"]
+    promised = separation(one, rows.T[None] @ rows / PLANNED[0]).ends["a"]
     certain = 0
     old = np.linalg.cholesky(one.gram).T  # as many columns as products: the recording itself
     every = np.vstack([old, rows])
     for _ in range(1000):
         y = 0.6 * every[:, 2] + rng.standard_normal(len(every))
         left = [float(np.linalg.lstsq(every[:, [0, 1, k]], y, rcond=None)[1][0]) for k in (2, 3)]
-        certain += (left[1] - left[0]) / 2.0 > CERTAIN
+        certain += (left[1] - left[0]) / 2.0 > np.log(CERTAIN / (1.0 - CERTAIN))
     assert promised == pytest.approx(certain / 1000, abs=0.06)
 
 

@@ -11,9 +11,9 @@ import pytest
 
 from imucalib.arrays import Array
 from imucalib.loop.held_out import difference
+from imucalib.loop.odds import KNOWN, MISSING, SIZES, SPREAD
 from imucalib.loop.posterior.catalogue import Component, Member
 from imucalib.loop.posterior.gram import Grams, Weighted
-from imucalib.loop.posterior.odds import KNOWN, MISSING, SIZES, SPREAD
 from imucalib.loop.posterior.problem import Choice, Contest
 from imucalib.loop.posterior.solution import moments, noises_of
 from imucalib.loop.posterior.space import Posterior, blocks_of, search

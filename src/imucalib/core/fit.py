@@ -120,12 +120,17 @@ class Fit:
         its derivative, with the noise factor for its noise."""
         if self.prior is not None:
             return self.noise.factor * self.prior.rows(theta)
+        sd = self.known_sd / self.noise.factor
+        return shrinking(sd, np.array([p.start for p in self.parameters]) - theta)
+
+    @property
+    def known_sd(self) -> Array:
+        """(p,) standard deviation of each parameter before the readings: what a data sheet says,
+        or how large a search found that it may be; infinite where nothing is known."""
         sheet = self.observations.noise_prior
         told = sheet.parameters if sheet is not None else {}
-        sd = np.array([told.get(p.name, np.inf) for p in self.parameters]) / self.noise.factor
-        if self.shrink is not None:
-            sd = np.minimum(sd, self.shrink)
-        return shrinking(sd, np.array([p.start for p in self.parameters]) - theta)
+        sd = np.array([told.get(p.name, np.inf) for p in self.parameters])
+        return sd if self.shrink is None else np.minimum(sd, self.noise.factor * self.shrink)
 
     @property
     def sd(self) -> Array:

@@ -70,11 +70,8 @@ class _Target:
         self._data = np.column_stack([at.jacobian, at.residual])
         reach = np.array([max(float(np.abs(m).max()), 1e-300) for m in at.settings])
         self._ratio = np.log(RATIO[0] / reach), np.log(RATIO[1] / reach)
-        sd = np.array([prior.parameters.get(p.name, np.inf) for p in fit.parameters])
-        if fit.shrink is not None:
-            sd = np.minimum(sd, fit.noise.factor * fit.shrink)
         start = np.array([p.start for p in fit.parameters])
-        self._precision, self._off = sd**-2.0, start - fit.theta
+        self._precision, self._off = fit.known_sd**-2.0, start - fit.theta
 
     def within(self, logs: Array) -> Array:
         """Logs (m, 1 + c) with sds that differ from nothing and from the noise."""

@@ -11,7 +11,7 @@ from imucalib.core.fit import Fit
 from imucalib.effects.forms import is_form
 from imucalib.loop.faults.sheet import Fault
 from imucalib.loop.held_out import Difference
-from imucalib.loop.posterior.odds import ABSORBED, CERTAIN
+from imucalib.loop.odds import ABSORBED, CERTAIN, CLEAR
 from imucalib.loop.record_errors import RecordError
 from imucalib.loop.separation import Ambiguity
 from imucalib.loop.sums import Sums
@@ -54,9 +54,6 @@ class Score:
     @property
     def absorbed(self) -> bool:
         return self.left < ABSORBED
-
-
-_WALK_NATS = 5.0  # from which on a walk is more than independent noise
 
 
 @dataclass(frozen=True)
@@ -130,7 +127,7 @@ class Drift:
     @property
     def counts(self) -> bool:
         """Whether it is there beyond doubt."""
-        return self.evidence > _WALK_NATS
+        return self.evidence > CLEAR
 
     @property
     def words(self) -> str:

@@ -33,14 +33,7 @@ from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations
 from imucalib.effects.record_error import is_record_error
 from imucalib.estimators.student import quantile
-
-#: Folds of single positions, and groups up to which each is left out by itself, so that no shuffle
-#: decides; of stretches of time there are as many as the calibrator made.
-_FOLDS, _ALONE = 10, 12
-#: Share of a stretch's rows on either side of it that train nothing when it is left out.
-_GAP = 0.03
-#: Observations for each group from which on groups are stretches of time.
-_STRETCH = 10
+from imucalib.loop.odds import ALONE, CERTAIN, FOLDS, GAP, STRETCH
 
 
 @dataclass(frozen=True)
@@ -64,14 +57,14 @@ def folds_of(data: Observations) -> tuple[Fold, ...]:
     """
     groups, group = np.unique(data.group, return_inverse=True)
     every = np.arange(data.n)
-    if data.n >= _STRETCH * groups.size:
-        gap = int(np.ceil(_GAP * data.n / groups.size))
+    if data.n >= STRETCH * groups.size:
+        gap = int(np.ceil(GAP * data.n / groups.size))
         stretches = [np.flatnonzero(group == k) for k in range(groups.size)]
         return tuple(
             Fold(rows, every[(every < rows[0] - gap) | (every > rows[-1] + gap)], stretch=True)
             for rows in stretches
         )
-    count = groups.size if groups.size <= _ALONE else _FOLDS
+    count = groups.size if groups.size <= ALONE else FOLDS
     dealt = np.random.default_rng(groups.size).permutation(np.arange(groups.size) % count)
     key = dealt[_rank(data, group)]
     return tuple(Fold(every[key == k], every[key != k]) for k in range(count))
@@ -96,7 +89,6 @@ def parts_of(folds: tuple[Fold, ...]) -> Index:
 
 
 Metric = Literal["rms", "mean"]
-_LEVEL = 0.95
 
 
 @dataclass(frozen=True)
@@ -153,7 +145,7 @@ def difference(
     # The ratio estimator: parts of unequal size count by their observations.
     off = (total - mean * count) / count.mean()
     error = float(np.sqrt(np.sum(off**2) / max(m - 1, 1) / m)) if m > 1 else np.inf
-    reach = quantile(max(m - 1, 1), 0.5 + _LEVEL / 2.0)
+    reach = quantile(max(m - 1, 1), 0.5 + CERTAIN / 2.0)
     wide = float(np.sqrt(1.0 + folds / max(folds - 1, 1)))
     start, end = (float(np.mean(e**power) ** (1.0 / power)) for e in (before, after))
     # rms_b - rms_a is (ms_b - ms_a) / (rms_b + rms_a): the interval of the squares in the unit.
@@ -167,7 +159,7 @@ def with_density(found: Difference, nats: Array) -> Difference:
     """With the gains (K,) in log density, fold by fold."""
     k = nats.size
     error = float(np.std(nats, ddof=1) * np.sqrt(k)) if k > 1 else np.inf
-    low = float(nats.sum()) - quantile(max(k - 1, 1), 0.5 + _LEVEL / 2.0) * error
+    low = float(nats.sum()) - quantile(max(k - 1, 1), 0.5 + CERTAIN / 2.0) * error
     return replace(found, nats=float(nats.sum()), nats_low=low)
 
 

@@ -16,15 +16,12 @@ from imucalib.core.sphere import KnownDirection
 from imucalib.effects.record_error import is_record_error, record_error, record_of
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.loop.held_out import theta_without, without_records
+from imucalib.loop.odds import FAR_ANGLE, FAR_SIZE, SAME_FACE, WITHIN
 from imucalib.units import DEG, MG
 
 #: Name of an error that all triads of one rigid body share.
 ALL_TRIADS = "all"
 _UNEXPLAINED = "no single slip explains it"
-#: Cosine within which two directions are one face; chi-square of three numbers at p = 0.001.
-_SAME_FACE, _WITHIN = float(np.cos(5.0 * DEG)), 16.3
-#: Standard deviations of an angle that no hand sets, and of a size that is not gravity's.
-_FAR_ANGLE, _FAR_SIZE = 4.0, 5.0
 
 
 @dataclass(frozen=True)
@@ -196,7 +193,7 @@ def _slip(fit: Fit, row: int, mean: Array, covariance: Array) -> tuple[str, _Fix
         return float(away @ np.linalg.solve(covariance, away))
 
     words, changed = min(_slips(every[row]), key=lambda slip: distance(slip[1]))
-    if distance(changed) >= _WITHIN:
+    if distance(changed) >= WITHIN:
         return _wrong_angle(fit, row), ()
     moved = zip("xyz", changed, every[row], strict=True)
     return words, tuple((name, float(new)) for name, new, old in moved if new != old)
@@ -224,7 +221,7 @@ def _wrong_angle(fit: Fit, row: int) -> str:
     assert isinstance(reference, KnownVector | KnownDirection)
     corrected = _corrected_by_others(fit, row)[0]
     noise = fit.noise.factor * float(fit.observations.sigma[row].max())
-    if abs(float(np.linalg.norm(corrected)) - reference.gravity) > _FAR_SIZE * noise:
+    if abs(float(np.linalg.norm(corrected)) - reference.gravity) > FAR_SIZE * noise:
         return _UNEXPLAINED
     if isinstance(reference, KnownDirection):
         return _wrong_face(corrected / np.linalg.norm(corrected), reference.direction[row])
@@ -234,7 +231,7 @@ def _wrong_angle(fit: Fit, row: int) -> str:
     across = noise / reference.gravity
     level = max(float(np.cos(reference.inclination[row])), across)
     sd = np.hypot(fit.noise.sd[: fit.at.free], [across, across / level][: fit.at.free])
-    if np.all(np.abs(away[: sd.size]) < _FAR_ANGLE * sd):
+    if np.all(np.abs(away[: sd.size]) < FAR_ANGLE * sd):
         return _UNEXPLAINED
     inclination, tool_face = stood / DEG
     return f"angle: the tool stood at inclination {inclination:.1f}, tool-face {tool_face:.1f}"
@@ -242,9 +239,9 @@ def _wrong_angle(fit: Fit, row: int) -> str:
 
 def _wrong_face(stood: Array, meant: Array) -> str:
     """In words, the direction of a record whose direction is not the one that was meant."""
-    if stood @ meant > _SAME_FACE:
+    if stood @ meant > SAME_FACE:
         return _UNEXPLAINED
     axis = int(np.argmax(np.abs(stood)))
-    if abs(stood[axis]) > _SAME_FACE:
+    if abs(stood[axis]) > SAME_FACE:
         return f"direction: the record fits face {'+' if stood[axis] > 0.0 else '-'}{'xyz'[axis]}"
     return f"direction: the record fits {stood[0]:+.3f}, {stood[1]:+.3f}, {stood[2]:+.3f}"

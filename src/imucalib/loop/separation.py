@@ -28,25 +28,13 @@ from imucalib.core.observations import Observations
 from imucalib.effects import known, names_a_cause
 from imucalib.effects.record_error import is_record_error
 from imucalib.loop.candidates import effect_columns, slopes_within
+from imucalib.loop.odds import ALIKE, CERTAIN, DRAWS, ENDED, PLANNED, RIVAL_SIZES, ROUNDS, UNLUCKY
 from imucalib.loop.record_errors import reduced
 
-#: Log odds at which a name is certain: 95 to 5.
-CERTAIN = float(np.log(19.0))
-#: Probability with which a plan has to end an ambiguity, whichever rival is the truth.
-ENOUGH = 0.9
-#: Observations of a plan: fewer would hang on one, which a wrong record explains as well.
-FEWEST, MOST = 4, 24
-#: Sizes of a rival, in its typical size, over which its evidence is maximised.
-_SIZES = (0.1, 0.3, 1.0, 3.0, 10.0)
 #: Precision of a base parameter at typical size that no data determine: a hundred typical sizes.
 _OPEN = 1e-4
-#: Draws of a rival's size, and the share of them that counts as few when plans are compared.
-_DRAWS, _FEW = 24, 0.15
-#: Sine of the angle below which no number of observations tells a pair apart, and how much of
-#: everything that could be recorded stands for any number of them.
-_SAME, _ANY_NUMBER = 3e-3, 1e6
-#: Rounds of exchanges, each of every place, at most.
-_ROUNDS = 3
+#: How much of everything that could be recorded stands for any number of observations.
+_ANY_NUMBER = 1e6
 
 
 @dataclass(frozen=True)
@@ -90,7 +78,7 @@ class Ambiguity:
         every, own = np.concatenate([self.own, at]), self.own.size
         inside, dof = self.gram[np.ix_(every, every)], self.numbers - own
         best: tuple[float, Array, Array] | None = None
-        for size in _SIZES:
+        for size in RIVAL_SIZES:
             prior = np.concatenate([np.full(own, _OPEN), np.full(at.size, size**-2.0)])
             root = _root(inside + np.diag(prior))
             half = np.linalg.solve(root, self.along[every])
@@ -101,8 +89,8 @@ class Ambiguity:
                 best = evidence, root, half
         assert best is not None
         back = np.linalg.inv(best[1]).T
-        noise = np.sqrt(dof / rng.chisquare(dof, _DRAWS))  # as well known as the data leave it
-        white = rng.standard_normal((every.size, _DRAWS))
+        noise = np.sqrt(dof / rng.chisquare(dof, DRAWS))  # as well known as the data leave it
+        white = rng.standard_normal((every.size, DRAWS))
         drawn = (back @ best[2])[:, None] / noise + back @ white
         return np.asarray(drawn[own:])
 
@@ -184,7 +172,7 @@ class Separation:
     @property
     def enough(self) -> bool:
         """Whether the plan ends the ambiguity, whichever rival is the truth."""
-        ends = min(self.ends.values(), default=0.0) >= ENOUGH
+        ends = min(self.ends.values(), default=0.0) >= ENDED
         return bool(self.plan) and ends and not self.never
 
 
@@ -204,9 +192,9 @@ def separation(one: Ambiguity, pool: Array) -> Separation:
         each = _few(apart(one, one.gram + gram))[..., able]
         return np.asarray(each.min(axis=-1) + 0.05 * each.mean(axis=-1))
 
-    while able.any() and len(plan) < MOST and min(ends.values(), default=0.0) < ENOUGH:
+    while able.any() and len(plan) < PLANNED[1] and min(ends.values(), default=0.0) < ENDED:
         plan = _grown(pool, plan, worth)
-        if len(plan) >= FEWEST:
+        if len(plan) >= PLANNED[0]:
             ends = _ends(one, able, pool[list(plan)].sum(axis=0))
     total = pool[list(plan)].sum(axis=0)
     return Separation(
@@ -231,12 +219,12 @@ def separable(one: Ambiguity, pool: Array) -> Array:
         for at in [one.blocks[name]]
     }
     whole = np.sqrt(np.maximum([size[truth] for truth, _ in one.pairs], 0.0))
-    return np.asarray(_few(apart(one, gram)) > _SAME * _few(whole))
+    return np.asarray(_few(apart(one, gram)) > ALIKE * _few(whole))
 
 
 def _few(each: Array) -> Array:
     """(...) what few draws, the last axis, fall below."""
-    return np.asarray(np.quantile(each, _FEW, axis=-1))
+    return np.asarray(np.quantile(each, UNLUCKY, axis=-1))
 
 
 def _ends(one: Ambiguity, able: Array, added: Array) -> Mapping[str, float]:
@@ -244,7 +232,7 @@ def _ends(one: Ambiguity, able: Array, added: Array) -> Mapping[str, float]:
     from scipy.special import ndtr
 
     each = np.maximum(apart(one, one.gram + added), 1e-9)
-    certain = ndtr(each / 2.0 - CERTAIN / each)
+    certain = ndtr(each / 2.0 - np.log(CERTAIN / (1.0 - CERTAIN)) / each)
     found = {}
     for truth in one.rivals:
         rows = [k for k, (a, _) in enumerate(one.pairs) if a == truth and able[k]]
@@ -257,7 +245,7 @@ def _grown(pool: Array, plan: tuple[int, ...], worth: Callable[[Array], Array]) 
     """A plan with one candidate more, then each exchanged while that helps."""
     each = worth(pool[list(plan)].sum(axis=0) + pool)
     chosen, now = [*plan, int(np.argmax(each))], float(each.max())
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         before = now
         for place in range(len(chosen)):
             rest = chosen[:place] + chosen[place + 1 :]

@@ -14,13 +14,11 @@ import numpy as np
 from imucalib.arrays import Array, Index
 from imucalib.core.effect import CLOCKS
 from imucalib.core.fit import Fit
+from imucalib.loop.odds import SHOWN
 from imucalib.loop.posterior.gram import swept
 from imucalib.loop.posterior.problem import Problem
 from imucalib.loop.posterior.solution import noises_of
 from imucalib.loop.posterior.space import Posterior
-
-#: Share of a block that the base model must leave for it to say anything.
-_SHOWN = 1e-2
 
 
 @dataclass(frozen=True)
@@ -94,7 +92,7 @@ def sums_of(problem: Problem, posterior: Posterior, base: Fit, noise: float, dri
     for name, columns in own.items():
         place = np.arange(start, start + columns.size)
         start += columns.size
-        if float(share[place].max(initial=0.0)) > _SHOWN**2:
+        if float(share[place].max(initial=0.0)) > SHOWN**2:
             blocks[name] = np.arange(len(kept), len(kept) + place.size)
             kept += place.tolist()
     return Sums(

@@ -10,7 +10,7 @@ import numpy as np
 from imucalib.calibration.plain import fields, plain
 from imucalib.calibrators.lab.design import Addition, Design, Plan
 from imucalib.calibrators.next_recording import NextRecording, Part
-from imucalib.loop.separation import ENOUGH
+from imucalib.loop.odds import ENDED
 from imucalib.report.document import Block, Document, Section, Table, Text, Tone
 from imucalib.units import DEG
 
@@ -146,8 +146,8 @@ def _blocks(part: Part, found: NextRecording) -> list[Block]:
     ends = ", ".join(f"{100.0 * p:.0f} % if it is {name}" for name, p in one.ends.items())
     against = " against those that can be told from it" if one.never else ""
     short = ""
-    if min(one.ends.values()) < ENOUGH:
-        short = f" That is short of {100.0 * ENOUGH:.0f} %, with as many as a plan may have."
+    if min(one.ends.values()) < ENDED:
+        short = f" That is short of {100.0 * ENDED:.0f} %, with as many as a plan may have."
     blocks.append(Text(f"With them the name will be certain{against}: {ends}.{short}"))
     pairs = zip(one.pairs, one.now, one.then, strict=True)
     rows = tuple((*pair, f"{now:.1f}", f"{then:.1f}") for pair, now, then in pairs)

@@ -34,9 +34,9 @@ from imucalib.estimators.turns import (
     variances,
     without,
 )
+from imucalib.loop.odds import HEARD, LEAST, TOGETHER
 from imucalib.loop.posterior.catalogue import Component, Kind, Member
 from imucalib.loop.posterior.gram import Grams, Multiplied, swept
-from imucalib.loop.posterior.odds import HEARD, LEAST, TOGETHER
 from imucalib.loop.posterior.problem import Choice, Contest
 from imucalib.loop.posterior.solution import moments
 from imucalib.loop.posterior.space import Hypothesis, Posterior, blocks_of, climbed

@@ -35,7 +35,7 @@ from imucalib.core.effect import Effect
 from imucalib.core.eigen import eigen
 from imucalib.core.fit import Fit
 from imucalib.loop.candidates import effect_columns, testable
-from imucalib.loop.posterior.odds import ABSORBED
+from imucalib.loop.odds import ABSORBED
 
 #: λ of a candidate at typical size below which it is rounding.
 _SHOWN = 1e-6

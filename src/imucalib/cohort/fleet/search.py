@@ -27,7 +27,7 @@ from imucalib.cohort.fleet.pooled import (
     sizes,
 )
 from imucalib.core.prior import Prior, correlated
-from imucalib.loop.posterior.odds import OCCAM
+from imucalib.loop.odds import OCCAM
 
 #: Simulated fleets of a search without some of the devices: enough for alpha.
 _DRAWS = 199

@@ -16,12 +16,8 @@ from imucalib.arrays import Array, Index
 from imucalib.core.references import unit_vector
 from imucalib.loop.faults.cells import Base, leading, prior_of
 from imucalib.loop.faults.sheet import Fault, Sheet, Trial
+from imucalib.loop.odds import DIAL_STEPS, MISTYPED, ON_STEP
 
-#: A typo is at least this far (deg) from what the sheet has.
-_NEAREST = 1.0
-#: Steps to which dials are set, deg, and the share of a column that must be multiples of one.
-_STEPS = (90.0, 45.0, 30.0, 22.5, 20.0, 15.0, 10.0, 5.0, 2.5, 2.0, 1.0, 0.5, 0.1, 0.01)
-_ON_STEP = 0.9
 _NAMES = ("inclination", "tool_face")
 
 
@@ -61,7 +57,7 @@ def _over_the_dial(
     share = np.where(seen, 0.5 / max(seen.sum(), 1), 0.5 / len(dial))
     prior = prior_of(groups) + np.log(share)
     score = base.gain(_misfit(base, rows, column, dial), groups) + np.log(share)
-    same = apart(dial, float(own[rows[0]]), column) < _NEAREST
+    same = apart(dial, float(own[rows[0]]), column) < MISTYPED
     return dial, np.where(same, -np.inf, score), prior
 
 
@@ -83,7 +79,7 @@ def _mended(
     own = float(dial[rows[0]])
     value, sd = _refined(base, rows, column, at)
     shown = rounded(value, sd, np.delete(dial, rows))
-    if apart(np.array([shown]), own, column)[0] < _NEAREST:
+    if apart(np.array([shown]), own, column)[0] < MISTYPED:
         shown = round(value, 1)  # the dial's step would lead back to what the sheet has
     numbers = tuple(int(row) for row in sheet.row[rows])
     where, lines, says = f"row {numbers[0]}", f"{numbers[0]}", "reading says"
@@ -131,9 +127,9 @@ def apart(value: Array, own: float, column: int) -> Array:
 def rounded(value: float, sd: float, set_to: Array) -> float:
     """A value on the steps to which the column is set; finer steps where neither three sd nor a
     fifth of the step (2 deg at most: what a dial may be off) reach one."""
-    for step in _STEPS:
+    for step in DIAL_STEPS:
         on = np.abs(set_to / step - np.round(set_to / step)) < 1e-6
         near = round(value / step) * step
-        if on.mean() >= _ON_STEP and abs(near - value) <= max(3.0 * sd, min(step / 5.0, 2.0)):
+        if on.mean() >= ON_STEP and abs(near - value) <= max(3.0 * sd, min(step / 5.0, 2.0)):
             return float(round(near, 6)) + 0.0  # no -0
     return float(round(value, 1 if sd < 1.0 else 0))

@@ -27,27 +27,23 @@ from numpy.typing import NDArray
 from imucalib.arrays import Array, Index
 from imucalib.loop.faults.conventions import axes_text, nearest_axes
 from imucalib.loop.faults.sheet import Fault, Kind, Sheet, Trial
+from imucalib.loop.odds import (
+    ANY_BLOCK,
+    FEW,
+    FIGURES,
+    MOVED,
+    OPEN,
+    PART,
+    SHORT_LIST,
+    SLIPS,
+    SOLVED_AGAIN,
+    SPARE,
+    WRONG,
+)
 from imucalib.loop.posterior.explored import Explored
 from imucalib.loop.posterior.gram import Grams, log_sum
-from imucalib.loop.posterior.odds import OPEN, SLIPS, WRONG
 from imucalib.units import MG
 
-#: Noises on which many hypotheses are looked at first, and how many of these are looked at on all.
-_FEW, _SHORT_LIST = 3, 60
-#: Hypotheses of one class that are solved again at most.
-_MOST = 8
-#: Rows up to which a block may end anywhere; beyond, it reaches to an end of the sheet.
-_ANY_BLOCK = 64
-#: Width (mg) of the Cauchy density with which the reading that a shift leaves over repeats its
-#: neighbour, or a stray one its prediction: a reading of another position costs 20 nats.
-_SPARE = 3.0
-#: Significant figures of a cell of which two neighbours may have changed places.
-_FIGURES = 10
-#: Rows that a part with other axes has at least: of a single one, its cells are asked.
-_LEAST = 2
-#: Of gravity, what the other axes must move one reading by: an axis that stands level all the while
-#: reads a few mg, and a drift does as much.
-_MOVED = 0.05
 _AXES = tuple(
     (np.array(order), np.array(sign))
     for order in permutations(range(3))
@@ -94,7 +90,7 @@ class Base:
 
     def at_few(self) -> Base:
         """The same at the likeliest noises only."""
-        noises = np.argsort(-self.each(self.rss))[:_FEW]
+        noises = np.argsort(-self.each(self.rss))[:FEW]
         return replace(
             self,
             P=self.P[noises],
@@ -131,7 +127,7 @@ def prior_of(count: float) -> float:
 def leading(score: Array) -> Index:
     """Those that are worth being solved again, best first."""
     best = float(score.max(initial=-np.inf))
-    order = np.argsort(-score)[:_MOST]
+    order = np.argsort(-score)[:SOLVED_AGAIN]
     return order[score[order] > max(-OPEN / 3.0, best - OPEN)]
 
 
@@ -140,7 +136,7 @@ def _shortlisted(
 ) -> Iterator[tuple[int, float]]:
     """The leading ones of many hypotheses and their scores: looked at on the likeliest noises
     first, then the best of them on all."""
-    short = np.argsort(-scores(base.at_few(), np.arange(count)))[:_SHORT_LIST]
+    short = np.argsort(-scores(base.at_few(), np.arange(count)))[:SHORT_LIST]
     score = scores(base, short)
     for k in leading(score):
         yield int(short[k]), float(score[k])
@@ -197,7 +193,7 @@ def _orders(sheet: Sheet) -> _Orders | None:
     n, run = sheet.n, sheet.runs()
     found = list[tuple[Index, int, int, int, int, bool]]()
     for a, b in combinations(range(n), 2):
-        if b < a + 2 or run[a] != run[b] or not (n <= _ANY_BLOCK or a == 0 or b == n - 1):
+        if b < a + 2 or run[a] != run[b] or not (n <= ANY_BLOCK or a == 0 or b == n - 1):
             continue
         for late in (True, False):
             source = np.arange(n)
@@ -230,7 +226,7 @@ def _scores(tried: _Orders, base: Base, which: Index) -> Array:
     rss[:, at] *= base.dof / max(base.dof - 3.0, 1.0)
     twin = np.where(tried.late[which], tried.first[which], tried.last[which])
     away = reading[tried.spare[which]] - reading[tried.source[which, twin]]
-    stray = 2.0 * np.log1p(np.sum(away**2, axis=-1) / (2.0 * _SPARE**2))  # multivariate Cauchy
+    stray = 2.0 * np.log1p(np.sum(away**2, axis=-1) / (2.0 * SPARE**2))  # multivariate Cauchy
     return base.gain(rss, len(tried.lost)) - np.where(lost >= 0, stray, 0.0)
 
 
@@ -319,7 +315,7 @@ def _slips(row: int, written: Array, reading: Array) -> Iterator[_Slip]:
 
 def transposed(value: float) -> list[float]:
     """The numbers of which two neighbouring digits, exchanged, give this one."""
-    text = f"{abs(value):.{_FIGURES}g}"
+    text = f"{abs(value):.{FIGURES}g}"
     if "e" in text:
         return []
     text = f"0{text}"  # a zero in front was not written
@@ -336,9 +332,9 @@ def transposed(value: float) -> list[float]:
 def other_axes(base: Base) -> Iterator[Trial]:
     """Readings whose axes are exchanged or inverted from some row on, or up to it."""
     sheet = base.sheet
-    if sheet.n < 2 * _LEAST:
+    if sheet.n < 2 * PART:
         return
-    at = np.arange(_LEAST, sheet.n - _LEAST + 1)
+    at = np.arange(PART, sheet.n - PART + 1)
     count = 2.0 * len(_AXES) * len(at)
     turned = np.stack([sheet.reading[:, order] * sign for order, sign in _AXES])
     few = base.at_few()
@@ -348,7 +344,7 @@ def other_axes(base: Base) -> Iterator[Trial]:
     for k in leading(score.ravel()):
         which, start = divmod(int(k), len(at))
         fault, mended = _turned(sheet, which, int(at[start]), float(score[which, start]))
-        if np.abs(mended.reading - sheet.reading).max() > _MOVED * sheet.gravity:
+        if np.abs(mended.reading - sheet.reading).max() > MOVED * sheet.gravity:
             yield Trial(fault, mended, prior_of(count))
 
 

@@ -22,13 +22,8 @@ import numpy as np
 from imucalib.arrays import Array, Index
 from imucalib.estimators.starting_point import larger_part
 from imucalib.loop.faults.sheet import Fault, Sheet
+from imucalib.loop.odds import BENCH, CLEAR, FAR_BETTER, FIXTURE
 
-#: Nats beyond the sheet as it stands below which nothing is said.
-_ENOUGH = 5.0
-#: Misfit (mg rms) below which a linear map says nothing; how much better another meaning must fit.
-_BENCH, _FAR_BETTER = 2.0, 1.0 / 3.0
-#: Misfit (mg) that any fixture may have: bias, tilt and noise.
-_FIXTURE = 20.0
 _FACES = {tuple(s * np.eye(3)[a]): f"{'-+'[s > 0]}{'xyz'[a]}" for a in range(3) for s in (1, -1)}
 
 
@@ -45,8 +40,8 @@ def wrong_directions(reading: Array, direction: Array, row: Index) -> tuple[Faul
     own = np.linalg.norm(reading - design @ made, axis=1)
     each = np.linalg.norm(reading[:, None] - targets @ made, axis=2)
     fits = np.argmin(each, axis=1)
-    worth = 3.0 * np.log(np.maximum(own, _FIXTURE) / np.maximum(each.min(axis=1), _FIXTURE))
-    wrong = np.flatnonzero(worth > _ENOUGH)
+    worth = 3.0 * np.log(np.maximum(own, FIXTURE) / np.maximum(each.min(axis=1), FIXTURE))
+    wrong = np.flatnonzero(worth > CLEAR)
 
     def same(one: Array, other: Array) -> bool:
         return bool(np.allclose(one, other, atol=1e-9))
@@ -127,14 +122,14 @@ def misread_angles(sheet: Sheet) -> Misread | None:
     for meaning in tried:
         other = as_meant(sheet, meaning)
         misfit = np.inf if other is None else _misfit(other, whole=meaning != Meaning())
-        misfits[meaning] = max(misfit, _BENCH)
+        misfits[meaning] = max(misfit, BENCH)
     plain = misfits[Meaning()]
     best = min(tried, key=lambda m: (round(misfits[m], 6), sum(map(bool, m))))
     if best == Meaning() or not np.isfinite(plain):
         return None
     dof = 3 * sheet.n - 15
     score = dof * np.log(plain / misfits[best]) - np.log(len(tried))
-    if score <= _ENOUGH or misfits[best] > plain * _FAR_BETTER:
+    if score <= CLEAR or misfits[best] > plain * FAR_BETTER:
         return None
     return Misread(best, float(score), misfits[best], plain)
 

@@ -14,16 +14,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
+from imucalib.loop.odds import (
+    BEYOND,
+    COUNT,
+    ELLIPSOID,
+    ELSEWHERE,
+    NEAR_END,
+    NUMBERS,
+    ON_STEPS,
+    REPEATS,
+    ROW_NOISE,
+    SENSITIVITY,
+    SHORT,
+    WIDE_STEP,
+)
 
-#: Share of an end's height within which readings are at it; mg by which they fall short there, at
-#: least, and times what the other rows, few or far from there, leave open of what they should be.
-_NEAR, _SHORT, _CLEAR = 0.01, 20.0, 8.0
-#: Rows that must fall short, and numbers of the others for each number that is fitted to them.
-_FEWEST, _TIMES = 3, 2
 _NOWHERE = np.zeros((0, 3))
-#: What data sheets let the squares, middles and angles of the ellipsoid be off by, twice the worst;
-#: and the noise of a row's square over that of gravity.
-_SHEET, _ROW = np.array([0.06, 0.2, 0.04]), 2e-3
 
 
 def flat_tops(reading: Array, truth: Array | None = None) -> tuple[CutOff, ...]:
@@ -33,14 +39,14 @@ def flat_tops(reading: Array, truth: Array | None = None) -> tuple[CutOff, ...]:
     """
     along = np.concatenate([reading, -reading], axis=1)  # (n, 6), each end by itself
     height = along.max(axis=0)
-    at = along > (1.0 - _NEAR) * height
+    at = along > (1.0 - NEAR_END) * height
     rest = ~at.any(axis=1)
     due, sd = _by_map(reading, truth, rest) if truth is not None else _by_size(reading, rest)
     if not len(due):
         return ()
     short = np.concatenate([due, -due], axis=1) - along
-    cut = at & (short > np.maximum(_SHORT, _CLEAR * sd)[:, None])
-    if int(cut.sum()) < _FEWEST:
+    cut = at & (short > np.maximum(SHORT, BEYOND * sd)[:, None])
+    if int(cut.sum()) < REPEATS:
         return ()
     found = []
     for end in np.flatnonzero(cut.any(axis=0)):
@@ -54,7 +60,7 @@ def _by_map(reading: Array, truth: Array, rest: Flags) -> tuple[Array, Array]:
     """(n, 3) mg by the linear map of the rest, and (n,) the standard deviation of that; nothing
     where they do not determine it."""
     design = np.column_stack([truth, np.ones(len(truth))])
-    if int(rest.sum()) < _TIMES * design.shape[1]:
+    if int(rest.sum()) < NUMBERS * design.shape[1]:
         return _NOWHERE, np.zeros(0)
     found, _, rank, _ = np.linalg.lstsq(design[rest], reading[rest], rcond=1e-6)
     due = design @ found
@@ -76,9 +82,9 @@ def _by_size(reading: Array, rest: Flags) -> tuple[Array, Array]:
     y = reading / unit
     across = np.roll(y, -1, axis=1) * np.roll(y, 1, axis=1)
     design = np.column_stack([y**2, y, across])
-    own, known = design[rest] / _ROW, np.diag(np.repeat(_SHEET, 3) ** -2.0)
+    own, known = design[rest] / ROW_NOISE, np.diag(np.repeat(ELLIPSOID, 3) ** -2.0)
     spread = np.linalg.inv(own.T @ own + known)
-    found = spread @ (own.sum(axis=0) / _ROW + known @ np.repeat([1.0, 0.0, 0.0], 3))
+    found = spread @ (own.sum(axis=0) / ROW_NOISE + known @ np.repeat([1.0, 0.0, 0.0], 3))
     a, b, c = found[:3], found[3:6], found[6:]
     if a.min() <= 0.0:
         return _NOWHERE, np.zeros(0)
@@ -95,14 +101,6 @@ def _by_size(reading: Array, rest: Flags) -> tuple[Array, Array]:
 
 def _spread(error: Array) -> float:
     return 1.4826 * float(np.median(np.abs(error)))
-
-
-#: Rows that must show the same extreme value, and by how much (mg) their other readings differ.
-_REPEATS, _ELSEWHERE = 3, 30.0
-#: Share of a range by which its two ends may differ: a count of 16 bits.
-_COUNT = 5e-5
-#: Steps (mg) that bury an ordinary noise, and the share of values that must lie on them.
-_WIDE, _ON_STEPS = 3.0, 0.999
 
 
 @dataclass(frozen=True)
@@ -134,11 +132,11 @@ def cut_off(reading: Array, truth: Array | None = None) -> tuple[CutOff, ...]:
     ]
     found = list[CutOff]()
     for end in ends:
-        alike = [e for e in ends if abs(abs(e.value) - abs(end.value)) <= _COUNT * abs(end.value)]
+        alike = [e for e in ends if abs(abs(e.value) - abs(end.value)) <= COUNT * abs(end.value)]
         rows = np.unique(np.concatenate([e.rows for e in alike]))
         others = np.delete(reading[end.rows], end.axis, axis=1)
-        apart = len(alike) > 1 or np.ptp(others, axis=0).max() > _ELSEWHERE
-        if len(rows) < _REPEATS or not apart:
+        apart = len(alike) > 1 or np.ptp(others, axis=0).max() > ELSEWHERE
+        if len(rows) < REPEATS or not apart:
             continue
         rest = np.ones(len(reading), bool)
         rest[rows] = False
@@ -148,7 +146,7 @@ def cut_off(reading: Array, truth: Array | None = None) -> tuple[CutOff, ...]:
             due = _by_map(reading, truth, rest)[0]
             away = [np.sign(e.value) * (due[e.rows, e.axis] - e.value) for e in alike if len(due)]
             short = float(np.median(np.concatenate(away))) if away else 0.0
-        if short > _SHORT or not _repeats(reading, alike):
+        if short > SHORT or not _repeats(reading, alike):
             found.append(end)
     return tuple(found)
 
@@ -170,16 +168,14 @@ def step_of(reading: Array) -> float:
     if len(values) < 8:
         return 0.0
     step = float(apart.min())
-    if step < _WIDE:
+    if step < WIDE_STEP:
         return 0.0
     on = np.abs((values - values[0]) / step - np.round((values - values[0]) / step)) < 1e-3
-    return step if on.mean() >= _ON_STEPS else 0.0
+    return step if on.mean() >= ON_STEPS else 0.0
 
 
 #: Scales that a guessed unit may hide: unit -> (counts a g, nominal counts a g of the unit).
 _MISTAKEN = {"mg": ((1024.0, 1000.0), (980.665, 1000.0)), "ug": ((1048576.0, 1e6),)}
-#: Scatter of the sensitivities of an accelerometer's axes, relative.
-_SENSITIVITY = 0.01
 
 
 def mistaken_scale(unit: str, scale: Array) -> float | None:
@@ -189,7 +185,7 @@ def mistaken_scale(unit: str, scale: Array) -> float | None:
     best, counts = 0.0, None
     for per_g, nominal in _MISTAKEN.get(unit, ()):
         away = size - np.log(per_g / nominal)
-        gain = 0.5 * float(size @ size - away @ away) / _SENSITIVITY**2
+        gain = 0.5 * float(size @ size - away @ away) / SENSITIVITY**2
         if gain > best:
             best, counts = gain, per_g
     return counts

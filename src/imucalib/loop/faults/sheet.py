@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Index
 from imucalib.core.references import unit_vector
+from imucalib.loop.odds import SHUFFLES
 from imucalib.significant_digits import per_cent
 
 Kind = Literal[
@@ -64,8 +65,6 @@ class Trial:
     prior: float
 
 
-#: Shuffles that rows in an order of work are held against.
-_SHUFFLES = 199
 #: Dial angles (deg) to inclination and tool-face in rad, each angle on its own.
 Inside = Callable[[Array, Array], tuple[Array, Array]]
 
@@ -131,5 +130,5 @@ def in_order(inclination: Array, tool_face: Array) -> bool:
         return float(np.linalg.norm(np.diff(u[rows], axis=0), axis=1).sum())
 
     rng = np.random.default_rng(0)
-    shuffled = min(way(rng.permutation(len(u))) for _ in range(_SHUFFLES))
+    shuffled = min(way(rng.permutation(len(u))) for _ in range(SHUFFLES))
     return way(np.arange(len(u))) < shuffled

@@ -22,7 +22,17 @@ from imucalib.core.observations import Observations
 from imucalib.effects import known
 from imucalib.effects.forms import curve, shape
 from imucalib.loop.candidates import Searched
-from imucalib.loop.posterior.odds import KNOWN, LOOSE, MISSING, SPREAD, TOGETHER
+from imucalib.loop.odds import (
+    FALLS,
+    KNOWN,
+    LOOSE,
+    MISSING,
+    RESPONSE_TERMS,
+    ROWS_A_TERM,
+    SPREAD,
+    TERMS,
+    TOGETHER,
+)
 
 #: name : of the catalogue; loose : a scan without physics for one value before another; free : a
 #: smooth function of a covariate; law : a simple shape of one that has no name.
@@ -99,10 +109,6 @@ def log_size_prior(size: Array) -> Array:
     return np.asarray(density - np.log(np.exp(density).sum(axis=-1, keepdims=True)))
 
 
-#: Terms of free functions: of a response one for so many rows, within bounds; of others.
-_ROWS_A_TERM, _RESPONSE_TERMS, _TERMS = 3, (8, 32), 6
-#: Powers of its order by which a term is smaller than the first.
-_FALLS = (0, 1, 2)
 #: What bias and scale may follow, and what dials may beside themselves.
 _SLOW, _DIALS = ("order", "temperature"), ("inclination", "tool_face")
 #: Periods of a swing that is no day's, in hours.
@@ -192,12 +198,12 @@ def scan_of(data: Observations, family: Family, about: Sequence[str] = ()) -> Co
 
 def _functions(data: Observations, *, walks: bool) -> Iterator[Component]:
     """Smooth functions: of each axis' own input and of all three, of what is slow, of the dials."""
-    low, high = _RESPONSE_TERMS
-    terms = int(np.clip(data.n // _ROWS_A_TERM, low, high))
+    low, high = RESPONSE_TERMS
+    terms = int(np.clip(data.n // ROWS_A_TERM, low, high))
     # What falls as 1 / k² has nothing left beyond the first few.
-    many = dict(zip(_FALLS, (terms, terms, low), strict=True))
-    share = -float(np.log(len(_FALLS)))
-    axes = {a: [_curved(data, f"response:{a}:-1:1:{many[f]}", f) for f in _FALLS] for a in "xyz"}
+    many = dict(zip(FALLS, (terms, terms, low), strict=True))
+    share = -float(np.log(len(FALLS)))
+    axes = {a: [_curved(data, f"response:{a}:-1:1:{many[f]}", f) for f in FALLS] for a in "xyz"}
     for a, curves in axes.items():
         members = tuple(Member((one,), share) for one in curves)
         yield Component(f"response of {a}", "free", members, "response")
@@ -209,8 +215,8 @@ def _functions(data: Observations, *, walks: bool) -> Iterator[Component]:
     for what, name in (*slow, *turned):
         if not (walks and (what, name) == ("bias", "order")):
             values = data.context[name]
-            text = f"{what}:{name}:{values.min():.6g}:{values.max():.6g}:{_TERMS}"
-            members = tuple(Member((_curved(data, text, f),), share) for f in _FALLS)
+            text = f"{what}:{name}:{values.min():.6g}:{values.max():.6g}:{TERMS}"
+            members = tuple(Member((_curved(data, text, f),), share) for f in FALLS)
             title = f"{what} against {name}".replace("_", "-")
             yield Component(title, "free", members, name)
 

@@ -22,6 +22,7 @@ from imucalib.effects.record_error import GROSS_MG
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.estimators.starting_point import consistent_rows, full_matrix_start
 from imucalib.loop.candidates import Searched
+from imucalib.loop.odds import AXES, FAR, GROSS, HEARD, LIKELY, REACH, SIZES, UNEVEN
 from imucalib.loop.posterior.catalogue import (
     Component,
     components_of,
@@ -30,14 +31,11 @@ from imucalib.loop.posterior.catalogue import (
 )
 from imucalib.loop.posterior.gram import Grams, grams_of
 from imucalib.loop.posterior.noise import Point, Terms, terms_of
-from imucalib.loop.posterior.odds import AXES, FAR, GROSS, HEARD, REACH, SIZES, UNEVEN
 from imucalib.loop.posterior.problem import Choice, Problem, problem_of
 from imucalib.loop.posterior.solution import noises_of
 from imucalib.loop.posterior.space import Posterior, search
 from imucalib.units import MG
 
-#: Probability from which on a scan is refined around what it found.
-_LIKELY = 0.05
 #: Rows whose own precision is formed at once.
 _AT_ONCE = 64
 
@@ -244,7 +242,7 @@ def values_found(found: Explored) -> dict[str, list[str]]:
     values: dict[str, list[str]] = {}
     problem, posterior = found.problem, found.posterior
     for hypothesis, p in posterior.weighed:
-        for pick in hypothesis.picks if p > _LIKELY else ():
+        for pick in hypothesis.picks if p > LIKELY else ():
             choice = problem.choices[pick.choice]
             name = problem.components[choice.component].name
             if name.endswith("@"):

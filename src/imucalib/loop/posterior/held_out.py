@@ -13,15 +13,12 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.loop.held_out import Fold, Held, errors, joined
+from imucalib.loop.odds import FOLD_BEAMS, FOLD_DEEPEST, SEEN, SINGLES
 from imucalib.loop.posterior.gram import Grams, narrowed, swept, without
-from imucalib.loop.posterior.odds import FOLD_BEAMS, FOLD_DEEPEST
 from imucalib.loop.posterior.problem import Choice, Problem
 from imucalib.loop.posterior.solution import solved
 from imucalib.loop.posterior.space import Posterior, blocks_of, search
 from imucalib.loop.posterior.words import concluded
-
-#: Probability of the sets whose components are searched anew, and single ones beside them.
-_SEEN, _SINGLES = 1e-3, 12
 
 
 @dataclass(frozen=True)
@@ -84,7 +81,7 @@ def _narrowed(problem: Problem, posterior: Posterior) -> tuple[Problem, Grams]:
 
 def _rivals(problem: Problem, posterior: Posterior) -> tuple[Choice, ...]:
     """Members of every component that any data have a say for."""
-    used = {c for h, p in posterior.weighed if p > _SEEN for c in h.components}
-    single = [h for h in posterior.hypotheses if len(h.components) == 1][:_SINGLES]
+    used = {c for h, p in posterior.weighed if p > SEEN for c in h.components}
+    single = [h for h in posterior.hypotheses if len(h.components) == 1][:SINGLES]
     used |= {h.components[0] for h in single}
     return tuple(c for c in problem.choices if c.component in used)

@@ -24,7 +24,7 @@ from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations, SharedNoise
 from imucalib.core.references import KnownVector
 from imucalib.loop.faults.sheet import in_order
-from imucalib.loop.posterior.odds import AS_SET, SETTINGS, WALK_MEMORIES, WALK_SIZES, WALKS
+from imucalib.loop.odds import AS_SET, SETTINGS, WALK_MEMORIES, WALK_SIZES, WALKS
 from imucalib.loop.posterior.problem import Problem
 
 if TYPE_CHECKING:

@@ -20,8 +20,8 @@ from imucalib.core.fit import Fit, shrinking
 from imucalib.core.model import Model
 from imucalib.effects.record_error import is_record_error
 from imucalib.loop.candidates import effect_slopes, fitted_prediction
+from imucalib.loop.odds import SIZES
 from imucalib.loop.posterior.catalogue import Component, Member, log_odds
-from imucalib.loop.posterior.odds import SIZES
 
 
 @dataclass(frozen=True)
@@ -164,10 +164,7 @@ class _Blocks:
 def known_sd(fit: Fit) -> Array:
     """(p,) standard deviation of each parameter of the base before its readings; infinite where
     nothing is known."""
-    prior = fit.observations.noise_prior
-    sd = np.array(
-        [prior.parameters.get(p.name, np.inf) if prior else np.inf for p in fit.parameters]
-    )
+    sd = fit.known_sd
     for name, part in fit.model.slices(fit.observations.context).items():
         if is_record_error(name):
             sd[part] = [p.typical for p in fit.parameters[part]]

@@ -26,19 +26,20 @@ from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.estimators.least_squares import evaluate
 from imucalib.loop.found import Drift
-from imucalib.loop.posterior.catalogue import Member
-from imucalib.loop.posterior.gram import Grams, Multiplied, log_sum, swept
-from imucalib.loop.posterior.noise import diagonal_logs
-from imucalib.loop.posterior.odds import (
+from imucalib.loop.odds import (
     DEEPEST,
     HEARD,
     OPEN,
+    ROUNDS,
     SIZES,
     UNLIKE,
     WALK_MEMORY,
     WALK_SIZE,
     WANDERS,
 )
+from imucalib.loop.posterior.catalogue import Member
+from imucalib.loop.posterior.gram import Grams, Multiplied, log_sum, swept
+from imucalib.loop.posterior.noise import diagonal_logs
 from imucalib.loop.posterior.problem import Choice, Problem
 from imucalib.loop.posterior.space import NARROW, block_logs
 from imucalib.units import MG
@@ -132,8 +133,6 @@ def whitener(time: Array, variance: Array, shares: Array, memory: Array) -> Whit
 
 #: One over the median absolute deviation of a normal number.
 _MAD = 1.4826
-#: Rounds in which scatter, walk and weights settle, at first and from those beside another model.
-_ROUNDS, _SETTLED = 4, 2
 
 
 @dataclass(frozen=True)
@@ -212,7 +211,7 @@ def course_of(fit: Fit, known: Array, before: Course | None = None) -> tuple[Cou
         walks=walks,
         likeliest=walks[0],
     )
-    for _ in range(_SETTLED if before else _ROUNDS):
+    for _ in range(ROUNDS // 2 if before else ROUNDS):
         every = np.column_stack([columns, misfit]) / course.scatter
         course, drift = _settled(course, every, known)
     return course, drift

@@ -34,11 +34,11 @@ from imucalib.loop.held_out import (
     parts_of,
     with_density,
 )
+from imucalib.loop.odds import EVERY, FOLD_BEAMS, FOLD_DEEPEST, ROUNDS, STRETCHES
 from imucalib.loop.posterior.catalogue import Member, components_of
 from imucalib.loop.posterior.closed import judged, started
 from imucalib.loop.posterior.explored import Explored, heard, refined, values_found
 from imucalib.loop.posterior.held_out import LeftOut, base_left_out
-from imucalib.loop.posterior.odds import FOLD_BEAMS, FOLD_DEEPEST
 from imucalib.loop.posterior.problem import problem_of
 from imucalib.loop.posterior.recorded import (
     Course,
@@ -56,12 +56,6 @@ from imucalib.loop.separation import ambiguities
 from imucalib.loop.sums import sums_of
 from imucalib.units import MG
 
-#: Rounds after which what is told stands still or never will; in these few sets are opened, as in
-#: a fold.
-_ROUNDS = 4
-#: Short stretches of a recording, every twelfth of which is predicted by the others: as far from
-#: what was recorded as a reading that is corrected may be.
-_STRETCHES, _FOLDS = 120, 12
 #: Cosines of the curve, and moments of each at which the walk is predicted.
 _TERMS, _MOMENTS = 24, 4
 _UNKNOWN = 1e8  # times the variance of a run that is left out
@@ -121,7 +115,7 @@ def _explored(plain: Fit, wanted: Searched, known: Array) -> tuple[Explored, Cou
     values: dict[str, list[str]] = {}
     before: tuple[tuple[Member, float], ...] = ()
     course, _ = course_of(fit, known)
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         scaled = replace(data, sigma=np.full_like(data.sigma, course.scatter))
         at = fit_at(fit.model, scaled, fit.theta, fit.covariance)
         problem = problem_of(at, refined(first, values, data, wanted), plain.model)
@@ -187,14 +181,14 @@ def _holds(course: Course, misfit: Array) -> bool:
     """Whether stretches that are left out are predicted no worse with the walk."""
     time, walk = course.time, course.likeliest
     unit = (time - time[0]) / max(float(np.ptp(time)), 1e-300)
-    stretch = np.minimum((_STRETCHES * unit).astype(int), _STRETCHES - 1)
-    out = stretch % _FOLDS == np.arange(_FOLDS)[:, None]
+    stretch = np.minimum((STRETCHES * unit).astype(int), STRETCHES - 1)
+    out = stretch % EVERY == np.arange(EVERY)[:, None]
     variance = course.variance * np.where(out, _UNKNOWN, 1.0)
     shares = (course.shares * walk.size)[None]
-    white = whitener(time, variance, shares, np.full(_FOLDS, walk.memory))
+    white = whitener(time, variance, shares, np.full(EVERY, walk.memory))
     predicted = variance * white.back(white(misfit[:, None]))[..., 0]
-    after = predicted[stretch % _FOLDS, np.arange(time.size)]
-    return difference(np.abs(misfit), np.abs(after), stretch, _FOLDS, "mean").holds
+    after = predicted[stretch % EVERY, np.arange(time.size)]
+    return difference(np.abs(misfit), np.abs(after), stretch, EVERY, "mean").holds
 
 
 @dataclass(frozen=True)

@@ -24,18 +24,13 @@ from imucalib.loop.candidates import Searched
 from imucalib.loop.faults.angles import angles
 from imucalib.loop.faults.cells import base_of, blocks, cells, exchanges, other_axes, prior_of
 from imucalib.loop.faults.sheet import Fault, Sheet, Trial
+from imucalib.loop.odds import ACCUSED, LONGEST, OPEN, REFITTED, SLIPS_TOLD, TRIED
 from imucalib.loop.posterior.explored import Explored, explored
 from imucalib.loop.posterior.gram import Grams, Multiplied, log_sum, swept
-from imucalib.loop.posterior.odds import ACCUSED, OPEN
 from imucalib.loop.posterior.problem import known_sd
 from imucalib.loop.posterior.space import Pick, block_logs, blocks_of
 from imucalib.loop.record_errors import set_aside
 from imucalib.units import DEG, MG
-
-#: Slips of one sheet, sheets that are refitted and that are searched again for each, and rows up to
-#: which all are compared with all: a sheet with more slips is better written anew, longer ones are
-#: recordings.
-_MOST, _REFITTED, _TRIED, _LONGEST = 5, 16, 2, 250
 
 
 @dataclass(frozen=True)
@@ -66,7 +61,7 @@ def mended(found: Explored, wanted: Searched, written: Written | None = None) ->
     written : the sheet, where its angles are known; without one only records are asked
     """
     state = Mended(found)
-    for _ in range(_MOST):
+    for _ in range(SLIPS_TOLD):
         best = _best(state, wanted, written)
         if best is None:
             break
@@ -123,12 +118,12 @@ def _likeliest(
         if first.setdefault(trial.fault.kind, trial) is not trial and among_best:
             others.append(trial)
     fits = []
-    for trial in (*first.values(), *others)[:_REFITTED]:
+    for trial in (*first.values(), *others)[:REFITTED]:
         base = _solved_again(state.found.base, trial, written)
         if base is not None:
             fits.append((base.log_likelihood + trial.prior, trial, base))
     fits.sort(key=lambda f: -f[0])
-    return [(trial, base) for _, trial, base in fits[:_TRIED]]
+    return [(trial, base) for _, trial, base in fits[:TRIED]]
 
 
 def _trials(state: Mended, written: Written | None) -> Iterator[Trial]:
@@ -136,7 +131,7 @@ def _trials(state: Mended, written: Written | None) -> Iterator[Trial]:
     beside the sets where a record counts most."""
     found = state.found
     n = found.base.observations.n
-    if n > _LONGEST:
+    if n > LONGEST:
         return
     sets = _sets(found)
     beside = _given_each(found, list(sets))
@@ -144,7 +139,7 @@ def _trials(state: Mended, written: Written | None) -> Iterator[Trial]:
     order = np.argsort(-gains.max(axis=1) - [*sets.values()])
     best, prior = gains.max(axis=0) + prior_of(n), prior_of(n)
     aside = {row for row, _ in state.aside}
-    for row in map(int, np.argsort(-best)[:_TRIED]):
+    for row in map(int, np.argsort(-best)[:TRIED]):
         if row not in aside:
             yield Trial(Fault("record", "", (row,), float(best[row]), ""), None, prior)
     if written is None:

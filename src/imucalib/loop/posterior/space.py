@@ -17,13 +17,11 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.core.eigen import eigen
+from imucalib.loop.odds import BEAMS, DEEPEST, OPEN, SHORT_LIST, WIDTH
 from imucalib.loop.posterior.catalogue import log_set_prior, log_size_prior
 from imucalib.loop.posterior.gram import Block, Grams, log_sum, swept
-from imucalib.loop.posterior.odds import BEAMS, DEEPEST, OPEN, WIDTH
 from imucalib.loop.posterior.problem import Choice, Contest
 
-#: Sets of one depth that are kept.
-_KEPT = 60
 #: Columns up to which a block is narrow.
 NARROW = 20
 #: What rounding may take from the diagonal of a wide block.
@@ -104,7 +102,7 @@ def search(
             _keep(born, (h for h in space.opened(one) if h.components not in found))
         top = _likeliest_first(born)
         best = max(h.log_posterior for h in found.values())
-        found.update({h.components: h for h in top[:_KEPT]})
+        found.update({h.components: h for h in top[:SHORT_LIST]})
         if not top or top[0].log_posterior < best - OPEN / 3.0:
             break
         bar = max(best, top[0].log_posterior) - OPEN

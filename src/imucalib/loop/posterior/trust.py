@@ -19,7 +19,7 @@ from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.effects.scans import TRUSTED, trust_records
 from imucalib.loop.candidates import effect_slopes, fitted_prediction
-from imucalib.loop.posterior.odds import ABSORBED
+from imucalib.loop.odds import ABSORBED
 
 
 @dataclass(frozen=True)

@@ -16,22 +16,19 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.core.fit import Fit
 from imucalib.loop.found import Rival, Score
+from imucalib.loop.odds import CERTAIN, FALSE_CLAIM, LEAST, OCCAM, WEIGHED
 from imucalib.loop.posterior.catalogue import Member
 from imucalib.loop.posterior.gram import swept
-from imucalib.loop.posterior.odds import CERTAIN, FALSE_CLAIM, LEAST, OCCAM
 from imucalib.loop.posterior.problem import Contest, Problem
 from imucalib.loop.posterior.solution import solved
 from imucalib.loop.posterior.space import Hypothesis, Posterior
 from imucalib.loop.posterior.trust import split_at_jump
 
-#: Models that are weighed at most.
-_MOST = 12
-
 
 def rivals_of(problem: Problem, posterior: Posterior) -> tuple[Rival, ...]:
     """The likeliest sets, each as a fit, and where the readings do not say which part of a sheet
     stands as it was set, as one with either part."""
-    likely = [(h, p) for h, p in posterior.weighed if p > LEAST][:_MOST]
+    likely = [(h, p) for h, p in posterior.weighed if p > LEAST][:WEIGHED]
     total = sum(p for _, p in likely)
     context, found = problem.fit.observations.context, []
     for hypothesis, p in likely:

@@ -31,7 +31,7 @@ from imucalib.calibrators.array.loop.setup import Setup
 from imucalib.calibrators.array.loop.state import ArrayState, remembered, shared_by_neighbours
 from imucalib.calibrators.array.loop.terms import OPEN, Term
 from imucalib.loop.found import FitLoop, Loop, Score, Step, Unexplained
-from imucalib.loop.posterior.odds import ABSORBED, CERTAIN
+from imucalib.loop.odds import ABSORBED, CERTAIN
 from imucalib.loop.posterior.space import Posterior
 from imucalib.loop.posterior.words import name_of, of_each
 from imucalib.significant_digits import plus_minus

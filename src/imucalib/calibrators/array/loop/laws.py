@@ -40,8 +40,8 @@ from imucalib.effects.array.parts import (
     times,
 )
 from imucalib.estimators.array.gram import Columns
+from imucalib.loop.odds import TOGETHER
 from imucalib.loop.posterior.catalogue import Component, Kind, Member
-from imucalib.loop.posterior.odds import TOGETHER
 from imucalib.loop.posterior.problem import Choice
 from imucalib.units import DEG, MG
 

@@ -45,9 +45,9 @@ from imucalib.errors import Undetermined
 from imucalib.estimators.array.gram import Columns, eliminated, gram, inverse_root
 from imucalib.estimators.array.noise import SensorNoise, log_density
 from imucalib.estimators.array.samples import reweighed
+from imucalib.loop.odds import FINE_SIZES
 from imucalib.loop.posterior.catalogue import Member
 from imucalib.loop.posterior.gram import Grams, Multiplied
-from imucalib.loop.posterior.odds import FINE_SIZES
 from imucalib.loop.posterior.problem import Contest
 from imucalib.loop.posterior.space import Hypothesis, Pick, Posterior, blocks_of, climbed
 from imucalib.loop.posterior.words import Conclusion, concluded
