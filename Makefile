@@ -78,8 +78,7 @@ fuzz: $(VENV)/.dev ## damage files of every format, compare what is read with wh
 	$(BIN)/python benchmarks/readers/fuzz --files $(or $(FILES),3000) --seed $(or $(SEED),0)
 
 loop-benchmark: $(VENV)/.dev ## the acceptance benchmark of the closed loop; COUNT=20 for a quick look, SEED=1
-	for kind in bench norm worn; do \
-		$(BIN)/python benchmarks/closed_loop $$kind --count $(or $(COUNT),200) --seed $(or $(SEED),1) --jobs 2; done
+	$(BIN)/python benchmarks/closed_loop bench norm worn --count $(or $(COUNT),200) --seed $(or $(SEED),1) --jobs 2
 	$(BIN)/python benchmarks/closed_loop/array_jobs.py --scale $(or $(SCALE),0.1)
 
 stories: $(VENV)/.dev ## run the command on recorded data and write docs/closed_loop.md's stories

@@ -1,10 +1,11 @@
 """The acceptance benchmark of the search for what a model lacks, on worlds that share no code with
-it. Prints one Markdown table:
+it. Prints a Markdown table for each kind:
 
     python benchmarks/closed_loop bench --count 60 --seed 1 [--jobs 2] [--only two] [--each]
+    python benchmarks/closed_loop bench norm worn --diagram benchmarks/reliability.svg
 
-KIND is bench, norm or worn; `array` runs the boards of array_world (see array_jobs). The same seed
-gives the same worlds, and a larger count goes on from a smaller one.
+A kind is bench, norm or worn; boards of array_world are run by array_jobs. The same seed gives the
+same worlds, and a larger count goes on from a smaller one.
 """
 
 from __future__ import annotations
@@ -18,9 +19,10 @@ from concurrent.futures import ProcessPoolExecutor
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
+from diagram import draw
 from draws import KINDS, ROWS, drawn, rows
 from judge import Judged, judged
-from table import table
+from table import stated, table
 
 #: Worlds that a seed has room for.
 _ROOM = 100_000
@@ -53,21 +55,27 @@ def line(j: Judged) -> str:
 def main() -> None:
     """Run what is asked for and print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("kind", choices=KINDS)
+    parser.add_argument("kinds", nargs="+", choices=KINDS)
     parser.add_argument("--count", type=int, default=60)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--only", nargs="*", choices=ROWS, default=list(ROWS), help="rows")
     parser.add_argument("--each", action="store_true", help="tell every world on stderr")
+    parser.add_argument("--diagram", help="SVG of stated against true, over all kinds")
     options = parser.parse_args()
-    asked = [j for j in jobs(options.kind, options.count, options.seed) if j[1] in options.only]
-    found = []
+    every = list[Judged]()
     with ProcessPoolExecutor(options.jobs) as pool:
-        for j in pool.map(one, asked):
-            found.append(j)
-            if options.each:
-                print(line(j), file=sys.stderr, flush=True)
-    print(table(found))
+        for kind in options.kinds:
+            asked = [j for j in jobs(kind, options.count, options.seed) if j[1] in options.only]
+            found = list[Judged]()
+            for j in pool.map(one, asked):
+                found.append(j)
+                if options.each:
+                    print(line(j), file=sys.stderr, flush=True)
+            print(f"\n{kind}\n\n{table(found)}", flush=True)
+            every += found
+    if options.diagram:
+        draw(*stated(every), options.diagram)
 
 
 if __name__ == "__main__":

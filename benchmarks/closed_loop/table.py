@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 
 import numpy as np
 from draws import ROWS
 from judge import Judged
+from numpy.typing import NDArray
 
 HEADING = (
     "worlds",
@@ -26,6 +28,8 @@ HEADING = (
 )
 #: By how much an error may exceed the base model's before it counts as worse.
 _WORSE = 1.05
+#: Edges of the classes of stated probabilities.
+EDGES = (0.0, 0.2, 0.4, 0.6, 0.8, 0.95, 1.01)
 
 
 def table(judged: Sequence[Judged]) -> str:
@@ -86,8 +90,9 @@ def _slips(judged: Sequence[Judged]) -> list[str]:
     return lines
 
 
-def _reliability(judged: Sequence[Judged]) -> list[str]:
-    """How often a name is true that is given with a probability; nothing where none is stated."""
+def stated(judged: Sequence[Judged]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Probability of each name that is told, and whether it is true; outside the catalogue no name
+    is."""
     said = [
         (s.probability, s.names[0] in j.recipe.planted)
         for j in judged
@@ -95,11 +100,16 @@ def _reliability(judged: Sequence[Judged]) -> list[str]:
         for s in j.told.steps
         if s.probability is not None and s.named
     ]
-    if not said:
+    return np.array([a for a, _ in said], float), np.array([b for _, b in said], bool)
+
+
+def _reliability(judged: Sequence[Judged]) -> list[str]:
+    """How often a name is true that is given with a probability; nothing where none is stated."""
+    p, true = stated(judged)
+    if not p.size:
         return []
-    p, true = np.array([a for a, _ in said]), np.array([b for _, b in said])
     lines = ["", "| probability stated | n | stated, mean | true |", "|---|---|---|---|"]
-    for low, high in ((0.0, 0.2), (0.2, 0.4), (0.4, 0.6), (0.6, 0.8), (0.8, 0.95), (0.95, 1.01)):
+    for low, high in pairwise(EDGES):
         mine = (p >= low) & (p < high)
         if mine.any():
             words = f"{low:.2f} to {min(high, 1.0):.2f}"
