@@ -122,9 +122,9 @@ class Difference:
 
     @property
     def proved(self) -> bool:
-        """Whether the gain is beyond chance besides: in density where that was computed, since
-        where rows share setting errors the plain error is mostly theirs, else in error."""
-        return self.holds and (self.low if np.isnan(self.nats) else self.nats_low) > 0.0
+        """Whether the gain is beyond chance besides, in error or, where rows share setting errors
+        that are most of it, in density."""
+        return self.holds and (self.low > 0.0 or self.nats_low > 0.0)
 
 
 def difference(

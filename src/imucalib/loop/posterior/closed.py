@@ -217,8 +217,8 @@ def _refused(loop: FitLoop, found: Explored, said: Conclusion, gain: Difference 
     """Nothing is corrected: what is missing stays without a name."""
     why = "it has no inverse, no fit settles with it, or curves are not wanted"
     if gain is not None:
-        sizes = f"{gain.before / MG:.3g} -> {gain.after / MG:.3g} mg"
-        why = f"held-out data refuse it: {sizes}, {gain.nats:+.1f} nats in density"
+        why = f"held-out data refuse it: {gain.before / MG:.3g} -> {gain.after / MG:.3g} mg"
+        why += "" if np.isnan(gain.nats) else f", {gain.nats:+.1f} nats in density"
     names = tuple(_name(found, said, place.component) for place in said.places)
     unexplained = tuple(
         Unexplained(

@@ -32,7 +32,6 @@ from imucalib.loop.held_out import (
     difference,
     folds_of,
     parts_of,
-    with_density,
 )
 from imucalib.loop.odds import EVERY, FOLD_BEAMS, FOLD_DEEPEST, ROUNDS, STRETCHES
 from imucalib.loop.posterior.catalogue import Member, components_of
@@ -161,8 +160,7 @@ def _gain(final: Fit, left: LeftOut) -> Difference:
             hidden.append(k)
     good = ~np.isin(part, [folds[k].rows[0] for k in hidden])
     sizes = left.before.size[good], left.after.size[good]
-    gain = difference(*sizes, part[good], len(folds) - len(hidden), "mean")
-    return with_density(gain, np.delete(left.nats, hidden))
+    return difference(*sizes, part[good], len(folds) - len(hidden), "mean")
 
 
 def followed(fit: Fit, course: Course) -> Fit | None:
