@@ -13,6 +13,7 @@ import numpy as np
 
 from imucalib.calibration.plain import fields, listed, plain
 from imucalib.calibrators.lab.files import TableSeen
+from imucalib.estimators.allan import SHAPES
 from imucalib.inspection.inspection import Inspection, advice, next_commands, problems
 from imucalib.inspection.noise import AxisNoise, Coefficient, SensorNoise
 from imucalib.recording.mapping import OPTION_FIELDS
@@ -31,7 +32,6 @@ from imucalib.report.document import (
 from imucalib.report.sections import leading_options
 from imucalib.rests.candidates import Candidate, refusals
 from imucalib.rests.segments import Segments
-from imucalib.significant_digits import with_sd
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
 
 #: Fields of a mapping that have an option of their own.
@@ -70,9 +70,9 @@ _AS_RECORDED = ((1.0, ".4g", ""), (1.0, ".5g", ""), (1.0, ".4g", ""))
 _TERMS = ("white", "instability", "walk", "ramp")
 _NOISE = (
     "White noise N, bias instability B, random walk K and ramp R of the overlapping Allan variance "
-    "N²/τ + 0.441 B² + K² τ/3 + R² τ²/2, ± one standard deviation. <: what it lies below with 95 % "
-    "probability, the recording being too short, or too quiet in it, to show it; -: anything. An "
-    "axis with < and three - has noise of another shape, such as lines in its spectrum."
+    "N²/τ + 0.441 B² + K² τ/3 + R² τ²/2, with 95 % intervals over all of them together. <: what it "
+    "lies below with 95 % probability, the recording being too short, or too quiet in it, to show "
+    "it."
 )
 
 
@@ -411,14 +411,28 @@ def _noise(noise: Sequence[SensorNoise]) -> tuple[Block, ...]:
         curve, name = own[0].axes[0].curve, quantity.replace("_", " ")
         title = f"{name}: {curve.seconds:.0f} s at rest, {curve.longest:.0f} s at a time"
         note = "" if blocks else _NOISE
-        blocks += [Table(title, header, tuple(rows), "lrrrr", note), _allan(own, name)]
+        table = Table(title, header, tuple(rows), "lrrrr", note)
+        blocks += [table, *_settling(own), _allan(own, name)]
     return tuple(blocks)
 
 
 def _cell(found: Coefficient, scale: float) -> str:
-    if found.value is not None and found.sd is not None:
-        return " ± ".join(with_sd(found.value / scale, found.sd / scale))
-    return "-" if found.bound is None else f"< {float(f'{found.bound / scale:.2g}'):.9g}"
+    if found.value is None or found.low is None or found.high is None:
+        return f"< {float(f'{found.bound / scale:.2g}'):.9g}"
+    value, low, high = (f"{v / scale:.4g}" for v in (found.value, found.low, found.high))
+    return f"{value} ({low} to {high})"
+
+
+def _settling(sensors: Sequence[SensorNoise]) -> tuple[Text, ...]:
+    """The rests that are not used."""
+    return tuple(
+        Text(
+            f"{sensor.triad}: louder than the quietest rests, not used: "
+            + ", ".join(f"{a:.1f} to {b:.1f} s" for a, b in sensor.settles)
+        )
+        for sensor in sensors
+        if sensor.settles
+    )
 
 
 def _allan(sensors: Sequence[SensorNoise], name: str) -> Plot:
@@ -481,7 +495,10 @@ def _axis(sensor: SensorNoise, k: int, axis: AxisNoise) -> dict[str, Any]:
     return {
         **fields(sensor, "triad quantity unit rate_hz=rate"),
         "axis": "xyz"[k],
-        **{term: fields(getattr(axis, term), "value sd below=bound") for term in _TERMS},
+        **{
+            term: fields(getattr(axis, term), "value low high below=bound probability")
+            for term in SHAPES
+        },
         "fitted_from_s": axis.start,
         "allan": {**fields(axis.curve, "tau_s=tau deviation"), "low": low, "high": high},
     }
