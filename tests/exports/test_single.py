@@ -240,23 +240,23 @@ def test_a_row_is_right_where_postures_were_recorded() -> None:
 
 @pytest.mark.parametrize("form", ["px4", "ardupilot", "omconvert", "ggir-csv", "c-header",
                                   "matlab", "iscwsa-csv"])  # fmt: skip
-def test_a_form_is_refused_beyond_three_times_what_is_left(form: str) -> None:
-    def leaving(left: float) -> Calibration:
-        """A sensor with a square, and the error that its calibration leaves, mg."""
-        error = {"unit": "mg", "raw": 40.0, "final": left, "held_out": {"final": left}}
+def test_a_form_is_refused_that_is_no_better_than_the_raw_reading(form: str) -> None:
+    def worth(raw: float, left: float = 0.1) -> Calibration:
+        """A sensor with a square, and the errors before and after its calibration, mg."""
+        error = {"unit": "mg", "raw": raw, "final": left, "held_out": {"raw": raw, "final": left}}
         return made(*SIX, "quadratic", errors=[error])
 
-    whole = exported(leaving(1.0), "x.csv", form)
+    whole = exported(worth(40.0), "x.csv", form)
     loss = whole.loss
     assert not any("_" in text.partition(":")[0] for text in whole.lost if "quadratic" in text)
     assert 0.5 < loss < 20.0
-    demand_carried(whole, form, leaving(loss / 2.9), None)
+    demand_carried(whole, form, worth(1.1 * loss), None)
     with pytest.raises(LimitBroken, match=r"quadratic.*--force.*--largest-loss") as refused:
-        demand_carried(whole, form, leaving(loss / 3.1), None)
+        demand_carried(whole, form, worth(0.9 * loss), None)
     assert refused.value.exit_code == 1
     assert f"{loss:.3g} mg" in str(refused.value)
     # The bound that the message names passes.
     named_bound = float(str(refused.value).split("--largest-loss ")[1].split("`")[0])
-    demand_carried(whole, form, leaving(0.0), named_bound)
+    demand_carried(whole, form, worth(0.0), named_bound)
     with pytest.raises(LimitBroken):
-        demand_carried(whole, form, leaving(100.0), 0.9 * loss)
+        demand_carried(whole, form, worth(100.0), 0.9 * loss)

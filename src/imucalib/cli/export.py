@@ -49,7 +49,7 @@ class _Form(click.Option):
 @opt.option(
     "--largest-loss",
     "Loss, mg of a force and deg/s of a rate, from which on only --force writes; default: "
-    "three times the error that the calibration leaves.",
+    "what makes the form no better than the raw reading.",
     metavar="MG[,DPS]",
 )
 @opt.force
