@@ -64,14 +64,15 @@ class Gained:
         )
 
     def deciding(self, channels: Collection[Channel]) -> Difference:
-        """The error that has gained the least share of itself, of the sensors that effects act on:
-        what helps one of them is no proof of what is made of the other."""
+        """The error that has changed by the most, of the sensors that effects act on: held-out
+        readings of k sensors, each of its own noise, are as much likelier as the sum of the
+        logarithms of what their errors fall by; of two the larger one has the sign of it."""
         own = [
             d
             for c, d in zip(CHANNELS, (self.acceleration, self.rate), strict=True)
             if c in channels
         ]
-        return min(own, key=lambda d: d.gain / max(d.before, 1e-300))
+        return max(own, key=lambda d: abs(np.log(max(d.before, 1e-300) / max(d.after, 1e-300))))
 
 
 def cross_fitted(
