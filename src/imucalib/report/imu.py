@@ -30,6 +30,9 @@ from imucalib.report.power_ups import power_up_worths, sessions_section
 from imucalib.significant_digits import number, plus_minus, signed, two_digits, with_sd
 from imucalib.units import DEG
 
+#: Standard deviations from which on a delay is told on the first page.
+_SURE = 3.0
+
 
 def imu_document(run: ImuRun) -> Document:
     """Everything that a reader of the calibration must know, headline first."""
@@ -65,9 +68,20 @@ def _card(run: ImuRun) -> Card:
         Worth("heading after 360 deg", drift, how),
         sections.error_worth(outcome.errors[1], "size of a force", left_out),
         *power_up_worths(run.sessions),
+        *_delay(run),
     )
     uses = (sections.CORRECT, *_for_kalibr(run))
     return sections.card_of(outcome, good, uses=uses, picture=_picture(run))
+
+
+def _delay(run: ImuRun) -> tuple[Worth, ...]:
+    """What is to be taken from the gyroscope's stamps, where it is more than chance."""
+    late, sd = (1e3 * run.details["imu"]["gyroscope_late_s"][name] for name in ("value", "sd"))
+    if abs(late) < _SURE * sd:
+        return ()
+    side, deed = ("behind", "subtract") if late > 0.0 else ("ahead of", "add")
+    what = f"{side} the accelerometer: {deed} {abs(late):.2g} ms where stamps count"
+    return (Worth("gyroscope's delay", plus_minus(abs(late), sd, "ms"), what),)
 
 
 def _for_kalibr(run: ImuRun) -> tuple[Use, ...]:
