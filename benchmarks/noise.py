@@ -4,7 +4,7 @@
 
 White noise of 1 unit/√Hz; flicker as Lorentzians an octave apart, S(f) = 1 / (ln 2 f); a walk of
 independent steps. Prints a Markdown table: of every mix, how often a term is told, its median over
-the truth, how many of the told intervals and of the limits hold, and what is told that is not there.
+the truth, how many of the told intervals and of the limits hold, and what is told and not there.
 """
 
 from __future__ import annotations

@@ -182,11 +182,11 @@ def source_of(topic: Topic, look: Look, mapping: FieldMapping) -> Source | None:
     stated = [f for q in QUANTITIES for f in _stated(topic, leaves, mapping, q)]
     if not stated and is_stated(mapping):
         return None
-    own = topic.metadata.get(META_QUANTITIES, "").split()
+    own = topic.metadata.get(META_QUANTITIES)
     fields = stated
-    if own and not stated:
+    if own is not None and not stated:
         every = [*_found(topic, leaves), *_own_temperature(leaves)]
-        fields = [replace(f, found=False) for f in every if f.quantity in own]
+        fields = [replace(f, found=False) for f in every if f.quantity in own.split()]
     elif len(stated) <= 1:
         named = {*(f.quantity for f in stated), *(q for q in QUANTITIES if getattr(mapping, q))}
         fields = stated + [f for f in _found(topic, leaves) if f.quantity not in named]
