@@ -48,7 +48,7 @@ def table(judged: Sequence[Judged]) -> str:
 
 def _cells(row: str, some: Sequence[Judged]) -> list[str]:
     planted = row not in ("clean", "slip", "outside")
-    valued = [j for j in some if np.isfinite(j.error) and row != "slip"]
+    valued = [j for j in some if not np.isnan(j.error) and row != "slip"]
     held, of = sum(j.held for j in valued), sum(j.intervals for j in valued)
     worse = sum(j.over_base > _WORSE for j in valued)
     return [

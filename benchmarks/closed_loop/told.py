@@ -95,9 +95,10 @@ def follows(folder: Path) -> bool:
 def corrected(folder: Path, reading: Array, known: dict[str, Array]) -> tuple[Array, Array]:
     """(n, 3) mg, readings (n, 3) mg corrected under what is known beside them, by name and in SI;
     and (n, 3, 3) mg2, their covariance by that of the parameters. What is not known stands where
-    the program puts it."""
+    the program puts it. Infinite and without a spread where the correction has no inverse."""
     import imucalib
     from imucalib.core.effect import Context
+    from imucalib.errors import NotConverged
 
     calibration = imucalib.load(folder / "calibration.yaml")
     names = set(calibration.valid)
@@ -114,11 +115,14 @@ def corrected(folder: Path, reading: Array, known: dict[str, Array]) -> tuple[Ar
     value = np.array([p.value for p in calibration.parameters])
     sd = np.sqrt(np.maximum(np.diag(calibration.covariance), 0.0))
     slope = np.zeros((*reading.shape, value.size))
-    for k in np.flatnonzero(sd > 0.0):
-        step = 0.1 * sd[k] * np.eye(value.size)[k]
-        slope[..., k] = (at(value + step) - at(value - step)) / (0.2 * sd[k])
-    spread = np.einsum("nik,kl,njl->nij", slope, calibration.covariance, slope)
-    return at(value), spread
+    try:
+        for k in np.flatnonzero(sd > 0.0):
+            step = 0.1 * sd[k] * np.eye(value.size)[k]
+            slope[..., k] = (at(value + step) - at(value - step)) / (0.2 * sd[k])
+        best = at(value)
+    except NotConverged:
+        return np.full(reading.shape, np.inf), np.zeros((*reading.shape, 3))
+    return best, np.einsum("nik,kl,njl->nij", slope, calibration.covariance, slope)
 
 
 def read_corrected(path: Path) -> Array:
