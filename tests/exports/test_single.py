@@ -16,8 +16,10 @@ import numpy as np
 import pytest
 
 from imucalib.arrays import Array
-from imucalib.calibration.calibration import Calibration
+from imucalib.calibration.calibration import Calibration, StoredParameter
+from imucalib.core.effect import Context
 from imucalib.core.sphere import counted, even_directions
+from imucalib.effects import named
 from imucalib.errors import LimitBroken, UsageError
 from imucalib.exports import exported
 from imucalib.exports.bound import demand_carried
@@ -74,13 +76,38 @@ def ground_station(text: str) -> dict[str, float]:
     return {name: float(value) for name, value in (x.replace(",", " ").split() for x in lines)}
 
 
-def flown(form: str, calibration: Calibration, raw: Array) -> Array:
+def thermal(form: str, known: dict[str, float], sensor: str, warm: Array) -> Array:
+    """What a controller takes off at temperatures (n,) before its offsets, by its own arithmetic:
+    PX4's calc_thermal_offsets_3D, ArduPilot's correct_sensor."""
+    if form == "px4":
+        name = f"TC_{sensor}0"
+        if f"{name}_TREF" not in known:
+            return np.zeros((warm.size, 3))
+        assert known[f"TC_{sensor}_ENABLE"] == 1
+        held = np.clip(warm, known[f"{name}_TMIN"], known[f"{name}_TMAX"])
+        x = np.array([[known[f"{name}_X{k}_{axis}"] for axis in range(3)] for k in range(4)])
+        by = (held - known[f"{name}_TREF"])[:, None]
+        return np.asarray(x[0] + x[1] * by + x[2] * by**2 + x[3] * by**3)
+    if not known.get("INS_TCAL1_ENABLE"):
+        return np.zeros((warm.size, 3))
+    name, at = {"A": ("ACC", "INS_ACC1_CALTEMP"), "G": ("GYR", "INS_GYR1_CALTEMP")}[sensor]
+    c = np.array([[known[f"INS_TCAL1_{name}{k}_{a}"] for a in "XYZ"] for k in (1, 2, 3)])
+
+    def taken(temperature: Array) -> Array:
+        by = np.clip(temperature, known["INS_TCAL1_TMIN"], known["INS_TCAL1_TMAX"])[:, None] - 35.0
+        return np.asarray((c[0] + (c[1] + c[2] * by) * by) * by * 1e-6)
+
+    return taken(warm) - taken(np.array([known[at]]))
+
+
+def flown(form: str, calibration: Calibration, raw: Array, warm: Array | None = None) -> Array:
     known = ground_station(exported(calibration, "x.csv", form).text)
+    if warm is not None:
+        raw = raw - thermal(form, known, "A", warm.ravel())
     offset, scale = (
         ("CAL_ACC0_{}OFF", "CAL_ACC0_{}SCALE") if form == "px4" else
         ("INS_ACCOFFS_{}", "INS_ACCSCAL_{}")
     )  # fmt: skip
-    assert len(known) == 6
     off, by = (np.array([known[name.format(a)] for a in "XYZ"]) for name in (offset, scale))
     return np.asarray((raw - off) * by)
 
@@ -89,10 +116,11 @@ def flown(form: str, calibration: Calibration, raw: Array) -> Array:
 def test_what_is_lost_in_flight_is_what_is_said(form: str) -> None:
     """Six numbers carry bias and scale; of more, the nearest."""
     assert flown(form, made(*SIX), read_by(even())) == pytest.approx(even(), abs=1e-6)
+    assert len(ground_station(exported(made(*SIX), "x.csv", form).text)) == 6
     effects = (*SIX, "non_orthogonality", "temperature_bias")
     whole = exported(made(*effects), "x.csv", form)
     warm = np.repeat([*SPAN, 25.0], 1000)[:, None]
-    got = flown(form, made(*effects), read_by(even(), *effects, warm=warm))
+    got = flown(form, made(*effects), read_by(even(), *effects, warm=warm), warm)
     norm = np.abs(np.linalg.norm(got, axis=1) / G - 1.0) * 1e3
     # The turn that brings the vectors nearest, by the singular vectors of their products.
     left, _, right = np.linalg.svd(even().T @ got)
@@ -100,12 +128,65 @@ def test_what_is_lost_in_flight_is_what_is_said(form: str) -> None:
     cosine = np.einsum("ni,ni->n", got, due) / np.linalg.norm(got, axis=1) / G
     said = whole.lost[0]
     mean, worst, angle = (float(v) for v in re.findall(r"(\d+\.\d+) (?:mg|deg)", said))
-    assert said.startswith("non orthogonality, temperature bias:")
+    assert said.startswith("non orthogonality:")
     assert f"# Not in it: {said}." in whole.text
     assert mean == pytest.approx(norm.mean(), rel=0.03)
     assert worst == pytest.approx(norm.max(), rel=0.05)
     assert angle == pytest.approx(np.degrees(np.arccos(cosine.min())), rel=0.05)
     assert whole.loss == pytest.approx(1e3 * np.linalg.norm(got - due, axis=1).mean() / G, rel=0.03)
+
+
+COLD_TO_HOT = (0.0, 60.0)
+CURVE = "curve@bias:temperature:0:60:3"
+
+
+@pytest.mark.parametrize("form", ["px4", "ardupilot"])
+def test_a_bias_over_temperature_is_what_the_firmware_takes_off(form: str) -> None:
+    effects = (*SIX, "temperature_bias")
+    calibration = replace(made(*effects), valid={"temperature": COLD_TO_HOT})
+    warm = np.linspace(*COLD_TO_HOT, 3000)
+    reading = read_by(even(), warm=warm[:, None])
+    assert flown(form, calibration, reading, warm) == pytest.approx(even(), abs=1e-6)
+
+
+@pytest.mark.parametrize("form", ["px4", "ardupilot"])
+def test_a_curve_over_temperature_becomes_the_nearest_cubic(form: str) -> None:
+    terms = len(named(CURVE).parameters(Context(1)))
+    values = {**{name: VALUES[name] for name in SIX}, CURVE: tuple(np.linspace(-3.0, 4.0, terms))}
+    known = {"raw_unit": "m/s²", "raw_to_si": 1.0, "valid": {"temperature": COLD_TO_HOT}}
+    calibration = stated(values, **known)
+    warm = np.linspace(*COLD_TO_HOT, 200)
+    model, theta = calibration.model()
+    context = Context(warm.size, {"temperature": warm})
+    read = model.predict(theta, np.zeros((warm.size, 1, 3)), context).reading[:, 0]
+    station = ground_station(exported(calibration, "x.csv", form).text)
+    left = read - thermal(form, station, "A", warm)
+    best = read - np.vander(warm, 4) @ np.polyfit(warm, read, 3)
+    assert np.std(left, axis=0) == pytest.approx(np.std(best, axis=0), rel=0.06)
+    assert np.all(np.std(left, axis=0) < 0.6 * np.std(read, axis=0))
+
+
+@pytest.mark.parametrize("form", ["px4", "ardupilot"])
+def test_a_rate_over_temperature_is_what_the_firmware_takes_off(form: str) -> None:
+    bias, slope = (0.4, -0.3, 0.2), (0.02, -0.01, 0.03)
+    own = {
+        "gyro_gain": ("1", [f"{a}{b}" for a in "xyz" for b in "xyz"], np.eye(3).ravel()),
+        "gyro_temperature_bias": ("deg/s/degC", list("xyz"), slope),
+        "gyro_rest_bias": ("deg/s", list("xyz"), bias),
+    }
+    more = tuple(
+        StoredParameter(f"{effect}_{axis}", effect, "gyroscope", float(value), 0.0, unit)
+        for effect, (unit, axes, values) in own.items()
+        for axis, value in zip(axes, values, strict=True)
+    )
+    whole = replace(made(*SIX), valid={"temperature": COLD_TO_HOT})
+    calibration = replace(whole, parameters=(*whole.parameters, *more))
+    warm = np.linspace(*COLD_TO_HOT, 40)
+    known = ground_station(exported(calibration, "x.csv", form).text)
+    name = "CAL_GYRO0_{}OFF" if form == "px4" else "INS_GYROFFS_{}"
+    offset = np.array([known[name.format(a)] for a in "XYZ"])
+    read = np.radians(np.array(bias) + np.array(slope) * (warm[:, None] - 25.0))
+    assert thermal(form, known, "G", warm) + offset == pytest.approx(read, abs=2e-9)
 
 
 OMCONVERT = f"""#!{sys.executable}

@@ -42,16 +42,20 @@ class Gyroscope:
         """Angular rate (n, 3) rad/s in the accelerometer's frame, of readings (n, 3) rad/s under
         forces (n, 3) m/s², at temperatures (n,) °C. What follows the order of a recording acts as
         at its end."""
-        seen = reading - self.bias
-        own, none = seen, np.zeros((len(seen), 1, 3))
+        seen = own = reading - self.bias
         heat = np.full(len(seen), self.warm) if warm is None else warm
-        known = {"order": np.ones(len(seen)), "temperature": heat}
-        context = Context(len(seen), known, moving=True)
         for _ in range(_ROUNDS if self.laws else 0):
-            truth = Truth(force[:, None], Motion(own[:, None], none, none))
-            added = [e.basis(truth, context)[:, 0][..., at] @ theta for e, at, theta in self.laws]
-            own = seen - np.sum(added, axis=0)
+            own = seen - self.added(own, force, heat)
         return np.asarray(own @ self.gain.T)
+
+    def added(self, rate: Array, force: Array, warm: Array) -> Array:
+        """(n, 3) rad/s that laws add to a reading, of what the axes are exposed to."""
+        none = np.zeros((len(rate), 1, 3))
+        known = {"order": np.ones(len(rate)), "temperature": warm}
+        context = Context(len(rate), known, moving=True)
+        truth = Truth(force[:, None], Motion(rate[:, None], none, none))
+        each = (e.basis(truth, context)[:, 0][..., at] @ theta for e, at, theta in self.laws)
+        return np.asarray(sum(each, np.zeros(rate.shape)))
 
     @property
     def by_force(self) -> Array:

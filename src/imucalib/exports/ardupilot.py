@@ -4,13 +4,18 @@ from __future__ import annotations
 
 from imucalib.calibration.calibration import Calibration
 from imucalib.exports import Export, Made
-from imucalib.exports.per_axis import flight_of, heading
+from imucalib.exports.per_axis import Flight, flight_of, heading
+
+#: °C about which the firmware's polynomial stands.
+_REFERENCE = 35.0
 
 
 def ardupilot(calibration: Calibration, filename: str) -> Made:
     """INS_ACCOFFS_? (m/s²) and INS_ACCSCAL_?: corrected = (raw - offset) scale, after the sensor's
     and before the board's rotation (ArduPilot, AP_InertialSensor_Backend,
-    _rotate_and_correct_accel; limits: AP_InertialSensor_Params). Raises as `flight_of`.
+    _rotate_and_correct_accel; limits: AP_InertialSensor_Params). Where a bias follows the
+    temperature, INS_TCAL1 takes p(T) - p(CALTEMP) off before, p a cubic about 35 °C in millionths,
+    T within TMIN and TMAX (AP_InertialSensor_tempcal, correct_sensor). Raises as `flight_of`.
     """
     flight = flight_of(calibration, "ArduPilot", (0.8, 1.2), 3.5, ("INS_ACC_ID", "INS_GYR_ID"))
     lines = [
@@ -25,7 +30,28 @@ def ardupilot(calibration: Calibration, filename: str) -> Made:
         lines += [f"{name}_{axis},{values[k]:.9g}" for k, axis in enumerate("XYZ")]
     if flight.rate is not None:  # rad/s, taken off (_rotate_and_correct_gyro)
         lines += [f"INS_GYROFFS_{axis},{flight.rate[k]:.9g}" for k, axis in enumerate("XYZ")]
+    lines += _thermal(flight)
     return Made("\n".join([*lines, ""]), flight.lost, flight.loss)
+
+
+def _thermal(flight: Flight) -> list[str]:
+    """Nothing where no law is known."""
+    thermal = flight.thermal
+    if thermal is None:
+        return []
+    force, rate = thermal.about(_REFERENCE)
+    found = {
+        "INS_TCAL1_ENABLE": 1.0,
+        "INS_TCAL1_TMIN": thermal.low,
+        "INS_TCAL1_TMAX": thermal.high,
+        "INS_ACC1_CALTEMP": thermal.middle,
+        "INS_GYR1_CALTEMP": thermal.middle,
+    }
+    for name, powers in (("ACC", force), ("GYR", rate)):
+        for power, row in enumerate([] if powers is None else powers, start=1):
+            each = zip("XYZ", row, strict=True)
+            found |= {f"INS_TCAL1_{name}{power}_{axis}": 1e6 * float(v) for axis, v in each}
+    return [f"{name},{value:.9g}" for name, value in found.items()]
 
 
 EXPORT = Export("ardupilot", "imucal_ardupilot.param", ardupilot)

@@ -14,6 +14,7 @@ from imucalib.effects.forms import in_words
 from imucalib.errors import UsageError
 from imucalib.estimators.levenberg_marquardt import minimise
 from imucalib.exports.linear import lost_parts, sphere_of
+from imucalib.exports.thermal import Thermal, thermal_of
 from imucalib.units import DEG, STANDARD_GRAVITY
 
 #: The catalogue's zero of the temperature effects.
@@ -155,9 +156,10 @@ def with_ids(calibration: Calibration, ids: tuple[int, ...]) -> Calibration:
 
 @dataclass(frozen=True)
 class Flight:
-    """corrected = scale (raw - offset) of a flight controller, which has no slope over temperature.
+    """corrected = scale (raw - thermal - offset) of a flight controller.
 
-    offset, scale : (3,), offset in m/s²; rate : (3,) rad/s, the gyroscope's, or None
+    offset, scale : (3,), offset in m/s²; rate : (3,) rad/s, the gyroscope's, or None; both in the
+    middle of the temperatures; thermal : what is beyond these there, or None
     ids : parameter -> id, of those that are known
     lost : in words; loss : mg, of the vector
     """
@@ -165,6 +167,7 @@ class Flight:
     offset: Array
     scale: Array
     rate: Array | None
+    thermal: Thermal | None
     ids: dict[str, int]
     lost: tuple[str, ...]
     loss: float
@@ -182,7 +185,8 @@ def flight_of(
     Raises UsageError for an array and for what it does not take.
     """
     demand_one(calibration, program)
-    row = nearest_row(calibration, slope=False)
+    thermal = thermal_of(calibration)
+    row = nearest_row(calibration, slope=thermal is not None)
     found = -STANDARD_GRAVITY * row.offset
     if not (scales[0] <= row.scale.min() and row.scale.max() <= scales[1]):
         raise UsageError(
@@ -208,6 +212,19 @@ def flight_of(
         off = np.abs(gyro.gain - np.eye(3)).max()
         more = f"the gyroscope's gains, up to {100.0 * off:.1f} % of a rate"
         sensitivity = ["gyro_g_sensitivity"] if gyro.by_force.any() else []
-        lost = (*lost, ", ".join((more, *sensitivity, *gyro.beyond)))
+        carried = {"gyro_temperature_bias"} if thermal is not None else set[str]()
+        beyond = (name for name in gyro.beyond if name not in carried)
+        lost = (*lost, ", ".join((more, *sensitivity, *beyond)))
     rate = None if gyro is None else gyro.bias
-    return Flight(offset=found, scale=row.scale, rate=rate, ids=ids, lost=lost, loss=row.vector)
+    if gyro is not None and thermal is not None:
+        still = np.zeros((1, 3))
+        rate = gyro.bias + gyro.added(still, still, np.array([thermal.middle]))[0]
+    return Flight(
+        offset=found,
+        scale=row.scale,
+        rate=rate,
+        thermal=thermal,
+        ids=ids,
+        lost=lost,
+        loss=row.vector,
+    )

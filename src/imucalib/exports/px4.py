@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from imucalib.calibration.calibration import Calibration
 from imucalib.exports import Export, Made
-from imucalib.exports.per_axis import flight_of, heading
+from imucalib.exports.per_axis import Flight, flight_of, heading
 
 #: MAV_PARAM_TYPE_REAL32 and _INT32.
 _FLOAT, _INT = 9, 6
@@ -15,7 +17,9 @@ _FLOAT, _INT = 9, 6
 def px4(calibration: Calibration, filename: str) -> Made:
     """CAL_ACC0_?OFF (m/s²) and CAL_ACC0_?SCALE: corrected = (raw - offset) scale, then the board's
     rotation (PX4-Autopilot, src/lib/sensor_calibration/Accelerometer.hpp; limits of the scale:
-    src/modules/sensors/module.yaml). Raises as `flight_of`.
+    src/modules/sensors/module.yaml). Where a bias follows the temperature, TC_A0 and TC_G0 take
+    Σ_k X_k (T - TREF)^k off before, T within TMIN and TMAX (src/modules/temperature_compensation,
+    calc_thermal_offsets_3D). Raises as `flight_of`.
     """
     flight = flight_of(calibration, "PX4", (0.1, 3.0), math.inf, ("CAL_ACC0_ID", "CAL_GYRO0_ID"))
     lines = [
@@ -35,7 +39,25 @@ def px4(calibration: Calibration, filename: str) -> Made:
             f"1\t1\tCAL_GYRO0_{axis}OFF\t{value:.9g}\t{_FLOAT}"
             for axis, value in zip("XYZ", flight.rate, strict=True)
         ]
+    lines += [line for one in ("A", "G") for line in _thermal(flight, one)]
     return Made("\n".join([*lines, ""]), flight.lost, flight.loss)
+
+
+def _thermal(flight: Flight, sensor: str) -> list[str]:
+    """Of the accelerometer "A" or the gyroscope "G"; nothing where no law is known."""
+    thermal = flight.thermal
+    powers = None
+    if thermal is not None:
+        powers = thermal.force if sensor == "A" else thermal.rate
+    if thermal is None or powers is None:
+        return []
+    name, own = f"TC_{sensor}0", "CAL_ACC0_ID" if sensor == "A" else "CAL_GYRO0_ID"
+    found = {"TREF": thermal.middle, "TMIN": thermal.low, "TMAX": thermal.high}
+    for power, row in enumerate((np.zeros(3), *powers)):
+        found |= {f"X{power}_{axis}": float(value) for axis, value in enumerate(row)}
+    numbers = [f"1\t1\t{name}_{key}\t{value:.9g}\t{_FLOAT}" for key, value in found.items()]
+    ids = [f"1\t1\t{name}_ID\t{flight.ids[own]}\t{_INT}"] if own in flight.ids else []
+    return [f"1\t1\tTC_{sensor}_ENABLE\t1\t{_INT}", *ids, *numbers]
 
 
 EXPORT = Export("px4", "imucal_px4.params", px4)
