@@ -56,6 +56,9 @@ WIDTH = 2
 FINE_SIZES = 2.0 ** np.arange(-10.0, 5.0)
 #: The same in a fold, which the components of the whole search limit already.
 FOLD_BEAMS, FOLD_DEEPEST = (4, 2), 3
+#: Sizes of what sessions share over those that the base model leaves them: a law of something that
+#: sessions differ in leaves less, and is seen only where less is weighed.
+BETWEEN = 5.0 ** -np.arange(3.0)
 #: Sd of a setting as its largest effect on a reading over the readings' noise; the half-Cauchy
 #: prior of the sd is the bench's own (`NoisePrior`).
 SETTINGS = (0.0, 1.0, 2.5, 6.0, 15.0, 40.0)

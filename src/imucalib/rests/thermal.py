@@ -272,8 +272,9 @@ def with_thermometer(
 
 #: Covariates that a recording with a clock and a thermometer has.
 REMEMBERED = tuple(past.covariate(value) for past in (LAG, PLAY, RATE) for value in past.values)
-#: Of a play the power that the temperature itself shows, from which on it is that but for noise.
-_PLAIN = 0.97
+#: Power that the temperature itself shows of what is made of it, from which on it is that: a play's
+#: noise, and a lag's change within a recording beside recordings at temperatures of their own.
+_PLAIN = {PLAY.prefix: 0.97, LAG.prefix: 0.999}
 
 
 def is_remembered(name: str) -> bool:
@@ -312,11 +313,12 @@ def remembered_in_rows(temperature: Array, time: Array | None, session: Array) -
         history = ThermalHistory(at[of], temperature[of])
         for name, (course, size) in sizes.items():
             found[name][of] = course(history, size, at[of])
-    plain = {n for n, v in found.items() if n.startswith(PLAY.prefix) and _is_plain(v, temperature)}
-    return {name: values for name, values in found.items() if name not in plain}
+    return {name: v for name, v in found.items() if not _is_plain(name, v, temperature)}
 
 
-def _is_plain(values: Array, temperature: Array) -> bool:
+def _is_plain(name: str, values: Array, temperature: Array) -> bool:
     """Whether what follows the temperature is no more than it, a scale and an offset."""
+    most = next((p for prefix, p in _PLAIN.items() if name.startswith(prefix)), np.inf)
     spread = float(np.std(values))
-    return spread <= 0.0 or float(np.corrcoef(values, temperature)[0, 1] ** 2) >= _PLAIN
+    same = spread <= 0.0 or float(np.corrcoef(values, temperature)[0, 1] ** 2) >= most
+    return bool(np.isfinite(most)) and same

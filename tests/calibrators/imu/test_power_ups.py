@@ -9,8 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from imucalib.writers import write
 from worlds.command import run
-from worlds.turned_imu import Chip, chip, turned
+from worlds.recordings import recording_of
+from worlds.turned_imu import G0, Chip, chip, turned
 
 
 def report(*arguments: object) -> dict:  # type: ignore[type-arg]
@@ -88,3 +90,27 @@ def test_the_page_says_which_bias_is_stated(tmp_path: Path) -> None:
     assert "bias after a power-up" in result.stdout
     assert "states the mean of the power-ups" in " ".join(result.stdout.split())
     assert "next_power_up" in (tmp_path / "out/calibration.yaml").read_text()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [41, 42])
+def test_a_bias_that_follows_the_temperature_is_no_power_ups(seed: int, tmp_path: Path) -> None:
+    """Three logs at temperatures of their own: the law is told from biases that scatter, and no lag
+    from what is no more than the temperature."""
+    rng = np.random.default_rng(seed)
+    own, slope, paths = chip(rng), np.array([8e-4, -3e-4, 5e-4]), []
+    for k, warm in enumerate((5.0, 25.0, 50.0)):
+        bias = own.force_bias + slope * (warm - 25.0) + 3e-4 * rng.normal(size=3)
+        log = turned(replace(own, force_bias=bias), rng, rests=14)
+        heat = warm + 0.3 * np.sin(log.t / 40.0) + 0.01 * rng.normal(size=len(log.t))
+        paths.append(tmp_path / f"{k}.h5")
+        write(recording_of(log.t, G0 * log.force, log.rate, heat, hz=100.0), paths[-1])
+    content = report(*paths)
+    told = [step["effect"] for step in content["loop"]["steps"]]
+    assert "temperature_bias" in told
+    assert not any(name.startswith("thermal_lag") for name in told)
+    found = {p["name"]: p for p in content["parameters"]}
+    for axis, true in zip("xyz", slope, strict=True):
+        one = found[f"temperature_bias_{axis}"]
+        assert abs(one["value"] - 1e3 * true) < 4.0 * one["sd"]
+    assert content["loop"]["errors"][1]["held_out"]["final"] < 1.0

@@ -19,7 +19,7 @@ from imucalib.loop.found import Checked, FitLoop, Step, Unexplained
 from imucalib.loop.held_out import Difference, Fold, difference, folds_of, parts_of, with_density
 from imucalib.loop.posterior.explored import Explored, Start
 from imucalib.loop.posterior.held_out import LeftOut, left_out
-from imucalib.loop.posterior.noise import Point, shared_bias
+from imucalib.loop.posterior.noise import Point, between_temperatures, shared_bias
 from imucalib.loop.posterior.slips import Mended, Written, mended
 from imucalib.loop.posterior.solution import Solved, change, fit_of, noises_of, solved
 from imucalib.loop.posterior.words import (
@@ -111,13 +111,14 @@ def _walking(found: Explored, said: Conclusion) -> Observations:
 
 
 def _gain(base: Fit, left: LeftOut) -> Difference:
-    """What the rows gain but for records that are set aside."""
+    """What the rows gain but for records that are set aside. Where a law may be what sessions
+    differ by, the density of a row says nothing of it: the others of its session know its bias."""
     data, folds = base.observations, folds_of(base.observations)
     aside = [record_of(name) for name in record_names(base)]
     good = ~np.isin(data.context.covariates.get("record", np.arange(data.n)), aside)
     sizes = left.before.size[good], left.after.size[good]
     gain = difference(*sizes, parts_of(folds)[good], len(folds), "rms")
-    return with_density(gain, left.nats)
+    return gain if between_temperatures(data) else with_density(gain, left.nats)
 
 
 def _as_recorded(loop: FitLoop, state: Mended) -> Fit:

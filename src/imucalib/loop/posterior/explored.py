@@ -30,7 +30,7 @@ from imucalib.loop.posterior.catalogue import (
     scan_of,
 )
 from imucalib.loop.posterior.gram import Grams, grams_of
-from imucalib.loop.posterior.noise import Point, Terms, terms_of
+from imucalib.loop.posterior.noise import Point, Terms, between_temperatures, terms_of
 from imucalib.loop.posterior.problem import Choice, Problem, problem_of
 from imucalib.loop.posterior.solution import noises_of
 from imucalib.loop.posterior.space import Posterior, search
@@ -126,10 +126,12 @@ class Start:
 
     @cached_property
     def _everything(self) -> Array:
-        """(N, m) factor of every free function that the base may lack, and of gross errors."""
+        """(N, m) factor of every free function that the base may lack, and of gross errors; the
+        scatter of sessions holds a law of their temperatures of any size."""
+        reach = SIZES[-1] if between_temperatures(self.base.observations) else REACH
         every = (choice.at for choice in self._functions)
         free = np.unique(np.concatenate([np.zeros(0, np.intp), *every]))
-        return np.hstack([REACH * self.problem.columns[: len(self._gross), free], self._gross])
+        return np.hstack([reach * self.problem.columns[: len(self._gross), free], self._gross])
 
     @cached_property
     def _lacking_all(self) -> Array:

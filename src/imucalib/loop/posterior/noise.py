@@ -21,10 +21,17 @@ import numpy as np
 from imucalib.arrays import Array, Index
 from imucalib.core.balance import Whitener, below, whitener
 from imucalib.core.fit import Fit
-from imucalib.core.observations import Observations, SharedNoise
+from imucalib.core.observations import BIAS, Observations, SharedNoise
 from imucalib.core.references import KnownVector
 from imucalib.loop.faults.sheet import in_order
-from imucalib.loop.odds import AS_SET, SETTINGS, WALK_MEMORIES, WALK_SIZES, WALKS
+from imucalib.loop.odds import (
+    AS_SET,
+    BETWEEN,
+    SETTINGS,
+    WALK_MEMORIES,
+    WALK_SIZES,
+    WALKS,
+)
 from imucalib.loop.posterior.problem import Problem
 
 if TYPE_CHECKING:
@@ -306,6 +313,11 @@ def _points(fit: Fit, sharings: int, n: int) -> Iterator[Point]:
                 yield Point(float(weight), tuple(r for r, _ in picked), way, walk)
 
 
+def between_temperatures(data: Observations) -> bool:
+    """Whether sessions have temperatures, whose law may be what their biases differ by."""
+    return bool(data.of_sessions) and "temperature" in data.context
+
+
 def _sharing_prior(fit: Fit, sharings: int) -> Array:
     """(sharings,) prior of how settings are shared: as set, where the rows are in an order of work;
     else nobody knows."""
@@ -320,10 +332,13 @@ def _sharing_prior(fit: Fit, sharings: int) -> Array:
 
 def _levels(fit: Fit, component: int) -> Iterator[tuple[float, float]]:
     """(ratio, log prior) of one component: of a setting its largest effect on a reading in steps;
-    of what sessions share as the base model has it, which takes no part in the search."""
+    of what sessions share as the base model has it, of a bias less where a law may be all of it."""
     at, prior = fit.at, fit.observations.noise_prior
     if component >= at.free:
-        yield fit.noise.ratio[component], 0.0
+        law = at.component[component] == BIAS and between_temperatures(fit.observations)
+        shares = BETWEEN if law else BETWEEN[:1]
+        for share in shares.tolist():
+            yield share * fit.noise.ratio[component], -float(np.log(shares.size))
         return
     reach = float(np.abs(at.settings[component]).max(initial=0.0)) or 1.0
     ratios = np.array(SETTINGS) / reach
