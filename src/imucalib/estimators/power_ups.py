@@ -15,6 +15,7 @@ recording's mean); what the axes say of each other is in the weights of each.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +28,8 @@ _SIZES, _REACH = 36, (0.05, 30.0)
 _UNLIKE = 0.5
 #: Sizes, over the typical one, that a parameter may move by from one power-up to the next.
 _MOVES = 2.0 ** np.arange(-2.0, 7.0)
+#: Prior odds that recordings which are said to be of one sensor differ in more than a power-up.
+_ODDS = 0.2
 
 
 @dataclass(frozen=True)
@@ -78,11 +81,24 @@ def parts_of(information: Array, vector: Array, block: Index, free: Index) -> Pa
     return Parts(whole, vector[:, own].ravel() - back @ vector.sum(axis=0))
 
 
-def log_odds_moved(parts: Parts, typical: Array, before: float) -> float:
-    """Log odds that the parts differ from recording to recording. typical : (k,) sizes by which
-    they usually would; before : prior odds"""
-    each = np.array([parts.log_likelihood(size * typical) for size in _MOVES])
-    return float(np.log(before) + np.logaddexp.reduce(each) - np.log(each.size))
+def moved(
+    information: Array, vector: Array, blocks: Mapping[str, Index], typical: Array, free: Index
+) -> tuple[float, dict[str, float]]:
+    """Probability that anything differs from recording to recording, and that each block does, of
+    products (L, p, p) and (L, p): nothing, one block or all of them.
+
+    typical : (p,) sizes by which parameters usually would; free : those of each recording anyway
+    """
+    sets = [(name,) for name in blocks] + ([tuple(blocks)] if len(blocks) > 1 else [])
+    logs = [0.0]
+    for names in sets:
+        block = np.sort(np.concatenate([blocks[name] for name in names]))
+        parts = parts_of(information, vector, block, free)
+        each = [parts.log_likelihood(size * typical[block]) for size in _MOVES]
+        logs.append(float(np.logaddexp.reduce(each) + np.log(_ODDS / _MOVES.size / len(sets))))
+    weight = np.exp(np.array(logs) - np.logaddexp.reduce(logs))
+    every = list(zip(sets, weight[1:].tolist(), strict=True))
+    return 1.0 - float(weight[0]), {n: sum(w for names, w in every if n in names) for n in blocks}
 
 
 def sizes_allowed(parts: Parts, sd: float) -> tuple[Array, Array, Array]:

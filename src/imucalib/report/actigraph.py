@@ -27,7 +27,14 @@ from imucalib.report.document import (
     Worth,
 )
 from imucalib.report.plots import band, gain_plot, sphere_map
-from imucalib.significant_digits import number, plus_minus, probability, two_digits, with_sd
+from imucalib.significant_digits import (
+    number,
+    per_cent,
+    plus_minus,
+    probability,
+    two_digits,
+    with_sd,
+)
 from imucalib.units import MG
 
 _MOST_ROWS = 12  # parameters of one effect that are shown in full
@@ -183,9 +190,9 @@ def _series_section(found: Calibrations | None) -> Section:
     if found is None:
         return Section(title, ())
     good = [part for part in found.parts if part.fit is not None]
-    words = f"One calibration serves all {len(good)} parts (p {found.p:.2g} if nothing changed)"
+    words = f"One calibration serves all {len(good)} parts ({per_cent(1.0 - found.probability)})"
     if found.differ:
-        words = f"The {len(good)} calibrations differ (p {probability(found.p, 10**6)})"
+        words = f"The {len(good)} calibrations differ ({per_cent(found.probability)})"
     words += f": {', '.join(name for name, _ in found.moved)}" if found.moved else ""
     rows = []
     for part in found.parts:

@@ -27,6 +27,7 @@ from imucalib.report.document import (
 )
 from imucalib.report.plots import gain_plot
 from imucalib.report.power_ups import power_up_worths, sessions_section
+from imucalib.report.temperature import temperature_section
 from imucalib.significant_digits import number, plus_minus, signed, two_digits, with_sd
 from imucalib.units import DEG
 
@@ -47,6 +48,7 @@ def imu_document(run: ImuRun) -> Document:
         Section("Gyroscope", (_gains(run), _facts(run))),
         Section("Parameters", (parameters.parameter_table(run.calibration, ""),), brief=False),
         sessions_section(run.sessions),
+        temperature_section(run.calibration),
         sections.advice_section(outcome),
         parameters.sensor_section(run.calibration),
         Section("Turns", (_turns(run),), brief=False),

@@ -42,6 +42,7 @@ from imucalib.report.document import (
 )
 from imucalib.report.plots import band, gain_plot, sphere_map
 from imucalib.report.power_ups import power_up_worths, sessions_section
+from imucalib.report.temperature import temperature_section
 from imucalib.significant_digits import number, plus_minus
 from imucalib.units import DEG, MG
 
@@ -78,6 +79,7 @@ def lab_document(run: LabRun) -> Document:
         parameters.kind_section(request.population, result.final, result.kind_chance, "position"),
         _bench_section(run),
         sessions_section(run.sessions),
+        temperature_section(run.calibration),
         _dial_section(run),
         sections.advice_section(outcome),
         parameters.sensor_section(run.calibration, _iscwsa_table(run.calibration)),

@@ -31,6 +31,8 @@ from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.core.effect import Parameter, Truth
 from imucalib.core.fit import Fit
 from imucalib.errors import ImucalError, Undetermined
+from imucalib.estimators.power_ups import moved
+from imucalib.loop.odds import CERTAIN
 from imucalib.rests.runs import PostureRuns, Scan
 from imucalib.units import MG
 
@@ -41,6 +43,8 @@ _CLEARER = 6.0
 #: Columns of the biases, of the scales and of the angles: where one of them alone jumps, it is the
 #: same sensor.
 _PARTS = ([0, 1, 2], [3, 6, 8], [4, 5, 7])
+#: By how much a parameter moves, of what devices differ by: 1 mg of a bias.
+_SHARE = 0.02
 _JUMP = 5e-3  # of a scale or an angle, below which it is the same sensor
 
 
@@ -130,23 +134,21 @@ class Part:
 
 @dataclass(frozen=True)
 class Series:
-    """Parts in order, and the test that one calibration serves them all.
+    """Parts in order, and whether one calibration serves them all.
 
-    statistic : Σ (θ_k - θ)ᵀ C_k⁻¹ (θ_k - θ), chi-square with `dof` if nothing changed
-    p : its chance; moved : the parameters that differ most, with their p after Bonferroni
+    common : of all parts; probability : that they differ; moved : the effects that do, each with
+    its probability
     """
 
     parts: tuple[Part, ...]
     parameters: tuple[Parameter, ...]
     common: Array
-    statistic: float
-    dof: int
-    p: float
+    probability: float
     moved: tuple[tuple[str, float], ...]
 
     @property
     def differ(self) -> bool:
-        return self.p < 0.01
+        return self.probability > CERTAIN
 
 
 def series(
@@ -175,7 +177,7 @@ def series(
             where=scanned.path,
             remedy="choose longer parts with --every",
         )
-    return _tested(tuple(parts), good)
+    return _compared(tuple(parts), good)
 
 
 def without_found(runs: PostureRuns, final: Fit, request: ActigraphRequest) -> PostureRuns:
@@ -207,32 +209,20 @@ def _fit(runs: PostureRuns, scanned: Scan, request: ActigraphRequest) -> tuple[F
     return found, ""
 
 
-def _tested(parts: tuple[Part, ...], good: list[Fit]) -> Series:
-    from scipy.special import chdtrc, ndtr
-
-    information = [np.linalg.inv(fit.covariance) for fit in good]
-    total = np.linalg.inv(np.sum(information, axis=0))
-    weighted = np.sum([w @ f.theta for w, f in zip(information, good, strict=True)], axis=0)
-    common = total @ weighted
-    away = [fit.theta - common for fit in good]
-    statistic = float(sum(d @ w @ d for d, w in zip(away, information, strict=True)))
-    dof = common.size * (len(good) - 1)
-    # The common value shares each part's data: what is left of its variance is the difference.
-    spread = [np.sqrt(np.diag(fit.covariance) - np.diag(total)) for fit in good]
-    z = np.array(away) / np.array(spread)
-    worst = np.abs(z).max(axis=0)
-    chance = np.minimum(1.0, 2.0 * ndtr(-worst) * z.size)
-    order = [k for k in np.argsort(chance) if chance[k] < 0.01]
-    parameters = good[0].parameters
-    moved = tuple((parameters[k].name, float(chance[k])) for k in order)
+def _compared(parts: tuple[Part, ...], good: list[Fit]) -> Series:
+    information = np.linalg.inv(np.array([fit.covariance for fit in good]))
+    vector = np.array([w @ fit.theta for w, fit in zip(information, good, strict=True)])
+    slices = good[0].model.slices(good[0].observations.context)
+    blocks = {name: np.arange(at.start, at.stop) for name, at in slices.items()}
+    typical = _SHARE * np.array([p.typical for p in good[0].parameters])
+    probability, each = moved(information, vector, blocks, typical, np.arange(0))
+    likely = sorted(each.items(), key=lambda one: -one[1])
     return Series(
         parts=parts,
-        parameters=parameters,
-        common=np.asarray(common),
-        statistic=statistic,
-        dof=dof,
-        p=float(chdtrc(dof, statistic)),
-        moved=moved,
+        parameters=good[0].parameters,
+        common=np.linalg.solve(information.sum(axis=0), vector.sum(axis=0)),
+        probability=probability,
+        moved=tuple((name, share) for name, share in likely if share > CERTAIN),
     )
 
 
@@ -249,7 +239,7 @@ def series_block(found: Series) -> dict[str, Any]:
             ]
         rows.append(row)
     return {
-        **fields(found, "differ p_value=p chi2=statistic dof"),
-        "moved": [{"parameter": n, "p_value": p} for n, p in found.moved],
+        **fields(found, "differ probability"),
+        "moved": [{"effect": n, "probability": p} for n, p in found.moved],
         "parts": rows,
     }

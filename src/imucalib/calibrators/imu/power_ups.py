@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.estimators.power_ups import Parts, log_odds_moved, parts_of
+from imucalib.estimators.power_ups import Parts, moved, parts_of
 from imucalib.estimators.turns import (
     ACCELEROMETER,
     GAIN,
@@ -34,8 +34,6 @@ _BLOCKS: dict[str, Index] = {
     "the gyroscope's cross terms": ACCELEROMETER + np.flatnonzero(~_FACES),
 }
 _MOVED = 1e-3
-#: Prior odds that one of these differs between logs which are said to be of one sensor.
-_ODDS = 0.05
 
 
 def products_of(fit: TurnFit) -> tuple[Array, Array]:
@@ -51,19 +49,18 @@ def products_of(fit: TurnFit) -> tuple[Array, Array]:
     return np.array(information), np.array(vector)
 
 
-def moved(information: Array, vector: Array, names: tuple[str, ...]) -> tuple[str, ...]:
+def differing(information: Array, vector: Array, names: tuple[str, ...]) -> tuple[str, ...]:
     """One sentence for each kind of parameter that differs from log to log. names : of the logs"""
-    said = []
-    for what, block in _BLOCKS.items():
-        parts = parts_of(information, vector, block, _BIAS)
-        odds = log_odds_moved(parts, np.full(block.size, _MOVED), _ODDS)
-        if odds < np.log(FALSE_CLAIM):
+    typical, said = np.full(_FIXED, _MOVED), []
+    for what, probability in moved(information, vector, _BLOCKS, typical, _BIAS)[1].items():
+        if probability < FALSE_CLAIM / (1.0 + FALSE_CLAIM):
             continue
-        away = parts.predicted(np.full(block.size, 10.0 * _MOVED))[0]
+        block = _BLOCKS[what]
+        parts = parts_of(information, vector, block, _BIAS)
+        away = parts.predicted(10.0 * typical[block])[0]
         k, axis = np.unravel_index(np.argmax(np.abs(away)), away.shape)
-        chance = per_cent(float(1.0 / (1.0 + np.exp(-odds))))
         said.append(
-            f"{what} differs between the recordings ({chance}): {names[k]} is "
+            f"{what} differs between the recordings ({per_cent(probability)}): {names[k]} is "
             f"{100.0 * away[k, axis]:+.2g} % off the mean of all; they are no one calibration"
         )
     return tuple(said)

@@ -17,11 +17,12 @@ from imucalib.calibration.gyroscope import GAIN as GAIN_EFFECT
 from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Limit, Outcome, Run
 from imucalib.calibrators.imu.calibrate import ImuResult, calibrate_imu
 from imucalib.calibrators.imu.plan import open_words
-from imucalib.calibrators.imu.power_ups import bias_parts, moved, products_of
+from imucalib.calibrators.imu.power_ups import bias_parts, differing, products_of
 from imucalib.calibrators.imu.request import ImuRequest, gyro_effects
 from imucalib.calibrators.lab.errors import rms
 from imucalib.calibrators.sessions import Sessions, scattered
 from imucalib.core.sphere import even_directions
+from imucalib.effects.forms import in_words
 from imucalib.estimators.lateness import lateness
 from imucalib.estimators.turns import ACCELEROMETER, GAIN, LOWER, TurnFit
 from imucalib.inspection.noise import SensorNoise, noise_blocks
@@ -32,6 +33,8 @@ from imucalib.significant_digits import plus_minus
 from imucalib.units import DEG, MG
 
 _NORMAL_95 = 1.96
+#: Why what was found in the turns is not corrected.
+_NEEDLESS = "not corrected: turns held out are no better with it"
 #: From weakest to strongest, what two searches say together.
 _VERDICTS = (
     "not run",
@@ -77,7 +80,7 @@ def run_imu(
         reasons=(
             *rests.reasons,
             *(f"the turns leave open {words}" for words in open_gains),
-            *(moved(*products, names) if products else ()),
+            *(differing(*products, names) if products else ()),
         ),
         advice=(*_advice(result, open_gains), *rests.advice),
         limits=_limits(request, error, rests.errors[0]),
@@ -149,10 +152,9 @@ def _findings(result: ImuResult, request: ImuRequest) -> Findings:
     problem, gained = result.found.problem, result.held_out.gained
     steps, unnamed = _steps(result), _unnamed(result)
     names, refused = tuple(s.effect for s in steps), result.refused
-    steps = () if refused else steps
     turns = "nothing missing"
     if unnamed:
-        turns = "explained in part" if steps else "unexplained"
+        turns = "explained in part" if steps and not refused else "unexplained"
     if steps:
         turns = turns if gained.proved else "suspected"
         turns = "explained" if turns == "nothing missing" else turns
@@ -172,11 +174,8 @@ def _findings(result: ImuResult, request: ImuRequest) -> Findings:
     return replace(
         rests,
         verdict=verdict,
-        steps=(*steps, *rests.steps),
-        rejected=(
-            *rests.rejected,
-            *((n, "it makes the held-out error larger") for n in names if refused),
-        ),
+        steps=(*(() if refused else steps), *rests.steps),
+        rejected=(*rests.rejected, *((n, _NEEDLESS) for n in names if refused)),
         refuted=(*rests.refuted, *(names if refused else ())),
         unexplained=(*unnamed, *rests.unexplained),
         scores=tuple(sorted((*_scores(result), *rests.scores), key=lambda s: -s.probability)),
@@ -234,7 +233,7 @@ def _sizes(result: ImuResult) -> dict[str, str]:
 
 
 def _unnamed(result: ImuResult) -> tuple[Unexplained, ...]:
-    """What the turns show and that has no name, or is refused."""
+    """What the turns show and that has no name."""
     components = result.found.problem.components
     return tuple(
         Unexplained(
@@ -246,7 +245,7 @@ def _unnamed(result: ImuResult) -> tuple[Unexplained, ...]:
             rivals=tuple(components[c].name for c, _ in place.rivals),
         )
         for place in result.found.said.places
-        if result.refused or not components[place.component].named
+        if not components[place.component].named
     )
 
 
@@ -289,7 +288,9 @@ def _notes(result: ImuResult) -> tuple[str, ...]:
         "from rest to rest turns the same angle"
     )
     lost = result.imu.left_out
-    return (unseen, f"{len(lost)} turns were left out", *lost) if lost else (unseen,)
+    refused = [s.effect for s in _steps(result)] if result.refused else []
+    said = [f"{in_words(n)} is there, and {_NEEDLESS}; --declare {n} puts it in" for n in refused]
+    return (unseen, *said, *((f"{len(lost)} turns were left out", *lost) if lost else ()))
 
 
 #: Effects of the accelerometer that the turns bear on.
