@@ -84,7 +84,7 @@ def test_written_and_read_bit_by_bit(tmp_path: Path) -> None:
         ("camera_model: pinhole\nintrinsics: [1, 2]\n", "not a calibration of imucal"),
         ("schema: imucal/calibration\n", "version None is not known"),
         ("schema: imucal/calibration\nversion: 999\n", "version 999 is not known"),
-        ("schema: imucal/calibration\nversion: 3\n", "incomplete"),
+        ("schema: imucal/calibration\nversion: 3\n", "damaged"),
         ("a: [1, 2\n", "not a YAML file"),
         ("\tx: 1\n", "not a YAML file"),
     ],
@@ -116,7 +116,7 @@ def test_a_changed_digit_is_refused_until_the_sum_is_deleted(tmp_path: Path) -> 
 def test_a_wrong_block_is_refused(key: str, bad: Any) -> None:
     content = as_dict(_calibration())
     content[key] = bad
-    with pytest.raises(UnreadableInput, match="incomplete"):
+    with pytest.raises(UnreadableInput, match="damaged"):
         from_dict(content, "file.yaml")
 
 

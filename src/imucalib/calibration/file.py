@@ -25,6 +25,7 @@ from imucalib.errors import NotConverged, UnreadableInput
 from imucalib.file_hash import sha256_of
 from imucalib.recording.identity import NAMELESS, identity_from
 from imucalib.recording.pairing import fault
+from imucalib.recording.schema import misfits, schema_of
 from imucalib.recording.yaml_text import dump, load
 
 SCHEMA = "imucal/calibration"
@@ -174,12 +175,12 @@ def from_dict(content: Any, where: str) -> Calibration:
             remedy="calibrate again, or use the imucal that wrote it",
         )
     _check_names(content, where)
+    if wrong := next(misfits(content, schema_of("calibration")), ""):
+        raise UnreadableInput(f"the calibration is damaged: {wrong[:200]}", where=where)
     try:
-        calibration = _calibration(content)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise UnreadableInput(f"the calibration is incomplete: {error!r}", where=where) from None
-    _demand_finite(calibration, where)
-    return calibration
+        return _calibration(content)
+    except ValueError as error:
+        raise UnreadableInput(f"the calibration is damaged: {error}", where=where) from None
 
 
 def _inside(block: Any, above: str = "") -> Iterator[tuple[str, str, Any]]:
@@ -233,7 +234,6 @@ def parameter_from(block: Mapping[str, Any]) -> StoredParameter:
 
 def check(calibration: Calibration, where: str) -> None:
     """Raise UnreadableInput unless the content makes sense: a covariance, an invertible model."""
-    _demand_finite(calibration, where)
     covariance = calibration.covariance
     if not np.isfinite(covariance).all() or not np.allclose(covariance, covariance.T, rtol=1e-6):
         raise UnreadableInput("the covariance is not finite and symmetric", where=where)
@@ -249,22 +249,3 @@ def check(calibration: Calibration, where: str) -> None:
     gains += [model.predict(theta, np.zeros((1, 1, 3)), Context(1, zeros)).d_truth[0, 0]]
     if min(abs(np.linalg.det(gain)) for gain in gains) < 1e-3:
         raise UnreadableInput("the calibration cannot be inverted", where=where)
-
-
-def _demand_finite(calibration: Calibration, where: str) -> None:
-    """Raise UnreadableInput for a number that is none, wherever in the file it stands."""
-    numbers: dict[str, Any] = {
-        **{p.name: (p.value, p.sd) for p in calibration.parameters},
-        "to_m_per_s2": calibration.raw_to_si,
-        "gravity_m_per_s2": calibration.gravity,
-        "valid": list(calibration.valid.values()),
-        **{f"the triad {t.name}": 0.0 if t.finite else np.nan for t in calibration.triads},
-    }
-    bad = [name for name, value in numbers.items() if not np.isfinite(value).all()]
-    bad += [
-        place
-        for place, _, value in _inside(calibration.facts)
-        if isinstance(value, float) and not np.isfinite(value)
-    ]
-    if bad:
-        raise UnreadableInput(f"not a finite number: {', '.join(bad)}", where=where)

@@ -55,11 +55,6 @@ class Triad:
         slope = np.linalg.inv(self.gain) @ gain_and_bias_slope(force)
         return np.asarray(np.einsum("nip,pq,njq->nij", slope, self.covariance, slope))
 
-    @property
-    def finite(self) -> bool:
-        numbers = (v for v in vars(self).values() if not isinstance(v, str))
-        return all(bool(np.isfinite(v).all()) for v in numbers)
-
     def as_dict(self) -> dict[str, Any]:
         """The block of calibration.yaml and report.json."""
         sd = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -45,6 +46,7 @@ class _Form(click.Option):
     "INS_GYR_ID, have them.",
     metavar="ACC[,GYRO]",
 )
+@opt.option("--name", "Name of the sensor in the file; default: as its recording calls it.")
 @opt.effects
 @opt.option(
     "--largest-loss",
@@ -102,7 +104,14 @@ def _stated(calibration: Calibration, form: str, options: dict[str, Any]) -> Cal
     """With the noise and the ids that are stated beside it; raises click's usage errors."""
     from imucalib.exports.imus import with_noise, with_walks
     from imucalib.exports.per_axis import FLIGHT, with_ids
+    from imucalib.recording.identity import NAMELESS
+    from imucalib.recording.pairing import fault
 
+    if options["name"] is not None:
+        if why := fault(options["name"]):
+            raise click.BadParameter(why, param_hint="--name")
+        own = calibration.sensor or NAMELESS
+        calibration = replace(calibration, sensor=replace(own, name=options["name"]))
     if options["noise"] is not None:
         calibration = with_noise(calibration, options["noise"])
     if (walks := options["random_walk"]) != "limit":

@@ -5,6 +5,7 @@ from __future__ import annotations
 from imucalib.calibration.calibration import Calibration
 from imucalib.exports import Export, Made
 from imucalib.exports.per_axis import Flight, flight_of, heading
+from imucalib.recording.identity import NAMELESS
 
 #: °C about which the firmware's polynomial stands.
 _REFERENCE = 35.0
@@ -17,40 +18,42 @@ def ardupilot(calibration: Calibration, filename: str) -> Made:
     temperature, INS_TCAL1 takes p(T) - p(CALTEMP) off before, p a cubic about 35 °C in millionths,
     T within TMIN and TMAX (AP_InertialSensor_tempcal, correct_sensor). Raises as `flight_of`.
     """
-    flight = flight_of(calibration, "ArduPilot", (0.8, 1.2), 3.5, ("INS_ACC_ID", "INS_GYR_ID"))
+    number = (calibration.sensor or NAMELESS).number
+    more = str(number + 1) if number else ""
+    acc, gyro = f"INS_ACC{more}", f"INS_GYR{more}"
+    flight = flight_of(calibration, "ArduPilot", (0.8, 1.2), 3.5, (f"{acc}_ID", f"{gyro}_ID"))
     lines = [
         *heading(calibration, filename),
         "# For readings with INS_ACCOFFS 0, INS_ACCSCAL 1 and before AHRS_ORIENTATION: x forward,",
-        "# y right, z down, z about -9.8 m/s2 at rest and level. Another instance: write INS_ACC2",
-        "# for INS_ACC. Restart after loading.",
+        "# y right, z down, z about -9.8 m/s2 at rest and level. Restart after loading.",
         *(f"# Not in it: {text}." for text in flight.lost),
         *(f"{name},{number}" for name, number in flight.ids.items()),
     ]
-    for name, values in (("INS_ACCOFFS", flight.offset), ("INS_ACCSCAL", flight.scale)):
+    for name, values in ((f"{acc}OFFS", flight.offset), (f"{acc}SCAL", flight.scale)):
         lines += [f"{name}_{axis},{values[k]:.9g}" for k, axis in enumerate("XYZ")]
     if flight.rate is not None:  # rad/s, taken off (_rotate_and_correct_gyro)
-        lines += [f"INS_GYROFFS_{axis},{flight.rate[k]:.9g}" for k, axis in enumerate("XYZ")]
-    lines += _thermal(flight)
+        lines += [f"{gyro}OFFS_{axis},{flight.rate[k]:.9g}" for k, axis in enumerate("XYZ")]
+    lines += _thermal(flight, number + 1)
     return Made("\n".join([*lines, ""]), flight.lost, flight.loss)
 
 
-def _thermal(flight: Flight) -> list[str]:
-    """Nothing where no law is known."""
+def _thermal(flight: Flight, number: int) -> list[str]:
+    """Of an IMU by its number, from 1; nothing where no law is known."""
     thermal = flight.thermal
     if thermal is None:
         return []
     force, rate = thermal.about(_REFERENCE)
     found = {
-        "INS_TCAL1_ENABLE": 1.0,
-        "INS_TCAL1_TMIN": thermal.low,
-        "INS_TCAL1_TMAX": thermal.high,
-        "INS_ACC1_CALTEMP": thermal.middle,
-        "INS_GYR1_CALTEMP": thermal.middle,
+        f"INS_TCAL{number}_ENABLE": 1.0,
+        f"INS_TCAL{number}_TMIN": thermal.low,
+        f"INS_TCAL{number}_TMAX": thermal.high,
+        f"INS_ACC{number}_CALTEMP": thermal.middle,
+        f"INS_GYR{number}_CALTEMP": thermal.middle,
     }
     for name, powers in (("ACC", force), ("GYR", rate)):
         for power, row in enumerate([] if powers is None else powers, start=1):
             each = zip("XYZ", row, strict=True)
-            found |= {f"INS_TCAL1_{name}{power}_{axis}": 1e6 * float(v) for axis, v in each}
+            found |= {f"INS_TCAL{number}_{name}{power}_{axis}": 1e6 * float(v) for axis, v in each}
     return [f"{name},{value:.9g}" for name, value in found.items()]
 
 

@@ -7,6 +7,7 @@ and what does not fit is the largest that does.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -23,6 +24,7 @@ from imucalib.errors import UsageError
 from imucalib.exports import Export, Made
 from imucalib.exports.imus import losses_of, places_of
 from imucalib.exports.linear import lost_linear, nearest_linear, sphere_of
+from imucalib.recording.identity import NAMELESS
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
 
 #: Readings that the header tests itself with: the six faces, none, and one between the axes.
@@ -76,6 +78,8 @@ def c_header(calibration: Calibration, filename: str) -> Made:
     text = _filled(
         {
             "filename": filename,
+            "sensor": calibration.sensor or NAMELESS,
+            "p": _prefix(calibration),
             "status": calibration.status,
             "lost": lost,
             "sha256": identity(calibration),
@@ -88,6 +92,13 @@ def c_header(calibration: Calibration, filename: str) -> Made:
         }
     )
     return Made(text, lost, *losses)
+
+
+def _prefix(calibration: Calibration) -> str:
+    """What all C's names begin with: "imucal_", and the sensor's name where it has one."""
+    name = (calibration.sensor or NAMELESS).name
+    word = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_").lower()
+    return f"imucal_{word or identity(calibration)[:8]}_" if name else "imucal_"
 
 
 def _filled(values: Mapping[str, Any]) -> str:

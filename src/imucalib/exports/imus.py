@@ -26,6 +26,7 @@ from imucalib.errors import UnreadableInput, UsageError
 from imucalib.exports import Made
 from imucalib.exports.linear import beyond_linear
 from imucalib.inspection.noise import read_noise
+from imucalib.recording.identity import NAMELESS
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
 
 #: What every form of single IMUs loses of an array.
@@ -39,7 +40,7 @@ class Imu:
     by_force : (3, 3) rad/s per m/s², of forces in the gyro's frame
     elements : (3, 3) m, in its rows where the axes x, y and z sense, from the place, in the IMU's
         frame
-    noise : keys as in Kalibr's imu.yaml, as far as they are known
+    noise : keys as in Kalibr's imu.yaml, as far as they are known; topic : of its recording
     """
 
     name: str
@@ -51,6 +52,7 @@ class Imu:
     by_force: Array
     elements: Array
     noise: dict[str, Any]
+    topic: str = ""
 
     @property
     def from_board(self) -> Array:
@@ -120,7 +122,7 @@ def _alone(calibration: Calibration, gyro: Gyroscope, form: str) -> Imu:
     )
     known = calibration.facts.get("noise_density", {})
     return Imu(
-        name="imu0",
+        name=name_of(calibration),
         place=np.zeros(3),
         frame=frame,
         accelerometer=lower,
@@ -129,7 +131,13 @@ def _alone(calibration: Calibration, gyro: Gyroscope, form: str) -> Imu:
         by_force=gyro.by_force @ turn.T,
         elements=np.zeros((3, 3)),
         noise=dict(next(iter(known.values()), {})),
+        topic=(calibration.sensor or NAMELESS).topic,
     )
+
+
+def name_of(calibration: Calibration) -> str:
+    """What the one sensor of a calibration is called."""
+    return (calibration.sensor or NAMELESS).name or "imu0"
 
 
 def _lower(matrix: Array, name: str, form: str) -> tuple[Array, Array]:
@@ -262,7 +270,8 @@ def _noise_lines(imu: Imu, program: str) -> tuple[dict[str, Any], list[str]]:
             "and `--noise noise.yaml` here, or state the walks: --random-walk ACC,GYRO (SI)",
         )
     rate = float(f"{imu.noise['update_rate']:.9g}")
-    found, said = {"rostopic": f"/{imu.name}/imu", "update_rate": rate}, []
+    topic = imu.topic or f"/{imu.name}/imu"
+    found, said = {"rostopic": topic, "update_rate": rate}, []
     for key, unit in _NOISE.items():
         found[key] = float(imu.noise[key if key in imu.noise else f"{key}_at_most"])
         if key not in imu.noise:
@@ -272,7 +281,7 @@ def _noise_lines(imu: Imu, program: str) -> tuple[dict[str, Any], list[str]]:
 
 def with_walks(calibration: Calibration, accelerometer: float, gyroscope: float) -> Calibration:
     """A calibration whose random walks are stated, m/s³/√Hz and rad/s²/√Hz."""
-    names = [t.name for t in calibration.triads] or ["imu0"]
+    names = [t.name for t in calibration.triads] or [name_of(calibration)]
     known = calibration.facts.get("noise_density", {})
     walks = {"accelerometer_random_walk": accelerometer, "gyroscope_random_walk": gyroscope}
     stated = {name: {**known.get(name, {}), **walks} for name in names}
@@ -285,7 +294,7 @@ def with_noise(calibration: Calibration, path: Path) -> Calibration:
     Raises UnreadableInput for a file that is none, or that names none of the calibration's IMUs.
     """
     known = read_noise(path)
-    names = [t.name for t in calibration.triads] or ["imu0"]
+    names = [t.name for t in calibration.triads] or [name_of(calibration)]
     if "" in known:  # of one sensor: so of all
         known = dict.fromkeys(names, known[""])
     if not set(known) & set(names):

@@ -9,23 +9,26 @@ import numpy as np
 from imucalib.calibration.calibration import Calibration
 from imucalib.exports import Export, Made
 from imucalib.exports.per_axis import Flight, flight_of, heading
+from imucalib.recording.identity import NAMELESS
 
 #: MAV_PARAM_TYPE_REAL32 and _INT32.
 _FLOAT, _INT = 9, 6
 
 
 def px4(calibration: Calibration, filename: str) -> Made:
-    """CAL_ACC0_?OFF (m/s²) and CAL_ACC0_?SCALE: corrected = (raw - offset) scale, then the board's
-    rotation (PX4-Autopilot, src/lib/sensor_calibration/Accelerometer.hpp; limits of the scale:
+    """CAL_ACC0_?OFF (m/s²) and CAL_ACC0_?SCALE, of a log's second IMU CAL_ACC1_...: corrected =
+    (raw - offset) scale, then the board's rotation (PX4-Autopilot, src/lib/sensor_calibration/Accelerometer.hpp; limits of the scale:
     src/modules/sensors/module.yaml). Where a bias follows the temperature, TC_A0 and TC_G0 take
     Σ_k X_k (T - TREF)^k off before, T within TMIN and TMAX (src/modules/temperature_compensation,
     calc_thermal_offsets_3D). Raises as `flight_of`.
     """
-    flight = flight_of(calibration, "PX4", (0.1, 3.0), math.inf, ("CAL_ACC0_ID", "CAL_GYRO0_ID"))
+    number = (calibration.sensor or NAMELESS).number
+    acc, gyro = f"CAL_ACC{number}", f"CAL_GYRO{number}"
+    flight = flight_of(calibration, "PX4", (0.1, 3.0), math.inf, (f"{acc}_ID", f"{gyro}_ID"))
     lines = [
         *heading(calibration, filename),
         "# For readings as sensor_accel logs them: x forward, y right, z down, z about -9.8 m/s2",
-        "# at rest and level. Another instance: CAL_ACC1 for CAL_ACC0. Restart after loading.",
+        "# at rest and level. Restart after loading.",
         *(f"# Not in it: {text}." for text in flight.lost),
         "#",
         "# Vehicle-Id Component-Id Name Value Type",
@@ -33,17 +36,17 @@ def px4(calibration: Calibration, filename: str) -> Made:
     ]
     for k, axis in enumerate("XYZ"):
         for name, value in (("OFF", flight.offset[k]), ("SCALE", flight.scale[k])):
-            lines.append(f"1\t1\tCAL_ACC0_{axis}{name}\t{value:.9g}\t{_FLOAT}")
+            lines.append(f"1\t1\t{acc}_{axis}{name}\t{value:.9g}\t{_FLOAT}")
     if flight.rate is not None:  # corrected = rotation (raw - offset), rad/s (Gyroscope.hpp)
         lines += [
-            f"1\t1\tCAL_GYRO0_{axis}OFF\t{value:.9g}\t{_FLOAT}"
+            f"1\t1\t{gyro}_{axis}OFF\t{value:.9g}\t{_FLOAT}"
             for axis, value in zip("XYZ", flight.rate, strict=True)
         ]
-    lines += [line for one in ("A", "G") for line in _thermal(flight, one)]
+    lines += [line for one in ("A", "G") for line in _thermal(flight, one, number)]
     return Made("\n".join([*lines, ""]), flight.lost, flight.loss)
 
 
-def _thermal(flight: Flight, sensor: str) -> list[str]:
+def _thermal(flight: Flight, sensor: str, number: int) -> list[str]:
     """Of the accelerometer "A" or the gyroscope "G"; nothing where no law is known."""
     thermal = flight.thermal
     powers = None
@@ -51,7 +54,8 @@ def _thermal(flight: Flight, sensor: str) -> list[str]:
         powers = thermal.force if sensor == "A" else thermal.rate
     if thermal is None or powers is None:
         return []
-    name, own = f"TC_{sensor}0", "CAL_ACC0_ID" if sensor == "A" else "CAL_GYRO0_ID"
+    name = f"TC_{sensor}{number}"
+    own = f"CAL_{'ACC' if sensor == 'A' else 'GYRO'}{number}_ID"
     found = {"TREF": thermal.middle, "TMIN": thermal.low, "TMAX": thermal.high}
     for power, row in enumerate((np.zeros(3), *powers)):
         found |= {f"X{power}_{axis}": float(value) for axis, value in enumerate(row)}

@@ -57,8 +57,8 @@ class AxisNoise:
 
 @dataclass(frozen=True)
 class SensorNoise:
-    """The axes of one sensor: its quantity, its triad, its unit, and the samples a second; settles
-    : (start, stop) s of rests that are louder than the quietest, which are not used"""
+    """The axes of one sensor: its quantity, triad, unit, samples a second, and topic; settles :
+    (start, stop) s of rests that are louder than the quietest, which are not used"""
 
     triad: str
     quantity: str
@@ -66,6 +66,7 @@ class SensorNoise:
     rate: float
     axes: tuple[AxisNoise, ...]
     settles: tuple[tuple[float, float], ...]
+    topic: str = ""
 
 
 def noise_at_rest(blocks: Iterable[Recording], still: Segments) -> tuple[SensorNoise, ...]:
@@ -83,9 +84,8 @@ def noise_at_rest(blocks: Iterable[Recording], still: Segments) -> tuple[SensorN
         if len(curves[0].tau) >= _FEWEST and all((c.variance > 0.0).all() for c in curves):
             axes = tuple(map(identify, curves))
             settles = tuple(s for s, q in zip(one.spans, quiet, strict=True) if not q)
-            noise.append(
-                SensorNoise(like.triad, like.quantity, like.unit, like.rate, axes, settles)
-            )
+            words = (like.triad, like.quantity, like.unit, like.rate)
+            noise.append(SensorNoise(*words, axes, settles, like.topic))
     return tuple(noise)
 
 
@@ -177,7 +177,7 @@ def noise_blocks(noise: Sequence[SensorNoise]) -> dict[str, dict[str, Any]]:
                 block[f"{prefix}_{name}_at_most"] = max(
                     getattr(axis, term).bound for axis in sensor.axes
                 )
-        block["rostopic"] = f"/{sensor.triad}/imu"
+        block["rostopic"] = sensor.topic or f"/{sensor.triad}/imu"
         block["update_rate"] = sensor.rate
     return blocks
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
@@ -19,6 +20,7 @@ class Identity:
 
     name : in the recording, empty where the reader only numbered it
     names : what else the file calls it, in full: topic or dataset, then its frame_id
+    topic : of messages, which it came in; number : in a flight controller, from 0
     device, serial : kind of the device that holds it, and its number
     unit : of the readings in the file; to_m_per_s2 : one of it, zero : what is taken off them
         before, (1,) or one an axis
@@ -27,6 +29,8 @@ class Identity:
 
     name: str = ""
     names: tuple[str, ...] = ()
+    topic: str = ""
+    number: int = 0
     device: str = ""
     serial: str = ""
     unit: str = ""
@@ -49,6 +53,8 @@ class Identity:
         return ", ".join(filter(None, (words, device))) or "a sensor without a name"
 
 
+#: Formats of flight controllers, whose sensors are imu0, imu1, ...
+CONTROLLERS = ("ulog", "dataflash")
 #: Of what says nothing of its sensor.
 NAMELESS = Identity()
 
@@ -65,11 +71,14 @@ def identity_from(block: Mapping[str, Any]) -> Identity:
 def identity_of(recording: Recording, sensor: str, step: Array | None = None) -> Identity:
     """The identity of a sensor of a recording. step : (3,) m/s², 0 where it is not known"""
     channel = accelerometers(recording)[sensor]
+    numbered = re.fullmatch(r"imu\d{1,3}", sensor) is not None
     names = [name for name in channel.names if not fault(name)]
     known = step is not None and step.all()
     return Identity(
         name="" if channel.numbered or fault(sensor) else sensor,
         names=tuple(names),
+        topic=channel.topic,
+        number=int(sensor[3:]) if recording.format in CONTROLLERS and numbered else 0,
         device=recording.device,
         serial=recording.serial,
         unit=channel.raw_unit,

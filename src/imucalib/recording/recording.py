@@ -82,6 +82,7 @@ class Channel:
     triad : the sensor that it belongs to, for example "imu0"
     names : what else the file calls that sensor, in full: topic or dataset, then its frame_id
     numbered : whether `triad` is only a number, since the file has no name for the sensor
+    topic : of messages, which it came in
     raw_unit, raw_to_si, raw_zero : unit of the numbers in the file, `unit` in one of it, and what
         is taken off them before, (1,) or one an axis
     rate : samples a second, over all that no gap interrupts (or of the file's header)
@@ -98,6 +99,7 @@ class Channel:
     pending: Pending | None = None
     names: tuple[str, ...] = ()
     numbered: bool = False
+    topic: str = ""
     raw_unit: str = ""
     raw_to_si: tuple[float, ...] = ()
     raw_zero: tuple[float, ...] = ()

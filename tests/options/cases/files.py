@@ -201,6 +201,11 @@ def _all(without: Outcome, done: Outcome, bench: Bench) -> None:
     assert len(done.stdout.splitlines()) > len(lines)
 
 
+def _is_called(without: Outcome, done: Outcome, bench: Bench) -> None:
+    assert "imucal_left_apply(" in done.stdout
+    assert without.stdout.replace("imucal_apply(", "imucal_left_apply(") != without.stdout
+
+
 CASES: tuple[Case, ...] = (
     INSPECT("--full", _all, "inspect", "<night.h5>", "--noise"),
     INSPECT("--save-mapping <out>/m.yaml", _mapping_serves),
@@ -232,6 +237,7 @@ CASES: tuple[Case, ...] = (
     APPLY("--at nan,0,0", ends(2), *ARRAY),
     APPLY("--again", _twice, "apply", "<calibration.yaml>", "<corrected.csv>", "-o",
           "<out>/corrected.csv"),
+    EXPORT("--name left", _is_called),
     EXPORT("--to urdf", ends(2, "one accelerometer")),
     EXPORT("--to ggir-csv", _as_ggir),
     EXPORT("--device-id 1310988", _with_id, "export", "<calibration.yaml>", "--to", "px4"),

@@ -22,7 +22,7 @@ def _whole() -> tuple[bytes, Calibration]:
     rng = np.random.default_rng(3)
     values = {"bias": rng.normal(scale=30.0, size=3), "scale": rng.normal(scale=0.01, size=3)}
     covariance = np.diag([0.36] * 3 + [4e-8] * 3)
-    calibration = stated(values, covariance, gravity=9.81, facts={"noise": {"sd_mg": 1.25}})
+    calibration = stated(values, covariance, gravity=9.81, facts={"noise": {"reading_mg": 1.25}})
     return file.to_yaml(calibration).encode(), calibration
 
 

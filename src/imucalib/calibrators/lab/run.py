@@ -249,6 +249,7 @@ def lab_calibration(
     if "between_sessions" in details:
         facts["between_sessions"] = details["between_sessions"]
     facts["left_out"] = details["left_out"]
+    facts["undecided"] = list(outcome.undecided)
     facts["provenance"] = outcome.provenance.as_dict()
     return from_fit(
         result.final,

@@ -320,6 +320,7 @@ def _part(
         rate=1e9 / clock.period if clock.period else 0.0,
         names=(source.name, source.frame) if source.frame else (source.name,),
         numbered=triad.numbered,
+        topic=source.name,
         **how.units,
     )
     return Part(f"{triad.name}/{channel.quantity}", source.name, column, how, channel)
