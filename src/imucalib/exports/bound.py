@@ -21,8 +21,9 @@ def demand_carried(
     largest_rate: float | None = None,
 ) -> None:
     """Raise LimitBroken for a calibration that leaves a question open, and where a form loses more
-    than `largest` mg of a force or `largest_rate` deg/s of a rate; None: where what it loses and what the calibration leaves are together no less
-    than the error of the raw reading, which is what the device has without it."""
+    than `largest` mg of a force or `largest_rate` deg/s of a rate; None: where what it loses and
+    what the calibration leaves are together no less than the error of the raw reading, which is
+    what the device has without it."""
     open_ = calibration.facts.get("undecided", ())
     if open_ or calibration.status in ("weak", "failed"):
         why = "; ".join(open_) or "; ".join(calibration.reasons) or calibration.status
