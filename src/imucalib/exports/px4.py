@@ -17,7 +17,8 @@ _FLOAT, _INT = 9, 6
 
 def px4(calibration: Calibration, filename: str) -> Made:
     """CAL_ACC0_?OFF (m/s²) and CAL_ACC0_?SCALE, of a log's second IMU CAL_ACC1_...: corrected =
-    (raw - offset) scale, then the board's rotation (PX4-Autopilot, src/lib/sensor_calibration/Accelerometer.hpp; limits of the scale:
+    (raw - offset) scale, then the board's rotation (PX4-Autopilot,
+    src/lib/sensor_calibration/Accelerometer.hpp; limits of the scale:
     src/modules/sensors/module.yaml). Where a bias follows the temperature, TC_A0 and TC_G0 take
     Σ_k X_k (T - TREF)^k off before, T within TMIN and TMAX (src/modules/temperature_compensation,
     calc_thermal_offsets_3D). Raises as `flight_of`.
