@@ -18,9 +18,10 @@ from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.findings import Findings, FoundStep
 from imucalib.calibration.outcome import ErrorSummary, Outcome, Run, Status
 from imucalib.calibration.power import hidden
-from imucalib.effects import known
+from imucalib.effects import known, names_a_cause
 from imucalib.effects.forms import in_words
 from imucalib.exports.bound import carries
+from imucalib.loop.found import Unexplained
 from imucalib.report.document import (
     Block,
     Card,
@@ -251,10 +252,13 @@ def _found(found: Findings) -> list[Text]:
         words = f"On held-out data{aside} {g.before:.3g} -> {g.after:.3g} {g.unit}: {gained}"
         refused = "; so it is not corrected" if found.refuted else ""
         lines.append(Text(f"{words}{refused}."))
-    if nameless := _nameless(found):
-        count = len(nameless) - _OPEN
-        more = f", and {count} more" if count > 0 else ""
-        lines.append(Text(f"Left without a name: {'; '.join(nameless[:_OPEN])}{more}.", "warning"))
+    named = [u for u in found.unexplained if _named(u)]
+    told = [f"{in_words(u.name)} ({per_cent(u.probability)})" for u in named]
+    nameless = _nameless([u for u in found.unexplained if not _named(u)])
+    for words, every in (("Named, but not corrected", told), ("Left without a name", nameless)):
+        if every:
+            more = f", and {len(every) - _OPEN} more" if len(every) > _OPEN else ""
+            lines.append(Text(f"{words}: {'; '.join(every[:_OPEN])}{more}.", "warning"))
     if found.verdict == "not run":
         lines.append(Text("What the model lacks was not searched for."))
     elif not lines:
@@ -262,11 +266,16 @@ def _found(found: Findings) -> list[Text]:
     return lines
 
 
-def _nameless(found: Findings) -> list[str]:
+def _named(one: Unexplained) -> bool:
+    """Whether it is a cause of the catalogue, likelier than not."""
+    return bool(known(one.name)) and names_a_cause(one.name) and one.probability > _EVEN
+
+
+def _nameless(unexplained: Sequence[Unexplained]) -> list[str]:
     """What no effect explains, and against what it shows."""
     return [
         f"{in_words(u.name)} (driven by {u.follows})" if u.follows else in_words(u.name)
-        for u in found.unexplained
+        for u in unexplained
     ]
 
 
@@ -404,7 +413,7 @@ def _loop_verdict(found: Findings) -> Text:
     wrong = f"a wrong record ({records})" if records else ""
     cause = " and ".join(filter(None, (wrong, names)))
     curves = [f"{s.curve}, corrected by a curve" for s in found.steps if s.curve]
-    unknown = ", ".join([*_nameless(found), *curves])
+    unknown = ", ".join([*_nameless(found.unexplained), *curves])
     aside = f", {records} set aside" if records else ""
     judged = found.gain if found.steps or found.refuted else None
     gained = f" Held out{aside}: {judged.words}." if judged else ""
