@@ -39,9 +39,11 @@ def _misfits(value: Any, schema: Any, defs: Mapping[str, Any], place: str) -> It
     if words := next(_plain_misfits(value, schema), ""):
         yield f"{place or 'it'} {words}"
         return
-    fitting = [one for one in schema.get("oneOf", ()) if not [*_misfits(value, one, defs, place)]]
-    if "oneOf" in schema and len(fitting) != 1:
-        yield f"{place or 'it'} fits {len(fitting)} of {len(schema['oneOf'])} forms"
+    forms = [[*_misfits(value, one, defs, place)] for one in schema.get("oneOf", ())]
+    if forms and all(forms):
+        yield from min(forms, key=len)  # of the form that it is nearest to
+    elif len(forms) - sum(map(bool, forms)) > 1:
+        yield f"{place or 'it'} fits more than one of {len(forms)} forms"
     for key, one, its in _inside(value, schema):
         below = f"{place}.{key}" if place else key
         if its is False:
@@ -51,14 +53,16 @@ def _misfits(value: Any, schema: Any, defs: Mapping[str, Any], place: str) -> It
 
 
 def _inside(value: Any, schema: Mapping[str, Any]) -> Iterator[tuple[str, Any, Any]]:
-    """Key, value and schema of everything in a block."""
+    """Key or name, value and schema of everything in a block."""
     if isinstance(value, Mapping):
         known, other = schema.get("properties", {}), schema.get("additionalProperties", {})
         other = {} if other is True else other
         yield from ((str(key), one, known.get(key, other)) for key, one in value.items())
     elif isinstance(value, list | tuple):
         its = schema.get("items", {})
-        yield from ((str(k), one, its) for k, one in enumerate(value))
+        for k, one in enumerate(value):
+            name = one.get("name", k) if isinstance(one, Mapping) else k
+            yield str(name), one, its
 
 
 def _plain_misfits(value: Any, schema: Mapping[str, Any]) -> Iterator[str]:
