@@ -19,7 +19,7 @@ from imucalib.calibration.checking.statistic import ANYTHING, Statistic
 from imucalib.calibration.triads import Triad
 from imucalib.calibrators.lab.bench import still_observations
 from imucalib.calibrators.lab.position_table import PositionTable
-from imucalib.errors import UnreadableInput
+from imucalib.errors import UsageError
 from worlds.instrument import DEG, MG, Array, G, four, vectors
 from worlds.stated import made
 
@@ -147,7 +147,7 @@ def test_a_readings_noise_has_the_freedom_of_its_parts() -> None:
     assert found.reading.sd == pytest.approx(np.sqrt(parts.sum()))
     assert found.reading.dof == pytest.approx(parts.sum() ** 2 / np.sum(parts**2 / dof))
     assert (found.share, found.memory) == pytest.approx((parts[1] / parts.sum(), 5.0))
-    with pytest.raises(UnreadableInput, match="does not state the noise"):
+    with pytest.raises(UsageError, match="does not state the noise"):
         check_noise(file())  # type: ignore[arg-type]
 
 

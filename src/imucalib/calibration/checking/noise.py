@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from imucalib.calibration.calibration import Calibration
-from imucalib.errors import UnreadableInput, UsageError
+from imucalib.errors import UsageError
 from imucalib.units import DEG, MG
 
 #: Kinds of change, and the unit of their sizes.
@@ -65,7 +65,7 @@ def check_noise(
 
     reading : m/s², instead of what the file states; session : by the kind of change and in its
     unit (bias mg, mounting deg), its scatter between power-ups instead of what the file states
-    Raises UnreadableInput where neither tells the noise of a reading.
+    Raises UsageError where neither tells the noise of a reading.
     """
     block = calibration.facts.get("noise") or {}
     share, memory = 0.0, math.inf
@@ -113,7 +113,7 @@ def _reading(calibration: Calibration, block: Mapping[str, Any]) -> tuple[Scatte
     own, shared = _of_rests(calibration), _stated(block, "shared", "mg", MG)
     own = own or _stated(block, "reading", "mg", MG)
     if own is None:
-        raise UnreadableInput(
+        raise UsageError(
             "the calibration does not state the noise of a reading",
             remedy="give it: --noise 0.5mg, or calibrate again with this version",
         )
