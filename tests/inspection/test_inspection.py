@@ -157,6 +157,23 @@ def test_flicker_is_a_bias_instability() -> None:
     assert found.walk.value is None
 
 
+def test_rests_that_still_settle_are_left_out() -> None:
+    rng = np.random.default_rng(6)
+    sums, loud = AllanSums(3), (0, 3, 4, 9)
+    for k in range(14):
+        rest = 0.1 * rng.normal(size=(400, 3))
+        if k in loud:
+            sway = np.exp(-np.arange(400) / 150.0) * np.sin(np.arange(400) / 8.0)
+            rest[:, k % 3] += 0.4 * sway
+        sums.add(rest)
+        sums.cut()
+    quiet = sums.quiet(1.0 / HZ)
+    assert list(np.flatnonzero(~quiet)) == list(loud)
+    for curve_of_axis in sums.curves(1.0 / HZ, quiet):
+        found = identify(curve_of_axis).white
+        assert found.value == pytest.approx(0.1 / np.sqrt(HZ), rel=0.06)
+
+
 @pytest.fixture(scope="module")
 def night(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Ten minutes at rest, moved once in between."""

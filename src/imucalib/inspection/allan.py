@@ -20,7 +20,7 @@ _STEPS = 64  # places of a mean within τ, at most
 _OCTAVES = 40  # levels at most
 _LEAST_FREEDOM = 2.0  # degrees of freedom of white noise below which a value says nothing
 _AT_REST = 0.3  # s, where stretches are held against each other: what settles is slower
-_LOUDER = np.geomspace(1.5, 300.0, 12)  # times the variance that a stretch may have that settles
+_LOUDER = np.geomspace(3.0, 300.0, 10)  # times the variance that a stretch may have that settles
 _SETTLES = 0.2  # prior probability that a stretch does
 
 
