@@ -99,30 +99,26 @@ def covariance_forms(samples: Index, lengths: Index, interval: float) -> Array:
     samples : (M,) τ in samples, powers of two, growing; lengths : samples of each stretch, whose
         squares are pooled; interval : s between samples
     """
-    m, size, terms = samples, len(samples), len(SHAPES)
-    total = np.zeros((terms, terms, size, size))
-    places = np.zeros(size)
-    for length, count in zip(*np.unique(lengths, return_counts=True), strict=True):
-        own = np.maximum(length + 1 - 2 * m, 0)
-        places += count * own
-        for i in range(size):
-            for j in range(i, size):
-                if own[j]:
-                    form = count * _form(int(m[i]), int(m[j]), int(own[i]), int(own[j]), interval)
-                    total[:, :, i, j] += form
-                    if i != j:
-                        total[:, :, j, i] += form
-    return np.asarray(total / np.maximum(np.outer(places, places), 1.0))
+    each, count = np.unique(lengths, return_counts=True)
+    places = np.maximum(each[:, None] + 1 - 2 * samples, 0)
+    size, terms, total = len(samples), len(SHAPES), count @ places
+    found = np.zeros((terms, terms, size, size))
+    for i in range(size):
+        for j in range(i, size):
+            form = _form(int(samples[i]), int(samples[j]), places[:, [i, j]], count, interval)
+            found[:, :, i, j] = found[:, :, j, i] = form
+    return np.asarray(found / np.maximum(np.outer(total, total), 1.0))
 
 
-def _form(short: int, long: int, places: int, fewer: int, interval: float) -> Array:
-    """(5, 5) sum over all pairs of places of one stretch, over two."""
+def _form(short: int, long: int, places: Index, count: Index, interval: float) -> Array:
+    """(5, 5) half of the sum over all pairs of places. places : (S, 2) of either τ in a stretch;
+    count : (S,) of such stretches"""
     fine = min(short, _FINE)
     lag, step, c = _shared(fine, round(np.log2(long / short)))
     lag, step = lag * short, step * short
     # Places t of the shorter and t + lag of the longer.
-    pairs = np.minimum(places, fewer - lag) - np.maximum(0.0, -lag)
-    weight = np.maximum(pairs, 0.0) * step / 2.0
+    pairs = np.minimum(places[:, :1], places[:, 1:] - lag) - np.maximum(0.0, -lag)
+    weight = count @ np.maximum(pairs, 0.0) * step / 2.0
     tau = short * interval
     unit = tau ** np.array([-2.0, -1.0, 0.0, 1.0])
     c = c * unit[:, None]
@@ -163,10 +159,10 @@ def draws(
         step = _step(log, 1.0 - heat)
         weight = np.exp(step * (log - log.max()))
         heat += step
-        kept = _resampled(weight / weight.sum(), rng)
+        kept = _resample(weight / weight.sum(), rng)
         x, log = x[kept], log[kept]
         for turn in range(_MOVES):
-            x, log = _moved(target, x, log, heat, turn, rng)
+            x, log = _move(target, x, log, heat, turn, rng)
     return x
 
 
@@ -186,13 +182,13 @@ def _step(log: Array, left: float) -> float:
     return max(low, 1e-9)
 
 
-def _resampled(weight: Array, rng: np.random.Generator) -> Index:
+def _resample(weight: Array, rng: np.random.Generator) -> Index:
     """Systematic resampling (Kitagawa 1996)."""
     at = (rng.random() + np.arange(len(weight))) / len(weight)
     return np.minimum(np.searchsorted(np.cumsum(weight), at), len(weight) - 1)
 
 
-def _moved(
+def _move(
     target: _Target, x: Array, log: Array, heat: float, turn: int, rng: np.random.Generator
 ) -> tuple[Array, Array]:
     """Every particle by the difference of two others, and every other turn another number of τ."""

@@ -36,9 +36,14 @@ class Thermal:
         """The same powers (3, 3) about another temperature, without what is constant: differences
         of two temperatures are the same."""
         shift = self.middle - reference
-        # (x - s)^k in powers of x.
-        turn = np.array([[0.0, 1.0, -2.0 * shift, 3.0 * shift**2], [0.0, 0.0, 1.0, -3.0 * shift],
-                         [0.0, 0.0, 0.0, 1.0]])[:, 1:]  # fmt: skip
+        # (x - s)^k in powers of x, both from 1 on.
+        turn = np.array(
+            [
+                [1.0, -2.0 * shift, 3.0 * shift**2],
+                [0.0, 1.0, -3.0 * shift],
+                [0.0, 0.0, 1.0],
+            ]
+        )
         return turn @ self.force, None if self.rate is None else turn @ self.rate
 
 
@@ -51,7 +56,7 @@ def thermal_of(calibration: Calibration) -> Thermal | None:
     warm = np.linspace(low, high, _TEMPERATURES)
     if high <= low:
         return None
-    known = {n: np.full(warm.size, calibration.unrecorded(n)) for n in calibration.valid}
+    known = calibration.context(warm.size).covariates
     context = Context(warm.size, {**known, "temperature": warm})
     nothing = np.zeros((warm.size, 1, 3))
     read = model.predict(theta, nothing, context).reading[:, 0]

@@ -9,18 +9,18 @@ Stretches that do not touch add their squares.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
-from imucalib.estimators.allan import covariance_forms, freedom_of
+from imucalib.estimators.allan import SHAPES, covariance_forms, freedom_of
 
 _STEPS = 64  # places of a mean within τ, at most
 _OCTAVES = 40  # levels at most
 _LEAST_FREEDOM = 2.0  # degrees of freedom of white noise below which a value says nothing
 _AT_REST = 0.3  # s, where stretches are held against each other: what settles is slower
 _LOUDER = np.geomspace(3.0, 300.0, 10)  # times the variance that a stretch may have that settles
+_WHITE = np.array([name == "white" for name in SHAPES], float)
 _SETTLES = 0.2  # prior probability that a stretch does
 
 
@@ -128,11 +128,6 @@ class AllanSums:
         self._offset = None
 
     @property
-    def count(self) -> int:
-        """How many stretches have ended."""
-        return len(self._stretches)
-
-    @cached_property
     def _samples(self) -> Index:
         every = [m << k for k, level in enumerate(self._levels) for m in level.lengths]
         return np.array(every)
@@ -149,7 +144,7 @@ class AllanSums:
         kept = np.array([s.terms.size > at and s.terms[at] > 0 for s in self._stretches])
         told = [s for s, k in zip(self._stretches, kept, strict=True) if k]
         quiet = np.ones(len(kept), dtype=bool)
-        if len(told) < 2 or at >= self._samples.size:
+        if len(told) < 2:
             return quiet
         value = np.array([s.squares[at] / (2.0 * s.terms[at]) for s in told])
         lengths = np.array([s.samples for s in told])
@@ -157,15 +152,14 @@ class AllanSums:
         weight = half / half.sum()
         order = np.argsort(np.log(np.maximum(value, 1e-300)).sum(axis=1))
         own = np.isin(np.arange(len(told)), order[: max(1, len(told) // 4)]).astype(float)
+        prior = np.log(_SETTLES / (1.0 - _SETTLES))
         for _ in range(20):
             share = own[:, None] * weight
             rest = (share * value).sum(axis=0) / share.sum(axis=0)
             ratio = np.maximum(value / np.maximum(rest, 1e-300), 1e-12)[..., None]
             louder = half[..., None] * (ratio - ratio / _LOUDER - np.log(_LOUDER))
             odds = np.logaddexp(0.0, np.logaddexp.reduce(louder, axis=2) - np.log(_LOUDER.size))
-            odds = (
-                odds.sum(axis=1) - value.shape[1] * np.log(2.0) + np.log(_SETTLES / (1 - _SETTLES))
-            )
+            odds = odds.sum(axis=1) - value.shape[1] * np.log(2.0) + prior
             own = 1.0 / (1.0 + np.exp(np.clip(odds, -50.0, 50.0)))
         quiet[np.flatnonzero(kept)] = own > 0.5
         return quiet
@@ -184,8 +178,7 @@ class AllanSums:
         lengths = np.array([s.samples for s in used], dtype=int)
         forms = covariance_forms(self._samples[seen], lengths, interval)
         tau = np.asarray(self._samples[seen] * interval, float)
-        white = np.array([0.0, 1.0, 0.0, 0.0, 0.0])
-        freedom = freedom_of(white, tau, forms)
+        freedom = freedom_of(_WHITE, tau, forms)
         good = freedom >= _LEAST_FREEDOM
         seen, tau, freedom = seen[good], tau[good], freedom[good]
         variance = squares[seen] / (2.0 * terms[seen][:, None])
@@ -199,11 +192,11 @@ class AllanSums:
 
 def _white_freedom(samples: int, lengths: Index, interval: float) -> Array:
     """(S,) degrees of freedom of the variance of white noise over each stretch."""
-    white, own = np.array([0.0, 1.0, 0.0, 0.0, 0.0]), np.array([samples])
+    own = np.array([samples])
     every, which = np.unique(lengths, return_inverse=True)
     tau = own * interval
     each = [
-        freedom_of(white, tau, covariance_forms(own, every[k : k + 1], interval))
+        freedom_of(_WHITE, tau, covariance_forms(own, every[k : k + 1], interval))
         for k in range(every.size)
     ]
     return np.concatenate(each)[which]

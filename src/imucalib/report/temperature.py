@@ -36,9 +36,9 @@ def temperature_section(calibration: Calibration) -> Section:
 def _force_table(calibration: Calibration, warm: Array, what: str) -> Table:
     """Of the accelerometer: its reading without a force, or what it makes of one g an axis."""
     model, theta = calibration.model()
-    known = {n: np.full(warm.size, calibration.unrecorded(n)) for n in calibration.valid}
-    known |= {n: warm for n in known if n.startswith("temperature")}
-    context, nothing = Context(warm.size, known), np.zeros((warm.size, 1, 3))
+    known = calibration.context(warm.size).covariates
+    here = {n: warm for n in known if n.startswith("temperature")}
+    context, nothing = Context(warm.size, {**known, **here}), np.zeros((warm.size, 1, 3))
     still = model.predict(theta, nothing, context)
     value, slope = still.reading[:, 0] / MG, still.d_theta[:, 0] / MG
     if what == "scale":
