@@ -108,7 +108,6 @@ def test_the_wrist_recording_reaches_its_marks(wrist: tuple[Path, int]) -> None:
     error = report["error_mg"]
     assert error["base_fitted"] <= 0.91
     assert error["base_held_out"] <= 1.40
-    # A converter's curve gains in density on all blocks together.
     assert error["final_held_out"] <= 0.87
     assert code == 0  # what is open is smaller than what the result is good to
     loop = report["loop"]
@@ -116,7 +115,7 @@ def test_the_wrist_recording_reaches_its_marks(wrist: tuple[Path, int]) -> None:
     assert loop["steps"][0]["effect"].startswith("curve@response:")
     gain = loop["gain"]
     assert gain["before"] > gain["after"]
-    assert gain["proved"]
+    assert not gain["proved"]  # five blocks of one day are few
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "Error over the sphere" in page
-    assert "log density" in page
+    assert "not proved by held-out data, yet corrected" in page
