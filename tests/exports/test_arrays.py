@@ -127,7 +127,9 @@ def test_noise_is_what_was_measured(made: Board, tmp_path: Path) -> None:
     path.write_text("accelerometer_random_walk: 1.5e-4\nupdate_rate: 200.0\n")
     with pytest.raises(UsageError, match="needs gyroscope_random_walk of"):
         exported(with_noise(plain(made), path), "log.mcap", "kalibr")
-    path.write_text(path.read_text() + "gyroscope_random_walk_at_most: 2.0e-5\n")
+    path.write_text(
+        path.read_text() + "gyroscope_random_walk: 2.0e-5\nupper_limits: [gyroscope_random_walk]\n"
+    )
     for text in exported(with_noise(plain(made), path), "log.mcap", "kalibr").files.values():
         block = by_kalibr(text)
         assert block["accelerometer_random_walk"] == 1.5e-4

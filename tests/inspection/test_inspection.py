@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import csv
-import json
-from pathlib import Path
 
 import numpy as np
 import pytest
-from ruamel.yaml import YAML
 
 from imucalib import readers, writers
 from imucalib.arrays import Array
@@ -16,9 +13,7 @@ from imucalib.inspection.allan import AllanCurve, AllanSums
 from imucalib.inspection.inspection import inspect_recording
 from imucalib.inspection.noise import Coefficient, identify
 from imucalib.recording.recording import Gap, Recording
-from imucalib.units import DEG, STANDARD_GRAVITY
-from imucalib.writers import write
-from worlds.command import run
+from imucalib.units import STANDARD_GRAVITY
 from worlds.places import ROOT
 from worlds.recordings import recording_of
 
@@ -172,41 +167,3 @@ def test_rests_that_still_settle_are_left_out() -> None:
     for curve_of_axis in sums.curves(1.0 / HZ, quiet):
         found = identify(curve_of_axis).white
         assert found.value == pytest.approx(0.1 / np.sqrt(HZ), rel=0.06)
-
-
-@pytest.fixture(scope="module")
-def night(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Ten minutes at rest, moved once in between."""
-    rng = np.random.default_rng(3)
-    t = np.arange(60_000) / HZ
-    moved = (t > 200.0) & (t < 205.0)
-    force = np.array([0.0, 0.0, STANDARD_GRAVITY]) + 0.02 * rng.normal(size=(t.size, 3))
-    force[t >= 205.0] += [0.5, 0.0, 0.0]
-    rate = 0.1 * DEG * rng.normal(size=(t.size, 3))
-    force[moved] += 3.0 * np.sin(9.0 * t[moved])[:, None]
-    rate[moved] += np.cos(9.0 * t[moved])[:, None]
-    path = tmp_path_factory.mktemp("night") / "night.h5"
-    write(recording_of(t, force, rate, hz=HZ), path)
-    return path
-
-
-def test_inspect_tells_it_from_the_rests(night: Path, tmp_path: Path) -> None:
-    target = tmp_path / "imu.yaml"
-    result = run("inspect", night, "--noise", "--save-noise", target, "--json")
-    assert result.exception is None, result.exception
-    rows = json.loads(result.stdout)["noise"]
-    assert [(r["quantity"], r["axis"]) for r in rows] == [
-        (q, a) for q in ("acceleration", "angular_rate") for a in "xyz"
-    ]
-    for row in rows:
-        want = 0.02 if row["quantity"] == "acceleration" else 0.1 * DEG
-        assert row["white"]["value"] == pytest.approx(want / np.sqrt(HZ), rel=0.03)
-        assert row["walk"]["value"] is None
-        assert row["walk"]["below"] > 0.0
-    kalibr = YAML(typ="safe", pure=True).load(target.read_text())
-    assert kalibr["accelerometer_noise_density"] == pytest.approx(0.02 / np.sqrt(HZ), rel=0.05)
-    assert kalibr["gyroscope_noise_density"] == pytest.approx(0.1 * DEG / np.sqrt(HZ), rel=0.05)
-    assert kalibr["update_rate"] == pytest.approx(HZ)
-    assert "accelerometer_random_walk" not in kalibr
-    assert kalibr["accelerometer_random_walk_at_most"] > 0.0
-    assert "accelerometer_random_walk" in target.read_text().splitlines()[1]  # said, not guessed

@@ -27,6 +27,7 @@ USUAL: dict[str, tuple[str, ...]] = {
               "--only", "quadratic", "--json"),
     "design": ("design", "<bench.csv>", "--json"),
     "inspect": ("inspect", "<samples.csv>", "--json"),
+    "noise": ("noise", "<night.h5>", "--json"),
     "apply": ("apply", "<calibration.yaml>", "<samples.csv>", "-o", "<out>/corrected.csv"),
     "export": ("export", "<calibration.yaml>", "--to", "c-header"),
     "convert": ("convert", "<samples.csv>", "<out>/samples.csv"),

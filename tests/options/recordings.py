@@ -240,7 +240,7 @@ def _noise_file(path: Path) -> None:
     night = path.parent / "night.h5"
     if not night.exists():
         _night(night)
-    done = run(["inspect", str(night), "--save-noise", str(path)], path.parent)
+    done = run(["noise", str(night), "--to", "kalibr", "-o", str(path)], path.parent)
     assert done.code == 0, done.stderr
 
 

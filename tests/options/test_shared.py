@@ -77,6 +77,7 @@ OUTPUTS: dict[str, tuple[tuple[str, ...], ...]] = {
     "design": (("-o", "<out>/made"),),
     "fleet": (("-o", "<out>/made"),),
     "inspect": (("--save-mapping", "<out>/made"), ("--html", "<out>/made")),
+    "noise": (("--to", "ros", "-o", "<out>/made"), ("--html", "<out>/made")),
     "export": (("-o", "<out>/made"),),
     "apply": ((),),
     "convert": ((),),

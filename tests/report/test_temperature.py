@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from imucalib.calibration.calibration import StoredParameter
+from imucalib.report.conditions import temperature_section
 from imucalib.report.document import Table
-from imucalib.report.temperature import temperature_section
 from worlds.stated import stated
 
 SPAN = (5.0, 45.0)

@@ -17,23 +17,17 @@ if TYPE_CHECKING:
     from imucalib.exports import Made
 
 
-class _Form(click.Option):
-    """An option that names an export; its help lists them."""
-
-    def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
-        from imucalib.exports import exports
-
-        name, text = super().get_help_record(ctx) or ("", "")
-        return name, f"{text.rstrip('.')}: {', '.join(exports())}."
-
-
 @opt.paged("export")
 @click.argument("calibration", type=opt.PATH)
 @opt.option(
-    "--to form", "Form of the other program", required=True, type=opt.EXPORT_FORM, cls=_Form
+    "--to form",
+    "Form of the other program",
+    required=True,
+    type=opt.EXPORT_FORM,
+    cls=opt.FormOption,
 )
 @opt.file("-o --output", "File to write; default: stdout.")
-@opt.path("--noise", "Noise of the sensors, from `imucal inspect --save-noise`.")
+@opt.path("--noise", "Noise of the sensors, from `imucal noise --to kalibr`.")
 @opt.option(
     "--random-walk",
     "Random walks that the rests do not show: their upper limits, or values in SI.",

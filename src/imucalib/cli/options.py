@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import partial
@@ -163,6 +164,21 @@ def still_of(options: Mapping[str, Any]) -> StillSettings:
     return StillSettings(shortest=shortest)
 
 
+def typed_of(file: Path) -> str:
+    """The file and what was typed of its reading, for the next command."""
+    ctx = click.get_current_context()
+    words = [str(file)]
+    for parameter in ctx.command.params:
+        name = parameter.name or ""
+        source = ctx.get_parameter_source(name)
+        if name not in READING or source is not click.core.ParameterSource.COMMANDLINE:
+            continue
+        value = ctx.params[name]
+        for one in value if isinstance(value, tuple) else (value,):
+            words += [parameter.opts[0]] if value is True else [parameter.opts[0], str(one)]
+    return shlex.join(words)
+
+
 def inputs_of(options: Mapping[str, Any], *files: Path) -> list[Path]:
     """Every file that a command reads: no output may be one of them."""
     named = (options.get("mapping"), options.get("effects_file"))
@@ -248,20 +264,39 @@ def gravity_of(options: Mapping[str, Any]) -> tuple[float, str]:
     return found or (STANDARD_GRAVITY, default)
 
 
-class ExportForm(Kind):
-    """The name of an export, whichever files there are."""
+class Form(Kind):
+    """The name of another program's form, looked up when it is given or listed.
+
+    names : gives all of them
+    """
 
     name = "form"
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        from imucalib.exports import exports
+    def __init__(self, names: Callable[[], Iterable[str]]) -> None:
+        self.names = names
 
-        if value not in exports():
-            self.fail(f"'{value}' is none of {', '.join(exports())}", param, ctx)
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        if value not in (names := tuple(self.names())):
+            self.fail(f"'{value}' is none of {', '.join(names)}", param, ctx)
         return str(value)
 
 
-EXPORT_FORM = ExportForm()
+class FormOption(click.Option):
+    """An option that names a form; its help lists them."""
+
+    def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
+        name, text = super().get_help_record(ctx) or ("", "")
+        names = self.type.names() if isinstance(self.type, Form) else ()
+        return name, f"{text.rstrip('.')}: {', '.join(names)}."
+
+
+def _exports() -> Iterable[str]:
+    from imucalib.exports import exports
+
+    return exports()
+
+
+EXPORT_FORM = Form(_exports)
 
 
 def numbers(text: str, what: str) -> tuple[int, ...]:

@@ -25,8 +25,8 @@ from imucalib.effects.forms import in_words
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.exports import Made
 from imucalib.exports.linear import beyond_linear
-from imucalib.inspection.noise import read_noise
 from imucalib.recording.identity import NAMELESS
+from imucalib.recording.yaml_text import load
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
 
 #: What every form of single IMUs loses of an array.
@@ -225,8 +225,8 @@ def losses_of(
     return largest["m/s²"] / MG, largest["deg/s"]
 
 
-#: What Kalibr and OpenVINS ask of an IMU's noise, and its units.
-_NOISE = {
+#: What programs that filter ask of an IMU's noise, and its units.
+NOISE_UNITS = {
     "accelerometer_noise_density": "m/s2/sqrt(Hz)",
     "accelerometer_random_walk": "m/s3/sqrt(Hz)",
     "gyroscope_noise_density": "rad/s/sqrt(Hz)",
@@ -254,28 +254,28 @@ def file_an_imu(
     lost = (*words, *lost)
     files = {}
     for imu in imus_of(calibration, program):
-        noise, said = _noise_lines(imu, program)
+        noise, said = noise_of(imu, program)
         files[imu.name] = text(imu, noise, [*said, *(f"# Not in it: {one}." for one in lost)])
     return Made("---\n".join(files.values()), lost, *losses, files if len(files) > 1 else {})
 
 
-def _noise_lines(imu: Imu, program: str) -> tuple[dict[str, Any], list[str]]:
+def noise_of(imu: Imu, program: str) -> tuple[dict[str, Any], list[str]]:
     """The keys that a program asks for, and a comment of each that only an upper limit is known of,
-    which then stands in its place."""
-    missing = [k for k in (*_NOISE, "update_rate") if not {k, f"{k}_at_most"} & set(imu.noise)]
-    if missing:
+    which then stands in its place. Raises UsageError where one is not known at all."""
+    if missing := [key for key in (*NOISE_UNITS, "update_rate") if key not in imu.noise]:
         raise UsageError(
-            f"{program} needs {', '.join(missing)} of {imu.name}, which this calibration lacks",
-            remedy="give a recording at rest to `imucal inspect RECORDING --save-noise noise.yaml` "
-            "and `--noise noise.yaml` here, or state the walks: --random-walk ACC,GYRO (SI)",
+            f"{program} needs {', '.join(missing)} of {imu.name}, of which nothing is known",
+            remedy="give a recording at rest to `imucal noise RECORDING --to kalibr -o noise.yaml` "
+            "and `--noise noise.yaml` to `imucal export`, or state the walks there: --random-walk "
+            "ACC,GYRO (SI)",
         )
     rate = float(f"{imu.noise['update_rate']:.9g}")
-    topic = imu.topic or f"/{imu.name}/imu"
-    found, said = {"rostopic": topic, "update_rate": rate}, []
-    for key, unit in _NOISE.items():
-        found[key] = float(imu.noise[key if key in imu.noise else f"{key}_at_most"])
-        if key not in imu.noise:
-            said.append(f"# {key}: an upper limit (95 %), {unit}; the rests show no more.")
+    found = {"rostopic": imu.topic or f"/{imu.name}/imu", "update_rate": rate}
+    found |= {key: float(imu.noise[key]) for key in NOISE_UNITS}
+    said = [
+        f"# {key}: an upper limit (95 %), {NOISE_UNITS[key]}; the rests show no more."
+        for key in imu.noise.get("upper_limits", ())
+    ]
     return found, said
 
 
@@ -284,7 +284,11 @@ def with_walks(calibration: Calibration, accelerometer: float, gyroscope: float)
     names = [t.name for t in calibration.triads] or [name_of(calibration)]
     known = calibration.facts.get("noise_density", {})
     walks = {"accelerometer_random_walk": accelerometer, "gyroscope_random_walk": gyroscope}
-    stated = {name: {**known.get(name, {}), **walks} for name in names}
+    stated = {}
+    for name in names:
+        own = known.get(name, {})
+        limits = [key for key in own.get("upper_limits", ()) if key not in walks]
+        stated[name] = {**own, **walks, "upper_limits": limits}
     return replace(calibration, facts={**calibration.facts, "noise_density": stated})
 
 
@@ -293,7 +297,7 @@ def with_noise(calibration: Calibration, path: Path) -> Calibration:
 
     Raises UnreadableInput for a file that is none, or that names none of the calibration's IMUs.
     """
-    known = read_noise(path)
+    known = _read_noise(path)
     names = [t.name for t in calibration.triads] or [name_of(calibration)]
     if "" in known:  # of one sensor: so of all
         known = dict.fromkeys(names, known[""])
@@ -303,3 +307,19 @@ def with_noise(calibration: Calibration, path: Path) -> Calibration:
             where=str(path),
         )
     return replace(calibration, facts={**calibration.facts, "noise_density": known})
+
+
+def _read_noise(path: Path) -> dict[str, dict[str, Any]]:
+    """Blocks by triad; one that stands alone is under "". Raises UnreadableInput for another
+    file."""
+    content = load(path)
+    if isinstance(content, dict) and content:
+        if "update_rate" in content:
+            return {"": dict(content)}
+        if all(isinstance(v, dict) and "update_rate" in v for v in content.values()):
+            return {str(k): dict(v) for k, v in content.items()}
+    raise UnreadableInput(
+        "no noise of sensors",
+        where=str(path),
+        remedy="write it with `imucal noise RECORDING --to kalibr -o noise.yaml`",
+    )

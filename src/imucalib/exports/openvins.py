@@ -22,20 +22,16 @@ def openvins(calibration: Calibration, filename: str) -> Made:
     """
 
     def text(imu: Imu, noise: dict[str, Any], said: list[str]) -> str:
-        lines = [
-            "%YAML:1.0",
-            f"# {imu.name} by imucal, from {filename}, status {calibration.status}. SI units.",
-            "# OpenVINS reads the block imu0 and passes over T_i_b, time_offset and update_rate.",
-            *said,
-        ]
-        return "\n".join([*lines, dump({"imu0": {**noise, **_block(imu)}}, indented=True)])
+        made = f"# {imu.name} by imucal, from {filename}, status {calibration.status}. SI units."
+        return chain(imu, noise, [made, *said])
 
     lost, losses = lost_of(calibration, _KEPT), losses_of(calibration, _KEPT)
     return file_an_imu(calibration, "OpenVINS", text, lost, losses)
 
 
-def _block(imu: Imu) -> dict[str, Any]:
-    return {
+def chain(imu: Imu, noise: dict[str, Any], said: list[str]) -> str:
+    """kalibr_imu_chain.yaml of an IMU with the noise that `noise_of` gives and comments."""
+    block = {
         "T_i_b": imu.from_board.tolist(),
         "time_offset": 0.0,
         "model": "kalibr",
@@ -45,6 +41,9 @@ def _block(imu: Imu) -> dict[str, Any]:
         "R_IMUtoACC": np.eye(3).tolist(),
         "Tg": (imu.by_force @ imu.gyro_turn).tolist(),
     }
+    read = "# OpenVINS reads the block imu0 and passes over T_i_b, time_offset and update_rate."
+    text = dump({"imu0": {**noise, **block}}, indented=True)
+    return "\n".join(["%YAML:1.0", *said, read, text])
 
 
 EXPORT = Export("openvins", "kalibr_imu_chain.yaml", openvins)

@@ -6,18 +6,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from imucalib.arrays import Array, Flags
-from imucalib.atomic_file import replaced_atomically
-from imucalib.errors import UnreadableInput
 from imucalib.estimators.allan import SHAPES, draws, freedom_of, left_out, shapes
 from imucalib.inspection.allan import AllanCurve, AllanSums
 from imucalib.recording.recording import Channel, Recording
-from imucalib.recording.yaml_text import dump, load
 from imucalib.rests.segments import Segments
 
 _FEWEST = 5  # values that a fit needs
@@ -43,7 +39,9 @@ class AxisNoise:
     """One axis at rest, in SI.
 
     quantisation : Q, unit s; white : N, unit/√Hz; instability : B, unit; walk : K, unit/s/√Hz
-    ramp : R, unit/s; curve : what they were found from; start : s, the shortest τ that they explain
+    ramp : R, unit/s; curve : what they were found from
+    fit : (3, M) deviation at the curve's τ by their sum: the median, and a 95 % interval
+    holds : (M,) which of the curve's τ they explain
     """
 
     quantisation: Coefficient
@@ -52,7 +50,8 @@ class AxisNoise:
     walk: Coefficient
     ramp: Coefficient
     curve: AllanCurve
-    start: float
+    fit: Array
+    holds: Flags
 
 
 @dataclass(frozen=True)
@@ -136,16 +135,22 @@ def identify(curve: AllanCurve) -> AxisNoise:
     found = draws(curve.samples, curve.variance, curve.forms, interval, rng=rng)
     squares = np.exp(found[:, :5])
     share = squares[:, None, :] * shapes(curve.tau)
-    share /= share.sum(axis=2, keepdims=True)
-    share[left_out(len(curve.tau), found)] = 0.0
+    whole = share.sum(axis=2)
+    share /= whole[..., None]
+    unexplained = left_out(len(curve.tau), found)
+    share[unexplained] = 0.0
     shown = np.mean(share.max(axis=1) > _SHOWN, axis=0)
     terms = {
         name: _coefficient(np.sqrt(squares[:, k]), float(shown[k])) for k, name in enumerate(SHAPES)
     }
     middle = np.exp(np.median(found[:, :5], axis=0))
     freedom = freedom_of(middle, curve.tau, curve.forms)
-    start = float(curve.tau[int(np.median(found[:, 6]))])
-    return AxisNoise(**terms, curve=replace(curve, freedom=freedom), start=start)
+    return AxisNoise(
+        **terms,
+        curve=replace(curve, freedom=freedom),
+        fit=np.quantile(np.sqrt(whole), [0.5, 0.025, 0.975], axis=0),
+        holds=np.mean(unexplained, axis=0) < 0.5,
+    )
 
 
 def _coefficient(size: Array, probability: float) -> Coefficient:
@@ -164,53 +169,18 @@ _PREFIX = {"acceleration": "accelerometer", "angular_rate": "gyroscope"}
 
 def noise_blocks(noise: Sequence[SensorNoise]) -> dict[str, dict[str, Any]]:
     """By triad: densities in unit/√Hz and random walks in unit/s/√Hz (SI), each of the noisiest
-    axis. Of one that the recording shows on no axis "_at_most" is its upper limit, 95 %."""
+    axis; "upper_limits" names those that the recording shows on no axis, which lie below what
+    stands there with 95 %."""
     blocks: dict[str, dict[str, Any]] = {}
     for sensor in noise:
         block = blocks.setdefault(sensor.triad, {})
-        prefix = _PREFIX[sensor.quantity]
         for name, term in (("noise_density", "white"), ("random_walk", "walk")):
-            shown = [getattr(axis, term).value for axis in sensor.axes]
-            if known := [value for value in shown if value is not None]:
-                block[f"{prefix}_{name}"] = max(known)
-            else:
-                block[f"{prefix}_{name}_at_most"] = max(
-                    getattr(axis, term).bound for axis in sensor.axes
-                )
+            key = f"{_PREFIX[sensor.quantity]}_{name}"
+            terms = [getattr(axis, term) for axis in sensor.axes]
+            known = [one.value for one in terms if one.value is not None]
+            block[key] = max(known or [one.bound for one in terms])
+            if not known:
+                block.setdefault("upper_limits", []).append(key)
         block["rostopic"] = sensor.topic or f"/{sensor.triad}/imu"
         block["update_rate"] = sensor.rate
     return blocks
-
-
-def save_noise(noise: Sequence[SensorNoise], source: str, path: Path) -> None:
-    """Write the blocks. One sensor's keys stand alone, as Kalibr reads them; more by name."""
-    blocks = noise_blocks(noise)
-    lines = [
-        f"# Noise at rest of {source}, SI: m/s2/sqrt(Hz), m/s3/sqrt(Hz), rad/s/sqrt(Hz), "
-        "rad/s2/sqrt(Hz); of each sensor's noisiest axis.",
-        *(
-            f"# {name}: the rests do not show all; upper limits (95 %): {', '.join(lost)}"
-            for name, block in blocks.items()
-            if (lost := [key for key in block if key.endswith("_at_most")])
-        ),
-    ]
-    content = next(iter(blocks.values())) if len(blocks) == 1 else blocks
-    text = "\n".join([*lines, dump(content)])
-    with replaced_atomically(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-
-
-def read_noise(path: Path) -> dict[str, dict[str, Any]]:
-    """Blocks by triad; one that stands alone is under "". Raises UnreadableInput for another
-    file."""
-    content = load(path)
-    if isinstance(content, dict) and content:
-        if "update_rate" in content:
-            return {"": dict(content)}
-        if all(isinstance(v, dict) and "update_rate" in v for v in content.values()):
-            return {str(k): dict(v) for k, v in content.items()}
-    raise UnreadableInput(
-        "no noise of sensors",
-        where=str(path),
-        remedy="write it with `imucal inspect FILE --save-noise FILE`",
-    )

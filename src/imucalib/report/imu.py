@@ -12,6 +12,7 @@ from imucalib.calibration.plain import listed
 from imucalib.calibrators.imu.plan import HandPlan
 from imucalib.calibrators.imu.run import ImuRun, heading_drift
 from imucalib.report import parameters, sections
+from imucalib.report.conditions import power_up_worths, sessions_section, temperature_section
 from imucalib.report.document import (
     RESIDUALS,
     Card,
@@ -26,8 +27,6 @@ from imucalib.report.document import (
     Worth,
 )
 from imucalib.report.plots import gain_plot
-from imucalib.report.power_ups import power_up_worths, sessions_section
-from imucalib.report.temperature import temperature_section
 from imucalib.significant_digits import number, plus_minus, signed, two_digits, with_sd
 from imucalib.units import DEG
 
@@ -89,7 +88,7 @@ def _delay(run: ImuRun) -> tuple[Worth, ...]:
 def _for_kalibr(run: ImuRun) -> tuple[Use, ...]:
     """Its file, with the noise of the same recording, where it carries the calibration."""
     noise = "{folder}/noise.yaml"
-    measured = Use("Measure its noise", ("inspect", "{input}", "--save-noise", noise))
+    measured = Use("Measure its noise", ("noise", "{input}", "--to", "kalibr", "-o", noise))
     purpose = "With it, for Kalibr and OpenVINS"
     made = sections.exporting(run.calibration, purpose, "kalibr", "kalibr.yaml")
     return (measured, *(replace(m, words=(*m.words, "--noise", noise)) for m in made)) * bool(made)

@@ -13,9 +13,7 @@ import numpy as np
 
 from imucalib.calibration.plain import fields, listed, plain
 from imucalib.calibrators.lab.files import TableSeen
-from imucalib.estimators.allan import SHAPES
 from imucalib.inspection.inspection import Inspection, advice, next_commands, problems
-from imucalib.inspection.noise import AxisNoise, Coefficient, SensorNoise
 from imucalib.recording.mapping import OPTION_FIELDS
 from imucalib.recording.yaml_text import load
 from imucalib.report.document import (
@@ -46,34 +44,12 @@ _RESTS = (
     "sensor's own noise can be; other noise: louder than usual, and too rare to be the sensor's; "
     "dropouts: single samples far from all others."
 )
-#: Of white noise, instability, walk and ramp: unit, and SI in one of it.
-_UNITS = {
-    "acceleration": {
-        "µg/√Hz": 1e-3 * MG,
-        "µg": 1e-3 * MG,
-        "µg/s/√Hz": 1e-3 * MG,
-        "µg/h": 1e-3 * MG / 3600.0,
-    },
-    "angular_rate": {
-        "deg/√h": DEG / 60.0,
-        "deg/h": DEG / 3600.0,
-        "deg/h/√h": DEG / 3600.0 / 60.0,
-        "deg/h/h": DEG / 3600.0**2,
-    },
-}
 #: Unit -> of a noise, a norm at rest and a largest value: what one is, its format and its unit.
 _FIELD = {
     "m/s2": ((MG, ".2f", " mg"), (STANDARD_GRAVITY, ".4f", " g"), (STANDARD_GRAVITY, ".2f", " g")),
     "rad/s": ((DEG, ".3f", " deg/s"), (DEG, ".2f", " deg/s"), (DEG, ".1f", " deg/s")),
 }
 _AS_RECORDED = ((1.0, ".4g", ""), (1.0, ".5g", ""), (1.0, ".4g", ""))
-_TERMS = ("white", "instability", "walk", "ramp")
-_NOISE = (
-    "White noise N, bias instability B, random walk K and ramp R of the overlapping Allan variance "
-    "N²/τ + 0.441 B² + K² τ/3 + R² τ²/2, with 95 % intervals over all of them together. <: what it "
-    "lies below with 95 % probability, the recording being too short, or too quiet in it, to show "
-    "it."
-)
 
 
 def inspection_document(
@@ -81,10 +57,9 @@ def inspection_document(
     typed: str,
     *,
     rests: bool = False,
-    noise: Sequence[SensorNoise] | None = None,
 ) -> Document:
     """What is in the file, what would be used, what is wrong, and what to do next; on request
-    every candidate for a rest, and the noise of what is still.
+    every candidate for a rest.
 
     typed : the file and the options of its reading, as a command takes them
     """
@@ -98,7 +73,6 @@ def inspection_document(
         Section("Clocks", (_clocks(found),)),
         Section("Rest", _rest(found.still)),
         Section("Candidates for rests", _candidates(found) if rests else (), kept=True),
-        Section("Noise at rest", () if noise is None else _noise(noise), kept=True),
         Section("Losses and gaps", tuple(losses)),
         Section("Notes", Text.each(notes)),
         Section("How it was read", (Facts(_options(found)),) if found.mapping else ()),
@@ -390,73 +364,13 @@ def _over_time(candidates: Sequence[Candidate], name: str, unit: str, size: floa
     return Plot(*labels, tuple(series), caption, log_y=True)
 
 
-def _noise(noise: Sequence[SensorNoise]) -> tuple[Block, ...]:
-    """A table and a plot for each kind of sensor: a row an axis, with what the recording is too
-    short to show."""
-    if not noise:
-        words = "Nothing is still for long enough to tell the noise: record at rest for a minute."
-        return (Text(words, "warning"),)
-    blocks: list[Block] = []
-    for quantity, units in _UNITS.items():
-        own = [n for n in noise if n.quantity == quantity]
-        if not own:
-            continue
-        rows = []
-        for sensor in own:
-            for letter, axis in zip("xyz", sensor.axes, strict=False):
-                terms = zip(_TERMS, units.values(), strict=True)
-                cells = (_cell(getattr(axis, term), scale) for term, scale in terms)
-                rows.append((f"{sensor.triad} {letter}", *cells))
-        header = ("axis", *(f"{t}, {u}" for t, u in zip(_TERMS, units, strict=True)))
-        curve, name = own[0].axes[0].curve, quantity.replace("_", " ")
-        title = f"{name}: {curve.seconds:.0f} s at rest, {curve.longest:.0f} s at a time"
-        note = "" if blocks else _NOISE
-        table = Table(title, header, tuple(rows), "lrrrr", note)
-        blocks += [table, *_settling(own), _allan(own, name)]
-    return tuple(blocks)
-
-
-def _cell(found: Coefficient, scale: float) -> str:
-    if found.value is None or found.low is None or found.high is None:
-        return f"< {float(f'{found.bound / scale:.2g}'):.9g}"
-    value, low, high = (f"{v / scale:.4g}" for v in (found.value, found.low, found.high))
-    return f"{value} ({low} to {high})"
-
-
-def _settling(sensors: Sequence[SensorNoise]) -> tuple[Text, ...]:
-    """The rests that are not used."""
-    return tuple(
-        Text(
-            f"{sensor.triad}: louder than the quietest rests, not used: "
-            + ", ".join(f"{a:.1f} to {b:.1f} s" for a, b in sensor.settles)
-        )
-        for sensor in sensors
-        if sensor.settles
-    )
-
-
-def _allan(sensors: Sequence[SensorNoise], name: str) -> Plot:
-    """The noisiest axis of every sensor."""
-    unit, scale = ("mg", MG) if sensors[0].unit == "m/s2" else ("deg/s", DEG)
-    series = []
-    for sensor in sensors:
-        worst = max(sensor.axes, key=lambda axis: float(axis.white.value or 0.0)).curve
-        low, high = (edge / scale for edge in worst.interval())
-        x, y = np.log10(worst.tau), worst.deviation / scale
-        series.append(Series(sensor.triad, x, y, "line", low, high))
-    caption = "Overlapping Allan deviation of each sensor's noisiest axis."
-    labels = (f"Allan deviation, {name}", "log10 τ, s", unit)
-    return Plot(*labels, tuple(series), caption, log_y=True)
-
-
 def inspection_dict(
     found: Inspection,
     typed: str,
     *,
     rests: bool = False,
-    noise: Sequence[SensorNoise] | None = None,
 ) -> dict[str, Any]:
-    """Plain types, ready for JSON; on request with every candidate for a rest, and the noise."""
+    """Plain types, ready for JSON; on request with every candidate for a rest."""
     channel = (
         "name quantity triad unit samples rate_hz=rate jitter_s=jitter "
         "duplicates back_steps names "
@@ -481,24 +395,7 @@ def inspection_dict(
             }
             for c in (found.still.candidates if found.still else ())
         ]
-    if noise is not None:
-        content["noise"] = [_axis(s, k, axis) for s in noise for k, axis in enumerate(s.axes)]
     content["candidates"] = [{"channel": c, "finding": w} for c, w in found.candidates]
     content["problems"] = tuple(problems(found))
     content["next"] = next_commands(found, typed)
     return dict(plain({**content, **fields(found, "losses mapping notes")}))
-
-
-def _axis(sensor: SensorNoise, k: int, axis: AxisNoise) -> dict[str, Any]:
-    """In SI; null where the recording does not show it."""
-    low, high = axis.curve.interval()
-    return {
-        **fields(sensor, "triad quantity unit rate_hz=rate"),
-        "axis": "xyz"[k],
-        **{
-            term: fields(getattr(axis, term), "value low high below=bound probability")
-            for term in SHAPES
-        },
-        "fitted_from_s": axis.start,
-        "allan": {**fields(axis.curve, "tau_s=tau deviation"), "low": low, "high": high},
-    }

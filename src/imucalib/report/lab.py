@@ -26,6 +26,7 @@ from imucalib.effects.scans import COLUMN
 from imucalib.loop.held_out import Held, fitted
 from imucalib.loop.held_out import errors as held_errors
 from imucalib.report import parameters, sections
+from imucalib.report.conditions import power_up_worths, sessions_section, temperature_section
 from imucalib.report.document import (
     RESIDUALS,
     Block,
@@ -41,8 +42,6 @@ from imucalib.report.document import (
     Worth,
 )
 from imucalib.report.plots import band, gain_plot, sphere_map
-from imucalib.report.power_ups import power_up_worths, sessions_section
-from imucalib.report.temperature import temperature_section
 from imucalib.significant_digits import number, plus_minus
 from imucalib.units import DEG, MG
 

@@ -1,0 +1,77 @@
+"""imucal noise"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from imucalib.cli import options as opt
+from imucalib.cli.output import note, present, working
+
+
+def _forms() -> tuple[str, ...]:
+    from imucalib.exports.noise import NOISE_FORMS
+
+    return tuple(NOISE_FORMS)
+
+
+@opt.paged("noise")
+@click.argument("recording", type=opt.PATH)
+@opt.option("--to form", "Write it for another program", type=opt.Form(_forms), cls=opt.FormOption)
+@opt.file("-o --output", "File of --to; default: stdout, in place of the table.")
+@opt.path("--html", "Also write all of it as a page, with the Allan deviations drawn.")
+@opt.shortest_rest
+@opt.strict
+@opt.force
+@opt.recording
+@opt.full
+@opt.json
+@opt.quiet
+def command(recording: Path, form: str | None, output: Path | None, **options: Any) -> int:
+    """Say how noisy sensors are at rest, in the units that people use, and write it for others.
+
+    White noise, bias instability, random walk and ramp of every axis with 95 % intervals, by the
+    overlapping Allan variance of all that is still. A minute shows white noise, hours the rest.
+
+    \b
+    Examples:
+      imucal noise still_night.mcap --html noise.html
+      imucal noise still_night.mcap --to kalibr -o imu.yaml
+    """
+    from imucalib.atomic_file import demand_output
+    from imucalib.calibration.file import write_whole
+    from imucalib.errors import Undetermined
+    from imucalib.exports.noise import noise_text
+    from imucalib.inspection.noise import noise_at_rest
+    from imucalib.readers import blocks
+    from imucalib.report.noise import noise_dict, noise_document
+    from imucalib.rests.segments import find_segments
+
+    if output is not None and form is None:
+        raise click.UsageError("--output is the file of a form: name it with --to")
+    page, force = options["html"], options["force"]
+    for written in filter(None, (output, page)):
+        demand_output(written, opt.inputs_of(options, recording), force=force)
+    settings, mapping, strict = opt.still_of(options), opt.mapping_of(options), options["strict"]
+    with working("reading", quiet=options["quiet"]):
+        still = find_segments(blocks(recording, mapping, strict=strict), settings)
+        noise = noise_at_rest(blocks(recording, mapping, strict=strict), still)
+    if not noise:
+        raise Undetermined(
+            "nothing with a scale is still for long enough to tell its noise",
+            where=str(recording),
+            remedy="record at rest for a minute or more; `imucal inspect` with --rests says what "
+            "refused each rest",
+        )
+    if form is not None:
+        text = noise_text(noise, form, recording.name)
+        if output is None:
+            click.echo(text, nl=False)
+            return 0
+        write_whole(output, text)
+        note(f"wrote {output}", options["quiet"])
+    document = noise_document(str(recording), noise, opt.typed_of(recording))
+    present(document, noise_dict(str(recording), noise), options, page)
+    return 0

@@ -1,0 +1,193 @@
+"""Noise of sensors at rest for other programs, in the numbers that the code of each takes.
+
+With a density N (unit/√Hz), a walk K (unit/s/√Hz) and a rate f (Hz), the sd of a sample is N √f and
+a bias goes on by K/√f from one sample to the next.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from imucalib.errors import UsageError
+from imucalib.exports.imus import NOISE_UNITS, Imu, noise_of
+from imucalib.exports.openvins import chain
+from imucalib.inspection.noise import SensorNoise, noise_blocks
+from imucalib.recording.yaml_text import dump
+
+
+@dataclass(frozen=True)
+class NoiseForm:
+    """file : its usual name; text : from the noise of all sensors, and comments that it begins
+    with; reads : what the other program takes, in words"""
+
+    file: str
+    text: Callable[[Sequence[SensorNoise], list[str]], str]
+    reads: str
+
+
+def noise_text(noise: Sequence[SensorNoise], form: str, source: str) -> str:
+    """A form's file. source : the recording's name
+
+    Raises UsageError where the form holds one IMU and these are several, or needs a sensor that
+    the recording lacks.
+    """
+    made = NOISE_FORMS[form]
+    said = [
+        f"# Noise at rest of {source}, by imucal; of each sensor's noisiest axis (imu_utils: the "
+        "mean of the axes).",
+        f"# {made.reads}",
+    ]
+    return made.text(noise, said)
+
+
+def _kalibr(noise: Sequence[SensorNoise], said: list[str]) -> str:
+    """ethz-asl/kalibr, ImuParameters in ConfigReader.py: rostopic, update_rate and four positive
+    numbers; other keys are passed over. One sensor's keys stand alone, more by name."""
+    blocks = noise_blocks(noise)
+    said = said + [
+        f"# {name}: upper limits (95 %), the rests do not show more: {', '.join(limits)}"
+        for name, block in blocks.items()
+        if (limits := block.get("upper_limits"))
+    ]
+    return "\n".join([*said, dump(next(iter(blocks.values())) if len(blocks) == 1 else blocks)])
+
+
+def _openvins(noise: Sequence[SensorNoise], said: list[str]) -> str:
+    """rpng/open_vins, kalibr_imu_chain.yaml, with the intrinsics of a perfect IMU."""
+    imu, numbers, limits = _only(noise, "OpenVINS")
+    return chain(imu, numbers, [*said, *limits])
+
+
+def _vins(noise: Sequence[SensorNoise], said: list[str]) -> str:
+    """HKUST-Aerial-Robotics/VINS-Mono, integration_base.h: a step of dt adds acc_n dt to the
+    velocity and acc_w dt to the bias, so acc_n is N √f and acc_w is K √f."""
+    _, numbers, limits = _only(noise, "VINS")
+    root = float(np.sqrt(numbers["update_rate"]))
+    lines = [
+        f"{name}: {float(f'{root * numbers[key]:.6g}')!r}"
+        for name, key in (
+            ("acc_n", "accelerometer_noise_density"),
+            ("gyr_n", "gyroscope_noise_density"),
+            ("acc_w", "accelerometer_random_walk"),
+            ("gyr_w", "gyroscope_random_walk"),
+        )
+    ]
+    return "\n".join(["%YAML:1.0", *said, *limits, *lines, ""])
+
+
+def _orbslam3(noise: Sequence[SensorNoise], said: list[str]) -> str:
+    """UZ-SLAMLab/ORB_SLAM3, Tracking.cc: densities times √f, walks over √f, f being
+    IMU.Frequency."""
+    _, numbers, limits = _only(noise, "ORB-SLAM3")
+    names = {
+        "IMU.NoiseGyro": "gyroscope_noise_density",
+        "IMU.NoiseAcc": "accelerometer_noise_density",
+        "IMU.GyroWalk": "gyroscope_random_walk",
+        "IMU.AccWalk": "accelerometer_random_walk",
+        "IMU.Frequency": "update_rate",
+    }
+    lines = [f"{name}: {float(f'{numbers[key]:.6g}')!r}" for name, key in names.items()]
+    return "\n".join(["%YAML:1.0", *said, *limits, *lines, ""])
+
+
+def _ros(noise: Sequence[SensorNoise], said: list[str]) -> str:
+    """sensor_msgs/Imu: row-major covariances of a message's values, of each axis its own; -1 first
+    says that there is no orientation."""
+    blocks: dict[str, dict[str, Any]] = {}
+    fields = {"acceleration": "linear_acceleration", "angular_rate": "angular_velocity"}
+    for sensor in noise:
+        square = [sensor.rate * (a.white.value or a.white.bound) ** 2 for a in sensor.axes]
+        block = blocks.setdefault(sensor.triad, {"orientation_covariance": [-1.0, *[0.0] * 8]})
+        matrix = np.diag([float(f"{value:.6g}") for value in square]).ravel()
+        block[f"{fields[sensor.quantity]}_covariance"] = matrix.tolist()
+    return "\n".join([*said, dump(next(iter(blocks.values())) if len(blocks) == 1 else blocks)])
+
+
+def _allan_csv(noise: Sequence[SensorNoise], said: list[str]) -> str:
+    """A row an averaging time of every axis, in SI."""
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    header = "sensor,quantity,axis,unit,tau_s,deviation,low,high,fit,fit_low,fit_high,holds"
+    rows.writerow(header.split(","))
+    for sensor in noise:
+        for letter, axis in zip("xyz", sensor.axes, strict=False):
+            curve, words = axis.curve, (sensor.triad, sensor.quantity, letter, sensor.unit)
+            columns = (curve.tau, curve.deviation, *curve.interval(), *axis.fit)
+            for values, holds in zip(zip(*columns, strict=True), axis.holds, strict=True):
+                rows.writerow([*words, *(f"{value:.9g}" for value in values), int(holds)])
+    return text.getvalue()
+
+
+def _only(noise: Sequence[SensorNoise], program: str) -> tuple[Imu, dict[str, Any], list[str]]:
+    """The one IMU, and what `noise_of` gives of it."""
+    blocks = noise_blocks(noise)
+    if len(blocks) != 1:
+        raise UsageError(
+            f"{program} reads one IMU, the recording has {', '.join(blocks)}",
+            remedy=f"name one: --sensor {next(iter(blocks))}",
+        )
+    name, block = next(iter(blocks.items()))
+    if missing := [key for key in NOISE_UNITS if key not in block]:
+        raise UsageError(
+            f"{program} reads an accelerometer's noise and a gyroscope's; the recording lacks "
+            f"{missing[0].partition('_')[0]} samples at rest",
+            remedy="name its columns (--acc, --gyro), or use --to ros or allan-csv",
+        )
+    turn, none = np.eye(3), np.zeros((3, 3))
+    imu = Imu(
+        name=name,
+        place=np.zeros(3),
+        frame=turn,
+        accelerometer=turn,
+        gyro=turn,
+        gyro_turn=turn,
+        by_force=none,
+        elements=none,
+        noise=block,
+        topic=block["rostopic"],
+    )
+    return imu, *noise_of(imu, program)
+
+
+#: By name on the command line.
+NOISE_FORMS = {
+    "kalibr": NoiseForm(
+        "imu.yaml",
+        _kalibr,
+        "Kalibr reads densities, m/s2/sqrt(Hz) and rad/s/sqrt(Hz), and walks, m/s3/sqrt(Hz) and "
+        "rad/s2/sqrt(Hz).",
+    ),
+    "openvins": NoiseForm(
+        "kalibr_imu_chain.yaml",
+        _openvins,
+        "OpenVINS reads densities and walks in the units of Kalibr; the intrinsics here are those "
+        "of a perfect IMU.",
+    ),
+    "vins": NoiseForm(
+        "vins.yaml",
+        _vins,
+        "VINS-Mono and VINS-Fusion read the sd of a sample, m/s2 and rad/s, and walks times the "
+        "root of the rate: for the rate of this recording.",
+    ),
+    "orbslam3": NoiseForm(
+        "orbslam3.yaml",
+        _orbslam3,
+        "ORB-SLAM3 reads densities and walks in the units of Kalibr, and makes them of a sample "
+        "with IMU.Frequency.",
+    ),
+    "ros": NoiseForm(
+        "imu_covariances.yaml",
+        _ros,
+        "sensor_msgs/Imu holds variances of a sample, (m/s2)^2 and (rad/s)^2, row by row: for the "
+        "rate of this recording.",
+    ),
+    "allan-csv": NoiseForm(
+        "allan.csv", _allan_csv, "Overlapping Allan deviations with 95 % intervals, in SI."
+    ),
+}
