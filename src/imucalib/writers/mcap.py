@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 import imucalib
 from imucalib.arrays import Array, Index
 from imucalib.errors import UsageError
+from imucalib.readers.choice import OPTIONS
 from imucalib.readers.mcap import CORRECTIONS, MAGIC, RECORD_HEADER
 from imucalib.readers.messages.layout import (
     ACCEL_ROS2,
@@ -66,8 +67,6 @@ _QUANTITIES = {
     f"{_SPUN}{_DOUBTED}": ("rad2/s4", 9, f"{_SPUN}{_DOUBTED}"),
     REST: ("", len(REST_COLUMNS), REST),
 }
-#: Names of the quantities that a mapping knows.
-SHORT_NAMES = {"acceleration": "acc", "angular_rate": "gyro", "temperature": "temperature"}
 
 
 class _Message(NamedTuple):
@@ -364,13 +363,13 @@ def _accel(recording: Recording, first: Channel) -> dict[str, Array]:
 def _kind(recording: Recording, names: tuple[str, ...]) -> tuple[int, dict[str, str]]:
     """Which message holds these channels, and the metadata of its topic."""
     channels = [recording.channels[name] for name in names]
-    units = {SHORT_NAMES[c.quantity]: c.unit for c in channels if c.quantity in SHORT_NAMES}
+    units = {c.quantity: c.unit for c in channels if c.quantity in OPTIONS}
     metadata = {
         META_TRIAD: channels[0].triad,
-        META_QUANTITIES: " ".join(units),
+        META_QUANTITIES: " ".join(OPTIONS[q] for q in units),
         META_ORIGIN: str(recording.start_ns or 0),
         META_DATED: "yes" if recording.start_ns is not None else "no",
-        **{name: units.get(short, "") for short, name in META_UNITS.items()},
+        **{name: units.get(quantity, "") for quantity, name in META_UNITS.items()},
     }
     raw = any(_is_raw(c) for c in channels)
     if channels[0].quantity == "temperature":

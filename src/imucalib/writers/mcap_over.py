@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from imucalib.arrays import Array, Flags, Index
 from imucalib.atomic_file import replaced_atomically
 from imucalib.errors import UsageError
+from imucalib.readers.choice import OPTIONS
 from imucalib.readers.mcap import CORRECTIONS, MalformedRecordError, McapLog, parsed
 from imucalib.readers.messages.decode import RosDecoder, decoder_for
 from imucalib.readers.messages.layout import Groups
@@ -29,7 +30,6 @@ from imucalib.recording.mapping import UNCHANGED, from_dict
 from imucalib.recording.recording import Recording
 from imucalib.writers.mcap import (
     MESSAGES,
-    SHORT_NAMES,
     McapFile,
     define_outputs,
     outputs_of,
@@ -180,7 +180,7 @@ def _names(recording: Recording) -> dict[str, str]:
     names = topic_names(recording)
     mapping = from_dict(recording.mapping)
     for quantity in _SI:
-        texts = getattr(mapping, SHORT_NAMES[quantity])
+        texts = getattr(mapping, OPTIONS[quantity])
         for triad, text in zip(mapping.triads, texts, strict=False):
             topic, name = str(text).rpartition(":")[0], f"{triad}/{quantity}"
             if topic and name in names:

@@ -11,6 +11,7 @@ import numpy as np
 from imucalib.arrays import Array, Flags
 from imucalib.errors import UnreadableInput
 from imucalib.readers import conversion
+from imucalib.readers.choice import Vector
 from imucalib.readers.contents import unread
 from imucalib.readers.conversion import Conversion
 from imucalib.readers.csv.clock import Clock, clock_by_rate, clock_by_stamps
@@ -19,7 +20,6 @@ from imucalib.readers.csv.rows import Layout, Rows, parse
 from imucalib.readers.csv.select import (
     HeaderFacts,
     Selection,
-    Vector,
     by_clock,
     column_index,
     contents_of,
@@ -132,7 +132,7 @@ def make_plans(path: Path, mapping: FieldMapping) -> list[Plan]:
     selection = select(dialect, mapping, facts, pieces, path.name)
     if not selection.vectors:
         raise nothing_found(dialect, pieces, where)
-    used = {k for v in selection.vectors for k in (*v.columns, v.clock)} | set(selection.time)
+    used = {k for v in selection.vectors for k in (*v.parts, v.clock)} | set(selection.time)
     used |= {at for at, _ in conditions}
     left = (*words, *unread(contents_of(dialect, pieces, used)))
     selection = replace(selection, notes=(*selection.notes, *left))
@@ -273,7 +273,7 @@ def _layout(
     else:
         integers = sum(s.lstrip(b"+-").isdigit() for s in samples)
         kind = "int" if 2 * integers > len(samples) else "float"
-    columns = tuple(dict.fromkeys(c for v in selection.vectors for c in v.columns))
+    columns = tuple(dict.fromkeys(c for v in selection.vectors for c in v.parts))
     width = max((len(s) for s in samples), default=0) + 16
     return Layout(dialect, selection.time if kind else (), kind, columns, width), samples
 
@@ -293,7 +293,7 @@ def _parse_looks(pieces: Sequence[bytes], layout: Layout, where: str) -> list[Ro
 
 def _places(vector: Vector, layout: Layout) -> tuple[int, ...]:
     """Of a vector's columns among the parsed values."""
-    return tuple(layout.values.index(c) for c in vector.columns)
+    return tuple(layout.values.index(c) for c in vector.parts)
 
 
 def _has_all(vector: Vector, layout: Layout, rows: Rows) -> Flags:
@@ -342,7 +342,7 @@ def _resolved(
         return [v for v in selection.vectors if v.quantity == quantity]
 
     def addresses(quantity: str) -> tuple[str, ...]:
-        return tuple(dialect.address(c) for v in chosen(quantity) for c in v.columns)
+        return tuple(dialect.address(c) for v in chosen(quantity) for c in v.parts)
 
     def unit(quantity: str) -> str:
         found = {s.conversion.source_unit for s in signals if s.vector.quantity == quantity}

@@ -14,6 +14,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput, UsageError
+from imucalib.readers.choice import OPTIONS, Field, Vector, choose
 from imucalib.readers.contents import Content, listing, norm_of
 from imucalib.readers.csv.dialect import Dialect
 from imucalib.readers.csv.text import is_number
@@ -182,23 +183,6 @@ def _numbers(rows: Sequence[Sequence[str]], columns: Sequence[int], decimal: str
 
 
 @dataclass(frozen=True)
-class Vector:
-    """One quantity of one triad: three columns, or one for a temperature, and the stated unit,
-    or one an axis: "m/s2,m/s2,g"; clock : its own column of stamps, where it has one."""
-
-    quantity: str
-    triad: str
-    columns: tuple[int, ...]
-    unit: str = ""
-    clock: int = -1
-
-    @property
-    def name(self) -> str:
-        """Of its channel."""
-        return f"{self.triad}/{self.quantity}"
-
-
-@dataclass(frozen=True)
 class Selection:
     """Vectors to read; time : column, those that make a stamp together, or none; time_unit as the
     name states it; time_order : of the parts of a stamp, where these are known; notes."""
@@ -228,7 +212,8 @@ def select(
     if gyroscope and any(c.quantity for c in columns) and columns != understand(dialect.names):
         notes.append("x, y, z are taken as an angular rate, by the name of the file")
     table = _Table(dialect, mapping, facts, pieces, columns, notes)
-    vectors = table.vectors("acceleration") + table.vectors("angular_rate")
+    every = table.vectors()
+    vectors = [v for v in every if v.quantity != "temperature"]
     time, time_unit, order = table.time()
     free = not time and not mapping.rate and not columns
     if vectors and free:
@@ -236,13 +221,13 @@ def select(
     if not vectors:
         vectors, guessed = table.by_position()
         time = guessed if free else time
+        every = [*vectors, *every]
     if not vectors:
         return Selection((), (), "")
     if len(time) > 1:
         names = ", ".join(dialect.names[k] if dialect.names else str(k + 1) for k in time)
         notes.append(f"time: columns {names} taken together")
-    vectors = _paired([_with_unit(v, facts) for v in vectors])
-    every = [*vectors, *table.temperatures()]
+    every = [v if v.quantity == "temperature" else _with_unit(v, facts) for v in every]
     if len(time) == 1 and not mapping.time:
         every = table.with_clocks(every)
     return Selection(tuple(every), time, time_unit, tuple(notes), order)
@@ -275,63 +260,32 @@ class _Table:
     columns: list[Meaning]
     notes: list[str]
 
-    def vectors(self, quantity: str) -> list[Vector]:
-        """The triads of one quantity: those that the user names, or those that the names tell."""
-        stated = self.mapping.acc if quantity == "acceleration" else self.mapping.gyro
-        if stated:
-            return self._stated(quantity, stated)
-        groups: dict[str, dict[int, Meaning]] = {}
-        for column in self.columns:
-            numeric = self.dialect.numeric[column.index]
-            if column.quantity == quantity and column.is_axis and numeric:
-                groups.setdefault(column.triad, {}).setdefault(column.axis, column)
-        found = []
-        for triad, axes in groups.items():
-            if len(axes) == 3:
-                found.append(self._vector(quantity, triad, tuple(axes[k].index for k in range(3))))
-        return found
-
-    def _vector(self, quantity: str, triad: str, indices: tuple[int, ...]) -> Vector:
-        units = [self.columns[i].unit for i in indices] if self.columns else [""]
-        unit = units[0] if len(set(units)) == 1 else ",".join(units)
-        return Vector(quantity, triad, indices, unit)
-
-    def _stated(self, quantity: str, stated: Sequence[str]) -> list[Vector]:
-        option = "acc" if quantity == "acceleration" else "gyro"
-        if len(stated) % 3:
-            raise UsageError(
-                f"{len(stated)} columns do not make triads",
-                where=f"mapping: {option}",
-                remedy="name three columns for each sensor",
-            )
-        before = len(self.mapping.acc) // 3 if quantity == "angular_rate" else 0
-        own = before if len(self.mapping.triads) >= before + len(stated) // 3 else 0
-        vectors = []
-        for k in range(len(stated) // 3):
-            three = stated[3 * k : 3 * k + 3]
-            indices = tuple(column_index(s, self.dialect, option) for s in three)
-            vectors.append(self._vector(quantity, self._triad(own + k, k), indices))
-        return vectors
-
-    def _triad(self, at: int, number: int) -> str:
-        return self.mapping.triads[at] if at < len(self.mapping.triads) else f"imu{number}"
-
-    def temperatures(self) -> list[Vector]:
-        """Those that the user names, else those of the device, else the first of each sensor."""
-        if self.mapping.temperature:
-            found = []
-            for k, address in enumerate(self.mapping.temperature):
-                index = column_index(address, self.dialect, "temperature")
-                found.append(self._vector("temperature", self._triad(k, k), (index,)))
-            return found
-        fields = self.facts.device.fields
-        if not self.columns and (known := self._numbered(fields.temperature)):
-            return [Vector("temperature", "imu0", known, fields.temperature_unit)]
-        first: dict[str, Vector] = {}
-        for c in self.columns:
-            if c.quantity == "temperature" and self.dialect.numeric[c.index]:
-                first.setdefault(c.triad, Vector("temperature", c.triad, (c.index,), c.unit))
-        return list(first.values())
+    def vectors(self) -> list[Vector]:
+        """Those that the user names, those that the names tell, the temperature of the device."""
+        stated = {}
+        for quantity, option in OPTIONS.items():
+            each = [column_index(n, self.dialect, option) for n in getattr(self.mapping, option)]
+            width = 1 if quantity == "temperature" else 3
+            if len(each) % width:
+                raise UsageError(
+                    f"{len(each)} columns do not make triads",
+                    where=f"mapping: {option}",
+                    remedy="name three columns for each sensor",
+                )
+            if each:
+                stated[quantity] = [tuple(each[k : k + width]) for k in range(0, len(each), width)]
+        numeric = self.dialect.numeric
+        names = self.dialect.names or ("",) * self.dialect.width
+        fields = [Field(name, int(n)) for name, n in zip(names, numeric, strict=True)]
+        told = self.columns or understand(names)
+        found = sorted(
+            choose(fields, told, self.mapping, stated),
+            key=lambda v: list(OPTIONS).index(v.quantity),
+        )
+        usual = self.facts.device.fields
+        known = () if self.columns or "temperature" in stated else self._numbered(usual.temperature)
+        warm = [Vector("temperature", "imu0", known, usual.temperature_unit)] if known else []
+        return [*found, *warm]
 
     def _numbered(self, addresses: Sequence[str]) -> tuple[int, ...]:
         """Indices from 0 of a device's columns; none unless all are numbers that the table has."""
@@ -374,19 +328,19 @@ class _Table:
             named = [[c.index for c in times if c.triad == v.quantity] for v in vectors]
             own = [at[0] if len(at) == 1 else -1 for at in named]
         else:
-            first, last = min(v.columns[0] for v in main), max(v.columns[0] for v in main)
+            first, last = min(v.parts[0] for v in main), max(v.parts[0] for v in main)
             alike = {re.sub(r"[\W\d_]+$", "", c.name.lower()) for c in times}
             if len(alike) > 1 or not any(first < c.index < last for c in times):
                 return vectors
             right = not any(c.index < first for c in times)
-            own = [_nearest([c.index for c in times], v.columns[0], right) for v in vectors]
+            own = [_nearest([c.index for c in times], v.parts[0], right) for v in vectors]
         if len({at for at, v in zip(own, vectors, strict=True) if v in main}) < 2 or -1 in own:
             return vectors
         return [replace(v, clock=at) for v, at in zip(vectors, own, strict=True)]
 
     def time_without_names(self, vectors: Sequence[Vector]) -> tuple[int, ...]:
         """The time column of a table without names whose other columns the user has named."""
-        used = {c for v in vectors for c in v.columns}
+        used = {c for v in vectors for c in v.parts}
         known = self._numbered((self.facts.device.fields.time,))
         if known and known[0] not in used:
             return known
@@ -435,17 +389,6 @@ class _Table:
 def _nearest(times: Sequence[int], column: int, right: bool) -> int:
     side = [k for k in times if (k > column if right else k < column)]
     return (min if right else max)(side, default=-1)
-
-
-def _paired(vectors: list[Vector]) -> list[Vector]:
-    """A gyroscope whose name begins that of one accelerometer only ("s1", "s1_ln") is with it."""
-    acc = [v.triad for v in vectors if v.quantity == "acceleration"]
-    out = []
-    for v in vectors:
-        fitting = [a for a in acc if a.startswith(f"{v.triad}_")]
-        lonely = v.quantity == "angular_rate" and v.triad not in acc and len(fitting) == 1
-        out.append(replace(v, triad=fitting[0]) if lonely else v)
-    return out
 
 
 def _with_unit(vector: Vector, facts: HeaderFacts) -> Vector:

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.readers.words import Meaning, instant_rank, understand
+from imucalib.readers.choice import OPTIONS, Field, Vector, choose, joined_unit
+from imucalib.readers.words import instant_rank, understand
 from imucalib.recording.mapping import FieldMapping
 from imucalib.units import canonical
 
@@ -200,13 +201,13 @@ class Found:
         return f"{whole}[{first.triad}]" if first.triad >= 0 else whole
 
 
-def found_in(quantity: str, triad: str, parts: Sequence[Place], rows: int) -> Found:
+def found_in(vector: Vector, parts: Sequence[Place], rows: int) -> Found:
     """The channel that lies at some places, with their unit."""
     units = [part.unit for part in parts]
     if len(parts) == 1 and "," in units[0]:  # one an axis, in the order of the file
         units = [units[0].split(",")[k] for k in parts[0].order]
-    unit = units[0] if len(set(units)) == 1 else ",".join(units)
-    return Found(quantity, triad, tuple(parts), rows, unit)
+    unit, numbered = joined_unit(units), vector.numbered
+    return Found(vector.quantity, vector.triad, tuple(parts), rows, unit, numbered=numbered)
 
 
 def words_of(path: str) -> list[str]:
@@ -331,103 +332,67 @@ def datasets(file: Any, where: str) -> Iterator[Any]:
 def fields_of(file: Any, held: Iterable[Any], mapping: FieldMapping) -> list[Found]:
     """All channels in the file's `datasets`, or those that the mapping names; with their clocks."""
     nodes = {node.name: node for node in held}
-    if mapping.acc or mapping.gyro:
-        found = list(_stated(nodes, mapping))
-        found += list(_temperatures_of(nodes, found))
-    else:
-        found = list(_named(nodes))
-    if mapping.temperature:
-        found = [f for f in found if f.quantity != "temperature"]
-        found += list(_stated_temperatures(nodes, mapping))
-    unique = {(f.triad, f.quantity): f for f in reversed(found)}  # the first of each
-    kept = [f for f in found if unique[f.triad, f.quantity] is f]
-    return [_with_clock(_with_device(f, file), nodes, file, mapping) for f in kept]
+    each = [
+        (node, column, number)
+        for node in nodes.values()
+        for column in node.dtype.names or ("",)
+        for number in _numbers(node)
+    ]
+    fields = [
+        Field((*words_of(n.name), *filter(None, [c])), _width(n, c), _rows(n), number)
+        for n, c, number in each
+    ]
+    stated = {
+        quantity: [(k,) for a in addresses for k in _stated(nodes, fields, a, option)]
+        for quantity, option in OPTIONS.items()
+        if (addresses := getattr(mapping, option))
+    }
+    found = []
+    told = understand([field.name for field in fields])
+    for vector in choose(fields, told, mapping, stated):
+        places = [
+            place_of(n, c, number, transposed=_is_flipped(n), named=told[k].unit)
+            for k in vector.parts
+            for n, c, number in [each[k]]
+        ]
+        one = replace(
+            found_in(vector, places, fields[vector.parts[0]].rows), numbered=vector.numbered
+        )
+        found.append(_with_clock(_with_device(one, file), nodes, file, mapping))
+    return found
 
 
-def _triads_in(node: Any) -> list[tuple[Place, int]]:
-    """The triads in one dataset, (N, 3), (3, N) or (N, K, 3), and their rows."""
-    shape = node.shape
-    if node.dtype.kind in "iuf" and len(shape) == 3 and shape[2] == 3:
-        return [(place_of(node, triad=k), shape[0]) for k in range(shape[1])]
-    if node.dtype.kind in "iuf" and len(shape) == 2 and 3 in shape:
-        flipped = shape[1] != 3
-        return [(place_of(node, transposed=flipped), shape[1 if flipped else 0])]
-    return []
+def _numbers(node: Any) -> Sequence[int]:
+    """Which vectors a dataset holds, (n, k, 3); -1 of one that has no more than one."""
+    return range(node.shape[1]) if len(node.shape) == 3 and node.shape[2] == 3 else (-1,)
 
 
-def _named(nodes: dict[str, Any]) -> Iterator[Found]:
-    """The channels that the names of datasets, of columns of a table and of their groups tell."""
-    held = [(node, column) for node in nodes.values() for column in node.dtype.names or ("",)]
-    paths = [(*words_of(node.name), *filter(None, [column])) for node, column in held]
-    meanings = understand(paths)
-    axes: dict[tuple[str, str, str], dict[int, tuple[Place, Any]]] = {}
-    for (node, column), one in zip(held, meanings, strict=True):
-        if one.is_axis and len(node.shape) == 1 and _is_numeric(node, column):
-            folder = node.name if column else node.name.rpartition("/")[0]
-            three = axes.setdefault((folder, one.quantity, one.triad), {})
-            three.setdefault(one.axis, (place_of(node, column, named=one.unit), node))
-        elif not column:
-            yield from _whole(node, one)
-    for (_, quantity, triad), three in axes.items():
-        if len(three) == 3 and len({node.shape for _, node in three.values()}) == 1:
-            yield found_in(quantity, triad, [three[k][0] for k in range(3)], three[0][1].shape[0])
+def _is_flipped(node: Any) -> bool:
+    return len(node.shape) == 2 and node.shape[1] not in (1, 3) and node.shape[0] == 3
 
 
-def _is_numeric(node: Any, column: str = "") -> bool:
-    return (node.dtype[column] if column else node.dtype).kind in "iuf"
+def _rows(node: Any) -> int:
+    return int(node.shape[1 if _is_flipped(node) else 0])
 
 
-def _whole(node: Any, one: Meaning) -> Iterator[Found]:
-    """The channels in one dataset whose path names the quantity."""
-    shape = node.shape
-    if not _is_numeric(node):
-        return
-    if one.quantity == "temperature" and shape in ((shape[0],), (shape[0], 1)):
-        yield found_in(one.quantity, one.triad or "imu0", [place_of(node)], shape[0])
-    for place, rows in _triads_in(node) if one.is_vector else ():
-        number = f"imu{place.triad}"
-        own = one.triad if place.triad < 0 else f"{one.triad}_{number}"
-        name = number if place.triad >= 0 and one.triad == "imu0" else own
-        yield replace(found_in(one.quantity, name, [place], rows), numbered=name == number)
+def _width(node: Any, column: str) -> int:
+    """How many numbers a row has; 0 of what is no number, or no vector."""
+    kind = node.dtype[column] if column else node.dtype
+    if kind.kind not in "iuf" or kind.shape:
+        return 0
+    last = node.shape[0] if _is_flipped(node) else (1, *node.shape[1:])[-1]
+    return last if last in (1, 3) and len(node.shape) <= 3 else 0
 
 
-def _stated(nodes: dict[str, Any], mapping: FieldMapping) -> Iterator[Found]:
-    for quantity, option in (("acceleration", "acc"), ("angular_rate", "gyro")):
-        count = 0
-        for address in getattr(mapping, option):
-            node = _node_at(nodes, address, option)
-            whole = _triads_in(node)
-            if not whole:
-                raise UsageError(
-                    f"dataset {address} has the shape {node.shape}",
-                    where=f"mapping: {option}",
-                    remedy="name a dataset (N, 3) or (N, K, 3)",
-                )
-            for place, rows in whole:
-                known = count < len(mapping.triads)
-                name = mapping.triads[count] if known else f"imu{count}"
-                yield replace(found_in(quantity, name, [place], rows), numbered=not known)
-                count += 1
-
-
-def _temperatures_of(nodes: dict[str, Any], stated: list[Found]) -> Iterator[Found]:
-    """Temperatures of the sensor of a stated triad, or of a file with one triad."""
-    triads = tuple(dict.fromkeys(f.triad for f in stated))
-    for field in _named(nodes):
-        if field.quantity == "temperature":
-            there = [f.triad for f in stated if _sensor(f) == _sensor(field)]
-            for triad in dict.fromkeys(there) or triads[: len(triads) == 1]:
-                yield replace(field, triad=triad)
-
-
-def _sensor(field: Found) -> str:
-    """What the path of a field calls its sensor."""
-    (one,) = understand([tuple(words_of(field.parts[0].path))])
-    return one.triad or "imu0"
-
-
-def _stated_temperatures(nodes: dict[str, Any], mapping: FieldMapping) -> Iterator[Found]:
-    for k, address in enumerate(mapping.temperature):
-        node = _node_at(nodes, address, "temperature")
-        triad = mapping.triads[k] if k < len(mapping.triads) else f"imu{k}"
-        yield found_in("temperature", triad, [place_of(node)], node.shape[0])
+def _stated(nodes: dict[str, Any], fields: Sequence[Field], address: str, option: str) -> list[int]:
+    """The fields of the dataset at an address of the mapping. Raises UsageError for none."""
+    node = _node_at(nodes, address, option)
+    path, width = tuple(words_of(node.name)), 1 if option == "temperature" else 3
+    found = [k for k, field in enumerate(fields) if (field.name, field.width) == (path, width)]
+    if not found:
+        raise UsageError(
+            f"dataset {address} has the shape {node.shape}",
+            where=f"mapping: {option}",
+            remedy=f"name a dataset {'(N,)' if width == 1 else '(N, 3) or (N, K, 3)'}",
+        )
+    return found

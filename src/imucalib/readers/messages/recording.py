@@ -14,13 +14,12 @@ from numpy.typing import NDArray
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.readers import conversion
+from imucalib.readers.choice import OPTIONS
 from imucalib.readers.contents import listing, suggestion
 from imucalib.readers.conversion import Conversion
 from imucalib.readers.messages.clock import Clock, Timeline, choose_clock
 from imucalib.readers.messages.records import MessageLog
 from imucalib.readers.messages.select import (
-    CHANNEL_NAMES,
-    QUANTITIES,
     Triad,
     contents_of,
     split_address,
@@ -244,13 +243,13 @@ def _decide(stream: TopicStream) -> Plan:
 
 
 def _refuse_unknown(stream: TopicStream) -> None:
-    for quantity in QUANTITIES:
-        for text in getattr(stream.mapping, quantity):
+    for option in OPTIONS.values():
+        for text in getattr(stream.mapping, option):
             if text and all(split_address(text, t) is None for t in stream.topics.values()):
                 raise UsageError(
                     f"'{text}' is not a topic of {stream.log.path}, which holds:"
                     f"{listing(contents_of(stream.log, stream.topics)) or ' none'}\n",
-                    where=f"mapping: {quantity}",
+                    where=f"mapping: {option}",
                     remedy="Write it as TOPIC or TOPIC:FIELD",
                 )
 
@@ -299,7 +298,7 @@ def _conversion(
         return conversion.temperature(mapping, stated, np.concatenate(pieces), where)
     window = int(np.clip(0.5e9 / period, 16, 1024)) if period else 16
     return conversion.of_vectors(
-        CHANNEL_NAMES[quantity],
+        quantity,
         mapping,
         conversion.Source(stated),
         pieces,
@@ -315,7 +314,7 @@ def _part(
     channel = Channel(
         t=np.empty(0),
         values=np.empty((0, source.fields[column].group.width)),
-        quantity=CHANNEL_NAMES[quantity],
+        quantity=quantity,
         triad=triad.name,
         rate=1e9 / clock.period if clock.period else 0.0,
         names=(source.name, source.frame) if source.frame else (source.name,),
@@ -357,19 +356,19 @@ def _resolved(
     mapping: FieldMapping, triads: list[Triad], sources: Mapping[str, Source], parts: list[Part]
 ) -> FieldMapping:
     """The mapping that reads the same channels again."""
-    addresses: dict[str, tuple[str, ...]] = {}
-    for quantity in QUANTITIES:
+    found: dict[str, tuple[str, ...]] = {}
+    for quantity in OPTIONS:
         texts = []
         for triad in triads:
             name, i = triad.parts.get(quantity, ("", 0))
             texts.append(f"{name}:{sources[name].fields[i].address}" if name else "")
-        addresses[quantity] = tuple(texts) if any(texts) else ()
+        found[quantity] = tuple(texts) if any(texts) else ()
     units = {p.channel.quantity: p.conversion.source_unit for p in reversed(parts)}
     return replace(
         mapping,
-        acc=addresses["acc"],
-        gyro=addresses["gyro"],
-        temperature=addresses["temperature"],
+        acc=found["acceleration"],
+        gyro=found["angular_rate"],
+        temperature=found["temperature"],
         triads=tuple(triad.name for triad in triads),
         acc_unit=mapping.acc_unit or units.get("acceleration", ""),
         gyro_unit=mapping.gyro_unit or units.get("angular_rate", ""),

@@ -16,27 +16,25 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.errors import UsageError
+from imucalib.readers.choice import OPTIONS, Field, Vector, joined_unit, named_vectors
 from imucalib.readers.contents import Content, norm_of
 from imucalib.readers.messages.decode import Decoder, Look, decoder_for
 from imucalib.readers.messages.layout import Group, LayoutError
 from imucalib.readers.messages.records import MessageBlock, MessageLog, Topic
-from imucalib.readers.messages.topics import Field, Source
-from imucalib.readers.words import Meaning, instant_rank, understand, vectors_in
+from imucalib.readers.messages.topics import Source, TopicField
+from imucalib.readers.words import INERTIAL, instant_rank, understand
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.pairing import distinct_names
 
-QUANTITIES = ("acc", "gyro", "temperature")
-#: Of each quantity of a mapping its name in channels.
-CHANNEL_NAMES = {"acc": "acceleration", "gyro": "angular_rate", "temperature": "temperature"}
 _SECONDS = (("sec", "nanosec"), ("sec", "nsec"), ("secs", "nsecs"), ("seconds", "nanos"))
 _AXES = (("x", "y", "z"), ("0", "1", "2"))
 _CLOCKS = ("log_time", "publish_time")
 _SENSOR_WORDS = re.compile(r"accelerometer|accel|acc|gyroscope|gyro|gyr", re.IGNORECASE)
-_SI = {"acc": "m/s2", "gyro": "rad/s", "temperature": "degC"}
+_SI = {"acceleration": "m/s2", "angular_rate": "rad/s", "temperature": "degC"}
 #: Channel metadata of the files that this package writes: what a ROS message cannot say.
 META_TRIAD, META_QUANTITIES = "imucal.triad", "imucal.quantities"
 META_ORIGIN, META_DATED = "imucal.origin_ns", "imucal.dated"
-META_UNITS = {"acc": "imucal.acc_unit", "gyro": "imucal.gyro_unit"}
+META_UNITS = {"acceleration": "imucal.acc_unit", "angular_rate": "imucal.gyro_unit"}
 
 Leaves = Mapping[str, int]  # path -> how many numbers
 
@@ -61,8 +59,13 @@ def is_imu(topic: Topic) -> bool:
 
 def is_stated(mapping: FieldMapping, topic: Topic | None = None) -> bool:
     """Whether the mapping names a field of a topic, or of any."""
-    texts = [text for quantity in QUANTITIES for text in getattr(mapping, quantity) if text]
+    texts = filter(None, addresses(mapping))
     return any(topic is None or split_address(text, topic) is not None for text in texts)
+
+
+def addresses(mapping: FieldMapping) -> tuple[str, ...]:
+    """All fields that the mapping names; of a sensor that lacks one, an empty text."""
+    return (*mapping.acc, *mapping.gyro, *mapping.temperature)
 
 
 def split_address(text: str, topic: Topic) -> str | None:
@@ -118,32 +121,17 @@ def _stars(leaves: Leaves) -> list[str]:
     return [f"{path[:-1]}*" for path in leaves if len(path) > 1 and path[-1] == "x"]
 
 
-@dataclass(frozen=True)
-class _Named:
-    """A 3-vector that its name tells: where it is, and what of"""
-
-    address: str
-    group: Group
-    meaning: Meaning
-
-
-def _named_vectors(leaves: Leaves) -> list[_Named]:
-    """Every acceleration and angular rate, those of one sensor in the order in which they are
-    read: what is called linear (gravity may lack) last, then by depth."""
+def _named(leaves: Leaves) -> list[tuple[Vector, str, Group]]:
+    """Every acceleration and angular rate that names tell, with its address and its numbers."""
     paths = list(leaves)
-    found = understand([tuple(path.split(".")) for path in paths])
-    named = [
-        _Named(paths[m.index], Group((paths[m.index],), 3), m)
-        for m in found
-        if m.is_vector and leaves[paths[m.index]] == 3
-    ]
-    for axes in vectors_in([m for m in found if leaves[paths[m.index]] == 1]).values():
-        if None not in axes:
-            three = [paths[m.index] for m in axes if m]
-            address = _address_of(three)
-            group = vector(leaves, address)
-            named += [_Named(address, group, m) for m in axes[:1] if m and group]
-    return sorted(named, key=lambda n: ("linear" in n.address.lower(), n.address.count(".")))
+    fields = [Field(tuple(path.split(".")), count) for path, count in leaves.items()]
+    found = []
+    for one in named_vectors(fields, understand([f.name for f in fields])):
+        three = [paths[k] for k in one.parts]
+        address = three[0] if len(three) == 1 else _address_of(three)
+        if group := one.quantity in INERTIAL and vector(leaves, address):
+            found.append((one, address, group))
+    return found
 
 
 def _address_of(three: Sequence[str]) -> str:
@@ -158,7 +146,7 @@ def _address_of(three: Sequence[str]) -> str:
 def _address(leaves: Leaves, quantity: str) -> str:
     """The address of the field with the best name of a quantity, or ""; of a topic that holds one
     vector that of this."""
-    own = [n.address for n in _named_vectors(leaves) if n.meaning.quantity == quantity]
+    own = [address for one, address, _ in _named(leaves) if one.quantity == quantity]
     every = list(_vectors_of(leaves))
     return (own or (every if len(every) == 1 else [""]))[0]
 
@@ -179,22 +167,22 @@ def source_of(topic: Topic, look: Look, mapping: FieldMapping) -> Source | None:
     Raises UsageError when the mapping names a field that the messages do not have.
     """
     leaves = look.leaves
-    stated = [f for q in QUANTITIES for f in _stated(topic, leaves, mapping, q)]
+    stated = [f for q in OPTIONS for f in _stated(topic, leaves, mapping, q)]
     if not stated and is_stated(mapping):
         return None
     own = topic.metadata.get(META_QUANTITIES)
     fields = stated
     if own is not None and not stated:
         every = [*_found(topic, leaves), *_own_temperature(leaves)]
-        fields = [replace(f, found=False) for f in every if f.quantity in own.split()]
+        fields = [replace(f, found=False) for f in every if OPTIONS[f.quantity] in own.split()]
     elif len(stated) <= 1:
-        named = {*(f.quantity for f in stated), *(q for q in QUANTITIES if getattr(mapping, q))}
+        named = [q for q, option in OPTIONS.items() if getattr(mapping, option)]
         fields = stated + [f for f in _found(topic, leaves) if f.quantity not in named]
-        if not stated and all(f.quantity != "acc" for f in fields):
+        if not stated and all(f.quantity != "acceleration" for f in fields):
             return None  # a rate alone is also in odometry and in many a controller's messages
     if not fields:
         return None
-    fields.sort(key=lambda f: QUANTITIES.index(f.quantity))
+    fields.sort(key=lambda f: list(OPTIONS).index(f.quantity))
     time, stamp = _time(topic, leaves, mapping)
     origin = topic.metadata.get(META_ORIGIN, "")
     return Source(
@@ -210,57 +198,53 @@ def source_of(topic: Topic, look: Look, mapping: FieldMapping) -> Source | None:
     )
 
 
-def _stated(topic: Topic, leaves: Leaves, mapping: FieldMapping, quantity: str) -> list[Field]:
+def _stated(topic: Topic, leaves: Leaves, mapping: FieldMapping, quantity: str) -> list[TopicField]:
     """The fields of a quantity that the mapping names in this topic."""
-    fields = []
+    fields, option = [], OPTIONS[quantity]
     single = quantity == "temperature"
-    for text in getattr(mapping, quantity):
+    for text in getattr(mapping, option):
         path = split_address(text, topic) if text else None
         if path is None:
             continue
-        address = path or ("" if single else _address(leaves, CHANNEL_NAMES[quantity]))
+        address = path or ("" if single else _address(leaves, quantity))
         group = (scalar if single else vector)(leaves, address) if address else None
         if group is None:
             raise UsageError(
                 f"topic {topic.name} has no {'number' if single else '3-vector'} '{path}'",
-                where=f"mapping: {quantity}",
+                where=f"mapping: {option}",
                 remedy=f"its fields: {', '.join(list(leaves)[:40])}",
             )
-        unit = "" if single else _unit_of(topic, quantity, group)
-        fields.append(Field(quantity, address, group, unit, found=False))
+        named = understand([tuple(path.split(".")) for path in group.paths])
+        unit = "" if single else _unit_of(topic, quantity, joined_unit([m.unit for m in named]))
+        fields.append(TopicField(quantity, address, group, unit, found=False))
     return fields
 
 
-def _found(topic: Topic, leaves: Leaves) -> list[Field]:
+def _found(topic: Topic, leaves: Leaves) -> list[TopicField]:
     """The vectors that their names tell, a field for each sensor and quantity."""
-    fields = list[Field]()
-    for named in _named_vectors(leaves):
-        quantity = next(q for q, name in CHANNEL_NAMES.items() if name == named.meaning.quantity)
-        if all((f.quantity, f.sensor) != (quantity, named.meaning.triad) for f in fields):
-            unit = _unit_of(topic, quantity, named.group)
-            sensor = named.meaning.triad
-            fields.append(Field(quantity, named.address, named.group, unit, sensor=sensor))
-    force = [f for f in fields if f.quantity == "acc"]
+    fields = [
+        TopicField(q := one.quantity, address, group, _unit_of(topic, q, one.unit), True, one.triad)
+        for one, address, group in _named(leaves)
+    ]
+    force = [f for f in fields if f.quantity == "acceleration"]
     if len(force) > 1:
         return [f for f in fields if f.sensor in {one.sensor for one in force}]
-    turn = [f for f in fields if f.quantity == "gyro"]
+    turn = [f for f in fields if f.quantity == "angular_rate"]
     turn.sort(key=lambda f: f.sensor not in {one.sensor for one in force})
     return [replace(f, sensor="") for f in (*force, *turn[:1])]
 
 
-def _own_temperature(leaves: Leaves) -> list[Field]:
+def _own_temperature(leaves: Leaves) -> list[TopicField]:
     """Read only where a file of this package has it."""
     number = scalar(leaves, "temperature")
-    return [Field("temperature", "temperature", number, _SI["temperature"])] if number else []
+    name = "temperature"
+    return [TopicField(name, name, number, _SI[name])] if number else []
 
 
-def _unit_of(topic: Topic, quantity: str, group: Group) -> str:
-    """The unit that the message type or the field's own name states, or ""."""
-    stated = topic.metadata.get(META_UNITS[quantity])
-    if stated is not None or is_imu(topic):
-        return _SI[quantity] if stated is None else stated
-    units = {m.unit for m in understand([tuple(path.split(".")) for path in group.paths])}
-    return units.pop() if len(units) == 1 else ""
+def _unit_of(topic: Topic, quantity: str, named: str) -> str:
+    """The unit that the message type states, or that the field's own name does."""
+    usual = _SI[quantity] if is_imu(topic) else named
+    return topic.metadata.get(META_UNITS[quantity], usual)
 
 
 def _time(topic: Topic, leaves: Leaves, mapping: FieldMapping) -> tuple[str, Group | None]:
@@ -325,10 +309,11 @@ def triads_of(mapping: FieldMapping, sources: Mapping[str, Source]) -> list[Tria
 
 
 def _stated_parts(mapping: FieldMapping, sources: Mapping[str, Source]) -> list[_Parts]:
-    parts: list[_Parts] = [{} for _ in range(max(len(getattr(mapping, q)) for q in QUANTITIES))]
+    count = max(len(mapping.acc), len(mapping.gyro), len(mapping.temperature))
+    parts: list[_Parts] = [{} for _ in range(count)]
     used: set[tuple[str, int]] = set()
-    for quantity in QUANTITIES:
-        for part, text in zip(parts, getattr(mapping, quantity), strict=False):
+    for quantity, option in OPTIONS.items():
+        for part, text in zip(parts, getattr(mapping, option), strict=False):
             place = next(
                 (
                     (name, i)
@@ -348,7 +333,7 @@ def _stated_parts(mapping: FieldMapping, sources: Mapping[str, Source]) -> list[
                 names = ", ".join(sorted(sources, key=natural)) or "none"
                 raise UsageError(
                     f"'{text}' is not a topic of this file, or has no readable messages",
-                    where=f"mapping: {quantity}",
+                    where=f"mapping: {option}",
                     remedy=f"topics found: {names}",
                 )
     for part in parts:  # the other vector of the same messages

@@ -16,7 +16,7 @@ from imucalib.readers.messages.decode import Decoder, decoder_for
 from imucalib.readers.messages.layout import Groups, LayoutError
 from imucalib.readers.messages.records import MessageBlock, MessageLog, Topic
 from imucalib.readers.messages.select import (
-    QUANTITIES,
+    addresses,
     is_imu,
     is_stated,
     left_in,
@@ -93,7 +93,7 @@ class TopicStream:
     def _named(self, topic: Topic) -> Topic:
         """A channel that is apart, or that the mapping names so, with the name of its own."""
         own = f"{topic.name}#{topic.id}"
-        texts = (text for q in QUANTITIES for text in getattr(self.mapping, q))
+        texts = addresses(self.mapping)
         if topic.id in self.apart or any(
             split_address(t, replace(topic, name=own)) is not None for t in texts
         ):

@@ -20,10 +20,10 @@ Stamps = NDArray[Any]  # int64 or float64, as the file has it
 
 
 @dataclass(frozen=True)
-class Field:
+class TopicField:
     """A quantity in a topic's messages.
 
-    quantity : "acc", "gyro" or "temperature", as in FieldMapping
+    quantity : as in Channel
     address : its place as the mapping writes it; group : the numbers that make it
     unit : what the message type states, "" when it does not
     found : whether the names decided, rather than the user
@@ -95,7 +95,7 @@ class Source:
 
     name: str
     imu: bool
-    fields: tuple[Field, ...]
+    fields: tuple[TopicField, ...]
     time: str = ""
     instant: Group | None = None
     frame: str = ""
