@@ -85,12 +85,11 @@ def imucal(path: Path, rate: float) -> dict[str, Any]:
     unit = Conversion("m/s2", "g", np.array([G]), np.zeros(1))
     channel = Channel(
         t=t,
-        values=values,
+        values=unit.apply(values),
         unit="m/s2",
         quantity="acceleration",
         triad="imu0",
         rate=rate,
-        pending=unit,
     )
     scanned = scan([Recording({"imu0/acceleration": channel}, "week", "array", "")], 10.0)
     runs = posture_runs(scanned)

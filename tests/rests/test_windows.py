@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-import tempfile
-from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imucalib.readers import blocks, stored_blocks
-from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.runs import scan
 from imucalib.rests.windows import WindowBuilder, window_statistics
@@ -69,39 +63,6 @@ def test_variance_far_from_zero(kind: str) -> None:
     _, variance, *_ = window_statistics(cube)
     exact = cube.astype(np.float64).var(axis=1, ddof=1)
     assert np.allclose(variance, exact, rtol=1e-5 if kind == "f4" else 1e-10)
-
-
-@pytest.mark.slow
-@settings(max_examples=25, deadline=None)
-@given(
-    seed=st.integers(0, 2**32 - 1),
-    kind=st.sampled_from(("f4", "f8", "i2")),
-    axis_map=st.sampled_from(("", "-y,x,-z")),
-    offset=st.sampled_from(((), (3.0, -2.0, 1.0))),
-    holes=st.booleans(),
-)
-def test_statistics_of_stored_numbers(
-    seed: int, kind: str, axis_map: str, offset: tuple[float, ...], holes: bool
-) -> None:
-    """Statistics that are converted equal statistics of converted samples."""
-    rng = np.random.default_rng(seed)
-    numbers = (2048 * np.array([0.6, 0.0, 0.8]) + 9.0 * rng.standard_normal((9000, 3))).astype(kind)
-    if holes and kind != "i2":
-        numbers[4000:4100] = np.nan
-    mapping = FieldMapping(
-        acc_unit="counts", lsb_per_g=(2048.0,), rate=50.0, axis_map=axis_map, acc_offset=offset
-    )
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "day.h5"
-        with h5py.File(path, "w") as file:
-            file["accelerometer"] = numbers
-        one, two = (scan(make(path, mapping), 10.0) for make in (blocks, stored_blocks))
-    assert replace(one, windows=two.windows) == two
-    for name in ("first", "run", "start", "stop"):
-        assert np.array_equal(getattr(one.windows, name), getattr(two.windows, name))
-    for name in ("mean", "low", "high", "variance", "finest"):
-        found, known = getattr(two.windows, name), getattr(one.windows, name)
-        assert np.allclose(found, known, rtol=1e-5 if name == "variance" else 1e-12, atol=1e-7)
 
 
 def test_windows_of_blocks_are_those_of_the_whole() -> None:

@@ -40,7 +40,6 @@ __all__ = [
     "read_together",
     "reader_for",
     "readers",
-    "stored_blocks",
 ]
 
 BLOCK_SAMPLES = 1 << 18  #: default samples (rows) of a block
@@ -158,18 +157,6 @@ def blocks(
     full = with_preset(mapping or FieldMapping())
     reader = _reader(path, full)
     found = reader.blocks(Path(path), full, block_samples=block_samples, strict=strict)
-    return _looked_at(found, full, reader)
-
-
-def stored_blocks(
-    path: str | os.PathLike[str], mapping: FieldMapping | None = None, *, strict: bool = False
-) -> Iterator[Recording]:
-    """`blocks` for a pass that keeps only statistics: a reader whose format holds plain numbers
-    gives them as they are, with the conversion to SI beside them (`Channel.pending`)."""
-    full = with_preset(mapping or FieldMapping())
-    reader = _reader(path, full)
-    given = getattr(reader, "stored_blocks", reader.blocks)
-    found: Iterator[Recording] = given(Path(path), full, block_samples=BLOCK_SAMPLES, strict=strict)
     return _looked_at(found, full, reader)
 
 

@@ -120,11 +120,6 @@ class Conversion:
             values = values * self.factor
         return self.axes.apply(values)
 
-    def sizes(self, raw: NDArray[np.generic]) -> Array:
-        """Convert sizes (standard deviations, steps) of raw values: no offset, no sign."""
-        values = np.asarray(raw, dtype=np.float64) * np.abs(self.factor)
-        return np.abs(self.axes.apply(values))
-
 
 #: Values that are written where there is none, as integers of 16 and 32 bits and by hand.
 _MISSING = (-999.0, 9999.0, -9999.0, 99999.0, -99999.0, 1e20, -1e20, -32768.0, -2147483648.0)
@@ -207,14 +202,14 @@ class Source:
     """What is known of an acceleration before its numbers are looked at.
 
     unit : that the file (or its format) states, or ""; scales : counts a g that the device's models
-    have, one of which its file does not name; whole : every number is an integer; fixed : the
-    format itself fixes the unit: what the numbers say against it is a caution
+    have, one of which its file does not name; fixed : the format itself fixes the unit: what the
+    numbers say against it is a caution; whole : every number is an integer
     """
 
     unit: str = ""
     scales: tuple[float, ...] = ()
-    whole: bool = False
     fixed: bool = False
+    whole: bool = False
 
 
 def acceleration(
@@ -298,7 +293,8 @@ def of_vectors(
     wrap = wrap_of(known) if any(v.size for v in known) else 0.0
     if quantity == "acceleration":
         rest = readings_at_rest([restore_sign(v, wrap) for v in looks], window)
-        how = acceleration(mapping, source, rest, where)
+        whole = all((v == np.rint(v)).all() for v in known)
+        how = acceleration(mapping, replace(source, whole=whole), rest, where)
     else:
         how = angular_rate(mapping, source.unit, where)
     said = [how.note] if how.note else []

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imucalib.arrays import Array, Flags
+from imucalib.arrays import Flags
 from imucalib.readers.joining import add_notes, amend_last
 from imucalib.readers.timebase import find_gaps, stepping
 from imucalib.recording.recording import Channel, Count, Gap, Recording
@@ -50,7 +50,7 @@ class _Impossible:
 
     def without(self, channel: Channel) -> tuple[Channel, list[Gap]]:
         """The channel without them, and the gaps that they leave."""
-        values, most = _si(channel), _MOST if channel.unit == "m/s2" else np.inf
+        values, most = channel.values, _MOST if channel.unit == "m/s2" else np.inf
         with np.errstate(invalid="ignore", over="ignore"):
             low, high = values.min(), values.max()
             if low >= -most and high <= most:
@@ -89,7 +89,3 @@ def _count(count: Count, found: dict[str, _Impossible], last: Recording) -> Coun
         return count
     left = {**count.left, "that no sensor reads": lost}
     return replace(count, read=count.read - lost, left=left)
-
-
-def _si(channel: Channel) -> Array:
-    return channel.pending.apply(channel.values) if channel.pending else channel.values

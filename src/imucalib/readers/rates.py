@@ -107,9 +107,9 @@ class _Rates:
     def demand_slow(self, rate: Channel) -> None:
         """Refuse a rate that no such sensor reads, where it lasts."""
         low, high = rate.values.min(), rate.values.max()
-        if rate.pending is None and max(-low, high) <= FASTEST:
+        if max(-low, high) <= FASTEST:
             return
-        size = np.abs(_si(rate)).max(axis=1)
+        size = np.abs(rate.values).max(axis=1)
         lasting = np.minimum(np.minimum(size[:-2], size[1:-1]), size[2:])
         fastest = float(lasting[np.isfinite(lasting)].max(initial=0.0))
         if fastest > FASTEST:
@@ -127,7 +127,7 @@ class _Rates:
         if not factors or len(self.errors) >= _TURNS or self.samples >= _SAMPLES:
             return ""
         self.samples += rate.t.size
-        acc, turn = _si(force), _si(rate)
+        acc, turn = force.values, rate.values
         if not np.array_equal(force.t, rate.t):
             if force.t.size < _IN_A_ROW:
                 return ""
@@ -153,10 +153,6 @@ class _Rates:
             )
             raise self._refused(what, true)
         return ""
-
-
-def _si(channel: Channel) -> Array:
-    return channel.pending.apply(channel.values) if channel.pending else channel.values
 
 
 def carried(t: Array, acc: Array, rate: Array, factors: Array) -> list[Array]:

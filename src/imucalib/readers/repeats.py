@@ -130,7 +130,7 @@ class _Repeats:
         chosen = np.unique(np.linspace(0, count - 1, min(count, _PIECES - known)).astype(int))
         some = channel.values[chosen[:, None] * length + np.arange(length)]
         # Turned, so that every reduction runs along neighbouring numbers.
-        values = np.ascontiguousarray(_si(channel, some).transpose(0, 2, 1))
+        values = np.ascontiguousarray(some.transpose(0, 2, 1))
         steps = np.abs(np.diff(values, axis=2))
         live = np.count_nonzero(np.logical_or.reduce(steps > 0.0, axis=1), axis=1)
         alive = np.isfinite(steps.sum(axis=(1, 2))) & (live > 0)
@@ -204,7 +204,7 @@ class _Repeats:
         hardly change, a converter is coarser than what is there to convert."""
         around = _PIECE[1] // 2
         pieces = channel.values[max(first - around, 0) : first], channel.values[stop:][:around]
-        steps = [np.abs(np.diff(_si(channel, p), axis=0)) for p in pieces if len(p) > 1]
+        steps = [np.abs(np.diff(p, axis=0)) for p in pieces if len(p) > 1]
         every = np.concatenate([np.empty((0, channel.values.shape[1])), *steps])
         changed = every.any(axis=1)
         if changed.sum() < 2 * _LIVE:
@@ -244,10 +244,6 @@ class _Repeats:
                 f"last digit: the sensor gives about {self.like.rate * (1.0 - share):.4g} new ones "
                 "a second, and the others are copies"
             )
-
-
-def _si(channel: Channel, values: Array) -> Array:
-    return channel.pending.apply(values) if channel.pending else values.astype(float, copy=False)
 
 
 def _stays(noise: float) -> float:

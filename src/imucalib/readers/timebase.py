@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from fractions import Fraction
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -149,21 +149,52 @@ def guess_unit(
     )
 
 
-def known_unit(
-    unit: str, first: float, step: float, where: str, *, who: str, stated: float | None = None
-) -> tuple[str, str]:
-    """The unit of stamps where it is one that is known, else the one that `guess_unit` finds, with
-    its sentence. who : whose words the unit is; raises UnreadableInput for a word that is none."""
+class Stamps(NamedTuple):
+    """What numeric stamps say: their unit, the date of stamp zero (ns since 1970) or None, the
+    first one, their steps in that unit, and how the unit was found."""
+
+    unit: str
+    epoch: int | None
+    first: float | int
+    steps: Stepping
+    note: str
+
+
+def stamps_of(
+    looks: Sequence[NDArray[Any]],
+    text: str,
+    where: str,
+    *,
+    who: str,
+    rate: float | None = None,
+    remedy: str = "give --rate",
+) -> Stamps:
+    """The unit of stamps: that of the text, where it is one that is known and they are not dates in
+    another, else the one that `guess_unit` finds.
+
+    looks : stamps that are known, of consecutive rows from all over the file; text : what states
+    the unit, and who : whose words it is; rate : that the file states, Hz
+    Raises UnreadableInput for no stamps, for those that never advance, and for an unknown unit.
+    """
+    unit, epoch = clock_unit(text, where)
+    first = next((s[0].item() for s in looks if s.size), None)
+    if first is None:
+        raise UnreadableInput("the time column holds no stamps", where=where, remedy=remedy)
+    steps = stepping([seconds_of(s, first, "s") for s in looks])
+    if steps is None:
+        raise UnreadableInput("the time stamps never advance", where=where, remedy=remedy)
     if unit in TIME_UNITS:
-        return _dated_unit(unit, first, step, who) or (unit, "")
-    guessed, note = guess_unit(first, step, where, stated)
+        dated = _dated_unit(unit, first, steps.step, who) if epoch is None else None
+        unit, note = dated or (unit, "")
+        return Stamps(unit, epoch, first, steps, note)
+    guessed, note = guess_unit(first, steps.step, where, rate)
     if unit and date_of(first, guessed) is None:
         raise UnreadableInput(
             f"{who} states the unknown unit of time '{unit[:40]}'",
             where=where,
             remedy=f"name it with --time-unit: {', '.join(TIME_UNITS)}",
         )
-    return guessed, note
+    return Stamps(guessed, epoch, first, steps, note)
 
 
 def _dated_unit(unit: str, first: float, step: float, who: str) -> tuple[str, str] | None:

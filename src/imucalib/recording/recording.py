@@ -5,10 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
-
-import numpy as np
-from numpy.typing import NDArray
 
 from imucalib.arrays import Array
 
@@ -60,18 +56,6 @@ def corrections_of(texts: Iterable[str]) -> tuple[Correction, ...]:
     return tuple(dict.fromkeys(found))
 
 
-class Pending(Protocol):
-    """A conversion to SI that is linear on each axis, so that statistics can go through it too."""
-
-    def apply(self, raw: NDArray[np.generic]) -> Array:
-        """Convert readings (..., k)."""
-        ...
-
-    def sizes(self, raw: NDArray[np.generic]) -> Array:
-        """Convert sizes (..., k) such as standard deviations or steps."""
-        ...
-
-
 @dataclass(frozen=True)
 class Channel:
     """One quantity of one sensor triad over time.
@@ -86,8 +70,6 @@ class Channel:
     raw_unit, raw_to_si, raw_zero : unit of the numbers in the file, `unit` in one of it, and what
         is taken off them before, (1,) or one an axis
     rate : samples a second, over all that no gap interrupts (or of the file's header)
-    pending : None, except in blocks that were asked for as stored (`readers.stored_blocks`): there
-        `values` are the file's own numbers of any type, and this turns them into `unit`
     """
 
     t: Array
@@ -96,7 +78,6 @@ class Channel:
     quantity: str
     triad: str
     rate: float
-    pending: Pending | None = None
     names: tuple[str, ...] = ()
     numbered: bool = False
     topic: str = ""

@@ -131,9 +131,7 @@ class _TailBuilder:
         edges = breaks(t, gaps).tolist() if gaps else []
         for a, b in pairwise([0, *edges]):
             if b - a >= w:
-                last = values[b - w : b]
-                last = channel.pending.apply(last) if channel.pending else last.copy()
-                self.tails.append(Tail(self._begin, t[b - w : b].copy(), last))
+                self.tails.append(Tail(self._begin, t[b - w : b].copy(), values[b - w : b].copy()))
             self._begin = float(t[b])
         first = max(edges[-1] if edges else 0, t.size - w)
         self._t, self._values = t[first:].copy(), values[first:].copy()

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Flags, Index
 from imucalib.errors import Undetermined
-from imucalib.recording.recording import Channel, Gap, Held, Pending
+from imucalib.recording.recording import Channel, Gap, Held
 
 Key = tuple[str, str]
 #: Numbers that are kept of a recording in blocks: 128 MB, or a day of one triad at 65 Hz. A
@@ -64,10 +64,7 @@ class Samples:
 
     def values(self, key: Key, first: int, last: int) -> Array:
         """(last - first, k) in SI, or counts."""
-        found = []
-        for part, rows in self._within(key, first, last):
-            some, pending = part.values[rows], part.pending
-            found.append(pending.apply(some) if pending else some.astype(float, copy=False))
+        found = [part.values[rows] for part, rows in self._within(key, first, last)]
         return found[0] if len(found) == 1 else np.concatenate(found)
 
     def _within(self, key: Key, first: int, last: int) -> Iterator[tuple[Channel, slice]]:
@@ -150,8 +147,7 @@ class WindowBuilder:
             self._run += k > 0
             end = a + (b - a) // w * w
             if end > a:
-                part = self._of(t[a:end], values[a:end], self._offset + a)
-                self._parts.append(converted(part, channel.pending))
+                self._parts.append(self._of(t[a:end], values[a:end], self._offset + a))
         self._t, self._values = t[end:].copy(), values[end:].copy()
         self._offset += end
 
@@ -177,23 +173,6 @@ class WindowBuilder:
             return None
         self._parts = [joined(self._parts)]
         return self._parts[0]
-
-
-def converted(windows: Windows, how: Pending | None) -> Windows:
-    """The windows in SI, when their numbers are still those of the file."""
-    if how is None:
-        return windows
-    ends = how.apply(windows.low), how.apply(windows.high)
-    known = np.isfinite(windows.finest)
-    finest = how.sizes(np.where(known, windows.finest, 0.0))
-    return replace(
-        windows,
-        mean=how.apply(windows.mean),
-        variance=how.sizes(np.sqrt(windows.variance)) ** 2,
-        low=np.minimum(*ends),
-        high=np.maximum(*ends),
-        finest=np.where(finest > 0.0, finest, np.inf),
-    )
 
 
 def in_order(windows: Windows) -> tuple[Windows, int]:

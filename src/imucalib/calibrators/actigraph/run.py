@@ -49,7 +49,7 @@ from imucalib.core.effect import CLOCKS
 from imucalib.core.sphere import counted
 from imucalib.effects.forms import in_words
 from imucalib.errors import Undetermined
-from imucalib.readers import blocks, stored_blocks
+from imucalib.readers import blocks
 from imucalib.recording.mapping import FieldMapping
 from imucalib.rests.runs import WORN, PostureRuns, Scan, posture_runs, scan
 from imucalib.units import MG
@@ -76,7 +76,7 @@ def calibrate_recording(
     path: Path, mapping: FieldMapping, request: ActigraphRequest, say: Callable[[str], None]
 ) -> ActigraphRun:
     """Read in blocks and calibrate; `say` gets a line for each thing worth knowing on the way."""
-    scanned = scan(stored_blocks(path, mapping), request.window)
+    scanned = scan(blocks(path, mapping), request.window)
     runs = posture_runs(scanned, WORN)
     wear, rule = wear_of(scanned), closest_point(scanned)
     run = run_of(runs, scanned.without_windows(), request, say)

@@ -13,14 +13,7 @@ from imucalib.errors import UnreadableInput
 from imucalib.readers.csv.rows import Rows
 from imucalib.readers.csv.select import HeaderFacts, Selection
 from imucalib.readers.csv.stamps import MISSING, TextTime, text_layout, text_to_ns
-from imucalib.readers.timebase import (
-    clock_unit,
-    contradicts,
-    date_of,
-    known_unit,
-    seconds_of,
-    stepping,
-)
+from imucalib.readers.timebase import contradicts, date_of, seconds_of, stamps_of
 from imucalib.recording.mapping import TIME_UNITS, FieldMapping
 
 #: What headings of stamps have in brackets that is no unit.
@@ -92,23 +85,14 @@ def clock_by_stamps(
     """
     text = _text_of(selection, mapping, texts, where) if kind == "text" else None
     heading = "" if selection.time_unit.lower() in _NO_UNIT else selection.time_unit
-    unit, epoch = ("text", None) if text else clock_unit(mapping.time_unit or heading, where)
     stamps = [_understood(rows, text, where) for rows, _ in pieces]
-    first = next((s[k][0].item() for s in stamps for k in [_known(s)] if k.any()), None)
-    if first is None:
-        raise UnreadableInput("the time column holds no stamps", where=where, remedy=_NO_RATE)
-    main = [s[k] for s, (_, k) in zip(stamps, pieces, strict=True)]
-    steps = stepping([seconds_of(s, first, "s", MISSING) for s in main])
-    if steps is None:
-        raise UnreadableInput("the time stamps never advance", where=where, remedy=_NO_RATE)
-    notes = _text_notes(text) if text else []
-    if not text:
-        unit, note = known_unit(
-            unit, first, steps.step, where, who="the heading", stated=facts.rate
-        )
-        notes += [note] * bool(note)
+    main = [s[k & _known(s)] for s, (_, k) in zip(stamps, pieces, strict=True)]
+    said = "ns" if text else mapping.time_unit or heading
+    found = stamps_of(main, said, where, who="the heading", rate=facts.rate)
+    notes = _text_notes(text) if text else [found.note] * bool(found.note)
+    unit, steps, first = "text" if text else found.unit, found.steps, found.first
     size = TIME_UNITS.get(unit, 1e-9)
-    start = (int(first) if text.dated else None) if text else date_of(first, unit, epoch)
+    start = (int(first) if text.dated else None) if text else date_of(first, unit, found.epoch)
     clock = Clock(
         unit=unit,
         origin=0 if start is None else first,

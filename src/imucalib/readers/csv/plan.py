@@ -319,10 +319,8 @@ def _signal(
         times = (clock.seconds(rows.stamps)[0] for rows in parsed)
         steps = stepping([t[k] for t, k in zip(times, known, strict=True)])
         rate, threshold = (1.0 / steps.step, steps.threshold) if steps else (rate, threshold)
-    force = vector.quantity == "acceleration"
-    integers = force and all((v == np.rint(v)).all() for v in whole)
-    source = conversion.Source(vector.unit, device.scales, integers)
-    place = f"{where}: {vector.triad}" if force else where
+    source = conversion.Source(vector.unit, device.scales)
+    place = f"{where}: {vector.triad}" if vector.quantity == "acceleration" else where
     how = conversion.of_looks(vector.quantity, mapping, source, whole, rate=rate, where=place)
     return Signal(vector, at, how, rate, threshold)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Container, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,15 +26,14 @@ from imucalib.readers.hdf5.file import File, Walk, opened
 from imucalib.readers.joining import Joined
 from imucalib.readers.timebase import (
     Stepping,
-    clock_unit,
     date_of,
     find_gaps,
-    known_unit,
     seconds_of,
+    stamps_of,
     start_of,
     stepping,
 )
-from imucalib.recording.mapping import TIME_UNITS, FieldMapping
+from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Count, Gap, Recording, corrections_of
 
 _ROWS = 500
@@ -178,15 +177,9 @@ def _clock(file: File, found: Found) -> tuple[Found, float | int | None, str]:
         )
     looks = [file.rows(found.time, a, b).reshape(-1) for a, b in _looks(found)]
     known = [s[np.isfinite(s.astype(np.float64))] for s in looks]
-    first = next((s[0].item() for s in known if s.size), None)
-    where = f"{file.where}: {found.time.path}"
-    (unit, epoch), note = clock_unit(found.time_unit, where), ""
-    if unit not in TIME_UNITS:
-        steps = stepping([s.astype(np.float64) for s in known])
-        if steps is None or first is None:
-            raise UnreadableInput("the time stamps never advance", where=where)
-        unit, note = known_unit(unit, first, steps.step, where, who="the file")
-    return replace(found, time_unit=unit, epoch=epoch), first, note
+    where, remedy = f"{file.where}: {found.time.path}", "give --rate, or other stamps with --time"
+    stamps = stamps_of(known, found.time_unit, where, who="the file", remedy=remedy)
+    return replace(found, time_unit=stamps.unit, epoch=stamps.epoch), stamps.first, stamps.note
 
 
 def _measured(signal: Signal, mapping: FieldMapping) -> Signal:
@@ -264,20 +257,11 @@ class Hdf5Reader(Joined):
         with opened(path, strict, bool(mapping.allow_external)) as file:
             yield from _blocks_of(file, path, mapping, block_samples)
 
-    def stored_blocks(
-        self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool
-    ) -> Iterator[Recording]:
-        """The same blocks with the numbers as the file has them; see `readers.stored_blocks`."""
-        with opened(path, strict, bool(mapping.allow_external)) as file:
-            yield from _blocks_of(file, path, mapping, block_samples, stored=True)
-
 
 READER = Hdf5Reader()
 
 
-def _blocks_of(
-    file: File, path: Path, mapping: FieldMapping, size: int, *, stored: bool = False
-) -> Iterator[Recording]:
+def _blocks_of(file: File, path: Path, mapping: FieldMapping, size: int) -> Iterator[Recording]:
     """The fields of an open file in blocks of about `size` rows; errors as in `Reader.blocks`."""
     nodes = list(datasets(file.handle, file.where))
     found = fields_of(file.handle, nodes, mapping)
@@ -317,9 +301,7 @@ def _blocks_of(
             gaps.update({(g.start, g.stop): g for g in new})
             if channel is not None:
                 read[signal.name] += channel.t.size
-                values = channel.values if stored else signal.conversion.apply(channel.values)
-                pending = signal.conversion if stored else None
-                channels[signal.name] = replace(channel, values=values, pending=pending)
+                channels[signal.name] = channel
         ended = all(at[s.name] >= s.found.rows for s in signals)
         counts = [_count(s, read[s.name]) for s in signals if ended]
         left = [note for count in counts for note in _left_out(count)]
@@ -370,7 +352,7 @@ def _stop(signal: Signal, main: Signal, row: int, *, size: int, until: float) ->
 def _channel(
     signal: Signal, start: int, stop: int, last: dict[str, float]
 ) -> tuple[Channel | None, list[Gap]]:
-    """The channel with its numbers as they are stored, and its gaps."""
+    """The channel and its gaps."""
     if stop <= start:
         return None, []
     found = signal.found
@@ -390,7 +372,7 @@ def _channel(
     last[signal.name] = float(t[-1])
     return Channel(
         t=t,
-        values=cast(Array, raw),
+        values=signal.conversion.apply(raw),
         quantity=found.quantity,
         triad=found.triad,
         rate=signal.rate,
