@@ -243,7 +243,7 @@ def acceleration(
             si = float(np.median(np.linalg.norm((rest - offset) * scale, axis=1)))
             _refuse_wrong(COUNTS, norm, si / units.STANDARD_GRAVITY, True, where)
         return found(COUNTS, scale, "acceleration from counts per g")
-    if source.scales and not mapping.acc_unit:
+    if source.scales and not unit:
         one = _scale_of(source.scales, norm, where)
         note = f"acceleration: norm at rest = {norm:.6g} -> {one:g} counts a g, as the device has"
         return found(COUNTS, np.array([units.STANDARD_GRAVITY / one]), note, one)

@@ -184,6 +184,30 @@ def test_an_export_is_read_as_delivered(
         np.testing.assert_allclose(again.channels[name].values, channel.values, rtol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("lines", "force", "turn"),
+    [
+        (";LSM6DSM, SR,104,Hz, Units, mG, mdps, fullscale gyro 250dps, accel 4g", 1000, 1000),
+        (";Accel, 225, 1000, 16, g\n;Gyro, 225, 1, 250, dps", 1000, 1),
+    ],
+)
+def test_units_that_a_logger_states_are_no_counts(
+    lines: str, force: float, turn: float, tmp_path: Path
+) -> None:
+    head = (
+        f";Title, http://www.gcdataconcepts.com, HAM-IMU\n{lines}\n;Time, Ax, Ay, Az, Gx, Gy, Gz\n"
+    )
+    path = tmp_path / "a.csv"
+    path.write_text(
+        table(head, lambda k: [f"{k / 50}", *cells(force * G[k], "%d"), *cells(turn * 9 * TURN)])
+    )
+    found = read(path)
+    values = found.channels["imu0/acceleration"].values / STANDARD_GRAVITY
+    np.testing.assert_allclose(values, G, atol=1.01 / force)
+    rate = found.channels["imu0/angular_rate"].values / DEG
+    np.testing.assert_allclose(rate, np.tile(9 * TURN, (400, 1)), atol=1e-9)
+
+
 def test_counts_that_may_be_mg_are_asked_about(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text(table("t [s],x,y,z\n", lambda k: [f"{k / 50}", *cells(1024 * G[k], "%d")]))

@@ -33,6 +33,7 @@ class Dialect:
     decimals : of the last number of every row, where these are equally many, else -1
     names : column names, or () without a header; units are a part of the names
     data_line : number of the first row's line, from 1; preamble : the lines above the table
+    more : names of columns that only some rows have, which are not read
     """
 
     delimiter: str
@@ -44,6 +45,12 @@ class Dialect:
     names: tuple[str, ...] = ()
     data_line: int = 1
     preamble: tuple[str, ...] = ()
+    more: tuple[str, ...] = ()
+
+    def cells(self, line: str) -> list[str]:
+        """The cells of a row, those that all rows have."""
+        row = cells_of(line, self.delimiter)
+        return row[: self.width] if len(row) == self.width + len(self.more) else row
 
     def address(self, column: int) -> str:
         """The name of a column where no other has it, else its number from 1."""
@@ -52,7 +59,7 @@ class Dialect:
 
     def is_row(self, line: str) -> bool:
         """Whether a line has all cells, numbers or nothing where numbers are, one at least."""
-        row = cells_of(line, self.delimiter)
+        row = self.cells(line)
         if len(row) != self.width:
             return False
         used = [c for c, n in zip(row, self.numeric, strict=True) if n]
@@ -61,7 +68,7 @@ class Dialect:
 
     def is_damaged_row(self, line: str) -> bool:
         """Whether a line above the table is mostly numbers: a damaged row, no header."""
-        row = cells_of(line, self.delimiter)
+        row = self.cells(line)
         if len(row) != self.width:
             good = sum(is_number(c, self.decimal) for c in row)
             return len(row) >= max(2, self.width - 1) and 2 * good > len(row)
@@ -80,7 +87,7 @@ class Dialect:
             lines = piece.decode("utf-8", errors="replace").split("\n")[:-1]
             lines = lines[self.data_line - 1 :] if number == 0 else lines
             for line in lines[:: max(1, len(lines) // _ROWS)]:
-                row = cells_of(line, self.delimiter)
+                row = self.cells(line)
                 if len(row) >= self.width:
                     rows.append(row)
         return rows
@@ -168,6 +175,9 @@ def _with_header(shape: Dialect, lines: list[str], mapping: FieldMapping, where:
     while above and not given and not rows and shape.is_damaged_row(lines[above[-1]]):
         first = above.pop()
     names = () if mapping.header is False else _names([lines[k] for k in above], shape)
+    if not names and above and mapping.header is not False:
+        every = _wide_names(lines, above[-1], shape)
+        names, shape = every[: shape.width], replace(shape, more=every[shape.width :])
     if any(c < " " for name in names for c in name):
         raise UnreadableInput(
             "the heading is damaged: it holds control characters",
@@ -175,6 +185,16 @@ def _with_header(shape: Dialect, lines: list[str], mapping: FieldMapping, where:
             remedy="copy the file again, or correct that line",
         )
     return replace(shape, names=names, data_line=first + 1, preamble=tuple(lines[:first]))
+
+
+def _wide_names(lines: list[str], heading: int, shape: Dialect) -> tuple[str, ...]:
+    """The words of a heading that has more of them than most rows have cells, where some row below
+    has as many; none else."""
+    bare = _BEFORE_NAMES.sub("", COMMENT.sub("", lines[heading]))
+    names = cells_of(bare, shape.delimiter)
+    words = len(names) > shape.width and all(any(map(str.isalpha, name)) for name in names)
+    below = (cells_of(line, shape.delimiter) for line in lines[heading + 1 :]) if words else ()
+    return tuple(names) if any(len(row) == len(names) for row in below) else ()
 
 
 def _names(above: list[str], shape: Dialect) -> tuple[str, ...]:

@@ -30,7 +30,6 @@ from imucalib.readers.csv.select import (
 from imucalib.readers.csv.text import (
     Condition,
     Lines,
-    cells_of,
     few_values,
     is_blank,
     looks,
@@ -101,7 +100,7 @@ def _chosen(lines: Lines, conditions: Sequence[tuple[int, Condition]], dialect: 
         return lines
     kept, numbers = [], []
     for number, line in enumerate(lines.data.split(b"\n")[:-1], start=lines.first_line):
-        row = cells_of(line.decode("utf-8", errors="replace"), dialect.delimiter)
+        row = dialect.cells(line.decode("utf-8", errors="replace"))
         if all(at < len(row) and c.fits(row[at]) for at, c in conditions):
             kept.append(line + b"\n")
             numbers.append(number)
@@ -134,7 +133,8 @@ def make_plans(path: Path, mapping: FieldMapping) -> list[Plan]:
         raise nothing_found(dialect, pieces, where)
     used = {k for v in selection.vectors for k in (*v.parts, v.clock)} | set(selection.time)
     used |= {at for at, _ in conditions}
-    left = (*words, *unread(contents_of(dialect, pieces, used)))
+    some = [f"not read, since only some rows have it: {', '.join(dialect.more)}"]
+    left = (*words, *some[: len(dialect.more)], *unread(contents_of(dialect, pieces, used)))
     selection = replace(selection, notes=(*selection.notes, *left))
     shape = Shape(dialect, facts, conditions)
     plans = [
@@ -234,7 +234,7 @@ def _pieces_chosen(
 def _demand_one_device(dialect: Dialect, piece: bytes, where: str) -> None:
     """Raise UnreadableInput for a table in which rows of several devices take turns."""
     lines = piece.decode("utf-8", errors="replace").split("\n")[dialect.data_line - 1 :]
-    each = [cells_of(line, dialect.delimiter) for line in lines[:_ADJACENT]]
+    each = [dialect.cells(line) for line in lines[:_ADJACENT]]
     rows = [row for row in each if len(row) == dialect.width]
     for k, name in enumerate(dialect.names if len(rows) > 1 else ()):
         cells = [row[k] for row in rows]
@@ -263,7 +263,7 @@ def _layout(
         lines = piece.decode("utf-8", errors="replace").split("\n")[:-1]
         lines = lines[dialect.data_line - 1 :] if number == 0 else lines
         for line in lines[:_SAMPLES] + lines[-_SAMPLES:]:
-            row = cells_of(line, dialect.delimiter)
+            row = dialect.cells(line)
             if len(row) == dialect.width and not any(is_blank(row[k]) for k in selection.time):
                 samples.append(" ".join(row[k] for k in selection.time).encode())
     if not samples:

@@ -14,7 +14,7 @@ from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
 from imucalib.readers.csv.dialect import Dialect
 from imucalib.readers.csv.stamps import MISSING
-from imucalib.readers.csv.text import Lines, cells_of, count_of, is_blank, is_number
+from imucalib.readers.csv.text import Lines, count_of, is_blank, is_number
 
 _COMMA_TO_POINT = bytes.maketrans(b",", b".")
 _INTEGER = re.compile(r"[+-]?\d{1,18}(\.0*)?|[+-]?\d{19}")
@@ -140,7 +140,7 @@ def _by_lines(lines: Lines, layout: Layout, where: str) -> Rows:
     texts = lines.data.split(b"\n")[:-1]
     every = lines.numbers or range(lines.first_line, lines.first_line + len(texts))
     for number, line in zip(every, texts, strict=True):
-        row = cells_of(line.decode("utf-8", errors="replace"), layout.dialect.delimiter)
+        row = layout.dialect.cells(line.decode("utf-8", errors="replace"))
         blank = not line.strip()
         wrong = None if blank else _wrong(row, layout)
         if wrong:

@@ -101,7 +101,7 @@ def facts_of(preamble: Sequence[str], where: str) -> HeaderFacts:
         notes=(*notes, *begin.notes, *map(str, marks)),
         corrections=marks,
         serial=number[1] if (number := _SERIAL.search(text)) else "",
-        units={quantity: unit for quantity, unit in units.items() if unit in _UNITS[quantity]},
+        units={q: u for q, u in {**units, **begin.units}.items() if u in _UNITS[q]},
         rows=int(own[2]) if own else None,
         line=own[1] if own else "",
         crc=_sum_of(own[3]) if own and own[3] is not None else None,

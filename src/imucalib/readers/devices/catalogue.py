@@ -6,7 +6,7 @@ and units are where a file does not say, and what only its header says.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -21,12 +21,13 @@ from imucalib.recording.mapping import FieldMapping
 class Start:
     """start_ns : start of the recording as in Recording, or None; notes : what was supposed
 
-    rate : Hz, where only the device's own form of the header says it
+    rate (Hz), units (of quantities) : where only the device's own form of the header says them
     """
 
     start_ns: int | None = None
     notes: tuple[str, ...] = ()
     rate: float | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,7 @@ class Device:
     scales : counts a g that its models have, where the files do not say which
     refuse : (those lines, where) -> raises UnreadableInput for exports that hold no raw data
     sleeps : rows of zeros, or the last reading repeated, mean "not recorded"
+    example : the first lines of a true export; source : where they are published
     """
 
     name: str
@@ -52,6 +54,8 @@ class Device:
     scales: tuple[float, ...] = ()
     refuse: Callable[[str, str], None] = lambda text, where: None
     sleeps: bool = False
+    example: str = ""
+    source: str = ""
 
 
 @cache
