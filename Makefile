@@ -67,11 +67,7 @@ benchmark-worn: $(VENV)/.dev ## measure actigraph beside its peers, on generated
 	$(BIN)/python benchmarks/actigraph/peers.py
 	$(BIN)/python benchmarks/actigraph/week.py --days 7,28 --rate 25
 
-benchmark-array: $(VENV)/.dev ## measure the array's sampler beside its peers, and its reading of long logs
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/array/posterior.py accuracy
-	$(VENV)/peers/bin/python -c 'import numpyro, pymc' 2>/dev/null || \
-		($(PYTHON) -m venv $(VENV)/peers && $(VENV)/peers/bin/python -m pip install --quiet 'jax[cpu]' numpyro pymc)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/array/peers.py --python $(VENV)/peers/bin/python
+benchmark-array: $(VENV)/.dev ## measure the array's reading of long logs
 	$(BIN)/python benchmarks/array/log.py
 
 fuzz: $(VENV)/.dev ## damage files of every format, compare what is read with what was written; FILES=300, SEED=1

@@ -193,7 +193,7 @@ def _ready(recording: Recording) -> tuple[Setup, tuple[Term, ...]]:
     segments = still_segments(recording)
     log = array_log(recording, board)
     rests = fit_rests(segments, board, STANDARD_GRAVITY)
-    setup = array_setup(moving_part(log, rests), board, SAMPLES, robust=True)
+    setup = array_setup(moving_part(log, rests), board, SAMPLES)
     assert setup is not None
     return setup, rest_terms(rests)
 

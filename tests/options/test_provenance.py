@@ -41,8 +41,6 @@ BEGINS: dict[str, tuple[str, ...]] = {
 #: What is printed, and where; and what only names other inputs, which have their own check sums.
 NO_NUMBER = {*LAWS, "--output", "--entry", "--full", "--verbose", "--export", "--save-draws"}
 NO_NUMBER |= {"--recording"}
-#: A chain goes on where the file has it; the file's own check sum refuses another question.
-NO_NUMBER |= {"--checkpoint"}
 #: What a run ends with.
 NO_NUMBER |= {"--fail-on"}
 #: Of a fleet, whose request is that of each device: its report has it.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.estimators.array.problem import ArrayData
+from imucalib.estimators.array.published.likelihood import ArrayData
 from imucalib.units import DEG
 
 
@@ -25,7 +25,7 @@ def corners(triads: int = 8) -> Array:
 
 def data_of(
     r: Array, samples: int, rng: np.random.Generator, *, sigma: float = 0.04,
-    sigma_gyro: float = 0.06, rate: float = 1000.0, spin: float = 35000.0, per_sample: bool = False,
+    sigma_gyro: float = 0.06, rate: float = 1000.0, spin: float = 35000.0,
 ) -> tuple[ArrayData, Array]:  # fmt: skip
     """Readings of twisting motion (deg/s, deg/s²), and the true rate (T, 3) rad/s."""
     w = rng.normal(size=(samples, 3)) * rate * DEG
@@ -35,8 +35,6 @@ def data_of(
     y = np.einsum("tij,aj->tai", turn, r) + s[:, None]
     y += rng.normal(size=y.shape) * sigma
     sd = sigma_gyro * DEG / np.sqrt(len(r))
-    precision = np.eye(3) / sd**2
-    if per_sample:
-        precision = precision * rng.uniform(0.8, 1.2, size=samples)[:, None, None]
+    precision = np.eye(3) / sd**2 * rng.uniform(0.8, 1.2, size=samples)[:, None, None]
     measured = w + rng.normal(size=w.shape) * sd
     return ArrayData(y, np.full(len(r), sigma), measured, precision), w

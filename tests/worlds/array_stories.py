@@ -113,7 +113,7 @@ def closed(recording: Recording, samples: int = 300, board: Board = BOARD) -> Mo
     from imucalib.calibrators.array.loop.terms import rest_terms
 
     moving, rests = moving_of(recording, board)
-    setup = array_setup(moving, board, samples, robust=True)
+    setup = array_setup(moving, board, samples)
     assert setup is not None
     return close_array_loop(setup, rest_terms(rests))
 

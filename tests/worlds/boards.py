@@ -22,7 +22,8 @@ class BoardPlan:
     places : m, sd of the true positions about the drawing; gain, bias, gyro_gain, gyro_bias : sd of
     each triad's errors (1, m/s², 1, deg/s); mounting : deg, sd of a package's turn about each axis
     sigma, sigma_gyro : m/s² and deg/s of one axis; tails : degrees of freedom of their Student t,
-    in the twisting, shared by a triad's axes; gyro_scale : common to all gyros"""
+    in the twisting, shared by a triad's axes; gyro_scale : common to all gyros
+    about : unit vectors that the board is twisted about, three where all axes are"""
 
     rests: int = 14
     rest_s: float = 2.0
@@ -42,6 +43,11 @@ class BoardPlan:
     tails: float = np.inf
     gyro_scale: float = 0.0
     gravity: float = 9.80665
+    about: tuple[tuple[float, float, float], ...] = (
+        (1.0, 0.0, 0.0),
+        (0.0, 1.0, 0.0),
+        (0.0, 0.0, 1.0),
+    )
 
 
 @dataclass(frozen=True)
@@ -108,6 +114,7 @@ def twisted(plan: BoardPlan, rng: np.random.Generator) -> tuple[Array, Array, Ar
     window = (3 * x**2 - 2 * x**3)[:, None]
     slope = (sign * (6 * x - 6 * x**2) / edge)[:, None]
     spin = spin * window + w * slope
+    w, spin = (v[:, : len(plan.about)] @ np.array(plan.about) for v in (w, spin))
     pull = rng.uniform(0.3, 4.0, (6, 3)) * 2.0 * np.pi, rng.uniform(0.0, 2.0 * np.pi, (6, 3))
     force = plan.force * np.sqrt(1.0 / 3.0) * np.sum(np.sin(pull[0] * t + pull[1]), axis=1)
     return w * window, spin, force * window + plan.gravity * np.array([0.0, 0.0, 1.0])

@@ -43,6 +43,6 @@ def fitted(
 ) -> tuple[ArrayState, np.ndarray]:
     """The state before any search, and the true positions."""
     moving, true = moved(plan, np.random.default_rng(seed), board, late)
-    setup = array_setup(moving, board, samples, robust=True)
+    setup = array_setup(moving, board, samples)
     assert setup is not None
     return start_state(setup, ()), true

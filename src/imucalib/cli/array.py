@@ -32,30 +32,17 @@ _LARGE, _KEPT = 1 << 22, 1 << 26
 @opt.flag(
     "--as-drawn", "Keep the board file's axes and places even where the log contradicts them."
 )
-@opt.choice("--sampler", "hmc pmmh", "pmmh: Algorithm 1 of the paper.", default="hmc")
+@opt.flag("--as-published", "The paper's own method, as it was published.")
 @opt.option(
     "--samples",
     "Moving samples, at most; default: all that say something.",
     type=click.IntRange(min=1),
 )
-@opt.choice("--motion-prior", "learned flat", "Of ω̇; flat is the paper's.", default="learned")
-@opt.choice(
-    "--det-exponent",
-    "0.5 1",
-    "1: equation (25) as printed, with --motion-prior flat.",
-    default="0.5",
-)
-@opt.option("--acc-sigma", "In motion: estimate, nonlinearity, or m/s².", default="estimate")
-@opt.choice(
-    "--gyro-covariance", "scatter sample", "sample: equation (30) of the paper.", default="scatter"
-)
-@opt.option("--chains", "Number of chains.", type=int)
 @opt.option("--ess", "Effective sample size to reach.", default=400.0)
-@opt.option("--iterations", "Of --sampler pmmh.", default=100_000)
+@opt.option("--iterations", "Of --as-published.", default=100_000)
 @limit_option("--max-gyro-error", "held-out gyro error, deg/s.")
 @limit_option("--max-position-sd", "largest posterior sd, mm.")
 @opt.path("--save-draws", "Also write the posterior's draws: .h5 or .nc.")
-@opt.path("--checkpoint", "Keep the chains here after every block, and go on from there.")
 @opt.option(
     "--distance distances",
     "A distance that you measured, which fixes the size: imu0 imu7 26.73±0.05mm (+- works too).",
@@ -122,31 +109,18 @@ def _request(options: dict[str, Any], logs: tuple[Path, ...]) -> ArrayRequest:
     from imucalib.calibrators.array.loop.catalogue import named_effect
     from imucalib.calibrators.array.request import Accepted, ArrayRequest
     from imucalib.errors import UsageError
-    from imucalib.estimators.markov.hmc import Stop
+    from imucalib.estimators.markov.crank_nicolson import Stop
 
-    sigma: Any = options["acc_sigma"]
-    if sigma not in ("estimate", "nonlinearity"):
-        try:
-            sigma = float(sigma)
-        except ValueError:
-            sigma = -1.0
-        if not 0.0 < sigma < 1e3:
-            raise UsageError("--acc-sigma is estimate, nonlinearity or a positive number of m/s²")
-    if len(logs) > 1 and options["checkpoint"]:
-        raise UsageError("--checkpoint goes with one log")
     if len({log.stem for log in logs}) < len(logs):
         raise UsageError("two logs have one name, and so would their folders")
     shared, board = shared_of(options), read_board(options["board"])
     for name in (*options["declare"], *options["only"], *options["without"]):
         named_effect(name.partition("@")[0], board.imus)  # the log may name its IMUs otherwise
-    as_stated = "sampler samples gyro_covariance chains iterations as_drawn checkpoint"
+    as_stated = "as_published samples iterations as_drawn"
     return ArrayRequest(
         board=board,
         **shared,
         **{name: options[name] for name in as_stated.split()},
-        motion=options["motion_prior"],
-        exponent=float(options["det_exponent"]),
-        accelerometer_sigma=sigma,
         stop=Stop(ess=options["ess"]),
         still=opt.still_of(options),
         accepted=Accepted(options["accept_mm"], options["accept_mg"], options["accept_dps"]),

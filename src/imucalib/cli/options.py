@@ -333,8 +333,8 @@ _RARE = {
     "toolface_sense toolface_offset angle_unit swap_angles keep_angles axes swaps moves shifts",
     "Fit and search": "train model objective sigma as_published arithmetic loop curves seed height "
     "effects_file fleet without",
-    "Posterior of an array": "as_drawn sampler samples motion_prior det_exponent acc_sigma "
-    "gyro_covariance chains ess iterations save_draws checkpoint accept_mm accept_mg accept_dps",
+    "Posterior of an array": "as_drawn samples ess iterations save_draws accept_mm "
+    "accept_mg accept_dps",
     "Limits": "max_inclination_error max_toolface_error max_norm_error max_worst_error "
     "max_gyro_error max_position_sd fail_on",
     "Studies": "entry",

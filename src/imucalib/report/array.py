@@ -6,7 +6,8 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibrators.array.board import Board
-from imucalib.calibrators.array.estimate.total import GyroScale, Total, size_over
+from imucalib.calibrators.array.estimate.posterior import along, shown, size_over
+from imucalib.calibrators.array.estimate.total import GyroScale, Total
 from imucalib.calibrators.array.logs import BoardRun
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.run import ArrayRun
@@ -29,6 +30,9 @@ from imucalib.report.plots import gain_plot
 from imucalib.significant_digits import plus_minus, with_sd
 from imucalib.units import DEG
 
+#: Of the best shown direction, or the liveliest axis, from which another is worth a word.
+_UNEVEN = 0.3
+
 
 def array_document(run: ArrayRun) -> Document:
     """Everything that a reader of the positions must know, headline first."""
@@ -37,8 +41,8 @@ def array_document(run: ArrayRun) -> Document:
     off = 1e3 * (run.total.mean - run.board.drawn)
     head = (
         f"{run.board.count} positions to {sd:.2g} mm (median standard deviation, size and frame "
-        f"included) from {run.final.data.samples} moving samples; they differ from the drawing by "
-        f"{_rms(off[1:]):.2g} mm rms."
+        f"included) from {len(run.state.setup.inner)} moving samples; they differ from the drawing "
+        f"by {_rms(off[1:]):.2g} mm rms."
     )
     note = f"mm, relative to {run.board.imus[0]}, in the board's axes; sd with size and frame."
     more = tuple(", ".join(f"{v:+.2f}" for v in one) for one in off)
@@ -49,10 +53,10 @@ def array_document(run: ArrayRun) -> Document:
     chains = (
         (
             "sampler",
-            f"{run.final.sampler}, {run.final.unknowns.shape[0]} chains of "
-            f"{run.final.unknowns.shape[1]} draws, acceptance {100 * run.final.accepted:.0f} %",
+            f"{run.drawn.sampler}, {run.drawn.free.shape[0]} chains of "
+            f"{run.drawn.free.shape[1]} draws, acceptance {100 * run.drawn.accepted:.0f} %",
         ),
-        ("agreement", run.final.convergence.sentence),
+        ("agreement", run.drawn.convergence.sentence),
     )
     parts = [
         Section("Positions", (_position_table(*positions, note), known)),
@@ -81,7 +85,7 @@ def _card(run: ArrayRun, observability: tuple[Text, ...], picture: Plot | None) 
 
     observability : what the motion did not determine, in words
     """
-    sd, total = 1e3 * run.final.sd[1:], run.total
+    sd, total = 1e3 * run.total.sd[1:], run.total
     k, axis = np.unravel_index(int(np.argmax(sd)), sd.shape)
     worst = f"{run.board.imus[1 + int(k)]} {'xyz'[int(axis)]}, ± {1.96 * sd.max():.2g} mm"
     size = f"95 %, median of {sd.size} coordinates; worst {worst}"
@@ -120,7 +124,8 @@ def _position_table(
 
 def _known(total: Total, gyros: GyroScale, board: Board, request: ArrayRequest) -> Facts:
     """Size, what fixes it, frame and shape: how far each is known."""
-    value, sd, motion = size_over(board.drawn, total)
+    value, sd = size_over(board.drawn, total.mean, total.covariance)
+    motion = size_over(board.drawn, total.mean, total.motion)[1]
     shape = 1e3 * float(np.sqrt(np.median(np.diag(total.shape))))
     turns = gyros.turns
     scale = f"{plus_minus(100 * gyros.value, 100 * gyros.sd)} %"
@@ -149,12 +154,12 @@ def _known(total: Total, gyros: GyroScale, board: Board, request: ArrayRequest) 
 
 
 def _motion_section(run: ArrayRun) -> Section:
-    moving, data, residual, rests = run.moving, run.final.data, run.residual, run.rests
-    speed = np.linalg.norm(data.rate, axis=1) / DEG
+    moving, residual, rests, inner = run.moving, run.residual, run.rests, run.state.setup.inner
+    speed = np.linalg.norm(run.state.sampled.rate[inner], axis=1) / DEG
     open_ = (f"{x.name} {x.value:.2g} {x.unit} (accepted {x.accepted:g})" for x in run.outcome.left)
     rows = [(name, str(n)) for name, n in moving.counts.items()]
     rows += [
-        ("used", f"{data.samples}, evenly over the motion"),
+        ("used", f"{len(inner)}, evenly over the motion"),
         ("rotation", f"median {np.median(speed):.0f}, largest {speed.max():.0f} deg/s"),
         (
             "gyro scatter",
@@ -196,31 +201,26 @@ def _rests_section(run: ArrayRun) -> Section:
 
 
 def _observability(run: ArrayRun) -> tuple[Text, ...]:
-    """What the motion did not determine, and which motion would."""
-    w = run.final.data.rate
-    values, axes = eigen(w.T @ w / len(w))
+    """Which direction the motion shows worst, and which motion would show it."""
+    rate = run.state.sampled.rate[run.state.setup.inner]
+    values, axes = eigen(rate.T @ rate / len(rate))
     rms = np.sqrt(np.maximum(values, 0.0)) / DEG
-    least = axes[:, 0] * np.sign(axes[np.argmax(np.abs(axes[:, 0])), 0])
     words = []
-    if rms[0] < 0.3 * rms[2]:
-        axis = ", ".join(f"{v:+.2f}" for v in least)
+    if rms[0] < _UNEVEN * rms[2]:
         little = (
-            f"Little rotation about ({axis}): {rms[0]:.0f} deg/s rms against {rms[2]:.0f} about "
-            "the liveliest axis. Twisting about it would tighten the positions most."
+            f"Little rotation about {along(axes[:, 0])}: {rms[0]:.0f} deg/s rms against "
+            f"{rms[2]:.0f} about the liveliest axis. Twisting about it would tighten the positions "
+            "most."
         )
         words.append(Text(little, "warning"))
-    sd, prior = run.final.sd[1:], run.final.prior.sd
-    worst = np.unravel_index(int(np.argmax(sd)), sd.shape)
-    name = f"{run.board.imus[1 + int(worst[0])]} {'xyz'[int(worst[1])]}"
-    share = 100 * sd[worst] / prior
-    known = f"{1e3 * sd[worst]:.2g} mm, {share:.0f} % of what was assumed beforehand."
-    pull = 300.0 * len(w) * run.final.scale[1] ** 2
-    flat = "it was used" if run.request.motion == "flat" else "its covariance was learned instead"
-    shrunk = (
-        "A flat prior on the angular acceleration would have shrunk the array by about "
-        f"{pull:.2g} %; {flat}."
+    sd, ways = shown(run.total.motion)
+    known = (
+        f"Positions are known worst {along(ways[:, -1])}: {1e3 * sd[-1]:.2g} mm by the motion and "
+        f"the rests, {100 * sd[-1] / run.board.prior_sd:.2g} % of what was assumed beforehand; "
+        f"best {along(ways[:, 0])}: {1e3 * sd[0]:.2g} mm."
     )
-    return (*words, Text(f"Least determined: {name}, {known}"), Text(shrunk))
+    words.append(Text(known, "warning") if sd[0] < _UNEVEN * sd[-1] else Text(known))
+    return tuple(words)
 
 
 def board_document(run: BoardRun) -> Document:

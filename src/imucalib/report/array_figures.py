@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
+from imucalib.calibrators.array.estimate.covariance import sd_of_few
 from imucalib.calibrators.array.loop.cross_fit import NORMAL_MAD
 from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.calibrators.array.run import ArrayRun
-from imucalib.errors import ImucalError
-from imucalib.estimators.array.mode import laplace_frame
 from imucalib.estimators.markov.convergence import autocorrelation
 from imucalib.report.document import Plot, Series, Table
 from imucalib.units import DEG, MG
@@ -36,7 +35,7 @@ def _plan(run: ArrayRun, name: str, rows: Index) -> Plot:
     """One side with 50 and 97 % ellipses. Deviations are drawn to scale; ellipses that would vanish
     are magnified, and say so."""
     origin = 1e3 * run.board.positions[0]
-    mean = 1e3 * run.final.mean[rows] + origin
+    mean = 1e3 * run.total.mean[rows] + origin
     drawn = 1e3 * run.board.positions[rows]
     names = tuple(run.board.imus[k] for k in rows)
     series = [Series("drawn", drawn[:, 0], drawn[:, 1], "points", names=names)]
@@ -70,8 +69,8 @@ def centres_held(run: ArrayRun, rows: Index) -> list[bool]:
     held = []
     for k in (int(k) for k in rows if k > 0):
         at = slice(3 * (k - 1), 3 * (k - 1) + 2)
-        off = (run.final.mean - run.board.drawn)[k, :2]
-        square = float(off @ np.linalg.solve(run.final.covariance[at, at], off))
+        off = (run.total.mean - run.board.drawn)[k, :2]
+        square = float(off @ np.linalg.solve(run.total.covariance[at, at], off))
         held.append(square <= _MOST**2)
     return held
 
@@ -81,7 +80,7 @@ def _magnified(run: ArrayRun, rows: Index) -> float:
     flat = 1e3 * run.board.positions[rows][:, :2]
     gaps = np.linalg.norm(flat[:, None] - flat, axis=2)
     spacing = float(np.min(gaps, where=gaps > 1e-6, initial=np.inf))
-    largest = 1e3 * _MOST * float(run.final.sd[rows][:, :2].max())
+    largest = 1e3 * _MOST * float(run.total.sd[rows][:, :2].max())
     if not (np.isfinite(spacing) and 0.0 < largest < 0.05 * spacing):
         return 1.0
     factor = 0.1 * spacing / largest
@@ -92,7 +91,7 @@ def _magnified(run: ArrayRun, rows: Index) -> float:
 def _ellipse(run: ArrayRun, k: int, radius: float) -> Array:
     """(n, 2) mm around the mean of one IMU."""
     at = slice(3 * (k - 1), 3 * (k - 1) + 2)
-    root = np.linalg.cholesky(run.final.covariance[at, at])
+    root = np.linalg.cholesky(run.total.covariance[at, at])
     angle = np.linspace(0.0, 2.0 * np.pi, 49)
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     return np.asarray(1e3 * radius * circle @ root.T)
@@ -106,7 +105,7 @@ def _joined(label: str, rings: list[Array]) -> Series:
 
 def _close_up(run: ArrayRun, sides: list[tuple[str, Flags]]) -> Plot:
     """All IMUs' deviations from the drawing in one place, to scale, with 97 % ellipses."""
-    off = 1e3 * (run.final.mean - run.board.drawn)
+    off = 1e3 * (run.total.mean - run.board.drawn)
     series = []
     for label, side in sides:
         if rows := [int(k) for k in np.flatnonzero(side) if k > 0]:
@@ -124,7 +123,7 @@ def _close_up(run: ArrayRun, sides: list[tuple[str, Flags]]) -> Plot:
 
 def _deviations(run: ArrayRun) -> Plot:
     """Deviation from the drawing of every coordinate, with 95 % intervals."""
-    off, half = 1e3 * (run.final.mean - run.board.drawn)[1:], 1.96e3 * run.final.sd[1:]
+    off, half = 1e3 * (run.total.mean - run.board.drawn)[1:], 1.96e3 * run.total.sd[1:]
     x = np.arange(1.0, run.board.count)
     series = tuple(
         Series.about(
@@ -138,42 +137,27 @@ def _deviations(run: ArrayRun) -> Plot:
 
 def _growth(run: ArrayRun) -> tuple[Plot | Table, ...]:
     """Median standard deviation of each axis against the number of samples, drawn and as Table II
-    of paper 001 has it; empty where the samples do not allow it."""
-    data, final = run.final.data, run.final
-    if final.sampler == "gaussian":
-        return ()
-    counts = [round(s * data.samples) for s in _SHARES]
-    found = [(n, sd) for n in counts if n >= _FEWEST and (sd := _median_sd(run, n)) is not None]
-    if len(found) < 3 or found[-1][0] != data.samples:
+    of paper 001 has it; empty where there are few."""
+    state = run.state
+    counts = [round(s * len(state.setup.inner)) for s in _SHARES]
+    found = [(n, sd_of_few(state, n)) for n in counts if n >= _FEWEST]
+    if len(found) < 3:
         return ()
     n = np.array([f[0] for f in found], np.float64)
     sd = 1e3 * np.array([f[1] for f in found])
     # The stated uncertainty holds more than the motion's: the curve ends at what is stated.
-    sd *= 1e3 * np.median(final.sd[1:], axis=0) / sd[-1]
+    sd *= 1e3 * np.median(run.total.sd[1:], axis=0) / sd[-1]
     series = [Series(axis, n, sd[:, k], "points") for k, axis in enumerate("xyz")]
     fine = np.geomspace(n[0], n[-1], 60)
     series.append(Series("1/√T", fine, sd[-1].mean() * np.sqrt(n[-1] / fine), "line"))
     caption = (
-        "Median over the IMUs, from the Gaussian at the mode of evenly chosen parts of the "
+        "Median over the IMUs, by the curvature of the fit over evenly chosen parts of the "
         "samples, scaled to end at what is stated. Twice the precision takes four times the motion."
     )
     title = "Standard deviation against the samples used"
     rows = tuple((f"{t:.0f}", *(f"{v:.2g}" for v in row)) for t, row in zip(n, sd, strict=True))
     table = Table(title, ("T", "sd x", "sd y", "sd z"), rows, "rrrr", "mm, as drawn above.")
     return Plot(title, "samples used", "sd (mm)", tuple(series), caption, log_y=True), table
-
-
-def _median_sd(run: ArrayRun, count: int) -> Array | None:
-    """(3,) m; None where so few samples have no mode."""
-    data, prior = run.final.data, run.final.prior
-    rows = np.linspace(0, data.samples - 1, count).astype(np.intp)
-    frame = run.final.frame if count == data.samples else None
-    try:
-        frame = frame or laplace_frame(data.take(rows), prior)
-    except ImucalError:
-        return None
-    variance = np.diag(frame.covariance)[: prior.positions].reshape(-1, 3)
-    return np.asarray(np.sqrt(np.median(variance, axis=0)))
 
 
 def residual_plots(run: ArrayRun) -> list[Plot]:
@@ -246,9 +230,9 @@ def _binned(x: Array, off: Array) -> tuple[Array, Array]:
 
 def chain_plots(run: ArrayRun) -> tuple[Plot, ...]:
     """Trace, ranks and autocorrelation of the coordinate that mixes worst."""
-    worst = int(np.argmin(run.final.convergence.bulk[: run.final.prior.positions]))
+    worst = int(np.argmin(run.drawn.convergence.bulk))
     name = f"{run.board.imus[1 + worst // 3]} {'xyz'[worst % 3]}"
-    draws = 1e3 * run.final.unknowns[..., worst]
+    draws = 1e3 * run.drawn.free[..., worst]
     chains, n = draws.shape
     x, lags = np.arange(n, dtype=np.float64), min(n - 1, 40)
     ranks = np.argsort(np.argsort(draws.ravel())).reshape(chains, n)

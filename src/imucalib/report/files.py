@@ -241,7 +241,7 @@ def write_draws(run: ArrayRun, path: Path) -> None:
     dimensions chain, draw, imu, axis as netCDF4 dimension scales."""
     import h5py
 
-    draws, made = 1e3 * run.final.draws, run.outcome.provenance
+    draws, made = 1e3 * run.drawn.draws, run.outcome.provenance
     path.parent.mkdir(parents=True, exist_ok=True)
     with replaced_atomically(path) as temporary, h5py.File(temporary, "w") as file:
         group = file.create_group("posterior")

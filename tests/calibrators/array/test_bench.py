@@ -88,11 +88,11 @@ def test_positions_are_recovered_within_what_is_stated(log: SimulatedLog, run: A
     assert run.segments.n >= 9
     assert run.rests.residual < 0.02
     # The frame is the triads' mean one, turned a little against the true board.
-    truth, found = log.positions[1:], run.final.mean[1:]
+    truth, found = log.positions[1:], run.total.mean[1:]
     left, _, right = np.linalg.svd(truth.T @ found)
-    z = (found - truth @ left @ right) / run.final.sd[1:]
+    z = (found - truth @ left @ right) / run.total.sd[1:]
     assert np.sqrt(np.mean(z * z)) < 2.0
-    assert run.final.convergence.reached()
+    assert run.drawn.convergence.bulk.min() >= 400.0
 
 
 @pytest.mark.slow
@@ -114,7 +114,7 @@ def test_logs_that_cannot_answer(plan: LogPlan, message: str) -> None:
 def test_a_measured_board() -> None:
     """Underside accelerometers lie half a millimetre off the packages' middle, as published."""
     run = calibrate(read(SAMPLES / "board.h5"), gravity=9.8189, samples=400)
-    off = 1e3 * (run.final.mean - BOARD.drawn)
+    off = 1e3 * (run.total.mean - BOARD.drawn)
     under = off[1::2].mean(axis=0)
     assert under == pytest.approx([-0.55, -0.45, -0.18], abs=0.15)
     assert np.abs(off[2::2].mean(axis=0)).max() < 0.2
@@ -213,7 +213,6 @@ def test_a_pair_and_a_line_are_calibrated(count: int) -> None:
     value, sd = run.total.distance(0, count - 1)
     assert sd < 1e-4
     assert abs(value - np.linalg.norm(true[-1])) < 4.0 * sd
-    assert any("spin about it stays open" in note for note in run.outcome.notes)
 
 
 @pytest.mark.slow
@@ -239,7 +238,7 @@ def test_the_noise_of_few_imus_keeps_its_shape_and_its_size(count: int) -> None:
     board = rig(*[(20.0 * i, 0.0, 0.0) for i in range(count)])
     run = calibrate(logged(board)[0], board=board, samples=None, loop=False)
     moving, rests = run.moving, run.rests
-    setup = array_setup(moving, board, 600, robust=True)
+    setup = array_setup(moving, board, 600)
     assert setup is not None
     state = start_state(setup, rest_terms(rests))
     for noise, sigma in zip(

@@ -162,7 +162,7 @@ def test_a_sensor_wired_otherwise_is_calibrated_and_applied(
     request = ArrayRequest(board=BOARD, samples=60, loop=False)
     right = calibrate_array(recording, request, lambda _: None)
     mended = calibrate_array(broken, replace(request, board=board), lambda _: None)
-    assert mended.final.mean == pytest.approx(right.final.mean, abs=1e-9)
+    assert mended.total.mean == pytest.approx(right.total.mean, abs=1e-9)
     one = apply_to_recording(right.calibration, recording)
     two = apply_to_recording(mended.calibration, broken)
     for name, channel in one.channels.items():

@@ -31,13 +31,10 @@ def _alike(without: Outcome, done: Outcome, bench: Bench) -> None:
     assert (np.abs(_mm(done) - _mm(without)) < 3.0 * np.hypot(_sd(done), _sd(without))).all()
 
 
-def _diagnosed(name: str, value: object) -> Check:
-    def check(without: Outcome, done: Outcome, bench: Bench) -> None:
-        assert done.content["diagnostics"][name] == value
-        assert without.content["diagnostics"][name] != value
-        _alike(without, done, bench)
-
-    return check
+def _off_the_drawing(without: Outcome, done: Outcome, bench: Bench) -> None:
+    assert without.code == 4
+    told = [note for note in done.content["notes"] if "off its drawing" in note]
+    assert {note.split()[0] for note in told} == {"imu1", "imu2"}
 
 
 def _draws_to_reach(without: Outcome, done: Outcome, bench: Bench) -> None:
@@ -78,57 +75,29 @@ def _accepted(unit: str, value: float) -> Check:
 
 def _kept_draws(without: Outcome, done: Outcome, bench: Bench) -> None:
     writes("draws.h5")(without, done, bench)
-    np.testing.assert_allclose(_draws(done).mean(axis=(0, 1))[1:], _mm(done), atol=1e-6)
+    np.testing.assert_allclose(_draws(done).mean(axis=(0, 1))[1:], _mm(done), rtol=0.02, atol=0.01)
 
 
-def _kept_chains(without: Outcome, done: Outcome, bench: Bench) -> None:
-    """A second run goes on from the file, and ends alike."""
-    assert "chains.npz" in done.files
-    size = len(done.files["chains.npz"])
-    again = bench.run([a.replace("<out>", str(done.folder)) for a in (*PLAIN, *CHECKPOINT)])
-    assert again.code == done.code
-    np.testing.assert_allclose(_mm(again), _mm(done), atol=0.05)
-    assert size > 0
-
-
-CHECKPOINT = ("--checkpoint", "<out>/chains.npz")
+FEW = ("--iterations", "300")
 CASES: tuple[Case, ...] = (
     # A drawing that is right to a micrometre leaves the log nothing to say.
-    ARRAY("--board <tight.yaml>", ends(4, "of its prior uncertainty")),
-    # The log says that two IMUs are exchanged: exit 4; kept so, nothing fits.
+    ARRAY("--board <tight.yaml>", ends(4, "of their prior uncertainty")),
+    # The log says that two IMUs are exchanged: exit 4; kept so, they are told to be off.
     ARRAY(
         "--as-drawn",
-        ends(6, "no mode"),
+        _off_the_drawing,
         *(a.replace("board.yaml", "exchanged.yaml") for a in PLAIN),
     ),
-    ARRAY(
-        "--sampler pmmh",
-        ends(6, "Algorithm 1 do not agree after 300"),
-        *PLAIN,
-        "--iterations",
-        "300",
-        "--motion-prior",
-        "flat",
-    ),
-    ARRAY("--samples 60", _alike),
-    ARRAY("--motion-prior flat", _alike),
-    ARRAY("--det-exponent 1", ends(6, "no mode"), *PLAIN, "--motion-prior", "flat"),
-    ARRAY("--acc-sigma 5", ends(4, "of its prior uncertainty")),
-    ARRAY("--acc-sigma -1", ends(2)),
-    ARRAY("--gyro-covariance sample", _alike, *PLAIN, "--motion-prior", "flat"),
-    ARRAY("--chains 6", _diagnosed("chains", 6)),
-    ARRAY("--ess 2000", _draws_to_reach),
+    ARRAY("--as-published", ends(6, "Algorithm 1 do not agree after 300"), *PLAIN, *FEW),
     ARRAY(
         "--iterations 200",
         ends(6, "Algorithm 1 do not agree after 200"),
         *PLAIN,
-        "--sampler",
-        "pmmh",
-        "--motion-prior",
-        "flat",
-        "--iterations",
-        "300",
+        "--as-published",
+        *FEW,
     ),
+    ARRAY("--samples 60", _alike),
+    ARRAY("--ess 2000", _draws_to_reach),
     Case(
         "array",
         "--distance",
@@ -139,7 +108,6 @@ CASES: tuple[Case, ...] = (
     ARRAY("--accept-mg 1", both(_accepted("mg", 1.0), ends(5)), *LOOSE),
     ARRAY("--accept-dps 1e-6", both(_accepted("deg/s", 1e-6), ends(5))),
     ARRAY("--save-draws <out>/draws.h5", _kept_draws),
-    ARRAY(" ".join(CHECKPOINT), _kept_chains),
     ARRAY("--shortest-rest 100", ends(4, "12 too short")),
     ARRAY("--shortest-rest nan", ends(2)),
 )

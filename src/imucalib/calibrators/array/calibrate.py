@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
+from imucalib.arrays import Array
 from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.drawing import compared, refuse_contradiction, sketched
 from imucalib.calibrators.array.effect_blocks import with_rests
@@ -17,23 +18,19 @@ from imucalib.calibrators.array.estimate.covariance import (
     samples_used,
     with_uneven,
 )
-from imucalib.calibrators.array.estimate.sampled import sampled_positions
-from imucalib.calibrators.array.estimate.total import (
-    frame_sd,
-    restated,
-    scale_by_turns,
-    total_of,
-)
+from imucalib.calibrators.array.estimate.posterior import draw_positions
+from imucalib.calibrators.array.estimate.total import frame_sd, scale_by_turns, total_of
 from imucalib.calibrators.array.findings import residual_in_motion
 from imucalib.calibrators.array.linear_part import GYRO_FRAME, linear_part
 from imucalib.calibrators.array.log import ArrayLog, array_log, of_board
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop, close_array_loop
 from imucalib.calibrators.array.loop.motion import board_motion
 from imucalib.calibrators.array.loop.search import start_state, with_declared
-from imucalib.calibrators.array.loop.setup import array_setup
+from imucalib.calibrators.array.loop.setup import array_setup, plain_setup
 from imucalib.calibrators.array.loop.state import ArrayState, shared_by_neighbours
 from imucalib.calibrators.array.loop.terms import rest_terms
 from imucalib.calibrators.array.moving import Moving, moving_part
+from imucalib.calibrators.array.published import published_positions
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.rests import ATTITUDES, RestFit, contradicted, fit_rests
 from imucalib.calibrators.array.run import ArrayRun, Stages, finished
@@ -52,6 +49,8 @@ from imucalib.rests.segments import Segments, still_segments
 Say = Callable[[str], None]
 #: What is named beside a cause that the rests contradict.
 OTHER = "what shows in motion only"
+#: Of the drawing's prior_sd, from which a place is said to be off it.
+_FAR = 3.0
 SEARCH_SAMPLES = 600  # moving samples on which effects are searched
 HALVED_SAMPLES = 800  # moving samples of which each half is searched again
 
@@ -68,12 +67,11 @@ class _Laid:
 
 
 class _Fit(NamedTuple):
-    """loop : None where nothing was searched; state : of all informative samples, None where the
-    motion is too broken up; uneven : where positions differ from part to part of the motion and no
-    loop says so"""
+    """loop : None where nothing was searched; state : of all informative samples; uneven : where
+    positions differ from part to part of the motion and no loop says so"""
 
     loop: MotionLoop | None
-    state: ArrayState | None
+    state: ArrayState
     uneven: Uneven | None
 
 
@@ -86,6 +84,11 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
     """
     if request.limits and not (request.loop or request.declare):
         raise UsageError("limits need held-out data", remedy="leave --no-loop out")
+    if request.as_published and (request.declare or request.limits):
+        raise UsageError(
+            "the paper's procedure searches for nothing, holds nothing out and declares nothing",
+            remedy="leave --as-published out",
+        )
     laid = _laid(recording, request, say)
     del recording  # from here on a log is side by side: held twice, one of many IMUs is large
     board, scope = laid.board, request.scope
@@ -118,36 +121,33 @@ def _stated(
 ) -> Stages:
     """The positions with all of their uncertainty."""
     board, (loop, state, uneven), rng = laid.board, fit, np.random.default_rng(request.seed)
-    found, motion = sampled_positions(
-        moving=moving,
-        rests=rests,
-        board=board,
-        request=request,
-        rng=rng,
-        state=state,
-        searched=loop is not None,
-    )
-    linear = None if state is None else linear_part(state)
-    if linear is not None and loop is None:  # of gyros that were made like their mean
+    if request.as_published:
+        drawn = published_positions(moving, board, request, rng)
+        motion = drawn.covariance
+    else:
+        drawn = draw_positions(state, request.stop, rng)
+        motion = state.covariance[: state.positions, : state.positions]
+    linear = linear_part(state)
+    if loop is None:  # of gyros that were made like their mean
         linear = replace(linear, gyro_gain=moving.gyros.gain @ linear.gyro_gain)
     gyros = scale_by_turns(
         laid.log,
         laid.segments,
         rests,
-        moving.gyros.gain if linear is None else linear.gyro_gain,
-        np.ones(board.count) if state is None else state.noise[1].factor,
+        linear.gyro_gain,
+        state.noise[1].factor,
     )
     total = total_of(
-        found.mean,
+        drawn.mean,
         motion,
         gyros=gyros,
         gravity_sd=request.gravity_sd,
         frame_sd=frame_sd(rests),
         distances=request.distances,
     )
-    final = restated(found, total, rng)
-    say(f"{final.data.samples} samples: {final.convergence.sentence}")
-    broken = request.loop and loop is None
+    samples = len(state.setup.inner)
+    say(f"{samples} samples: {drawn.sentence}")
+    broken = request.loop and not request.as_published and loop is None
     unsearched = ("the motion is too broken up for the search of the loop",) if broken else ()
     return Stages(
         recording=laid.recording,
@@ -156,15 +156,28 @@ def _stated(
         segments=laid.segments,
         rests=rests,
         moving=moving,
-        final=final,
+        state=state,
+        drawn=drawn,
         total=total,
         gyros=gyros,
         loop=loop,
         linear=linear,
         uneven=uneven,
-        residual=residual_in_motion(loop, state, final, moving),
-        notes=(*laid.notes, *final.notes, *unsearched),
+        residual=residual_in_motion(loop, state),
+        notes=(*laid.notes, *drawn.notes, *unsearched, *off_the_drawing(total.mean, board)),
     )
+
+
+def off_the_drawing(r: Array, board: Board) -> Iterator[str]:
+    """A word on each IMU that is farther from its drawing than the board file allows for; r : (K,
+    3) m, the first at zero."""
+    off = np.abs(r - board.drawn)
+    for k in np.flatnonzero(off.max(axis=1) > _FAR * board.prior_sd):
+        yield (
+            f"{board.imus[k]} is {1e3 * off[k].max():.2g} mm off its drawing along "
+            f"{'xyz'[int(off[k].argmax())]}, where prior_sd allows for {1e3 * board.prior_sd:.2g}: "
+            "check its place in the board file, or that of the first IMU"
+        )
 
 
 def _laid(recording: Recording, request: ArrayRequest, say: Say) -> _Laid:
@@ -212,30 +225,27 @@ def _refuse_restless(segments: Segments, board: Board, recording: Recording, log
 
 
 def _fitted(moving: Moving, rests: RestFit, board: Board, request: ArrayRequest) -> _Fit:
-    robust = request.accelerometer_sigma == "estimate"
     most = samples_used(moving, request.samples)
-    searched = request.loop or bool(request.declare)
-    # Where nothing is searched, gyros are made like their mean by plain comparison.
-    part = moving if searched else moving.levelled
-    setup = array_setup(part, board, min(most, SEARCH_SAMPLES), robust=robust)
-    if setup is None:
-        if request.declare:
-            raise Undetermined(
-                "the motion is too broken up to fit declared effects",
-                remedy="record longer stretches without gaps and clipping",
-            )
-        return _Fit(None, None, None)
+    searched = (request.loop or bool(request.declare)) and not request.as_published
+    setup = array_setup(moving, board, min(most, SEARCH_SAMPLES)) if searched else None
+    if searched and setup is None and request.declare:
+        raise Undetermined(
+            "the motion is too broken up to fit declared effects",
+            remedy="record longer stretches without gaps and clipping",
+        )
     terms = rest_terms(rests)
-    if not searched:
-        # What gyros share against the accelerometers no comparison shows, and every board has it.
-        start = with_declared(start_state(setup, terms), (GYRO_FRAME,))
+    if setup is None:
+        # Where nothing is searched, gyros are made like their mean by plain comparison; what they
+        # share against the accelerometers that does not show, and every board has it.
+        plain = plain_setup(moving.levelled, board, min(most, SEARCH_SAMPLES))
+        start = with_declared(start_state(plain, terms), (GYRO_FRAME,))
         state = fitted_on_all(start, most)
         return _Fit(None, *with_uneven(state, shared_by_neighbours(state, gyro=False)))
     loop = close_array_loop(
         setup,
         terms,
         curves=request.curves,
-        halved=array_setup(moving, board, min(most, HALVED_SAMPLES), robust=robust),
+        halved=array_setup(moving, board, min(most, HALVED_SAMPLES)),
         most=most,
         scope=request.scope,
     )

@@ -24,12 +24,10 @@ from imucalib.calibrators.array.loop.cross_fit import NORMAL_MAD, Gained
 from imucalib.calibrators.array.loop.laws import CURVE
 from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.calibrators.array.loop.terms import typical_of
-from imucalib.calibrators.array.moving import Moving
 from imucalib.calibrators.array.request import Accepted
 from imucalib.calibrators.array.rests import RestFit
 from imucalib.effects.forms import in_words
 from imucalib.estimators.array.noise import SensorNoise
-from imucalib.estimators.array.sampler import ArrayPositions
 from imucalib.loop.found import Step
 from imucalib.units import DEG, MG
 
@@ -43,21 +41,16 @@ _NAN = float("nan")
 class Residual:
     """1.4826 times the median absolute deviation in motion: acceleration (m/s²), rate (rad/s);
     held_out : whether of motion that took no part in any choice; each : (K,) of each IMU, of the
-    fit, where there is one"""
+    fit"""
 
     acceleration: float
     rate: float
     held_out: bool
-    each: tuple[Array, Array] | None = None
+    each: tuple[Array, Array]
 
 
-def residual_in_motion(
-    loop: MotionLoop | None, state: ArrayState | None, final: ArrayPositions, moving: Moving
-) -> Residual:
-    """Held out where there is such motion; else of the fit; else of the sampler and the gyros."""
-    if state is None:
-        scatter = float(np.median(moving.gyros.scatter[moving.good]))
-        return Residual(final.noise, scatter, False)
+def residual_in_motion(loop: MotionLoop | None, state: ArrayState) -> Residual:
+    """Held out where there is such motion; else of the fit."""
     inner, off, kept = state.setup.inner, state.sampled.off, state.sampled.kept
     # Each over the share of its variance that the motion leaves it.
     force, rate = (
@@ -89,15 +82,13 @@ def unexplained(
     found : what was searched; where nothing was, how parts of the motion differ
     """
     whole, single = [], []
-    each = residual.each or (None, None)
+    each = residual.each
     for sensor, size, own, still, (unit, limit, name) in (
         ("accelerometer", residual.acceleration, each[0], rests.noise, (MG, accepted.mg, "mg")),
         ("gyro", residual.rate, each[1], rests.gyro_noise, (DEG, accepted.deg_per_s, "deg/s")),
     ):
         noise = float(np.sqrt(np.mean(still**2)))
         whole.append(Left(f"{sensor}s in motion", _beyond(size, noise) / unit, limit, name))
-        if own is None:
-            continue
         for k, imu in enumerate(imus):
             # One of many moves no median. What it leaves is held against the others' noise at rest,
             # for noise of its own is no less left for being there at rest too.

@@ -1,4 +1,4 @@
-"""Which moving samples say something about the positions, and what they become for the sampler.
+"""Which moving samples say something about the positions.
 
 At rest a gyro shows its offset only. In motion the triads are compared with each other: gain G_k
 of each relative to the mean rate, whose own gain is one by definition. The common gyro scale trades
@@ -9,7 +9,6 @@ gyros and reported, never fitted.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
@@ -17,10 +16,8 @@ from imucalib.arrays import Array, Flags, Index
 from imucalib.calibrators.array.log import ArrayLog
 from imucalib.calibrators.array.rests import RestFit
 from imucalib.errors import Undetermined
-from imucalib.estimators.array.problem import ArrayData
 from imucalib.units import DEG
 
-GyroCovariance = Literal["scatter", "sample"]
 SLOWEST = 60.0 * DEG  # rad/s below which a sample counts as not rotating
 WIDEST = 0.05  # gyro scatter over |ω| above which the rate is not known well enough
 FEWEST = 30
@@ -163,20 +160,3 @@ def spread_over(rows: Index, count: int) -> Index:
     if len(rows) <= count:
         return rows
     return rows[np.linspace(0, len(rows) - 1, count).round().astype(np.intp)]
-
-
-def samples_of(moving: Moving, rows: Index, sigma: Array, covariance: GyroCovariance) -> ArrayData:
-    """What the sampler gets: rows of the moving part with accelerometer sigmas (K,).
-
-    covariance : "scatter" is that of the triads about their mean, pooled over the motion, over
-        their number; "sample" is equation (30b) of the paper, one sample's scatter over the triads
-    """
-    gyros = moving.gyros
-    doubt = gyros.covariance / gyros.triads
-    if covariance == "sample":
-        rate = moving.levelled.rate[rows]
-        off = rate - rate.mean(axis=1, keepdims=True)
-        each = np.einsum("nki,nkj->nij", off, off) / (gyros.triads - 1)
-        doubt = each + 1e-3 * np.trace(gyros.covariance) / 3.0 * np.eye(3)
-    precision = np.asarray(np.linalg.inv(doubt), np.float64)
-    return ArrayData(moving.acceleration[rows], sigma, gyros.mean[rows], precision)

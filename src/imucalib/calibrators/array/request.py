@@ -3,21 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Literal
 
 from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.estimate.total import Distance
 from imucalib.calibrators.array.loop.catalogue import Scope
-from imucalib.calibrators.array.moving import GyroCovariance
 from imucalib.calibrators.request import Request
-from imucalib.estimators.array.problem import MotionPrior
-from imucalib.estimators.markov.hmc import Stop
+from imucalib.estimators.markov.crank_nicolson import Stop
 from imucalib.rests.stillness import StillSettings
-
-Sampler = Literal["hmc", "pmmh"]
-#: The paper's rule: a data sheet's non-linearity, as a share of the accelerometers' range.
-NON_LINEARITY = 0.005
 
 
 @dataclass(frozen=True)
@@ -32,30 +24,25 @@ class Accepted:
 
 @dataclass(frozen=True, kw_only=True)
 class ArrayRequest(Request):
-    """samples : moving samples used at most, or None for all that say something;
-    accelerometer_sigma : m/s², "estimate", or "nonlinearity"; iterations : of `pmmh`
+    """as_published : positions by the procedure of paper 001, without a search; iterations : of it
+    samples : moving samples used at most, or None for all that say something
+    stop : when the chains are long enough
     still : what counts as a rest
     distances : between IMUs, measured otherwise; accepted : what may stay unexplained
     as_drawn : whether axes and places are those of the board file, whatever the log says
     agreeing : other logs that are calibrated along and agree with the board file"""
 
     board: Board
-    sampler: Sampler = "hmc"
-    samples: int | None = None
-    motion: MotionPrior = "learned"
-    exponent: float = 0.5
-    accelerometer_sigma: float | Literal["estimate", "nonlinearity"] = "estimate"
-    gyro_covariance: GyroCovariance = "scatter"
-    chains: int | None = None
-    stop: Stop = field(default_factory=Stop)
+    as_published: bool = False
     iterations: int = 100_000
+    samples: int | None = None
+    stop: Stop = field(default_factory=Stop)
     still: StillSettings = field(default_factory=StillSettings)
     curves: bool = False
     distances: tuple[Distance, ...] = ()
     accepted: Accepted = field(default_factory=Accepted)
     as_drawn: bool = False
     agreeing: tuple[str, ...] = ()
-    checkpoint: Path | None = None
 
     @property
     def scope(self) -> Scope:
@@ -66,15 +53,10 @@ class ArrayRequest(Request):
         """The settings as provenance keeps them."""
         return {
             "board": self.board.name,
-            "sampler": self.sampler,
-            "samples": self.samples,
-            "chains": self.chains,
-            "ess": self.stop.ess,
+            "as_published": self.as_published,
             "iterations": self.iterations,
-            "motion_prior": self.motion,
-            "determinant_exponent": self.exponent,
-            "accelerometer_sigma": self.accelerometer_sigma,
-            "gyro_covariance": self.gyro_covariance,
+            "samples": self.samples,
+            "ess": self.stop.ess,
             "prior_sd_mm": 1e3 * self.board.prior_sd,
             "gravity_m_per_s2": self.gravity,
             "gravity_source": self.gravity_source,

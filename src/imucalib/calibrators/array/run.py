@@ -20,6 +20,7 @@ from imucalib.calibration.triads import DRIFT, Triad, drift_block
 from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.effect_blocks import effect_blocks, rest_blocks
 from imucalib.calibrators.array.estimate.covariance import Uneven
+from imucalib.calibrators.array.estimate.posterior import PositionDraws
 from imucalib.calibrators.array.estimate.total import GyroScale, Total, size_block
 from imucalib.calibrators.array.findings import (
     Residual,
@@ -32,10 +33,10 @@ from imucalib.calibrators.array.findings import (
 )
 from imucalib.calibrators.array.linear_part import LinearPart
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop
+from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.calibrators.array.moving import Moving
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.rests import RestFit
-from imucalib.estimators.array.sampler import ArrayPositions
 from imucalib.recording.identity import Identity
 from imucalib.recording.pairing import channel_names
 from imucalib.recording.recording import Recording
@@ -63,9 +64,9 @@ _SHARED = (
 
 @dataclass(frozen=True, kw_only=True)
 class Stages:
-    """recording : without its readings; final : of the sampler, with all that `total` knows; loop :
-    None where nothing was searched; linear : what a linear correction holds of the joint fit, None
-    where the motion is too broken up for one; uneven : where positions differ from part to part of
+    """recording : without its readings; state : the joint fit; drawn : chains over it, or those of
+    the paper; total : with size and frame; loop : None where nothing was searched; linear : what a
+    linear correction holds of the joint fit; uneven : where positions differ from part to part of
     the motion and no loop says so"""
 
     recording: Recording
@@ -74,11 +75,12 @@ class Stages:
     segments: Segments
     rests: RestFit
     moving: Moving
-    final: ArrayPositions
+    state: ArrayState
+    drawn: PositionDraws
     total: Total
     gyros: GyroScale
     loop: MotionLoop | None
-    linear: LinearPart | None
+    linear: LinearPart
     uneven: Uneven | None
     residual: Residual
     notes: tuple[str, ...]
@@ -97,7 +99,7 @@ def finished(made: Stages) -> ArrayRun:
     values = {
         "max-error": (errors[0].held_out.final, errors[0].unit),
         "max-gyro-error": (errors[1].held_out.final, errors[1].unit),
-        "max-position-sd": (1e3 * float(made.final.sd.max()), "mm"),
+        "max-position-sd": (1e3 * float(made.total.sd.max()), "mm"),
     }
     outcome = Outcome(
         "array",
@@ -178,11 +180,9 @@ def _triads(made: Stages) -> Iterator[Triad]:
     board, rests, found = made.board, made.rests, made.linear
     channels = channel_names(made.recording)
     gain, bias, covariance = rests.in_board_axes()
-    gyro_gain, gyro_bias = made.moving.gyros.gain, rests.gyro_bias[0]
-    if found is not None:
-        bias = bias + np.einsum("kij,kj->ki", gain, found.offset)
-        gain = gain @ found.gain
-        gyro_gain, gyro_bias = found.gyro_gain, gyro_bias + found.gyro_offset
+    bias = bias + np.einsum("kij,kj->ki", gain, found.offset)
+    gain = gain @ found.gain
+    gyro_gain, gyro_bias = found.gyro_gain, rests.gyro_bias[0] + found.gyro_offset
     # What is corrected is read in the sensors' own axes: those of the package are undone first.
     back = board.rotations.transpose(0, 2, 1)
     wired, gyro_wired = (
@@ -215,7 +215,6 @@ def _details(made: Stages) -> dict[str, Any]:
     times = np.linspace(rests.start, rests.stop, 21)
     away = rests.offset(times) - rests.offset(times[-1:])
     drift = ((DRIFT, float(np.sqrt(np.mean(away**2))), "m/s²"),) if away.any() else ()
-    beyond = made.linear.beyond if made.linear else ()
     details: dict[str, Any] = {
         "board": board.name,
         "reference": board.imus[0],
@@ -227,7 +226,7 @@ def _details(made: Stages) -> dict[str, Any]:
             "gyros_deg_per_s": residual.rate / DEG,
             "held_out": residual.held_out,
         },
-        "diagnostics": _diagnostics(made.final),
+        "diagnostics": _diagnostics(made),
         "rests": {
             "count": rests.poses,
             "residual_m_per_s2": rests.residual,
@@ -237,7 +236,8 @@ def _details(made: Stages) -> dict[str, Any]:
         },
         "moving": dict(made.moving.counts),
         "not_undone": [
-            {"effect": name, "rms": rms, "unit": unit} for name, rms, unit in (*drift, *beyond)
+            {"effect": name, "rms": rms, "unit": unit}
+            for name, rms, unit in (*drift, *made.linear.beyond)
         ],
         "effects": rest_blocks(rests),
     }
@@ -280,17 +280,28 @@ def _drift_of(rests: RestFit, board: Board) -> dict[str, Any]:
     return {"drift": drift_block(t, np.einsum("kji,nkj->nki", board.accelerometer_axes, away))}
 
 
-def _diagnostics(final: ArrayPositions) -> dict[str, Any]:
-    """What the sampler says of itself."""
-    found = final.convergence
+def _diagnostics(made: Stages) -> dict[str, Any]:
+    """What the chains say of themselves, and how far their mean is from the fit's."""
+    drawn, state = made.drawn, made.state
+    found = drawn.convergence
+    own = np.sqrt(np.diag(made.total.motion))
     return {
-        "sampler": final.sampler,
-        "chains": final.unknowns.shape[0],
-        "draws": final.unknowns.shape[1],
-        "acceptance": final.accepted,
+        "sampler": drawn.sampler,
+        "chains": drawn.free.shape[0],
+        "draws": drawn.free.shape[1],
+        "acceptance": drawn.accepted,
         "largest_rhat": float(np.max(found.rhat)),
         "smallest_bulk_ess": float(np.min(found.bulk)),
         "smallest_tail_ess": float(np.min(found.tail)),
-        "largest_mcse_mm": float(1e3 * np.max(found.mcse[: final.prior.positions])),
-        "samples": final.data.samples,
+        "largest_mcse_mm": float(1e3 * np.max(found.mcse)),
+        "mean_off_mode_sd": float(np.max(np.abs((drawn.mean - state.r)[1:].ravel() / own))),
+        "sandwich_over_noise": float(np.sqrt(np.median(_widened(state)))),
+        "samples": len(state.setup.inner),
     }
+
+
+def _widened(state: ArrayState) -> Array:
+    """(d,) variances of the positions as stated over those if the noise is what was fitted."""
+    assert state.by_noise is not None
+    both = (np.diag(one)[: state.positions] for one in (state.covariance, state.by_noise))
+    return np.asarray(np.divide(*both))

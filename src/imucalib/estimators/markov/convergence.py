@@ -24,11 +24,10 @@ class Convergence:
     tail: Array
     mcse: Array
 
-    def reached(self, rhat: float = 1.01, ess: float = 400.0) -> bool:
-        """Whether every quantity meets both limits; NaN meets none."""
-        return bool(
-            np.all(self.rhat < rhat) and np.all(self.bulk >= ess) and np.all(self.tail >= ess)
-        )
+    def reached(self, rhat: float = 1.01, ess: float = 400.0, *, tails: bool = True) -> bool:
+        """Whether every quantity meets both limits, the second in the tails too; NaN meets none."""
+        enough = np.all(self.bulk >= ess) and (not tails or np.all(self.tail >= ess))
+        return bool(np.all(self.rhat < rhat) and enough)
 
     @property
     def sentence(self) -> str:
@@ -63,10 +62,12 @@ def split(draws: Array) -> Array:
 def rank_normalised(draws: Array) -> Array:
     """Normal scores of the ranks over all chains, average ranks for ties (eq. 14)."""
     from scipy.special import ndtri
-    from scipy.stats import rankdata
 
     m, n, d = draws.shape
-    ranks = rankdata(draws.reshape(m * n, d), axis=0)
+    ranks = np.empty((m * n, d))
+    for k, values in enumerate(draws.reshape(m * n, d).T):
+        _, which, count = np.unique(values, return_inverse=True, return_counts=True)
+        ranks[:, k] = (np.cumsum(count) - 0.5 * (count - 1))[which]
     return np.asarray(ndtri((ranks - 0.375) / (m * n + 0.25)).reshape(m, n, d))
 
 

@@ -35,7 +35,7 @@ SAMPLES = 300
 
 def looked_at(recording: Recording) -> tuple[Moving, RestFit, Setup]:
     moving, rests = moving_of(recording)
-    setup = array_setup(moving, BOARD, SAMPLES, robust=True)
+    setup = array_setup(moving, BOARD, SAMPLES)
     assert setup is not None
     return moving, rests, setup
 

@@ -19,7 +19,7 @@ from imucalib.calibrators.array.loop.state import (
 from imucalib.calibrators.array.loop.terms import lagging
 from imucalib.calibrators.array.moving import Moving
 from imucalib.core.eigen import eigen
-from imucalib.estimators.array.gram import Columns, gram, scores
+from imucalib.estimators.array.gram import Columns, gram, inverse_root, scores
 from imucalib.estimators.array.noise import SensorNoise
 from imucalib.estimators.array.samples import Sampled, Weights, fit_samples, reweighed
 
@@ -161,9 +161,9 @@ def _weights(
     return Weights(a, g)
 
 
-def sandwich(state: ArrayState) -> tuple[Array, Array]:
-    """(q, q) covariance A⁻¹ B A⁻¹ of the positions (m) and of the terms' coordinates, and what each
-    sample (inner,) pulls the positions by (m).
+def sandwich(state: ArrayState) -> tuple[Array, Array, Array]:
+    """(q, q) covariance A⁻¹ B A⁻¹ of the positions (m) and of the terms' coordinates, A⁻¹ itself,
+    and what each sample (inner,) pulls the positions by (m).
 
     A is what the weights say times how far the scores answer to it (`information`), with the prior
     P; B = Σ g gᵀ + P, g the score of one sample, is what the scores really scatter (Huber 1967,
@@ -176,22 +176,32 @@ def sandwich(state: ArrayState) -> tuple[Array, Array]:
     own = base.along(scores(state.sampled, base.blocks, inner))
     share = len(inner) / (len(inner) + len(base.prior))
     scatter = share * (own.T @ own) + (1.0 - share) * known.matrix + prior
-    bread = np.linalg.inv(known.matrix + prior)
+    bread = np.asarray(np.linalg.inv(known.matrix + prior))
     found = bread @ scatter @ bread
-    return 0.5 * (found + found.T), own @ bread[:, : state.positions]
+    return 0.5 * (found + found.T), bread, own @ bread[:, : state.positions]
+
+
+def sd_of_few(state: ArrayState, count: int) -> Array:
+    """(3,) m, median over the IMUs of the sd that so many evenly chosen samples leave, whose noise
+    is what was fitted."""
+    base, inner = state.base, state.setup.inner
+    rows = inner[np.linspace(0, len(inner) - 1, count).astype(np.intp)]
+    known = base.free(gram(state.sampled, base.blocks, rows)).matrix + np.diag(base.prior)
+    variance = np.sum(inverse_root(known)[: state.positions] ** 2, axis=1)
+    return np.asarray(np.sqrt(np.median(variance.reshape(-1, 3), axis=0)))
 
 
 def with_uneven(state: ArrayState, factor: float) -> tuple[ArrayState, Uneven | None]:
     """The state with that covariance, positions known no better than parts of the motion agree on
     them, and where they do not; factor : how many times fewer samples noise that neighbours share
     leaves."""
-    covariance, pulls = sandwich(state)
+    covariance, by_noise, pulls = sandwich(state)
     covariance *= factor
     found = uneven(state, pulls, factor)
     if found is not None:
         at = np.arange(state.positions)
         covariance[at, at] += found.spread**2
-    return replace(state, covariance=covariance), found
+    return replace(state, covariance=covariance, by_noise=by_noise), found
 
 
 #: Readings of one kind, samples times IMUs, that a fit takes where nobody says how many: beyond

@@ -10,12 +10,12 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibrators.array.board import Board
+from imucalib.calibrators.array.estimate.posterior import size_over
 from imucalib.calibrators.array.estimate.turns import Turns, common_scale
 from imucalib.calibrators.array.log import ArrayLog
 from imucalib.calibrators.array.moving import SCALE_TOLERANCE
 from imucalib.calibrators.array.rests import RestFit
 from imucalib.core.effect import cross_matrix
-from imucalib.estimators.array.sampler import ArrayPositions
 from imucalib.rests.segments import Segments
 from imucalib.units import DEG
 
@@ -156,21 +156,6 @@ def _apart(mean: Array, one: int, two: int) -> tuple[float, Array]:
     return value, slope[1:].ravel()
 
 
-def restated(found: ArrayPositions, total: Total, rng: np.random.Generator) -> ArrayPositions:
-    """The draws carried over to the mean and the covariance of all that is uncertain, of which the
-    sampler saw a part."""
-    n, d = found.free.shape
-    if n > 2 * d:
-        away = found.free - found.free.mean(axis=0)
-        white = np.linalg.solve(np.linalg.cholesky(found.covariance), away.T)
-    else:
-        white = rng.standard_normal((d, n))
-    moved = total.mean[1:].ravel() + (np.linalg.cholesky(total.covariance) @ white).T
-    unknowns = found.unknowns.copy()
-    unknowns[..., :d] = moved.reshape(*unknowns.shape[:2], d)
-    return replace(found, unknowns=unknowns)
-
-
 def gyro_scale(tolerance: float, turns: Turns | None) -> GyroScale:
     """Data sheets and turns together."""
     if turns is None:
@@ -212,18 +197,11 @@ def frame_sd(rests: RestFit) -> float:
     return float(np.sqrt(square / (3.0 * (count - 1) + _BELIEF) / count))
 
 
-def size_over(drawn: Array, total: Total) -> tuple[float, float, float]:
-    """Size over the drawing's (the regression on it): value, sd, and sd of the motion's part."""
-    own = (drawn[1:] - drawn[0]).ravel()
-    row = own / (own @ own)
-    whole, motion = (float(np.sqrt(row @ part @ row)) for part in (total.covariance, total.motion))
-    return float(row @ total.mean[1:].ravel()), whole, motion
-
-
 def size_block(total: Total, gyros: GyroScale, board: Board) -> dict[str, Any]:
     """What fixes size and frame, and how well; distances from the first IMU hold the size's doubt
     and not the frame's, the shape neither."""
-    value, sd, motion = size_over(board.drawn, total)
+    value, sd = size_over(board.drawn, total.mean, total.covariance)
+    motion = size_over(board.drawn, total.mean, total.motion)[1]
     turns = gyros.turns
     return {
         "size": {

@@ -26,7 +26,7 @@ _NEXT = 1.3
 class Setup:
     """T samples of a motion and their neighbours, which a search does not change.
 
-    board : with the drawing and its sd; robust : whether the noise may have tails and grow
+    board : with the drawing and its sd
     rows : (T,) of the moving part; inner : those of them with both neighbours, which are fitted to
     block : (inner,) of a few seconds, in order of time; first : (inner,) whether in the first
         held-out half: every other block
@@ -37,7 +37,6 @@ class Setup:
 
     moving: Moving
     board: Board
-    robust: bool
     rows: Index
     inner: Index
     block: Index
@@ -70,14 +69,14 @@ class Setup:
         return self.board.imus
 
 
-def array_setup(moving: Moving, board: Board, samples: int, *, robust: bool) -> Setup | None:
+def array_setup(moving: Moving, board: Board, samples: int) -> Setup | None:
     """At most `samples` informative samples whose neighbours are informative too; None when
     there are too few."""
     amid = with_neighbours(moving)
     if len(amid) < FEWEST:
         return None
     chosen = stretches(amid, samples)
-    return _setup(moving, board, chosen, _around(chosen), robust=robust)
+    return _setup(moving, board, chosen, _around(chosen))
 
 
 def every_sample(setup: Setup, samples: int, *, neighbours: bool) -> Setup:
@@ -88,17 +87,24 @@ def every_sample(setup: Setup, samples: int, *, neighbours: bool) -> Setup:
     moving = setup.moving
     chosen = stretches(with_neighbours(moving) if neighbours else moving.good, samples)
     rows = _around(chosen) if neighbours else chosen
-    return _setup(moving, setup.board, chosen, rows, robust=setup.robust)
+    return _setup(moving, setup.board, chosen, rows)
 
 
-def _setup(moving: Moving, board: Board, chosen: Index, rows: Index, *, robust: bool) -> Setup:
+def plain_setup(moving: Moving, board: Board, samples: int) -> Setup:
+    """For a fit without a search: the same where there are enough of these, else of all informative
+    samples, with neighbours or without."""
+    found = array_setup(moving, board, samples)
+    chosen = stretches(moving.good, samples)
+    return found or _setup(moving, board, chosen, chosen)
+
+
+def _setup(moving: Moving, board: Board, chosen: Index, rows: Index) -> Setup:
     t = moving.t[rows]
     span = float(max(np.ptp(t), 1e-9))
     block = ((moving.t[chosen] - t[0]) / min(_BLOCK, span / 8.0)).astype(np.intp)
     return Setup(
         moving=moving,
         board=board,
-        robust=robust,
         rows=rows,
         inner=np.searchsorted(rows, chosen),
         block=block,

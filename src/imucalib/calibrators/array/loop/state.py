@@ -32,7 +32,7 @@ from imucalib.loop.odds import CERTAIN
 
 #: Newton steps at most, those before which the matrix is made again in any case, and the squared
 #: steps at which a fit is settled: one in the search, which compares nats, and one that is stated.
-_ROUNDS, _AGAIN, _ROUGH, _CLOSE = 30, (0, 8, 16, 24), 0.4, 0.05
+_ROUNDS, _AGAIN, _ROUGH, _CLOSE = 30, (0, 8, 16, 24), 0.4, 0.01
 #: Change of the noise from which the matrix no longer serves.
 _STALE = 0.1
 #: Rounds of a motion with the weights that its residuals ask for, at one step of what is fitted.
@@ -47,7 +47,8 @@ _SHAPED_BY = 250
 class ArrayState:
     """r : (K, 3) m, the first at zero; terms; noise of accelerometers and gyros; sampled : the
     fitted motion; motion : the same for effects; covariance : of positions and terms' coordinates;
-    clock : of the gyros, where one shows"""
+    by_noise : the same if the noise is what was fitted, where that is known; clock : of the gyros,
+    where one shows"""
 
     setup: Setup
     r: Array
@@ -57,6 +58,7 @@ class ArrayState:
     motion: BoardMotion
     covariance: Array
     converged: bool
+    by_noise: Array | None = None
     clock: SampleAge | None = None
 
     @property
@@ -109,7 +111,7 @@ def settled(state: ArrayState, *, shaped: bool = True) -> ArrayState:
     shaped : whether these choose it, or it keeps its shape, as where the search is over
     """
     state = _climbed(_with_scale(state), _ROUGH if shaped else _CLOSE)
-    if state.setup.robust and shaped:
+    if shaped:
         # Which shape only shows once the fit is close; the fit then moves a little with it.
         for _ in range(3):
             noise = _shaped(state)

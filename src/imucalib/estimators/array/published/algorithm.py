@@ -4,7 +4,7 @@ Each proposal of the isotropic random walk (27) is judged by the Monte Carlo lik
 rates a sample drawn from what the gyros say, ω̇ and s integrated out in closed form, log-sum-exp. N
 is raised until the log likelihood's variance at the prior mean is 0.1, then the step length is set
 to an acceptance of 7 to 23 % (section III-C); the burn-in ends when chains from different starts
-have reached the same level. It is slow, and it is what the fast sampler is held against.
+have reached the same level.
 """
 
 from __future__ import annotations
@@ -15,9 +15,11 @@ import numpy as np
 
 from imucalib.arrays import Array, Flags
 from imucalib.errors import NotConverged
-from imucalib.estimators.array.likelihood import conditionals, constants
-from imucalib.estimators.array.problem import ArrayData, ArrayPrior
-from imucalib.estimators.array.rates import local
+from imucalib.estimators.array.published.likelihood import (
+    ArrayData,
+    DrawnPrior,
+    log_likelihood,
+)
 
 ACCEPTANCE = (0.07, 0.23)
 VARIANCE = 0.1
@@ -43,33 +45,31 @@ class MonteCarloLikelihood:
     """p̂_N(y | unknowns) of (26): one estimate a row, from fresh draws."""
 
     data: ArrayData
-    prior: ArrayPrior
+    prior: DrawnPrior
     count: int
 
     def log(self, x: Array, rng: np.random.Generator) -> Array:
-        """(B,) log of unbiased estimates at unknowns (B, size)."""
+        """(B,) log of unbiased estimates at positions (B, size), each from rates of its own."""
         from scipy.special import logsumexp
 
-        given, geometry = conditionals(self.data, self.prior, x)
-        b, t, n = len(x), self.data.samples, self.count
-        free = replace(given, precision=np.zeros((3, 3, 1))).repeated(n)
-        # Rates given the gyros.
-        root = np.linalg.cholesky(np.linalg.inv(self.data.rate_precision.reshape(-1, 3, 3)))
-        spread = np.einsum("tij,mjt->mit", root, rng.standard_normal((b * n, 3, t)))
-        value = local(free, self.data.rate.T + spread, curvature=False).value.reshape(n, b, t)
-        total = (logsumexp(-value, axis=0) - np.log(n)).sum(axis=1)
-        level = constants(self.data, self.prior, geometry) - 0.5 * self.data.log_precision
-        return np.asarray(total + level)
+        root = np.linalg.cholesky(np.linalg.inv(self.data.rate_precision))
+        values = np.empty(len(x))
+        for k, one in enumerate(x):
+            white = rng.standard_normal((self.count, self.data.samples, 3))
+            rate = self.data.rate + np.einsum("tij,ntj->nti", root, white)
+            each = log_likelihood(self.data, one[None], rate)[0]
+            values[k] = np.sum(logsumexp(each, axis=0) - np.log(self.count))
+        return values
 
     def log_posterior(self, x: Array, rng: np.random.Generator) -> Array:
         """(B,) the same with the prior."""
-        off = (x - self.prior.mean_vector) / self.prior.sd_vector
+        off = (x - self.prior.mean) / self.prior.sd
         return np.asarray(self.log(x, rng) - 0.5 * np.sum(off * off, axis=1))
 
 
 def run_pmmh(
     data: ArrayData,
-    prior: ArrayPrior,
+    prior: DrawnPrior,
     rng: np.random.Generator,
     *,
     iterations: int = 100_000,
@@ -77,7 +77,7 @@ def run_pmmh(
 ) -> PmmhResult:
     """Algorithm 1. Raises NotConverged when N or the burn-in cannot be found."""
     likelihood, variance = tuned_count(data, prior, rng)
-    x = prior.mean_vector + prior.sd_vector * rng.standard_normal((chains, prior.size))
+    x = prior.mean + prior.sd * rng.standard_normal((chains, prior.size))
     walk = _Walk(x, likelihood.log_posterior(x, rng), 0.01)
     walk, burn_in = _burned_in(walk, likelihood, rng, iterations)
     draws, accepted = np.empty((chains, iterations, prior.size)), 0.0
@@ -89,22 +89,22 @@ def run_pmmh(
 
 
 def tuned_count(
-    data: ArrayData, prior: ArrayPrior, rng: np.random.Generator
+    data: ArrayData, prior: DrawnPrior, rng: np.random.Generator
 ) -> tuple[MonteCarloLikelihood, float]:
     """The estimator with N such that var log p̂ at the prior mean is at most 0.1, and that
     variance, which falls about as 1/N."""
     count = 1
     while count <= _MOST:
         estimator = MonteCarloLikelihood(data, prior, count)
-        x = prior.mean_vector[None]
+        x = prior.mean[None]
         values = [estimator.log(x, rng)[0] for _ in range(_REPEATS)]
         variance = float(np.var(values, ddof=1))
         if variance <= VARIANCE:
             return estimator, variance
         count = max(count + 1, min(4 * count, int(np.ceil(1.1 * count * variance / VARIANCE))))
     raise NotConverged(
-        f"{_MOST} Monte Carlo rates a sample leave the log likelihood's variance above {VARIANCE}",
-        remedy="the gyros are too uncertain for --sampler pmmh: use fewer samples, or the default",
+        f"{_MOST} Monte Carlo rates a sample leave the log likelihood a variance above {VARIANCE}",
+        remedy="the gyros are too uncertain for --as-published: use fewer --samples",
     )
 
 
@@ -118,7 +118,7 @@ class _Walk:
 def _iterate(
     walk: _Walk, likelihood: MonteCarloLikelihood, rng: np.random.Generator
 ) -> tuple[_Walk, Flags]:
-    there = walk.x + walk.step * likelihood.prior.sd_vector * rng.standard_normal(walk.x.shape)
+    there = walk.x + walk.step * likelihood.prior.sd * rng.standard_normal(walk.x.shape)
     level = likelihood.log_posterior(there, rng)
     moved = np.log(rng.random(len(level))) < level - walk.level
     x = np.where(moved[:, None], there, walk.x)
@@ -147,5 +147,5 @@ def _burned_in(
         before = mean
     raise NotConverged(
         f"the chains have not reached one level after {(k + 1) * _TUNING} iterations",
-        remedy="give more iterations, or use the default sampler",
+        remedy="give more --iterations, or leave --as-published out",
     )

@@ -1,0 +1,1 @@
+"""Paper 001 as published: its likelihood, and the chain that draws from it."""
