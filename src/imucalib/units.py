@@ -92,7 +92,8 @@ def without_brackets(text: str) -> str:
 def canonical(unit: str) -> str:
     """The one spelling of a unit that this package uses; unknown text comes back stripped."""
     text = without_brackets(unit)
-    return _SPELLINGS.get(text.lower(), text.lower() if text.lower() in _ALL else text)
+    low = text.lower().replace("**", "^")
+    return _SPELLINGS.get(low, low if low in _ALL else text)
 
 
 _ALL = {**ACCELERATION_UNITS, **RATE_UNITS, **ANGLE_UNITS}

@@ -182,7 +182,10 @@ def stamps_of(
         raise UnreadableInput("the time column holds no stamps", where=where, remedy=remedy)
     steps = stepping([seconds_of(s, first, "s") for s in looks])
     if steps is None:
-        raise UnreadableInput("the time stamps never advance", where=where, remedy=remedy)
+        back = any((np.diff(s.astype(np.float64)) < 0.0).any() for s in looks)
+        what = "run backwards" if back else "never advance"
+        remedy = f"put the rows in the order of time, or {remedy}" if back else remedy
+        raise UnreadableInput(f"the time stamps {what}", where=where, remedy=remedy)
     if unit in TIME_UNITS:
         dated = _dated_unit(unit, first, steps.step, who) if epoch is None else None
         unit, note = dated or (unit, "")

@@ -73,6 +73,10 @@ _OTHER = set(
         "variance stddev matrix quality status flag flags valid mask error count id"
     )
 )
+#: What is told in x, y, z as well, by the name of its file or topic.
+_NO_FORCE = set(
+    str.split("mag magnetometer magnetic magfield compass gravity orientation euler quaternion")
+)
 #: Parts of a path that name no sensor.
 _GENERIC = {""} | set(
     str.split(
@@ -104,6 +108,8 @@ _UNIT_WORDS = by_word(
         "ug": "ug",
         "rad/s": "rads rps radps rad_s",
         "deg/s": "dps degs degps deg_s",
+        "mdeg/s": "mdps mdegs mdegps",
+        "mrad/s": "mrads mradps",
         "degC": "degc celsius",
         "ns": "ns nsec nanoseconds nanosec",
         "us": "us usec microseconds",
@@ -182,8 +188,8 @@ class Meaning:
 def understand(names: Sequence[Name], bare: str = "acceleration") -> list[Meaning]:
     """The meaning of every name; of a path, (group, group, name), its last part that has one.
 
-    bare : what x, y, z alone are ("angular_rate" in the file of a gyroscope), if nothing else is
-        an acceleration; by their unit where they have one
+    bare : what x, y, z alone are, from `bare_quantity`, if nothing else is an acceleration; by
+        their unit where they have one
     """
     found = [_meaning(i, name) for i, name in enumerate(names)]
     if not any(m.quantity == "time" for m in found):  # the French word, without a unit
@@ -200,6 +206,15 @@ def understand(names: Sequence[Name], bare: str = "acceleration") -> list[Meanin
     if not any(m.quantity == "acceleration" for m in found):
         found = [_bare_axis(m, bare) for m in found]
     return found
+
+
+def bare_quantity(name: str) -> str:
+    """What x, y, z alone are in a file or topic of a name, or "" for neither of the two."""
+    words = _join_words(_words(name))
+    kinds = {_KINDS[word] for word in words if len(word) > 1 and word in _KINDS}
+    if "acceleration" in kinds or not (kinds or _NO_FORCE & set(words)):
+        return "acceleration"
+    return "angular_rate" if kinds else ""
 
 
 def vectors_in(found: Sequence[Meaning]) -> dict[tuple[str, str], list[Meaning | None]]:

@@ -20,7 +20,7 @@ _DELIMITERS = (",", ";", "\t", "|", " ")
 #: What some loggers write before the names of the columns.
 _BEFORE_NAMES = re.compile(r"^\s*;\s*(headers\s*,)?\s*", re.IGNORECASE)
 _ROWS = 50  # of each look
-_HEADING = 3  # lines of it, at most: groups, names, units
+_HEADING = 4  # lines of it, at most: groups of groups, names, units
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,14 @@ from imucalib.readers.csv.dialect import Dialect
 from imucalib.readers.csv.text import is_number
 from imucalib.readers.devices.catalogue import UNKNOWN, Device, Start, device_named_in
 from imucalib.readers.timebase import start_of
-from imucalib.readers.words import Meaning, is_date, parts_of_time, triples_of, understand
+from imucalib.readers.words import (
+    Meaning,
+    bare_quantity,
+    is_date,
+    parts_of_time,
+    triples_of,
+    understand,
+)
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Correction, corrections_of
 from imucalib.units import ACCELERATION_UNITS, RATE_UNITS, canonical
@@ -46,7 +53,6 @@ _OWN_ROWS = re.compile(
 _OWN_MARK = re.compile(r"^# corrected: (.*)$", re.MULTILINE)
 _SERIAL = re.compile(r"serial (?:number|no\.?|code)[\s:;,]+([\w-]+)", re.IGNORECASE)
 _OWN_START = re.compile(r"start_ns\s*[:=]\s*(-?\d+)")
-_GYROSCOPE = re.compile(r"gyro|angular|drehrate", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -207,9 +213,10 @@ def select(
     Raises UsageError for a column that is not there.
     """
     notes: list[str] = []
-    gyroscope = bool(_GYROSCOPE.search(stem)) and "acc" not in stem.lower()
-    columns = understand(dialect.names, "angular_rate" if gyroscope else "acceleration")
-    if gyroscope and any(c.quantity for c in columns) and columns != understand(dialect.names):
+    bare = bare_quantity(stem.partition(".")[0])
+    columns = understand(dialect.names, bare)
+    turned = bare == "angular_rate" and any(c.quantity for c in columns)
+    if turned and columns != understand(dialect.names):
         notes.append("x, y, z are taken as an angular rate, by the name of the file")
     table = _Table(dialect, mapping, facts, pieces, columns, notes)
     every = table.vectors()
@@ -305,7 +312,8 @@ class _Table:
             return (), "", ""
         parts = parts_of_time(names)
         found = [c for c in columns if c.quantity == "time" and c.index not in parts.values()]
-        dates = [k for k, name in enumerate(names) if is_date(name)]
+        # The index of a table may have no name.
+        dates = [k for k, name in enumerate(names) if is_date(name) or not name]
         digits = [len(re.findall(r"\d+", cell)) for cell in self.dialect.example]
         if parts and not found:
             return tuple(parts.values()), "", "".join(parts)

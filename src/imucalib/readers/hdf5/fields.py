@@ -252,9 +252,8 @@ def _with_clock(field: Found, nodes: dict[str, Any], file: Any, mapping: FieldMa
 
     if mapping.time:
         return stamped(_stamps(_node_at(nodes, mapping.time, "time")), field.time_unit)
-    for column in understand(list(node.dtype.names or ())):
-        if column.quantity == "time":
-            return stamped(place_of(node, node.dtype.names[column.index]), column.unit)
+    if own := _own_clock(node, field.rows, nodes):
+        return stamped(*own)
     folder = node.name
     while folder:
         folder = folder.rpartition("/")[0]
@@ -269,6 +268,18 @@ def _with_clock(field: Found, nodes: dict[str, Any], file: Any, mapping: FieldMa
         if rate and rate > 0:
             return replace(field, rate=rate)
     return field
+
+
+def _own_clock(node: Any, rows: int, nodes: dict[str, Any]) -> tuple[Place, str] | None:
+    """The stamps that a dataset itself names, and the unit of their name: a column of its records,
+    or the coordinate of its rows (netCDF)."""
+    for column in understand(list(node.dtype.names or ())):
+        if column.quantity == "time":
+            return place_of(node, node.dtype.names[column.index]), column.unit
+    for scale in node.dims[1 if _is_flipped(node) else 0].values():
+        if scale.size == rows and scale.dtype.kind in "iuf" and scale.name in nodes:
+            return _stamps(scale), understand(words_of(scale.name)[-1:])[0].unit
+    return None
 
 
 def _stamps(node: Any) -> Place:

@@ -22,14 +22,16 @@ from imucalib.readers.messages.decode import Decoder, Look, decoder_for
 from imucalib.readers.messages.layout import Group, LayoutError
 from imucalib.readers.messages.records import MessageBlock, MessageLog, Topic
 from imucalib.readers.messages.topics import Source, TopicField
-from imucalib.readers.words import INERTIAL, instant_rank, understand
+from imucalib.readers.words import INERTIAL, bare_quantity, instant_rank, understand
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.pairing import distinct_names
 
 _SECONDS = (("sec", "nanosec"), ("sec", "nsec"), ("secs", "nsecs"), ("seconds", "nanos"))
 _AXES = (("x", "y", "z"), ("0", "1", "2"))
 _CLOCKS = ("log_time", "publish_time")
-_SENSOR_WORDS = re.compile(r"accelerometer|accel|acc|gyroscope|gyro|gyr", re.IGNORECASE)
+_SENSOR_WORDS = re.compile(
+    r"acc(?:el)?(?:erometer|eration)?|gyr(?:o(?:scope)?)?|angular_(?:velocity|rate)", re.IGNORECASE
+)
 _SI = {"acceleration": "m/s2", "angular_rate": "rad/s", "temperature": "degC"}
 #: Channel metadata of the files that this package writes: what a ROS message cannot say.
 META_TRIAD, META_QUANTITIES = "imucal.triad", "imucal.quantities"
@@ -121,12 +123,14 @@ def _stars(leaves: Leaves) -> list[str]:
     return [f"{path[:-1]}*" for path in leaves if len(path) > 1 and path[-1] == "x"]
 
 
-def _named(leaves: Leaves) -> list[tuple[Vector, str, Group]]:
+def _named(leaves: Leaves, topic: Topic) -> list[tuple[Vector, str, Group]]:
     """Every acceleration and angular rate that names tell, with its address and its numbers."""
     paths = list(leaves)
     fields = [Field(tuple(path.split(".")), count) for path, count in leaves.items()]
     found = []
-    for one in named_vectors(fields, understand([f.name for f in fields])):
+    for one in named_vectors(
+        fields, understand([f.name for f in fields], bare_quantity(topic.name))
+    ):
         three = [paths[k] for k in one.parts]
         address = three[0] if len(three) == 1 else _address_of(three)
         if group := one.quantity in INERTIAL and vector(leaves, address):
@@ -143,10 +147,10 @@ def _address_of(three: Sequence[str]) -> str:
     return "+".join(three)
 
 
-def _address(leaves: Leaves, quantity: str) -> str:
+def _address(leaves: Leaves, topic: Topic, quantity: str) -> str:
     """The address of the field with the best name of a quantity, or ""; of a topic that holds one
     vector that of this."""
-    own = [address for one, address, _ in _named(leaves) if one.quantity == quantity]
+    own = [address for one, address, _ in _named(leaves, topic) if one.quantity == quantity]
     every = list(_vectors_of(leaves))
     return (own or (every if len(every) == 1 else [""]))[0]
 
@@ -178,7 +182,8 @@ def source_of(topic: Topic, look: Look, mapping: FieldMapping) -> Source | None:
     elif len(stated) <= 1:
         named = [q for q, option in OPTIONS.items() if getattr(mapping, option)]
         fields = stated + [f for f in _found(topic, leaves) if f.quantity not in named]
-        if not stated and all(f.quantity != "acceleration" for f in fields):
+        told = bare_quantity(topic.name) == "angular_rate"
+        if not (stated or told or any(f.quantity == "acceleration" for f in fields)):
             return None  # a rate alone is also in odometry and in many a controller's messages
     if not fields:
         return None
@@ -206,7 +211,7 @@ def _stated(topic: Topic, leaves: Leaves, mapping: FieldMapping, quantity: str) 
         path = split_address(text, topic) if text else None
         if path is None:
             continue
-        address = path or ("" if single else _address(leaves, quantity))
+        address = path or ("" if single else _address(leaves, topic, quantity))
         group = (scalar if single else vector)(leaves, address) if address else None
         if group is None:
             raise UsageError(
@@ -224,7 +229,7 @@ def _found(topic: Topic, leaves: Leaves) -> list[TopicField]:
     """The vectors that their names tell, a field for each sensor and quantity."""
     fields = [
         TopicField(q := one.quantity, address, group, _unit_of(topic, q, one.unit), True, one.triad)
-        for one, address, group in _named(leaves)
+        for one, address, group in _named(leaves, topic)
     ]
     force = [f for f in fields if f.quantity == "acceleration"]
     if len(force) > 1:

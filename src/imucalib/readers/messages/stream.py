@@ -301,9 +301,10 @@ class TopicStream:
             own = stamps[rows] if stamps is not None else None
             low, high = self._spans.get(number, (1 << 64, 0))
             self._spans[number] = min(low, int(log[rows].min())), max(high, int(log[rows].max()))
-            if own is not None and (order := _order_of(own, log[rows])) is not None:
+            order = _order_of(log[rows] if own is None else own, log[rows])
+            if order is not None:
                 source.moved += int(np.count_nonzero(order != np.arange(order.size)))
-                rows, own = rows[order], own[order]
+                rows, own = rows[order], own if own is None else own[order]
             yield Samples(source, own, log[rows], [c[rows] for c in columns])
 
 
