@@ -11,9 +11,12 @@ import pytest
 from imucalib import readers
 from imucalib.arrays import Array
 from imucalib.errors import ImucalError
+from imucalib.readers.csv.table import Cells, table_cells
+from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
 from worlds import dialects_messages, dialects_netcdf, dialects_pandas  # noqa: F401  (register)
 from worlds.dialects import DIALECTS, RATE, START, Dialect, N, T
+from worlds.dialects_xlsx import NAMES, ROWS, SHEETS, written
 
 NEEDS = {"protobuf": ["google.protobuf"], "tables": ["tables", "pandas"]}
 
@@ -82,3 +85,25 @@ def test_no_dialect_is_read_wrongly_without_a_word(name: str, tmp_path: Path) ->
         pytest.importorskip(module)
     verdict, why = verdict_on(planted, tmp_path)
     assert verdict == planted.expected, why
+
+
+@pytest.mark.parametrize("name", SHEETS)
+def test_no_sheet_is_read_wrongly_without_a_word(name: str, tmp_path: Path) -> None:
+    pytest.importorskip("openpyxl")
+    fill, expected = SHEETS[name]
+    path = written(fill, tmp_path)
+    if expected == "refused":
+        with pytest.raises((ImucalError, ValueError)):
+            numbers_in(table_cells(path, FieldMapping()))
+    else:
+        np.testing.assert_array_equal(numbers_in(table_cells(path, FieldMapping())), ROWS)
+
+
+def numbers_in(cells: Cells) -> Array:
+    """The planted columns. Raises ValueError for a cell that is no number."""
+    return np.array([[float(c) for c in cells.columns[n]] for n in columns_of(cells)]).T
+
+
+def columns_of(cells: Cells) -> list[str]:
+    """The headings of what was planted, whatever stands around their names."""
+    return [next(c for c in cells.columns if c.startswith(name)) for name in NAMES]
