@@ -19,7 +19,7 @@ from imucalib.readers import read
 from imucalib.readers.conversion import zero_g
 from imucalib.readers.joining import join
 from imucalib.readers.rates import FASTEST
-from imucalib.recording.mapping import FieldMapping, from_dict
+from imucalib.recording.mapping import FieldMapping, from_dict, parse_axis_map
 from imucalib.recording.recording import Recording
 from imucalib.units import ACCELERATION_UNITS, DEG, RATE_UNITS
 from worlds.command import run
@@ -213,11 +213,35 @@ def test_a_unit_that_nobody_states_is_named_where_turns_prove_it(true: str, tmp_
     names = [f"{q}_{a}" for q in ("acc", "gyro") for a in "xyz"]
     np.savetxt(path, table, delimiter=",", header=",".join(["time_s", *names]), comments="")
     found = readers.read(path)
-    assert found.channels["imu0/angular_rate"].unit == "counts"
-    assert sum(f"give --gyro-unit {true}" in note for note in found.notes) == 1
-    again = readers.read(path, FieldMapping(gyro_unit=true))
-    np.testing.assert_allclose(again.channels["imu0/angular_rate"].values, rate, atol=1e-6)
-    assert not [note for note in again.notes if "--gyro-unit" in note]
+    np.testing.assert_allclose(found.channels["imu0/angular_rate"].values, rate, atol=1e-6)
+    assert sum(f"in {true}, and is read so" in note for note in found.notes) == 1
+    assert not [note for note in found.notes if "--gyro-unit" in note]
+    assert found.mapping["gyro_unit"] == true
+    again = join(readers.blocks(path, block_samples=97), "")
+    np.testing.assert_array_equal(
+        again.channels["imu0/angular_rate"].values, found.channels["imu0/angular_rate"].values
+    )
+    assert again.notes == found.notes
+
+
+@pytest.mark.parametrize("axes", ["-x,-y,z", "-x,y,z", "y,-z,x"])
+@pytest.mark.parametrize("true", ["rad/s", "deg/s"])
+def test_axes_that_differ_refute_no_unit(true: str, axes: str, tmp_path: Path) -> None:
+    t, acc, rate = turned()
+    path = tmp_path / "log.csv"
+    table = np.column_stack([t, acc, parse_axis_map(axes).apply(rate) / RATE_UNITS[true]])
+    names = [f"{q}_{a}" for q in ("acc", "gyro") for a in "xyz"]
+    np.savetxt(path, table, delimiter=",", header=",".join(["time_s", *names]), comments="")
+    stated = readers.read(path, FieldMapping(gyro_unit=true))
+    found = readers.read(path)
+    np.testing.assert_allclose(
+        found.channels["imu0/angular_rate"].values,
+        stated.channels["imu0/angular_rate"].values,
+        rtol=1e-12,
+    )
+    other = "rad/s" if true == "deg/s" else "deg/s"
+    with pytest.raises(UnreadableInput, match=f"--gyro-unit {true}"):
+        readers.read(path, FieldMapping(gyro_unit=other))
 
 
 _LEVEL, _SCALE = np.array([33123.0, 33276.0, 32360.0]), np.array([4076.0, 4006.0, 4052.0])

@@ -422,6 +422,10 @@ def _without_gravity(norm: float, where: str) -> UnreadableInput:
     )
 
 
+#: What is said of a rate whose unit nobody states.
+UNKNOWN_RATE = "angular rate: no unit is stated, kept as raw counts; name it with --gyro-unit"
+
+
 def angular_rate(mapping: FieldMapping, stated: str, where: str) -> Conversion:
     """Conversion of raw angular rate to rad/s; without any unit the numbers stay "counts"."""
     axes = parse_axis_map(mapping.axis_map)
@@ -433,7 +437,7 @@ def angular_rate(mapping: FieldMapping, stated: str, where: str) -> Conversion:
     if unit in ("", COUNTS):
         note = "angular rate kept as raw counts"
         if not unit:
-            note = "angular rate: no unit is stated, kept as raw counts; name it with --gyro-unit"
+            note = UNKNOWN_RATE
         return Conversion(COUNTS, COUNTS, np.ones(1), offset, axes, note)
     factor = _factor(unit, units.RATE_UNITS, mapping.gyro_unit, "--gyro-unit", where)
     return Conversion("rad/s", unit, factor, offset, axes)

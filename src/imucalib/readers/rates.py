@@ -1,12 +1,10 @@
-"""Whether angular rates have the unit that is stated: what no gyroscope reads, and what turns say.
-
-Between two rests gravity turns by the integral of the rate: u(k+1) = R' u(k). In the true unit that
-holds to a degree or two; in another one the recording contradicts itself.
+"""The unit of angular rates: what no gyroscope reads, and what gravity says over turns
+(`core.set_up`). A unit that nobody states is found so, and one that is refuted is refused.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -14,7 +12,10 @@ import numpy as np
 
 from imucalib import units
 from imucalib.arrays import Array, Flags
+from imucalib.core.effect import rotations
+from imucalib.core.set_up import DOUBT, SIGNED, axes_in_words, misfits, weigh
 from imucalib.errors import UnreadableInput
+from imucalib.readers.conversion import UNKNOWN_RATE
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Recording
 
@@ -27,20 +28,18 @@ _WINDOW, _LONGEST_TURN = 0.3, 15.0  # s; beyond, the bias moves
 #: logs). A hundredth of gravity, or of the fastest turn, is still in any case.
 _QUIETEST, _QUIET, _LITTLE = 0.04, 10.0**0.5, 0.01
 _SEEN_TURN = 20.0 * units.DEG  # a smaller turn of gravity tells no factor
-#: A unit is refuted by this error (in the true one hand-turned logs have 0.4 to 2.2 deg); another
-#: one is proven where chance carries gravity as near once in a million recordings. No two sensors
-#: are aligned better than a degree.
-_REFUTED, _PROVEN, _ALIGNED = 10.0 * units.DEG, np.log(1e-6), 1.0 * units.DEG
+#: A unit is refuted by this error (in the true one hand-turned logs have 0.4 to 2.2 deg).
+_REFUTED = 10.0 * units.DEG
 _TURNS, _SAMPLES = 12, 1 << 20  # that are looked at, of each sensor
 
 
 def with_checked_rates(
     blocks: Iterable[Recording], mapping: FieldMapping, *, fixed: bool
 ) -> Iterator[Recording]:
-    """The same blocks, their angular rates looked at.
+    """The same blocks, their angular rates looked at; in SI where no unit is stated and turns prove
+    one, for which a million samples wait.
 
-    fixed : whether the format itself fixes the unit: it is then never refused. Where no unit is
-    stated, a note names the one that turns prove.
+    fixed : whether the format itself fixes the unit: it is then never refused
     Raises UnreadableInput where the stated unit cannot be, with the option that settles it. A scale
     that the user gives (--gyro-lsb) is taken as it is.
     """
@@ -48,50 +47,90 @@ def with_checked_rates(
         yield from blocks
         return
     seen: dict[str, _Rates] = {}
+    waiting = list[Recording]()
     for block in blocks:
         stated = str(block.mapping.get("gyro_unit", "")) or mapping.gyro_unit or "rad/s"
-        notes = list[str]()
         for name, rate in block.channels.items():
-            if rate.quantity != "angular_rate" or rate.t.size < _IN_A_ROW:
-                continue
-            if rate.unit != "rad/s" and mapping.gyro_unit:
-                continue
-            unit = units.canonical(stated) if rate.unit == "rad/s" else "counts"
-            own = _Rates(unit, bool(mapping.gyro_unit), f"{block.path}, {name}")
-            own = seen.setdefault(name, own)
-            if unit != "counts":
-                own.demand_slow(rate)
-            force = block.channels.get(f"{rate.triad}/acceleration")
-            if force is not None:
-                # A damaged number may be of any size.
-                with np.errstate(over="ignore", invalid="ignore"):
-                    found = own.add(force, rate)
-                notes += [f"{name}: {found}"] * bool(found)
-        yield replace(block, notes=(*block.notes, *notes)) if notes else block
+            if rate.quantity == "angular_rate" and (rate.unit == "rad/s" or not mapping.gyro_unit):
+                unit = units.canonical(stated) if rate.unit == "rad/s" else ""
+                own = _Rates(unit, bool(mapping.gyro_unit), f"{block.path}, {name}")
+                seen.setdefault(name, own)
+        for name, own in seen.items():
+            pair = (
+                block.channels.get(f"{name.rpartition('/')[0]}/acceleration"),
+                block.channels.get(name),
+            )
+            # A damaged number may be of any size.
+            with np.errstate(over="ignore", invalid="ignore"):
+                own.add(*pair)
+        waiting.append(block)
+        if not any(own.open for own in seen.values()):
+            yield from _in_units_found(waiting, seen)
+            waiting = []
+    yield from _in_units_found(waiting, seen)
+
+
+def _in_units_found(blocks: Sequence[Recording], seen: Mapping[str, _Rates]) -> Iterator[Recording]:
+    """The blocks with those rates in SI whose unit nobody states and turns prove; the first says
+    so."""
+    if not blocks:
+        return
+    first = any(own.held for own in seen.values())
+    found = {name: true for name, own in seen.items() if (true := own.close())}
+    every = len(found) == sum(not own.unit for own in seen.values())
+    for block in blocks:
+        channels, notes, known = dict(block.channels), block.notes, dict(block.mapping)
+        for name, (unit, sentence) in found.items():
+            if name in channels:
+                own, size = channels[name], units.RATE_UNITS[unit]
+                channels[name] = replace(
+                    own,
+                    values=own.values * size,
+                    unit="rad/s",
+                    raw_unit=unit,
+                    raw_to_si=(size,),
+                )
+            if first:
+                notes = (*notes, f"{name}: {sentence}")
+            known["gyro_unit"] = unit
+        if found and every:
+            notes = tuple(note for note in notes if not note.endswith(UNKNOWN_RATE))
+        yield replace(block, channels=channels, notes=notes, mapping=known)
+        first = False
 
 
 @dataclass
 class _Rates:
     """The rates of one sensor.
 
-    unit : that is stated, or "counts"; by_user : who states it; where : of which channel
-    errors : of gravity carried over turns, by unit, rad; samples : that were looked at
+    unit : that is stated, or ""; by_user : who states it; where : of which channel
+    turns : gravity before, after, and the rotations between them in every unit
+    samples : so far; held : forces and rates that wait, where no unit is stated; found : it, and
+    the sentence on it
     """
 
     unit: str
     by_user: bool
     where: str
-    errors: list[Array] = field(default_factory=list)
+    turns: list[tuple[Array, Array, Array]] = field(default_factory=list)
     samples: int = 0
+    held: list[tuple[Channel | None, Channel | None]] = field(default_factory=list)
+    found: tuple[str, str] | None = None
+    closed: bool = False
+
+    @property
+    def open(self) -> bool:
+        """Whether its unit is still sought."""
+        return not (self.unit or self.closed or self.samples >= _SAMPLES)
 
     def _factors(self) -> dict[str, float]:
-        """What turns a value in SI into the one that it would be in another unit; none where each
-        axis has its own."""
-        if self.unit == "counts":  # as yet in none
+        """What turns a value in SI into the one that it would be in a unit, the stated one first;
+        none where each axis has its own."""
+        if not self.unit:  # as yet in none
             return dict(units.RATE_UNITS)
         own = units.RATE_UNITS.get(self.unit)
-        others = (item for item in units.RATE_UNITS.items() if own and item[0] != self.unit)
-        return {name: size / own for name, size in others if own}
+        others = {n: size / own for n, size in units.RATE_UNITS.items() if own and n != self.unit}
+        return {self.unit: 1.0, **others} if own else {}
 
     def _refused(self, what: str, true: str) -> UnreadableInput:
         """The error; `true` is the unit that fits, or empty."""
@@ -120,44 +159,75 @@ class _Rates:
             )
             raise self._refused(what, true)
 
-    def add(self, force: Channel, rate: Channel) -> str:
-        """Take consecutive samples; raises where they refute the unit and prove another. Returns
-        what they prove where none is stated, once."""
-        factors = self._factors()
-        if not factors or len(self.errors) >= _TURNS or self.samples >= _SAMPLES:
-            return ""
-        self.samples += rate.t.size
-        acc, turn = force.values, rate.values
-        if not np.array_equal(force.t, rate.t):
-            if force.t.size < _IN_A_ROW:
-                return ""
-            acc = np.column_stack([np.interp(rate.t, force.t, axis) for axis in acc.T])
-        self.errors += carried(rate.t, acc, turn, np.array([1.0, *factors.values()]))
-        if not self.errors:
-            return ""
-        off, *others = np.median(self.errors, axis=0).tolist()
-        best = int(np.argmin(others))
-        least = max(others[best], _ALIGNED)
-        chance = len(self.errors) * np.log((1.0 - np.cos(least)) / 2.0) + np.log(len(factors))
-        if chance >= _PROVEN:
-            return ""
-        true = list(factors)[best]
-        turns, angle = f"{len(self.errors)} turns between rests", f"{least / units.DEG:.2g} deg"
-        if self.unit == "counts":
-            self.samples = _SAMPLES
-            return f"over {turns} it carries gravity to {angle} in {true}: give --gyro-unit {true}"
-        if off > _REFUTED:
+    def add(self, force: Channel | None, rate: Channel | None) -> None:
+        """Take consecutive samples. Raises UnreadableInput where no such sensor reads them in the
+        unit that is stated, or where turns refute it and prove another."""
+        if self.unit and rate is not None and rate.t.size >= _IN_A_ROW:
+            self.demand_slow(rate)
+        if self.closed or len(self.turns) >= _TURNS or self.samples >= _SAMPLES:
+            return
+        self.samples += rate.t.size if rate is not None else 0
+        if not self.unit:  # a turn may go on in the next block
+            self.held.append((force, rate))
+        elif force is not None and rate is not None and self._factors():
+            self._look(force.t, force.values, rate.t, rate.values)
+            self._demand_unrefuted()
+
+    def _demand_unrefuted(self) -> None:
+        chance, off = self._weighed()
+        best = int(np.argmax(chance.sum(axis=1)))
+        least = float(off[best].min())
+        proven = chance[0].sum() <= DOUBT and chance[best].sum() >= 1.0 - DOUBT
+        if proven and least < _REFUTED < off[0, 0]:
+            true = list(self._factors())[best]
             what = (
-                f"over {turns} the angular rate carries gravity {off / units.DEG:.0f} deg past "
-                f"where it is, {angle} in {true},"
+                f"over {len(self.turns)} turns between rests the angular rate carries gravity "
+                f"{off[0, 0] / units.DEG:.0f} deg past where it is, {least / units.DEG:.2g} deg in "
+                f"{true},"
             )
             raise self._refused(what, true)
-        return ""
+
+    def _look(self, at: Array, acc: Array, t: Array, rate: Array) -> None:
+        if min(at.size, t.size) < _IN_A_ROW:
+            return
+        if not np.array_equal(at, t):
+            acc = np.column_stack([np.interp(t, at, axis) for axis in acc.T])
+        self.turns += carried(t, acc, rate, np.array(list(self._factors().values())))
+
+    def _weighed(self) -> tuple[Array, Array]:
+        """(k, 48) chance of each unit in each axes, and the median misfit, rad."""
+        if not self.turns:
+            count = len(self._factors())
+            return np.full((count, 48), 1.0 / (48 * count)), np.zeros((count, 48))
+        off = misfits(*map(np.array, zip(*self.turns, strict=True)))
+        return weigh(off, stated=bool(self.unit)), np.median(off, axis=0)
+
+    def close(self) -> tuple[str, str] | None:
+        """The unit that turns prove where nobody states one, and the sentence on it."""
+        held, self.held = self.held, []
+        self.closed = self.closed or not self.unit
+        pairs = [[c for c in channels if c is not None] for channels in zip(*held, strict=True)]
+        if not pairs or not all(pairs):
+            return self.found
+        force, rate = ([np.concatenate(p) for p in zip(*((c.t, c.values) for c in cs), strict=True)]
+                       for cs in pairs)  # fmt: skip
+        with np.errstate(over="ignore", invalid="ignore"):
+            self._look(*force, *rate)
+        chance, off = self._weighed()
+        best = int(np.argmax(chance.sum(axis=1)))
+        least = float(off[best].min())
+        if chance[best].sum() >= 1.0 - DOUBT and least < _REFUTED:
+            unit, degrees = list(self._factors())[best], f"{least / units.DEG:.2g} deg"
+            axes = axes_in_words(SIGNED[int(np.argmax(chance[best]))])
+            turned = f" where its axes are {axes}" if axes != "x,y,z" else ""
+            said = f"no unit is stated; over {len(self.turns)} turns between rests it carries"
+            self.found = unit, f"{said} gravity to {degrees} in {unit}{turned}, and is read so"
+        return self.found
 
 
-def carried(t: Array, acc: Array, rate: Array, factors: Array) -> list[Array]:
-    """Of every turn between two rests, the angle (rad) between gravity carried over it and gravity
-    read after it, (k,) for rates times each factor.
+def carried(t: Array, acc: Array, rate: Array, factors: Array) -> list[tuple[Array, Array, Array]]:
+    """Of every turn between two rests gravity before and after it, unit vectors, and the rotations
+    (k, 2, 3, 3) between them by rates times each factor, and by the opposite ones.
 
     t : (n,) s; acc, rate : (n, 3), rad/s; at most `_TURNS` turns
     """
@@ -166,7 +236,8 @@ def carried(t: Array, acc: Array, rate: Array, factors: Array) -> list[Array]:
     if not width or t.size < 4 * width or not np.isfinite(acc).all() or not np.isfinite(rate).all():
         return []
     rests = _rests(t, acc, rate, width=width, step=step)
-    found = []
+    signed = np.stack([factors, -factors], axis=1).reshape(-1, 1, 1)
+    found = list[tuple[Array, Array, Array]]()
     for (_, a), (b, _) in pairwise(rests):
         ends = slice(a - width, a), slice(b, b + width)
         means = [acc[end].mean(axis=0) for end in ends]
@@ -180,8 +251,7 @@ def carried(t: Array, acc: Array, rate: Array, factors: Array) -> list[Array]:
             continue
         own = rate[a - 1 : b + 1] - 0.5 * (rate[ends[0]].mean(axis=0) + rate[ends[1]].mean(axis=0))
         vectors = 0.5 * (own[1:] + own[:-1]) * dt[:, None]
-        there = _turned(before, factors[:, None, None] * vectors)
-        found.append(np.arccos(np.clip(there @ after, -1.0, 1.0)))
+        found.append((before, after, _turned(signed * vectors).reshape(-1, 2, 3, 3)))
         if len(found) == _TURNS:
             break
     return found
@@ -206,24 +276,13 @@ def _rests(t: Array, acc: Array, rate: Array, *, width: int, step: float) -> lis
     return [((a + 1) * width, (b - 1) * width) for a, b in pairs if b - a >= 3]
 
 
-def _turned(before: Array, vectors: Array) -> Array:
-    """(k, 3) a direction of the world in the body's axes after it turned by rotation vectors
-    (k, n, 3), one after the other."""
-    angle = np.linalg.norm(vectors, axis=2, keepdims=True)
-    half = 0.5 * np.sinc(angle / (2.0 * np.pi))  # sin(angle / 2) / angle
-    turns = np.concatenate([np.cos(0.5 * angle), half * vectors], axis=2)
+def _turned(vectors: Array) -> Array:
+    """(k, 3, 3) R of rotation vectors (k, n, 3), one after the other."""
+    turns = rotations(vectors)
     while turns.shape[1] > 1:
         if turns.shape[1] % 2:
-            still = np.broadcast_to([1.0, 0.0, 0.0, 0.0], (turns.shape[0], 1, 4))
-            turns = np.concatenate([turns, still], axis=1)
-        turns = _product(turns[:, ::2], turns[:, 1::2])
-    real, axis = turns[:, 0, :1], -turns[:, 0, 1:]
-    twice = 2.0 * np.cross(axis, before)
-    return np.asarray(before + real * twice + np.cross(axis, twice))
-
-
-def _product(one: Array, two: Array) -> Array:
-    """Products of quaternions (..., 4)."""
-    a, b, x, y = one[..., :1], two[..., :1], one[..., 1:], two[..., 1:]
-    real = a * b - (x * y).sum(axis=-1, keepdims=True)
-    return np.concatenate([real, a * y + b * x + np.cross(x, y)], axis=-1)
+            turns = np.concatenate(
+                [turns, np.broadcast_to(np.eye(3), (len(turns), 1, 3, 3))], axis=1
+            )
+        turns = turns[:, ::2] @ turns[:, 1::2]
+    return np.asarray(turns[:, 0])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import permutations, product
 from pathlib import Path
 
 import numpy as np
@@ -23,8 +22,9 @@ from imucalib.calibrators.imu.search import (
 from imucalib.calibrators.lab.errors import rms
 from imucalib.calibrators.lab.files import run_of_rests, still_rests, table_of_rests
 from imucalib.calibrators.lab.run import LabRun
+from imucalib.core.set_up import DOUBT, SIGNED, axes_in_words, misfits, weigh
 from imucalib.errors import UnreadableInput
-from imucalib.estimators.carried import attitudes, between
+from imucalib.estimators.carried import attitudes
 from imucalib.estimators.turn_log import TurnLog, moved_by
 from imucalib.estimators.turns import TurnFit, carried_error
 from imucalib.inspection.noise import SensorNoise, noise_at_rest
@@ -35,10 +35,7 @@ from imucalib.units import DEG
 
 #: Blocks of turns that are held out.
 FOLDS = 5
-#: Turns that are carried, and rad by which plain gains carry gravity past where it is.
-_TURNS, _OFF = 12, 2.0 * DEG
-#: Nats by which another mapping has to lead: one of 48, a thousand to one.
-_LEAD = float(np.log(48.0 * 1000.0))
+_TURNS = 12  # that are carried
 
 
 @dataclass(frozen=True)
@@ -164,50 +161,42 @@ def _as_read(fit: TurnFit) -> TurnFit:
 def demand_axes(log: TurnLog, where: str, stated: AxisMap) -> None:
     """Raise UnreadableInput, with the option that undoes it, where the gyroscope's axes are others
     than the accelerometer's: gravity says, turn by turn. stated : axes that were said already
-
-    Every signed permutation is tried. Of a rotation P, R(Pω) = P R(ω) P', so that two integrations
-    a turn, of ω and of -ω, serve all 48.
     """
     turns = sorted(log.turns, key=lambda turn: -turn.lasting)[:_TURNS]
-    turned = []
-    for turn in turns:
-        seen, _ = moved_by(log, log.rate, turn)
-        turned.append([attitudes(turn.t, sign * seen)[-1] for sign in (1.0, -1.0)])
     up = log.force / np.linalg.norm(log.force, axis=1)[:, None]
     before, after = (up[[turn.rest + k for turn in turns]] for k in (0, 1))
-    whole = np.array(turned)
-    found = []
-    mappings = product(permutations(range(3)), product((1.0, -1.0), repeat=3))
-    for P in (_matrix(order, signs) for order, signs in mappings):
-        sign = round(float(np.linalg.det(P)))
-        pure = sign * P
-        carried = np.einsum(
-            "ji,njk,nk->ni", pure.T, whole[:, 0 if sign > 0 else 1].swapaxes(1, 2), before @ pure
-        )
-        off = between(carried, after)
-        found.append((float(-1.5 * np.log1p((off / _OFF) ** 2).sum()), float(np.median(off)), P))
-    as_read = next(f for f in found if np.array_equal(f[2], np.eye(3)))
-    best = max(found, key=lambda f: f[0])
-    if best[0] - as_read[0] < _LEAD:
+    seen = [moved_by(log, log.rate, turn)[0] for turn in turns]
+    turned = [
+        [attitudes(turn.t, sign * rate)[-1] for sign in (1.0, -1.0)]
+        for turn, rate in zip(turns, seen, strict=True)
+    ]
+    off = misfits(before, after, np.array(turned)[:, None])
+    chance, median = weigh(off)[0], np.median(off[:, 0], axis=0)
+    best = int(np.argmax(chance))
+    if chance[0] > DOUBT:
         return
-    line = ",".join(_axis(row) for row in best[2] @ _matrix(stated.order, stated.sign))
+    own = _matrix(stated.order, stated.sign)
+    line = axes_in_words(SIGNED[best] @ own)
+    next_ = int(np.argsort(chance)[-2])
+    other = f"; {axes_in_words(SIGNED[next_] @ own)} {_percent(chance[next_])}"
+    rival = other if chance[next_] > DOUBT else ""
     mirrored = (
         "; one of the two sensors is mirrored, and gravity does not say which"
-        if np.linalg.det(best[2]) < 0.0
+        if np.linalg.det(SIGNED[best]) < 0.0
         else ""
     )
     raise UnreadableInput(
-        f"over {len(turns)} turns the gyroscope carries gravity {as_read[1] / DEG:.0f} deg past "
-        f"where it is, and {best[1] / DEG:.1f} deg where its axes are {line}{mirrored}",
+        f"over {len(turns)} turns the gyroscope carries gravity {median[0] / DEG:.0f} deg past "
+        f"where it is, and {median[best] / DEG:.1f} deg where its axes are {line} "
+        f"({_percent(chance[best])}{rival}){mirrored}",
         where=where,
         remedy=f"add --gyro-axes={line}",
     )
 
 
+def _percent(chance: float) -> str:
+    return "> 99.9 %" if chance > 1.0 - DOUBT else f"{100.0 * chance:.2g} %"
+
+
 def _matrix(order: Sequence[int], sign: Sequence[float]) -> Array:
     return np.asarray(np.eye(3)[list(order)] * np.array(sign)[:, None])
-
-
-def _axis(row: Array) -> str:
-    k = int(np.argmax(np.abs(row)))
-    return ("-" if row[k] < 0.0 else "") + "xyz"[k]
