@@ -52,28 +52,6 @@ def _start(text: str) -> Start:
     return Start(int(start.timestamp()) * 1_000_000_000, notes)
 
 
-_EXAMPLE = """------------ Data File Created By ActiGraph GT3X+ ActiLife v6.13.3 Firmware v1.7.2 \
-date format M/d/yyyy at 100 Hz  Filter Normal -----------
-Serial Number: TAS1H30182785
-Start Time 18:40:00
-Start Date 9/17/2019
-Epoch Period (hh:mm:ss) 00:00:00
-Download Time 19:20:05
-Download Date 9/17/2019
-Current Memory Address: 0
-Current Battery Voltage: 4.18     Mode = 12
---------------------------------------------------
-Accelerometer X,Accelerometer Y,Accelerometer Z
-0,0.008,0.996
-0.016,0,1.008
-0.02,-0.008,1.004
-0.016,-0.012,1.012
-0.016,-0.008,1.008
-0.008,-0.008,1.008
-0.016,-0.008,1.016
-0.02,-0.004,1.016
-"""
-
 DEVICE = Device(
     "actigraph",
     FieldMapping(acc=("1", "2", "3"), acc_unit="g"),
@@ -81,6 +59,5 @@ DEVICE = Device(
     start=_start,
     refuse=_refuse_epochs,
     sleeps=True,
-    example=_EXAMPLE,
     source="THLfi/read.gt3x, TAS1H30182785_2019-09-17.csv",
 )

@@ -43,7 +43,7 @@ class Device:
     scales : counts a g that its models have, where the files do not say which
     refuse : (those lines, where) -> raises UnreadableInput for exports that hold no raw data
     sleeps : rows of zeros, or the last reading repeated, mean "not recorded"
-    example : the first lines of a true export; source : where they are published
+    source : of the first lines of a true export, which lie in `examples`
     """
 
     name: str
@@ -54,8 +54,13 @@ class Device:
     scales: tuple[float, ...] = ()
     refuse: Callable[[str, str], None] = lambda text, where: None
     sleeps: bool = False
-    example: str = ""
     source: str = ""
+
+    @property
+    def example(self) -> str:
+        """The first lines of a true export, or "" where none is known."""
+        path = Path(__file__).parent / "examples" / f"{self.name}.txt"
+        return path.read_text(encoding="utf-8") if self.source else ""
 
 
 @cache

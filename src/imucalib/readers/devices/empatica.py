@@ -38,24 +38,11 @@ def _start(text: str) -> Start:
     return Start(None if start is None else round(start * 1e9), (), rate)
 
 
-_EXAMPLE = """1560279825.000000, 1560279825.000000, 1560279825.000000
-32.000000, 32.000000, 32.000000
--61,25,6
--62,24,11
--58,25,17
--48,26,25
--48,26,28
--50,27,28
--41,25,32
--45,27,32
-"""
-
 DEVICE = Device(
     "empatica",
     FieldMapping(acc=("1", "2", "3")),
     heading=_heading,
     start=_start,
     scales=(_LSB_PER_G,),
-    example=_EXAMPLE,
     source="im-ethz/flirt, test/wearable-data/empatica/ACC.csv",
 )

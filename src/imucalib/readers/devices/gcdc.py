@@ -44,36 +44,11 @@ def _start(text: str) -> Start:
     return Start(seconds * 1_000_000_000 + part, notes, units=units)
 
 
-_EXAMPLE = """;Title, http://www.gcdataconcepts.com, LSM6DSM, BMP384, GPS
-;Version, 2476, Build date, Apr 17 2023,  SN:CCDC20235263491
-;Start_time, 2023-05-31, 22:09:12.819
-;Uptime, 5,sec,  Vbat, 4194, mv, EOL, 3500, mv
-;Deadband, 0, counts
-;DeadbandTimeout, 5.000,sec
-;LSM6DSM, SR,104,Hz, Units, mG, mdps, fullscale gyro 250dps, accel 4g
-;Magnetometer, SR,10,Hz, Units, nT, Temperature, 37,degC
-;BMP384, SI, 0.100,sec, Units, Pa, mdegC
-;Alt Trigger disabled
-;CAM_M8 Gps, SR,1,Hz
-;Gps Sats, TOW, 0, ver, 0, numSat, 0
-;, gnssId, svId, cno, elev, azmith, prRes, flags,inUse
-;Time, Ax, Ay, Az, Gx, Gy, Gz, Mx, My, Mz, P, T
-1685570953.732178,18,-12,1012,-866,-2328,-132,52734,3735,2868,101368,39951
-1685570953.741470,17,-12,1015,-813,-2442,-167
-1685570953.750762,17,-13,1016,-866,-2363,-184
-1685570953.760054,17,-12,1014,-857,-2450,-202
-1685570953.769346,18,-13,1014,-857,-2415,-245
-1685570953.778638,18,-12,1014,-840,-2407,-219
-1685570953.787930,18,-12,1014,-813,-2450,-219
-1685570953.797222,17,-11,1014,-831,-2459,-167
-"""
-
 DEVICE = Device(
     "gcdc",
     FieldMapping(time="1", acc=("2", "3", "4"), time_unit="s"),
     words=("gcdataconcepts",),
     start=_start,
     scales=(1024.0, 2048.0, 16384.0),  # by model and gain; the header names neither,
-    example=_EXAMPLE,
     source="README of the AerobaticLogger project on GitHub (an IMU-GPS logger)",
 )
