@@ -120,6 +120,27 @@ def choose(
     return _firsts(own)
 
 
+def resolved(
+    mapping: FieldMapping, read: Sequence[tuple[Any, Sequence[str], str]], **more: Any
+) -> FieldMapping:
+    """The mapping that reads a file, and others like it, the same way.
+
+    read : of each vector (what has its quantity and triad) the addresses of its fields and the unit
+        that they have; more : other fields of the mapping
+    """
+    fields: dict[str, Any] = {}
+    triads = dict[str, tuple[str, ...]]()
+    for quantity, option in OPTIONS.items():
+        own = [one for one in read if one[0].quantity == quantity]
+        units = {unit for *_, unit in own}
+        fields[f"{option}_unit"] = units.pop() if len(units) == 1 else ""
+        fields[option] = tuple(dict.fromkeys(a for _, addresses, _ in own for a in addresses))
+        triads[quantity] = tuple(v.triad for v, *_ in own)
+    acc, gyro = triads["acceleration"], triads["angular_rate"]
+    fields["triads"] = acc if gyro == acc[: len(gyro)] else acc + gyro
+    return replace(mapping, **fields, **more)
+
+
 def sensor_name(names: Sequence[str], number: int, before: int = 0) -> tuple[str, bool]:
     """What the user calls a stated vector, and whether that is only a number. before : names of
     others in front of it"""

@@ -217,16 +217,6 @@ def bare_quantity(name: str) -> str:
     return "angular_rate" if kinds else ""
 
 
-def vectors_in(found: Sequence[Meaning]) -> dict[tuple[str, str], list[Meaning | None]]:
-    """(quantity, sensor) -> the first field of each axis, or None where there is none."""
-    groups: dict[tuple[str, str], list[Meaning | None]] = {}
-    for one in found:
-        if one.is_axis:
-            axes = groups.setdefault((one.quantity, one.triad), [None, None, None])
-            axes[one.axis] = axes[one.axis] or one
-    return groups
-
-
 def triples_of(names: Sequence[str]) -> list[tuple[int, int, int]]:
     """Where three names differ in nothing but x, y, z."""
     at = {name: k for k, name in reversed(list(enumerate(names)))}

@@ -9,9 +9,10 @@ from dataclasses import dataclass, replace
 from itertools import accumulate
 
 from imucalib.errors import UnreadableInput
+from imucalib.readers.choice import Field, named_vectors
 from imucalib.readers.csv.text import COMMENT, cells_of, decoded, is_blank, is_number
 from imucalib.readers.devices.catalogue import rows_of_heading
-from imucalib.readers.words import instant_rank, understand, vectors_in
+from imucalib.readers.words import instant_rank, understand
 from imucalib.recording.mapping import FieldMapping
 from imucalib.units import without_brackets
 
@@ -212,7 +213,7 @@ def _names(above: list[str], shape: Dialect) -> tuple[str, ...]:
     for first in reversed(range(len(rows))):
         names = rows[-1] if first == len(rows) - 1 else _join_rows(rows[first:])
         told = understand(names)
-        axes = [vector for vector in vectors_in(told).values() if None not in vector]
+        axes = [v for v in named_vectors([Field(n) for n in names], told) if len(v.parts) == 3]
         own = len(axes), sum(any(m.quantity == q for m in told) for q in ("time", "temperature"))
         if own > score and any(map(any, names)):
             found, score = names, own

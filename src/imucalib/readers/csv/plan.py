@@ -11,7 +11,7 @@ import numpy as np
 from imucalib.arrays import Array, Flags
 from imucalib.errors import UnreadableInput
 from imucalib.readers import conversion
-from imucalib.readers.choice import Vector
+from imucalib.readers.choice import Vector, resolved
 from imucalib.readers.contents import unread
 from imucalib.readers.conversion import Conversion
 from imucalib.readers.csv.clock import Clock, clock_by_rate, clock_by_stamps
@@ -137,43 +137,18 @@ def make_plans(path: Path, mapping: FieldMapping) -> list[Plan]:
     left = (*words, *some[: len(dialect.more)], *unread(contents_of(dialect, pieces, used)))
     selection = replace(selection, notes=(*selection.notes, *left))
     shape = Shape(dialect, facts, conditions)
-    plans = [
-        _plan(shape, one, mapping, pieces, where)
-        for one in by_clock(selection, understand(dialect.names))
-    ]
-    return _of_one_origin(plans, where)
-
-
-def _of_one_origin(plans: list[Plan], where: str) -> list[Plan]:
-    """The plans with times from one start, and the mapping that reads all of them. Raises
-    UnreadableInput for clocks that do not count from one date."""
-    main = plans[0]
-    for other in plans[1:]:
-        if (other.clock.unit, other.clock.start_ns is None) != (
-            main.clock.unit,
-            main.clock.start_ns is None,
-        ):
-            raise UnreadableInput(
-                "the clocks of its sensors count from different starts",
-                where=where,
-                remedy="read one sensor with --acc or --gyro and its own --time",
-            )
-    whole = main.resolved
-    for other in plans[1:]:
-        more = other.resolved
-        whole = replace(
-            whole,
-            acc=whole.acc + more.acc,
-            gyro=whole.gyro + more.gyro,
-            temperature=whole.temperature + more.temperature,
-            triads=tuple(dict.fromkeys(whole.triads + more.triads)),
-            time="",
-            acc_unit=whole.acc_unit or more.acc_unit,
-            gyro_unit=whole.gyro_unit or more.gyro_unit,
-            temperature_unit=whole.temperature_unit or more.temperature_unit,
+    each = by_clock(selection, understand(dialect.names))
+    plans = [_plan(shape, one, mapping, pieces, where) for one in each]
+    main = plans[0].clock
+    dated = {(p.clock.unit, p.clock.start_ns is None) for p in plans}
+    if len(dated) > 1:
+        raise UnreadableInput(
+            "the clocks of its sensors count from different starts",
+            where=where,
+            remedy="read one sensor with --acc or --gyro and its own --time",
         )
-    origin, start = main.clock.origin, main.clock.start_ns
-    clocks = [replace(p.clock, origin=origin, start_ns=start) for p in plans]
+    whole = _resolved(mapping, dialect, plans, selection, device=facts.device)
+    clocks = [replace(p.clock, origin=main.origin, start_ns=main.start_ns) for p in plans]
     return [replace(p, resolved=whole, clock=c) for p, c in zip(plans, clocks, strict=True)]
 
 
@@ -208,9 +183,8 @@ def _plan(
 
     signals = conversion.readable(used, signal, notes)
     notes += [s.conversion.note for s in signals if s.conversion.note]
-    resolved = _resolved(mapping, dialect, selection, signals, clock=clock, device=facts.device)
     unique = tuple(dict.fromkeys(notes))
-    return Plan(layout, clock, signals, facts, unique, resolved, conditions=shape.conditions)
+    return Plan(layout, clock, signals, facts, unique, mapping, conditions=shape.conditions)
 
 
 def _pieces_chosen(
@@ -328,37 +302,25 @@ def _signal(
 def _resolved(
     mapping: FieldMapping,
     dialect: Dialect,
+    plans: Sequence[Plan],
     selection: Selection,
-    signals: Sequence[Signal],
     *,
-    clock: Clock,
     device: Device,
 ) -> FieldMapping:
     """The mapping that reads this file, and others like it, the same way."""
-
-    def chosen(quantity: str) -> list[Vector]:
-        return [v for v in selection.vectors if v.quantity == quantity]
-
-    def addresses(quantity: str) -> tuple[str, ...]:
-        return tuple(dialect.address(c) for v in chosen(quantity) for c in v.parts)
-
-    def unit(quantity: str) -> str:
-        found = {s.conversion.source_unit for s in signals if s.vector.quantity == quantity}
-        return found.pop() if len(found) == 1 else ""
-
-    acc, gyro = ([v.triad for v in chosen(q)] for q in ("acceleration", "angular_rate"))
+    signals, clock = [s for plan in plans for s in plan.signals], plans[0].clock
+    units = {s.vector.name: s.conversion.source_unit for s in signals}
     # Counts a g that the device was found to have.
     scales = {s.conversion.counts_per_g for s in signals if s.conversion.counts_per_g}
-    return replace(
+    time = ",".join(map(dialect.address, selection.time)) if len(plans) == 1 else ""
+    return resolved(
         mapping,
-        acc=addresses("acceleration"),
-        gyro=addresses("angular_rate"),
-        temperature=addresses("temperature"),
-        time=",".join(map(dialect.address, selection.time)) if clock.unit else "",
-        triads=tuple(acc if gyro == acc[: len(gyro)] else acc + gyro),
-        acc_unit=unit("acceleration"),
-        gyro_unit=unit("angular_rate"),
-        temperature_unit=unit("temperature"),
+        [
+            (v, [dialect.address(k) for k in v.parts], units[v.name])
+            for v in selection.vectors
+            if v.name in units
+        ],
+        time=time if clock.unit else "",
         rate=None if clock.unit else clock.rate,
         time_unit="" if " since " in selection.time_unit else clock.unit,
         decimal=dialect.decimal,

@@ -19,6 +19,7 @@ from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
 from imucalib.file_hash import sha256_of
 from imucalib.readers import conversion
+from imucalib.readers.choice import resolved
 from imucalib.readers.contents import Content, listing, norm_of, suggestion, unread
 from imucalib.readers.conversion import AS_STORED, Conversion
 from imucalib.readers.hdf5.fields import Found, datasets, fields_of, number_of, text_of, unit_of
@@ -210,28 +211,13 @@ def _measured(signal: Signal, mapping: FieldMapping) -> Signal:
 
 def _resolved(mapping: FieldMapping, signals: Sequence[Signal]) -> FieldMapping:
     """What was read, as far as one mapping can say it (a dataset of K triads is named once)."""
-
-    def paths(quantity: str) -> tuple[str, ...]:
-        chosen = [s.found.parts[0].path for s in signals if s.found.quantity == quantity]
-        return tuple(dict.fromkeys(chosen))
-
-    def unit(quantity: str) -> str:
-        units = {s.conversion.source_unit for s in signals if s.found.quantity == quantity}
-        return units.pop() if len(units) == 1 else ""
-
     if any(len(s.found.parts) > 1 or s.found.parts[0].column for s in signals):
         return mapping
     clocks = {s.found.time.path for s in signals if s.found.time}
-    return replace(
+    return resolved(
         mapping,
-        acc=paths("acceleration"),
-        gyro=paths("angular_rate"),
-        temperature=paths("temperature"),
+        [(s.found, [s.found.parts[0].path], s.conversion.source_unit) for s in signals],
         time=clocks.pop() if len(clocks) == 1 else mapping.time,
-        triads=tuple(dict.fromkeys(s.found.triad for s in signals)),
-        acc_unit=unit("acceleration"),
-        gyro_unit=unit("angular_rate"),
-        temperature_unit=unit("temperature"),
         preset=mapping.preset or signals[0].found.preset,
     )
 
