@@ -20,7 +20,6 @@ from imucalib.recording.mapping import TIME_UNITS, FieldMapping
 _NO_UNIT = {"iso 8601", "unix time", "posix time", "unix epoch"} | set(
     str.split("unix epoch posix utc gmt local iso iso8601 cal raw time")
 )
-_NO_RATE = "give --rate"
 
 
 @dataclass(frozen=True)
