@@ -346,6 +346,25 @@ def by_chunk(path: Path) -> list[list[bytes]]:
     return [block.payloads() for block in McapLog(path).blocks()]
 
 
+@pytest.mark.parametrize("kept", [0x0F, 0x02])
+def test_whole_records_that_are_gone_are_missed(kept: int, tmp_path: Path) -> None:
+    """From the last chunk to the end of the data, or to the footer."""
+    path = tmp_path / "a.mcap"
+    imu_log(path, 400)
+    data, places, at = path.read_bytes(), list[tuple[int, int]](), 8
+    while at + 9 < len(data) - 8:
+        places.append((data[at], at))
+        at += 9 + int.from_bytes(data[at + 1 : at + 9], "little")
+    last = max(place for opcode, place in places if opcode == 0x06)
+    to = min(place for opcode, place in places if opcode == kept and place > last)
+    path.write_bytes(data[:last] + data[to:])
+    found = read(path)
+    assert found.channels["imu0/acceleration"].t.size < 400
+    assert any("damaged" in note for note in found.notes)
+    with pytest.raises(UnreadableInput):
+        read(path, strict=True)
+
+
 def test_a_bad_chunk_costs_only_itself(tmp_path: Path) -> None:
     path = imu_log(tmp_path / "a.mcap", 1000)
     sizes = [len(part) for part in by_chunk(path)]

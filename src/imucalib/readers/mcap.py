@@ -290,6 +290,7 @@ class McapLog(MessageLog):
         self._messages = 0
         self._hidden: int | None = None  # the damage whose messages the next indexes can count
         self._chunks = False
+        self._data_end = 0
         self._done = False
 
     def blocks(self) -> Iterator[MessageBlock]:
@@ -454,6 +455,7 @@ class McapLog(MessageLog):
     def _ending(self, opcode: int, at: int, content: bytes) -> str:
         """What a record after the last message contradicts, or ""."""
         if opcode == Opcode.DATA_END:
+            self._data_end = at + 9 + len(content)
             expected = parsed(DataEnd, content).data_section_crc
             if expected and expected != self._crc_before(at):
                 return "the CRC of the whole data section differs from the file's bytes"
@@ -464,9 +466,11 @@ class McapLog(MessageLog):
                 found = f"{self._messages} were found"
                 return f"the file's statistics declare {declared} messages, {found}"
         elif opcode == Opcode.FOOTER:
-            parsed(Footer, content)
+            summary = parsed(Footer, content).summary_start
             self._done = True
             end = at + 9 + len(content)
+            if self._data_end == 0 or summary not in (0, self._data_end):
+                return "records before the footer are missing: it names another place for them"
             if self._read(end, len(MAGIC) + 1) != MAGIC:
                 return "the bytes after the footer are not the closing magic"
         return ""
