@@ -32,6 +32,7 @@ from imucalib.estimators.turns import (
 #: which no such delay is known, for a filter passes for one.
 _DENSITIES = 1e-5 * 2.0 ** np.arange(14)
 _LEAST = 2e-4
+_USUAL = 0.05  # s, sd of what filters, buses and drivers delay by
 
 
 def lateness(fit: TurnFit) -> tuple[float, float]:
@@ -47,9 +48,9 @@ def lateness(fit: TurnFit) -> tuple[float, float]:
     for k, density in enumerate(_DENSITIES):
         root = np.linalg.cholesky(shared + np.diag(density**2 * span))
         y, x = np.linalg.solve(root, np.column_stack([misfit, along])).T
-        known = float(x @ x)
+        known = float(x @ x) + _USUAL**-2
         late = -float(x @ y) / known
-        power = float(np.sum((y + late * x) ** 2))
+        power = float(np.sum((y + late * x) ** 2)) + (late / _USUAL) ** 2
         volume = float(np.log(np.diag(root)).sum()) + 0.5 * np.log(known)
         found[k] = -0.5 * power - volume, late, 1.0 / known
     likely = np.exp(found[:, 0] - found[:, 0].max())
