@@ -10,7 +10,8 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.plain import fields, listed
-from imucalib.estimators.power_ups import Parts, half_of_95, sizes_allowed
+from imucalib.core.fit import NoiseMixture
+from imucalib.estimators.power_ups import Parts, sizes_allowed
 
 
 @dataclass(frozen=True)
@@ -96,6 +97,12 @@ def scattered(
         # The mean's variance holds a share of what the scatter is taken to be.
         share = (sizes**2 - sd**2) / len(offsets)
         var = np.maximum(mean**2 + share, 0.1 * mean**2) + sizes**2
+        next_one = NoiseMixture(
+            log_sd=np.zeros(0),
+            weight=by_axis[axis],
+            shift=np.zeros((len(var), 1)),
+            covariance=var[:, None, None],
+        )
         found.append(
             NextPowerUp(
                 name=parameter,
@@ -104,7 +111,7 @@ def scattered(
                 value=value,
                 mean=mean,
                 sd=float(np.sqrt(by_axis[axis] @ var)),
-                half=half_of_95(np.sqrt(var), by_axis[axis]),
+                half=float(next_one.half_widths(np.ones((1, 1)), 0.95)[0]),
             )
         )
     between = Between(

@@ -116,14 +116,3 @@ def sizes_allowed(parts: Parts, sd: float) -> tuple[Array, Array, Array]:
     all_axes = prior * seen.prod(axis=0)
     each = likely * ((prior * seen.prod(axis=0) / np.maximum(seen, 1e-300)) @ about.T)
     return sizes, all_axes / all_axes.sum(), each / each.sum(axis=1, keepdims=True)
-
-
-def half_of_95(sd: Array, weights: Array) -> float:
-    """Half of the central 95 % of a mixture of normals of one centre."""
-    from scipy.optimize import brentq
-    from scipy.special import ndtr
-
-    def missing(half: float) -> float:
-        return float(weights @ (2.0 * ndtr(half / sd) - 1.0)) - 0.95
-
-    return float(brentq(missing, 0.0, 50.0 * float(sd.max())))
