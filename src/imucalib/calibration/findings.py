@@ -82,10 +82,12 @@ class Gain:
 
     @property
     def dense(self) -> str:
-        """What the log density of held-out data gains, to end a sentence, where it was judged."""
+        """How much likelier held-out data are after, to end a sentence, where it was judged."""
         if math.isnan(self.nats):
             return ""
-        return f"; in log density {self.nats:+.1f} nats, at least {self.nats_low:+.1f}"
+        whole, least = (f"{math.exp(min(n, 20.0)):.2g}" for n in (self.nats, self.nats_low))
+        more = "more than " if self.nats > 20.0 else ""
+        return f"; likelier by a factor of {more}{whole}, at least {least}"
 
     @property
     def words(self) -> str:
