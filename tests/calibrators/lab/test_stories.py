@@ -102,9 +102,9 @@ def sheet_with(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[str
         ("third_degree", "third_degree@z"),
         ("scale_drift", "scale_drift"),
         ("thermal_lag", "thermal_lag@4rows"),
-        ("swing", "cycle@15.65rows"),
+        ("swing", "cycle@15rows"),
         ("scale_cycle", "scale_cycle@13.33rows"),
-        ("slip", "slip@record23"),
+        ("slip", "slip@record23:z"),
     ],
 )
 def test_one_effect_is_named_and_corrected(
