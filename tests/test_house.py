@@ -22,6 +22,7 @@ FLOORS: dict[str, int] = {
     "significant_digits": 0,
     "atomic_file": 0,
     "file_hash": 0,
+    "question": 0,
     "arrays": 0,
     "recording": 1,
     "core": 2,

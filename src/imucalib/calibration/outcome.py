@@ -14,6 +14,7 @@ from imucalib.calibration.provenance import Provenance
 from imucalib.core.fit import Fit
 from imucalib.errors import UNEXPLAINED_EXIT_CODE, LimitBroken, Undetermined
 from imucalib.loop.found import FitLoop
+from imucalib.question import Question
 from imucalib.recording.identity import NAMELESS, Identity
 from imucalib.recording.recording import CORRECTED
 from imucalib.units import MG
@@ -128,8 +129,8 @@ class Outcome:
     findings: Findings | None = None
     fit: Fit | None = None
     reasons: tuple[str, ...] = ()
-    advice: tuple[str, ...] = ()
-    undecided: tuple[str, ...] = ()
+    advice: tuple[str | Question, ...] = ()
+    undecided: tuple[Question, ...] = ()
     limits: tuple[Limit, ...] = ()
     notes: tuple[str, ...] = ()
     weak: bool = False

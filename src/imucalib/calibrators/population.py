@@ -25,6 +25,7 @@ from imucalib.effects import named
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.estimators.least_squares import fit
 from imucalib.file_hash import sha256_of
+from imucalib.question import Question
 from imucalib.recording.yaml_text import dump, load
 from imucalib.units import MG
 
@@ -114,15 +115,13 @@ class Population:
         return float(np.log(middle / unit)), log_sd
 
 
-def not_of_its_kind(chance: float, instead: str) -> tuple[str, ...]:
+def not_of_its_kind(chance: float, instead: str) -> tuple[Question, ...]:
     """What a user must decide where a device is far from its fleet. chance : that one of the kind
     is as far off, NaN where nothing was compared; instead : what to do"""
     if not chance < UNLIKELY:
         return ()
-    return (
-        f"not of its fleet's kind: one of the kind is as far off with a chance of "
-        f"{max(chance, 1e-12):.1g}; {instead}",
-    )
+    far = f"one of the kind is as far off with a chance of {max(chance, 1e-12):.1g}"
+    return (Question(f"not of its fleet's kind: {far}", (), instead),)
 
 
 def of_a_kind(kind: Population, model: Model, data: Observations) -> Fit:

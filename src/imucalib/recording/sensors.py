@@ -80,6 +80,6 @@ def undecided(found: Iterable[str], sensor: str, path: str) -> UsageError:
     return UsageError(
         f"{what}: {listed(names)}",
         where=path,
-        remedy="name one with --sensor (`imucal imu --sensor all`: a calibration each)",
+        remedy="name one with --sensor (`imu` takes --sensor all: a calibration each)",
         add=("--sensor", names[0]),
     )

@@ -115,11 +115,11 @@ def report_dict(run: Run) -> dict[str, Any]:
         "covariance": _covariance(run),
         "loop": {
             "errors": [error.as_dict() for error in outcome.errors],
-            "advice": outcome.advice,
+            "advice": list(map(str, outcome.advice)),
             **_found(found or Findings("not run")),
         },
         "limits": listed(outcome.limits, "name value limit unit broken"),
-        "undecided": outcome.undecided,
+        "undecided": list(map(str, outcome.undecided)),
         "left": listed(outcome.left, "name value accepted unit beyond"),
         "notes": outcome.notes,
         "provenance": outcome.provenance.as_dict(),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -25,9 +26,8 @@ from imucalib.report.document import (
     Series,
     Table,
     Text,
-    capital,
 )
-from imucalib.report.sections import leading_options
+from imucalib.report.sections import decision
 from imucalib.rests.candidates import Candidate, refusals
 from imucalib.rests.segments import Segments
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
@@ -113,7 +113,7 @@ def table_document(seen: TableSeen, typed: str) -> Document:
         for role, values in table.columns.items()
     )
     header = ("column", "taken as", "unit", "smallest", "largest")
-    wrong = [Text(f"{what}.", "warning") for what, _ in seen.wrong]
+    wrong = [Text(f"{one.what}.", "warning") for one in seen.wrong]
     facts = [("rows", str(table.n)), ("file", f"sha256 {table.sha256[:16]}…")]
     facts += [("readings", seen.unit)] if seen.unit else []
     parts = (
@@ -148,8 +148,8 @@ def own_document(path: Path, typed: str) -> tuple[Document, dict[str, Any]] | No
         what = f"A calibration by {found.get('calibrator')}, status {found.get('status')}"
         steps: tuple[str, ...] = (
             f"`imucal validate {typed}`: whether it is whole.",
-            f"`imucal export {typed} --to c-header`: its coefficients; `imucal apply {typed} "
-            "RECORDING -o corrected.mcap` corrects a recording.",
+            f"`imucal export {typed} --to c-header`: its coefficients.",
+            f"`imucal apply {typed} RECORDING -o corrected.mcap`: corrects a recording.",
         )
     elif kind.startswith("imucal/"):
         what, page = f"A report of imucal ({kind})", path.with_name("report.html")
@@ -159,6 +159,10 @@ def own_document(path: Path, typed: str) -> tuple[Document, dict[str, Any]] | No
     content = {"schema": "imucal/inspection/1", "path": str(path), "format": kind, "next": steps}
     section = Section("Next", Text.each(steps), kept=True)
     return Document(str(path), Text(f"{what}."), (section,), drawn="--html"), content
+
+
+#: Where what is proposed writes.
+_OUT = ("-o", "out")
 
 
 def table_commands(seen: TableSeen, typed: str) -> tuple[str, ...]:
@@ -174,15 +178,9 @@ def table_commands(seen: TableSeen, typed: str) -> tuple[str, ...]:
     zero = seen.table.inclination_zero
     words += [f"--inclination-zero {zero}"] * (zero == "vertical")
     command = " ".join(words)
-    found = []
-    for what, remedy in seen.wrong:
-        options, rest = leading_options(remedy)
-        name = what.partition(":")[0]
-        if options:
-            other = f" (else {rest})" if rest else ""
-            found.append(f"{capital(name)}: if that is right, `{command} {options} -o out`{other}.")
-        elif remedy:
-            found.append(f"{name}: {remedy}.")
+    asked = (replace(one, options=(*one.options, *_OUT)) for one in seen.wrong if one.options)
+    found = [*(decision(one, command) for one in asked)]
+    found += [f"{one}." for one in seen.wrong if not one.options]
     local = "add --latitude or --gravity for the local gravity"
     return tuple(found) or (f"`{command} -o out`: calibrates; {local}.",)
 
@@ -203,7 +201,7 @@ def table_dict(seen: TableSeen, typed: str) -> dict[str, Any]:
         "rows": table.n,
         "columns": columns,
         "readings": seen.unit,
-        "problems": [what for what, _ in seen.wrong],
+        "problems": [one.what for one in seen.wrong],
         "notes": seen.notes,
         "next": table_commands(seen, typed),
     }

@@ -8,7 +8,7 @@ one printed page, what a calibration states of one instrument. Its terms are tho
 from __future__ import annotations
 
 import math
-import re
+import shlex
 from collections.abc import Sequence
 
 import numpy as np
@@ -22,6 +22,7 @@ from imucalib.effects import known, names_a_cause
 from imucalib.effects.forms import in_words
 from imucalib.exports.bound import carries
 from imucalib.loop.found import Unexplained
+from imucalib.question import Question
 from imucalib.report.document import (
     Block,
     Card,
@@ -50,11 +51,6 @@ _WEAK = 3
 _LIKELY, _NAMED = 0.1, 2
 #: Probability from which on "nothing is missing" has a tick.
 _EVEN = 0.5
-#: What parts a slip from the option that repairs it.
-_DECIDE = "; decide with"
-#: The options that a decision begins with, each with its value, and what else there is to decide.
-_ONE = r"--[^\s,;)]\S*(?: (?!or\b|if\b|--)[^\s(]+)?"
-_OPTIONS = re.compile(rf"(?P<first>{_ONE}(?: {_ONE})*)\s*(?P<rest>.*)", re.S)
 #: How reasons begin that the card says in full.
 _IN_FULL = ("unexplained structure", "structure that no effect")
 _UNPROVED = "held-out data do not prove what was found"
@@ -111,10 +107,11 @@ def card_of(
     uses : commands that take what was written; picture : see `Card`
     """
     found, slips = outcome.findings or Findings("not run"), _slips(outcome)
-    said = [Text(f"{capital(text.partition(_DECIDE)[0])}.", "bad") for text in slips]
+    said = [Text(f"{capital(one.what)}.", "bad") for one in slips]
     said += _found(found) if not slips or found.verdict != "not run" else ()
     # Until slips are decided the other advice is about an error that is none of the sensor's.
-    steps = slips or (*(f"{text}." for text in outcome.broken), *outcome.advice, *more)
+    broken = (f"{text}." for text in outcome.broken)
+    steps: tuple[str | Question, ...] = slips or (*broken, *outcome.advice, *more)
     command = outcome.provenance.command
     usable = outcome.status in ("ok", "marginal") and not outcome.undecided
     usable = usable and not outcome.corrected
@@ -124,7 +121,7 @@ def card_of(
     return Card(
         tuple(good_to) if settled else (),  # figures of a fit that did not settle mean nothing
         tuple(said),
-        tuple(_decision(text, command) for text in steps[:_STEPS]),
+        tuple(decision(step, command) for step in steps[:_STEPS]),
         command,
         uses=uses if usable else (),
         headline=_headline(outcome),
@@ -147,29 +144,19 @@ def exporting(calibration: Calibration, purpose: str, form: str, file: str) -> t
     return (Use(purpose, words),)
 
 
-def leading_options(text: str) -> tuple[str, str]:
-    """The options that a remedy begins with, ready to be typed, and what else it says; no option
-    where it begins with other words."""
-    found = _OPTIONS.match(text.strip())
-    if found is None:
-        return "", text
-    rest = found["rest"].strip(" .").removeprefix("or ")
-    if rest.startswith("(") and rest.endswith(")"):
-        rest = rest[1:-1].removeprefix("or: ")
-    return found["first"].rstrip(",.;"), rest
+def decision(step: str | Question, command: str) -> str:
+    """What only the user can decide, as the command that does it; other advice as it is.
 
-
-def _decision(text: str, command: str) -> str:
-    """What only the user can decide, as the command that does it; other advice as it is."""
-    what, decide, options = text.partition(_DECIDE)
-    if not decide:
-        return text
-    typed, rest = leading_options(options)
-    if not (typed and command):
-        return f"{capital(text).rstrip('.')}."
-    other = f"; else {rest}" if rest else ""
-    named = capital(what.partition(":")[0])
-    return f"{named}: if that is right, type this{other}: `{command} {typed}`"
+    command : that was typed, for a shell, or nothing
+    """
+    if isinstance(step, str):
+        return step
+    if not (step.options and command):
+        return f"{capital(str(step))}."
+    other = f"; else {step.otherwise}" if step.otherwise else ""
+    named = capital(step.what.partition(":")[0])
+    typed = f"{command} {shlex.join(step.options)}"
+    return f"{named}: if that is right, type this{other}: `{typed}`"
 
 
 def _headline(outcome: Outcome) -> str:
@@ -183,10 +170,10 @@ def _headline(outcome: Outcome) -> str:
     return "Ready to use."
 
 
-def _slips(outcome: Outcome) -> tuple[str, ...]:
+def _slips(outcome: Outcome) -> tuple[Question, ...]:
     """What only the user can decide, but for the wrong records that the search has named."""
     named = tuple(f"{r.where}:" for r in outcome.findings.records) if outcome.findings else ()
-    return tuple(text for text in outcome.undecided if not text.startswith(named or ("\0",)))
+    return tuple(one for one in outcome.undecided if not one.what.startswith(named or ("\0",)))
 
 
 def error_worth(
@@ -326,7 +313,7 @@ def floor_words(error: ErrorSummary, digits: int = 2) -> str:
 
 def _verdict(outcome: Outcome, head: str) -> Text:
     """A figure, broken limits, what is undecided, and reasons, in the tone of the status."""
-    said = (*outcome.broken, *outcome.undecided, *map(capital, _why(outcome)))
+    said = (*outcome.broken, *map(str, outcome.undecided), *map(capital, _why(outcome)))
     return Text(" ".join([head, *(f"{text}." for text in said)]), _TONE[outcome.status])
 
 
@@ -525,7 +512,9 @@ def candidate_section(found: Findings) -> Section:
 
 def advice_section(outcome: Outcome) -> Section:
     """What to do next."""
-    return Section("Advice", Text.each(outcome.advice or ("Nothing to do.",)), brief=False)
+    return Section(
+        "Advice", Text.each(map(str, outcome.advice or ("Nothing to do.",))), brief=False
+    )
 
 
 def closing_sections(outcome: Outcome) -> tuple[Section, ...]:

@@ -336,7 +336,7 @@ def imu_calibration(result: ImuResult, outcome: Outcome, details: Mapping[str, A
         parameters=parameters,
         covariance=0.5 * (covariance + covariance.T),
         status=outcome.status,
-        reasons=(*outcome.reasons, *outcome.undecided),
+        reasons=(*outcome.reasons, *map(str, outcome.undecided)),
         facts={
             **{k: v for k, v in made.facts.items() if k not in ("errors", "provenance")},
             "errors": [error.as_dict() for error in outcome.errors],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Mapping
 
 import numpy as np
@@ -34,6 +35,7 @@ from imucalib.estimators.corrected import OBJECTIVES
 from imucalib.loop.found import Unexplained
 from imucalib.loop.posterior.trust import split_at_jump
 from imucalib.loop.record_errors import RecordError
+from imucalib.question import Question
 from imucalib.units import DEG, MG
 
 #: Share of a place from which on an effect is worth telling apart.
@@ -42,16 +44,19 @@ _WORTH_TELLING = 0.05
 _FACTOR_TWO = np.log(2.0) / 1.96
 
 
-def fix_option(record: RecordError, raw: RawUnit) -> str:
-    """The options that settle a record error, the repair first when it is known."""
+def settle(what: str, record: RecordError, raw: RawUnit) -> Question:
+    """A record error with the options that settle it: the repair where it is known."""
     row = record.where.split()[-1]
-    repair = [f"--fix {row}:{axis}={value / raw.si:.10g}" for axis, value in record.fix]
-    return " ".join(repair) + (" or " if repair else "") + f"--exclude {row} (or --auto-exclude)"
+    words = [("--fix", f"{row}:{axis}={value / raw.si:.10g}") for axis, value in record.fix]
+    repair = tuple(word for pair in words for word in pair)
+    out = ("--exclude", row)
+    other = f"{shlex.join(out)}, or --auto-exclude" if repair else "--auto-exclude"
+    return Question(what, repair or out, other)
 
 
-def undecided_parts(result: LabResult) -> tuple[str, ...]:
+def undecided_parts(result: LabResult) -> tuple[Question, ...]:
     """Jumps of the bench after which the readings do not say which part stands as it was set."""
-    found = list[str]()
+    found = list[Question]()
     if result.loop is None:
         return ()
     base = result.loop.base
@@ -61,10 +66,11 @@ def undecided_parts(result: LabResult) -> tuple[str, ...]:
         parts = None if effect is None else split_at_jump(base, base.model, effect)
         if parts is not None:
             first, then = (f"{r.min()}-{r.max()}" for r in (rows[~parts.after], rows[parts.after]))
-            found.append(
+            what = (
                 f"rows {first} stand as they were set, rows {then} do not: the readings fit the "
-                f"other way round as well; decide with --trust {first} (or: --trust {then})"
+                "other way round as well"
             )
+            found.append(Question(what, ("--trust", first), f"--trust {then}"))
     return tuple(found)
 
 
@@ -88,15 +94,12 @@ def reasons(result: LabResult) -> tuple[str, ...]:
     return tuple(found)
 
 
-def advice(result: LabResult, raw: RawUnit) -> tuple[str, ...]:
+def advice(result: LabResult, raw: RawUnit) -> tuple[str | Question, ...]:
     """Sentences: what was found, what it means, which recording would settle what is open."""
     loop, fit = result.loop, result.final
-    found = _repeat(fit)
+    found: list[str | Question] = [*_repeat(fit)]
     for record in loop.records if loop else ():
-        found.append(
-            f"{record.where}: the calibration takes it as it stands; decide with "
-            f"{fix_option(record, raw)}"
-        )
+        found.append(settle(f"{record.where}: the calibration takes it as it stands", record, raw))
     for step in loop.steps if loop else ():
         effect = known(step.effect)
         others = [n for n, share in step.rivals if n != step.effect and share > _WORTH_TELLING]

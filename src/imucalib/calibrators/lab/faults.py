@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import get_args, get_type_hints
@@ -37,22 +38,24 @@ from imucalib.loop.faults.converter import (
 from imucalib.loop.faults.sheet import Fault, Sheet, in_order
 from imucalib.loop.posterior.slips import Written
 from imucalib.loop.record_errors import RecordError
+from imucalib.question import Question
 from imucalib.units import DEG, MG
 
 #: What a dial or a column may be read wrongly by, without any misfit.
 _SILENT = ("toolface_sense", "toolface_zero_axis", "z_axis")
 
 
-def _misread_words(sheet: Sheet, misread: Misread, request: LabRequest) -> tuple[str, str]:
+def _misread(sheet: Sheet, misread: Misread, request: LabRequest) -> Question:
     """What the angle columns mean, and the options that say so."""
     meaning, stated = misread.meaning, request.conventions
-    words, options = [], []
+    words, options, otherwise = [], list[str](), ""
     if meaning.exchanged:
         words.append("exchanged")
-        options.append("run without --swap-angles" if request.swap_angles else "--swap-angles")
+        options += ["--swap-angles"] * (not request.swap_angles)
+        otherwise = "run without --swap-angles" * request.swap_angles
     if meaning.radians:
         words.append("read as radians")
-        options.append("--angle-unit rad")
+        options += ["--angle-unit", "rad"]
     if meaning.vertical:
         vertical = stated.inclination_zero == "vertical"
         other = replace(stated, inclination_zero="horizontal" if vertical else "vertical")
@@ -65,19 +68,20 @@ def _misread_words(sheet: Sheet, misread: Misread, request: LabRequest) -> tuple
     for name, step in steps.items():
         if step:
             words.append(f"with {name.replace('_', '-')} one row {'late' if step > 0 else 'early'}")
-            options.append(f"--shift {name}={step}")
+            options += ["--shift", f"{name}={step}"]
     sentence = (
         f"the angle columns fit far better {' and '.join(words)}: {misread.misfit:.0f} instead of "
         f"{misread.as_given:.0f} mg rms"
     )
-    return sentence, " ".join(options)
+    return Question(sentence, tuple(options), otherwise)
 
 
 def _options(stated: Conventions, other: Conventions) -> list[str]:
     return [
-        f"--{name.replace('_', '-')} {getattr(other, name)}"
+        word
         for name in ("inclination_zero", *_SILENT)
         if getattr(other, name) != getattr(stated, name)
+        for word in (f"--{name.replace('_', '-')}", getattr(other, name))
     ]
 
 
@@ -94,7 +98,7 @@ def _standing_straight(sheet: Sheet, like: Conventions) -> Conventions | None:
     return None
 
 
-def _axes_questions(sheet: Sheet, request: LabRequest) -> tuple[str, ...]:
+def _axes_questions(sheet: Sheet, request: LabRequest) -> tuple[Question, ...]:
     """A sensor that does not stand straight in the tool: mounted so, or misread? UnreadableInput
     where no mounting does it."""
     axes = nearest_axes(sheet)
@@ -102,7 +106,7 @@ def _axes_questions(sheet: Sheet, request: LabRequest) -> tuple[str, ...]:
         return ()
     stated, before = request.conventions, request.repairs.axes
     straight = _standing_straight(sheet, stated)
-    lines = [" ".join(_options(stated, straight))] if straight else []
+    lines = [shlex.join(_options(stated, straight))] if straight else []
     # In terms of the sheet's columns, where some were stated already.
     over = axes.text.split(",")
     under = [(before or ("x", "y", "z"))["xyz".index(part[-1])] for part in over]
@@ -117,10 +121,9 @@ def _axes_questions(sheet: Sheet, request: LabRequest) -> tuple[str, ...]:
         )
     if before:
         return ()
-    return (
-        f"the sensor stands turned by 90 or 180 deg in the tool (its axes as {axes.text}); "
-        f"decide with --axes=x,y,z (or: {' or '.join(lines)} if columns or dial are misread)",
-    )
+    turned = f"the sensor stands turned by 90 or 180 deg in the tool (its axes as {axes.text})"
+    other = f"{' or '.join(lines)} if columns or dial are misread"
+    return (Question(turned, ("--axes=x,y,z",), other),)
 
 
 #: Scatter of a bench's settings (deg) that is none of hands, three times what they set angles to,
@@ -130,11 +133,11 @@ SCATTER, WORTH = 3.0 * NOISE.setting / DEG, 0.9
 
 @dataclass(frozen=True)
 class Faults:
-    """What was found. slips : row by row; questions : what only the user can know, in words
+    """What was found. slips : row by row; questions : what only the user can know
     notes : what else was seen of the sheet; written : it, where slips can be read in it"""
 
     slips: tuple[Fault, ...] = ()
-    questions: tuple[str, ...] = ()
+    questions: tuple[Question, ...] = ()
     notes: tuple[str, ...] = ()
     written: Written | None = None
 
@@ -147,11 +150,11 @@ class Faults:
         found = _axes_questions(self.written.sheet, request)
         return replace(self, questions=(*self.questions, *found))
 
-    def undecided(self, records: tuple[RecordError, ...]) -> tuple[str, ...]:
-        """Sentences for what the search's own records do not say already."""
+    def undecided(self, records: tuple[RecordError, ...]) -> tuple[Question, ...]:
+        """What the search's own records do not ask already."""
         said = {r.where for r in records}
         slips = (f for f in self.slips if f.kind != "cell" or f"row {f.rows[0]}" not in said)
-        return (*(f.sentence for f in slips), *self.questions)
+        return (*(f.question for f in slips), *self.questions)
 
 
 def sheet_of(table: PositionTable, whole: Observations, rows: Index, request: LabRequest) -> Sheet:
@@ -216,13 +219,16 @@ def look_for_faults(
     questions = _converter_questions(_ends(reading, sheet.truth()), table, rows)
     misread = misread_angles(sheet)
     if misread is not None:
-        sentence, line = _misread_words(sheet, misread, request)
+        meant = _misread(sheet, misread, request)
         if misread.meaning.inclination_steps or misread.meaning.tool_face_steps:
-            fault = Fault("convention", sentence, (), misread.score, line)
+            line = shlex.join(meant.options)
+            fault = Fault("convention", meant.what, (), misread.score, line)
             return Faults((fault,), questions)
         if not request.keep_angles:
-            raise UsageError(sentence, where=table.path, remedy=f"{line}; --keep-angles to insist")
-        questions += (f"{sentence}; decide with {line}",)
+            say = meant.otherwise or "say what they mean"
+            remedy = f"insist on them with --keep-angles, or {say}"
+            raise UsageError(meant.what, where=table.path, remedy=remedy, add=meant.options)
+        questions += (meant,)
     degree = [DEG if table.unit.get(r) == "rad" else 1.0 for r in ("inclination", "tool_face")]
     return Faults(
         questions=questions,
@@ -239,7 +245,7 @@ def _ends(reading: Array, truth: Array | None = None) -> tuple[CutOff, ...]:
 
 def _converter_questions(
     ends: tuple[CutOff, ...], table: PositionTable, rows: Index
-) -> tuple[str, ...]:
+) -> tuple[Question, ...]:
     ranges: dict[str, list[CutOff]] = {}
     for end in ends:
         ranges.setdefault(f"{abs(end.value):.1f}", []).append(end)
@@ -250,41 +256,41 @@ def _converter_questions(
         axes = ", ".join(dict.fromkeys("xyz"[end.axis] for end in found_ends))
         signs = {np.sign(end.value) for end in found_ends}
         sign = "±" if len(signs) == 2 else "-" if -1.0 in signs else ""
-        found.append(
-            f"{axes} ends at {sign}{size} mg in rows {numbers}: the sensor is saturated there; "
-            f"decide with --exclude {numbers}"
-        )
+        what = f"{axes} ends at {sign}{size} mg in rows {numbers}: the sensor is saturated there"
+        found.append(Question(what, ("--exclude", numbers)))
     return tuple(found)
 
 
-def doubts(result: LabResult, raw: RawUnit, request: LabRequest) -> tuple[str, ...]:
+def doubts(result: LabResult, raw: RawUnit, request: LabRequest) -> tuple[Question, ...]:
     """What no bench can be, once fitted: settings beyond a hand's, a unit guessed wrong."""
     found, how = [], "take more settings of it, and compare the sheet with the notes"
-    if not request.loop and request.command:
-        how = f"search for it: `{request.command.replace(' --no-loop', '')}`"
+    search = () if request.loop else ("--loop",)
     for name, sd in setting_noise(result.final).items():
         if sd / DEG > SCATTER:
-            found.append(
+            what = (
                 f"{name}s scatter by {sd / DEG:.1f} deg, hands set within {SCATTER:.1g}: the dial "
-                f"or rows are off in a way that these settings cannot show; {how}"
+                "or rows are off in a way that these settings cannot show"
             )
+            found.append(Question(what, search, how))
     model = result.final.model
     slices = model.slices(result.final.observations.context)
     guessed = request.unit is None and request.lsb_per_g is None and "norm at rest" in raw.sentence
     if guessed and "scale" in slices:
         counts = mistaken_scale(raw.name, result.final.theta[slices["scale"]])
         if counts is not None:
-            found.append(
+            what = (
                 f"the unit {raw.name} was guessed, and all three axes read as if they had "
-                f"{counts:.10g} counts a g; decide with --unit counts --lsb {counts:.10g}, "
-                f"or --unit {raw.name} if it is right"
+                f"{counts:.10g} counts a g"
             )
+            options = ("--unit", "counts", "--lsb", f"{counts:.10g}")
+            found.append(Question(what, options, f"--unit {raw.name}"))
     for name in sorted(set(model.names) - set(request.declare)):
         if session := re.fullmatch(r"session@(\d+):sensor", name):
-            found.append(
-                f"session {session[1]} has scale factors and angles between its axes of its own; "
-                f"decide with --declare {name} if it was the same sensor, or leave it out"
+            what = (
+                f"session {session[1]} has scale factors and angles between its axes of its own, "
+                "if it was the same sensor"
             )
+            found.append(Question(what, ("--declare", name), "leave it out"))
     return tuple(found)
 
 

@@ -32,6 +32,7 @@ from imucalib.calibrators.lab.position_table import (
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import LabRun, run_lab
 from imucalib.errors import ImucalError, UnreadableInput, UsageError
+from imucalib.question import Question
 from imucalib.readers import read
 from imucalib.readers.csv.table import Cells
 from imucalib.readers.csv.text import take_turns
@@ -342,13 +343,13 @@ class TableSeen:
     """A table and how `lab` would read it.
 
     kind : the reference that its columns give; a plan has angles alone; unit : of the readings, and
-    how it is known; wrong : (what, what to do about it)
+    how it is known; wrong : what is to be settled
     """
 
     table: PositionTable
     kind: Kind
     unit: str
-    wrong: tuple[tuple[str, str], ...] = ()
+    wrong: tuple[Question, ...] = ()
     notes: tuple[str, ...] = ()
 
 
@@ -377,7 +378,7 @@ def inspect_table(path: Path, mapping: FieldMapping) -> TableSeen | None:
 
 
 def _seen(table: PositionTable, kind: Kind, mapping: FieldMapping) -> TableSeen:
-    notes, wrong, unit = table.left_out, list[tuple[str, str]](), ""
+    notes, wrong, unit = table.left_out, list[Question](), ""
     zero: Literal["vertical", "horizontal"] = (
         "vertical" if table.inclination_zero == "vertical" else "horizontal"
     )
@@ -396,10 +397,9 @@ def _seen(table: PositionTable, kind: Kind, mapping: FieldMapping) -> TableSeen:
         whole = observations_of(meant, raw, request)
         faults = look_for_faults(table, whole, rows, request).with_axes(request)
         notes += faults.notes
-        for text in faults.undecided(()):
-            what, _, remedy = text.partition("; decide with ")
-            wrong.append((what, remedy))
+        wrong += faults.undecided(())
     except ImucalError as error:
         where = error.where.removeprefix(table.path).lstrip(", ")
-        wrong.append((f"{where}: {error.what}" if where else error.what, error.remedy))
+        what = f"{where}: {error.what}" if where else error.what
+        wrong.append(Question(what, error.add, error.remedy))
     return TableSeen(table, kind, unit, tuple(wrong), notes)

@@ -15,9 +15,9 @@ from imucalib.calibration.outcome import Outcome, Run, left_open
 from imucalib.calibration.provenance import provenance_of
 from imucalib.calibrators.lab.advice import (
     advice,
-    fix_option,
     limits_of,
     reasons,
+    settle,
     undecided_parts,
 )
 from imucalib.calibrators.lab.bench import (
@@ -55,6 +55,7 @@ from imucalib.errors import NotConverged, Undetermined, UnreadableInput, UsageEr
 from imucalib.loop.held_out import errors
 from imucalib.loop.record_errors import RecordError
 from imucalib.loop.separation import ambiguities
+from imucalib.question import Question
 from imucalib.recording.identity import Identity
 from imucalib.significant_digits import per_cent
 from imucalib.units import DEG, MG
@@ -190,14 +191,15 @@ def _judged(
 
 def _undecided(
     result: LabResult, faults: Faults, raw: RawUnit, request: LabRequest
-) -> tuple[str, ...]:
+) -> tuple[Question, ...]:
     """What only the user can decide: slips and wrong records, else doubts; a fleet's too."""
     found = faults.undecided(_records(result))
-    found += tuple(
-        f"{r.where}: {r.channel} is {r.size:.3g} ± {r.sd:.2g} {r.unit} off what the others predict "
-        f"({r.likely}, {per_cent(r.probability)}); decide with {fix_option(r, raw)}"
-        for r in _records(result)
-    )
+    for r in _records(result):
+        what = (
+            f"{r.where}: {r.channel} is {r.size:.3g} ± {r.sd:.2g} {r.unit} off what the others "
+            f"predict ({r.likely}, {per_cent(r.probability)})"
+        )
+        found += (settle(what, r, raw),)
     found += undecided_parts(result)
     instead = "calibrate it alone, in 24 positions or more, without --fleet"
     return (found or doubts(result, raw, request)) + not_of_its_kind(result.kind_chance, instead)
@@ -249,7 +251,7 @@ def lab_calibration(
     if "between_sessions" in details:
         facts["between_sessions"] = details["between_sessions"]
     facts["left_out"] = details["left_out"]
-    facts["undecided"] = list(outcome.undecided)
+    facts["undecided"] = list(map(str, outcome.undecided))
     facts["provenance"] = outcome.provenance.as_dict()
     return from_fit(
         result.final,
@@ -258,7 +260,7 @@ def lab_calibration(
         raw_to_si=raw.si,
         gravity=result.request.gravity,
         status=outcome.status,
-        reasons=(*outcome.reasons, *outcome.undecided),
+        reasons=(*outcome.reasons, *map(str, outcome.undecided)),
         facts=facts,
         sensor=outcome.sensor,
     )
@@ -267,7 +269,7 @@ def lab_calibration(
 def lab_details(
     result: LabResult,
     excluded: tuple[str, ...],
-    undecided: tuple[str, ...],
+    undecided: tuple[Question, ...],
     faults: Faults,
     sessions: Sessions | None,
 ) -> dict[str, Any]:
@@ -277,7 +279,7 @@ def lab_details(
         "held_out": _held_out_block(result),
         "left_out": list(excluded),
         "positions": _positions(result),
-        "undecided": list(undecided),
+        "undecided": list(map(str, undecided)),
         "faults": [asdict(fault) for fault in faults.slips],
     }
     if isinstance(result.observations.reference, KnownVector):

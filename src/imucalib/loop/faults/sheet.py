@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Literal
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from imucalib.arrays import Array, Index
 from imucalib.core.references import unit_vector
 from imucalib.loop.odds import SHUFFLES
+from imucalib.question import Question
 from imucalib.significant_digits import per_cent
 
 Kind = Literal[
@@ -47,11 +49,11 @@ class Fault:
         return f"row {first}" if first == last else f"rows {first} to {last}"
 
     @property
-    def sentence(self) -> str:
-        """What, and what to paste."""
+    def question(self) -> Question:
+        """What, how likely, and what to paste."""
         sure = "" if math.isnan(self.probability) else f" ({per_cent(self.probability)})"
-        rivals = f" (or: {'; '.join(self.rivals)})" if self.rivals else ""
-        return f"{self.what}{sure}; decide with {self.line}{rivals}"
+        options = tuple(shlex.split(self.line))
+        return Question(f"{self.what}{sure}", options, "; ".join(self.rivals))
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ MEASURE = 100  # longest line of running text
 PAGE = 60  # lines of a report
 SCREEN = 25  # lines of a calibration's first screen
 _MOST, _FEWEST = 4, 2  # lines of one thing on it
+_UNFOLDED = 100_000  # cells
 LEAST = 3  # rows of a table that stay, however little room there is
 SIGNS: dict[Tone, str] = {"ok": "✓", "warning": "!", "bad": "✗", "plain": ""}
 STYLES: dict[Tone, str] = {"ok": "green", "warning": "yellow", "bad": "red", "plain": ""}
@@ -79,12 +80,14 @@ class _Sheet:
     def put(self, lines: Sequence[Line]) -> str:
         """Lines as text."""
         for line in lines:
-            self.console.print(line, no_wrap=True, overflow="crop", crop=True)
+            self.console.print(line, no_wrap=True, overflow="ignore", crop=False)
         return self.out.getvalue()
 
     def lines(self, *parts: RenderableType) -> list[Line]:
         """What parts come to on this terminal, without blanks at the ends of lines."""
-        made = self.console.render_lines(Group(*parts), pad=False) if parts else []
+        # Every part has its width; what is wider is a path that only the terminal may fold.
+        options = self.console.options.update_width(_UNFOLDED)
+        made = self.console.render_lines(Group(*parts), options, pad=False) if parts else []
         lines = [Line.assemble(*((s.text, s.style or "") for s in row)) for row in made]
         for line in lines:
             line.rstrip()
@@ -170,15 +173,26 @@ class _Sheet:
         return {"Good to": worths, "Found": found, "What to do next": steps}
 
     def step(self, number: int, text: str, most: int) -> list[Line]:
-        """One step; a command that does not fit beside its purpose on lines of its own, ready to
-        be pasted."""
-        lead, parts = f"{number}.", _spaced(text).split("`")
-        short = self.lines(self.listed([(lead, " ".join(parts))], 2, 1, "", ""))
-        if len(parts) != 3 or not parts[1].startswith("imucal ") or len(short) == 1:
-            return self.lines(self.listed([(lead, self.cut(_spaced(text), most, 3))], 2, 1, "", ""))
+        """One step; a command that does not fit beside its purpose on lines of its own."""
+        if typed := self.typed(text, f"{number}.", 2):
+            return self.lines(*typed)
+        said = self.cut(_spaced(text).replace("`", ""), most, 3)
+        return self.lines(self.listed([(f"{number}.", said)], 2, 1, "", ""))
+
+    def typed(self, text: str, lead: str, width: int, style: str = "") -> list[RenderableType]:
+        """What is said of a command, and the command ready to be pasted: never cut within a word,
+        however long a path is; none where it fits on the line, or there is not one command."""
+        parts = _spaced(text).split("`")
+        one = len(parts) == 3 and parts[1].startswith("imucal ")
+        if not one or cell_len("".join(parts)) <= self.measure - width - 1:
+            return []
         said = parts[0].rstrip(" :") + (f".{parts[2]}".rstrip() if parts[2].strip(" .") else ":")
-        typed = [("", line) for line in _continued(parts[1], self.measure - 3)]
-        return self.lines(self.listed([(lead, said), *typed], 2, 1, "", ""))
+        lines = _continued(parts[1], self.measure - width - 1)
+        blank = " " * (width + 1)
+        return [
+            self.listed([(lead, said)], width, 1, style, style),
+            *(Line(blank + line, no_wrap=True, overflow="ignore") for line in lines),
+        ]
 
     def cut(self, text: str, most: int, lead: int) -> str:
         """The first sentences, as many as `most` lines hold behind `lead` cells; at least one."""
@@ -253,6 +267,8 @@ class _Sheet:
     def paragraph(self, text: Text) -> RenderableType:
         """With its sign where it has a tone."""
         words, style = _spaced(text.text), STYLES[text.tone]
+        if typed := self.typed(words, SIGNS[text.tone], 1, style):
+            return Group(*typed)
         if not SIGNS[text.tone]:
             return self.running(Line(words, style))
         return self.listed([(SIGNS[text.tone], words)], 1, 1, style, style)
