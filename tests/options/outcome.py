@@ -18,7 +18,7 @@ from imucalib.errors import ImucalError
 #: Blocks of a result that say where it came from, not what it is.
 ORIGIN = {"provenance", "notes", "output", "written", "path", "sha256", "file", "mapping", "input",
           "format", "seconds", "adjusted", "command",
-          "log"}  # fmt: skip
+          "log", "sensor"}  # fmt: skip
 
 
 @dataclass(frozen=True)

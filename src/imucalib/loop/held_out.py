@@ -116,9 +116,9 @@ class Difference:
 
     @property
     def holds(self) -> bool:
-        """Whether nothing speaks against a correction: the error that is printed has not grown, nor
-        has the density fallen, whatever else speaks for it."""
-        return self.after <= self.before and not self.nats < 0.0
+        """Whether nothing speaks against a correction: the error that is printed has not grown,
+        whatever else speaks for it."""
+        return self.after <= self.before
 
     @property
     def proved(self) -> bool:
