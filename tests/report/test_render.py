@@ -356,7 +356,9 @@ def test_the_gains_picture_says_what_its_interval_holds(low: float, word: str) -
     """Also where the log density, and not the error, proves the gain."""
     gain = Gain(2.0, 1.0, low, 1.9, True, "mg", nats=30.0, nats_low=9.0)
     (plot,) = gain_plot(Findings("explained", gain=gain))
-    assert f"{word} zero; likelier by a factor of more than 4.9e+08, at least 8.1e+03" in plot.caption
+    assert (
+        f"{word} zero; likelier by a factor of more than 4.9e+08, at least 8.1e+03" in plot.caption
+    )
     (bars,) = plot.series
     assert bars.names == ("before", "after", "gain, 95 %")
     np.testing.assert_array_equal(bars.y, [2.0, 1.0, 1.0])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -212,6 +213,16 @@ class Calibration:
         slope, _ = force_slopes(model, theta, force, context)
         own = self.covariance_of(model)
         return np.asarray(np.einsum("nip,pq,njq->nij", slope, own, slope))
+
+    def stated_error(self, units: Mapping[str, float], of: str) -> float:
+        """The first error of "raw" or "final" readings in one of the units, held out or fitted, in
+        that of their factors; infinite where none is known."""
+        for error in self.facts.get("errors", ()):
+            if factor := units.get(error["unit"]):
+                for value in (error["held_out"].get(of), error.get(of)):
+                    if value is not None and math.isfinite(value):
+                        return factor * float(value)
+        return math.inf
 
     def unrecorded(self, covariate: str) -> float:
         """Where an effect acts whose covariate was not recorded: what time has brought about stays,

@@ -94,7 +94,8 @@ class Correction:
             for block in found:
                 yield self._block(block, None)
         if not self._said:
-            self._rests.demand_better(self._calibration.gravity, self._path)
+            stated = self._calibration.stated_error({"mg": 1.0}, "final")
+            self._rests.demand_better(self._calibration.gravity, stated, self._path)
 
     def _named(self, found: Iterator[Recording]) -> tuple[str, Iterator[Recording]]:
         """The sensor whose thermometer counts, and the blocks."""

@@ -63,11 +63,11 @@ class GravityAtRest:
         where = "where the recording is quietest, |a| is off gravity by"
         return (f"{where} {off[1]:.3g} mg as read, {off[2]:.3g} mg corrected (rms)",)
 
-    def demand_better(self, gravity: float, where: str) -> None:
-        """Raise UsageError where gravity is off by more than motion can be, and not less so after
-        the correction."""
+    def demand_better(self, gravity: float, stated: float, where: str) -> None:
+        """Raise UsageError where gravity is off by more than motion can be, and after the
+        correction by no less than before and what the calibration is good to; stated : mg rms"""
         off = self.off(gravity)
-        if off is not None and off[0] < off[1] <= off[2]:
+        if off is not None and off[0] < off[1] and off[2] >= np.hypot(off[1], stated):
             raise UsageError(
                 f"{self.words(gravity)[0]}: the calibration is another sensor's",
                 where=where,

@@ -44,7 +44,7 @@ def demand_carried(
     ):
         most, why = bound, ""
         if most is None:
-            raw, left = (_stated(calibration, units, of) for of in ("raw", "final"))
+            raw, left = (calibration.stated_error(units, of) for of in ("raw", "final"))
             most = math.sqrt(max(raw**2 - min(left, raw) ** 2, 0.0))
             why = f": {raw:.3g} {unit} without a calibration, {left:.3g} {unit} with all of it"
         if lost > most:
@@ -63,14 +63,3 @@ def carries(calibration: Calibration, form: str) -> bool:
     except (LimitBroken, NotConverged, UsageError):
         return False
     return True
-
-
-def _stated(calibration: Calibration, units: dict[str, float], of: str) -> float:
-    """The first error of raw or finally corrected readings in one of the units, held out or fitted,
-    in that of the factors; infinite where none is known."""
-    for error in calibration.facts.get("errors", ()):
-        if factor := units.get(error["unit"]):
-            for value in (error["held_out"].get(of), error.get(of)):
-                if value is not None and math.isfinite(value):
-                    return float(value) * factor
-    return math.inf

@@ -212,8 +212,8 @@ def _demand_one_device(dialect: Dialect, piece: bytes, where: str) -> None:
     rows = [row for row in each if len(row) == dialect.width]
     for k, name in enumerate(dialect.names if len(rows) > 1 else ()):
         cells = [row[k] for row in rows]
-        if take_turns(name, cells):
-            said = few_values(name, cells)
+        if take_turns(name, cells, dialect.decimal):
+            said = few_values(name, cells, dialect.decimal)
             raise UnreadableInput(
                 f"rows of several sensors take turns: {said.partition(' (')[0]}",
                 where=where,
@@ -224,7 +224,10 @@ def _demand_one_device(dialect: Dialect, piece: bytes, where: str) -> None:
 def _columns_of_words(dialect: Dialect, pieces: Sequence[bytes]) -> list[str]:
     """Sentences on columns of a few words, which may be of more than one sensor."""
     rows = dialect.rows_of(pieces) if dialect.names else []
-    every = (few_values(name, [row[k] for row in rows]) for k, name in enumerate(dialect.names))
+    every = (
+        few_values(name, [row[k] for row in rows], dialect.decimal)
+        for k, name in enumerate(dialect.names)
+    )
     return [sentence for sentence in every if sentence]
 
 

@@ -280,10 +280,11 @@ def no_row_has(
     )
 
 
-def few_values(name: str, cells: Sequence[str]) -> str:
-    """A sentence on a column that takes a few values of words or names, or ""."""
+def few_values(name: str, cells: Sequence[str], decimal: str = ".") -> str:
+    """A sentence on a column that takes a few values of words or names, or ""; decimal : mark of
+    its numbers"""
     found = list(dict.fromkeys(cell for cell in cells if cell))
-    words = not all(is_number(cell) for cell in found)
+    words = not all(is_number(cell.replace(decimal, ".")) for cell in found)
     named = bool(set(name.lower().replace("-", "_").replace(" ", "_").split("_")) & _NAMES)
     if not 2 <= len(found) <= _FEW or not (words or named):
         return ""
@@ -292,10 +293,10 @@ def few_values(name: str, cells: Sequence[str]) -> str:
     )
 
 
-def take_turns(name: str, cells: Sequence[str]) -> bool:
+def take_turns(name: str, cells: Sequence[str], decimal: str = ".") -> bool:
     """Whether rows of several devices take turns, by a column of their words or numbers."""
     turns = sum(one != other for one, other in pairwise(cells))
-    return 2 * turns > len(cells) and bool(few_values(name, cells))
+    return 2 * turns > len(cells) and bool(few_values(name, cells, decimal))
 
 
 def _listed(cells: Sequence[str]) -> str:
