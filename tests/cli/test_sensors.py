@@ -29,9 +29,10 @@ CALLS: dict[str, tuple[str, ...]] = {
     "imu": ("{two}", "--no-loop"),
     "inspect": ("{two}",),
     "lab": ("{two}", "--reference", "norm", "--no-loop"),
+    "noise": ("{two}",),
 }
 #: What shows all of them, and asks for no choice.
-ALL = ("convert", "inspect")
+ALL = ("convert", "inspect", "noise")
 #: What says it of each of several recordings.
 GATHERS = ("fleet",)
 
