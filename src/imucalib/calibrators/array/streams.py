@@ -50,14 +50,37 @@ def streams(log: ArrayLog) -> Streams:
     missed = np.maximum(np.round(np.diff(log.t) / log.interval) - 1.0, 0.0)
     lost = float(missed.sum() / (len(log.t) + missed.sum()))
     moving = np.linalg.norm(np.median(log.rate, axis=1), axis=1) > SLOWEST
-    same = np.zeros((*log.rate.shape[:2], 2), dtype=np.bool_)
-    for kind, values in enumerate((log.acceleration, log.rate)):
-        same[1:, :, kind] = np.all(values[1:] == values[:-1], axis=2)
-    same &= moving[:, None, None]
+    same = np.stack([repeats(v, moving)[0] for v in (log.acceleration, log.rate)], axis=2)
     repeated = same.sum(axis=0) / max(int(moving.sum()), 1)
     spikes = _spikes(log, moving & ~log.clipped)
     held = np.asarray((same | spikes).any(axis=(1, 2)))
     return Streams(lost, repeated, _shifts(log, moving), spikes.sum(axis=0), held)
+
+
+@dataclass(frozen=True)
+class Held:
+    """Where a stretch ends: the last readings (K, 3) of its sensors, and which (K,) are held."""
+
+    last: Array
+    held: Flags
+
+
+def repeats(values: Array, moving: Flags, before: Held | None = None) -> tuple[Flags, Held]:
+    """(T, K) readings (T, K, 3) that repeat what their sensor read before, in runs that reach into
+    motion, and where the stretch ends: no chip that reads reads the same again while it turns.
+
+    moving : (T,) samples in motion; before : where the stretch before ended
+    """
+    t, count = values.shape[:2]
+    before = before or Held(np.full((count, 3), np.nan), np.zeros(count, dtype=np.bool_))
+    same = np.all(values == np.concatenate([before.last[None], values[:-1]]), axis=2)
+    found = np.zeros((t, count), dtype=np.bool_)
+    for k, own in enumerate(same.T):
+        run = np.cumsum(~own)
+        frozen = np.bincount(run, own & moving) > 0
+        frozen[0] |= before.held[k]
+        found[:, k] = own & frozen[run]
+    return found, Held(values[-1].copy(), found[-1])
 
 
 def _products(rate: Array) -> Array:

@@ -102,13 +102,13 @@ def test_noise_falls_as_the_root_of_the_chips_and_is_stated(plain: World, part: 
 
 
 @pytest.mark.slow
-def test_missing_stuck_and_clipped_readings_are_left_out() -> None:
+def test_missing_wild_and_clipped_readings_are_left_out() -> None:
     rng = np.random.default_rng(4)
     made = board(rng, ranges=(16.0, 1e9))
     motion = moves(rng, still=12.0, moving=20.0, hz=HZ, twist=250.0)
     acceleration, rate = readings(made, motion, rng)
     rows = slice(2000, 2600)
-    rate[rows, 2] = rate[2000, 2]  # it hangs
+    rate[rows, 2] = np.nan
     acceleration[rows, 5, 1] += 20.0  # one axis goes wild
     acceleration[2100:2300, 0] = np.nan
     assert (np.abs(acceleration) >= 15.99).any(axis=(1, 2)).mean() > 0.02
@@ -116,6 +116,33 @@ def test_missing_stuck_and_clipped_readings_are_left_out() -> None:
     assert rms(found.error[2020:2600, 6:]) < 1.2 * 0.2 * DEG / np.sqrt(7)
     assert rms(found.error[rows, :3]) < 1.3 * 0.04 / np.sqrt(6)
     assert not found.fused.live[2100:2300, 0].any()
+
+
+def test_a_frozen_chip_is_as_good_as_one_that_is_not_there() -> None:
+    """From the middle of the motion on, over the border of two blocks."""
+    rng = np.random.default_rng(6)
+    made = board(rng)
+    motion = moves(rng, still=12.0, moving=12.0, hz=HZ, twist=250.0)
+    read = readings(made, motion, rng)
+    rows, errors = slice(1900, None), []
+    for gone in (False, True):
+        own = [v.copy() for v in read]
+        for v in own:
+            v[rows, 3] = np.nan if gone else v[1900, 3]
+        log = recording(made, motion.t, *own)
+        instrument = instrument_of(calibration(made))
+        found = survey([log], instrument)
+        parts = list(side_by_side(_in_blocks(log, 2100), found.instrument))
+        stretch = Stretch(
+            motion.t,
+            np.concatenate([part.acceleration for part in parts]),
+            np.concatenate([part.rate for part in parts]),
+        )
+        assert np.isnan(stretch.rate[1901:, 3]).all()
+        assert np.isfinite(stretch.rate[:1900]).all()
+        errors.append(fused_stretch(found, stretch).motion.rate - motion.rate)
+    frozen, absent = (rms(e[rows]) for e in errors)
+    assert frozen < 1.2 * absent
 
 
 @pytest.mark.slow

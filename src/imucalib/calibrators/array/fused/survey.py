@@ -19,7 +19,9 @@ from imucalib.calibrators.array.fused.instrument import Biases, Instrument, Stre
 from imucalib.calibrators.array.fused.noise import ChipNoise, at_rest, fitted_noise
 from imucalib.calibrators.array.log import nearest
 from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
+from imucalib.calibrators.array.moving import SLOWEST
 from imucalib.calibrators.array.rests import ATTITUDES, contradicted
+from imucalib.calibrators.array.streams import Held, repeats
 from imucalib.errors import Undetermined, UnreadableInput
 from imucalib.estimators.array.sample_age import fit_sample_age
 from imucalib.recording.recording import Channel, Recording
@@ -40,7 +42,8 @@ def side_by_side(blocks: Iterable[Recording], instrument: Instrument) -> Iterato
     """Stretches of all IMUs of the instrument, one a block of the recording.
 
     The first IMU's accelerometer gives the instants. A reading belongs to the nearest one within a
-    share of the interval; an IMU without one there takes no part in that sample. Raises
+    share of the interval; an IMU without one there, or with one that is held from before, takes no
+    part in that sample. Raises
     UnreadableInput where no IMU is the instrument's, NotFusable where fewer than two are there with
     a gyro, and for readings that are not in SI units.
     """
@@ -75,6 +78,7 @@ class _Queue:
         self._base, self._tolerance = _key(base), _APART / base.rate
         self._waiting = {_key(c): (np.empty(0), np.empty((0, 3))) for c in own}
         self._last = dict.fromkeys(self._waiting, -np.inf)
+        self._ends: list[Held | None] = [None, None]
 
     def add(self, block: Recording) -> None:
         """Take a block; samples whose time does not go on are left out."""
@@ -116,7 +120,17 @@ class _Queue:
             used = int(np.searchsorted(own, until - self._tolerance, side="right"))
             used = len(t) if key == self._base else used
             self._waiting[key] = own[used:], values[used:]
-        yield Stretch(t, found["acceleration"], found["angular_rate"])
+        yield self._without_held(Stretch(t, found["acceleration"], found["angular_rate"]))
+
+    def _without_held(self, stretch: Stretch) -> Stretch:
+        """With readings that are held from before missing."""
+        speed = np.linalg.norm(stretch.rate, axis=2)
+        there = np.isfinite(speed)
+        speed = np.where(there, speed, 0.0).sum(axis=1) / np.maximum(there.sum(axis=1), 1)
+        for kind, values in enumerate((stretch.acceleration, stretch.rate)):
+            frozen, self._ends[kind] = repeats(values, speed > SLOWEST, self._ends[kind])
+            values[frozen] = np.nan
+        return stretch
 
 
 def _key(channel: Channel) -> tuple[str, str]:
