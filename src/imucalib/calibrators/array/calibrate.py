@@ -21,11 +21,11 @@ from imucalib.calibrators.array.estimate.covariance import (
 from imucalib.calibrators.array.estimate.posterior import draw_positions
 from imucalib.calibrators.array.estimate.total import frame_sd, scale_by_turns, total_of
 from imucalib.calibrators.array.findings import residual_in_motion
-from imucalib.calibrators.array.linear_part import GYRO_FRAME, linear_part
+from imucalib.calibrators.array.linear_part import linear_part
 from imucalib.calibrators.array.log import ArrayLog, array_log, of_board
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop, close_array_loop
 from imucalib.calibrators.array.loop.motion import board_motion
-from imucalib.calibrators.array.loop.search import start_state, with_declared
+from imucalib.calibrators.array.loop.search import frame_term, start_state
 from imucalib.calibrators.array.loop.setup import array_setup, plain_setup
 from imucalib.calibrators.array.loop.state import ArrayState, shared_by_neighbours
 from imucalib.calibrators.array.loop.terms import rest_terms
@@ -235,11 +235,9 @@ def _fitted(moving: Moving, rests: RestFit, board: Board, request: ArrayRequest)
         )
     terms = rest_terms(rests)
     if setup is None:
-        # Where nothing is searched, gyros are made like their mean by plain comparison; what they
-        # share against the accelerometers that does not show, and every board has it.
+        # Where nothing is searched, gyros are made like their mean by plain comparison.
         plain = plain_setup(moving.levelled, board, min(most, SEARCH_SAMPLES))
-        start = with_declared(start_state(plain, terms), (GYRO_FRAME,))
-        state = fitted_on_all(start, most)
+        state = fitted_on_all(start_state(plain, (*terms, frame_term())), most)
         return _Fit(None, *with_uneven(state, shared_by_neighbours(state, gyro=False)))
     loop = close_array_loop(
         setup,

@@ -12,8 +12,6 @@ from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.calibrators.array.loop.terms import Term
 from imucalib.units import DEG
 
-#: What gyros share, scale apart, against the accelerometers.
-GYRO_FRAME = "gyro_frame"
 _SMALL = 1e-6  # share of an effect beyond its linear part from which on it counts
 
 

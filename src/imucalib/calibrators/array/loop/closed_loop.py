@@ -20,20 +20,21 @@ from imucalib.calibrators.array.loop.ages import found_clock, with_clock, with_f
 from imucalib.calibrators.array.loop.catalogue import EVERYTHING, Scope
 from imucalib.calibrators.array.loop.cross_fit import CHANNELS, Gained, Residuals, cross_fitted
 from imucalib.calibrators.array.loop.search import (
+    GYRO_FRAME,
     Explored,
-    MotionProblem,
     explored,
+    frame_term,
+    scores_of,
     start_state,
     with_declared,
     with_members,
 )
 from imucalib.calibrators.array.loop.setup import Setup
 from imucalib.calibrators.array.loop.state import ArrayState, remembered, shared_by_neighbours
-from imucalib.calibrators.array.loop.terms import OPEN, Term
-from imucalib.loop.found import FitLoop, Loop, Score, Step, Unexplained
-from imucalib.loop.odds import ABSORBED, CERTAIN
-from imucalib.loop.posterior.space import Posterior
-from imucalib.loop.posterior.words import name_of, of_each
+from imucalib.calibrators.array.loop.terms import Term
+from imucalib.loop.found import FitLoop, Loop, Step, Unexplained
+from imucalib.loop.odds import CERTAIN
+from imucalib.loop.posterior.words import name_of
 from imucalib.significant_digits import plus_minus
 
 _REFUSED = "it makes the held-out error larger"
@@ -90,17 +91,24 @@ def close_array_loop(
     scope : effects that the user declares, or keeps out of the search
     """
 
-    def searched(chosen: Setup) -> tuple[ArrayState, ArrayState, Explored]:
-        base = with_found_clock(with_declared(start_state(chosen, terms), scope.declare))
-        found = explored(base, scope, curves=curves)
-        return base, _named(found, scope, curves=curves) or base, found
+    first, held = (*terms, frame_term()), replace(scope, declare=(*scope.declare, GYRO_FRAME))
+    if GYRO_FRAME in (*scope.declare, *scope.without):
+        first, held = terms, scope
+
+    def searched(
+        chosen: Setup, whole: Explored | None = None
+    ) -> tuple[ArrayState, ArrayState, Explored]:
+        base = with_found_clock(with_declared(start_state(chosen, first), scope.declare))
+        found = explored(base, held, whole)
+        return base, _named(found, held, curves=curves) or base, found
 
     base, final, found = searched(setup)
-    gained = cross_fitted(halved or setup, lambda chosen: searched(chosen)[:2])
+    gained = cross_fitted(halved or setup, lambda half: searched(half, found)[:2])
     steps = steps_of(found, final, gained)
     shifts = _unnamed(found, final)
     open_ends = {one: float(np.sqrt(np.mean(moved**2))) for one, moved in shifts.items()}
-    acts = {term.effect.channel for term in final.found} or set(CHANNELS)
+    told = {step.effect for step in steps}
+    acts = {t.effect.channel for t in final.found if t.name in told} or set(CHANNELS)
     deciding = None if gained is None else gained.deciding(acts)
     refused: tuple[tuple[str, str], ...] = ()
     if steps and deciding is not None and not deciding.holds:
@@ -125,12 +133,12 @@ def close_array_loop(
         refuted=tuple(name for name, _ in refused),
         unexplained=tuple(open_ends),
         scores=scores_of(found.problem, found.posterior),
-        first_scores=scores_of(*found.first),
+        first_scores=found.scores,
         missing=found.problem.missing,
         difference=deciding,
         complete=found.said.complete,
         gained=gained,
-        impact=absorbed(found.first[0]),
+        impact=found.impact,
         moved={one.name: move for one, move in open_ends.items()},
         dispersion=dispersion,
         scope=scope,
@@ -244,33 +252,3 @@ def _unnamed(found: Explored, final: ArrayState) -> dict[Unexplained, Array]:
 
 def _member(found: Explored, component: int) -> str:
     return name_of(found.problem, found.posterior, found.said, component)
-
-
-def scores_of(problem: MotionProblem, posterior: Posterior) -> tuple[Score, ...]:
-    """Every component, likeliest first, by its first member at typical size: its evidence with
-    the base model alone, and the probability that it is there."""
-    evidence, inside = of_each(posterior, len(problem.components))
-    found = []
-    for c, component in enumerate(problem.components):
-        share, strength, _ = problem.shown(c)
-        score = Score(
-            name=component.name,
-            kind="effect" if component.named else "probe",
-            follows=component.follows,
-            evidence=float(evidence[c]),
-            probability=float(inside[c]),
-            left=share if strength > OPEN else 0.0,
-            strength=strength,
-        )
-        found.append(score)
-    return tuple(sorted(found, key=lambda s: -s.probability))
-
-
-def absorbed(problem: MotionProblem) -> dict[str, float]:
-    """What no motion shows, and by how many m rms its typical size moves the positions."""
-    found = {}
-    for c, component in enumerate(problem.components):
-        share, strength, moves = problem.shown(c)
-        if component.named and (strength <= OPEN or share < ABSORBED):
-            found[component.name] = moves
-    return found

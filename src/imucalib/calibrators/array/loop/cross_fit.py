@@ -1,7 +1,8 @@
-"""Before and after on motion that took no part: the whole search, repeated on each half of it.
+"""Before and after on motion that took no part: what is told, chosen anew on each half of it.
 
 One design, fixed before the search: blocks of a few seconds in two halves. On one half positions,
-noise, effects and their choice are made anew, then the other half is predicted with all of it held;
+noise, effects and their choice among the sets that were likely are made anew, which may find none,
+then the other half is predicted with all of it held;
 only the motion of each sample is its own, and the phases of the gyros' clocks come from samples in
 between that are never predicted. Base and final model stand on the same samples.
 """

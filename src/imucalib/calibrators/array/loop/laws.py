@@ -63,15 +63,20 @@ class Candidates:
 
 
 def candidates_of(
-    motion: BoardMotion, terms: Sequence[Term], skipped: Collection[str]
+    motion: BoardMotion,
+    terms: Sequence[Term],
+    skipped: Collection[str],
+    among: Collection[str] | None = None,
 ) -> Candidates:
     """Every effect and every law.
 
     terms : of the model; where one has a twin in it, that is there for both; skipped : names that
-    are not tried
+    are not tried; among : components that are tried, where these are not all
     """
     out = Candidates()
     for name, (kind, covariate, forms) in _every(motion, terms, out.missing).items():
+        if among is not None and name not in among:
+            continue
         found = list[tuple[Member, Index]]()
         for effect in forms:
             every = _members(effect, motion.context.triads)

@@ -7,13 +7,16 @@ The products are those of what is fitted, of all that may be missing, and of the
 with the nine unknowns of every sample taken out. All is in absolute numbers: y is what the readings
 would be off with everything at its prior's mean, so that products at two linearisations speak of
 the same thing. Noise that neighbours share and tails lessen the weights before. Effects whose
-columns are the same to the first order, delays and low-passes, are told apart by refits.
+columns are the same to the first order, delays and low-passes, are told apart by refits. A part of
+a motion starts from the search of the whole: its own products say which of the sets that were
+likely there is the likeliest.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -26,7 +29,7 @@ from imucalib.calibrators.array.loop.catalogue import (
     named_effect,
     twins_of,
 )
-from imucalib.calibrators.array.loop.laws import Candidates, candidates_of
+from imucalib.calibrators.array.loop.laws import candidates_of
 from imucalib.calibrators.array.loop.setup import Setup, looked_at, motion_at
 from imucalib.calibrators.array.loop.state import (
     ArrayState,
@@ -35,6 +38,7 @@ from imucalib.calibrators.array.loop.state import (
     shared_by_neighbours,
 )
 from imucalib.calibrators.array.loop.terms import (
+    OPEN,
     Term,
     determined,
     typical_columns,
@@ -45,18 +49,25 @@ from imucalib.errors import Undetermined
 from imucalib.estimators.array.gram import Columns, eliminated, gram, inverse_root
 from imucalib.estimators.array.noise import SensorNoise, log_density
 from imucalib.estimators.array.samples import reweighed
-from imucalib.loop.odds import FINE_SIZES
-from imucalib.loop.posterior.catalogue import Member
+from imucalib.loop.found import Score
+from imucalib.loop.odds import ABSORBED, FINE_SIZES
+from imucalib.loop.posterior.catalogue import Member, log_odds
 from imucalib.loop.posterior.gram import Grams, Multiplied
-from imucalib.loop.posterior.problem import Contest
+from imucalib.loop.posterior.problem import Choice, Contest
 from imucalib.loop.posterior.space import Hypothesis, Pick, Posterior, blocks_of, climbed
-from imucalib.loop.posterior.words import Conclusion, concluded
+from imucalib.loop.posterior.words import Conclusion, concluded, of_each
 
 #: Times that twins are told apart, where some have gone to another name.
 _PASSES = 3
 #: Times that a set is settled and searched from: two do, three at most on measured motions.
 _ROUNDS = 5
+#: Nats by which a settled fit may be beside what its products foretold of it.
+_SETTLED = 1.0
+#: Probability below which no part of a motion asks for a component again.
+_UNLIKELY = 0.01
 DIVERGED = "its refit did not converge"
+#: What gyros share, scale apart, against the accelerometers.
+GYRO_FRAME = "gyro_frame"
 #: Name in a model -> (twin, share) of what may be in its place, itself first.
 Shares = dict[str, tuple[tuple[str, float], ...]]
 
@@ -66,18 +77,26 @@ class MotionProblem(Contest):
     """What a motion may lack; what is fitted has left its products.
 
     missing : why effects could not be tried
+    prior : (C,) log prior odds of each component, be the others tried or not
     seen : (q,) squares of the columns without the motion, and what free positions leave of them
     moves : (d, q) m by which each column moves free positions at typical size
     """
 
     missing: dict[str, str]
+    prior: Array
     seen: tuple[Array, Array]
     moves: Array
 
+    @cached_property
+    def odds(self) -> Array:
+        """(C,) of `prior`."""
+        return self.prior
+
     @property
     def sizes(self) -> Array:
-        """Those of a component: a motion has thousands of readings."""
-        return FINE_SIZES
+        """Those of a component: a motion has thousands of readings, so that small ones count; the
+        evidence is flat over a factor of four."""
+        return FINE_SIZES[::2]
 
     def named(self, name: str) -> bool:
         """Whether a candidate of this name is a cause."""
@@ -104,11 +123,7 @@ class MotionProblem(Contest):
 
     def moved(self, posterior: Posterior, hypothesis: Hypothesis, component: int) -> Array:
         """(d,) m by which a component of a set moves the positions."""
-        blocks = blocks_of(self.choices, hypothesis.picks)
-        columns = np.concatenate([at for at, _ in blocks])
-        sizes = np.concatenate([np.full(at.size, size) for at, size in blocks])
-        rows = posterior.grams.rows(columns)[0]
-        value = np.linalg.solve(rows[:, columns] + np.diag(sizes**-2.0), rows[:, -1])
+        columns, value, _ = self._linear(posterior, hypothesis)
         own = next(
             self.choices[p.choice].at
             for p in hypothesis.picks
@@ -117,19 +132,44 @@ class MotionProblem(Contest):
         mine = np.isin(columns, own)
         return np.asarray(self.moves[:, columns[mine]] @ value[mine])
 
+    def missed(self, posterior: Posterior, hypothesis: Hypothesis, state: ArrayState) -> float:
+        """Nats by which a settled fit of a set is beside what the products foretold of it."""
+        columns, value, rows = self._linear(posterior, hypothesis)
+        off = _held(state, self.choices, int(columns.max(initial=0)) + 1)[columns] - value
+        return float(0.5 * off @ rows[:, columns] @ off)
+
+    def _linear(self, posterior: Posterior, hypothesis: Hypothesis) -> tuple[Array, Array, Array]:
+        """Columns (m,) of a set, what the products say of each, and their rows."""
+        blocks = blocks_of(self.choices, hypothesis.picks)
+        columns = np.concatenate([at for at, _ in blocks])
+        sizes = np.concatenate([np.full(at.size, size) for at, size in blocks])
+        rows = posterior.grams.rows(columns)[0]
+        value = np.linalg.solve(rows[:, columns] + np.diag(sizes**-2.0), rows[:, -1])
+        return columns, value, rows
+
+
+#: Log prior odds of the components that are tried, by name.
+Odds = Mapping[str, float]
+
 
 def products(
-    state: ArrayState, skipped: frozenset[str], declared: Sequence[str]
+    state: ArrayState,
+    skipped: frozenset[str],
+    declared: Sequence[str],
+    among: Odds | None = None,
 ) -> tuple[MotionProblem, Grams]:
     """At a fitted state. skipped : names that are not tried; declared : terms that are no question
-    of the search"""
+    of the search; among : components that are tried, where these are not all"""
     motion, setup = state.motion, state.setup
     rows = setup.inner[looked_at(setup)]
     clock = any(t.aged for t in state.found if t.name in declared)
     own = tuple(
         t for t in state.terms if t.name in declared or not (t.found or (t.aged and not clock))
     )
-    every = candidates_of(motion.take(rows), state.terms, skipped.union(declared))
+    every = candidates_of(motion.take(rows), state.terms, skipped.union(declared), among)
+    odds = log_odds(tuple(every.components))
+    if among is not None:
+        odds = np.array([among[one.name] for one in every.components])
     base = Base(setup, state.sampled, motion, state.r, own)
     kappa = [shared_by_neighbours(state, gyro=gyro) for gyro in (False, True)]
     a, g = (n.information / k for n, k in zip(state.noise, kappa, strict=True))
@@ -137,7 +177,7 @@ def products(
     blocks = [Columns(b.basis[:, rows], b.gyro, b.shared) for b in base.blocks]
     found = base.free(gram(sampled, [*blocks, *every.blocks], np.arange(len(rows))))
     b = len(base.prior)
-    theta = np.concatenate([base.pull / base.prior, _held(state, every)])
+    theta = np.concatenate([base.pull / base.prior, _held(state, every.choices, every.width)])
     toward = found.matrix @ theta
     along = (found.along + toward)[:, None]
     power = found.power + 2.0 * float(theta @ found.along) + float(theta @ toward)
@@ -150,6 +190,7 @@ def products(
         base=0,
         choices=tuple(every.choices),
         missing=every.missing,
+        prior=odds,
         seen=(square, square - np.sum(carried**2, axis=0)),
         moves=loose[: state.positions] @ carried,
     )
@@ -164,10 +205,10 @@ def products(
     return problem, grams
 
 
-def _held(state: ArrayState, every: Candidates) -> Array:
-    """(q,) what the state has of the candidates' columns, in typical sizes."""
-    theta = np.zeros(every.width)
-    at = {choice.member.name: choice.at for choice in every.choices}
+def _held(state: ArrayState, choices: Sequence[Choice], width: int) -> Array:
+    """(width,) what the state has of the candidates' columns, in typical sizes."""
+    theta = np.zeros(width)
+    at = {choice.member.name: choice.at for choice in choices}
     phases = [t.value for t in state.terms if t.aged and not t.found]
     for term in state.found:
         if term.name in at:
@@ -182,7 +223,9 @@ class Explored:
 
     state : with what is told in the model, twins told apart
     shares : of what is in it
-    problem, posterior, said : of the last search, and first : of the first
+    problem, posterior, said : of the last products
+    scores : of every component beside the base model, and impact : m rms by which what no motion
+        shows moves the positions at its typical size; both of the first products
     rejected : (name, reason) of what the model could not take in
     """
 
@@ -191,23 +234,41 @@ class Explored:
     problem: MotionProblem
     posterior: Posterior
     said: Conclusion
-    first: tuple[MotionProblem, Posterior]
+    scores: tuple[Score, ...]
+    impact: dict[str, float]
     rejected: tuple[tuple[str, str], ...] = ()
 
+    @property
+    def chosen(self) -> tuple[Member, ...]:
+        """What is told."""
+        return self.problem.of_set(self.said.hypothesis)
 
-def explored(base: ArrayState, scope: Scope, *, curves: bool = False) -> Explored:
+    @property
+    def likely(self) -> Odds:
+        """Components that are in any set near the likeliest, or in what is told."""
+        inside = of_each(self.posterior, len(self.problem.components))[1]
+        inside[list(self.said.hypothesis.components)] = 1.0
+        own = zip(self.problem.components, self.problem.odds, inside, strict=True)
+        return {one.name: float(odds) for one, odds, share in own if share > _UNLIKELY}
+
+
+def explored(base: ArrayState, scope: Scope, whole: Explored | None = None) -> Explored:
     """The posterior over what a fitted state lacks, at the set that it tells.
 
-    scope : declared effects stay in the model; curves : whether what has no name is corrected
+    scope : declared effects stay in the model; whole : the search of a motion of which this is a
+    part, which starts from what is told there
     """
     skipped = scope.skipped(base.setup.imus)
-    state, seen, shares = base, set[frozenset[str]](), Shares()
-    first: tuple[MotionProblem, Posterior] | None = None
-    rejected: tuple[tuple[str, str], ...] = ()
+    state, shares, seen = base, Shares(), set[frozenset[str]]()
+    among, first, rejected = None, None, tuple[tuple[str, str], ...]()
+    if whole is not None:
+        among = whole.likely
+        state, shares = _taken_in(base, whole.chosen, scope, None) or (base, shares)
     for _ in range(_ROUNDS):
-        problem, grams = products(state, skipped, scope.declare)
+        problem, grams = products(state, skipped, scope.declare, among)
         posterior = climbed(problem, grams, problem.picks(state))
-        first = first or (problem, posterior)
+        del grams
+        first = first or (scores_of(problem, posterior), absorbed(problem))
         said = concluded(problem, posterior)
         chosen = problem.of_set(said.hypothesis)
         names = frozenset(one.name for one in chosen)
@@ -215,22 +276,62 @@ def explored(base: ArrayState, scope: Scope, *, curves: bool = False) -> Explore
         if names == held.difference(scope.declare) or names in seen:
             break
         seen.add(names)
-        grown = with_members(state, chosen, scope)
+        grown = _taken_in(state, chosen, scope, skipped if whole is None else None)
         if grown is None:
             rejected = tuple((one.name, DIVERGED) for one in chosen if one.name not in held)
             break
-        state = refitted(with_found_clock(grown)) or grown
-        state, shares = distinguished(state, skipped)
+        state, shares = grown
+        # Where the fit is what its products foretold, others would say the same.
+        same = names == {t.name for t in state.found}.difference(scope.declare)
+        if same and problem.missed(posterior, said.hypothesis, state) < _SETTLED:
+            break
     assert first is not None
-    return Explored(
-        state=state,
-        shares=shares,
-        problem=problem,
-        posterior=posterior,
-        said=said,
-        first=first,
-        rejected=rejected,
-    )
+    return Explored(state, shares, problem, posterior, said, *first, rejected)
+
+
+def _taken_in(
+    state: ArrayState, chosen: Sequence[Member], scope: Scope, skipped: Collection[str] | None
+) -> tuple[ArrayState, Shares] | None:
+    """The fit with a set, its clocks and its twins told apart; None where it runs away.
+
+    skipped : names that are not tried; None where twins stay as the whole motion has told them
+    """
+    grown = with_members(state, chosen, scope)
+    if grown is None:
+        return None
+    if any(term.aged for term in grown.terms):
+        grown = refitted(with_found_clock(grown)) or grown
+    return (grown, Shares()) if skipped is None else distinguished(grown, skipped)
+
+
+def scores_of(problem: MotionProblem, posterior: Posterior) -> tuple[Score, ...]:
+    """Every component, likeliest first, by its first member at typical size: its evidence with
+    the base model alone, and the probability that it is there."""
+    evidence, inside = of_each(posterior, len(problem.components))
+    found = []
+    for c, component in enumerate(problem.components):
+        share, strength, _ = problem.shown(c)
+        score = Score(
+            name=component.name,
+            kind="effect" if component.named else "probe",
+            follows=component.follows,
+            evidence=float(evidence[c]),
+            probability=float(inside[c]),
+            left=share if strength > OPEN else 0.0,
+            strength=strength,
+        )
+        found.append(score)
+    return tuple(sorted(found, key=lambda s: -s.probability))
+
+
+def absorbed(problem: MotionProblem) -> dict[str, float]:
+    """What no motion shows, and by how many m rms its typical size moves the positions."""
+    found = {}
+    for c, component in enumerate(problem.components):
+        share, strength, moves = problem.shown(c)
+        if component.named and (strength <= OPEN or share < ABSORBED):
+            found[component.name] = moves
+    return found
 
 
 def with_members(state: ArrayState, chosen: Sequence[Member], scope: Scope) -> ArrayState | None:
@@ -287,6 +388,14 @@ def own_gram(state: ArrayState, effect: Response, only: int | None = None) -> Ar
     columns, base = typical_columns(effect, state.motion, only), state.base
     found = base.free(gram(state.sampled, [*base.blocks, columns], state.setup.inner))
     return eliminated(found.matrix, base.rests)
+
+
+def frame_term() -> Term:
+    """What gyros share against the accelerometers: no comparison of gyros shows it, every board has
+    it, and positions hold it where a model does not."""
+    effect = array_catalogue()[GYRO_FRAME]
+    size = typical_of(effect, len(effect.each))
+    return Term(GYRO_FRAME, effect, None, np.diag(size), 0.0 * size, np.ones(len(size)))
 
 
 def start_state(setup: Setup, terms: tuple[Term, ...]) -> ArrayState:
