@@ -108,7 +108,10 @@ def close_array_loop(
     shifts = _unnamed(found, final)
     open_ends = {one: float(np.sqrt(np.mean(moved**2))) for one, moved in shifts.items()}
     told = {step.effect for step in steps}
-    acts = {t.effect.channel for t in final.found if t.name in told} or set(CHANNELS)
+    shown = [t.effect for t in final.found if t.name in told]
+    # What all sensors of a kind do alike shows against those of the other.
+    shared = any(effect.shared for effect in shown) or not shown
+    acts = set(CHANNELS) if shared else {effect.channel for effect in shown}
     deciding = None if gained is None else gained.deciding(acts)
     refused: tuple[tuple[str, str], ...] = ()
     if steps and deciding is not None and not deciding.holds:
