@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,6 +32,7 @@ from imucalib.calibrators.array.loop.search import (
 from imucalib.calibrators.array.loop.setup import Setup
 from imucalib.calibrators.array.loop.state import ArrayState, remembered, shared_by_neighbours
 from imucalib.calibrators.array.loop.terms import Term
+from imucalib.core.effect import Channel
 from imucalib.loop.found import FitLoop, Loop, Step, Unexplained
 from imucalib.loop.odds import CERTAIN
 from imucalib.loop.posterior.words import name_of
@@ -107,12 +108,7 @@ def close_array_loop(
     steps = steps_of(found, final, gained)
     shifts = _unnamed(found, final)
     open_ends = {one: float(np.sqrt(np.mean(moved**2))) for one, moved in shifts.items()}
-    told = {step.effect for step in steps}
-    shown = [t.effect for t in final.found if t.name in told]
-    # What all sensors of a kind do alike shows against those of the other.
-    shared = any(effect.shared for effect in shown) or not shown
-    acts = set(CHANNELS) if shared else {effect.channel for effect in shown}
-    deciding = None if gained is None else gained.deciding(acts)
+    deciding = None if gained is None else gained.deciding(_shown_by(final, steps))
     refused: tuple[tuple[str, str], ...] = ()
     if steps and deciding is not None and not deciding.holds:
         refused = tuple((step.effect, _REFUSED) for step in steps)
@@ -146,6 +142,15 @@ def close_array_loop(
         dispersion=dispersion,
         scope=scope,
     )
+
+
+def _shown_by(final: ArrayState, steps: Sequence[Step]) -> set[Channel]:
+    """Whose errors show what is told: of what single sensors do, those of their kind; of what all
+    do alike, or has no name, those of both."""
+    told = {step.effect for step in steps}
+    shown = [term.effect for term in final.found if term.name in told]
+    shared = any(effect.shared for effect in shown) or not shown
+    return set(CHANNELS) if shared else {effect.channel for effect in shown}
 
 
 def _named(found: Explored, scope: Scope, *, curves: bool) -> ArrayState | None:

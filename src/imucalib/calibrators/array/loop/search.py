@@ -286,7 +286,17 @@ def explored(base: ArrayState, scope: Scope, whole: Explored | None = None) -> E
         if same and problem.missed(posterior, said.hypothesis, state) < _SETTLED:
             break
     assert first is not None
-    return Explored(state, shares, problem, posterior, said, *first, rejected)
+    scores, impact = first
+    return Explored(
+        state=state,
+        shares=shares,
+        problem=problem,
+        posterior=posterior,
+        said=said,
+        scores=scores,
+        impact=impact,
+        rejected=rejected,
+    )
 
 
 def _taken_in(

@@ -32,7 +32,7 @@ from imucalib.loop.odds import CERTAIN
 
 #: Newton steps at most, those before which the matrix is made again in any case, and the squared
 #: steps at which a fit is settled: one in the search, which compares nats, and one that is stated.
-_ROUNDS, _AGAIN, _ROUGH, _CLOSE = 30, (0, 8, 16, 24), 0.4, 0.01
+_ROUNDS, _AGAIN, _ROUGH, _CLOSE = 30, (0, 8, 16, 24), 0.4, 0.03
 #: Change of the noise from which the matrix no longer serves.
 _STALE = 0.1
 #: Rounds of a motion with the weights that its residuals ask for, at one step of what is fitted.
