@@ -15,7 +15,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
 from imucalib.calibrators.array.board import read_board
 from imucalib.calibrators.array.calibrate import calibrate_array
-from imucalib.calibrators.array.logs import Pooled, pooled
+from imucalib.calibrators.array.logs import PooledLogs, pool_logs
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.readers import read
 from worlds.boards import BoardPlan, board_log, made_board
@@ -24,7 +24,7 @@ BOARD = read_board("mimu4444_corners")
 _FIVE, _TRIED = 5, 60
 
 
-def report(name: str, found: list[Pooled]) -> None:
+def report(name: str, found: list[PooledLogs]) -> None:
     left_out = np.concatenate([f.left_out for f in found])
     low, high = np.quantile(left_out, (0.1, 0.9))
     chi2, freedom = (np.median([getattr(f, n) for f in found]) for n in ("chi2", "freedom"))
@@ -54,12 +54,12 @@ def main() -> None:
         ]
     values = np.array([run.total.by_motion[1:].ravel() for run in runs])
     spread = np.array([run.total.motion for run in runs])
-    report(f"{len(runs)} together", [pooled(values, spread)])
+    report(f"{len(runs)} together", [pool_logs(values, spread)])
     if len(runs) > _FIVE:
         every = list(combinations(range(len(runs)), _FIVE))
         chosen = np.random.default_rng(0).choice(len(every), _TRIED, replace=False)
         some = [list(every[k]) for k in chosen]
-        report(f"any {_FIVE}", [pooled(values[at], spread[at]) for at in some])
+        report(f"any {_FIVE}", [pool_logs(values[at], spread[at]) for at in some])
 
 
 if __name__ == "__main__":

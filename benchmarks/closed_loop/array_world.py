@@ -50,7 +50,6 @@ CONFOUNDED: tuple[tuple[str, str, float], ...] = (
     ("bias_drift", "", 1.0),
     ("warm_up", "", 0.8),
     ("asymmetry", "", 0.2),
-    ("gyro_frame", "", 0.12),
 )
 #: What no motion shows: always listed, with what it would do to the positions.
 ABSORBED = ("common_gyro_scale", "common_accelerometer_scale", "common_accelerometer_bias")

@@ -19,7 +19,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.calibration.uncertainty import angle_uncertainty, corrected_by, correcting
+from imucalib.calibration.uncertainty import angle_uncertainty, correct_readings, correcting
 from imucalib.calibrators.lab.bench import position_observations
 from imucalib.calibrators.lab.calibrate import calibrate
 from imucalib.calibrators.lab.conventions import Conventions
@@ -81,7 +81,7 @@ def one(job: tuple[int, float]) -> Bench:
     tool_face = rng.uniform(0.0, 360.0, 20) * DEG
     force = STANDARD_GRAVITY * unit_vector(inclination, tool_face)
     reading = planted_truth(plan, data, force)
-    corrected = corrected_by(loop.final, reading)
+    corrected = correct_readings(loop.final, reading)
     i, t = angles_of(corrected)
     stated = angle_uncertainty(loop.final, inclination, tool_face, STANDARD_GRAVITY, MG)
     turn = np.mod(t - tool_face + np.pi, 2 * np.pi) - np.pi

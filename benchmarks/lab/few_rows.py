@@ -15,7 +15,7 @@ import sys
 
 import numpy as np
 
-from imucalib.calibration.uncertainty import corrected_by, force_slope
+from imucalib.calibration.uncertainty import correct_readings, force_slope
 from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import run_lab
@@ -93,7 +93,7 @@ def judged(
     fit = run.result.final
     force = rng.normal(size=(40, 3))
     force *= G / np.linalg.norm(force, axis=1, keepdims=True)
-    error = corrected_by(fit, force @ gain.T + bias) - force
+    error = correct_readings(fit, force @ gain.T + bias) - force
     slope, _ = force_slope(fit, force[:, None])
     rows = slope.reshape(-1, slope.shape[-1])
     half = fit.half_width(rows).reshape(error.shape)

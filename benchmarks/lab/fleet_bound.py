@@ -28,17 +28,17 @@ import numpy as np
 from fleet import NOISE, REQUEST, device
 
 from imucalib.calibrators.lab.files import LabFiles, calibrate_files
-from imucalib.cohort.fleet.pooled import Device, device_of, outstanding
-from imucalib.loop.candidates import searched
+from imucalib.cohort.fleet.pooled import PooledDevice, device_of, outstanding
+from imucalib.loop.candidates import effects_to_search
 
 ALPHA, TRUTH, DOF = 0.04, "quadratic", 15.0
 
 
-def devices_of(count: int, folder: Path) -> list[Device]:
+def devices_of(count: int, folder: Path) -> list[PooledDevice]:
     """Products of all candidates; the data themselves are drawn anew."""
     rng = np.random.default_rng(1)
     alone = replace(REQUEST, loop=False)
-    effects = searched((), (), {}).effects
+    effects = effects_to_search((), (), {}).effects
     found = []
     for k in range(count):
         path = folder / f"{k}.csv"
@@ -51,7 +51,7 @@ def devices_of(count: int, folder: Path) -> list[Device]:
     return found
 
 
-def drawn(one: Device, strength: float, fleets: int, rng: np.random.Generator) -> np.ndarray:
+def drawn(one: PooledDevice, strength: float, fleets: int, rng: np.random.Generator) -> np.ndarray:
     """(m, fleets) products of data with squares alike within a third, of λ `strength`."""
     values, vectors = np.linalg.eigh(one.gram)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
@@ -65,7 +65,7 @@ def drawn(one: Device, strength: float, fleets: int, rng: np.random.Generator) -
     return data
 
 
-def square(one: Device, data: np.ndarray) -> np.ndarray:
+def square(one: PooledDevice, data: np.ndarray) -> np.ndarray:
     """(fleets,) variance of a device's noise by its residual, the effect unknown: 24 rests leave 15
     numbers, all of which the candidates' columns span."""
     return np.einsum("in,ij,jn->n", data, np.linalg.pinv(one.gram, rcond=1e-9), data) / DOF

@@ -34,8 +34,8 @@ from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.next_recording import (
     Rests,
     pool_of,
+    read_block,
     recorded_block,
-    recorded_of,
     rests_of,
 )
 from imucalib.core.effect import Context
@@ -44,7 +44,7 @@ from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm, KnownVector
 from imucalib.effects import names_a_cause
 from imucalib.estimators.starting_point import full_matrix_start
-from imucalib.loop.candidates import searched
+from imucalib.loop.candidates import effects_to_search
 from imucalib.loop.found import FitLoop, Step
 from imucalib.loop.posterior.closed import close_loop
 from imucalib.loop.separation import ambiguities, separation
@@ -143,7 +143,7 @@ def search(kind: str, table: Table) -> FitLoop:
     data = observed(kind, table)
     request = LabRequest(without=("cross_axis",) if kind == "norm" else ())
     model = base_model(request, data)
-    wanted = searched((), request.without, {})
+    wanted = effects_to_search((), request.without, {})
     start = full_matrix_start(model, data)
     return close_loop(model, data, wanted, start).loop
 
@@ -193,7 +193,7 @@ def trial(kind: str, truth: str, size: float, seed: int) -> Trial | None:
     fit = loop.as_recorded
     reading = fit.noise.factor * float(np.median(fit.observations.sigma))
     block = recorded_block(fit, found, reading=reading, settings=setting_noise(fit))
-    kept = recorded_of(block, "here")
+    kept = read_block(block, "here")
     rests = rests_of(kept, found[0])
     made = separation(found[0], pool_of(kept, calibration_of(fit), found[0], rests))
     if truth not in made.ends:

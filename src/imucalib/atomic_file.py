@@ -53,7 +53,7 @@ def _same(one: Path, other: Path) -> bool:
 
 
 @contextmanager
-def replaced_atomically(path: str | os.PathLike[str]) -> Iterator[Path]:
+def replace_atomically(path: str | os.PathLike[str]) -> Iterator[Path]:
     """A temporary path in the same folder, renamed to `path` when the block ends without error.
 
     A reader of `path` sees the old file or the whole new one, at every moment. What a killed run
@@ -73,11 +73,11 @@ def replaced_atomically(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 @contextmanager
-def replaced_together(paths: Sequence[Path]) -> Iterator[tuple[Path, ...]]:
+def replace_together(paths: Sequence[Path]) -> Iterator[tuple[Path, ...]]:
     """Temporary paths for several files, which take their places when the block ends: all or none.
 
     Where one cannot take its place the others get back what stood there before. Errors as in
-    `replaced_atomically`.
+    `replace_atomically`.
     """
     for target in paths:
         _remove_stale(target)

@@ -18,12 +18,12 @@ def number(value: float, places: int = 2, absent: str = "-") -> str:
     return f"{value:.{places}f}" if math.isfinite(value) else absent
 
 
-def sized(value: float, unit: str) -> str:
+def size_with_unit(value: float, unit: str) -> str:
     """ "0.36 mg": two significant digits and the unit, of which "1" is none."""
     return f"{value:.2g} {unit.removeprefix('1')}".rstrip()
 
 
-def signed(values: Iterable[float], places: int = 2) -> str:
+def signed_components(values: Iterable[float], places: int = 2) -> str:
     """ "+0.10  -0.99  +0.00": components of a vector."""
     return "  ".join(f"{value:+.{places}f}" for value in values)
 

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from imucalib import readers, writers
-from imucalib.atomic_file import replaced_atomically
+from imucalib.atomic_file import replace_atomically
 from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.file import write as write_calibration
 from imucalib.calibration.file import write_together
@@ -152,12 +152,12 @@ def test_a_killed_run_leaves_nothing_for_long(tmp_path: Path) -> None:
     ) as process:
         assert process.stdout is not None
         process.stdout.readline()
-        with replaced_atomically(target) as temporary:  # another run does not touch a living one's
+        with replace_atomically(target) as temporary:  # another run does not touch a living one's
             temporary.write_bytes(b"1")
         assert len(list(tmp_path.glob(".*"))) == 1
         process.kill()
     assert len(list(tmp_path.glob(".*"))) == 1
-    with replaced_atomically(target) as temporary:
+    with replace_atomically(target) as temporary:
         temporary.write_bytes(b"2")
     assert [p.name for p in tmp_path.iterdir()] == ["out.csv"]
 

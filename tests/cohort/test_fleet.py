@@ -15,10 +15,10 @@ import pytest
 from imucalib.calibration.file import read
 from imucalib.calibrators.lab.files import LabFiles
 from imucalib.calibrators.lab.request import LabRequest
-from imucalib.cohort.fleet.outcome import Fleet, outliers, spread_of
+from imucalib.cohort.fleet.outcome import Fleet, estimate_spread, outliers
 from imucalib.cohort.fleet.pooled import (
-    Device,
-    pooled,
+    PooledDevice,
+    pool_effects,
 )
 from imucalib.cohort.fleet.run import run_fleet
 from imucalib.cohort.fleet.search import Rules
@@ -146,8 +146,8 @@ def test_a_noise_estimated_from_the_same_data_is_that_of_the_null_too() -> None:
         for k in range(5):
             x, y = rng.standard_normal((15, 18)), rng.standard_normal(15)
             y = y / np.sqrt(y @ y / 15.0)
-            devices.append(Device(str(k), 1.0, columns, x.T @ x, x.T @ y, 15.0))
-        told.append(pooled(devices, rng, 99))
+            devices.append(PooledDevice(str(k), 1.0, columns, x.T @ x, x.T @ y, 15.0))
+        told.append(pool_effects(devices, rng, 99))
     share = np.mean([min(one.p for one in found) <= 0.1 for found in told])
     assert 0.0475 < share < 0.1525
 
@@ -162,7 +162,9 @@ def test_one_of_five_that_is_off_is_told() -> None:
         values = size * rng.standard_normal((5, 3)) + 0.2 * rng.standard_normal((5, 3))
         for odd in (False, True):
             values[2, 0] += 20.0 * size[0] * odd
-            spreads = [spread_of(n, "mg", v, sds) for n, v in zip(names, values.T, strict=True)]
+            spreads = [
+                estimate_spread(n, "mg", v, sds) for n, v in zip(names, values.T, strict=True)
+            ]
             found = outliers(list("abcde"), spreads)
             told += odd and [o.device for o in found] == ["c"]
             false += bool(found) and not odd

@@ -16,7 +16,7 @@ from scipy.stats import multivariate_normal
 from imucalib.arrays import Array
 from imucalib.core.balance import Balanced, Noise, balance, setting_errors, whitener
 from imucalib.core.fit import Fit
-from imucalib.core.restricted import restricted
+from imucalib.core.restricted import restrict
 from imucalib.effects.record_error import record_error
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.estimators.variance import estimate_noise
@@ -205,7 +205,7 @@ def test_the_restricted_likelihood_is_that_of_dense_matrices(
     third = {"shared by all": components[2:], "settings": (_owners(seed),), "narrow": ()}[kind]
     components = (*components[:2], *third)
     ratio = tuple(sizes[: len(components)])
-    left = restricted(jacobian, components)
+    left = restrict(jacobian, components)
     assert left.wide == (2 if third else -1)
     assert (left.out.shape[1] > 0) == (kind == "settings")
     assert left.freedom == len(jacobian) - jacobian.shape[1]
@@ -233,7 +233,7 @@ def test_what_large_settings_leave_is_not_lost() -> None:
     """Settings that scatter by a million times the noise: the rest is known to a part in 1e6."""
     jacobian, components, data = _rig(2)
     column = components[0]
-    left = restricted(jacobian, (column,))
+    left = restrict(jacobian, (column,))
     both = np.column_stack([jacobian, column])
     rest = data - both @ np.linalg.lstsq(both, data, rcond=None)[0]
     moved = left.turned(data + 1e6 * column @ np.ones((column.shape[1], data.shape[1])))

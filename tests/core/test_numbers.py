@@ -9,7 +9,7 @@ import pytest
 
 from imucalib.arrays import Array, Flags
 from imucalib.core import eigen as eigen_module
-from imucalib.core.course import Course, course_of, delayed, slope_of
+from imucalib.core.course import Course, course_of, delay, slope_of
 from imucalib.core.effect import Context, Parameter, Truth
 from imucalib.core.eigen import eigen
 from imucalib.core.fit import null_directions
@@ -63,7 +63,7 @@ def test_what_is_corrected_by_neighbours_dies_out(lag: float) -> None:
     still = np.zeros_like(noise)
     for _ in range(20):
         course = course_of(noise, still, t, beside)
-        noise = course.value - delayed(course, np.full((20, 1, 1), lag)).value
+        noise = course.value - delay(course, np.full((20, 1, 1), lag)).value
     assert np.abs(noise).max() < 1e-3
 
 
@@ -72,7 +72,7 @@ def test_a_delay_is_what_was_before_to_the_second_order() -> None:
     value, slope, bend = (
         np.broadcast_to(x[:, None, None], (40, 1, 3)) for x in (t**2, 2 * t, 2 + 0 * t)
     )
-    late = delayed(
+    late = delay(
         Course(value, slope, bend, bend, t, np.ones((40, 2), np.bool_)), np.full((40, 1, 1), 0.2)
     )
     np.testing.assert_allclose(late.value[:, 0, 0], (t - 0.2) ** 2, atol=1e-12)

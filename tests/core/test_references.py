@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from imucalib.arrays import Array
 from imucalib.core.references import KnownNorm, KnownVector, Reference, angles_of, unit_vector
-from imucalib.core.sphere import KnownDirection, covered, even_directions
+from imucalib.core.sphere import KnownDirection, coverage, even_directions
 
 G = 9.8061
 QUARTER = np.pi / 2.0
@@ -113,8 +113,8 @@ def test_directions_are_spread_evenly(n: int) -> None:
 
 def test_the_share_is_that_of_caps() -> None:
     """A cap of half angle a is (1 - cos a) / 2 of the sphere; opposite ones do not overlap."""
-    one = covered(np.array([[0.0, 0.0, 9.8]]))
+    one = coverage(np.array([[0.0, 0.0, 9.8]]))
     assert one == pytest.approx(0.5 * (1.0 - np.cos(np.radians(30.0))), abs=0.01)
-    two = covered(np.array([[0.0, 0.0, 9.8], [0.0, 0.0, -1.0]]))
+    two = coverage(np.array([[0.0, 0.0, 9.8], [0.0, 0.0, -1.0]]))
     assert two == pytest.approx(2.0 * one, abs=0.01)
-    assert covered(even_directions(200)) == 1.0
+    assert coverage(even_directions(200)) == 1.0

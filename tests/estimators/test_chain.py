@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imucalib.estimators.chain import chain_of, eliminated, turns_of
+from imucalib.estimators.chain import chain_of, eliminate, turns_of
 
 
 @settings(max_examples=40, deadline=None)
@@ -39,7 +39,7 @@ def test_what_is_left_is_the_schur_complement(
     weight = rng.uniform(0.0, 5.0, (3, len(at)))
     heavy = np.zeros((3, rests - 1))
     heavy[:, at] = weight
-    left, logs = eliminated(chain_of(normal, order, own), turns_of(flat, at, order, own), heavy)
+    left, logs = eliminate(chain_of(normal, order, own), turns_of(flat, at, order, own), heavy)
     out = order.ravel()
     for w, found, log in zip(weight, left, logs, strict=True):
         whole = normal + flat.T @ (np.repeat(w, 2)[:, None] * flat)

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from imucalib.estimators.carried import attitudes
 from imucalib.estimators.turn_log import Turn, TurnLog
-from imucalib.estimators.turns import LOWER, TurnFit, carried_error, fitted, without
+from imucalib.estimators.turns import LOWER, TurnFit, carried_error, fit_turns, without
 from worlds.turned_imu import Chip, chip, turned
 
 
@@ -76,7 +76,7 @@ def test_gains_are_found_within_their_intervals() -> None:
     z = []
     for seed in range(8):
         made, log = known(seed)
-        fit = fitted(log)
+        fit = fit_turns(log)
         assert fit.converged
         assert np.sqrt(np.diag(fit.gains)).max() < 2e-3
         z.append(far(fit, made))
@@ -95,7 +95,7 @@ def by_force(rate: np.ndarray, force: np.ndarray, t: np.ndarray) -> np.ndarray:
 def test_sensitivity_to_force_is_a_law_of_nine_numbers() -> None:
     planted = np.radians(0.2) * np.random.default_rng(5).normal(size=(3, 3))
     made, log = known(3, by_force=planted)
-    plain, fit = fitted(log), fitted(log, by_force, sizes=np.full(9, np.radians(1.0)))
+    plain, fit = fit_turns(log), fit_turns(log, by_force, sizes=np.full(9, np.radians(1.0)))
     # Bias and g-sensitivity together: what is known is the fit's own frame of forces.
     sd = np.sqrt(np.diag(fit.gains))[9:]
     assert np.abs((fit.state.theta - planted.ravel()) / sd).max() < 4.0
@@ -106,9 +106,9 @@ def test_sensitivity_to_force_is_a_law_of_nine_numbers() -> None:
 
 def test_a_fold_is_a_refit() -> None:
     _, log = known(4)
-    whole = fitted(log)
+    whole = fit_turns(log)
     out = np.arange(len(log.turns)) < 4
-    linear, refit = without(whole, out), fitted(log, used=~out, start=whole.state)
+    linear, refit = without(whole, out), fit_turns(log, used=~out, start=whole.state)
     sd = np.sqrt(np.diag(refit.gains)).reshape(3, 3)
     assert np.abs((linear.state.gain - refit.state.gain) / sd).max() < 0.2
     assert np.degrees(carried_error(linear, np.flatnonzero(out))).max() < 0.5
@@ -121,6 +121,6 @@ def test_one_bad_turn_moves_little() -> None:
     rate[len(rate) // 2 :] += 0.05
     bad = Turn(turn.rest, turn.t, rate, turn.force, turn.moving)
     spoilt = TurnLog(**{**vars(log), "turns": (*log.turns[:5], bad, *log.turns[6:])})
-    fit = fitted(spoilt)
+    fit = fit_turns(spoilt)
     assert fit.weight[5] == fit.weight.min() < 0.2
     assert np.abs(far(fit, made)).max() < 5.0

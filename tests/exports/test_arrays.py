@@ -18,7 +18,7 @@ import pytest
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
 from imucalib.errors import LimitBroken, UnreadableInput, UsageError
-from imucalib.exports import exported
+from imucalib.exports import export
 from imucalib.exports.bound import demand_carried
 from imucalib.exports.imus import with_noise, with_walks
 from worlds.rigid_board import DEG, Board, G, Moves, board, calibration, readings
@@ -59,7 +59,7 @@ def plain(made: Board) -> Calibration:
 
 def loaded(made: Board, form: str) -> dict[str, Any]:
     """By IMU what its target reads of its file."""
-    files = exported(with_walks(plain(made), 1e-3, 2e-5), "log.mcap", form).files
+    files = export(with_walks(plain(made), 1e-3, 2e-5), "log.mcap", form).files
     assert list(files) == [t.name for t in plain(made).triads]
     for text in files.values():
         assert "log.mcap" in text
@@ -126,11 +126,11 @@ def test_noise_is_what_was_measured(made: Board, tmp_path: Path) -> None:
     path = tmp_path / "imu.yaml"
     path.write_text("accelerometer_random_walk: 1.5e-4\nupdate_rate: 200.0\n")
     with pytest.raises(UsageError, match="needs gyroscope_random_walk of"):
-        exported(with_noise(plain(made), path), "log.mcap", "kalibr")
+        export(with_noise(plain(made), path), "log.mcap", "kalibr")
     path.write_text(
         path.read_text() + "gyroscope_random_walk: 2.0e-5\nupper_limits: [gyroscope_random_walk]\n"
     )
-    for text in exported(with_noise(plain(made), path), "log.mcap", "kalibr").files.values():
+    for text in export(with_noise(plain(made), path), "log.mcap", "kalibr").files.values():
         block = by_kalibr(text)
         assert block["accelerometer_random_walk"] == 1.5e-4
         assert block["update_rate"] == 200.0
@@ -179,7 +179,7 @@ def check_frames(made: Board, found: dict[str, tuple[Array, Array]]) -> None:
 
 
 def test_ros_2_launches_the_transforms(made: Board) -> None:
-    root = ET.fromstring(exported(plain(made), "log.mcap", "ros2-static").text)
+    root = ET.fromstring(export(plain(made), "log.mcap", "ros2-static").text)
     assert root.tag == "launch"
     found = {}
     for node in root.iter("node"):
@@ -194,7 +194,7 @@ def test_ros_2_launches_the_transforms(made: Board) -> None:
 
 
 def test_urdf_joins_the_links(made: Board) -> None:
-    root = ET.fromstring(exported(plain(made), "log.mcap", "urdf").text)
+    root = ET.fromstring(export(plain(made), "log.mcap", "urdf").text)
     links = {link.get("name") for link in root.iter("link")}
     found = {}
     for joint in root.iter("joint"):
@@ -212,7 +212,7 @@ def test_urdf_joins_the_links(made: Board) -> None:
 def test_matlab_corrects_what_was_read(made: Board, moves: Moves) -> None:
     straight = replace(made, element=np.zeros((3, 3)), by_force=None)
     acceleration, rate = readings(straight, moves, np.random.default_rng(0))
-    text = exported(plain(straight), "log.mcap", "matlab").text
+    text = export(plain(straight), "log.mcap", "matlab").text
     assigned = re.findall(r"^(\w+)(\([^)]*\))? = \[(.*)\];$", text, flags=re.M)
     value = {n + index: np.array([r.split() for r in body.split("; ")], dtype=float)
              for n, index, body in assigned}  # fmt: skip
@@ -228,7 +228,7 @@ def test_matlab_corrects_what_was_read(made: Board, moves: Moves) -> None:
 def test_octave_corrects_what_was_read(made: Board, moves: Moves) -> None:
     straight = replace(made, element=np.zeros((3, 3)), by_force=None)
     acceleration, rate = readings(straight, moves, np.random.default_rng(0))
-    script = exported(plain(straight), "log.mcap", "matlab").text
+    script = export(plain(straight), "log.mcap", "matlab").text
     for k in range(5):
         rows = (acceleration[7, k], rate[7, k])
         read = [f"[{' '.join(f'{v:.17g}' for v in row)}]'" for row in rows]
@@ -248,7 +248,7 @@ def test_octave_corrects_what_was_read(made: Board, moves: Moves) -> None:
 @pytest.mark.parametrize("form", FORMS)
 def test_what_is_lost_stands_in_the_file(made: Board, form: str) -> None:
     known = with_walks(plain(replace(made, late=1.5e-3)), 1e-3, 2e-5)
-    late = exported(known, "log -- 1.mcap", form)
+    late = export(known, "log -- 1.mcap", form)
     assert late.lost
     assert not any("_" in text.split(",")[0] for text in late.lost)
     if form in ("kalibr", "openvins"):
@@ -264,9 +264,9 @@ def test_left_handed_sensors_and_single_ones_are_refused(made: Board, form: str)
     whole = plain(made)
     mirrored = replace(whole.triads[0], gain=whole.triads[0].gain @ np.diag([1.0, 1.0, -1.0]))
     with pytest.raises(UsageError, match="left-handed"):
-        exported(replace(whole, triads=(mirrored, *whole.triads[1:])), "x", form)
+        export(replace(whole, triads=(mirrored, *whole.triads[1:])), "x", form)
     with pytest.raises(UsageError, match="one accelerometer"):
-        exported(replace(whole, triads=(), calibrator="lab"), "x", form)
+        export(replace(whole, triads=(), calibrator="lab"), "x", form)
 
 
 @pytest.mark.parametrize("effect", ["gyro_cubic", "gyro_delay"])
@@ -277,7 +277,7 @@ def test_of_an_array_the_rates_of_motion_count(effect: str) -> None:
     known = with_walks(replace(whole, facts={**whole.facts, "sample_interval_s": 0.01, **facts}),
                        1e-3, 2e-5)  # fmt: skip
     for form in ("c-header", "kalibr", "openvins"):
-        made = exported(known, "x", form)
+        made = export(known, "x", form)
         assert (made.loss, made.rate_loss) == (0.0, 9.0)
         with pytest.raises(LimitBroken, match=r"9 deg/s, more than 1.2 .*--largest-loss 0,9`"):
             demand_carried(made, form, known, None)
@@ -285,6 +285,6 @@ def test_of_an_array_the_rates_of_motion_count(effect: str) -> None:
         with pytest.raises(LimitBroken):
             demand_carried(made, form, known, None, 8.9)
     # A frame loses no reading, and the script holds the delay.
-    assert exported(known, "x", "urdf").rate_loss == 0.0
-    held = exported(known, "x", "matlab").rate_loss
+    assert export(known, "x", "urdf").rate_loss == 0.0
+    held = export(known, "x", "matlab").rate_loss
     assert held == (0.0 if effect == "gyro_delay" else 9.0)

@@ -14,7 +14,7 @@ import pytest
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
 from imucalib.errors import UsageError
-from imucalib.exports import exported
+from imucalib.exports import export
 from imucalib.recording.identity import Identity
 from worlds.rigid_board import DEG, G, board
 from worlds.rigid_board import calibration as board_calibration
@@ -100,7 +100,7 @@ def some(count: int = 300, size: float = 1.5) -> Array:
 
 def test_all_three_arithmetics_correct_as_the_calibration_does(tmp_path: Path) -> None:
     made = one()
-    program = compiled(exported(made, "x.csv", "c-header").text, tmp_path)
+    program = compiled(export(made, "x.csv", "c-header").text, tmp_path)
     wrong, as_float, fine, coarse = corrected(program, some())
     due = made.apply(some() * G, unit="m/s2") / G
     assert wrong == 0
@@ -113,7 +113,7 @@ def test_all_three_arithmetics_correct_as_the_calibration_does(tmp_path: Path) -
 
 def test_fixed_point_ends_at_its_largest_number(tmp_path: Path) -> None:
     made = one({"bias": (500.0, -500.0, 0.0), "scale": (-0.02, -0.02, 0.01)})
-    program = compiled(exported(made, "x.csv", "c-header").text, tmp_path)
+    program = compiled(export(made, "x.csv", "c-header").text, tmp_path)
     reading = np.array([[-15.99, 15.99, 15.99]])
     _, _, fine, coarse = corrected(program, reading)
     due = made.apply(reading * G, unit="m/s2") / G
@@ -133,7 +133,7 @@ def test_fixed_point_ends_at_its_largest_number(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("table", ["M", "b_fine", "M_q14"])
 def test_the_header_notices_a_changed_coefficient(table: str, tmp_path: Path) -> None:
-    text = exported(one(), "x.csv", "c-header").text
+    text = export(one(), "x.csv", "c-header").text
     start = text.index(f"imucal_{table}[3]")
     number = re.compile(r"-?\d[\d.]*(e[+-]\d+)?").search(text, text.index("{", start))
     assert number
@@ -147,7 +147,7 @@ def test_the_header_notices_a_changed_coefficient(table: str, tmp_path: Path) ->
 @pytest.mark.slow
 def test_every_imu_of_an_array_and_its_gyro(tmp_path: Path) -> None:
     made = board_calibration(board(np.random.default_rng(2), chips=3))
-    text = exported(made, "log.mcap", "c-header").text
+    text = export(made, "log.mcap", "c-header").text
     for imu, triad in enumerate(made.triads):
         wrong, as_float, fine, coarse = corrected(
             compiled(text, tmp_path / f"a{imu}", imu=imu), some()
@@ -173,7 +173,7 @@ def test_places_and_standard_deviations_of_an_array() -> None:
     plain = board_calibration(drawn)
     root = 1e-3 * np.random.default_rng(4).normal(size=(12, 12))
     made = replace(plain, triads=tuple(replace(t, covariance=root @ root.T) for t in plain.triads))
-    text = exported(made, "log.mcap", "c-header").text
+    text = export(made, "log.mcap", "c-header").text
 
     def numbers(name: str) -> Array:
         body = re.search(rf"imucal_{name}\[[^=]*= (.*);", text)
@@ -199,7 +199,7 @@ def test_places_and_standard_deviations_of_an_array() -> None:
 )
 def test_what_passes_fixed_point_is_refused(effect: str, values: tuple[float, ...]) -> None:
     with pytest.raises(UsageError, match="fixed point"):
-        exported(one({effect: values}), "x.csv", "c-header")
+        export(one({effect: values}), "x.csv", "c-header")
 
 
 BOTH = """
@@ -231,7 +231,7 @@ def test_two_headers_in_one_program_keep_their_numbers(compiler: str, tmp_path: 
     two = stated({"bias": [-40.0, 5.0, 0.0], "scale": [-0.02, 0.0, 0.01]})
     both = {"one": _renamed(one, "left"), "two": _renamed(two, "spare")}
     for file, made in both.items():
-        (tmp_path / f"{file}.h").write_text(exported(made, "log", "c-header").text)
+        (tmp_path / f"{file}.h").write_text(export(made, "log", "c-header").text)
     source = tmp_path / ("main.c" if compiler == "gcc" else "main.cpp")
     source.write_text(BOTH)
     words = [compiler, "-Wall", "-Wextra", "-Werror", str(source), "-o", str(tmp_path / "main")]
@@ -251,7 +251,7 @@ def test_two_calibrations_of_one_name_do_not_compile(tmp_path: Path) -> None:
         pytest.skip("no gcc")
     for file, bias in (("one", 10.0), ("two", 20.0)):
         made = stated({"bias": [bias] * 3, "scale": [0.0] * 3})
-        (tmp_path / f"{file}.h").write_text(exported(made, "log", "c-header").text)
+        (tmp_path / f"{file}.h").write_text(export(made, "log", "c-header").text)
     (tmp_path / "main.c").write_text(
         '#include "one.h"\n#include "two.h"\nint main(void) { return 0; }\n'
     )

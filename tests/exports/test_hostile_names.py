@@ -23,7 +23,7 @@ from ruamel.yaml import YAML
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.file import as_dict, from_dict, read, to_yaml
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.exports import exported, exports
+from imucalib.exports import export, exports
 from imucalib.exports.imus import with_walks
 from worlds.rigid_board import board, calibration
 
@@ -102,7 +102,7 @@ def _made(loaded: Calibration, source: str = "log.csv") -> Iterator[tuple[str, s
     noisy = with_walks(replace(loaded, facts=facts), 1e-3, 2e-5)
     for form in exports().values():
         try:
-            made = exported(noisy, source, form.name)
+            made = export(noisy, source, form.name)
         except (UsageError, UnreadableInput):  # it cannot hold such a calibration
             continue
         for text in made.files.values() or (made.text,):

@@ -18,10 +18,10 @@ import pytest
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.core.effect import Context
-from imucalib.core.sphere import counted, even_directions
+from imucalib.core.sphere import count_by_cell, even_directions
 from imucalib.effects import named
 from imucalib.errors import LimitBroken, UsageError
-from imucalib.exports import exported
+from imucalib.exports import export
 from imucalib.exports.bound import demand_carried
 from imucalib.exports.per_axis import nearest_row, with_ids
 from worlds.stated import stated
@@ -101,7 +101,7 @@ def thermal(form: str, known: dict[str, float], sensor: str, warm: Array) -> Arr
 
 
 def flown(form: str, calibration: Calibration, raw: Array, warm: Array | None = None) -> Array:
-    known = ground_station(exported(calibration, "x.csv", form).text)
+    known = ground_station(export(calibration, "x.csv", form).text)
     if warm is not None:
         raw = raw - thermal(form, known, "A", warm.ravel())
     offset, scale = (
@@ -116,9 +116,9 @@ def flown(form: str, calibration: Calibration, raw: Array, warm: Array | None = 
 def test_what_is_lost_in_flight_is_what_is_said(form: str) -> None:
     """Six numbers carry bias and scale; of more, the nearest."""
     assert flown(form, made(*SIX), read_by(even())) == pytest.approx(even(), abs=1e-6)
-    assert len(ground_station(exported(made(*SIX), "x.csv", form).text)) == 6
+    assert len(ground_station(export(made(*SIX), "x.csv", form).text)) == 6
     effects = (*SIX, "non_orthogonality", "temperature_bias")
-    whole = exported(made(*effects), "x.csv", form)
+    whole = export(made(*effects), "x.csv", form)
     warm = np.repeat([*SPAN, 25.0], 1000)[:, None]
     got = flown(form, made(*effects), read_by(even(), *effects, warm=warm), warm)
     norm = np.abs(np.linalg.norm(got, axis=1) / G - 1.0) * 1e3
@@ -159,7 +159,7 @@ def test_a_curve_over_temperature_becomes_the_nearest_cubic(form: str) -> None:
     model, theta = calibration.model()
     context = Context(warm.size, {"temperature": warm})
     read = model.predict(theta, np.zeros((warm.size, 1, 3)), context).reading[:, 0]
-    station = ground_station(exported(calibration, "x.csv", form).text)
+    station = ground_station(export(calibration, "x.csv", form).text)
     left = read - thermal(form, station, "A", warm)
     best = read - np.vander(warm, 4) @ np.polyfit(warm, read, 3)
     assert np.std(left, axis=0) == pytest.approx(np.std(best, axis=0), rel=0.06)
@@ -182,7 +182,7 @@ def test_a_rate_over_temperature_is_what_the_firmware_takes_off(form: str) -> No
     whole = replace(made(*SIX), valid={"temperature": COLD_TO_HOT})
     calibration = replace(whole, parameters=(*whole.parameters, *more))
     warm = np.linspace(*COLD_TO_HOT, 40)
-    known = ground_station(exported(calibration, "x.csv", form).text)
+    known = ground_station(export(calibration, "x.csv", form).text)
     name = "CAL_GYRO0_{}OFF" if form == "px4" else "INS_GYROFFS_{}"
     offset = np.array([known[name.format(a)] for a in "XYZ"])
     read = np.radians(np.array(bias) + np.array(slope) * (warm[:, None] - 25.0))
@@ -200,7 +200,7 @@ print(sys.argv[1], *filter(None, re.split("[ ,;]+", sys.argv[at + 1])))
 def test_omconvert_corrects_with_the_temperature(tmp_path: Path) -> None:
     (tmp_path / "omconvert").write_text(OMCONVERT)
     (tmp_path / "omconvert").chmod(0o755)
-    whole = exported(made(*SIX, "temperature_bias"), "x.csv", "omconvert")
+    whole = export(made(*SIX, "temperature_bias"), "x.csv", "omconvert")
     assert whole.lost == ()
     (tmp_path / "given.sh").write_text(whole.text)
     done = subprocess.run(
@@ -218,7 +218,7 @@ def test_omconvert_corrects_with_the_temperature(tmp_path: Path) -> None:
 
 def test_a_row_of_ggir_carries_the_temperature_and_what_was_seen() -> None:
     error = {"unit": "mg", "raw": 40.0, "held_out": {"final": 1.5}}
-    whole = exported(made(*SIX, "temperature_bias", errors=[error]), "x.csv", "ggir-csv")
+    whole = export(made(*SIX, "temperature_bias", errors=[error]), "x.csv", "ggir-csv")
     row, raw = by_ggir(whole.text, "x.csv"), read_by(even(), warm=warmth()) / G
     moved = raw + row["offset"] + row["temperature.offset"] * (warmth() - row["meantempcal"])
     assert np.abs(np.linalg.norm(row["scale"] * moved, axis=1) - 1.0).mean() < 1e-6
@@ -228,7 +228,7 @@ def test_a_row_of_ggir_carries_the_temperature_and_what_was_seen() -> None:
     assert "imucal" in row["QCmessage"]
     assert np.isnan(row["n.10sec.windows"])
     known = made(*SIX, coverage={"still_windows": 3437, "hours": 23.5})
-    row = by_ggir(exported(known, "x.csv", "ggir-csv").text, "x.csv")
+    row = by_ggir(export(known, "x.csv", "ggir-csv").text, "x.csv")
     assert (row["n.10sec.windows"], row["n.hours.considered"]) == (3437, 23.5)
     assert not row["use.temperature"]
 
@@ -241,7 +241,7 @@ def c_numbers(text: str, name: str) -> Array:
 
 @pytest.mark.parametrize("more", ["temperature_bias", "quadratic"])
 def test_a_c_header_says_in_mg_what_it_lacks(more: str) -> None:
-    whole = exported(made(*SIX, more), "x.csv", "c-header")
+    whole = export(made(*SIX, more), "x.csv", "c-header")
     warm = warmth() if more == "temperature_bias" else 25.0
     reading, force = read_by(even(), more, warm=warm) / G, even() / G
     M, b = c_numbers(whole.text, "imucal_M").reshape(3, 3), c_numbers(whole.text, "imucal_b")
@@ -262,17 +262,17 @@ def test_a_c_header_says_in_mg_what_it_lacks(more: str) -> None:
 @pytest.mark.parametrize(("form", "name"), [("px4", "CAL_ACC0_ID"), ("ardupilot", "INS_ACC_ID")])
 def test_the_sensors_id_is_written_or_asked_for(form: str, name: str) -> None:
     """A controller passes over parameters of another id."""
-    plain = exported(made(*SIX), "x.csv", form)
+    plain = export(made(*SIX), "x.csv", form)
     assert name not in ground_station(plain.text)
     assert any(f"{name}: " in lost and "--device-id" in lost for lost in plain.lost)
-    known = exported(with_ids(made(*SIX), (1310988, 7)), "x.csv", form)
+    known = export(with_ids(made(*SIX), (1310988, 7)), "x.csv", form)
     assert ground_station(known.text)[name] == 1310988
     assert len(ground_station(known.text)) == 7  # there is no gyroscope that 7 would be of
     assert known.lost == ()
 
 
 def error_model(calibration: Calibration) -> list[dict[str, str]]:
-    text = exported(calibration, "x.csv", "iscwsa-csv").text
+    text = export(calibration, "x.csv", "iscwsa-csv").text
     return list(csv.DictReader(x for x in text.splitlines() if not x.startswith("#")))
 
 
@@ -297,10 +297,10 @@ def test_what_a_controller_does_not_take_is_refused() -> None:
         return replace(whole, parameters=tuple(moved))
 
     with pytest.raises(UsageError, match=r"scales of 0\.8 to 1\.2.*unit"):
-        exported(with_first("scale_x", 0.5), "x", "ardupilot")
+        export(with_first("scale_x", 0.5), "x", "ardupilot")
     with pytest.raises(UsageError, match=r"offsets up to 3\.5"):
-        exported(with_first("bias_x", 900.0), "x", "ardupilot")
-    assert "CAL_ACC0_XOFF\t8.8" in exported(with_first("bias_x", 900.0), "x", "px4").text
+        export(with_first("bias_x", 900.0), "x", "ardupilot")
+    assert "CAL_ACC0_XOFF\t8.8" in export(with_first("bias_x", 900.0), "x", "px4").text
 
 
 def test_a_row_is_right_where_postures_were_recorded() -> None:
@@ -309,7 +309,7 @@ def test_a_row_is_right_where_postures_were_recorded() -> None:
     up = even_directions(400)
     up = up[np.all(up > 0.0, axis=1)]
     same, worn = (
-        made(*SIX, "non_orthogonality", **facts) for facts in ({}, {"postures": counted(up)})
+        made(*SIX, "non_orthogonality", **facts) for facts in ({}, {"postures": count_by_cell(up)})
     )
     rows = [nearest_row(one) for one in (same, worn)]
     raw = read_by(G * up, "non_orthogonality") / G
@@ -327,7 +327,7 @@ def test_a_form_is_refused_that_is_no_better_than_the_raw_reading(form: str) -> 
         error = {"unit": "mg", "raw": raw, "final": left, "held_out": {"raw": raw, "final": left}}
         return made(*SIX, "quadratic", errors=[error])
 
-    whole = exported(worth(40.0), "x.csv", form)
+    whole = export(worth(40.0), "x.csv", form)
     loss = whole.loss
     assert not any("_" in text.partition(":")[0] for text in whole.lost if "quadratic" in text)
     assert 0.5 < loss < 20.0

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from goldens.test_programs import golden
-from imucalib.calibration.checking.misfit import Misfits, Part
+from imucalib.calibration.checking.misfit import CovariancePart, Misfits
 from imucalib.calibration.checking.statistic import ANYTHING, Statistic
 from imucalib.calibration.comparison.agreement import beyond
 from imucalib.calibrators.lab.advice import beyond_declared
@@ -68,7 +68,7 @@ def test_a_check_has_the_tail_of_f() -> None:
         value[0] = 0.3 * np.sqrt(rank * f)
         misfits = Misfits(
             value=value,
-            noise={"reading": Part(0.09 * np.eye(n), dof)},
+            noise={"reading": CovariancePart(0.09 * np.eye(n), dof)},
             session={},
             jacobian=np.zeros((n, 1)),
             parameters=np.zeros((1, 1)),

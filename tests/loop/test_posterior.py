@@ -22,25 +22,25 @@ from imucalib.effects import catalogue, families
 from imucalib.estimators.least_squares import fit
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.loop import held_out as held_out_module
-from imucalib.loop.candidates import Searched, searched
+from imucalib.loop.candidates import SearchedEffects, effects_to_search
 from imucalib.loop.found import Loop, Step, Unexplained
 from imucalib.loop.held_out import (
     Difference,
     difference,
     errors,
-    fitted,
     folds_of,
-    held_out,
+    leave_groups_out,
+    predict_fitted,
 )
 from imucalib.loop.posterior.catalogue import components_of
 from imucalib.loop.posterior.closed import close_loop
-from imucalib.loop.posterior.explored import Explored, explored
-from imucalib.loop.posterior.gram import Grams, swept, without
-from imucalib.loop.posterior.noise import Point, Terms, terms_of
+from imucalib.loop.posterior.explored import SearchedPosterior, search_posterior
+from imucalib.loop.posterior.gram import Grams, leave_out, marginalize
+from imucalib.loop.posterior.noise import NoiseHypothesis, Terms, terms_of
 from imucalib.loop.posterior.problem import Problem, problem_of
-from imucalib.loop.posterior.recorded import Course, course_of, recorded_grams, whitener
-from imucalib.loop.posterior.recording import close_recording, followed
-from imucalib.loop.posterior.words import concluded
+from imucalib.loop.posterior.recorded import RunCourse, course_of, recorded_grams, whitener
+from imucalib.loop.posterior.recording import close_recording, follow_bias
+from imucalib.loop.posterior.words import select_model
 from imucalib.loop.record_errors import RecordError
 from imucalib.units import MG
 from worlds.bench import NINE, base_model, bench, draw, ordinary_theta
@@ -69,17 +69,17 @@ def observed(reading: Array, context: Context, group: Index, name: str) -> Obser
     )
 
 
-def asked() -> Searched:
-    return searched((), (), {}, lambda effect: effect.stage == "sensor")
+def asked() -> SearchedEffects:
+    return effects_to_search((), (), {}, lambda effect: effect.stage == "sensor")
 
 
 @cache
-def found(seed: int = 1, bend: float = 3.0) -> Explored:
-    return explored(fit(base_model(NINE), at_rest(seed, bend=bend)), asked())
+def found(seed: int = 1, bend: float = 3.0) -> SearchedPosterior:
+    return search_posterior(fit(base_model(NINE), at_rest(seed, bend=bend)), asked())
 
 
 def log_evidence(problem: Problem, grams: Grams, blocks: list[tuple[np.ndarray, float]]) -> float:
-    return swept(grams, problem.flat, *blocks).evidence(grams.numbers - problem.base)
+    return marginalize(grams, problem.flat, *blocks).evidence(grams.numbers - problem.base)
 
 
 def test_the_evidence_of_a_set_does_not_depend_on_its_order() -> None:
@@ -153,7 +153,7 @@ def test_the_mean_of_what_is_likely_against_a_clean_recording_is_one() -> None:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_a_clean_recording_lacks_nothing(seed: int) -> None:
-    assert not concluded(found(seed, 0.0).problem, found(seed, 0.0).posterior).places
+    assert not select_model(found(seed, 0.0).problem, found(seed, 0.0).posterior).places
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -184,7 +184,7 @@ def test_the_same_recording_gives_the_same_answer_in_any_order() -> None:
     data = at_rest(5, 40, bend=3.0)
     data = replace(data, context=Context(data.n))
     mixed = data.take(np.random.default_rng(0).permutation(data.n))
-    one, two = (explored(fit(base_model(NINE), d), asked()) for d in (data, mixed))
+    one, two = (search_posterior(fit(base_model(NINE), d), asked()) for d in (data, mixed))
     assert one.posterior.probability[0] == pytest.approx(two.posterior.probability[0], rel=1e-6)
 
 
@@ -231,7 +231,7 @@ def worn(seed: int, n: int = 90, drift: float = 0.0, hours: float = 8.0) -> Obse
 
 
 @cache
-def made() -> tuple[Problem, Grams, Course]:
+def made() -> tuple[Problem, Grams, RunCourse]:
     data = worn(2, drift=0.6)
     plain = fit(base_model(NINE), data)
     course, _ = course_of(plain, np.zeros(data.n))
@@ -244,7 +244,7 @@ def test_runs_left_out_are_as_good_as_never_taken() -> None:
     problem, grams, course = made()
     rows = np.arange(20, 35)
     kept = np.setdiff1d(np.arange(len(problem.columns)), rows)
-    left = without(grams, problem, rows)
+    left = leave_out(grams, problem, rows)
     some = problem.columns[kept][:, [0, 4, -1]]
     for e, walk in enumerate(left.points):
         assert hasattr(walk, "size")
@@ -262,7 +262,7 @@ def test_a_walk_is_followed_where_it_is_and_nowhere_else() -> None:
     for drift in (0.0, 1.5):
         plain = fit(base_model(NINE), worn(7, 240, drift))
         closed = close_recording(plain, asked(), known)
-        found = followed(closed.loop.final, closed.course)
+        found = follow_bias(closed.loop.final, closed.course)
         assert (found is not None) == (drift > 0.0)
         assert closed.loop.verdict == "nothing missing"
         if found is not None:
@@ -321,7 +321,7 @@ def _one_clean() -> Fit:
 
 def held_out_gap(fit: Fit) -> float:
     """Largest difference (m/s²) of held-out errors from those of literal refits, over the noise."""
-    found, worst = held_out(fit).error, 0.0
+    found, worst = leave_groups_out(fit).error, 0.0
     for row in range(fit.observations.n):
         rows = np.array([row])
         rest = fit_model(
@@ -335,7 +335,7 @@ def held_out_gap(fit: Fit) -> float:
 def test_held_out_errors_are_those_of_literal_refits() -> None:
     fit = _one_clean()
     assert held_out_gap(fit) < 0.01
-    assert held_out(fit).rms() > fitted(fit).rms()
+    assert leave_groups_out(fit).rms() > predict_fitted(fit).rms()
 
 
 def test_in_sample_errors_passed_off_as_held_out_are_caught(
@@ -358,7 +358,7 @@ def terms() -> Terms:
     return terms_of(problem_of(found, ()))
 
 
-def dense_of(terms: Terms, point: Point) -> np.ndarray:
+def dense_of(terms: Terms, point: NoiseHypothesis) -> np.ndarray:
     """V of a point without a walk, component by component."""
     whole = np.eye(terms.order.size)
     for factor, ratio in zip(terms.sharings[point.sharing], point.ratio, strict=True):
@@ -366,7 +366,7 @@ def dense_of(terms: Terms, point: Point) -> np.ndarray:
     return whole
 
 
-def of_each_way(terms: Terms) -> list[Point]:
+def of_each_way(terms: Terms) -> list[NoiseHypothesis]:
     """The noisiest point of every way of sharing that has no walk."""
     still = sorted((p for p in terms.points if not p.walk), key=lambda p: p.sharing)
     return [max(own, key=lambda p: min(p.ratio)) for _, own in groupby(still, lambda p: p.sharing)]

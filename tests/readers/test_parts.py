@@ -16,7 +16,7 @@ from imucalib.inspection.inspection import Inspection, inspect_recording, proble
 from imucalib.readers import blocks, read
 from imucalib.readers.joining import join
 from imucalib.recording.mapping import FieldMapping
-from imucalib.recording.pairing import channel_names, paired
+from imucalib.recording.pairing import channel_names, pair
 from worlds.bag_logs import ros1_bag, ros2_bag
 from worlds.every_format import WRITE
 from worlds.mcap_logs import IMU_ROS1, Reading, cdr, packed, readings, ros1, write_log
@@ -328,6 +328,6 @@ def test_a_frame_is_paired_as_a_topic_is(name: str, tmp_path: Path) -> None:
     path = FRAMES_WRITE[name](tmp_path, _logged(("body/right_link", "body/left_link")))
     for recording in (readers.read(path), join(readers.blocks(path, block_samples=100), "")):
         for wanted in ([("left_link",), ("right_link",)], [("body/left_link",), ("right_link",)]):
-            assert paired(wanted, recording, "the board").partner == {"imu0": 1, "imu1": 0}
+            assert pair(wanted, recording, "the board").partner == {"imu0": 1, "imu1": 0}
         # What a calibration keeps is the topic: only that is one in every file.
         assert channel_names(recording) == dict(zip(("imu0", "imu1"), TOPICS, strict=True))

@@ -16,7 +16,7 @@ from ruamel.yaml import YAML
 
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.recording.mapping import FieldMapping, from_dict, load_mapping, save_mapping
-from imucalib.recording.pairing import channel_names, distinct_names, paired
+from imucalib.recording.pairing import channel_names, distinct_names, pair
 from imucalib.recording.recording import Channel, Recording
 from imucalib.recording.yaml_text import dump, load
 
@@ -102,7 +102,7 @@ def recording(
 def test_the_order_of_either_side_is_nothing(names: list[str], random: object) -> None:
     other = list(names)
     random.shuffle(other)  # type: ignore[attr-defined]
-    found = paired([(n,) for n in names], recording(other), "the board")
+    found = pair([(n,) for n in names], recording(other), "the board")
     assert {r: names[k] for r, k in found.partner.items()} == {n: n for n in names}
     assert not found.notes
 
@@ -113,7 +113,7 @@ def test_a_part_of_the_topic_is_a_name(names: list[str], random: object) -> None
     random.shuffle(other)  # type: ignore[attr-defined]
     topics = [(f"/Robot/{n}/Data",) for n in other]
     plain = recording([f"imu{k}" for k in range(len(names))], topics, numbered=True)
-    found = paired([(n,) for n in names], plain, "the board")
+    found = pair([(n,) for n in names], plain, "the board")
     assert [names[found.partner[f"imu{k}"]] for k in range(len(names))] == other
     assert distinct_names(topics) == tuple(other)
 
@@ -122,7 +122,7 @@ def test_a_part_of_the_topic_is_a_name(names: list[str], random: object) -> None
 def test_names_left_over_on_both_sides_are_told(names: list[str], wrong: int) -> None:
     other = [*names[:-wrong], *(f"{n}X" for n in names[-wrong:])]
     with pytest.raises(UnreadableInput) as error:
-        paired([(n,) for n in names], recording(other), "the board")
+        pair([(n,) for n in names], recording(other), "the board")
     for name in (*names[-wrong:], *other[-wrong:]):
         assert name in error.value.what
 
@@ -133,7 +133,7 @@ def test_the_channel_that_was_calibrated_counts_where_names_do_not() -> None:
     assert kept == {"imu0": "/a[0]", "imu1": "/a[1]"}
     turned = recording(["imu0", "imu1"], [("/a[1]",), ("/a[0]",)], numbered=True)
     wanted = [("left", kept["imu0"]), ("right", kept["imu1"])]
-    assert paired(wanted, turned, "the calibration").partner == {"imu0": 1, "imu1": 0}
+    assert pair(wanted, turned, "the calibration").partner == {"imu0": 1, "imu1": 0}
 
 
 @pytest.mark.parametrize("text", ["[" * 5000, "a: 1\na: 2\n", "a: [1\n", "\x00", "\udcff"])

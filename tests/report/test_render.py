@@ -27,7 +27,7 @@ from imucalib.report.document import (
     Tone,
     Worth,
 )
-from imucalib.report.plots import gain_plot, projected
+from imucalib.report.plots import gain_plot, project
 from imucalib.report.render.html import render_html
 from imucalib.report.render.svg import Axis, linear_axis, render_svg
 from imucalib.report.render.table import decimal_pads
@@ -344,7 +344,7 @@ def test_the_map_keeps_areas() -> None:
     """Equal numbers of evenly spread directions fall on equal areas of the map."""
     rng = np.random.default_rng(0)
     v = rng.standard_normal((40_000, 3))
-    x, y = projected(v / np.linalg.norm(v, axis=1, keepdims=True))
+    x, y = project(v / np.linalg.norm(v, axis=1, keepdims=True))
     r2 = (x + np.where(x < 0, 1.55, -1.55)) ** 2 + y**2
     assert r2.max() <= 2.0 + 1e-9
     share = np.histogram(r2, np.linspace(0.0, 2.0, 9))[0] / len(v)

@@ -111,7 +111,7 @@ def test_a_long_recording_in_blocks_keeps_its_rests(
     most: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     values, spans = bench(np.random.default_rng(13), [6.0] * 10)
-    monkeypatch.setattr(windows.Samples.__init__, "__defaults__", (most,))
+    monkeypatch.setattr(windows.KeptSamples.__init__, "__defaults__", (most,))
     found = find_segments(in_blocks(values))
     assert found.n == len(spans)
     for k, (a, b) in enumerate(spans):

@@ -8,7 +8,7 @@ import pytest
 from imucalib.arrays import Array
 from imucalib.recording.recording import Channel
 from imucalib.rests.runs import Scan, posture_runs, scan
-from imucalib.rests.thermal import ThermalHistory, believed
+from imucalib.rests.thermal import ThermalHistory, believable_windows
 from imucalib.rests.windows import WindowBuilder, Windows
 from imucalib.units import MG, STANDARD_GRAVITY
 from worlds.recordings import recording_of
@@ -34,7 +34,7 @@ def test_readings_that_jump_and_come_back_are_left_out(value: float) -> None:
     values = noisy(CASE)
     at = np.append([0, 700, 701, 1999], np.random.default_rng(2).integers(0, 2000, 40))
     values[at] = value
-    found, words = believed(windows(values))
+    found, words = believable_windows(windows(values))
     assert found is not None
     assert np.array_equal(found.time, np.delete(T, at))
     assert len(found.gone) == np.unique(at).size
@@ -67,7 +67,7 @@ def test_a_rest_has_the_temperature_of_its_good_readings_or_is_left_out() -> Non
 @pytest.mark.parametrize(("step", "shown"), [(0.1, True), (3.0, False)])
 def test_a_rounded_thermometer_shows_no_short_lag(step: float, shown: bool) -> None:
     """What half an hour's lag smoothed were the steps of 3 °C: a plain bias was surely one."""
-    warm, _ = believed(windows(step * np.round(noisy(CASE) / step)))
+    warm, _ = believable_windows(windows(step * np.round(noisy(CASE) / step)))
     assert warm is not None
     assert warm.shows(warm.lagged(0.5, T), warm.values) == shown
 

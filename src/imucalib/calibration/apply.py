@@ -8,8 +8,8 @@ from functools import partial
 from pathlib import Path
 
 from imucalib.calibration.calibration import Calibration
-from imucalib.calibration.correction import Correction
-from imucalib.calibration.shared_gravity import held_against_gravity
+from imucalib.calibration.correction import Corrector
+from imucalib.calibration.shared_gravity import check_against_gravity
 from imucalib.calibration.triads import (
     DRIFT,
     Triad,
@@ -47,20 +47,20 @@ def apply_to_recording(
     again : correct what is marked as corrected already
     Raises UsageError when it is not clear which sensor, and when that one is corrected already;
     UnreadableInput when a covariate is missing of which not even the calibrated range is known,
-    and for sensors of an array that cannot be paired; Undetermined as `held_against_gravity`.
+    and for sensors of an array that cannot be paired; Undetermined as `check_against_gravity`.
     """
     if calibration.triads:
-        pairing = paired_at_rest(calibration.triads, [recording])
+        pairing = pair_at_rest(calibration.triads, [recording])
         found = imus_corrected(calibration, recording, pairing.partner, sensor)
         return replace(found, notes=(*found.notes, *pairing.notes))
-    ready = Correction(calibration, sensor, use=use, again=again)
+    ready = Corrector(calibration, sensor, use=use, again=again)
     (found,) = ready.corrected(lambda: iter([recording]))
     return replace(found, notes=(*found.notes, *ready.notes))
 
 
-def paired_at_rest(triads: Sequence[Triad], found: Iterable[Recording]) -> Pairing:
+def pair_at_rest(triads: Sequence[Triad], found: Iterable[Recording]) -> Pairing:
     """Whose sensors are whose in a recording that comes in blocks, held against gravity at its
-    rests. Errors as in `pairing.paired` and `held_against_gravity`."""
+    rests. Errors as in `pairing.paired` and `check_against_gravity`."""
     first: list[Recording] = []
     pairing: list[Pairing] = []
 
@@ -78,7 +78,7 @@ def paired_at_rest(triads: Sequence[Triad], found: Iterable[Recording]) -> Pairi
             raise
         notes: tuple[str, ...] = (f"whose sensors are whose shows no rest: {error.what}",)
     else:
-        notes = held_against_gravity(triads, pairing[0].partner, segments, first[0].path)
+        notes = check_against_gravity(triads, pairing[0].partner, segments, first[0].path)
     return replace(pairing[0], notes=(*pairing[0].notes, *notes))
 
 
@@ -146,12 +146,12 @@ def correct_file(
         return at_once()
     every = partial(blocks, source, mapping, strict=strict)
     notes: dict[str, None] = {}
-    ready = None if calibration.triads else Correction(calibration, sensor, use=use, again=again)
+    ready = None if calibration.triads else Corrector(calibration, sensor, use=use, again=again)
     found: Iterator[Recording]
     if ready is not None:
         found = ready.corrected(every)
     else:
-        pairing = paired_at_rest(calibration.triads, every())
+        pairing = pair_at_rest(calibration.triads, every())
         notes = dict.fromkeys(pairing.notes)
         found = (imus_corrected(calibration, b, pairing.partner, sensor) for b in every())
 

@@ -49,7 +49,7 @@ PASSING = ("order", "record", "time")
 LINEAR = ("mounting", "bias", "scale", "non_orthogonality")
 
 
-def assumed_at(covariate: str) -> str:
+def where_assumed(covariate: str) -> str:
     """In words, where in what was calibrated a covariate acts that was not recorded."""
     return "at the end" if covariate in PASSING else "in the middle"
 

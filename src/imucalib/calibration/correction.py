@@ -15,7 +15,7 @@ from itertools import chain, product
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibration.calibration import Calibration, assumed_at
+from imucalib.calibration.calibration import Calibration, where_assumed
 from imucalib.calibration.file import identity
 from imucalib.calibration.gyroscope import gyroscope_of, with_rates_corrected
 from imucalib.calibration.series import part_at, parts_of
@@ -25,13 +25,13 @@ from imucalib.core.effect import Context, Effect, Truth
 from imucalib.effects.thermal import LAG, ROWS
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.recording.identity import accelerometer_of, says_which
+from imucalib.recording.recording import AppliedCalibration as Mark
 from imucalib.recording.recording import Channel, Recording
-from imucalib.recording.recording import Correction as Mark
 from imucalib.recording.sensors import accelerometer
 from imucalib.rests.thermal import (
     ThermalHistory,
     is_remembered,
-    remembered,
+    remember,
     temperature_at,
     thermal_history,
     thermometer_of,
@@ -51,7 +51,7 @@ _AS_WARM = (
 _GRAVITY = 1.1 * STANDARD_GRAVITY  # m/s² on one axis: calibrations by gravity see no more
 
 
-class Correction:
+class Corrector:
     """Corrects a recording of one sensor, block by block, and remembers what to say of it.
 
     sensor : which one, empty where there is one; use : "parts" or "whole" of a calibration in
@@ -201,7 +201,7 @@ class Correction:
             if self._by_rows:
                 self._held[_AS_WARM] = None
         if history is not None and history.time.size:
-            known |= {name: remembered(history, name, channel.t) for name in self._remembered}
+            known |= {name: remember(history, name, channel.t) for name in self._remembered}
         for name in _RANGED:
             if name in self._needs and name in known:
                 self._count(name, known[name])
@@ -255,7 +255,7 @@ class Correction:
 def _held_words(effect: str, lost: list[str], valid: Spans, size: float) -> str:
     spans = ", ".join(f"{valid[name][0]:.3g} to {valid[name][1]:.3g}" for name in lost)
     names = ", ".join(lost)
-    where = " and ".join(dict.fromkeys(assumed_at(name) for name in lost))
+    where = " and ".join(dict.fromkeys(where_assumed(name) for name in lost))
     return (
         f"{effect} is left out, for the recording has no {names}: it acts as "
         f"{where} of what was calibrated ({spans}), which leaves up to {size / MG:.2g} mg"

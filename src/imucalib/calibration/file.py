@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from imucalib.atomic_file import replaced_together
+from imucalib.atomic_file import replace_together
 from imucalib.calibration.calibration import UNSETTLED, Calibration, StoredParameter
 from imucalib.calibration.plain import plain
 from imucalib.calibration.triads import triad_from
@@ -131,7 +131,7 @@ def write_together(texts: Mapping[Path, str]) -> None:
     """Write several text files, all or none."""
     for path in texts:
         path.parent.mkdir(parents=True, exist_ok=True)
-    with replaced_together(tuple(texts)) as temporaries:
+    with replace_together(tuple(texts)) as temporaries:
         for temporary, text in zip(temporaries, texts.values(), strict=True):
             temporary.write_text(text, encoding="utf-8", errors="backslashreplace")
 

@@ -18,7 +18,7 @@ from imucalib.units import MG
 
 
 @dataclass(frozen=True)
-class Check:
+class CheckedError:
     """An error before and after a step; digits : how many decimals it is worth."""
 
     metric: str
@@ -41,7 +41,7 @@ class FoundStep:
 
     effect: str
     evidence: float
-    checks: tuple[Check, ...]
+    checks: tuple[CheckedError, ...]
     aliases: tuple[str, ...]
     parameters: tuple[StoredParameter, ...] = ()
     size: str = ""
@@ -191,7 +191,7 @@ def _step(step: Step, loop: FitLoop) -> FoundStep:
     return FoundStep(
         effect=step.effect,
         evidence=step.evidence,
-        checks=(Check("held-out error, rms", "mg", before / MG, after / MG),),
+        checks=(CheckedError("held-out error, rms", "mg", before / MG, after / MG),),
         aliases=step.aliases,
         parameters=tuple(p for p in stored_parameters(loop.final) if p.effect == step.effect),
         curve=_bent(step.effect) if step.curve else "",

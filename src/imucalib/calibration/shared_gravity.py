@@ -76,7 +76,7 @@ class GravityAtRest:
             )
 
 
-def held_against_gravity(
+def check_against_gravity(
     triads: Sequence[Triad], partner: Mapping[str, int], segments: Segments, where: str
 ) -> tuple[str, ...]:
     """What is to be said of how the IMUs agree on gravity.
@@ -105,7 +105,7 @@ def held_against_gravity(
             f"{np.sqrt(own.max()) / MG:.3g} mg; paired otherwise, by {_in_mg(other)} mg",
             where=where,
             remedy="if these are the sensors that were calibrated, name the recording's so with a "
-            "mapping (key triads): " + _moved(names, given, best, triads),
+            "mapping (key triads): " + _words_of_pairing(names, given, best, triads),
         )
     worst = int(np.argmax(own))
     if own[worst] > _ANOTHER_SENSOR**2:
@@ -127,7 +127,9 @@ def _in_mg(square: Array) -> str:
     return f"{np.sqrt(float(square.max())) / MG:.3g}"
 
 
-def _moved(names: Sequence[str], given: Index, best: Index, triads: Sequence[Triad]) -> str:
+def _words_of_pairing(
+    names: Sequence[str], given: Index, best: Index, triads: Sequence[Triad]
+) -> str:
     rows = zip(names, given, best, strict=True)
     return ", ".join(f"{n} is {triads[b].name}, not {triads[a].name}" for n, a, b in rows if a != b)
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.plain import fields
-from imucalib.loop.sums import Base, Sums
+from imucalib.loop.sums import BaseParameters, Sums
 
 #: Key of the block.
 KEY = "effects_beside_base"
@@ -20,14 +20,14 @@ def sums_block(sums: Sums) -> dict[str, Any]:
     return {
         **fields(sums.base, "parameters theta covariance"),
         "blocks": {name: [int(at[0]), int(at[-1]) + 1] for name, at in sums.blocks.items()},
-        "gram": [_rounded(row[: k + 1]) for k, row in enumerate(sums.gram)],
-        "along": _rounded(sums.along),
-        "taken": [_rounded(row) for row in sums.taken],
+        "gram": [_round_numbers(row[: k + 1]) for k, row in enumerate(sums.gram)],
+        "along": _round_numbers(sums.along),
+        "taken": [_round_numbers(row) for row in sums.taken],
         **fields(sums, "noise_mg=noise noise_dof=dof wander_mg=drift"),
     }
 
 
-def _rounded(values: Array) -> list[float]:
+def _round_numbers(values: Array) -> list[float]:
     return [float(f"{v:.7g}") for v in values]
 
 
@@ -41,7 +41,7 @@ def sums_of(block: Mapping[str, Any]) -> Sums:
     if not all(at.size and at[0] >= 0 and at[-1] < m for at in blocks.values()):
         raise ValueError("effects without columns")
     sums = Sums(
-        base=Base(
+        base=BaseParameters(
             names,
             np.array(block["theta"], float).reshape(p),
             np.array(block["covariance"], float).reshape(p, p),

@@ -11,7 +11,7 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.calibration.plain import fields
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.recording.pairing import Pairing, paired
+from imucalib.recording.pairing import Pairing, pair
 from imucalib.recording.recording import Channel, Recording
 from imucalib.units import DEG
 
@@ -98,7 +98,7 @@ def triad_from(block: Mapping[str, Any]) -> Triad:
 
 def pairing_of(triads: Sequence[Triad], recording: Recording) -> Pairing:
     """The triad of each of the recording's accelerometers. Errors as in `pairing.paired`."""
-    return paired([(t.name, t.channel) for t in triads], recording, "the calibration")
+    return pair([(t.name, t.channel) for t in triads], recording, "the calibration")
 
 
 def named_triads(

@@ -107,7 +107,7 @@ def force_slope(fit: Fit, force: Array) -> tuple[Array, Array]:
     return slope, inverse
 
 
-def corrected_by(fit: Fit, reading: Array) -> Array:
+def correct_readings(fit: Fit, reading: Array) -> Array:
     """New readings (n, 3) m/s² corrected to specific force (n, 3) by a fit, K = 1."""
     model, theta, context = _correcting(fit, len(reading))
     return model.correct(theta, reading[:, None], context)[:, 0]

@@ -14,7 +14,7 @@ from imucalib.calibration.checking.misfit import gyro_rest, misfits_of, triad_mi
 from imucalib.calibration.checking.noise import CheckNoise
 from imucalib.calibration.correction import refuse_second
 from imucalib.calibration.series import BLOCK
-from imucalib.calibration.shared_gravity import held_against_gravity
+from imucalib.calibration.shared_gravity import check_against_gravity
 from imucalib.calibration.triads import named_triads, pairing_of
 from imucalib.calibrators.lab.bench import in_celsius, observations_of, raw_unit
 from imucalib.calibrators.lab.conventions import Conventions
@@ -89,7 +89,7 @@ def array_log(
     demand_device(calibration.sensor, recording)
     segments = rests_of(recording, request.still, _silent)
     pairing = pairing_of(calibration.triads, recording)
-    said = held_against_gravity(calibration.triads, pairing.partner, segments, recording.path)
+    said = check_against_gravity(calibration.triads, pairing.partner, segments, recording.path)
     triads = named_triads(calibration.triads, pairing.partner, files.mapping.sensor)
     rests = calibration.facts.get("rests") or {}
     # The usual scatter holds the usual noise of samples: an IMU that is noisier has more.

@@ -109,7 +109,7 @@ class Rests:
 
 
 @dataclass(frozen=True)
-class Part:
+class AmbiguityPlan:
     """The plan of one ambiguity. header, rows : each rest, in words; remedies : what would end what
     rests cannot"""
 
@@ -126,7 +126,7 @@ class NextRecording:
 
     calibrator: str
     what: str
-    parts: tuple[Part, ...]
+    parts: tuple[AmbiguityPlan, ...]
     table: str
     between: float
 
@@ -144,7 +144,7 @@ def recorded_block(
     settings: Mapping[str, float],
     drift: float = 0.0,
 ) -> dict[str, Any]:
-    """The block of a finished run; `recorded_of` reads it back. See `Recorded`."""
+    """The block of a finished run; `read_block` reads it back. See `Recorded`."""
     data, reference = fit.observations, fit.observations.reference
     assert isinstance(reference, KnownVector | KnownDirection | KnownNorm)
     return {
@@ -164,7 +164,7 @@ def recorded_block(
     }
 
 
-def recorded_of(block: Mapping[str, Any], where: str) -> Recorded:
+def read_block(block: Mapping[str, Any], where: str) -> Recorded:
     """Read the block. Raises UnreadableInput where it is damaged."""
     try:
         return Recorded(
@@ -206,7 +206,7 @@ def next_recording(
             remedy="its report says under What to do which motions would tell its effects apart",
         )
     report = read_report(folder)
-    recorded = recorded_of(report[KEY], str(folder / "report.json"))
+    recorded = read_block(report[KEY], str(folder / "report.json"))
     if temperatures and "temperature" not in recorded.covariates:
         raise UsageError(
             "--temperatures: the recording has no temperature",
@@ -226,7 +226,7 @@ def next_recording(
         header = ("", *(_HEADINGS.get(name, name) for name in shown))
         rows = tuple((str(k), *row) for k, row in enumerate(zip(*shown.values(), strict=True), 1))
         remedies = _remedies(recorded, calibration, ambiguity, found.never)
-        parts.append(Part(found, header, rows, remedies))
+        parts.append(AmbiguityPlan(found, header, rows, remedies))
     headings = (report.get("provenance") or {}).get("mapping") or {}
     return NextRecording(
         calibrator=calibration.calibrator,

@@ -37,7 +37,7 @@ def planted_model(sizes: Mapping[str, tuple[float, ...]], context: Context) -> t
 
 
 @dataclass(frozen=True)
-class Fault:
+class PlantedFault:
     """gap, freeze : from a time (s) on for a length (s); sign : one axis of one accelerometer is
     inverted; clip : readings beyond so many g are lost; exchange : two sensors' names
 
@@ -48,7 +48,7 @@ class Fault:
     numbers: tuple[float, ...] = ()
 
 
-def fault_of(text: str) -> Fault:
+def fault_of(text: str) -> PlantedFault:
     """ "gap@100:20" as a fault. Raises UsageError for what is none."""
     kind, at, rest = text.partition("@")
     parts = tuple(rest.split(":"))
@@ -56,7 +56,9 @@ def fault_of(text: str) -> Fault:
         raise UsageError(f"'{text}' is no fault", remedy=f"give {_KINDS}")
     if kind == "sign" and parts[1] not in ("x", "y", "z"):
         raise UsageError(f"'{text}': the axis is x, y or z")
-    return Fault(kind, parts, tuple(_number(p, text) for p in parts) if kind in _NUMBERS else ())
+    return PlantedFault(
+        kind, parts, tuple(_number(p, text) for p in parts) if kind in _NUMBERS else ()
+    )
 
 
 def _number(text: str, whole: str) -> float:
@@ -69,7 +71,7 @@ def _number(text: str, whole: str) -> float:
     return value
 
 
-def with_faults(recording: Recording, faults: Sequence[Fault]) -> Recording:
+def with_faults(recording: Recording, faults: Sequence[PlantedFault]) -> Recording:
     """The recording as these faults leave it. Raises UsageError for a sensor that it lacks."""
     triads = {c.triad for c in recording.channels.values()}
     for fault in faults:
@@ -93,7 +95,7 @@ def with_faults(recording: Recording, faults: Sequence[Fault]) -> Recording:
     return recording
 
 
-def _with(channel: Channel, fault: Fault) -> Channel:
+def _with(channel: Channel, fault: PlantedFault) -> Channel:
     values, own = channel.values.copy(), channel.quantity == "acceleration"
     if fault.kind in ("gap", "freeze"):
         start, length = fault.numbers

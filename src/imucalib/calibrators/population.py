@@ -20,7 +20,7 @@ from imucalib.core.effect import Context, Effect
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
-from imucalib.core.prior import Prior, correlated
+from imucalib.core.prior import Prior, joint_prior
 from imucalib.effects import named
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.estimators.least_squares import fit
@@ -93,7 +93,7 @@ class Population:
         sigma = float(np.median(data.sigma))
         noise = [self._noise("reading", sigma, MG)]
         noise += [self._noise(component, 1.0, _ABOUT) for component in components]
-        return replace(correlated(mean, covariance), noise=np.array(noise))
+        return replace(joint_prior(mean, covariance), noise=np.array(noise))
 
     def shared_effects(self, context: Context) -> tuple[Effect, ...]:
         """The shared effects, whose sizes the fleet knows: their covariates must be known, and need

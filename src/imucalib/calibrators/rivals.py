@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibration.uncertainty import corrected_by, force_slope
+from imucalib.calibration.uncertainty import correct_readings, force_slope
 from imucalib.core.fit import Fit, NoiseMixture
 from imucalib.core.sphere import even_directions
 from imucalib.errors import NotConverged
@@ -40,7 +40,7 @@ def with_rivals(fit: Fit, rivals: Sequence[Rival], gravity: float) -> Fit:
     slope = force_slope(fit, force)[0].reshape(3 * _ATTITUDES, -1)
     try:
         reading = _readings(own.fit, force)
-        plain = corrected_by(own.fit, reading)
+        plain = correct_readings(own.fit, reading)
     except NotConverged:  # its inverse ends where the recording did
         return fit
     mixture = fit.mixture or NoiseMixture(
@@ -50,7 +50,7 @@ def with_rivals(fit: Fit, rivals: Sequence[Rival], gravity: float) -> Fit:
     more = np.zeros_like(fit.covariance)
     for rival in others:
         try:
-            away = (corrected_by(rival.fit, reading) - plain).reshape(-1)
+            away = (correct_readings(rival.fit, reading) - plain).reshape(-1)
         except NotConverged:
             continue
         moved, rest = _shift(fit, slope, away)
@@ -69,10 +69,10 @@ def with_rivals(fit: Fit, rivals: Sequence[Rival], gravity: float) -> Fit:
 def _readings(fit: Fit, force: Array) -> Array:
     """(n, 3) what the sensor of a fit reads under forces (n, 1, 3)."""
     _, inverse = force_slope(fit, force)
-    nothing = corrected_by(fit, np.zeros((1, 3)))[0]
+    nothing = correct_readings(fit, np.zeros((1, 3)))[0]
     reading = np.linalg.solve(inverse, (force[:, 0] - nothing)[..., None])[..., 0]
     for _ in range(8):  # Newton: readings whose correction is the force
-        off = force[:, 0] - corrected_by(fit, reading)
+        off = force[:, 0] - correct_readings(fit, reading)
         reading = reading + np.linalg.solve(inverse, off[..., None])[..., 0]
     return np.asarray(reading)
 

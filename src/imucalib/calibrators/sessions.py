@@ -76,7 +76,7 @@ class Sessions:
         }
 
 
-def scattered(
+def estimate_scatter(
     what: tuple[str, str, str],
     parts: Parts,
     sd: float,

@@ -41,7 +41,7 @@ COMMANDS = {
 _MODULES = {"collect": "batch", "convert": "apply", "validate": "check"}
 
 
-def _named() -> dict[str, str]:
+def _discover_commands() -> dict[str, str]:
     """Commands whose file names them, with the line for the overview."""
     found = {}
     for name in sorted(set(os.listdir(os.path.dirname(__file__))) - {f"{c}.py" for c in COMMANDS}):
@@ -52,7 +52,7 @@ def _named() -> dict[str, str]:
     return found
 
 
-COMMANDS |= _named()
+COMMANDS |= _discover_commands()
 
 
 class LazyGroup(click.Group):
@@ -263,7 +263,7 @@ def main() -> None:
         click.echo(f"error: {error.filename or 'output'}: {error.strerror}", err=True)
         code = 3
     except Exception as error:  # a fault of this program: its report and exit 70, not a traceback
-        code = _crashed(error)
+        code = _report_crash(error)
     sys.exit(code if isinstance(code, int) else 0)
 
 
@@ -277,7 +277,7 @@ def _prepare_streams() -> None:
             stream.reconfigure(errors="replace")
 
 
-def _crashed(error: Exception) -> int:
+def _report_crash(error: Exception) -> int:
     """Say in one line that this is a fault of the program, and where its traceback is."""
     import tempfile
     import traceback

@@ -16,7 +16,7 @@ from imucalib.cli.calibrating import (
     calibrating_of,
     finish,
     limit_option,
-    shared_of,
+    shared_fields,
 )
 
 
@@ -46,7 +46,7 @@ def _one_of(ctx: click.Context, _: click.Parameter, recordings: tuple[Path, ...]
     )
 
 
-@opt.paged("actigraph")
+@opt.command_with_page("actigraph")
 @click.argument(
     "recording", metavar="RECORDING", nargs=-1, required=True, type=opt.PATH, callback=_one_of
 )
@@ -81,7 +81,7 @@ def command(recording: Path, **options: Any) -> int:
     from imucalib.report.files import Report
 
     request = ActigraphRequest(
-        **shared_of(options),
+        **shared_fields(options),
         **{name: options[name] for name in ("as_published", "arithmetic")},
         every=_seconds(options["every"]) if options["every"] else None,
         kind=opt.population_of(

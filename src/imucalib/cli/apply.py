@@ -31,7 +31,7 @@ def _millimetres(
     return point
 
 
-@opt.paged("apply")
+@opt.command_with_page("apply")
 @click.argument("calibration", type=opt.PATH)
 @click.argument("recording", type=opt.PATH)
 @opt.path("-o --output", "File to write: .mcap, .h5 or .csv.", required=True)
@@ -102,7 +102,7 @@ def command(calibration: Path, recording: Path, **options: Any) -> int:
     if loaded.status != "ok":
         note(f"warning: this calibration is {loaded.status}: {'; '.join(loaded.reasons)}", quiet)
     with working("correcting", quiet=quiet):
-        notes = _applied(loaded, recording, output, options)
+        notes = _apply(loaded, recording, output, options)
         frame = _angles(loaded, output, options) if angles is not None else ""
         if options["residuals"] is not None:
             _residuals(loaded, recording, options)
@@ -153,7 +153,7 @@ def _residuals(calibration: Calibration, source: Path, options: dict[str, Any]) 
     write_residuals(found, options["residuals"])
 
 
-def _applied(
+def _apply(
     calibration: Calibration, source: Path, target: Path, options: dict[str, Any]
 ) -> tuple[str, ...]:
     """Each sensor corrected, the array fused, or both; and what there is to say of it."""
@@ -182,7 +182,7 @@ def _applied(
     return (*notes, *words)
 
 
-@opt.paged("convert")
+@opt.command_with_page("convert")
 @click.argument("sources", metavar="SOURCE...", nargs=-1, required=True, type=opt.PATH)
 @click.argument("target", type=opt.PATH)
 @opt.strict

@@ -9,7 +9,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imucalib.cli import options as opt
-from imucalib.cli.calibrating import calibrating, calibrating_of, finish, limit_option, shared_of
+from imucalib.cli.calibrating import (
+    calibrating,
+    calibrating_of,
+    finish,
+    limit_option,
+    shared_fields,
+)
 from imucalib.cli.output import freed_memory, note
 
 if TYPE_CHECKING:
@@ -22,7 +28,7 @@ if TYPE_CHECKING:
 _LARGE, _KEPT = 1 << 22, 1 << 26
 
 
-@opt.paged("array")
+@opt.command_with_page("array")
 @click.argument("logs", nargs=-1, required=True, type=opt.PATH)
 @opt.option(
     "--board --layout board",
@@ -113,7 +119,7 @@ def _request(options: dict[str, Any], logs: tuple[Path, ...]) -> ArrayRequest:
 
     if len({log.stem for log in logs}) < len(logs):
         raise UsageError("two logs have one name, and so would their folders")
-    shared, board = shared_of(options), read_board(options["board"])
+    shared, board = shared_fields(options), read_board(options["board"])
     for name in (*options["declare"], *options["only"], *options["without"]):
         named_effect(name.partition("@")[0], board.imus)  # the log may name its IMUs otherwise
     as_stated = "as_published samples iterations as_drawn"

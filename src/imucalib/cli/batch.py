@@ -36,7 +36,7 @@ class BatchCommand(opt.PagedCommand):
             raise click.UsageError(said, ctx) from None
 
 
-@opt.paged("batch", cls=BatchCommand)
+@opt.command_with_page("batch", cls=BatchCommand)
 @click.argument("inputs", metavar="INPUT... [-- OPTIONS]", nargs=-1, required=True)
 @opt.path("-o --output", "Folder of the entries.", required=True)
 @opt.option("--calibrator", "Command to run on each recording.", default="actigraph")
@@ -89,7 +89,7 @@ def command(inputs: tuple[str, ...], output: Path, jobs: int, **options: Any) ->
                 advance(entry.reused)
                 if entry.key and not entry.calibrated:
                     note(f"{entry.recording}: {entry.error}", quiet)
-    return _summed_up(entries, time.monotonic() - start, output, options)
+    return _summarize(entries, time.monotonic() - start, output, options)
 
 
 def _shard_of(text: str) -> tuple[int, int]:
@@ -112,7 +112,7 @@ def _what(
     )
 
 
-def _summed_up(entries: list[Entry], seconds: float, output: Path, options: dict[str, Any]) -> int:
+def _summarize(entries: list[Entry], seconds: float, output: Path, options: dict[str, Any]) -> int:
     failed = [e for e in entries if not e.calibrated]
     for why, count in Counter(e.error for e in failed if not e.key).items():
         note(f"{count} recordings have no entry: {why}", options["quiet"])
@@ -154,10 +154,12 @@ def _options_of(calibrator: str, typed: tuple[str, ...]) -> tuple[tuple[str, ...
             "-o behind -- would be the folder of every recording",
             remedy="leave it out: each entry holds its recording's report",
         )
-    return _placed(command, [*from_file(context), *typed])
+    return _with_absolute_paths(command, [*from_file(context), *typed])
 
 
-def _placed(command: click.Command, words: list[str]) -> tuple[tuple[str, ...], frozenset[str]]:
+def _with_absolute_paths(
+    command: click.Command, words: list[str]
+) -> tuple[tuple[str, ...], frozenset[str]]:
     """Options with absolute paths: a worker may stand in another folder."""
     paths = {name for p in command.params if isinstance(p.type, click.Path) for name in p.opts}
     out, files, before = list[str](), set[str](), ""
@@ -206,7 +208,7 @@ def _workers(address: str | None, patience: float) -> Iterator[Cluster | None]:
         yield Cluster(executor, workers, address, patience)
 
 
-@opt.paged("collect")
+@opt.command_with_page("collect")
 @click.argument("folder", type=opt.FOLDER)
 @opt.path("-o --output", "Table to write: .csv, or .parquet (extra parquet).", required=True)
 @opt.file("--html", "Page of all recordings, those to look at first.")

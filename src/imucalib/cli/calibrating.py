@@ -33,11 +33,11 @@ class _Limit(click.Option):
 
 
 def limit_option(name: str, what: str) -> opt.Parameter:
-    """An option whose breach is exit 1; `shared_of` gives those that were stated."""
+    """An option whose breach is exit 1; `shared_fields` gives those that were stated."""
     return opt.option(name, f"Limit: {what}", type=float, cls=_Limit)
 
 
-_OPTIONS = opt.combined(
+_OPTIONS = opt.combine(
     [
         opt.gravity,
         opt.folder(
@@ -91,7 +91,7 @@ _OPTIONS = opt.combined(
 def calibrating(command: Callable[..., int]) -> Callable[..., int]:
     """Add the options of a calibrating command and mark it as one.
 
-    `shared_of` reads their values, `finish` does what they ask once the run is there.
+    `shared_fields` reads their values, `finish` does what they ask once the run is there.
     """
 
     @functools.wraps(command)
@@ -121,14 +121,14 @@ def _with_entry(work: Callable[[], int], options: Mapping[str, Any]) -> int:
 
     from imucalib.atomic_file import demand_output
     from imucalib.cli import failure_of
-    from imucalib.cohort.entries import Entry, failure_words, kept_of, write_entry
+    from imucalib.cohort.entries import Entry, failure_words, keep_of, write_entry
     from imucalib.errors import CRASH_EXIT_CODE, ImucalError, UsageError
 
     recordings, target, start = _inputs(options), options["entry"], time.monotonic()
     demand_output(target, recordings, force=options["force"])
 
     def write(code: int, error: str, report: Mapping[str, Any] | None) -> None:
-        kept, seconds = kept_of(report) if report else None, time.monotonic() - start
+        kept, seconds = keep_of(report) if report else None, time.monotonic() - start
         name = str(recordings[0].absolute())
         write_entry(Entry(name, "", code, seconds, error, kept), target)
 
@@ -174,7 +174,7 @@ def calibrating_of(options: Mapping[str, Any]) -> AbstractContextManager[Say]:
     return working("calibrating", quiet=options["quiet"], verbose=options["verbose"])
 
 
-def shared_of(options: Mapping[str, Any]) -> dict[str, Any]:
+def shared_fields(options: Mapping[str, Any]) -> dict[str, Any]:
     """Fields of a calibrator's request that the shared options state; without `curves` where the
     calibrator's own default holds. Raises click's usage errors."""
     from imucalib.effects import load_file
@@ -218,14 +218,14 @@ def finish(
     count_, output = len(reports), options["output"]
     every = [*reports, together] if together else [*reports]
     if options["fail_on"] is not None:
-        every = [_gated(report, options["fail_on"]) for report in every]
+        every = [_gate(report, options["fail_on"]) for report in every]
     codes = [report.run.outcome.exit_code for report in every]
     if output is None:
-        every = [_unwritten(report) for report in every]
+        every = [_propose_output(report) for report in every]
     else:
         for k, report in enumerate(every):
             folder = output / report.name if k < count_ and count_ > 1 else output
-            every[k] = _placed(report, folder)
+            every[k] = _place(report, folder)
             codes.append(_write(every[k], folder, options))
     click.get_current_context().meta[_CONTENT] = every[-1].content
     if options["as_json"]:
@@ -238,7 +238,7 @@ def finish(
     return max(codes)
 
 
-def _gated(report: Report, fail_on: Gate) -> Report:
+def _gate(report: Report, fail_on: Gate) -> Report:
     """The report of a run that fails on more than it has to."""
     outcome = report.run.outcome
     settings = {**outcome.provenance.settings, "fail_on": fail_on}
@@ -247,7 +247,7 @@ def _gated(report: Report, fail_on: Gate) -> Report:
     return replace(report, run=replace(report.run, outcome=gated))
 
 
-def _placed(report: Report, folder: Path) -> Report:
+def _place(report: Report, folder: Path) -> Report:
     """The report with its advice in terms of the files that are read and written."""
     source = report.run.outcome.provenance.path
     typed = click.get_current_context().params
@@ -262,7 +262,7 @@ def _placed(report: Report, folder: Path) -> Report:
     return replace(report, document=report.document.placed(places))
 
 
-def _unwritten(report: Report) -> Report:
+def _propose_output(report: Report) -> Report:
     """The report with what writes it, into a folder that is not there yet."""
     names = chain(["out"], (f"out_{k}" for k in count(2)))
     folder = next(name for name in names if not Path(name).exists())
@@ -272,14 +272,14 @@ def _unwritten(report: Report) -> Report:
 
 def _write(report: Report, folder: Path, options: Mapping[str, Any]) -> int:
     """The files; the exit code of forms that were not written since they lose too much."""
-    from imucalib.exports import exported
+    from imucalib.exports import export
     from imucalib.exports.bound import demand_carried
     from imucalib.report.files import write_report
 
     run, made, refused = report.run, [], []
     fit = run.outcome.fit
     for name in options["export"] if fit is None or fit.converged else ():
-        one = exported(run.calibration, run.outcome.provenance.path, name)
+        one = export(run.calibration, run.outcome.provenance.path, name)
         try:
             if not options["force"]:
                 demand_carried(one, name, run.calibration, None)

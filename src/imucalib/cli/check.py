@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from imucalib.calibration.checking.noise import CheckNoise
 
 
-@opt.paged("check")
+@opt.command_with_page("check")
 @click.argument("calibration", type=opt.PATH)
 @click.argument("log", type=opt.PATH)
 @opt.many(
@@ -66,7 +66,7 @@ def command(calibration: Path, log: Path, **options: Any) -> int:
       imucal check out/calibration.yaml log.mcap --html check.html
     """
     from imucalib.atomic_file import demand_output
-    from imucalib.calibration.checking.check import checked
+    from imucalib.calibration.checking.check import check
     from imucalib.calibration.checking.noise import check_noise, limits_of, sessions_of, size_of
     from imucalib.report.check import check_dict, check_document
     from imucalib.report.files import shown_dict
@@ -82,15 +82,15 @@ def command(calibration: Path, log: Path, **options: Any) -> int:
     session = sessions_of(options["between_sessions"])
     noise = check_noise(loaded, reading=reading, session=session)
     with working("checking", quiet=options["quiet"]):
-        measured, notes = _measured(loaded, log, noise, options)
-        found = checked(loaded, measured, noise, limits, seed=options["seed"], notes=notes)
+        measured, notes = _measure(loaded, log, noise, options)
+        found = check(loaded, measured, noise, limits, seed=options["seed"], notes=notes)
     content = check_dict(found, log.name, calibration.name, loaded.sha256)
     document = check_document(found, log, calibration, command_line())
     present(document, {**content, **shown_dict(document)}, options, page)
     return found.exit_code
 
 
-def _measured(
+def _measure(
     calibration: Calibration, log: Path, noise: CheckNoise, options: dict[str, Any]
 ) -> tuple[list[Measured], tuple[str, ...]]:
     """The log as misfits, sensor by sensor, and notes."""
@@ -112,7 +112,7 @@ def _measured(
     return make(replace(calibration, gravity=gravity), files, noise, request)
 
 
-@opt.paged("validate")
+@opt.command_with_page("validate")
 @click.argument("file", type=opt.PATH)
 @opt.json
 @opt.quiet

@@ -12,7 +12,7 @@ from imucalib.cli.calibrating import command_line
 from imucalib.cli.output import present
 
 
-@opt.paged("compare")
+@opt.command_with_page("compare")
 @click.argument("calibrations", type=opt.PATH, nargs=-1, required=True)
 @opt.many(
     "--limit limits",
@@ -51,7 +51,7 @@ def command(calibrations: tuple[Path, ...], **options: Any) -> int:
     """
     from imucalib.atomic_file import demand_output
     from imucalib.calibration.checking.noise import limits_of, sessions_of
-    from imucalib.calibration.comparison.compare import compared
+    from imucalib.calibration.comparison.compare import compare
     from imucalib.report.comparison import comparison_dict, comparison_document
     from imucalib.report.files import shown_dict
 
@@ -62,7 +62,7 @@ def command(calibrations: tuple[Path, ...], **options: Any) -> int:
     loaded = [opt.calibration_of(path, options["effects_file"]) for path in calibrations]
     dated = dates.split(",") if dates else ()
     sessions = sessions_of(options["between"])
-    found = compared(loaded, _names(calibrations), wanted, dated, sessions)
+    found = compare(loaded, _names(calibrations), wanted, dated, sessions)
     document = comparison_document(found, calibrations, command_line())
     present(document, {**comparison_dict(found), **shown_dict(document)}, options, page)
     return found.exit_code

@@ -11,7 +11,7 @@ from imucalib.cli import options as opt
 from imucalib.cli.output import note, present, working
 
 
-@opt.paged("design")
+@opt.command_with_page("design")
 @click.argument("table", type=opt.PATH, required=False)
 @opt.option(
     "--recommend count", "Instead of TABLE: a good set of N positions.", type=click.IntRange(min=4)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from imucalib.core.effect import Effect
 
 
-@opt.paged("effects")
+@opt.command_with_page("effects")
 @click.argument("name", required=False)
 @opt.own_effects
 @opt.json
@@ -33,7 +33,7 @@ def command(name: str | None, effects_file: Path | None, as_json: bool) -> int:
     own = load_file(effects_file) if effects_file else {}
     effects: dict[str, Effect] = {**catalogue(), **own}
     if name is not None and name not in effects:
-        effects[name] = _scanned(name, list(effects))
+        effects[name] = _scan_at(name, list(effects))
     chosen = [effects[name]] if name else list(effects.values())
     if as_json:
         emit_json([effect_dict(effect) for effect in chosen])
@@ -43,7 +43,7 @@ def command(name: str | None, effects_file: Path | None, as_json: bool) -> int:
     return 0
 
 
-def _scanned(name: str, names: list[str]) -> Effect:
+def _scan_at(name: str, names: list[str]) -> Effect:
     """One value of a scan, such as bias_step@86400s; raises UsageError with the nearest names."""
     import difflib
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from imucalib.exports import Made
 
 
-@opt.paged("export")
+@opt.command_with_page("export")
 @click.argument("calibration", type=opt.PATH)
 @opt.option(
     "--to form",
@@ -65,16 +65,16 @@ def command(calibration: Path, form: str, output: Path | None, **options: Any) -
     """
     from imucalib.atomic_file import demand_output
     from imucalib.calibration.file import write_together
-    from imucalib.exports import exported
+    from imucalib.exports import export
     from imucalib.exports.bound import demand_carried
 
     bounds, force = _bounds(options["largest_loss"]), options["force"]
     if output is not None:
         read = (calibration, options["noise"], options["effects_file"])
         demand_output(output, filter(None, read), force=force)
-    loaded = _stated(opt.calibration_of(calibration, options["effects_file"]), form, options)
+    loaded = _with_stated(opt.calibration_of(calibration, options["effects_file"]), form, options)
     source = str(dict(loaded.facts.get("provenance", {})).get("input", calibration.name))
-    made = exported(loaded, source, form)
+    made = export(loaded, source, form)
     if not force:
         demand_carried(made, form, loaded, *bounds)
     files = _files(made, output)
@@ -94,7 +94,7 @@ def command(calibration: Path, form: str, output: Path | None, **options: Any) -
     return 0
 
 
-def _stated(calibration: Calibration, form: str, options: dict[str, Any]) -> Calibration:
+def _with_stated(calibration: Calibration, form: str, options: dict[str, Any]) -> Calibration:
     """With the noise and the ids that are stated beside it; raises click's usage errors."""
     from imucalib.exports.imus import with_noise, with_walks
     from imucalib.exports.per_axis import FLIGHT, with_ids

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from imucalib.report.document import Document
 
 
-@opt.paged("fleet")
+@opt.command_with_page("fleet")
 @click.argument("inputs", metavar="INPUT...", nargs=-1, required=True, type=opt.PATH)
 @opt.folder(
     "-o --output", "Folder for report.html, report.json and each device's calibration.yaml."

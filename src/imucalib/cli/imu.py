@@ -9,13 +9,19 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imucalib.cli import options as opt
-from imucalib.cli.calibrating import calibrating, calibrating_of, finish, limit_option, shared_of
+from imucalib.cli.calibrating import (
+    calibrating,
+    calibrating_of,
+    finish,
+    limit_option,
+    shared_fields,
+)
 
 if TYPE_CHECKING:
     from imucalib.recording.mapping import FieldMapping
 
 
-@opt.paged("imu")
+@opt.command_with_page("imu")
 @click.argument("recordings", metavar="RECORDING...", nargs=-1, required=True, type=opt.PATH)
 @opt.option(
     "--gyro-axes",
@@ -48,7 +54,7 @@ def command(recordings: tuple[Path, ...], **options: Any) -> int:
     from imucalib.report.imu import imu_document
 
     axes = parse_axis_map(options["gyro_axes"])
-    request = ImuRequest(**shared_of(options), gyro_axes=axes, still=opt.still_of(options))
+    request = ImuRequest(**shared_fields(options), gyro_axes=axes, still=opt.still_of(options))
     mapping, reports = opt.mapping_of(options), []
     with calibrating_of(options) as say:
         for sensor in _each(recordings[0], mapping):

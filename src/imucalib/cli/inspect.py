@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from imucalib.report.document import Document
 
 
-@opt.paged("inspect")
+@opt.command_with_page("inspect")
 @click.argument("file", type=opt.PATH)
 @opt.path("--save-mapping", "Write how the file was read, for --mapping.")
 @opt.flag("--rests", "List every candidate for a rest, and what refused it.")

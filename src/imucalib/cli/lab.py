@@ -8,7 +8,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imucalib.cli import options as opt
-from imucalib.cli.calibrating import calibrating, calibrating_of, finish, limit_option, shared_of
+from imucalib.cli.calibrating import (
+    calibrating,
+    calibrating_of,
+    finish,
+    limit_option,
+    shared_fields,
+)
 from imucalib.cli.output import freed_memory
 
 if TYPE_CHECKING:
@@ -27,7 +33,7 @@ _CONVENTIONS = (
 )
 
 
-@opt.paged("lab")
+@opt.command_with_page("lab")
 @click.argument("tables", metavar="TABLE...", nargs=-1, required=True, type=opt.PATH)
 @opt.path(
     "--recording",
@@ -144,7 +150,7 @@ def request_of(options: dict[str, Any]) -> LabRequest:
     repairs = (options[name] for name in ("swaps", "moves", "shifts", "axes", "angle_unit"))
     as_stated = ("reference", "model", "objective", "auto_exclude", "swap_angles", "keep_angles")
     request = LabRequest(
-        **shared_of(options),
+        **shared_fields(options),
         **{name: options[name] for name in (*as_stated, "unit")},
         lsb_per_g=opt.one_scale(options["lsb"]),
         conventions=replace(preset(options["convention"]), **stated),

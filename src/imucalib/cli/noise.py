@@ -17,9 +17,11 @@ def _forms() -> tuple[str, ...]:
     return tuple(NOISE_FORMS)
 
 
-@opt.paged("noise")
+@opt.command_with_page("noise")
 @click.argument("recording", type=opt.PATH)
-@opt.option("--to form", "Write it for another program", type=opt.Form(_forms), cls=opt.FormOption)
+@opt.option(
+    "--to form", "Write it for another program", type=opt.FormName(_forms), cls=opt.FormOption
+)
 @opt.file("-o --output", "File of --to; default: stdout, in place of the table.")
 @opt.path("--html", "Also write all of it as a page, with the Allan deviations drawn.")
 @opt.shortest_rest

@@ -49,7 +49,7 @@ def choice(names: str, words: str, text: str, **more: Any) -> Parameter:
     return option(names, text, type=click.Choice(words.split()), **more)
 
 
-def combined(parameters: Iterable[Parameter]) -> Parameter:
+def combine(parameters: Iterable[Parameter]) -> Parameter:
     """Several parameters as one, in the order of the help."""
     made = tuple(parameters)
 
@@ -102,12 +102,12 @@ _FORMS: dict[str, dict[str, Any]] = {
 #: Parameters of `recording`.
 READING = tuple(_READING)
 #: How a recording is read; `mapping_of` turns the values into a FieldMapping.
-recording = combined(
+recording = combine(
     option(f"--{name.replace('_', '-')}", text, **_FORMS.get(name, {}))
     for name, text in _READING.items()
 )
 #: How large gravity is; `gravity_of` turns the values into m/s².
-gravity = combined(
+gravity = combine(
     [
         option("--gravity", "Local gravity, m/s²; default: standard gravity.", type=float),
         option("--latitude", "Latitude in degrees, for normal gravity.", type=float),
@@ -264,7 +264,7 @@ def gravity_of(options: Mapping[str, Any]) -> tuple[float, str]:
     return found or (STANDARD_GRAVITY, default)
 
 
-class Form(Kind):
+class FormName(Kind):
     """The name of another program's form, looked up when it is given or listed.
 
     names : gives all of them
@@ -286,7 +286,7 @@ class FormOption(click.Option):
 
     def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
         name, text = super().get_help_record(ctx) or ("", "")
-        names = self.type.names() if isinstance(self.type, Form) else ()
+        names = self.type.names() if isinstance(self.type, FormName) else ()
         return name, f"{text.rstrip('.')}: {', '.join(names)}."
 
 
@@ -296,7 +296,7 @@ def _exports() -> Iterable[str]:
     return exports()
 
 
-EXPORT_FORM = Form(_exports)
+EXPORT_FORM = FormName(_exports)
 
 
 def numbers(text: str, what: str) -> tuple[int, ...]:
@@ -405,7 +405,7 @@ def _write(formatter: click.HelpFormatter, heading: str, records: Records) -> No
         formatter.write_dl(records)
 
 
-def paged(
+def command_with_page(
     name: str, cls: type[click.Command] = PagedCommand, short_help: str | None = None
 ) -> Callable[[Callable[..., int]], click.Command]:
     """A command of a function."""

@@ -21,7 +21,7 @@ _FAULT = opt.many(
     "FAULT",
     "gap@START:LENGTH, freeze@START:LENGTH (s), sign@SENSOR:AXIS, clip@G, exchange@SENSOR:SENSOR.",
 )
-_LAST = opt.combined([opt.seed, opt.force, opt.json, opt.quiet])
+_LAST = opt.combine([opt.seed, opt.force, opt.json, opt.quiet])
 _RATE = opt.option("--rate", "Samples a second.", default=100.0)
 
 
@@ -40,7 +40,7 @@ def command() -> None:
     """
 
 
-@opt.paged("actigraph", short_help="Days on a wrist.")
+@opt.command_with_page("actigraph", short_help="Days on a wrist.")
 @_RECORDING
 @opt.option("--days", "Length of the recording.", default=1.0)
 @opt.option("--rate", "Samples a second.", default=10.0)
@@ -63,7 +63,7 @@ def actigraph(recording: Path, seed: int, **options: Any) -> int:
     if not (options["days"] > 0.0 and options["rate"] > 0.0):
         raise UsageError("--days and --rate are positive")
     _demand_outputs([recording], force=options["force"])
-    plant = _planted(options["plant"])
+    plant = _parse_planted(options["plant"])
     names = ("days", "rests", "noise", "rate", "temperature")
     plan = WeekPlan(**{name: options[name] for name in names}, plant=plant)
     with working("simulating", quiet=options["quiet"]):
@@ -71,7 +71,7 @@ def actigraph(recording: Path, seed: int, **options: Any) -> int:
     return _finish([recording], plant, options, sensor={k: list(v) for k, v in plan.sensor.items()})
 
 
-@opt.paged("array", short_help="A board's bench log.")
+@opt.command_with_page("array", short_help="A board's bench log.")
 @_RECORDING
 @opt.option("--board", "Board file (YAML), or a name.", default="mimu4444_corners")
 @opt.option("--rests", "Attitudes at rest, 5 s each.", default=20)
@@ -101,7 +101,7 @@ def array(recording: Path, seed: int, **options: Any) -> int:
     from imucalib.units import MG
 
     _demand_outputs([recording], [Path(options["board"])], force=options["force"])
-    plant = _planted(options["plant"])
+    plant = _parse_planted(options["plant"])
     if any(len(values) != 1 for values in plant.values()):
         raise UsageError("--plant of an array takes one value each")
     plan = LogPlan(
@@ -119,7 +119,7 @@ def array(recording: Path, seed: int, **options: Any) -> int:
     return _finish([recording], plant, options, positions_mm=(1e3 * made.positions).tolist())
 
 
-@opt.paged("imu", short_help="A log of one IMU turned by hand.")
+@opt.command_with_page("imu", short_help="A log of one IMU turned by hand.")
 @_RECORDING
 @opt.option(
     "--rests",
@@ -148,7 +148,7 @@ def imu(recording: Path, seed: int, **options: Any) -> int:
     from imucalib.calibrators.imu.simulation import ImuPlan, simulated_imu
 
     _demand_outputs([recording], force=options["force"])
-    plant = _planted(options["plant"])
+    plant = _parse_planted(options["plant"])
     names = ("rests", "rate", "noise", "gyro_noise", "late")
     plan = ImuPlan(**{name: options[name] for name in names}, planted=plant)
     made, gain = simulated_imu(plan, np.random.default_rng(seed))
@@ -156,7 +156,7 @@ def imu(recording: Path, seed: int, **options: Any) -> int:
     return _finish([recording], plant, options, gyro_gain=gain.tolist())
 
 
-@opt.paged("lab", short_help="A bench: a table, and a recording on request.")
+@opt.command_with_page("lab", short_help="A bench: a table, and a recording on request.")
 @click.argument("table", type=opt.PATH)
 @opt.path(
     "--recording",
@@ -195,7 +195,7 @@ def lab(table: Path, recording: Path | None, seed: int, **options: Any) -> int:
     warming = options["temperature"]
     plan = BenchPlan(
         **{name: options[name] for name in ("layout", "positions", "noise", "gravity")},
-        plant=_planted(options["plant"]),
+        plant=_parse_planted(options["plant"]),
         setting=_two(options["setting_sd"], "--setting-sd"),
         slips=tuple((int(r), a) for r, _, a in (s.partition(":") for s in options["slip"])),
         temperature=_two(warming, "--temperature") if warming else None,
@@ -220,7 +220,7 @@ def _two(text: str, option: str) -> tuple[float, float]:
     return a, b
 
 
-def _planted(texts: Sequence[str]) -> dict[str, tuple[float, ...]]:
+def _parse_planted(texts: Sequence[str]) -> dict[str, tuple[float, ...]]:
     """ "bias=1,2,3" by name; raises click's usage error."""
     found = {}
     for text in texts:

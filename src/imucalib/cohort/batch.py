@@ -19,7 +19,7 @@ from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExec
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from imucalib.cohort.entries import Entry, failure_words, kept_of, read_entry, write_entry
+from imucalib.cohort.entries import Entry, failure_words, keep_of, read_entry, write_entry
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.file_hash import sha256_of
 
@@ -115,7 +115,7 @@ def run_task(task: Task, *, resume: bool = True) -> Entry:
         if "error" in content:
             error = failure_words(content["error"])
         else:
-            report, error = kept_of(content), ""
+            report, error = keep_of(content), ""
     entry = Entry(task.recording, key, done.returncode, time.monotonic() - start, error, report)
     write_entry(entry, Path(task.entry))
     return entry

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from imucalib.atomic_file import replaced_atomically
+from imucalib.atomic_file import replace_atomically
 from imucalib.calibration.outcome import KEEP
 from imucalib.errors import UsageError
 from imucalib.recording.pairing import cell
@@ -56,11 +56,11 @@ def read_entry(path: Path) -> Entry | None:
 def write_entry(entry: Entry, path: Path) -> None:
     """Write an entry, whole or not at all; its folder is made where it is missing."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with replaced_atomically(path) as temporary:
+    with replace_atomically(path) as temporary:
         temporary.write_text(json.dumps(asdict(entry), allow_nan=False) + "\n", encoding="utf-8")
 
 
-def kept_of(report: Mapping[str, Any]) -> dict[str, Any]:
+def keep_of(report: Mapping[str, Any]) -> dict[str, Any]:
     """What an entry keeps of a report: all but the figures, most of its length and in no table."""
     return {name: block for name, block in report.items() if name != "figures"}
 
@@ -172,7 +172,7 @@ def write_table(rows: tuple[dict[str, Any], ...], path: Path) -> None:
     if path.suffix != ".csv":
         raise UsageError(f"no table format for '{path.suffix}'", remedy="use .csv or .parquet")
     with (
-        replaced_atomically(path) as temporary,
+        replace_atomically(path) as temporary,
         temporary.open("w", newline="", encoding="utf-8") as file,
     ):
         writer = csv.DictWriter(file, columns, lineterminator="\n")
@@ -189,5 +189,5 @@ def _parquet(rows: tuple[dict[str, Any], ...], columns: list[str], path: Path) -
             "Parquet needs pyarrow", remedy="pip install 'imucalib[parquet]', or write .csv"
         ) from None
     table = pyarrow.table({name: [row.get(name) for row in rows] for name in columns})
-    with replaced_atomically(path) as temporary:
+    with replace_atomically(path) as temporary:
         pyarrow.parquet.write_table(table, temporary)

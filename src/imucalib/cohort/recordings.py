@@ -18,7 +18,7 @@ _LINES = 100
 
 
 @dataclass(frozen=True)
-class Found:
+class FoundRecordings:
     """Recordings by their absolute paths, each once, in the order given; and in words where they
     come from and what was left out."""
 
@@ -26,7 +26,7 @@ class Found:
     said: tuple[str, ...]
 
 
-def recordings_of(inputs: Sequence[str]) -> Found:
+def recordings_of(inputs: Sequence[str]) -> FoundRecordings:
     """The recordings that arguments name: a recording; a folder, with all below it; a glob; or a
     manifest, which is text whose lines, or whose column "path", name files.
 
@@ -34,7 +34,7 @@ def recordings_of(inputs: Sequence[str]) -> Found:
     """
     found, said = dict[Path, None](), list[str]()
     for text in inputs:
-        parts = _globbed(text)
+        parts = _glob(text)
         for path in parts:
             named, words = _of_one(path)
             found.update(dict.fromkeys(named))
@@ -43,14 +43,14 @@ def recordings_of(inputs: Sequence[str]) -> Found:
             said.append(f"{text}: {len(parts)} matches")
     if not found:
         raise UnreadableInput("no recording in it", where=", ".join(inputs))
-    return Found(tuple(found), tuple(said))
+    return FoundRecordings(tuple(found), tuple(said))
 
 
 def _absolute(path: Path) -> Path:
     return Path(os.path.abspath(path))
 
 
-def _globbed(text: str) -> list[Path]:
+def _glob(text: str) -> list[Path]:
     """The path itself, or what a pattern that the shell did not expand matches."""
     if os.path.exists(text) or not glob.has_magic(text):
         return [Path(text)]
@@ -72,7 +72,7 @@ def _of_one(path: Path) -> tuple[list[Path], list[str]]:
     names = _manifest(path)
     if names is None:
         return [_absolute(path)], []
-    return _listed(path, names), [f"{path}: a manifest of {len(names)}"]
+    return _list_recordings(path, names), [f"{path}: a manifest of {len(names)}"]
 
 
 def _in_folder(folder: Path) -> tuple[list[Path], list[str]]:
@@ -176,7 +176,7 @@ def _separator(heading: str) -> str | None:
     return None
 
 
-def _listed(path: Path, names: tuple[str, ...]) -> list[Path]:
+def _list_recordings(path: Path, names: tuple[str, ...]) -> list[Path]:
     found = [_absolute(path.parent / name) for name in names]
     if not found:
         raise UnreadableInput("the manifest names no recording", where=str(path))

@@ -38,7 +38,7 @@ def course_of(value: Array, slope: Array, t: Array, beside: Flags) -> Course:
 Lagged = Callable[[Course, Array], Course]
 
 
-def delayed(course: Course, lag: Array) -> Course:
+def delay(course: Course, lag: Array) -> Course:
     """What was `lag` (n, K, 1) s before, to the second order.
 
     The values are those of sensors that are corrected by what comes out. By the bend that values

@@ -312,7 +312,7 @@ def _side_by_side(basis: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Family:
+class EffectScan:
     """Effects that differ in one value that the search has to find: a time, a lag, an axis.
 
     example : a value, to show one

@@ -29,7 +29,7 @@ def with_sessions(data: Observations, session: Index) -> Observations:
         return data
     found = [SharedNoise(BIAS, one, math.inf)]
     if data.reference.directed:
-        found.append(SharedNoise(MOUNTING, one, math.inf, basis=turned(data.reading[:, 0])))
+        found.append(SharedNoise(MOUNTING, one, math.inf, basis=turn_readings(data.reading[:, 0])))
     return replace(data, shared=(*found, *data.shared))
 
 
@@ -39,7 +39,7 @@ def session_of(data: Observations) -> Index | None:
     return np.argmax(of[0].factor, axis=1).astype(np.intp) if of else None
 
 
-def turned(reading: Array) -> Array:
+def turn_readings(reading: Array) -> Array:
     """(n, 3, 3) what a small turn φ (rad) does to readings (n, 3): φ × reading."""
     x, y, z = reading.T
     zero = np.zeros_like(x)

@@ -32,7 +32,7 @@ class Prior:
         return np.asarray(inverse @ inverse.T)
 
 
-def correlated(mean: Array, covariance: Array) -> Prior:
+def joint_prior(mean: Array, covariance: Array) -> Prior:
     """Of parameters (p,) that are known together, covariance (p, p).
 
     Scaled to unit variances first: parameters differ by orders of magnitude in their units.

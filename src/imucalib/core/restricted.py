@@ -56,16 +56,16 @@ class Restricted:
         """Data (N, ...) in these axes (n, ...)."""
         return np.asarray(self.frame.T @ data)
 
-    def at(self, ratio: Array) -> Covariance:
+    def at(self, ratio: Array) -> LowRankCovariance:
         """The covariance at ratios sd_c / s (components,)."""
         diagonal = np.ones(self.frame.shape[1])
         if self.wide >= 0:
             diagonal += ratio[self.wide] ** 2 * self.spread
-        return Covariance(diagonal, self.out, self.columns, ratio[self.owner])
+        return LowRankCovariance(diagonal, self.out, self.columns, ratio[self.owner])
 
 
 @dataclass(frozen=True)
-class Covariance:
+class LowRankCovariance:
     """V / s² = diag(diagonal) + U U', U = columns * size, columns (n, q), size (q,), and beside it
     an infinite variance along out (n, r)."""
 
@@ -114,7 +114,7 @@ class Covariance:
         return float(self.diagonal @ rest**2 + taken @ taken)
 
 
-def restricted(jacobian: Array, settings: Sequence[Array]) -> Restricted:
+def restrict(jacobian: Array, settings: Sequence[Array]) -> Restricted:
     """Take the parameters (N, p) out of a balance with components (N, q_c)."""
     widest = max(range(len(settings)), key=lambda c: settings[c].shape[1], default=-1)
     blocks = [] if widest < 0 else blocks_of(settings[widest])

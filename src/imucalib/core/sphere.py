@@ -96,7 +96,7 @@ class KnownDirection:
 CELLS = 96
 
 
-def counted(directions: Array) -> Index:
+def count_by_cell(directions: Array) -> Index:
     """(CELLS,) how many of the vectors (n, 3) point into each cell of the sphere."""
     return np.bincount(cell_of(directions), minlength=CELLS)
 
@@ -106,7 +106,7 @@ def cell_of(directions: Array) -> Index:
     return np.asarray(np.argmax(directions @ even_directions(CELLS).T, axis=1), np.intp)
 
 
-def covered(directions: Array) -> float:
+def coverage(directions: Array) -> float:
     """Share of the sphere within 30 deg of one of the vectors (n, 3)."""
     unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
     nearest = (even_directions() @ unit.T).max(axis=1)

@@ -13,8 +13,8 @@ from importlib.metadata import entry_points
 from pathlib import Path
 
 from imucalib.core.discovery import modules_of
-from imucalib.core.effect import Effect, Family
-from imucalib.effects.contract import checked_effects
+from imucalib.core.effect import Effect, EffectScan
+from imucalib.effects.contract import check_effects
 from imucalib.errors import UsageError
 from imucalib.file_hash import sha256_of
 
@@ -26,11 +26,11 @@ _FILES: dict[str, tuple[str, str]] = {}
 
 def catalogue() -> dict[str, Effect]:
     """All effects by name: this folder's, those of installed entry points, and loaded files'."""
-    return {**_installed(), **_LOADED}
+    return {**_load_plugins(), **_LOADED}
 
 
 @cache
-def _installed() -> dict[str, Effect]:
+def _load_plugins() -> dict[str, Effect]:
     found: dict[str, Effect] = {}
     for module in modules_of(__name__):
         _add(found, getattr(module, "EFFECTS", ()), module.__name__)
@@ -40,9 +40,9 @@ def _installed() -> dict[str, Effect]:
 
 
 @cache
-def families() -> dict[str, Family]:
+def families() -> dict[str, EffectScan]:
     """Scans by name: modules of this room that have `FAMILIES` contribute them."""
-    found: dict[str, Family] = {}
+    found: dict[str, EffectScan] = {}
     for module in modules_of(__name__):
         found.update({f.name: f for f in getattr(module, "FAMILIES", ())})
     return found
@@ -81,8 +81,8 @@ def load_file(path: Path) -> dict[str, Effect]:
         raise UsageError(
             f"it fails with {type(error).__name__}: {error}", where=str(path)
         ) from error
-    found = dict(_installed())
-    effects = checked_effects(getattr(module, "EFFECTS", ()), str(path))
+    found = dict(_load_plugins())
+    effects = check_effects(getattr(module, "EFFECTS", ()), str(path))
     _add(found, effects, str(path))
     own = {effect.name: effect for effect in effects}
     _LOADED.update(own)

@@ -21,7 +21,7 @@ _CHANNELS = ("acceleration", "angular_rate")
 _ROWS = 5
 
 
-def checked_effects(offered: object, where: str) -> tuple[Effect, ...]:
+def check_effects(offered: object, where: str) -> tuple[Effect, ...]:
     """The effects of a file's `EFFECTS`. Raises UsageError with the effect and what is wrong."""
     if not isinstance(offered, tuple | list):
         raise UsageError(
@@ -89,7 +89,7 @@ def _check_action(effect: Effect, where: str) -> None:
         for size in (0.0, 1.0):
             if not wrong:
                 theta = size * np.array([p.typical for p in parameters])
-                wrong = _action_wrong(_acted(effect, theta, context), theta)
+                wrong = _action_wrong(_act(effect, theta, context), theta)
     except Exception as error:  # the code is the user's: whatever it raises is theirs to mend
         what = f"it fails with {type(error).__name__}: {error}"
         raise _wrong(effect.name, what, where) from error
@@ -97,7 +97,7 @@ def _check_action(effect: Effect, where: str) -> None:
         raise _wrong(effect.name, wrong, where)
 
 
-def _acted(effect: Effect, theta: Any, context: Context) -> object:
+def _act(effect: Effect, theta: Any, context: Context) -> object:
     """What the effect does to gravity in `_ROWS` directions."""
     force = np.array([[1, 0, 0], [0, -1, 0], [0, 0, 1], [2, 1, -2], [-1, 2, 2]], dtype=float)
     force *= STANDARD_GRAVITY / np.linalg.norm(force, axis=1, keepdims=True)

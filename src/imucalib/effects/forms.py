@@ -16,7 +16,16 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.core.effect import Action, Context, Effect, Parameter, Response, Rotation, Truth
-from imucalib.effects.parts import BIAS, INCLINATION, SCALE, TOOL_FACE, Part, linear, turned, words
+from imucalib.effects.parts import (
+    BIAS,
+    INCLINATION,
+    SCALE,
+    TOOL_FACE,
+    EffectPart,
+    linear,
+    turned,
+    words,
+)
 from imucalib.units import MG, STANDARD_GRAVITY
 
 #: What is bent -> words for it.
@@ -93,7 +102,7 @@ def own_input(
 
 #: What a covariate bends -> the part, what its parameters' names have before the covariate's, their
 #: unit, and how much of one is still believed.
-_BENT: dict[str, tuple[Part, str, str, float]] = {
+_BENT: dict[str, tuple[EffectPart, str, str, float]] = {
     "bias": (BIAS, "", "mg", 300.0),
     "scale": (SCALE, "scale_", "mg/g", 50.0),
     "inclination": (INCLINATION, "inclination_", "deg", 10.0),

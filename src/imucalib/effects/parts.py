@@ -20,7 +20,7 @@ from imucalib.core.effect import (
     Basis,
     Context,
     Effect,
-    Family,
+    EffectScan,
     Parameter,
     Response,
     Rotation,
@@ -39,7 +39,7 @@ Column = tuple[tuple[int, int | None], ...]
 
 
 @dataclass(frozen=True)
-class Part:
+class EffectPart:
     """columns : of a sensor's part; axes : of a bench's, turned about one after the other
     needs : covariates without which there is no such part; shared : by all triads
     """
@@ -96,7 +96,7 @@ def sizes(key: str, labels: Iterable[str], value: str = "") -> tuple[Parameter, 
 
 
 def made(
-    key: str, part: Part, covariate: Covariate, value: str = "", **given: object
+    key: str, part: EffectPart, covariate: Covariate, value: str = "", **given: object
 ) -> Response | Rotation:
     """The effect: a part that follows a covariate; key, value, given : as `words` takes them"""
     labels = [
@@ -128,11 +128,11 @@ def scan(
     *,
     unfounded: bool = False,
     free: bool = False,
-) -> Family:
-    """The family of members, as `Family` has it."""
+) -> EffectScan:
+    """The family of members, as `EffectScan` has it."""
     entry = entries()[f"{name}@"]
     shown, example = entry["shown"], entry["example"]
-    return Family(name, shown, example, member, values, nearby, unfounded=unfounded, free=free)
+    return EffectScan(name, shown, example, member, values, nearby, unfounded=unfounded, free=free)
 
 
 def linear(
@@ -222,21 +222,21 @@ _OWN: tuple[Column, ...] = (((0, 0),), ((1, 1),), ((2, 2),))
 _BELOW: tuple[Column, ...] = (((1, 0),), ((2, 0),), ((2, 1),))
 _ABOVE: tuple[Column, ...] = (((0, 1),), ((0, 2),), ((1, 2),))
 
-BIAS = Part((((0, None),), ((1, None),), ((2, None),)))
+BIAS = EffectPart((((0, None),), ((1, None),), ((2, None),)))
 #: The same of the room and not of the sensor: no recording has its phase.
 ROOM_BIAS = replace(BIAS, stage="fixture")
-SCALE = Part(_OWN)
+SCALE = EffectPart(_OWN)
 #: Of all axes together, as a bench's supply has it.
-GAIN = Part((((0, 0), (1, 1), (2, 2)),), stage="fixture", shared=True)
-ANGLES = Part(_BELOW)
+GAIN = EffectPart((((0, 0), (1, 1), (2, 2)),), stage="fixture", shared=True)
+ANGLES = EffectPart(_BELOW)
 #: The angles and their mirror images: where directions are known, a turn of the triad shows too.
-TILTS = Part(_BELOW + _ABOVE)
+TILTS = EffectPart(_BELOW + _ABOVE)
 #: Scale factors and angles.
-MATRIX = Part(_OWN + _BELOW)
+MATRIX = EffectPart(_OWN + _BELOW)
 
 _ON_BENCH = ("inclination", "tool_face")
-INCLINATION = Part(axes=(inclination_axis,), needs=_ON_BENCH, stage="fixture")
-TOOL_FACE = Part(axes=(tool_face_axis,), needs=("tool_face",), stage="fixture")
+INCLINATION = EffectPart(axes=(inclination_axis,), needs=_ON_BENCH, stage="fixture")
+TOOL_FACE = EffectPart(axes=(tool_face_axis,), needs=("tool_face",), stage="fixture")
 #: How the tool stands in its clamp, about x, then y, then z; about its own axis alone.
-CLAMP = Part(axes=tuple(map(_of_tool, range(3))), needs=("tool_face",), stage="fixture")
+CLAMP = EffectPart(axes=tuple(map(_of_tool, range(3))), needs=("tool_face",), stage="fixture")
 CLAMP_Z = replace(CLAMP, axes=CLAMP.axes[2:])

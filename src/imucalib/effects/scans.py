@@ -18,7 +18,7 @@ from imucalib.effects.parts import (
     ROOM_BIAS,
     SCALE,
     Covariate,
-    Part,
+    EffectPart,
     made,
     scan,
     waves,
@@ -83,7 +83,7 @@ def _period(value: str) -> tuple[float, str]:
     raise ValueError(f"no period in rows or seconds: {value}")
 
 
-def _swing(key: str, part: Part, value: str) -> Effect:
+def _swing(key: str, part: EffectPart, value: str) -> Effect:
     period, unit = _period(value)
     clock, counted = _CLOCKS[unit]
     swing = Covariate(

@@ -10,7 +10,7 @@ name. Without a force there is no posture: the offset fades below a twentieth of
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.core.effect import Context, Effect, Family, Parameter, Response, Truth
+from imucalib.core.effect import Context, Effect, EffectScan, Parameter, Response, Truth
 from imucalib.units import MG, STANDARD_GRAVITY
 
 #: Bumps that are tried, and observations from which on: one for each of the finer, whose prior
@@ -101,7 +101,7 @@ def _values(context: Context) -> tuple[str, ...]:
 
 
 FAMILIES = (
-    Family(
+    EffectScan(
         "posture",
         "The offset depends on the posture, as where a strap presses the case.",
         "24",

@@ -238,7 +238,7 @@ class _Target:
         each = each.reshape(-1, size, size) / (mean[:, :, None] * mean[:, None, :])
         own = np.diagonal(each, axis1=1, axis2=2).copy()
         extra = np.exp(2.0 * np.minimum(x[:, 5:6], 1.0)) + _ROUNDING * own
-        extra = extra + _BENT**2 * left_out(size, x)
+        extra = extra + _BENT**2 * unexplained_times(size, x)
         each[:, np.arange(size), np.arange(size)] += extra
         lower = np.linalg.cholesky(each / 9.0)
         away = np.cbrt(self._variance / mean) - (1.0 - own / 9.0)
@@ -248,7 +248,7 @@ class _Target:
         return np.asarray(-0.5 * (np.sum(white**2, axis=1) + log_det) - turn)
 
 
-def left_out(size: int, x: Array) -> Flags:
+def unexplained_times(size: int, x: Array) -> Flags:
     """(n, M) which of M averaging times points (n, 8) of `draws` leave out."""
     at = np.arange(size)
     return np.asarray((at < x[:, 6:7]) | (at >= size - x[:, 7:8]))

@@ -30,7 +30,7 @@ class Chain:
 
 
 @dataclass(frozen=True)
-class Turns:
+class ChainTurns:
     """Products of the two rows of a turn after each rest, nothing where none is known, as of a
     Chain: own, beyond : (N - 1, b, b) of the rest where it begins and of the next one; ahead :
     (N - 1, b, b); shared, shared_beyond : (N - 1, b, g) of both; flat : (2 (N - 1), g) the rows"""
@@ -54,7 +54,7 @@ def chain_of(normal: Array, order: Index, shared: Index) -> Chain:
     )
 
 
-def turns_of(jacobian: Array, rest: Index, order: Index, shared: Index) -> Turns:
+def turns_of(jacobian: Array, rest: Index, order: Index, shared: Index) -> ChainTurns:
     """Of two rows a turn (2 T, P), one after the other; rest : (T,) where each begins."""
     rows = np.zeros((len(order) - 1, 2, jacobian.shape[1]))
     rows[rest] = jacobian.reshape(len(rest), 2, -1)
@@ -63,7 +63,7 @@ def turns_of(jacobian: Array, rest: Index, order: Index, shared: Index) -> Turns
         for columns in (order[:-1], order[1:])
     )
     across = rows[:, :, shared]
-    return Turns(
+    return ChainTurns(
         own=here @ here.swapaxes(1, 2),
         beyond=there @ there.swapaxes(1, 2),
         ahead=there @ here.swapaxes(1, 2),
@@ -73,7 +73,7 @@ def turns_of(jacobian: Array, rest: Index, order: Index, shared: Index) -> Turns
     )
 
 
-def eliminated(chain: Chain, turns: Turns, weight: Array) -> tuple[Array, Array]:
+def eliminate(chain: Chain, turns: ChainTurns, weight: Array) -> tuple[Array, Array]:
     """(B, g, g) the products of the shared columns with all rests taken out of the chain and of the
     turns, each times its weight, and (B,) half the logarithm of the determinant of these.
 

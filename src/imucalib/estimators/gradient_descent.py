@@ -72,7 +72,7 @@ def descend(points: Array, *, iterations: int = ITERATIONS, h: float = 1e-5) -> 
         slope = np.array([(objective(p + h * e, points) - here) / h for e in np.eye(9)])
         p = p - RATES * slope
         if not np.isfinite(p).all() or np.abs(p).max() > 10.0:
-            raise _diverged()
+            raise _diverges()
     return p
 
 
@@ -88,8 +88,8 @@ def descend_fixed(points: Array, form: FixedPoint, *, iterations: int = ITERATIO
         here = _fixed_sum(p, v, form)
         for_each = form.step * np.eye(9, dtype=np.int64)
         change = np.array([_fixed_sum(p + e, v, form) - here for e in for_each])
-        slope = _divided(change, form.step * len(v))
-        p = p - _shifted(rates * slope, form.fraction)
+        slope = _divide(change, form.step * len(v))
+        p = p - _shift_right(rates * slope, form.fraction)
         _demand(p, form.bits)
     return np.asarray(p / form.one)
 
@@ -102,31 +102,31 @@ def _fixed_sum(p: Integers, v: Integers, form: FixedPoint) -> int:
         p[3] * s[:, 0] + p[1] * s[:, 1],
         p[4] * s[:, 0] + p[5] * s[:, 1] + p[2] * s[:, 2],
     )
-    corrected = _shifted(np.stack(rows, axis=-1), form.fraction)
+    corrected = _shift_right(np.stack(rows, axis=-1), form.fraction)
     _demand(corrected, form.bits)
-    excess = _shifted(np.sum(corrected * corrected, axis=1), form.fraction) - form.one
+    excess = _shift_right(np.sum(corrected * corrected, axis=1), form.fraction) - form.one
     _demand(excess, form.bits)
     total = np.sum(excess * excess)
     _demand(total, 2 * form.bits)
     return int(total)
 
 
-def _shifted(values: Integers, bits: int) -> Integers:
+def _shift_right(values: Integers, bits: int) -> Integers:
     """Right shift, rounded to nearest."""
     return np.asarray((values + (1 << (bits - 1))) >> bits)
 
 
-def _divided(values: Integers, divisor: int) -> Integers:
+def _divide(values: Integers, divisor: int) -> Integers:
     """Division rounded to nearest, halves away from zero, as integer units do it."""
     return np.asarray(np.sign(values) * ((np.abs(values) + divisor // 2) // divisor))
 
 
 def _demand(values: Integers, bits: int) -> None:
     if np.abs(values).max() >= 1 << (bits - 1) - (bits == 64):
-        raise _diverged()
+        raise _diverges()
 
 
-def _diverged() -> NotConverged:
+def _diverges() -> NotConverged:
     return NotConverged(
         "the gradient descent left the range of its numbers",
         remedy="the points are not in g, or not at rest",

@@ -29,7 +29,7 @@ def estimate_in_population(
     assert prior.noise is not None
     away = at.residual + at.jacobian @ (theta - prior.mean)
     if fixed is None:
-        logs = _searched(at, prior, away)
+        logs = _search(at, prior, away)
     else:
         logs = np.log(np.maximum([fixed.factor, *fixed.sd], 1e-300))
     own = _derivatives(at, logs)
@@ -107,7 +107,7 @@ def _posterior(at: Balanced, prior: Prior, away: Array, logs: Array) -> tuple[fl
     return value, slopes, curvature + np.diag(prior.noise[:, 1] ** -2.0)
 
 
-def _searched(at: Balanced, prior: Prior, away: Array) -> Array:
+def _search(at: Balanced, prior: Prior, away: Array) -> Array:
     from scipy.optimize import minimize
 
     noise = prior.noise

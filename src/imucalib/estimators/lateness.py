@@ -24,7 +24,7 @@ from imucalib.estimators.turns import (
     GAIN,
     LOWER,
     TurnFit,
-    exposed,
+    exposure,
     tangents,
 )
 
@@ -67,7 +67,7 @@ def _of_turn(fit: TurnFit, turn: Turn) -> tuple[Array, Array, Array, Array, floa
     seen, share = moved_by(log, state.drift, turn)
     session = log.session[k]
     force, away = state.force(turn.force, session), turn.force - state.bias_at(session)
-    rate, columns = exposed(state, seen, force, turn, fit.laws)
+    rate, columns = exposure(state, seen, force, turn, fit.laws)
     true, h = rate @ state.gain.T, shares(turn.t)
     whole, fast = attitudes(turn.t, true), h * (turn.moving == 1.0)
     weighted = whole * fast[:, None, None]

@@ -85,7 +85,7 @@ def fit(
             converged = settled and solution.converged
             break
     assert estimate is not None
-    found = _finished(model, observations, theta, eta, at, estimate)
+    found = _finish(model, observations, theta, eta, at, estimate)
     return replace(found, converged=converged, iterations=steps, prior=prior, shrink=shrink)
 
 
@@ -103,13 +103,13 @@ def evaluate(
         eta = observations.reference.start(observations.reading)
     at = balance(model, theta, eta, observations)
     estimate = estimate_noise(at, noise or Noise(1.0, at.component, ()), fixed=False)
-    found = _finished(model, observations, theta, eta, at, estimate)
+    found = _finish(model, observations, theta, eta, at, estimate)
     spread = np.zeros_like(estimate.noise_covariance)
     return replace(found, covariance=covariance, noise_covariance=spread, null_directions=())
 
 
 @dataclass(frozen=True)
-class Point:
+class SolverPoint:
     """θ and η together, the balance that is linearised there, and what whitens it."""
 
     theta: Array
@@ -137,11 +137,11 @@ class _Problem:
         """Whether a component is a setting's: those that observations share stand behind them."""
         return len(self.noise.component) > len(self.observations.shared)
 
-    def _point(self, theta: Array, eta: Array) -> Point:
+    def _point(self, theta: Array, eta: Array) -> SolverPoint:
         at = balance(self.model, theta, eta, self.observations)
-        return Point(theta, eta, at, whitener(at.settings, self.noise.ratio))
+        return SolverPoint(theta, eta, at, whitener(at.settings, self.noise.ratio))
 
-    def solved(self, theta: Array, eta: Array, *, fresh: bool) -> Solution[Point]:
+    def solved(self, theta: Array, eta: Array, *, fresh: bool) -> Solution[SolverPoint]:
         """From a point; fresh : nothing has been fitted yet, so that η may be of the start and not
         of the data."""
         first = self._at(theta, eta)
@@ -159,7 +159,7 @@ class _Problem:
                 first = min(first, other, key=lambda p: float(np.sum(self._linearise(p)[0] ** 2)))
         return minimise(self._linearise, self._moved, first)
 
-    def _linearise(self, point: Point) -> tuple[Array, Array]:
+    def _linearise(self, point: SolverPoint) -> tuple[Array, Array]:
         rows = [point.white(np.column_stack([point.at.residual, point.at.jacobian]))]
         if self.prior is not None:
             rows.append(self.noise.factor * self.prior.rows(point.theta))
@@ -168,14 +168,14 @@ class _Problem:
         both = np.vstack(rows)
         return both[:, 0], both[:, 1:]
 
-    def _moved(self, point: Point, step: Array) -> Point:
+    def _moved(self, point: SolverPoint, step: Array) -> SolverPoint:
         eta, at = point.eta, point.at
         if self._settled:  # where the settings go with the step, to first order
             misfit = at.residual - at.jacobian @ step
             eta = setting_errors(at, point.white, self.noise.ratio, misfit)
         return self._at(point.theta + step, eta)
 
-    def _at(self, theta: Array, eta: Array) -> Point:
+    def _at(self, theta: Array, eta: Array) -> SolverPoint:
         """η at its best for this θ; a flat direction moves to first order and converges along with
         θ.
 
@@ -227,7 +227,7 @@ def _same(new: Noise, old: Noise) -> bool:
     return bool(np.all(np.abs(a - b) <= 1e-5 * np.maximum(a, 1e-7)))
 
 
-def _finished(
+def _finish(
     model: Model,
     observations: Observations,
     theta: Array,

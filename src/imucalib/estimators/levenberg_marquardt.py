@@ -81,25 +81,25 @@ def minimise(
     tolerance : on the share of the cost that an undamped step would still take off
     floor : rms of the residual below which only rounding is left (residuals are in noise units)
     """
-    point = _linearised(linearise, start, np.zeros(0))
+    point = _linearise(linearise, start, np.zeros(0))
     assert point is not None, "the start cannot be evaluated"
     damping, growth, widest, used = 1e-3, 2.0, point.norms, 0
     while used < iterations and point.gain > tolerance * point.cost and damping < _MOST_DAMPING:
         used += 1
-        trial = _moved(linearise, move, point, damping, widest)
+        trial = _move(linearise, move, point, damping, widest)
         if trial is None or trial.cost >= point.cost:
             damping, growth = damping * growth, growth * 2.0
             continue
         ratio = (point.cost - trial.cost) / point.predicted(damping)
         damping = max(damping * max(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3), 1e-15)
         point, growth, widest = trial, 2.0, np.maximum(widest, trial.norms)
-    point = _polished(linearise, move, point, widest)
+    point = _polish(linearise, move, point, widest)
     settled = point.gain <= tolerance * point.cost or point.cost <= floor**2 * point.residual.size
     kept = bool(np.all(point.norms >= _RUNAWAY * widest))
     return Solution(point.state, point.residual, point.jacobian, settled and kept, used)
 
 
-def _linearised(
+def _linearise(
     linearise: Callable[[State], tuple[Array, Array]], state: State, widest: Array
 ) -> _Point[State] | None:
     """The state with its singular directions; None where it cannot be evaluated."""
@@ -128,7 +128,7 @@ def _linearised(
     )
 
 
-def _moved(
+def _move(
     linearise: Callable[[State], tuple[Array, Array]],
     move: Callable[[State, Array], State],
     point: _Point[State],
@@ -137,12 +137,12 @@ def _moved(
 ) -> _Point[State] | None:
     """The point after a step; None where a step went so far that nothing can be evaluated."""
     try:
-        return _linearised(linearise, move(point.state, point.step(damping)), widest)
+        return _linearise(linearise, move(point.state, point.step(damping)), widest)
     except np.linalg.LinAlgError:
         return None
 
 
-def _polished(
+def _polish(
     linearise: Callable[[State], tuple[Array, Array]],
     move: Callable[[State, Array], State],
     point: _Point[State],
@@ -156,7 +156,7 @@ def _polished(
     for _ in range(20):
         if point.gain <= _NOTHING * point.cost:
             break
-        trial = _moved(linearise, move, point, 0.0, widest)
+        trial = _move(linearise, move, point, 0.0, widest)
         if trial is None or trial.gain > 0.8 * point.gain or trial.cost > 1.001 * point.cost:
             break
         point = trial

@@ -37,10 +37,10 @@ def with_noise_integrated(fit: Fit) -> Fit:
     known = fit.observations.noise_prior is not None and fit.prior is None
     if not known or size > _MOST or not fit.noise_covariance.any():
         return fit
-    draws, weight = _drawn(*_located(_Target(fit), fit))
+    draws, weight = _draw_points(*_locate_mode(_Target(fit), fit))
     for _ in range(_ROUNDS):
         shift, covariance = _Target(fit).given(draws)
-        fit = _moved(fit, weight @ shift)
+        fit = _move(fit, weight @ shift)
     shift, covariance = _Target(fit).given(draws)
     mean = weight @ shift
     apart = shift - mean
@@ -50,7 +50,7 @@ def with_noise_integrated(fit: Fit) -> Fit:
     return replace(fit, covariance=whole + np.outer(mean, mean), mixture=mixture)
 
 
-def _moved(fit: Fit, step: Array) -> Fit:
+def _move(fit: Fit, step: Array) -> Fit:
     """The fit at θ + step, its settings where they are best there."""
     model, data, at = fit.model, fit.observations, fit.at
     theta, ratio = fit.theta + step, fit.noise.ratio
@@ -120,7 +120,7 @@ def _parts(logs: Array) -> range:
     return range(0, len(logs), _CHUNK)
 
 
-def _located(target: _Target, fit: Fit) -> tuple[_Target, Array, Array]:
+def _locate_mode(target: _Target, fit: Fit) -> tuple[_Target, Array, Array]:
     """The target, its mode in the logs, and the covariance of the normal that touches it."""
     from scipy.optimize import minimize
 
@@ -140,7 +140,7 @@ def _located(target: _Target, fit: Fit) -> tuple[_Target, Array, Array]:
     return target, found, spread
 
 
-def _drawn(target: _Target, at: Array, spread: Array) -> tuple[Array, Array]:
+def _draw_points(target: _Target, at: Array, spread: Array) -> tuple[Array, Array]:
     """Points of the logs and their weights, a few that stand for all that were drawn."""
     rng = np.random.default_rng(0)
     lower = np.linalg.cholesky(spread)

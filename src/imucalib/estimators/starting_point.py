@@ -77,11 +77,11 @@ def larger_part(design: Array, reading: Array) -> Concentrated:
     n, columns = design.shape
     many = min(max(columns + 1, (n + columns + 1) // 2), n)
     starts = (np.arange(n), np.arange(many), np.arange(n - many, n))
-    found = (concentrated(design, reading, start, many) for start in starts)
+    found = (concentrate(design, reading, start, many) for start in starts)
     return min(found, key=lambda f: f.misfit)
 
 
-def concentrated(design: Array, reading: Array, rows: Index, many: int) -> Concentrated:
+def concentrate(design: Array, reading: Array, rows: Index, many: int) -> Concentrated:
     """So `many` rows that fit one linear map best, by concentration steps from some (Rousseeuw and
     Van Driessen 1999). design : (n, p); reading : (n, 3)"""
     for _ in range(_STEPS):

@@ -30,7 +30,7 @@ from scipy import sparse
 from imucalib.arrays import Array, Flags, Index
 from imucalib.core.effect import cross_matrix
 from imucalib.estimators.carried import attitudes, between, shares
-from imucalib.estimators.chain import chain_of, eliminated, turns_of
+from imucalib.estimators.chain import chain_of, eliminate, turns_of
 from imucalib.estimators.turn_log import Turn, TurnLog, moved_by
 
 #: What else a gyroscope does: (rate (n, 3) rad/s in its axes, force (n, 3) g, time (n,) s) to
@@ -109,7 +109,7 @@ class TurnNoise:
 
 
 @dataclass(frozen=True)
-class Rows:
+class LinearisedTurns:
     """The linearised problem: residual (R,) + jacobian (R, P), sparse, times dx, two rows a turn,
     then the rests' forces (3), rates (3), the walk's steps (3), and what is known before."""
 
@@ -127,7 +127,7 @@ class TurnFit:
     log: TurnLog
     state: State
     noise: TurnNoise
-    rows: Rows
+    rows: LinearisedTurns
     covariance: Array
     variance: Array
     used: Flags
@@ -142,7 +142,7 @@ class TurnFit:
         return np.asarray(self.covariance[np.ix_(own, own)])
 
 
-def fitted(
+def fit_turns(
     log: TurnLog,
     laws: Laws | None = None,
     *,
@@ -175,7 +175,7 @@ def fitted(
         log=log,
         state=start,
         noise=noise or TurnNoise(0.0, 0.0, np.ones(3), 0.0),
-        rows=linearised(log, start, laws, prior),
+        rows=linearise(log, start, laws, prior),
         covariance=np.zeros((0, 0)),
         variance=np.zeros(0),
         used=chosen,
@@ -185,8 +185,8 @@ def fitted(
     )
     for k in range(_MOST):
         fit, step = _round(fit, prior, held=noise is not None or k >= _NOISES)
-        state = _moved(fit.state, step)
-        fit = replace(fit, state=state, rows=linearised(log, state, laws, prior))
+        state = _move(fit.state, step)
+        fit = replace(fit, state=state, rows=linearise(log, state, laws, prior))
         if np.max(np.abs(step) / np.sqrt(np.diag(fit.covariance))) < _SETTLED:
             return replace(fit, converged=True)
     return fit
@@ -203,7 +203,7 @@ def without(fit: TurnFit, out: Flags, sizes: Array | None = None) -> TurnFit:
         moved = replace(rows, residual=rows.residual + rows.jacobian @ whole)
         found, step = _round(replace(found, rows=moved), prior, held=False)
         whole = whole + step
-    return replace(found, rows=rows, state=_moved(fit.state, whole))
+    return replace(found, rows=rows, state=_move(fit.state, whole))
 
 
 def _round(fit: TurnFit, prior: Array, *, held: bool) -> tuple[TurnFit, Array]:
@@ -218,7 +218,7 @@ def _round(fit: TurnFit, prior: Array, *, held: bool) -> tuple[TurnFit, Array]:
         jacobian = rows.jacobian[:own]
         square = square + jacobian.multiply(jacobian @ fit.covariance).sum(axis=1)
     if not held:
-        noise = _estimated(fit, prior)
+        noise = _estimate_noise(fit, prior)
     variance = variances(fit.log, noise, prior)
     # Of Student's distribution, over a turn's two numbers together.
     weight = (_NU + 2.0) / (_NU + square.reshape(-1, 2).sum(axis=1) / variance[:own:2])
@@ -242,7 +242,7 @@ def tangents(up: Array) -> Array:
     return np.asarray(reflected[:, :, :2])
 
 
-def exposed(
+def exposure(
     state: State, rate: Array, force: Array, turn: Turn, laws: Laws | None
 ) -> tuple[Array, Array]:
     """What the gyroscope's axes are exposed to, (n, 3) rad/s, of rates (n, 3) without their bias,
@@ -260,7 +260,7 @@ def exposed(
     return rate - columns @ state.theta, columns
 
 
-def linearised(log: TurnLog, state: State, laws: Laws | None, prior: Array) -> Rows:
+def linearise(log: TurnLog, state: State, laws: Laws | None, prior: Array) -> LinearisedTurns:
     """All rows at a state; prior : (m,) sd of θ."""
     n, across = log.rests, tangents(state.up)
     first, apart, ups = ACCELEROMETER + GAIN, state.first_offset, state.first_up
@@ -271,14 +271,14 @@ def linearised(log: TurnLog, state: State, laws: Laws | None, prior: Array) -> R
         k = turn.rest
         seen, share = moved_by(log, state.drift, turn)
         force = state.force(turn.force, log.session[k])
-        rate = exposed(state, seen, force, turn, laws)[0] if state.theta.any() else seen
+        rate = exposure(state, seen, force, turn, laws)[0] if state.theta.any() else seen
         whole = attitudes(turn.t, rate @ state.gain.T)
         weighted = whole * shares(turn.t)[:, None, None]
         gained = weighted @ state.gain
         q = np.zeros((3, apart + 6))
         q[:, ACCELEROMETER:first] = np.tensordot(weighted, rate, (0, 0)).reshape(3, 9)
         if laws is not None:
-            q[:, first:apart] = -_integrated(gained, laws, rate, force, turn)
+            q[:, first:apart] = -_integrate(gained, laws, rate, force, turn)
         q[:, apart:] = -np.concatenate(
             [
                 np.tensordot(v, gained, 1)
@@ -294,14 +294,14 @@ def linearised(log: TurnLog, state: State, laws: Laws | None, prior: Array) -> R
         turns[i, :, ups + 2 * k + 2 : ups + 2 * k + 4] = -np.eye(2)
         misfit[i] = back @ state.up[k]  # u_{k+1} is across the plane
     rests, off = _rest_rows(log, state, laws, across, prior, size)
-    return Rows(
+    return LinearisedTurns(
         np.concatenate([misfit.ravel(), off]),
         sparse.csr_array(np.concatenate([turns.reshape(-1, size), rests])),
         len(log.turns),
     )
 
 
-def _integrated(gained: Array, laws: Laws, rate: Array, force: Array, turn: Turn) -> Array:
+def _integrate(gained: Array, laws: Laws, rate: Array, force: Array, turn: Turn) -> Array:
     """(3, m) the integral of weights (n, 3, 3) times the laws' columns along a turn, a part of the
     samples at a time: an hour has a million, and a law dozens of columns."""
     whole: Array | float = 0.0
@@ -360,7 +360,7 @@ def without_laws(fit: TurnFit) -> TurnLog:
     for turn in log.turns:
         seen, _ = moved_by(log, state.drift, turn)
         force = state.force(turn.force, log.session[turn.rest])
-        true, _ = exposed(state, seen, force, turn, fit.laws)
+        true, _ = exposure(state, seen, force, turn, fit.laws)
         turns.append(replace(turn, rate=turn.rate - (seen - true)))
     still = log.rate - _at_rest(log, state, fit.laws) @ state.theta
     return replace(log, rate=still, turns=tuple(turns))
@@ -402,7 +402,7 @@ def _of_turns(log: TurnLog, noise: TurnNoise) -> Array:
     return np.asarray(log.white**2 * noisy + walk + noise.floor**2 + (noise.per_angle * path) ** 2)
 
 
-def _moved(state: State, step: Array) -> State:
+def _move(state: State, step: Array) -> State:
     m, n = state.theta.size, len(state.up)
     lower = state.lower.copy()
     for (i, j), more in zip(LOWER, step[3:9], strict=True):
@@ -420,7 +420,7 @@ def _moved(state: State, step: Array) -> State:
     )
 
 
-def _estimated(fit: TurnFit, prior: Array) -> TurnNoise:
+def _estimate_noise(fit: TurnFit, prior: Array) -> TurnNoise:
     """Walk, the rests' and power-ups' scatter by their moments; floor and κ as the means of their
     squares under the likelihood of the turns with all unknowns integrated out, at their prior."""
     log, state = fit.log, fit.state
@@ -463,7 +463,7 @@ def noise_points(log: TurnLog, noise: TurnNoise) -> Array:
 
 
 def rests_eliminated(
-    rows: Rows, log: TurnLog, variance: Array, shared: Index, weight: Array
+    rows: LinearisedTurns, log: TurnLog, variance: Array, shared: Index, weight: Array
 ) -> tuple[Array, Array]:
     """What `chain.eliminated` makes of all rows. variance : (R,); shared : (g,) the columns that no
     rest has, the residual's after all others; weight : (B, T) of the turns"""
@@ -478,7 +478,7 @@ def rests_eliminated(
     heavy = np.zeros((len(weight), log.rests - 1))
     heavy[:, at] = weight
     turns = turns_of(whole[:numbers].toarray(), at, order, shared)
-    return eliminated(chain_of(normal, order, shared), turns, heavy)
+    return eliminate(chain_of(normal, order, shared), turns, heavy)
 
 
 def _walk(log: TurnLog, state: State, laws: Laws | None) -> Array:
@@ -534,7 +534,7 @@ def carried_error(fit: TurnFit, at: Index) -> Array:
         turn = log.turns[i]
         seen, _ = moved_by(log, state.drift, turn)
         of = state.force(turn.force, log.session[turn.rest])
-        rate, _ = exposed(state, seen, of, turn, fit.laws)
+        rate, _ = exposure(state, seen, of, turn, fit.laws)
         whole = attitudes(turn.t, rate @ state.gain.T)[-1]
         found.append(float(between(whole.T @ force[turn.rest], force[turn.rest + 1])))
     return np.array(found)

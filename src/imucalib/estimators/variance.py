@@ -17,7 +17,7 @@ from imucalib.arrays import Array
 from imucalib.core.balance import Balanced, Noise, whitener
 from imucalib.core.observations import NoisePrior
 from imucalib.core.prior import Prior
-from imucalib.core.restricted import Restricted, restricted
+from imucalib.core.restricted import Restricted, restrict
 
 #: Search range of a setting's standard deviation, as its largest effect on a reading in units of
 #: the readings' noise. Below `_VANISHED` the component counts as zero.
@@ -123,14 +123,14 @@ def _search(at: Balanced, start: Noise) -> Noise:
 
     reach = np.array([max(float(np.abs(m).max()), 1e-300) for m in at.settings])
     low, high = np.log(RATIO[0] / reach), np.log(RATIO[1] / reach)
-    space = restricted(at.jacobian, at.settings)
+    space = restrict(at.jacobian, at.settings)
     for c, matrix in enumerate(at.settings):
         if c >= at.free and 3 * matrix.shape[1] >= at.residual.size:
             high[c] = np.log(INSTEAD / reach[c])
     data, dof = space.turned(at.residual), at.residual.size - at.jacobian.shape[1]
 
     def objective(logs: Array) -> tuple[float, Array]:
-        return _profiled(space, data, dof, np.exp(logs), at)
+        return _profile(space, data, dof, np.exp(logs), at)
 
     first = np.clip(np.log(np.maximum(start.sd, 1e-12)) - np.log(start.factor), low, high)
 
@@ -179,7 +179,7 @@ def _cauchy_slopes(sd: Array, prior: NoisePrior) -> Array:
     return np.asarray(2.0 * square / (1.0 + square))
 
 
-def _profiled(
+def _profile(
     space: Restricted, data: Array, dof: int, ratio: Array, at: Balanced
 ) -> tuple[float, Array]:
     """Minus the restricted log likelihood or posterior with s at its best, and its slopes by the

@@ -49,7 +49,7 @@ def exports() -> dict[str, Export]:
     return {m.EXPORT.name: m.EXPORT for m in modules_of(__name__) if hasattr(m, "EXPORT")}
 
 
-def exported(calibration: Calibration, source: str, name: str) -> Made:
+def export(calibration: Calibration, source: str, name: str) -> Made:
     """A calibration in the form that is named.
 
     Raises UsageError for an unknown form and for a calibration that it cannot hold, NotConverged

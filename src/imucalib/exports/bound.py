@@ -6,7 +6,7 @@ import math
 
 from imucalib.calibration.calibration import Calibration
 from imucalib.errors import LimitBroken, NotConverged, UsageError
-from imucalib.exports import Made, exported
+from imucalib.exports import Made, export
 from imucalib.units import DEG, MG
 
 _TO_MG = {"mg": 1.0, "m/s²": 1.0 / MG}
@@ -59,7 +59,7 @@ def demand_carried(
 def carries(calibration: Calibration, form: str) -> bool:
     """Whether a form is written unasked."""
     try:
-        demand_carried(exported(calibration, "", form), form, calibration, None)
+        demand_carried(export(calibration, "", form), form, calibration, None)
     except (LimitBroken, NotConverged, UsageError):
         return False
     return True

@@ -32,7 +32,7 @@ _TEST_READINGS = np.array([*np.eye(3), *(0.0 - np.eye(3)), np.zeros(3), [0.6, -0
 
 
 @dataclass(frozen=True)
-class Correction:
+class CFormula:
     """corrected = M raw + b of one sensor, or of K with K in front of the shapes.
 
     name : what follows `imucal_` in C's names, with an underscore at its end, or empty
@@ -114,7 +114,7 @@ def _filled(values: Mapping[str, Any]) -> str:
     return made.get_template("c_header.h.j2").render(values)
 
 
-def _of_one(calibration: Calibration) -> tuple[list[Correction], tuple[str, ...], float]:
+def _of_one(calibration: Calibration) -> tuple[list[CFormula], tuple[str, ...], float]:
     """With what it loses, in words and in mg."""
     linear = nearest_linear(calibration)
     lost = lost_linear(calibration, linear, "; M and b are the nearest there")
@@ -127,7 +127,7 @@ def _of_one(calibration: Calibration) -> tuple[list[Correction], tuple[str, ...]
     return every, lost, linear.mean
 
 
-def _of_array(calibration: Calibration) -> tuple[list[Correction], tuple[str, ...]]:
+def _of_array(calibration: Calibration) -> tuple[list[CFormula], tuple[str, ...]]:
     """Readings turned into board axes by the correction itself; with what it loses in words."""
     triads = calibration.triads
     one = STANDARD_GRAVITY * even_directions(600)
@@ -144,18 +144,18 @@ def _of_array(calibration: Calibration) -> tuple[list[Correction], tuple[str, ..
     return [_acceleration(M, b, sd), _rate(turn, rest)], lost
 
 
-def _acceleration(M: Array, b: Array, sd: Array) -> Correction:
+def _acceleration(M: Array, b: Array, sd: Array) -> CFormula:
     """b and sd in m/s²; ug in 32 bits, and up to 16 g in 16."""
     b, sd = b / STANDARD_GRAVITY, sd / STANDARD_GRAVITY
-    return Correction("", M, b, sd, unit="g", fine=1000000, coarse=2048, size=1.0)
+    return CFormula("", M, b, sd, unit="g", fine=1000000, coarse=2048, size=1.0)
 
 
-def _rate(M: Array, b: Array) -> Correction:
+def _rate(M: Array, b: Array) -> CFormula:
     """b in rad/s; 10 µdeg/s in 32 bits, and a tenth of a deg/s in 16."""
-    return Correction("gyro_", M, b / DEG, None, unit="deg/s", fine=100000, coarse=10, size=100.0)
+    return CFormula("gyro_", M, b / DEG, None, unit="deg/s", fine=100000, coarse=10, size=100.0)
 
 
-def _demand_fixed_point(one: Correction) -> None:
+def _demand_fixed_point(one: CFormula) -> None:
     """Raise UsageError when a coefficient passes it."""
     # Three products of 16 bits stay in 32 when a row of |M| adds up to less than four.
     if np.abs(one.M).max() >= 1.9999 or np.abs(one.M).sum(axis=-1).max() >= 3.99:

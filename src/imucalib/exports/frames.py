@@ -18,7 +18,7 @@ WHAT = (
 
 
 @dataclass(frozen=True)
-class Frame:
+class ImuFrame:
     """place : (3,) m in the board's frame; turn : (3, 3) from the frame's axes to the board's"""
 
     name: str
@@ -26,15 +26,15 @@ class Frame:
     turn: Array
 
 
-def frames_of(calibration: Calibration, form: str) -> tuple[Frame, ...]:
+def frames_of(calibration: Calibration, form: str) -> tuple[ImuFrame, ...]:
     """Two an IMU, and that of the virtual IMU. Raises as `imus_of`."""
     imus = imus_of(calibration, form)
     made = []
     for imu in imus:
-        made.append(Frame(imu.name, imu.place, np.eye(3)))
-        made.append(Frame(f"{imu.name}_package", imu.place, imu.frame.T))
+        made.append(ImuFrame(imu.name, imu.place, np.eye(3)))
+        made.append(ImuFrame(f"{imu.name}_package", imu.place, imu.frame.T))
     middle = np.mean([imu.place for imu in imus], axis=0)
-    return (*made, Frame("fused", middle, np.eye(3)))
+    return (*made, ImuFrame("fused", middle, np.eye(3)))
 
 
 def in_comment(calibration: Calibration, filename: str) -> str:

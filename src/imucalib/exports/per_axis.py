@@ -60,7 +60,7 @@ def nearest_row(calibration: Calibration, *, slope: bool = True) -> Row:
     if slope and "temperature" in seen.context:
         by = np.column_stack([by, seen.context["temperature"] - middle])
     start = np.concatenate([np.diag(calibration.matrices().M), np.zeros(3 * by.shape[1])])
-    weight = _recorded(calibration, raw)
+    weight = _posture_weights(calibration, raw)
 
     def corrected(p: Array) -> Array:
         return np.asarray(p[:3] * (raw + by @ p[3:].reshape(-1, 3)))
@@ -91,7 +91,7 @@ def nearest_row(calibration: Calibration, *, slope: bool = True) -> Row:
     )
 
 
-def _recorded(calibration: Calibration, raw: Array) -> Array:
+def _posture_weights(calibration: Calibration, raw: Array) -> Array:
     """(n,) weight of readings (n, 3): the postures in each one's part of the sphere. An empty part
     has a twentieth of the usual, so that nothing runs away there."""
     counts = np.asarray(calibration.facts.get("postures", ()), float)

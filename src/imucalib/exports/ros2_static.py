@@ -7,7 +7,7 @@ from xml.sax.saxutils import quoteattr
 
 from imucalib.calibration.calibration import Calibration
 from imucalib.exports import Export, Made
-from imucalib.exports.frames import BOARD, LOST, Frame, frames_of, in_comment
+from imucalib.exports.frames import BOARD, LOST, ImuFrame, frames_of, in_comment
 
 
 def ros2_static(calibration: Calibration, filename: str) -> Made:
@@ -25,7 +25,7 @@ def ros2_static(calibration: Calibration, filename: str) -> Made:
     return Made("\n".join(lines), LOST)
 
 
-def _node(frame: Frame) -> str:
+def _node(frame: ImuFrame) -> str:
     from scipy.spatial.transform import Rotation
 
     numbers = (*frame.place, *Rotation.from_matrix(frame.turn).as_quat())

@@ -6,7 +6,7 @@ from xml.sax.saxutils import quoteattr
 
 from imucalib.calibration.calibration import Calibration
 from imucalib.exports import Export, Made
-from imucalib.exports.frames import BOARD, LOST, Frame, frames_of, in_comment
+from imucalib.exports.frames import BOARD, LOST, ImuFrame, frames_of, in_comment
 
 
 def urdf(calibration: Calibration, filename: str) -> Made:
@@ -25,7 +25,7 @@ def urdf(calibration: Calibration, filename: str) -> Made:
     return Made("\n".join(lines), LOST)
 
 
-def _joined(frame: Frame) -> str:
+def _joined(frame: ImuFrame) -> str:
     from scipy.spatial.transform import Rotation
 
     angles = Rotation.from_matrix(frame.turn).as_euler("xyz")

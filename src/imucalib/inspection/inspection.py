@@ -215,7 +215,7 @@ def inspect_recording(
         channels=facts,
         gaps=tuple(sorted(watch.gaps, key=lambda g: g.start - g.stop)[:_KEPT]),
         gap_count=len(watch.gaps),
-        gap_seconds=_covered(watch.gaps),
+        gap_seconds=_gap_seconds(watch.gaps),
         still=still,
         why_not_still=why,
         candidates=_candidates(facts),
@@ -240,7 +240,7 @@ def _candidates(facts: tuple[ChannelFacts, ...]) -> tuple[tuple[str, str], ...]:
     return tuple((name, reason) for _, name, reason in sorted(found)[:_KEPT])
 
 
-def _covered(gaps: list[Gap]) -> float:
+def _gap_seconds(gaps: list[Gap]) -> float:
     """Seconds in which at least one sensor has a gap."""
     total, until = 0.0, -math.inf
     for gap in sorted(gaps, key=lambda g: g.start):

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from imucalib.arrays import Array, Flags
-from imucalib.estimators.allan import SHAPES, draws, freedom_of, left_out, shapes
+from imucalib.estimators.allan import SHAPES, draws, freedom_of, shapes, unexplained_times
 from imucalib.inspection.allan import AllanCurve, AllanSums
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.segments import Segments
@@ -137,7 +137,7 @@ def identify(curve: AllanCurve) -> AxisNoise:
     share = squares[:, None, :] * shapes(curve.tau)
     whole = share.sum(axis=2)
     share /= whole[..., None]
-    unexplained = left_out(len(curve.tau), found)
+    unexplained = unexplained_times(len(curve.tau), found)
     share[unexplained] = 0.0
     shown = np.mean(share.max(axis=1) > _SHOWN, axis=0)
     terms = {

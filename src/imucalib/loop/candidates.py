@@ -8,26 +8,26 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.core.effect import MOTION, Context, Effect, Family, Truth
+from imucalib.core.effect import MOTION, Context, Effect, EffectScan, Truth
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model, Prediction
 from imucalib.effects import catalogue, families, named
 
 
 @dataclass(frozen=True)
-class Searched:
+class SearchedEffects:
     """Effects by name, and scans over a value."""
 
     effects: Mapping[str, Effect]
-    families: tuple[Family, ...]
+    families: tuple[EffectScan, ...]
 
 
-def searched(
+def effects_to_search(
     only: tuple[str, ...],
     without: tuple[str, ...],
     own: Mapping[str, Effect],
     usable: Callable[[Effect], bool] = lambda effect: True,
-) -> Searched:
+) -> SearchedEffects:
     """The effects of sensors at rest that a search tries.
 
     only : names that it tries alone, or none; without : names that it leaves out; own : effects of
@@ -43,7 +43,7 @@ def searched(
     effects = {
         n: every[n] for n in wanted if n in every and _at_rest(every[n]) and usable(every[n])
     }
-    return Searched(effects, tuple(families()[n] for n in wanted if n in families()))
+    return SearchedEffects(effects, tuple(families()[n] for n in wanted if n in families()))
 
 
 def _at_rest(effect: Effect) -> bool:
@@ -53,7 +53,7 @@ def _at_rest(effect: Effect) -> bool:
 def effect_columns(fit: Fit, effect: Effect) -> Array:
     """(N, m) columns of a catalogue effect at θ = 0, in the balance's units at typical sizes."""
     typical = np.array([p.typical for p in effect.parameters(fit.observations.context)])
-    return np.asarray(effect_slopes(fit, effect, fitted_prediction(fit)) * typical)
+    return np.asarray(effect_slopes(fit, effect, predict_by_fit(fit)) * typical)
 
 
 def effect_slopes(fit: Fit, effect: Effect, prediction: Prediction) -> Array:
@@ -97,7 +97,7 @@ def testable(fit: Fit, effects: Iterable[Effect]) -> Iterator[Effect]:
             yield effect
 
 
-def fitted_prediction(fit: Fit) -> Prediction:
+def predict_by_fit(fit: Fit) -> Prediction:
     """The fitted model's prediction of the fit's own observations."""
     context, reference = fit.observations.context, fit.observations.reference
     return fit.model.predict(fit.theta, reference.truth(fit.eta), context)

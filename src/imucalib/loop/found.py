@@ -109,7 +109,7 @@ class Unexplained:
 
 
 @dataclass(frozen=True)
-class Drift:
+class BiasWalk:
     """The walk of the bias that the noise holds beside the final model.
 
     size : mg, rms of what it does to |a|; hours : after which it forgets
@@ -164,7 +164,7 @@ class Loop(Generic[S]):
     first_scores: tuple[Score, ...] = ()
     missing: Mapping[str, str] = field(default_factory=dict)
     difference: Difference | None = None
-    drift: Drift | None = None
+    drift: BiasWalk | None = None
     complete: float = math.nan
     open_size: float = 0.0
 

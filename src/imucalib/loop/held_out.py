@@ -169,7 +169,7 @@ _DETERMINED = 1e-8
 
 
 @dataclass(frozen=True)
-class Held:
+class Predictions:
     """Predictions of observations by fits without their group.
 
     corrected : (n, K, 3) m/s²; expected : (n, K, 3) the truth of the reference with the fitted
@@ -185,9 +185,9 @@ class Held:
         """(n,) m/s², length of each observation's error, root mean square over its triads."""
         return np.asarray(np.sqrt(np.mean(np.sum(self.error**2, axis=-1), axis=-1)))
 
-    def of(self, rows: Index) -> Held:
+    def of(self, rows: Index) -> Predictions:
         """Those of some observations."""
-        return Held(self.corrected[rows], self.expected[rows], self.error[rows])
+        return Predictions(self.corrected[rows], self.expected[rows], self.error[rows])
 
     def rms(self, rows: Index | slice = slice(None)) -> float:
         """Root mean square length of the error, m/s²."""
@@ -240,7 +240,7 @@ def each_left_out(fit: Fit, group: Index) -> Iterator[tuple[Index, Array]]:
             yield rows, fit.theta + step
 
 
-def errors(fit: Fit, theta: Array, observations: Observations) -> Held:
+def errors(fit: Fit, theta: Array, observations: Observations) -> Predictions:
     """Corrected against expected for observations under a θ of the fit's model."""
     context, reference = observations.context, observations.reference
     corrected = fit.model.correct(theta, observations.reading, context)
@@ -250,44 +250,44 @@ def errors(fit: Fit, theta: Array, observations: Observations) -> Held:
             if effect.stage == "fixture":
                 own = theta[slices[effect.name]]
                 expected = expected + effect.act(own, Truth(expected), context).delta
-        return Held(corrected, expected, corrected - expected)
+        return Predictions(corrected, expected, corrected - expected)
     size = np.linalg.norm(corrected, axis=-1, keepdims=True)
     gravity = np.linalg.norm(reference.truth(reference.start(corrected)), axis=-1, keepdims=True)
-    return Held(corrected, corrected / size * gravity, size - gravity)
+    return Predictions(corrected, corrected / size * gravity, size - gravity)
 
 
-def held_out(fit: Fit) -> Held:
+def leave_groups_out(fit: Fit) -> Predictions:
     """Leave each group out in turn and predict it."""
-    return _joined_at(fit, list(each_left_out(fit, fit.observations.group)))
+    return _predict_parts(fit, list(each_left_out(fit, fit.observations.group)))
 
 
-def by_folds(fit: Fit, folds: Sequence[Fold]) -> Held:
+def by_folds(fit: Fit, folds: Sequence[Fold]) -> Predictions:
     """Held-out predictions by the folds of a design, of a model that nothing was chosen for."""
     every = np.arange(fit.observations.n)
     gone = [np.setdiff1d(every, fold.rest) for fold in folds]
-    return _joined_at(
+    return _predict_parts(
         fit, [(f.rows, theta_without(fit, g)) for f, g in zip(folds, gone, strict=True)]
     )
 
 
-def _joined_at(fit: Fit, parts: Sequence[tuple[Index, Array]]) -> Held:
+def _predict_parts(fit: Fit, parts: Sequence[tuple[Index, Array]]) -> Predictions:
     """Predictions of some rows by a θ, part by part."""
     data = fit.observations
     found = [errors(fit, without_records(fit, theta), data.take(rows)) for rows, theta in parts]
-    return joined(found, [rows for rows, _ in parts])
+    return join(found, [rows for rows, _ in parts])
 
 
-def joined(parts: Sequence[Held], rows: Sequence[Index]) -> Held:
+def join(parts: Sequence[Predictions], rows: Sequence[Index]) -> Predictions:
     """Predictions part by part in the order of the observations; rows : of each part"""
     order = np.argsort(np.concatenate(rows))
 
     def each(name: str) -> Array:
         return np.asarray(np.concatenate([getattr(part, name) for part in parts])[order])
 
-    return Held(each("corrected"), each("expected"), each("error"))
+    return Predictions(each("corrected"), each("expected"), each("error"))
 
 
-def fitted(fit: Fit) -> Held:
+def predict_fitted(fit: Fit) -> Predictions:
     """The same errors on the data that was fitted: for residual tables, never for claims."""
     return errors(fit, without_records(fit, fit.theta), fit.observations)
 

@@ -44,7 +44,7 @@ class RecordError:
     probability: float
 
 
-def refitted(fit: Fit, model: Model, values: Mapping[str, Array] | None = None) -> Fit:
+def refit(fit: Fit, model: Model, values: Mapping[str, Array] | None = None) -> Fit:
     """Another model fitted to the same observations, from where the fit is; values : to start from
     of effects that the fit does not have."""
     context = fit.observations.context
@@ -56,9 +56,9 @@ def refitted(fit: Fit, model: Model, values: Mapping[str, Array] | None = None) 
     return fit_model(model, fit.observations, start=start)
 
 
-def reduced(fit: Fit, names: Sequence[str]) -> Fit:
+def drop_effects(fit: Fit, names: Sequence[str]) -> Fit:
     """Refit without some effects, from where the fit is."""
-    return refitted(fit, Model(tuple(e for e in fit.model.effects if e.name not in names)))
+    return refit(fit, Model(tuple(e for e in fit.model.effects if e.name not in names)))
 
 
 def record_names(fit: Fit) -> tuple[str, ...]:
@@ -87,18 +87,18 @@ def set_aside(fit: Fit, row: int) -> Fit | None:
         meant = data.reference.truth(np.zeros_like(fit.eta) if fit.at.free else fit.eta)
         predicted = fit.model.predict(fit.theta, meant, data.context).reading
         values[effect.name] = (data.reading[row, 0] - predicted[row, 0]) / MG
-    aside = refitted(fit, fit.model.plus(effect), values)
+    aside = refit(fit, fit.model.plus(effect), values)
     opened = len(aside.null_directions) > len(fit.null_directions)
     return aside if aside.converged and not (alone and opened) else None
 
 
-def accused(fit: Fit, found: Sequence[tuple[int, float]]) -> tuple[RecordError, ...]:
+def accuse(fit: Fit, found: Sequence[tuple[int, float]]) -> tuple[RecordError, ...]:
     """Of rows and the probability of each, from the fit in which their numbers are free: the number
     that is farthest off, or the one that a slip of the pen explains."""
-    return tuple(_diagnosed(fit, row, probability) for row, probability in found)
+    return tuple(_diagnose(fit, row, probability) for row, probability in found)
 
 
-def _diagnosed(fit: Fit, row: int, probability: float) -> RecordError:
+def _diagnose(fit: Fit, row: int, probability: float) -> RecordError:
     if fit.observations.reference.directed:
         said = _of_numbers(fit, row)
     elif len(fit.observations.context.triads) == 1:
@@ -125,7 +125,7 @@ _Said = tuple[str, float, float, str, _Fix]
 
 
 def _of_norm(fit: Fit, row: int) -> _Said:
-    size = float(np.linalg.norm(_corrected_by_others(fit, row)[0])) - _gravity(fit, row)
+    size = float(np.linalg.norm(_correct_by_others(fit, row)[0])) - _gravity(fit, row)
     sd = fit.noise.factor * float(fit.observations.sigma[row, 0, 0])
     return "norm", size, sd, "movement, contact or a wrong record", ()
 
@@ -133,7 +133,7 @@ def _of_norm(fit: Fit, row: int) -> _Said:
 def _of_triads(fit: Fit, row: int) -> _Said:
     """The triad that is farther off the others than these are off gravity's size, or all."""
     context = fit.observations.context
-    force = context.in_common(_corrected_by_others(fit, row)[None])[0]
+    force = context.in_common(_correct_by_others(fit, row)[None])[0]
     middle = np.median(force, axis=0)
     away = np.linalg.norm(force - middle, axis=1)
     size = float(np.linalg.norm(middle)) - _gravity(fit, row)
@@ -148,7 +148,7 @@ def _of_triads(fit: Fit, row: int) -> _Said:
 
 def _of_numbers(fit: Fit, row: int) -> _Said:
     """A slip of one number is that number's error, even where an angle would imitate it."""
-    mean, covariance = _predicted(fit, row)
+    mean, covariance = _predict(fit, row)
     away = fit.observations.reading[row, 0] - mean
     sd = np.sqrt(np.diag(covariance))
     likely, fix = _slip(fit, row, mean, covariance)
@@ -156,7 +156,7 @@ def _of_numbers(fit: Fit, row: int) -> _Said:
     return "xyz"[axis], float(away[axis]), float(sd[axis]), likely, fix
 
 
-def _predicted(aside: Fit, row: int) -> tuple[Array, Array]:
+def _predict(aside: Fit, row: int) -> tuple[Array, Array]:
     """Mean (3,) and covariance (3, 3), m/s², of one record (K = 1) by all others, from a fit in
     which its numbers are free: what rows at the same setting tell of its error is part of it."""
     data = aside.observations
@@ -167,7 +167,7 @@ def _predicted(aside: Fit, row: int) -> tuple[Array, Array]:
     return mean, MG**2 * aside.covariance[own, own]
 
 
-def _corrected_by_others(fit: Fit, row: int) -> Array:
+def _correct_by_others(fit: Fit, row: int) -> Array:
     """A record (K, 3) in m/s², corrected by a fit of the others."""
     rows, data = np.array([row]), fit.observations
     theta = without_records(fit, theta_without(fit, rows))
@@ -219,7 +219,7 @@ def _wrong_angle(fit: Fit, row: int) -> str:
     """A reading of the right size in another direction was taken at another setting."""
     reference = fit.observations.reference
     assert isinstance(reference, KnownVector | KnownDirection)
-    corrected = _corrected_by_others(fit, row)[0]
+    corrected = _correct_by_others(fit, row)[0]
     noise = fit.noise.factor * float(fit.observations.sigma[row].max())
     if abs(float(np.linalg.norm(corrected)) - reference.gravity) > FAR_SIZE * noise:
         return _UNEXPLAINED

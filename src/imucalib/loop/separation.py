@@ -29,7 +29,7 @@ from imucalib.effects import known, names_a_cause
 from imucalib.effects.record_error import is_record_error
 from imucalib.loop.candidates import effect_columns, slopes_within
 from imucalib.loop.odds import ALIKE, CERTAIN, DRAWS, ENDED, PLANNED, RIVAL_SIZES, ROUNDS, UNLUCKY
-from imucalib.loop.record_errors import reduced
+from imucalib.loop.record_errors import drop_effects
 
 #: Precision of a base parameter at typical size that no data determine: a hundred typical sizes.
 _OPEN = 1e-4
@@ -193,7 +193,7 @@ def separation(one: Ambiguity, pool: Array) -> Separation:
         return np.asarray(each.min(axis=-1) + 0.05 * each.mean(axis=-1))
 
     while able.any() and len(plan) < PLANNED[1] and min(ends.values(), default=0.0) < ENDED:
-        plan = _grown(pool, plan, worth)
+        plan = _grow(pool, plan, worth)
         if len(plan) >= PLANNED[0]:
             ends = _ends(one, able, pool[list(plan)].sum(axis=0))
     total = pool[list(plan)].sum(axis=0)
@@ -241,7 +241,7 @@ def _ends(one: Ambiguity, able: Array, added: Array) -> Mapping[str, float]:
     return found
 
 
-def _grown(pool: Array, plan: tuple[int, ...], worth: Callable[[Array], Array]) -> tuple[int, ...]:
+def _grow(pool: Array, plan: tuple[int, ...], worth: Callable[[Array], Array]) -> tuple[int, ...]:
     """A plan with one candidate more, then each exchanged while that helps."""
     each = worth(pool[list(plan)].sum(axis=0) + pool)
     chosen, now = [*plan, int(np.argmax(each))], float(each.max())
@@ -276,7 +276,7 @@ def _of_step(
     named = [e for name in causes if (e := known(name)) is not None]
     if len(named) < 2 or names[0] not in fit.model.names:
         return None
-    without = reduced(fit, names[:1])
+    without = drop_effects(fit, names[:1])
     context = without.observations.context
     effects = [e for e in named if e.name not in without.model.names and not e.missing(context)]
     if len(effects) < 2:

@@ -15,14 +15,14 @@ from imucalib.arrays import Array, Index
 from imucalib.core.effect import CLOCKS
 from imucalib.core.fit import Fit
 from imucalib.loop.odds import SHOWN
-from imucalib.loop.posterior.gram import swept
+from imucalib.loop.posterior.gram import marginalize
 from imucalib.loop.posterior.problem import Problem
 from imucalib.loop.posterior.solution import noises_of
 from imucalib.loop.posterior.space import Posterior
 
 
 @dataclass(frozen=True)
-class Base:
+class BaseParameters:
     """The base model alone: parameters (p,) by name, θ (p,) and its covariance, in their units."""
 
     parameters: tuple[str, ...]
@@ -40,7 +40,7 @@ class Sums:
         that wanders does beside it
     """
 
-    base: Base
+    base: BaseParameters
     blocks: Mapping[str, Index]
     gram: Array
     along: Array
@@ -73,7 +73,7 @@ def sums_of(problem: Problem, posterior: Posterior, base: Fit, noise: float, dri
     """
     grams, p = posterior.grams, problem.base
     weight = noises_of(problem, grams, ())
-    one = swept(grams, problem.flat)
+    one = marginalize(grams, problem.flat)
     own = {
         problem.components[c.component].name: c.at
         for c in reversed(problem.choices)
@@ -96,7 +96,7 @@ def sums_of(problem: Problem, posterior: Posterior, base: Fit, noise: float, dri
             blocks[name] = np.arange(len(kept), len(kept) + place.size)
             kept += place.tolist()
     return Sums(
-        base=Base(tuple(q.name for q in base.parameters), base.theta, base.covariance),
+        base=BaseParameters(tuple(q.name for q in base.parameters), base.theta, base.covariance),
         blocks=blocks,
         gram=0.5 * (gram + gram.T)[np.ix_(kept, kept)],
         along=along[kept],

@@ -27,7 +27,7 @@ from imucalib.readers.joining import (
 from imucalib.readers.possible import without_the_impossible
 from imucalib.readers.rates import with_checked_rates
 from imucalib.readers.repeats import with_held
-from imucalib.readers.source import UNREAD, head_of, named
+from imucalib.readers.source import UNREAD, file_kind, head_of
 from imucalib.recording.mapping import TIME_ZEROS, FieldMapping
 from imucalib.recording.recording import Recording
 from imucalib.recording.sensors import select_sensor
@@ -109,7 +109,7 @@ def reader_for(path: str | os.PathLike[str]) -> Reader:
     by_suffix = [reader for reader in readers() if file.name.lower().endswith(reader.suffixes)]
     if len(by_suffix) == 1:
         return by_suffix[0]
-    kind = named(head, UNREAD)
+    kind = file_kind(head, UNREAD)
     if kind is not None:
         raise UnreadableInput(f"this is {kind.name}", where=str(path), remedy=kind.remedy)
     formats = ", ".join(f"{r.name} ({' '.join(r.suffixes)})" for r in readers())

@@ -198,7 +198,7 @@ def readings_at_rest(pieces: Sequence[Array], window: int) -> Array:
 
 
 @dataclass(frozen=True)
-class Source:
+class UnitSource:
     """What is known of an acceleration before its numbers are looked at.
 
     unit : that the file (or its format) states, or ""; scales : counts a g that the device's models
@@ -213,7 +213,7 @@ class Source:
 
 
 def acceleration(
-    mapping: FieldMapping, source: Source | str, rest: Array, where: str
+    mapping: FieldMapping, source: UnitSource | str, rest: Array, where: str
 ) -> Conversion:
     """Conversion of raw acceleration to m/s².
 
@@ -221,7 +221,7 @@ def acceleration(
     `readings_at_rest`, used to find the unit and to refuse a wrong one, whoever states it. Raises
     UnreadableInput when no unit fits, UsageError for an unknown one.
     """
-    source = Source(source) if isinstance(source, str) else source
+    source = UnitSource(source) if isinstance(source, str) else source
     offset = _per_axis(mapping.acc_offset, "acc_offset", 0.0)
     unit = unit_of_axes(mapping.acc_unit or source.unit, "--unit", where)
     norms = np.linalg.norm(rest - offset, axis=1)
@@ -263,7 +263,7 @@ def acceleration(
 def of_looks(
     quantity: str,
     mapping: FieldMapping,
-    source: Source,
+    source: UnitSource,
     looks: Sequence[Array],
     *,
     rate: float,
@@ -279,7 +279,7 @@ def of_looks(
 def of_vectors(
     quantity: str,
     mapping: FieldMapping,
-    source: Source,
+    source: UnitSource,
     looks: Sequence[Array],
     *,
     window: int,
@@ -354,7 +354,7 @@ def unit_of_axes(text: str, option: str, where: str) -> str:
     return ",".join(each)
 
 
-def _by_norm(source: Source, norms: Array, where: str) -> tuple[str, str]:
+def _by_norm(source: UnitSource, norms: Array, where: str) -> tuple[str, str]:
     """The unit that makes the norm at rest 1 g, and the sentence that says so."""
     norm = float(np.median(norms)) if norms.size else np.nan
     if norm < 1.0 / _IMPLAUSIBLE:  # the largest unit in use, g, has ones

@@ -140,7 +140,7 @@ def _whole(data: NDArray[np.uint8], layouts: _Layouts, *, last: bool) -> tuple[I
     ends = np.append(header, data.size) if last else header
     closed = np.isin(header + length, ends)
     header, length = header[closed], length[closed]
-    keep = _chained(header, length)
+    keep = _chain_headers(header, length)
     header, length = header[keep], length[keep]
     if last:
         return header, length, data.size
@@ -149,7 +149,7 @@ def _whole(data: NDArray[np.uint8], layouts: _Layouts, *, last: bool) -> tuple[I
     return header, length, max(done, data.size - _LONGEST)
 
 
-def _chained(header: Index, length: Index) -> NDArray[np.bool_]:
+def _chain_headers(header: Index, length: Index) -> NDArray[np.bool_]:
     """Which headers are no bytes inside a message before them. Only those that overlap are walked:
     two bytes in 65,536 look like a header by chance."""
     keep = np.ones(header.size, dtype=bool)

@@ -84,7 +84,7 @@ class _Content(ReadDataStream):
         return str(self.read(self.read4()), "utf-8", "replace")
 
 
-def parsed(kind: Any, content: bytes) -> Any:
+def parse_record(kind: Any, content: bytes) -> Any:
     """A record of a type of `mcap.records`; raises MalformedRecordError."""
     try:
         return kind.read(_Content(BytesIO(content)))
@@ -255,11 +255,11 @@ class _Definitions:
         Raises MalformedRecordError.
         """
         if opcode == Opcode.SCHEMA:
-            schema = parsed(Schema, content)
+            schema = parse_record(Schema, content)
             if self.schemas.setdefault(schema.id, schema) != schema:
                 return f"schema {schema.id} is defined twice, differently"
         elif opcode == Opcode.CHANNEL:
-            own = parsed(Channel, content)
+            own = parse_record(Channel, content)
             schema = self.schemas.get(own.schema_id)
             topic = Topic(own.id, own.topic, own.message_encoding, schema, own.metadata)
             if self.topics.setdefault(topic.id, topic) != topic:
@@ -337,7 +337,7 @@ class McapLog(MessageLog):
                 content = data[at + 9 : at + 9 + length]
                 found.add(opcode, content)
                 if opcode == Opcode.STATISTICS:
-                    counts = parsed(Statistics, content).channel_message_counts
+                    counts = parse_record(Statistics, content).channel_message_counts
                 at += 9 + length
         except MalformedRecordError:
             return {}
@@ -445,7 +445,7 @@ class McapLog(MessageLog):
             count = (lost.messages or 0) + int.from_bytes(content[2:6], "little") // 16
             self.damages[self._hidden] = replace(lost, messages=count)
         elif opcode == Opcode.METADATA:
-            mark = parsed(Metadata, content)
+            mark = parse_record(Metadata, content)
             if mark.name == CORRECTIONS:
                 self.corrections += corrections_of(mark.metadata.values())
         problem = self._definitions.add(opcode, content) or self._ending(opcode, at, content)
@@ -456,7 +456,7 @@ class McapLog(MessageLog):
         """What a record after the last message contradicts, or ""."""
         if opcode == Opcode.DATA_END:
             self._data_end = at + 9 + len(content)
-            expected = parsed(DataEnd, content).data_section_crc
+            expected = parse_record(DataEnd, content).data_section_crc
             if expected and expected != self._crc_before(at):
                 return "the CRC of the whole data section differs from the file's bytes"
         elif opcode == Opcode.STATISTICS:
@@ -466,7 +466,7 @@ class McapLog(MessageLog):
                 found = f"{self._messages} were found"
                 return f"the file's statistics declare {declared} messages, {found}"
         elif opcode == Opcode.FOOTER:
-            summary = parsed(Footer, content).summary_start
+            summary = parse_record(Footer, content).summary_start
             self._done = True
             end = at + 9 + len(content)
             if self._data_end == 0 or summary not in (0, self._data_end):

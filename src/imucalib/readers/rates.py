@@ -192,7 +192,7 @@ class _Rates:
             return
         if not np.array_equal(at, t):
             acc = np.column_stack([np.interp(t, at, axis) for axis in acc.T])
-        self.turns += carried(t, acc, rate, np.array(list(self._factors().values())))
+        self.turns += carry_gravity(t, acc, rate, np.array(list(self._factors().values())))
 
     def _weighed(self) -> tuple[Array, Array]:
         """(k, 48) chance of each unit in each axes, and the median misfit, rad."""
@@ -225,7 +225,9 @@ class _Rates:
         return self.found
 
 
-def carried(t: Array, acc: Array, rate: Array, factors: Array) -> list[tuple[Array, Array, Array]]:
+def carry_gravity(
+    t: Array, acc: Array, rate: Array, factors: Array
+) -> list[tuple[Array, Array, Array]]:
     """Of every turn between two rests gravity before and after it, unit vectors, and the rotations
     (k, 2, 3, 3) between them by rates times each factor, and by the opposite ones.
 
@@ -251,7 +253,7 @@ def carried(t: Array, acc: Array, rate: Array, factors: Array) -> list[tuple[Arr
             continue
         own = rate[a - 1 : b + 1] - 0.5 * (rate[ends[0]].mean(axis=0) + rate[ends[1]].mean(axis=0))
         vectors = 0.5 * (own[1:] + own[:-1]) * dt[:, None]
-        found.append((before, after, _turned(signed * vectors).reshape(-1, 2, 3, 3)))
+        found.append((before, after, _turn(signed * vectors).reshape(-1, 2, 3, 3)))
         if len(found) == _TURNS:
             break
     return found
@@ -276,7 +278,7 @@ def _rests(t: Array, acc: Array, rate: Array, *, width: int, step: float) -> lis
     return [((a + 1) * width, (b - 1) * width) for a, b in pairs if b - a >= 3]
 
 
-def _turned(vectors: Array) -> Array:
+def _turn(vectors: Array) -> Array:
     """(k, 3, 3) R of rotation vectors (k, n, 3), one after the other."""
     turns = rotations(vectors)
     while turns.shape[1] > 1:

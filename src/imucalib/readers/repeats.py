@@ -17,7 +17,7 @@ import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
 from imucalib.readers.joining import add_notes, amend_last
-from imucalib.recording.recording import Channel, Held, Recording
+from imucalib.recording.recording import Channel, HeldSamples, Recording
 
 #: s, and samples at least and at most, that a difference's size and step are taken from: half of a
 #: rest of a second, so that one lies within it.
@@ -44,7 +44,7 @@ def with_held(blocks: Iterable[Recording]) -> Iterator[Recording]:
     seen: dict[str, _Repeats] = {}
 
     def look(block: Recording) -> Recording:
-        held, corrected = list[Held](), {mark.triad for mark in block.corrections}
+        held, corrected = list[HeldSamples](), {mark.triad for mark in block.corrections}
         # Accelerometers first: what both repeat at once is no gyroscope's dead zone.
         for name, channel in sorted(block.channels.items(), key=lambda c: c[1].quantity):
             measured = channel.quantity in ("acceleration", "angular_rate") and channel.t.size
@@ -100,7 +100,7 @@ class _Repeats:
     _runs_of: dict[bytes, int] = field(default_factory=dict)
     _runs: int = 0
 
-    def add(self, channel: Channel, force: Sequence[Held]) -> list[Held]:
+    def add(self, channel: Channel, force: Sequence[HeldSamples]) -> list[HeldSamples]:
         """Take the next samples; the stretches among them that are no measurement.
 
         force : those of the accelerometer that a gyroscope belongs to
@@ -168,7 +168,9 @@ class _Repeats:
             return 0.0
         return sum(log(_stays(float(n / s))) for n, s in zip(level, step, strict=True))
 
-    def _found(self, same: Flags, channel: Channel, force: Sequence[Held]) -> list[Held]:
+    def _found(
+        self, same: Flags, channel: Channel, force: Sequence[HeldSamples]
+    ) -> list[HeldSamples]:
         t, values = channel.t, channel.values
         starts = np.flatnonzero(same & ~np.append(False, same[:-1]))
         stops = np.flatnonzero(same & ~np.append(same[1:], False)) + 1
@@ -197,7 +199,7 @@ class _Repeats:
         ends = t[stops[over] - 1]
         self.longest = max([self.longest, *(ends - begins[over]).tolist()])
         pairs = zip(begins[over].tolist(), ends.tolist(), strict=True)
-        return [Held(self.name, begin, end) for begin, end in pairs]
+        return [HeldSamples(self.name, begin, end) for begin, end in pairs]
 
     def _in_noise(self, channel: Channel, first: int, stop: int) -> bool:
         """Whether a run of repeats lies among samples that show their noise: between others that

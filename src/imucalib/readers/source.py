@@ -141,6 +141,6 @@ UNREAD = _kinds(
 )
 
 
-def named(head: bytes, kinds: tuple[Kind, ...]) -> Kind | None:
+def file_kind(head: bytes, kinds: tuple[Kind, ...]) -> Kind | None:
     """The kind of file that begins so, or None."""
     return next((kind for kind in kinds if kind.head.match(head)), None)

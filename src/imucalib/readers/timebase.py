@@ -274,7 +274,7 @@ def clock_unit(text: str, where: str) -> tuple[str, int | None]:
     if not found:
         return unit, None
     try:
-        start = datetime.fromisoformat(_padded(found[2].removesuffix("UTC").strip()))
+        start = datetime.fromisoformat(_pad_date(found[2].removesuffix("UTC").strip()))
     except ValueError:
         raise UnreadableInput(
             f"the clock counts from '{found[2][:40]}', which is no date",
@@ -286,6 +286,6 @@ def clock_unit(text: str, where: str) -> tuple[str, int | None]:
     return unit, (since.days * 86_400_000_000 + since.seconds * 10**6 + since.microseconds) * 1000
 
 
-def _padded(text: str) -> str:
+def _pad_date(text: str) -> str:
     """The date with two digits where one is written: "2020-1-1 0:0:0" is common."""
     return re.sub(r"(?<![\d.])(\d)(?!\d)", r"0\1", text)

@@ -239,7 +239,7 @@ def instant_rank(name: str) -> int:
     return _INSTANTS.index(whole) if whole in _INSTANTS else -1
 
 
-def unaccented(text: str) -> str:
+def strip_accents(text: str) -> str:
     """Letters without their accents; the Spanish ordinal that stands for a degree as one."""
     parts = unicodedata.normalize("NFD", text.replace("º", "°"))
     return "".join(c for c in parts if unicodedata.category(c) != "Mn")
@@ -317,7 +317,7 @@ def _bare_axis(one: Meaning, bare: str) -> Meaning:
 
 def _words(name: str) -> list[str]:
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", name)
-    return [w for w in re.split(r"[^0-9a-zµ]+", unaccented(spaced).lower()) if w]
+    return [w for w in re.split(r"[^0-9a-zµ]+", strip_accents(spaced).lower()) if w]
 
 
 def _meaning(index: int, name: Name) -> Meaning:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.atomic_file import replaced_atomically
+from imucalib.atomic_file import replace_atomically
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.recording.yaml_text import dump, load
 
@@ -232,5 +232,5 @@ def load_mapping(path: str | os.PathLike[str]) -> FieldMapping:
 
 def save_mapping(mapping: FieldMapping, path: str | os.PathLike[str]) -> None:
     """Write the stated fields as YAML, whole or not at all. Raises UsageError."""
-    with replaced_atomically(path) as temporary:
+    with replace_atomically(path) as temporary:
         temporary.write_text(dump(mapping.to_dict()), encoding="utf-8")

@@ -68,7 +68,7 @@ class Pairing:
     notes: tuple[str, ...] = ()
 
 
-def paired(wanted: Sequence[Sequence[str]], recording: Recording, whose: str) -> Pairing:
+def pair(wanted: Sequence[Sequence[str]], recording: Recording, whose: str) -> Pairing:
     """Pair sensors with a recording's accelerometers.
 
     wanted : of each sensor the names that it goes by, what the user calls it first
@@ -96,7 +96,7 @@ def paired(wanted: Sequence[Sequence[str]], recording: Recording, whose: str) ->
         return Pairing(in_order, (note,) if pairs else ())
     many = "accelerometer" if len(known) == 1 else "accelerometers"
     what = f"{whose} has {len(wanted)} IMUs, the recording {len(known)} {many}"
-    ours, theirs = listed(absent), listed(alone)
+    ours, theirs = list_names(absent), list_names(alone)
     if found:
         what += f", and only {len(found)} names fit; left over: {ours}; in the recording "
         what += theirs or "none"
@@ -171,7 +171,7 @@ def _by_names(
     return found
 
 
-def listed(names: Sequence[str]) -> str:
+def list_names(names: Sequence[str]) -> str:
     """Names in a message, eight at most and how many more."""
     more = len(names) - 8
     return ", ".join(names[:8]) + (f" and {more} more" if more > 0 else "")

@@ -24,7 +24,7 @@ CORRECTED = "is corrected by a calibration of"
 
 
 @dataclass(frozen=True)
-class Correction:
+class AppliedCalibration:
     """One calibration that was applied.
 
     triad : the sensor whose acceleration was corrected
@@ -43,7 +43,7 @@ class Correction:
         return f"{self.triad} {CORRECTED} {self.calibrator} ({self.sha256[:12]})"
 
 
-def corrections_of(texts: Iterable[str]) -> tuple[Correction, ...]:
+def corrections_of(texts: Iterable[str]) -> tuple[AppliedCalibration, ...]:
     """The marks that a file's header states, each once; what is no such line is passed over."""
     found = []
     for text in texts:
@@ -52,7 +52,7 @@ def corrections_of(texts: Iterable[str]) -> tuple[Correction, ...]:
         except (ValueError, RecursionError):
             continue
         if isinstance(parts, list) and len(parts) == 3 and all(isinstance(p, str) for p in parts):
-            found.append(Correction(*parts))
+            found.append(AppliedCalibration(*parts))
     return tuple(dict.fromkeys(found))
 
 
@@ -100,7 +100,7 @@ class Gap:
 
 
 @dataclass(frozen=True)
-class Held:
+class HeldSamples:
     """Samples of a channel, by its name, between two times (s) that repeat one reading: held,
     copied or filled in, and no measurement."""
 
@@ -147,8 +147,8 @@ class Recording:
     gaps: tuple[Gap, ...] = ()
     notes: tuple[str, ...] = ()
     mapping: Mapping[str, object] = field(default_factory=dict)
-    corrections: tuple[Correction, ...] = ()
-    held: tuple[Held, ...] = ()
+    corrections: tuple[AppliedCalibration, ...] = ()
+    held: tuple[HeldSamples, ...] = ()
     counts: tuple[Count, ...] = ()
     device: str = ""
     serial: str = ""

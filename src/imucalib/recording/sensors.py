@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 from imucalib.errors import UsageError
-from imucalib.recording.pairing import listed
+from imucalib.recording.pairing import list_names
 from imucalib.recording.recording import Channel, Recording
 
 #: The name that stands for every sensor, each by itself.
@@ -34,8 +34,9 @@ def angular_rate(recording: Recording, sensor: str) -> Channel | None:
     others = accelerometers(recording).keys() - {sensor}
     own = [c for c in found if c.triad == sensor] or [c for c in found if c.triad not in others]
     if len(own) > 1:
+        names = list_names([c.triad for c in own])
         raise UsageError(
-            f"{len(own)} gyroscopes, and none is called {sensor}: {listed([c.triad for c in own])}",
+            f"{len(own)} gyroscopes, and none is called {sensor}: {names}",
             where=recording.path,
             remedy="name the fields of its own with --gyro",
         )
@@ -78,7 +79,7 @@ def undecided(found: Iterable[str], sensor: str, path: str) -> UsageError:
         )
     what = f"{len(names)} sensors to choose from" if not sensor else f"no sensor '{sensor}' in it"
     return UsageError(
-        f"{what}: {listed(names)}",
+        f"{what}: {list_names(names)}",
         where=path,
         remedy="name one with --sensor (`imu` takes --sensor all: a calibration each)",
         add=("--sensor", names[0]),

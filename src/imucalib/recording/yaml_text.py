@@ -52,7 +52,7 @@ def load(path: Path, remedy: str = "") -> Any:
 
     try:
         content = yaml.load(_NUMBERS.sub(marked, path.read_text(encoding="utf-8")))
-        return _unmarked(content, re.compile(f"\\[?{mark}(\\d+)x\\]?"), lists)
+        return _unmark(content, re.compile(f"\\[?{mark}(\\d+)x\\]?"), lists)
     except OSError as error:
         what = f"the file cannot be read: {error.strerror or error}"
     except RecursionError:
@@ -67,18 +67,18 @@ def load(path: Path, remedy: str = "") -> Any:
     raise UnreadableInput(what, where=str(path), remedy=remedy)
 
 
-def _unmarked(content: Any, mark: re.Pattern[str], lists: list[str]) -> Any:
+def _unmark(content: Any, mark: re.Pattern[str], lists: list[str]) -> Any:
     """Content with the numbers in their places; within a text, as they were written."""
     if isinstance(content, dict):
         pairs = content.items()
-        return {_unmarked(k, mark, lists): _unmarked(v, mark, lists) for k, v in pairs}
+        return {_unmark(k, mark, lists): _unmark(v, mark, lists) for k, v in pairs}
     if isinstance(content, list):
         found = mark.fullmatch(str(content[0])) if len(content) == 1 else None
         if found and not content[0].startswith("["):
             return json.loads(lists[int(found[1])])
-        return [_unmarked(v, mark, lists) for v in content]
+        return [_unmark(v, mark, lists) for v in content]
     if isinstance(content, tuple):  # a list that is a key
-        return tuple(_unmarked(list(content), mark, lists))
+        return tuple(_unmark(list(content), mark, lists))
     if isinstance(content, str):
         return mark.sub(lambda found: lists[int(found[1])], content)
     return content

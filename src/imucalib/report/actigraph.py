@@ -10,8 +10,8 @@ from imucalib.calibrators.actigraph.errors import Coverage, norm_sd, raw_errors,
 from imucalib.calibrators.actigraph.observations import from_data, hours
 from imucalib.calibrators.actigraph.published import PublishedRun
 from imucalib.calibrators.actigraph.run import ActigraphRun
-from imucalib.calibrators.actigraph.series import Series as Calibrations
-from imucalib.core.sphere import covered, even_directions
+from imucalib.calibrators.actigraph.series import CalibrationSeries as Calibrations
+from imucalib.core.sphere import coverage, even_directions
 from imucalib.exports.per_axis import nearest_row
 from imucalib.report import parameters, sections
 from imucalib.report.document import (
@@ -75,7 +75,7 @@ def _card(run: ActigraphRun, picture: Plot) -> Card:
     """|a| at rest, and in the worst direction."""
     directions = even_directions()
     sd = norm_sd(run.result.final, directions) / MG
-    like = ("postures", covered(run.result.runs.mean))
+    like = ("postures", coverage(run.result.runs.mean))
     good = [
         sections.error_worth(run.outcome.error, "|a| at rest", "time", like),
         sections.worst_attitude("|a|", sd, directions),

@@ -43,7 +43,7 @@ def _plan(run: ArrayRun, name: str, rows: Index) -> Plot:
         half = 0.5e3 * np.array(run.board.package[:2])
         corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)]) * half
         series.append(_joined("package", [d[:2] + corners for d in drawn]))
-    times, placed = _magnified(run, rows), list(zip(rows.tolist(), mean, strict=True))
+    times, placed = _magnification(run, rows), list(zip(rows.tolist(), mean, strict=True))
     for label, radius in (("50 %", _HALF), ("97 %", _MOST)):
         if rings := [times * _ellipse(run, k, radius) + m[:2] for k, m in placed if k > 0]:
             shown = label if times == 1.0 else f"{label}, {times:g} times as large"
@@ -75,7 +75,7 @@ def centres_held(run: ArrayRun, rows: Index) -> list[bool]:
     return held
 
 
-def _magnified(run: ArrayRun, rows: Index) -> float:
+def _magnification(run: ArrayRun, rows: Index) -> float:
     """1, or the round factor that makes the largest ellipse a tenth of the smallest spacing."""
     flat = 1e3 * run.board.positions[rows][:, :2]
     gaps = np.linalg.norm(flat[:, None] - flat, axis=2)
@@ -178,10 +178,10 @@ def residual_plots(run: ArrayRun) -> list[Plot]:
 
     def against_force(state: ArrayState, off: Array) -> tuple[Array, Array]:
         force = np.linalg.norm(state.sampled.force, axis=2).mean(axis=1)
-        return _binned(force[state.setup.inner], off)
+        return _bin(force[state.setup.inner], off)
 
     def against_time(state: ArrayState, off: Array) -> tuple[Array, Array]:
-        return _binned(state.setup.t[state.setup.inner], off)
+        return _bin(state.setup.t[state.setup.inner], off)
 
     def of_each(_: ArrayState, off: Array) -> tuple[Array, Array]:
         return order, NORMAL_MAD * np.median(np.abs(off), axis=(0, 2))
@@ -221,7 +221,7 @@ def _speed(state: ArrayState) -> Array:
     return np.asarray(np.linalg.norm(state.sampled.rate, axis=1)[state.setup.inner])
 
 
-def _binned(x: Array, off: Array) -> tuple[Array, Array]:
+def _bin(x: Array, off: Array) -> tuple[Array, Array]:
     """Median of x (n,) and 1.4826 MAD of residuals (n, K, 3) in bins of as many."""
     parts = [p for p in np.array_split(np.argsort(x), _BINS) if p.size]
     middle = np.array([np.median(x[p]) for p in parts])

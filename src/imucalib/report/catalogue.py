@@ -7,9 +7,9 @@ from itertools import groupby
 from typing import Any
 
 from imucalib.calibration.plain import fields, listed
-from imucalib.core.effect import Context, Effect, Family, Parameter, Response
+from imucalib.core.effect import Context, Effect, EffectScan, Parameter, Response
 from imucalib.report.document import Document, Facts, Section, Table, Text, capital
-from imucalib.report.render.templates import filled
+from imucalib.report.render.templates import fill
 
 #: Needs as a list of a line each has them.
 _SHORT = {
@@ -40,7 +40,7 @@ def effect_dict(effect: Effect) -> dict[str, Any]:
     }
 
 
-def catalogue_document(effects: Sequence[Effect], scans: Sequence[Family] = ()) -> Document:
+def catalogue_document(effects: Sequence[Effect], scans: Sequence[EffectScan] = ()) -> Document:
     """Many effects, by what they act on and need, with those of which the search finds a value too;
     or everything about one."""
     if len(effects) == 1:
@@ -93,7 +93,7 @@ def _sizes(effect: Effect) -> list[tuple[str, float, float, str]]:
     return [(", ".join(f"`{p.name}`" for p in names), *size) for size, names in same]
 
 
-def catalogue_markdown(effects: Sequence[Effect], scans: Sequence[Family] = ()) -> str:
+def catalogue_markdown(effects: Sequence[Effect], scans: Sequence[EffectScan] = ()) -> str:
     """docs/effects.md: generated, so that it cannot go stale."""
     functions = {"acts_on": _acts_on, "needs": _needs, "sizes": _sizes}
-    return str(filled("effects.md.j2", effects=effects, scans=scans, **functions))
+    return str(fill("effects.md.j2", effects=effects, scans=scans, **functions))

@@ -26,7 +26,7 @@ from imucalib.report.document import (
     Tone,
     Worth,
 )
-from imucalib.significant_digits import plus_minus, probability, signed, two_digits
+from imucalib.significant_digits import plus_minus, probability, signed_components, two_digits
 from imucalib.units import MG
 
 SCHEMA = "imucal/check/1"
@@ -250,7 +250,13 @@ def _readings(sensor: SensorCheck) -> Table:
     worst = [own[int(np.argmax(np.abs(z[own])))] for own in owned]
     forces = misfits.force / np.linalg.norm(misfits.force, axis=1, keepdims=True)
     rows = tuple(
-        (label, signed(force), f"{misfits.value[k] / MG:+.2f}", f"{sd[k] / MG:.2f}", f"{z[k]:+.1f}")
+        (
+            label,
+            signed_components(force),
+            f"{misfits.value[k] / MG:+.2f}",
+            f"{sd[k] / MG:.2f}",
+            f"{z[k]:+.1f}",
+        )
         for label, force, k in zip(misfits.label, forces, worst, strict=True)
     )
     what = "largest component" if misfits.directed else "along gravity"

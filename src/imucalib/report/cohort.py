@@ -13,7 +13,7 @@ from imucalib.effects.forms import in_words
 from imucalib.report.document import Plot, Series, Tone
 from imucalib.report.render.html import SIGNS, WORDS
 from imucalib.report.render.svg import render_svg
-from imucalib.report.render.templates import filled
+from imucalib.report.render.templates import fill
 
 #: Width of a row's picture, and what its marks stay off the edge.
 _WIDTH, _EDGE = 90.0, 5.0
@@ -56,7 +56,7 @@ def cohort_html(table: Sequence[Mapping[str, Any]], title: str) -> str:
         "plot": _plot(table, unit),
         "ends": (f"{ends[0]:.2g}", f"{ends[1]:.2g}{unit}"),
     }
-    return filled("cohort.html.j2", page=page, signs=SIGNS, words=WORDS, svg=render_svg)
+    return fill("cohort.html.j2", page=page, signs=SIGNS, words=WORDS, svg=render_svg)
 
 
 def _tone(row: Mapping[str, Any]) -> Tone:

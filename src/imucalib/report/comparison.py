@@ -12,7 +12,13 @@ from typing import Any
 import numpy as np
 
 from imucalib.calibration.comparison.basis import Worst
-from imucalib.calibration.comparison.compare import ALPHA, SIGNIFICANT, Comparison, Drift, Slope
+from imucalib.calibration.comparison.compare import (
+    ALPHA,
+    SIGNIFICANT,
+    CalibrationDrift,
+    Comparison,
+    Slope,
+)
 from imucalib.calibration.plain import fields, plain
 from imucalib.report.document import (
     Card,
@@ -27,7 +33,7 @@ from imucalib.report.document import (
     capital,
 )
 from imucalib.report.plots import band
-from imucalib.significant_digits import plus_minus, signed, two_digits, with_sd
+from imucalib.significant_digits import plus_minus, signed_components, two_digits, with_sd
 
 SCHEMA = "imucal/comparison/1"
 #: Columns of single calibrations that a table has room for.
@@ -103,7 +109,7 @@ def _card(found: Comparison, paths: Sequence[Path], command: str) -> Card:
         unit = worst.unit
         size = plus_minus(worst.value, worst.sd) if worst.sd > 0.0 else two_digits(worst.value)
         limit = f"limit {worst.limit:.2g} {unit}, {_how(found)}"
-        detail = f"at most, where the force is {signed(worst.attitude)}; {limit}"
+        detail = f"at most, where the force is {signed_components(worst.attitude)}; {limit}"
         sensor = f", {worst.sensor}" if worst.sensor else ""
         worths.append(Worth(f"difference of {_WORTH[unit]}{sensor}", f"{size} {unit}", detail))
     fit = found.agreement
@@ -146,7 +152,7 @@ def _meanings(found: Comparison) -> Table:
     def row(worst: Worst) -> tuple[str, ...]:
         pair = " - ".join(found.names[j] for j in reversed(worst.pair))
         size = with_sd(worst.value, worst.sd) if worst.sd > 0.0 else (two_digits(worst.value), "-")
-        last = (f"{worst.limit:.2g}", worst.unit, signed(worst.attitude))
+        last = (f"{worst.limit:.2g}", worst.unit, signed_components(worst.attitude))
         return (_QUANTITY[worst.unit], *[worst.sensor] * named, pair, *size, *last)
 
     note = f"The worst attitude of all, as the direction of the force. Limit: {_how(found)}."
@@ -212,7 +218,7 @@ def _drift(found: Comparison) -> tuple[Text | Table, ...]:
     return Text(f"{capital(drift.dates.words)}."), _due(drift), table
 
 
-def _due(drift: Drift) -> Text:
+def _due(drift: CalibrationDrift) -> Text:
     """Whether a drift shows, and when the limit is reached."""
     due, last = drift.due, float(drift.dates.days.max())
 
@@ -231,13 +237,13 @@ def _due(drift: Drift) -> Text:
         return Text(words)
     words = (
         f"The corrected force drifts by {plus_minus(due.slope.value, due.slope.half)} (95 %) "
-        f"{due.unit} a day at its worst attitude ({signed(due.attitude)}): the limit of "
+        f"{due.unit} a day at its worst attitude ({signed_components(due.attitude)}): the limit of "
         f"{due.limit:.2g} {due.unit} is reached on {day(due.expected)}, {early}."
     )
     return Text(words, "warning")
 
 
-def _day(drift: Drift, days: float) -> str:
+def _day(drift: CalibrationDrift, days: float) -> str:
     return (drift.dates.start + timedelta(days=days)).strftime("%Y-%m-%d")
 
 
@@ -309,7 +315,7 @@ def comparison_dict(found: Comparison) -> dict[str, Any]:
     return dict(plain(content))
 
 
-def _drift_dict(drift: Drift) -> dict[str, Any]:
+def _drift_dict(drift: CalibrationDrift) -> dict[str, Any]:
     due, slope, last = drift.due, drift.due.slope, float(drift.dates.days.max())
     reached, earliest = (
         _day(drift, last + after) if after < 36500.0 else None

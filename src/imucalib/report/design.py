@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 
 from imucalib.calibration.plain import fields, plain
-from imucalib.calibrators.lab.design import Addition, Design, Plan
-from imucalib.calibrators.next_recording import NextRecording, Part
+from imucalib.calibrators.lab.design import Addition, Design, PositionPlan
+from imucalib.calibrators.next_recording import AmbiguityPlan, NextRecording
 from imucalib.loop.odds import ENDED
 from imucalib.report.document import Block, Document, Section, Table, Text, Tone
 from imucalib.units import DEG
 
 
-def design_document(plan: Plan, *, answer: bool = False) -> Document:
+def design_document(plan: PositionPlan, *, answer: bool = False) -> Document:
     """Efficiency, what stays open, the next positions, and the positions themselves.
 
     answer : the positions are the answer, not what was given
@@ -47,18 +47,18 @@ def design_document(plan: Plan, *, answer: bool = False) -> Document:
     return Document("Design of positions", Text(verdict, tone), order)
 
 
-def _designs(plan: Plan) -> tuple[tuple[str, Design], ...]:
+def _designs(plan: PositionPlan) -> tuple[tuple[str, Design], ...]:
     return ("known angles", plan.vector), ("|a| alone", plan.norm)
 
 
-def _shown(plan: Plan, addition: Addition) -> tuple[float, float]:
+def _shown(plan: PositionPlan, addition: Addition) -> tuple[float, float]:
     """In the bench's own angles."""
     inner = (np.array([addition.inclination * DEG]), np.array([addition.tool_face * DEG]))
     inclination, tool_face = plan.conventions.outside(*inner)
     return float(inclination[0]), float(tool_face[0])
 
 
-def _additions(plan: Plan) -> Table:
+def _additions(plan: PositionPlan) -> Table:
     rows = []
     for name, design in _designs(plan):
         for k, addition in enumerate(design.additions, start=1):
@@ -70,7 +70,7 @@ def _additions(plan: Plan) -> Table:
     return Table("Best first", header, tuple(rows), "lrrrrl")
 
 
-def _parameters(plan: Plan) -> Table:
+def _parameters(plan: PositionPlan) -> Table:
     by_norm = dict(zip(plan.norm.names, plan.norm.sd, strict=True))
 
     def number(value: float | None) -> str:
@@ -84,7 +84,7 @@ def _parameters(plan: Plan) -> Table:
     return Table("Standard deviation for 1 mg of noise", header, rows, "lrrl")
 
 
-def design_dict(plan: Plan) -> dict[str, Any]:
+def design_dict(plan: PositionPlan) -> dict[str, Any]:
     """Plain types, ready for JSON; infinite numbers become null."""
     angles = ("inclination", "tool_face")
 
@@ -131,7 +131,7 @@ def separation_document(found: NextRecording, name: str) -> Document:
     return Document(title, Text(words, "warning" if found.exit_code else "ok"), parts)
 
 
-def _blocks(part: Part, found: NextRecording) -> list[Block]:
+def _blocks(part: AmbiguityPlan, found: NextRecording) -> list[Block]:
     one, blocks = part.separation, list[Block]()
     for truth, other in one.never:
         words = (
@@ -157,7 +157,7 @@ def _blocks(part: Part, found: NextRecording) -> list[Block]:
     return [*blocks, Table(title, part.header, part.rows, align, _note(part, found))]
 
 
-def _note(part: Part, found: NextRecording) -> str:
+def _note(part: AmbiguityPlan, found: NextRecording) -> str:
     if found.what == "postures":
         return "Hold each still for a minute, within about 10 deg, in any order."
     words = "Set the dials as finely as before, each row anew."

@@ -231,11 +231,11 @@ class Document:
         )
         if calm:
             return replace(self, card=card)
-        sections = tuple(replace(s, blocks=tuple(map(_unticked, s.blocks))) for s in self.sections)
+        sections = tuple(replace(s, blocks=tuple(map(_untick, s.blocks))) for s in self.sections)
         return replace(self, sections=sections, card=card)
 
 
-def _unticked(block: Block) -> Block:
+def _untick(block: Block) -> Block:
     if isinstance(block, Text) and block.tone == "ok":
         return Text(block.text)
     if isinstance(block, Table) and "ok" in block.tones.values():

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.atomic_file import replaced_atomically
+from imucalib.atomic_file import replace_atomically
 from imucalib.calibration.file import to_yaml, write_together
 from imucalib.calibration.findings import Findings, FoundStep
 from imucalib.calibration.outcome import Run
@@ -213,14 +213,14 @@ def _series(series: Series) -> dict[str, Any]:
     edges = {"low": series.low, "high": series.high}
     return {
         "label": series.label,
-        "x": _rounded(series.x),
-        "y": _rounded(series.y),
-        **{name: _rounded(edge) for name, edge in edges.items() if edge is not None},
+        "x": _round_numbers(series.x),
+        "y": _round_numbers(series.y),
+        **{name: _round_numbers(edge) for name, edge in edges.items() if edge is not None},
         **({"names": series.names} if series.names else {}),
     }
 
 
-def _rounded(values: Array) -> list[float]:
+def _round_numbers(values: Array) -> list[float]:
     return [float(f"{v:.5g}") for v in values]
 
 
@@ -232,7 +232,7 @@ def write_angles(found: Angles, conventions: Conventions, path: Path) -> None:
     columns += [tool_face, found.tool_face_sd, found.tool_face_calibration_sd]
     cells = np.column_stack([*columns, found.norm_error, found.still])
     form, header = list(_ANGLES.values()), ",".join(_ANGLES)
-    with replaced_atomically(path) as temporary:
+    with replace_atomically(path) as temporary:
         np.savetxt(temporary, cells, delimiter=",", header=header, comments="", fmt=form)
 
 
@@ -243,7 +243,7 @@ def write_draws(run: ArrayRun, path: Path) -> None:
 
     draws, made = 1e3 * run.drawn.draws, run.outcome.provenance
     path.parent.mkdir(parents=True, exist_ok=True)
-    with replaced_atomically(path) as temporary, h5py.File(temporary, "w") as file:
+    with replace_atomically(path) as temporary, h5py.File(temporary, "w") as file:
         group = file.create_group("posterior")
         group.attrs["inference_library"] = "imucalib"
         group.attrs["inference_library_version"] = made.versions["imucalib"]

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from imucalib.calibration.comparison.agreement import Beyond
+from imucalib.calibration.comparison.agreement import ExcessScatter
 from imucalib.calibration.plain import fields, listed, plain
 from imucalib.cohort.fleet.outcome import Fleet
 from imucalib.core.effect import Context
@@ -25,7 +25,7 @@ from imucalib.report.document import (
     Worth,
     capital,
 )
-from imucalib.significant_digits import plus_minus, sized
+from imucalib.significant_digits import plus_minus, size_with_unit
 
 _TONE: dict[str, Tone] = {"explained": "ok", "suspected": "warning", "unexplained": "warning"}
 #: What an error of a device is an error of.
@@ -126,7 +126,7 @@ def _worth(fleet: Fleet) -> tuple[Worth, ...]:
         for unit in dict.fromkeys(s.unit for s in fleet.spreads):
             own = np.array([s.scatter for s in fleet.spreads if s.unit == unit])
             what = "shares" if unit == "1" else f"parameters in {unit}"
-            size = sized(float(np.sqrt(np.mean(own**2))), unit)
+            size = size_with_unit(float(np.sqrt(np.mean(own**2))), unit)
             made.append(Worth(f"{len(own)} {what}", size, "between devices, rms"))
         return tuple(made)
     worst, how = max(members, key=lambda m: m.final), _HOW[fleet.settings.calibrator]
@@ -235,7 +235,12 @@ def _spread(fleet: Fleet) -> tuple[Table, ...]:
         for p, m, sd in zip(parameters, one.sizes.common, sds, strict=True):
             mean = plus_minus(m * p.typical, sd * p.typical, p.unit)
             rows.append(
-                (p.name, mean, sized(one.sizes.scatter * p.typical, p.unit), *["-"] * twice)
+                (
+                    p.name,
+                    mean,
+                    size_with_unit(one.sizes.scatter * p.typical, p.unit),
+                    *["-"] * twice,
+                )
             )
     note = "Scatter: sd between devices beyond what each one's own sd explains, 95 % in brackets."
     header = ["parameter", "mean of the fleet", "between devices"]
@@ -243,8 +248,8 @@ def _spread(fleet: Fleet) -> tuple[Table, ...]:
     return (Table("", tuple(header), tuple(rows), "", note),) if rows else ()
 
 
-def _scatter(one: Beyond, unit: str) -> str:
-    return f"{sized(one.sd, unit)} ({one.low:.2g} to {one.high:.2g})"
+def _scatter(one: ExcessScatter, unit: str) -> str:
+    return f"{size_with_unit(one.sd, unit)} ({one.low:.2g} to {one.high:.2g})"
 
 
 def _tried(fleet: Fleet) -> tuple[Table | Text, ...]:

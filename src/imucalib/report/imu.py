@@ -27,7 +27,7 @@ from imucalib.report.document import (
     Worth,
 )
 from imucalib.report.plots import gain_plot
-from imucalib.significant_digits import number, plus_minus, signed, two_digits, with_sd
+from imucalib.significant_digits import number, plus_minus, signed_components, two_digits, with_sd
 from imucalib.units import DEG
 
 #: Standard deviations from which on a delay is told on the first page.
@@ -161,7 +161,7 @@ def hand_plan_document(plan: HandPlan) -> Document:
         "bad" if plan.open_gains else "ok",
     )
     rows = tuple(
-        (str(k), turn.axis, signed(turn.up), f"{100.0 * turn.after:.2g}")
+        (str(k), turn.axis, signed_components(turn.up), f"{100.0 * turn.after:.2g}")
         for k, turn in enumerate(plan.turns, start=1)
     )
     note = (

@@ -66,7 +66,7 @@ def inspection_document(
     losses: list[Block] = [Text(note, "warning") for note in found.losses]
     if found.gap_count:
         losses.append(_gaps(found))
-    notes = _merged([n for n in found.notes if n not in found.losses])
+    notes = _merge([n for n in found.notes if n not in found.losses])
     parts = [
         Section("File", (_file(found),)),
         Section("Channels", (_channels(found),)),
@@ -220,7 +220,7 @@ def _options(found: Inspection) -> tuple[tuple[str, str], ...]:
     return tuple(rows)
 
 
-def _merged(notes: list[str]) -> list[str]:
+def _merge(notes: list[str]) -> list[str]:
     """Notes that say the same of several sensors as one."""
     same: dict[str, list[tuple[str, str]]] = {}
     for note in notes:

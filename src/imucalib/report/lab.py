@@ -20,10 +20,10 @@ from imucalib.calibrators.lab.errors import (
 )
 from imucalib.calibrators.lab.run import LabRun
 from imucalib.core.references import KnownVector, angles_of
-from imucalib.core.sphere import covered, even_directions
+from imucalib.core.sphere import coverage, even_directions
 from imucalib.effects import known
 from imucalib.effects.scans import COLUMN
-from imucalib.loop.held_out import Held, fitted
+from imucalib.loop.held_out import Predictions, predict_fitted
 from imucalib.loop.held_out import errors as held_errors
 from imucalib.report import parameters, sections
 from imucalib.report.conditions import power_up_worths, sessions_section, temperature_section
@@ -93,26 +93,26 @@ def lab_document(run: LabRun) -> Document:
     return sections.calibration_document(title, head, parts, run, _card(run, picture))
 
 
-def _directed(run: LabRun) -> bool:
+def _knows_angles(run: LabRun) -> bool:
     """Whether inclination and tool-face of every position are known."""
     return isinstance(run.result.observations.reference, KnownVector)
 
 
-def _errors_of(run: LabRun, held: Held) -> AttitudeErrors:
+def _errors_of(run: LabRun, held: Predictions) -> AttitudeErrors:
     """In the bench's own angles."""
     return attitude_errors(held, run.request.conventions)
 
 
 def _card(run: LabRun, picture: Plot) -> Card:
     """Errors on positions held out, angles at the worst attitude."""
-    metric = "vector" if _directed(run) else run.outcome.error.metric.partition(",")[0]
-    like = ("attitudes", covered(run.result.final.observations.reading[:, 0]))
+    metric = "vector" if _knows_angles(run) else run.outcome.error.metric.partition(",")[0]
+    like = ("attitudes", coverage(run.result.final.observations.reading[:, 0]))
     left_out = "positions" if run.sessions is None else "power-ups"
     good = [sections.error_worth(run.outcome.error, metric, left_out, like)]
     if run.result.observations.reference.directed:
         good.append(_worst(run))
     good += power_up_worths(run.sessions)
-    if _directed(run):
+    if _knows_angles(run):
         good += _angles(run)
     if run.request.gravity_assumed:
         good.append(sections.gravity_worth(run.request.gravity))
@@ -176,14 +176,17 @@ def _parameter_section(run: LabRun) -> Section:
 
 
 def _angle_section(run: LabRun) -> Section:
-    result, directed = run.result, _directed(run)
+    result, directed = run.result, _knows_angles(run)
 
     def row(name: str, errors: AttitudeErrors) -> tuple[str, ...]:
         """Largest / rms of what the reference lets one compare."""
         values = [errors.tool_face, errors.inclination] if directed else []
         return (name, *(f"{worst(v):.2f} / {rms(v):.2f}" for v in (*values, errors.norm)))
 
-    compared = [("fitted, base", fitted(result.base)), ("fitted, final", fitted(result.final))]
+    compared = [
+        ("fitted, base", predict_fitted(result.base)),
+        ("fitted, final", predict_fitted(result.final)),
+    ]
     for split in result.splits:
         compared += [(f"{split.name}, base", split.base), (f"{split.name}, final", split.final)]
     rows = tuple(row(name, _errors_of(run, held)) for name, held in compared)
@@ -193,7 +196,7 @@ def _angle_section(run: LabRun) -> Section:
         note += " Inclination is compared after undoing the fixture error that was found."
     blocks: list[Block] = [Table("Errors on the positions", header, rows, "", note)]
     if result.loop and result.loop.records:
-        aside = _errors_of(run, fitted(result.loop.final))
+        aside = _errors_of(run, predict_fitted(result.loop.final))
         bad = [r.row for r in result.loop.records]
         rest = aside.take(np.setdiff1d(np.arange(len(aside.norm)), bad))
         title = "With the suspect records set aside"
@@ -253,7 +256,7 @@ def _dial_section(run: LabRun) -> Section:
 def _uncertainty_section(run: LabRun) -> Section:
     """The parameters' uncertainty carried to the angles; empty without known angles."""
     fit = run.result.final
-    if not _directed(run):
+    if not _knows_angles(run):
         return Section("Uncertainty of the angles", ())
     at = np.radians(np.linspace(-85.0, 85.0, 69))
     sigma = reading_noise(fit).whole
@@ -287,28 +290,28 @@ def _uncertainty_section(run: LabRun) -> Section:
     return Section("Uncertainty of the angles", (table, *plots), brief=False)
 
 
-def _held(run: LabRun) -> tuple[Held, Held, bool]:
+def _held_out_models(run: LabRun) -> tuple[Predictions, Predictions, bool]:
     """Base and final model of the used rows, held out where each of them was; whether they were."""
     result = run.result
     every = [s for s in result.splits if len(s.rows) == len(result.used)]
     if every:
         return every[-1].base, every[-1].final, True
-    return fitted(result.base), fitted(result.final), False
+    return predict_fitted(result.base), predict_fitted(result.final), False
 
 
 def _residual_plots(run: LabRun) -> list[Plot]:
     """The quantity that gained most against all that what was found follows, the others by row."""
-    base, final, held = _held(run)
+    base, final, held = _held_out_models(run)
     before, after, bands = _errors_of(run, base), _errors_of(run, final), _bands(run)
     quantities = [("|a|", "mg", before.norm, after.norm)]
-    if _directed(run):
+    if _knows_angles(run):
         quantities += [
             ("inclination", "deg", before.inclination, after.inclination),
             ("tool-face", "deg", before.tool_face, after.tool_face),
         ]
     quantities.sort(key=lambda q: rms(q[3]) / max(rms(q[2]), 1e-12))
     axes = _axes(run)
-    wanted = [(quantities[0], name) for name in _followed(run) if name in axes]
+    wanted = [(quantities[0], name) for name in _drivers(run) if name in axes]
     wanted += [(q, "row") for q in quantities if (q, "row") not in wanted]
     caption = "Each row predicted without it" if held else "The fitted rows"
     caption += ", before and after the search."
@@ -344,7 +347,7 @@ def _axes(run: LabRun) -> dict[str, Array]:
     reading = data.reading[:, 0] / gravity_of(run.result.observations)
     found |= {axis: reading[:, k] for k, axis in enumerate("xyz")}
     if isinstance(data.reference, KnownVector):
-        angles = angles_of(fitted(run.result.final).expected[:, 0])
+        angles = angles_of(predict_fitted(run.result.final).expected[:, 0])
         inclination, tool_face = run.request.conventions.outside(*angles)
         found |= {"inclination": inclination, "tool-face": tool_face}
     more = data.context.covariates
@@ -352,7 +355,7 @@ def _axes(run: LabRun) -> dict[str, Array]:
     return found | {name: more[name] for name in shown}
 
 
-def _followed(run: LabRun) -> tuple[str, ...]:
+def _drivers(run: LabRun) -> tuple[str, ...]:
     """What the effects that were found follow, or what stays, first found first."""
 
     def of(effect: str) -> tuple[str, ...]:  # a column that it follows has its needs alone
@@ -374,7 +377,7 @@ def _bands(run: LabRun) -> dict[str, float]:
     sigma = reading_noise(fit).whole
     bands = {"|a|": 2.0 * sigma / MG}
     if isinstance(fit.observations.reference, KnownVector):
-        angles = angles_of(fitted(fit).expected[:, 0])
+        angles = angles_of(predict_fitted(fit).expected[:, 0])
         found = angle_uncertainty(fit, *angles, run.request.gravity, sigma)
         settings = setting_noise(fit)
         own = {"inclination": found.inclination_reading, "tool-face": found.tool_face_reading}
@@ -386,7 +389,7 @@ def _bands(run: LabRun) -> dict[str, float]:
 
 def _attitude_map(run: LabRun) -> Plot:
     """Attitudes that were seen and the error at each."""
-    _, final, held = _held(run)
+    _, final, held = _held_out_models(run)
     error = np.linalg.norm(final.error[:, 0], axis=-1) / MG
     how = "Each row predicted without it." if held else "The fitted rows."
     caption = (
@@ -399,9 +402,9 @@ def _attitude_map(run: LabRun) -> Plot:
 
 def _position_table(run: LabRun) -> Table:
     """Residual of every fitted position: raw axes, angles, |a|; and as predicted without it."""
-    fit, directed = run.result.final, _directed(run)
+    fit, directed = run.result.final, _knows_angles(run)
     residual = fit.residual()[:, 0] / MG
-    own = _errors_of(run, fitted(fit))
+    own = _errors_of(run, predict_fitted(fit))
     split = run.result.splits[0] if run.result.splits else None
     alone = _errors_of(run, split.final) if split and split.name == "leave one out" else own
 

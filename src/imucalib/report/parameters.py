@@ -8,7 +8,13 @@ from imucalib.calibration.calibration import Calibration
 from imucalib.calibrators.population import Population
 from imucalib.core.fit import Fit
 from imucalib.report.document import Facts, Section, Table, Text
-from imucalib.significant_digits import plus_minus, probability, signed, sized, with_sd
+from imucalib.significant_digits import (
+    plus_minus,
+    probability,
+    signed_components,
+    size_with_unit,
+    with_sd,
+)
 from imucalib.units import MG
 
 
@@ -26,7 +32,7 @@ def sensor_section(calibration: Calibration, *more: Table) -> Section:
     rows = tuple(
         (
             letter,
-            signed(linear.M[k], 6),
+            signed_components(linear.M[k], 6),
             f"{linear.b[k] / MG:+.3f}",
             *with_sd(linear.scale[k], linear.scale_sd[k]),
         )
@@ -55,7 +61,7 @@ def kind_section(
         cells = [plus_minus(m, b, p.unit), plus_minus(v, s, p.unit)]
         cells.append(f"{100.0 * max(0.0, 1.0 - (s / b) ** 2):.0f}")
         if own:
-            cells.append(sized(own[p.name], p.unit) if p.name in own else "-")
+            cells.append(size_with_unit(own[p.name], p.unit) if p.name in own else "-")
         rows.append((p.name.replace("_", " "), *cells))
     count = fit.observations.n
     words = (

@@ -52,7 +52,7 @@ def sphere_map(
     direction : (n, 3), of gravity in the sensor's axes; error : (n,) mg, its size is shown in three
     bands; poor : (m, 3) directions in which the calibration is poorly known
     """
-    x, y = projected(direction / np.linalg.norm(direction, axis=1, keepdims=True))
+    x, y = project(direction / np.linalg.norm(direction, axis=1, keepdims=True))
     size = np.abs(error)
     low = nice_step(max(float(np.nanmedian(size)), 1e-9), 1)
     bands = (
@@ -62,7 +62,7 @@ def sphere_map(
     )
     series = [_net()]
     if poor is not None and len(poor):
-        series.append(Series(poor_words, *projected(poor), "points"))
+        series.append(Series(poor_words, *project(poor), "points"))
     for least, most, words in bands:
         inside = (size > least) & (size <= most)
         own = tuple(n for n, keep in zip(names, inside, strict=True) if keep) if names else ()
@@ -73,7 +73,7 @@ def sphere_map(
     return Plot(title, label, "", tuple(series), caption, equal=True, bare=True)
 
 
-def projected(direction: Array) -> tuple[Array, Array]:
+def project(direction: Array) -> tuple[Array, Array]:
     """Map coordinates (n,), (n,) of unit vectors (n, 3)."""
     up = direction[:, 2] >= 0.0
     scale = np.sqrt(2.0 / (1.0 + np.abs(direction[:, 2])))

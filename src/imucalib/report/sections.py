@@ -108,7 +108,7 @@ def card_of(
     """
     found, slips = outcome.findings or Findings("not run"), _slips(outcome)
     said = [Text(f"{capital(one.what)}.", "bad") for one in slips]
-    said += _found(found) if not slips or found.verdict != "not run" else ()
+    said += _list_findings(found) if not slips or found.verdict != "not run" else ()
     # Until slips are decided the other advice is about an error that is none of the sensor's.
     broken = (f"{text}." for text in outcome.broken)
     steps: tuple[str | Question, ...] = slips or (*broken, *outcome.advice, *more)
@@ -218,7 +218,7 @@ def worst_attitude(quantity: str, sd: Array, directions: Array, what: str = "") 
     return Worth(f"{quantity}, worst attitude", f"± {two_digits(1.96 * sd[k])} mg", detail, where)
 
 
-def _found(found: Findings) -> list[Text]:
+def _list_findings(found: Findings) -> list[Text]:
     """In the order in which a reader must know it."""
     tones: dict[str, Tone] = {"explained": "ok", "suspected": "warning"}
     lines = []
@@ -230,7 +230,7 @@ def _found(found: Findings) -> list[Text]:
         # Of the bench's own effects the steps to take say what they are.
         if effect and effect.stage != "fixture" and not (step.curve or step.formula):
             meaning = f" {effect.sentence}" if len(found.steps) <= _FEW else ""
-        said = f"{_sized(step)}{_doubt(step, found)}.{meaning}"
+        said = f"{_describe_step(step)}{_doubt(step, found)}.{meaning}"
         lines.append(Text(said, tones.get(found.verdict, "plain")))
     if (g := found.gain) is not None and (found.steps or found.refuted):
         aside = ", the wrong records set aside," if found.records else ""
@@ -239,9 +239,9 @@ def _found(found: Findings) -> list[Text]:
         words = f"On held-out data{aside} {g.before:.3g} -> {g.after:.3g} {g.unit}: {gained}"
         refused = "; so it is not corrected" if found.refuted else ""
         lines.append(Text(f"{words}{refused}."))
-    named = [u for u in found.unexplained if _named(u)]
+    named = [u for u in found.unexplained if _is_named(u)]
     told = [f"{in_words(u.name)} ({per_cent(u.probability)})" for u in named]
-    nameless = _nameless([u for u in found.unexplained if not _named(u)])
+    nameless = _nameless([u for u in found.unexplained if not _is_named(u)])
     for words, every in (("Named, but not corrected", told), ("Left without a name", nameless)):
         if every:
             more = f", and {len(every) - _OPEN} more" if len(every) > _OPEN else ""
@@ -253,7 +253,7 @@ def _found(found: Findings) -> list[Text]:
     return lines
 
 
-def _named(one: Unexplained) -> bool:
+def _is_named(one: Unexplained) -> bool:
     """Whether it is a cause of the catalogue, likelier than not."""
     return bool(known(one.name)) and names_a_cause(one.name) and one.probability > _EVEN
 
@@ -266,7 +266,7 @@ def _nameless(unexplained: Sequence[Unexplained]) -> list[str]:
     ]
 
 
-def _sized(step: FoundStep) -> str:
+def _describe_step(step: FoundStep) -> str:
     """An effect and its size in words."""
     if step.curve:
         return f"A curve without a name, {step.curve}"

@@ -21,7 +21,7 @@ import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
 from imucalib.rests.stillness import Kinds, Sensor, every, kinds_of
-from imucalib.rests.windows import Samples, Windows
+from imucalib.rests.windows import KeptSamples, Windows
 from imucalib.units import DEG
 
 _TILT = np.sin(0.3 * DEG)  # share of gravity that a mean may go in all
@@ -73,7 +73,7 @@ def refusals(candidates: Sequence[Candidate]) -> str:
 
 
 @dataclass(frozen=True)
-class Noise:
+class WindowNoise:
     """sd : (k,) of a sample; colour : how much more a mean scatters than that of white noise."""
 
     sd: Array
@@ -111,7 +111,7 @@ def whiteness(values: Array) -> float:
     return float(np.min(steps[live] / variance[live])) if live.any() else 1.0
 
 
-def _drift(means: Array, each: int, noise: Noise, length: float) -> tuple[float, bool]:
+def _drift(means: Array, each: int, noise: WindowNoise, length: float) -> tuple[float, bool]:
     """How far the mean goes (the channel's unit), and whether it is a turn: of the means (m, 3) of
     m neighbouring parts of `each` samples in a stretch of `length` s."""
     m = len(means)
@@ -138,7 +138,7 @@ _STEP = 1e-3  # share of gravity by which neighbouring windows of a group may di
 
 
 @dataclass(frozen=True)
-class Group:
+class WindowGroup:
     """Windows (n,) that follow one another without a jump of the mean.
 
     louder : most of them are at more than the quietest noise
@@ -151,7 +151,7 @@ class Group:
     drifting: bool
 
 
-def _groups(sensor: Sensor, kinds: Kinds) -> list[Group]:
+def _groups(sensor: Sensor, kinds: Kinds) -> list[WindowGroup]:
     """The groups of a sensor's still windows, in order."""
     w, noise = sensor.windows, sensor.allowed
     chosen = np.flatnonzero(kinds.still)
@@ -173,7 +173,9 @@ def _groups(sensor: Sensor, kinds: Kinds) -> list[Group]:
         drifting = _drifting(sensor, chosen, together, linked)
         together |= linked & drifting[1:] & drifting[:-1]
     return [
-        Group(chosen[part], bool(kinds.louder[chosen[part]].mean() > 0.5), bool(drifting[part[0]]))
+        WindowGroup(
+            chosen[part], bool(kinds.louder[chosen[part]].mean() > 0.5), bool(drifting[part[0]])
+        )
         for part in np.split(np.arange(chosen.size), np.flatnonzero(~together) + 1)
     ]
 
@@ -214,15 +216,15 @@ class Span:
     last: int
     start: float
     stop: float
-    group: Group
+    group: WindowGroup
 
 
 @dataclass(frozen=True)
-class Seen:
+class SensorView:
     """A sensor, looked at by itself: its windows' kinds and, where they are kept, its samples."""
 
     sensor: Sensor
-    samples: Samples
+    samples: KeptSamples
 
     @property
     def key(self) -> tuple[str, str]:
@@ -265,7 +267,7 @@ class Seen:
     def _starts(self) -> Array:
         return np.array([span.start for span in self.spans])
 
-    def _of_windows(self, group: Group) -> Span | None:
+    def _of_windows(self, group: WindowGroup) -> Span | None:
         """The span whose ends are windows: one at each end, where the hand still touches, is left
         out."""
         w, trim = self.sensor.windows, self.sensor.settings.trim
@@ -276,12 +278,12 @@ class Seen:
         last = int(w.first[b]) + w.samples
         return Span(int(w.first[a]), last, float(w.start[a]), float(w.stop[b]), group)
 
-    def _refined(self, group: Group, walls: tuple[int, int]) -> Span | None:
+    def _refined(self, group: WindowGroup, walls: tuple[int, int]) -> Span | None:
         """The stretch around a group of windows, within walls that belong to other groups."""
         w, own = self.sensor.windows, group.windows
         # Standard deviation of a sample of the group; its own, unless it is a single window's.
         sd = np.maximum(np.sqrt(w.variance[own].mean(axis=0)), self.sensor.allowed)
-        noise = Noise(sd, self.colour)
+        noise = WindowNoise(sd, self.colour)
         begin, end = int(w.first[own[0]]), int(w.first[own[-1]]) + w.samples
         low, high = max(walls[0], begin - 2 * w.samples), min(walls[1], end + 2 * w.samples)
         near = w.samples // 2 if own.size == 1 else w.samples
@@ -297,7 +299,7 @@ class Seen:
         t = self.samples.times(self.key, first, last)
         return Span(first, last, float(t[0]), float(t[-1]), group)
 
-    def _quiet_ahead(self, way: tuple[int, int], mean: Array, noise: Noise) -> int:
+    def _quiet_ahead(self, way: tuple[int, int], mean: Array, noise: WindowNoise) -> int:
         """How many samples from way[0] towards way[1] are quiet; backwards when that is before."""
         back, rate = way[1] < way[0], self.sensor.rate
         t = self.samples.times(self.key, min(way), max(way))
@@ -333,23 +335,23 @@ class Seen:
         a = int(np.searchsorted(w.start, inside[0], side="left"))
         return a, max(a, int(np.searchsorted(w.stop, inside[1], side="right")))
 
-    def means(self, inside: Interval) -> tuple[Array, int, Noise, float]:
+    def means(self, inside: Interval) -> tuple[Array, int, WindowNoise, float]:
         """Means (m, 3) of equal parts of a stretch, samples of each, its noise and whiteness."""
         sensor, floor = self.sensor, self.sensor.step / np.sqrt(12.0)
         if not self.samples.whole:
             w = sensor.windows
             a, b = self.windows_in(inside)
             own = np.sqrt(w.variance[a:b].mean(axis=0)) if b > a else floor
-            return w.mean[a:b], w.samples, Noise(np.maximum(own, floor), self.colour), 1.0
+            return w.mean[a:b], w.samples, WindowNoise(np.maximum(own, floor), self.colour), 1.0
         a, b = self.samples_in(inside)
         if b - a < 3:
-            return np.empty((0, 3)), 1, Noise(floor, self.colour), 1.0
+            return np.empty((0, 3)), 1, WindowNoise(floor, self.colour), 1.0
         values, n = self.samples.values(self.key, a, b), b - a
         each = max(1, min(n // 3, max(round(_PART * sensor.rate), -(-n // _PARTS))))
         parts = values[: n // each * each].reshape(n // each, each, -1)
         # Within the parts: a turn must not pass for noise.
         within = parts.var(axis=1, ddof=1).mean(axis=0) if each > 1 else values.var(axis=0)
-        noise = Noise(np.maximum(np.sqrt(within), floor), self.colour)
+        noise = WindowNoise(np.maximum(np.sqrt(within), floor), self.colour)
         return parts.mean(axis=1), each, noise, whiteness(values)
 
     def mean(self, inside: Interval) -> tuple[Array, int, int]:
@@ -362,7 +364,7 @@ class Seen:
         return w.mean[a:b].mean(axis=0), int(w.first[a]), int(w.first[b - 1]) + w.samples
 
 
-def _agreeing(values: Array, noise: Noise, rate: float) -> tuple[int, int]:
+def _agreeing(values: Array, noise: WindowNoise, rate: float) -> tuple[int, int]:
     """First and last (exclusive) of the samples whose ends agree with their middle."""
     end = max(3, round(_END * rate))
     total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values - values[0], axis=0)])
@@ -392,7 +394,7 @@ _LONG = 10.0  # s
 _WITNESSES = 20  # spans whose whiteness is the usual one
 
 
-def candidates_of(every: Sequence[Seen]) -> tuple[tuple[Candidate, ...], tuple[str, ...]]:
+def candidates_of(every: Sequence[SensorView]) -> tuple[tuple[Candidate, ...], tuple[str, ...]]:
     """All candidates in order of time, and what is worth saying of those that stand."""
     common = [(span.start, span.stop) for span in every[0].spans]
     for one in every[1:]:
@@ -402,7 +404,7 @@ def candidates_of(every: Sequence[Seen]) -> tuple[tuple[Candidate, ...], tuple[s
     for a, b in common:
         pieces = 1 if longest is None else max(1, int(np.ceil((b - a) / longest)))
         ends = np.linspace(a, b, pieces + 1).tolist()
-        found += [_judged(part, every) for part in pairwise(ends)]
+        found += [_judge(part, every) for part in pairwise(ends)]
     found = _off_bias(found, every)
     for one in every:
         if not one.sensor.turns:
@@ -410,7 +412,7 @@ def candidates_of(every: Sequence[Seen]) -> tuple[tuple[Candidate, ...], tuple[s
     return tuple(sorted(found, key=lambda c: c.start)), tuple(_louder_notes(found, every))
 
 
-def _judged(inside: Interval, every: Sequence[Seen]) -> Candidate:
+def _judge(inside: Interval, every: Sequence[SensorView]) -> Candidate:
     settings, whole = every[0].sensor.settings, every[0].samples.whole
     drift, deviation, turning, unsure, fewest = 0.0, 0.0, False, False, np.inf
     for one in every:
@@ -439,7 +441,7 @@ def _judged(inside: Interval, every: Sequence[Seen]) -> Candidate:
     return Candidate(*inside, drift, deviation, reason)
 
 
-def _off_bias(found: list[Candidate], every: Sequence[Seen]) -> list[Candidate]:
+def _off_bias(found: list[Candidate], every: Sequence[SensorView]) -> list[Candidate]:
     """A rest at which a gyroscope reads another rate than at the others is a turn."""
     rests = [i for i, c in enumerate(found) if not c.reason]
     turning: set[int] = set()
@@ -455,7 +457,7 @@ def _off_bias(found: list[Candidate], every: Sequence[Seen]) -> list[Candidate]:
     return [replace(c, reason="turning") if i in turning else c for i, c in enumerate(found)]
 
 
-def _louder_notes(found: Sequence[Candidate], every: Sequence[Seen]) -> list[str]:
+def _louder_notes(found: Sequence[Candidate], every: Sequence[SensorView]) -> list[str]:
     notes = []
     for one in every:
         if one.sensor.turns or not any(span.group.louder for span in one.spans):
@@ -489,7 +491,7 @@ _LISTED = 4  # windows of a refused stretch, at least
 _MOTION = 0.3  # share of gravity: what varies by more is a motion, and no candidate
 
 
-def _with_refused(found: list[Candidate], one: Seen) -> list[Candidate]:
+def _with_refused(found: list[Candidate], one: SensorView) -> list[Candidate]:
     """With the stretches that one accelerometer's windows refuse, where nothing else is known.
 
     They take the place of what was too short in them. Both lists are in order of time.
@@ -503,11 +505,11 @@ def _with_refused(found: list[Candidate], one: Seen) -> list[Candidate]:
         ("turning", kinds.still | kinds.slow, kinds.slow),
     )
     for reason, flags, needed in looked:
-        free = flags & ~_overlapped(w.start, w.stop, [c for c in found if c.reason != "too short"])
+        free = flags & ~_overlaps(w.start, w.stop, [c for c in found if c.reason != "too short"])
         runs = [run for run in _runs(w, free) if run.size >= _LISTED and needed[run].any()]
         new = [_of_windows(w.take(run), reason) for run in runs]
         new = [c for c in new if c.length >= shortest and c.noise <= loud]
-        over = _overlapped([c.start for c in found], [c.stop for c in found], new)
+        over = _overlaps([c.start for c in found], [c.stop for c in found], new)
         kept = [
             c for c, gone in zip(found, over, strict=True) if c.reason != "too short" or not gone
         ]
@@ -515,7 +517,7 @@ def _with_refused(found: list[Candidate], one: Seen) -> list[Candidate]:
     return found
 
 
-def _overlapped(
+def _overlaps(
     start: Array | list[float], stop: Array | list[float], others: list[Candidate]
 ) -> Flags:
     """Which intervals overlap one of some candidates, which are in order and apart."""

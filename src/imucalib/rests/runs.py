@@ -24,16 +24,16 @@ import numpy as np
 from imucalib.arrays import Array, Flags, Index
 from imucalib.errors import Undetermined, UnreadableInput, UsageError
 from imucalib.recording.identity import NAMELESS, Identity, identity_of
-from imucalib.recording.recording import Channel, Gap, Held, Recording
+from imucalib.recording.recording import Channel, Gap, HeldSamples, Recording
 from imucalib.recording.sensors import accelerometers, undecided
 from imucalib.rests.stillness import Sensor, StillSettings, every, some, still_windows
-from imucalib.rests.thermal import ThermalHistory, believed, mean_of_known
+from imucalib.rests.thermal import ThermalHistory, believable_windows, mean_of_known
 from imucalib.rests.windows import (
     WindowBuilder,
     Windows,
     breaks,
     in_order,
-    joined,
+    join_windows,
     usable,
     window_statistics,
 )
@@ -156,7 +156,7 @@ def _with_tails(windows: Windows, tails: Sequence[Tail]) -> Windows:
         low=low,
         high=high,
     )
-    whole = joined([windows, own])
+    whole = join_windows([windows, own])
     return whole.take(np.argsort(whole.start, kind="stable"))
 
 
@@ -362,7 +362,7 @@ def scan(blocks: Iterable[Recording], window: float) -> Scan:
     sensor = NAMELESS
     name, rate, samples, stop, gaps = "", 0.0, 0, 0.0, 0
     notes: list[str] = []
-    held: list[Held] = []
+    held: list[HeldSamples] = []
     first: Recording | None = None
     for block in blocks:
         first = first or block
@@ -397,7 +397,7 @@ def scan(blocks: Iterable[Recording], window: float) -> Scan:
     )
     notes += [f"{lost} windows left out: time had stepped back"] * bool(lost)
     warm = builders["temperature"].windows() if "temperature" in builders else None
-    temperature, words = believed(in_order(warm)[0] if warm else None)
+    temperature, words = believable_windows(in_order(warm)[0] if warm else None)
     return Scan(
         windows=ordered,
         temperature=temperature,
@@ -463,7 +463,7 @@ def posture_runs(scanned: Scan, settings: StillSettings = WORN) -> PostureRuns:
             where=scanned.path,
             remedy="wear it through a night; `imucal inspect` shows the noise",
         )
-    runs = _with_temperature(grouped(scanned, chosen, sensor.noise, tuple(notes)))
+    runs = _with_temperature(group_windows(scanned, chosen, sensor.noise, tuple(notes)))
     return replace(runs, faults=(*words, *_limits(sensor)))
 
 
@@ -478,7 +478,9 @@ def _with_temperature(runs: PostureRuns) -> PostureRuns:
     return replace(runs, **kept, notes=(*runs.notes, note))
 
 
-def grouped(scanned: Scan, chosen: Index, noise: Array, notes: tuple[str, ...] = ()) -> PostureRuns:
+def group_windows(
+    scanned: Scan, chosen: Index, noise: Array, notes: tuple[str, ...] = ()
+) -> PostureRuns:
     """Runs from the indices of still windows."""
     w = scanned.windows
     size = np.linalg.norm(w.mean[chosen], axis=1)

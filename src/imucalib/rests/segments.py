@@ -14,10 +14,10 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.errors import UsageError
-from imucalib.recording.recording import Held, Recording
-from imucalib.rests.candidates import Candidate, Seen, candidates_of
+from imucalib.recording.recording import HeldSamples, Recording
+from imucalib.rests.candidates import Candidate, SensorView, candidates_of
 from imucalib.rests.stillness import Sensor, StillSettings
-from imucalib.rests.windows import Samples, WindowBuilder, Windows, usable
+from imucalib.rests.windows import KeptSamples, WindowBuilder, Windows, usable
 
 _SHORTER = "record longer, or state a shorter rest with --shortest-rest"
 # Acceleration takes part in any unit; an angular rate or a temperature without a scale cannot.
@@ -111,10 +111,10 @@ class _Pass:
     """What one pass over the blocks keeps: windows of all channels, and samples if few enough."""
 
     def __init__(self, settings: StillSettings) -> None:
-        self.settings, self.path, self.samples = settings, "", Samples()
+        self.settings, self.path, self.samples = settings, "", KeptSamples()
         self._builders: dict[tuple[str, str], WindowBuilder] = {}
         self._rates: dict[tuple[str, str], float] = {}
-        self._held: list[Held] = []
+        self._held: list[HeldSamples] = []
 
     def add(self, block: Recording) -> None:
         self.path = block.path
@@ -136,7 +136,7 @@ class _Pass:
         found = {t: b.windows() for (q, t), b in self._builders.items() if q == "temperature"}
         return {triad: windows for triad, windows in found.items() if windows is not None}
 
-    def seen(self) -> tuple[list[Seen], list[str]]:
+    def seen(self) -> tuple[list[SensorView], list[str]]:
         """Accelerometers and their gyroscopes, and what was left out of them."""
         every, notes = [], list[str]()
         for (quantity, triad), builder in self._builders.items():
@@ -145,7 +145,9 @@ class _Pass:
             name, rate = f"{triad}/{quantity}", self._rates[quantity, triad]
             held = [h for h in self._held if h.channel == name]
             ordered, lost = usable(builder, held, name, self.path, _SHORTER)
-            every.append(Seen(Sensor(triad, quantity, rate, ordered, self.settings), self.samples))
+            every.append(
+                SensorView(Sensor(triad, quantity, rate, ordered, self.settings), self.samples)
+            )
             if lost:
                 seconds = lost * builder.samples / rate
                 notes.append(f"{name}: {seconds:.4g} s left out: time had stepped back")
@@ -153,7 +155,7 @@ class _Pass:
 
 
 def _measured(
-    rests: list[Candidate], every: list[Seen], temperatures: Mapping[str, Windows]
+    rests: list[Candidate], every: list[SensorView], temperatures: Mapping[str, Windows]
 ) -> Segments:
     triads = tuple(dict.fromkeys(one.sensor.triad for one in every))
     n, k = len(rests), len(triads)

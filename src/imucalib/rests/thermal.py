@@ -33,7 +33,7 @@ _CODES = (85.0, -127.0)  # °C that it says after power-up, and where it does no
 _HALF = 0.5  # share of jumps from which on nothing of a thermometer is believed
 
 
-def believed(w: Windows | None) -> tuple[ThermalHistory | None, tuple[str, ...]]:
+def believable_windows(w: Windows | None) -> tuple[ThermalHistory | None, tuple[str, ...]]:
     """What windows of a thermometer, if there is one, tell without those that hold a jump; None
     where too few are left. How many those are, in words, or nothing."""
     if w is None:
@@ -201,7 +201,7 @@ def thermal_history(blocks: Iterable[Recording], triad: str) -> ThermalHistory |
     windows = builder.windows() if builder else None
     if windows is None:
         return None
-    found, _ = believed(in_order(windows)[0])
+    found, _ = believable_windows(in_order(windows)[0])
     everything = np.array([[-np.inf, np.inf]])
     return found or ThermalHistory(np.empty(0), np.empty(0), everything)
 
@@ -282,14 +282,14 @@ def is_remembered(name: str) -> bool:
     return name.startswith((LAG.prefix, PLAY.prefix, RATE.prefix)) and not name.endswith(ROWS)
 
 
-def remembered(history: ThermalHistory, name: str, at: Array) -> Array:
+def remember(history: ThermalHistory, name: str, at: Array) -> Array:
     """The covariate (°C) at times (s)."""
     of = {LAG: history.lagged, PLAY: history.within_play, RATE: history.rate}
     past = next(past for past in of if name.startswith(past.prefix))
     return of[past](past.size(name.removeprefix(past.prefix)), at)
 
 
-def remembered_in_rows(temperature: Array, time: Array | None, session: Array) -> dict[str, Array]:
+def remember_in_rows(temperature: Array, time: Array | None, session: Array) -> dict[str, Array]:
     """Covariates (n,) of a table: lags and rates by its clock (s), or in rows, and plays of a width
     that its temperatures show: on one way alone, or between two of them, a play is an offset. Each
     session (n,) begins in equilibrium, amid the play."""

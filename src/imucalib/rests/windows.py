@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Flags, Index
 from imucalib.errors import Undetermined
-from imucalib.recording.recording import Channel, Gap, Held
+from imucalib.recording.recording import Channel, Gap, HeldSamples
 
 Key = tuple[str, str]
 #: Numbers that are kept of a recording in blocks: 128 MB, or a day of one triad at 65 Hz. A
@@ -26,7 +26,7 @@ Key = tuple[str, str]
 KEPT = 1 << 24
 
 
-class Samples:
+class KeptSamples:
     """Samples of channels, by their index in the channel; `whole` until they became too many."""
 
     def __init__(self, most: int = KEPT) -> None:
@@ -119,7 +119,7 @@ class Windows:
         return np.asarray(np.diff(self.run) == 0)
 
 
-def joined(parts: Sequence[Windows]) -> Windows:
+def join_windows(parts: Sequence[Windows]) -> Windows:
     """Windows of one channel, one part behind the other."""
     columns: dict[str, Any] = {
         name: np.concatenate([getattr(p, name) for p in parts]) for name in _COLUMNS
@@ -171,7 +171,7 @@ class WindowBuilder:
         """All windows so far; None when no window was ever full."""
         if not self._parts:
             return None
-        self._parts = [joined(self._parts)]
+        self._parts = [join_windows(self._parts)]
         return self._parts[0]
 
 
@@ -185,7 +185,7 @@ def in_order(windows: Windows) -> tuple[Windows, int]:
     return windows if keep.all() else windows.take(keep), int((~keep).sum())
 
 
-def without_held(windows: Windows, held: Sequence[Held]) -> Windows:
+def without_held(windows: Windows, held: Sequence[HeldSamples]) -> Windows:
     """The windows, in order of time, in which nothing is held; what stands on both sides of such a
     stretch does not follow one another."""
     if not held:
@@ -201,7 +201,7 @@ def without_held(windows: Windows, held: Sequence[Held]) -> Windows:
 
 def usable(
     builder: WindowBuilder,
-    held: Sequence[Held],
+    held: Sequence[HeldSamples],
     name: str,
     path: str,
     longer: str = "record longer",

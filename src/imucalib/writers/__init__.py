@@ -11,7 +11,7 @@ from functools import cache
 from pathlib import Path
 from typing import Protocol
 
-from imucalib.atomic_file import replaced_atomically
+from imucalib.atomic_file import replace_atomically
 from imucalib.core.discovery import modules_of
 from imucalib.errors import UsageError
 from imucalib.recording.recording import Recording
@@ -91,5 +91,5 @@ def write_blocks(blocks: Iterable[Recording], path: str | os.PathLike[str]) -> N
     what the format cannot hold, ChannelsChange where a format must know all channels first.
     """
     writer = writer_for(path)
-    with replaced_atomically(path) as temporary:
+    with replace_atomically(path) as temporary:
         writer.write_blocks(Noted(blocks), temporary)

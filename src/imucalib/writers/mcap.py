@@ -45,8 +45,8 @@ from imucalib.readers.messages.select import (
 from imucalib.recording.recording import (
     REST,
     REST_COLUMNS,
+    AppliedCalibration,
     Channel,
-    Correction,
     Recording,
 )
 from imucalib.writers import ChannelsChange
@@ -207,7 +207,7 @@ class McapFile:
         index = mr.MetadataIndex(offset=at, length=self._at - at, name=record.name)
         self._indexes[Opcode.METADATA_INDEX].append(_bytes(index))
 
-    def marks(self, corrections: tuple[Correction, ...]) -> None:
+    def marks(self, corrections: tuple[AppliedCalibration, ...]) -> None:
         """Write which calibrations were applied, as a metadata record; nothing when none was."""
         if corrections:
             texts = {str(k): c.to_text() for k, c in enumerate(corrections)}
@@ -298,7 +298,7 @@ class Output:
             np.array_equal(first.t, channel.t) for channel in found.values()
         )
         if not same or _kind(recording, self.channels) != (self.message, self.metadata):
-            raise _changed(recording, self.channels)
+            raise _change_messages(recording, self.channels)
         steps = np.rint(first.t * 1e9).astype(np.int64)
         start = recording.start_ns or 0
         self.ns, self.log = start + steps, start + origin + steps
@@ -432,7 +432,7 @@ def _demand_messages(recording: Recording) -> None:
             )
 
 
-def _changed(recording: Recording, channels: Iterable[str]) -> ChannelsChange:
+def _change_messages(recording: Recording, channels: Iterable[str]) -> ChannelsChange:
     return ChannelsChange(
         f"channels change within the recording: {', '.join(channels)}",
         where=recording.path,
@@ -449,7 +449,7 @@ def put_block(file: McapFile, outputs: list[Output], recording: Recording, origi
     _demand_messages(recording)
     unknown = set(recording.channels) - {name for output in outputs for name in output.channels}
     if unknown:
-        raise _changed(recording, sorted(unknown))
+        raise _change_messages(recording, sorted(unknown))
     for output in outputs:
         output.take(recording, origin)
     counts = [output.ns.size for output in outputs]

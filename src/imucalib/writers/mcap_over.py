@@ -18,13 +18,13 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Flags, Index
-from imucalib.atomic_file import replaced_atomically
+from imucalib.atomic_file import replace_atomically
 from imucalib.errors import UsageError
 from imucalib.readers.choice import OPTIONS
-from imucalib.readers.mcap import CORRECTIONS, MalformedRecordError, McapLog, parsed
+from imucalib.readers.mcap import CORRECTIONS, MalformedRecordError, McapLog, parse_record
 from imucalib.readers.messages.decode import RosDecoder, decoder_for
 from imucalib.readers.messages.layout import Groups
-from imucalib.readers.messages.recording import FirstPass, Part
+from imucalib.readers.messages.recording import ChannelPlan, FirstPass
 from imucalib.readers.messages.records import MESSAGE_HEAD, MessageBlock, Topic
 from imucalib.recording.mapping import UNCHANGED, from_dict
 from imucalib.recording.recording import Recording
@@ -92,8 +92,8 @@ def write_with_topics_of(recording: Recording, source: Path, path: Path) -> None
     log = McapLog(source, max_chunk=mapping.max_chunk)
     first = FirstPass(log, mapping, keep=True)
     topics, extras = first.stream.topics, log.extras
-    patched = _patched(recording, first)
-    first_ns = _counted(log, patched)
+    patched = _find_patches(recording, first)
+    first_ns = _exclude_unpatchable(log, patched)
     names = {topic.name for topic in patched}
     stated = {str(text).rpartition(":")[0] for text in (*mapping.acc, *mapping.gyro)}
     kept = {n: topic for n, topic in topics.items() if topic.name not in stated - names}
@@ -103,7 +103,7 @@ def write_with_topics_of(recording: Recording, source: Path, path: Path) -> None
         recording, channels={n: c for n, c in recording.channels.items() if n not in held}
     )
     origin = first_ns if recording.start_ns is None else 0
-    with replaced_atomically(path) as temporary, McapFile(temporary) as file:
+    with replace_atomically(path) as temporary, McapFile(temporary) as file:
         outputs = outputs_of(anew, _names(anew), max([0, *topics]) + 1)
         clashes = {topic.name for topic in kept.values()} & {output.topic for output in outputs}
         if clashes:
@@ -120,7 +120,7 @@ def write_with_topics_of(recording: Recording, source: Path, path: Path) -> None
         _copy_extras(file, source, extras)
 
 
-def _patched(recording: Recording, first: FirstPass) -> list[_Patched]:
+def _find_patches(recording: Recording, first: FirstPass) -> list[_Patched]:
     """The topics whose vectors can be patched into the messages that they were read from."""
     found = []
     for name in first.plan.clocks:
@@ -140,7 +140,7 @@ def _patched(recording: Recording, first: FirstPass) -> list[_Patched]:
     return found
 
 
-def _in_place(part: Part, recording: Recording) -> bool:
+def _in_place(part: ChannelPlan, recording: Recording) -> bool:
     """Whether the channel's values are the message's own: SI, no offset, no turned axes."""
     channel, conversion = recording.channels.get(part.name), part.conversion
     plain = conversion.axes == UNCHANGED and not conversion.offset.any()
@@ -160,7 +160,7 @@ def _rows(first: FirstPass, topic: str) -> Index:
     return rows
 
 
-def _counted(log: McapLog, patched: list[_Patched]) -> int:
+def _exclude_unpatchable(log: McapLog, patched: list[_Patched]) -> int:
     """Take out topics some of whose messages were read but cannot be patched (compressed one by
     one); returns the first log time, ns."""
     first_ns = 0
@@ -232,12 +232,12 @@ def _copy_extras(file: McapFile, source: Path, extras: list[tuple[int, int, int]
             content = stream.read(size)
             try:
                 if opcode == Opcode.METADATA:
-                    record = parsed(mr.Metadata, content)
+                    record = parse_record(mr.Metadata, content)
                     if record.name != CORRECTIONS:
                         file.metadata(record)
                     continue
                 crc = int.from_bytes(content[-4:], "little")
                 if len(content) == size and crc in (0, zlib.crc32(content[:-4])):
-                    file.attachment(parsed(mr.Attachment, content))
+                    file.attachment(parse_record(mr.Attachment, content))
             except MalformedRecordError:
                 continue

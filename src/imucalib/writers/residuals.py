@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from imucalib.atomic_file import replaced_atomically
+from imucalib.atomic_file import replace_atomically
 from imucalib.errors import UsageError
 from imucalib.recording.recording import REST, Recording
 from imucalib.writers import write
@@ -31,7 +31,7 @@ def write_residuals(recording: Recording, path: Path) -> None:
     """
     log, layout = residual_files(path)
     write(recording, log)
-    with replaced_atomically(layout) as temporary:
+    with replace_atomically(layout) as temporary:
         temporary.write_text(json.dumps(_layout(recording), indent=2) + "\n", encoding="utf-8")
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from imucalib.calibration.calibration import Calibration
-from imucalib.calibration.checking.check import Check, Measured, checked
+from imucalib.calibration.checking.check import Check, Measured, check
 from imucalib.calibration.checking.misfit import Misfits, misfits_of, triad_misfits
 from imucalib.calibration.checking.noise import check_noise
 from imucalib.calibration.checking.statistic import Statistic
@@ -37,7 +37,7 @@ def looked_at(rests: int, shift: np.ndarray) -> Check:
     reading = force + MG * shift * along + 0.25 * MG * rng.standard_normal(force.shape)
     noise = check_noise(calibration)
     misfits = triad_misfits(calibration, triad, reading, noise, np.zeros(rests))
-    return checked(calibration, [Measured(misfits, "imu0")], noise, {})
+    return check(calibration, [Measured(misfits, "imu0")], noise, {})
 
 
 def wrong_in(rests: int, *rows: int) -> np.ndarray:
@@ -104,7 +104,7 @@ def test_the_imu_that_changed_is_named() -> None:
         reading = clean + 0.25 * MG * rng.standard_normal(clean.shape) + [shift * MG, 0.0, 0.0]
         misfits = triad_misfits(calibration, triad, reading, noise, np.zeros(12))
         measured.append(Measured(misfits, f"imu{k}"))
-    found = checked(calibration, measured, noise, {})
+    found = check(calibration, measured, noise, {})
     assert found.verdict == "changed"
     assert [s.name for s in found.changed] == ["imu1"]
     # A package's +x is the board's -y.

@@ -11,7 +11,7 @@ from scipy import stats
 from scipy.stats import chi2, ncx2
 
 from imucalib.calibration.calibration import Calibration
-from imucalib.calibration.checking.check import Measured, checked
+from imucalib.calibration.checking.check import Measured, check
 from imucalib.calibration.checking.misfit import Misfits, gyro_rest, misfits_of
 from imucalib.calibration.checking.next_rests import MANY, next_rests
 from imucalib.calibration.checking.noise import check_noise
@@ -96,7 +96,7 @@ def test_a_shift_is_found_named_and_sized() -> None:
     for kind, size in (("bias", np.array([2.0, -1.0, 0.5])), ("scale", np.array([3.0, 0.0, -2.0]))):
         moved = force + MG * size if kind == "bias" else force * (1.0 + 1e-3 * size)
         moved = moved + 0.2 * MG * rng.standard_normal(force.shape)
-        found = checked(
+        found = check(
             calibration, [Measured(misfits(calibration, moved))], check_noise(calibration), {}
         )
         assert (found.verdict, found.exit_code) == ("changed", 1)
@@ -111,7 +111,7 @@ def test_two_rests_are_undecided_with_the_rests_to_add() -> None:
     calibration = made(np.zeros(6), np.diag([0.01] * 3 + [1e-8] * 3), 30.0, noise=0.2)
     force = G * np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     reading = force + 0.1 * MG * rng.standard_normal(force.shape)
-    found = checked(
+    found = check(
         calibration, [Measured(misfits(calibration, reading))], check_noise(calibration),
         {"mg": 1.5},
     )  # fmt: skip

@@ -20,7 +20,7 @@ from imucalib.calibration.comparison.agreement import (
 from imucalib.calibration.comparison.basis import Basis, basis_of
 from imucalib.calibration.comparison.compare import (
     array_meanings,
-    compared,
+    compare,
     due,
     slope_of,
     with_power_ups,
@@ -60,7 +60,7 @@ def test_the_difference_at_the_worst_attitude_is_the_plain_physics() -> None:
     first = np.concatenate([[10.0, -5.0, 3.0], [2e-3, -3e-3, 1e-3], [0.5, -0.3, 0.2]])
     other = first + np.array([1.5, 0.0, -1.0, 1e-3, 0.0, -5e-4, 0.1, 0.0, 0.2])
     files = [made(t, half @ half.T) for t in (first, other)]
-    found = compared(files, ["a", "b"], {})
+    found = compare(files, ["a", "b"], {})
     assert found.basis.words == "All hold the same parameters."
     u = even_directions(400)
 
@@ -95,7 +95,7 @@ def test_beyond_the_limit_and_beyond_chance_are_two_things() -> None:
         (vague, 1.0, "undecided", 5), (vague, 5.0, "agree", 0),
     ):  # fmt: skip
         files = [made(t, covariance) for t in (np.zeros(6), away)]
-        found = compared(files, ["a", "b"], {"mg": limit})
+        found = compare(files, ["a", "b"], {"mg": limit})
         assert (found.verdict, found.exit_code) == (verdict, code)
         assert found.differ == (covariance is sharp)
 
@@ -105,9 +105,9 @@ def test_the_file_that_differs_from_the_others_is_named() -> None:
     half = root(rng, 6)
     files = [made(half @ rng.standard_normal(6), half @ half.T) for _ in range(5)]
     names = list("abcde")
-    assert compared(files, names, {}).odd == ()
+    assert compare(files, names, {}).odd == ()
     files[3] = made(np.array([8.0, 0, 0, 0, 0, 0]), half @ half.T)
-    found = compared(files, names, {})
+    found = compare(files, names, {})
     assert (found.odd, found.exit_code) == (("d",), 1)
     assert "d" in {names[k] for k in found.meanings[0].pair}
 
@@ -147,7 +147,7 @@ def test_other_effects_are_compared_by_what_they_do() -> None:
                        0.0, 1e-4, "1")),
         "covariance": np.diag([0.04] * 3 + [1e-7] * 3 + [1e-8] * 3),
     })  # fmt: skip
-    found = compared([plain, more], ["a", "b"], {})
+    found = compare([plain, more], ["a", "b"], {})
     assert "different effects" in found.basis.words
     assert found.verdict == "agree"
     assert found.meanings[0].value == pytest.approx(0.0, abs=1e-6)
@@ -159,19 +159,19 @@ def test_what_cannot_be_compared_is_refused() -> None:
     covariance = np.diag([0.04] * 3 + [1e-7] * 3)
     one = made(np.zeros(6), covariance)
     with pytest.raises(UsageError, match="nothing to compare"):
-        compared([one], ["a"], {})
+        compare([one], ["a"], {})
     with pytest.raises(UnreadableInput, match="no uncertainty"):
-        compared([one, made(np.zeros(6), 0.0 * covariance)], ["a", "b"], {})
+        compare([one, made(np.zeros(6), 0.0 * covariance)], ["a", "b"], {})
     tied = made(np.zeros(9), np.diag([0.04] * 3 + [1e-7] * 3 + [1e-4] * 3))
     with pytest.raises(UsageError, match="not all tie a frame"):
-        compared([one, tied], ["a", "b"], {"deg": 0.1})
-    assert any("only b ties" in n for n in compared([one, tied], ["a", "b"], {}).notes)
+        compare([one, tied], ["a", "b"], {"deg": 0.1})
+    assert any("only b ties" in n for n in compare([one, tied], ["a", "b"], {}).notes)
     with pytest.raises(UsageError, match="3 dates"):
-        compared([one, one], ["a", "b"], {}, ("2026-01-01",) * 3)
+        compare([one, one], ["a", "b"], {}, ("2026-01-01",) * 3)
     with pytest.raises(UsageError, match="no date"):
-        compared([one, one], ["a", "b"], {}, ("2026-01-01", "soon"))
+        compare([one, one], ["a", "b"], {}, ("2026-01-01", "soon"))
     far = replace(one, gravity=G + 0.01)
-    assert any("gravities" in n for n in compared([one, far], ["a", "b"], {}).notes)
+    assert any("gravities" in n for n in compare([one, far], ["a", "b"], {}).notes)
 
 
 #: mg: scatter of the bias between power-ups, and of a calibration's own.
@@ -214,8 +214,8 @@ def test_another_days_calibration_differs_by_chance_in_5_of_100(days: int) -> No
 def test_a_scatter_that_is_given_is_in_every_sd_of_one_power_up() -> None:
     rng = np.random.default_rng(4)
     files = [one_day(rng), one_day(rng)]
-    plain = compared(files, ["a", "b"], {})
-    found = compared(files, ["a", "b"], {}, between=sessions_of(["0.7mg"]))
+    plain = compare(files, ["a", "b"], {})
+    found = compare(files, ["a", "b"], {}, between=sessions_of(["0.7mg"]))
     bias = np.einsum("kii->ki", found.basis.covariance)[:, :3]
     np.testing.assert_allclose(bias, OWN**2 + 0.7**2)
     np.testing.assert_allclose(found.basis.covariance[:, 3:], plain.basis.covariance[:, 3:])

@@ -16,9 +16,9 @@ from imucalib.calibrators.array.calibrate import calibrate_array
 from imucalib.calibrators.array.drawing import (
     SIGNED,
     Drawn,
-    compared,
+    board_from_log,
+    check_board,
     in_words,
-    sketched,
 )
 from imucalib.calibrators.array.log import array_log, of_board
 from imucalib.calibrators.array.request import ArrayRequest
@@ -38,7 +38,7 @@ def test_a_board_without_a_drawing_is_sketched_in_the_axes_of_its_first() -> Non
     parts = made_board(PLACES, own, ("imu0", "imu1", "imu2", "imu3"), plan, rng)
     recording = board_log(parts, plan, rng).recording
     log = array_log(recording, undrawn_board(4))
-    board = sketched(log, still_segments(recording), undrawn_board(4))
+    board = board_from_log(log, still_segments(recording), undrawn_board(4))
     np.testing.assert_array_equal(board.rotations, own)
     assert np.abs(board.positions - (PLACES - PLACES.mean(axis=0))).max() < 1e-3
     np.testing.assert_array_equal(board.accelerometer_axes, np.tile(np.eye(3), (4, 1, 1)))
@@ -59,7 +59,7 @@ def recording() -> Recording:
 def check_seen(recording: Recording, board: Board) -> Drawn:
     wired, board = of_board(recording, board)
     log = array_log(wired, board)
-    return compared(log, still_segments(wired), board)
+    return check_board(log, still_segments(wired), board)
 
 
 def wired(recording: Recording, imus: str, quantity: str, turn: Matrix) -> Recording:

@@ -12,7 +12,7 @@ from scipy.stats import multivariate_normal
 
 from imucalib.calibrators.array.board import read_board
 from imucalib.calibrators.array.calibrate import calibrate_array
-from imucalib.calibrators.array.logs import BoardRun, Pooled, between_logs, board_run, pooled
+from imucalib.calibrators.array.logs import BoardRun, PooledLogs, between_logs, board_run, pool_logs
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.run import ArrayRun
 from imucalib.errors import UsageError
@@ -68,12 +68,12 @@ def covariances(rng: np.random.Generator, n: int, d: int) -> np.ndarray:
     return roots @ roots.transpose(0, 2, 1)
 
 
-def logs(seed: int, n: int, tau: float, d: int = 21) -> tuple[Pooled, np.ndarray]:
+def logs(seed: int, n: int, tau: float, d: int = 21) -> tuple[PooledLogs, np.ndarray]:
     rng = np.random.default_rng(seed)
     spread = covariances(rng, n, d)
     true = rng.normal(size=d) * 50.0
     noise = np.einsum("nij,nj->ni", np.linalg.cholesky(spread), rng.normal(size=(n, d)))
-    return pooled(true + noise + tau * rng.normal(size=(n, d)), spread), true
+    return pool_logs(true + noise + tau * rng.normal(size=(n, d)), spread), true
 
 
 @pytest.mark.parametrize("tau", [0.0, 1.0])

@@ -15,7 +15,7 @@ import pytest
 
 import imucalib
 from imucalib.calibrators.lab.position_table import PositionTable
-from imucalib.calibrators.lab.repairs import Repairs, repaired, repairs_of
+from imucalib.calibrators.lab.repairs import Repairs, repair, repairs_of
 from imucalib.errors import ImucalError, UsageError
 from worlds import sheets
 from worlds.command import run
@@ -152,7 +152,7 @@ def test_what_the_options_do_to_rows(
     texts: tuple[tuple[str, ...], ...], column: str, values: list[float], lost: tuple[int, ...]
 ) -> None:
     repairs = repairs_of(*texts, (), None)
-    changed, left = repaired(table(), repairs, (), False)
+    changed, left = repair(table(), repairs, (), False)
     assert changed.columns[column].tolist() == values
     assert left == lost
     assert changed.columns["tool_face"].tolist() == table().columns["tool_face"].tolist()
@@ -160,8 +160,8 @@ def test_what_the_options_do_to_rows(
 
 def test_the_axes_of_a_part_are_those_of_the_whole_table_read_once_more() -> None:
     repairs = repairs_of((), (), (), ("-z,x,y", "2-3:y,-x,z"), None)
-    whole = repaired(table(), repairs_of((), (), (), ("-z,x,y",), None), (), False)[0].raw()
-    changed = repaired(table(), repairs, (), False)[0].raw()
+    whole = repair(table(), repairs_of((), (), (), ("-z,x,y",), None), (), False)[0].raw()
+    changed = repair(table(), repairs, (), False)[0].raw()
     assert changed[[0, 3, 4]].tolist() == whole[[0, 3, 4]].tolist()
     assert changed[1:3].tolist() == (whole[1:3][:, [1, 0, 2]] * [1.0, -1.0, 1.0]).tolist()
     with pytest.raises(UsageError, match="once for the whole"):
@@ -185,8 +185,8 @@ def test_lines_that_are_wrong_are_refused(
     swaps: tuple[str, ...], shifts: tuple[str, ...], axes: str | None, words: str
 ) -> None:
     with pytest.raises(UsageError, match=re.escape(words)):
-        repaired(table(), repairs_of(swaps, (), shifts, (axes,) if axes else (), None), (), False)
-    assert repaired(table(), Repairs(), (), False)[1] == ()
+        repair(table(), repairs_of(swaps, (), shifts, (axes,) if axes else (), None), (), False)
+    assert repair(table(), Repairs(), (), False)[1] == ()
 
 
 def _sheet(path: Path, size: float, kind: str) -> Path:

@@ -17,7 +17,7 @@ from imucalib.calibrators.lab.errors import attitude_errors
 from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.core.references import KnownVector
 from imucalib.errors import UsageError
-from imucalib.loop.held_out import Held
+from imucalib.loop.held_out import Predictions
 from worlds.sheets import direction
 
 G = 9.80665
@@ -120,7 +120,9 @@ def errors_of(
 ) -> list[float]:
     """Inclination and tool-face (deg) and norm (mg) of one position."""
     one, other = (np.array([[direction(*map(np.array, a))]]) for a in (read, meant))
-    found = attitude_errors(Held(size * one, G * other, size * one - G * other), Conventions())
+    found = attitude_errors(
+        Predictions(size * one, G * other, size * one - G * other), Conventions()
+    )
     return [float(found.inclination[0]), float(found.tool_face[0]), float(found.norm[0])]
 
 

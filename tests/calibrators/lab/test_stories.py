@@ -21,7 +21,7 @@ from imucalib.calibrators.lab.position_table import read_position_table
 from imucalib.calibrators.lab.request import LabRequest, as_published
 from imucalib.calibrators.lab.run import LabRun, run_lab
 from imucalib.calibrators.lab.simulation import BenchPlan, simulated_table
-from imucalib.loop.held_out import fitted
+from imucalib.loop.held_out import predict_fitted
 from imucalib.units import MG, STANDARD_GRAVITY
 from worlds.places import ROOT, SAMPLES
 
@@ -160,7 +160,7 @@ def test_held_out_errors_reach_the_marks(repaired: LabRun) -> None:
     assert rms(others) <= 0.17
     assert worst(left_out.tool_face) <= 0.90
     assert rms(left_out.tool_face) <= 0.40
-    assert rms(attitude_errors(fitted(repaired.result.final), Conventions()).norm) <= 1.3
+    assert rms(attitude_errors(predict_fitted(repaired.result.final), Conventions()).norm) <= 1.3
 
 
 def test_two_thirds_of_the_table_blame_no_record() -> None:

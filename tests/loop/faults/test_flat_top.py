@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from imucalib.arrays import Array
-from imucalib.loop.faults.converter import cut_off, flat_tops, rows_of
+from imucalib.loop.faults.converter import find_cut_offs, flat_tops, rows_of
 
 GOLDENS = Path(__file__).parents[2] / "goldens"
 
@@ -34,7 +34,7 @@ def test_rows_that_stop_at_a_height_are_told_and_no_others(seed: int, known: boo
     truth = positions(rng, 90)
     free = sensed(rng, truth)
     reading = np.clip(free, -900.0, 900.0) + rng.normal(0.0, 0.5, free.shape)
-    assert not cut_off(reading, truth if known else None)
+    assert not find_cut_offs(reading, truth if known else None)
     ends = flat_tops(reading, truth if known else None)
     beyond = np.flatnonzero((np.abs(free) > 922.0).any(axis=1))
     at = np.flatnonzero((np.abs(free) > 888.0).any(axis=1))

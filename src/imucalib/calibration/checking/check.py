@@ -115,7 +115,7 @@ class Measured:
     gyro: GyroRest | None = None
 
 
-def checked(
+def check(
     calibration: Calibration,
     measured: Sequence[Measured],
     noise: CheckNoise,
@@ -130,7 +130,7 @@ def checked(
     the limit's size would have been found with a chance of `POWER`.
     """
     level = ALPHA / len(measured)
-    sensors = tuple(_judged(one, level, seed) for one in measured)
+    sensors = tuple(_judge(one, level, seed) for one in measured)
     directed = measured[0].misfits.directed
     _demand_tested(limits, directed=directed, gyros=bool(calibration.triads))
     wanted, stated = _limits(calibration, measured[0].misfits, noise, limits)
@@ -168,7 +168,7 @@ def _demand_tested(limits: Limits, *, directed: bool, gyros: bool) -> None:
         )
 
 
-def _judged(one: Measured, level: float, seed: int) -> SensorCheck:
+def _judge(one: Measured, level: float, seed: int) -> SensorCheck:
     statistic = Statistic(one.misfits, seed=seed)
     tests = statistic.tested()
     seen = {name: statistic.seen(name, alpha=level, power=POWER) for name in statistic.columns}

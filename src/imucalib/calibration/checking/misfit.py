@@ -18,7 +18,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from imucalib.arrays import Array, Index
-from imucalib.calibration.calibration import Calibration, assumed_at
+from imucalib.calibration.calibration import Calibration, where_assumed
 from imucalib.calibration.checking.noise import FAMILIES, CheckNoise, Scatter
 from imucalib.calibration.triads import Triad, gain_and_bias_slope
 from imucalib.core.balance import Balanced, balance, below
@@ -38,7 +38,7 @@ READING = "reading"
 
 
 @dataclass(frozen=True)
-class Part:
+class CovariancePart:
     """covariance : (N, N) (m/s²)²; dof : degrees of freedom of its size"""
 
     covariance: Array
@@ -58,7 +58,7 @@ class Misfits:
     """
 
     value: Array
-    noise: Mapping[str, Part]
+    noise: Mapping[str, CovariancePart]
     session: Mapping[str, Scatter]
     jacobian: Array
     parameters: Array
@@ -73,7 +73,7 @@ class Misfits:
         return len(self.label)
 
     @cached_property
-    def parts(self) -> tuple[Part, ...]:
+    def parts(self) -> tuple[CovariancePart, ...]:
         """Readings with the calibration's own error, settings, power-up."""
         carried = self.jacobian @ self.parameters @ self.jacobian.T
         reading = self.noise[READING]
@@ -81,7 +81,7 @@ class Misfits:
         return (
             replace(reading, covariance=reading.covariance + carried),
             *(part for name, part in self.noise.items() if name != READING),
-            *(Part(c @ c.T, self.session[kind].dof) for kind, c in columns.items()),
+            *(CovariancePart(c @ c.T, self.session[kind].dof) for kind, c in columns.items()),
         )
 
     @cached_property
@@ -123,7 +123,7 @@ class Misfits:
         return replace(
             self,
             value=self.value[kept],
-            noise={n: Part(p.covariance[both], p.dof) for n, p in self.noise.items()},
+            noise={n: CovariancePart(p.covariance[both], p.dof) for n, p in self.noise.items()},
             jacobian=self.jacobian[kept],
             changes={name: c[kept] for name, c in self.changes.items()},
             owner=np.searchsorted(rows, self.owner[kept]),
@@ -133,11 +133,15 @@ class Misfits:
 
     def joined(self, other: Misfits) -> Misfits:
         """Both, of one power-up: the calibration's errors and the session's are common to all."""
-        nothing = [Part(np.zeros((m.value.size, m.value.size)), 0.0) for m in (self, other)]
+        nothing = [
+            CovariancePart(np.zeros((m.value.size, m.value.size)), 0.0) for m in (self, other)
+        ]
         noise = {}
         for name in {**self.noise, **other.noise}:
             one, two = self.noise.get(name, nothing[0]), other.noise.get(name, nothing[1])
-            noise[name] = Part(block_diag(one.covariance, two.covariance), one.dof or two.dof)
+            noise[name] = CovariancePart(
+                block_diag(one.covariance, two.covariance), one.dof or two.dof
+            )
         return replace(
             self,
             value=np.concatenate([self.value, other.value]),
@@ -177,7 +181,7 @@ def misfits_of(
     return Misfits(
         value=at.residual * at.unit,
         noise={
-            READING: Part(_readings(at, noise, changes["bias"]), noise.reading.dof),
+            READING: CovariancePart(_readings(at, noise, changes["bias"]), noise.reading.dof),
             **_settings(at, noise),
         },
         session=noise.session,
@@ -208,7 +212,7 @@ def _complete(
             )
         value = calibration.unrecorded(name)
         found[name] = np.full(context.n, value)
-        notes.append(f"{name} is taken as {assumed_at(name)} of the calibration, {value:.3g}")
+        notes.append(f"{name} is taken as {where_assumed(name)} of the calibration, {value:.3g}")
     return replace(observations, context=replace(context, covariates=found)), tuple(notes)
 
 
@@ -223,14 +227,14 @@ def _readings(at: Balanced, noise: CheckNoise, bias: Array) -> Array:
     return np.asarray((1.0 - noise.share) * alone + noise.share * together)
 
 
-def _settings(at: Balanced, noise: CheckNoise) -> dict[str, Part]:
+def _settings(at: Balanced, noise: CheckNoise) -> dict[str, CovariancePart]:
     """What the errors of settings do, component by component."""
     found = {}
     for name, matrix in zip(at.component, at.settings, strict=True):
         scatter = noise.setting.get(name)
         if scatter is not None and scatter.sd > 0.0:
             scaled = scatter.sd * matrix * at.unit[:, None]
-            found[name] = Part(scaled @ scaled.T, scatter.dof)
+            found[name] = CovariancePart(scaled @ scaled.T, scatter.dof)
     return found
 
 
@@ -264,7 +268,7 @@ def triad_misfits(
     away = (reading - triad.reading(truth)) @ triad.rotation.T
     return Misfits(
         value=np.einsum("ni,ni->n", keep, away),
-        noise={READING: Part(np.diag(noise.reading.sd**2 + more), noise.reading.dof)},
+        noise={READING: CovariancePart(np.diag(noise.reading.sd**2 + more), noise.reading.dof)},
         session=noise.session,
         jacobian=np.einsum("ni,nip->np", keep, gain_and_bias_slope(truth)),
         parameters=triad.covariance,

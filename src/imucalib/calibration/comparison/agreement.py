@@ -31,7 +31,7 @@ DRAWS = 6000
 
 
 @dataclass(frozen=True)
-class Beyond:
+class ExcessScatter:
     """A standard deviation beyond stated ones, with its 95 % interval, in the values' unit."""
 
     sd: float
@@ -39,7 +39,7 @@ class Beyond:
     high: float
 
 
-def beyond(value: Array, variance: Array, design: Array | None = None) -> Beyond:
+def beyond(value: Array, variance: Array, design: Array | None = None) -> ExcessScatter:
     """Of values (m,) with variances (m,) about `design` (m, k) b, by default one mean.
 
     NaN where the design leaves no degree of freedom.
@@ -49,9 +49,9 @@ def beyond(value: Array, variance: Array, design: Array | None = None) -> Beyond
     design = _design(value, design)
     dof = value.size - design.shape[1]
     if dof < 1:
-        return Beyond(float("nan"), float("nan"), float("nan"))
+        return ExcessScatter(float("nan"), float("nan"), float("nan"))
     wanted = (float(dof), float(chdtri(dof, 0.025)), float(chdtri(dof, 0.975)))
-    return Beyond(*(excess(q, value, variance, design) ** 0.5 for q in wanted))
+    return ExcessScatter(*(excess(q, value, variance, design) ** 0.5 for q in wanted))
 
 
 def excess(wanted: float, value: Array, variance: Array, design: Array | None = None) -> float:
@@ -120,7 +120,7 @@ def agreement(basis: Basis) -> Agreement:
     """Of two or more."""
     value, covariance = basis.value, basis.covariance
     m, p = value.shape
-    null = _drawn(basis)
+    null = _draw_truths(basis)
     mean, own = _mean(value, covariance)
     chi2 = float(_squares(value, mean, covariance))
     z, without = np.zeros((m, p)), np.zeros(m)
@@ -132,7 +132,7 @@ def agreement(basis: Basis) -> Agreement:
         square = float(_square(value[k] - other, whole))
         if null is not None:
             away = null[:, k] - _mean(null[:, rest], covariance[rest])[0]
-            without[k] = _exceeded(_square(away, whole), square)
+            without[k] = _p_by_draws(_square(away, whole), square)
         else:
             pair = np.array([covariance[k], spread])
             dofs = np.array([basis.dof[k], basis.dof[rest].sum()])
@@ -140,7 +140,7 @@ def agreement(basis: Basis) -> Agreement:
     dof, nu = (m - 1) * p, noise_dof(covariance, basis.dof)
     chance = _tail(chi2, dof, nu)
     if null is not None:
-        chance = _exceeded(_squares(null, _mean(null, covariance)[0], covariance), chi2)
+        chance = _p_by_draws(_squares(null, _mean(null, covariance)[0], covariance), chi2)
     return Agreement(
         mean=mean,
         mean_sd=np.sqrt(np.diag(own)),
@@ -188,7 +188,7 @@ def scatter(basis: Basis) -> ParameterScatter | None:
     return ParameterScatter(sd, low, high, np.sqrt(np.array(squares) / (m - 1)))
 
 
-def _drawn(basis: Basis) -> Array | None:
+def _draw_truths(basis: Basis) -> Array | None:
     """(DRAWS, m, p) values about a common truth; None where nothing tells what power-ups bring."""
     if basis.power_ups is None:
         return None
@@ -210,7 +210,7 @@ def _size(dof: float, rng: np.random.Generator) -> Array:
     return np.asarray(np.sqrt(dof / rng.chisquare(dof, DRAWS)))
 
 
-def _exceeded(squares: Array, found: float) -> float:
+def _p_by_draws(squares: Array, found: float) -> float:
     """p of a sum of squares among those that are drawn."""
     return float((1 + np.count_nonzero(squares >= found)) / (squares.size + 1))
 

@@ -34,7 +34,7 @@ _ROUNDING = 1e-9  # mg, deg, or parts of one: what moves by less is touched by n
 
 
 @dataclass(frozen=True)
-class Seen:
+class DirectionErrors:
     """m calibrations in n attitudes, against the first. attitude : (n, 3) unit vectors
     size : (m, n) mg, of |f|; size_sd : (m, n) mg, of each one's own
     turn : (m, n, 2) deg, along two tangents; turn_covariance : (m, n, 2, 2) of each one's own
@@ -73,7 +73,9 @@ class Worst:
         return self.value > self.limit
 
 
-def seen(calibrations: Sequence[Calibration], imu: int | None, gravity: float) -> Seen:
+def direction_errors(
+    calibrations: Sequence[Calibration], imu: int | None, gravity: float
+) -> DirectionErrors:
     """imu : number of an array's IMU, None of one accelerometer; gravity : m/s²"""
     attitude = even_directions(_ATTITUDES)
     across = tangents(attitude)
@@ -97,7 +99,9 @@ def seen(calibrations: Sequence[Calibration], imu: int | None, gravity: float) -
         size_sd.append(np.sqrt(np.einsum("ni,nij,nj->n", attitude, own, attitude)) / MG)
         turn.append(np.einsum("ni,nik->nk", force, across) / gravity / DEG)
         spread.append(np.einsum("nik,nij,njl->nkl", across, own, across) / (gravity * DEG) ** 2)
-    return Seen(attitude, np.array(size), np.array(size_sd), np.array(turn), np.array(spread))
+    return DirectionErrors(
+        attitude, np.array(size), np.array(size_sd), np.array(turn), np.array(spread)
+    )
 
 
 def worst_pair(m: int, away: Callable[[int, int], Array]) -> tuple[tuple[int, int], float, int]:
@@ -107,14 +111,14 @@ def worst_pair(m: int, away: Callable[[int, int], Array]) -> tuple[tuple[int, in
     return pair, float(every[pair].max()), int(every[pair].argmax())
 
 
-def worst_size(found: Seen) -> Worst:
+def worst_size(found: DirectionErrors) -> Worst:
     """Of |f|, over all pairs and attitudes."""
     size, sd = found.size, found.size_sd
     pair, value, at = worst_pair(len(size), lambda i, j: np.abs(size[j] - size[i]))
     return Worst(pair, value, float(np.hypot(*sd[list(pair), at])), "mg", found.attitude[at])
 
 
-def worst_turn(found: Seen) -> Worst:
+def worst_turn(found: DirectionErrors) -> Worst:
     """Of the direction, over all pairs and attitudes; sd along the difference."""
     turn = found.turn
     pair, value, at = worst_pair(

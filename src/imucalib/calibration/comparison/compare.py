@@ -41,11 +41,11 @@ from imucalib.calibration.comparison.agreement import (
 )
 from imucalib.calibration.comparison.basis import (
     Basis,
+    DirectionErrors,
     PowerUps,
-    Seen,
     Worst,
     basis_of,
-    seen,
+    direction_errors,
     worst_pair,
     worst_size,
     worst_turn,
@@ -82,7 +82,7 @@ def dates_of(calibrations: Sequence[Calibration], stated: Sequence[str]) -> Date
                 f"{len(stated)} dates for {len(calibrations)} calibrations",
                 remedy="give one a file, in their order: --dates 2026-01-31,2026-07-31",
             )
-        found = _dates([_parsed(text) for text in stated], "dates as given")
+        found = _dates([_parse_limit(text) for text in stated], "dates as given")
         if found is None:
             raise UsageError(
                 "all dates are the same: nothing can drift between them",
@@ -94,7 +94,7 @@ def dates_of(calibrations: Sequence[Calibration], stated: Sequence[str]) -> Date
         known = [datetime.fromtimestamp(s / 1e9, UTC) for s in starts if s is not None]
         return _dates(known, "dates as the recordings have them")
     runs = [(c.facts.get("provenance") or {}).get("time") for c in calibrations]
-    when = [_parsed(r) for r in runs if isinstance(r, str)]
+    when = [_parse_limit(r) for r in runs if isinstance(r, str)]
     if len(when) < len(runs):
         return None
     found = _dates(
@@ -104,7 +104,7 @@ def dates_of(calibrations: Sequence[Calibration], stated: Sequence[str]) -> Date
     return found if found is not None and np.ptp(found.days) >= _APART else None
 
 
-def _parsed(text: str) -> datetime:
+def _parse_limit(text: str) -> datetime:
     try:
         found = datetime.fromisoformat(text.strip())
     except ValueError:
@@ -120,7 +120,7 @@ def _dates(when: list[datetime], words: str) -> Dates | None:
     return Dates(days, first, words) if np.ptp(days) > 0.0 else None
 
 
-def mounted(calibration: Calibration) -> bool:
+def is_mounted(calibration: Calibration) -> bool:
     """Whether a calibration ties a frame to a tool."""
     return any(p.effect == "mounting" for p in calibration.parameters)
 
@@ -151,7 +151,7 @@ def remarks(
     if len(set(makers)) > 1:
         notes.append(f"they were made by {', '.join(makers)}")
     if not framed:
-        tied = [n for n, c in zip(names, calibrations, strict=True) if mounted(c)]
+        tied = [n for n, c in zip(names, calibrations, strict=True) if is_mounted(c)]
         notes.append(
             f"only {', '.join(tied)} tie{'s' * (len(tied) == 1)} a frame to a tool: directions are "
             "not compared"
@@ -173,7 +173,7 @@ def with_power_ups(
     given : kind of change -> its scatter (bias mg, mounting deg) instead of what files state
     """
     stated = [stated_sessions(c) for c in calibrations]
-    scatter = {kind: Scatter(size) for kind, size in given.items()} or _pooled(stated)
+    scatter = {kind: Scatter(size) for kind, size in given.items()} or _pool_variances(stated)
     if not scatter:
         words = (
             "what a power-up changes is in no sd: a bias that differs may be another day's "
@@ -199,7 +199,7 @@ def with_power_ups(
     return tuple(made), PowerUps(share, min(s.dof for s in scatter.values())), words
 
 
-def _pooled(stated: Sequence[Mapping[str, Scatter]]) -> dict[str, Scatter]:
+def _pool_variances(stated: Sequence[Mapping[str, Scatter]]) -> dict[str, Scatter]:
     """Mean of the variances that files state, by their degrees of freedom."""
     found = {}
     for kind in FAMILIES:
@@ -210,7 +210,9 @@ def _pooled(stated: Sequence[Mapping[str, Scatter]]) -> dict[str, Scatter]:
     return found
 
 
-def meanings_of(found: Mapping[str, Seen], limits: Limits, *, turns: bool) -> tuple[Worst, ...]:
+def meanings_of(
+    found: Mapping[str, DirectionErrors], limits: Limits, *, turns: bool
+) -> tuple[Worst, ...]:
     """Force, and where it can be compared direction, of the sensor where it is largest."""
     sds = [one.largest_sd for one in found.values()]
     force, direction = limits.get("mg"), limits.get("deg")
@@ -321,7 +323,7 @@ def due(
 
 
 @dataclass(frozen=True)
-class Drift:
+class CalibrationDrift:
     """dates; slopes : of every parameter a day; due : of what is corrected"""
 
     dates: Dates
@@ -340,8 +342,8 @@ class Comparison:
     agreement: Agreement
     scatter: ParameterScatter | None
     meanings: tuple[Worst, ...]
-    seen: Mapping[str, Seen]
-    drift: Drift | None
+    seen: Mapping[str, DirectionErrors]
+    drift: CalibrationDrift | None
     stated: bool
     notes: tuple[str, ...]
 
@@ -372,7 +374,7 @@ class Comparison:
         return tuple(self.names[k] for k in odd_ones(self.basis, ALPHA))
 
 
-def compared(
+def compare(
     calibrations: Sequence[Calibration],
     names: Sequence[str],
     limits: Limits,
@@ -387,7 +389,7 @@ def compared(
     covariance.
     """
     arrays = _demand(calibrations, names)
-    framed = arrays or len({mounted(c) for c in calibrations}) == 1
+    framed = arrays or len({is_mounted(c) for c in calibrations}) == 1
     dof = np.array([_dof(c) for c in calibrations])
     if arrays and between:
         raise UsageError(
@@ -399,7 +401,7 @@ def compared(
     gravity = calibrations[0].gravity
     imus = {t.name: k for k, t in enumerate(calibrations[0].triads)}
     sensors: dict[str, int | None] = {**imus} or {"": None}
-    found = {name: seen(calibrations, imu, gravity) for name, imu in sensors.items()}
+    found = {name: direction_errors(calibrations, imu, gravity) for name, imu in sensors.items()}
     turns = framed and not arrays
     if "deg" in limits and not turns:
         raise UsageError(
@@ -462,8 +464,8 @@ def _dof(calibration: Calibration) -> float:
 
 
 def _drift(
-    dates: Dates, basis: Basis, found: Mapping[str, Seen], meanings: tuple[Worst, ...]
-) -> Drift:
+    dates: Dates, basis: Basis, found: Mapping[str, DirectionErrors], meanings: tuple[Worst, ...]
+) -> CalibrationDrift:
     variance = np.einsum("kii->ik", basis.covariance)
     slopes = tuple(
         slope_of(dates.days, value, own) for value, own in zip(basis.value.T, variance, strict=True)
@@ -474,4 +476,4 @@ def _drift(
         due(dates.days, one.size, one.size_sd**2, one.attitude, limit, sensors=len(found))
         for one in found.values()
     ]
-    return Drift(dates, slopes, min(reached, key=lambda d: (d.expected, d.earliest)))
+    return CalibrationDrift(dates, slopes, min(reached, key=lambda d: (d.expected, d.earliest)))

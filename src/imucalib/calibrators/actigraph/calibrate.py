@@ -22,10 +22,10 @@ from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.effects import named
 from imucalib.errors import NotConverged
-from imucalib.loop.candidates import searched
+from imucalib.loop.candidates import effects_to_search
 from imucalib.loop.found import FitLoop
-from imucalib.loop.held_out import Held, fitted, held_out
-from imucalib.loop.posterior.recording import close_recording, followed
+from imucalib.loop.held_out import Predictions, leave_groups_out, predict_fitted
+from imucalib.loop.posterior.recording import close_recording, follow_bias
 from imucalib.rests.runs import PostureRuns, Scan
 
 #: Posture runs a parameter below which what is left over is no noise to search in.
@@ -47,8 +47,8 @@ class ActigraphResult:
     loop: FitLoop | None
     base: Fit
     final: Fit
-    base_held: Held
-    final_held: Held
+    base_held: Predictions
+    final_held: Predictions
     error: ErrorSummary
     downweighted: int
     of_a_kind: OfAKind | None = None
@@ -74,8 +74,8 @@ class ActigraphResult:
         return _few(self.base)
 
     @property
-    def fitted(self) -> Held:
-        return fitted(self.final)
+    def fitted(self) -> Predictions:
+        return predict_fitted(self.final)
 
 
 def calibrate(runs: PostureRuns, scanned: Scan, request: ActigraphRequest) -> ActigraphResult:
@@ -96,10 +96,10 @@ def calibrate(runs: PostureRuns, scanned: Scan, request: ActigraphRequest) -> Ac
         raise NotConverged("the fit did not settle", where=scanned.path)
     loop, final, fleet = None, base, said is not None and said.used
     if request.loop and not (_few(base) or is_weak(base) or fleet):
-        loop, before, after, downweighted = _searched(base, runs, request)
+        loop, before, after, downweighted = _search_under_walk(base, runs, request)
         base, final = loop.base, loop.final
     else:
-        before = after = held_out(base)
+        before = after = leave_groups_out(base)
     return ActigraphResult(
         runs=runs,
         loop=loop,
@@ -122,9 +122,9 @@ def base_model(request: ActigraphRequest, data: Observations) -> Model:
     return Model((*map(named, NINE), *request.declared_effects(data.context)))
 
 
-def _searched(
+def _search_under_walk(
     base: Fit, runs: PostureRuns, request: ActigraphRequest
-) -> tuple[FitLoop, Held, Held, int]:
+) -> tuple[FitLoop, Predictions, Predictions, int]:
     """The closed loop under a noise that drifts, over sensor effects and scans: a fixture is
     nothing that a wrist has, and of free functions, which the posterior has by itself, only that of
     the posture is a scan. The doubt between models is in the intervals, and the course of the bias
@@ -132,14 +132,14 @@ def _searched(
 
     Returns the loop, the errors held out before and after, and how many runs count less.
     """
-    wanted = searched(
+    wanted = effects_to_search(
         request.only, request.without, request.extra_effects, lambda e: e.stage == "sensor"
     )
     closed = close_recording(base, wanted, averaged_noise(runs), curves=request.curves)
     loop = closed.loop
     final = with_rivals(loop.final, loop.weighed, request.gravity)
     if request.curves and "curve" not in request.without and request.every is None:
-        course = followed(final, closed.course)
+        course = follow_bias(final, closed.course)
         if course is not None:
             final = course
             if loop.drift is not None:

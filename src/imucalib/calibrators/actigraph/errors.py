@@ -16,24 +16,26 @@ from imucalib.calibrators.actigraph.observations import quantisation
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.sphere import even_directions
-from imucalib.loop.held_out import Held, errors, fitted
+from imucalib.loop.held_out import Predictions, errors, predict_fitted
 from imucalib.rests.runs import PostureRuns, Scan
 from imucalib.units import MG
 
 _NEVER = 0.3  # g, an end of an axis that gravity never came closer to
 
 
-def mean_error(held: Held) -> float:
+def mean_error(held: Predictions) -> float:
     """Mean absolute error of the norm over the runs, mg: the field's measure."""
     return float(np.mean(np.abs(held.error))) / MG
 
 
-def raw_errors(fit: Fit) -> Held:
+def raw_errors(fit: Fit) -> Predictions:
     """The uncorrected readings against gravity."""
     return errors(replace(fit, model=Model(()), theta=np.zeros(0)), np.zeros(0), fit.observations)
 
 
-def error_summary(base: Fit, final: Fit, base_held: Held, final_held: Held) -> ErrorSummary:
+def error_summary(
+    base: Fit, final: Fit, base_held: Predictions, final_held: Predictions
+) -> ErrorSummary:
     """Raw, base and final, fitted and held out; the floor is what the noise of runs alone gives."""
     raw = mean_error(raw_errors(base))
     sigma = final.noise.factor * final.observations.sigma[:, 0, 0]
@@ -42,8 +44,8 @@ def error_summary(base: Fit, final: Fit, base_held: Held, final_held: Held) -> E
         metric="mean error of |a| at rest",
         unit="mg",
         raw=raw,
-        base=mean_error(fitted(base)),
-        final=mean_error(fitted(final)),
+        base=mean_error(predict_fitted(base)),
+        final=mean_error(predict_fitted(final)),
         floor=floor,
         held_out=HeldOutError(raw, mean_error(base_held), mean_error(final_held)),
     )
@@ -64,7 +66,7 @@ class SphereCell:
     sd: float
 
 
-def sphere_cells(base: Fit, final: Fit, held: Held) -> tuple[SphereCell, ...]:
+def sphere_cells(base: Fit, final: Fit, held: Predictions) -> tuple[SphereCell, ...]:
     """Error over the sphere: 6 ends of axes and 8 octants between them, nearest centre wins.
 
     Errors are NaN where no posture was recorded; the standard deviation always exists.
@@ -79,11 +81,16 @@ def sphere_cells(base: Fit, final: Fit, held: Held) -> tuple[SphereCell, ...]:
     }
     centres = {**ends, **octants}
     where = np.array(list(centres.values()))
-    known = fitted(final)
+    known = predict_fitted(final)
     direction = known.corrected[:, 0] / np.linalg.norm(known.corrected[:, 0], axis=1)[:, None]
     nearest = np.argmax(direction @ where.T, axis=1)
     sd = norm_sd(final, where) / MG
-    compared = {"raw": raw_errors(base), "base": fitted(base), "final": known, "held_out": held}
+    compared = {
+        "raw": raw_errors(base),
+        "base": predict_fitted(base),
+        "final": known,
+        "held_out": held,
+    }
     series = {k: np.abs(h.error[:, 0, 0]) / MG for k, h in compared.items()}
     found = []
     for at, name in enumerate(centres):

@@ -26,7 +26,7 @@ from imucalib.errors import NotConverged
 from imucalib.estimators.in_a_population import kind_chance
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.rests.runs import PostureRuns, Scan
-from imucalib.rests.thermal import REMEMBERED, ThermalHistory, remembered
+from imucalib.rests.thermal import REMEMBERED, ThermalHistory, remember
 from imucalib.units import MG
 
 NINE = ("bias", "scale", "non_orthogonality")
@@ -71,7 +71,7 @@ def robust_fit(
     for _ in range(2 * many):
         if prior is None and found.null_directions:
             break
-        data, fewer = weighted(found, runs)
+        data, fewer = weigh_runs(found, runs)
         found = fit_model(model, data, start=found.theta, prior=prior)
     return found, fewer
 
@@ -206,7 +206,7 @@ def covariates_of(runs: PostureRuns, scanned: Scan) -> dict[str, Array]:
     warm = scanned.temperature
     if warm is not None and np.ptp(runs.temperature) >= _LEAST_WARMTH:  # False for NaN
         found["temperature"] = runs.temperature
-        past = {name: remembered(warm, name, runs.time) for name in REMEMBERED}
+        past = {name: remember(warm, name, runs.time) for name in REMEMBERED}
         found |= {n: v for n, v in past.items() if _is_shown(n, v, runs.temperature, warm)}
     return found
 
@@ -245,7 +245,7 @@ def _sigma(between: float, runs: PostureRuns) -> Array:
     return np.asarray(np.broadcast_to(size[:, None, None], (runs.n, 1, 3)).copy())
 
 
-def weighted(fit: Fit, runs: PostureRuns) -> tuple[Observations, int]:
+def weigh_runs(fit: Fit, runs: PostureRuns) -> tuple[Observations, int]:
     """The same observations with the scatter between runs as the fit's residual shows it.
 
     A run's variance is between² + quantisation² + window noise² / windows; `between` makes the

@@ -140,7 +140,7 @@ def calibrate_as_published(
             remedy="record longer, or leave --as-published out: all windows then count",
         )
     first, second = np.array(points.points), np.array(control.points).reshape(-1, 3)
-    methods = compared(first, second)
+    methods = compare_methods(first, second)
     chosen = next(m for m in methods if m.name == ARITHMETIC[request.arithmetic])
     found = published_fit(chosen.p, first, request.gravity)
     error = _error(chosen, found, first, second)
@@ -200,7 +200,7 @@ def _error(chosen: PublishedMethod, found: Fit, first: Array, second: Array) -> 
     )
 
 
-def compared(first: Array, second: Array) -> tuple[PublishedMethod, ...]:
+def compare_methods(first: Array, second: Array) -> tuple[PublishedMethod, ...]:
     """Every method of the paper on the same points (n, 3) g, and verified on a second set."""
     found = []
     for name, method in METHODS.items():

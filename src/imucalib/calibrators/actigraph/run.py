@@ -28,8 +28,8 @@ from imucalib.calibrators.actigraph.errors import (
 from imucalib.calibrators.actigraph.observations import from_data, open_words, quantisation
 from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.series import (
+    CalibrationSeries,
     Exchange,
-    Series,
     exchange_in,
     series,
     series_block,
@@ -46,7 +46,7 @@ from imucalib.calibrators.actigraph.wear import (
 from imucalib.calibrators.next_recording import recorded_block
 from imucalib.calibrators.population import not_of_its_kind
 from imucalib.core.effect import CLOCKS
-from imucalib.core.sphere import counted
+from imucalib.core.sphere import count_by_cell
 from imucalib.effects.forms import in_words
 from imucalib.errors import Undetermined
 from imucalib.readers import blocks
@@ -63,7 +63,7 @@ class ActigraphRun(Run):
     coverage: Coverage
     scanned: Scan
     request: ActigraphRequest
-    series: Series | None = None
+    series: CalibrationSeries | None = None
     activity: Activity | None = None
     rule: ClosestPoint | None = None
 
@@ -290,7 +290,7 @@ def actigraph_calibration(
     scanned: Scan,
     request: ActigraphRequest,
     details: Mapping[str, Any],
-    parts: Series | None,
+    parts: CalibrationSeries | None,
 ) -> Calibration:
     """The calibration of a run's final fit."""
     final = result.final
@@ -304,7 +304,7 @@ def actigraph_calibration(
         "error_mg": details["error_mg"],
         "noise": {"reading_mg": sigma, "reading_sd_mg": sigma * float(final.noise_sd[0])},
         "coverage": details["coverage"],
-        "postures": counted(final.observations.reading[:, 0]).tolist(),
+        "postures": count_by_cell(final.observations.reading[:, 0]).tolist(),
         "from_data": details["from_data"],
         "provenance": outcome.provenance.as_dict(),
     }
@@ -326,7 +326,7 @@ def actigraph_calibration(
 
 
 def actigraph_details(
-    result: ActigraphResult, coverage: Coverage, parts: Series | None
+    result: ActigraphResult, coverage: Coverage, parts: CalibrationSeries | None
 ) -> dict[str, Any]:
     """What only a worn sensor has to say, for report.json; the shorter blocks also for the YAML."""
     final, loop, error = result.final, result.loop, result.error

@@ -104,10 +104,10 @@ def _remainders(columns: Array, off: Array, rows: Index) -> Array:
     part = [whole[a:b].T @ whole[a:b] for a, b in pairwise(edges)]
     before = np.cumsum(part, axis=0)
     first, second = before[:-1], before[-1] - before[:-1]
-    return np.asarray(sum(_unfitted(gram) for gram in (first, second)))
+    return np.asarray(sum(_least_squares_rest(gram) for gram in (first, second)))
 
 
-def _unfitted(gram: Array) -> Array:
+def _least_squares_rest(gram: Array) -> Array:
     """(m,) what least squares leaves, of (m, 10, 10) Gram matrices, the data last."""
     inner = gram[:, :9, :9]
     inner = inner + 1e-9 * np.trace(inner, axis1=1, axis2=2)[:, None, None] * np.eye(9)
@@ -122,7 +122,7 @@ def _rest(columns: Array, off: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Part:
+class SeriesPart:
     """One part: start and stop in s, its runs, and its fit, or why there is none."""
 
     start: float
@@ -133,14 +133,14 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Series:
+class CalibrationSeries:
     """Parts in order, and whether one calibration serves them all.
 
     common : of all parts; probability : that they differ; moved : the effects that do, each with
     its probability
     """
 
-    parts: tuple[Part, ...]
+    parts: tuple[SeriesPart, ...]
     parameters: tuple[Parameter, ...]
     common: Array
     probability: float
@@ -153,7 +153,7 @@ class Series:
 
 def series(
     runs: PostureRuns, scanned: Scan, request: ActigraphRequest, say: Callable[[str], None]
-) -> Series:
+) -> CalibrationSeries:
     """Calibrate every `request.every` seconds with the base model; a part that cannot be is named.
 
     Raises Undetermined when no two parts can be calibrated.
@@ -167,7 +167,7 @@ def series(
         own = replace(runs, **{name: getattr(runs, name)[inside] for name in kept})
         end = float(min(stop, scanned.stop))
         found, reason = _fit(own, scanned, request)
-        parts.append(Part(float(start), end, own.n, found, reason))
+        parts.append(SeriesPart(float(start), end, own.n, found, reason))
         if reason:
             say(f"  {hours(float(start))} to {hours(end)}: {reason}")
     good = [part.fit for part in parts if part.fit is not None]
@@ -177,7 +177,7 @@ def series(
             where=scanned.path,
             remedy="choose longer parts with --every",
         )
-    return _compared(tuple(parts), good)
+    return _compare_parts(tuple(parts), good)
 
 
 def without_found(runs: PostureRuns, final: Fit, request: ActigraphRequest) -> PostureRuns:
@@ -209,7 +209,7 @@ def _fit(runs: PostureRuns, scanned: Scan, request: ActigraphRequest) -> tuple[F
     return found, ""
 
 
-def _compared(parts: tuple[Part, ...], good: list[Fit]) -> Series:
+def _compare_parts(parts: tuple[SeriesPart, ...], good: list[Fit]) -> CalibrationSeries:
     information = np.linalg.inv(np.array([fit.covariance for fit in good]))
     vector = np.array([w @ fit.theta for w, fit in zip(information, good, strict=True)])
     slices = good[0].model.slices(good[0].observations.context)
@@ -217,7 +217,7 @@ def _compared(parts: tuple[Part, ...], good: list[Fit]) -> Series:
     typical = _SHARE * np.array([p.typical for p in good[0].parameters])
     probability, each = moved(information, vector, blocks, typical, np.arange(0))
     likely = sorted(each.items(), key=lambda one: -one[1])
-    return Series(
+    return CalibrationSeries(
         parts=parts,
         parameters=good[0].parameters,
         common=np.linalg.solve(information.sum(axis=0), vector.sum(axis=0)),
@@ -226,7 +226,7 @@ def _compared(parts: tuple[Part, ...], good: list[Fit]) -> Series:
     )
 
 
-def series_block(found: Series) -> dict[str, Any]:
+def series_block(found: CalibrationSeries) -> dict[str, Any]:
     """Plain types, ready for JSON."""
     rows = []
     for part in found.parts:

@@ -12,7 +12,7 @@ from imucalib.calibrators.planted import planted_model
 from imucalib.core.effect import Context
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.runs import Scan
-from imucalib.rests.thermal import REMEMBERED, ThermalHistory, remembered
+from imucalib.rests.thermal import REMEMBERED, ThermalHistory, remember
 from imucalib.rests.windows import Windows
 from imucalib.units import MG, STANDARD_GRAVITY
 
@@ -70,7 +70,7 @@ def worn_blocks(plan: WeekPlan, seed: int) -> Iterator[Recording]:
         if plan.temperature:
             now = np.interp(t, grid, warm)
             known |= {"temperature": now}
-            known |= {name: remembered(history, name, t) for name in REMEMBERED}
+            known |= {name: remember(history, name, t) for name in REMEMBERED}
             thermometer = Channel(t, now[:, None], "degC", "temperature", "imu0", plan.rate)
             channels["imu0/temperature"] = thermometer
         context = Context(t.size, known)

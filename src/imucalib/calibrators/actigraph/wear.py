@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Flags
 from imucalib.calibration.plain import fields
-from imucalib.calibration.uncertainty import corrected_by
+from imucalib.calibration.uncertainty import correct_readings
 from imucalib.core.fit import Fit
 from imucalib.recording.recording import Recording
 from imucalib.rests.runs import Scan
@@ -119,27 +119,27 @@ class Activity:
 def minutes_of(blocks: Iterable[Recording], triad: str, fit: Fit) -> Minutes:
     """One pass over the samples. Each is corrected by the linear part; what the rest of the
     correction does to |a| is taken at the mean of its block's minute."""
-    origin = corrected_by(fit, np.zeros((1, 3)))[0]
-    slope = (corrected_by(fit, np.eye(3) * STANDARD_GRAVITY) - origin).T / STANDARD_GRAVITY
+    origin = correct_readings(fit, np.zeros((1, 3)))[0]
+    slope = (correct_readings(fit, np.eye(3) * STANDARD_GRAVITY) - origin).T / STANDARD_GRAVITY
     parts = []
     for block in blocks:
         for channel in block.channels.values():
             if channel.quantity == "acceleration" and channel.triad == triad and channel.t.size:
-                parts.append(_summed(channel.t, channel.values, slope, origin, fit))
+                parts.append(_sum_minutes(channel.t, channel.values, slope, origin, fit))
     rows = np.concatenate(parts) if parts else np.empty((0, 4))
     minute, place = np.unique(rows[:, 0], return_inverse=True)
     count, raw, corrected = (np.bincount(place, v).astype(np.float64) for v in rows[:, 1:].T)
     return Minutes(minute, count, raw / count, corrected / count)
 
 
-def _summed(t: Array, values: Array, slope: Array, origin: Array, fit: Fit) -> Array:
+def _sum_minutes(t: Array, values: Array, slope: Array, origin: Array, fit: Fit) -> Array:
     """(m, 4) minute, samples, and the sums of ENMO raw and corrected, of each stretch within one
     minute; of samples in single precision, which is finer than any converter."""
     minute = np.floor(t / 60.0)
     starts = np.append(0, np.flatnonzero(np.diff(minute)) + 1)
     count = np.diff(np.append(starts, t.size))
     mean = np.add.reduceat(values, starts, axis=0) / count[:, None]
-    shift = np.linalg.norm(corrected_by(fit, mean), axis=1)
+    shift = np.linalg.norm(correct_readings(fit, mean), axis=1)
     shift -= np.linalg.norm(mean @ slope.T + origin, axis=1)
     # An axis a row: every step then runs along neighbouring numbers.
     raw = values.T.astype(np.float32, order="C")

@@ -10,7 +10,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibrators.array.board import Board
-from imucalib.calibrators.array.drawing import compared, refuse_contradiction, sketched
+from imucalib.calibrators.array.drawing import board_from_log, check_board, refuse_contradiction
 from imucalib.calibrators.array.effect_blocks import with_rests
 from imucalib.calibrators.array.estimate.covariance import (
     Uneven,
@@ -33,7 +33,7 @@ from imucalib.calibrators.array.moving import Moving, moving_part
 from imucalib.calibrators.array.published import published_positions
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.rests import ATTITUDES, RestFit, contradicted, fit_rests
-from imucalib.calibrators.array.run import ArrayRun, Stages, finished
+from imucalib.calibrators.array.run import ArrayRun, Stages, finish_run
 from imucalib.calibrators.array.streams import (
     noisy_alone,
     refuse_streams,
@@ -108,7 +108,7 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
         loop = _held_against_rests(fit.loop, laid, rests)
         fit = fit._replace(loop=loop)
         say("found: " + (", ".join(s.effect for s in loop.steps) or "nothing"))
-    return finished(_stated(laid, request, rests, moving, fit, say))
+    return finish_run(_stated(laid, request, rests, moving, fit, say))
 
 
 def _stated(
@@ -188,12 +188,12 @@ def _laid(recording: Recording, request: ArrayRequest, say: Say) -> _Laid:
     log, segments = array_log(recording, board), still_segments(recording, request.still)
     _refuse_restless(segments, board, recording, log)
     if board.undrawn:
-        recording, board = of_board(recording, sketched(log, segments, board))
+        recording, board = of_board(recording, board_from_log(log, segments, board))
         log, segments = array_log(recording, board), still_segments(recording, request.still)
     seen = streams(log)
     if not request.as_drawn:
         refuse_streams(seen, board.imus, log.interval)
-        refuse_contradiction(compared(log, segments, board), request.agreeing)
+        refuse_contradiction(check_board(log, segments, board), request.agreeing)
     log = replace(log, clipped=log.clipped | seen.held)
     notes = (*recording.notes, *segments.notes, *log.notes, *stream_notes(seen, board.imus))
     # What the recording is called and how long it is, but no readings.

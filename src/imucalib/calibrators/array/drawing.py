@@ -191,7 +191,7 @@ def _in_another_order(seen: Array, drawn: Array, mounted: Array) -> tuple[Index,
 _WIDE = 0.02
 
 
-def sketched(log: ArrayLog, segments: Segments, board: Board) -> Board:
+def board_from_log(log: ArrayLog, segments: Segments, board: Board) -> Board:
     """The board in the axes of its first IMU. log : of the undrawn board, in the packages' axes.
 
     Raises Undetermined where axes are no signed permutations of each other, or where the motion
@@ -206,8 +206,11 @@ def sketched(log: ArrayLog, segments: Segments, board: Board) -> Board:
             relative_axes((log.rate - offset)[usable], board.rotations),
         )
     )
-    force, up = _turned(log.acceleration, acceleration), _turned(still, acceleration).mean(axis=1)
-    rate = _turned(log.rate - offset, gyro).mean(axis=1)
+    force, up = (
+        _turn_each(log.acceleration, acceleration),
+        _turn_each(still, acceleration).mean(axis=1),
+    )
+    rate = _turn_each(log.rate - offset, gyro).mean(axis=1)
     common = common_gyro_axes(log.t, rate, up, segments.start, segments.stop)
     gyro = common @ gyro
     seen = rough_places(log.t, force, rate @ common.T, usable)
@@ -236,7 +239,7 @@ def _usable(log: ArrayLog) -> Flags:
     return np.asarray((speed > SLOWEST) & ~log.clipped)
 
 
-def _turned(values: Array, turns: Array) -> Array:
+def _turn_each(values: Array, turns: Array) -> Array:
     """Vectors (n, K, 3), each IMU's by its own matrix (K, 3, 3)."""
     return np.asarray(np.einsum("kij,nkj->nki", turns, values))
 
@@ -336,25 +339,25 @@ def _signed(matrix: Array) -> Array:
     return np.asarray(np.where(np.abs(matrix - whole).max() < 1e-6, whole, matrix))
 
 
-def compared(log: ArrayLog, segments: Segments, board: Board) -> Drawn:
+def check_board(log: ArrayLog, segments: Segments, board: Board) -> Drawn:
     """The board file as the log sees it."""
     turns, same = board.rotations, np.tile(np.eye(3), (board.count, 1, 1))
     back = turns.transpose(0, 2, 1)
     if segments.n < _FEW:
         return Drawn(board, same, same)
-    still = _turned(segments.mean, turns)
+    still = _turn_each(segments.mean, turns)
     acceleration = relative_axes(still, turns)
-    offset = _turned(segments.rate, turns).mean(axis=0)
+    offset = _turn_each(segments.rate, turns).mean(axis=0)
     usable = _usable(log)
     rows = np.flatnonzero(usable)
     if len(rows) < _SAMPLES // 100:
         return Drawn(board, acceleration, same)
     some = rows[:: max(len(rows) // _SAMPLES, 1)]
     gyro = relative_axes(log.rate[some] - offset, turns)
-    rate = _turned(log.rate - offset, turns @ gyro @ back).mean(axis=1)
+    rate = _turn_each(log.rate - offset, turns @ gyro @ back).mean(axis=1)
 
     def where_forces_are_read_by(own: Array) -> Drawn:
-        force, up = (_turned(v, turns @ own @ back) for v in (log.acceleration, still))
+        force, up = (_turn_each(v, turns @ own @ back) for v in (log.acceleration, still))
         common = common_gyro_axes(log.t, rate, up.mean(axis=1), segments.start, segments.stop)
         size = np.median(np.linalg.norm(up, axis=2), axis=0)
         seen = None
@@ -374,7 +377,7 @@ def compared(log: ArrayLog, segments: Segments, board: Board) -> Drawn:
     # All accelerometers wired alike contradict all gyros, and each other where packages differ.
     for own in SIGNED[1:]:
         every = np.broadcast_to(own, same.shape)
-        if np.array_equal(relative_axes(_turned(still, turns @ every @ back), turns), same):
+        if np.array_equal(relative_axes(_turn_each(still, turns @ every @ back), turns), same):
             other = where_forces_are_read_by(every)
             seen = other.places
             fits = seen is not None and not (seen.exchanged or seen.inverted)

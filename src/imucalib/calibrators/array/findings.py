@@ -14,7 +14,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import stored_parameters
-from imucalib.calibration.findings import Check, Findings, FoundStep, Gain, Untestable
+from imucalib.calibration.findings import CheckedError, Findings, FoundStep, Gain, Untestable
 from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Left
 from imucalib.calibrators.array.effect_blocks import AT_REST, parameters_of
 from imucalib.calibrators.array.estimate.covariance import POSITIONS, Uneven
@@ -27,7 +27,7 @@ from imucalib.calibrators.array.loop.terms import typical_of
 from imucalib.calibrators.array.request import Accepted
 from imucalib.calibrators.array.rests import RestFit
 from imucalib.effects.forms import in_words
-from imucalib.estimators.array.noise import SensorNoise
+from imucalib.estimators.array.noise import MotionNoise
 from imucalib.loop.found import Step
 from imucalib.units import DEG, MG
 
@@ -146,7 +146,7 @@ def _alone(loop: MotionLoop) -> Iterator[str]:
 
 
 def _noisy(
-    imus: tuple[str, ...], sensor: str, noise: SensorNoise, still: Array, unit: tuple[float, str]
+    imus: tuple[str, ...], sensor: str, noise: MotionNoise, still: Array, unit: tuple[float, str]
 ) -> Iterator[str]:
     """noise : in motion; still : (K,), at rest; unit : its size in SI, and its name"""
     for k, imu in enumerate(imus):
@@ -233,7 +233,9 @@ def _step(step: Step, loop: MotionLoop) -> FoundStep:
     checks = []
     for c in step.checked:
         metric, digits = _CHECKED.get(c.name, (f"{c.name}, leave one out", 5))
-        checks.append(Check(metric, c.unit.replace("m/s2", "m/s²"), c.before, c.after, digits))
+        checks.append(
+            CheckedError(metric, c.unit.replace("m/s2", "m/s²"), c.before, c.after, digits)
+        )
     own = [p for t in loop.final.found if t.name == step.effect for p in parameters_of(loop, t)]
     if step.effect.startswith(AT_REST) and loop.rests is not None:
         stored = stored_parameters(loop.rests.final)
@@ -298,7 +300,7 @@ def array_errors(
     return tuple(found)
 
 
-def _noise_words(noise: SensorNoise, unit: float, name: str) -> str:
+def _noise_words(noise: MotionNoise, unit: float, name: str) -> str:
     """The distribution in words."""
     words = f"{noise.sigma / unit:.3g} {name}"
     if noise.growth > 0.0:

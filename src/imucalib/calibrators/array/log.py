@@ -9,7 +9,7 @@ import numpy as np
 from imucalib.arrays import Array, Flags, Index
 from imucalib.calibrators.array.board import Board
 from imucalib.errors import UnreadableInput
-from imucalib.recording.pairing import listed, names_in, paired
+from imucalib.recording.pairing import list_names, names_in, pair
 from imucalib.recording.recording import Channel, Recording
 from imucalib.units import DEG
 
@@ -109,13 +109,13 @@ def of_board(recording: Recording, board: Board) -> tuple[Recording, Board]:
     known = list(names_in(recording))
     if board.undrawn and len(known) == board.count:
         board = replace(board, imus=tuple(known))
-    found = paired([(name,) for name in board.imus], recording, "the board")
+    found = pair([(name,) for name in board.imus], recording, "the board")
     if len(found.partner) < board.count:
         absent = [n for k, n in enumerate(board.imus) if k not in found.partner.values()]
         raise UnreadableInput(
             f"the board has {board.count} IMUs, the recording {len(known)} "
-            f"accelerometer{'s' * (len(known) != 1)} ({listed(known) or 'none'}); "
-            f"missing: {listed(absent)}",
+            f"accelerometer{'s' * (len(known) != 1)} ({list_names(known) or 'none'}); "
+            f"missing: {list_names(absent)}",
             where=recording.path,
             remedy="take them off the board file, or map all of them with --acc and --gyro",
         )

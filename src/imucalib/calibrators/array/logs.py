@@ -20,7 +20,7 @@ from imucalib.calibrators.array.estimate.total import (
     size_block,
     total_of,
 )
-from imucalib.calibrators.array.estimate.turns import Turns
+from imucalib.calibrators.array.estimate.turns import BoardTurns
 from imucalib.calibrators.array.run import (
     ArrayRun,
     array_calibration,
@@ -38,7 +38,7 @@ _DIFFER = 1e-3  # p of the agreement below which logs are said to differ by more
 
 
 @dataclass(frozen=True)
-class Pooled:
+class PooledLogs:
     """n estimates (n, d) put together.
 
     mean : (d,); covariance : (d, d) of it; tau : sd of what differs from one to the next beyond
@@ -63,7 +63,7 @@ class Pooled:
         return np.asarray(own + self.tau**2 * np.eye(len(self.mean)) + self.covariance)
 
 
-def pooled(values: Array, covariances: Array) -> Pooled:
+def pool_logs(values: Array, covariances: Array) -> PooledLogs:
     """values : (n, d) of n >= 2 logs; covariances : (n, d, d)."""
     from scipy.special import gammaincc
 
@@ -81,7 +81,7 @@ def pooled(values: Array, covariances: Array) -> Pooled:
         whole = covariances[k] + own**2 * np.eye(d) + spread
         left_out[k] = np.sqrt(missed[k] @ np.linalg.solve(whole, missed[k]) / d)
     freedom = d * (n - 1)
-    return Pooled(
+    return PooledLogs(
         mean=mean,
         covariance=covariance,
         tau=tau,
@@ -142,7 +142,7 @@ class Repeat:
     each: tuple[str, ...]
     values: Array
     sds: Array
-    found: Pooled
+    found: PooledLogs
 
     @property
     def between(self) -> float:
@@ -184,7 +184,7 @@ def _repeat(name: str, unit: str, each: tuple[str, ...], values: Any, sds: Any) 
     values, sds = (np.array([np.ravel(one) for one in both]) for both in (values, sds))
     # What no log determines is held at zero in all of them: it says nothing of their agreement.
     known = np.maximum(sds, 1e-6 * max(float(sds.max()), 1e-300))
-    found = pooled(values, np.array([np.diag(s**2) for s in known]))
+    found = pool_logs(values, np.array([np.diag(s**2) for s in known]))
     return Repeat(name, unit, each, values, sds, found)
 
 
@@ -219,7 +219,7 @@ class BoardRun(Run):
     which other numbers hold from log to log"""
 
     runs: tuple[ArrayRun, ...]
-    pooled: Pooled
+    pooled: PooledLogs
     total: Total
     gyros: GyroScale
     repeats: tuple[Repeat, ...]
@@ -229,7 +229,7 @@ def board_run(runs: tuple[ArrayRun, ...]) -> BoardRun:
     """Raises UsageError unless these are two or more logs of one board."""
     if len(runs) < 2 or len({run.board.imus for run in runs}) > 1:
         raise UsageError("a joint estimate needs two or more logs of one board")
-    found = pooled(
+    found = pool_logs(
         np.array([run.total.by_motion[1:].ravel() for run in runs]),
         np.array([run.total.motion for run in runs]),
     )
@@ -274,7 +274,7 @@ def _common_scale(runs: Sequence[ArrayRun]) -> GyroScale:
     scale = float(weight @ [t.scale for t in turns] / weight.sum())
     chi2 = float(weight @ [(t.scale - scale) ** 2 for t in turns])
     wide = max(1.0, chi2 / max(len(turns) - 1, 1))
-    whole = Turns(
+    whole = BoardTurns(
         scale,
         float(np.sqrt(wide / weight.sum())),
         sum(t.count for t in turns),
@@ -285,7 +285,7 @@ def _common_scale(runs: Sequence[ArrayRun]) -> GyroScale:
 
 def _details(
     runs: Sequence[ArrayRun],
-    found: Pooled,
+    found: PooledLogs,
     total: Total,
     gyros: GyroScale,
     repeats: Sequence[Repeat],
@@ -346,7 +346,7 @@ def _effects(run: ArrayRun, repeats: Sequence[Repeat]) -> Iterator[dict[str, Any
         yield {**kept, "parameters": parameters, "covariance": triangle(together)}
 
 
-def _outcome(runs: Sequence[ArrayRun], found: Pooled, total: Total) -> Outcome:
+def _outcome(runs: Sequence[ArrayRun], found: PooledLogs, total: Total) -> Outcome:
     nan, stated = float("nan"), np.array([np.diag(run.total.motion) for run in runs])
     error = ErrorSummary(
         metric="positions of a log by the others, rms",
@@ -390,7 +390,7 @@ def _triad(runs: Sequence[ArrayRun], k: int, gyros: GyroScale) -> Triad:
         (slice(9, 12), np.array([t.bias for t in own])),
     ):
         size = np.eye(values.shape[1])
-        found = pooled(values, np.array([t.covariance[at, at] + 1e-18 * size for t in own]))
+        found = pool_logs(values, np.array([t.covariance[at, at] + 1e-18 * size for t in own]))
         covariance[at, at] = found.covariance + (found.tau**2 * size if at.start else 0.0)
         means.append(found.mean)
     scale = [(1.0 + gyros.value) / (1.0 + run.gyros.value) for run in runs]

@@ -31,7 +31,7 @@ from imucalib.effects import catalogue, families, named
 from imucalib.errors import NotConverged, Undetermined
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.estimators.variance import estimate_noise
-from imucalib.loop.candidates import Searched, searched
+from imucalib.loop.candidates import SearchedEffects, effects_to_search
 from imucalib.loop.found import FitLoop
 from imucalib.loop.posterior.closed import close_loop
 from imucalib.rests.segments import Segments
@@ -114,7 +114,7 @@ def rounding(step: Array, noise: Array, *, alike: bool = False) -> Array:
     return np.asarray(step * np.sqrt(harmonics.sum(axis=-1) / 2.0) / np.pi)
 
 
-def weighted(data: Observations, own: Array) -> Observations:
+def weigh_rests(data: Observations, own: Array) -> Observations:
     """The same observations with sigma² = own² + between², up to the factor that every fit has.
 
     own : (n, K, 3) m/s². `between` is the likeliest of a few sizes (restricted likelihood of the
@@ -326,8 +326,8 @@ def fit_rests(
     similar rests, NotConverged.
     """
     unweighted = observations_of(segments, board, gravity)
-    data, model = weighted(unweighted, own_noise(segments)), base_model()
-    loop = _searched(model, data, scope) if scope.search else None
+    data, model = weigh_rests(unweighted, own_noise(segments)), base_model()
+    loop = _search(model, data, scope) if scope.search else None
     fit = fit_model(model, data) if loop is None else loop.final
     if (fit if loop is None else loop.plain).null_directions:
         raise _too_similar()
@@ -355,15 +355,17 @@ def fit_rests(
     )
 
 
-def _searched(model: Model, data: Observations, scope: Scope) -> FitLoop:
+def _search(model: Model, data: Observations, scope: Scope) -> FitLoop:
     """The closed loop over what a rest can show; names of single IMUs are the motion's affair."""
     known = {*catalogue(), *families()}
     only = tuple(n for n in scope.only if n in known)
     without = tuple(n for n in scope.without if n in known)
-    wanted = searched(only, without, {}, lambda e: e.stage == "sensor" and e.name not in BASE)
+    wanted = effects_to_search(
+        only, without, {}, lambda e: e.stage == "sensor" and e.name not in BASE
+    )
     effects = {} if scope.only and not only else wanted.effects
     scans = () if scope.only else wanted.families
-    return close_loop(model, data, Searched(effects, scans)).loop
+    return close_loop(model, data, SearchedEffects(effects, scans)).loop
 
 
 def _too_similar() -> Undetermined:

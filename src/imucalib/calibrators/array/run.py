@@ -91,7 +91,7 @@ class ArrayRun(Run, Stages):
     """A finished run: what all calibrators share, and every stage for its own report."""
 
 
-def finished(made: Stages) -> ArrayRun:
+def finish_run(made: Stages) -> ArrayRun:
     """The run of these stages: judged, with its calibration."""
     recording, request, rests, loop = made.recording, made.request, made.rests, made.loop
     errors = array_errors(loop, rests, made.residual)

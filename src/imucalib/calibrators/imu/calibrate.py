@@ -10,14 +10,14 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.apply import apply_to_recording
-from imucalib.calibrators.imu.log import Imu, gyroscope_of, imu_of
+from imucalib.calibrators.imu.log import ImuLog, gyroscope_of, imu_of
 from imucalib.calibrators.imu.request import ImuRequest
 from imucalib.calibrators.imu.search import (
-    Searched,
+    LawSearch,
     declared_terms,
     in_fold,
     joint_fit,
-    searched,
+    search_laws,
 )
 from imucalib.calibrators.lab.errors import rms
 from imucalib.calibrators.lab.files import run_of_rests, still_rests, table_of_rests
@@ -58,9 +58,9 @@ class ImuResult:
 
     recordings: tuple[Recording, ...]
     accelerometer: LabRun
-    imu: Imu
+    imu: ImuLog
     noise: tuple[SensorNoise, ...]
-    found: Searched
+    found: LawSearch
     fit: TurnFit
     fitted: tuple[float, float, float]
     held_out: HeldOutTurns
@@ -101,8 +101,8 @@ def calibrate_imu(
     pairs = zip(recordings, segments, strict=True)
     longest, still = max(pairs, key=lambda pair: float(np.max(pair[1].stop - pair[1].start)))
     base = joint_fit(imu.turns, declared_terms(request), imu.course)
-    found = searched(base, imu.course, request)
-    held = _held_out(found, imu, request)
+    found = search_laws(base, imu.course, request)
+    held = _predict_held_out(found, imu, request)
     refused = bool(found.said.places) and not held.gained.holds
     every = np.arange(len(imu.turns.turns))
     fits = (_as_read(base), base, found.final)
@@ -135,7 +135,7 @@ def _in_axes(recording: Recording, request: ImuRequest) -> Recording:
     return replace(recording, channels=channels)
 
 
-def _held_out(found: Searched, imu: Imu, request: ImuRequest) -> HeldOutTurns:
+def _predict_held_out(found: LawSearch, imu: ImuLog, request: ImuRequest) -> HeldOutTurns:
     """Blocks of turns in turn, everything chosen without them."""
     count = len(imu.turns.turns)
     folds = min(FOLDS, count)

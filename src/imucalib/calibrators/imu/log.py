@@ -37,7 +37,7 @@ _TILT = 10.0 * DEG
 
 
 @dataclass(frozen=True)
-class Course:
+class LogCourse:
     """What a gyroscope's effects may follow. begin, span : (L,) s, of each log; time : (N,) s and
     warm : (N,) °C, of the rests, None without a thermometer in each log"""
 
@@ -57,7 +57,7 @@ class Course:
 
 
 @dataclass(frozen=True)
-class Imu:
+class ImuLog:
     """A log of one IMU, or several: what is fitted, and what was left out of it.
 
     left_out : one sentence a turn
@@ -65,7 +65,7 @@ class Imu:
 
     turns: TurnLog
     left_out: tuple[str, ...]
-    course: Course
+    course: LogCourse
 
 
 def gyroscope_of(recording: Recording, triad: str) -> Channel:
@@ -90,7 +90,7 @@ def gyroscope_of(recording: Recording, triad: str) -> Channel:
     return own
 
 
-def imu_of(recordings: Sequence[Recording], segments: Sequence[Segments], gravity: float) -> Imu:
+def imu_of(recordings: Sequence[Recording], segments: Sequence[Segments], gravity: float) -> ImuLog:
     """The turns of one IMU's logs, whose acceleration is corrected already.
 
     Raises as `gyroscope_of`, and Undetermined where too few turns can be used, with why.
@@ -113,7 +113,7 @@ def imu_of(recordings: Sequence[Recording], segments: Sequence[Segments], gravit
     return whole
 
 
-def _together(logs: list[Imu]) -> Imu:
+def _together(logs: list[ImuLog]) -> ImuLog:
     """Logs one after another: from one to the next the bias is what it is at another power-up."""
     before = np.cumsum([0, *(log.turns.rests for log in logs)])
     span = np.concatenate([log.course.span for log in logs])
@@ -132,14 +132,16 @@ def _together(logs: list[Imu]) -> Imu:
     time = np.concatenate([log.turns.time + s for log, s in zip(logs, apart, strict=False)])
     white = float(np.sqrt(np.mean([log.turns.white**2 for log in logs])))
     whole = TurnLog(time=time, session=session, turns=tuple(turns), white=white, **parts)
-    return Imu(
+    return ImuLog(
         turns=whole,
         left_out=tuple(w for log in logs for w in log.left_out),
-        course=Course(apart, span, time, np.concatenate(warm) if len(warm) == len(logs) else None),
+        course=LogCourse(
+            apart, span, time, np.concatenate(warm) if len(warm) == len(logs) else None
+        ),
     )
 
 
-def _of_one(recording: Recording, segments: Segments, gravity: float) -> Imu:
+def _of_one(recording: Recording, segments: Segments, gravity: float) -> ImuLog:
     triad = segments.triads[0]
     gyro = gyroscope_of(recording, triad)
     force = recording.channels[f"{triad}/acceleration"]
@@ -185,7 +187,9 @@ def _of_one(recording: Recording, segments: Segments, gravity: float) -> Imu:
         white=float(np.sqrt(np.mean(noise**2) * step)),
     )
     known = warm if np.isfinite(warm).all() else None
-    return Imu(log, tuple(why), Course(np.zeros(1), np.array([t[-1] - t[0]]), t[middle], known))
+    return ImuLog(
+        log, tuple(why), LogCourse(np.zeros(1), np.array([t[-1] - t[0]]), t[middle], known)
+    )
 
 
 def _demand_together(recording: Recording, gyro: Channel, force: Channel) -> None:

@@ -17,7 +17,7 @@ from imucalib.estimators.turns import (
     LOWER,
     TurnFit,
     away_from_nominal,
-    fitted,
+    fit_turns,
     without_laws,
 )
 from imucalib.loop.odds import FALSE_CLAIM
@@ -42,7 +42,7 @@ def products_of(fit: TurnFit) -> tuple[Array, Array]:
     known = np.diag(fit.variance[-fit.state.first_drift :][:_FIXED] ** -1.0)
     log, information, vector = without_laws(fit), [], []
     for k in range(log.sessions):
-        own = fitted(log.of_session(k))
+        own = fit_turns(log.of_session(k))
         whole = np.linalg.inv(own.covariance[:_FIXED, :_FIXED])
         information.append(whole - known)
         vector.append(whole @ away_from_nominal(own.state)[:_FIXED])

@@ -11,7 +11,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration, StoredParameter
-from imucalib.calibration.findings import Check, Findings, FoundStep, Gain, Untestable
+from imucalib.calibration.findings import CheckedError, Findings, FoundStep, Gain, Untestable
 from imucalib.calibration.gyroscope import BIAS, STAGE
 from imucalib.calibration.gyroscope import GAIN as GAIN_EFFECT
 from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Limit, Outcome, Run
@@ -20,7 +20,7 @@ from imucalib.calibrators.imu.plan import open_words
 from imucalib.calibrators.imu.power_ups import bias_parts, differing, products_of
 from imucalib.calibrators.imu.request import ImuRequest, gyro_effects
 from imucalib.calibrators.lab.errors import rms
-from imucalib.calibrators.sessions import Sessions, scattered
+from imucalib.calibrators.sessions import Sessions, estimate_scatter
 from imucalib.core.sphere import even_directions
 from imucalib.effects.forms import in_words
 from imucalib.estimators.lateness import lateness
@@ -116,7 +116,7 @@ def _sessions(
     slope = sensitivity @ fit.state.lower * made.gravity / MG
     sd = float(fit.noise.power_up * np.mean(np.diag(slope)))
     what = ("session bias", "bias", "mg")
-    between, after = scattered(what, bias_parts(*products, slope), sd, list(stated.values()))
+    between, after = estimate_scatter(what, bias_parts(*products, slope), sd, list(stated.values()))
     return Sessions(names, (between,), after)
 
 
@@ -150,7 +150,7 @@ def _findings(result: ImuResult, request: ImuRequest) -> Findings:
     if not request.loop:
         return replace(rests, only=request.only, without=request.without)
     problem, gained = result.found.problem, result.held_out.gained
-    steps, unnamed = _steps(result), _unnamed(result)
+    steps, unnamed = _steps(result), _nameless_laws(result)
     names, refused = tuple(s.effect for s in steps), result.refused
     turns = "nothing missing"
     if unnamed:
@@ -194,7 +194,7 @@ def _findings(result: ImuResult, request: ImuRequest) -> Findings:
 def _steps(result: ImuResult) -> tuple[FoundStep, ...]:
     """What the turns show and that has a name."""
     components, gained = result.found.problem.components, result.held_out.gained
-    check = Check("held-out error, rms", "deg", gained.before, gained.after, 3)
+    check = CheckedError("held-out error, rms", "deg", gained.before, gained.after, 3)
     sizes, steps = _sizes(result), []
     for place in result.found.said.places:
         component = components[place.component]
@@ -232,7 +232,7 @@ def _sizes(result: ImuResult) -> dict[str, str]:
     return found
 
 
-def _unnamed(result: ImuResult) -> tuple[Unexplained, ...]:
+def _nameless_laws(result: ImuResult) -> tuple[Unexplained, ...]:
     """What the turns show and that has no name."""
     components = result.found.problem.components
     return tuple(

@@ -16,7 +16,7 @@ import numpy as np
 from imucalib.arrays import Array, Flags, Index
 from imucalib.calibrators.array.loop.laws import array_functions, array_laws
 from imucalib.calibrators.array.loop.motion import BoardMotion
-from imucalib.calibrators.imu.log import Course
+from imucalib.calibrators.imu.log import LogCourse
 from imucalib.calibrators.imu.request import ImuRequest, gyro_effects
 from imucalib.core.effect import Context, Motion, Response, Truth
 from imucalib.estimators.turn_log import TurnLog
@@ -25,10 +25,10 @@ from imucalib.estimators.turns import (
     ANGLE_PRIOR,
     GAIN,
     Laws,
-    Rows,
+    LinearisedTurns,
     TurnFit,
-    fitted,
-    linearised,
+    fit_turns,
+    linearise,
     noise_points,
     rests_eliminated,
     variances,
@@ -36,11 +36,11 @@ from imucalib.estimators.turns import (
 )
 from imucalib.loop.odds import HEARD, LEAST, TOGETHER
 from imucalib.loop.posterior.catalogue import Component, Kind, Member
-from imucalib.loop.posterior.gram import Grams, Multiplied, swept
+from imucalib.loop.posterior.gram import Grams, Multiplied, marginalize
 from imucalib.loop.posterior.problem import Choice, Contest
 from imucalib.loop.posterior.solution import moments
-from imucalib.loop.posterior.space import Hypothesis, Posterior, blocks_of, climbed
-from imucalib.loop.posterior.words import Conclusion, concluded
+from imucalib.loop.posterior.space import Hypothesis, Posterior, blocks_of, hill_climb
+from imucalib.loop.posterior.words import SelectedModel, select_model
 from imucalib.units import DEG, STANDARD_GRAVITY
 
 _FIXED = ACCELEROMETER + GAIN
@@ -50,7 +50,7 @@ _FLOORS = DEG * np.array([0.0, 0.02, 0.05, 0.12, 0.3, 1.0, 4.0])
 _LEFT = 1e-3
 
 
-class Term(NamedTuple):
+class LawTerm(NamedTuple):
     """An effect in the model, or some of its parameters (w,), with the sd of each in its unit."""
 
     effect: Response
@@ -67,10 +67,10 @@ class Term(NamedTuple):
         return f"{self.name} {self.own}"
 
 
-def _term_of(member: Member) -> Term:
+def _term_of(member: Member) -> LawTerm:
     ((effect, own, sizes),) = member.effects
     assert isinstance(effect, Response)
-    return Term(effect, own, sizes)
+    return LawTerm(effect, own, sizes)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,7 +82,7 @@ class TurnProblem(Contest):
     absorbed: tuple[str, ...]
     seen: tuple[tuple[float, float], ...]
 
-    def terms_of(self, hypothesis: Hypothesis) -> tuple[Term, ...]:
+    def terms_of(self, hypothesis: Hypothesis) -> tuple[LawTerm, ...]:
         """What a set takes into the model, at its sizes; laws without a name are not corrected."""
         chosen = ((self.choices[pick.choice], pick.size) for pick in hypothesis.picks)
         terms = (
@@ -94,36 +94,36 @@ class TurnProblem(Contest):
 
 
 @dataclass(frozen=True)
-class Searched:
+class LawSearch:
     """A base fit, the posterior over what it lacks, what that says, and the fit with it."""
 
     base: TurnFit
     lacking: Lacking
     problem: TurnProblem
     posterior: Posterior
-    said: Conclusion
-    terms: tuple[Term, ...]
+    said: SelectedModel
+    terms: tuple[LawTerm, ...]
     final: TurnFit
 
 
-def declared_terms(request: ImuRequest) -> tuple[Term, ...]:
+def declared_terms(request: ImuRequest) -> tuple[LawTerm, ...]:
     """Those of the base model, held by no more than ten times their usual size."""
     every = gyro_effects(request.extra_effects)
     return tuple(_term(every[n], 10.0) for n in request.declare if n in every)
 
 
-def _term(effect: Response, size: float = 1.0) -> Term:
+def _term(effect: Response, size: float = 1.0) -> LawTerm:
     typical = np.array([p.typical for p in effect.each])
-    return Term(effect, np.arange(typical.size), size * typical)
+    return LawTerm(effect, np.arange(typical.size), size * typical)
 
 
-def laws_of(terms: Sequence[Term], course: Course) -> Laws | None:
+def laws_of(terms: Sequence[LawTerm], course: LogCourse) -> Laws | None:
     """The columns of terms side by side, or None. course : what they may follow"""
     if not terms:
         return None
 
     def laws(rate: Array, force: Array, t: Array) -> Array:
-        truth, context = exposed_to(rate, force, t, course)
+        truth, context = exposure(rate, force, t, course)
         return np.concatenate(
             [np.asarray(e.effect.basis(truth, context)[:, 0][..., e.own]) for e in terms], axis=2
         )
@@ -131,7 +131,7 @@ def laws_of(terms: Sequence[Term], course: Course) -> Laws | None:
     return laws
 
 
-def exposed_to(rate: Array, force: Array, t: Array, course: Course) -> tuple[Truth, Context]:
+def exposure(rate: Array, force: Array, t: Array, course: LogCourse) -> tuple[Truth, Context]:
     """What effects of a gyroscope act on: rates (n, 3) rad/s in its axes, forces (n, 3) g, at times
     (n,) s."""
     none = np.zeros((len(rate), 1, 3))
@@ -140,11 +140,11 @@ def exposed_to(rate: Array, force: Array, t: Array, course: Course) -> tuple[Tru
 
 
 def joint_fit(
-    log: TurnLog, terms: Sequence[Term], course: Course, start: TurnFit | None = None
+    log: TurnLog, terms: Sequence[LawTerm], course: LogCourse, start: TurnFit | None = None
 ) -> TurnFit:
     """The joint fit with terms, of the turns that a start has used."""
     sizes = np.concatenate([np.zeros(0), *(t.sizes for t in terms)])
-    return fitted(
+    return fit_turns(
         log,
         laws_of(terms, course),
         sizes=sizes,
@@ -153,7 +153,7 @@ def joint_fit(
     )
 
 
-def searched(base: TurnFit, course: Course, request: ImuRequest) -> Searched:
+def search_laws(base: TurnFit, course: LogCourse, request: ImuRequest) -> LawSearch:
     """The posterior over what a base fit lacks, at the set that it says: searched again from where
     that is, until the same is said."""
     declared = declared_terms(request)
@@ -161,8 +161,8 @@ def searched(base: TurnFit, course: Course, request: ImuRequest) -> Searched:
     while True:
         lacking = lacking_of(final, course, request)
         problem, grams = lacking.contest(final)
-        posterior = climbed(problem, grams)
-        said = concluded(problem, posterior)
+        posterior = hill_climb(problem, grams)
+        said = select_model(problem, posterior)
         new = problem.terms_of(said.hypothesis)
         if not request.loop or not new or _keys(new) in seen:
             break
@@ -174,7 +174,7 @@ def searched(base: TurnFit, course: Course, request: ImuRequest) -> Searched:
     covariance = final.covariance.copy()
     covariance[:_FIXED, :_FIXED] += _between_names(problem, posterior, said)
     final = replace(final, covariance=covariance)
-    return Searched(
+    return LawSearch(
         base=base,
         lacking=lacking,
         problem=problem,
@@ -185,7 +185,7 @@ def searched(base: TurnFit, course: Course, request: ImuRequest) -> Searched:
     )
 
 
-def _between_names(problem: TurnProblem, posterior: Posterior, said: Conclusion) -> Array:
+def _between_names(problem: TurnProblem, posterior: Posterior, said: SelectedModel) -> Array:
     """(18, 18) by how far other sets that would do have accelerometer and gains from where the
     set that is told has them, in the mean over the posterior."""
 
@@ -201,12 +201,12 @@ def _between_names(problem: TurnProblem, posterior: Posterior, said: Conclusion)
     return spread
 
 
-def _keys(terms: Sequence[Term]) -> tuple[str, ...]:
+def _keys(terms: Sequence[LawTerm]) -> tuple[str, ...]:
     return tuple(sorted(term.key for term in terms))
 
 
 def in_fold(
-    found: Searched, out: Flags, course: Course, request: ImuRequest
+    found: LawSearch, out: Flags, course: LogCourse, request: ImuRequest
 ) -> tuple[TurnFit, TurnFit]:
     """Base and final fit without some turns (T,), everything chosen anew from the products of the
     others. Where the same is told, the final fit is that of the others, linear about the whole."""
@@ -214,7 +214,7 @@ def in_fold(
     if not request.loop:
         return base, base
     problem, grams = found.lacking.contest(base)
-    new = problem.terms_of(concluded(problem, climbed(problem, grams)).hypothesis)
+    new = problem.terms_of(select_model(problem, hill_climb(problem, grams)).hypothesis)
     if not new:
         return base, base
     terms = (*declared_terms(request), *new)
@@ -236,7 +236,7 @@ class Lacking:
     components: tuple[Component, ...]
     missing: Mapping[str, str]
     tried: tuple[Response, ...]
-    rows: Rows
+    rows: LinearisedTurns
     prior: Array
     held: int
     power_ups: Index
@@ -246,7 +246,7 @@ class Lacking:
         grams = self._grams(fit)
         first = _FIXED + np.cumsum([0, *(len(effect.each) for effect in self.tried)])
         place = {effect.name: int(k) for effect, k in zip(self.tried, first, strict=False)}
-        one = swept(grams, (np.arange(_FIXED), np.inf))
+        one = marginalize(grams, (np.arange(_FIXED), np.inf))
         one = one.of(np.array([int(np.argmax(one.log_weight))]))
         choices, absorbed, seen = list[Choice](), list[str](), []
         kept = list[Component]()
@@ -302,18 +302,18 @@ class Lacking:
             points=(None,) * len(matrices),
             spread=np.inf,
         )
-        return grams.of(_heard(grams, numbers - _FIXED))
+        return grams.of(_plausible_noises(grams, numbers - _FIXED))
 
 
-def _heard(grams: Grams, dof: float) -> Index:
+def _plausible_noises(grams: Grams, dof: float) -> Index:
     """Noise points that neither the base model excludes nor one that lacks everything."""
-    base = swept(grams, (np.arange(_FIXED), np.inf))
-    rich = swept(base, (np.arange(_FIXED, grams.removed.shape[2] - 1), 1.0))
+    base = marginalize(grams, (np.arange(_FIXED), np.inf))
+    rich = marginalize(base, (np.arange(_FIXED, grams.removed.shape[2] - 1), 1.0))
     logs = np.array([g.log_weight + g.log_noise(g.power, dof) for g in (base, rich)])
     return np.flatnonzero((logs > logs.max(axis=1)[:, None] - HEARD).any(axis=0))
 
 
-def lacking_of(fit: TurnFit, course: Course, request: ImuRequest) -> Lacking:
+def lacking_of(fit: TurnFit, course: LogCourse, request: ImuRequest) -> Lacking:
     """All that a fit may lack, linearised where it stands."""
     components, missing = _components(fit.log, course, request)
     declared = declared_terms(request)
@@ -323,7 +323,7 @@ def lacking_of(fit: TurnFit, course: Course, request: ImuRequest) -> Lacking:
     held, sizes = (np.concatenate([np.zeros(0), *(t.sizes for t in p)]) for p in (declared, whole))
     prior = np.concatenate([held, np.full(sizes.size, np.inf)])
     state = replace(fit.state, theta=np.zeros(prior.size))
-    rows = linearised(fit.log, state, laws_of((*declared, *whole), course), prior)
+    rows = linearise(fit.log, state, laws_of((*declared, *whole), course), prior)
     scale = np.ones(rows.jacobian.shape[1])
     scale[_FIXED + held.size : _FIXED + prior.size] = sizes
     return Lacking(
@@ -338,7 +338,7 @@ def lacking_of(fit: TurnFit, course: Course, request: ImuRequest) -> Lacking:
 
 
 def _components(
-    log: TurnLog, course: Course, request: ImuRequest
+    log: TurnLog, course: LogCourse, request: ImuRequest
 ) -> tuple[tuple[Component, ...], dict[str, str]]:
     """Names, unnamed laws and free functions of the gyroscope; and why effects could not be
     tried."""
@@ -346,7 +346,7 @@ def _components(
         np.concatenate([getattr(turn, name) for turn in log.turns])
         for name in ("t", "rate", "force")
     )
-    truth, context = exposed_to(rate, force, t, course)
+    truth, context = exposure(rate, force, t, course)
     found: dict[str, tuple[Kind, str, list[Response]]] = {}
     missing, out = {}, (*request.declare, *request.without)
     for name, effect in gyro_effects(request.extra_effects).items():
@@ -379,12 +379,12 @@ def _components(
     return tuple(components), missing
 
 
-def _members(effect: Response, kind: Kind) -> list[tuple[Term, float]]:
+def _members(effect: Response, kind: Kind) -> list[tuple[LawTerm, float]]:
     """All of its parameters together, or one alone, each with its share in logs."""
     whole = _term(effect)
     count = whole.own.size
     if kind == "free" or count == 1:
         return [(whole, 0.0)]
     one = float(np.log((1.0 - TOGETHER) / count))
-    alone = (Term(effect, whole.own[[k]], whole.sizes[[k]]) for k in range(count))
+    alone = (LawTerm(effect, whole.own[[k]], whole.sizes[[k]]) for k in range(count))
     return [(whole, float(np.log(TOGETHER))), *((term, one) for term in alone)]

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibrators.imu.log import Course
+from imucalib.calibrators.imu.log import LogCourse
 from imucalib.calibrators.imu.plan import ANGLE
 from imucalib.calibrators.imu.request import gyro_effects
-from imucalib.calibrators.imu.search import exposed_to
+from imucalib.calibrators.imu.search import exposure
 from imucalib.errors import UsageError
 from imucalib.estimators.carried import attitudes
 from imucalib.recording.recording import Channel, Recording
@@ -54,7 +54,9 @@ def simulated_imu(plan: ImuPlan, rng: np.random.Generator) -> tuple[Recording, A
     gain = np.eye(3) + rng.normal(size=(3, 3)) * plan.gain
     late = np.stack([np.interp(t - plan.late, t, v) for v in rate.T], axis=1)
     own = late @ np.linalg.inv(gain).T
-    read = own + _planted(plan.planted, own, up, t) + rng.normal(size=3) * plan.gyro_bias * DEG
+    read = (
+        own + _planted_rates(plan.planted, own, up, t) + rng.normal(size=3) * plan.gyro_bias * DEG
+    )
     read += rng.normal(size=read.shape) * plan.gyro_noise * DEG
     force += rng.normal(size=force.shape) * plan.noise * MG
     channels = {
@@ -82,10 +84,12 @@ def _by_hand(plan: ImuPlan, t: Array, rng: np.random.Generator) -> Array:
     return rate
 
 
-def _planted(planted: Mapping[str, tuple[float, ...]], rate: Array, up: Array, t: Array) -> Array:
+def _planted_rates(
+    planted: Mapping[str, tuple[float, ...]], rate: Array, up: Array, t: Array
+) -> Array:
     """(n, 3) rad/s that effects add to what a gyroscope's axes turn by."""
     known, added = gyro_effects({}), np.zeros(rate.shape)
-    truth, context = exposed_to(rate, up, t, Course(np.zeros(1), t[-1:], t, None))
+    truth, context = exposure(rate, up, t, LogCourse(np.zeros(1), t[-1:], t, None))
     for name, values in planted.items():
         effect = known.get(name)
         if effect is None or effect.missing(context):

@@ -19,10 +19,10 @@ from imucalib.core.sphere import KnownDirection
 from imucalib.effects.scans import COLUMN, trust_records
 from imucalib.effects.table import covariates_before
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.loop.faults.cells import transposed
+from imucalib.loop.faults.cells import transpositions
 from imucalib.readers.conversion import temperature, zero_g
 from imucalib.recording.mapping import FieldMapping
-from imucalib.rests.thermal import is_power_up_code, remembered_in_rows
+from imucalib.rests.thermal import is_power_up_code, remember_in_rows
 from imucalib.units import (
     ACCELERATION_UNITS,
     DEG,
@@ -256,7 +256,7 @@ def _covariates(table: PositionTable, reading: Array) -> dict[str, Array]:
     for role in filter(is_covariate, table.columns):
         found[COLUMN + covariate_name(table.names[role])] = table.columns[role]
     if "temperature" in table and np.ptp(table.columns["temperature"]) > 0.0:
-        found |= remembered_in_rows(
+        found |= remember_in_rows(
             table.columns["temperature"],
             table.columns["time"] if table.unit.get("time") == "s" else None,
             table.columns["session"] if "session" in table else np.zeros(table.n),
@@ -417,7 +417,7 @@ def _refuse_size(table: PositionTable, bad: Index, usual: float) -> None:
         slips = [(v, f"{name} may be ten times too {word}", _TENFOLD) for v, word in tens.items()]
         slips += [
             (value, f"two digits of {name} may be exchanged", _DIGITS)
-            for value in transposed(own)
+            for value in transpositions(own)
             if not np.isclose(value, list(tens)).any()
         ]
         for value, words, close in slips:

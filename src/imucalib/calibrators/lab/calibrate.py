@@ -12,7 +12,7 @@ import numpy as np
 
 from imucalib.arrays import Index
 from imucalib.calibration.outcome import ErrorSummary
-from imucalib.calibrators.lab.errors import Split, error_summary, held_out_splits
+from imucalib.calibrators.lab.errors import Split, error_summary, leave_each_out
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.sessions import session_folds
 from imucalib.calibrators.population import of_a_kind
@@ -29,9 +29,9 @@ from imucalib.estimators.in_a_population import kind_chance
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.estimators.noise_mixture import with_noise_integrated
 from imucalib.estimators.starting_point import full_matrix_start, linear_map
-from imucalib.loop.candidates import searched
+from imucalib.loop.candidates import effects_to_search
 from imucalib.loop.found import FitLoop
-from imucalib.loop.held_out import Held, by_folds, folds_of
+from imucalib.loop.held_out import Predictions, by_folds, folds_of
 from imucalib.loop.posterior.closed import close_loop
 from imucalib.loop.posterior.slips import Written
 
@@ -69,7 +69,7 @@ class _Solved:
     loop: FitLoop | None
     base: Fit
     final: Fit
-    chosen_anew: dict[str, tuple[Held, Held]]
+    chosen_anew: dict[str, tuple[Predictions, Predictions]]
 
 
 def calibrate(
@@ -94,7 +94,7 @@ def calibrate(
     data = observations.take(used)
     if written is not None:
         written = replace(written, sheet=written.sheet.take(used))
-    solved = _solved(model, data, request, written)
+    solved = _solve(model, data, request, written)
     loop, base, final = solved.loop, solved.base, solved.final
     # A wrong record inflates the noise until everything looks open: judge without it. Beside a
     # fleet nothing is: what it leaves wide has that sd.
@@ -114,7 +114,7 @@ def calibrate(
     base = final if one_fit else with_noise_integrated(base)
     if loop is not None:
         final = with_rivals(final, loop.weighed, gravity_of(data))
-    splits = held_out_splits(base, final, observations, used, request.objective, solved.chosen_anew)
+    splits = leave_each_out(base, final, observations, used, request.objective, solved.chosen_anew)
     return LabResult(
         observations=observations,
         used=used,
@@ -128,23 +128,23 @@ def calibrate(
     )
 
 
-def _solved(
+def _solve(
     model: Model, data: Observations, request: LabRequest, written: Written | None
 ) -> _Solved:
-    wanted = searched(request.only, request.without, request.extra_effects)
+    wanted = effects_to_search(request.only, request.without, request.extra_effects)
     if request.population is not None:
-        return _unsearched(of_a_kind(request.population, model, data))
+        return _without_search(of_a_kind(request.population, model, data))
     demand_enough(model, data)
     start = full_matrix_start(model, data)
     if request.objective in OBJECTIVES:
         final = fit_corrected(model, data, request.objective, start)
         return _Solved(None, final, final, {})
     if not request.loop:
-        return _unsearched(fit_model(model, data, start=start))
+        return _without_search(fit_model(model, data, start=start))
     closed = close_loop(model, data, wanted, start, written, curves=request.curves)
     loop = closed.loop
     if closed.left is None:
-        return replace(_unsearched(loop.plain), loop=loop, final=loop.as_recorded)
+        return replace(_without_search(loop.plain), loop=loop, final=loop.as_recorded)
     chosen_anew = {}
     if across := closed.by(session_folds(loop.plain)):
         chosen_anew["another session"] = (across.before, across.after)
@@ -154,7 +154,7 @@ def _solved(
     return _Solved(loop, loop.plain, loop.as_recorded, chosen_anew)
 
 
-def _unsearched(fit: Fit) -> _Solved:
+def _without_search(fit: Fit) -> _Solved:
     """A model that nothing was chosen for."""
     chosen_anew = {}
     if apart := session_folds(fit):
@@ -163,7 +163,7 @@ def _unsearched(fit: Fit) -> _Solved:
     return _Solved(None, fit, fit, chosen_anew)
 
 
-def _by_design(fit: Fit) -> Held:
+def _by_design(fit: Fit) -> Predictions:
     return by_folds(fit, folds_of(fit.observations))
 
 

@@ -174,7 +174,7 @@ def recommend(count: int) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True)
-class Plan:
+class PositionPlan:
     """A set of positions in the user's convention (deg) with its quality under both references.
 
     settings : how often inclination and tool-face are set anew in this order: setting errors
@@ -189,11 +189,11 @@ class Plan:
     settings: tuple[int, int]
 
 
-def design_of(inclination: Array, tool_face: Array, conventions: Conventions) -> Plan:
+def design_of(inclination: Array, tool_face: Array, conventions: Conventions) -> PositionPlan:
     """Judge positions given in degrees in the user's convention."""
     inside = conventions.inside(inclination, tool_face)
     nine = tuple(map(named, MODELS["geometric9"]))
-    return Plan(
+    return PositionPlan(
         inclination,
         tool_face,
         vector=judge(Model((named("mounting"), *nine)), *inside),

@@ -18,7 +18,7 @@ from imucalib.core.references import angles_of
 from imucalib.errors import NotConverged
 from imucalib.estimators.corrected import OBJECTIVES, fit_corrected
 from imucalib.estimators.variance import INSTEAD
-from imucalib.loop.held_out import Held, errors, fitted, held_out
+from imucalib.loop.held_out import Predictions, errors, leave_groups_out, predict_fitted
 from imucalib.units import DEG, MG
 
 #: Below this cosine of the inclination (about 3 degrees from vertical) tool-face has no meaning.
@@ -45,7 +45,7 @@ class AttitudeErrors:
         return AttitudeErrors(self.inclination[rows], self.tool_face[rows], self.norm[rows])
 
 
-def attitude_errors(held: Held, conventions: Conventions) -> AttitudeErrors:
+def attitude_errors(held: Predictions, conventions: Conventions) -> AttitudeErrors:
     """Angles are compared on vectors, unfolded, so that 91 degrees is not read as 89; sizes with
     what is expected, which is not gravity where a swing of the bench is known."""
     corrected, expected = held.corrected[:, 0], held.expected[:, 0]
@@ -78,24 +78,24 @@ class Split:
 
     name: str
     rows: Index
-    base: Held
-    final: Held
+    base: Predictions
+    final: Predictions
 
 
-def held_out_splits(
+def leave_each_out(
     base: Fit,
     final: Fit,
     whole: Observations,
     used: Index,
     objective: str,
-    chosen_anew: Mapping[str, tuple[Held, Held]],
+    chosen_anew: Mapping[str, tuple[Predictions, Predictions]],
 ) -> tuple[Split, ...]:
     """Each fitted row in turn; those splits for which everything was chosen anew; and the rows that
     were kept apart when there are any."""
     if objective not in OBJECTIVES:
-        pairs = {"leave one out": (held_out(base), held_out(final)), **chosen_anew}
+        pairs = {"leave one out": (leave_groups_out(base), leave_groups_out(final)), **chosen_anew}
     else:
-        alone = _refitted(final, objective)
+        alone = _leave_out_by_refits(final, objective)
         pairs = {"leave one out": (alone, alone)} if alone else {}
     found = [Split(name, used, *pair) for name, pair in pairs.items()]
     rest = np.setdiff1d(np.arange(whole.n), used)
@@ -106,7 +106,7 @@ def held_out_splits(
     return tuple(found)
 
 
-def _refitted(fit: Fit, objective: str) -> Held | None:
+def _leave_out_by_refits(fit: Fit, objective: str) -> Predictions | None:
     """Leave one out by complete refits, for objectives that are not a likelihood.
 
     None when a position is indispensable: without it the objective has no minimum.
@@ -118,7 +118,7 @@ def _refitted(fit: Fit, objective: str) -> Held | None:
         except NotConverged:
             return None
         parts.append(errors(fit, theta, data.take(row)))
-    return Held(
+    return Predictions(
         np.concatenate([part.corrected for part in parts]),
         np.concatenate([part.expected for part in parts]),
         np.concatenate([part.error for part in parts]),
@@ -144,8 +144,8 @@ def error_summary(
         metric="vector error, rms" if data.reference.directed else "error of |a|, rms",
         unit="mg",
         raw=raw,
-        base=fitted(base).rms() / MG,
-        final=fitted(final).rms() / MG,
+        base=predict_fitted(base).rms() / MG,
+        final=predict_fitted(final).rms() / MG,
         floor=noise_floor(data, sigma) / MG,
         held_out=HeldOutError(raw, *apart),
     )

@@ -29,7 +29,7 @@ from imucalib.loop.faults.conventions import (
 )
 from imucalib.loop.faults.converter import (
     CutOff,
-    cut_off,
+    find_cut_offs,
     flat_tops,
     mistaken_scale,
     rows_of,
@@ -239,7 +239,7 @@ def look_for_faults(
 
 def _ends(reading: Array, truth: Array | None = None) -> tuple[CutOff, ...]:
     """Ends at which readings stop: exactly, or within noise where that tells more rows."""
-    exact, about = cut_off(reading, truth), flat_tops(reading, truth)
+    exact, about = find_cut_offs(reading, truth), flat_tops(reading, truth)
     return about if rows_of(about).size > rows_of(exact).size else exact
 
 

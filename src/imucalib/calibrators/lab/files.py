@@ -92,8 +92,8 @@ def calibrate_files(files: LabFiles, request: LabRequest, say: Say) -> LabRun:
         read_ = [still_rests(path, files.mapping, request.still, say) for path in paths]
         tables = [table_of_rests(segments, recording) for recording, segments in read_]
         return run_of_rests(tables, [recording for recording, _ in read_], request, say)
-    each = [_ordered(replace(files, table=path), request, say) for path in paths]
-    table, joining = _joined(each)
+    each = [_order_rows(replace(files, table=path), request, say) for path in paths]
+    table, joining = _join_sessions(each)
     for note in joining:
         say(note)
     return run_lab(table, request, notes=joining)
@@ -106,7 +106,7 @@ def run_of_rests(
     say: Say,
 ) -> LabRun:
     """Calibrate rests of recordings, each a power-up of the same sensor. Errors as in `run_lab`."""
-    table, joining = _joined(tables)
+    table, joining = _join_sessions(tables)
     for note in joining:
         say(note)
     notes = dict.fromkeys(note for recording in recordings for note in recording.notes)
@@ -119,7 +119,7 @@ def run_of_rests(
     )
 
 
-def _ordered(files: LabFiles, request: LabRequest, say: Say) -> PositionTable:
+def _order_rows(files: LabFiles, request: LabRequest, say: Say) -> PositionTable:
     as_written = _table(files, request)
     table = as_written.by_time
     if not np.array_equal(table.row, as_written.row):
@@ -145,7 +145,7 @@ def _table(files: LabFiles, request: LabRequest, *, need_raw: bool = True) -> Po
         if request.unit is None and request.lsb_per_g is None:
             table = _of_one_unit(table)
         if files.mapping.acc_offset:
-            table = _counted_from(files.mapping.acc_offset, table)
+            table = _subtract_zero(files.mapping.acc_offset, table)
     stated = table.inclination_zero
     if request.reference == "vector" and stated and stated != zero:
         raise UsageError(
@@ -175,7 +175,7 @@ def _of_one_unit(table: PositionTable) -> PositionTable:
     return replace(table, columns=columns, unit={**table.unit, **dict.fromkeys("xyz", stated[0])})
 
 
-def _counted_from(zero: tuple[float, ...], table: PositionTable) -> PositionTable:
+def _subtract_zero(zero: tuple[float, ...], table: PositionTable) -> PositionTable:
     """The table's readings without what they show at zero g, one number or one an axis."""
     if len(zero) not in (1, 3):
         raise UsageError("--acc-offset needs one value, or one an axis", where=table.path)
@@ -277,7 +277,7 @@ def _in_order(positions: PositionTable, segments: Segments, recording: Recording
     return replace(rests, columns=columns, names=names, unit={**rests.unit, **positions.unit})
 
 
-def _joined(tables: Sequence[PositionTable]) -> tuple[PositionTable, tuple[str, ...]]:
+def _join_sessions(tables: Sequence[PositionTable]) -> tuple[PositionTable, tuple[str, ...]]:
     """Tables of one sensor, one a power-up, as one table with a column session whose rows count
     through all, and notes on what was left out or renumbered.
 
@@ -369,15 +369,15 @@ def inspect_table(path: Path, mapping: FieldMapping) -> TableSeen | None:
         table = read_position_table(path, need_raw=raw, mapping=mapping, cells=cells)
         if not whole:
             return TableSeen(table, "plan", "", (), table.left_out)
-        return _seen(table, "vector", mapping)
+        return _look_at_table(table, "vector", mapping)
     devices = any(take_turns(n, [str(c) for c in own]) for n, own in cells.columns.items())
     found = None if devices else positions_in(LabFiles(path, mapping=mapping), cells)
     if found is None or not ("ux" in found or found.turns):
         return None
-    return _seen(found, "direction" if "ux" in found else "norm", mapping)
+    return _look_at_table(found, "direction" if "ux" in found else "norm", mapping)
 
 
-def _seen(table: PositionTable, kind: Kind, mapping: FieldMapping) -> TableSeen:
+def _look_at_table(table: PositionTable, kind: Kind, mapping: FieldMapping) -> TableSeen:
     notes, wrong, unit = table.left_out, list[Question](), ""
     zero: Literal["vertical", "horizontal"] = (
         "vertical" if table.inclination_zero == "vertical" else "horizontal"

@@ -11,7 +11,7 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.readers.csv.text import is_number
-from imucalib.readers.words import unaccented, without_tex
+from imucalib.readers.words import strip_accents, without_tex
 
 
 def _words(text: str) -> tuple[str, ...]:
@@ -104,7 +104,7 @@ class Heading:
 
 def bare(text: str) -> Heading:
     """The parts of a heading such as "Inclination (deg from vertical)"."""
-    name, zero = unaccented(without_tex(text.strip())).lower(), ""
+    name, zero = strip_accents(without_tex(text.strip())).lower(), ""
     warm = _WARM.fullmatch(name)
     if warm:
         return Heading(warm[1], _SCALES[warm[2][0]], "")

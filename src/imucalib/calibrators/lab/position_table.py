@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
-from imucalib.atomic_file import replaced_atomically
+from imucalib.atomic_file import replace_atomically
 from imucalib.calibrators.lab.headings import ROLES, bare, roles_of, says_something
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.file_hash import sha256_of
@@ -428,5 +428,5 @@ def write_position_table(table: PositionTable, path: Path, *, angles_only: bool 
     lines = [",".join(table.names.get(role, role) for role in roles)]
     lines += [",".join(f"{table.columns[role][k]:.10g}" for role in roles) for k in range(table.n)]
     path.parent.mkdir(parents=True, exist_ok=True)
-    with replaced_atomically(path) as temporary:
+    with replace_atomically(path) as temporary:
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -35,7 +35,7 @@ class Shift:
 
 
 @dataclass(frozen=True)
-class Part:
+class SheetPart:
     """Rows first to last, and the columns that are the sensor's x, y, z in them."""
 
     first: int
@@ -55,7 +55,7 @@ class Repairs:
     shifts: tuple[Shift, ...] = ()
     axes: tuple[str, ...] = ()
     radians: bool = False
-    parts: tuple[Part, ...] = ()
+    parts: tuple[SheetPart, ...] = ()
 
 
 def repairs_of(
@@ -82,7 +82,7 @@ def repairs_of(
     )
 
 
-def _matched(pattern: str, option: str, text: str, refusal: str, remedy: str) -> Sequence[str]:
+def _match_groups(pattern: str, option: str, text: str, refusal: str, remedy: str) -> Sequence[str]:
     """The groups of a text without spaces. Raises UsageError where it is none of the pattern."""
     found = re.fullmatch(pattern, re.sub(r"\s", "", text))
     if found is None:
@@ -91,14 +91,14 @@ def _matched(pattern: str, option: str, text: str, refusal: str, remedy: str) ->
 
 
 def _pair(text: str, option: str) -> tuple[int, int]:
-    first, second = _matched(
+    first, second = _match_groups(
         r"(\d+),(\d+)", option, text, "not two rows", f"for example {option} 3,10"
     )
     return int(first), int(second)
 
 
 def _shift(text: str) -> Shift:
-    what, first, last, step = _matched(
+    what, first, last, step = _match_groups(
         r"(readings|inclination|tool_face)(?::(\d+)-(\d+))?=([+-]?1)",
         "--shift",
         text,
@@ -108,11 +108,11 @@ def _shift(text: str) -> Shift:
     return Shift(what, int(first), int(last), int(step))
 
 
-def _part(text: str) -> Part:
-    first, last, axes = _matched(
+def _part(text: str) -> SheetPart:
+    first, last, axes = _match_groups(
         r"(\d+)-(\d+):(.*)", "--axes", text, "not ROWS:x,y,z", "for example --axes=17-32:-y,x,z"
     )
-    return Part(int(first), int(last), _axes(axes))
+    return SheetPart(int(first), int(last), _axes(axes))
 
 
 def _axes(text: str) -> tuple[str, ...]:
@@ -124,7 +124,7 @@ def _axes(text: str) -> tuple[str, ...]:
     return parts
 
 
-def repaired(
+def repair(
     table: PositionTable,
     repairs: Repairs,
     fixes: tuple[tuple[int, str, float], ...],
@@ -138,10 +138,10 @@ def repaired(
     if repairs.radians:
         table = replace(table, unit={**table.unit, **dict.fromkeys(_ANGLES, "rad")})
     if repairs.axes:
-        table = _turned(table, np.arange(table.n), repairs.axes)
+        table = _turn_columns(table, np.arange(table.n), repairs.axes)
     for part in repairs.parts:
         ends = _places(table, (part.first, part.last), "--axes")
-        table = _turned(table, np.arange(min(ends), max(ends) + 1), part.axes)
+        table = _turn_columns(table, np.arange(min(ends), max(ends) + 1), part.axes)
     empty: list[int] = []
     every = np.arange(table.n)
     for shift in repairs.shifts:
@@ -150,19 +150,19 @@ def repaired(
         inside, order = np.arange(min(ends), max(ends) + 1), every.copy()
         order[inside] = np.roll(inside, shift.step)
         empty.append(int(table.row[inside[0] if shift.step > 0 else inside[-1]]))
-        table = _reordered(table, order, shift.what)
+        table = _reorder(table, order, shift.what)
     for pair in repairs.moves:
         a, b = _places(table, pair, "--move")
-        table = _reordered(table, np.insert(np.delete(every, a), b, a), "readings")
+        table = _reorder(table, np.insert(np.delete(every, a), b, a), "readings")
     for pair in repairs.swaps:
         a, b = _places(table, pair, "--swap")
         order = every.copy()
         order[[a, b]] = b, a
-        table = _reordered(table, order, "readings")
+        table = _reorder(table, order, "readings")
     return _with_cells(table, fixes), tuple(empty)
 
 
-def _turned(table: PositionTable, rows: Index, axes: tuple[str, ...]) -> PositionTable:
+def _turn_columns(table: PositionTable, rows: Index, axes: tuple[str, ...]) -> PositionTable:
     """Some rows with other columns as the sensor's x, y, z."""
     turned = {}
     for axis, part in zip("xyz", axes, strict=True):
@@ -179,7 +179,7 @@ def _places(table: PositionTable, rows: tuple[int, int], option: str) -> tuple[i
     return table.at(rows[0]), table.at(rows[1])
 
 
-def _reordered(table: PositionTable, order: Index, what: str) -> PositionTable:
+def _reorder(table: PositionTable, order: Index, what: str) -> PositionTable:
     """One angle's column, or all that was read (not set), in another order."""
     moves = {
         role: values[order]

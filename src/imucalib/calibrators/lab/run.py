@@ -42,7 +42,7 @@ from imucalib.calibrators.lab.errors import (
 )
 from imucalib.calibrators.lab.faults import Faults, doubts, look_for_faults, worthless
 from imucalib.calibrators.lab.position_table import PositionTable
-from imucalib.calibrators.lab.repairs import repaired
+from imucalib.calibrators.lab.repairs import repair
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.sessions import sessions_of
 from imucalib.calibrators.next_recording import recorded_block
@@ -90,19 +90,19 @@ def run_lab(
 
     mapping : how the recording was read whose rests the readings are, None for a table's own
     """
-    table, emptied = repaired(table, request.repairs, request.fixes, request.swap_angles)
+    table, emptied = repair(table, request.repairs, request.fixes, request.swap_angles)
     raw = raw_unit(table, request.unit, request.lsb_per_g)
     if mapping is not None:
         raw = replace(raw, sentence="m/s², as the recording was read")
     whole = observations_of(table := in_celsius(table), raw, request)
-    rows, excluded = _kept(table, request, emptied)
-    result, faults = _judged(table, whole, rows, request, first=True)
+    rows, excluded = _select_rows(table, request, emptied)
+    result, faults = _fit_and_look_for_slips(table, whole, rows, request, first=True)
     bad = _wrong_rows(result, faults, rows, table) if request.auto_exclude else {}
     if bad:
         excluded += tuple(bad.values())
         rows = np.setdiff1d(rows, list(bad))
-        result, faults = _judged(table, whole, rows, request, first=False)
-    undecided = _undecided(result, faults, raw, request)
+        result, faults = _fit_and_look_for_slips(table, whole, rows, request, first=False)
+    undecided = _questions(result, faults, raw, request)
     outcome = Outcome(
         calibrator="lab",
         errors=(result.error,),
@@ -144,7 +144,7 @@ def run_lab(
     )
 
 
-def _kept(
+def _select_rows(
     table: PositionTable, request: LabRequest, emptied: tuple[int, ...]
 ) -> tuple[Index, tuple[str, ...]]:
     """The rows that were not excluded and have a plausible size, and what was left out."""
@@ -158,7 +158,7 @@ def _kept(
     return np.setdiff1d(rows, list(bad)), tuple(said)
 
 
-def _judged(
+def _fit_and_look_for_slips(
     table: PositionTable, whole: Observations, rows: Index, request: LabRequest, *, first: bool
 ) -> tuple[LabResult, Faults]:
     """The calibration of the sheet as it is, and its slips of hand; at first without a search where
@@ -189,7 +189,7 @@ def _judged(
     return result, replace(faults, slips=slips).with_axes(request)
 
 
-def _undecided(
+def _questions(
     result: LabResult, faults: Faults, raw: RawUnit, request: LabRequest
 ) -> tuple[Question, ...]:
     """What only the user can decide: slips and wrong records, else doubts; a fleet's too."""

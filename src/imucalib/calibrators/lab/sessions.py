@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from imucalib.calibrators.sessions import Between, NextPowerUp, Sessions, scattered
+from imucalib.calibrators.sessions import Between, NextPowerUp, Sessions, estimate_scatter
 from imucalib.core.balance import whitener
 from imucalib.core.fit import Fit
 from imucalib.core.observations import BIAS, MOUNTING, session_of
@@ -27,7 +27,7 @@ def sessions_of(fit: Fit, names: tuple[str, ...]) -> Sessions | None:
     for k, noise in enumerate(fit.observations.of_sessions, start=fit.at.free):
         effect, unit, si = _CARRIED[noise.name]
         own = range(fit.theta.size)[slices.get(effect, slice(0))]
-        one, after = scattered(
+        one, after = estimate_scatter(
             (noise.name, effect, unit),
             _parts(fit, k, used.size).in_unit(np.eye(3) / si),
             fit.noise.sd[k] / si,

@@ -51,7 +51,7 @@ def is_calibrated(path: Path) -> bool:
     return path.is_dir() or path.suffix.lower() in _SUFFIXES
 
 
-def calibrated(
+def load_calibrations(
     paths: Sequence[Path],
 ) -> tuple[tuple[Calibrated, ...], tuple[tuple[str, str], ...]]:
     """Every calibration, and what could not be read or was no calibration: file -> why."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.calibration.calibration import Calibration, StoredParameter
-from imucalib.calibration.comparison.agreement import Beyond, beyond, excess
+from imucalib.calibration.comparison.agreement import ExcessScatter, beyond, excess
 from imucalib.calibration.provenance import Provenance
 from imucalib.calibrators.population import Population, PriorNoise, PriorParameter
 from imucalib.cohort.fleet.pooled import moderated_axes, of_a_kind
@@ -44,10 +44,10 @@ class Spread:
     scatter: float
     values: Array
     sds: Array
-    sessions: Beyond | None = None
+    sessions: ExcessScatter | None = None
 
     @property
-    def interval(self) -> Beyond:
+    def interval(self) -> ExcessScatter:
         """The scatter between devices with its 95 % interval."""
         return beyond(self.values, self.sds**2)
 
@@ -80,7 +80,7 @@ class Outlier:
     p: float
 
 
-def spread_of(name: str, unit: str, values: Array, sds: Array) -> Spread:
+def estimate_spread(name: str, unit: str, values: Array, sds: Array) -> Spread:
     """Of devices with one value each."""
     scatter = excess(values.size - 1.0, values, sds**2) ** 0.5
     weight = 1.0 / (sds**2 + scatter**2)
@@ -104,11 +104,11 @@ def nested_spread(name: str, unit: str, values: Array, sds: Array, device: Index
     """
     within = beyond(values, sds**2, np.eye(device.max() + 1)[device])
     if np.isnan(within.sd):
-        return spread_of(name, unit, values, sds)
+        return estimate_spread(name, unit, values, sds)
     weight = 1.0 / (sds**2 + within.sd**2)
     total = np.bincount(device, weight)
     own = np.bincount(device, weight * values) / total
-    return replace(spread_of(name, unit, own, np.sqrt(1.0 / total)), sessions=within)
+    return replace(estimate_spread(name, unit, own, np.sqrt(1.0 / total)), sessions=within)
 
 
 def shared_parameters(
@@ -140,7 +140,7 @@ def outliers(devices: Sequence[str], spreads: Sequence[Spread]) -> tuple[Outlier
     kinds, found = of_a_kind([one.name for one in spreads]), list[Outlier]()
     for k, device in enumerate(devices):
         rest = np.arange(count) != k
-        others = [spread_of(s.name, s.unit, s.values[rest], s.sds[rest]) for s in spreads]
+        others = [estimate_spread(s.name, s.unit, s.values[rest], s.sds[rest]) for s in spreads]
         least = [_LEAST * float(np.mean(s.sds**2)) for s in others]
         variance = np.maximum([s.scatter**2 for s in others], least)
         better, freedom = moderated_axes(variance, count - 2.0, kinds)
@@ -212,12 +212,12 @@ def _noise(name: str, sizes: Array, sds: Array) -> PriorNoise:
     least = _VANISHED * float(np.median(sizes[sizes > 0.0]))
     gone = sizes < least
     logs = np.log(np.maximum(sizes, least))
-    one = spread_of(name, "log", logs, np.where(gone, 1.0, np.maximum(sds, _SURE)))
+    one = estimate_spread(name, "log", logs, np.where(gone, 1.0, np.maximum(sds, _SURE)))
     return PriorNoise(name, float(np.exp(one.mean)), max(one.next_sd, _SURE))
 
 
 @dataclass(frozen=True)
-class Recording:
+class DeviceRecording:
     """One recording of a device. calibration : with the fleet's effects, or None where its file
     was not at hand; kept : why the fleet's effects are not in it, or empty"""
 
@@ -228,12 +228,12 @@ class Recording:
 
 
 @dataclass(frozen=True)
-class Member:
+class FleetMember:
     """A device of the fleet. base, final : error without and with what the others say, mg, NaN
     where not computed; found_by_others : effects that these find without it, behind `final`"""
 
     name: str
-    recordings: tuple[Recording, ...]
+    recordings: tuple[DeviceRecording, ...]
     base: float
     final: float
     found_by_others: tuple[str, ...] = ()
@@ -257,7 +257,7 @@ class Fleet:
     following : what it says of the next device, None for fewer than four
     notes : what else a reader must know"""
 
-    members: tuple[Member, ...]
+    members: tuple[FleetMember, ...]
     failed: tuple[tuple[str, str], ...]
     search: Search | None
     spreads: tuple[Spread, ...]

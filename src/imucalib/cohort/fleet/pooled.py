@@ -55,7 +55,7 @@ GROUPS = 20
 
 
 @dataclass(frozen=True)
-class Device:
+class PooledDevice:
     """A device as the pooled search sees it.
 
     noise : size of its noise, in a unit that all devices share; dof : its degrees of freedom, and
@@ -74,7 +74,7 @@ class Device:
     borrowed: float = 0.0
 
 
-def device_of(name: str, fit: Fit, effects: Mapping[str, Effect]) -> Device:
+def device_of(name: str, fit: Fit, effects: Mapping[str, Effect]) -> PooledDevice:
     """All effects that the data can carry and the base model does not absorb."""
     white, q = fit.white_basis()
     residual = white(fit.at.residual) / fit.noise.factor
@@ -89,12 +89,12 @@ def device_of(name: str, fit: Fit, effects: Mapping[str, Effect]) -> Device:
         kept.append(rest)
         at += rest.shape[1]
     every = np.column_stack(kept) if kept else np.zeros((residual.size, 0))
-    return Device(
+    return PooledDevice(
         name, fit.noise.factor, columns, every.T @ every, every.T @ residual, float(fit.dof)
     )
 
 
-def moderated(devices: Sequence[Device]) -> tuple[Device, ...]:
+def shrink_noise(devices: Sequence[PooledDevice]) -> tuple[PooledDevice, ...]:
     """With each device's noise drawn towards the fleet's, as far as the devices agree.
 
     Variances scatter between devices like a scaled inverse χ², whose size s₀² and degrees of
@@ -156,7 +156,7 @@ def inverse_trigamma(value: float) -> float:
 
 
 @dataclass(frozen=True)
-class Pooled:
+class PooledEffect:
     """An effect over a fleet. evidence : nats; p : family-wise, of fleets that lack nothing
     devices : how many can show it"""
 
@@ -183,7 +183,7 @@ class Sizes:
         return self.common, self.common_covariance + self.scatter**2 * np.eye(self.common.size)
 
 
-def products(devices: Sequence[Device], effect: str) -> tuple[tuple[str, ...], Array, Array]:
+def products(devices: Sequence[PooledDevice], effect: str) -> tuple[tuple[str, ...], Array, Array]:
     """Devices that can show an effect, the products of its columns (devices, k, k), and those with
     the residual (devices, k)."""
     able = [(d, d.columns[effect]) for d in devices if effect in d.columns]
@@ -191,7 +191,9 @@ def products(devices: Sequence[Device], effect: str) -> tuple[tuple[str, ...], A
     return tuple(d.name for d, _ in able), gram, np.stack([d.along[at] for d, at in able])
 
 
-def pooled(devices: Sequence[Device], rng: np.random.Generator, draws: int) -> tuple[Pooled, ...]:
+def pool_effects(
+    devices: Sequence[PooledDevice], rng: np.random.Generator, draws: int
+) -> tuple[PooledEffect, ...]:
     """Every effect that two devices or more can show, best first."""
     names = dict.fromkeys(name for device in devices for name in device.columns)
     drawn = zip(devices, _nulls(devices, rng, draws), strict=True)
@@ -206,7 +208,7 @@ def pooled(devices: Sequence[Device], rng: np.random.Generator, draws: int) -> t
             found.append((name, nats, float(scores[0]), len(able)))
             null = np.maximum(null, scores[1:])
     best = [
-        Pooled(name, nats, float((1 + np.sum(null >= own)) / (draws + 1)), count)
+        PooledEffect(name, nats, float((1 + np.sum(null >= own)) / (draws + 1)), count)
         for name, nats, own, count in found
     ]
     return tuple(sorted(best, key=lambda one: -one.evidence))
@@ -266,10 +268,10 @@ def by_others(gram: Array, along: Array) -> list[tuple[Array, Array]]:
 def predictive(gram: Array, along: Array) -> Array:
     """(devices,) nats that each device's data gain by what the others say of the effect."""
     every = zip(gram, along, by_others(gram, along), strict=True)
-    return np.array([gained(own, sums, *said) for own, sums, said in every])
+    return np.array([evidence_of_sizes(own, sums, *said) for own, sums, said in every])
 
 
-def gained(gram: Array, along: Array, mean: Array, spread: Array) -> float:
+def evidence_of_sizes(gram: Array, along: Array, mean: Array, spread: Array) -> float:
     """Nats of a device with sizes N(m, S): ln ∫ N(θ; m, S) exp(aᵀθ - θᵀGθ/2) dθ."""
     inner = np.linalg.inv(np.eye(len(gram)) + gram @ spread)
     away = along - gram @ mean
@@ -295,7 +297,7 @@ def _nats(own: Array, w: Array, inside: Array, gamma: float) -> Array:
     return np.asarray(own + gain - 0.5 * np.linalg.slogdet(grown)[1])
 
 
-def _nulls(devices: Sequence[Device], rng: np.random.Generator, draws: int) -> list[Array]:
+def _nulls(devices: Sequence[PooledDevice], rng: np.random.Generator, draws: int) -> list[Array]:
     """(m, draws) products of each device with data that lack nothing, in units of a noise that is
     estimated from the same data, drawn towards the fleet's as that of the devices.
 

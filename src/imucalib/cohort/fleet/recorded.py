@@ -13,24 +13,24 @@ import numpy as np
 from imucalib.arrays import Array, Index
 from imucalib.calibration.calibration import StoredParameter
 from imucalib.calibrators.population import Population
-from imucalib.cohort.fleet.calibrated import Calibrated, calibrated
+from imucalib.cohort.fleet.calibrated import Calibrated, load_calibrations
 from imucalib.cohort.fleet.outcome import (
+    DeviceRecording,
     Fleet,
-    Member,
-    Recording,
+    FleetMember,
     Settings,
     Spread,
     outliers,
     population_of,
     shared_parameters,
 )
-from imucalib.cohort.fleet.pooled import Device, gained
-from imucalib.cohort.fleet.search import Priors, Rules, Said, said_by
+from imucalib.cohort.fleet.pooled import PooledDevice, evidence_of_sizes
+from imucalib.cohort.fleet.search import Priors, Rules, Said, search_fleet
 from imucalib.core.effect import Context
 from imucalib.effects import named
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.file_hash import sha256_of
-from imucalib.loop.candidates import searched
+from imucalib.loop.candidates import effects_to_search
 from imucalib.loop.held_out import Difference, difference, with_density
 from imucalib.loop.sums import Sums, columns_of
 from imucalib.units import MG
@@ -39,7 +39,7 @@ from imucalib.units import MG
 _OWN = 10.0
 
 
-def device_of(name: str, recordings: Sequence[Sums], wanted: Sequence[str]) -> Device:
+def device_of(name: str, recordings: Sequence[Sums], wanted: Sequence[str]) -> PooledDevice:
     """A device whose recordings share the sizes of effects, each with a base model of its own."""
     names = [e for e in wanted if any(e in one.blocks for one in recordings)]
     width = {e: next(one.blocks[e].size for one in recordings if e in one.blocks) for e in names}
@@ -56,10 +56,10 @@ def device_of(name: str, recordings: Sequence[Sums], wanted: Sequence[str]) -> D
     dof = np.array([one.dof for one in recordings])
     square = np.array([one.noise**2 for one in recordings])
     noise = float(np.sqrt(dof @ square / dof.sum()))
-    return Device(name, noise, columns, gram, along, float(dof.sum()))
+    return PooledDevice(name, noise, columns, gram, along, float(dof.sum()))
 
 
-def predicted(device: Device, said: Priors) -> tuple[float, float]:
+def predict_noise(device: PooledDevice, said: Priors) -> tuple[float, float]:
     """A device's noise (mg) with effects at the sizes that others say, and the nats that its data
     gain: what effects of a given size explain is known exactly, |y - Xθ|² = |y|² - 2 aᵀθ + θᵀGθ."""
     from scipy.linalg import block_diag
@@ -70,10 +70,12 @@ def predicted(device: Device, said: Priors) -> tuple[float, float]:
     less = (2.0 * along @ size - size @ gram @ size) / device.dof
     error = device.noise * float(np.sqrt(max(1.0 - less, 0.0)))
     spread = block_diag(*(one.covariance for one in said.values())) if said else np.zeros((0, 0))
-    return error, gained(gram, along, size, np.asarray(spread))
+    return error, evidence_of_sizes(gram, along, size, np.asarray(spread))
 
 
-def _sizes(device: Device, said: Priors, own: Sequence[str]) -> tuple[list[str], Array, Array]:
+def _sizes(
+    device: PooledDevice, said: Priors, own: Sequence[str]
+) -> tuple[list[str], Array, Array]:
     """A device's effects, with mean (k,) and covariance (k, k) of their sizes (typical) by its own
     data and what the others say. own : effects of this device alone, of which nobody says anything
     """
@@ -94,18 +96,18 @@ def _sizes(device: Device, said: Priors, own: Sequence[str]) -> tuple[list[str],
 
 
 def _recording(
-    one: Calibrated, device: Device | None, said: Priors
-) -> tuple[Recording, tuple[StoredParameter, ...]]:
+    one: Calibrated, device: PooledDevice | None, said: Priors
+) -> tuple[DeviceRecording, tuple[StoredParameter, ...]]:
     """With its device's effects; as it is where the fleet has nothing for it, or where it has what
     the fleet cannot keep."""
     if one.sums is None or device is None or not said:
-        return Recording(one.name, one.provenance, one.calibration), one.values
+        return DeviceRecording(one.name, one.provenance, one.calibration), one.values
     base = one.sums.base
     # Effects that the recording's own search has added to the base model.
     own = list(dict.fromkeys(v.effect for v in one.values if v.name not in set(base.parameters)))
     if lost := [name for name in own if name not in one.sums.blocks]:
         kept = f"it has {', '.join(lost)} of its own"
-        return Recording(one.name, one.provenance, one.calibration, kept), one.values
+        return DeviceRecording(one.name, one.provenance, one.calibration, kept), one.values
     names, mean, covariance = _sizes(device, said, own)
     able = [name for name in names if name in one.sums.blocks]
     at = np.flatnonzero(np.isin(np.repeat(names, [device.columns[n].size for n in names]), able))
@@ -128,7 +130,7 @@ def _recording(
         )
     )
     if one.calibration is None:
-        return Recording(one.name, one.provenance, None), stored
+        return DeviceRecording(one.name, one.provenance, None), stored
     # Its errors stay those of the recording alone, and it says so.
     facts = {"effects": able, "errors": "of the recording calibrated alone"}
     made = replace(
@@ -138,7 +140,7 @@ def _recording(
         facts={**one.calibration.facts, "fleet": facts},
         sha256="",
     )
-    return Recording(one.name, one.provenance, made), stored
+    return DeviceRecording(one.name, one.provenance, made), stored
 
 
 #: Headings of the two columns, the first that is there: `imucal collect` writes the last ones.
@@ -216,7 +218,7 @@ def run_recorded(paths: Sequence[Path], wanted: Wanted, say: Callable[[str], Non
     Raises UnreadableInput for what is no calibration, and UsageError for fewer than two devices and
     for calibrators that differ.
     """
-    found, failed = calibrated(paths)
+    found, failed = load_calibrations(paths)
     found = with_devices(found, read_devices(wanted.devices) if wanted.devices else {})
     usable = tuple(one for one in found if one.status != _WEAK)
     _demand_one_kind(usable, failed, weak=len(found) - len(usable))
@@ -225,10 +227,10 @@ def run_recorded(paths: Sequence[Path], wanted: Wanted, say: Callable[[str], Non
         for name in dict.fromkeys(one.device for one in usable)
     }
     say(f"{len(usable)} recordings of {len(of)} devices; searching for what they share")
-    effects = tuple(searched(wanted.only, wanted.without, {}).effects)
+    effects = tuple(effects_to_search(wanted.only, wanted.without, {}).effects)
     sums = {name: [one.sums for one in own if one.sums is not None] for name, own in of.items()}
     own = [device_of(name, every, effects) for name, every in sums.items() if every]
-    said = said_by(own, wanted.rules, wanted.seed, say, without=True) if len(own) > 1 else None
+    said = search_fleet(own, wanted.rules, wanted.seed, say, without=True) if len(own) > 1 else None
     members, values = _members(of, own, said)
     device = np.repeat(np.arange(len(of)), [len(own) for own in of.values()])
     spreads = shared_parameters(
@@ -276,11 +278,11 @@ def _demand_one_kind(
 
 
 def _members(
-    of: Mapping[str, Sequence[Calibrated]], own: Sequence[Device], said: Said | None
-) -> tuple[tuple[Member, ...], dict[str, tuple[StoredParameter, ...]]]:
+    of: Mapping[str, Sequence[Calibrated]], own: Sequence[PooledDevice], said: Said | None
+) -> tuple[tuple[FleetMember, ...], dict[str, tuple[StoredParameter, ...]]]:
     """Devices, and of every recording the parameters with what its device has."""
     device = {one.name: one for one in own}
-    members, values = list[Member](), dict[str, tuple[StoredParameter, ...]]()
+    members, values = list[FleetMember](), dict[str, tuple[StoredParameter, ...]]()
     for name, recordings in of.items():
         made = []
         for one in recordings:
@@ -290,15 +292,15 @@ def _members(
         base = final = float("nan")
         others = said.unseen.get(name, {}) if said else {}
         if name in device:
-            base, final = device[name].noise, predicted(device[name], others)[0]
-        members.append(Member(name, tuple(made), base, final, tuple(others)))
+            base, final = device[name].noise, predict_noise(device[name], others)[0]
+        members.append(FleetMember(name, tuple(made), base, final, tuple(others)))
     return tuple(members), values
 
 
-def _gain(own: Sequence[Device], said: Said) -> Difference:
+def _gain(own: Sequence[PooledDevice], said: Said) -> Difference:
     """Of devices of the kind: each is one number, predicted by the others. The density decides: an
     effect that is small against the noise of one posture is sure by hundreds of them."""
-    pairs = [predicted(device, said.unseen.get(device.name, {})) for device in own]
+    pairs = [predict_noise(device, said.unseen.get(device.name, {})) for device in own]
     after, nats = np.array(pairs).T
     before = np.array([device.noise for device in own])
     found = difference(before, after, np.arange(len(own)), len(own), "rms")
@@ -325,7 +327,7 @@ def _following(
 
 
 def _notes(
-    found: Sequence[Calibrated], usable: Sequence[Calibrated], own: Sequence[Device]
+    found: Sequence[Calibrated], usable: Sequence[Calibrated], own: Sequence[PooledDevice]
 ) -> tuple[str, ...]:
     notes = []
     if weak := [one.name for one in found if one.status == _WEAK]:

@@ -13,9 +13,9 @@ from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import LabRun, lab_calibration
 from imucalib.cohort.fleet.calibrated import demand_new
 from imucalib.cohort.fleet.outcome import (
+    DeviceRecording,
     Fleet,
-    Member,
-    Recording,
+    FleetMember,
     Settings,
     noise_of,
     outliers,
@@ -23,21 +23,21 @@ from imucalib.cohort.fleet.outcome import (
     shared_parameters,
 )
 from imucalib.cohort.fleet.pooled import device_of
-from imucalib.cohort.fleet.search import Priors, Rules, Said, said_by
+from imucalib.cohort.fleet.search import Priors, Rules, Said, search_fleet
 from imucalib.core.effect import Effect
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.errors import ImucalError, UsageError
 from imucalib.estimators.least_squares import fit as fit_model
-from imucalib.loop.candidates import searched
+from imucalib.loop.candidates import effects_to_search
 from imucalib.loop.held_out import (
     Difference,
-    Held,
+    Predictions,
     by_folds,
     difference,
     errors,
     folds_of,
-    joined,
+    join,
 )
 from imucalib.units import MG
 
@@ -53,8 +53,8 @@ def run_fleet(
     Raises UsageError for fewer than two devices and for devices of different models.
     """
     alone = replace(request, loop=False)
-    effects = searched(request.only, request.without, request.extra_effects).effects
-    runs, failed = _calibrated(tables, alone, say)
+    effects = effects_to_search(request.only, request.without, request.extra_effects).effects
+    runs, failed = _calibrate_each(tables, alone, say)
     if len(runs) < 2:
         why = "; ".join(f"{name}: {text}" for name, text in failed)
         raise UsageError(
@@ -65,7 +65,7 @@ def run_fleet(
     say(f"{len(runs)} devices calibrated alone; searching for what they share")
     fits = [run.result.final for _, run in runs]
     own = [device_of(name, run.result.final, effects) for name, run in runs]
-    said = said_by(own, rules, request.seed, say, without=len(runs) <= _HELD_OUT)
+    said = search_fleet(own, rules, request.seed, say, without=len(runs) <= _HELD_OUT)
     members, gain = _members(runs, said, effects)
     made = [r.calibration.parameters for m in members for r in m.recordings if r.calibration]
     spreads = shared_parameters(made, tuple(said.following), np.arange(len(made)))
@@ -89,7 +89,7 @@ def run_fleet(
     )
 
 
-def _calibrated(
+def _calibrate_each(
     tables: Sequence[LabFiles], request: LabRequest, say: Callable[[str], None]
 ) -> tuple[list[tuple[str, LabRun]], tuple[tuple[str, str], ...]]:
     """Runs by name, and what could not be calibrated; one bad file loses no other.
@@ -114,9 +114,9 @@ def _calibrated(
 
 def _members(
     runs: Sequence[tuple[str, LabRun]], said: Said, effects: Mapping[str, Effect]
-) -> tuple[tuple[Member, ...], Difference | None]:
+) -> tuple[tuple[FleetMember, ...], Difference | None]:
     """Held out is what the others alone have found and sized."""
-    members, pairs = list[Member](), list[tuple[Array, Array]]()
+    members, pairs = list[FleetMember](), list[tuple[Array, Array]]()
     folds = 2
     for name, run in runs:
         fit = run.result.final
@@ -124,14 +124,14 @@ def _members(
         others = said.unseen.get(name, {})
         base_error = final_error = float("nan")
         if len(runs) <= _HELD_OUT:
-            before, after = _held_out(fit, others, effects)
+            before, after = _predict_held_out(fit, others, effects)
             base_error, final_error = before.rms() / MG, after.rms() / MG
             pairs.append((before.size / MG, after.size / MG))
             folds = max(folds, min(len(before.size), 30))
         result = replace(run.result, final=final)
         made = lab_calibration(run.outcome, result, run.raw, run.details)
-        one = Recording(name, run.outcome.provenance, made)
-        members.append(Member(name, (one,), base_error, final_error, tuple(others)))
+        one = DeviceRecording(name, run.outcome.provenance, made)
+        members.append(FleetMember(name, (one,), base_error, final_error, tuple(others)))
     if not pairs:
         return tuple(members), None
     before_all, after_all = (np.concatenate(sizes) for sizes in zip(*pairs, strict=True))
@@ -140,19 +140,21 @@ def _members(
     return tuple(members), gain
 
 
-def _held_out(fit: Fit, said: Priors, effects: Mapping[str, Effect]) -> tuple[Held, Held]:
+def _predict_held_out(
+    fit: Fit, said: Priors, effects: Mapping[str, Effect]
+) -> tuple[Predictions, Predictions]:
     """Errors on each fold of the design, predicted by the rest, without and with the effects."""
     folds = folds_of(fit.observations)
     before = by_folds(fit, folds)
     if not said:
         return before, before
-    model, start = _extended(fit, said, effects)
+    model, start = _extend(fit, said, effects)
     parts = []
     for fold in folds:
         rest = fit.observations.take(fold.rest)
         own = fit_model(model, rest, start=start, noise=fit.noise)
-        parts.append(errors(own, _combined(own, said).theta, fit.observations.take(fold.rows)))
-    return before, joined(parts, [fold.rows for fold in folds])
+        parts.append(errors(own, _combine(own, said).theta, fit.observations.take(fold.rows)))
+    return before, join(parts, [fold.rows for fold in folds])
 
 
 def _with_priors(fit: Fit, said: Priors, effects: Mapping[str, Effect]) -> Fit:
@@ -162,11 +164,11 @@ def _with_priors(fit: Fit, said: Priors, effects: Mapping[str, Effect]) -> Fit:
     """
     if not said:
         return fit
-    model, start = _extended(fit, said, effects)
-    return _combined(fit_model(model, fit.observations, start=start, begin=fit.noise), said)
+    model, start = _extend(fit, said, effects)
+    return _combine(fit_model(model, fit.observations, start=start, begin=fit.noise), said)
 
 
-def _extended(fit: Fit, said: Priors, effects: Mapping[str, Effect]) -> tuple[Model, Array]:
+def _extend(fit: Fit, said: Priors, effects: Mapping[str, Effect]) -> tuple[Model, Array]:
     """The model with more effects, and its θ to begin with."""
     model, context = (
         Model((*fit.model.effects, *(effects[n] for n in said))),
@@ -178,7 +180,7 @@ def _extended(fit: Fit, said: Priors, effects: Mapping[str, Effect]) -> tuple[Mo
     return model, start
 
 
-def _combined(fit: Fit, said: Priors) -> Fit:
+def _combine(fit: Fit, said: Priors) -> Fit:
     """Normal prior times normal likelihood, in typical sizes so that rounding stays small."""
     typical = np.array([p.typical for p in fit.parameters])
     slices = fit.model.slices(fit.observations.context)

@@ -16,17 +16,17 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.cohort.fleet.pooled import (
     GROUPS,
-    Device,
-    Pooled,
+    PooledDevice,
+    PooledEffect,
     Sizes,
     by_others,
-    moderated,
-    pooled,
+    pool_effects,
     predictive,
     products,
+    shrink_noise,
     sizes,
 )
-from imucalib.core.prior import Prior, correlated
+from imucalib.core.prior import Prior, joint_prior
 from imucalib.loop.odds import OCCAM
 
 #: Simulated fleets of a search without some of the devices: enough for alpha.
@@ -45,11 +45,11 @@ class Rules:
 
 
 @dataclass(frozen=True)
-class Found:
+class FleetEffect:
     """An effect of the fleet. rivals : names that explain as much; nats : that each device's data
     gain by the others' sizes; able : devices that can show it; sizes : theirs"""
 
-    pooled: Pooled
+    pooled: PooledEffect
     rivals: tuple[str, ...]
     nats: Array
     able: tuple[str, ...]
@@ -65,8 +65,8 @@ class Search:
     """found : in order; first : every effect before any was accepted; refused : what stood out, and
     why it was not accepted"""
 
-    found: tuple[Found, ...]
-    first: tuple[Pooled, ...]
+    found: tuple[FleetEffect, ...]
+    first: tuple[PooledEffect, ...]
     refused: tuple[tuple[str, str], ...]
 
 
@@ -86,28 +86,33 @@ class Said:
     following: Priors
 
 
-def said_by(
-    own: Sequence[Device], rules: Rules, seed: int, say: Callable[[str], None], *, without: bool
+def search_fleet(
+    own: Sequence[PooledDevice],
+    rules: Rules,
+    seed: int,
+    say: Callable[[str], None],
+    *,
+    without: bool,
 ) -> Said:
     """Search a fleet. own : with their own noise; without : whether also without each device"""
-    devices = moderated(own)
+    devices = shrink_noise(own)
     found = search(devices, rules, np.random.default_rng(seed))
     by_device: dict[str, dict[str, Prior]] = {device.name: {} for device in devices}
     for one in found.found:
         say(f"{one.effect}: in {len(one.able)} devices, p {one.pooled.p:.2g}")
         able, gram, along = products(devices, one.effect)
         for name, said in zip(able, by_others(gram, along), strict=True):
-            by_device[name][one.effect] = correlated(*said)
+            by_device[name][one.effect] = joint_prior(*said)
     unseen = _without_each(own, rules, seed) if found.found and without else {}
     return Said(found, by_device, unseen, _of_another(devices, found))
 
 
-def search(devices: Sequence[Device], rules: Rules, rng: np.random.Generator) -> Search:
+def search(devices: Sequence[PooledDevice], rules: Rules, rng: np.random.Generator) -> Search:
     """Accept what stands out and what each device confirms by what the others predict."""
-    now, found, refused = tuple(devices), list[Found](), dict[str, str]()
-    first: tuple[Pooled, ...] = ()
+    now, found, refused = tuple(devices), list[FleetEffect](), dict[str, str]()
+    first: tuple[PooledEffect, ...] = ()
     while True:
-        scores = pooled(now, rng, rules.draws)
+        scores = pool_effects(now, rng, rules.draws)
         first = first or scores
         rest = [s for s in scores if s.effect not in refused]
         if not rest or rest[0].p > rules.alpha or len(found) == rules.most:
@@ -122,11 +127,11 @@ def search(devices: Sequence[Device], rules: Rules, rng: np.random.Generator) ->
         rivals = tuple(
             s.effect for s in rest[1:] if s.p <= rules.alpha and s.evidence > best.evidence - OCCAM
         )
-        found.append(Found(best, rivals, nats, able, said))
+        found.append(FleetEffect(best, rivals, nats, able, said))
         now = tuple(_without(device, best.effect, said) for device in now)
 
 
-def _without(device: Device, effect: str, said: Sizes) -> Device:
+def _without(device: PooledDevice, effect: str, said: Sizes) -> PooledDevice:
     """A device without an effect, whose size is N(μ, τ²) before its data are seen."""
     if effect not in device.columns:
         return device
@@ -141,7 +146,7 @@ def _without(device: Device, effect: str, said: Sizes) -> Device:
     )
 
 
-def _without_each(devices: Sequence[Device], rules: Rules, seed: int) -> dict[str, Priors]:
+def _without_each(devices: Sequence[PooledDevice], rules: Rules, seed: int) -> dict[str, Priors]:
     """Of each device the effects that the others find, with what these say of its sizes.
 
     devices : with their own noise, not drawn towards the fleet's, which the one left out would
@@ -151,16 +156,16 @@ def _without_each(devices: Sequence[Device], rules: Rules, seed: int) -> dict[st
     few = replace(rules, draws=min(rules.draws, _DRAWS))
     every: dict[str, Priors] = {}
     for group in range(groups):
-        rest = moderated([d for k, d in enumerate(devices) if k % groups != group])
+        rest = shrink_noise([d for k, d in enumerate(devices) if k % groups != group])
         said = _of_another(rest, search(rest, few, np.random.default_rng((seed, group))))
         for device in devices[group::groups]:
             every[device.name] = {n: one for n, one in said.items() if n in device.columns}
     return every
 
 
-def _of_another(devices: Sequence[Device], found: Search) -> dict[str, Prior]:
+def _of_another(devices: Sequence[PooledDevice], found: Search) -> dict[str, Prior]:
     """The sizes in another device of the kind of the effects that were found in these."""
     return {
-        one.effect: correlated(*sizes(*products(devices, one.effect)[1:]).another)
+        one.effect: joint_prior(*sizes(*products(devices, one.effect)[1:]).another)
         for one in found.found
     }

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.core.course import Course, calm, delayed
+from imucalib.core.course import Course, calm, delay
 from imucalib.core.effect import Context, Parameter, Response
 from imucalib.effects.array.parts import JERK, SPIN, all_axes, times
 
@@ -84,7 +84,7 @@ EFFECTS = (
         _LATE_GYROS,
         channel="angular_rate",
         shared=True,
-        lagged=delayed,
+        lagged=delay,
     ),
     Response(
         "gyro_delay_each",
@@ -96,7 +96,7 @@ EFFECTS = (
         (Parameter("gyro_own_delay", "ms", 0.3, 20.0),),
         _LATE_GYROS,
         channel="angular_rate",
-        lagged=delayed,
+        lagged=delay,
         remedy="its gyro is read late: check its bus and its filter",
     ),
     Response(
@@ -108,7 +108,7 @@ EFFECTS = (
         ("jerk",),
         (Parameter("accelerometer_delay", "ms", 0.3, 20.0),),
         _LATE_FORCES,
-        lagged=delayed,
+        lagged=delay,
         remedy="it is read late: check its bus and its filter",
     ),
     _Aged(
@@ -122,7 +122,7 @@ EFFECTS = (
         times(_LATE_GYROS, lambda truth, context: context["sample_age"]),
         channel="angular_rate",
         shared=True,
-        lagged=delayed,
+        lagged=delay,
     ),
     Response(
         "accelerometer_low_pass",

@@ -148,7 +148,7 @@ def without_motion(sampled: Sampled, change: Readings) -> Readings:
     return Readings(change.acceleration - moved, change.rate - nine[:, None, 6:, 0])
 
 
-def eliminated(matrix: Array, prior: Array) -> Array:
+def marginalize(matrix: Array, prior: Array) -> Array:
     """(m, m) products (b + m, b + m) of columns with the first b taken out of the others, in the
     place of the matrix: of many IMUs another would be large.
 

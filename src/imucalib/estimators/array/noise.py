@@ -43,7 +43,7 @@ class Squares:
 
 
 @dataclass(frozen=True)
-class SensorNoise:
+class MotionNoise:
     """sigma : of one axis at rest of the rotation; growth : c, s/rad; freedom : ν;
     factor : (K,) of each triad; gained : held-out nats of what is not plain"""
 
@@ -74,7 +74,7 @@ class SensorNoise:
         return (self.freedom + 3.0) / (self.freedom + 5.0)
 
 
-def log_density(noise: SensorNoise, square: Squares, speed: Array) -> Array:
+def log_density(noise: MotionNoise, square: Squares, speed: Array) -> Array:
     """(T, K) log density of residuals."""
     from scipy.special import gammaln
 
@@ -86,7 +86,7 @@ def log_density(noise: SensorNoise, square: Squares, speed: Array) -> Array:
     return np.asarray(level - 0.5 * m * np.log(variance) - 0.5 * (nu + m) * np.log1p(d / nu))
 
 
-def scaled(noise: SensorNoise, square: Squares, speed: Array) -> SensorNoise:
+def scaled(noise: MotionNoise, square: Squares, speed: Array) -> MotionNoise:
     """The same with its most likely scale: a few steps of expectation maximisation."""
     unit = square.length / (noise.variance(speed) / noise.sigma**2)
     if not np.isfinite(noise.freedom):
@@ -100,14 +100,14 @@ def scaled(noise: SensorNoise, square: Squares, speed: Array) -> SensorNoise:
     return replace(noise, sigma=sigma)
 
 
-def plain_noise(square: Squares, speed: Array) -> SensorNoise:
+def plain_noise(square: Squares, speed: Array) -> MotionNoise:
     """Gaussian noise of one size."""
     start = float(np.sqrt(np.median(square.length / square.numbers)))
-    noise = SensorNoise(max(start, 1e-12), 0.0, np.inf, np.ones(len(square.numbers)))
+    noise = MotionNoise(max(start, 1e-12), 0.0, np.inf, np.ones(len(square.numbers)))
     return scaled(noise, square, speed)
 
 
-def _every_shape(square: Squares, speed: Array) -> Iterator[SensorNoise]:
+def _every_shape(square: Squares, speed: Array) -> Iterator[MotionNoise]:
     """The most likely noise of each shape, from the simplest: without growth and with it, each
     without tails and with them, each without a factor of single triads and with it."""
     plain = plain_noise(square, speed)
@@ -124,21 +124,21 @@ def _every_shape(square: Squares, speed: Array) -> Iterator[SensorNoise]:
             yield replace(noise, factor=np.sqrt(_power_of_each(noise, square, speed)))
 
 
-def _likeliest(options: list[SensorNoise], square: Squares, speed: Array) -> SensorNoise:
+def _likeliest(options: list[MotionNoise], square: Squares, speed: Array) -> MotionNoise:
     if len(options) == 1:
         return options[0]
     found = [scaled(one, square, speed) for one in options]
     return max(found, key=lambda one: float(log_density(one, square, speed).sum()))
 
 
-def _power_of_each(noise: SensorNoise, square: Squares, speed: Array) -> Array:
+def _power_of_each(noise: MotionNoise, square: Squares, speed: Array) -> Array:
     """(K,) mean weighted square of one number of each triad: one where the noise is as stated."""
     d, nu = square.length / noise.variance(speed), noise.freedom
     heavy = d if not np.isfinite(nu) else (nu + square.numbers) / (nu + d) * d
     return np.asarray(np.mean(heavy, axis=0) / square.numbers)
 
 
-def chosen_noise(square: Squares, speed: Array, first: Flags) -> SensorNoise:
+def chosen_noise(square: Squares, speed: Array, first: Flags) -> MotionNoise:
     """The simplest shape that no other beats by `HELD_OUT_NATS` on held-out halves, both ways.
 
     first : (T,) which half each sample belongs to
@@ -157,7 +157,7 @@ def chosen_noise(square: Squares, speed: Array, first: Flags) -> SensorNoise:
     return replace(list(_every_shape(square, speed))[best], gained=float(gain[best]))
 
 
-def not_followed(noise: SensorNoise, sampled: Sampled, rows: Index) -> SensorNoise:
+def not_followed(noise: MotionNoise, sampled: Sampled, rows: Index) -> MotionNoise:
     """The noise of gyros, in which one that the motion follows is no quieter than the gyros'
     differences at some samples say.
 

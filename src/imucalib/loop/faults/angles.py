@@ -14,14 +14,14 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.core.references import unit_vector
-from imucalib.loop.faults.cells import Base, leading, prior_of
+from imucalib.loop.faults.cells import BaseProducts, leading, prior_of
 from imucalib.loop.faults.sheet import Fault, Sheet, Trial
 from imucalib.loop.odds import DIAL_STEPS, MISTYPED, ON_STEP
 
 _NAMES = ("inclination", "tool_face")
 
 
-def angles(base: Base, unit: tuple[float, float] = (1.0, 1.0)) -> Iterator[Trial]:
+def angles(base: BaseProducts, unit: tuple[float, float] = (1.0, 1.0)) -> Iterator[Trial]:
     """Every row's and every shared setting's inclination and tool-face at every degree of the dial.
 
     unit : what one degree is in the sheet's columns of inclination and tool-face (π/180 for rad)
@@ -35,7 +35,7 @@ def angles(base: Base, unit: tuple[float, float] = (1.0, 1.0)) -> Iterator[Trial
             for k in leading(tops):
                 dial, score, prior = tried[k]
                 at = int(np.argmax(score))
-                fault, mended = _mended(base, groups[k], column, dial[at], score[at], unit[column])
+                fault, mended = _mend(base, groups[k], column, dial[at], score[at], unit[column])
                 yield Trial(fault, mended, float(prior[at]))
 
 
@@ -48,7 +48,7 @@ def _shared(sheet: Sheet, column: int) -> list[Index]:
 
 
 def _over_the_dial(
-    base: Base, rows: Index, column: int, groups: float
+    base: BaseProducts, rows: Index, column: int, groups: float
 ) -> tuple[Array, Array, Array]:
     """Degrees (d,), the nats (d,) that the rows gain there, and the log prior odds (d,) in them."""
     own = getattr(base.sheet, _NAMES[column])
@@ -61,7 +61,7 @@ def _over_the_dial(
     return dial, np.where(same, -np.inf, score), prior
 
 
-def _misfit(base: Base, rows: Index, column: int, dial: Array) -> Array:
+def _misfit(base: BaseProducts, rows: Index, column: int, dial: Array) -> Array:
     """(G, d) sums of squares with some rows at each value of a dial."""
     sheet = base.sheet
     both = [np.tile(a[rows], (len(dial), 1)) for a in (sheet.inclination, sheet.tool_face)]
@@ -71,14 +71,14 @@ def _misfit(base: Base, rows: Index, column: int, dial: Array) -> Array:
     return base.misfit(rows, -sheet.gravity * moved @ base.response.T)
 
 
-def _mended(
-    base: Base, rows: Index, column: int, at: float, score: float, unit: float
+def _mend(
+    base: BaseProducts, rows: Index, column: int, at: float, score: float, unit: float
 ) -> tuple[Fault, Sheet]:
     sheet, name = base.sheet, _NAMES[column]
     dial, settings = getattr(sheet, name).copy(), getattr(sheet, f"{name}_setting").copy()
     own = float(dial[rows[0]])
-    value, sd = _refined(base, rows, column, at)
-    shown = rounded(value, sd, np.delete(dial, rows))
+    value, sd = _refine(base, rows, column, at)
+    shown = round_to_step(value, sd, np.delete(dial, rows))
     if apart(np.array([shown]), own, column)[0] < MISTYPED:
         shown = round(value, 1)  # the dial's step would lead back to what the sheet has
     numbers = tuple(int(row) for row in sheet.row[rows])
@@ -100,7 +100,7 @@ def _mended(
     return fault, replace(sheet, **{name: dial, f"{name}_setting": settings})
 
 
-def _refined(base: Base, rows: Index, column: int, at: float) -> tuple[float, float]:
+def _refine(base: BaseProducts, rows: Index, column: int, at: float) -> tuple[float, float]:
     """The value between the whole degrees, and its sd (deg), at the likeliest noise."""
     k = int(np.argmax(base.each(base.rss)))
     low, middle, high = _misfit(base, rows, column, at + np.array([-0.5, 0.0, 0.5]))[k]
@@ -124,7 +124,7 @@ def apart(value: Array, own: float, column: int) -> Array:
     return np.abs(np.mod(away + 180.0, 360.0) - 180.0) if column else away
 
 
-def rounded(value: float, sd: float, set_to: Array) -> float:
+def round_to_step(value: float, sd: float, set_to: Array) -> float:
     """A value on the steps to which the column is set; finer steps where neither three sd nor a
     fifth of the step (2 deg at most: what a dial may be off) reach one."""
     for step in DIAL_STEPS:

@@ -40,7 +40,7 @@ from imucalib.loop.odds import (
     SPARE,
     WRONG,
 )
-from imucalib.loop.posterior.explored import Explored
+from imucalib.loop.posterior.explored import SearchedPosterior
 from imucalib.loop.posterior.gram import Grams, log_sum
 from imucalib.units import MG
 
@@ -53,7 +53,7 @@ _AXES = tuple(
 
 
 @dataclass(frozen=True)
-class Base:
+class BaseProducts:
     """P : (G, 3n, 3n) at G noises; g : P y (G, 3n); rss : (G,); grams : where they come from
     response : (3, 3) what the sensor makes of a force, mg for mg"""
 
@@ -88,7 +88,7 @@ class Base:
         whole = log_sum(self.each(rss)) - log_sum(self.each(self.rss))
         return np.asarray(whole + prior_of(count))
 
-    def at_few(self) -> Base:
+    def at_few(self) -> BaseProducts:
         """The same at the likeliest noises only."""
         noises = np.argsort(-self.each(self.rss))[:FEW]
         return replace(
@@ -100,7 +100,7 @@ class Base:
         )
 
 
-def base_of(found: Explored, sheet: Sheet, one: Grams) -> Base:
+def base_of(found: SearchedPosterior, sheet: Sheet, one: Grams) -> BaseProducts:
     """The base of a sheet of known angles; one : products beside the base model and a set, the
     readings' own numbers first."""
     fit = found.base
@@ -108,7 +108,7 @@ def base_of(found: Explored, sheet: Sheet, one: Grams) -> Base:
     rows = one.rows(np.arange(unit.size))
     first = fit.observations.context.take(np.zeros(1, np.intp))
     response = fit.model.predict(fit.theta, np.zeros((1, 1, 3)), first).d_truth[0, 0]
-    return Base(
+    return BaseProducts(
         sheet=sheet,
         P=rows[:, :, : unit.size] / np.outer(unit, unit),
         g=rows[:, :, -1] / unit,
@@ -131,8 +131,8 @@ def leading(score: Array) -> Index:
     return order[score[order] > max(-OPEN / 3.0, best - OPEN)]
 
 
-def _shortlisted(
-    base: Base, scores: Callable[[Base, Index], Array], count: int
+def _shortlist(
+    base: BaseProducts, scores: Callable[[BaseProducts, Index], Array], count: int
 ) -> Iterator[tuple[int, float]]:
     """The leading ones of many hypotheses and their scores: looked at on the likeliest noises
     first, then the best of them on all."""
@@ -142,16 +142,16 @@ def _shortlisted(
         yield int(short[k]), float(score[k])
 
 
-def exchanges(base: Base) -> Iterator[Trial]:
+def exchanges(base: BaseProducts) -> Iterator[Trial]:
     """The readings of two rows exchanged: D is d = y_q - y_p in row p, -d in row q."""
     sheet, n = base.sheet, base.sheet.n
     pairs = np.stack(np.triu_indices(n, 1), axis=1)
     change = sheet.reading[pairs[:, ::-1]] - sheet.reading[pairs]
 
-    def scores(base: Base, which: Index) -> Array:
+    def scores(base: BaseProducts, which: Index) -> Array:
         return base.gain(base.misfit(pairs[which], change[which]), len(pairs))
 
-    for k, score in _shortlisted(base, scores, len(pairs)):
+    for k, score in _shortlist(base, scores, len(pairs)):
         order = np.arange(n)
         order[pairs[k]] = order[pairs[k, ::-1]]
         p, q = (int(row) for row in sheet.row[pairs[k]])
@@ -174,7 +174,7 @@ class _Orders:
     late: NDArray[np.bool_]
 
 
-def blocks(base: Base) -> Iterator[Trial]:
+def blocks(base: BaseProducts) -> Iterator[Trial]:
     """One row's reading moved to another place, or a block of readings one row late or early.
 
     A shift leaves one row without a reading (integrated out) and one reading over, which repeats
@@ -184,7 +184,7 @@ def blocks(base: Base) -> Iterator[Trial]:
     tried = _orders(sheet) if sheet.ordered else None
     if tried is None:
         return
-    for k, score in _shortlisted(base, partial(_scores, tried), len(tried.lost)):
+    for k, score in _shortlist(base, partial(_scores, tried), len(tried.lost)):
         yield _block(sheet, tried, k, score)
 
 
@@ -209,7 +209,7 @@ def _orders(sheet: Sheet) -> _Orders | None:
     return _Orders(*(np.array(c) for c in zip(*found, strict=True))) if found else None
 
 
-def _scores(tried: _Orders, base: Base, which: Index) -> Array:
+def _scores(tried: _Orders, base: BaseProducts, which: Index) -> Array:
     """(h,) nats of some changes of the order beyond the sheet as it stands."""
     reading, n = base.sheet.reading, base.sheet.n
     change = (reading[tried.source[which]] - reading).reshape(len(which), -1)
@@ -260,7 +260,7 @@ class _Slip:
     digits: bool = False
 
 
-def cells(base: Base, written: Array) -> Iterator[Trial]:
+def cells(base: BaseProducts, written: Array) -> Iterator[Trial]:
     """One cell with the wrong sign, ten times too large or small, or with two digits exchanged; or
     two cells of a row exchanged.
 
@@ -300,7 +300,7 @@ def _slips(row: int, written: Array, reading: Array) -> Iterator[_Slip]:
             (f"{name} lost its sign", -own),
             (f"{name} is ten times too large", 0.1 * own),
             (f"{name} is ten times too small", 10.0 * own),
-            *((f"two digits of {name} are exchanged", value) for value in transposed(own)),
+            *((f"two digits of {name} are exchanged", value) for value in transpositions(own)),
         ]
         for words, number in tried:
             value = written.copy()
@@ -313,7 +313,7 @@ def _slips(row: int, written: Array, reading: Array) -> Iterator[_Slip]:
         yield _Slip(row, words, written[order], reading[order])
 
 
-def transposed(value: float) -> list[float]:
+def transpositions(value: float) -> list[float]:
     """The numbers of which two neighbouring digits, exchanged, give this one."""
     text = f"{abs(value):.{FIGURES}g}"
     if "e" in text:
@@ -329,7 +329,7 @@ def transposed(value: float) -> list[float]:
     return found
 
 
-def other_axes(base: Base) -> Iterator[Trial]:
+def other_axes(base: BaseProducts) -> Iterator[Trial]:
     """Readings whose axes are exchanged or inverted from some row on, or up to it."""
     sheet = base.sheet
     if sheet.n < 2 * PART:
@@ -343,12 +343,12 @@ def other_axes(base: Base) -> Iterator[Trial]:
     score = base.gain(_corners(base, turned)[:, :, at], count)
     for k in leading(score.ravel()):
         which, start = divmod(int(k), len(at))
-        fault, mended = _turned(sheet, which, int(at[start]), float(score[which, start]))
+        fault, mended = _other_part(sheet, which, int(at[start]), float(score[which, start]))
         if np.abs(mended.reading - sheet.reading).max() > MOVED * sheet.gravity:
             yield Trial(fault, mended, prior_of(count))
 
 
-def _corners(base: Base, z: Array) -> Array:
+def _corners(base: BaseProducts, z: Array) -> Array:
     """(G, Q, n + 1) RSS with the rows from k on read as z (Q, n, 3)."""
     y, n = base.sheet.reading, base.sheet.n
     found = np.empty((len(base.rss), len(z), n + 1))
@@ -381,7 +381,7 @@ def _across(table: Array) -> Array:
     return np.concatenate([none, inner, none], axis=-1)
 
 
-def _turned(sheet: Sheet, which: int, start: int, score: float) -> tuple[Fault, Sheet]:
+def _other_part(sheet: Sheet, which: int, start: int, score: float) -> tuple[Fault, Sheet]:
     """Which of the two parts is wrong no likelihood says: the one whose mending lets the sensor
     stand straight, else the shorter one."""
     order, sign = _AXES[which]

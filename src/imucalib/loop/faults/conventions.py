@@ -82,7 +82,7 @@ def _named(direction: Array) -> str:
     return f"face {face}" if face else ", ".join(f"{v:+.3f}" for v in direction)
 
 
-class Meaning(NamedTuple):
+class AngleMeaning(NamedTuple):
     """What the angle columns may mean other than said; steps: rows that a column must move down."""
 
     exchanged: bool = False
@@ -99,7 +99,7 @@ class Misread:
     score : nats over the sheet as it stands; misfit, as_given : rms of the linear map, mg
     """
 
-    meaning: Meaning
+    meaning: AngleMeaning
     score: float
     misfit: float
     as_given: float
@@ -113,7 +113,7 @@ def misread_angles(sheet: Sheet) -> Misread | None:
     """
     steps = (-1, 0, 1) if sheet.ordered else (0,)
     tried = [
-        Meaning(*m)
+        AngleMeaning(*m)
         for m in product((False, True), (False, True), (False, True), steps, steps)
         # Both angles moved by one step is a shift of the readings, and is told as one.
         if not (m[3] and m[3] == m[4])
@@ -121,11 +121,11 @@ def misread_angles(sheet: Sheet) -> Misread | None:
     misfits = {}
     for meaning in tried:
         other = as_meant(sheet, meaning)
-        misfit = np.inf if other is None else _misfit(other, whole=meaning != Meaning())
+        misfit = np.inf if other is None else _misfit(other, whole=meaning != AngleMeaning())
         misfits[meaning] = max(misfit, BENCH)
-    plain = misfits[Meaning()]
+    plain = misfits[AngleMeaning()]
     best = min(tried, key=lambda m: (round(misfits[m], 6), sum(map(bool, m))))
-    if best == Meaning() or not np.isfinite(plain):
+    if best == AngleMeaning() or not np.isfinite(plain):
         return None
     dof = 3 * sheet.n - 15
     score = dof * np.log(plain / misfits[best]) - np.log(len(tried))
@@ -134,7 +134,7 @@ def misread_angles(sheet: Sheet) -> Misread | None:
     return Misread(best, float(score), misfits[best], plain)
 
 
-def as_meant(sheet: Sheet, meaning: Meaning) -> Sheet | None:
+def as_meant(sheet: Sheet, meaning: AngleMeaning) -> Sheet | None:
     """The sheet with its angles read so; None where they would be out of range."""
     i, t = sheet.inclination, sheet.tool_face
     if meaning.exchanged:

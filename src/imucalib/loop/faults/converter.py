@@ -1,9 +1,9 @@
 """Readings that were not given as they were: cut off at a range, flattened, or in wide steps.
 
-Readings of a converter at its range repeat exactly (`cut_off`). An amplifier that saturates leaves
-its noise on what it gives: no reading repeats, but all stop at one height (`flat_tops`). What they
-should be follows from the rows away from every end: by the linear map where the positions are
-known, else by the ellipsoid on which readings at rest lie.
+Readings of a converter at its range repeat exactly (`find_cut_offs`). An amplifier that saturates
+leaves its noise on what it gives: no reading repeats, but all stop at one height (`flat_tops`).
+What they should be follows from the rows away from every end: by the linear map where the positions
+are known, else by the ellipsoid on which readings at rest lie.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ def rows_of(ends: Sequence[CutOff]) -> Index:
     return np.unique(np.concatenate([np.zeros(0, np.intp), *(end.rows for end in ends)]))
 
 
-def cut_off(reading: Array, truth: Array | None = None) -> tuple[CutOff, ...]:
+def find_cut_offs(reading: Array, truth: Array | None = None) -> tuple[CutOff, ...]:
     """Extreme values (n, 3) mg that repeat exactly in rows whose other two readings differ; both
     ends of all axes have one range where their sizes are the same.
 

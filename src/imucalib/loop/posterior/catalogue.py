@@ -16,12 +16,12 @@ from typing import Literal
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.core.effect import DAILY, Context, Effect, Family
+from imucalib.core.effect import DAILY, Context, Effect, EffectScan
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.effects import known
 from imucalib.effects.forms import curve, shape
-from imucalib.loop.candidates import Searched
+from imucalib.loop.candidates import SearchedEffects
 from imucalib.loop.odds import (
     FALLS,
     KNOWN,
@@ -125,7 +125,7 @@ _OF_RESPONSE = (
 
 
 def components_of(
-    model: Model, data: Observations, wanted: Searched, *, walks: bool = False
+    model: Model, data: Observations, wanted: SearchedEffects, *, walks: bool = False
 ) -> tuple[Component, ...]:
     """Everything that may be missing from a model of some observations.
 
@@ -178,7 +178,7 @@ def _names(
             yield Component(effect.name, "name", (Member((whole,), 0.0),))
 
 
-def scan_of(data: Observations, family: Family, about: Sequence[str] = ()) -> Component | None:
+def scan_of(data: Observations, family: EffectScan, about: Sequence[str] = ()) -> Component | None:
     """A scan as a component: every value of it with the same weight, which those around a value
     that is refined share with it; about : values that are"""
     values = family.values(data.context)
@@ -203,7 +203,7 @@ def _functions(data: Observations, *, walks: bool) -> Iterator[Component]:
     # What falls as 1 / k² has nothing left beyond the first few.
     many = dict(zip(FALLS, (terms, terms, low), strict=True))
     share = -float(np.log(len(FALLS)))
-    axes = {a: [_curved(data, f"response:{a}:-1:1:{many[f]}", f) for f in FALLS] for a in "xyz"}
+    axes = {a: [_curve(data, f"response:{a}:-1:1:{many[f]}", f) for f in FALLS] for a in "xyz"}
     for a, curves in axes.items():
         members = tuple(Member((one,), share) for one in curves)
         yield Component(f"response of {a}", "free", members, "response")
@@ -216,7 +216,7 @@ def _functions(data: Observations, *, walks: bool) -> Iterator[Component]:
         if not (walks and (what, name) == ("bias", "order")):
             values = data.context[name]
             text = f"{what}:{name}:{values.min():.6g}:{values.max():.6g}:{TERMS}"
-            members = tuple(Member((_curved(data, text, f),), share) for f in FALLS)
+            members = tuple(Member((_curve(data, text, f),), share) for f in FALLS)
             title = f"{what} against {name}".replace("_", "-")
             yield Component(title, "free", members, name)
 
@@ -225,7 +225,7 @@ def _varying(data: Observations, names: Sequence[str]) -> list[str]:
     return [n for n in names if n in data.context and np.ptp(data.context[n]) > 0.0]
 
 
-def _curved(data: Observations, text: str, fall: int) -> tuple[Effect, Index, Array]:
+def _curve(data: Observations, text: str, fall: int) -> tuple[Effect, Index, Array]:
     """A curve whose terms of order k are 1 / k^fall of the first."""
     effect, every, typical = _whole(curve(text), data.context)
     largest = typical.max()

@@ -14,49 +14,49 @@ from imucalib.core.observations import Observations
 from imucalib.effects.record_error import record_of
 from imucalib.errors import NotConverged
 from imucalib.estimators.least_squares import fit as fit_model
-from imucalib.loop.candidates import Searched
+from imucalib.loop.candidates import SearchedEffects
 from imucalib.loop.found import Checked, FitLoop, Step, Unexplained
 from imucalib.loop.held_out import Difference, Fold, difference, folds_of, parts_of, with_density
-from imucalib.loop.posterior.explored import Explored, Start
-from imucalib.loop.posterior.held_out import LeftOut, left_out
-from imucalib.loop.posterior.noise import Point, between_temperatures, shared_bias
-from imucalib.loop.posterior.slips import Mended, Written, mended
-from imucalib.loop.posterior.solution import Solved, change, fit_of, noises_of, solved
+from imucalib.loop.posterior.explored import SearchedPosterior, SearchStart
+from imucalib.loop.posterior.held_out import LeftOut, leave_folds_out
+from imucalib.loop.posterior.noise import NoiseHypothesis, between_temperatures, shared_bias
+from imucalib.loop.posterior.slips import Mended, Written, repair_sheet
+from imucalib.loop.posterior.solution import Solved, change, fit_of, noises_of, solve
 from imucalib.loop.posterior.words import (
-    Conclusion,
-    concluded,
+    SelectedModel,
     member_of,
     name_of,
     rivals_of,
     scores_of,
+    select_model,
 )
-from imucalib.loop.record_errors import accused, record_names, reduced
+from imucalib.loop.record_errors import accuse, drop_effects, record_names
 from imucalib.units import MG
 
 
 @dataclass(frozen=True)
-class Closed:
+class ClosedLoop:
     """A finished loop, what it explored, and its predictions of what was left out, where anything
     was corrected."""
 
     loop: FitLoop
-    found: Explored
+    found: SearchedPosterior
     left: LeftOut | None
 
     def by(self, folds: tuple[Fold, ...]) -> LeftOut | None:
         """The same by other folds; None where there are none."""
-        return left_out(self.found.problem, self.found.posterior, folds) if folds else None
+        return leave_folds_out(self.found.problem, self.found.posterior, folds) if folds else None
 
 
 def close_loop(
     model: Model,
     observations: Observations,
-    wanted: Searched,
+    wanted: SearchedEffects,
     start: Array | None = None,
     written: Written | None = None,
     *,
     curves: bool = True,
-) -> Closed:
+) -> ClosedLoop:
     """Fit the base model, search for what it lacks, and judge it on rows left out.
 
     start : θ of the base model to start from; written : the sheet, where slips can be read in it
@@ -66,20 +66,20 @@ def close_loop(
     every record as it stands.
     """
     plain = fit_model(model, observations, start=start)
-    begun = Start.of(plain, wanted)
+    begun = SearchStart.of(plain, wanted)
     uneven = begun.axis_noise()
     if np.any(uneven != 1.0):
         observations = replace(observations, sigma=observations.sigma * uneven)
         plain = fit_model(model, observations, start=plain.theta)
-        begun = Start.of(plain, wanted)
-    state = mended(begun.explored(), wanted, written)
+        begun = SearchStart.of(plain, wanted)
+    state = repair_sheet(begun.explored(), wanted, written)
     found = state.found
-    said = concluded(found.problem, found.posterior)
+    said = select_model(found.problem, found.posterior)
     data, base = _walking(found, said), found.base
     if data is not base.observations:
         base = fit_model(base.model, data, start=base.theta)
-    loop, left = judged(
-        started(base, plain, found, wanted, said),
+    loop, left = accept_or_reject(
+        start_loop(base, plain, found, wanted, said),
         found,
         said,
         lambda one: fit_of(found.problem, one, data),
@@ -88,21 +88,21 @@ def close_loop(
     )
     loop = replace(
         loop,
-        records=accused(loop.final, state.aside),
+        records=accuse(loop.final, state.aside),
         slips=state.slips,
         weighed=rivals_of(found.problem, found.posterior),
     )
-    return Closed(replace(loop, as_recorded=_as_recorded(loop, state)), found, left)
+    return ClosedLoop(replace(loop, as_recorded=_as_recorded(loop, state)), found, left)
 
 
-def _walking(found: Explored, said: Conclusion) -> Observations:
+def _walking(found: SearchedPosterior, said: SelectedModel) -> Observations:
     """The observations, with the bias that walks as a noise of theirs where it more likely does
     than not beside what is told: readings that share an error are worth fewer."""
     data, posterior = found.base.observations, found.posterior
     weight = noises_of(found.problem, posterior.grams, said.hypothesis.picks)
     walks = dict[float, float]()
     for point, share in zip(posterior.grams.points, weight, strict=True):
-        if isinstance(point, Point) and point.walk is not None:
+        if isinstance(point, NoiseHypothesis) and point.walk is not None:
             walks[point.walk[1]] = walks.get(point.walk[1], 0.0) + float(share)
     if sum(walks.values()) <= 0.5:
         return data
@@ -128,13 +128,15 @@ def _as_recorded(loop: FitLoop, state: Mended) -> Fit:
     final, names = loop.final, record_names(loop.final)
     if final is loop.plain:
         return final
-    one = reduced(final, names) if names or not loop.steps else final
+    one = drop_effects(final, names) if names or not loop.steps else final
     if not state.slips:
         return one
     return fit_model(one.model, loop.plain.observations, start=one.theta, shrink=one.shrink)
 
 
-def started(base: Fit, plain: Fit, found: Explored, wanted: Searched, said: Conclusion) -> FitLoop:
+def start_loop(
+    base: Fit, plain: Fit, found: SearchedPosterior, wanted: SearchedEffects, said: SelectedModel
+) -> FitLoop:
     """The loop before anything is corrected."""
     context = plain.observations.context
     reasons = {name: effect.missing(context) for name, effect in wanted.effects.items()}
@@ -151,10 +153,10 @@ def started(base: Fit, plain: Fit, found: Explored, wanted: Searched, said: Conc
     )
 
 
-def judged(
+def accept_or_reject(
     loop: FitLoop,
-    found: Explored,
-    said: Conclusion,
+    found: SearchedPosterior,
+    said: SelectedModel,
     fitted: Callable[[Solved], Fit],
     gain_of: Callable[[Fit, LeftOut], Difference],
     *,
@@ -171,23 +173,23 @@ def judged(
     if not said.places:
         return loop, None
     if free and not curves:
-        return _refused(loop, found, said, None), None
+        return _reject(loop, found, said, None), None
     try:
-        final = fitted(solved(problem, posterior.grams, said.hypothesis))
+        final = fitted(solve(problem, posterior.grams, said.hypothesis))
         if not final.converged:
-            return _refused(loop, found, said, None), None
-        left = left_out(problem, posterior, folds_of(loop.base.observations))
+            return _reject(loop, found, said, None), None
+        left = leave_folds_out(problem, posterior, folds_of(loop.base.observations))
     except NotConverged:  # a response that has no inverse
-        return _refused(loop, found, said, None), None
+        return _reject(loop, found, said, None), None
     gain = gain_of(final, left)
     if not gain.holds:
-        return _refused(loop, found, said, gain), None
+        return _reject(loop, found, said, gain), None
     loop = replace(loop, final=final, steps=_steps(found, said, left), difference=gain)
     size = change(problem, posterior.grams, said.hypothesis) if loop.suspected else 0.0
     return replace(loop, open_size=size), left
 
 
-def _steps(found: Explored, said: Conclusion, left: LeftOut) -> tuple[Step, ...]:
+def _steps(found: SearchedPosterior, said: SelectedModel, left: LeftOut) -> tuple[Step, ...]:
     """One of each place, and of each time that a cause acts."""
     steps = []
     for place in said.places:
@@ -210,11 +212,13 @@ def _steps(found: Explored, said: Conclusion, left: LeftOut) -> tuple[Step, ...]
     return tuple(steps)
 
 
-def _name(found: Explored, said: Conclusion, component: int) -> str:
+def _name(found: SearchedPosterior, said: SelectedModel, component: int) -> str:
     return name_of(found.problem, found.posterior, said, component)
 
 
-def _refused(loop: FitLoop, found: Explored, said: Conclusion, gain: Difference | None) -> FitLoop:
+def _reject(
+    loop: FitLoop, found: SearchedPosterior, said: SelectedModel, gain: Difference | None
+) -> FitLoop:
     """Nothing is corrected: what is missing stays without a name."""
     why = "it has no inverse, no fit settles with it, or curves are not wanted"
     if gain is not None:

@@ -21,7 +21,7 @@ from imucalib.core.observations import Observations
 from imucalib.effects.record_error import GROSS_MG
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.estimators.starting_point import consistent_rows, full_matrix_start
-from imucalib.loop.candidates import Searched
+from imucalib.loop.candidates import SearchedEffects
 from imucalib.loop.odds import AXES, FAR, GROSS, HEARD, LIKELY, REACH, SIZES, UNEVEN
 from imucalib.loop.posterior.catalogue import (
     Component,
@@ -30,7 +30,7 @@ from imucalib.loop.posterior.catalogue import (
     scan_of,
 )
 from imucalib.loop.posterior.gram import Grams, grams_of
-from imucalib.loop.posterior.noise import Point, Terms, between_temperatures, terms_of
+from imucalib.loop.posterior.noise import NoiseHypothesis, Terms, between_temperatures, terms_of
 from imucalib.loop.posterior.problem import Choice, Problem, problem_of
 from imucalib.loop.posterior.solution import noises_of
 from imucalib.loop.posterior.space import Posterior, search
@@ -41,7 +41,7 @@ _AT_ONCE = 64
 
 
 @dataclass(frozen=True)
-class Explored:
+class SearchedPosterior:
     """A base fit with the posterior over what it lacks, at the noises that its leading sets give a
     say; every : Grams at all noises that the data do not exclude, be a record what it may"""
 
@@ -52,39 +52,39 @@ class Explored:
 
 
 @dataclass(frozen=True)
-class Start:
+class SearchStart:
     """A base fit before the search: the problem with all that may be missing, and what its noise
     may be; wanted : what is searched for"""
 
     base: Fit
-    wanted: Searched
+    wanted: SearchedEffects
     problem: Problem
     terms: Terms
 
     @staticmethod
-    def of(fit: Fit, wanted: Searched) -> Start:
-        base = _anchored(fit)
+    def of(fit: Fit, wanted: SearchedEffects) -> SearchStart:
+        base = _at_nominal_angles(fit)
         problem = problem_of(base, components_of(base.model, base.observations, wanted))
-        return Start(base, wanted, problem, terms_of(problem))
+        return SearchStart(base, wanted, problem, terms_of(problem))
 
-    def explored(self) -> Explored:
+    def explored(self) -> SearchedPosterior:
         """The posterior, scans refined where they count."""
         found = self._searched()
         values = values_found(found)
         if values:
             data = self.base.observations
             components = components_of(self.base.model, data, self.wanted)
-            finer = refined(components, values, data, self.wanted)
+            finer = refine_scans(components, values, data, self.wanted)
             found = replace(self, problem=problem_of(self.base, finer))._searched()
-        return replace(found, posterior=heard(found))
+        return replace(found, posterior=keep_plausible_noises(found))
 
-    def _searched(self) -> Explored:
+    def _searched(self) -> SearchedPosterior:
         nothing = np.zeros((len(self.terms.order), 0))
         points, found = self.terms.points, np.zeros(len(self.terms.points), bool)
         for logs in (self.terms.evidence(points, nothing), self._lacking_all):
             found |= logs > logs.max() - HEARD
         grams = grams_of(self.problem, self.terms, [points[k] for k in np.flatnonzero(found)])
-        return Explored(self.base, self.problem, search(self.problem, grams), grams)
+        return SearchedPosterior(self.base, self.problem, search(self.problem, grams), grams)
 
     def axis_noise(self) -> Array:
         """(K, 3) likeliest standard deviations of the axes' noise over each other, in steps, be the
@@ -101,7 +101,7 @@ class Start:
             power = own
         return np.asarray(np.sqrt(power).reshape(-1, 3))
 
-    def _uneven(self, lacked: Array, point: Point) -> tuple[float, Array]:
+    def _uneven(self, lacked: Array, point: NoiseHypothesis) -> tuple[float, Array]:
         """Log evidence and variances (K 3,) of the axes, climbed axis by axis from even ones, at
         one noise."""
         terms, rare = self.terms, float(np.log(UNEVEN / (1.0 - UNEVEN) / len(AXES)))
@@ -144,7 +144,7 @@ class Start:
         problem = self.problem
         return [c for c in problem.choices if problem.components[c.component].kind == "free"]
 
-    def _one_function(self, point: Point) -> tuple[Array, float]:
+    def _one_function(self, point: NoiseHypothesis) -> tuple[Array, float]:
         """(N, m) factor of gross errors and of the free function, at its size, beside which a noise
         is likeliest, and its log prior odds."""
         columns, sizes = self.problem.columns[: len(self._gross)], (REACH, SIZES[-1])
@@ -159,12 +159,12 @@ class Start:
         return found
 
 
-def explored(fit: Fit, wanted: Searched) -> Explored:
+def search_posterior(fit: Fit, wanted: SearchedEffects) -> SearchedPosterior:
     """The posterior at a fitted base model, scans refined where they count."""
-    return Start.of(fit, wanted).explored()
+    return SearchStart.of(fit, wanted).explored()
 
 
-def _anchored(fit: Fit) -> Fit:
+def _at_nominal_angles(fit: Fit) -> Fit:
     """The fit as it stands at the angles that were meant: a tilt that was fitted would be told from
     the reading that it explains, and give a response the blame. Where settings or readings were
     fitted to scatter beyond what hands and chips do, rows are in the wrong place: there θ is that
@@ -225,11 +225,11 @@ def _gross_errors(fit: Fit) -> Array:
     return np.hstack(factors)
 
 
-def refined(
+def refine_scans(
     components: tuple[Component, ...],
     values: Mapping[str, Sequence[str]],
     data: Observations,
-    wanted: Searched,
+    wanted: SearchedEffects,
 ) -> tuple[Component, ...]:
     """The components, scans with finer values around some."""
     own = {f"{f.name}@": f for f in wanted.families}
@@ -239,7 +239,7 @@ def refined(
     )
 
 
-def values_found(found: Explored) -> dict[str, list[str]]:
+def values_found(found: SearchedPosterior) -> dict[str, list[str]]:
     """Values of scans that stand in likely sets, by component."""
     values: dict[str, list[str]] = {}
     problem, posterior = found.problem, found.posterior
@@ -253,7 +253,7 @@ def values_found(found: Explored) -> dict[str, list[str]]:
     return values
 
 
-def heard(found: Explored) -> Posterior:
+def keep_plausible_noises(found: SearchedPosterior) -> Posterior:
     """The posterior at the noises that any leading set still gives a say."""
     posterior, problem = found.posterior, found.problem
     weights = [

@@ -3,9 +3,9 @@
     A = Zᵀ V⁻¹ Z - Σ Xᵀ X,  Z = [base | members | y]
 
 What is integrated out leaves as factors X: a block of columns S with a normal prior of size τ as
-L⁻¹ A_S, L Lᵀ = A_SS + 1/τ² (`swept`). Numbers that are left out are free, each by a column of its
-own with a flat prior, which is exact however V couples them (`without`). Where the numbers are
-fewer than the columns, only blocks on the diagonal of A and a few of its rows are ever formed.
+L⁻¹ A_S, L Lᵀ = A_SS + 1/τ² (`marginalize`). Numbers that are left out are free, each by a column of
+its own with a flat prior, which is exact however V couples them (`leave_out`). Where the numbers
+are fewer than the columns, only blocks on the diagonal of A and a few of its rows are ever formed.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.core.balance import below
-from imucalib.loop.posterior.noise import Point, Terms
+from imucalib.loop.posterior.noise import NoiseHypothesis, Terms
 from imucalib.loop.posterior.problem import Problem
 
 
@@ -170,7 +170,7 @@ class Grams:
         )
 
 
-def narrowed(grams: Grams, columns: Index) -> Grams:
+def select_columns(grams: Grams, columns: Index) -> Grams:
     """Of some of the columns, in ascending order, y among them as the last."""
     return replace(
         grams,
@@ -180,7 +180,7 @@ def narrowed(grams: Grams, columns: Index) -> Grams:
     )
 
 
-def grams_of(problem: Problem, terms: Terms, points: Sequence[Point]) -> Grams:
+def grams_of(problem: Problem, terms: Terms, points: Sequence[NoiseHypothesis]) -> Grams:
     """At some noises; multiplied out where there are more numbers than columns."""
     n, q = len(terms.order), problem.columns.shape[1]
     columns, known = problem.columns[:n], problem.columns[n:]
@@ -204,7 +204,7 @@ def grams_of(problem: Problem, terms: Terms, points: Sequence[Point]) -> Grams:
     )
 
 
-def without(grams: Grams, problem: Problem, rows: Index) -> Grams:
+def leave_out(grams: Grams, problem: Problem, rows: Index) -> Grams:
     """Of the data without some observations, of which nothing is integrated out: A less
     U_Fᵀ ((V⁻¹)_FF)⁻¹ U_F, U = V⁻¹ Z (Cook and Weisberg 1982)."""
     gone = np.flatnonzero(np.isin(problem.owner, rows))
@@ -220,7 +220,7 @@ def without(grams: Grams, problem: Problem, rows: Index) -> Grams:
     return replace(grams, removed=removed, log_weight=log_weight, numbers=grams.numbers - gone.size)
 
 
-def swept(grams: Grams, *blocks: Block) -> Grams:
+def marginalize(grams: Grams, *blocks: Block) -> Grams:
     """With blocks of columns integrated out, one after the other."""
     for columns, size in blocks:
         rows = grams.rows(columns)

@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.loop.held_out import Fold, Held, errors, joined
+from imucalib.loop.held_out import Fold, Predictions, errors, join
 from imucalib.loop.odds import FOLD_BEAMS, FOLD_DEEPEST, SEEN, SINGLES
-from imucalib.loop.posterior.gram import Grams, narrowed, swept, without
+from imucalib.loop.posterior.gram import Grams, leave_out, marginalize, select_columns
 from imucalib.loop.posterior.problem import Choice, Problem
-from imucalib.loop.posterior.solution import solved
+from imucalib.loop.posterior.solution import solve
 from imucalib.loop.posterior.space import Posterior, blocks_of, search
-from imucalib.loop.posterior.words import concluded
+from imucalib.loop.posterior.words import select_model
 
 
 @dataclass(frozen=True)
@@ -29,43 +29,43 @@ class LeftOut:
     nats : (K,) of log density that each fold gains by it
     """
 
-    before: Held
-    after: Held
+    before: Predictions
+    after: Predictions
     nats: Array
 
 
-def left_out(problem: Problem, posterior: Posterior, folds: Sequence[Fold]) -> LeftOut:
+def leave_folds_out(problem: Problem, posterior: Posterior, folds: Sequence[Fold]) -> LeftOut:
     """Every fold of a design, in the order of the observations."""
-    problem, grams = _narrowed(problem, posterior)
-    every, whole = np.arange(problem.fit.observations.n), swept(grams, problem.flat)
-    deepest = min(FOLD_DEEPEST, len(concluded(problem, posterior).hypothesis.components) + 1)
-    before, after, nats = list[Held](), list[Held](), list[float]()
+    problem, grams = _select_columns(problem, posterior)
+    every, whole = np.arange(problem.fit.observations.n), marginalize(grams, problem.flat)
+    deepest = min(FOLD_DEEPEST, len(select_model(problem, posterior).hypothesis.components) + 1)
+    before, after, nats = list[Predictions](), list[Predictions](), list[float]()
     for fold in folds:
-        kept = without(grams, problem, np.setdiff1d(every, fold.rest))
+        kept = leave_out(grams, problem, np.setdiff1d(every, fold.rest))
         found = search(problem, kept, beams=FOLD_BEAMS, deepest=deepest)
-        said = concluded(problem, found).hypothesis
+        said = select_model(problem, found).hypothesis
         # The fold's rows given all others, by the set that is told over the base model.
         blocks = blocks_of(problem.choices, said.picks)
         gains = [
-            swept(given, *blocks).evidence(dof) - given.evidence(dof)
-            for given, dof in ((whole, posterior.dof), (swept(kept, problem.flat), found.dof))
+            marginalize(given, *blocks).evidence(dof) - given.evidence(dof)
+            for given, dof in ((whole, posterior.dof), (marginalize(kept, problem.flat), found.dof))
         ]
         nats.append(gains[0] - gains[1])
         held = problem.fit.observations.take(fold.rows)
         for hypothesis, out in ((found.base, before), (said, after)):
-            one = solved(problem, kept, hypothesis)
+            one = solve(problem, kept, hypothesis)
             fit = replace(problem.fit, model=one.model, theta=one.theta)
             out.append(errors(fit, one.theta, held))
     rows = [fold.rows for fold in folds]
-    return LeftOut(joined(before, rows), joined(after, rows), np.array(nats))
+    return LeftOut(join(before, rows), join(after, rows), np.array(nats))
 
 
-def base_left_out(problem: Problem, posterior: Posterior, folds: Sequence[Fold]) -> Held:
+def base_left_out(problem: Problem, posterior: Posterior, folds: Sequence[Fold]) -> Predictions:
     """Predictions of every observation without its fold by the base model alone."""
-    return left_out(replace(problem, choices=()), posterior, folds).before
+    return leave_folds_out(replace(problem, choices=()), posterior, folds).before
 
 
-def _narrowed(problem: Problem, posterior: Posterior) -> tuple[Problem, Grams]:
+def _select_columns(problem: Problem, posterior: Posterior) -> tuple[Problem, Grams]:
     """The problem and its products with the members of every component that any data have a say
     for."""
     choices = _rivals(problem, posterior)
@@ -76,7 +76,7 @@ def _narrowed(problem: Problem, posterior: Posterior) -> tuple[Problem, Grams]:
         columns=problem.columns[:, used],
         choices=tuple(replace(c, at=np.searchsorted(used, c.at)) for c in choices),
     )
-    return found, narrowed(posterior.grams, used)
+    return found, select_columns(posterior.grams, used)
 
 
 def _rivals(problem: Problem, posterior: Posterior) -> tuple[Choice, ...]:

@@ -46,7 +46,7 @@ _FEW, _SHARED, _KNOTS = 240, 30, 64
 
 
 @dataclass(frozen=True)
-class Point:
+class NoiseHypothesis:
     """One noise: its log prior, and what multiplies each factor; sharing : how settings are
     shared; walk : (size, memory in rows) or None"""
 
@@ -57,7 +57,7 @@ class Point:
 
 
 @dataclass(frozen=True)
-class Covariance:
+class SheetCovariance:
     """V, whose inverse is never formed: B + G Gᵀ, with what few numbers share in the blocks B, and
     what many share in G, removed by the identity of Woodbury (1950).
 
@@ -106,24 +106,26 @@ class Terms:
     walks: Mapping[float, Array]
     axes: Array
     order: Index
-    points: tuple[Point, ...]
+    points: tuple[NoiseHypothesis, ...]
     base: Array
     known: Array
     dof: float
 
-    def covariance(self, point: Point) -> Covariance:
+    def covariance(self, point: NoiseHypothesis) -> SheetCovariance:
         """V at a point."""
         few, n = [f.few for f in self.sharings[point.sharing]], self.order.size
         wide = [size * factor for size, factor in self._wide(point) if size]
         if sum(m.shape[1] for m in wide) >= n:
             whole = whitener((*few, *wide), (*point.ratio, *(1.0 for _ in wide)))
-            return Covariance(whole, np.zeros((n, 0)), np.zeros((0, 0)))
+            return SheetCovariance(whole, np.zeros((n, 0)), np.zeros((0, 0)))
         blocks = whitener(few, point.ratio)
         columns = blocks(np.column_stack([np.zeros((n, 0)), *wide]))
         inner = np.eye(columns.shape[1]) + columns.T @ columns
-        return Covariance(blocks, columns, np.asarray(np.linalg.cholesky(inner)))
+        return SheetCovariance(blocks, columns, np.asarray(np.linalg.cholesky(inner)))
 
-    def evidence(self, points: Sequence[Point], lacked: Array, power: Array | None = None) -> Array:
+    def evidence(
+        self, points: Sequence[NoiseHypothesis], lacked: Array, power: Array | None = None
+    ) -> Array:
         """(P,) log evidence of the base model at some points, but for priors of sizes.
 
         lacked : (N, m) factor of what may be there beside the noise; power : (K 3,) variance of
@@ -151,7 +153,7 @@ class Terms:
                 logs[k] = points[k].log_prior - 0.5 * log_det + flat
         return logs
 
-    def _same_blocks(self, points: Sequence[Point]) -> Iterable[list[int]]:
+    def _same_blocks(self, points: Sequence[NoiseHypothesis]) -> Iterable[list[int]]:
         """Points by what few numbers share in them, which is whitened once."""
         groups = dict[tuple[float, ...], list[int]]()
         for k, point in enumerate(points):
@@ -160,7 +162,7 @@ class Terms:
             groups.setdefault(key, []).append(k)
         return groups.values()
 
-    def _wide(self, point: Point) -> list[tuple[float, Array]]:
+    def _wide(self, point: NoiseHypothesis) -> list[tuple[float, Array]]:
         """What many numbers share, (N, k) each, and its size at a point."""
         own = zip(point.ratio, (f.many for f in self.sharings[point.sharing]), strict=True)
         size, memory = point.walk or (0.0, 0.0)
@@ -296,7 +298,7 @@ def _sharings(fit: Fit) -> Iterator[tuple[Array, ...]]:
             yield (*own, *at.settings[at.free :])
 
 
-def _points(fit: Fit, sharings: int, n: int) -> Iterator[Point]:
+def _points(fit: Fit, sharings: int, n: int) -> Iterator[NoiseHypothesis]:
     levels = [list(_levels(fit, c)) for c in range(len(fit.at.settings))]
     walks: list[tuple[tuple[float, float] | None, float]] = [(None, 1.0)]
     if "order" in fit.observations.context and n > 8:
@@ -310,7 +312,7 @@ def _points(fit: Fit, sharings: int, n: int) -> Iterator[Point]:
                 continue
             for walk, share in walks:
                 weight = np.log(share * (shared[way] if some else 1.0)) + sum(w for _, w in picked)
-                yield Point(float(weight), tuple(r for r, _ in picked), way, walk)
+                yield NoiseHypothesis(float(weight), tuple(r for r, _ in picked), way, walk)
 
 
 def between_temperatures(data: Observations) -> bool:

@@ -19,7 +19,7 @@ from imucalib.core.effect import Effect
 from imucalib.core.fit import Fit, shrinking
 from imucalib.core.model import Model
 from imucalib.effects.record_error import is_record_error
-from imucalib.loop.candidates import effect_slopes, fitted_prediction
+from imucalib.loop.candidates import effect_slopes, predict_by_fit
 from imucalib.loop.odds import SIZES
 from imucalib.loop.posterior.catalogue import Component, Member, log_odds
 
@@ -134,7 +134,7 @@ class _Blocks:
 
     def __init__(self, fit: Fit, first: int) -> None:
         self.columns = list[Array]()
-        self._fit, self._first, self._prediction = fit, first, fitted_prediction(fit)
+        self._fit, self._first, self._prediction = fit, first, predict_by_fit(fit)
         slices = fit.model.slices(fit.observations.context)
         self._slopes = {name: fit.at.jacobian[:, part] for name, part in slices.items()}
         self._place = dict[tuple[str, int, float], int]()

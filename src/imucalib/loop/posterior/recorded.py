@@ -25,7 +25,7 @@ from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.estimators.least_squares import evaluate
-from imucalib.loop.found import Drift
+from imucalib.loop.found import BiasWalk
 from imucalib.loop.odds import (
     DEEPEST,
     HEARD,
@@ -38,7 +38,7 @@ from imucalib.loop.odds import (
     WANDERS,
 )
 from imucalib.loop.posterior.catalogue import Member
-from imucalib.loop.posterior.gram import Grams, Multiplied, log_sum, swept
+from imucalib.loop.posterior.gram import Grams, Multiplied, log_sum, marginalize
 from imucalib.loop.posterior.noise import diagonal_logs
 from imucalib.loop.posterior.problem import Choice, Problem
 from imucalib.loop.posterior.space import NARROW, block_logs
@@ -49,7 +49,7 @@ _BLOCK = 16
 
 
 @dataclass(frozen=True)
-class Whitener:
+class WalkWhitener:
     """L⁻¹ at E noises, by blocks of b rows, the last filled up with rows of nothing.
 
     inverse : (blocks, E, b, b) L⁻¹ of a block given the rows before; seen : (blocks, E, b, q) what
@@ -63,9 +63,9 @@ class Whitener:
     gain: Array
     log_det: Array
 
-    def of(self, noises: slice) -> Whitener:
+    def of(self, noises: slice) -> WalkWhitener:
         """At some of the noises."""
-        return Whitener(
+        return WalkWhitener(
             self.inverse[:, noises],
             self.seen[:, noises],
             self.keep[:, noises],
@@ -101,7 +101,7 @@ class Whitener:
         return own[:, :n]
 
 
-def whitener(time: Array, variance: Array, shares: Array, memory: Array) -> Whitener:
+def whitener(time: Array, variance: Array, shares: Array, memory: Array) -> WalkWhitener:
     """At E noises. time : (n,) s, increasing; variance : (E, n) d; shares : (E, n, q) the h_j, or
     one for all noises; memory : (E,) s"""
     (e, n), q = variance.shape, shares.shape[2]
@@ -128,7 +128,7 @@ def whitener(time: Array, variance: Array, shares: Array, memory: Array) -> Whit
         inverse[k] = np.linalg.inv(lower)
         gain[k] = (inverse[k] @ (last[k] + on * kept[k] @ off)).swapaxes(1, 2)
         off = on**2 * off - gain[k] @ gain[k].swapaxes(1, 2)
-    return Whitener(inverse, inverse @ kept, keep[:, :, -1], gain, log_det)
+    return WalkWhitener(inverse, inverse @ kept, keep[:, :, -1], gain, log_det)
 
 
 #: One over the median absolute deviation of a normal number.
@@ -136,7 +136,7 @@ _MAD = 1.4826
 
 
 @dataclass(frozen=True)
-class Walk:
+class WalkNoise:
     """size : (q,) of the walk of each share, over the scatter; memory : s; log_prior : of it"""
 
     size: Array
@@ -145,7 +145,7 @@ class Walk:
 
 
 @dataclass(frozen=True)
-class Course:
+class RunCourse:
     """Runs in order of time, and what their noise may be.
 
     scatter : m/s², the unit; time : (n,) s; variance : (n,) d; shares : (n, q) h of unit walks
@@ -157,11 +157,11 @@ class Course:
     time: Array
     variance: Array
     shares: Array
-    walks: tuple[Walk, ...]
-    likeliest: Walk
+    walks: tuple[WalkNoise, ...]
+    likeliest: WalkNoise
     light: int = 0
 
-    def whitener(self, walks: tuple[Walk, ...]) -> Whitener:
+    def whitener(self, walks: tuple[WalkNoise, ...]) -> WalkWhitener:
         """Of some walks."""
         shares = np.array([self.shares * w.size for w in walks])
         variance = np.broadcast_to(self.variance, (len(walks), self.time.size))
@@ -191,7 +191,9 @@ def fit_at(model: Model, data: Observations, theta: Array, covariance: Array) ->
     return replace(evaluate(model, data, theta, covariance, eta=eta), noise=Noise(1.0))
 
 
-def course_of(fit: Fit, known: Array, before: Course | None = None) -> tuple[Course, Drift]:
+def course_of(
+    fit: Fit, known: Array, before: RunCourse | None = None
+) -> tuple[RunCourse, BiasWalk]:
     """The noise beside a fitted model, and the likeliest walk in words.
 
     known : (n,) m²/s⁴, the part of each run's variance that its windows and the resolution explain
@@ -203,7 +205,7 @@ def course_of(fit: Fit, known: Array, before: Course | None = None) -> tuple[Cou
     columns = columns / np.maximum(np.abs(columns).max(axis=0), 1e-300)
     walks = _walks(data.context["time"])
     axes = np.broadcast_to(np.eye(3), (data.n, 1, 3, 3))
-    course = before or Course(
+    course = before or RunCourse(
         scatter=max(_MAD * float(np.median(np.abs(misfit))), 1e-3 * MG),
         time=data.context["time"],
         variance=np.ones(data.n),
@@ -213,19 +215,19 @@ def course_of(fit: Fit, known: Array, before: Course | None = None) -> tuple[Cou
     )
     for _ in range(ROUNDS // 2 if before else ROUNDS):
         every = np.column_stack([columns, misfit]) / course.scatter
-        course, drift = _settled(course, every, known)
+        course, drift = _settle(course, every, known)
     return course, drift
 
 
-def _walks(time: Array) -> tuple[Walk, ...]:
+def _walks(time: Array) -> tuple[WalkNoise, ...]:
     """None, and walks of the bias of each axis."""
     span = float(np.ptp(time))
     some = [(np.full(3, size), memory * span) for size in WALK_SIZE for memory in WALK_MEMORY]
-    none = Walk(np.zeros(3), span, float(np.log(1.0 - WANDERS)))
-    return (none, *(Walk(s, m, float(np.log(WANDERS / len(some)))) for s, m in some))
+    none = WalkNoise(np.zeros(3), span, float(np.log(1.0 - WANDERS)))
+    return (none, *(WalkNoise(s, m, float(np.log(WANDERS / len(some)))) for s, m in some))
 
 
-def _settled(course: Course, every: Array, known: Array) -> tuple[Course, Drift]:
+def _settle(course: RunCourse, every: Array, known: Array) -> tuple[RunCourse, BiasWalk]:
     """Weights, scatter and walk once more; every : (n, p + 1) columns and the misfit over the
     scatter."""
     gram, weight = course.summed(every)
@@ -243,7 +245,7 @@ def _settled(course: Course, every: Array, known: Array) -> tuple[Course, Drift]
     alone = every[:, -1] - every[:, :-1] @ theta
     rest = course.variance * whitens.back(whitens(alone[:, None]))[0, :, 0]
     scatter = factor * course.scatter
-    drift = Drift(
+    drift = BiasWalk(
         size=float(np.sqrt(np.mean((alone - rest) ** 2))) * course.scatter / MG,
         hours=walk.memory / 3600.0,
         scatter=scatter / MG,
@@ -257,11 +259,11 @@ def _settled(course: Course, every: Array, known: Array) -> tuple[Course, Drift]
     return replace(course, scatter=scatter, variance=variance, likeliest=walk, light=light), drift
 
 
-def recorded_grams(problem: Problem, course: Course) -> Grams:
+def recorded_grams(problem: Problem, course: RunCourse) -> Grams:
     """At all walks of a course, which go on through runs that are left out."""
     gram, log_weight = course.summed(problem.columns)
 
-    def inverse(walk: Walk) -> Callable[[Array], Array]:
+    def inverse(walk: WalkNoise) -> Callable[[Array], Array]:
         white = course.whitener((walk,))
         return lambda columns: white.back(white(columns))[0]
 
@@ -277,7 +279,7 @@ def recorded_grams(problem: Problem, course: Course) -> Grams:
     )
 
 
-def looked(
+def score_walks(
     problem: Problem, grams: Grams, chosen: Sequence[tuple[Member, float]] = ()
 ) -> tuple[Index, dict[str, list[str]]]:
     """One look at every narrow member under every walk. chosen : members and their sizes
@@ -288,9 +290,9 @@ def looked(
     """
     place = {c.member.free: c.at for c in problem.choices}
     blocks = [(place[m.free], size) for m, size in chosen if m.free in place]
-    base = swept(grams, problem.flat)
+    base = marginalize(grams, problem.flat)
     found, values = np.zeros(len(grams.points), bool), dict[str, list[str]]()
-    for one in (base, swept(base, *blocks)) if blocks else (base,):
+    for one in (base, marginalize(base, *blocks)) if blocks else (base,):
         every, logs = _profiles(problem, one)
         likely = logs.max(axis=0) > logs.max() - HEARD
         found |= (logs[:, likely] > logs[:, likely].max(axis=0) - HEARD).any(axis=1)
@@ -316,14 +318,14 @@ def with_jumps(problem: Problem, grams: Grams) -> Problem:
             continue
         every = [c for c in problem.choices if c.component == k]
         index, taken = np.array([c.at for c in every]), list[Choice]()
-        own = swept(still, problem.flat)
+        own = marginalize(still, problem.flat)
         while len(taken) < DEEPEST:
             logs = block_logs(own, index, SIZES, dof)[0][0]
             at, size = np.unravel_index(np.argmax(logs), logs.shape)
             if any(c is every[at] for c in taken) or logs[at, size] < own.evidence(dof) + OPEN:
                 break
             taken.append(every[at])
-            own = swept(own, (every[at].at, float(SIZES[size])))
+            own = marginalize(own, (every[at].at, float(SIZES[size])))
             if len(taken) > 1:
                 more.append(_join(taken, float(problem.odds[k])))
     return replace(problem, choices=(*problem.choices, *more))

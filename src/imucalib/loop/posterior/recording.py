@@ -24,33 +24,38 @@ from imucalib.core.model import Model
 from imucalib.effects.forms import curve
 from imucalib.effects.scans import moment_of
 from imucalib.errors import NotConverged
-from imucalib.loop.candidates import Searched
+from imucalib.loop.candidates import SearchedEffects
 from imucalib.loop.found import FitLoop
 from imucalib.loop.held_out import (
     Difference,
-    Held,
+    Predictions,
     difference,
     folds_of,
     parts_of,
 )
 from imucalib.loop.odds import EVERY, FOLD_BEAMS, FOLD_DEEPEST, ROUNDS, STRETCHES
 from imucalib.loop.posterior.catalogue import Member, components_of
-from imucalib.loop.posterior.closed import judged, started
-from imucalib.loop.posterior.explored import Explored, heard, refined, values_found
+from imucalib.loop.posterior.closed import accept_or_reject, start_loop
+from imucalib.loop.posterior.explored import (
+    SearchedPosterior,
+    keep_plausible_noises,
+    refine_scans,
+    values_found,
+)
 from imucalib.loop.posterior.held_out import LeftOut, base_left_out
 from imucalib.loop.posterior.problem import problem_of
 from imucalib.loop.posterior.recorded import (
-    Course,
+    RunCourse,
     course_of,
     fit_at,
-    looked,
     recorded_grams,
+    score_walks,
     whitener,
     with_jumps,
 )
-from imucalib.loop.posterior.solution import Solved, solved
+from imucalib.loop.posterior.solution import Solved, solve
 from imucalib.loop.posterior.space import search
-from imucalib.loop.posterior.words import Conclusion, concluded, rivals_of
+from imucalib.loop.posterior.words import SelectedModel, rivals_of, select_model
 from imucalib.loop.separation import ambiguities
 from imucalib.loop.sums import sums_of
 from imucalib.units import MG
@@ -61,22 +66,24 @@ _UNKNOWN = 1e8  # times the variance of a run that is left out
 
 
 @dataclass(frozen=True)
-class Closed:
+class ClosedRecording:
     """A finished loop. course : the noise beside its final model; before, after : every run
     predicted without its block of time, by the base model and by what the search finds there"""
 
     loop: FitLoop
-    course: Course
-    before: Held
-    after: Held
+    course: RunCourse
+    before: Predictions
+    after: Predictions
 
 
-def close_recording(plain: Fit, wanted: Searched, known: Array, *, curves: bool = True) -> Closed:
+def close_recording(
+    plain: Fit, wanted: SearchedEffects, known: Array, *, curves: bool = True
+) -> ClosedRecording:
     """Search beside a fitted base model, and judge on blocks of time what that was worth.
 
     known : (n,) m²/s⁴, the part of each run's variance that its windows and the resolution explain
     """
-    found, course, said = _explored(plain, wanted, known)
+    found, course, said = _search_posterior(plain, wanted, known)
     problem, posterior = found.problem, found.posterior
     data = found.base.observations
     own = course.scatter * np.sqrt(course.variance)  # of each run, beside the walk
@@ -85,9 +92,9 @@ def close_recording(plain: Fit, wanted: Searched, known: Array, *, curves: bool 
     def fitted(one: Solved) -> Fit:
         return fit_at(one.model, data, one.theta, one.covariance)
 
-    base = fitted(solved(problem, posterior.grams, posterior.base))
-    loop, left = judged(
-        replace(started(base, plain, found, wanted, said), as_recorded=base),
+    base = fitted(solve(problem, posterior.grams, posterior.base))
+    loop, left = accept_or_reject(
+        replace(start_loop(base, plain, found, wanted, said), as_recorded=base),
         found,
         said,
         fitted,
@@ -104,10 +111,12 @@ def close_recording(plain: Fit, wanted: Searched, known: Array, *, curves: bool 
         ambiguous=ambiguities(loop.final, loop.alternatives, course.white(loop.final.at.unit)),
         sums=sums_of(problem, posterior, base, drift.scatter, drift.size),
     )
-    return Closed(loop, course, before, left.after if left else before)
+    return ClosedRecording(loop, course, before, left.after if left else before)
 
 
-def _explored(plain: Fit, wanted: Searched, known: Array) -> tuple[Explored, Course, Conclusion]:
+def _search_posterior(
+    plain: Fit, wanted: SearchedEffects, known: Array
+) -> tuple[SearchedPosterior, RunCourse, SelectedModel]:
     """The posterior where it stands still: at what it tells, and at the noise beside that."""
     data, fit = plain.observations, plain
     first = components_of(plain.model, data, wanted, walks=True)
@@ -117,15 +126,15 @@ def _explored(plain: Fit, wanted: Searched, known: Array) -> tuple[Explored, Cou
     for _ in range(ROUNDS):
         scaled = replace(data, sigma=np.full_like(data.sigma, course.scatter))
         at = fit_at(fit.model, scaled, fit.theta, fit.covariance)
-        problem = problem_of(at, refined(first, values, data, wanted), plain.model)
+        problem = problem_of(at, refine_scans(first, values, data, wanted), plain.model)
         every = recorded_grams(problem, course)
         problem = with_jumps(problem, every)
-        kept, leading = looked(problem, every, before)
+        kept, leading = score_walks(problem, every, before)
         grams = every.of(kept)
         del every  # the products of all walks are most of the memory
         brief = search(problem, grams, beams=FOLD_BEAMS, deepest=FOLD_DEEPEST)
-        found = Explored(replace(plain, observations=scaled), problem, brief, grams)
-        hypothesis = concluded(problem, brief).hypothesis
+        found = SearchedPosterior(replace(plain, observations=scaled), problem, brief, grams)
+        hypothesis = select_model(problem, brief).hypothesis
         likely = values_found(found)
         more = {
             name: sorted({*leading.get(name, ()), *likely.get(name, ())})
@@ -137,14 +146,14 @@ def _explored(plain: Fit, wanted: Searched, known: Array) -> tuple[Explored, Cou
             break
         values, before = more, now
         try:
-            one = solved(problem, grams, hypothesis)
+            one = solve(problem, grams, hypothesis)
             fit = fit_at(one.model, data, one.theta, one.covariance)
         except NotConverged:  # it is told where it stands, and corrects nothing
             break
         course, _ = course_of(fit, known, course)
     whole = replace(found, posterior=search(problem, grams))
-    posterior = heard(whole)
-    return replace(whole, posterior=posterior), course, concluded(problem, posterior)
+    posterior = keep_plausible_noises(whole)
+    return replace(whole, posterior=posterior), course, select_model(problem, posterior)
 
 
 def _gain(final: Fit, left: LeftOut) -> Difference:
@@ -163,7 +172,7 @@ def _gain(final: Fit, left: LeftOut) -> Difference:
     return difference(*sizes, part[good], len(folds) - len(hidden), "mean")
 
 
-def followed(fit: Fit, course: Course) -> Fit | None:
+def follow_bias(fit: Fit, course: RunCourse) -> Fit | None:
     """The fit with the course of its bias, or None where none is likely or held-out stretches speak
     against it; course : the noise beside the fit."""
     misfit = fit.at.residual * fit.at.unit / course.scatter
@@ -172,10 +181,10 @@ def followed(fit: Fit, course: Course) -> Fit | None:
     time = course.time
     effect = curve(f"bias:time:{time[0]:.10g}:{time[-1]:.10g}:{_TERMS}")
     model = Model((*fit.model.effects, effect))
-    return _joined(fit, model, effect.name, _curve_of_walk(fit, course, misfit))
+    return _join_curve(fit, model, effect.name, _curve_of_walk(fit, course, misfit))
 
 
-def _holds(course: Course, misfit: Array) -> bool:
+def _holds(course: RunCourse, misfit: Array) -> bool:
     """Whether stretches that are left out are predicted no worse with the walk."""
     time, walk = course.time, course.likeliest
     unit = (time - time[0]) / max(float(np.ptp(time)), 1e-300)
@@ -200,7 +209,7 @@ class _Curve:
     rough: float
 
 
-def _curve_of_walk(fit: Fit, course: Course, misfit: Array) -> _Curve:
+def _curve_of_walk(fit: Fit, course: RunCourse, misfit: Array) -> _Curve:
     time, walk, size = course.time, course.likeliest, course.scatter / MG
     moments = np.linspace(time[0], time[-1], _MOMENTS * _TERMS)
     across = np.exp(-np.abs(time[:, None] - moments) / walk.memory)
@@ -230,7 +239,7 @@ def _curve_of_walk(fit: Fit, course: Course, misfit: Array) -> _Curve:
     )
 
 
-def _joined(fit: Fit, model: Model, name: str, walk: _Curve) -> Fit:
+def _join_curve(fit: Fit, model: Model, name: str, walk: _Curve) -> Fit:
     """The fit with the curve in it: the constant is the bias' own."""
     context, p = fit.observations.context, fit.theta.size
     slices, own = model.slices(context), fit.model.slices(context)

@@ -20,13 +20,13 @@ from imucalib.core.observations import Observations
 from imucalib.core.references import KnownVector
 from imucalib.effects.record_error import GROSS_MG
 from imucalib.estimators.least_squares import fit as fit_model
-from imucalib.loop.candidates import Searched
+from imucalib.loop.candidates import SearchedEffects
 from imucalib.loop.faults.angles import angles
 from imucalib.loop.faults.cells import base_of, blocks, cells, exchanges, other_axes, prior_of
 from imucalib.loop.faults.sheet import Fault, Sheet, Trial
 from imucalib.loop.odds import ACCUSED, LONGEST, OPEN, REFITTED, SLIPS_TOLD, TRIED
-from imucalib.loop.posterior.explored import Explored, explored
-from imucalib.loop.posterior.gram import Grams, Multiplied, log_sum, swept
+from imucalib.loop.posterior.explored import SearchedPosterior, search_posterior
+from imucalib.loop.posterior.gram import Grams, Multiplied, log_sum, marginalize
 from imucalib.loop.posterior.problem import known_sd
 from imucalib.loop.posterior.space import Pick, block_logs, blocks_of
 from imucalib.loop.record_errors import set_aside
@@ -49,12 +49,14 @@ class Mended:
     slips : what was mended; aside : (row, probability) of the records that are set aside
     """
 
-    found: Explored
+    found: SearchedPosterior
     slips: tuple[Fault, ...] = ()
     aside: tuple[tuple[int, float], ...] = ()
 
 
-def mended(found: Explored, wanted: Searched, written: Written | None = None) -> Mended:
+def repair_sheet(
+    found: SearchedPosterior, wanted: SearchedEffects, written: Written | None = None
+) -> Mended:
     """The posterior of a table with everything that is likelier wrong in it than not set right.
 
     found : that of the table as it stands
@@ -70,7 +72,7 @@ def mended(found: Explored, wanted: Searched, written: Written | None = None) ->
     return state
 
 
-def log_density(found: Explored) -> float:
+def log_density(found: SearchedPosterior) -> float:
     """Log evidence of a sheet over all sets and noises, with the priors of what is free in it."""
     sd = known_sd(found.base)
     known = np.isfinite(sd)
@@ -78,14 +80,14 @@ def log_density(found: Explored) -> float:
 
 
 def _best(
-    state: Mended, wanted: Searched, written: Written | None
+    state: Mended, wanted: SearchedEffects, written: Written | None
 ) -> tuple[Mended, Sheet | None] | None:
     """The likeliest of the sheets that are solved again, where the sheet as it stands is less
     likely than all of them together."""
     trials = [t for t in _trials(state, written) if t.fault.score > -OPEN / 3.0]
     now, odds = log_density(state.found), []
     for trial, base in _likeliest(trials, state, written):
-        found = explored(base, wanted)
+        found = search_posterior(base, wanted)
         odds.append((log_density(found) - now + trial.prior, trial, found))
     odds.sort(key=lambda o: -o[0])
     whole = float(np.logaddexp.reduce([o for o, _, _ in odds])) if odds else -np.inf
@@ -119,7 +121,7 @@ def _likeliest(
             others.append(trial)
     fits = []
     for trial in (*first.values(), *others)[:REFITTED]:
-        base = _solved_again(state.found.base, trial, written)
+        base = _solve_again(state.found.base, trial, written)
         if base is not None:
             fits.append((base.log_likelihood + trial.prior, trial, base))
     fits.sort(key=lambda f: -f[0])
@@ -162,7 +164,7 @@ def _trials(state: Mended, written: Written | None) -> Iterator[Trial]:
     yield from slips.values()
 
 
-def _sets(found: Explored) -> dict[tuple[Pick, ...], float]:
+def _sets(found: SearchedPosterior) -> dict[tuple[Pick, ...], float]:
     """Sets beside which a record may be wrong, the base model first, and how many nats each is
     from the likeliest: what a record hides leads only once it is set right."""
     posterior = found.posterior
@@ -172,7 +174,9 @@ def _sets(found: Explored) -> dict[tuple[Pick, ...], float]:
     return {base: known[base]} | {p: b for p, b in known.items() if b > -OPEN}
 
 
-def _given_each(found: Explored, sets: Sequence[tuple[Pick, ...]]) -> Callable[[int], Grams]:
+def _given_each(
+    found: SearchedPosterior, sets: Sequence[tuple[Pick, ...]]
+) -> Callable[[int], Grams]:
     """What makes of a set's place the products beside the base model and it: of one column for each
     number of a reading by itself, of the columns of all sets, and y. A number that is free is as
     good as one that is not there."""
@@ -182,7 +186,7 @@ def _given_each(found: Explored, sets: Sequence[tuple[Pick, ...]]) -> Callable[[
     own, n = np.r_[:p, used, grams.columns.shape[1] - 1], len(grams.columns)
     weighted, known = grams.weighted[:, :, own], problem.columns[n:, own]
     inner = grams.columns[:, own].T @ weighted + known.T @ known
-    # The base model leaves as in `swept`, multiplied out.
+    # The base model leaves as in `marginalize`, multiplied out.
     lower = np.linalg.cholesky(inner[:, :p, :p])
     across = np.concatenate([weighted[:, :, :p].swapaxes(1, 2), inner[:, :p, p:]], axis=2)
     across, weighted = np.linalg.solve(lower, across), weighted[:, :, p:]
@@ -200,10 +204,10 @@ def _given_each(found: Explored, sets: Sequence[tuple[Pick, ...]]) -> Callable[[
         inverse=None,
     )
     blocks = [[(n + np.searchsorted(used, at), size) for at, size in one] for one in every]
-    return lambda k: swept(base, *blocks[k])
+    return lambda k: marginalize(base, *blocks[k])
 
 
-def _gains_of_records(found: Explored, one: Grams) -> Array:
+def _gains_of_records(found: SearchedPosterior, one: Grams) -> Array:
     """(n,) nats that freeing each record gains beside a set, before anything is solved again; one :
     the products beside it, the readings' own numbers first"""
     dof, fit = found.posterior.dof, found.base
@@ -213,16 +217,16 @@ def _gains_of_records(found: Explored, one: Grams) -> Array:
     return np.asarray(log_sum(logs) - one.evidence(dof))
 
 
-def _solved_again(base: Fit, trial: Trial, written: Written | None) -> Fit | None:
+def _solve_again(base: Fit, trial: Trial, written: Written | None) -> Fit | None:
     """The base model of the sheet that a trial would leave, or None where it cannot be fitted."""
     if trial.repaired is None or written is None:
         return set_aside(base, trial.fault.rows[0])
-    data = _observed(base.observations, written.sheet, trial.repaired)
+    data = _observe(base.observations, written.sheet, trial.repaired)
     other = fit_model(base.model, data, start=base.theta)
     return other if other.converged else None
 
 
-def _observed(data: Observations, before: Sheet, after: Sheet) -> Observations:
+def _observe(data: Observations, before: Sheet, after: Sheet) -> Observations:
     """The observations of a sheet that was mended."""
     kept = np.flatnonzero(np.isin(before.row, after.row))
     some = data.take(kept).with_reading(MG * after.reading[:, None])
@@ -241,7 +245,7 @@ def _observed(data: Observations, before: Sheet, after: Sheet) -> Observations:
         inclination_setting=_settings(reference.inclination_setting, old, after, "inclination"),
         tool_face_setting=_settings(reference.tool_face_setting, old, after, "tool_face"),
     )
-    return replace(some, reference=moved, context=_turned(some.context, after))
+    return replace(some, reference=moved, context=_turn(some.context, after))
 
 
 def _settings(ids: Index, before: Sheet, after: Sheet, name: str) -> Index:
@@ -255,7 +259,7 @@ def _settings(ids: Index, before: Sheet, after: Sheet, name: str) -> Index:
     return np.asarray(np.unique(found, return_inverse=True)[1], np.intp)
 
 
-def _turned(context: Context, sheet: Sheet) -> Context:
+def _turn(context: Context, sheet: Sheet) -> Context:
     inclination, tool_face = sheet.angles()
     found = {**context.covariates, "inclination": inclination, "tool_face": tool_face}
     dials = {"inclination_dial": sheet.inclination, "tool_face_dial": sheet.tool_face}

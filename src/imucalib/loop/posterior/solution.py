@@ -37,7 +37,7 @@ class Solved:
     shrink: Array
 
 
-def solved(problem: Problem, grams: Grams, hypothesis: Hypothesis) -> Solved:
+def solve(problem: Problem, grams: Grams, hypothesis: Hypothesis) -> Solved:
     """The model of a set and its parameters, at the mean over the noises of these Grams."""
     picks = [(problem.choices[p.choice], p.size) for p in hypothesis.picks]
     mean, covariance = moments(problem, grams, blocks_of(problem.choices, hypothesis.picks))

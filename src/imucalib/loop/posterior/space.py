@@ -19,7 +19,7 @@ from imucalib.arrays import Array, Index
 from imucalib.core.eigen import eigen
 from imucalib.loop.odds import BEAMS, DEEPEST, OPEN, SHORT_LIST, WIDTH
 from imucalib.loop.posterior.catalogue import log_set_prior, log_size_prior
-from imucalib.loop.posterior.gram import Block, Grams, log_sum, swept
+from imucalib.loop.posterior.gram import Block, Grams, log_sum, marginalize
 from imucalib.loop.posterior.problem import Choice, Contest
 
 #: Columns up to which a block is narrow.
@@ -111,14 +111,14 @@ def search(
     return space.posterior(found)
 
 
-def climbed(problem: Contest, grams: Grams, start: Sequence[Pick] = ()) -> Posterior:
+def hill_climb(problem: Contest, grams: Grams, start: Sequence[Pick] = ()) -> Posterior:
     """The posterior by opening the likeliest sets: everything beside each, and then everything in
     the place of each of its components, until none of the likeliest is new. Where sets are large, a
     beam from nothing goes a long way; start : picks of a set that is likely."""
     space, found, opened = _Space(problem, grams), _Found(), set[tuple[tuple[Pick, ...], bool]]()
 
     def keep(picks: tuple[Pick, ...], added: tuple[float, ...], *, open_it: bool) -> None:
-        own = swept(space.base, *blocks_of(problem.choices, picks))
+        own = marginalize(space.base, *blocks_of(problem.choices, picks))
         one = space.hypothesis(picks, added, own)
         _keep(found, (one, *(space.opened(one, own) if open_it else ())))
 
@@ -159,7 +159,7 @@ class _Space:
     """Sets of a problem's components at its products; base : these with the base integrated out."""
 
     def __init__(self, problem: Contest, grams: Grams) -> None:
-        self.base = swept(grams, problem.flat)
+        self.base = marginalize(grams, problem.flat)
         self._problem, self._grams = problem, grams
         self._dof = grams.numbers - problem.base
         self._component = np.array([c.component for c in problem.choices], dtype=int)
@@ -184,7 +184,7 @@ class _Space:
     def opened(self, one: Hypothesis, own: Grams | None = None) -> Iterator[Hypothesis]:
         """Every set with one component more; own : the products beside this one, if there are."""
         problem = self._problem
-        own = own or swept(self.base, *blocks_of(problem.choices, one.picks))
+        own = own or marginalize(self.base, *blocks_of(problem.choices, one.picks))
         score, raw = self._scores(own)
         for component in np.setdiff1d(self._component, one.components):
             rows = np.flatnonzero(self._component == component)

@@ -18,7 +18,7 @@ from imucalib.core.effect import Effect
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.effects.scans import TRUSTED, trust_records
-from imucalib.loop.candidates import effect_slopes, fitted_prediction
+from imucalib.loop.candidates import effect_slopes, predict_by_fit
 from imucalib.loop.odds import ABSORBED
 
 
@@ -45,7 +45,7 @@ def split_at_jump(fit: Fit, base: Model, effect: Effect) -> JumpParts | None:
     data, context = fit.observations, fit.observations.context
     if effect.stage != "fixture" or "record" not in context or TRUSTED[0] in context:
         return None
-    last, prediction = float(context["record"].max()), fitted_prediction(fit)
+    last, prediction = float(context["record"].max()), predict_by_fit(fit)
     other = replace(fit, observations=replace(data, context=trust_records(context, last, last)))
     own = effect_slopes(fit, effect, prediction)
     moved = effect_slopes(other, effect, prediction) - own

@@ -18,9 +18,9 @@ from imucalib.core.fit import Fit
 from imucalib.loop.found import Rival, Score
 from imucalib.loop.odds import CERTAIN, FALSE_CLAIM, LEAST, OCCAM, WEIGHED
 from imucalib.loop.posterior.catalogue import Member
-from imucalib.loop.posterior.gram import swept
+from imucalib.loop.posterior.gram import marginalize
 from imucalib.loop.posterior.problem import Contest, Problem
-from imucalib.loop.posterior.solution import solved
+from imucalib.loop.posterior.solution import solve
 from imucalib.loop.posterior.space import Hypothesis, Posterior
 from imucalib.loop.posterior.trust import split_at_jump
 
@@ -32,7 +32,7 @@ def rivals_of(problem: Problem, posterior: Posterior) -> tuple[Rival, ...]:
     total = sum(p for _, p in likely)
     context, found = problem.fit.observations.context, []
     for hypothesis, p in likely:
-        one = solved(problem, posterior.grams, hypothesis)
+        one = solve(problem, posterior.grams, hypothesis)
         fit = replace(
             problem.fit,
             model=one.model,
@@ -68,7 +68,7 @@ def scores_of(problem: Problem, posterior: Posterior) -> tuple[Score, ...]:
     Its evidence beside the base model alone, the probability that it is there, and what
     the base model leaves of it at the likeliest noise.
     """
-    base, dof = swept(posterior.grams, problem.flat), posterior.dof
+    base, dof = marginalize(posterior.grams, problem.flat), posterior.dof
     logs = base.log_weight + base.log_noise(base.power, dof)
     one, n = base.of(np.array([int(np.argmax(logs))])), len(problem.fit.at.owner)
     basis = np.linalg.qr(problem.columns[:n, : problem.base])[0]
@@ -107,7 +107,7 @@ def of_each(posterior: Posterior, count: int) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True)
-class Place:
+class Slot:
     """One thing that is missing.
 
     component : that is concluded; probability : that it is there, in its place or beside others
@@ -128,16 +128,16 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Conclusion:
+class SelectedModel:
     """complete : probability that nothing is missing; hypothesis : the set that is concluded and
     corrected; places : its components, likeliest first"""
 
     complete: float
     hypothesis: Hypothesis
-    places: tuple[Place, ...]
+    places: tuple[Slot, ...]
 
 
-def concluded(problem: Contest, posterior: Posterior) -> Conclusion:
+def select_model(problem: Contest, posterior: Posterior) -> SelectedModel:
     """The simplest set that explains the data, and what else could be in each of its places: of few
     components, and of few free functions, which hold what a name or a law says and more. On two
     temperatures a line and a curve are one function."""
@@ -150,7 +150,7 @@ def concluded(problem: Contest, posterior: Posterior) -> Conclusion:
 
     complete = sum(p for h, p in posterior.weighed if not h.components)
     if FALSE_CLAIM * complete >= 1.0 - complete:  # claiming costs more than being silent
-        return Conclusion(complete, posterior.base, ())
+        return SelectedModel(complete, posterior.base, ())
     bar = np.exp(-OCCAM) * posterior.probability[0]
     said, _ = min(
         ((h, p) for h, p in posterior.weighed if p > bar and h.components),
@@ -163,16 +163,18 @@ def concluded(problem: Contest, posterior: Posterior) -> Conclusion:
         rivals, likely = _rivals(posterior, said, component), float(inside[component])
         alone = len(rivals) == 1 and likely > CERTAIN and without_name < 0.5
         certain = alone and problem.components[component].named
-        places.append(Place(component, likely, rivals, certain))
-    return Conclusion(complete, said, tuple(sorted(places, key=lambda p: -p.probability)))
+        places.append(Slot(component, likely, rivals, certain))
+    return SelectedModel(complete, said, tuple(sorted(places, key=lambda p: -p.probability)))
 
 
-def name_of(problem: Contest, posterior: Posterior, said: Conclusion, component: int) -> str:
+def name_of(problem: Contest, posterior: Posterior, said: SelectedModel, component: int) -> str:
     """The effect of a component in what is concluded, or in its likeliest set."""
     return member_of(problem, posterior, said, component).name
 
 
-def member_of(problem: Contest, posterior: Posterior, said: Conclusion, component: int) -> Member:
+def member_of(
+    problem: Contest, posterior: Posterior, said: SelectedModel, component: int
+) -> Member:
     """How a component acts there."""
     sets = (said.hypothesis, *posterior.hypotheses)
     own = next(h for h in sets if component in h.components)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Flags
 from imucalib.errors import UnreadableInput
-from imucalib.readers.csv.rows import Rows
+from imucalib.readers.csv.rows import ParsedRows
 from imucalib.readers.csv.select import HeaderFacts, Selection
 from imucalib.readers.csv.stamps import MISSING, TextTime, text_layout, text_to_ns
 from imucalib.readers.timebase import contradicts, date_of, seconds_of, stamps_of
@@ -23,7 +23,7 @@ _NO_UNIT = {"iso 8601", "unix time", "posix time", "unix epoch"} | set(
 
 
 @dataclass(frozen=True)
-class Clock:
+class TableClock:
     """Maps stamps to seconds since the start.
 
     unit : key of TIME_UNITS or "text", or "" for row number / rate
@@ -56,7 +56,9 @@ def _numbers(
     return text_to_ns(stamps.astype(np.bytes_), text)
 
 
-def clock_by_rate(rate: float | None, start_ns: int | None, where: str) -> tuple[Clock, list[str]]:
+def clock_by_rate(
+    rate: float | None, start_ns: int | None, where: str
+) -> tuple[TableClock, list[str]]:
     """A clock that counts rows, and the sentence that says so."""
     if not rate:
         raise UnreadableInput(
@@ -64,7 +66,7 @@ def clock_by_rate(rate: float | None, start_ns: int | None, where: str) -> tuple
             where=where,
             remedy="give --rate, or --time",
         )
-    return Clock("", 0, start_ns, rate, 1.75 / rate), [f"time: row number at {rate:.6g} Hz"]
+    return TableClock("", 0, start_ns, rate, 1.75 / rate), [f"time: row number at {rate:.6g} Hz"]
 
 
 def clock_by_stamps(
@@ -72,11 +74,11 @@ def clock_by_stamps(
     mapping: FieldMapping,
     facts: HeaderFacts,
     *,
-    pieces: Sequence[tuple[Rows, Flags]],
+    pieces: Sequence[tuple[ParsedRows, Flags]],
     texts: Sequence[bytes],
     kind: str,
     where: str,
-) -> tuple[Clock, list[str]]:
+) -> tuple[TableClock, list[str]]:
     """The clock, and what had to be found out about it. Raises UnreadableInput where it cannot be.
 
     pieces : rows of the looks, and those where the main channel has a value
@@ -92,7 +94,7 @@ def clock_by_stamps(
     unit, steps, first = "text" if text else found.unit, found.steps, found.first
     size = TIME_UNITS.get(unit, 1e-9)
     start = (int(first) if text.dated else None) if text else date_of(first, unit, found.epoch)
-    clock = Clock(
+    clock = TableClock(
         unit=unit,
         origin=0 if start is None else first,
         start_ns=facts.start_ns if start is None or (text and text.ambiguous) else start,
@@ -123,7 +125,7 @@ def _text_of(
     return text_layout(list(texts), mapping.time_format, where)
 
 
-def _understood(rows: Rows, text: TextTime | None, where: str) -> NDArray[np.generic]:
+def _understood(rows: ParsedRows, text: TextTime | None, where: str) -> NDArray[np.generic]:
     """Stamps as numbers; those of bad rows, which are named when they are read, are blank here."""
     numbers, wrong, _ = _numbers(rows.stamps, text)
     if 2 * np.count_nonzero(wrong) > wrong.size:
@@ -131,7 +133,7 @@ def _understood(rows: Rows, text: TextTime | None, where: str) -> NDArray[np.gen
     return numbers
 
 
-def bad_stamp(rows: Rows, index: int, line: int, where: str) -> UnreadableInput:
+def bad_stamp(rows: ParsedRows, index: int, line: int, where: str) -> UnreadableInput:
     """The error for a text stamp that is not understood; `line` is the first row's line, or 0."""
     stamp = bytes(rows.stamps[index]).decode(errors="replace")
     line = int(rows.lines[index]) if rows.lines is not None else line and line + index
@@ -158,7 +160,7 @@ def _text_notes(text: TextTime) -> list[str]:
     return notes
 
 
-def _coarse(clock: Clock, looks: Sequence[Array], notes: list[str]) -> Clock:
+def _coarse(clock: TableClock, looks: Sequence[Array], notes: list[str]) -> TableClock:
     """The clock with rows spread over their stamp, when most rows share one with the row before."""
     same = np.concatenate([np.diff(t) == 0 for t in looks])
     if same.size == 0 or same.mean() <= 0.5:

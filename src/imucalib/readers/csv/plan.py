@@ -14,9 +14,9 @@ from imucalib.readers import conversion
 from imucalib.readers.choice import Vector, resolved
 from imucalib.readers.contents import unread
 from imucalib.readers.conversion import Conversion
-from imucalib.readers.csv.clock import Clock, clock_by_rate, clock_by_stamps
+from imucalib.readers.csv.clock import TableClock, clock_by_rate, clock_by_stamps
 from imucalib.readers.csv.dialect import Dialect, sniff
-from imucalib.readers.csv.rows import Layout, Rows, parse
+from imucalib.readers.csv.rows import ParsedRows, TableLayout, parse
 from imucalib.readers.csv.select import (
     HeaderFacts,
     Selection,
@@ -46,7 +46,7 @@ _SAMPLES = 20  # stamps from each end of a look
 
 
 @dataclass(frozen=True)
-class Signal:
+class TableSignal:
     """One channel: its position among the parsed values, its conversion, its own clock.
 
     rate : Hz; threshold : a longer step is a gap, s
@@ -60,8 +60,8 @@ class Signal:
 
 
 @dataclass(frozen=True)
-class Shape:
-    """What is known of a table before its columns are chosen, as in `Plan`."""
+class TableShape:
+    """What is known of a table before its columns are chosen, as in `TablePlan`."""
 
     dialect: Dialect
     facts: HeaderFacts
@@ -69,16 +69,16 @@ class Shape:
 
 
 @dataclass(frozen=True)
-class Plan:
+class TablePlan:
     """How to read one file.
 
     facts : of the lines above the table; resolved : the mapping that reads it so again
     conditions : column from 0, and what the rows that are read hold there
     """
 
-    layout: Layout
-    clock: Clock
-    signals: tuple[Signal, ...]
+    layout: TableLayout
+    clock: TableClock
+    signals: tuple[TableSignal, ...]
     facts: HeaderFacts
     notes: tuple[str, ...]
     resolved: FieldMapping
@@ -107,7 +107,7 @@ def _chosen(lines: Lines, conditions: Sequence[tuple[int, Condition]], dialect: 
     return replace(lines, data=b"".join(kept), numbers=tuple(numbers))
 
 
-def make_plans(path: Path, mapping: FieldMapping) -> list[Plan]:
+def make_plans(path: Path, mapping: FieldMapping) -> list[TablePlan]:
     """Look at the file's start, middle and end, and decide: one plan, or one for each clock where
     sensors have their own. Errors as in `readers.read`."""
     where = str(path)
@@ -136,7 +136,7 @@ def make_plans(path: Path, mapping: FieldMapping) -> list[Plan]:
     some = [f"not read, since only some rows have it: {', '.join(dialect.more)}"]
     left = (*words, *some[: len(dialect.more)], *unread(contents_of(dialect, pieces, used)))
     selection = replace(selection, notes=(*selection.notes, *left))
-    shape = Shape(dialect, facts, conditions)
+    shape = TableShape(dialect, facts, conditions)
     each = by_clock(selection, understand(dialect.names))
     plans = [_plan(shape, one, mapping, pieces, where) for one in each]
     main = plans[0].clock
@@ -153,12 +153,12 @@ def make_plans(path: Path, mapping: FieldMapping) -> list[Plan]:
 
 
 def _plan(
-    shape: Shape,
+    shape: TableShape,
     selection: Selection,
     mapping: FieldMapping,
     pieces: Sequence[bytes],
     where: str,
-) -> Plan:
+) -> TablePlan:
     """What is read by one clock."""
     dialect, facts = shape.dialect, shape.facts
     layout, stamps = _layout(dialect, selection, pieces)
@@ -176,7 +176,7 @@ def _plan(
     if not any(v.quantity != "temperature" for v in used):
         raise UnreadableInput("the chosen columns hold no values", where=where)
 
-    def signal(vector: Vector) -> Signal:
+    def signal(vector: Vector) -> TableSignal:
         return _signal(
             vector, layout, parsed, mapping, clock=clock, device=facts.device, where=where
         )
@@ -184,7 +184,7 @@ def _plan(
     signals = conversion.readable(used, signal, notes)
     notes += [s.conversion.note for s in signals if s.conversion.note]
     unique = tuple(dict.fromkeys(notes))
-    return Plan(layout, clock, signals, facts, unique, mapping, conditions=shape.conditions)
+    return TablePlan(layout, clock, signals, facts, unique, mapping, conditions=shape.conditions)
 
 
 def _pieces_chosen(
@@ -233,7 +233,7 @@ def _columns_of_words(dialect: Dialect, pieces: Sequence[bytes]) -> list[str]:
 
 def _layout(
     dialect: Dialect, selection: Selection, pieces: Sequence[bytes]
-) -> tuple[Layout, list[bytes]]:
+) -> tuple[TableLayout, list[bytes]]:
     """The layout, and some stamps of each look as text."""
     samples: list[bytes] = []
     for number, piece in enumerate(pieces if selection.time else ()):
@@ -252,10 +252,10 @@ def _layout(
         kind = "int" if 2 * integers > len(samples) else "float"
     columns = tuple(dict.fromkeys(c for v in selection.vectors for c in v.parts))
     width = max((len(s) for s in samples), default=0) + 16
-    return Layout(dialect, selection.time if kind else (), kind, columns, width), samples
+    return TableLayout(dialect, selection.time if kind else (), kind, columns, width), samples
 
 
-def _parse_looks(pieces: Sequence[bytes], layout: Layout, where: str) -> list[Rows]:
+def _parse_looks(pieces: Sequence[bytes], layout: TableLayout, where: str) -> list[ParsedRows]:
     """Parsed looks; one that holds a bad cell is passed over here and reported when it is read."""
     line = layout.dialect.data_line
     first = b"\n".join(pieces[0].split(b"\n")[line - 1 :])
@@ -268,25 +268,25 @@ def _parse_looks(pieces: Sequence[bytes], layout: Layout, where: str) -> list[Ro
     return [rows for rows in parsed if rows.values.size]
 
 
-def _places(vector: Vector, layout: Layout) -> tuple[int, ...]:
+def _places(vector: Vector, layout: TableLayout) -> tuple[int, ...]:
     """Of a vector's columns among the parsed values."""
     return tuple(layout.values.index(c) for c in vector.parts)
 
 
-def _has_all(vector: Vector, layout: Layout, rows: Rows) -> Flags:
+def _has_all(vector: Vector, layout: TableLayout, rows: ParsedRows) -> Flags:
     return np.asarray(np.isfinite(rows.values[:, _places(vector, layout)]).all(axis=1))
 
 
 def _signal(
     vector: Vector,
-    layout: Layout,
-    parsed: Sequence[Rows],
+    layout: TableLayout,
+    parsed: Sequence[ParsedRows],
     mapping: FieldMapping,
     *,
-    clock: Clock,
+    clock: TableClock,
     device: Device,
     where: str,
-) -> Signal:
+) -> TableSignal:
     at = _places(vector, layout)
     raw: list[Array] = [rows.values[:, at] for rows in parsed]
     known = [np.isfinite(v).all(axis=1) for v in raw]
@@ -296,16 +296,16 @@ def _signal(
         times = (clock.seconds(rows.stamps)[0] for rows in parsed)
         steps = stepping([t[k] for t, k in zip(times, known, strict=True)])
         rate, threshold = (1.0 / steps.step, steps.threshold) if steps else (rate, threshold)
-    source = conversion.Source(vector.unit, device.scales)
+    source = conversion.UnitSource(vector.unit, device.scales)
     place = f"{where}: {vector.triad}" if vector.quantity == "acceleration" else where
     how = conversion.of_looks(vector.quantity, mapping, source, whole, rate=rate, where=place)
-    return Signal(vector, at, how, rate, threshold)
+    return TableSignal(vector, at, how, rate, threshold)
 
 
 def _resolved(
     mapping: FieldMapping,
     dialect: Dialect,
-    plans: Sequence[Plan],
+    plans: Sequence[TablePlan],
     selection: Selection,
     *,
     device: Device,

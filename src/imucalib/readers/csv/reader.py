@@ -18,8 +18,8 @@ from imucalib.arrays import Array, Flags
 from imucalib.errors import UnreadableInput
 from imucalib.file_hash import sha256_of
 from imucalib.readers.csv.clock import bad_stamp
-from imucalib.readers.csv.plan import Plan, make_plans
-from imucalib.readers.csv.rows import Rows, parse
+from imucalib.readers.csv.plan import TablePlan, make_plans
+from imucalib.readers.csv.rows import ParsedRows, parse
 from imucalib.readers.csv.stamps import spread
 from imucalib.readers.csv.text import Lines, cells_of, is_number, line_blocks, text_head
 from imucalib.readers.joining import Joined
@@ -91,7 +91,7 @@ class _Table:
     whole : rows that have a value of every sensor; idle, missing, unstamped, bad : other rows
     """
 
-    def __init__(self, path: Path, plan: Plan) -> None:
+    def __init__(self, path: Path, plan: TablePlan) -> None:
         self.path, self.plan = path, plan
         self.row, self.moved, self.last_of_period = 0, 0.0, -np.inf
         self.leaps, self.in_leap = 0, False
@@ -193,7 +193,7 @@ class _Table:
             keep &= ~idle
         return self._channels(t, values, numbers, keep)
 
-    def _times(self, rows: Rows, line: int) -> tuple[Array, Rows]:
+    def _times(self, rows: ParsedRows, line: int) -> tuple[Array, ParsedRows]:
         """Seconds of the rows, and the rows whose stamps are understood."""
         clock = self.plan.clock
         if not clock.unit:

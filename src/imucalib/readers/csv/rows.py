@@ -21,7 +21,7 @@ _INTEGER = re.compile(r"[+-]?\d{1,18}(\.0*)?|[+-]?\d{19}")
 
 
 @dataclass(frozen=True)
-class Layout:
+class TableLayout:
     """Which columns to read, and how.
 
     time : columns of the stamps, several of "text" only, or none
@@ -38,7 +38,7 @@ class Layout:
 
 
 @dataclass(frozen=True)
-class Rows:
+class ParsedRows:
     """Parsed rows: stamps (n,) int64 (MISSING where blank), float64 or bytes; values (n, m).
 
     bad : why rows were left out; lines : (n,) line of each row, None when they follow each other
@@ -49,14 +49,14 @@ class Rows:
     bad: tuple[UnreadableInput, ...] = ()
     lines: NDArray[np.intp] | None = None
 
-    def at(self, keep: NDArray[np.bool_]) -> Rows:
+    def at(self, keep: NDArray[np.bool_]) -> ParsedRows:
         """Some of the rows."""
         stamps = self.stamps[keep] if self.stamps.size else self.stamps
         lines = None if self.lines is None else self.lines[keep]
-        return Rows(stamps, self.values[keep], self.bad, lines)
+        return ParsedRows(stamps, self.values[keep], self.bad, lines)
 
 
-def parse(lines: Lines, layout: Layout, where: str) -> Rows:
+def parse(lines: Lines, layout: TableLayout, where: str) -> ParsedRows:
     """Parse a block of whole lines; blank cells become NaN, and so do infinite values.
 
     Blank lines are dropped in a file with time stamps and mean a missing row otherwise; so are
@@ -85,7 +85,7 @@ def _filled(text: bytes, mark: bytes) -> bytes:
     return text.replace(mark + b"\n", mark + b"nan\n").replace(b"\n" + mark, b"\nnan" + mark)[1:]
 
 
-def _plain(text: bytes, layout: Layout) -> Rows | None:
+def _plain(text: bytes, layout: TableLayout) -> ParsedRows | None:
     """The rows if every line has all its cells and all wanted cells are numbers."""
     count, delimiter = count_of(text, b"\n"), layout.dialect.delimiter
     dtype = np.dtype(
@@ -109,10 +109,10 @@ def _plain(text: bytes, layout: Layout) -> Rows | None:
     stamps = table["t"]
     if stamps.shape[1] > 1:
         stamps = _joined(stamps)
-    return Rows(np.ascontiguousarray(stamps.reshape(-1)), np.ascontiguousarray(table["v"]))
+    return ParsedRows(np.ascontiguousarray(stamps.reshape(-1)), np.ascontiguousarray(table["v"]))
 
 
-def _type_of(layout: Layout) -> str:
+def _type_of(layout: TableLayout) -> str:
     return {"int": "i8", "float": "f8", "text": f"S{layout.text_width}", "": "i8"}[layout.kind]
 
 
@@ -133,7 +133,7 @@ def _complete(text: bytes, delimiter: str, width: int, count: int) -> bool:
     return starts == count * width
 
 
-def _by_lines(lines: Lines, layout: Layout, where: str) -> Rows:
+def _by_lines(lines: Lines, layout: TableLayout, where: str) -> ParsedRows:
     """The rows that are good, and what is wrong with the others."""
     stamps, values, numbers = list[float | bytes](), list[list[float]](), list[int]()
     bad: list[UnreadableInput] = []
@@ -156,7 +156,7 @@ def _by_lines(lines: Lines, layout: Layout, where: str) -> Rows:
         stamps.append(_stamp([row[k] for k in layout.time], layout))
     if 2 * len(bad) > len(numbers) + len(bad):
         raise bad[0]
-    return Rows(
+    return ParsedRows(
         np.array(stamps if layout.time else [], dtype=_type_of(layout)),
         np.array(values, dtype=np.float64).reshape(len(values), len(layout.values)),
         tuple(bad),
@@ -164,11 +164,11 @@ def _by_lines(lines: Lines, layout: Layout, where: str) -> Rows:
     )
 
 
-def _number(cell: str, layout: Layout) -> float:
+def _number(cell: str, layout: TableLayout) -> float:
     return np.nan if is_blank(cell) else float(cell.replace(layout.dialect.decimal, "."))
 
 
-def _stamp(cells: Sequence[str], layout: Layout) -> float | bytes:
+def _stamp(cells: Sequence[str], layout: TableLayout) -> float | bytes:
     if layout.kind == "text":
         return b"" if any(map(is_blank, cells)) else " ".join(cells).encode()
     if layout.kind == "int":
@@ -176,7 +176,7 @@ def _stamp(cells: Sequence[str], layout: Layout) -> float | bytes:
     return _number(cells[0], layout) if cells else 0.0
 
 
-def _wrong(row: Sequence[str], layout: Layout) -> tuple[str, int] | None:
+def _wrong(row: Sequence[str], layout: TableLayout) -> tuple[str, int] | None:
     """What is wrong with a row, and in which column (-1: in all)."""
     if len(row) != layout.dialect.width:
         return f"{len(row)} cells where the other rows have {layout.dialect.width}", -1

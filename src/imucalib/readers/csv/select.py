@@ -18,7 +18,7 @@ from imucalib.readers.choice import OPTIONS, Field, Vector, choose
 from imucalib.readers.contents import Content, listing, norm_of
 from imucalib.readers.csv.dialect import Dialect
 from imucalib.readers.csv.text import is_number
-from imucalib.readers.devices.catalogue import UNKNOWN, Device, Start, device_named_in
+from imucalib.readers.devices.catalogue import UNKNOWN, Device, DeviceStart, device_named_in
 from imucalib.readers.timebase import start_of
 from imucalib.readers.words import (
     Meaning,
@@ -29,7 +29,7 @@ from imucalib.readers.words import (
     understand,
 )
 from imucalib.recording.mapping import FieldMapping
-from imucalib.recording.recording import Correction, corrections_of
+from imucalib.recording.recording import AppliedCalibration, corrections_of
 from imucalib.units import ACCELERATION_UNITS, RATE_UNITS, canonical
 
 _NUMBER = r"(\d+(?:[.,]\d+)?)"
@@ -69,7 +69,7 @@ class HeaderFacts:
     rate: float | None = None
     start_ns: int | None = None
     notes: tuple[str, ...] = ()
-    corrections: tuple[Correction, ...] = ()
+    corrections: tuple[AppliedCalibration, ...] = ()
     serial: str = ""
     units: dict[str, str] = field(default_factory=dict)
     rows: int | None = None
@@ -91,7 +91,7 @@ def facts_of(preamble: Sequence[str], where: str) -> HeaderFacts:
     found, own, start = _RATE.search(text), _OWN_ROWS.search(text), _OWN_START.search(text)
     device = device_named_in(text)
     device.refuse(text, where)
-    begin = Start(start_of(int(start.group(1)), notes) if start else None)
+    begin = DeviceStart(start_of(int(start.group(1)), notes) if start else None)
     begin = device.start(text) if device.start else begin
     marks = corrections_of(_OWN_MARK.findall(text) if own else ())
     rate = float((found[1] or found[2]).replace(",", ".")) if found else None

@@ -6,7 +6,7 @@ import re
 from datetime import UTC, datetime, timedelta
 
 from imucalib.errors import UnreadableInput
-from imucalib.readers.devices.catalogue import Device, Start
+from imucalib.readers.devices.catalogue import Device, DeviceStart
 from imucalib.recording.mapping import FieldMapping
 
 _EPOCH = re.compile(r"epoch period[^0-9]*(\d+):(\d+):(\d+)", re.IGNORECASE)
@@ -26,10 +26,10 @@ def _refuse_epochs(text: str, where: str) -> None:
         )
 
 
-def _start(text: str) -> Start:
+def _start(text: str) -> DeviceStart:
     time, date = _START_TIME.search(text), _START_DATE.search(text)
     if not time or not date:
-        return Start()
+        return DeviceStart()
     a, b, c = (int(g) for g in date.groups())
     stated = _DATE_FORMAT.search(text)
     form = stated.group(1).lower() if stated else ""
@@ -46,10 +46,10 @@ def _start(text: str) -> Start:
     try:
         midnight = datetime(year, month, day, tzinfo=UTC)
     except ValueError:
-        return Start(None, ("the header's start date is not a date: no start time",))
+        return DeviceStart(None, ("the header's start date is not a date: no start time",))
     hours, minutes, seconds = (int(g) for g in time.groups())
     start = midnight + timedelta(hours=hours, minutes=minutes, seconds=seconds)
-    return Start(int(start.timestamp()) * 1_000_000_000, notes)
+    return DeviceStart(int(start.timestamp()) * 1_000_000_000, notes)
 
 
 DEVICE = Device(

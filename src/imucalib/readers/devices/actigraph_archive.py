@@ -128,7 +128,7 @@ class Archive:
         found = _by_headers(self.path)[name]
         with self.path.open("rb") as raw:
             raw.seek(found.at)
-            yield from (_inflated if found.deflated else _stored)(raw, found)
+            yield from (_inflate if found.deflated else _stored)(raw, found)
 
     def _demand_likely(self) -> None:
         with zipfile.ZipFile(self.path) as archive:
@@ -204,7 +204,7 @@ def _by_headers(path: Path) -> dict[str, _Member]:
     return found
 
 
-def _inflated(raw: BinaryIO, found: _Member) -> Iterator[bytes]:
+def _inflate(raw: BinaryIO, found: _Member) -> Iterator[bytes]:
     unpacker, crc = zlib.decompressobj(-15), 0
     while not unpacker.eof:
         packed = unpacker.unconsumed_tail or raw.read(_PACKED)

@@ -13,12 +13,12 @@ from pathlib import Path
 
 from imucalib.core.discovery import modules_of
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.readers.source import REFUSED, named
+from imucalib.readers.source import REFUSED, file_kind
 from imucalib.recording.mapping import FieldMapping
 
 
 @dataclass(frozen=True)
-class Start:
+class DeviceStart:
     """start_ns : start of the recording as in Recording, or None; notes : what was supposed
 
     rate (Hz), units (of quantities) : where only the device's own form of the header says them
@@ -50,7 +50,7 @@ class Device:
     fields: FieldMapping = field(default_factory=FieldMapping)
     words: tuple[str, ...] = ()
     heading: Callable[[Sequence[str]], int] = lambda lines: 0
-    start: Callable[[str], Start] | None = None
+    start: Callable[[str], DeviceStart] | None = None
     scales: tuple[float, ...] = ()
     refuse: Callable[[str, str], None] = lambda text, where: None
     sleeps: bool = False
@@ -104,6 +104,6 @@ def with_preset(mapping: FieldMapping) -> FieldMapping:
 def refuse_foreign(path: Path, head: bytes) -> None:
     """Raise UnreadableInput, with the true name, for a known format that is not read, and for a
     file that is no recording."""
-    kind = named(head, REFUSED)
+    kind = file_kind(head, REFUSED)
     if kind is not None:
         raise UnreadableInput(f"this is {kind.name}", where=str(path), remedy=kind.remedy)

@@ -23,7 +23,7 @@ from imucalib.readers.devices.packets import (
     Packets,
     Stream,
     head_unpacked,
-    opened,
+    open_packets,
     packets_of,
     recordings,
 )
@@ -77,7 +77,7 @@ class CwaReader(Joined):
     ) -> Iterator[Recording]:
         """Read in blocks of whole sectors; damage costs its sector."""
         lost: list[str] = []
-        with opened(path, strict=strict, lost=lost) as stream:
+        with open_packets(path, strict=strict, lost=lost) as stream:
             head = stream.read(_HEAD)
             packets = map(_packets, _sectors(stream, str(path), lost=lost, strict=strict))
             kind, number = _device(head)
@@ -220,7 +220,7 @@ def _values(fields: NDArray[np.void], count: NDArray[np.int64]) -> tuple[Array, 
         rows = (first[some, None] + np.arange(_SAMPLES))[filled]
         data = np.ascontiguousarray(fields["data"][some])
         if axes & 15 == 0:
-            acc[rows] = _unpacked(data.view("<u4"))[filled] / 256.0
+            acc[rows] = _unpack(data.view("<u4"))[filled] / 256.0
             continue
         wide = axes >> 4
         places = 480 // (2 * wide)
@@ -233,7 +233,7 @@ def _values(fields: NDArray[np.void], count: NDArray[np.int64]) -> tuple[Array, 
     return acc, gyro
 
 
-def _unpacked(words: NDArray[np.uint32]) -> NDArray[np.int64]:
+def _unpack(words: NDArray[np.uint32]) -> NDArray[np.int64]:
     """Three numbers of ten bits and a common exponent of two, (..., 3)."""
     axes = np.stack([words >> shift & 1023 for shift in (0, 10, 20)], axis=-1).astype(np.int64)
     signed = np.where(axes > 511, axes - 1024, axes)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from imucalib.readers.devices.catalogue import Device, Start
+from imucalib.readers.devices.catalogue import Device, DeviceStart
 from imucalib.readers.timebase import is_absolute
 from imucalib.recording.mapping import FieldMapping
 
@@ -32,10 +32,10 @@ def _heading(lines: Sequence[str]) -> int:
     return 2 if is_absolute(start) and _RATES[0] <= rate <= _RATES[1] else 0
 
 
-def _start(text: str) -> Start:
+def _start(text: str) -> DeviceStart:
     lines = text.split("\n")
     start, rate = _same(lines[0]), _same(lines[1])
-    return Start(None if start is None else round(start * 1e9), (), rate)
+    return DeviceStart(None if start is None else round(start * 1e9), (), rate)
 
 
 DEVICE = Device(

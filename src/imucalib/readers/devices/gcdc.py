@@ -6,7 +6,7 @@ from __future__ import annotations
 import re
 from datetime import UTC, datetime
 
-from imucalib.readers.devices.catalogue import Device, Start
+from imucalib.readers.devices.catalogue import Device, DeviceStart
 from imucalib.recording.mapping import FieldMapping
 from imucalib.units import canonical
 
@@ -30,18 +30,18 @@ def _units(text: str) -> dict[str, str]:
     }
 
 
-def _start(text: str) -> Start:
+def _start(text: str) -> DeviceStart:
     found, units = _START.search(text), _units(text)
     try:
         whole = datetime.fromisoformat(f"{found[1]}T{found[2]}") if found else None
     except ValueError:
         whole = None
     if found is None or whole is None:
-        return Start(units=units)
+        return DeviceStart(units=units)
     seconds = int(whole.replace(tzinfo=UTC).timestamp())
     part = round(float(found[3] or 0) * 1e9)
     notes = ("the start time has no zone: taken as UTC",)
-    return Start(seconds * 1_000_000_000 + part, notes, units=units)
+    return DeviceStart(seconds * 1_000_000_000 + part, notes, units=units)
 
 
 DEVICE = Device(

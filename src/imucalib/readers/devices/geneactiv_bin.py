@@ -24,7 +24,7 @@ from imucalib.readers.devices.packets import (
     Packets,
     Stream,
     head_unpacked,
-    opened,
+    open_packets,
     packets_of,
     recordings,
     twelve_bits,
@@ -91,7 +91,7 @@ class GeneactivReader(Joined):
     ) -> Iterator[Recording]:
         """Read in blocks of whole pages; damage costs its page."""
         loss = _Loss(strict, str(path), [])
-        with opened(path, strict=strict, lost=loss.lost) as stream:
+        with open_packets(path, strict=strict, lost=loss.lost) as stream:
             pages = _pages(stream, str(path))
             facts = _facts(next(pages, [b""])[0])
             gain, offset = _calibration(facts, str(path))

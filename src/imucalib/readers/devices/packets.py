@@ -26,7 +26,7 @@ from imucalib.errors import UnreadableInput
 from imucalib.file_hash import sha256_of
 from imucalib.readers.conversion import (
     Conversion,
-    Source,
+    UnitSource,
     acceleration,
     angular_rate,
     readings_at_rest,
@@ -85,16 +85,16 @@ def head_unpacked(head: bytes, size: int) -> bytes:
 
 
 @contextmanager
-def opened(path: Path, *, strict: bool, lost: list[str]) -> Iterator[Stream]:
+def open_packets(path: Path, *, strict: bool, lost: list[str]) -> Iterator[Stream]:
     """The file's bytes, unpacked where they are gzipped."""
     with path.open("rb") as raw:
         packed = raw.read(2) == _GZIP
         raw.seek(0)
-        pieces = _unpacked(raw) if packed else iter(lambda: raw.read(_PLAIN), b"")
+        pieces = _unpack(raw) if packed else iter(lambda: raw.read(_PLAIN), b"")
         yield Stream(pieces, str(path), strict, lost)
 
 
-def _unpacked(raw: BinaryIO) -> Iterator[bytes]:
+def _unpack(raw: BinaryIO) -> Iterator[bytes]:
     """The content of gzip streams that follow each other; raises EOFError for one without end."""
     unpacker = zlib.decompressobj(_GZIP_BITS)
     while piece := raw.read(_FEED):
@@ -190,7 +190,7 @@ def recordings(log: Log, path: Path, mapping: FieldMapping, samples: int) -> Ite
     held: Recording | None = None
     rate = 0.0
     whole = _within_seconds(log.packets, log.drift) if log.cut else log.packets
-    for packets, origin, t in _timed(whole, log.drift, samples):
+    for packets, origin, t in _time_packets(whole, log.drift, samples):
         notes: tuple[str, ...] = ()
         if held is None:
             rate = float(packets.heads["rate"][0])
@@ -223,7 +223,7 @@ def _units(
 ) -> dict[str, Conversion]:
     rest = readings_at_rest([packets.acc], max(3, round(rate)))
     return {
-        "acceleration": acceleration(mapping, Source("g", fixed=True), rest, where),
+        "acceleration": acceleration(mapping, UnitSource("g", fixed=True), rest, where),
         "angular_rate": angular_rate(mapping, "deg/s", where),
         "temperature": temperature(mapping, "degC", packets.heads["warm"], where),
     }
@@ -256,7 +256,7 @@ def _channels(
     }
 
 
-def _timed(
+def _time_packets(
     pieces: Iterator[Packets], drift: float, samples: int
 ) -> Iterator[tuple[Packets, int, Array]]:
     """Packets of about so many samples, the time of the log's first sample (ns), and that of every
@@ -363,11 +363,11 @@ def _times(packets: Packets, base: int, drift: float) -> Array:
     out = np.empty(packets.acc.shape[0])
     for a, b in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
         rows = np.arange(first[a], first[b - 1] + heads["count"][b - 1])
-        out[rows] = _spread(rows, index[a:b], stamp[a:b], float(period[a]))
+        out[rows] = _spread_samples(rows, index[a:b], stamp[a:b], float(period[a]))
     return out
 
 
-def _spread(rows: NDArray[np.int64], index: Array, stamp: Array, period: float) -> Array:
+def _spread_samples(rows: NDArray[np.int64], index: Array, stamp: Array, period: float) -> Array:
     """Times of the samples `rows` on the line through (index, stamp), its ends drawn on."""
     new = np.concatenate([[True], (np.diff(index) > 0) & (np.diff(stamp) > 0)])
     index, stamp = index[new], stamp[new]

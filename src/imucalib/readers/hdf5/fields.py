@@ -96,7 +96,7 @@ def valid_of(node: Any, column: str = "") -> tuple[float, float]:
 
 
 @dataclass(frozen=True)
-class Place:
+class FieldPlace:
     """Where numbers lie: dataset, then a field of a compound, then the triad in (N, K, 3).
 
     unit, scale, offset : that the file states for them, one or one an axis: what is stored times
@@ -122,7 +122,7 @@ class Place:
 
 def place_of(
     node: Any, column: str = "", triad: int = -1, *, transposed: bool = False, named: str = ""
-) -> Place:
+) -> FieldPlace:
     """A place with what the attributes of its dataset state. named : unit that its name states"""
     unit = unit_of(node, column)
     if unit and named not in ("", "counts") and canonical(named) != canonical(unit):
@@ -130,7 +130,7 @@ def place_of(
     names = ("scale", "scale_factor", "Scale")
     scale = _numbers_of(node, column, names, zero=False) or (1.0,)
     offset = _numbers_of(node, column, ("add_offset",), zero=True) or (0.0,)
-    place = Place(
+    place = FieldPlace(
         node.name, column, triad, transposed, unit=unit or named, scale=scale, offset=offset
     )
     return replace(place, order=_order_of(node, transposed)) if len(node.shape) > 1 else place
@@ -171,7 +171,7 @@ def _order_of(node: Any, transposed: bool) -> tuple[int, ...]:
 
 
 @dataclass(frozen=True)
-class Found:
+class FieldChannel:
     """One channel of the file.
 
     parts : one place of (N, 3), or three of (N,); a temperature has one
@@ -183,10 +183,10 @@ class Found:
 
     quantity: str
     triad: str
-    parts: tuple[Place, ...]
+    parts: tuple[FieldPlace, ...]
     rows: int
     unit: str = ""
-    time: Place | None = None
+    time: FieldPlace | None = None
     time_unit: str = ""
     rate: float | None = None
     preset: str = ""
@@ -201,13 +201,13 @@ class Found:
         return f"{whole}[{first.triad}]" if first.triad >= 0 else whole
 
 
-def found_in(vector: Vector, parts: Sequence[Place], rows: int) -> Found:
+def found_in(vector: Vector, parts: Sequence[FieldPlace], rows: int) -> FieldChannel:
     """The channel that lies at some places, with their unit."""
     units = [part.unit for part in parts]
     if len(parts) == 1 and "," in units[0]:  # one an axis, in the order of the file
         units = [units[0].split(",")[k] for k in parts[0].order]
     unit, numbered = joined_unit(units), vector.numbered
-    return Found(vector.quantity, vector.triad, tuple(parts), rows, unit, numbered=numbered)
+    return FieldChannel(vector.quantity, vector.triad, tuple(parts), rows, unit, numbered=numbered)
 
 
 def words_of(path: str) -> list[str]:
@@ -227,7 +227,7 @@ def _node_at(nodes: dict[str, Any], address: str, option: str) -> Any:
     return nodes[path]
 
 
-def _with_device(field: Found, file: Any) -> Found:
+def _with_device(field: FieldChannel, file: Any) -> FieldChannel:
     """APDM Opal files state no units: they are m/s², rad/s and µs; sensors have a label."""
     parts = words_of(field.parts[0].path)
     if len(parts) < 3 or parts[0] != "Sensors" or "Configuration" not in file["Sensors"][parts[1]]:
@@ -241,13 +241,15 @@ def _with_device(field: Found, file: Any) -> Found:
     return replace(field, unit=unit, triad=name, time_unit="us", preset="apdm")
 
 
-def _with_clock(field: Found, nodes: dict[str, Any], file: Any, mapping: FieldMapping) -> Found:
+def _with_clock(
+    field: FieldChannel, nodes: dict[str, Any], file: Any, mapping: FieldMapping
+) -> FieldChannel:
     """The field with the nearest time dataset of its length, else with a stated rate."""
     node = nodes[field.parts[0].path]
     if mapping.rate and not mapping.time:
         return replace(field, rate=mapping.rate)
 
-    def stamped(place: Place, named: str) -> Found:
+    def stamped(place: FieldPlace, named: str) -> FieldChannel:
         return replace(field, time=place, time_unit=mapping.time_unit or place.unit or named)
 
     if mapping.time:
@@ -270,7 +272,7 @@ def _with_clock(field: Found, nodes: dict[str, Any], file: Any, mapping: FieldMa
     return field
 
 
-def _own_clock(node: Any, rows: int, nodes: dict[str, Any]) -> tuple[Place, str] | None:
+def _own_clock(node: Any, rows: int, nodes: dict[str, Any]) -> tuple[FieldPlace, str] | None:
     """The stamps that a dataset itself names, and the unit of their name: a column of its records,
     or the coordinate of its rows (netCDF)."""
     for column in understand(list(node.dtype.names or ())):
@@ -282,7 +284,7 @@ def _own_clock(node: Any, rows: int, nodes: dict[str, Any]) -> tuple[Place, str]
     return None
 
 
-def _stamps(node: Any) -> Place:
+def _stamps(node: Any) -> FieldPlace:
     """Stamps (N,), or (1, N) as MATLAB writes a row of them."""
     return place_of(node, transposed=len(node.shape) == 2 and node.shape[0] == 1 < node.shape[1])
 
@@ -340,7 +342,7 @@ def datasets(file: Any, where: str) -> Iterator[Any]:
         yield node
 
 
-def fields_of(file: Any, held: Iterable[Any], mapping: FieldMapping) -> list[Found]:
+def fields_of(file: Any, held: Iterable[Any], mapping: FieldMapping) -> list[FieldChannel]:
     """All channels in the file's `datasets`, or those that the mapping names; with their clocks."""
     nodes = {node.name: node for node in held}
     each = [

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Flags
 from imucalib.errors import ImucalError, UnreadableInput
-from imucalib.readers.hdf5.fields import Place, fills_of, valid_of
+from imucalib.readers.hdf5.fields import FieldPlace, fills_of, valid_of
 
 _MARK, _SIZE = b"GCOL\x01\0\0\0", struct.Struct("<Q")
 _OBJECT = struct.Struct("<HHIQ")  # number (0: free space), uses, nothing, size
@@ -93,7 +93,7 @@ def _mask_of(spans: Spans, start: int, stop: int) -> Flags | None:
 
 
 @dataclass
-class Walk:
+class FileWalk:
     """A look at the datasets of one file and, where that is allowed, of those it refers to.
 
     where : of the file, for errors; found : what is known of each dataset; None while it is looked
@@ -221,7 +221,7 @@ class File:
     )
     held: dict[tuple[str, int], Spans] = field(default_factory=dict)
 
-    def rows(self, place: Place, start: int, stop: int) -> NDArray[np.generic]:
+    def rows(self, place: FieldPlace, start: int, stop: int) -> NDArray[np.generic]:
         """Rows of one place in its unit; those that are damaged or not in the file become NaN."""
         values, held = self.stored(place, start, stop)
         values = place.unpacked(values)
@@ -232,7 +232,7 @@ class File:
         return values
 
     def stored(
-        self, place: Place, start: int, stop: int
+        self, place: FieldPlace, start: int, stop: int
     ) -> tuple[NDArray[np.generic], Flags | None]:
         """Rows as the file has them, and which of them it has; None when all. Raises
         UnreadableInput for data in another file and, when strict, for what is missing."""
@@ -251,7 +251,7 @@ class File:
         return self._filled(node, place, values, whole if held is None else whole & held)
 
     def _filled(
-        self, node: Any, place: Place, values: NDArray[np.generic], held: Flags | None
+        self, node: Any, place: FieldPlace, values: NDArray[np.generic], held: Flags | None
     ) -> tuple[NDArray[np.generic], Flags | None]:
         """The values, and which rows of them hold none of the values that stand for nothing."""
         key = (node.name, place.column)
@@ -271,7 +271,7 @@ class File:
         key, rows = (node.name, axis), int(node.shape[axis])
         if key not in self.held:
             path = Path(self.where)
-            self.held[key] = found = Walk(self.where, self.external).spans(node, path, axis)
+            self.held[key] = found = FileWalk(self.where, self.external).spans(node, path, axis)
             edges = np.concatenate([[0], found.reshape(-1), [rows]]).reshape(-1, 2)
             lost = edges[edges[:, 1] > edges[:, 0]].tolist()
             if lost:
@@ -290,7 +290,7 @@ class File:
         self._known(node, 0)
 
     def _by_chunks(
-        self, node: Any, place: Place, start: int, stop: int
+        self, node: Any, place: FieldPlace, start: int, stop: int
     ) -> tuple[NDArray[np.generic], Flags]:
         """What can be read of rows some of which cannot, the others as zeros, and which."""
         step = node.chunks[1 if place.transposed else 0] if node.chunks else stop - start
@@ -318,7 +318,7 @@ def _reason(error: Exception) -> str:
     return "checksum" if "checksum" in text.lower() or "filter" in text.lower() else text[:120]
 
 
-def _slice(node: Any, place: Place, start: int, stop: int) -> NDArray[np.generic]:
+def _slice(node: Any, place: FieldPlace, start: int, stop: int) -> NDArray[np.generic]:
     if place.column:
         return np.asarray(node[start:stop][place.column])
     if place.triad >= 0:

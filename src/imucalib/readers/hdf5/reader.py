@@ -22,8 +22,15 @@ from imucalib.readers import conversion
 from imucalib.readers.choice import resolved
 from imucalib.readers.contents import Content, listing, norm_of, suggestion, unread
 from imucalib.readers.conversion import AS_STORED, Conversion
-from imucalib.readers.hdf5.fields import Found, datasets, fields_of, number_of, text_of, unit_of
-from imucalib.readers.hdf5.file import File, Walk, opened
+from imucalib.readers.hdf5.fields import (
+    FieldChannel,
+    datasets,
+    fields_of,
+    number_of,
+    text_of,
+    unit_of,
+)
+from imucalib.readers.hdf5.file import File, FileWalk, opened
 from imucalib.readers.joining import Joined
 from imucalib.readers.timebase import (
     Stepping,
@@ -52,7 +59,7 @@ def _content(node: Any, path: Path, used: Container[str] = ()) -> Content:
     kind = f"{shape + ' ' if shape else ''}{node.dtype if not fields else 'records'}{fields}"
     found = Content(node.name, f"{kind} in {unit}" if unit else kind, node.shape[0])
     try:
-        Walk(str(path)).spans(node, path)
+        FileWalk(str(path)).spans(node, path)
         if not fields and node.dtype.kind in "iuf" and node.shape[1:] in ((), (3,)):
             values = np.asarray(node[:_ROWS], dtype=np.float64)
             if values.ndim == 2:
@@ -65,7 +72,7 @@ def _content(node: Any, path: Path, used: Container[str] = ()) -> Content:
     return found
 
 
-def _unread(nodes: Sequence[Any], signals: Sequence[Signal], path: Path) -> tuple[str, ...]:
+def _unread(nodes: Sequence[Any], signals: Sequence[FieldSignal], path: Path) -> tuple[str, ...]:
     """The sentence on numbers of the file that no signal reads."""
     places = [p for s in signals for p in (*s.found.parts, s.found.time) if p]
     used: dict[str, set[str]] = {}
@@ -84,7 +91,7 @@ _LOOKS, _LOOK = 24, 4096  # looks spread over each field, and their rows
 
 
 @dataclass(frozen=True)
-class Signal:
+class FieldSignal:
     """One channel ready to read.
 
     origin : first stamp of its clock, in `found.time_unit`; shift : s from the recording's start to
@@ -92,7 +99,7 @@ class Signal:
     """
 
     file: File
-    found: Found
+    found: FieldChannel
     origin: float | int = 0
     shift: float = 0.0
     rate: float = 1.0
@@ -125,22 +132,22 @@ class Signal:
         return np.stack([p.reshape(-1) for p in parts], axis=1)
 
 
-def _looks(found: Found) -> list[tuple[int, int]]:
+def _looks(found: FieldChannel) -> list[tuple[int, int]]:
     """Row ranges spread over a field."""
     starts = np.linspace(0, max(0, found.rows - _LOOK), _LOOKS).astype(int)
     return [(int(a), min(found.rows, int(a) + _LOOK)) for a in dict.fromkeys(starts.tolist())]
 
 
 def _signals_of(
-    file: File, found: Sequence[Found], mapping: FieldMapping
-) -> tuple[list[Signal], int | None, list[str]]:
+    file: File, found: Sequence[FieldChannel], mapping: FieldMapping
+) -> tuple[list[FieldSignal], int | None, list[str]]:
     notes: list[str] = []
     start_ns = None
     if number_of(file.handle, "start_ns") is not None:
         start_ns = start_of(np.asarray(file.handle.attrs["start_ns"]).flat[0].item(), notes)
     origin: dict[tuple[str, int | None], float | int] = {}
 
-    def signal(one: Found) -> Signal:
+    def signal(one: FieldChannel) -> FieldSignal:
         nonlocal start_ns
         clock, first, note = _clock(file, one)
         notes.extend([note] if note else [])
@@ -152,14 +159,14 @@ def _signals_of(
             own = date_of(zero, clock.time_unit, clock.epoch) or 0
             start_ns = start_ns if dated else own
             shift = (own - (start_ns or 0)) * 1e-9
-        return _measured(Signal(file, clock, zero, shift, clock.rate or 1.0), mapping)
+        return _measured(FieldSignal(file, clock, zero, shift, clock.rate or 1.0), mapping)
 
     signals = list(conversion.readable(found, signal, notes))
     notes += [s.conversion.note for s in signals if s.conversion.note]
     return signals, start_ns, list(dict.fromkeys(notes))
 
 
-def _clock(file: File, found: Found) -> tuple[Found, float | int | None, str]:
+def _clock(file: File, found: FieldChannel) -> tuple[FieldChannel, float | int | None, str]:
     """The field with its time unit known, the first stamp, and how the unit was found."""
     if found.time is None:
         if found.rate is None:
@@ -183,7 +190,7 @@ def _clock(file: File, found: Found) -> tuple[Found, float | int | None, str]:
     return replace(found, time_unit=stamps.unit, epoch=stamps.epoch), stamps.first, stamps.note
 
 
-def _measured(signal: Signal, mapping: FieldMapping) -> Signal:
+def _measured(signal: FieldSignal, mapping: FieldMapping) -> FieldSignal:
     """The signal with its rate, gap threshold and unit, from looks all over the field."""
     found, file = signal.found, signal.file
     stated = {"acceleration": mapping.acc_unit, "angular_rate": mapping.gyro_unit}
@@ -204,12 +211,12 @@ def _measured(signal: Signal, mapping: FieldMapping) -> Signal:
     rate = found.rate or 1.0 / steps.step
     where = f"{file.where}: {found.parts[0].path}"
     whole = [v[g] for v, g in zip(looks, good, strict=True)]
-    source = conversion.Source(found.unit)
+    source = conversion.UnitSource(found.unit)
     how = conversion.of_looks(found.quantity, mapping, source, whole, rate=rate, where=where)
     return replace(signal, conversion=how, rate=rate, threshold=steps.threshold)
 
 
-def _resolved(mapping: FieldMapping, signals: Sequence[Signal]) -> FieldMapping:
+def _resolved(mapping: FieldMapping, signals: Sequence[FieldSignal]) -> FieldMapping:
     """What was read, as far as one mapping can say it (a dataset of K triads is named once)."""
     if any(len(s.found.parts) > 1 or s.found.parts[0].column for s in signals):
         return mapping
@@ -299,7 +306,7 @@ def _blocks_of(file: File, path: Path, mapping: FieldMapping, size: int) -> Iter
             return
 
 
-def _count(signal: Signal, read: int) -> Count:
+def _count(signal: FieldSignal, read: int) -> Count:
     rows = signal.found.rows
     return Count(signal.name, rows, read, {"lack a value or a stamp": rows - read})
 
@@ -310,7 +317,7 @@ def _left_out(count: Count) -> Iterator[str]:
             yield f"{count.source}: {rows} rows {why}, left out"
 
 
-def _time_after(signal: Signal, row: int) -> float:
+def _time_after(signal: FieldSignal, row: int) -> float:
     """Time of a row of the main channel, or infinity past its end."""
     if row >= signal.found.rows:
         return float("inf")
@@ -318,7 +325,7 @@ def _time_after(signal: Signal, row: int) -> float:
     return float(t[0]) if np.isfinite(t[0]) else float("-inf")
 
 
-def _stop(signal: Signal, main: Signal, row: int, *, size: int, until: float) -> int:
+def _stop(signal: FieldSignal, main: FieldSignal, row: int, *, size: int, until: float) -> int:
     """Where this channel's block ends: at the main channel's row, or at its time."""
     rows = signal.found.rows
     same = signal.found.time == main.found.time and signal.found.rate == main.found.rate
@@ -336,7 +343,7 @@ def _stop(signal: Signal, main: Signal, row: int, *, size: int, until: float) ->
 
 
 def _channel(
-    signal: Signal, start: int, stop: int, last: dict[str, float]
+    signal: FieldSignal, start: int, stop: int, last: dict[str, float]
 ) -> tuple[Channel | None, list[Gap]]:
     """The channel and its gaps."""
     if stop <= start:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Index
 from imucalib.errors import UnreadableInput
-from imucalib.readers.messages.topics import ClockFacts, Samples, Source, Stamps
+from imucalib.readers.messages.topics import ClockFacts, Stamps, TopicSamples, TopicSource
 from imucalib.readers.timebase import SIDES, set_back, stepping
 from imucalib.recording.mapping import TIME_UNITS, FieldMapping
 from imucalib.recording.recording import Gap
@@ -28,7 +28,7 @@ Times = NDArray[np.int64]  # ns
 
 
 @dataclass(frozen=True)
-class Clock:
+class TopicClock:
     """How the times of one topic are found.
 
     source : "stamp", "log_time" or "rate"
@@ -53,7 +53,7 @@ class Clock:
     def dated(self) -> bool:
         return self.first >= _YEAR_2000
 
-    def times(self, samples: Samples, row: int) -> Times:
+    def times(self, samples: TopicSamples, row: int) -> Times:
         """(n,) of consecutive samples, the first of which has the number `row`."""
         if self.source == "rate":
             steps = (row + np.arange(samples.log.size)) * self.period
@@ -88,7 +88,9 @@ def _spread(times: Times, period: float) -> Times:
     return moved
 
 
-def choose_clock(source: Source, mapping: FieldMapping, where: str, apart: str = "") -> Clock:
+def choose_clock(
+    source: TopicSource, mapping: FieldMapping, where: str, apart: str = ""
+) -> TopicClock:
     """Decide between the stamp and log_time.
 
     apart : why no stamp of the log can be used, or empty; where : the topic, for the error
@@ -97,7 +99,7 @@ def choose_clock(source: Source, mapping: FieldMapping, where: str, apart: str =
     log, stamps = source.log, source.stamps
     if mapping.rate:
         note = f"time from the stated rate of {mapping.rate:g} Hz"
-        return Clock(
+        return TopicClock(
             source="rate",
             factor=1,
             late=0,
@@ -143,7 +145,7 @@ def choose_clock(source: Source, mapping: FieldMapping, where: str, apart: str =
     if facts.backs:
         late = float(facts.late) * factor * 1e-9
         notes.append(f"{facts.backs} steps back in time, by up to {late:.3g} s, put in order")
-    return Clock(
+    return TopicClock(
         source="log_time" if why else "stamp",
         factor=factor,
         late=int(np.ceil(facts.late * factor)),
@@ -193,7 +195,7 @@ class Timeline:
     steps below a gap's length
     """
 
-    clock: Clock
+    clock: TopicClock
     start_ns: int
     label: str
     t: list[Array] = field(default_factory=list)
@@ -207,7 +209,7 @@ class Timeline:
     _tail: Times = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     _held: tuple[Times, list[Array]] | None = None
 
-    def push(self, samples: Samples) -> None:
+    def push(self, samples: TopicSamples) -> None:
         """Take consecutive samples."""
         self._marks = samples.source.marks
         times, columns = self.clock.times(samples, self._row), samples.columns

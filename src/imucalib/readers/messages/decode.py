@@ -19,11 +19,11 @@ from imucalib.errors import UsageError
 from imucalib.readers.messages.layout import (
     Definition,
     Groups,
-    Layout,
     LayoutError,
+    MessageLayout,
     definition_of,
 )
-from imucalib.readers.messages.records import MessageBlock, Rows, Topic
+from imucalib.readers.messages.records import MessageBlock, RecordRows, Topic
 
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _MOST_INFLATED = 1 << 26  # bytes of one message: no sensor reading is larger
@@ -81,13 +81,13 @@ def decoder_for(topic: Topic) -> Decoder:
 
 
 @dataclass
-class Family:
+class LayoutFamily:
     """Layouts that differ in the lengths they expect, but have the wanted fields in one place.
 
     dtype, names : of a message's fields, and those of each group, by `Layout.pick`
     """
 
-    layout: Layout
+    layout: MessageLayout
     dtype: np.dtype[np.void]
     names: list[list[str]]
     guards: list[list[tuple[int, int]]]
@@ -103,20 +103,20 @@ class Family:
 
     def fitting(
         self, block: MessageBlock, rows: NDArray[np.int64]
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64], Rows]:
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], RecordRows]:
         """The messages among `rows` that it fits, the others, and the fields of the former."""
         lengths, end = block.lengths[rows], self.layout.end
         fits = (lengths >= end) & (lengths <= end + self.layout.slack)
         some = rows[fits]
-        fields = Rows(block.data, block.starts[some], self.dtype)
+        fields = RecordRows(block.data, block.starts[some], self.dtype)
         agrees = self._agrees(fields, some.size)
         if not agrees.all():
             fits[fits] = agrees
             some = rows[fits]
-            fields = Rows(block.data, block.starts[some], self.dtype)
+            fields = RecordRows(block.data, block.starts[some], self.dtype)
         return some, rows[~fits], fields
 
-    def _agrees(self, fields: Rows, count: int) -> NDArray[np.bool_]:
+    def _agrees(self, fields: RecordRows, count: int) -> NDArray[np.bool_]:
         found = {at: fields[f"guard{at}"] for at, _ in self.layout.guards}
         agrees = np.zeros(count, dtype=np.bool_)
         for guards in self.guards:
@@ -134,12 +134,12 @@ class RosDecoder(Decoder):
 
     def __init__(self, definition: Definition) -> None:
         self._definition = definition
-        self._families: dict[Groups, list[Family]] = {}
+        self._families: dict[Groups, list[LayoutFamily]] = {}
 
     def look(self, payload: bytes) -> Look:
         if payload.startswith(_ZSTD_MAGIC):
-            payload = _inflated(payload)
-        layout = Layout(self._definition, payload)
+            payload = _inflate(payload)
+        layout = MessageLayout(self._definition, payload)
         return Look({path: count for path, (*_, count) in layout.fields.items()}, layout.texts)
 
     def decode(self, block: MessageBlock, groups: Groups) -> Decoded:
@@ -154,7 +154,7 @@ class RosDecoder(Decoder):
             if block.payload(row).startswith(_ZSTD_MAGIC)
         ]
         if packed:
-            inner = self.decode(_unpacked(block.take(np.array(packed))), groups)
+            inner = self.decode(_unpack(block.take(np.array(packed))), groups)
             out.put(np.array(packed), inner.columns)
             out.good[packed] = inner.good
             problems.append(inner.problem)
@@ -162,7 +162,7 @@ class RosDecoder(Decoder):
 
     def fitting(
         self, block: MessageBlock, groups: Groups, problems: list[str]
-    ) -> Iterator[tuple[NDArray[np.int64], Family, Rows]]:
+    ) -> Iterator[tuple[NDArray[np.int64], LayoutFamily, RecordRows]]:
         """The messages that have the groups, with their fields; one family after the other.
 
         problems : gets a sentence for each of the others
@@ -177,8 +177,8 @@ class RosDecoder(Decoder):
                 return
         while todo.size:
             try:
-                layout = Layout(self._definition, block.payload(int(todo[0])))
-                family = _admitted(families, layout, groups)
+                layout = MessageLayout(self._definition, block.payload(int(todo[0])))
+                family = _admit(families, layout, groups)
             except LayoutError as error:
                 problems.append(str(error))
                 todo = todo[1:]
@@ -187,7 +187,7 @@ class RosDecoder(Decoder):
             yield rows, family, fields
 
 
-def _admitted(families: list[Family], layout: Layout, groups: Groups) -> Family:
+def _admit(families: list[LayoutFamily], layout: MessageLayout, groups: Groups) -> LayoutFamily:
     """The family of a new layout; a new one comes to the front of the list."""
     dtype, names = layout.pick(groups)
     for family in families:
@@ -195,7 +195,7 @@ def _admitted(families: list[Family], layout: Layout, groups: Groups) -> Family:
         if same and family.dtype == dtype and len(family.guards) < _MOST_LAYOUTS:
             family.guards.append(layout.guards)
             return family
-    families.insert(0, Family(layout, dtype, names, [layout.guards]))
+    families.insert(0, LayoutFamily(layout, dtype, names, [layout.guards]))
     del families[_MOST_LAYOUTS:]
     return families[0]
 
@@ -225,7 +225,7 @@ class _Columns:
         return self._columns or [np.zeros((self._size, group.width)) for group in self._groups]
 
 
-def _inflated(payload: bytes) -> bytes:
+def _inflate(payload: bytes) -> bytes:
     """A zstd-compressed payload, unpacked; raises LayoutError."""
     import zstandard
 
@@ -240,12 +240,12 @@ def _inflated(payload: bytes) -> bytes:
     return data
 
 
-def _unpacked(block: MessageBlock) -> MessageBlock:
+def _unpack(block: MessageBlock) -> MessageBlock:
     """A block of zstd-compressed payloads, unpacked; a damaged one becomes empty."""
     pieces = []
     for payload in block.payloads():
         try:
-            pieces.append(_inflated(payload))
+            pieces.append(_inflate(payload))
         except LayoutError:
             pieces.append(b"")
     lengths = np.array([len(p) for p in pieces], dtype=np.int64)

@@ -1,8 +1,8 @@
 """ROS message definitions, and their layouts: byte offsets at which whole blocks decode as arrays.
 
 The offsets of a message depend on its contents only through the lengths of its strings and
-sequences. A `Layout` walks one message, notes those lengths as guards, and then holds for every
-message with the same length fields and size.
+sequences. A `MessageLayout` walks one message, notes those lengths as guards, and then holds for
+every message with the same length fields and size.
 
 Sources: the ROS 1 wiki page "msg"; the ROS 2 interface definition; OMG DDS-XTypes 1.3, section 7.4
 (CDR versions 1 and 2); DDSI-RTPS 2.5, table 10.3 (encapsulation identifiers).
@@ -90,7 +90,7 @@ class LayoutError(ValueError):
 
 
 @dataclass(frozen=True)
-class Member:
+class DefinedField:
     """One field of a definition; `count` is -1 for a scalar, 0 for a sequence, N for N[...]."""
 
     name: str
@@ -103,7 +103,7 @@ class Definition:
     """A message type with every type that it uses, by full name ("pkg/Type")."""
 
     root: str
-    types: dict[str, list[Member]]
+    types: dict[str, list[DefinedField]]
     ros1: bool
 
 
@@ -114,11 +114,11 @@ _BOUND = "[<="  # begins a sequence of at most so many
 def parse_definition(name: str, text: str, ros1: bool) -> Definition:
     """Parse a concatenated ROS definition; raises LayoutError for a syntax that it is not."""
     root = _full(name, "")
-    types: dict[str, list[Member]] = {}
+    types: dict[str, list[DefinedField]] = {}
     for kind, word in (("time", "uint32"), ("duration", "int32")) if ros1 else ():
-        types[kind] = [Member("sec", word), Member("nanosec", word)]
+        types[kind] = [DefinedField("sec", word), DefinedField("nanosec", word)]
     for kind in () if ros1 else ("builtin_interfaces/Time", "builtin_interfaces/Duration"):
-        types[kind] = [Member("sec", "int32"), Member("nanosec", "uint32")]
+        types[kind] = [DefinedField("sec", "int32"), DefinedField("nanosec", "uint32")]
     current, members = root, types.setdefault(root, [])
     for raw in text.splitlines():
         line = raw.partition("#")[0].strip()
@@ -134,7 +134,7 @@ def parse_definition(name: str, text: str, ros1: bool) -> Definition:
                 continue
             count = -1 if array is None else 0 if array.startswith(_BOUND) else int(size or 0)
             known = base in _PRIMITIVES or base in ("string", "wstring", "time", "duration")
-            members.append(Member(field_name, base if known else _full(base, current), count))
+            members.append(DefinedField(field_name, base if known else _full(base, current), count))
     return Definition(root, types, ros1)
 
 
@@ -161,14 +161,14 @@ def definition_of(name: str, encoding: str, text: str) -> Definition:
 _MAX_ELEMENTS, _DEEPEST = 4096, 32
 
 
-class Group(NamedTuple):
+class FieldGroup(NamedTuple):
     """Field paths that are read together (the axes of a vector), and their numbers in all."""
 
     paths: tuple[str, ...]
     width: int
 
 
-Groups = tuple[Group, ...]
+Groups = tuple[FieldGroup, ...]
 
 
 #: encapsulation identifier -> (byte order, largest alignment)
@@ -182,7 +182,7 @@ _ENCAPSULATIONS = {
 }
 
 
-class Layout:
+class MessageLayout:
     """Where the numbers of a message are, and of all that share its lengths.
 
     fields : path ("linear_acceleration.x") -> (byte offset, numpy type, element count)
@@ -291,7 +291,7 @@ class Layout:
             spec.append(("head", f"V{len(self.head)}", 0))
         return record_type(spec, self.end), names
 
-    def _merged(self, group: Group) -> list[tuple[int, str, int]]:
+    def _merged(self, group: FieldGroup) -> list[tuple[int, str, int]]:
         merged: list[tuple[int, str, int]] = []
         for path in group.paths:
             if path not in self.fields:

@@ -17,16 +17,16 @@ from imucalib.readers import conversion
 from imucalib.readers.choice import OPTIONS
 from imucalib.readers.contents import listing, suggestion
 from imucalib.readers.conversion import Conversion
-from imucalib.readers.messages.clock import Clock, Timeline, choose_clock
+from imucalib.readers.messages.clock import Timeline, TopicClock, choose_clock
 from imucalib.readers.messages.records import MessageLog
 from imucalib.readers.messages.select import (
-    Triad,
+    TopicTriad,
     contents_of,
     split_address,
     triads_of,
 )
 from imucalib.readers.messages.stream import GATHER, TopicStream
-from imucalib.readers.messages.topics import Samples, Source
+from imucalib.readers.messages.topics import TopicSamples, TopicSource
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Recording
 
@@ -35,7 +35,7 @@ _FEWEST_ROWS = 1 << 12  # that an array has room for
 
 
 @dataclass(frozen=True)
-class Part:
+class ChannelPlan:
     """One channel to be: its name, where its values come from, how they become SI; channel : all
     but its samples."""
 
@@ -47,15 +47,15 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Plan:
+class MessagePlan:
     """What the first pass decided for the whole file.
 
     head : without channels; its notes and mapping are those of the file
     """
 
     head: Recording
-    parts: tuple[Part, ...]
-    clocks: dict[str, Clock]
+    parts: tuple[ChannelPlan, ...]
+    clocks: dict[str, TopicClock]
     start_ns: int
 
     def timelines(self) -> dict[str, Timeline]:
@@ -86,7 +86,7 @@ class FirstPass:
             if keep:
                 self._keep(samples)
 
-    def _keep(self, samples: Samples) -> None:
+    def _keep(self, samples: TopicSamples) -> None:
         name, parts = samples.source.name, [samples.log, *samples.columns]
         parts += [] if samples.stamps is None else [samples.stamps]
         if name not in self._kept:
@@ -94,11 +94,11 @@ class FirstPass:
         for kept, part in zip(self._kept[name], parts, strict=True):
             kept.append(part)
 
-    def samples(self, topic: str) -> Samples:
+    def samples(self, topic: str) -> TopicSamples:
         """All samples of a topic, handed over."""
         source = self.stream.sources[topic]
         log, *columns = (kept.whole() for kept in self._kept.pop(topic))
-        return Samples(source, columns.pop() if source.instant else None, log, columns)
+        return TopicSamples(source, columns.pop() if source.instant else None, log, columns)
 
 
 class _Growing:
@@ -159,7 +159,7 @@ def log_blocks(
 
 
 def _recordings(
-    plan: Plan, samples: Iterable[Samples], *, block_samples: float
+    plan: MessagePlan, samples: Iterable[TopicSamples], *, block_samples: float
 ) -> Iterator[Recording]:
     timelines = plan.timelines()
     notes, waiting = plan.head.notes, 0  # samples of all topics: that is what takes memory
@@ -181,7 +181,9 @@ def _recordings(
         yield last
 
 
-def _recording(plan: Plan, timelines: dict[str, Timeline], notes: tuple[str, ...]) -> Recording:
+def _recording(
+    plan: MessagePlan, timelines: dict[str, Timeline], notes: tuple[str, ...]
+) -> Recording:
     """What is final of the timelines, which give it up."""
     channels: dict[str, Channel] = {}
     times = {topic: _whole(line.t) for topic, line in timelines.items() if line.t}
@@ -204,7 +206,7 @@ def _whole(pieces: list[Array]) -> Array:
 # -- what the first pass decides --------------------------------------------------------------
 
 
-def _decide(stream: TopicStream) -> Plan:
+def _decide(stream: TopicStream) -> MessagePlan:
     """Triads, clocks, units and notes, from everything that the first pass saw."""
     log, mapping = stream.log, stream.mapping
     _refuse_unknown(stream)
@@ -239,7 +241,7 @@ def _decide(stream: TopicStream) -> Plan:
         corrections=marks,
         counts=tuple(c for c in stream.tallies() if c.source.removeprefix("messages of ") in used),
     )
-    return Plan(head, tuple(parts), clocks, start)
+    return MessagePlan(head, tuple(parts), clocks, start)
 
 
 def _refuse_unknown(stream: TopicStream) -> None:
@@ -267,10 +269,10 @@ def _no_imu(stream: TopicStream) -> UnreadableInput:
     )
 
 
-def _clocks(sources: list[Source], mapping: FieldMapping, where: str) -> dict[str, Clock]:
+def _clocks(sources: list[TopicSource], mapping: FieldMapping, where: str) -> dict[str, TopicClock]:
     """A clock for each topic; one clock for all where their stamps count from other epochs."""
 
-    def clocks(apart: str) -> dict[str, Clock]:
+    def clocks(apart: str) -> dict[str, TopicClock]:
         return {
             source.name: choose_clock(source, mapping, f"{where}, topic {source.name}", apart)
             for source in sources
@@ -286,7 +288,7 @@ def _clocks(sources: list[Source], mapping: FieldMapping, where: str) -> dict[st
 
 def _conversion(
     quantity: str,
-    source: Source,
+    source: TopicSource,
     column: int,
     period: float,
     mapping: FieldMapping,
@@ -300,7 +302,7 @@ def _conversion(
     return conversion.of_vectors(
         quantity,
         mapping,
-        conversion.Source(stated),
+        conversion.UnitSource(stated),
         pieces,
         window=window,
         where=where,
@@ -308,8 +310,13 @@ def _conversion(
 
 
 def _part(
-    triad: Triad, quantity: str, source: Source, column: int, clock: Clock, how: Conversion
-) -> Part:
+    triad: TopicTriad,
+    quantity: str,
+    source: TopicSource,
+    column: int,
+    clock: TopicClock,
+    how: Conversion,
+) -> ChannelPlan:
     """The channel of one quantity of a triad."""
     channel = Channel(
         t=np.empty(0),
@@ -322,11 +329,11 @@ def _part(
         topic=source.name,
         **how.units,
     )
-    return Part(f"{triad.name}/{channel.quantity}", source.name, column, how, channel)
+    return ChannelPlan(f"{triad.name}/{channel.quantity}", source.name, column, how, channel)
 
 
 def _clock_notes(
-    triads: list[Triad], sources: Mapping[str, Source], clocks: dict[str, Clock]
+    triads: list[TopicTriad], sources: Mapping[str, TopicSource], clocks: dict[str, TopicClock]
 ) -> list[str]:
     notes = []
     for triad in triads:
@@ -342,7 +349,7 @@ def _clock_notes(
     return notes
 
 
-def _origin(sources: list[Source], clocks: list[Clock]) -> tuple[int, bool]:
+def _origin(sources: list[TopicSource], clocks: list[TopicClock]) -> tuple[int, bool]:
     """ns of t = 0, and whether it is a date: as the file states it, else the first sample's."""
     stated = {(source.origin_ns, source.dated) for source in sources}
     stamped = all(clock.source == "stamp" for clock in clocks)
@@ -353,7 +360,10 @@ def _origin(sources: list[Source], clocks: list[Clock]) -> tuple[int, bool]:
 
 
 def _resolved(
-    mapping: FieldMapping, triads: list[Triad], sources: Mapping[str, Source], parts: list[Part]
+    mapping: FieldMapping,
+    triads: list[TopicTriad],
+    sources: Mapping[str, TopicSource],
+    parts: list[ChannelPlan],
 ) -> FieldMapping:
     """The mapping that reads the same channels again."""
     found: dict[str, tuple[str, ...]] = {}

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from imucalib.errors import UnreadableInput
 from imucalib.file_hash import sha256_of
-from imucalib.recording.recording import Correction
+from imucalib.recording.recording import AppliedCalibration
 
 #: What comes before a message's payload in its record, the record's own nine bytes counted.
 MESSAGE_HEAD = 31
@@ -90,7 +90,7 @@ class Damage:
         return text + (" lost" if self.size or self.messages else "")
 
 
-class Rows:
+class RecordRows:
     """Fields of records of one type at byte positions `starts` (n,) of `data`.
 
     Where the positions are evenly spaced, the fields are views.
@@ -122,12 +122,12 @@ class MessageBlock(NamedTuple):
     @classmethod
     def of_records(cls, data: bytes, starts: NDArray[np.int64]) -> MessageBlock:
         """The messages whose records begin at `starts` (n,)."""
-        lengths = Rows(data, starts, _HEAD)["length"].astype(np.int64) - (MESSAGE_HEAD - 9)
+        lengths = RecordRows(data, starts, _HEAD)["length"].astype(np.int64) - (MESSAGE_HEAD - 9)
         return cls(data, starts + MESSAGE_HEAD, lengths)
 
     def header(self, name: str) -> NDArray[np.int64]:
         """(n,) one field of the records: channel, sequence, log_time (ns), publish_time (ns)."""
-        return Rows(self.data, self.starts - MESSAGE_HEAD, _HEAD)[name].astype(np.int64)
+        return RecordRows(self.data, self.starts - MESSAGE_HEAD, _HEAD)[name].astype(np.int64)
 
     def payload(self, row: int) -> bytes:
         """The payload of one message."""
@@ -160,7 +160,7 @@ class MessageLog(ABC):
         """Forget what an earlier pass found."""
         self.topics: dict[int, Topic] = {}
         self.damages: list[Damage] = []
-        self.corrections: tuple[Correction, ...] = ()
+        self.corrections: tuple[AppliedCalibration, ...] = ()
 
     @abstractmethod
     def blocks(self) -> Iterator[MessageBlock]:

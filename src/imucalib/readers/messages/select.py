@@ -19,9 +19,9 @@ from imucalib.errors import UsageError
 from imucalib.readers.choice import OPTIONS, Field, Vector, joined_unit, named_vectors
 from imucalib.readers.contents import Content, norm_of
 from imucalib.readers.messages.decode import Decoder, Look, decoder_for
-from imucalib.readers.messages.layout import Group, LayoutError
+from imucalib.readers.messages.layout import FieldGroup, LayoutError
 from imucalib.readers.messages.records import MessageBlock, MessageLog, Topic
-from imucalib.readers.messages.topics import Source, TopicField
+from imucalib.readers.messages.topics import TopicField, TopicSource
 from imucalib.readers.words import INERTIAL, bare_quantity, instant_rank, understand
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.pairing import distinct_names
@@ -42,7 +42,7 @@ Leaves = Mapping[str, int]  # path -> how many numbers
 
 
 @dataclass(frozen=True)
-class Triad:
+class TopicTriad:
     """One sensor: its name and, by quantity, the topic and the place in that topic's fields.
 
     numbered : whether the name is only a number, since topics do not name the sensors
@@ -81,32 +81,32 @@ def split_address(text: str, topic: Topic) -> str | None:
 # -- fields of a message ----------------------------------------------------------------------
 
 
-def vector(leaves: Leaves, address: str) -> Group | None:
+def vector(leaves: Leaves, address: str) -> FieldGroup | None:
     """The 3-vector at an address; "acc_*" is short for acc_x, acc_y, acc_z, and "p+q+r" is three
     fields that share no name."""
     if "*" in address or "+" in address:
         each = address.split("+") if "+" in address else [address.replace("*", c) for c in "xyz"]
         known = len(each) == 3 and all(leaves.get(p) == 1 for p in each)
-        return Group(tuple(each), 3) if known else None
+        return FieldGroup(tuple(each), 3) if known else None
     if leaves.get(address) == 3:
-        return Group((address,), 3)
+        return FieldGroup((address,), 3)
     for axes in _AXES:
         paths = tuple(f"{address}.{axis}" for axis in axes)
         more = f"{address}.w", f"{address}.3"  # a quaternion, or a longer list
         if all(leaves.get(p) == 1 for p in paths) and not any(p in leaves for p in more):
-            return Group(paths, 3)
+            return FieldGroup(paths, 3)
     return None
 
 
-def scalar(leaves: Leaves, address: str) -> Group | None:
+def scalar(leaves: Leaves, address: str) -> FieldGroup | None:
     """The single number at an address."""
-    return Group((address,), 1) if leaves.get(address) == 1 else None
+    return FieldGroup((address,), 1) if leaves.get(address) == 1 else None
 
 
-def instant(leaves: Leaves, address: str) -> Group | None:
+def instant(leaves: Leaves, address: str) -> FieldGroup | None:
     """The time at an address: one number, or seconds and nanoseconds."""
     pairs = (tuple(f"{address}.{name}" for name in names) for names in _SECONDS)
-    two = (Group(paths, 2) for paths in pairs if all(leaves.get(p) == 1 for p in paths))
+    two = (FieldGroup(paths, 2) for paths in pairs if all(leaves.get(p) == 1 for p in paths))
     return scalar(leaves, address) or next(two, None)
 
 
@@ -123,7 +123,7 @@ def _stars(leaves: Leaves) -> list[str]:
     return [f"{path[:-1]}*" for path in leaves if len(path) > 1 and path[-1] == "x"]
 
 
-def _named(leaves: Leaves, topic: Topic) -> list[tuple[Vector, str, Group]]:
+def _named(leaves: Leaves, topic: Topic) -> list[tuple[Vector, str, FieldGroup]]:
     """Every acceleration and angular rate that names tell, with its address and its numbers."""
     paths = list(leaves)
     fields = [Field(tuple(path.split(".")), count) for path, count in leaves.items()]
@@ -165,7 +165,7 @@ def _time_address(leaves: Leaves) -> str:
     return min(best)[2] if best else ""
 
 
-def source_of(topic: Topic, look: Look, mapping: FieldMapping) -> Source | None:
+def source_of(topic: Topic, look: Look, mapping: FieldMapping) -> TopicSource | None:
     """What to read from a topic, or None when it holds nothing that is wanted.
 
     Raises UsageError when the mapping names a field that the messages do not have.
@@ -190,7 +190,7 @@ def source_of(topic: Topic, look: Look, mapping: FieldMapping) -> Source | None:
     fields.sort(key=lambda f: list(OPTIONS).index(f.quantity))
     time, stamp = _time(topic, leaves, mapping)
     origin = topic.metadata.get(META_ORIGIN, "")
-    return Source(
+    return TopicSource(
         name=topic.name,
         imu=is_imu(topic),
         fields=tuple(fields),
@@ -252,7 +252,7 @@ def _unit_of(topic: Topic, quantity: str, named: str) -> str:
     return topic.metadata.get(META_UNITS[quantity], usual)
 
 
-def _time(topic: Topic, leaves: Leaves, mapping: FieldMapping) -> tuple[str, Group | None]:
+def _time(topic: Topic, leaves: Leaves, mapping: FieldMapping) -> tuple[str, FieldGroup | None]:
     """The address of a topic's time and the numbers there; a clock of the log has none."""
     if mapping.time in _CLOCKS:
         return mapping.time, None
@@ -283,7 +283,7 @@ def natural(text: str) -> tuple[tuple[bool, int, str], ...]:
 _Parts = dict[str, tuple[str, int]]
 
 
-def triads_of(mapping: FieldMapping, sources: Mapping[str, Source]) -> list[Triad]:
+def triads_of(mapping: FieldMapping, sources: Mapping[str, TopicSource]) -> list[TopicTriad]:
     """The triads, in the natural order of topics, named as the mapping does, as the file does, or
     by the part of the topic that is theirs alone; a single one, or where topics do not say, imu0,
     imu1, ...
@@ -310,10 +310,10 @@ def triads_of(mapping: FieldMapping, sources: Mapping[str, Source]) -> list[Tria
             where="mapping: triads",
             remedy="give one name for each triad, or none",
         )
-    return [Triad(name, part, numbered) for name, part in zip(names, parts, strict=True)]
+    return [TopicTriad(name, part, numbered) for name, part in zip(names, parts, strict=True)]
 
 
-def _stated_parts(mapping: FieldMapping, sources: Mapping[str, Source]) -> list[_Parts]:
+def _stated_parts(mapping: FieldMapping, sources: Mapping[str, TopicSource]) -> list[_Parts]:
     count = max(len(mapping.acc), len(mapping.gyro), len(mapping.temperature))
     parts: list[_Parts] = [{} for _ in range(count)]
     used: set[tuple[str, int]] = set()
@@ -349,7 +349,7 @@ def _stated_parts(mapping: FieldMapping, sources: Mapping[str, Source]) -> list[
     return parts
 
 
-def _found_parts(mapping: FieldMapping, sources: Mapping[str, Source]) -> list[_Parts]:
+def _found_parts(mapping: FieldMapping, sources: Mapping[str, TopicSource]) -> list[_Parts]:
     parts: list[_Parts] = []
     halves: dict[str, list[_Parts]] = {}
     for name in sorted(sources, key=natural):
@@ -391,7 +391,7 @@ class _Seen:
     sampled: int = 0
     why: str = ""
     decoder: Decoder | None = None
-    vectors: dict[str, Group] = field(default_factory=dict)
+    vectors: dict[str, FieldGroup] = field(default_factory=dict)
     values: dict[str, list[Array]] = field(default_factory=dict)
 
     def add(self, block: MessageBlock) -> None:
@@ -430,7 +430,7 @@ class _Seen:
         return own
 
 
-def _vectors_of(leaves: Leaves) -> dict[str, Group]:
+def _vectors_of(leaves: Leaves) -> dict[str, FieldGroup]:
     """Every 3-vector by its address."""
     stars = [a for a in _stars(leaves) if a.replace("*", "w") not in leaves]  # no quaternion
     addresses = (*_nodes(leaves), *stars)
@@ -438,7 +438,9 @@ def _vectors_of(leaves: Leaves) -> dict[str, Group]:
     return {a: found for found, a in reversed(named.items())}
 
 
-def left_in(decoder: Decoder, look: Look, payload: bytes, source: Source | None) -> list[Content]:
+def left_in(
+    decoder: Decoder, look: Look, payload: bytes, source: TopicSource | None
+) -> list[Content]:
     """What a message of a topic holds beside what is read: its vectors with their norm, and other
     numbers, but for those of its header."""
     groups = source.groups if source else ()

@@ -24,7 +24,7 @@ from imucalib.readers.messages.select import (
     source_of,
     split_address,
 )
-from imucalib.readers.messages.topics import Samples, Source, Stamps
+from imucalib.readers.messages.topics import Stamps, TopicSamples, TopicSource
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Count
 
@@ -70,7 +70,7 @@ class TopicStream:
         gather: int = GATHER,
     ) -> None:
         self.log, self.mapping, self.apart, self._gather = log, mapping, apart, gather
-        self.sources: dict[str, Source] = {}
+        self.sources: dict[str, TopicSource] = {}
         self.counts: dict[int, int] = {}
         self.reasons: dict[str, str] = {}  # topics that could not be read, and why
         self._indexed = log.indexed_topics()
@@ -79,7 +79,7 @@ class TopicStream:
         self._lane_of = np.full(1 << 16, _UNDECIDED, dtype=np.int64)
         self._lanes: list[_Lane] = []
         self._decoders: dict[tuple[object, ...], Decoder] = {}
-        self._source_of: dict[int, Source] = {}
+        self._source_of: dict[int, TopicSource] = {}
         self._undecoded: dict[str, int] = {}
         self._orphans = 0
         self._left: dict[int, list[Content]] = {}
@@ -117,7 +117,7 @@ class TopicStream:
         )
         return min(total, 100 * self.log.path.stat().st_size)
 
-    def samples(self) -> Iterator[Samples]:
+    def samples(self) -> Iterator[TopicSamples]:
         """All wanted samples, divided by topic, some chunks at a time."""
         damages = 0
         for block in self.log.blocks():
@@ -236,7 +236,7 @@ class TopicStream:
             self._decoders[key] = decoder_for(topic)
         return self._decoders[key]
 
-    def _lane(self, decoder: Decoder, source: Source) -> int:
+    def _lane(self, decoder: Decoder, source: TopicSource) -> int:
         for number, lane in enumerate(self._lanes):
             if lane.decoder is decoder and lane.groups == source.groups:
                 return number
@@ -281,11 +281,11 @@ class TopicStream:
             source.problem = problem
             self._fail(f"topic {source.name}: {problem}")
 
-    def _divided_all(self) -> Iterator[Samples]:
+    def _divided_all(self) -> Iterator[TopicSamples]:
         for lane in self._lanes:
             yield from self._divided(lane)
 
-    def _divided(self, lane: _Lane) -> Iterator[Samples]:
+    def _divided(self, lane: _Lane) -> Iterator[TopicSamples]:
         """What waits in a lane, topic by topic."""
         waiting, lane.waiting, lane.rows = lane.waiting, [], 0
         if not waiting:
@@ -305,7 +305,7 @@ class TopicStream:
             if order is not None:
                 source.moved += int(np.count_nonzero(order != np.arange(order.size)))
                 rows, own = rows[order], own if own is None else own[order]
-            yield Samples(source, own, log[rows], [c[rows] for c in columns])
+            yield TopicSamples(source, own, log[rows], [c[rows] for c in columns])
 
 
 def _order_of(stamps: Stamps, log: NDArray[np.int64]) -> NDArray[np.intp] | None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.arrays import Array
-from imucalib.readers.messages.layout import Group, Groups
+from imucalib.readers.messages.layout import FieldGroup, Groups
 
 _PIECE = 4096  # rows of one stretch that is kept to judge the norm at rest
 #: Stretches that are kept: the start in detail, the rest now and then.
@@ -32,7 +32,7 @@ class TopicField:
 
     quantity: str
     address: str
-    group: Group
+    group: FieldGroup
     unit: str = ""
     found: bool = True
     sensor: str = ""
@@ -78,7 +78,7 @@ class ClockFacts:
 
 
 @dataclass
-class Source:
+class TopicSource:
     """A topic that is read, and what its samples were so far.
 
     fields : what is read of each message; imu : whether the type is that of an IMU
@@ -97,7 +97,7 @@ class Source:
     imu: bool
     fields: tuple[TopicField, ...]
     time: str = ""
-    instant: Group | None = None
+    instant: FieldGroup | None = None
     frame: str = ""
     triad: str = ""
     origin_ns: int | None = None
@@ -122,7 +122,7 @@ class Source:
         last = (self.instant,) if self.instant else ()
         return tuple(f.group for f in self.fields) + last
 
-    def survey(self, samples: Samples) -> None:
+    def survey(self, samples: TopicSamples) -> None:
         """Note the facts of consecutive samples; how they are divided does not matter."""
         start, stop = self.log.count, self.log.count + samples.log.size
         self.log.update(samples.log)
@@ -142,13 +142,13 @@ class Source:
         return [np.concatenate([p[column] for p in parts]) for parts in self.pieces.values()]
 
 
-class Samples(NamedTuple):
+class TopicSamples(NamedTuple):
     """Consecutive samples of one topic, in file order.
 
     stamps : (n,) in the message's own unit, or None; log : (n,) ns; columns : (n, k) each
     """
 
-    source: Source
+    source: TopicSource
     stamps: Stamps | None
     log: NDArray[np.int64]
     columns: list[Array]

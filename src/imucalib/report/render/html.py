@@ -6,8 +6,8 @@ from collections import Counter
 
 from imucalib.report.document import Document, Tone
 from imucalib.report.render.svg import render_svg
-from imucalib.report.render.table import column_pads, squared
-from imucalib.report.render.templates import filled
+from imucalib.report.render.table import column_pads, square
+from imucalib.report.render.templates import fill
 
 SIGNS: dict[Tone, str] = {"ok": "✓", "warning": "⚠\ufe0e", "bad": "✗", "plain": ""}
 WORDS: dict[Tone, str] = {"ok": "Passed", "warning": "Caution", "bad": "Failed", "plain": "Result"}
@@ -22,13 +22,13 @@ def render_html(document: Document) -> str:
         last[kind] += 1
         return f"{kind} {last[kind]}"
 
-    return filled(
+    return fill(
         "page.html.j2",
         document=document.calm(),
         number=number,
         signs=SIGNS,
         words=WORDS,
         svg=render_svg,
-        squared=squared,
+        squared=square,
         column_pads=column_pads,
     )

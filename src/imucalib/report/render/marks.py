@@ -38,7 +38,7 @@ class Placed:
     titles: tuple[str, ...]
 
 
-def thinned(x: Array, y: Array) -> Index:
+def thin(x: Array, y: Array) -> Index:
     """Indices, ascending, of the points to draw: all, or first, last and bucket extremes of x, y.
 
     The number kept is bounded by about two times `LONGEST`; gaps are not among them.
@@ -74,7 +74,7 @@ def text_width(text: str, size: float) -> float:
     return cells * size
 
 
-def clipped(text: str, size: float, room: float) -> str:
+def clip(text: str, size: float, room: float) -> str:
     """The text, cut with an ellipsis where its estimated width exceeds `room`."""
     if text_width(text, size) <= room:
         return text
@@ -103,13 +103,13 @@ def line(placed: Placed, dash: str = "", step: bool = False) -> list[Shape]:
     """A polyline broken at gaps; a lone point between gaps is a dot; `step` holds each value."""
     x, y = placed.x, placed.y
     pieces = []
-    for run in _runs(thinned(x, y), ~(np.isfinite(x) & np.isfinite(y))):
+    for run in _runs(thin(x, y), ~(np.isfinite(x) & np.isfinite(y))):
         px, py = x[run], y[run]
         if step:
             px, py = np.repeat(px, 2)[1:], np.repeat(py, 2)[:-1]
         pairs = _pairs(px, py)
         pieces.append("M" + "L".join(pairs) if len(run) > 1 else f"M{pairs[0]}h0")
-    return _drawn("line", pieces, dash)
+    return _draw("line", pieces, dash)
 
 
 def band(placed: Placed) -> list[Shape]:
@@ -120,58 +120,58 @@ def band(placed: Placed) -> list[Shape]:
     broken = ~(np.isfinite(placed.x) & np.isfinite(lower) & np.isfinite(upper))
     pieces = []
     for run in _runs(np.flatnonzero(~broken), broken):
-        top, bottom = thinned(placed.x[run], upper[run]), thinned(placed.x[run], lower[run])
+        top, bottom = thin(placed.x[run], upper[run]), thin(placed.x[run], lower[run])
         forth = _pairs(placed.x[run][top], upper[run][top])
         back = _pairs(placed.x[run][bottom], lower[run][bottom])[::-1]
         pieces.append("M" + "L".join(forth + back) + "z")
-    return _drawn("band", pieces)
+    return _draw("band", pieces)
 
 
 def error_bars(placed: Placed, cap: float = 3.0) -> list[Shape]:
     """Vertical bars from `low` to `high` with caps."""
     if placed.low is None or placed.high is None:
         return []
-    keep = thinned(placed.x, (placed.low + placed.high) / 2)
+    keep = thin(placed.x, (placed.low + placed.high) / 2)
     rows = zip(placed.x[keep], placed.low[keep], placed.high[keep], strict=True)
     pieces = [
         f"M{short(x - cap)},{short(a)}h{short(2 * cap)}M{short(x)},{short(a)}V{short(b)}"
         f"M{short(x - cap)},{short(b)}h{short(2 * cap)}"
         for x, a, b in rows
     ]
-    return _drawn("whisker", pieces)
+    return _draw("whisker", pieces)
 
 
 def scatter(placed: Placed, marker: int, *, dots: bool = False) -> list[Shape]:
     """Markers; few points are separate shapes with a hover title, very many are dots."""
-    keep = thinned(placed.x, placed.y)
+    keep = thin(placed.x, placed.y)
     if dots or keep.size > CROWDED:
         good = np.flatnonzero(np.isfinite(placed.x) & np.isfinite(placed.y))
         # One point for each occupied cell of a grid about as fine as a dot is wide.
         cells = np.round(np.stack([placed.x[good], placed.y[good]]) / 2).astype(np.int64)
         _, first = np.unique(cells[0] * 100_000 + cells[1], return_index=True)
         keep = good[np.sort(first)]
-        return _drawn("dots", [f"M{p}h0" for p in _pairs(placed.x[keep], placed.y[keep])])
+        return _draw("dots", [f"M{p}h0" for p in _pairs(placed.x[keep], placed.y[keep])])
     draw = MARKERS[marker % len(MARKERS)]
     shapes = [draw(float(placed.x[i]), float(placed.y[i])) for i in keep]
     if placed.titles and keep.size <= NAMED:
         rows = zip(keep, shapes, strict=True)
         return [Shape("mark", d, title=placed.titles[i]) for i, d in rows]
-    return _drawn("mark", shapes)
+    return _draw("mark", shapes)
 
 
 def rings(placed: Placed) -> list[Shape]:
     """Open circles around points that a reader must not miss."""
-    keep = thinned(placed.x, placed.y)
+    keep = thin(placed.x, placed.y)
     ends = zip(placed.x[keep].tolist(), placed.y[keep].tolist(), strict=True)
-    return _drawn("line", [ring(x - 7, y, 7) for x, y in ends])
+    return _draw("line", [ring(x - 7, y, 7) for x, y in ends])
 
 
 def bars(placed: Placed, foot: float, width: float) -> list[Shape]:
     """Bars from `foot`; where they would be thinner than 2 px, stems."""
-    keep = thinned(placed.x, placed.y)
+    keep = thin(placed.x, placed.y)
     rows = zip(keep, placed.x[keep], placed.y[keep], strict=True)
     if width < 2 or keep.size > NAMED:
-        return _drawn("stem", [f"M{short(x)},{short(foot)}V{short(y)}" for _, x, y in rows])
+        return _draw("stem", [f"M{short(x)},{short(foot)}V{short(y)}" for _, x, y in rows])
     return [
         Shape(
             "bar",
@@ -182,7 +182,7 @@ def bars(placed: Placed, foot: float, width: float) -> list[Shape]:
     ]
 
 
-def _drawn(kind: str, pieces: Sequence[str], dash: str = "") -> list[Shape]:
+def _draw(kind: str, pieces: Sequence[str], dash: str = "") -> list[Shape]:
     """All pieces as one path, or nothing."""
     return [Shape(kind, "".join(pieces), dash)] if pieces else []
 

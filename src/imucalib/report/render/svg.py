@@ -18,8 +18,8 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.report.document import Plot, Series
 from imucalib.report.render import marks
-from imucalib.report.render.marks import Shape, clipped, text_width
-from imucalib.report.render.templates import filled, short
+from imucalib.report.render.marks import Shape, clip, text_width
+from imucalib.report.render.templates import fill, short
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -181,13 +181,13 @@ def plot_axes(plot: Plot, shape: tuple[float, float], counts: tuple[int, int]) -
     (x_low, x_high), (y_low, y_high) = plot_limits(plot)
     if plot.equal and not plot.log_y:
         unit = max((x_high - x_low) / shape[0], (y_high - y_low) / shape[1])
-        x_low, x_high = _widened(x_low, x_high, unit * shape[0])
-        y_low, y_high = _widened(y_low, y_high, unit * shape[1])
+        x_low, x_high = _widen(x_low, x_high, unit * shape[0])
+        y_low, y_high = _widen(y_low, y_high, unit * shape[1])
     y_axis = (log_axis if plot.log_y else linear_axis)(y_low, y_high, counts[1])
     return linear_axis(x_low, x_high, counts[0]), y_axis
 
 
-def _widened(low: float, high: float, span: float) -> tuple[float, float]:
+def _widen(low: float, high: float, span: float) -> tuple[float, float]:
     spare = max(0.0, span - (high - low)) / 2
     return low - spare, high + spare
 
@@ -225,7 +225,7 @@ Group = tuple[int | None, list[Shape]]
 
 
 @dataclass(frozen=True)
-class Frame:
+class AxesFrame:
     """The rectangle of the axes in pixels, and the axes that it carries."""
 
     left: float
@@ -260,7 +260,7 @@ def render_svg(plot: Plot, width: int = WIDTH, height: int = HEIGHT) -> Markup:
     frame = _frame(plot, width, height, legend_height)
     across = frame.left + frame.width * frame.x.fraction(frame.x.ticks)
     x_label = plot.x_label if plot.bare else frame.x.titled(plot.x_label)
-    return filled(
+    return fill(
         "plot.svg.j2",
         plot=plot,
         frame=frame,
@@ -272,9 +272,9 @@ def render_svg(plot: Plot, width: int = WIDTH, height: int = HEIGHT) -> Markup:
         x_ticks=_shown(across, frame.x.labels),
         y_ticks=_shown(frame.down(frame.y.ticks), frame.y.labels),
         barred=any(series.mark == "bars" for series in plot.series),
-        x_label=clipped(x_label, FONT, frame.width),
-        y_label=clipped(frame.y.titled(plot.y_label), FONT, frame.height + 20),
-        drawn=_drawn(plot, frame),
+        x_label=clip(x_label, FONT, frame.width),
+        y_label=clip(frame.y.titled(plot.y_label), FONT, frame.height + 20),
+        drawn=_draw_series(plot, frame),
     )
 
 
@@ -283,7 +283,7 @@ def _shown(places: Array, labels: tuple[str, ...]) -> list[tuple[float, str]]:
     return [(at, text) for at, text in placed if math.isfinite(at)]
 
 
-def _frame(plot: Plot, width: int, height: int, legend_height: float) -> Frame:
+def _frame(plot: Plot, width: int, height: int, legend_height: float) -> AxesFrame:
     top = 10.0 + legend_height
     tall = max(height - top - 46, 60.0)
     if plot.equal:  # the height at which equal scales just hold the data, within sensible bounds
@@ -302,10 +302,10 @@ def _frame(plot: Plot, width: int, height: int, legend_height: float) -> Frame:
     room = shape[0] * bar_slot(plot) / (x_axis.high - x_axis.low) - 4
     if places and all(text_width(name, FONT) <= room for name in places.values()):
         x_axis = Axis(x_axis.low, x_axis.high, np.array(list(places)), tuple(places.values()))
-    return Frame(left, top, *shape, x_axis, y_axis)
+    return AxesFrame(left, top, *shape, x_axis, y_axis)
 
 
-def _drawn(plot: Plot, frame: Frame) -> list[Group]:
+def _draw_series(plot: Plot, frame: AxesFrame) -> list[Group]:
     """Every series that has a point, or a piece of band, to show."""
     grouped = [i for i, s in enumerate(plot.series) if s.mark == "bars"]
     slot = frame.width * bar_slot(plot) / (frame.x.high - frame.x.low) * 0.76
@@ -356,7 +356,7 @@ def _legend(
         if series.mark == "net":
             continue
         swatch = 14.0 if series.mark in ("points", "bars", "rings") else SWATCH
-        label = clipped(series.label, FONT, width - SWATCH - 40)
+        label = clip(series.label, FONT, width - SWATCH - 40)
         needed = swatch + text_width(label, FONT) + 26
         if x + needed > width and x > 4:
             x, y = 4.0, y + LEGEND_ROW

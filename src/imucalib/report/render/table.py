@@ -30,7 +30,7 @@ _SIGNS: dict[Tone, str] = {"ok": "✓", "warning": "!", "bad": "✗", "plain": "
 _RULED = Box("    \n    \n ── \n    \n    \n    \n    \n    \n")
 
 
-def squared(table: Table) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...], str]:
+def square(table: Table) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...], str]:
     """Header, rows and alignment, all of one number of columns (short rows get empty cells)."""
     n = max([len(table.header), *(len(row) for row in table.rows)])
     align = table.align or "l" + "r" * n
@@ -62,7 +62,7 @@ def decimal_pads(cells: Sequence[str]) -> tuple[int, ...]:
 
 def column_pads(table: Table) -> list[tuple[int, ...]]:
     """`decimal_pads` of every column, zeros for left-aligned ones; indexed [column][row]."""
-    _, rows, align = squared(table)
+    _, rows, align = square(table)
     columns = [[row[j] for row in rows] for j in range(len(align))]
     return [
         decimal_pads(cells) if side == "r" else (0,) * len(cells)
@@ -107,7 +107,7 @@ def grids(table: Table, width: int) -> Iterator[RenderableType]:
     Columns of text shrink first and fold their words; what is still too wide follows below, with
     the first column repeated.
     """
-    header, rows, align = squared(table)
+    header, rows, align = square(table)
     columns = [
         _Column(
             one_line(name),

@@ -66,8 +66,8 @@ class _Sheet:
         if document.card and not full:
             return self.put(self.screen(document.card))
         titles = [s.title for s in document.sections]
-        drawn = {s.title for s in document.sections if not _written(s)}
-        sections = [s for s in document.sections if _written(s) and (s.brief or full)]
+        drawn = {s.title for s in document.sections if not _has_words(s)}
+        sections = [s for s in document.sections if _has_words(s) and (s.brief or full)]
         lines = self.lines(*self.head(), *self.card())
         if not full:
             foot = self.lines(*self.foot(titles, full=False))
@@ -119,7 +119,7 @@ class _Sheet:
         counts = range(LEAST, max(rows, default=LEAST) + 1)
 
         def cut(count: int) -> list[Section]:
-            return [_cut(section, count) for section in sections]
+            return [_cut_tables(section, count) for section in sections]
 
         fitting = bisect_right(counts, room, key=lambda count: self.length(cut(count)))
         return cut(counts[max(fitting - 1, 0)])
@@ -176,18 +176,18 @@ class _Sheet:
         """One step; a command that does not fit beside its purpose on lines of its own."""
         if typed := self.typed(text, f"{number}.", 2):
             return self.lines(*typed)
-        said = self.cut(_spaced(text).replace("`", ""), most, 3)
+        said = self.cut(_normalize_spaces(text).replace("`", ""), most, 3)
         return self.lines(self.listed([(f"{number}.", said)], 2, 1, "", ""))
 
     def typed(self, text: str, lead: str, width: int, style: str = "") -> list[RenderableType]:
         """What is said of a command, and the command ready to be pasted: never cut within a word,
         however long a path is; none where it fits on the line, or there is not one command."""
-        parts = _spaced(text).split("`")
+        parts = _normalize_spaces(text).split("`")
         one = len(parts) == 3 and parts[1].startswith("imucal ")
         if not one or cell_len("".join(parts)) <= self.measure - width - 1:
             return []
         said = parts[0].rstrip(" :") + (f".{parts[2]}".rstrip() if parts[2].strip(" .") else ":")
-        lines = _continued(parts[1], self.measure - width - 1)
+        lines = _continue_lines(parts[1], self.measure - width - 1)
         blank = " " * (width + 1)
         return [
             self.listed([(lead, said)], width, 1, style, style),
@@ -196,7 +196,7 @@ class _Sheet:
 
     def cut(self, text: str, most: int, lead: int) -> str:
         """The first sentences, as many as `most` lines hold behind `lead` cells; at least one."""
-        said = _SENTENCE.split(_spaced(text))
+        said = _SENTENCE.split(_normalize_spaces(text))
         width = self.measure - lead
         while len(said) > 1 and -(-cell_len(" ".join(said)) // width) > most:
             said.pop()
@@ -206,7 +206,7 @@ class _Sheet:
         """Title and verdict, or a headline in its place."""
         verdict = self.document.verdict
         mark = f"{SIGNS[verdict.tone]} {WORDS[verdict.tone]}: " if SIGNS[verdict.tone] else ""
-        said = Line(mark + _spaced(headline or verdict.text))
+        said = Line(mark + _normalize_spaces(headline or verdict.text))
         said.stylize(f"bold {STYLES[verdict.tone]}".strip(), 0, len(mark))
         title = self.running(Line(one_line(self.document.title), "bold"))
         return [title, Line("═" * self.measure, "dim"), self.running(said)]
@@ -218,7 +218,7 @@ class _Sheet:
             return []
         worth = [(w.quantity, f"{w.value} ({w.whole})") for w in card.good_to]
         advice = card.to_do or ("Nothing to do.",)
-        steps = [(f"{i}.", _spaced(step)) for i, step in enumerate(advice, start=1)]
+        steps = [(f"{i}.", _normalize_spaces(step)) for i, step in enumerate(advice, start=1)]
         return [
             *self.heading("Good to"),
             self.facts(worth),
@@ -266,7 +266,7 @@ class _Sheet:
 
     def paragraph(self, text: Text) -> RenderableType:
         """With its sign where it has a tone."""
-        words, style = _spaced(text.text), STYLES[text.tone]
+        words, style = _normalize_spaces(text.text), STYLES[text.tone]
         if typed := self.typed(words, SIGNS[text.tone], 1, style):
             return Group(*typed)
         if not SIGNS[text.tone]:
@@ -310,7 +310,7 @@ def _height(items: Sequence[Sequence[Line]]) -> int:
     return sum(map(len, items))
 
 
-def _continued(command: str, width: int) -> list[str]:
+def _continue_lines(command: str, width: int) -> list[str]:
     """A command in lines of at most `width` cells that a shell takes as one."""
     lines = [""]
     for word in map(shlex.quote, shlex.split(command)):
@@ -322,17 +322,17 @@ def _continued(command: str, width: int) -> list[str]:
     return lines
 
 
-def _written(section: Section) -> bool:
+def _has_words(section: Section) -> bool:
     """Whether anything of it is words."""
     return any(not isinstance(block, Plot) for block in section.blocks)
 
 
-def _spaced(text: str) -> str:
+def _normalize_spaces(text: str) -> str:
     """Paragraphs a line each, with single blanks between words."""
     return "\n".join(" ".join(line.split()) for line in safe(text).splitlines() if line.split())
 
 
-def _cut(section: Section, rows: int) -> Section:
+def _cut_tables(section: Section, rows: int) -> Section:
     """The section with at most `rows` rows of each table."""
     blocks = (_first(b, rows) if isinstance(b, Table) else b for b in section.blocks)
     return replace(section, blocks=tuple(blocks))

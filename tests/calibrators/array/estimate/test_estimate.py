@@ -18,7 +18,7 @@ from imucalib.calibrators.array.estimate.total import (
     Total,
     total_of,
 )
-from imucalib.calibrators.array.estimate.turns import Turns, common_scale
+from imucalib.calibrators.array.estimate.turns import BoardTurns, common_scale
 from imucalib.calibrators.array.findings import Residual, unexplained
 from imucalib.calibrators.array.request import Accepted
 from worlds.array import corners
@@ -110,7 +110,7 @@ def test_places_that_follow_a_drive_are_told_with_their_spread(drive: str) -> No
 PLAN = BoardPlan(rests=16)
 
 
-def turns_of(scale: float, seed: int) -> Turns | None:
+def turns_of(scale: float, seed: int) -> BoardTurns | None:
     """Gyros that read (1 + scale) ω with an offset that wanders, and gravity a little off."""
     rng = np.random.default_rng(seed)
     w, _, force = handled(PLAN, rng)

@@ -19,7 +19,7 @@ from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.file import write
 from imucalib.calibrators.array.fused.fuse import Fused
 from imucalib.calibrators.array.fused.instrument import (
-    Beyond,
+    NonlinearTerms,
     Stretch,
     beyond_linear,
     instrument_of,
@@ -359,7 +359,7 @@ def block(effect: str, *values: float) -> dict[str, Any]:
     return {"effect": effect, "parameters": [{"value": v} for v in values]}
 
 
-def beyond(*blocks: dict[str, Any]) -> Beyond:
+def beyond(*blocks: dict[str, Any]) -> NonlinearTerms:
     triads = [SimpleNamespace(name=n, rotation=r) for n, r in zip("ab", TURN, strict=True)]
     return beyond_linear(SimpleNamespace(triads=triads, facts={"effects": blocks}))  # type: ignore[arg-type]
 

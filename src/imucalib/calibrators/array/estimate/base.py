@@ -22,7 +22,7 @@ from imucalib.estimators.array.gram import Columns, Gram
 from imucalib.estimators.array.samples import Readings, Sampled
 
 
-class Base:
+class PositionBase:
     """Columns of what is fitted: positions and terms, and the matrix from raw columns to the
     coordinates that are free."""
 

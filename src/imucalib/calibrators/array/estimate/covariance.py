@@ -12,15 +12,15 @@ from imucalib.calibrators.array.loop.setup import Setup, every_sample, motion_at
 from imucalib.calibrators.array.loop.state import (
     ArrayState,
     corrected,
-    followed,
+    fit_jointly,
+    refit_motion,
     sampled_at,
-    settled,
 )
 from imucalib.calibrators.array.loop.terms import lagging
 from imucalib.calibrators.array.moving import Moving
 from imucalib.core.eigen import eigen
 from imucalib.estimators.array.gram import Columns, gram, inverse_root, scores
-from imucalib.estimators.array.noise import SensorNoise
+from imucalib.estimators.array.noise import MotionNoise
 from imucalib.estimators.array.samples import Sampled, Weights, fit_samples, reweighed
 
 #: What is not explained where positions differ, with what the parts differ by.
@@ -151,7 +151,7 @@ def _score(found: Sampled) -> Array:
 
 
 def _weights(
-    noise: tuple[SensorNoise, SensorNoise], sampled: Sampled, rows: Index | slice = slice(None)
+    noise: tuple[MotionNoise, MotionNoise], sampled: Sampled, rows: Index | slice = slice(None)
 ) -> Weights:
     speed = np.linalg.norm(sampled.rate[rows], axis=1)
     a, g = (
@@ -229,7 +229,7 @@ def fitted_on_all(state: ArrayState, most: int) -> ArrayState:
 
 def settled_there(state: ArrayState) -> ArrayState:
     """The joint fit at samples that the state was moved to, with the noise in the shape it has."""
-    return settled(followed(state, _FOLLOWED), shaped=False)
+    return fit_jointly(refit_motion(state, _FOLLOWED), shaped=False)
 
 
 def transferred(state: ArrayState, setup: Setup) -> ArrayState:

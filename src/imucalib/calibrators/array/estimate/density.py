@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.calibrators.array.loop.state import ArrayState, followed
-from imucalib.estimators.array.noise import SensorNoise
+from imucalib.calibrators.array.loop.state import ArrayState, refit_motion
+from imucalib.estimators.array.noise import MotionNoise
 from imucalib.estimators.array.samples import SPIN, inverse_roots
 
 _READINGS = 1500  # samples times IMUs that are worked on at a time, within the processor's cache
@@ -35,7 +35,7 @@ class PositionDensity:
         d, spread = state.positions, state.by_noise
         # What the effects follow of a step of the positions, in the Gaussian of the curvature.
         self._follow = np.linalg.solve(spread[:d, :d], spread[:d]).T
-        state = followed(state, _SETTLED)
+        state = refit_motion(state, _SETTLED)
         base, inner = state.base, state.setup.inner
         self._lives, self._prior, self._r = base.lives, base.prior, state.r
         self._start = base.pull / base.prior
@@ -81,7 +81,7 @@ class _Part:
     read: tuple[Array, Array]
     variances: tuple[Array, Array]
     terms: tuple[_Terms, _Terms]
-    noise: tuple[SensorNoise, SensorNoise]
+    noise: tuple[MotionNoise, MotionNoise]
 
     def log(self, r: Array, step: Array, raw: Array) -> Array:
         """(B,) at positions r (K, 3, B), which are steps (B, d) away, and steps of the terms'
@@ -146,7 +146,7 @@ def _part_of(state: ArrayState, rows: Index, raw: Array) -> _Part:
     )
 
 
-def _bent(slope: Array, off: Array, variance: Array, noise: SensorNoise) -> Array:
+def _bent(slope: Array, off: Array, variance: Array, noise: MotionNoise) -> Array:
     """(n, K, 3, 9) derivatives by the motion of weighted residuals off (n, K, 3), whose own
     derivatives are slope."""
     nu = noise.freedom

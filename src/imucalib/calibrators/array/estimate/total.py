@@ -11,7 +11,7 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.estimate.posterior import size_over
-from imucalib.calibrators.array.estimate.turns import Turns, common_scale
+from imucalib.calibrators.array.estimate.turns import BoardTurns, common_scale
 from imucalib.calibrators.array.log import ArrayLog
 from imucalib.calibrators.array.moving import SCALE_TOLERANCE
 from imucalib.calibrators.array.rests import RestFit
@@ -42,7 +42,7 @@ class GyroScale:
     value: float
     sd: float
     tolerance: float
-    turns: Turns | None
+    turns: BoardTurns | None
 
 
 @dataclass(frozen=True)
@@ -156,7 +156,7 @@ def _apart(mean: Array, one: int, two: int) -> tuple[float, Array]:
     return value, slope[1:].ravel()
 
 
-def gyro_scale(tolerance: float, turns: Turns | None) -> GyroScale:
+def gyro_scale(tolerance: float, turns: BoardTurns | None) -> GyroScale:
     """Data sheets and turns together."""
     if turns is None:
         return GyroScale(0.0, tolerance, tolerance, None)

@@ -22,7 +22,7 @@ _HEAVY = 4.0  # degrees of freedom of the turns' errors
 
 
 @dataclass(frozen=True)
-class Turns:
+class BoardTurns:
     """scale, sd : relative error k of the gyros' common scale, reading = (1 + k) ω; count : of the
     turns; misfit : rad, rms of what a turn misses"""
 
@@ -34,7 +34,7 @@ class Turns:
 
 def common_scale(
     t: Array, rate: Array, usable: Flags, up: Array, start: Array, stop: Array
-) -> Turns | None:
+) -> BoardTurns | None:
     """The scale by all turns between consecutive rests; None where there are too few.
 
     t : (n,) s; rate : (n, 3) rad/s, mean of the gyros in board axes, their offsets in it; usable :
@@ -88,7 +88,7 @@ def _carried(t: Array, rate: Array, vector: Array) -> Array:
     return np.asarray(composed(Rotation.from_rotvec(-small).as_matrix()) @ vector)
 
 
-def _fitted(off: Array, slope: Array) -> Turns:
+def _fitted(off: Array, slope: Array) -> BoardTurns:
     scale = _robust(off, slope)
     n = len(off)
     each = np.arange(n)
@@ -96,7 +96,7 @@ def _fitted(off: Array, slope: Array) -> Turns:
     # The jackknife of n turns; its own doubt as in Student's distribution.
     variance = (n - 1) / n * float(np.sum((without - without.mean()) ** 2)) * (n - 1) / (n - 3)
     misfit = np.sqrt(np.mean(np.sum((off - scale * slope) ** 2, axis=1)))
-    return Turns(scale, float(np.sqrt(variance)), n, float(misfit))
+    return BoardTurns(scale, float(np.sqrt(variance)), n, float(misfit))
 
 
 def _robust(off: Array, slope: Array) -> float:

@@ -52,7 +52,7 @@ class Fused:
         return Fused(self.motion.take(rows), **own)
 
 
-def joined(parts: list[Fused]) -> Fused:
+def join_blocks(parts: list[Fused]) -> Fused:
     """One after the other."""
     motion, own = (
         {n: np.concatenate([vars(p)[n] for p in some]) for n in vars(some[0]) if n != "motion"}

@@ -97,7 +97,7 @@ class _Part:
 
 
 @dataclass(frozen=True)
-class Beyond:
+class NonlinearTerms:
     """imus, rotations : (K, 3, 3) package axes to board axes; back : for accelerometers and gyros,
     (K, 3, 3) that turns what is added to readings into what is wrong with corrected ones
     span : s of the gyros' sawtooth sample ages, 0 without; left_out : effects that belong to the
@@ -111,7 +111,7 @@ class Beyond:
     left_out: tuple[str, ...]
     refuted: tuple[str, ...] = ()
 
-    def without(self, names: Sequence[str]) -> Beyond:
+    def without(self, names: Sequence[str]) -> NonlinearTerms:
         """Without effects that a log contradicts."""
         kept = tuple(p for p in self.parts if p.term.name not in names)
         return replace(self, parts=kept, refuted=(*self.refuted, *names))
@@ -161,7 +161,7 @@ class Beyond:
         return np.asarray(self.back[1] @ out)
 
 
-def beyond_linear(calibration: Calibration) -> Beyond:
+def beyond_linear(calibration: Calibration) -> NonlinearTerms:
     """From the effects that an array's calibration lists."""
     imus = tuple(t.name for t in calibration.triads)
     rotations = np.array([t.rotation for t in calibration.triads])
@@ -183,7 +183,7 @@ def beyond_linear(calibration: Calibration) -> Beyond:
         if term.aged:
             span = 1e-3 * abs(float(term.value[0]))
     one, two = np.asarray(np.linalg.inv(gains), np.float64)
-    return Beyond(
+    return NonlinearTerms(
         imus=imus,
         rotations=rotations,
         parts=tuple(parts),
@@ -321,11 +321,11 @@ def doubt_of(calibration: Calibration, places: Array) -> Doubt | None:
         gravity=float(size.get("sd_of_gravity", 0.0)),
         scale=float(facts.get("gyro_scale", {}).get("sd", 0.0)),
         frame=frame,
-        effects=tuple(_doubted(calibration)),
+        effects=tuple(_add_doubt(calibration)),
     )
 
 
-def _doubted(calibration: Calibration) -> Iterator[tuple[Term, Array]]:
+def _add_doubt(calibration: Calibration) -> Iterator[tuple[Term, Array]]:
     imus = tuple(t.name for t in calibration.triads)
     for block in calibration.facts.get("effects", ()):
         term = None if str(block["effect"]).startswith(AT_REST) else _term_of(block, imus)
@@ -370,7 +370,7 @@ class Instrument:
     triads: tuple[Triad, ...]
     r: Array
     at: Array
-    beyond: Beyond
+    beyond: NonlinearTerms
     accelerometer_range: float
     gyroscope_range: float
     biases: Biases | None = None

@@ -12,7 +12,7 @@ from imucalib.arrays import Array, Flags
 from imucalib.calibration.apply import imus_corrected, write_over
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.correction import mark_of, refuse_second
-from imucalib.calibrators.array.fused.fuse import Fused, fuse, joined
+from imucalib.calibrators.array.fused.fuse import Fused, fuse, join_blocks
 from imucalib.calibrators.array.fused.instrument import Stretch, instrument_of
 from imucalib.calibrators.array.fused.survey import Survey, ages, side_by_side, survey
 from imucalib.calibrators.array.moving import SLOWEST
@@ -43,7 +43,7 @@ def fused_stretch(found: Survey, stretch: Stretch) -> Fused:
         own = None if age is None else age[seen]
         one = fuse(found.instrument, stretch.take(seen), found.noise, own)
         parts.append(one.take(slice(start - seen.start, stop - seen.start)))
-    return joined(parts)
+    return join_blocks(parts)
 
 
 def fuse_file(
@@ -138,7 +138,7 @@ class _Work:
         """Force, rate and angular acceleration in board axes, each with the rows of its covariance,
         of the samples that are determined."""
         fused = fused_stretch(self.found, stretch)
-        keep = determined(fused.motion.covariance)
+        keep = is_determined(fused.motion.covariance)
         self._count(fused, keep)
         motion, t = fused.motion.take(np.flatnonzero(keep)), stretch.t[keep]
         rate = 1.0 / float(np.median(np.diff(stretch.t))) if len(stretch.t) > 1 else 1.0
@@ -220,7 +220,7 @@ class _Work:
             yield f"clipped or missing readings left out: {', '.join(lost)}"
 
 
-def determined(covariance: Array) -> Flags:
+def is_determined(covariance: Array) -> Flags:
     """(T,) whether force and rate are known at all, by the covariances (T, 9, 9) of force, dω/dt
     and rate: what is not is left out rather than written with a value of no meaning."""
     known = [0, 1, 2, 6, 7, 8]

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucalib.arrays import Array, Flags
-from imucalib.calibration.shared_gravity import held_against_gravity
+from imucalib.calibration.shared_gravity import check_against_gravity
 from imucalib.calibration.triads import pairing_of
 from imucalib.calibrators.array.fused.fuse import fuse, turning
 from imucalib.calibrators.array.fused.instrument import Biases, Instrument, Stretch, along
@@ -155,7 +155,7 @@ class Survey:
 
 
 def survey(blocks: Iterable[Recording], instrument: Instrument) -> Survey:
-    """Look a recording through. Errors as in `side_by_side` and `held_against_gravity`."""
+    """Look a recording through. Errors as in `side_by_side` and `check_against_gravity`."""
     doubt, look = instrument.doubt, _Look(replace(instrument, doubt=None))
     try:
         segments = find_segments(look.watched(blocks))
@@ -171,7 +171,7 @@ def survey(blocks: Iterable[Recording], instrument: Instrument) -> Survey:
     seconds = 0.0 if segments is None else float(np.sum(segments.stop - segments.start))
     partner = instrument.partner
     if segments is not None and segments.n and partner:
-        notes += held_against_gravity(instrument.triads, partner, segments, look.path)
+        notes += check_against_gravity(instrument.triads, partner, segments, look.path)
         order = {k: segments.triads.index(name) for name, k in partner.items()}
         for calibrated, seen in zip(rest, (segments.noise, segments.rate_noise), strict=True):
             for k, column in order.items():

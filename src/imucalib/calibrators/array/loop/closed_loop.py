@@ -21,10 +21,10 @@ from imucalib.calibrators.array.loop.catalogue import EVERYTHING, Scope
 from imucalib.calibrators.array.loop.cross_fit import CHANNELS, Gained, Residuals, cross_fitted
 from imucalib.calibrators.array.loop.search import (
     GYRO_FRAME,
-    Explored,
-    explored,
+    MotionSearch,
     frame_term,
     scores_of,
+    search_posterior,
     start_state,
     with_declared,
     with_members,
@@ -97,10 +97,10 @@ def close_array_loop(
         first, held = terms, scope
 
     def searched(
-        chosen: Setup, whole: Explored | None = None
-    ) -> tuple[ArrayState, ArrayState, Explored]:
+        chosen: Setup, whole: MotionSearch | None = None
+    ) -> tuple[ArrayState, ArrayState, MotionSearch]:
         base = with_found_clock(with_declared(start_state(chosen, first), scope.declare))
-        found = explored(base, held, whole)
+        found = search_posterior(base, held, whole)
         return base, _named(found, held, curves=curves) or base, found
 
     base, final, found = searched(setup)
@@ -153,7 +153,7 @@ def _shown_by(final: ArrayState, steps: Sequence[Step]) -> set[Channel]:
     return set(CHANNELS) if shared else {effect.channel for effect in shown}
 
 
-def _named(found: Explored, scope: Scope, *, curves: bool) -> ArrayState | None:
+def _named(found: MotionSearch, scope: Scope, *, curves: bool) -> ArrayState | None:
     """The fit without laws, which have no name, unless they are to be corrected; None where it runs
     away."""
     chosen = found.problem.of_set(found.said.hypothesis)
@@ -201,7 +201,7 @@ def size_in_words(state: ArrayState, term: Term) -> str:
     return f"{rms:.2g} {unit} rms, {term.live.shape[1]} of {len(parameters)} determined"
 
 
-def steps_of(found: Explored, final: ArrayState, gained: Gained | None) -> tuple[Step, ...]:
+def steps_of(found: MotionSearch, final: ArrayState, gained: Gained | None) -> tuple[Step, ...]:
     """What is told and corrected, likeliest first; a place that twins share is theirs together.
 
     final : the fit with what is corrected
@@ -234,7 +234,7 @@ def steps_of(found: Explored, final: ArrayState, gained: Gained | None) -> tuple
     return tuple(steps)
 
 
-def _unnamed(found: Explored, final: ArrayState) -> dict[Unexplained, Array]:
+def _unnamed(found: MotionSearch, final: ArrayState) -> dict[Unexplained, Array]:
     """What is told and has no name, be it corrected or not: laws, and effects of which the data
     determine no size; with the (d,) m by which each moves the positions, where it is not corrected.
 
@@ -258,5 +258,5 @@ def _unnamed(found: Explored, final: ArrayState) -> dict[Unexplained, Array]:
     return shifts
 
 
-def _member(found: Explored, component: int) -> str:
+def _member(found: MotionSearch, component: int) -> str:
     return name_of(found.problem, found.posterior, found.said, component)

@@ -18,7 +18,7 @@ from imucalib.arrays import Array, Flags, Index
 from imucalib.calibrators.array.estimate.covariance import transferred
 from imucalib.calibrators.array.loop.ages import voting, with_clock
 from imucalib.calibrators.array.loop.setup import FEWEST, Setup, part_of
-from imucalib.calibrators.array.loop.state import ArrayState, followed
+from imucalib.calibrators.array.loop.state import ArrayState, refit_motion
 from imucalib.core.effect import Channel
 from imucalib.loop.found import Checked
 from imucalib.loop.held_out import Difference, difference
@@ -89,7 +89,7 @@ def cross_fitted(
         silent = voting(test)
         if min(len(train.inner), int(silent.sum())) < FEWEST // _HALVES:
             return None
-        sizes.append([_sizes(_predicted(end, test), silent) for end in searched(train)])
+        sizes.append([_sizes(_predict(end, test), silent) for end in searched(train)])
         blocks.append(test.block[silent])
     before, after = (np.concatenate(parts, axis=1) for parts in zip(*sizes, strict=True))
     block = np.concatenate(blocks)
@@ -101,12 +101,12 @@ def cross_fitted(
     )
 
 
-def _predicted(state: ArrayState, setup: Setup) -> ArrayState:
+def _predict(state: ArrayState, setup: Setup) -> ArrayState:
     """The motion at other samples under positions, terms and noise that were found without them."""
     moved = transferred(state, setup)
     if state.clock is not None:
         moved = with_clock(moved, state.clock, voting=False)
-    return followed(moved, _FOLLOWED)
+    return refit_motion(moved, _FOLLOWED)
 
 
 def _sizes(state: ArrayState, rows: Flags) -> Array:

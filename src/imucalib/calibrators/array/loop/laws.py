@@ -17,7 +17,7 @@ from imucalib.calibrators.array.loop.ages import PHASE, phases_of
 from imucalib.calibrators.array.loop.catalogue import array_catalogue
 from imucalib.calibrators.array.loop.motion import BoardMotion
 from imucalib.calibrators.array.loop.terms import Term, typical_columns
-from imucalib.core.course import delayed
+from imucalib.core.course import delay
 from imucalib.core.effect import (
     Basis,
     Channel,
@@ -255,7 +255,7 @@ def _law(covariate: str, error: _Error, words: str, basis: Basis) -> tuple[str, 
         each=each[:1] if late else each,
         basis=basis,
         channel=error.channel,
-        lagged=delayed if late else None,
+        lagged=delay if late else None,
     )
     sensors = "gyros" if error.channel == _GYRO else "accelerometers"
     return f"{covariate} in {sensors}", found

@@ -21,7 +21,7 @@ from functools import cached_property
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibrators.array.estimate.base import Base
+from imucalib.calibrators.array.estimate.base import PositionBase
 from imucalib.calibrators.array.loop.ages import with_found_clock, with_phases
 from imucalib.calibrators.array.loop.catalogue import (
     Scope,
@@ -33,8 +33,8 @@ from imucalib.calibrators.array.loop.laws import candidates_of
 from imucalib.calibrators.array.loop.setup import Setup, looked_at, motion_at
 from imucalib.calibrators.array.loop.state import (
     ArrayState,
+    fit_jointly,
     sampled_at,
-    settled,
     shared_by_neighbours,
 )
 from imucalib.calibrators.array.loop.terms import (
@@ -46,16 +46,16 @@ from imucalib.calibrators.array.loop.terms import (
 )
 from imucalib.core.effect import Effect, Response
 from imucalib.errors import Undetermined
-from imucalib.estimators.array.gram import Columns, eliminated, gram, inverse_root
-from imucalib.estimators.array.noise import SensorNoise, log_density
+from imucalib.estimators.array.gram import Columns, gram, inverse_root, marginalize
+from imucalib.estimators.array.noise import MotionNoise, log_density
 from imucalib.estimators.array.samples import reweighed
 from imucalib.loop.found import Score
 from imucalib.loop.odds import ABSORBED, FINE_SIZES
 from imucalib.loop.posterior.catalogue import Member, log_odds
 from imucalib.loop.posterior.gram import Grams, Multiplied
 from imucalib.loop.posterior.problem import Choice, Contest
-from imucalib.loop.posterior.space import Hypothesis, Pick, Posterior, blocks_of, climbed
-from imucalib.loop.posterior.words import Conclusion, concluded, of_each
+from imucalib.loop.posterior.space import Hypothesis, Pick, Posterior, blocks_of, hill_climb
+from imucalib.loop.posterior.words import SelectedModel, of_each, select_model
 
 #: Times that twins are told apart, where some have gone to another name.
 _PASSES = 3
@@ -170,7 +170,7 @@ def products(
     odds = log_odds(tuple(every.components))
     if among is not None:
         odds = np.array([among[one.name] for one in every.components])
-    base = Base(setup, state.sampled, motion, state.r, own)
+    base = PositionBase(setup, state.sampled, motion, state.r, own)
     kappa = [shared_by_neighbours(state, gyro=gyro) for gyro in (False, True)]
     a, g = (n.information / k for n, k in zip(state.noise, kappa, strict=True))
     sampled = reweighed(state.sampled.take(rows), a, g)
@@ -182,7 +182,7 @@ def products(
     along = (found.along + toward)[:, None]
     power = found.power + 2.0 * float(theta @ found.along) + float(theta @ toward)
     whole = np.block([[found.matrix, along], [along.T, np.array([[power]])]])
-    matrix = eliminated(whole, base.prior)
+    matrix = marginalize(whole, base.prior)
     loose = inverse_root(found.matrix[:b, :b] + np.diag(base.rests))
     carried, square = loose.T @ found.matrix[:b, b:], np.diag(found.matrix)[b:]
     problem = MotionProblem(
@@ -218,7 +218,7 @@ def _held(state: ArrayState, choices: Sequence[Choice], width: int) -> Array:
 
 
 @dataclass(frozen=True)
-class Explored:
+class MotionSearch:
     """The end of a search.
 
     state : with what is told in the model, twins told apart
@@ -233,7 +233,7 @@ class Explored:
     shares: Shares
     problem: MotionProblem
     posterior: Posterior
-    said: Conclusion
+    said: SelectedModel
     scores: tuple[Score, ...]
     impact: dict[str, float]
     rejected: tuple[tuple[str, str], ...] = ()
@@ -252,7 +252,9 @@ class Explored:
         return {one.name: float(odds) for one, odds, share in own if share > _UNLIKELY}
 
 
-def explored(base: ArrayState, scope: Scope, whole: Explored | None = None) -> Explored:
+def search_posterior(
+    base: ArrayState, scope: Scope, whole: MotionSearch | None = None
+) -> MotionSearch:
     """The posterior over what a fitted state lacks, at the set that it tells.
 
     scope : declared effects stay in the model; whole : the search of a motion of which this is a
@@ -266,10 +268,10 @@ def explored(base: ArrayState, scope: Scope, whole: Explored | None = None) -> E
         state, shares = _taken_in(base, whole.chosen, scope, None) or (base, shares)
     for _ in range(_ROUNDS):
         problem, grams = products(state, skipped, scope.declare, among)
-        posterior = climbed(problem, grams, problem.picks(state))
+        posterior = hill_climb(problem, grams, problem.picks(state))
         del grams
         first = first or (scores_of(problem, posterior), absorbed(problem))
-        said = concluded(problem, posterior)
+        said = select_model(problem, posterior)
         chosen = problem.of_set(said.hypothesis)
         names = frozenset(one.name for one in chosen)
         held = {t.name for t in state.found}
@@ -287,7 +289,7 @@ def explored(base: ArrayState, scope: Scope, whole: Explored | None = None) -> E
             break
     assert first is not None
     scores, impact = first
-    return Explored(
+    return MotionSearch(
         state=state,
         shares=shares,
         problem=problem,
@@ -310,8 +312,8 @@ def _taken_in(
     if grown is None:
         return None
     if any(term.aged for term in grown.terms):
-        grown = refitted(with_found_clock(grown)) or grown
-    return (grown, Shares()) if skipped is None else distinguished(grown, skipped)
+        grown = refit(with_found_clock(grown)) or grown
+    return (grown, Shares()) if skipped is None else resolve_aliases(grown, skipped)
 
 
 def scores_of(problem: MotionProblem, posterior: Posterior) -> tuple[Score, ...]:
@@ -354,7 +356,7 @@ def with_members(state: ArrayState, chosen: Sequence[Member], scope: Scope) -> A
             if term.value.size:
                 grown = replace(grown, terms=(*grown.terms, term))
     try:
-        grown = settled(with_phases(grown))
+        grown = fit_jointly(with_phases(grown))
     except np.linalg.LinAlgError:
         return None
     return grown if grown.converged else None
@@ -378,7 +380,7 @@ def with_declared(state: ArrayState, names: Sequence[str]) -> ArrayState:
                 remedy=effect.identify,
             )
         state = replace(state, terms=(*state.terms, term))
-    return settled(with_phases(state)) if names else state
+    return fit_jointly(with_phases(state)) if names else state
 
 
 def new_term(state: ArrayState, name: str, effect: Effect) -> Term:
@@ -397,7 +399,7 @@ def own_gram(state: ArrayState, effect: Response, only: int | None = None) -> Ar
     motion, positions and terms taken out."""
     columns, base = typical_columns(effect, state.motion, only), state.base
     found = base.free(gram(state.sampled, [*base.blocks, columns], state.setup.inner))
-    return eliminated(found.matrix, base.rests)
+    return marginalize(found.matrix, base.rests)
 
 
 def frame_term() -> Term:
@@ -411,7 +413,7 @@ def frame_term() -> Term:
 def start_state(setup: Setup, terms: tuple[Term, ...]) -> ArrayState:
     """Fitted with the drawing and plain noise as the start."""
     one = np.ones(setup.triads)
-    noise = SensorNoise(0.2, 0.0, np.inf, one), SensorNoise(5e-3, 0.0, np.inf, one)
+    noise = MotionNoise(0.2, 0.0, np.inf, one), MotionNoise(5e-3, 0.0, np.inf, one)
     sampled = sampled_at(setup, setup.board.drawn, noise)
     drawn = ArrayState(
         setup=setup,
@@ -423,19 +425,19 @@ def start_state(setup: Setup, terms: tuple[Term, ...]) -> ArrayState:
         covariance=np.empty((0, 0)),
         converged=False,
     )
-    return settled(drawn)
+    return fit_jointly(drawn)
 
 
-def refitted(state: ArrayState) -> ArrayState | None:
+def refit(state: ArrayState) -> ArrayState | None:
     """The joint fit with the noise in the shape that it has; None where it runs away."""
     try:
-        found = settled(state, shaped=False)
+        found = fit_jointly(state, shaped=False)
     except np.linalg.LinAlgError:
         return None
     return found if found.converged else None
 
 
-def distinguished(state: ArrayState, skipped: Collection[str]) -> tuple[ArrayState, Shares]:
+def resolve_aliases(state: ArrayState, skipped: Collection[str]) -> tuple[ArrayState, Shares]:
     """Of a settled fit, every found effect that has twins against these, each fitted anew in its
     place; again where one has gone to a twin, for with a wrong one another seems right.
 
@@ -467,7 +469,7 @@ def _against(
         # No filter has a negative time.
         if np.all(other.theta + 3.0 * state.sd_of(term) >= least):
             terms = (other if t is term else t for t in state.terms)
-            fits[twin] = refitted(replace(state, terms=tuple(terms)))
+            fits[twin] = refit(replace(state, terms=tuple(terms)))
     level = _nats(state, name)
     nats = np.array([_nats(s, n) - level if s else 0.0 for n, s in fits.items()])
     share = np.exp(nats - nats.max())

@@ -13,13 +13,13 @@ from functools import cached_property
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibrators.array.estimate.base import Base
+from imucalib.calibrators.array.estimate.base import PositionBase
 from imucalib.calibrators.array.loop.motion import BoardMotion
 from imucalib.calibrators.array.loop.setup import Setup, motion_at
 from imucalib.calibrators.array.loop.terms import Term, lagging, lost, sensed
 from imucalib.estimators.array.gram import gradient, gram, inverse_root, without_motion
 from imucalib.estimators.array.noise import (
-    SensorNoise,
+    MotionNoise,
     Squares,
     chosen_noise,
     not_followed,
@@ -53,7 +53,7 @@ class ArrayState:
     setup: Setup
     r: Array
     terms: tuple[Term, ...]
-    noise: tuple[SensorNoise, SensorNoise]
+    noise: tuple[MotionNoise, MotionNoise]
     sampled: Sampled
     motion: BoardMotion
     covariance: Array
@@ -67,8 +67,8 @@ class ArrayState:
         return 3 * (self.setup.triads - 1)
 
     @cached_property
-    def base(self) -> Base:
-        return Base(self.setup, self.sampled, self.motion, self.r, self.terms)
+    def base(self) -> PositionBase:
+        return PositionBase(self.setup, self.sampled, self.motion, self.r, self.terms)
 
     @property
     def found(self) -> tuple[Term, ...]:
@@ -98,19 +98,19 @@ class ArrayState:
         return np.asarray(term.live @ self.covariance[own, own] @ term.live.T)
 
 
-def sampled_at(setup: Setup, r: Array, noise: tuple[SensorNoise, SensorNoise]) -> Sampled:
+def sampled_at(setup: Setup, r: Array, noise: tuple[MotionNoise, MotionNoise]) -> Sampled:
     """The motion of samples for positions alone, each kind of sensor weighted by its size."""
     ones = np.ones((len(setup.rows), setup.triads))
     weights = Weights(ones / noise[0].sigma ** 2, ones / noise[1].sigma ** 2)
     return fit_samples(setup.readings, weights, r, np.median(setup.readings.rate, axis=1))
 
 
-def settled(state: ArrayState, *, shaped: bool = True) -> ArrayState:
+def fit_jointly(state: ArrayState, *, shaped: bool = True) -> ArrayState:
     """The joint fit of everything, and the noise in the shape that held-out halves ask for.
 
     shaped : whether these choose it, or it keeps its shape, as where the search is over
     """
-    state = _climbed(_with_scale(state), _ROUGH if shaped else _CLOSE)
+    state = _newton(_with_scale(state), _ROUGH if shaped else _CLOSE)
     if shaped:
         # Which shape only shows once the fit is close; the fit then moves a little with it.
         for _ in range(3):
@@ -119,14 +119,14 @@ def settled(state: ArrayState, *, shaped: bool = True) -> ArrayState:
             state = replace(state, noise=noise)
             if same:
                 break
-            state = _climbed(state, _ROUGH)
+            state = _newton(state, _ROUGH)
     base = state.base
     inner = base.free(gram(state.sampled, base.blocks, state.setup.inner))
     root = inverse_root(inner.matrix + np.diag(base.prior))
     return replace(state, covariance=root @ root.T)
 
 
-def _same(one: SensorNoise, two: SensorNoise) -> bool:
+def _same(one: MotionNoise, two: MotionNoise) -> bool:
     # Growth is in units of the median speed, which moves a little with every fit.
     a, b = ((x.growth, *x.factor) for x in (one, two))
     return one.freedom == two.freedom and bool(np.allclose(a, b, rtol=_STALE, atol=0.0))
@@ -138,7 +138,7 @@ def _with_scale(state: ArrayState, off: Readings | None = None) -> ArrayState:
     return replace(state, noise=(scaled(one, a, speed), scaled(two, g, speed)))
 
 
-def _shaped(state: ArrayState) -> tuple[SensorNoise, SensorNoise]:
+def _shaped(state: ArrayState) -> tuple[MotionNoise, MotionNoise]:
     a, g, speed = state.squares()
     some = np.linspace(0, len(speed) - 1, min(len(speed), _SHAPED_BY)).astype(np.intp)
     first, rows = state.setup.first[some], state.setup.inner[some]
@@ -146,10 +146,10 @@ def _shaped(state: ArrayState) -> tuple[SensorNoise, SensorNoise]:
     return scaled(one, a, speed), scaled(not_followed(two, state.sampled, rows), g, speed)
 
 
-def _climbed(state: ArrayState, close: float) -> ArrayState:
+def _newton(state: ArrayState, close: float) -> ArrayState:
     """Newton with the matrix of the start: what changes on the way is the residual."""
     converged, matrix, made, shortest = False, np.empty((0, 0)), np.zeros(2), np.inf
-    base: Base | None = None
+    base: PositionBase | None = None
     off = state.sampled.off
     share = min(noise.information for noise in state.noise)
     for k in range(_ROUNDS):
@@ -189,7 +189,7 @@ def _moved(state: ArrayState, step: Array, variance: Array) -> ArrayState:
 
 
 def moved_motion(
-    state: ArrayState, base: Base | None = None, off: Readings | None = None
+    state: ArrayState, base: PositionBase | None = None, off: Readings | None = None
 ) -> ArrayState:
     """The motion for the positions, terms and noise as they are.
 
@@ -211,7 +211,7 @@ def moved_motion(
     return replace(state, sampled=sampled, motion=sensed(state.terms, motion))
 
 
-def followed(state: ArrayState, rounds: int) -> ArrayState:
+def refit_motion(state: ArrayState, rounds: int) -> ArrayState:
     """The motion of every sample, with its weights, for positions, terms and noise that are held
     as they are."""
     for _ in range(rounds):
@@ -219,7 +219,7 @@ def followed(state: ArrayState, rounds: int) -> ArrayState:
     return state
 
 
-def corrected(state: ArrayState, base: Base | None = None) -> Readings:
+def corrected(state: ArrayState, base: PositionBase | None = None) -> Readings:
     """The readings less what the terms add to them."""
     own = None if base is None else base.blocks[1:]
     acceleration = state.setup.readings.acceleration.copy()

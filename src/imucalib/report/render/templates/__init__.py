@@ -17,7 +17,7 @@ _FORBIDDEN = re.compile(
 )
 
 
-def filled(name: str, **values: Any) -> Markup:
+def fill(name: str, **values: Any) -> Markup:
     """A template with its values: of a page all escaped; what XML forbids becomes U+FFFD.
 
     name : file of this folder; a value that is markup already stays as it is
