@@ -6,6 +6,8 @@ noise factors, no algebra of the program's.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -143,6 +145,20 @@ def test_noises_and_parameters_are_those_of_the_integral(seed: int) -> None:
     np.testing.assert_allclose(
         covariance, spread * (N - BASE - 2) / (N - BASE), rtol=0.05, atol=1e-3
     )
+
+
+def test_what_is_known_of_the_noise_counts_as_in_the_integral() -> None:
+    """A log-normal prior of the noise factor, of data whose noise is a twentieth of one, one and
+    twenty times one: the product of likelihood and prior over a grid of its logarithm."""
+    columns, noises = world(0)
+    spread, dof = np.log(5.0), 24.0
+    grams = replace(posterior_of(columns, noises)[1].grams, spread=float(spread))
+    power = dof * np.array([1.0 / 400.0, 1.0, 400.0])
+    log = np.linspace(-5.0, 5.0, 4001)[:, None]
+    each = -dof * log - 0.5 * power * np.exp(-2.0 * log) - 0.5 * (log / spread) ** 2
+    expected = np.logaddexp.reduce(each, axis=0)
+    told = grams.log_noise(power, dof)
+    np.testing.assert_allclose(told - told[1], expected - expected[1], atol=0.05)
 
 
 def test_a_gain_has_the_interval_of_its_parts() -> None:
