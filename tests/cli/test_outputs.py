@@ -140,8 +140,8 @@ def test_a_mark_survives_conversion_and_new_names(
 def test_a_killed_run_leaves_nothing_for_long(tmp_path: Path) -> None:
     script = (
         "import sys, time\n"
-        "from imucalib.atomic_file import replaced_atomically\n"
-        "with replaced_atomically(sys.argv[1]) as temporary:\n"
+        "from imucalib.atomic_file import replace_atomically\n"
+        "with replace_atomically(sys.argv[1]) as temporary:\n"
         "    temporary.write_bytes(b'x' * 100)\n"
         "    print('there', flush=True)\n"
         "    time.sleep(60)\n"

@@ -24,8 +24,10 @@ def said(done: Result) -> str:
 
 
 def commands(text: str) -> list[str]:
-    """Every command of a page, whose lines may be folded."""
-    return [" ".join(c.split()) for c in re.findall(r"`(imucal [^`]*)`", text)]
+    """Every command of a page: within a line, or on lines of its own that a shell takes as one."""
+    whole = re.sub(r" \\\n\s*", " ", text)
+    found = re.findall(r"`(imucal [^`]*)`|^\s+(imucal .*)$", whole, re.M)
+    return [" ".join((one or other).split()) for one, other in found]
 
 
 @pytest.mark.parametrize(
@@ -71,7 +73,7 @@ def test_the_next_command_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
          "--inclination-zero"),
         (lambda r: [r[0].replace("raw_x,raw_y,raw_z", "raw_z,raw_x,raw_y"), *r[1:]],
          "stands turned by 90 or 180 deg in the tool",
-         "--axes=x,y,z -o out` (else --axes=z,x,y if columns or dial are misread)"),
+         "else --axes=z,x,y if columns or dial are misread: imucal lab"),
     ],
     ids=["ten times", "columns", "letter", "zero", "mounting"],
 )  # fmt: skip

@@ -221,14 +221,14 @@ def test_counts_that_may_be_mg_are_asked_about(tmp_path: Path) -> None:
 
 #: All that a new dialect takes: the text of one file.
 NEW = """
-from imucalib.readers.devices.catalogue import Device, Start
+from imucalib.readers.devices.catalogue import Device, DeviceStart
 from imucalib.recording.mapping import FieldMapping
 
 DEVICE = Device(
     "tumbler",
     FieldMapping(acc=("2", "3", "4"), temperature=("5",), acc_unit="mg", temperature_unit="degC"),
     words=("tumbler 3000",),
-    start=lambda text: Start(1_600_000_000_000_000_000, ("the start is the maker's birthday",)),
+    start=lambda text: DeviceStart(16 * 10**17, ("the start is the maker's birthday",)),
 )
 """
 TABLE = "Tumbler 3000 data logger, sample rate 50 Hz\n" + "".join(

@@ -98,16 +98,7 @@ def choose_clock(
     """
     log, stamps = source.log, source.stamps
     if mapping.rate:
-        note = f"time from the stated rate of {mapping.rate:g} Hz"
-        return TopicClock(
-            source="rate",
-            factor=1,
-            late=0,
-            period=1e9 / mapping.rate,
-            longest=np.inf,
-            first=int(log.first),
-            notes=(note,),
-        )
+        return _by_rate(mapping.rate, int(log.first))
     factor, why = 1, ""
     if source.instant and source.instant.width == 1:
         factor, why = _unit(stamps, log, mapping.time_unit)
@@ -154,6 +145,19 @@ def choose_clock(
         first=int(_to_ns(np.array([facts.low]), factor)[0]),
         notes=tuple(notes),
         batched=batched,
+    )
+
+
+def _by_rate(rate: float, first: int) -> TopicClock:
+    """The clock of a stated rate (Hz), from the first log_time (ns)."""
+    return TopicClock(
+        source="rate",
+        factor=1,
+        late=0,
+        period=1e9 / rate,
+        longest=np.inf,
+        first=first,
+        notes=(f"time from the stated rate of {rate:g} Hz",),
     )
 
 

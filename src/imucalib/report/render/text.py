@@ -14,7 +14,17 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table as Grid
 from rich.text import Text as Line
 
-from imucalib.report.document import Card, Document, Facts, Plot, Section, Table, Text, Tone
+from imucalib.report.document import (
+    Card,
+    Document,
+    Facts,
+    Plot,
+    Section,
+    Table,
+    Text,
+    Tone,
+    capital,
+)
 from imucalib.report.render.table import grids
 from imucalib.report.render.terminal import one_line, safe
 
@@ -182,11 +192,13 @@ class _Sheet:
     def typed(self, text: str, lead: str, width: int, style: str = "") -> list[RenderableType]:
         """What is said of a command, and the command ready to be pasted: never cut within a word,
         however long a path is; none where it fits on the line, or there is not one command."""
-        parts = _normalize_spaces(text).split("`")
-        one = len(parts) == 3 and parts[1].startswith("imucal ")
-        if not one or cell_len("".join(parts)) <= self.measure - width - 1:
+        whole = _normalize_spaces(text)
+        parts = _COMMAND.split(whole)
+        if len(parts) != 3 or cell_len(whole) - 2 <= self.measure - width - 1:
             return []
-        said = parts[0].rstrip(" :") + (f".{parts[2]}".rstrip() if parts[2].strip(" .") else ":")
+        before, after = parts[0].rstrip(" :"), parts[2].strip(" .")
+        said = f"{before}. {capital(after)}." if before and after else before + ":"
+        said = said if before else f"{capital(after.lstrip(': '))}:"
         lines = _continue_lines(parts[1], self.measure - width - 1)
         blank = " " * (width + 1)
         return [
@@ -304,6 +316,10 @@ class _Sheet:
 
 #: Between two sentences.
 _SENTENCE = re.compile(r"(?<=[.)]) (?=[A-Z])")
+
+
+#: A command within a text.
+_COMMAND = re.compile(r"`(imucal [^`]+)`")
 
 
 def _height(items: Sequence[Sequence[Line]]) -> int:
