@@ -64,6 +64,6 @@ def weigh(off: Array, *, stated: bool = True) -> Array:
 
 
 def axes_in_words(signed: Array) -> str:
-    """A signed permutation as mappings write it: "x,-y,z"."""
+    """A signed permutation as mappings and board files write it: "x,-y,z"."""
     at = np.argmax(np.abs(signed), axis=1)
     return ",".join(("-" if signed[i, k] < 0 else "") + "xyz"[k] for i, k in enumerate(at))

@@ -14,15 +14,14 @@ from imucalib.calibration.apply import apply_to_recording
 from imucalib.calibrators.array.board import Board, read_board, undrawn_board
 from imucalib.calibrators.array.calibrate import calibrate_array
 from imucalib.calibrators.array.drawing import (
-    SIGNED,
     Drawn,
     board_from_log,
     check_board,
-    in_words,
 )
 from imucalib.calibrators.array.log import array_log, of_board
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.simulation import LogPlan, simulated_log
+from imucalib.core.set_up import SIGNED, axes_in_words
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.segments import still_segments
 from worlds.boards import BoardPlan, board_log, made_board
@@ -142,7 +141,7 @@ def test_all_sensors_of_a_kind_that_are_wired_alike_are_told(
     broken = wired(turned, "01234567", "accel" if sensor == "accelerometer" else "angular", turn)
     found = check_seen(broken, BOARD)
     assert found.faults == (f"every {sensor}: other axes or signs than drawn",)
-    assert f'{sensor}_axes: "{in_words(turn.T)}"' in found.lines[0]
+    assert f'{sensor}_axes: "{axes_in_words(turn.T)}"' in found.lines[0]
     assert check_seen(broken, with_lines(found.lines, tmp_path / "board.yaml")).faults == ()
 
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import permutations, product
 
 import numpy as np
 
@@ -21,17 +20,10 @@ from imucalib.calibrators.array.estimate.turns import between, composed
 from imucalib.calibrators.array.log import ArrayLog
 from imucalib.calibrators.array.moving import SLOWEST
 from imucalib.core.effect import cross_matrix
+from imucalib.core.set_up import SIGNED, axes_in_words
 from imucalib.errors import Undetermined
 from imucalib.rests.segments import Segments
 
-#: (48, 3, 3); the first is the identity.
-SIGNED = np.array(
-    [
-        np.diag(signs) @ np.eye(3)[list(order)]
-        for order in permutations(range(3))
-        for signs in product((1.0, -1.0), repeat=3)
-    ]
-)
 _ALIKE = 0.9  # agreement that the right permutation reaches
 _APART = 0.02  # by which the axes as drawn must miss perfect agreement
 _CLEARER = 20.0  # times as far from perfect agreement as the right permutation
@@ -82,12 +74,6 @@ def common_gyro_axes(t: Array, rate: Array, still: Array, start: Array, stop: Ar
     best = int(np.argmin(miss))
     clear = miss[best] < _FITS and miss[0] > _MISSES * max(float(miss[best]), _NEAR)
     return np.asarray(SIGNED[best if clear else 0])
-
-
-def in_words(signed: Array) -> str:
-    """A signed permutation as the board file and mappings write it: "x,-y,z"."""
-    at = np.argmax(np.abs(signed), axis=1)
-    return ",".join(("-" if signed[i, k] < 0 else "") + "xyz"[k] for i, k in enumerate(at))
 
 
 _FEWEST = 60
@@ -321,7 +307,7 @@ class Drawn:
         """The keys of the sensors' own axes, after what the file says of them."""
         own = acceleration @ self.board.accelerometer_axes[k], rate @ self.board.gyro_axes[k]
         return "".join(
-            f', {key}: "{in_words(axes)}"'
+            f', {key}: "{axes_in_words(axes)}"'
             for key, axes in zip(("accelerometer_axes", "gyro_axes"), own, strict=True)
             if not np.array_equal(axes, np.eye(3))
         )
@@ -329,7 +315,7 @@ class Drawn:
 
 def _mounting_words(rotation: Array) -> str:
     if np.allclose(np.abs(rotation).max(axis=1), 1.0, atol=1e-9):
-        return f'axes: "{in_words(rotation)}"'
+        return f'axes: "{axes_in_words(rotation)}"'
     return f"rotation: {np.round(rotation, 9).tolist()}"
 
 
