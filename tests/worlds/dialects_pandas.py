@@ -189,58 +189,37 @@ def two_sensors_by_suffix(folder: Path) -> Path:
     return folder / "a.csv"
 
 
-@dialect("pandas")
-def german_decimal(folder: Path) -> Path:
-    timed(names=RAD).to_csv(folder / "a.csv", sep=";", decimal=",", index=False)
-    return folder / "a.csv"
+#: What `to_csv` writes otherwise: the file and its options.
+PLAIN = {
+    "german_decimal": ("a.csv", dict(sep=";", decimal=",")),
+    "tabs": ("a.tsv", dict(sep="\t")),
+    "pipes": ("a.txt", dict(sep="|")),
+    "quoted": ("a.csv", dict(quoting=csv.QUOTE_ALL)),
+    "quoted_words": ("a.csv", dict(quoting=csv.QUOTE_NONNUMERIC)),
+    "utf16": ("a.csv", dict(encoding="utf-16")),
+    "utf8_with_mark": ("a.csv", dict(encoding="utf-8-sig")),
+    "windows_lines_gzip": ("a.csv.gz", dict(lineterminator="\r\n")),
+}
 
 
-@dialect("pandas")
-def tabs(folder: Path) -> Path:
-    timed(names=RAD).to_csv(folder / "a.tsv", sep="\t", index=False)
-    return folder / "a.tsv"
+def plain(name: str, **options):
+    def write(folder: Path) -> Path:
+        timed(names=RAD).to_csv(folder / name, index=False, **options)
+        return folder / name
+
+    return write
 
 
-@dialect("pandas")
-def pipes(folder: Path) -> Path:
-    timed(names=RAD).to_csv(folder / "a.txt", sep="|", index=False)
-    return folder / "a.txt"
-
-
-@dialect("pandas")
-def quoted(folder: Path) -> Path:
-    timed(names=RAD).to_csv(folder / "a.csv", quoting=csv.QUOTE_ALL, index=False)
-    return folder / "a.csv"
-
-
-@dialect("pandas")
-def quoted_words(folder: Path) -> Path:
-    timed(names=RAD).to_csv(folder / "a.csv", quoting=csv.QUOTE_NONNUMERIC, index=False)
-    return folder / "a.csv"
+for _name, (_file, _options) in PLAIN.items():
+    _write = plain(_file, **_options)
+    _write.__name__ = _name
+    dialect("pandas")(_write)
 
 
 @dialect("pandas", resolution=6e-4)
 def three_decimals(folder: Path) -> Path:
     timed(names=RAD).to_csv(folder / "a.csv", float_format="%.3f", index=False)
     return folder / "a.csv"
-
-
-@dialect("pandas")
-def utf16(folder: Path) -> Path:
-    timed(names=RAD).to_csv(folder / "a.csv", encoding="utf-16", index=False)
-    return folder / "a.csv"
-
-
-@dialect("pandas")
-def utf8_with_mark(folder: Path) -> Path:
-    timed(names=RAD).to_csv(folder / "a.csv", encoding="utf-8-sig", index=False)
-    return folder / "a.csv"
-
-
-@dialect("pandas")
-def windows_lines_gzip(folder: Path) -> Path:
-    timed(names=RAD).to_csv(folder / "a.csv.gz", lineterminator="\r\n", index=False)
-    return folder / "a.csv.gz"
 
 
 @dialect("pandas", resolution=1e-6)
