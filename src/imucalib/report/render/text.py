@@ -184,12 +184,14 @@ class _Sheet:
 
     def step(self, number: int, text: str, most: int) -> list[Line]:
         """One step; a command that does not fit beside its purpose on lines of its own."""
-        if typed := self.typed(text, f"{number}.", 2):
+        if typed := self.lay_out_command(text, f"{number}.", 2):
             return self.lines(*typed)
         said = self.cut(_normalize_spaces(text).replace("`", ""), most, 3)
         return self.lines(self.listed([(f"{number}.", said)], 2, 1, "", ""))
 
-    def typed(self, text: str, lead: str, width: int, style: str = "") -> list[RenderableType]:
+    def lay_out_command(
+        self, text: str, lead: str, width: int, style: str = ""
+    ) -> list[RenderableType]:
         """What is said of a command, and the command ready to be pasted: never cut within a word,
         however long a path is; none where it fits on the line, or there is not one command."""
         whole = _normalize_spaces(text)
@@ -230,14 +232,19 @@ class _Sheet:
             return []
         worth = [(w.quantity, f"{w.value} ({w.whole})") for w in card.good_to]
         advice = card.to_do or ("Nothing to do.",)
-        steps = [(f"{i}.", _normalize_spaces(step)) for i, step in enumerate(advice, start=1)]
+        steps = [
+            part
+            for lead, one in ((f"{i}.", one) for i, one in enumerate(advice, start=1))
+            for part in self.lay_out_command(one, lead, 2)
+            or [self.listed([(lead, _normalize_spaces(one))], 2, 1, "", "")]
+        ]
         return [
             *self.heading("Good to"),
             self.facts(worth),
             *self.heading("Found"),
             *map(self.paragraph, card.found),
             *self.heading("What to do"),
-            self.listed(steps, 2, 1, "", ""),
+            *steps,
         ]
 
     def section(self, section: Section) -> list[RenderableType]:
@@ -279,7 +286,7 @@ class _Sheet:
     def paragraph(self, text: Text) -> RenderableType:
         """With its sign where it has a tone."""
         words, style = _normalize_spaces(text.text), STYLES[text.tone]
-        if typed := self.typed(words, SIGNS[text.tone], 1, style):
+        if typed := self.lay_out_command(words, SIGNS[text.tone], 1, style):
             return Group(*typed)
         if not SIGNS[text.tone]:
             return self.running(Line(words, style))
