@@ -53,14 +53,14 @@ class Vector:
         return f"{self.triad}/{self.quantity}"
 
 
-def joined_unit(units: Sequence[str]) -> str:
+def join_units(units: Sequence[str]) -> str:
     """The unit of all axes, or one an axis where they differ."""
     return units[0] if len(set(units)) == 1 else ",".join(units)
 
 
 def vector_of(quantity: str, triad: str, parts: Sequence[int], told: Sequence[Meaning]) -> Vector:
     """A vector with the unit that the names of its fields state."""
-    unit = joined_unit([told[k].unit for k in parts]) if told else ""
+    unit = join_units([told[k].unit for k in parts]) if told else ""
     return Vector(quantity, triad, tuple(parts), unit)
 
 
@@ -120,7 +120,7 @@ def choose(
     return _firsts(own)
 
 
-def resolved(
+def resolve_mapping(
     mapping: FieldMapping, read: Sequence[tuple[Any, Sequence[str], str]], **more: Any
 ) -> FieldMapping:
     """The mapping that reads a file, and others like it, the same way.

@@ -174,7 +174,7 @@ class _Rates:
             self._demand_unrefuted()
 
     def _demand_unrefuted(self) -> None:
-        chance, off = self._weighed()
+        chance, off = self._weigh()
         best = int(np.argmax(chance.sum(axis=1)))
         least = float(off[best].min())
         proven = chance[0].sum() <= DOUBT and chance[best].sum() >= 1.0 - DOUBT
@@ -194,7 +194,7 @@ class _Rates:
             acc = np.column_stack([np.interp(t, at, axis) for axis in acc.T])
         self.turns += carry_gravity(t, acc, rate, np.array(list(self._factors().values())))
 
-    def _weighed(self) -> tuple[Array, Array]:
+    def _weigh(self) -> tuple[Array, Array]:
         """(k, 48) chance of each unit in each axes, and the median misfit, rad."""
         if not self.turns:
             count = len(self._factors())
@@ -213,7 +213,7 @@ class _Rates:
                        for cs in pairs)  # fmt: skip
         with np.errstate(over="ignore", invalid="ignore"):
             self._look(*force, *rate)
-        chance, off = self._weighed()
+        chance, off = self._weigh()
         best = int(np.argmax(chance.sum(axis=1)))
         least = float(off[best].min())
         if chance[best].sum() >= 1.0 - DOUBT and least < _REFUTED:

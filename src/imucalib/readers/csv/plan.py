@@ -11,7 +11,7 @@ import numpy as np
 from imucalib.arrays import Array, Flags
 from imucalib.errors import UnreadableInput
 from imucalib.readers import conversion
-from imucalib.readers.choice import Vector, resolved
+from imucalib.readers.choice import Vector, resolve_mapping
 from imucalib.readers.contents import unread
 from imucalib.readers.conversion import Conversion
 from imucalib.readers.csv.clock import TableClock, clock_by_rate, clock_by_stamps
@@ -316,7 +316,7 @@ def _resolved(
     # Counts a g that the device was found to have.
     scales = {s.conversion.counts_per_g for s in signals if s.conversion.counts_per_g}
     time = ",".join(map(dialect.address, selection.time)) if len(plans) == 1 else ""
-    return resolved(
+    return resolve_mapping(
         mapping,
         [
             (v, [dialect.address(k) for k in v.parts], units[v.name])

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.readers.choice import OPTIONS, Field, Vector, choose, joined_unit
+from imucalib.readers.choice import OPTIONS, Field, Vector, choose, join_units
 from imucalib.readers.words import instant_rank, understand
 from imucalib.recording.mapping import FieldMapping
 from imucalib.units import canonical
@@ -206,7 +206,7 @@ def found_in(vector: Vector, parts: Sequence[FieldPlace], rows: int) -> FieldCha
     units = [part.unit for part in parts]
     if len(parts) == 1 and "," in units[0]:  # one an axis, in the order of the file
         units = [units[0].split(",")[k] for k in parts[0].order]
-    unit, numbered = joined_unit(units), vector.numbered
+    unit, numbered = join_units(units), vector.numbered
     return FieldChannel(vector.quantity, vector.triad, tuple(parts), rows, unit, numbered=numbered)
 
 

@@ -19,7 +19,7 @@ from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
 from imucalib.file_hash import sha256_of
 from imucalib.readers import conversion
-from imucalib.readers.choice import resolved
+from imucalib.readers.choice import resolve_mapping
 from imucalib.readers.contents import Content, listing, norm_of, suggestion, unread
 from imucalib.readers.conversion import AS_STORED, Conversion
 from imucalib.readers.hdf5.fields import (
@@ -221,7 +221,7 @@ def _resolved(mapping: FieldMapping, signals: Sequence[FieldSignal]) -> FieldMap
     if any(len(s.found.parts) > 1 or s.found.parts[0].column for s in signals):
         return mapping
     clocks = {s.found.time.path for s in signals if s.found.time}
-    return resolved(
+    return resolve_mapping(
         mapping,
         [(s.found, [s.found.parts[0].path], s.conversion.source_unit) for s in signals],
         time=clocks.pop() if len(clocks) == 1 else mapping.time,

@@ -16,7 +16,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.errors import UsageError
-from imucalib.readers.choice import OPTIONS, Field, Vector, joined_unit, named_vectors
+from imucalib.readers.choice import OPTIONS, Field, Vector, join_units, named_vectors
 from imucalib.readers.contents import Content, norm_of
 from imucalib.readers.messages.decode import Decoder, Look, decoder_for
 from imucalib.readers.messages.layout import FieldGroup, LayoutError
@@ -220,7 +220,7 @@ def _stated(topic: Topic, leaves: Leaves, mapping: FieldMapping, quantity: str) 
                 remedy=f"its fields: {', '.join(list(leaves)[:40])}",
             )
         named = understand([tuple(path.split(".")) for path in group.paths])
-        unit = "" if single else _unit_of(topic, quantity, joined_unit([m.unit for m in named]))
+        unit = "" if single else _unit_of(topic, quantity, join_units([m.unit for m in named]))
         fields.append(TopicField(quantity, address, group, unit, found=False))
     return fields
 

@@ -95,7 +95,7 @@ class _Part:
             turn[:, i, j] -= spin[:, k]
         value = -0.5 * SPIN * np.sum(spin**2, axis=(0, 1))
         for k, of_motion in enumerate((np.einsum("tijb,kjb->tkib", turn, r), 0.0)):
-            off = of_motion + _made(self.terms[k], raw)
+            off = of_motion + _add_terms(self.terms[k], raw)
             off += (x[:, None, :3], x[:, None, 6:])[k]
             off -= self.read[k][..., None]
             square = np.einsum("tkib,tkib->tkb", off, off) / self.variances[k][..., None]
@@ -116,12 +116,12 @@ def _part_of(state: ArrayState, rows: Index, raw: Array) -> _Part:
     variances = (state.noise[0].variance(speed), state.noise[1].variance(speed))
     terms = list(_columns(state, rows, gyro=False)), list(_columns(state, rows, gyro=True))
     moved = raw[: 3 * k].reshape(k, 3, -1)
-    force = np.einsum("tij,kjd->tkid", own.turn, moved) + _made(terms[0], raw[3 * k :])
-    rate = _made(terms[1], raw[3 * k :])
+    force = np.einsum("tij,kjd->tkid", own.turn, moved) + _add_terms(terms[0], raw[3 * k :])
+    rate = _add_terms(terms[1], raw[3 * k :])
     # Second derivatives: a weight falls along its own residual.
     slopes = own.arms, np.broadcast_to(np.eye(9)[6:], (len(rows), k, 3, 9))
     bent = [
-        _bent(slope, off, variance, noise)
+        _curve_weights(slope, off, variance, noise)
         for slope, off, variance, noise in zip(
             slopes, (own.off.acceleration, own.off.rate), variances, state.noise, strict=True
         )
@@ -146,7 +146,7 @@ def _part_of(state: ArrayState, rows: Index, raw: Array) -> _Part:
     )
 
 
-def _bent(slope: Array, off: Array, variance: Array, noise: MotionNoise) -> Array:
+def _curve_weights(slope: Array, off: Array, variance: Array, noise: MotionNoise) -> Array:
     """(n, K, 3, 9) derivatives by the motion of weighted residuals off (n, K, 3), whose own
     derivatives are slope."""
     nu = noise.freedom
@@ -160,7 +160,7 @@ def _bent(slope: Array, off: Array, variance: Array, noise: MotionNoise) -> Arra
     return np.asarray((nu + 3.0) / whole[..., None, None] * (slope - bend * along))
 
 
-def _made(terms: _Terms, raw: Array) -> Array:
+def _add_terms(terms: _Terms, raw: Array) -> Array:
     """(n, K, 3, B) what terms add to one kind of sensor."""
     made = [(own @ raw[which]).reshape(len(own) // 3, 3, raw.shape[1]) for own, which in terms]
     return np.stack(made, axis=1)

@@ -108,7 +108,7 @@ def close_array_loop(
     steps = steps_of(found, final, gained)
     shifts = _unnamed(found, final)
     open_ends = {one: float(np.sqrt(np.mean(moved**2))) for one, moved in shifts.items()}
-    deciding = None if gained is None else gained.deciding(_shown_by(final, steps))
+    deciding = None if gained is None else gained.deciding(_sensors_that_show(final, steps))
     refused: tuple[tuple[str, str], ...] = ()
     if steps and deciding is not None and not deciding.holds:
         refused = tuple((step.effect, _REFUSED) for step in steps)
@@ -144,7 +144,7 @@ def close_array_loop(
     )
 
 
-def _shown_by(final: ArrayState, steps: Sequence[Step]) -> set[Channel]:
+def _sensors_that_show(final: ArrayState, steps: Sequence[Step]) -> set[Channel]:
     """Whose errors show what is told: of what single sensors do, those of their kind; of what all
     do alike, or has no name, those of both."""
     told = {step.effect for step in steps}

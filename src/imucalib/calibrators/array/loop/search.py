@@ -132,7 +132,7 @@ class MotionProblem(Contest):
         mine = np.isin(columns, own)
         return np.asarray(self.moves[:, columns[mine]] @ value[mine])
 
-    def missed(self, posterior: Posterior, hypothesis: Hypothesis, state: ArrayState) -> float:
+    def shortfall(self, posterior: Posterior, hypothesis: Hypothesis, state: ArrayState) -> float:
         """Nats by which a settled fit of a set is beside what the products foretold of it."""
         columns, value, rows = self._linear(posterior, hypothesis)
         off = _held(state, self.choices, int(columns.max(initial=0)) + 1)[columns] - value
@@ -265,7 +265,7 @@ def search_posterior(
     among, first, rejected = None, None, tuple[tuple[str, str], ...]()
     if whole is not None:
         among = whole.likely
-        state, shares = _taken_in(base, whole.chosen, scope, None) or (base, shares)
+        state, shares = _take_in(base, whole.chosen, scope, None) or (base, shares)
     for _ in range(_ROUNDS):
         problem, grams = products(state, skipped, scope.declare, among)
         posterior = hill_climb(problem, grams, problem.picks(state))
@@ -278,14 +278,14 @@ def search_posterior(
         if names == held.difference(scope.declare) or names in seen:
             break
         seen.add(names)
-        grown = _taken_in(state, chosen, scope, skipped if whole is None else None)
+        grown = _take_in(state, chosen, scope, skipped if whole is None else None)
         if grown is None:
             rejected = tuple((one.name, DIVERGED) for one in chosen if one.name not in held)
             break
         state, shares = grown
         # Where the fit is what its products foretold, others would say the same.
         same = names == {t.name for t in state.found}.difference(scope.declare)
-        if same and problem.missed(posterior, said.hypothesis, state) < _SETTLED:
+        if same and problem.shortfall(posterior, said.hypothesis, state) < _SETTLED:
             break
     assert first is not None
     scores, impact = first
@@ -301,7 +301,7 @@ def search_posterior(
     )
 
 
-def _taken_in(
+def _take_in(
     state: ArrayState, chosen: Sequence[Member], scope: Scope, skipped: Collection[str] | None
 ) -> tuple[ArrayState, Shares] | None:
     """The fit with a set, its clocks and its twins told apart; None where it runs away.
