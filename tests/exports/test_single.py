@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration, StoredParameter
@@ -23,9 +24,10 @@ from imucalib.effects import named
 from imucalib.errors import LimitBroken, UsageError
 from imucalib.exports import export
 from imucalib.exports.bound import demand_carried
+from imucalib.exports.imus import NOISE_UNITS
 from imucalib.exports.per_axis import nearest_row, with_ids
 from worlds.stated import stated
-from worlds.targets import by_ggir, by_qgroundcontrol
+from worlds.targets import by_ggir, by_imu_calib, by_qgroundcontrol, by_realsense
 
 G = 9.80665
 SPAN = (15.0, 35.0)
@@ -166,27 +168,82 @@ def test_a_curve_over_temperature_becomes_the_nearest_cubic(form: str) -> None:
     assert np.all(np.std(left, axis=0) < 0.6 * np.std(read, axis=0))
 
 
+UNITS = {"gyro_gain": "1", "gyro_temperature_bias": "deg/s/degC", "gyro_rest_bias": "deg/s"}
+
+
+def with_gyroscope(whole: Calibration, **own: ArrayLike) -> Calibration:
+    """With parameters of its effects by name, axis by axis or a matrix row by row."""
+    names = {3: list("xyz"), 9: [f"{a}{b}" for a in "xyz" for b in "xyz"]}
+    more = tuple(
+        StoredParameter(f"{name}_{axis}", name, "gyroscope", float(value), 0.0, UNITS[name])
+        for name, values in own.items()
+        for axis, value in zip(names[np.size(values)], np.ravel(values), strict=True)
+    )
+    return replace(whole, parameters=(*whole.parameters, *more))
+
+
 @pytest.mark.parametrize("form", ["px4", "ardupilot"])
 def test_a_rate_over_temperature_is_what_the_firmware_takes_off(form: str) -> None:
     bias, slope = (0.4, -0.3, 0.2), (0.02, -0.01, 0.03)
-    own = {
-        "gyro_gain": ("1", [f"{a}{b}" for a in "xyz" for b in "xyz"], np.eye(3).ravel()),
-        "gyro_temperature_bias": ("deg/s/degC", list("xyz"), slope),
-        "gyro_rest_bias": ("deg/s", list("xyz"), bias),
-    }
-    more = tuple(
-        StoredParameter(f"{effect}_{axis}", effect, "gyroscope", float(value), 0.0, unit)
-        for effect, (unit, axes, values) in own.items()
-        for axis, value in zip(axes, values, strict=True)
-    )
     whole = replace(made(*SIX), valid={"temperature": COLD_TO_HOT})
-    calibration = replace(whole, parameters=(*whole.parameters, *more))
+    calibration = with_gyroscope(
+        whole, gyro_gain=np.eye(3).ravel(), gyro_temperature_bias=slope, gyro_rest_bias=bias
+    )
     warm = np.linspace(*COLD_TO_HOT, 40)
     known = ground_station(export(calibration, "x.csv", form).text)
     name = "CAL_GYRO0_{}OFF" if form == "px4" else "INS_GYROFFS_{}"
     offset = np.array([known[name.format(a)] for a in "XYZ"])
     read = np.radians(np.array(bias) + np.array(slope) * (warm[:, None] - 25.0))
     assert thermal(form, known, "G", warm) + offset == pytest.approx(read, abs=2e-9)
+
+
+def test_a_realsense_camera_corrects_both_sensors() -> None:
+    """500 readings of each through X, as the camera's tool applies it."""
+    gain = np.eye(3) + 0.02 * np.random.default_rng(3).normal(size=(3, 3))
+    bias = (0.4, -0.3, 0.2)
+    whole = with_gyroscope(
+        made(*SIX, "non_orthogonality"), gyro_gain=gain.ravel(), gyro_rest_bias=bias
+    )
+    known = by_realsense(export(whole, "x.csv", "realsense").text)
+    force, rate = even(500), np.random.default_rng(4).normal(size=(500, 3))
+    readings = {
+        "accelerometer": read_by(force, "non_orthogonality"),
+        "gyroscope": rate @ np.linalg.inv(gain).T + np.radians(bias),
+    }
+    ends = {name: np.column_stack([own, -np.ones(500)]) for name, own in readings.items()}
+    assert ends["accelerometer"] @ known["accelerometer"] == pytest.approx(force, abs=1e-9)
+    assert ends["gyroscope"] @ known["gyroscope"] == pytest.approx(rate, abs=1e-9)
+    alone = by_realsense(export(made(*SIX), "x.csv", "realsense").text)
+    assert np.array_equal(alone["gyroscope"], np.eye(4, 3))
+
+
+def test_imu_calib_corrects_the_force() -> None:
+    """500 readings through SM and bias, as its node applies them."""
+    square, bias = by_imu_calib(export(made(*SIX, "non_orthogonality"), "x.csv", "imu-calib").text)
+    raw = read_by(even(500), "non_orthogonality")
+    assert raw @ square.T - bias == pytest.approx(even(500), abs=1e-9)
+
+
+KNOWN = {"update_rate": 100.0, **dict.fromkeys(NOISE_UNITS, 1e-3)}
+
+
+@pytest.mark.parametrize(
+    "form", ["kalibr", "openvins", "c-header", "px4", "ardupilot", "realsense", "matlab"]
+)
+def test_a_delay_of_the_gyroscope_is_told(form: str) -> None:
+    """Of several sds by every form of an IMU, within one by none."""
+
+    def told(sd: float) -> str:
+        imu = {"gyroscope_late_s": {"value": 7.5e-3, "sd": sd}}
+        whole = with_gyroscope(
+            made(*SIX, imu=imu), gyro_gain=np.eye(3).ravel(), gyro_rest_bias=np.zeros(3)
+        )
+        known = replace(whole, facts={**whole.facts, "noise_density": {"imu0": KNOWN}})
+        return export(known, "x.csv", form).text
+
+    held = "gyro_delay = 0.0075" if form == "matlab" else "7.500 ms"
+    assert held in told(1e-3)
+    assert held not in told(7e-3)
 
 
 OMCONVERT = f"""#!{sys.executable}
@@ -217,14 +274,14 @@ def test_omconvert_corrects_with_the_temperature(tmp_path: Path) -> None:
 
 
 def test_a_row_of_ggir_carries_the_temperature_and_what_was_seen() -> None:
-    error = {"unit": "mg", "raw": 40.0, "held_out": {"final": 1.5}}
+    error = {"unit": "mg", "raw": 40.0, "held_out": {"raw": None, "final": 1.5}}
     whole = export(made(*SIX, "temperature_bias", errors=[error]), "x.csv", "ggir-csv")
     row, raw = by_ggir(whole.text, "x.csv"), read_by(even(), warm=warmth()) / G
     moved = raw + row["offset"] + row["temperature.offset"] * (warmth() - row["meantempcal"])
     assert np.abs(np.linalg.norm(row["scale"] * moved, axis=1) - 1.0).mean() < 1e-6
     assert (row["cal.error.start"], row["cal.error.end"]) == pytest.approx((0.04, 0.0015))
     assert row["use.temperature"]
-    assert any(lost.startswith("meantempcal") for lost in whole.lost)
+    assert whole.lost == ()
     assert "imucal" in row["QCmessage"]
     assert np.isnan(row["n.10sec.windows"])
     known = made(*SIX, coverage={"still_windows": 3437, "hours": 23.5})
@@ -320,7 +377,7 @@ def test_a_row_is_right_where_postures_were_recorded() -> None:
 
 
 @pytest.mark.parametrize("form", ["px4", "ardupilot", "omconvert", "ggir-csv", "c-header",
-                                  "matlab", "iscwsa-csv"])  # fmt: skip
+                                  "matlab", "iscwsa-csv", "realsense", "imu-calib"])  # fmt: skip
 def test_a_form_is_refused_that_is_no_better_than_the_raw_reading(form: str) -> None:
     def worth(raw: float, left: float = 0.1) -> Calibration:
         """A sensor with a square, and the errors before and after its calibration, mg."""

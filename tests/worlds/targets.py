@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from ruamel.yaml import YAML
 
+from imucalib.arrays import Array
+
 _NOISE = ("noise_density", "random_walk")
 
 
@@ -41,6 +43,24 @@ def by_ggir(text: str, recording: str) -> dict[str, Any]:
     found["QCmessage"] = row["QCmessage"]
     found["meantempcal"] = float(row["meantempcal"])
     return found
+
+
+def by_realsense(text: str) -> dict[str, Array]:
+    """Four rows of three of each sensor, as IntelRealSense/librealsense,
+    tools/rs-imu-calibration.py, saves its X: corrected = (x, y, z, -1) X."""
+    (imu,) = json.loads(text)["imus"]
+    rows = {name: [*own["scale_and_alignment"], *own["bias"]] for name, own in imu.items()}
+    return {name: np.array(row, dtype=float).reshape(4, 3) for name, row in rows.items()}
+
+
+def by_imu_calib(text: str) -> tuple[Array, Array]:
+    """SM and bias as dpkoch/imu_calib, accel_calib.cpp, loads them: corrected = SM raw - bias."""
+    data = YAML(typ="safe", pure=True).load(text)
+    assert (len(data["SM"]), len(data["bias"])) == (9, 3)
+    square = np.zeros((3, 3))
+    for i in range(9):
+        square[i // 3, i % 3] = float(data["SM"][i])
+    return square, np.array(data["bias"], dtype=float)
 
 
 def by_qgroundcontrol(text: str) -> dict[str, float]:

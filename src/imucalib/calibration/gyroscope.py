@@ -23,6 +23,7 @@ from imucalib.rests.thermal import temperature_at
 from imucalib.units import DEG, STANDARD_GRAVITY
 
 STAGE, GAIN, BIAS = "gyroscope", "gyro_gain", "gyro_rest_bias"
+_SURE = 3.0  # sd from which on a delay is told
 #: Rounds in which what an effect adds is subtracted from what it acts on.
 _ROUNDS = 3
 
@@ -66,11 +67,6 @@ class Gyroscope:
                 out[at] = theta
         return out.reshape(3, 3) * DEG / STANDARD_GRAVITY
 
-    @property
-    def beyond(self) -> tuple[str, ...]:
-        """Names of effects that no matrix carries."""
-        return tuple(e.name for e, _, _ in self.laws if e.name != "gyro_g_sensitivity")
-
 
 def gyroscope_of(calibration: Calibration) -> Gyroscope | None:
     """The gyroscope, or None where the calibration has none. Raises UnreadableInput for an effect
@@ -100,6 +96,15 @@ def gyroscope_of(calibration: Calibration) -> Gyroscope | None:
         laws=tuple(laws),
         warm=0.5 * sum(calibration.valid.get("temperature", (25.0, 25.0))),
     )
+
+
+def told_delay(calibration: Calibration) -> tuple[float, float] | None:
+    """s by which the gyroscope is late against its accelerometer, and its standard deviation; None
+    where it is no more than chance."""
+    known = calibration.facts.get("imu", {}).get("gyroscope_late_s")
+    if known is None or abs(known["value"]) < _SURE * known["sd"]:
+        return None
+    return float(known["value"]), float(known["sd"])
 
 
 def with_rates_corrected(

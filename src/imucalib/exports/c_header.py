@@ -22,7 +22,7 @@ from imucalib.core.sphere import even_directions
 from imucalib.effects.forms import in_words
 from imucalib.errors import UsageError
 from imucalib.exports import Export, Made
-from imucalib.exports.imus import losses_of, places_of
+from imucalib.exports.imus import losses_of, lost_rates, places_of
 from imucalib.exports.linear import lost_linear, nearest_linear, sphere_of
 from imucalib.recording.identity import NAMELESS
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
@@ -123,7 +123,7 @@ def _of_one(calibration: Calibration) -> tuple[list[CFormula], tuple[str, ...], 
     every = [_acceleration(linear.M, linear.b, _largest_sd(spread))]
     if (gyro := gyroscope_of(calibration)) is not None:
         every.append(_rate(gyro.gain, -(gyro.gain @ gyro.bias)))
-        lost = (*lost, *gyro.beyond, *(["gyro_g_sensitivity"] if gyro.by_force.any() else []))
+        lost += lost_rates(calibration)
     return every, lost, linear.mean
 
 

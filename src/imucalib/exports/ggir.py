@@ -18,12 +18,13 @@ def ggir_csv(calibration: Calibration, filename: str) -> Made:
 
     GGIR has no terms between the axes, so the row holds the numbers that come nearest over the
     postures and the temperatures that were recorded; their own mean error goes to
-    cal.error.end with the calibration's. ΔT counts from the middle of those temperatures, where
-    the offsets hold. Raises UsageError for an array.
+    cal.error.end with the calibration's. ΔT counts from meantempcal, the middle of those
+    temperatures, where the offsets hold; before 3.0-5 GGIR took the mean of each recording
+    (wadpac/GGIR, g.part1.R). Raises UsageError for an array.
     """
     demand_one(calibration, "a row of GGIR")
     row = nearest_row(calibration)
-    start, end = _errors(calibration)
+    start, end = (calibration.stated_error({"mg": 1.0}, of) for of in ("raw", "final"))
     # Part 2 reads these of every row, as its own quality report has them; NA: not known.
     seen = calibration.facts.get("coverage", {})
     hours = f"{seen['hours']:.6g}" if "hours" in seen else "NA"
@@ -44,26 +45,9 @@ def ggir_csv(calibration: Calibration, filename: str) -> Made:
     out = StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(["filename", *numbers, *others])
-    writer.writerow([cell(filename), *(f"{v:.9g}" for v in numbers.values()), *others.values()])
-    lost = lost_per_axis(calibration, row, " (in cal.error.end)")
-    if np.any(row.slope):
-        lost += (
-            f"meantempcal, {row.middle:.1f} °C, which GGIR passes over where it takes a row: its "
-            "slopes count from the mean temperature of each recording",
-        )
-    return Made(out.getvalue(), lost, row.lost)
-
-
-def _errors(calibration: Calibration) -> tuple[float, float]:
-    """The principal error raw and held out, mg; NaN where the file does not tell."""
-    for error in calibration.facts.get("errors", ()):
-        if error["unit"] == "mg":
-            raw, final = (
-                np.nan if v is None else float(v)
-                for v in (error["raw"], error["held_out"]["final"])
-            )
-            return raw, final
-    return np.nan, np.nan
+    known = (f"{v:.9g}" if np.isfinite(v) else "NA" for v in numbers.values())
+    writer.writerow([cell(filename), *known, *others.values()])
+    return Made(out.getvalue(), lost_per_axis(calibration, row, " (in cal.error.end)"), row.lost)
 
 
 EXPORT = Export("ggir-csv", "ggir_calibration.csv", ggir_csv)

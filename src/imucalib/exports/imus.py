@@ -17,7 +17,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
-from imucalib.calibration.gyroscope import Gyroscope, gyroscope_of
+from imucalib.calibration.gyroscope import Gyroscope, gyroscope_of, told_delay
 from imucalib.calibration.triads import Triad
 from imucalib.core.effect import Response
 from imucalib.effects import catalogue
@@ -166,8 +166,26 @@ def _effect(calibration: Calibration, name: str, imu: str, size: int) -> Array:
 def late_of(calibration: Calibration) -> float:
     """s by which all gyros are late against the accelerometers: what a low-pass of either does is,
     to the first order, a delay by its time constant."""
+    if (told := told_delay(calibration)) is not None:
+        return told[0]
     found = _common_delays().items()
     return sum(sign * 1e-3 * float(_effect(calibration, name, "", 1)[0]) for name, sign in found)
+
+
+def lost_rates(
+    calibration: Calibration, kept: tuple[str, ...] = (), *, delay: bool = False
+) -> tuple[str, ...]:
+    """Of gyroscopes what a form has no place for, in words: the effects of one that are not kept,
+    and the delay of all, unless the form holds a delay."""
+    gyro = gyroscope_of(calibration)
+    laws = gyro.laws if gyro else ()
+    lost = tuple(in_words(e.name) for e, _, _ in laws if e.name not in kept)
+    if not delay and (late := late_of(calibration)):
+        lost += (
+            f"the delay of gyroscope behind accelerometer, {1e3 * late:.3f} ms: subtract it from "
+            "the gyroscope's stamps",
+        )
+    return lost
 
 
 def _common_delays() -> dict[str, float]:
@@ -197,12 +215,15 @@ def _noise(calibration: Calibration, triad: Triad) -> dict[str, Any]:
     } | known
 
 
-def lost_of(calibration: Calibration, kept: tuple[str, ...] = _KEPT) -> tuple[str, ...]:
-    """Effects that the form has no place for, but for a common delay (`late_of`)."""
+def lost_of(
+    calibration: Calibration, kept: tuple[str, ...] = _KEPT, *, delay: bool = False
+) -> tuple[str, ...]:
+    """Effects that the form has no place for; delay : whether it has one for a common delay."""
     kept = (*kept, *_common_delays())
-    gyro = gyroscope_of(calibration)
-    own = (*gyro.beyond, *filter(None, [beyond_linear(calibration)])) if gyro else ()
-    return own + tuple(
+    lost = lost_rates(calibration, kept, delay=delay)
+    if not calibration.triads and (own := beyond_linear(calibration)):
+        lost += (own,)
+    return lost + tuple(
         f"{in_words(row['effect'])}, {float(row['rms']):.3g} {row['unit']} rms in the motion that "
         "was calibrated"
         for row in calibration.facts.get("not_undone", ())
@@ -241,17 +262,13 @@ def file_an_imu(
     lost: tuple[str, ...],
     losses: tuple[float, float],
 ) -> Made:
-    """What a program that filters reads, which estimates biases by itself and has no place for a
-    delay.
+    """What a program that filters reads, which estimates biases by itself.
 
     text : of an IMU's file, from its noise and what is said in comments; lost, losses : in words,
     and of a force, mg, and of a rate, deg/s
     Raises as `imus_of`, and UsageError where nothing is known of one of its noises.
     """
-    words = [f"the biases: {program} estimates them in every recording"]
-    if late := late_of(calibration):
-        words.append(f"the gyros' delay of {1e3 * late:.3f} ms against the accelerometers")
-    lost = (*words, *lost)
+    lost = (f"the biases: {program} estimates them in every recording", *lost)
     files = {}
     for imu in imus_of(calibration, program):
         noise, said = noise_of(imu, program)

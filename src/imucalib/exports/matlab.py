@@ -10,12 +10,13 @@ from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.gyroscope import gyroscope_of
 from imucalib.exports import Export, Made
-from imucalib.exports.imus import late_of, losses_of, lost_of, places_of
+from imucalib.exports.imus import late_of, losses_of, lost_of, lost_rates, places_of
 from imucalib.exports.linear import lost_linear, nearest_linear
 
 
 def matlab(calibration: Calibration, filename: str) -> Made:
-    """Of one accelerometer M and b (m/s²): corrected = M * reading + b, columns. Of an array those
+    """Of one accelerometer M and b (m/s²): corrected = M * reading + b, columns, and of its
+    gyroscope the same with the delay (s). Of an array those
     of every IMU along the third dimension, with its gyros' (rad/s), its positions (m) and their
     covariance (m²), and the gyros' delay (s)."""
     body = _of_array(calibration) if calibration.triads else _of_one(calibration)
@@ -38,9 +39,9 @@ def _of_one(calibration: Calibration) -> Made:
         text += (
             "\n% rate = gyro_K * (reading - gyro_b - gyro_G * corrected), rad/s."
             f"\ngyro_K = {_matrix(gyro.gain)};\ngyro_b = {_matrix(gyro.bias[:, None])};"
-            f"\ngyro_G = {_matrix(gyro.by_force)};"
+            f"\ngyro_G = {_matrix(gyro.by_force)};\n{_delay(calibration)}"
         )
-        lost = (*lost, *gyro.beyond)
+        lost += lost_rates(calibration, ("gyro_g_sensitivity",), delay=True)
     return Made(text, lost, linear.mean)
 
 
@@ -66,9 +67,14 @@ def _of_array(calibration: Calibration) -> Made:
         f"r = {_matrix(places_of(calibration).T)};",
         "% Covariance of r(:,2:end)(:), the first IMU being the reference.",
         f"r_covariance = {_matrix(covariance)};",
-        f"gyro_delay = {late_of(calibration):.9g};",
+        _delay(calibration),
     ]
-    return Made("\n".join(lines), lost_of(calibration, ()), *losses_of(calibration, (), delay=True))
+    lost = lost_of(calibration, (), delay=True)
+    return Made("\n".join(lines), lost, *losses_of(calibration, (), delay=True))
+
+
+def _delay(calibration: Calibration) -> str:
+    return f"gyro_delay = {late_of(calibration):.9g};"
 
 
 def _matrix(values: Array) -> str:

@@ -13,8 +13,9 @@ from imucalib.core.sphere import CELLS, cell_of
 from imucalib.effects.forms import in_words
 from imucalib.errors import UsageError
 from imucalib.estimators.levenberg_marquardt import minimise
+from imucalib.exports.flight.thermal import Thermal, thermal_of
+from imucalib.exports.imus import lost_rates
 from imucalib.exports.linear import lost_parts, sphere_of
-from imucalib.exports.thermal import Thermal, thermal_of
 from imucalib.units import DEG, STANDARD_GRAVITY
 
 #: The catalogue's zero of the temperature effects.
@@ -211,10 +212,8 @@ def flight_of(
     if gyro is not None:
         off = np.abs(gyro.gain - np.eye(3)).max()
         more = f"the gyroscope's gains, up to {100.0 * off:.1f} % of a rate"
-        sensitivity = ["gyro_g_sensitivity"] if gyro.by_force.any() else []
-        carried = {"gyro_temperature_bias"} if thermal is not None else set[str]()
-        beyond = (name for name in gyro.beyond if name not in carried)
-        lost = (*lost, ", ".join((more, *sensitivity, *beyond)))
+        carried = ("gyro_temperature_bias",) if thermal is not None else ()
+        lost = (*lost, more, *lost_rates(calibration, carried))
     rate = None if gyro is None else gyro.bias
     if gyro is not None and thermal is not None:
         still = np.zeros((1, 3))

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from imucalib.calibration.gyroscope import STAGE
+from imucalib.calibration.gyroscope import STAGE, told_delay
 from imucalib.calibration.plain import listed
 from imucalib.calibrators.imu.plan import HandPlan
 from imucalib.calibrators.imu.run import ImuRun, heading_drift
@@ -31,7 +31,6 @@ from imucalib.significant_digits import number, plus_minus, signed_components, t
 from imucalib.units import DEG
 
 #: Standard deviations from which on a delay is told on the first page.
-_SURE = 3.0
 
 
 def imu_document(run: ImuRun) -> Document:
@@ -77,9 +76,10 @@ def _card(run: ImuRun) -> Card:
 
 def _delay(run: ImuRun) -> tuple[Worth, ...]:
     """What is to be taken from the gyroscope's stamps, where it is more than chance."""
-    late, sd = (1e3 * run.details["imu"]["gyroscope_late_s"][name] for name in ("value", "sd"))
-    if abs(late) < _SURE * sd:
+    told = told_delay(run.calibration)
+    if told is None:
         return ()
+    late, sd = 1e3 * told[0], 1e3 * told[1]
     side, deed = ("behind", "subtract") if late > 0.0 else ("ahead of", "add")
     what = f"{side} the accelerometer: {deed} {abs(late):.2g} ms where stamps count"
     return (Worth("gyroscope's delay", plus_minus(abs(late), sd, "ms"), what),)

@@ -21,7 +21,6 @@ class Thermal:
     T from `low` to `high`, °C.
 
     force : (3, 3) m/s² per °C^k, powers 1 to 3 by axis; rate : the same in rad/s, or None
-    force_left, rate_left : m/s² and rad/s, the most that a cubic is off in the range
     """
 
     low: float
@@ -29,8 +28,6 @@ class Thermal:
     middle: float
     force: Array
     rate: Array | None
-    force_left: float
-    rate_left: float
 
     def about(self, reference: float) -> tuple[Array, Array | None]:
         """The same powers (3, 3) about another temperature, without what is constant: differences
@@ -64,22 +61,13 @@ def thermal_of(calibration: Calibration) -> Thermal | None:
     if max(float(np.ptp(one, axis=0).max()) for one in (read, added) if len(one)) <= 0.0:
         return None
     middle = 0.5 * (low + high)
-    force, force_left = _powers(warm - middle, read)
-    rate, rate_left = (None, 0.0) if gyro is None else _powers(warm - middle, added)
-    return Thermal(
-        low=low,
-        high=high,
-        middle=middle,
-        force=force,
-        rate=rate,
-        force_left=force_left,
-        rate_left=rate_left,
-    )
+    rate = None if gyro is None else _powers(warm - middle, added)
+    return Thermal(low, high, middle, _powers(warm - middle, read), rate)
 
 
-def _powers(warm: Array, read: Array) -> tuple[Array, float]:
-    """(3, 3) coefficients of powers of warm (n,) of numbers (n, 3), and the most they are off."""
+def _powers(warm: Array, read: Array) -> Array:
+    """(3, 3) coefficients of powers of warm (n,) of numbers (n, 3)."""
     columns = np.vander(warm, _POWERS + 1, increasing=True)
     unit = np.abs(columns).max(axis=0)
     found = np.linalg.lstsq(columns / unit, read, rcond=None)[0] / unit[:, None]
-    return np.asarray(found[1:]), float(np.abs(columns @ found - read).max())
+    return np.asarray(found[1:])
