@@ -124,7 +124,7 @@ def test_a_sensor_that_is_missing_is_named(tmp_path: Path) -> None:
     write(recording_of(np.arange(12_000) / HZ, force, hz=HZ), tmp_path / "acc.h5")
     result = run("noise", tmp_path / "acc.h5", "--to", "vins")
     assert isinstance(result.exception, UsageError)
-    assert "lacks gyroscope" in str(result.exception)
+    assert "VINS needs gyroscope_noise_density" in str(result.exception)
     assert run("noise", tmp_path / "acc.h5", "--to", "ros").exception is None
 
 

@@ -276,15 +276,19 @@ def file_an_imu(
     return Made("---\n".join(files.values()), lost, *losses, files if len(files) > 1 else {})
 
 
-def noise_of(imu: Imu, program: str) -> tuple[dict[str, Any], list[str]]:
+_MEASURE = (
+    "give a recording at rest to `imucal noise RECORDING --to kalibr -o noise.yaml` and `--noise "
+    "noise.yaml` to `imucal export`, or state the walks there: --random-walk ACC,GYRO (SI)"
+)
+
+
+def noise_of(imu: Imu, program: str, remedy: str = _MEASURE) -> tuple[dict[str, Any], list[str]]:
     """The keys that a program asks for, and a comment of each that only an upper limit is known of,
     which then stands in its place. Raises UsageError where one is not known at all."""
     if missing := [key for key in (*NOISE_UNITS, "update_rate") if key not in imu.noise]:
         raise UsageError(
             f"{program} needs {', '.join(missing)} of {imu.name}, of which nothing is known",
-            remedy="give a recording at rest to `imucal noise RECORDING --to kalibr -o noise.yaml` "
-            "and `--noise noise.yaml` to `imucal export`, or state the walks there: --random-walk "
-            "ACC,GYRO (SI)",
+            remedy=remedy,
         )
     rate = float(f"{imu.noise['update_rate']:.9g}")
     found = {"rostopic": imu.topic or f"/{imu.name}/imu", "update_rate": rate}

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from imucalib.errors import UsageError
-from imucalib.exports.imus import NOISE_UNITS, Imu, noise_of
+from imucalib.exports.imus import Imu, noise_of
 from imucalib.exports.openvins import chain
 from imucalib.inspection.noise import SensorNoise, noise_blocks
 from imucalib.recording.yaml_text import dump
@@ -133,12 +133,6 @@ def _only(noise: Sequence[SensorNoise], program: str) -> tuple[Imu, dict[str, An
             remedy=f"name one: --sensor {next(iter(blocks))}",
         )
     name, block = next(iter(blocks.items()))
-    if missing := [key for key in NOISE_UNITS if key not in block]:
-        raise UsageError(
-            f"{program} reads an accelerometer's noise and a gyroscope's; the recording lacks "
-            f"{missing[0].partition('_')[0]} samples at rest",
-            remedy="name its columns (--acc, --gyro), or use --to ros or allan-csv",
-        )
     turn, none = np.eye(3), np.zeros((3, 3))
     imu = Imu(
         name=name,
@@ -152,7 +146,7 @@ def _only(noise: Sequence[SensorNoise], program: str) -> tuple[Imu, dict[str, An
         noise=block,
         topic=block["rostopic"],
     )
-    return imu, *noise_of(imu, program)
+    return imu, *noise_of(imu, program, "name columns of both (--acc, --gyro), or use --to ros")
 
 
 #: By name on the command line.
