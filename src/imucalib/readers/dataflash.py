@@ -19,6 +19,7 @@ from imucalib.errors import UnreadableInput
 from imucalib.readers.hdf5.reader import blocks_in_memory, put_channel
 from imucalib.readers.joining import Joined
 from imucalib.recording.mapping import FieldMapping
+from imucalib.recording.onboard import TAKEN, Onboard, in_ardupilot, parameters_from
 from imucalib.recording.recording import Recording
 
 _MAGIC, _FMT, _FMT_SIZE = b"\xa3\x95", 128, 89
@@ -50,6 +51,7 @@ _QUANTITIES = (
     ("angular_rate", "rad/s", ("GyrX", "GyrY", "GyrZ"), ("GYR", "IMU")),
 )
 _INERTIAL = {"IMU", "ACC", "GYR"}  # without the digits that older logs number sensors with
+_PARAMETER = "PARM"
 _CLOCKS = (("SampleUS", 1e-6), ("TimeUS", 1e-6), ("TimeMS", 1e-3))  # s in one unit
 #: Bytes read at a time; of two messages, which state their length in one byte; and bytes without a
 #: message after which a file is no log.
@@ -91,6 +93,7 @@ class DataflashReader(Joined):
             strict=strict,
             name=self.name,
             notes=notes,
+            onboard=_onboard(rows),
         )
 
 
@@ -98,7 +101,8 @@ READER = DataflashReader()
 
 
 def _messages(path: Path) -> tuple[_Rows, int]:
-    """Every inertial message, from pieces of the file, and the bytes that belong to no message."""
+    """Every inertial message and parameter, and the bytes that belong to no message; the file is
+    read in pieces."""
     layouts: _Layouts = {}
     rows: dict[str, list[NDArray[Any]]] = {}
     lost, good, rest, more = 0, 0, np.empty(0, np.uint8), True
@@ -110,7 +114,7 @@ def _messages(path: Path) -> tuple[_Rows, int]:
             kinds = data[header + 2]
             for kind, (name, dtype) in layouts.items():
                 at = header[kinds == kind]
-                if at.size and name.rstrip("123") in _INERTIAL:
+                if at.size and (name.rstrip("123") in _INERTIAL or name == _PARAMETER):
                     packed = data[at[:, None] + np.arange(dtype.itemsize)]
                     rows.setdefault(name, []).append(np.ascontiguousarray(packed).view(dtype)[:, 0])
             good, lost = good + int(length.sum()), lost + end - int(length.sum())
@@ -203,6 +207,31 @@ def _fill(held: Any, rows: _Rows, path: Path) -> None:
         if warm is not None and f"{triad}/temperature" not in held:
             values = some[warm].astype(np.float64)
             put_channel(held, f"{triad}/temperature", _seconds(some, path), values, "degC")
+
+
+def _onboard(rows: _Rows) -> dict[str, Onboard]:
+    """What was done to each channel: all messages hold scale (raw - law over temperature - offset),
+    in the board's axes (AP_InertialSensor_Backend, _rotate_and_correct_accel and _gyro, before
+    _notify_new_accel_raw_sample)."""
+    some, found = rows.get(_PARAMETER), dict[str, Onboard]()
+    stated: list[tuple[str, float]] = []
+    if some is not None and _is_number(some, "Value") and some.dtype["Name"].kind == "S":
+        names = (name.decode("ascii", "replace") for name in some["Name"].tolist())
+        stated = list(zip(names, some["Value"].tolist(), strict=True))
+    known = parameters_from(stated)
+    for slot in range(3):
+        law = TAKEN if known.number(f"INS_TCAL{slot + 1}_ENABLE") == 1.0 else ""
+        for quantity, kind in (("acceleration", "ACC"), ("angular_rate", "GYR")):
+            name = in_ardupilot(kind, slot)
+            found[f"imu{slot}/{quantity}"] = known.onboard(
+                slot,
+                int(known.number(f"{name}_ID")),
+                f"{name}OFFS_{{}}",
+                f"{name}SCAL_{{}}",
+                law,
+                ("AHRS_ORIENTATION",),
+            )
+    return found
 
 
 def _is_number(some: NDArray[Any], name: str) -> bool:

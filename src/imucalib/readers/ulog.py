@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import io
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +21,12 @@ from imucalib.errors import UnreadableInput, UsageError
 from imucalib.readers.hdf5.reader import blocks_in_memory, put_channel
 from imucalib.readers.joining import Joined
 from imucalib.recording.mapping import FieldMapping
+from imucalib.recording.onboard import AHEAD, TAKEN, Onboard, Parameters, in_px4, parameters_from
 from imucalib.recording.recording import Recording
 
 _MAGIC = b"ULog\x01\x12\x35"
 _US = 1e-6
+_SLOTS = 4  # of calibrations that PX4 keeps
 _LONGEST_MESSAGE = 3 + (1 << 16)  # bytes
 #: The filter is fed each sample once, or some raw samples integrated to one: raw sensors that are
 #: logged at less than a third of its rate were thinned out.
@@ -34,7 +37,7 @@ _RAW = (
     ("sensor_accel", "temperature", ("temperature",), "degC"),
     ("sensor_gyro", "angular_rate", ("x", "y", "z"), "rad/s"),
 )
-_COMBINED = "sensor_combined"
+_COMBINED, _SELECTION = "sensor_combined", "sensor_selection"
 _FILTERED = (
     (_COMBINED, "acceleration", tuple(f"accelerometer_m_s2[{k}]" for k in range(3)), "m/s2"),
     (_COMBINED, "angular_rate", tuple(f"gyro_rad[{k}]" for k in range(3)), "rad/s"),
@@ -67,6 +70,7 @@ class UlogReader(Joined):
             strict=strict,
             name=self.name,
             notes=notes,
+            onboard=_onboard(log, topics),
         )
 
 
@@ -88,7 +92,7 @@ def _log(path: Path) -> tuple[Any, str]:
         with contextlib.redirect_stdout(said), _WithoutZeros(path) as content:
             log = ULog(
                 io.BufferedReader(content, 1 << 16),
-                sorted({topic for topic, *_ in (*_RAW, *_FILTERED)}),
+                sorted({_SELECTION, *(topic for topic, *_ in (*_RAW, *_FILTERED))}),
             )
         return log, said.getvalue()
     except Exception as error:  # what the package raises on damage depends on where the damage is
@@ -141,7 +145,7 @@ def _damage(log: Any, said: str, path: Path, *, strict: bool) -> tuple[str, ...]
 def _chosen(topics: Sequence[Any]) -> tuple[list[Any], tuple[str, ...]]:
     """The topics to read, and a sentence on those that are left out for their rate."""
     fed = max((_rate(d) for d in topics if d.name == _COMBINED), default=0.0)
-    raw = [d for d in topics if d.name != _COMBINED]
+    raw = [d for d in topics if d.name not in (_COMBINED, _SELECTION)]
     slow = [d for d in raw if _rate(d) < _THINNED * fed]
     if not slow:
         return list(topics), ()
@@ -178,6 +182,56 @@ def _fill(held: Any, topics: Sequence[Any], path: Path) -> None:
         where=str(path),
         remedy="log raw sensors: set the parameter SDLOG_PROFILE so that it includes them",
     )
+
+
+def _onboard(log: Any, topics: Sequence[Any]) -> dict[str, Onboard]:
+    """What was done to each channel. sensor_accel and sensor_gyro are what the drivers read, unless
+    their raw counts stand beside (before PX4 1.11, corrected by drivers); sensor_combined is
+    corrected and turned (src/lib/sensor_calibration)."""
+    changes = [(name, value) for _, name, value in log.changed_parameters]
+    known = parameters_from([*log.initial_parameters.items(), *changes])
+    found = dict[str, Onboard]()
+    for topic, quantity, kind in (
+        ("sensor_accel", "acceleration", "ACC"),
+        ("sensor_gyro", "angular_rate", "GYRO"),
+        (_COMBINED, "acceleration", "ACC"),
+        (_COMBINED, "angular_rate", "GYRO"),
+    ):
+        for one in (d for d in topics if d.name == topic):
+            ids = _devices(one, known, kind, log)
+            found.setdefault(f"imu{one.multi_id}/{quantity}", _done(one, known, kind, ids))
+    return found
+
+
+def _devices(topic: Any, known: Parameters, kind: str, log: Any) -> set[int]:
+    """The ids of the chips that a topic may be of."""
+    source, field = topic.data, "device_id"
+    if topic.name == _COMBINED:
+        field = "accel_device_id" if kind == "ACC" else "gyro_device_id"
+        source = next((d.data for d in log.data_list if d.name == _SELECTION), {})
+    if field in source:
+        return set(np.unique(source[field]).tolist())
+    return {int(known.number(f"{in_px4(kind, k)}_ID")) for k in range(_SLOTS)} - {0}
+
+
+def _done(topic: Any, known: Parameters, kind: str, ids: set[int]) -> Onboard:
+    """What was done to a topic's readings, of a chip by its ids."""
+    device = next(iter(ids)) if len(ids) == 1 else 0
+    own = (k for k in range(_SLOTS) if device and known.number(f"{in_px4(kind, k)}_ID") == device)
+    slot = next(own, topic.multi_id)
+    name, thermal = in_px4(kind, slot), f"TC_{kind[0]}"
+    follows = known.number(f"{thermal}_ENABLE") and any(
+        device and known.number(f"{thermal}{k}_ID") == device for k in range(_SLOTS)
+    )
+    if topic.name != _COMBINED and "x_raw" not in topic.data:
+        return Onboard(slot, device, law=AHEAD if follows else "")
+    turns = ("SENS_BOARD_ROT", *(f"SENS_BOARD_{a}_OFF" for a in "XYZ"), f"{name}_ROT")
+    turns = turns if topic.name == _COMBINED else ()
+    law = TAKEN if follows else ""
+    done = known.onboard(slot, device, f"{name}_{{}}OFF", f"{name}_{{}}SCALE", law, turns)
+    if topic.name == _COMBINED and len(ids) != 1:
+        return replace(done, fault=f"{_COMBINED} is of one of {len(ids)} sensors")
+    return done
 
 
 def _seconds(data: Any) -> Array:

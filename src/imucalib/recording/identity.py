@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
 from imucalib.arrays import Array
 from imucalib.errors import UsageError
+from imucalib.recording.onboard import Onboard, onboard_from
 from imucalib.recording.pairing import fault
 from imucalib.recording.recording import Channel, Recording
 from imucalib.recording.sensors import accelerometer, accelerometers
@@ -20,17 +20,17 @@ class Identity:
 
     name : in the recording, empty where the reader only numbered it
     names : what else the file calls it, in full: topic or dataset, then its frame_id
-    topic : of messages, which it came in; number : in a flight controller, from 0
+    topic : of messages, which it came in
     device, serial : kind of the device that holds it, and its number
     unit : of the readings in the file; to_m_per_s2 : one of it, zero : what is taken off them
         before, (1,) or one an axis
     step : smallest step between readings, m/s², an axis; rate_hz : samples a second
+    onboard, onboard_rate : what a flight controller did to its readings, and to the gyroscope's
     """
 
     name: str = ""
     names: tuple[str, ...] = ()
     topic: str = ""
-    number: int = 0
     device: str = ""
     serial: str = ""
     unit: str = ""
@@ -38,11 +38,16 @@ class Identity:
     zero: tuple[float, ...] = ()
     step: tuple[float, ...] = ()
     rate_hz: float = 0.0
+    onboard: Onboard | None = None
+    onboard_rate: Onboard | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """The block of calibration.yaml and report.json: what is known."""
         known = {name: value for name, value in vars(self).items() if value}
-        return {k: list(v) if isinstance(v, tuple) else v for k, v in known.items()}
+        return {
+            k: list(v) if isinstance(v, tuple) else v.as_dict() if isinstance(v, Onboard) else v
+            for k, v in known.items()
+        }
 
     def __str__(self) -> str:
         """In words: "aux (/aux/imu), AX3 12345"; "a sensor without a name" where none is known."""
@@ -53,8 +58,6 @@ class Identity:
         return ", ".join(filter(None, (words, device))) or "a sensor without a name"
 
 
-#: Formats of flight controllers, whose sensors are imu0, imu1, ...
-CONTROLLERS = ("ulog", "dataflash")
 #: Of what says nothing of its sensor.
 NAMELESS = Identity()
 
@@ -63,7 +66,9 @@ def identity_from(block: Mapping[str, Any]) -> Identity:
     """The identity of its block, which has the right types."""
     known = {one.name for one in fields(Identity)}
     found: dict[str, Any] = {
-        k: tuple(v) if isinstance(v, list) else v for k, v in block.items() if k in known
+        k: tuple(v) if isinstance(v, list) else onboard_from(v) if isinstance(v, dict) else v
+        for k, v in block.items()
+        if k in known
     }
     return Identity(**found)
 
@@ -71,14 +76,13 @@ def identity_from(block: Mapping[str, Any]) -> Identity:
 def identity_of(recording: Recording, sensor: str, step: Array | None = None) -> Identity:
     """The identity of a sensor of a recording. step : (3,) m/s², 0 where it is not known"""
     channel = accelerometers(recording)[sensor]
-    numbered = re.fullmatch(r"imu\d{1,3}", sensor) is not None
+    rates = [c for c in recording.channels.values() if c.quantity == "angular_rate"]
     names = [name for name in channel.names if not fault(name)]
     known = step is not None and step.all()
     return Identity(
         name="" if channel.numbered or fault(sensor) else sensor,
         names=tuple(names),
         topic=channel.topic,
-        number=int(sensor[3:]) if recording.format in CONTROLLERS and numbered else 0,
         device=recording.device,
         serial=recording.serial,
         unit=channel.raw_unit,
@@ -86,6 +90,8 @@ def identity_of(recording: Recording, sensor: str, step: Array | None = None) ->
         zero=channel.raw_zero,
         step=tuple(step.tolist()) if step is not None and known else (),
         rate_hz=channel.rate,
+        onboard=channel.onboard,
+        onboard_rate=next((c.onboard for c in rates if c.triad == sensor), None),
     )
 
 
@@ -104,7 +110,22 @@ def accelerometer_of(wanted: Identity | None, recording: Recording, sensor: str 
         demand_device(wanted, recording)
         if names and _names(own) and not names & _names(own):
             raise _another(wanted, own, recording.path)
+        _demand_parameters(wanted, own, recording.path)
     return chosen
+
+
+def _demand_parameters(wanted: Identity, own: Identity, path: str) -> None:
+    """Raise UsageError where a controller corrected the readings otherwise than those that were
+    calibrated, as it does once it has the calibration."""
+    before, now = ((one.onboard or Onboard()) for one in (wanted, own))
+    if (before.offset, before.scale) != (now.offset, now.scale):
+        raise UsageError(
+            "the controller's parameters are others than in the log that was calibrated: the "
+            "correction would be made twice, or half",
+            where=path,
+            remedy="calibrate this log by itself; if its readings are those, insist",
+            add=("--same-device",),
+        )
 
 
 def demand_device(wanted: Identity | None, recording: Recording) -> None:

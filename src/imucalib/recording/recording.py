@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from imucalib.arrays import Array
+from imucalib.recording.onboard import Onboard
 
 #: Quantity of a channel of rests, at their middles, and its columns: s; m/s², mean reading and
 #: corrected one; mg, by how much the size of both is beyond gravity.
@@ -70,6 +71,7 @@ class Channel:
     raw_unit, raw_to_si, raw_zero : unit of the numbers in the file, `unit` in one of it, and what
         is taken off them before, (1,) or one an axis
     rate : samples a second, over all that no gap interrupts (or of the file's header)
+    onboard : what a flight controller did to it, where its log says so
     """
 
     t: Array
@@ -84,6 +86,7 @@ class Channel:
     raw_unit: str = ""
     raw_to_si: tuple[float, ...] = ()
     raw_zero: tuple[float, ...] = ()
+    onboard: Onboard | None = None
 
     def __post_init__(self) -> None:
         if self.values.ndim != 2 or self.t.shape != self.values.shape[:1]:

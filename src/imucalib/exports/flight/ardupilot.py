@@ -6,6 +6,7 @@ from imucalib.calibration.calibration import Calibration
 from imucalib.exports import Export, Made
 from imucalib.exports.per_axis import Flight, flight_of, heading
 from imucalib.recording.identity import NAMELESS
+from imucalib.recording.onboard import Onboard, in_ardupilot
 
 #: °C about which the firmware's polynomial stands.
 _REFERENCE = 35.0
@@ -18,14 +19,15 @@ def ardupilot(calibration: Calibration, filename: str) -> Made:
     temperature, INS_TCAL1 takes p(T) - p(CALTEMP) off before, p a cubic about 35 °C in millionths,
     T within TMIN and TMAX (AP_InertialSensor_tempcal, correct_sensor). Raises as `flight_of`.
     """
-    number = (calibration.sensor or NAMELESS).number
-    more = str(number + 1) if number else ""
-    acc, gyro = f"INS_ACC{more}", f"INS_GYR{more}"
-    flight = flight_of(calibration, "ArduPilot", (0.8, 1.2), 3.5, (f"{acc}_ID", f"{gyro}_ID"))
+    number = ((calibration.sensor or NAMELESS).onboard or Onboard()).slot
+    acc, gyro = in_ardupilot("ACC", number), in_ardupilot("GYR", number)
+    raw = "with INS_ACCOFFS 0, INS_ACCSCAL 1 and before AHRS_ORIENTATION"
+    names = (f"{acc}_ID", f"{gyro}_ID")
+    flight = flight_of(calibration, "ArduPilot", (0.8, 1.2), 3.5, names, raw)
     lines = [
         *heading(calibration, filename),
-        "# For readings with INS_ACCOFFS 0, INS_ACCSCAL 1 and before AHRS_ORIENTATION: x forward,",
-        "# y right, z down, z about -9.8 m/s2 at rest and level. Restart after loading.",
+        f"# For readings {flight.raw}:",
+        "# x forward, y right, z down, z about -9.8 m/s2 at rest and level. Restart after loading.",
         *(f"# Not in it: {text}." for text in flight.lost),
         *(f"{name},{number}" for name, number in flight.ids.items()),
     ]

@@ -10,6 +10,7 @@ from imucalib.calibration.calibration import Calibration
 from imucalib.exports import Export, Made
 from imucalib.exports.per_axis import Flight, flight_of, heading
 from imucalib.recording.identity import NAMELESS
+from imucalib.recording.onboard import Onboard, in_px4
 
 #: MAV_PARAM_TYPE_REAL32 and _INT32.
 _FLOAT, _INT = 9, 6
@@ -23,13 +24,15 @@ def px4(calibration: Calibration, filename: str) -> Made:
     Σ_k X_k (T - TREF)^k off before, T within TMIN and TMAX (src/modules/temperature_compensation,
     calc_thermal_offsets_3D). Raises as `flight_of`.
     """
-    number = (calibration.sensor or NAMELESS).number
-    acc, gyro = f"CAL_ACC{number}", f"CAL_GYRO{number}"
-    flight = flight_of(calibration, "PX4", (0.1, 3.0), math.inf, (f"{acc}_ID", f"{gyro}_ID"))
+    sensor = calibration.sensor or NAMELESS
+    own, rates = ((one or Onboard()).slot for one in (sensor.onboard, sensor.onboard_rate))
+    acc, gyro = in_px4("ACC", own), in_px4("GYRO", rates)
+    names = (f"{acc}_ID", f"{gyro}_ID")
+    flight = flight_of(calibration, "PX4", (0.1, 3.0), math.inf, names, "as sensor_accel logs them")
     lines = [
         *heading(calibration, filename),
-        "# For readings as sensor_accel logs them: x forward, y right, z down, z about -9.8 m/s2",
-        "# at rest and level. Restart after loading.",
+        f"# For readings {flight.raw}: x forward, y right, z down,",
+        "# z about -9.8 m/s2 at rest and level. Restart after loading.",
         *(f"# Not in it: {text}." for text in flight.lost),
         "#",
         "# Vehicle-Id Component-Id Name Value Type",
@@ -43,11 +46,11 @@ def px4(calibration: Calibration, filename: str) -> Made:
             f"1\t1\t{gyro}_{axis}OFF\t{value:.9g}\t{_FLOAT}"
             for axis, value in zip("XYZ", flight.rate, strict=True)
         ]
-    lines += [line for one in ("A", "G") for line in _thermal(flight, one, number)]
+    lines += [*_thermal(flight, "A", own, names[0]), *_thermal(flight, "G", rates, names[1])]
     return Made("\n".join([*lines, ""]), flight.lost, flight.loss)
 
 
-def _thermal(flight: Flight, sensor: str, number: int) -> list[str]:
+def _thermal(flight: Flight, sensor: str, number: int, own: str) -> list[str]:
     """Of the accelerometer "A" or the gyroscope "G"; nothing where no law is known."""
     thermal = flight.thermal
     powers = None
@@ -56,7 +59,6 @@ def _thermal(flight: Flight, sensor: str, number: int) -> list[str]:
     if thermal is None or powers is None:
         return []
     name = f"TC_{sensor}{number}"
-    own = f"CAL_{'ACC' if sensor == 'A' else 'GYRO'}{number}_ID"
     found = {"TREF": thermal.middle, "TMIN": thermal.low, "TMAX": thermal.high}
     for power, row in enumerate((np.zeros(3), *powers)):
         found |= {f"X{power}_{axis}": float(value) for axis, value in enumerate(row)}

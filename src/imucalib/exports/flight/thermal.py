@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,6 +29,11 @@ class Thermal:
     middle: float
     force: Array
     rate: Array | None
+
+    def before(self, force: Iterable[float], rate: Iterable[float]) -> Thermal:
+        """The same of readings that are multiplied by these, (3,) or (1,), afterwards."""
+        powers = None if self.rate is None else self.rate / np.array([*rate])
+        return replace(self, force=self.force / np.array([*force]), rate=powers)
 
     def about(self, reference: float) -> tuple[Array, Array | None]:
         """The same powers (3, 3) about another temperature, without what is constant: differences

@@ -7,7 +7,7 @@ Other formats that have to be held in memory are read as an HDF5 file with their
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterator, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -42,6 +42,7 @@ from imucalib.readers.timebase import (
     stepping,
 )
 from imucalib.recording.mapping import FieldMapping
+from imucalib.recording.onboard import Onboard
 from imucalib.recording.recording import Channel, Count, Gap, Recording, corrections_of
 
 _ROWS = 500
@@ -392,11 +393,12 @@ def blocks_in_memory(
     strict: bool,
     name: str,
     notes: tuple[str, ...] = (),
+    onboard: Mapping[str, Onboard] | None = None,
 ) -> Iterator[Recording]:
     """Blocks of what `fill` puts into an HDF5 file that is nowhere but in memory.
 
     name : of the format that the numbers came from; notes : what was lost there, for the first
-    block
+    block; onboard : by channels, what a flight controller did to them
     """
     import h5py
 
@@ -404,7 +406,12 @@ def blocks_in_memory(
         fill(held)
         file = File(held, str(path), strict)
         for block in _blocks_of(file, path, mapping, block_samples):
-            yield replace(block, format=name, notes=(*notes, *block.notes))
+            channels = {
+                key: replace(one, onboard=(onboard or {}).get(key))
+                for key, one in block.channels.items()
+            }
+            found = replace(block, channels=channels, format=name)
+            yield replace(found, notes=(*notes, *block.notes))
             notes = ()
 
 
