@@ -284,7 +284,8 @@ _WORN, _TURNS, _RESTS = 2 * 3600.0, 5, 6
 
 def next_commands(found: Inspection, typed: str) -> tuple[str, ...]:
     """What to type next, and why. typed : the file and the options of its reading"""
-    sensors = [f for f in found.of("acceleration") if f.unit == "m/s2"]
+    copies = found.still.copies() if found.still else {}
+    sensors = [f for f in found.of("acceleration") if f.unit == "m/s2" and f.triad not in copies]
     if not sensors:
         return tuple(
             f"`imucal inspect {typed} --unit counts --lsb {f.norm_at_rest:.0f}`: reads it with "
@@ -292,12 +293,13 @@ def next_commands(found: Inspection, typed: str) -> tuple[str, ...]:
             for f in found.of("acceleration")
             if f.norm_at_rest > 0.0
         )[:1]
-    if len(sensors) > 1:
-        return (
-            *_of_one(found, f"{typed} --sensor {shlex.quote(sensors[0].triad)}"),
+    if copies or len(sensors) > 1:
+        one = _of_one(found, f"{typed} --sensor {shlex.quote(sensors[0].triad)}")
+        board = (
             f"`imucal array {typed} --board BOARD -o out`: where its accelerometers are; BOARD is "
-            "the drawing's file, or one of those that ship.",
+            "the drawing's file, or one of those that ship."
         )
+        return one if len(sensors) == 1 else (*one, board)
     return _of_one(found, typed)
 
 

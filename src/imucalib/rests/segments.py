@@ -23,6 +23,9 @@ _SHORTER = "record longer, or state a shorter rest with --shortest-rest"
 # Acceleration takes part in any unit; an angular rate or a temperature without a scale cannot.
 _UNITS = {"acceleration": "", "angular_rate": "rad/s", "temperature": "degC"}
 
+#: Share of a mean's own variance that what a copy differs by has at most, and the fewest rests.
+_COPIED, _FEWEST = 0.25, 4
+
 
 @dataclass(frozen=True)
 class Segments:
@@ -68,6 +71,23 @@ class Segments:
         """(n,) s, of each segment."""
         return 0.5 * (self.start + self.stop)
 
+    def copies(self) -> dict[str, str]:
+        """Triads that repeat another one's readings, with a constant added or filtered, and which:
+        the noisiest of a chip, which is the raw one. Two chips never agree better than the noise
+        of one of them alone."""
+        found: dict[str, str] = {}
+        raw: list[int] = []
+        for k in np.argsort(-self.noise.mean(axis=1), kind="stable") if self.n >= _FEWEST else ():
+            for j in raw:
+                apart = (self.mean[:, k] - self.mean[:, j]).var(axis=0)
+                alone = self.noise[j] ** 2 * (1.0 / self.samples[:, j]).mean()
+                if np.all(apart <= _COPIED * alone):
+                    found[self.triads[k]] = self.triads[j]
+                    break
+            else:
+                raw.append(int(k))
+        return found
+
     def means(self, values: Array, k: int) -> Array:
         """(n, 3) mean of samples (N, 3) of triad number `k` at each segment."""
         spans = zip(self.first[:, k], self.last[:, k], strict=True)
@@ -104,6 +124,10 @@ def find_segments(blocks: Iterable[Recording], settings: StillSettings | None = 
         window = passed.settings.window
         more += (f"too long for ends to the sample: those of rests are at {window:g} s",)
     measured = _measured(rests, every, passed.temperatures())
+    more += tuple(
+        f"{copy} repeats {raw}, filtered or with a constant added: one chip; {raw} has all of it"
+        for copy, raw in measured.copies().items()
+    )
     return replace(measured, candidates=candidates, notes=(*notes, *more))
 
 
