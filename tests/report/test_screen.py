@@ -121,7 +121,7 @@ def test_every_card_is_a_short_screen_in_words(call: tuple[str, ...], devices: P
 
 
 def test_a_calibration_prints_a_certificate_and_shows_its_residual(tmp_path: Path) -> None:
-    run(*located((*TABLE, "--no-loop")), "-q", "-o", tmp_path)
+    run(*located(TABLE), "--fix", "10:y=-58593", "-q", "-o", tmp_path)
     page = (tmp_path / "report.html").read_text()
     certificate = page[page.index('class="certificate"') : page.index("<header>")]
     report = json.loads((tmp_path / "report.json").read_text())
@@ -129,9 +129,20 @@ def test_a_calibration_prints_a_certificate_and_shows_its_residual(tmp_path: Pat
     assert report["provenance"]["time"] in certificate
     assert "k = 2" in certificate
     assert "a thousandth of standard gravity" in page
-    assert certificate.count("<tr>") == 1 + len(report["parameters"])
+    bench = report["fixture"]["effects"]
+    own = [p for p in report["parameters"] if p["effect"] not in bench]
+    tables = own, report["positions"]
+    assert certificate.count("<tr>") == sum(1 + len(rows) for rows in tables)
+    assert "10:y=-58593" in certificate
+    assert "signature" in certificate
     assert page.index("<figure>") < page.index("<nav")
     assert {s["label"] for s in report["figures"][0]["series"]} >= {"before", "after"}
+
+
+def test_nobody_signs_a_run_that_is_undecided(tmp_path: Path) -> None:
+    run(*located(TABLE), "-q", "-o", tmp_path)
+    assert json.loads((tmp_path / "report.json").read_text())["undecided"]
+    assert "signature" not in (tmp_path / "report.html").read_text()
 
 
 def test_a_run_that_writes_nothing_says_how_to_keep_it(

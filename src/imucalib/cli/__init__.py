@@ -9,6 +9,7 @@ import shlex
 import signal
 import sys
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import click
@@ -59,6 +60,8 @@ class LazyGroup(click.Group):
     """Knows its commands by name, and imports one when it is called."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        if args and args[0] in _WORDS:  # as git, cargo and others take them
+            args = [*args[1:], _WORDS[args[0]]]
         ctx.meta["imucal.arguments"] = tuple(args)  # the line that provenance keeps
         rest = super().parse_args(ctx, args)
         if not ctx.resilient_parsing:
@@ -138,6 +141,8 @@ _MEANT = {
     "design": ("plan", "positions", "recommend"),
 }
 _CALIBRATE = ("calibrate", "calibration", "cal", "calib", "fit")
+#: Words in the place of a command that are options.
+_WORDS = {"help": "--help", "version": "--version"}
 
 
 def calibrators() -> list[str]:
@@ -154,13 +159,11 @@ def _no_command(args: Sequence[str]) -> str:
     import difflib
 
     word = args[0].lower()
-    if word in ("help", "version"):
-        return f"no command '{args[0]}'. Type: imucal --{word}"
-    if word in _CALIBRATE:
+    close = difflib.get_close_matches(word, [*_CALIBRATE, *COMMANDS, *_WORDS], 1)
+    if close and close[0] in _CALIBRATE:
         kinds = "\n".join(f"  imucal {name:9}  {COMMANDS[name]}" for name in calibrators())
         return f"no command '{args[0]}'. These calibrate, by what was recorded:\n{kinds}"
     meant = next((name for name, words in _MEANT.items() if word in words), "")
-    close = difflib.get_close_matches(word, COMMANDS, 1)
     if meant or close:
         return f"no command '{args[0]}'. Did you mean '{meant or close[0]}'?"
     return f"no command '{args[0]}', and no such file. There are: {', '.join(COMMANDS)}."
@@ -181,6 +184,7 @@ def _version(ctx: click.Context, _: click.Parameter, wanted: bool) -> None:
     "4 not determined by the data, 5 residual unexplained, 6 not converged, 70 a fault of imucal.",
 )
 @click.option(
+    "-V",
     "--version",
     is_flag=True,
     is_eager=True,
@@ -199,13 +203,21 @@ def cli() -> None:
 
 
 def _example(error: click.ClickException) -> str:
-    """A call of the command that was misused, as its help shows it; or how a decimal is written."""
+    """A call of the command that was misused, as its help shows it; or how the value is written."""
     ctx = getattr(error, "ctx", None)
     if ctx is None or ctx.parent is None:
         return ""
     number = re.search(r"'(-?\d+),(\d+)' is not a valid float", error.format_message())
     if number:
         return f"{number[1]}.{number[2]}, with a point"
+    if number := re.search(
+        r"'(-?[\d.]+) ?[^\d'.]+\d*' is not a valid float", error.format_message()
+    ):
+        return f"{number[1]}, without the unit"
+    if isinstance(error, click.NoSuchOption) and re.fullmatch(r"-\d", error.option_name):
+        pairs = pairwise(ctx.find_root().meta["imucal.arguments"])
+        value = next(two for two in pairs if two[1].startswith(error.option_name))
+        return f"--fix {value[0]}={value[1]}" if ":" in value[0] else f"-- {value[1]}"
     lines = (ctx.command.help or "").splitlines()
     typed = (line.strip().removeprefix("Example: ") for line in lines)
     return next((line for line in typed if line.startswith("imucal ")), "")

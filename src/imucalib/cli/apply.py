@@ -183,7 +183,7 @@ def _apply(
 
 
 @opt.command_with_page("convert")
-@click.argument("sources", metavar="SOURCE...", nargs=-1, required=True, type=opt.PATH)
+@click.argument("sources", metavar="SOURCE...", nargs=-1, type=opt.PATH)
 @click.argument("target", type=opt.PATH)
 @opt.strict
 @opt.force
@@ -207,6 +207,8 @@ def convert(
     from imucalib.readers import blocks, read_together
     from imucalib.writers import ChannelsChange, Noted, write_blocks, writer_for
 
+    if not sources:
+        raise click.MissingParameter(param_hint="'TARGET'", param_type="argument")
     writer_for(target)
     demand_output(target, opt.inputs_of(options, *sources), force=force)
     mapping = opt.mapping_of(options)

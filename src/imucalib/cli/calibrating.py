@@ -232,9 +232,15 @@ def finish(
         logs = [report.content for report in every[:count_]]
         both = {"logs": logs, **({"together": every[-1].content} if together else {})}
         emit_json(both if len(every) > 1 else logs[0])
-    elif not options["quiet"]:
-        for report in every:
-            show(report.document, full=options["full"])
+    for report in every:
+        if not options["quiet"]:
+            if not options["as_json"]:
+                show(report.document, full=options["full"])
+        elif report.run.outcome.exit_code:
+            # Quiet hides what is fine; a pipeline that stops here must say why.
+            outcome = report.run.outcome
+            said = (*outcome.broken, *map(str, outcome.undecided), *outcome.reasons)
+            say(f"error: {outcome.provenance.path}: {'; '.join(said) or outcome.status}", err=True)
     return max(codes)
 
 

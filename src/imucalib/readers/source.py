@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 import stat
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -28,12 +29,10 @@ def head_of(path: Path) -> bytes:
             f"the file cannot be opened: {detail}", where=str(path), remedy="check the path"
         ) from error
     if stat.S_ISDIR(mode):
-        inside = sorted(p for p in path.iterdir() if p.is_file() and p.name[0] != ".")
-        names = f"name one file, such as {inside[0]}" if inside else "it holds no file"
         raise UnreadableInput(
             "this is a directory",
             where=str(path),
-            remedy=f"{names}; a folder of recordings goes to imucal batch",
+            remedy=f"name a file of it, or take all: imucal batch {shlex.quote(str(path))} -o out",
         )
     if not stat.S_ISREG(mode):
         raise UnreadableInput(

@@ -13,7 +13,7 @@ from imucalib.calibrators.actigraph.run import ActigraphRun
 from imucalib.calibrators.actigraph.series import CalibrationSeries as Calibrations
 from imucalib.core.sphere import coverage, even_directions
 from imucalib.exports.per_axis import nearest_row
-from imucalib.report import parameters, sections
+from imucalib.report import sections
 from imucalib.report.document import (
     RESIDUALS,
     Card,
@@ -63,7 +63,7 @@ def actigraph_document(run: ActigraphRun) -> Document:
         Section(RESIDUALS, residuals, brief=False),
         Section("Error over the sphere", _sphere_blocks(run), brief=False),
         _rule(run),
-        parameters.sensor_section(run.calibration),
+        sections.sensor_section(run.calibration),
     ]
     if outcome.findings:
         parts.append(sections.candidate_section(outcome.findings))
@@ -92,7 +92,7 @@ def _card(run: ActigraphRun, picture: Plot) -> Card:
 
 def _of_a_kind(run: ActigraphRun) -> Section:
     """What a fleet said, and what that does to the uncertainty."""
-    said, fit, title = run.result.of_a_kind, run.result.final, "The fleet's word"
+    said, fit, title = run.result.of_a_kind, run.result.final, "Fleet prior"
     if said is None:
         return Section(title, ())
     if np.isnan(said.chance):
@@ -100,11 +100,11 @@ def _of_a_kind(run: ActigraphRun) -> Section:
         return Section(title, (Text(words),))
     if not said.used:
         words = (
-            "Not believed: one of the fleet's kind is as far off with a chance of "
+            "Prior not used: device differs from its fleet, p = "
             f"{probability(said.chance, 999)}. The calibration is the recording's own."
         )
         return Section(title, (Text(words, "warning"),))
-    kind = parameters.kind_section(said.kind, fit, said.chance, "posture run", said.alone)
+    kind = sections.kind_section(said.kind, fit, said.chance, "posture run", said.alone)
     before, now = (
         1.96 * float(norm_sd(one, even_directions()).max()) / MG for one in (said.alone, fit)
     )
@@ -349,7 +349,7 @@ def published_document(run: PublishedRun) -> Document:
     points = tuple((f"{k}", *(f"{v:+.4f}" for v in p)) for k, p in enumerate(run.points, start=1))
     parts = (
         Section("Methods", (methods,)),
-        Section("Parameters", (parameters.parameter_table(run.calibration, note),)),
+        Section("Parameters", (sections.parameter_table(run.calibration, note),)),
         Section("Points", (Table("Points (g)", ("", "x", "y", "z"), points, "lrrr"),), brief=False),
     )
     title = f"Calibration of {Path(run.scanned.path).name} as published"

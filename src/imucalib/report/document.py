@@ -168,11 +168,13 @@ class Card:
 
 @dataclass(frozen=True)
 class Certificate:
-    """What a calibration states of one instrument, for one printed page: device, date, reference,
-    conditions, method and input as facts; results with their expanded uncertainty as a table."""
+    """What a calibration states of one instrument, for print: device, date, reference, conditions,
+    method, input and its changes, signatures as facts; results with their expanded uncertainty, and
+    positions as read and as corrected, as tables."""
 
     facts: Facts
     results: Table
+    positions: Table
 
 
 @dataclass(frozen=True)

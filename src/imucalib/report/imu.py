@@ -11,7 +11,7 @@ from imucalib.calibration.gyroscope import STAGE, told_delay
 from imucalib.calibration.plain import listed
 from imucalib.calibrators.imu.plan import HandPlan
 from imucalib.calibrators.imu.run import ImuRun, heading_drift
-from imucalib.report import parameters, sections
+from imucalib.report import sections
 from imucalib.report.conditions import power_up_worths, sessions_section, temperature_section
 from imucalib.report.document import (
     RESIDUALS,
@@ -44,11 +44,11 @@ def imu_document(run: ImuRun) -> Document:
         sections.loop_section(outcome),
         Section(RESIDUALS, gain_plot(outcome.findings), brief=False),
         Section("Gyroscope", (_gains(run), _facts(run))),
-        Section("Parameters", (parameters.parameter_table(run.calibration, ""),), brief=False),
+        Section("Parameters", (sections.parameter_table(run.calibration, ""),), brief=False),
         sessions_section(run.sessions),
         temperature_section(run.calibration),
         sections.advice_section(outcome),
-        parameters.sensor_section(run.calibration),
+        sections.sensor_section(run.calibration),
         Section("Turns", (_turns(run),), brief=False),
         *sections.closing_sections(outcome),
     ]

@@ -25,7 +25,7 @@ from imucalib.effects import known
 from imucalib.effects.scans import COLUMN
 from imucalib.loop.held_out import Predictions, predict_fitted
 from imucalib.loop.held_out import errors as held_errors
-from imucalib.report import parameters, sections
+from imucalib.report import sections
 from imucalib.report.conditions import power_up_worths, sessions_section, temperature_section
 from imucalib.report.document import (
     RESIDUALS,
@@ -75,13 +75,13 @@ def lab_document(run: LabRun) -> Document:
         Section(RESIDUALS, plots, brief=False),
         _angle_section(run),
         _parameter_section(run),
-        parameters.kind_section(request.population, result.final, result.kind_chance, "position"),
+        sections.kind_section(request.population, result.final, result.kind_chance, "position"),
         _bench_section(run),
         sessions_section(run.sessions),
         temperature_section(run.calibration),
         _dial_section(run),
         sections.advice_section(outcome),
-        parameters.sensor_section(run.calibration, _iscwsa_table(run.calibration)),
+        sections.sensor_section(run.calibration, _iscwsa_table(run.calibration)),
         _uncertainty_section(run),
         Section("Positions", (_position_table(run),), brief=False),
     ]
@@ -172,7 +172,7 @@ def _parameter_section(run: LabRun) -> Section:
     if reading_noise(run.result.final).own > 0.0:
         note += f" ({factor:.2f} times the declared or assumed one); with the declared noise taken "
         note += f"at its word, divide by {factor:.2f}"
-    return Section("Parameters", (parameters.parameter_table(run.calibration, f"{note}."),))
+    return Section("Parameters", (sections.parameter_table(run.calibration, f"{note}."),))
 
 
 def _angle_section(run: LabRun) -> Section:
@@ -212,7 +212,7 @@ def _angle_section(run: LabRun) -> Section:
 def _bench_section(run: LabRun) -> Section:
     fit, reading = run.result.final, reading_noise(run.result.final)
     own = plus_minus(reading.own / MG, reading.own_sd / MG, "mg")
-    rows = [("noise of a reading", own if reading.own > 0.0 else "none that it does not share")]
+    rows = [("noise of a reading", own if reading.own > 0.0 else "0 (all of it shared)")]
     for k, (name, sd) in enumerate(setting_noise(fit).items(), start=1):
         spread_sd = sd / DEG * float(fit.noise_sd[k])
         rows.append((name, f"{plus_minus(sd / DEG, spread_sd, 'deg')} scatter"))
@@ -223,7 +223,7 @@ def _bench_section(run: LabRun) -> Section:
     rows.append(("local gravity", f"{run.request.gravity:.5f} m/s² ({run.request.gravity_source})"))
     if (kind := run.request.population) is not None:
         said = f"what {kind.devices} devices of its kind say (--fleet)"
-        rows.append(("beside these rows", said))
+        rows.append(("prior beside these rows", said))
     order = (
         "by their time" if "time" in fit.observations.context else "of the file, taken as recorded"
     )

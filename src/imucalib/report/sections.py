@@ -1,8 +1,6 @@
-"""What the report of every calibrator has: card, certificate, closed loop, candidates.
+"""What the report of every calibrator has: card, closed loop, candidates, parameters, linear part.
 
-The card says what the result is worth, what was found, and what to do next; the certificate, for
-one printed page, what a calibration states of one instrument. Its terms are those of JCGM 100:2008
-(GUM): standard uncertainty u, expanded uncertainty U = k u.
+The card says what the result is worth, what was found, and what to do next.
 """
 
 from __future__ import annotations
@@ -18,15 +16,17 @@ from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.findings import Findings, FoundStep
 from imucalib.calibration.outcome import ErrorSummary, Outcome, Run, Status
 from imucalib.calibration.power import hidden
+from imucalib.calibrators.population import Population
+from imucalib.core.fit import Fit
 from imucalib.effects import known, names_a_cause
 from imucalib.effects.forms import in_words
 from imucalib.exports.bound import carries
 from imucalib.loop.found import Unexplained
 from imucalib.question import Question
+from imucalib.report.certificate import certify
 from imucalib.report.document import (
     Block,
     Card,
-    Certificate,
     Document,
     Facts,
     Plot,
@@ -38,7 +38,16 @@ from imucalib.report.document import (
     Worth,
     capital,
 )
-from imucalib.significant_digits import number, per_cent, plus_minus, two_digits, with_sd
+from imucalib.significant_digits import (
+    number,
+    per_cent,
+    plus_minus,
+    probability,
+    signed_components,
+    size_with_unit,
+    two_digits,
+    with_sd,
+)
 from imucalib.units import MG
 
 #: Parameters of one effect that a card names, steps of advice that it gives, names still open.
@@ -67,19 +76,6 @@ _ANEW = (
     "it, or the test rows."
 )
 
-#: Coverage factor k of what a certificate states: about 95 % (GUM, 6.3.3).
-_COVERAGE = 2.0
-#: Parameters that a printed page has room for.
-_ROOM = 16
-_REFERENCES = {
-    "vector": "the inclination and tool-face that each position was set to",
-    "direction": "the direction of gravity in each position",
-    "norm": "the size of gravity at rest",
-    "actigraph": "the size of gravity at rest",
-    "imu": "the size of gravity at rest, and its direction carried over turns",
-    "array": "the size of gravity at rest, and the array's own motion",
-}
-
 
 def calibration_document(
     title: str, head: str, parts: Sequence[Section], run: Run, card: Card
@@ -89,7 +85,7 @@ def calibration_document(
     head : the figure that leads the verdict
     """
     outcome = run.outcome
-    certificate = _certificate(run, card)
+    certificate = certify(run, card)
     footer = outcome.provenance.footer
     return Document(title, _verdict(outcome, head), tuple(parts), footer, card, certificate)
 
@@ -164,7 +160,7 @@ def _headline(outcome: Outcome) -> str:
     if outcome.broken:
         return f"{'; '.join(outcome.broken)}."
     if outcome.undecided:
-        return "Decide first about what is marked below; then the figures are the sensor's."
+        return "Settle what is marked below before these figures are used."
     if why := _why(outcome):
         return " ".join(f"{capital(text)}." for text in why)
     return "Ready to use."
@@ -242,7 +238,7 @@ def _list_findings(found: Findings) -> list[Text]:
     named = [u for u in found.unexplained if _is_named(u)]
     told = [f"{in_words(u.name)} ({per_cent(u.probability)})" for u in named]
     nameless = _nameless([u for u in found.unexplained if not _is_named(u)])
-    for words, every in (("Named, but not corrected", told), ("Left without a name", nameless)):
+    for words, every in (("Named, but not corrected", told), ("Unexplained structure", nameless)):
         if every:
             more = f", and {len(every) - _OPEN} more" if len(every) > _OPEN else ""
             lines.append(Text(f"{words}: {'; '.join(every[:_OPEN])}{more}.", "warning"))
@@ -291,7 +287,7 @@ def _doubt(step: FoundStep, found: Findings) -> str:
     elif step.aliases:
         doubts.append(f"or {' or '.join(map(in_words, step.aliases))}")
     if found.verdict == "suspected":
-        doubts.append("not proved by held-out data, yet corrected")
+        doubts.append("corrected; held-out gain not significant")
     return f" ({'; '.join(doubts)})" if doubts else ""
 
 
@@ -441,19 +437,21 @@ def _step_table(steps: Sequence[FoundStep]) -> Table:
         others = others if s.rivals else ", ".join(s.aliases)
         return (*cells, others or ("nothing: certain" if s.certain else "-"))
 
-    header = ["effect added", *["size"] * sized, "there"]
+    header = ["effect added", *["size"] * sized, "P(present)"]
     header += ["nats", "held out, nats"] * nats
     if len(checks) == 1:
         header += ["before", "after"]
         note = f"{capital(checks[0].metric).removesuffix(', rms')} in {checks[0].unit} rms, "
-        note += "of all steps together. There: how likely it is, in this place or beside another."
+        note += (
+            "of all steps together. P(present): of this effect, in this place or beside another."
+        )
     else:
         header += [f"{c.metric}, {c.unit}" for c in checks]
         note = (
-            "There: how likely it is. Held out: what each half of the data gains by "
+            "P(present): how likely it is. Held out: what each half of the data gains by "
             "the effect as the other half has it. Residuals: median absolute deviation, held out."
         )
-    header.append("cannot be told from")
+    header.append("indistinguishable from")
     align = "l" + "l" * sized + "r" * (len(header) - 2 - sized) + "l"
     return Table("Steps of the loop", tuple(header), tuple(map(row, steps)), align, note)
 
@@ -465,10 +463,10 @@ def _power(found: Findings) -> list[Text]:
     weak = [f"{in_words(h.name)} {h.size / MG:.2g} mg" for h in every if not h.absorbed][:_WEAK]
     said = []
     if absorbed:
-        text = "These data cannot show, whatever the size (rms at a typical one): "
+        text = "Not identifiable from these data (rms at a typical size): "
         said.append(Text(f"{text}{', '.join(absorbed)}.", "warning"))
     if weak:
-        text = "What could hide, rms on a reading that four of five recordings would show: up to "
+        text = "Could be present undetected (80 % power), rms on a reading: up to "
         said.append(Text(f"{text}{', '.join(weak)}."))
     return said
 
@@ -491,12 +489,20 @@ def candidate_section(found: Findings) -> Section:
     ]
     rows += [(name, "effect", "rejected", "-", "-", "-", "-") for name in rejected]
     rows += [(name, "effect", "not tested", "-", "-", "-", "-") for name in found.missing]
-    header = ("candidate", "kind", "evidence (nats)", "there", "left (%)", "λ", "size (mg)")
+    header = (
+        "candidate",
+        "kind",
+        "evidence (nats)",
+        "P(present)",
+        "identifiable (%)",
+        "λ",
+        "size (mg)",
+    )
     note = (
-        "Last search, after everything above was added. Left: share of the effect that the fitted "
-        "parameters do not absorb. λ: strength at typical size; about 4.7 gives an 80 % chance to "
-        "find it. Size: what it does to a reading at typical size, rms; an absorbed effect cannot "
-        "be tested on these data and shifts the answer by so much."
+        "Last search, after everything above was added. Identifiable: share of the effect that the "
+        "fitted parameters do not absorb. λ: strength at typical size; about 4.7 gives an 80 % "
+        "chance to find it. Size: what it does to a reading at typical size, rms; an absorbed "
+        "effect cannot be tested on these data and shifts the answer by so much."
     )
     blocks: list[Block] = [Table("All candidates", header, tuple(rows), "llrrrrr", note)]
     reasons = (*rejected.items(), *found.missing.items())
@@ -523,43 +529,59 @@ def closing_sections(outcome: Outcome) -> tuple[Section, ...]:
     return (*found, Section("Notes", Text.each(outcome.notes), brief=False))
 
 
-def _certificate(run: Run, card: Card) -> Certificate:
-    """Device, date, reference, conditions, method and input; every parameter of the sensor with U,
-    where a page has room for them, else what the card promises alone."""
-    calibration, made = run.calibration, run.outcome.provenance
-    settings = made.settings
-    kind = str(settings.get("reference", calibration.calibrator))
-    reference = _REFERENCES.get(kind, calibration.calibrator)
-    source = settings.get("gravity_source")
-    gravity = f"; local gravity {calibration.gravity:.5f} m/s²" + (f" ({source})" if source else "")
-    effects = dict.fromkeys(in_words(p.effect) for p in calibration.parameters)
-    facts = [
-        ("instrument", f"{run.outcome.sensor}; of {made.path}; readings in {calibration.raw_unit}"),
-        ("calibrated", made.time),
-        ("reference", reference + gravity),
-        ("conditions", "; ".join(_conditions(calibration, made.samples))),
-        ("method", f"imucal {calibration.calibrator}, least squares with {', '.join(effects)}"),
-        ("software", ", ".join(f"{name} {value}" for name, value in made.versions.items())),
-        ("input, sha256", made.sha256),
-        *((worth.quantity, f"{worth.value} ({worth.detail})") for worth in card.good_to),
-    ]
-    own = [p for p in calibration.parameters if p.stage != "fixture"]
-    shown = own if len(own) <= _ROOM else []
+def parameter_table(calibration: Calibration, note: str) -> Table:
+    """Every parameter with its standard deviation."""
     rows = tuple(
-        (p.name.replace("_", " "), *with_sd(p.value, _COVERAGE * p.sd), p.unit) for p in shown
+        (p.name, p.effect, *with_sd(p.value, p.sd), p.unit) for p in calibration.parameters
     )
-    note = f"U: expanded uncertainty, k = {_COVERAGE:g}, about 95 %."
-    return Certificate(
-        Facts(tuple(facts)), Table("Results", ("", "value", "U", "unit"), rows, "lrrl", note)
-    )
+    return Table("Parameters", ("parameter", "effect", "value", "sd", "unit"), rows, "llrrl", note)
 
 
-def _conditions(calibration: Calibration, samples: int) -> list[str]:
-    """How much was recorded, and in which range of what the correction follows."""
-    units = {"temperature": " °C", "time": " s"}
-    ranges = [
-        f"{name} {low:.7g} to {high:.7g}{units.get(name, '')}"
-        for name, (low, high) in calibration.valid.items()
-    ]
-    unknown = ["temperature not recorded"] * ("temperature" not in calibration.valid)
-    return [f"{samples} readings", *ranges, *unknown]
+def sensor_section(calibration: Calibration, *more: Table) -> Section:
+    """M, b and the scales, and the angles between the sensing axes."""
+    linear = calibration.matrices()
+    rows = tuple(
+        (
+            letter,
+            signed_components(linear.M[k], 6),
+            f"{linear.b[k] / MG:+.3f}",
+            *with_sd(linear.scale[k], linear.scale_sd[k]),
+        )
+        for k, letter in enumerate("xyz")
+    )
+    header = ("axis", "M", "b, mg", "scale", "sd")
+    note = "The linear part. Scale: sensitivity of each axis, free of the frame."
+    table = Table("corrected = M raw + b", header, rows, "llrrr", note)
+    angles = zip(("xy", "xz", "yz"), linear.angle, linear.angle_sd, strict=True)
+    facts = Facts(tuple((f"angle {p}", plus_minus(a, s, "deg")) for p, a, s in angles))
+    return Section("The sensor", (table, facts, *more), brief=False)
+
+
+def kind_section(
+    kind: Population | None, fit: Fit, chance: float, what: str, alone: Fit | None = None
+) -> Section:
+    """Empty without a fleet. chance : that one of the kind is as far from it; what : was recorded,
+    in words; alone : the fit without the fleet, where there is one"""
+    prior = fit.prior
+    if kind is None or prior is None:
+        return Section("Fleet prior", ())
+    own = {p.name: sd for p, sd in zip(alone.parameters, alone.sd, strict=True)} if alone else {}
+    before = np.sqrt(np.diag(prior.covariance))
+    rows = []
+    for p, m, b, v, s in zip(fit.parameters, prior.mean, before, fit.theta, fit.sd, strict=True):
+        cells = [plus_minus(m, b, p.unit), plus_minus(v, s, p.unit)]
+        cells.append(f"{100.0 * max(0.0, 1.0 - (s / b) ** 2):.0f}")
+        if own:
+            cells.append(size_with_unit(own[p.name], p.unit) if p.name in own else "-")
+        rows.append((p.name.replace("_", " "), *cells))
+    count = fit.observations.n
+    words = (
+        f"{kind.devices} devices of its kind say what to expect, {count} {what}"
+        f"{'s' * (count != 1)} of this one the rest. Chance that one of the kind is as far from "
+        f"the others: {probability(chance, 999)}."
+    )
+    header = ("", "of its kind", "this device", "from its own, %", *["sd without"] * bool(own))
+    note = "From its own: share of the variance of its kind that its data have taken away."
+    note += " Without: by its own data and the typical sizes alone." if own else ""
+    table = Table("", header, tuple(rows), "", note)
+    return Section("Fleet prior", (Text(words), table))

@@ -148,7 +148,7 @@ def _stated(
     samples = len(state.setup.inner)
     say(f"{samples} samples: {drawn.sentence}")
     broken = request.loop and not request.as_published and loop is None
-    unsearched = ("the motion is too broken up for the search of the loop",) if broken else ()
+    unsearched = ("the motion has too many gaps for the search for effects",) if broken else ()
     return Stages(
         recording=laid.recording,
         board=board,
@@ -230,7 +230,7 @@ def _fitted(moving: Moving, rests: RestFit, board: Board, request: ArrayRequest)
     setup = array_setup(moving, board, min(most, SEARCH_SAMPLES)) if searched else None
     if searched and setup is None and request.declare:
         raise Undetermined(
-            "the motion is too broken up to fit declared effects",
+            "the motion has too many gaps to fit declared effects",
             remedy="record longer stretches without gaps and clipping",
         )
     terms = rest_terms(rests)

@@ -8,6 +8,7 @@ Columns are found by name or given; every cell that is used must be a number. Ro
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -352,7 +353,9 @@ def _demand(roles: tuple[str, ...], found: Mapping[str, str], have: list[str], w
     if "ux" in absent:
         remedy = "add a column face with +x, -x, +y, -y, +z or -z, or name it: --columns face=B"
     raise UnreadableInput(
-        f"no column for {', '.join(absent)} among: {', '.join(have)}", where=where, remedy=remedy
+        f"no column for {', '.join(absent)} among: {', '.join(have)}",
+        where=where,
+        remedy=f"{remedy}; imucal {shlex.quote(where)} says what else it may be",
     )
 
 

@@ -117,7 +117,7 @@ class Grams:
     def solves(self) -> tuple[Callable[[Array], Array], ...]:
         """V⁻¹ at each noise. Raises TypeError where it was not kept."""
         if self.inverse is None:
-            raise TypeError("nothing is known of the numbers of these products")
+            raise TypeError("the products' own numbers were not kept")
         return tuple(self.inverse(point) for point in self.points)
 
     @cached_property

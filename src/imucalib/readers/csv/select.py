@@ -6,6 +6,7 @@ Before that, what the lines above the table state; and where nothing is found, w
 from __future__ import annotations
 
 import re
+import shlex
 import zlib
 from collections.abc import Container, Sequence
 from dataclasses import dataclass, field, replace
@@ -165,7 +166,8 @@ def nothing_found(dialect: Dialect, pieces: Sequence[bytes], where: str) -> Unre
         ("no acceleration columns among" if dialect.names else what)
         + f":{listing([*columns, *vectors])}\n",
         where=where,
-        remedy=f"Name them: --acc {option} (and --gyro, --time or --rate, --unit)",
+        remedy=f"Name them: --acc {option} (and --gyro, --time or --rate, --unit); "
+        f"imucal {shlex.quote(where)} says what else it may be",
     )
 
 
