@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import string
 import tempfile
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +15,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
+from imucalib.calibration.file import read as read_calibration
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.recording.mapping import FieldMapping, from_dict, load_mapping, save_mapping
 from imucalib.recording.pairing import channel_names, distinct_names, pair
@@ -144,6 +146,30 @@ def test_what_is_not_yaml_is_refused(tmp_path: Path, text: str) -> None:
         load(path, "write another")
     assert caught.value.where == str(path)
     assert caught.value.remedy == "write another"
+
+
+def sparse(path: Path) -> None:
+    with path.open("wb") as file:
+        file.truncate(1 << 36)
+
+
+LARGE = {
+    "sparse": sparse,
+    "endless": lambda path: path.symlink_to("/dev/zero"),
+    "keys": lambda path: path.write_text("".join(f"k{k}: v\n" for k in range(200_000))),
+    "lists": lambda path: path.write_text("a:\n" + "- [1.5, 2.5]\n" * 100_000),
+}
+
+
+@pytest.mark.parametrize("kind", LARGE)
+def test_what_is_too_large_is_refused_before_it_is_parsed(kind: str, tmp_path: Path) -> None:
+    path, begin = tmp_path / "c.yaml", time.process_time()
+    LARGE[kind](path)
+    for reading in (load, read_calibration):
+        with pytest.raises(UnreadableInput) as caught:
+            reading(path)
+        assert caught.value.where == str(path)
+    assert time.process_time() - begin < 2.0
 
 
 @pytest.mark.parametrize(

@@ -130,7 +130,7 @@ def correct_file(
     """Correct a recording into a file of the target's suffix; returns the recording's notes.
 
     Goes block by block, so a week takes no more memory than an hour. Logs of messages are held
-    whole, since their topics come at their own times; from MCAP to MCAP every other topic is
+    whole, since their topics come at their own times; from these to MCAP every other topic is
     copied untouched. What follows the temperature takes a first pass of its own; the sensor is the
     mapping's. Options and errors as in `apply_to_recording`.
     """
@@ -168,8 +168,8 @@ def correct_file(
 
 
 def write_over(corrected: Recording, source: Path, target: Path) -> None:
-    """Write a whole recording; from MCAP to MCAP, every other topic of the source is kept."""
-    if reader_for(source).name == "mcap" and target.suffix.lower() == ".mcap":
+    """Write a whole recording; from messages to MCAP, every other topic of the source is kept."""
+    if reader_for(source).name in _OF_MESSAGES and target.suffix.lower() == ".mcap":
         from imucalib.writers.mcap_over import write_with_topics_of
 
         write_with_topics_of(corrected, source, target)

@@ -26,7 +26,7 @@ from imucalib.file_hash import sha256_of
 from imucalib.recording.identity import NAMELESS, identity_from
 from imucalib.recording.pairing import fault
 from imucalib.recording.schema import misfits, schema_of
-from imucalib.recording.yaml_text import dump, load
+from imucalib.recording.yaml_text import content_of, dump, load
 
 SCHEMA = "imucal/calibration"
 VERSION = 3
@@ -145,7 +145,7 @@ def read(path: Path) -> Calibration:
         raise UnreadableInput("a folder, not a calibration", where=str(path), remedy=remedy)
     if not path.is_file():
         raise UnreadableInput("no such file", where=str(path), remedy="check the path")
-    first, _, lines = path.read_bytes().partition(b"\n")
+    first, _, lines = content_of(path, _GIVE).partition(b"\n")
     if first.startswith(_SUM.encode()) and first.strip().decode("latin-1") != _SUM + _sum_of(lines):
         raise UnreadableInput(
             "it was changed after it was written, by damage or by hand",

@@ -166,7 +166,9 @@ def _topic(number: int, connection: Any) -> Topic:
     definition = connection.msgdef
     encoding = getattr(connection.ext, "serialization_format", "ros1")
     kind = "ros1msg" if encoding == "ros1" else _FORMATS[definition.format.name]
-    schema = Schema(number + 1, definition.data.encode(), kind, connection.msgtype)
+    # rosbags names types as ROS 2 does; a ROS 1 type is package/Type (MCAP specification, "ros1").
+    name = connection.msgtype.replace("/msg/", "/") if encoding == "ros1" else connection.msgtype
+    schema = Schema(number + 1, definition.data.encode(), kind, name)
     return Topic(number, connection.topic, encoding, schema, count=connection.msgcount)
 
 

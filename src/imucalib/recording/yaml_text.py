@@ -20,7 +20,24 @@ _TRUE_OR_FALSE = {"y", "yes", "on", "true", "n", "no", "off", "false"}
 _MARKS = re.compile("[?\x85]|^:")
 #: A list on one line of numbers that JSON and YAML read alike.
 _NUMBER = r"-?(?:0|[1-9]\d*)(?:\.\d+(?:e[-+]\d+)?)?"
-_NUMBERS = re.compile(rf"\[{_NUMBER}(?:, {_NUMBER})+\]")
+_NUMBERS = re.compile(rf"\[{_NUMBER}(?:, {_NUMBER})++\]")
+#: Bytes of a file, and characters of it without such lists, which alone cost the parser time: more
+#: than a calibration of a year in daily parts has.
+_MOST, _MOST_PARSED = 16 << 20, 1 << 20
+
+
+def content_of(path: Path, remedy: str = "") -> bytes:
+    """What a file holds. Raises UnreadableInput for one that cannot be read or is too large."""
+    try:
+        with path.open("rb") as file:
+            content = file.read(_MOST + 1)
+    except OSError as error:
+        what = f"the file cannot be read: {error.strerror or error}"
+        raise UnreadableInput(what, where=str(path), remedy=remedy) from None
+    if len(content) > _MOST:
+        what = f"it is larger than {_MOST >> 20} MiB"
+        raise UnreadableInput(what, where=str(path), remedy=remedy)
+    return content
 
 
 def load(path: Path, remedy: str = "") -> Any:
@@ -50,11 +67,12 @@ def load(path: Path, remedy: str = "") -> Any:
         lists.append(found[0])
         return f"[{mark}{len(lists) - 1}x]"
 
+    held = content_of(path, remedy)
     try:
-        content = yaml.load(_NUMBERS.sub(marked, path.read_text(encoding="utf-8")))
-        return _unmark(content, re.compile(f"\\[?{mark}(\\d+)x\\]?"), lists)
-    except OSError as error:
-        what = f"the file cannot be read: {error.strerror or error}"
+        text = _NUMBERS.sub(marked, held.decode("utf-8"))
+        if len(text) > _MOST_PARSED:
+            raise ValueError(f"it has more than {_MOST_PARSED >> 20} MiB beside numbers")
+        return _unmark(yaml.load(text), re.compile(f"\\[?{mark}(\\d+)x\\]?"), lists)
     except RecursionError:
         what = "not a YAML file: it is nested too deep"
     except UnicodeDecodeError:

@@ -1,4 +1,4 @@
-"""A recording over the MCAP file that it was read from: vectors patched in, the rest copied.
+"""A recording over the log of messages that it was read from: vectors patched in, the rest copied.
 
 A message is patched where its acceleration and angular rate are runs of doubles in SI units (what
 sensor_msgs/Imu is), and keeps every other byte; topics of other kinds are written anew.
@@ -20,12 +20,14 @@ from numpy.typing import NDArray
 from imucalib.arrays import Array, Flags, Index
 from imucalib.atomic_file import replace_atomically
 from imucalib.errors import UsageError
+from imucalib.readers import reader_for
 from imucalib.readers.choice import OPTIONS
 from imucalib.readers.mcap import CORRECTIONS, MalformedRecordError, McapLog, parse_record
 from imucalib.readers.messages.decode import RosDecoder, decoder_for
 from imucalib.readers.messages.layout import Groups
 from imucalib.readers.messages.recording import ChannelPlan, FirstPass
-from imucalib.readers.messages.records import MESSAGE_HEAD, MessageBlock, Topic
+from imucalib.readers.messages.records import MESSAGE_HEAD, MessageBlock, MessageLog, Topic
+from imucalib.readers.rosbag import BagLog
 from imucalib.recording.mapping import UNCHANGED, from_dict
 from imucalib.recording.recording import Recording
 from imucalib.writers.mcap import (
@@ -81,7 +83,7 @@ class _Patched:
 
 
 def write_with_topics_of(recording: Recording, source: Path, path: Path) -> None:
-    """Write a recording over the MCAP file that it was read from, as a new file.
+    """Write a recording over the MCAP file or ROS bag that it was read from, as a new MCAP file.
 
     Messages of sensor_msgs/Imu get the recording's vectors and keep every other byte, their times
     and sequence numbers; other kinds of topics that the recording was read from are written anew.
@@ -89,9 +91,10 @@ def write_with_topics_of(recording: Recording, source: Path, path: Path) -> None
     Written atomically.
     """
     mapping = from_dict(recording.mapping, "mapping of the recording")
-    log = McapLog(source, max_chunk=mapping.max_chunk)
+    bag = reader_for(source).name == "rosbag"
+    log = BagLog(source) if bag else McapLog(source, max_chunk=mapping.max_chunk)
     first = FirstPass(log, mapping, keep=True)
-    topics, extras = first.stream.topics, log.extras
+    topics, extras = first.stream.topics, getattr(log, "extras", [])
     patched = _find_patches(recording, first)
     first_ns = _exclude_unpatchable(log, patched)
     names = {topic.name for topic in patched}
@@ -117,7 +120,8 @@ def write_with_topics_of(recording: Recording, source: Path, path: Path) -> None
         define_outputs(file, outputs, base)
         put_block(file, outputs, anew, origin)
         _copy(file, log, kept, patched)
-        _copy_extras(file, source, extras)
+        if extras:
+            _copy_extras(file, source, extras)
 
 
 def _find_patches(recording: Recording, first: FirstPass) -> list[_Patched]:
@@ -160,7 +164,7 @@ def _rows(first: FirstPass, topic: str) -> Index:
     return rows
 
 
-def _exclude_unpatchable(log: McapLog, patched: list[_Patched]) -> int:
+def _exclude_unpatchable(log: MessageLog, patched: list[_Patched]) -> int:
     """Take out topics some of whose messages were read but cannot be patched (compressed one by
     one); returns the first log time, ns."""
     first_ns = 0
@@ -203,7 +207,7 @@ def _define_kept(file: McapFile, kept: dict[int, Topic]) -> None:
         file.define(mr.Channel(number, name, topic.encoding, dict(topic.metadata), schema_id))
 
 
-def _copy(file: McapFile, log: McapLog, kept: Iterable[int], patched: list[_Patched]) -> None:
+def _copy(file: McapFile, log: MessageLog, kept: Iterable[int], patched: list[_Patched]) -> None:
     """The messages of some channels, as they are but for what is patched."""
     wanted = np.zeros(1 << 16, dtype=np.bool_)
     wanted[list(kept)] = True
