@@ -5,8 +5,9 @@
 White noise of 1 unit/√Hz; flicker as Lorentzians an octave apart, S(f) = 1 / (ln 2 f); a walk of
 independent steps. Prints a Markdown table: of every mix, how often a term is told, its median over
 the truth, how many of the told intervals and of the limits hold, how often it is told and not
-there, and the median of allantools (extra `benchmarks`): `oadev` at octaves, the three terms by
-least squares with none negative, each variance weighted by its size over √τ.
+there (quantisation and ramps, which are never there, in the sum of all mixes), and the median of
+allantools (extra `benchmarks`): `oadev` at octaves, the three terms by least squares with none
+negative, each variance weighted by its size over √τ.
 """
 
 from __future__ import annotations
@@ -88,8 +89,8 @@ def main() -> None:
             for term in (*TERMS, *NEVER):
                 for tally in (own[term], total[term]):
                     tally.add(getattr(found, term), truth.get(term, 0.0), other.get(term))
-        for term, tally in own.items():
-            print(f"| {mix} | {term} | {tally}", flush=True)
+        for term in TERMS:
+            print(f"| {mix} | {term} | {own[term]}", flush=True)
     for term, tally in total.items():
         print(f"| every mix | {term} | {tally}")
 

@@ -45,6 +45,7 @@ SLOW = {
     "lab, counts": ("lab", "<in_counts.csv>", "-o", "<out>"),
     "lab, two logs": ("lab", "<norms.csv>", "<norms2.csv>", "--reference", "norm", "-o", "<out>"),
     "imu": ("imu", "<turns.csv>", "-o", "<out>"),
+    "imu, without stamps": ("imu", "<unstamped_turns.csv>", "--rate", "100", "-o", "<out>"),
     "imu, turned axes": ("imu", "<turned_axes.csv>", "-o", "<out>"),
     "imu, two logs": ("imu", "<turns.csv>", "<turns.csv>", "-o", "<out>"),
     "array": ("array", "<log.h5>", "--board", "<board.yaml>", "-o", "<out>"),
@@ -116,3 +117,23 @@ def test_what_is_printed_runs(
         why = runs(command, tmp_path)
         assert not why, f"{command}\n{why}"
         shutil.rmtree(tmp_path / "out", ignore_errors=True)  # where the next one writes, too
+
+
+@pytest.mark.slow
+def test_what_was_stated_of_a_log_holds_for_later_ones(inputs: Path, tmp_path: Path) -> None:
+    """A log of the same logger, whose rate was stated when it was calibrated."""
+    calibration, rate = tmp_path / "out" / "calibration.yaml", ("--rate", "50")
+    (log,) = typed(("<unstamped_rests.csv>",), inputs, tmp_path)
+    made = run(["lab", log, "--reference", "norm", "--no-loop", *rate, "-o", str(tmp_path / "out")],
+               tmp_path)  # fmt: skip
+    assert made.code in (0, 4, 5), made.stderr
+    for words in (("check", str(calibration), log, "--json"),
+                  ("apply", str(calibration), log, "-o", str(tmp_path / "a.csv"))):  # fmt: skip
+        stated = run([*words, *rate], tmp_path)
+        assert "read as what was calibrated" not in stated.stderr
+        found = tmp_path / "a.csv"
+        rows = found.read_text(encoding="utf-8") if found.exists() else ""
+        again = run([*words, *(("--force",) if rows else ())], tmp_path)
+        assert again.stderr.count("neither time stamps nor a sample rate: read as") == 1
+        assert (again.code, again.stdout) == (stated.code, stated.stdout.replace(" --rate 50", ""))
+        assert not rows or found.read_text(encoding="utf-8") == rows

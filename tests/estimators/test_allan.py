@@ -7,17 +7,17 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from imucalib.arrays import Array
+from imucalib.arrays import Array, Index
 from imucalib.estimators.allan import covariance_forms, draws, freedom_of, shapes
 
 N, DRAWN = 600, 3000
 TAU = np.array([1, 2, 4, 8, 16, 32, 64])
 
 
-def variances(y: Array) -> Array:
+def variances(y: Array, samples: Index = TAU) -> Array:
     """(M, draws) by definition, at every overlap, of series (n, draws)."""
     x = np.concatenate([np.zeros((1, y.shape[1])), np.cumsum(y, axis=0)])
-    second = [(x[2 * m :] - 2.0 * x[m:-m] + x[: -2 * m]) / m for m in TAU]
+    second = [(x[2 * m :] - 2.0 * x[m:-m] + x[: -2 * m]) / m for m in samples]
     return np.array([0.5 * np.mean(d**2, axis=0) for d in second])
 
 
@@ -58,3 +58,16 @@ def test_the_posterior_has_the_freedom_of_white_noise() -> None:
     spread = 0.5 * np.std(found[:, 1])
     assert 1.0 < spread * np.sqrt(2.0 * 20_000) < 2.0
     assert np.all(np.diff(freedom_of(np.array([0.0, 1.0, 0.0, 0.0, 0.0]), TAU * 1.0, forms)) < 0.0)
+
+
+def test_a_scatter_that_is_not_there_widens_nothing() -> None:
+    """Where hours make variances sharper than any filter bends them."""
+    n, samples = 500_000, 2 ** np.arange(15)
+    found = draws(
+        samples,
+        variances(np.random.default_rng(8).normal(size=(n, 1)), samples)[:, 0],
+        covariance_forms(samples, np.array([n]), 1.0),
+        1.0,
+        rng=np.random.default_rng(1),
+    )
+    assert 1.0 < 0.5 * np.std(found[:, 1]) * np.sqrt(2.0 * n) < 1.3

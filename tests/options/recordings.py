@@ -209,6 +209,18 @@ def _rests_of(path: Path) -> None:
     still(path, seconds=(2.0,), table=rows()[:12])
 
 
+def _unstamped(make: Make) -> Make:
+    """A table without its column of times."""
+
+    def made(path: Path) -> None:
+        make(path)
+        rows = [line.split(",") for line in path.read_text(encoding="utf-8").splitlines()]
+        kept = [",".join(row[1:]) for row in rows if len(row) > 1]
+        path.write_text("\n".join(kept) + "\n", encoding="utf-8")
+
+    return made
+
+
 def _packed(path: Path) -> None:
     t = np.arange(4000) / 100.0
     values = np.tile([0.1, 0.2, 9.8], (4000, 1))
@@ -318,6 +330,8 @@ RECORDINGS: dict[str, Make] = {
     "kelvin.csv": log(of=_in_kelvin),
     "damaged.csv": _damaged,
     "pauses.csv": _rests_of,
+    "unstamped_rests.csv": _unstamped(still),
+    "unstamped_turns.csv": _unstamped(_turns),
     "packed.mcap": _packed,
     "external.h5": _external,
     "night.h5": _night,

@@ -14,6 +14,7 @@ from imucalib.cli.output import emit_json, note, say, working
 
 if TYPE_CHECKING:
     from imucalib.calibration.calibration import Calibration
+    from imucalib.recording.mapping import FieldMapping
 
 
 def _millimetres(
@@ -102,10 +103,12 @@ def command(calibration: Path, recording: Path, **options: Any) -> int:
     if loaded.status != "ok":
         note(f"warning: this calibration is {loaded.status}: {'; '.join(loaded.reasons)}", quiet)
     with working("correcting", quiet=quiet):
-        notes = _apply(loaded, recording, output, options)
-        frame = _angles(loaded, output, options) if angles is not None else ""
+        notes, mapping = opt.read_as_calibrated(
+            loaded, options, lambda own: (_apply(loaded, recording, output, own, options), own)
+        )
+        frame = _angles(loaded, output, mapping, options) if angles is not None else ""
         if options["residuals"] is not None:
-            _residuals(loaded, recording, options)
+            _residuals(loaded, recording, mapping, options)
     for text in (*notes, *filter(None, [frame])):
         note(text, quiet)
     if options["as_json"]:
@@ -116,7 +119,9 @@ def command(calibration: Path, recording: Path, **options: Any) -> int:
     return 0
 
 
-def _angles(calibration: Calibration, corrected: Path, options: dict[str, Any]) -> str:
+def _angles(
+    calibration: Calibration, corrected: Path, mapping: FieldMapping, options: dict[str, Any]
+) -> str:
     """Write the angles of the corrected recording; what must be said of their frame."""
     from imucalib.calibration.angles import angles_at_rests, angles_of_samples
     from imucalib.calibrators.lab.conventions import Conventions
@@ -127,7 +132,7 @@ def _angles(calibration: Calibration, corrected: Path, options: dict[str, Any]) 
 
     recording = read(corrected)
     rests = still_segments(recording)
-    channel = accelerometer(recording, opt.mapping_of(options).sensor)
+    channel = accelerometer(recording, mapping.sensor)
     k = rests.triads.index(channel.triad)
     if options["each"] == "rest":
         angles = angles_at_rests(calibration, channel.values, rests, k)
@@ -140,13 +145,14 @@ def _angles(calibration: Calibration, corrected: Path, options: dict[str, Any]) 
     return "angles are in the sensor's own axes: no bench has tied them to a tool"
 
 
-def _residuals(calibration: Calibration, source: Path, options: dict[str, Any]) -> None:
+def _residuals(
+    calibration: Calibration, source: Path, mapping: FieldMapping, options: dict[str, Any]
+) -> None:
     """Write what rests read before and after."""
     from imucalib.calibration.residuals import with_residuals
     from imucalib.readers import read
     from imucalib.writers.residuals import write_residuals
 
-    mapping = opt.mapping_of(options)
     recording = read(source, replace(mapping, sensor=""), strict=options["strict"])
     chosen = {name: options[name] for name in ("use", "again")}
     found = with_residuals(calibration, recording, mapping.sensor, **chosen)
@@ -154,12 +160,16 @@ def _residuals(calibration: Calibration, source: Path, options: dict[str, Any]) 
 
 
 def _apply(
-    calibration: Calibration, source: Path, target: Path, options: dict[str, Any]
+    calibration: Calibration,
+    source: Path,
+    target: Path,
+    mapping: FieldMapping,
+    options: dict[str, Any],
 ) -> tuple[str, ...]:
     """Each sensor corrected, the array fused, or both; and what there is to say of it."""
     from imucalib.calibration.apply import correct_file
 
-    mapping, fused = opt.mapping_of(options), options["fused"]
+    fused = options["fused"]
     both = {"strict": options["strict"], "again": options["again"]}
     alone = bool(mapping.sensor) or options["use"] is not None or not calibration.triads
     words: tuple[str, ...] = ()

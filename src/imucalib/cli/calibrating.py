@@ -263,6 +263,7 @@ def _place(report: Report, folder: Path) -> Report:
         "calibration": str(folder / "calibration.yaml"),
         "folder": str(folder),
         "input": str(given),
+        "reading": opt.typed_of(without=("sensor",)),
         "suffix": next((s for s in (".csv", ".h5") if s in given.suffixes), ".mcap"),
     }
     return replace(report, document=report.document.placed(places))

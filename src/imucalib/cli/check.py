@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from imucalib.calibration.calibration import Calibration
     from imucalib.calibration.checking.check import Measured
     from imucalib.calibration.checking.noise import CheckNoise
+    from imucalib.recording.mapping import FieldMapping
 
 
 @opt.command_with_page("check")
@@ -82,7 +83,9 @@ def command(calibration: Path, log: Path, **options: Any) -> int:
     session = sessions_of(options["between_sessions"])
     noise = check_noise(loaded, reading=reading, session=session)
     with working("checking", quiet=options["quiet"]):
-        measured, notes = _measure(loaded, log, noise, options)
+        measured, notes = opt.read_as_calibrated(
+            loaded, options, lambda mapping: _measure(loaded, log, mapping, noise, options)
+        )
         found = check(loaded, measured, noise, limits, seed=options["seed"], notes=notes)
     content = check_dict(found, log.name, calibration.name, loaded.sha256)
     document = check_document(found, log, calibration, command_line())
@@ -91,7 +94,11 @@ def command(calibration: Path, log: Path, **options: Any) -> int:
 
 
 def _measure(
-    calibration: Calibration, log: Path, noise: CheckNoise, options: dict[str, Any]
+    calibration: Calibration,
+    log: Path,
+    mapping: FieldMapping,
+    noise: CheckNoise,
+    options: dict[str, Any],
 ) -> tuple[list[Measured], tuple[str, ...]]:
     """The log as misfits, sensor by sensor, and notes."""
     from dataclasses import replace
@@ -99,7 +106,7 @@ def _measure(
     from imucalib.calibrators.check_log import CheckRequest, array_log, sensor_log
     from imucalib.calibrators.lab.files import LabFiles
 
-    files = LabFiles(log, None, opt.pairs(options["columns"], "--columns"), opt.mapping_of(options))
+    files = LabFiles(log, None, opt.pairs(options["columns"], "--columns"), mapping)
     stated = options["gravity"] is not None or options["latitude"] is not None
     gravity = opt.gravity_of(options)[0] if stated else calibration.gravity
     request = CheckRequest(

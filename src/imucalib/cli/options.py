@@ -7,9 +7,11 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
+
+from imucalib.cli.output import note
 
 if TYPE_CHECKING:
     from imucalib.calibration.calibration import Calibration
@@ -22,6 +24,7 @@ else:
     Kind = click.ParamType
 
 Parameter = Callable[[Any], Any]
+Made = TypeVar("Made")
 PATH = click.Path(path_type=Path)
 FILE = click.Path(path_type=Path, dir_okay=False)
 FOLDER = click.Path(path_type=Path, file_okay=False)
@@ -164,18 +167,20 @@ def still_of(options: Mapping[str, Any]) -> StillSettings:
     return StillSettings(shortest=shortest)
 
 
-def typed_of(file: Path) -> str:
-    """The file and what was typed of its reading, for the next command."""
+def typed_of(*files: Path, without: tuple[str, ...] = ()) -> str:
+    """Files and what was typed of their reading, but for some options, for the next command."""
     ctx = click.get_current_context()
-    words = [str(file)]
+    words = [str(file) for file in files]
     for parameter in ctx.command.params:
         name = parameter.name or ""
         source = ctx.get_parameter_source(name)
-        if name not in READING or source is not click.core.ParameterSource.COMMANDLINE:
+        typed = source is click.core.ParameterSource.COMMANDLINE
+        if name not in READING or name in without or not typed:
             continue
         value = ctx.params[name]
         for one in value if isinstance(value, tuple) else (value,):
-            words += [parameter.opts[0]] if value is True else [parameter.opts[0], str(one)]
+            shown = f"{one:.15g}" if isinstance(one, float) else str(one)
+            words += [parameter.opts[0]] if value is True else [parameter.opts[0], shown]
     return shlex.join(words)
 
 
@@ -241,6 +246,30 @@ def mapping_of(options: Mapping[str, Any]) -> FieldMapping:
     stated["where"] = list(stated["where"]) or None
     base = load_mapping(options["mapping"]) if options["mapping"] else FieldMapping()
     return from_dict(stated, "command line").filled_from(base)
+
+
+def read_as_calibrated(
+    calibration: Calibration, options: Mapping[str, Any], deed: Callable[[FieldMapping], Made]
+) -> Made:
+    """What a deed makes of the mapping that the options state. Where a log cannot be read by that,
+    what is not stated is as it was of the recording that was calibrated: another log of the same
+    logger lacks the same. Raises as the deed does."""
+    from imucalib.errors import ImucalError, UnreadableInput, UsageError
+    from imucalib.recording.mapping import from_dict
+
+    stated = mapping_of(options)
+    try:
+        return deed(stated)
+    except (UnreadableInput, UsageError) as refused:
+        known = dict(calibration.facts.get("provenance", {}).get("mapping", {}))
+        own = {name: value for name, value in known.items() if name not in ("sensor", "triads")}
+        try:
+            made = deed(stated.filled_from(from_dict(own)))
+        except ImucalError:
+            raise refused from None
+        why = refused.what.partition("\n")[0].rstrip(":")
+        note(f"{why}: read as what was calibrated", options["quiet"])
+        return made
 
 
 def one_scale(text: str | None) -> float | None:

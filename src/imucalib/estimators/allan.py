@@ -35,7 +35,7 @@ SHAPES = {
 _COUNT = 500  # particles
 _MOVES = 6  # of each at every step
 _ABOVE = 4.0  # nats that the least of few variances may lie below its mean
-_RANGE = 16.0  # nats of a squared coefficient
+_RANGE = 16.0  # nats that the prior is wide
 _BENT = 2.0  # sd of the logarithm of a variance that no sum explains
 _ROUNDING = 1e-4  # of the diagonal
 _FEWEST = 4  # values of a curve that must be explained
@@ -256,6 +256,8 @@ def unexplained_times(size: int, x: Array) -> Flags:
 
 def spans(tau: Array, variance: Array) -> tuple[Array, Array]:
     """(6,), (6,) the logarithms between which the prior of p and of the scatter is flat: p up to
-    all of the variance at every τ, and down by six orders."""
-    top = np.log(np.min(variance[:, None] / shapes(tau), axis=0)) + _ABOVE
-    return np.append(top - _RANGE, np.log(1e-4)), np.append(top, np.log(2.0))
+    all of the variance at every τ, the scatter up to twice a variance, and down by `_RANGE`: so far
+    that a scatter which is not there widens nothing."""
+    all_of_it = np.log(np.min(variance[:, None] / shapes(tau), axis=0)) + _ABOVE
+    top = np.append(all_of_it, np.log(2.0))
+    return top - _RANGE, top

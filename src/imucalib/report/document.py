@@ -137,15 +137,19 @@ class Worth:
 @dataclass(frozen=True)
 class Use:
     """A command that a calibration is good for. words : its arguments, in which {calibration},
-    {folder}, {input} and {suffix} stand for what the run wrote and read"""
+    {folder}, {input} and {suffix} stand for what the run wrote and read; after {input} stands what
+    was typed of its reading"""
 
     purpose: str
     words: tuple[str, ...]
 
     def step(self, places: Mapping[str, str]) -> str:
         """The command as it is typed, with its purpose."""
-        words = (word.format(**places) for word in self.words)
-        return f"{self.purpose}: `{shlex.join(['imucal', *words])}`"
+        words = ["imucal"]
+        for word in self.words:
+            words.append(word.format(**places))
+            words += shlex.split(places["reading"]) if word == "{input}" else []
+        return f"{self.purpose}: `{shlex.join(words)}`"
 
 
 @dataclass(frozen=True)
