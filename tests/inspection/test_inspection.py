@@ -11,8 +11,9 @@ from imucalib import readers, writers
 from imucalib.arrays import Array
 from imucalib.inspection.allan import AllanCurve, AllanSums
 from imucalib.inspection.inspection import inspect_recording
-from imucalib.inspection.noise import Coefficient, identify
+from imucalib.inspection.noise import Coefficient, identify, noise_at_rest
 from imucalib.recording.recording import Gap, Recording
+from imucalib.rests.segments import still_segments
 from imucalib.units import STANDARD_GRAVITY
 from worlds.places import ROOT
 from worlds.recordings import recording_of
@@ -170,3 +171,18 @@ def test_rests_that_still_settle_are_left_out() -> None:
     for curve_of_axis in sums.curves(1.0 / HZ, quiet):
         found = identify(curve_of_axis).white
         assert found.value == pytest.approx(0.1 / np.sqrt(HZ), rel=0.06)
+
+
+def test_a_motion_that_begins_is_no_noise() -> None:
+    """It begins before it shows, so that the ends of rests are louder: by a half at some τ."""
+    rng = np.random.default_rng(3)
+    x = np.clip((np.arange(380 * 24) % 380 - 250.0 + rng.uniform()) / 130.0, 0.0, 1.0)
+    turn = 30.0 * x**2 * (1.0 - x) ** 2 * 1.5
+    angle = np.cumsum(turn) / RATE
+    force = STANDARD_GRAVITY * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
+    force += rng.normal(scale=0.03, size=force.shape)
+    rate = turn[:, None] * np.array([0.6, -0.6, 0.6]) + rng.normal(scale=1e-3, size=force.shape)
+    made = recording_of(np.arange(x.size) / RATE, force, rate, hz=RATE)
+    (gyro,) = (s for s in noise_at_rest([made], still_segments(made)) if s.unit == "rad/s")
+    assert np.mean([axis.white.value for axis in gyro.axes]) == pytest.approx(1e-4, rel=0.02)
+    assert all(axis.white.low < 1e-4 < axis.white.high for axis in gyro.axes)

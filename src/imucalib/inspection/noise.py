@@ -14,6 +14,7 @@ from imucalib.arrays import Array, Flags
 from imucalib.estimators.allan import SHAPES, draws, freedom_of, shapes, unexplained_times
 from imucalib.inspection.allan import AllanCurve, AllanSums
 from imucalib.recording.recording import Channel, Recording
+from imucalib.rests.candidates import BLUR
 from imucalib.rests.segments import Segments
 
 _FEWEST = 5  # values that a fit needs
@@ -98,10 +99,11 @@ class _Collected:
         self._last, self._in = -np.inf, -1
 
     def add(self, channel: Channel, still: Segments) -> None:
-        """The samples of a block that lie in rests."""
+        """The samples of a block that lie in rests, without their ends."""
         t = channel.t
-        at = np.searchsorted(still.start, t, side="right") - 1
-        inside = (at >= 0) & (t <= still.stop[np.maximum(at, 0)]) if still.n else np.zeros(0, bool)
+        at = np.searchsorted(still.start + BLUR, t, side="right") - 1
+        ends = still.stop[np.maximum(at, 0)] - BLUR if still.n else np.zeros(t.size)
+        inside = (at >= 0) & (t <= ends)
         rows = np.flatnonzero(inside)
         if not len(rows):
             return

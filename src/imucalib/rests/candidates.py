@@ -201,7 +201,9 @@ def _drifting(sensor: Sensor, chosen: Index, together: Flags, linked: Flags) -> 
 _FAR = 5.0  # standard deviations of a sample, or of a short mean, that end a rest
 _SHORT = 0.08  # s, of the short mean
 _GUARD = 0.03  # s that a motion has begun before it shows
-_BLUR = 0.05  # s that an end is cut short where a motion begins at once, with the guard
+#: s that an end is cut short where a motion begins at once, with the guard; and how much of a
+#: motion that begins slowly is in a rest.
+BLUR = 0.05
 _END = 0.3  # s, of the means at the ends
 _AGREE = 3.5  # standard errors between an end and the middle
 _MOST_CUT = 1.5  # s cut at an end in search of agreement
@@ -430,7 +432,7 @@ def _judge(inside: Interval, every: Sequence[SensorView]) -> Candidate:
         unsure |= group.louder and not whole and length < _LONG
     # Ends stop short of the motion: what they leave was still.
     rate = max(one.sensor.rate for one in every)
-    length = inside[1] - inside[0] + (2.0 * _BLUR if whole else 0.0) + 1.5 / rate
+    length = inside[1] - inside[0] + (2.0 * BLUR if whole else 0.0) + 1.5 / rate
     reason: Reason = ""
     if fewest < 1 or length < settings.shortest:
         reason = "too short"
