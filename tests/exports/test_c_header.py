@@ -202,18 +202,20 @@ def test_what_passes_fixed_point_is_refused(effect: str, values: tuple[float, ..
         export(one({effect: values}), "x.csv", "c-header")
 
 
-BOTH = """
+SEVERAL = """
 #include <stdio.h>
 #include "one.h"
 #include "two.h"
+#include "three.h"
 #include "one.h"
 int main(void) {
   const float raw[3] = {0.1f, -0.2f, 0.9f};
-  float a[3], b[3];
+  float a[3], b[3], c[3];
   imucal_left_apply(raw, a);
   imucal_spare_apply(raw, b);
-  for (int i = 0; i < 3; i++) printf("%.9e %.9e ", a[i], b[i]);
-  printf("%d", imucal_left_self_test() + imucal_spare_self_test());
+  imucal_aft_apply(raw, c);
+  for (int i = 0; i < 3; i++) printf("%.9e %.9e %.9e ", (double)a[i], (double)b[i], (double)c[i]);
+  printf("%d", imucal_left_self_test() + imucal_spare_self_test() + imucal_aft_self_test());
   return 0;
 }
 """
@@ -223,27 +225,33 @@ def _renamed(made: Calibration, name: str) -> Calibration:
     return replace(made, sensor=Identity(name=name))
 
 
-@pytest.mark.parametrize("compiler", ["gcc", "g++"])
-def test_two_headers_in_one_program_keep_their_numbers(compiler: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("compiler", ["gcc", "g++", "clang", "clang++"])
+def test_headers_in_one_program_keep_their_numbers(compiler: str, tmp_path: Path) -> None:
     if shutil.which(compiler) is None:
         pytest.skip(f"no {compiler}")
     one = stated({"bias": [10.0, 20.0, 30.0], "scale": [0.01, 0.02, 0.03]})
     two = stated({"bias": [-40.0, 5.0, 0.0], "scale": [-0.02, 0.0, 0.01]})
-    both = {"one": _renamed(one, "left"), "two": _renamed(two, "spare")}
-    for file, made in both.items():
+    three = stated({"bias": [0.0, 0.0, 7.0], "scale": [0.0, 0.04, 0.0]})
+    every = {
+        "one": _renamed(one, "left"),
+        "two": _renamed(two, "spare"),
+        "three": _renamed(three, "aft"),
+    }
+    for file, made in every.items():
         (tmp_path / f"{file}.h").write_text(export(made, "log", "c-header").text)
-    source = tmp_path / ("main.c" if compiler == "gcc" else "main.cpp")
-    source.write_text(BOTH)
-    words = [compiler, "-Wall", "-Wextra", "-Werror", str(source), "-o", str(tmp_path / "main")]
+    source = tmp_path / ("main.cpp" if compiler.endswith("++") else "main.c")
+    source.write_text(SEVERAL)
+    warnings = ("-Wall", "-Wextra", "-pedantic", "-Wconversion", "-Wdouble-promotion", "-Werror")
+    words = [compiler, *warnings, str(source), "-o", str(tmp_path / "main")]
     built = subprocess.run(words, capture_output=True, text=True, check=False)
     assert (built.returncode, built.stderr) == (0, "")
     said = subprocess.run([tmp_path / "main"], capture_output=True, text=True, check=True).stdout
     numbers = np.array(said.split(), float)
     assert numbers[-1] == 0
     reading = np.array([0.1, -0.2, 0.9])
-    for k, made in enumerate(both.values()):
+    for k, made in enumerate(every.values()):
         due = made.apply(G * reading, unit="m/s2") / G
-        np.testing.assert_allclose(numbers[k:6:2], due, atol=2e-6)
+        np.testing.assert_allclose(numbers[k:9:3], due, atol=2e-6)
 
 
 def test_two_calibrations_of_one_name_do_not_compile(tmp_path: Path) -> None:

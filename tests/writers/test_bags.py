@@ -10,6 +10,15 @@ from typing import Any
 import pytest
 from mcap.reader import make_reader
 from rosbags import rosbag1, rosbag2
+from rosbags.interfaces import (
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+from ruamel.yaml import YAML
 
 from imucalib.calibration.apply import write_over
 from imucalib.readers import read
@@ -17,6 +26,11 @@ from worlds.bag_logs import IMU, ROS1, ROS2
 from worlds.mcap_logs import START, cdr, readings, ros1
 
 NAME, TEXT = "std_msgs/msg/String", b"\x00\x01\x00\x00\x03\x00\x00\x00ab\x00"
+TIME = QosTime(0, 0)
+LATCHED = Qos(
+    QosHistory.KEEP_LAST, 1, QosReliability.RELIABLE, QosDurability.TRANSIENT_LOCAL, TIME, TIME,
+    QosLiveliness.AUTOMATIC, TIME, avoid_ros_namespace_conventions=False,
+)  # fmt: skip
 
 
 def old(folder: Path) -> Path:
@@ -39,7 +53,8 @@ def filled(bag: Any, path: Path, pack: Callable[..., bytes], text: bytes) -> Pat
     with bag:
         store = ROS1 if path.suffix == ".bag" else ROS2
         imu = bag.add_connection("/front/imu", IMU, typestore=store)
-        name = bag.add_connection("/names", NAME, typestore=store)
+        own = {"latching": 1} if path.suffix == ".bag" else {"offered_qos_profiles": [LATCHED]}
+        name = bag.add_connection("/names", NAME, typestore=store, **own)
         for k, reading in enumerate(readings(400, frame="front_link")):
             bag.write(imu, reading.ns + 1000, pack(reading))
             if k % 50 == 0:
@@ -76,6 +91,12 @@ def test_all_but_the_vectors_stays(kind: str, tmp_path: Path) -> None:
             "gyro": tuple(1.5 * v for v in reading.gyro),
         }
         assert (time, data) == (reading.ns + 1000, pack(replace(reading, **more)))
+    offered = next(c.metadata for _, c, _ in found if c.topic == "/names")
+    if kind == "bag":
+        assert offered == {"latching": "1"}
+    else:
+        (profile,) = YAML(typ="safe").load(offered["offered_qos_profiles"])
+        assert profile["durability"] in (1, "transient_local")
     schemas = {s.name: s.encoding for s, _, _ in found if s}
     middle = "" if kind == "bag" else "msg/"
     encoding = "ros1msg" if kind == "bag" else "ros2msg"

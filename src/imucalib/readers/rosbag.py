@@ -169,7 +169,19 @@ def _topic(number: int, connection: Any) -> Topic:
     # rosbags names types as ROS 2 does; a ROS 1 type is package/Type (MCAP specification, "ros1").
     name = connection.msgtype.replace("/msg/", "/") if encoding == "ros1" else connection.msgtype
     schema = Schema(number + 1, definition.data.encode(), kind, name)
-    return Topic(number, connection.topic, encoding, schema, count=connection.msgcount)
+    return Topic(
+        number, connection.topic, encoding, schema, _offered(connection.ext), connection.msgcount
+    )
+
+
+def _offered(ext: Any) -> dict[str, str]:
+    """How a topic is published, as MCAP files of bags state it: without, a latched one (/tf_static)
+    reaches nobody who comes late."""
+    from rosbags.rosbag2.metadata import dump_qos_v8
+
+    if qos := getattr(ext, "offered_qos_profiles", None):
+        return {"offered_qos_profiles": dump_qos_v8(qos)}
+    return {"latching": str(ext.latching)} if getattr(ext, "latching", None) else {}
 
 
 def _block(batch: list[tuple[int, int, int, bytes]]) -> MessageBlock:
