@@ -14,7 +14,7 @@ from imucalib.errors import UsageError
 
 #: Of a controller's law over temperature: in the readings, or only for what comes after them.
 TAKEN, AHEAD = "taken", "ahead"
-#: No offset is larger, in SI units, and no scale.
+#: No offset is larger, in SI units, and no scale or its inverse.
 _MOST = 1e3
 
 
@@ -91,7 +91,8 @@ class Parameters:
         changed = [name for name in used if name in self.changed]
         turned = [name for name in turns if self.number(name)]
         values = [self.known.get(name, float(k > 2)) for k, name in enumerate(used)]
-        odd = [n for k, n in enumerate(used) if not -_MOST * (k < 3) < values[k] < _MOST]
+        least = (-_MOST,) * 3 + (1.0 / _MOST,) * 3
+        odd = [n for n, v, low in zip(used, values, least, strict=True) if not low <= v <= _MOST]
         faults = [
             *(f"{name} {self.number(name):g} turned its axes" for name in turned),
             *(f"{name} changed in it" for name in changed),
