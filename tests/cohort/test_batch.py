@@ -17,7 +17,7 @@ import pytest
 
 from imucalib.calibrators.lab.simulation import BenchPlan, simulated_recording, simulated_table
 from imucalib.cohort.batch import plan
-from imucalib.cohort.entries import Entry, quality_of, read_entry, rows, write_table
+from imucalib.cohort.entries import PAPER, Entry, quality_of, read_entry, rows, write_table
 from imucalib.cohort.recordings import recordings_of
 from imucalib.errors import UnreadableInput
 from imucalib.writers import write
@@ -70,6 +70,12 @@ def test_bad_recordings_are_reported_and_the_rest_is_done(cohort: Path, tmp_path
 
     table = tmp_path / "cohort.csv"
     assert run("collect", tmp_path / "out", "-o", table, "-q").return_value == 0
+    paper = {Path(r["recording"]).name: r for r in csv.DictReader(table.open())}
+    assert set(paper["good1.csv"]) == set(PAPER)
+    assert paper["empty.csv"]["use"] == "do not"
+    assert "empty" in paper["empty.csv"]["why"]
+    assert run("collect", tmp_path / "out", "-o", table, "-q", "--all-columns", "--force"
+               ).return_value == 0  # fmt: skip
     rows = {Path(r["recording"]).name: r for r in csv.DictReader(table.open())}
     assert len(rows) == 6
     assert rows["empty.csv"]["status"] == "unreadable"
@@ -98,6 +104,42 @@ def test_a_killed_batch_is_finished_by_a_rerun(cohort: Path, tmp_path: Path) -> 
             if entry.report:
                 entry.report["provenance"].pop("time")
         assert (one.report, one.exit_code, one.key) == (two.report, two.exit_code, two.key)
+
+
+@pytest.mark.slow
+def test_a_study_leaves_calibrations_corrected_recordings_and_a_file_for_ggir(
+    tmp_path: Path,
+) -> None:
+    """The second is the first under another name, the third a few minutes of rest."""
+    for k, days in enumerate((0.5, 0.5, 0.01)):
+        target = tmp_path / f"p{k}.csv"
+        run(
+            "simulate",
+            "actigraph",
+            target,
+            "--days",
+            days,
+            "--rate",
+            5,
+            "--seed",
+            21 + k // 2,
+            "-q",
+        )
+    entries, corrected = tmp_path / "entries", tmp_path / "corrected"
+    done = run("batch", *sorted(tmp_path.glob("p?.csv")), "-o", entries, "--corrected", corrected,
+               "-q")  # fmt: skip
+    assert done.exception is None, done.exception
+    assert [p.name for p in corrected.iterdir()] == ["p0.csv", "p1.csv"]
+    made = sorted(entries.glob("p0*.yaml"))
+    assert run("validate", *made).return_value == 0
+    table, ggir, page = tmp_path / "t.csv", tmp_path / "g.csv", tmp_path / "t.html"
+    run("collect", entries, "-o", table, "--ggir", ggir, "--html", page, "-q")
+    first, twin, short = csv.DictReader(table.open())
+    assert (first["use"], twin["use"], short["use"]) == ("use", "do not", "do not")
+    assert twin["why"].startswith("the same data as p0.csv")
+    assert "1 to use, 0 with care, 2 not" in page.read_text()
+    head, *lines = ggir.read_text().splitlines()
+    assert [line.count(",") for line in lines] == [head.count(",")] * 2
 
 
 def names(*inputs: object) -> list[str]:

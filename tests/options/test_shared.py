@@ -39,9 +39,8 @@ def bare(outcome: Outcome) -> dict[str, bytes]:
     out = {}
     for name, data in outcome.files.items():
         plain = data.replace(str(outcome.folder).encode(), b"")
-        out[name] = re.sub(
-            rb'"(seconds|command|time)": [^,\n]*|--json ?|--quiet ?|-q ?', b"", plain
-        )
+        plain = re.sub(rb'"(seconds|command|time)": [^,\n]*|--json ?|--quiet ?|-q ?', b"", plain)
+        out[name] = re.sub(rb"(?m)^(# imucal calibration|  (time|command): ).*$", b"", plain)
     return out
 
 

@@ -14,11 +14,8 @@ def row(name: str, code: int = 0, after: float | None = 1.0, **more: Any) -> dic
     """What a table holds of one recording."""
     found = {
         "recording": f"/data/site/{name}",
-        "exit_code": code,
-        "status": "ok" if code == 0 else "marginal",
-        "verdict": "all structure explained",
-        "what_to_do": "nothing",
-        "reasons": "",
+        "use": "care" if code else "use",
+        "why": "",
         "error_unit": "mg",
         "error_before": 30.0,
         "error_after": after,
@@ -28,8 +25,7 @@ def row(name: str, code: int = 0, after: float | None = 1.0, **more: Any) -> dic
 
 
 def failed(name: str) -> dict[str, Any]:
-    keys = {"status": "unreadable", "what_to_do": "copy it", "reasons": "it is empty. copy it"}
-    return {"recording": name, "exit_code": 3, "verdict": None, **keys}
+    return {"recording": name, "use": "do not", "why": "it is empty. copy it"}
 
 
 def names_of(page: str) -> list[str]:
@@ -40,20 +36,17 @@ def test_flagged_recordings_come_first_and_then_the_largest_errors() -> None:
     table = (row("a.csv"), row("b.csv", after=3.0), row("c.csv", 5), failed("d.csv"))
     page = cohort_html(table, "cohort")
     assert names_of(page) == ["d.csv", "c.csv", "b.csv", "a.csv"]
-    assert "3 of 4 recordings are calibrated; 1 of them should be looked at" in page
+    assert "4 recordings: 2 to use, 1 with care, 1 not." in page
     assert "it is empty. copy it" in page
     assert page.count("<circle") == 2 * 3
 
 
-def test_a_cautioned_recording_is_flagged_with_its_step_in_sight_and_effects_in_words() -> None:
-    doubted = row("b.csv", status="marginal", effects_added="curve@response:x:-1:1:32 quadratic")
-    page = cohort_html((row("a.csv"), doubted | {"what_to_do": "rest with x up"}), "cohort")
+def test_a_cautioned_recording_is_flagged_with_its_reason_in_sight() -> None:
+    doubted = row("b.csv", 1, why="known to 3.6 mg only")
+    page = cohort_html((row("a.csv"), doubted), "cohort")
     assert names_of(page) == ["b.csv", "a.csv"]
-    assert "1 of them should be looked at" in page
     cells = re.findall(r"<td[^>]*>(.*?)</td>", page)
-    assert cells[2] == "rest with x up"  # before the numbers, which a narrow window cuts off
-    assert "a curve of the response of x, quadratic" in page
-    assert "curve@" not in page
+    assert cells[2] == "known to 3.6 mg only"  # before the numbers, which a narrow window cuts off
 
 
 def test_a_cohort_of_failures_and_of_one_have_a_page() -> None:
@@ -63,7 +56,7 @@ def test_a_cohort_of_failures_and_of_one_have_a_page() -> None:
 
 def test_names_are_text_and_nothing_is_loaded() -> None:
     hostile = "<img src=x onerror=alert(1)>.csv"
-    page = cohort_html((row("a.csv", what_to_do=hostile), failed(hostile)), hostile)
+    page = cohort_html((row("a.csv", why=hostile), failed(hostile)), hostile)
     assert "<img" not in page
     assert page.count("<script") == 1
     assert not re.search(r"""(src|href)=["'](?!#)|url\(|@import|https?://(?!www\.w3\.org)""", page)
@@ -72,8 +65,8 @@ def test_names_are_text_and_nothing_is_loaded() -> None:
 def test_a_thousand_recordings_fit() -> None:
     words = "record longer, turn the wrist so that z points up and down, and keep it still. " * 3
     table = tuple(
-        row(f"subject_{k:04d}_week_1_left_wrist.cwa", k % 2, 1.0 + k, what_to_do=words,
-            axes_seen_both_ways="xyz", effects_added="quadratic hysteresis", posture_runs=123)
+        row(f"subject_{k:04d}_week_1_left_wrist.cwa", k % 2, 1.0 + k, why=words,
+            posture_runs=123)
         for k in range(1000)
     )  # fmt: skip
     page = cohort_html(table, "a study")

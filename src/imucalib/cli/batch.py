@@ -39,6 +39,7 @@ class BatchCommand(opt.PagedCommand):
 @opt.command_with_page("batch", cls=BatchCommand)
 @click.argument("inputs", metavar="INPUT... [-- OPTIONS]", nargs=-1, required=True)
 @opt.path("-o --output", "Folder of the entries.", required=True)
+@opt.path("--corrected", "Write each recording corrected into FOLDER, where the exit code is 0.")
 @opt.option("--calibrator", "Command to run on each recording.", default="actigraph")
 @opt.option("--jobs", "Local processes at a time.", default=1)
 @opt.option("--shard", "Only every N-th recording, from the I-th.", default="1/1", metavar="I/N")
@@ -62,12 +63,13 @@ def command(inputs: tuple[str, ...], output: Path, jobs: int, **options: Any) ->
     'week*/*.cwa', or a manifest: a path a line, or a CSV with a column path.
 
     OPTIONS behind -- go to the calibrator. One bad file never stops the rest; a rerun does only
-    what is missing. `imucal collect` makes the table. Exit code 3 when a recording failed, or no
-    worker was left for it.
+    what is missing. Each entry has its calibration beside it; `imucal collect` makes the table.
+    Exit code 3 when a recording failed, or no worker was left for it.
 
     \b
     Examples:
       imucal batch recordings/ -o entries --jobs 4 -- --gravity 9.81
+      imucal batch recordings/ -o entries --corrected corrected
       imucal batch cohort.txt -o entries --shard $SLURM_ARRAY_TASK_ID/50
     """
     from imucalib.cohort.batch import plan, run_all
@@ -76,7 +78,10 @@ def command(inputs: tuple[str, ...], output: Path, jobs: int, **options: Any) ->
     calibrator, resume, quiet = (options[name] for name in ("calibrator", "resume", "quiet"))
     passed, files = _options_of(calibrator, click.get_current_context().meta[_PASSED_ON])
     found, shard = recordings_of(inputs), _shard_of(options["shard"])
-    tasks = plan(found.recordings, output, calibrator, passed, shard, files)
+    corrected = options["corrected"]
+    tasks = plan(
+        found.recordings, output, calibrator, passed, shard, files=files, corrected=corrected
+    )
     entries: list[Entry] = []
     start = time.monotonic()
     with _workers(options["scheduler"], options["wait"]) as cluster:
@@ -211,19 +216,21 @@ def _workers(address: str | None, patience: float) -> Iterator[Cluster | None]:
 @opt.command_with_page("collect")
 @click.argument("folder", type=opt.FOLDER)
 @opt.path("-o --output", "Table to write: .csv, or .parquet (extra parquet).", required=True)
+@opt.flag("--all-columns", "Every number of every report, not those of a paper.")
 @opt.file("--html", "Page of all recordings, those to look at first.")
+@opt.file("--ggir", "One file for GGIR, a row for each calibration that its form carries.")
 @opt.force
 @opt.quiet
-def collect(folder: Path, output: Path, html: Path | None, force: bool, quiet: bool) -> int:
+def collect(folder: Path, output: Path, **options: Any) -> int:
     """Gather the entries that `imucal batch`, or --entry of a calibrator, wrote into one table, a
-    row a recording.
+    row a recording: use it, use it with care, or do not, and why.
 
     \b
     Example: imucal collect entries -o cohort.csv --html cohort.html
     """
     from imucalib.atomic_file import demand_output
     from imucalib.calibration.file import write_whole
-    from imucalib.cohort.entries import read_entry, rows, write_table
+    from imucalib.cohort.entries import PAPER, read_entry, rows, write_table
     from imucalib.errors import UnreadableInput
     from imucalib.report.cohort import cohort_html
 
@@ -231,12 +238,15 @@ def collect(folder: Path, output: Path, html: Path | None, force: bool, quiet: b
         raise UnreadableInput(
             "no such folder", where=str(folder), remedy="name that of `imucal batch -o`"
         )
-    paths = sorted(folder.glob("*.json"))
-    for target in filter(None, (output, html)):
-        demand_output(target, paths, force=force)
-    found = [read_entry(path) for path in sorted(paths, key=lambda path: path.stat().st_mtime)]
-    read = [entry for entry in found if entry is not None]
-    entries = tuple({entry.recording: entry for entry in read}.values())
+    html, ggir, quiet = (options[name] for name in ("html", "ggir", "quiet"))
+    paths = sorted(folder.glob("*.json"), key=lambda path: path.stat().st_mtime)
+    targets = [path for path in (output, html, ggir) if path is not None]
+    for target in targets:
+        demand_output(target, paths, force=options["force"])
+    found = {path: read_entry(path) for path in paths}
+    read = [entry for entry in found.values() if entry is not None]
+    latest = {entry.recording: path for path, entry in found.items() if entry is not None}
+    entries = tuple(entry for entry in read if found[latest[entry.recording]] is entry)
     if not entries:
         raise UnreadableInput(
             "no entries of a cohort in it",
@@ -244,14 +254,38 @@ def collect(folder: Path, output: Path, html: Path | None, force: bool, quiet: b
             remedy="`imucal batch MANIFEST -o FOLDER` writes them",
         )
     table = rows(entries)
-    write_table(table, output)
+    write_table(table, output, None if options["all_columns"] else PAPER)
     if html is not None:
         write_whole(html, cohort_html(table, folder.absolute().name))
+    if ggir is not None:
+        write_whole(ggir, _ggir([latest[entry.recording] for entry in entries], quiet))
     if len(read) < len(found):
         note(f"{len(found) - len(read)} files are no entries", quiet)
     if len(entries) < len(read):
         note(f"{len(read) - len(entries)} entries are older ones of the same recording", quiet)
     if not quiet:
-        for target in filter(None, (output, html)):
+        for target in targets:
             click.echo(f"wrote {target}: {len(entries)} recordings")
     return 0
+
+
+def _ggir(entries: list[Path], quiet: bool) -> str:
+    """The text of one file for GGIR; what has no row in it is told."""
+    from imucalib.calibration.file import read
+    from imucalib.cohort.entries import calibration_beside
+    from imucalib.errors import ImucalError
+    from imucalib.exports import export
+    from imucalib.exports.bound import demand_carried
+
+    lines: list[str] = []
+    for path in map(calibration_beside, entries):
+        try:
+            calibration = read(path)
+            recording = str(calibration.facts["provenance"]["input"])
+            made = export(calibration, recording, "ggir-csv")
+            demand_carried(made, "ggir-csv", calibration, None)
+        except ImucalError as error:
+            note(f"no row for GGIR: {path.stem}: {error.what}", quiet)
+            continue
+        lines += made.text.splitlines()[bool(lines) :]
+    return "\n".join([*lines, ""])

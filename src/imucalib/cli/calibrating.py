@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 #: Where the root command leaves the arguments that it was called with.
 ARGUMENTS = "imucal.arguments"
-#: Where `finish` leaves the report of what was calibrated.
-_CONTENT = "imucal.content"
+#: Where `finish` leaves the report of what was calibrated, and the calibration.
+_CONTENT, _CALIBRATION = "imucal.content", "imucal.calibration"
 
 
 class _Limit(click.Option):
@@ -115,8 +115,8 @@ def calibrates(command: click.Command) -> bool:
 
 
 def _with_entry(work: Callable[[], int], options: Mapping[str, Any]) -> int:
-    """Do the work, and write what became of it as an entry of a cohort, a failure too; but not that
-    of the call itself, which says nothing about a recording."""
+    """Do the work, and write what became of it as an entry of a cohort, a failure too, with the
+    calibration beside it; but not that of the call itself, which says nothing about a recording."""
     import time
 
     from imucalib.atomic_file import demand_output
@@ -130,7 +130,8 @@ def _with_entry(work: Callable[[], int], options: Mapping[str, Any]) -> int:
     def write(code: int, error: str, report: Mapping[str, Any] | None) -> None:
         kept, seconds = keep_of(report) if report else None, time.monotonic() - start
         name = str(recordings[0].absolute())
-        write_entry(Entry(name, "", code, seconds, error, kept), target)
+        made = click.get_current_context().meta.get(_CALIBRATION)
+        write_entry(Entry(name, "", code, seconds, error, kept), target, made)
 
     try:
         code = work()
@@ -227,7 +228,8 @@ def finish(
             folder = output / report.name if k < count_ and count_ > 1 else output
             every[k] = _place(report, folder)
             codes.append(_write(every[k], folder, options))
-    click.get_current_context().meta[_CONTENT] = every[-1].content
+    meta, run = click.get_current_context().meta, every[-1].run
+    meta[_CONTENT], meta[_CALIBRATION] = every[-1].content, run.calibration
     if options["as_json"]:
         logs = [report.content for report in every[:count_]]
         both = {"logs": logs, **({"together": every[-1].content} if together else {})}

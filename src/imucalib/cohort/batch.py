@@ -14,14 +14,18 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from imucalib.cohort.entries import Entry, failure_words, keep_of, read_entry, write_entry
+from imucalib.cohort.entries import Entry, calibration_beside, read_entry, write_entry
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.file_hash import sha256_of
+
+#: Formats that a corrected recording keeps; others become a table.
+_KEPT = (".h5", ".hdf5", ".mcap")
 
 
 @dataclass(frozen=True)
@@ -29,6 +33,7 @@ class Task:
     """One recording to calibrate: the command's arguments and where its entry goes.
 
     files : those of the arguments that name a file
+    corrected : where the recording goes corrected, or empty
     """
 
     recording: str
@@ -36,6 +41,7 @@ class Task:
     calibrator: str
     arguments: tuple[str, ...]
     files: frozenset[str] = frozenset()
+    corrected: str = ""
 
     @property
     def settings_key(self) -> str:
@@ -69,36 +75,69 @@ def plan(
     arguments: tuple[str, ...],
     shard: tuple[int, int] = (1, 1),
     files: frozenset[str] = frozenset(),
+    corrected: Path | None = None,
 ) -> tuple[Task, ...]:
     """The tasks of one shard (i of n, from 1). Raises UsageError for an impossible shard.
 
     folder : of the entries, made absolute: a worker elsewhere is in another one
+    corrected : folder of the corrected recordings, where these are asked for
     """
     index, count = shard
     if not 1 <= index <= count:
         raise UsageError(f"shard {index}/{count} does not exist", remedy="give i/n, i from 1 to n")
     tasks = []
+    alone = Counter(path.name for path in recordings)
     for path in recordings[index - 1 :: count]:
         # Two folders may hold files of the same name: the path makes the entry's name unique.
         digest = hashlib.sha256(str(path).encode()).hexdigest()[:8]
         entry = folder.absolute() / f"{path.name}.{digest}.json"
-        tasks.append(Task(str(path), str(entry), calibrator, arguments, files))
+        target = ""
+        if corrected is not None:
+            suffix = next((s for s in _KEPT if s in path.suffixes), ".csv")
+            stem = path.name.partition(".")[0] + (f".{digest}" if alone[path.name] > 1 else "")
+            target = str(corrected.absolute() / f"{stem}{suffix}")
+        tasks.append(Task(str(path), str(entry), calibrator, arguments, files, target))
     return tuple(tasks)
 
 
 def run_task(task: Task, *, resume: bool = True) -> Entry:
     """Calibrate one recording in a process of its own and write its entry. Never raises for it."""
-    key = f"{content_of(Path(task.recording))}-{task.settings_key}"
-    known = read_entry(Path(task.entry)) if resume else None
+    key, path = f"{content_of(Path(task.recording))}-{task.settings_key}", Path(task.entry)
+    known = read_entry(path) if resume else None
     # What a signal ended (lack of memory, Ctrl-C) says nothing about the recording.
     if known is not None and known.key == key and known.exit_code >= 0:
+        _correct(task, known)
         return replace(known, reused=True)
-    command = [sys.executable, "-m", "imucalib", task.calibrator, task.recording]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    for old in (path, calibration_beside(path)):
+        old.unlink(missing_ok=True)
+    words = (task.calibrator, task.recording, *task.arguments, "--entry", task.entry, "--quiet")
+    done = _run(task, words)
+    made = read_entry(path)
+    if made is None:  # it was killed, or is no recording for these options
+        said = done.stderr.strip().removeprefix("error: ") or f"ended by {done.returncode}"
+        made = Entry(task.recording, key, done.returncode, 0.0, said, None)
+    entry = replace(made, recording=task.recording, key=key)
+    write_entry(entry, path)
+    _correct(task, entry)
+    return entry
+
+
+def _correct(task: Task, entry: Entry) -> None:
+    """Write the corrected recording, where it is asked for, not there yet, and nothing speaks
+    against the calibration."""
+    if not task.corrected or entry.exit_code or os.path.exists(task.corrected):
+        return
+    calibration = str(calibration_beside(Path(task.entry)))
+    Path(task.corrected).parent.mkdir(parents=True, exist_ok=True)
+    _run(task, ("apply", calibration, task.recording, "-o", task.corrected, "--quiet"))
+
+
+def _run(task: Task, words: Sequence[str]) -> subprocess.CompletedProcess[str]:
+    """A command in a process of its own, with one thread."""
     threads = dict.fromkeys(("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"), "1")
-    start = time.monotonic()
-    Path(task.entry).parent.mkdir(parents=True, exist_ok=True)
-    done = subprocess.run(
-        [*command, *task.arguments, "--json", "--quiet"],
+    return subprocess.run(
+        [sys.executable, "-m", "imucalib", *words],
         capture_output=True,
         text=True,
         check=False,
@@ -106,19 +145,6 @@ def run_task(task: Task, *, resume: bool = True) -> Entry:
         stdin=subprocess.DEVNULL,
         cwd=Path(task.entry).parent,  # no imucal.toml but the caller's, which is in the arguments
     )
-    report, error = None, done.stderr.strip() or f"ended by {done.returncode}"
-    try:
-        content = json.loads(done.stdout)
-    except ValueError:  # it was killed
-        pass
-    else:
-        if "error" in content:
-            error = failure_words(content["error"])
-        else:
-            report, error = keep_of(content), ""
-    entry = Entry(task.recording, key, done.returncode, time.monotonic() - start, error, report)
-    write_entry(entry, Path(task.entry))
-    return entry
 
 
 @dataclass(frozen=True)

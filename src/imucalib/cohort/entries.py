@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from imucalib.atomic_file import replace_atomically
+from imucalib.calibration.calibration import Calibration
+from imucalib.calibration.file import to_yaml, write_together
 from imucalib.calibration.outcome import KEEP
 from imucalib.errors import UsageError
 from imucalib.recording.pairing import cell
@@ -53,11 +55,18 @@ def read_entry(path: Path) -> Entry | None:
         return None
 
 
-def write_entry(entry: Entry, path: Path) -> None:
-    """Write an entry, whole or not at all; its folder is made where it is missing."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with replace_atomically(path) as temporary:
-        temporary.write_text(json.dumps(asdict(entry), allow_nan=False) + "\n", encoding="utf-8")
+def write_entry(entry: Entry, path: Path, calibration: Calibration | None = None) -> None:
+    """Write an entry, and the calibration beside it where there is one, all or none; the folder is
+    made where it is missing."""
+    texts = {path: json.dumps(asdict(entry), allow_nan=False) + "\n"}
+    if calibration is not None:
+        texts[calibration_beside(path)] = to_yaml(calibration)
+    write_together(texts)
+
+
+def calibration_beside(entry: Path) -> Path:
+    """Where the calibration of an entry is."""
+    return entry.with_suffix(".yaml")
 
 
 def keep_of(report: Mapping[str, Any]) -> dict[str, Any]:
@@ -65,19 +74,47 @@ def keep_of(report: Mapping[str, Any]) -> dict[str, Any]:
     return {name: block for name, block in report.items() if name != "figures"}
 
 
+#: Columns that a paper has of its recordings, of all that `rows` knows.
+PAPER = (
+    "recording",
+    "use",
+    "why",
+    "serial",
+    "hours_worn",
+    "posture_runs",
+    "effects_added",
+    "error_before",
+    "error_after",
+    "norm_sd_largest_mg",
+    "enmo_before_mg",
+    "enmo_after_mg",
+)
+#: What the calibration is good for, by the status of its run.
+_USE = {"ok": "use", "marginal": "care"}
+_NO_USE = "do not"
+
+
 def rows(entries: tuple[Entry, ...]) -> tuple[dict[str, Any], ...]:
-    """One flat row a recording: status, quality, errors before and after, parameters with sd."""
-    table = []
+    """One flat row a recording: what it is good for and why, quality, errors before and after,
+    parameters with sd. Of recordings with the same content all but the first say so."""
+    table, first = [], dict[str, str]()
     for entry in sorted(entries, key=lambda e: e.recording):
+        use = _USE.get(entry.report["status"], _NO_USE) if entry.report else _NO_USE
+        reasons = entry.report["reasons"] if entry.report else [entry.error]
+        content = entry.report["provenance"]["sha256"] if entry.report else entry.recording
+        twin = first.setdefault(content, entry.recording)
+        if twin != entry.recording:
+            use, reasons = _NO_USE, [f"the same data as {Path(twin).name}", *reasons]
         row: dict[str, Any] = {
             "recording": entry.recording,
+            "use": use,
+            "why": "; ".join(reasons),
             "exit_code": entry.exit_code,
             "status": entry.report["status"]
             if entry.report
             else _FAILED.get(entry.exit_code, "failed"),
             "verdict": entry.report["loop"]["verdict"] if entry.report else None,
             "what_to_do": _next(entry),
-            "reasons": "; ".join(entry.report["reasons"]) if entry.report else entry.error,
         }
         if entry.report:
             row |= quality_of(entry.report) | _numbers(entry.report)
@@ -159,12 +196,16 @@ def _rounded(value: Any) -> float | None:
     return None if value is None else float(f"{value:.5g}")
 
 
-def write_table(rows: tuple[dict[str, Any], ...], path: Path) -> None:
-    """Write rows; columns are the union of all rows' keys, in order of first appearance.
+def write_table(
+    rows: tuple[dict[str, Any], ...], path: Path, columns: Sequence[str] | None = None
+) -> None:
+    """Write rows; columns : those of `PAPER`, say, of which a row may lack some; None: the union of
+    all rows' keys, in order of first appearance.
 
     Raises UsageError for a suffix that is neither .csv nor .parquet, or without the extra.
     """
-    columns = list(dict.fromkeys(name for row in rows for name in row))
+    if columns is None:
+        columns = list(dict.fromkeys(name for row in rows for name in row))
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.suffix == ".parquet":
         _parquet(rows, columns, path)
@@ -175,12 +216,12 @@ def write_table(rows: tuple[dict[str, Any], ...], path: Path) -> None:
         replace_atomically(path) as temporary,
         temporary.open("w", newline="", encoding="utf-8") as file,
     ):
-        writer = csv.DictWriter(file, columns, lineterminator="\n")
+        writer = csv.DictWriter(file, columns, lineterminator="\n", extrasaction="ignore")
         writer.writerow({name: cell(name) for name in columns})
         writer.writerows({k: cell(v) for k, v in row.items()} for row in rows)
 
 
-def _parquet(rows: tuple[dict[str, Any], ...], columns: list[str], path: Path) -> None:
+def _parquet(rows: tuple[dict[str, Any], ...], columns: Sequence[str], path: Path) -> None:
     try:
         import pyarrow
         import pyarrow.parquet

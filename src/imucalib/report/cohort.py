@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from imucalib.effects.forms import in_words
 from imucalib.report.document import Plot, Series, Tone
 from imucalib.report.render.html import SIGNS, WORDS
 from imucalib.report.render.svg import render_svg
@@ -18,41 +17,38 @@ from imucalib.report.render.templates import fill
 #: Width of a row's picture, and what its marks stay off the edge.
 _WIDTH, _EDGE = 90.0, 5.0
 _RANK: dict[Tone, int] = {"bad": 0, "warning": 1, "ok": 2, "plain": 3}
-#: Column of the table -> heading; numbers, then texts.
+#: Column of the table -> heading.
 _NUMBERS = {
     "error_before": "before",
     "error_after": "after",
     "hours_worn": "worn (h)",
     "posture_runs": "postures",
+    "enmo_before_mg": "ENMO before (mg)",
+    "enmo_after_mg": "ENMO after (mg)",
 }
-_TEXTS = {"axes_seen_both_ways": "axes both ways", "effects_added": "effects"}
+_TONES: dict[str, Tone] = {"use": "ok", "care": "warning", "do not": "bad"}
 
 
 def cohort_html(table: Sequence[Mapping[str, Any]], title: str) -> str:
     """One self-contained HTML page of the rows that `cohort.entries.rows` makes.
 
-    Without a script the table is sorted: recordings without a calibration, then those that are
-    not passed, then by the error left, largest first.
+    Without a script the table is sorted: what is not to be used, what is with care, then by the
+    error left, largest first.
     """
     errors = [v for row in table for v in (row.get("error_before"), row.get("error_after")) if v]
     ends = (min(errors), max(errors)) if errors else (1.0, 1.0)
     units = sorted({str(row["error_unit"]) for row in table if row.get("error_unit")})
     unit = f" ({units[0]})" if len(units) == 1 else ""
     ordered = sorted(table, key=lambda row: (_RANK[_tone(row)], -(row.get("error_after") or 0.0)))
-    failed = sum(_tone(row) == "bad" for row in table)
-    doubted = sum(_tone(row) == "warning" for row in table)
-    numbers, texts = (
-        {key: name for key, name in names.items() if any(row.get(key) for row in table)}
-        for names in (_NUMBERS, _TEXTS)
-    )
+    good, doubted, bad = (sum(row["use"] == use for row in table) for use in _TONES)
+    numbers = {k: name for k, name in _NUMBERS.items() if any(row.get(k) for row in table)}
     heads = [f"{name}{unit if 'error' in key else ''}" for key, name in numbers.items()]
     page = {
         "title": title,
-        "verdict": f"{len(table) - failed} of {len(table)} recordings are calibrated; "
-        f"{doubted} of them should be looked at.",
-        "tone": "bad" if failed else "warning" if doubted else "ok",
-        "header": ("recording", "status", "what to do", *heads, "error", *texts.values()),
-        "rows": [_row(row, ends, len(units) > 1, numbers, texts) for row in ordered],
+        "verdict": f"{len(table)} recordings: {good} to use, {doubted} with care, {bad} not.",
+        "tone": "bad" if bad == len(table) else "warning" if bad or doubted else "ok",
+        "header": ("recording", "use", "why", *heads, "error"),
+        "rows": [_row(row, ends, len(units) > 1, numbers) for row in ordered],
         "plot": _plot(table, unit),
         "ends": (f"{ends[0]:.2g}", f"{ends[1]:.2g}{unit}"),
     }
@@ -60,9 +56,7 @@ def cohort_html(table: Sequence[Mapping[str, Any]], title: str) -> str:
 
 
 def _tone(row: Mapping[str, Any]) -> Tone:
-    if row["verdict"] is None:
-        return "bad"
-    return "ok" if row["exit_code"] == 0 and row["status"] == "ok" else "warning"
+    return _TONES[str(row["use"])]
 
 
 def _row(
@@ -70,37 +64,27 @@ def _row(
     ends: tuple[float, float],
     mixed: bool,
     numbers: Iterable[str],
-    texts: Iterable[str],
 ) -> dict[str, Any]:
     """What the cells of one recording show.
 
     ends : of the pictures' scale; mixed : whether errors have several units, so that each says its
-    own; numbers, texts : columns between the status and the picture, and after it
+    own; numbers : columns before the picture
     """
     tone, unit = _tone(row), str(row.get("error_unit") or "")
     before, after = (row.get(f"error_{name}") for name in ("before", "after"))
     known = bool(before and after)
-    # Of what is flagged: why it failed, or the first step.
-    to_do = "" if tone == "ok" else str(row["reasons" if tone == "bad" else "what_to_do"])
     return {
         "path": str(row["recording"]),
         "name": PurePath(str(row["recording"])).name,
         "tone": tone,
-        "status": f"{row['status']}, exit {row['exit_code']}"
-        if row["exit_code"]
-        else row["status"],
+        "use": row["use"],
         "numbers": [_shown(row.get(k), unit if mixed and "error" in k else "") for k in numbers],
         "before": _place(before, ends) if before and known else None,
         "after": _place(after, ends) if after and known else None,
         "picture": f"{_shown(before)} before, {_shown(after)} {unit} after" if known else "",
         "order": "" if after is None else f"{after:.6g}",
-        "texts": [_words(key, str(row.get(key) or "")) for key in texts],
-        "to_do": to_do,
+        "why": row["why"],
     }
-
-
-def _words(key: str, cell: str) -> str:
-    return ", ".join(map(in_words, cell.split())) if key == "effects_added" else cell
 
 
 def _shown(value: Any, unit: str = "") -> str:

@@ -139,9 +139,10 @@ def _exported(without: Outcome, done: Outcome, bench: Bench) -> None:
 def _collected(without: Outcome, done: Outcome, bench: Bench) -> None:
     """The entry is a row of a table as one that batch has written."""
     assert done.code == without.code
-    assert set(done.files) == {"entry.json"}
+    assert set(done.files) == {"entry.json", "entry.yaml"}
     table = done.folder / "table.csv"
-    assert bench.run(("collect", str(done.folder), "-o", str(table))).code == 0
+    typed = ("collect", str(done.folder), "-o", str(table), "--all-columns")
+    assert bench.run(typed).code == 0
     with table.open(newline="") as file:
         (row,) = csv.DictReader(file)
     assert row["status"] == done.content["status"]

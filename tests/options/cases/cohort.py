@@ -62,15 +62,47 @@ def _page(without: Outcome, done: Outcome, bench: Bench) -> None:
     assert all(row["recording"] in page for row in rows)
 
 
+def _corrected(without: Outcome, done: Outcome, bench: Bench) -> None:
+    """Two recordings as `imucal apply` corrects them, by the calibrations beside the entries."""
+    made = {n for n in done.files if n.startswith("corrected/")}
+    assert made == {"corrected/worn1.h5", "corrected/worn2.h5"}
+    assert set(done.files) - made == set(without.files)
+    (own,) = (n for n in done.files if n.startswith("entries/worn1") and n.endswith(".yaml"))
+    target = done.folder / "again.h5"
+    typed = ("apply", str(done.folder / own), str(bench.path("worn1.h5")), "-o", str(target))
+    assert bench.run(typed).code == 0
+    assert target.read_bytes() == (done.folder / "corrected/worn1.h5").read_bytes()
+
+
+def _for_ggir(without: Outcome, done: Outcome, bench: Bench) -> None:
+    """A row each of both recordings, by their names."""
+    head, *lines = done.text("g.csv").splitlines()
+    assert [line.partition(",")[0] for line in lines] == ["worn1.h5", "worn2.h5"]
+    assert head.startswith("filename,")
+
+
+def _all_columns(without: Outcome, done: Outcome, bench: Bench) -> None:
+    """A paper's columns, and all others."""
+    few, every = (
+        set((one.folder / "table.csv").read_text().splitlines()[0].split(","))
+        for one in (without, done)
+    )
+    assert few < every
+    assert {"bias_x", "bias_x_sd", "status", "what_to_do"} <= every - few
+
+
 KEPT = ("batch", "<cohort.txt>", "-o", "<entries>", "--json", "--", "--no-loop")
 CASES: tuple[Case, ...] = (
     BATCH("--output <out>/others", lambda a, b, c: _moved(a, b)),
+    BATCH("--corrected <out>/corrected", _corrected),
     BATCH("--calibrator lab", _by_lab),
     BATCH("--jobs 2", _alike),
     BATCH("--shard 2/2", _one_of_two),
     BATCH("--shard 3", ends(2, "is not I/N")),
     BATCH("--no-resume", _again, *KEPT),
     COLLECT("--output <out>/other.csv", _table),
+    COLLECT("--all-columns", _all_columns),
+    COLLECT("--ggir <out>/g.csv", both(writes("g.csv"), _for_ggir)),
     COLLECT("--html <out>/page.html", both(writes("page.html"), _page)),
 )
 

@@ -221,11 +221,6 @@ def reasons(result: ActigraphResult, coverage: Coverage) -> tuple[str, ...]:
         found.append(f"the held-out error of {held:.1f} mg is above the field's 10 mg")
     if held > raw:
         found.append(f"on held-out time it is worse than no calibration ({raw:.2f} mg)")
-    if result.downweighted > 0.02 * result.runs.n:
-        found.append(
-            f"{result.downweighted} of {result.runs.n} posture runs are unlike the rest and count "
-            "less"
-        )
     return tuple(found)
 
 
