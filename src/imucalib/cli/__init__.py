@@ -181,7 +181,8 @@ def _version(ctx: click.Context, _: click.Parameter, wanted: bool) -> None:
     cls=LazyGroup,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
     epilog="Exit codes: 0 calibrated, 1 a limit is broken, 2 usage, 3 unreadable input, "
-    "4 not determined by the data, 5 an open question changes the numbers, 6 not converged, 70 a fault of imucal.",
+    "4 not determined by the data, 5 an open question changes the numbers, 6 not converged, "
+    "70 a fault of imucal.",
 )
 @click.option(
     "-V",
