@@ -19,11 +19,12 @@ from imucalib.exports import export
 from imucalib.readers import read
 from imucalib.recording.identity import accelerometer_of, identity_of
 from imucalib.recording.yaml_text import load
+from worlds.command import run
 from worlds.flight_logs import dataflash, ulog
 from worlds.stated import stated
 from worlds.targets import by_qgroundcontrol
 
-COUNT, RATE = 3, 100
+COUNT, RATE = 3, 10
 RNG = np.random.default_rng(5)
 ATTITUDES = RNG.normal(size=(20, 3))
 FORCE = np.repeat(9.80665 * ATTITUDES / np.linalg.norm(ATTITUDES, axis=1, keepdims=True), 20, 0)
@@ -226,5 +227,7 @@ def test_a_log_after_other_parameters_is_not_corrected_again(tmp_path: Path) -> 
     later = ardupilot_log(tmp_path / "2.bin", {**of_ardupilot(), "INS_ACCOFFS_X": 0.5})
     with pytest.raises(UsageError, match="controller's parameters are others"):
         accelerometer_of(first.sensor, read(later), "imu0")
+    done = run("lab", tmp_path / "1.bin", later, "--sensor", "imu0", "--reference", "norm")
+    assert "controller's parameters are others" in str(done.exception)
     same = ardupilot_log(tmp_path / "3.bin", of_ardupilot())
     assert accelerometer_of(first.sensor, read(same)).triad == "imu0"

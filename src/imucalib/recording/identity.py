@@ -110,22 +110,21 @@ def accelerometer_of(wanted: Identity | None, recording: Recording, sensor: str 
         demand_device(wanted, recording)
         if names and _names(own) and not names & _names(own):
             raise _another(wanted, own, recording.path)
-        _demand_parameters(wanted, own, recording.path)
+        if not same_parameters(wanted, own):  # as once the controller has the calibration
+            raise UsageError(
+                "the controller's parameters are others than in the log that was calibrated: the "
+                "correction would be made twice, or half",
+                where=recording.path,
+                remedy="calibrate this log by itself; if its readings are those, insist",
+                add=("--same-device",),
+            )
     return chosen
 
 
-def _demand_parameters(wanted: Identity, own: Identity, path: str) -> None:
-    """Raise UsageError where a controller corrected the readings otherwise than those that were
-    calibrated, as it does once it has the calibration."""
-    before, now = ((one.onboard or Onboard()) for one in (wanted, own))
-    if (before.offset, before.scale) != (now.offset, now.scale):
-        raise UsageError(
-            "the controller's parameters are others than in the log that was calibrated: the "
-            "correction would be made twice, or half",
-            where=path,
-            remedy="calibrate this log by itself; if its readings are those, insist",
-            add=("--same-device",),
-        )
+def same_parameters(one: Identity, other: Identity) -> bool:
+    """Whether a controller had corrected the readings of both alike."""
+    before, now = ((of.onboard or Onboard()) for of in (one, other))
+    return (before.offset, before.scale) == (now.offset, now.scale)
 
 
 def demand_device(wanted: Identity | None, recording: Recording) -> None:

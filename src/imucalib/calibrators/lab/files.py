@@ -37,7 +37,7 @@ from imucalib.readers import read
 from imucalib.readers.csv.table import Cells
 from imucalib.readers.csv.text import take_turns
 from imucalib.readers.words import triples_of
-from imucalib.recording.identity import identity_of
+from imucalib.recording.identity import identity_of, same_parameters
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
 from imucalib.recording.sensors import accelerometer
@@ -328,6 +328,12 @@ def _demand_one_sensor(tables: Sequence[PositionTable]) -> None:
                 f"{first.unit or 'are not stated'}",
                 where=one.path,
                 remedy="use the same headings in all files of one sensor",
+            )
+        if not same_parameters(one.sensor, first.sensor):
+            raise UsageError(
+                f"the controller's parameters are others than in {first.path}",
+                where=one.path,
+                remedy="calibrate logs with the same parameters together",
             )
         twin = next((o for o in tables[:k] if o.sha256 == one.sha256), None)
         if twin is not None:
