@@ -63,6 +63,23 @@ def test_the_table_tells_what_was_drawn(night: Path) -> None:
         assert middle[0] == pytest.approx(row["allan"]["deviation"][0], rel=0.03)
 
 
+def test_files_hold_what_the_table_says_of_the_noisiest_axis(night: Path) -> None:
+    """Of every term its own."""
+    rows, kalibr = (
+        json.loads(run("noise", night, "--json").stdout)["noise"],
+        form_of(night, "kalibr"),
+    )
+    for key, value in yaml_of(kalibr).items():
+        kind, _, term = key.partition("_")
+        if term not in ("noise_density", "random_walk"):
+            continue
+        quantity = {"accelerometer": "acceleration", "gyroscope": "angular_rate"}[kind]
+        name = {"noise_density": "white", "random_walk": "walk"}[term]
+        own = [row[name] for row in rows if row["quantity"] == quantity]
+        shown = [one["value"] for one in own if one["value"] is not None]
+        assert value == max(shown or [one["below"] for one in own])
+
+
 def test_densities_go_to_kalibr_and_openvins(night: Path) -> None:
     kalibr = yaml_of(form_of(night, "kalibr"))
     chain = yaml_of(form_of(night, "openvins"))["imu0"]

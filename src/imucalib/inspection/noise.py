@@ -166,6 +166,16 @@ def _coefficient(size: Array, probability: float) -> Coefficient:
     return Coefficient(value, low, high, bound, probability)
 
 
+def noisiest(axes: Sequence[AxisNoise], term: str) -> AxisNoise:
+    """The axis that has most of a term: of those that show it, else by what it lies below."""
+
+    def size(axis: AxisNoise) -> tuple[bool, float]:
+        own: Coefficient = getattr(axis, term)
+        return own.value is not None, own.bound if own.value is None else own.value
+
+    return max(axes, key=size)
+
+
 _PREFIX = {"acceleration": "accelerometer", "angular_rate": "gyroscope"}
 
 
@@ -178,10 +188,9 @@ def noise_blocks(noise: Sequence[SensorNoise]) -> dict[str, dict[str, Any]]:
         block = blocks.setdefault(sensor.triad, {})
         for name, term in (("noise_density", "white"), ("random_walk", "walk")):
             key = f"{_PREFIX[sensor.quantity]}_{name}"
-            terms = [getattr(axis, term) for axis in sensor.axes]
-            known = [one.value for one in terms if one.value is not None]
-            block[key] = max(known or [one.bound for one in terms])
-            if not known:
+            most: Coefficient = getattr(noisiest(sensor.axes, term), term)
+            block[key] = most.bound if most.value is None else most.value
+            if most.value is None:
                 block.setdefault("upper_limits", []).append(key)
         block["rostopic"] = sensor.topic or f"/{sensor.triad}/imu"
         block["update_rate"] = sensor.rate

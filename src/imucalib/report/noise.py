@@ -10,7 +10,7 @@ import numpy as np
 from imucalib.calibration.plain import fields, plain
 from imucalib.estimators.allan import SHAPES
 from imucalib.exports.noise import NOISE_FORMS
-from imucalib.inspection.noise import AxisNoise, Coefficient, SensorNoise
+from imucalib.inspection.noise import Coefficient, SensorNoise, noisiest
 from imucalib.report.document import Document, Plot, Section, Series, Table, Text
 from imucalib.units import DEG, MG
 
@@ -85,11 +85,7 @@ def _count_sensors(noise: Sequence[SensorNoise]) -> str:
 
 def _headline(sensor: SensorNoise) -> str:
     unit, scale = _UNITS[sensor.quantity]["white"]
-    return f"{_cell(_noisiest(sensor).white, scale)} {unit}"
-
-
-def _noisiest(sensor: SensorNoise) -> AxisNoise:
-    return max(sensor.axes, key=lambda axis: axis.white.value or axis.white.bound)
+    return f"{_cell(noisiest(sensor.axes, 'white').white, scale)} {unit}"
 
 
 def _tables(noise: Sequence[SensorNoise]) -> Iterator[Table]:
@@ -132,12 +128,13 @@ def _in_other_units(noise: Sequence[SensorNoise]) -> Table:
     """The noisiest axis of every sensor."""
     rows = []
     for sensor in noise:
-        worst, name = _noisiest(sensor), f"{sensor.triad} {_SENSORS[sensor.quantity]}"
+        name = f"{sensor.triad} {_SENSORS[sensor.quantity]}"
+        most = {term: getattr(noisiest(sensor.axes, term), term) for term in ("white", "walk")}
         unit, scale = _SAMPLE[sensor.quantity]
         words = f"sd of a sample at {sensor.rate:.4g} Hz"
-        rows.append((name, words, _cell(worst.white, scale / np.sqrt(sensor.rate)), unit))
+        rows.append((name, words, _cell(most["white"], scale / np.sqrt(sensor.rate)), unit))
         for term, words, unit, scale in _ALSO[sensor.quantity]:
-            rows.append((name, words, _cell(getattr(worst, term), scale), unit))
+            rows.append((name, words, _cell(most[term], scale), unit))
     note = "Of the noisiest axis, as files for other programs have it."
     return Table("", ("sensor", "what", "value", "unit"), tuple(rows), "llrl", note)
 
@@ -149,7 +146,7 @@ def _plots(noise: Sequence[SensorNoise]) -> Iterator[Plot]:
         for sensor in noise:
             if sensor.quantity != quantity:
                 continue
-            worst = _noisiest(sensor)
+            worst = noisiest(sensor.axes, "white")
             curve, x = worst.curve, np.log10(worst.curve.tau)
             low, high = (edge / scale for edge in curve.interval())
             series.append(Series(sensor.triad, x, curve.deviation / scale, "points", low, high))
