@@ -48,6 +48,10 @@ class UnreadableInput(ImucalError):
     exit_code = 3
 
 
+class UnnamedColumns(UnreadableInput):
+    """A table whose headings do not say which columns are meant; it may be of another kind."""
+
+
 class Undetermined(ImucalError):
     """The data cannot determine the parameters that were asked for."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ import pytest
 from imucalib import readers, writers
 from imucalib.arrays import Array
 from imucalib.inspection.allan import AllanCurve, AllanSums
-from imucalib.inspection.inspection import inspect_recording
+from imucalib.inspection.inspection import inspect_recording, problems
 from imucalib.inspection.noise import Coefficient, identify, noise_at_rest
 from imucalib.recording.recording import Gap, Recording
 from imucalib.rests.segments import still_segments
@@ -58,6 +59,15 @@ def test_facts() -> None:
     assert found.candidates[0][0] == "imu0/acceleration"
     assert found.notes[0] == "a note"
     assert found.mapping == {"acc": ["x"]}
+
+
+def test_a_clock_that_steps_back_speaks_against_a_calibration() -> None:
+    seen = recording()
+    t = seen.channels["imu0/acceleration"].t.copy()
+    t[2000:] -= 5.0
+    channels = {name: replace(one, t=t) for name, one in seen.channels.items()}
+    said = tuple(problems(inspect_recording([replace(seen, channels=channels)])))
+    assert any("time steps back 1 time" in one for one in said), said
 
 
 def test_blocks_and_whole_agree(tmp_path: object) -> None:

@@ -16,7 +16,7 @@ import click
 from imucalib.cli import options as opt
 from imucalib.cli.bench_file import from_file
 from imucalib.cli.output import Say, emit_json, note, say, show, working
-from imucalib.errors import LimitBroken
+from imucalib.errors import LimitBroken, UnnamedColumns
 
 if TYPE_CHECKING:
     from imucalib.calibration.outcome import Gate
@@ -100,9 +100,14 @@ def calibrating(command: Callable[..., int]) -> Callable[..., int]:
             raise click.UsageError("--export needs a folder: -o")
         if options["output"] is not None and not options["force"]:
             _demand_folders(options["output"], options)
-        if options["entry"] is None:
-            return command(*args, **options)
-        return _with_entry(functools.partial(command, *args, **options), options)
+        try:
+            if options["entry"] is None:
+                return command(*args, **options)
+            return _with_entry(functools.partial(command, *args, **options), options)
+        except UnnamedColumns as error:  # of a table that another command may take
+            file = shlex.quote(str(_inputs(options)[0]))
+            error.remedy += f"; imucal {file} says what else it may be"
+            raise
 
     checked.calibrates = True  # type: ignore[attr-defined]
     found: Callable[..., int] = _OPTIONS(checked)

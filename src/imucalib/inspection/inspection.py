@@ -270,6 +270,8 @@ def problems(found: Inspection) -> Iterator[str]:
     if found.repeats:
         held = [note.partition(":")[0] for note in found.repeats]
         yield f"samples of {_some(held)} repeat the one before (notes below)"
+    if back := max((f.back_steps for f in found.channels), default=0):
+        yield f"time steps back {back} time{'s' * (back != 1)} (notes below)"
     if found.losses:
         count = len(found.losses)
         yield f"part of it is lost ({count} note{'s' if count > 1 else ''} below)"

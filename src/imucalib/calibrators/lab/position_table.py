@@ -8,7 +8,6 @@ Columns are found by name or given; every cell that is used must be a number. Ro
 from __future__ import annotations
 
 import re
-import shlex
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -18,7 +17,7 @@ import numpy as np
 from imucalib.arrays import Array, Flags, Index
 from imucalib.atomic_file import replace_atomically
 from imucalib.calibrators.lab.headings import ROLES, bare, roles_of, says_something
-from imucalib.errors import UnreadableInput, UsageError
+from imucalib.errors import UnnamedColumns, UnreadableInput, UsageError
 from imucalib.file_hash import sha256_of
 from imucalib.readers.csv.table import Cells, and_more, selected, table_cells
 from imucalib.readers.csv.text import few_values, is_blank, is_number
@@ -352,10 +351,8 @@ def _demand(roles: tuple[str, ...], found: Mapping[str, str], have: list[str], w
         remedy = "add --reference direction where faces stand for angles"
     if "ux" in absent:
         remedy = "add a column face with +x, -x, +y, -y, +z or -z, or name it: --columns face=B"
-    raise UnreadableInput(
-        f"no column for {', '.join(absent)} among: {', '.join(have)}",
-        where=where,
-        remedy=f"{remedy}; imucal {shlex.quote(where)} says what else it may be",
+    raise UnnamedColumns(
+        f"no column for {', '.join(absent)} among: {', '.join(have)}", where=where, remedy=remedy
     )
 
 

@@ -6,7 +6,6 @@ Before that, what the lines above the table state; and where nothing is found, w
 from __future__ import annotations
 
 import re
-import shlex
 import zlib
 from collections.abc import Container, Sequence
 from dataclasses import dataclass, field, replace
@@ -14,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.errors import UnreadableInput, UsageError
+from imucalib.errors import UnnamedColumns, UsageError
 from imucalib.readers.choice import OPTIONS, Field, Vector, choose
 from imucalib.readers.contents import Content, listing, norm_of
 from imucalib.readers.csv.dialect import Dialect
@@ -148,7 +147,7 @@ def contents_of(
     return [found[i] for i in sorted(found)]
 
 
-def nothing_found(dialect: Dialect, pieces: Sequence[bytes], where: str) -> UnreadableInput:
+def nothing_found(dialect: Dialect, pieces: Sequence[bytes], where: str) -> UnnamedColumns:
     """The error for a table in which no names tell of an acceleration or an angular rate: every
     column with its median, and every three neighbours whose norm is that of gravity."""
     rows = dialect.rows_of(pieces)
@@ -162,12 +161,11 @@ def nothing_found(dialect: Dialect, pieces: Sequence[bytes], where: str) -> Unre
                 vectors.append(Content(address, "one vector?", 0, norm=norm_of(values)))
     what = f"the {dialect.width} columns have no names"
     option = vectors[0].address if len(vectors) == 1 else "X,Y,Z"
-    return UnreadableInput(
+    return UnnamedColumns(
         ("no acceleration columns among" if dialect.names else what)
         + f":{listing([*columns, *vectors])}\n",
         where=where,
-        remedy=f"Name them: --acc {option} (and --gyro, --time or --rate, --unit); "
-        f"imucal {shlex.quote(where)} says what else it may be",
+        remedy=f"Name them: --acc {option} (and --gyro, --time or --rate, --unit)",
     )
 
 
