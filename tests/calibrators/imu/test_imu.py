@@ -186,6 +186,23 @@ def test_clipped_turns_and_gaps_are_left_out_and_counted(tmp_path: Path) -> None
     assert any("turns were left out" in note for note in content["notes"])
 
 
+@pytest.mark.parametrize("grain", [0.25, 1.0])
+def test_rates_in_coarse_steps_are_neither_clipped_nor_worse_than_raw(
+    grain: float, tmp_path: Path
+) -> None:
+    """A smooth top read in steps is flat, and rests that are read alike are rounded alike."""
+    log, _ = made(tmp_path / "right.csv", rests=16)
+    coarse = np.radians(grain * np.round(np.degrees(log.rate) / grain))
+    content = report(replace(log, rate=coarse).write(tmp_path / "coarse.csv"), "--no-loop")
+    assert not content["imu"]["turns_left_out"]
+    held = content["loop"]["errors"][0]["held_out"]
+    assert held["final"] < held["raw"]
+    top = np.radians(grain * np.round(np.degrees(0.9 * np.abs(log.rate).max()) / grain))
+    clipped = replace(log, rate=np.clip(coarse, -top, top)).write(tmp_path / "clipped.csv")
+    left = report(clipped, "--no-loop")["imu"]["turns_left_out"]
+    assert any("clipped" in words for words in left)
+
+
 def test_logs_at_several_temperatures_tell_what_follows_it(tmp_path: Path) -> None:
     rng = np.random.default_rng(2)
     own, paths = chip(rng), []

@@ -154,6 +154,7 @@ def _of_one(recording: Recording, segments: Segments, gravity: float) -> ImuLog:
     middle = np.zeros(segments.n, np.intp)
     mean, biases, bias_sd = (np.zeros((segments.n, 3)) for _ in range(3))
     noise = np.maximum(segments.rate_noise[0], segments.rate_step[0] / np.sqrt(12.0))
+    rounded = rounding_sd(segments.rate_noise[0], segments.rate_step[0])
     own = float(np.sqrt(np.mean(segments.noise[0] ** 2))) / gravity
     for k, (a, b) in enumerate(zip(*ends, strict=True)):
         bias, sd = _steady(rate[a:b], round(_PART / step))
@@ -162,7 +163,8 @@ def _of_one(recording: Recording, segments: Segments, gravity: float) -> ImuLog:
         turned = attitudes(t[a:b], moving[a:b, None] * (rate[a:b] - bias))
         turned = turned[middle[k] - a].T @ turned
         mean[k] = np.einsum("nij,nj->ni", turned, reading[a:b]).mean(axis=0)
-        biases[k], bias_sd[k] = bias, np.maximum(sd, noise / np.sqrt(b - a))
+        biases[k] = bias
+        bias_sd[k] = np.hypot(np.maximum(sd, noise / np.sqrt(b - a)), rounded)
     turns, why = [], list[str]()
     flat = _flat_tops(rate)
     for k in range(segments.n - 1):
@@ -225,6 +227,22 @@ def _steady(rate: Array, per: int) -> tuple[Array, Array]:
     return location, np.asarray(np.sqrt(square / (count - 1)))
 
 
+def rounding_sd(noise: Array, step: Array) -> Array:
+    """Standard deviation of what rounding leaves in a mean of many readings of one value.
+
+    noise : of readings as they were rounded; step : between readings, 0 where there is none
+
+    Readings that hardly move are rounded alike: the mean is off by up to half a step, q / sqrt 12.
+    Noise of standard deviation s before rounding takes the error's first harmonic down by
+    exp(-2 pi² s² / q²) (Widrow, Kollar and Liu 1996, IEEE Trans. Instrum. Meas. 45, 353-361).
+    """
+    coarse = np.maximum(step, 1e-300)
+    before = np.maximum(noise**2 - coarse**2 / 12.0, 0.0) / coarse**2
+    return np.asarray(
+        np.where(step > 0.0, step / np.sqrt(12.0), 0.0) * np.exp(-2.0 * np.pi**2 * before)
+    )
+
+
 def moving_share(away: Array, noise: Array, step: float) -> Array:
     """(n,) by how much rates (n, 3) about a rest's mean are motion: the positive part of James' and
     Stein's factor, 1 - (p - 2) / |z|² of p means z in units of their noise, each second anew.
@@ -253,14 +271,14 @@ def _without_still_ends(moving: Array) -> tuple[int, int]:
 
 
 def _flat_tops(rate: Array) -> Flags:
-    """(n,) where an axis is at its largest or smallest reading, if that is a range's end: three
-    samples in a row read it."""
+    """(n,) where an axis is at its largest or smallest reading, if that is a range's end: it stays
+    there for longer than a smooth top that is read in steps. A parabola is within its highest step
+    for at most 1 / (sqrt 2 - 1) of the time that it is in the next; where samples fall, two more."""
     found = np.zeros(len(rate), bool)
-    for axis in rate.T:
-        for end in (axis.max(), axis.min()):
-            at = axis == end
-            if (at[:-2] & at[1:-1] & at[2:]).any():
-                found |= at
+    for axis in (*rate.T, *-rate.T):
+        readings, count = np.unique(axis, return_counts=True)
+        if len(readings) > 1 and count[-1] - 2 > count[-2] / (np.sqrt(2.0) - 1.0):
+            found |= axis == readings[-1]
     return found
 
 
