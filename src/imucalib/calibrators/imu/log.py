@@ -273,7 +273,7 @@ def _without_still_ends(moving: Array) -> tuple[int, int]:
 def _flat_tops(rate: Array) -> Flags:
     """(n,) where an axis is at its largest or smallest reading, if that is a range's end: it stays
     there for longer than a smooth top that is read in steps. A parabola is within its highest step
-    for at most 1 / (sqrt 2 - 1) of the time that it is in the next; where samples fall, two more."""
+    for at most 1 / (sqrt 2 - 1) of the time that it is in the next; by chance two samples more."""
     found = np.zeros(len(rate), bool)
     for axis in (*rate.T, *-rate.T):
         readings, count = np.unique(axis, return_counts=True)
