@@ -29,7 +29,7 @@ from imucalib.report.document import (
 )
 from imucalib.report.plots import gain_plot, project
 from imucalib.report.render.html import render_html
-from imucalib.report.render.svg import Axis, linear_axis, render_svg
+from imucalib.report.render.svg import Axis, linear_axis, render_svg, slots_of
 from imucalib.report.render.table import decimal_pads
 from imucalib.report.render.text import PAGE, render_text
 from worlds.places import SAMPLES
@@ -147,6 +147,17 @@ def _line(plot: Plot) -> str:
     """The path of the first line of the series, without legend and axes."""
     group = next(g for g in _elements(render_svg(plot), "g") if "--series-0" in g.get("style", ""))
     return str(group[0].get("d"))
+
+
+def test_before_and_after_have_one_colour_on_every_page() -> None:
+    one = np.arange(3.0)
+    labels = ("noise", "before", "after"), ("raw reading", "corrected"), ("after", "mean", "before")
+    for names in labels:
+        plot = _plot(*(Series(name, one, one, "points") for name in names))
+        slots = dict(zip(names, slots_of(plot), strict=True))
+        assert len(set(slots.values())) == len(names)
+        assert slots.get("before", 1) == 1
+        assert slots.get("after", slots.get("corrected")) == 2
 
 
 def _points(path: str) -> np.ndarray:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import count
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -220,6 +221,8 @@ DASHES = ("", "7 3", "2 3", "8 3 2 3", "12 4", "4 2 1 2 1 2")
 WIDTH, HEIGHT = 500, 300
 LEGEND_ROW = 20.0
 SWATCH = 26.0
+#: Colours that mean the same on every page: the reading as it came, before the search, after it.
+_ROLES = {"raw": 0, "raw reading": 0, "as read": 0, "before": 1, "after": 2, "corrected": 2}
 #: Colour of the series (None: that of the text), and what is drawn in it.
 Group = tuple[int | None, list[Shape]]
 
@@ -305,8 +308,16 @@ def _frame(plot: Plot, width: int, height: int, legend_height: float) -> AxesFra
     return AxesFrame(left, top, *shape, x_axis, y_axis)
 
 
+def slots_of(plot: Plot) -> list[int]:
+    """Colour and marker of each series: those of its role, else the first that are free."""
+    taken = {_ROLES[s.label] for s in plot.series if s.label in _ROLES}
+    free = (slot for slot in count() if slot not in taken)
+    return [_ROLES[s.label] if s.label in _ROLES else next(free) for s in plot.series]
+
+
 def _draw_series(plot: Plot, frame: AxesFrame) -> list[Group]:
     """Every series that has a point, or a piece of band, to show."""
+    slots = slots_of(plot)
     grouped = [i for i, s in enumerate(plot.series) if s.mark == "bars"]
     slot = frame.width * bar_slot(plot) / (frame.x.high - frame.x.low) * 0.76
     wide = min(slot / max(len(grouped), 1), 64.0)
@@ -326,16 +337,16 @@ def _draw_series(plot: Plot, frame: AxesFrame) -> list[Group]:
             case "net":
                 drawn.append((None, [Shape("net", one.d) for one in marks.line(placed)]))
             case "points":
-                points = marks.scatter(placed, i, dots=crowded)
-                drawn.append((i, marks.error_bars(placed) + points))
+                points = marks.scatter(placed, slots[i], dots=crowded)
+                drawn.append((slots[i], marks.error_bars(placed) + points))
             case "rings":
-                drawn.append((i, marks.rings(placed)))
+                drawn.append((slots[i], marks.rings(placed)))
             case "bars":  # whiskers in the colour of the text: a bar hides those of its own
-                drawn.append((i, marks.bars(placed, foot, wide * 0.92)))
+                drawn.append((slots[i], marks.bars(placed, foot, wide * 0.92)))
                 drawn.append((None, marks.error_bars(placed, min(4.0, wide / 3))))
             case _:
                 line = marks.line(placed, _dash(plot, i), series.mark == "step")
-                drawn.append((i, marks.band(placed) + line))
+                drawn.append((slots[i], marks.band(placed) + line))
     return drawn
 
 
@@ -351,7 +362,7 @@ def _legend(
     """Swatches and labels in rows above the axes, and their height; none for a single series."""
     if len(plot.series) < 2:
         return [], 0.0
-    x, y, drawn = 4.0, 12.0, []
+    x, y, drawn, slots = 4.0, 12.0, [], slots_of(plot)
     for i, series in enumerate(plot.series):
         if series.mark == "net":
             continue
@@ -360,16 +371,16 @@ def _legend(
         needed = swatch + text_width(label, FONT) + 26
         if x + needed > width and x > 4:
             x, y = 4.0, y + LEGEND_ROW
-        drawn.append((i, _swatch(plot, i, x, y), x + swatch + 5, y + 4.3, label))
+        drawn.append((slots[i], _swatch(plot, i, slots[i], x, y), x + swatch + 5, y + 4.3, label))
         x += needed
     return drawn, y + 6
 
 
-def _swatch(plot: Plot, i: int, x: float, y: float) -> list[Shape]:
+def _swatch(plot: Plot, i: int, slot: int, x: float, y: float) -> list[Shape]:
     series = plot.series[i]
     match series.mark:
         case "points":
-            return [Shape("mark", marks.MARKERS[i % len(marks.MARKERS)](x + 7, y))]
+            return [Shape("mark", marks.MARKERS[slot % len(marks.MARKERS)](x + 7, y))]
         case "rings":
             return [Shape("line", marks.ring(x, y, 6))]
         case "bars":
