@@ -111,7 +111,11 @@ def test_a_page_and_no_file_overwritten(folder: Path, tmp_path: Path) -> None:
         done = run("check", calibration, folder / "same_rests.csv", "--html", page, "-q")
         assert done.return_value == (2 if done.exception else 0)
     assert done.return_value == 2
-    assert "Readings" in page.read_text()
+    text = page.read_text()
+    assert "Readings" in text
+    card = text[text.index('class="card"') : text.index("<nav")]
+    assert "Misfit of the readings" in card
+    assert "unchanged, 95 %" in card
 
 
 @pytest.mark.slow

@@ -20,11 +20,14 @@ from imucalib.report.document import (
     Block,
     Card,
     Document,
+    Plot,
     Section,
+    Series,
     Table,
     Text,
     Tone,
     Worth,
+    capital,
 )
 from imucalib.significant_digits import plus_minus, probability, signed_components, two_digits
 from imucalib.units import MG
@@ -36,6 +39,8 @@ _HEADLINE = {
     "changed": "The sensor is not what the calibration says.",
     "undecided": "Undecided: these readings are too few, or one of them is off.",
 }
+#: Standard deviations on either side of what holds 95 %.
+_NORMAL_95 = 1.96
 #: Rests that a card names.
 _RESTS = 6
 _OFTEN = f"{100 * POWER:.0f} %"
@@ -136,7 +141,26 @@ def _card(check: Check, calibration: Path, command: str) -> Card:
         words = f"The gyroscope's bias of {', '.join(moved)} moved, as at every switching on."
         found += (Text(words),)
     steps = _to_do(check, shlex.quote(str(calibration)))
-    return Card(tuple(worths), found, steps, command, headline=_HEADLINE[check.verdict])
+    picture, headline = _picture(check), _HEADLINE[check.verdict]
+    return Card(tuple(worths), found, steps, command, headline=headline, picture=picture)
+
+
+def _picture(check: Check) -> Plot:
+    """By how much every reading of the least likely sensor is off what the calibration foretells,
+    with the 95 % of an unchanged one."""
+    sensor = min(check.sensors, key=lambda s: s.p)
+    misfits = sensor.misfits
+    rows, half = np.arange(1.0, misfits.n + 1.0), np.zeros(misfits.n)
+    # Of a reading's axes the one that is known least.
+    np.maximum.at(half, misfits.owner, _NORMAL_95 * np.sqrt(np.diag(misfits.covariance)) / MG)
+    names = tuple(misfits.label[row] for row in misfits.owner)
+    series = (
+        Series.about("unchanged, 95 %", rows, np.zeros(misfits.n), half, "band"),
+        Series("reading", rows[misfits.owner], misfits.value / MG, "points", names=names),
+    )
+    what = "each axis" if misfits.directed else "|a|"
+    caption = f"{_of(sensor)}{what} of every reading less what the calibration foretells."
+    return Plot("Misfit of the readings", "reading", "misfit (mg)", series, capital(caption))
 
 
 def _to_do(check: Check, calibration: str) -> tuple[str, ...]:
