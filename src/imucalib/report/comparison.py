@@ -64,7 +64,6 @@ def comparison_document(found: Comparison, paths: Sequence[Path], command: str =
         Section("Parameters", (Text(found.basis.words), _parameters(found))),
         Section("Between calibrations", _scatter(found)),
         Section("Drift", _drift(found)),
-        Section("Control chart", _control_chart(found), brief=False),
     )
     title, footer = f"Comparison of {', '.join(found.names)}", (("command", command),)
     card = _card(found, paths, command)
@@ -124,7 +123,8 @@ def _card(found: Comparison, paths: Sequence[Path], command: str) -> Card:
         said.append(_due(found.drift))
     said += Text.sentences(found.notes, "warning")
     steps, headline = _to_do(found, paths), _HEADLINE[found.verdict]
-    return Card(tuple(worths), tuple(said), steps, command, headline=headline)
+    chart = _control_chart(found)
+    return Card(tuple(worths), tuple(said), steps, command, headline=headline, picture=chart)
 
 
 def _to_do(found: Comparison, paths: Sequence[Path]) -> tuple[str, ...]:
@@ -247,12 +247,12 @@ def _day(drift: CalibrationDrift, days: float) -> str:
     return (drift.dates.start + timedelta(days=days)).strftime("%Y-%m-%d")
 
 
-def _control_chart(found: Comparison) -> tuple[Plot, ...]:
+def _control_chart(found: Comparison) -> Plot | None:
     """Size of the corrected force at the attitude where the calibrations differ most, against time
     or their order, with its sd and the limit; none where no force was compared."""
     force = next((m for m in found.meanings if m.unit == "mg"), None)
     if force is None:
-        return ()
+        return None
     seen = found.seen[force.sensor]
     at = int(np.argmax(seen.attitude @ force.attitude))
     value, sd = seen.size[:, at], seen.size_sd[:, at]
@@ -273,7 +273,7 @@ def _control_chart(found: Comparison) -> tuple[Plot, ...]:
     )
     title = "Control chart" + (f" of {force.sensor}" if force.sensor else "")
     x_label = "calibration" if days is None else "days since the first"
-    return (Plot(title, x_label, "|f| against the first, mg", series, caption),)
+    return Plot(title, x_label, "|f| against the first, mg", series, caption)
 
 
 def comparison_dict(found: Comparison) -> dict[str, Any]:

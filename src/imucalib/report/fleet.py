@@ -45,9 +45,10 @@ def fleet_document(fleet: Fleet) -> Document:
     )
     kept = (r for m in fleet.members for r in m.recordings if r.kept)
     notes = (*fleet.notes, *(f"{r.name} stays as it was calibrated: {r.kept}." for r in kept))
+    each = _each(fleet)
     parts = (
         Section("What the devices share", _shared(fleet)),
-        Section("Devices", _each(fleet)),
+        Section("Devices", each[:1]),
         Section("Between devices", _spread(fleet), brief=False),
         Section("Not of the kind", Text.each(outlying, "warning")),
         Section("What was tried", _tried(fleet), brief=False),
@@ -58,7 +59,15 @@ def fleet_document(fleet: Fleet) -> Document:
     footer = (("command", command), ("seed", str(fleet.settings.seed))) if command else ()
     title, verdict = f"Fleet of {len(fleet.members)} devices", _verdict(fleet)
     uses, headline = _uses(fleet), _headline(fleet)
-    card = Card(_worth(fleet), _found(fleet), _to_do(fleet), command, uses, headline)
+    card = Card(
+        _worth(fleet),
+        _found(fleet),
+        _to_do(fleet),
+        command,
+        uses,
+        headline,
+        picture=each[1] if each else None,
+    )
     return Document(title, verdict, parts, footer, card)
 
 
@@ -197,7 +206,8 @@ def _shared(fleet: Fleet) -> tuple[Table, ...]:
     return (Table("", header, rows, "lrrrl", note),) if rows else ()
 
 
-def _each(fleet: Fleet) -> tuple[Table | Plot, ...]:
+def _each(fleet: Fleet) -> tuple[()] | tuple[Table, Plot]:
+    """Every device, alone and with the fleet, as a table and as a picture."""
     shown = [m for m in fleet.members if np.isfinite(m.base)]
     if not shown:
         return ()

@@ -222,7 +222,11 @@ WIDTH, HEIGHT = 500, 300
 LEGEND_ROW = 20.0
 SWATCH = 26.0
 #: Colours that mean the same on every page: the reading as it came, before the search, after it.
-_ROLES = {"raw": 0, "raw reading": 0, "as read": 0, "before": 1, "after": 2, "corrected": 2}
+_ROLES = {
+    **dict.fromkeys(("raw", "raw reading", "as read"), 0),
+    **dict.fromkeys(("before", "alone"), 1),
+    **dict.fromkeys(("after", "corrected", "with the fleet"), 2),
+}
 #: Colour of the series (None: that of the text), and what is drawn in it.
 Group = tuple[int | None, list[Shape]]
 
