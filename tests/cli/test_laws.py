@@ -190,7 +190,7 @@ def test_batch_and_collect_accept_it(done: Done, tmp_path: Path) -> None:
                  "--", *done.options)  # fmt: skip
     summary = json.loads(result.stdout)
     assert (summary["calibrated"], len(summary["failed"])) == (1, 1)
-    assert run("collect", entries, "-o", table, "-q").return_value == 0
+    assert run("collect", entries, "-o", table, "--all-columns", "-q").return_value == 0
     with table.open(newline="") as file:
         rows = {Path(r["recording"]).name: r for r in csv.DictReader(file)}
     row, report = rows[done.recording.name], done.report
@@ -201,7 +201,7 @@ def test_batch_and_collect_accept_it(done: Done, tmp_path: Path) -> None:
     parameter = report["parameters"][0]
     assert float(row[parameter["name"]]) == pytest.approx(parameter["value"])
     assert rows["none.csv"]["status"] == "unreadable"
-    assert "cannot be opened" in rows["none.csv"]["reasons"]
+    assert "cannot be opened" in rows["none.csv"]["why"]
 
 
 @pytest.mark.parametrize("name", sorted(COMMANDS))

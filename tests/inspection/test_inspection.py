@@ -129,7 +129,7 @@ def test_white_noise_is_told_with_its_doubt_and_nothing_else() -> None:
 
 @pytest.mark.slow
 def test_a_walk_is_told_where_the_recording_is_long_enough() -> None:
-    z = []
+    z, limits = [], []
     for seed in range(12):
         rng = np.random.default_rng(seed)
         step = 2e-3 / np.sqrt(HZ)  # K = 2e-3 unit/s/sqrt(Hz)
@@ -137,13 +137,15 @@ def test_a_walk_is_told_where_the_recording_is_long_enough() -> None:
         found = identify(curve(walk))
         assert found.instability.value is None
         if found.walk.value is None:  # ten minutes are few: an instability may do as much
-            assert found.walk.bound > 2e-3
+            limits.append(found.walk.bound)
         else:
             z.append((found.walk.value - 2e-3) / sd_of(found.walk))
         short = identify(curve(walk[:500]))
         assert short.walk.value is None
-        assert short.walk.bound > 2e-3
+        limits.append(short.walk.bound)
     assert len(z) >= 9
+    # A limit of 95 % is too low once in twenty.
+    assert sum(limit < 2e-3 for limit in limits) <= 1
     assert 0.5 < np.std(z) < 1.5
 
 
