@@ -129,7 +129,7 @@ def test_a_study_leaves_calibrations_corrected_recordings_and_a_file_for_ggir(
     done = run("batch", *sorted(tmp_path.glob("p?.csv")), "-o", entries, "--corrected", corrected,
                "-q")  # fmt: skip
     assert done.exception is None, done.exception
-    assert [p.name for p in corrected.iterdir()] == ["p0.csv", "p1.csv"]
+    assert sorted(p.name for p in corrected.iterdir()) == ["p0.csv", "p1.csv"]
     made = sorted(entries.glob("p0*.yaml"))
     assert run("validate", *made).return_value == 0
     table, ggir, page = tmp_path / "t.csv", tmp_path / "g.csv", tmp_path / "t.html"

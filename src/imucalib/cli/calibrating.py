@@ -208,9 +208,14 @@ def shared_fields(options: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def command_line() -> str:
-    """The line that was typed, with what imucal.toml added, ready to be pasted."""
+    """The line that was typed, with what imucal.toml added, ready to be pasted; without the place
+    of an entry, which is the study's and not the calibration's."""
     ctx = click.get_current_context()
-    return shlex.join(["imucal", *ctx.meta.get(ARGUMENTS, ()), *from_file(ctx)])
+    words = list(ctx.meta.get(ARGUMENTS, ()))
+    if "--entry" in words:
+        at = words.index("--entry")
+        del words[at : at + 2]
+    return shlex.join(["imucal", *words, *from_file(ctx)])
 
 
 def finish(

@@ -19,6 +19,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from imucalib.cohort.entries import Entry, calibration_beside, read_entry, write_entry
 from imucalib.errors import UnreadableInput, UsageError
@@ -109,16 +110,19 @@ def run_task(task: Task, *, resume: bool = True) -> Entry:
         _correct(task, known)
         return replace(known, reused=True)
     path.parent.mkdir(parents=True, exist_ok=True)
-    for old in (path, calibration_beside(path)):
-        old.unlink(missing_ok=True)
-    words = (task.calibrator, task.recording, *task.arguments, "--entry", task.entry, "--quiet")
-    done = _run(task, words)
-    made = read_entry(path)
-    if made is None:  # it was killed, or is no recording for these options
-        said = done.stderr.strip().removeprefix("error: ") or f"ended by {done.returncode}"
-        made = Entry(task.recording, key, done.returncode, 0.0, said, None)
-    entry = replace(made, recording=task.recording, key=key)
-    write_entry(entry, path)
+    with TemporaryDirectory(prefix=".", dir=path.parent) as place:
+        own = Path(place) / "entry.json"
+        words = (task.calibrator, task.recording, *task.arguments, "--entry", str(own), "--quiet")
+        done = _run(task, words)
+        made = read_entry(own)
+        if made is None:  # it was killed, or is no recording for these options
+            said = done.stderr.strip().removeprefix("error: ") or f"ended by {done.returncode}"
+            made = Entry(task.recording, key, done.returncode, 0.0, said, None)
+        calibration_beside(path).unlink(missing_ok=True)
+        if calibration_beside(own).exists():
+            os.replace(calibration_beside(own), calibration_beside(path))
+        entry = replace(made, recording=task.recording, key=key)
+        write_entry(entry, path)
     _correct(task, entry)
     return entry
 
