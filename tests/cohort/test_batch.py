@@ -142,6 +142,14 @@ def test_a_study_leaves_calibrations_corrected_recordings_and_a_file_for_ggir(
     assert [line.count(",") for line in lines] == [head.count(",")] * 2
 
 
+def test_an_entry_overwrites_no_file_beside_it(cohort: Path, tmp_path: Path) -> None:
+    """The calibration goes beside it: another file of that name stays."""
+    (tmp_path / "e.yaml").write_text("mine\n")
+    done = run("lab", cohort / "good0.csv", *ARGUMENTS, "--entry", tmp_path / "e.json", "-q")
+    assert done.return_value != 0
+    assert (tmp_path / "e.yaml").read_text() == "mine\n"
+
+
 def names(*inputs: object) -> list[str]:
     return [p.name for p in recordings_of([str(i) for i in inputs]).recordings]
 

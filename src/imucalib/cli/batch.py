@@ -245,8 +245,8 @@ def collect(folder: Path, output: Path, **options: Any) -> int:
         demand_output(target, paths, force=options["force"])
     found = {path: read_entry(path) for path in paths}
     read = [entry for entry in found.values() if entry is not None]
-    latest = {entry.recording: path for path, entry in found.items() if entry is not None}
-    entries = tuple(entry for entry in read if found[latest[entry.recording]] is entry)
+    latest = {entry.recording: (path, entry) for path, entry in found.items() if entry is not None}
+    entries = tuple(entry for _, entry in latest.values())
     if not entries:
         raise UnreadableInput(
             "no entries of a cohort in it",
@@ -258,7 +258,7 @@ def collect(folder: Path, output: Path, **options: Any) -> int:
     if html is not None:
         write_whole(html, cohort_html(table, folder.absolute().name))
     if ggir is not None:
-        write_whole(ggir, _ggir([latest[entry.recording] for entry in entries], quiet))
+        write_whole(ggir, _compose_ggir([path for path, _ in latest.values()], quiet))
     if len(read) < len(found):
         note(f"{len(found) - len(read)} files are no entries", quiet)
     if len(entries) < len(read):
@@ -269,7 +269,7 @@ def collect(folder: Path, output: Path, **options: Any) -> int:
     return 0
 
 
-def _ggir(entries: list[Path], quiet: bool) -> str:
+def _compose_ggir(entries: list[Path], quiet: bool) -> str:
     """The text of one file for GGIR; what has no row in it is told."""
     from imucalib.calibration.file import read
     from imucalib.cohort.entries import calibration_beside

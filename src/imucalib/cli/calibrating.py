@@ -126,11 +126,18 @@ def _with_entry(work: Callable[[], int], options: Mapping[str, Any]) -> int:
 
     from imucalib.atomic_file import demand_output
     from imucalib.cli import failure_of
-    from imucalib.cohort.entries import Entry, failure_words, keep_of, write_entry
+    from imucalib.cohort.entries import (
+        Entry,
+        calibration_beside,
+        failure_words,
+        keep_of,
+        write_entry,
+    )
     from imucalib.errors import CRASH_EXIT_CODE, ImucalError, UsageError
 
     recordings, target, start = _inputs(options), options["entry"], time.monotonic()
-    demand_output(target, recordings, force=options["force"])
+    for path in (target, calibration_beside(target)):
+        demand_output(path, recordings, force=options["force"])
 
     def write(code: int, error: str, report: Mapping[str, Any] | None) -> None:
         kept, seconds = keep_of(report) if report else None, time.monotonic() - start
@@ -275,7 +282,7 @@ def _place(report: Report, folder: Path) -> Report:
         "calibration": str(folder / "calibration.yaml"),
         "folder": str(folder),
         "input": str(given),
-        "reading": opt.typed_of(without=("sensor",)),
+        "reading": opt.repeat_typed(without=("sensor",)),
         "suffix": next((s for s in (".csv", ".h5") if s in given.suffixes), ".mcap"),
     }
     return replace(report, document=report.document.placed(places))

@@ -46,7 +46,7 @@ def command(file: Path, **options: Any) -> int:
     mapping_file, page = options["save_mapping"], options["html"]
     for output in filter(None, (mapping_file, page)):
         demand_output(output, opt.inputs_of(options, file), force=options["force"])
-    typed, rests = opt.typed_of(file), options["rests"]
+    typed, rests = opt.repeat_typed(file), options["rests"]
     if not (mapping_file or rests) and (seen := _no_recording(file, typed, options)):
         present(*seen, options, page)
         return 0

@@ -74,6 +74,6 @@ def command(recording: Path, form: str | None, output: Path | None, **options: A
             return 0
         write_whole(output, text)
         note(f"wrote {output}", options["quiet"])
-    document = noise_document(str(recording), noise, opt.typed_of(recording))
+    document = noise_document(str(recording), noise, opt.repeat_typed(recording))
     present(document, noise_dict(str(recording), noise), options, page)
     return 0

@@ -167,7 +167,7 @@ def still_of(options: Mapping[str, Any]) -> StillSettings:
     return StillSettings(shortest=shortest)
 
 
-def typed_of(*files: Path, without: tuple[str, ...] = ()) -> str:
+def repeat_typed(*files: Path, without: tuple[str, ...] = ()) -> str:
     """Files and what was typed of their reading, but for some options, for the next command."""
     ctx = click.get_current_context()
     words = [str(file) for file in files]

@@ -170,11 +170,16 @@ def _topic(number: int, connection: Any) -> Topic:
     name = connection.msgtype.replace("/msg/", "/") if encoding == "ros1" else connection.msgtype
     schema = Schema(number + 1, definition.data.encode(), kind, name)
     return Topic(
-        number, connection.topic, encoding, schema, _offered(connection.ext), connection.msgcount
+        number,
+        connection.topic,
+        encoding,
+        schema,
+        _read_metadata(connection.ext),
+        connection.msgcount,
     )
 
 
-def _offered(ext: Any) -> dict[str, str]:
+def _read_metadata(ext: Any) -> dict[str, str]:
     """How a topic is published, as MCAP files of bags state it: without, a latched one (/tf_static)
     reaches nobody who comes late."""
     from rosbags.rosbag2.metadata import dump_qos_v8

@@ -56,7 +56,7 @@ def certify(run: Run, card: Card) -> Certificate | None:
         ("software", ", ".join(f"{name} {value}" for name, value in made.versions.items())),
         ("input", made.path),
         ("input, sha256", made.sha256),
-        ("changed by hand", _changed(settings)),
+        ("changed by hand", _list_changes(settings)),
         ("left out", "; ".join(map(str, run.details.get("left_out", ()))) or "nothing"),
         *((worth.quantity, f"{worth.value} ({worth.detail})") for worth in card.good_to),
         ("calibrated by", f"{_BLANK}   date, signature {_BLANK}"),
@@ -72,7 +72,7 @@ def certify(run: Run, card: Card) -> Certificate | None:
     return Certificate(Facts(tuple(facts)), results, _positions(run))
 
 
-def _changed(settings: Mapping[str, Any]) -> str:
+def _list_changes(settings: Mapping[str, Any]) -> str:
     """What somebody has changed of what the file says."""
     said = [str(one) for one in settings.get("fix") or ()]
     said += [f"{name}: {value}" for name, value in (settings.get("repairs") or {}).items()]
