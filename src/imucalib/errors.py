@@ -69,3 +69,15 @@ UNEXPLAINED_EXIT_CODE = 5
 
 #: Exit code of a fault of the program itself (EX_SOFTWARE of sysexits.h).
 CRASH_EXIT_CODE = 70
+
+#: Exit code -> what it says, as the overview and the pages have it.
+EXIT_CODES = {
+    0: "calibrated",
+    LimitBroken.exit_code: "a limit of yours is broken",
+    UsageError.exit_code: "usage",
+    UnreadableInput.exit_code: "unreadable",
+    Undetermined.exit_code: "not determined by the data",
+    UNEXPLAINED_EXIT_CODE: "an open question changes the numbers, or what --fail-on names is there",
+    NotConverged.exit_code: "not converged",
+    CRASH_EXIT_CODE: "a fault of imucal",
+}

@@ -206,15 +206,18 @@ def test_an_open_question_counts_where_it_is_larger_than_what_the_result_is_good
 @pytest.mark.parametrize(
     ("findings", "gates"),
     [
+        (Findings("not run"), {"suspected", "unexplained", "caution"}),
+        (None, {"suspected", "unexplained", "caution"}),
         (Findings("nothing missing"), set()),
         (Findings("explained"), set()),
         (Findings("suspected"), {"suspected", "unexplained", "caution"}),
         (Findings("unexplained", unexplained=(NAMELESS,)), {"unexplained", "caution"}),
     ],
 )
-def test_gates_are_stricter(findings: Findings, gates: set[Gate]) -> None:
+def test_gates_are_stricter(findings: Findings | None, gates: set[Gate]) -> None:
     found = outcome(findings)
     assert found.exit_code == 0
     for gate in ("suspected", "unexplained", "caution"):
         strict = replace(found, fail_on=gate)  # type: ignore[arg-type]
         assert strict.exit_code == (5 if gate in gates else 0)
+        assert bool(strict.gated) == (gate in gates)

@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 
 from imucalib import cli, writers
-from imucalib.errors import CRASH_EXIT_CODE, Undetermined
+from imucalib.errors import CRASH_EXIT_CODE, EXIT_CODES, ImucalError, Undetermined
 from imucalib.recording.recording import Channel, Recording
 from worlds import command
+from worlds.places import ROOT
 
 N = 20_000
 
@@ -117,3 +118,28 @@ def test_a_sheet_of_too_few_rows_is_told_so(option: list[str], rows: int, tmp_pa
     done = command.run("lab", path, "-o", tmp_path / "out", *option)
     assert isinstance(done.exception, Undetermined)
     assert done.exception.exit_code == 4
+
+
+def test_the_table_of_codes_is_that_of_the_errors() -> None:
+    def kinds(one: type[ImucalError]) -> set[int]:
+        return {one.exit_code}.union(*map(kinds, one.__subclasses__()))
+
+    assert kinds(ImucalError) <= set(EXIT_CODES)
+
+
+def test_pages_say_the_codes_that_are() -> None:
+    def plain(text: str) -> str:
+        return " ".join(text.replace("`", "").split())
+
+    says = ", ".join(f"{code} {says}" for code, says in EXIT_CODES.items())
+    assert f"Exit codes: {says}." in plain((ROOT / "README.md").read_text(encoding="utf-8"))
+    page = (ROOT / "docs" / "cli.md").read_text(encoding="utf-8")
+    table = dict(re.findall(r"^\| (\d+) \| (.+) \|$", page, re.M))
+    assert {int(code): plain(text) for code, text in table.items()} == EXIT_CODES
+
+
+@pytest.mark.parametrize("page", [ROOT / "README.md", *sorted(ROOT.glob("docs/**/*.md"))])
+def test_a_code_in_prose_is_one_of_them(page: Path) -> None:
+    """Codes beside commands are those that they end with: pages run."""
+    said = re.findall(r"exit codes?(?: is)? (\d+)", page.read_text(encoding="utf-8"))
+    assert {int(code) for code in said} <= {*EXIT_CODES, 123}  # 123 is of xargs

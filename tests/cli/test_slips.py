@@ -52,6 +52,13 @@ SLIPS = {
     "lab huge.csv": ("row 2, column x_mg", "'1e300' is too large", "--exclude 2"),
     "export page.html --to matlab": ("not a YAML file: .{,80}, line [0-9]+", "that a calibrating"),
     "validate photo.png": ("not a YAML file, nor any other text", "calibration.yaml that"),
+    "lab paper_table_1.csv --max-gyro-error 3": (
+        "imucal lab has no limit --max-gyro-error; there are .*--max-toolface-error",
+    ),
+    "batch paper_table_1.csv -o entries -- --max-gyro-error 3": (
+        "imucal actigraph has no limit --max-gyro-error; there are .*--max-worst-error",
+    ),
+    "inspect paper_table_1.csv --max-error 3": ("imucal inspect has no limit .*it has none",),
     "lab paper_table_1.csv --swap 3": ("not two rows", "for example --swap 3,10"),
     "apply calibration.yaml cave_ai.csv -o none/a.csv": ("cannot be written", "may write"),
     "folder": ("this is a directory", "imucal batch folder"),

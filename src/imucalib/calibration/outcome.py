@@ -179,17 +179,26 @@ class Outcome:
             return LimitBroken.exit_code
         if self.weak:
             return Undetermined.exit_code
-        return UNEXPLAINED_EXIT_CODE if self.unexplained or self._gated else 0
+        return UNEXPLAINED_EXIT_CODE if self.unexplained or self.gated else 0
 
     @property
-    def _gated(self) -> bool:
+    def gated(self) -> str:
+        """What `fail_on` names and is there, in words, or empty. Where nothing was searched for,
+        nobody knows that it is not."""
         found = self.findings or Findings("not run")
         gates = {
-            "suspected": found.verdict == "suspected",
-            "unexplained": found.open,
-            "caution": self.status != "ok",
+            "suspected": (found.verdict == "suspected", "a name is not proved"),
+            "unexplained": (found.open, "structure has no proved name"),
+            "caution": (self.status != "ok", "the result is cautioned"),
         }
-        return self.fail_on is not None and gates[self.fail_on]
+        if self.fail_on is None:
+            return ""
+        there, says = gates[self.fail_on]
+        if found.verdict == "not run":
+            says = "what the model lacks was not searched for"
+        elif not there:
+            return ""
+        return f"--fail-on {self.fail_on}: {says}"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,7 +14,7 @@ from typing import Any
 
 import click
 
-from imucalib.errors import CRASH_EXIT_CODE, ImucalError
+from imucalib.errors import CRASH_EXIT_CODE, EXIT_CODES, ImucalError
 
 #: Command -> one line for the overview. The module of that name holds `command`; of those in
 #: `_MODULES` another one, a function of their name. A file beside them that begins with
@@ -180,9 +180,7 @@ def _version(ctx: click.Context, _: click.Parameter, wanted: bool) -> None:
 @click.command(
     cls=LazyGroup,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
-    epilog="Exit codes: 0 calibrated, 1 a limit is broken, 2 usage, 3 unreadable input, "
-    "4 not determined by the data, 5 an open question changes the numbers, 6 not converged, "
-    "70 a fault of imucal.",
+    epilog=f"Exit codes: {', '.join(f'{code} {says}' for code, says in EXIT_CODES.items())}.",
 )
 @click.option(
     "-V",

@@ -11,6 +11,8 @@ from typing import Any
 
 import click
 
+from imucalib.cli.options import no_limit
+
 NAME = "imucal.toml"
 #: Never read from a file that lies about: code to run, and where to write.
 _TYPED_ONLY = ("effects_file", "output", "force")
@@ -47,6 +49,8 @@ def defaults(command: click.Command, stated: Mapping[str, Any]) -> dict[str, Any
         name = names.get(key.replace("_", "-"))
         if name is None or name in _TYPED_ONLY:
             why = "must be typed" if name else f"is no option of imucal {command.name}"
+            if key.startswith("max"):
+                why = f"is no limit: {no_limit(command, '--' + key.replace('_', '-'))}"
             raise click.UsageError(f"{NAME}, [{command.name}]: '{key}' {why}")
         found[name] = value
     return found

@@ -34,7 +34,7 @@ class _Limit(click.Option):
 
 def limit_option(name: str, what: str) -> opt.Parameter:
     """An option whose breach is exit 1; `shared_fields` gives those that were stated."""
-    return opt.option(name, f"Limit: {what}", type=float, cls=_Limit)
+    return opt.option(name, opt.LIMIT_HELP + what, type=float, cls=_Limit)
 
 
 _OPTIONS = opt.combine(
@@ -252,14 +252,15 @@ def finish(
         both = {"logs": logs, **({"together": every[-1].content} if together else {})}
         emit_json(both if len(every) > 1 else logs[0])
     for report in every:
-        if not options["quiet"]:
-            if not options["as_json"]:
-                show(report.document, full=options["full"])
-        elif report.run.outcome.exit_code:
+        outcome, said = report.run.outcome, tuple(filter(None, (report.run.outcome.gated,)))
+        if not (options["quiet"] or options["as_json"]):
+            show(report.document, full=options["full"])
+        elif options["quiet"] and outcome.exit_code:
             # Quiet hides what is fine; a pipeline that stops here must say why.
-            outcome = report.run.outcome
-            said = (*outcome.broken, *map(str, outcome.undecided), *outcome.reasons)
-            say(f"error: {outcome.provenance.path}: {'; '.join(said) or outcome.status}", err=True)
+            said = (*outcome.broken, *map(str, outcome.undecided), *outcome.reasons, *said)
+            said = said or (outcome.status,)
+        if said:
+            say(f"error: {outcome.provenance.path}: {'; '.join(said)}", err=True)
     return max(codes)
 
 

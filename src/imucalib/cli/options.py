@@ -392,11 +392,33 @@ _HELP_ALL = click.Option(
 )
 
 
+#: How an option begins whose breach is exit 1, and its help.
+_LIMIT, LIMIT_HELP = "--max-", "Limit: "
+
+
+def no_limit(command: click.Command, name: str) -> str:
+    """That a command has no such limit, and which it has."""
+    own = [
+        p.opts[0] for p in command.params if (getattr(p, "help", "") or "").startswith(LIMIT_HELP)
+    ]
+    there = f"there are {', '.join(own)}" if own else "it has none"
+    return f"imucal {command.name} has no limit {name}; {there}"
+
+
 class PagedCommand(click.Command):
     """A command whose help, where it is longer than a page, leaves rare options to --help-all."""
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
         return [*super().get_params(ctx), _HELP_ALL]
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """As click has it; a limit of another command is refused with those of this one."""
+        try:
+            return super().parse_args(ctx, args)
+        except click.NoSuchOption as error:
+            if not error.option_name.startswith(_LIMIT):
+                raise
+            raise click.UsageError(no_limit(self, error.option_name), ctx) from None
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         options = [p for p in self.get_params(ctx) if isinstance(p, click.Option)]
