@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,8 @@ from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.file import read, to_yaml
 from imucalib.calibration.sums import KEY
 from imucalib.calibrators.population import read as read_population
+from imucalib.cohort.entries import Entry, write_entry
+from imucalib.cohort.fleet.calibrated import load_calibrations
 from imucalib.cohort.fleet.outcome import Fleet
 from imucalib.cohort.fleet.recorded import Wanted, run_recorded
 from imucalib.cohort.fleet.search import Rules
@@ -81,7 +84,7 @@ def device(rng: np.random.Generator, bias: float = 20.0) -> np.ndarray:
 def cohort(
     folder: Path, devices: int, size: float, *, per: int = 2, within: float = 1.0, odd: int = -1
 ) -> tuple[list[Path], Path, np.ndarray]:
-    """Entries of a batch, `per` of each device, the table of who is who, and the sizes (devices, 3)
+    """Reports, `per` of each device, the table of who is who, and the sizes (devices, 3)
     of the temperature; device `odd` has a bias that no other has."""
     rng = np.random.default_rng(7)
     truth = size * (1.0 + 0.3 * rng.standard_normal((devices, 3)))
@@ -93,9 +96,9 @@ def cohort(
             moved = theta + within * np.r_[rng.standard_normal(3), np.zeros(6)]
             content = report(name, moved, np.r_[own, np.zeros(3)], 100 * k + r)
             path = folder / f"{name}.json"
-            path.write_text(json.dumps({"recording": f"/data/{name}", "report": content}))
+            path.write_text(json.dumps(content))
             paths.append(path)
-            rows.append(f"/data/{name},dev{k}")
+            rows.append(f"{name},dev{k}")
     table = folder / "devices.csv"
     table.write_text("\n".join(rows) + "\n")
     return paths, table, truth
@@ -150,14 +153,32 @@ def folder_of(path: Path, content: dict) -> Path:
     """As `imucal actigraph -o` leaves it."""
     path.mkdir()
     (path / "report.json").write_text(json.dumps(content))
+    (path / "calibration.yaml").write_text(to_yaml(calibration_of(content)))
+    return path
+
+
+def calibration_of(content: dict) -> Calibration:
     stored = tuple(
         StoredParameter(p["name"], p["effect"], "sensor", p["value"], p["sd"], p["unit"])
         for p in content["parameters"]
     )
     covariance = np.array(content["covariance"]["estimated_noise"])
-    own = Calibration("actigraph", stored, covariance, "m/s2", 1.0, 9.8, "ok")
-    (path / "calibration.yaml").write_text(to_yaml(own))
-    return path
+    facts = {"provenance": content["provenance"]}
+    return Calibration("actigraph", stored, covariance, "m/s2", 1.0, 9.8, "ok", facts=facts)
+
+
+def test_an_entry_says_to_a_fleet_what_its_report_says(tmp_path: Path) -> None:
+    content = report("w.csv", device(np.random.default_rng(3)), np.ones(6), 3)
+    folder_of(tmp_path / "run", content)
+    entry = Entry("w.csv", "", 0, 1.0, "", row={}, sums=content[KEY])
+    write_entry(entry, tmp_path / "entries" / "w.json", calibration_of(content))
+    by_report, by_entry = (load_calibrations([tmp_path / n])[0][0] for n in ("run", "entries"))
+    for name in ("name", "recording", "device", "calibrator", "status", "provenance"):
+        assert getattr(by_entry, name) == getattr(by_report, name)
+    assert [(p.name, p.value, p.sd) for p in by_entry.values] == [
+        (p.name, p.value, p.sd) for p in by_report.values
+    ]
+    assert (by_entry.sums.gram == by_report.sums.gram).all()
 
 
 @pytest.mark.slow
@@ -184,10 +205,10 @@ def test_folders_give_each_device_its_calibration_with_the_fleets_effects(tmp_pa
 
 def test_what_cannot_be_pooled_is_told(tmp_path: Path) -> None:
     paths, table, _ = cohort(tmp_path, 6, 0.0, per=1)
-    weak, failed, broken = (json.loads(p.read_text()) for p in paths[:3])
-    weak["report"]["status"] = "weak"
-    failed |= {"report": None, "error": "no rest in it"}
-    broken["report"][KEY]["along"] = ["x"]
+    weak, broken = (json.loads(p.read_text()) for p in paths[::2][:2])
+    weak["status"] = "weak"
+    failed = asdict(Entry("d1_0.csv", "", 4, 0.0, "no rest in it"))
+    broken[KEY]["along"] = ["x"]
     for path, content in zip(paths, (weak, failed, broken), strict=False):
         path.write_text(json.dumps(content))
     found = pooled(paths, table)
@@ -260,7 +281,7 @@ def test_a_recording_with_a_scan_of_its_own_stays_as_it_is(tmp_path: Path) -> No
     paths, table, _ = cohort(tmp_path, 12, 2.5)
     content = json.loads(paths[0].read_text())
     step = {"name": "s", "effect": "bias_step@600s", "value": 3.0, "sd": 0.1, "unit": "mg"}
-    content["report"]["parameters"].append(step)
+    content["parameters"].append(step)
     paths[0].write_text(json.dumps(content))
     found = pooled(paths, table)
     assert found.search.found

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -58,7 +58,7 @@ class BatchCommand(opt.PagedCommand):
 )
 @opt.json
 @opt.quiet
-def command(inputs: tuple[str, ...], output: Path, jobs: int, **options: Any) -> int:
+def command(inputs: tuple[str, ...], jobs: int, **options: Any) -> int:
     """Calibrate recordings, each by itself. An INPUT is a recording, a folder, a pattern such as
     'week*/*.cwa', or a manifest: a path a line, or a CSV with a column path.
 
@@ -75,26 +75,32 @@ def command(inputs: tuple[str, ...], output: Path, jobs: int, **options: Any) ->
     from imucalib.cohort.batch import plan, run_all
     from imucalib.cohort.recordings import recordings_of
 
-    calibrator, resume, quiet = (options[name] for name in ("calibrator", "resume", "quiet"))
+    output, calibrator, resume, quiet = (
+        options[name] for name in ("output", "calibrator", "resume", "quiet")
+    )
     passed, files = _options_of(calibrator, click.get_current_context().meta[_PASSED_ON])
     found, shard = recordings_of(inputs), _shard_of(options["shard"])
     corrected = options["corrected"]
     tasks = plan(
         found.recordings, output, calibrator, passed, shard, files=files, corrected=corrected
     )
-    entries: list[Entry] = []
-    start = time.monotonic()
+    failed: list[Entry] = []
+    reused, start = 0, time.monotonic()
     with _workers(options["scheduler"], options["wait"]) as cluster:
         for line in (*found.said, _what(tasks, cluster, jobs, output, resume)):
             note(line, quiet)
         made = run_all(tasks, cluster, jobs, resume=resume, say=lambda text: note(text, quiet))
         with progress(len(tasks), "recordings", quiet) as advance:
             for entry in made:
-                entries.append(entry)
+                reused += entry.reused
                 advance(entry.reused)
-                if entry.key and not entry.calibrated:
-                    note(f"{entry.recording}: {entry.error}", quiet)
-    return _summarize(entries, time.monotonic() - start, output, options)
+                if not entry.calibrated:
+                    failed.append(entry)
+                    if entry.key:
+                        note(f"{entry.recording}: {entry.error}", quiet)
+    for why, count in Counter(e.error for e in failed if not e.key).items():
+        note(f"{count} recordings have no entry: {why}", quiet)
+    return _summarize(len(tasks), reused, failed, time.monotonic() - start, options)
 
 
 def _shard_of(text: str) -> tuple[int, int]:
@@ -117,14 +123,13 @@ def _what(
     )
 
 
-def _summarize(entries: list[Entry], seconds: float, output: Path, options: dict[str, Any]) -> int:
-    failed = [e for e in entries if not e.calibrated]
-    for why, count in Counter(e.error for e in failed if not e.key).items():
-        note(f"{count} recordings have no entry: {why}", options["quiet"])
+def _summarize(
+    count: int, reused: int, failed: Sequence[Entry], seconds: float, options: dict[str, Any]
+) -> int:
     summary = {
-        "recordings": len(entries),
-        "calibrated": len(entries) - len(failed),
-        "reused": sum(e.reused for e in entries),
+        "recordings": count,
+        "calibrated": count - len(failed),
+        "reused": reused,
         "failed": [{"recording": e.recording, "error": e.error} for e in failed],
         "seconds": round(seconds, 1),
     }
@@ -133,7 +138,7 @@ def _summarize(entries: list[Entry], seconds: float, output: Path, options: dict
     elif not options["quiet"]:
         click.echo(
             f"{summary['calibrated']} of {summary['recordings']} calibrated "
-            f"({summary['reused']} from before), {len(failed)} failed; entries in {output}"
+            f"({reused} from before), {len(failed)} failed; entries in {options['output']}"
         )
     return 3 if failed else 0
 
@@ -230,7 +235,7 @@ def collect(folder: Path, output: Path, **options: Any) -> int:
     """
     from imucalib.atomic_file import demand_output
     from imucalib.calibration.file import write_whole
-    from imucalib.cohort.entries import PAPER, read_entry, rows, write_table
+    from imucalib.cohort.entries import PAPER, cohort_of, rows, write_table
     from imucalib.errors import UnreadableInput
     from imucalib.report.cohort import cohort_html
 
@@ -243,33 +248,29 @@ def collect(folder: Path, output: Path, **options: Any) -> int:
     targets = [path for path in (output, html, ggir) if path is not None]
     for target in targets:
         demand_output(target, paths, force=options["force"])
-    found = {path: read_entry(path) for path in paths}
-    read = [entry for entry in found.values() if entry is not None]
-    latest = {entry.recording: (path, entry) for path, entry in found.items() if entry is not None}
-    entries = tuple(entry for _, entry in latest.values())
-    if not entries:
+    cohort = cohort_of(paths)
+    if not cohort.newest:
         raise UnreadableInput(
             "no entries of a cohort in it",
             where=str(folder),
             remedy="`imucal batch MANIFEST -o FOLDER` writes them",
         )
-    table = rows(entries)
-    write_table(table, output, None if options["all_columns"] else PAPER)
+    write_table(rows(cohort), output, cohort.columns if options["all_columns"] else PAPER)
     if html is not None:
-        write_whole(html, cohort_html(table, folder.absolute().name))
+        write_whole(html, cohort_html(rows(cohort), folder.absolute().name))
     if ggir is not None:
-        write_whole(ggir, _compose_ggir([path for path, _ in latest.values()], quiet))
-    if len(read) < len(found):
-        note(f"{len(found) - len(read)} files are no entries", quiet)
-    if len(entries) < len(read):
-        note(f"{len(read) - len(entries)} entries are older ones of the same recording", quiet)
+        write_whole(ggir, _compose_ggir(cohort.newest.values(), quiet))
+    if cohort.others:
+        note(f"{cohort.others} files are no entries", quiet)
+    if cohort.older:
+        note(f"{cohort.older} entries are older ones of the same recording", quiet)
     if not quiet:
         for target in targets:
-            click.echo(f"wrote {target}: {len(entries)} recordings")
+            click.echo(f"wrote {target}: {len(cohort.newest)} recordings")
     return 0
 
 
-def _compose_ggir(entries: list[Path], quiet: bool) -> str:
+def _compose_ggir(entries: Iterable[Path], quiet: bool) -> str:
     """The text of one file for GGIR; what has no row in it is told."""
     from imucalib.calibration.file import read
     from imucalib.cohort.entries import calibration_beside

@@ -126,13 +126,7 @@ def _with_entry(work: Callable[[], int], options: Mapping[str, Any]) -> int:
 
     from imucalib.atomic_file import demand_output
     from imucalib.cli import failure_of
-    from imucalib.cohort.entries import (
-        Entry,
-        calibration_beside,
-        failure_words,
-        keep_of,
-        write_entry,
-    )
+    from imucalib.cohort.entries import calibration_beside, entry_of, failure_words, write_entry
     from imucalib.errors import CRASH_EXIT_CODE, ImucalError, UsageError
 
     recordings, target, start = _inputs(options), options["entry"], time.monotonic()
@@ -140,10 +134,9 @@ def _with_entry(work: Callable[[], int], options: Mapping[str, Any]) -> int:
         demand_output(path, recordings, force=options["force"])
 
     def write(code: int, error: str, report: Mapping[str, Any] | None) -> None:
-        kept, seconds = keep_of(report) if report else None, time.monotonic() - start
-        name = str(recordings[0].absolute())
+        name, seconds = str(recordings[0].absolute()), time.monotonic() - start
         made = click.get_current_context().meta.get(_CALIBRATION)
-        write_entry(Entry(name, "", code, seconds, error, kept), target, made)
+        write_entry(entry_of(name, code, seconds, error, report), target, made)
 
     try:
         code = work()

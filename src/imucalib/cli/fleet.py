@@ -153,9 +153,8 @@ def _demand(folder: Path) -> None:
 def _write(
     fleet: Fleet, document: Document, content: Mapping[str, Any], folder: Path, quiet: bool
 ) -> None:
-    import json
-
     from imucalib.calibration.file import to_yaml, write_together
+    from imucalib.calibration.plain import json_text
     from imucalib.calibrators.population import to_yaml as to_text
     from imucalib.report.render.html import render_html
 
@@ -169,7 +168,7 @@ def _write(
     }
     texts = {
         folder / "report.html": render_html(document),
-        folder / "report.json": json.dumps(content, indent=2, allow_nan=False) + "\n",
+        folder / "report.json": json_text(content) + "\n",
         **({folder / "fleet.yaml": to_text(fleet.following)} if fleet.following else {}),
         **made,
     }

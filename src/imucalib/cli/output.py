@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import shutil
@@ -35,8 +34,9 @@ def color() -> bool:
 
 def emit_json(content: Any) -> None:
     """The result as one JSON document on stdout."""
-    text = json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False)
-    click.echo(_CONTROLS.sub(lambda found: f"\\u{ord(found[0]):04x}", text))
+    from imucalib.calibration.plain import json_text
+
+    click.echo(_CONTROLS.sub(lambda found: f"\\u{ord(found[0]):04x}", json_text(content)))
 
 
 def show(document: Document, *, full: bool = False) -> None:

@@ -117,7 +117,7 @@ def run_task(task: Task, *, resume: bool = True) -> Entry:
         made = read_entry(own)
         if made is None:  # it was killed, or is no recording for these options
             said = done.stderr.strip().removeprefix("error: ") or f"ended by {done.returncode}"
-            made = Entry(task.recording, key, done.returncode, 0.0, said, None)
+            made = Entry(task.recording, key, done.returncode, 0.0, said)
         calibration_beside(path).unlink(missing_ok=True)
         if calibration_beside(own).exists():
             os.replace(calibration_beside(own), calibration_beside(path))
@@ -239,4 +239,4 @@ def _ended(future: Future[Entry], task: Task) -> Entry:
 
 def _lost(task: Task, why: str) -> Entry:
     """Of a worker that died with its task: no entry is written, a rerun does it again."""
-    return Entry(task.recording, "", UnreadableInput.exit_code, 0.0, why, None)
+    return Entry(task.recording, "", UnreadableInput.exit_code, 0.0, why)

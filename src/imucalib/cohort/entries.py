@@ -1,15 +1,20 @@
-"""Entries: what became of each recording of a cohort, as files, and the table of all."""
+"""Entries: what became of each recording of a cohort, as files, and the table of all.
+
+An entry holds its recording's row and, beside it, the calibration: a cohort is gathered by rows, as
+none of its files is ever held with another.
+"""
 
 from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from imucalib.atomic_file import replace_atomically
+from imucalib.calibration import sums
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.file import to_yaml, write_together
 from imucalib.calibration.outcome import KEEP
@@ -25,7 +30,8 @@ class Entry:
     """What became of one recording.
 
     exit_code : of the command, or negative when a signal ended it; error : its message
-    report : report.json's content, None when there is none; reused : nothing had to be done
+    row : of the table, None when nothing was calibrated; sums : what the recording says of every
+    effect, for a fleet, where that is known; reused : nothing had to be done
     """
 
     recording: str
@@ -33,12 +39,13 @@ class Entry:
     exit_code: int
     seconds: float
     error: str
-    report: dict[str, Any] | None
+    row: dict[str, Any] | None = None
+    sums: dict[str, Any] | None = None
     reused: bool = False
 
     @property
     def calibrated(self) -> bool:
-        return self.report is not None
+        return self.row is not None
 
 
 def failure_words(failure: Mapping[str, str]) -> str:
@@ -58,7 +65,8 @@ def read_entry(path: Path) -> Entry | None:
 def write_entry(entry: Entry, path: Path, calibration: Calibration | None = None) -> None:
     """Write an entry, and the calibration beside it where there is one, all or none; the folder is
     made where it is missing."""
-    texts = {path: json.dumps(asdict(entry), allow_nan=False) + "\n"}
+    content = json.dumps(asdict(entry), allow_nan=False, separators=(",", ":"))
+    texts = {path: content + "\n"}
     if calibration is not None:
         texts[calibration_beside(path)] = to_yaml(calibration)
     write_together(texts)
@@ -67,11 +75,6 @@ def write_entry(entry: Entry, path: Path, calibration: Calibration | None = None
 def calibration_beside(entry: Path) -> Path:
     """Where the calibration of an entry is."""
     return entry.with_suffix(".yaml")
-
-
-def keep_of(report: Mapping[str, Any]) -> dict[str, Any]:
-    """What an entry keeps of a report: all but the figures, most of its length and in no table."""
-    return {name: block for name, block in report.items() if name != "figures"}
 
 
 #: Columns that a paper has of its recordings, of all that `rows` knows.
@@ -94,41 +97,92 @@ _USE = {"ok": "use", "marginal": "care"}
 _NO_USE = "do not"
 
 
-def rows(entries: tuple[Entry, ...]) -> tuple[dict[str, Any], ...]:
+def entry_of(
+    recording: str, exit_code: int, seconds: float, error: str, report: Mapping[str, Any] | None
+) -> Entry:
+    """The entry, without a key, of a run with the content of its report.json, or with none."""
+    row = None if report is None else _row_of(report)
+    of_fleet = None if report is None else report.get(sums.KEY)
+    return Entry(recording, "", exit_code, seconds, error, row=row, sums=of_fleet)
+
+
+@dataclass(frozen=True)
+class Cohort:
+    """Entries of a folder: the file of each recording's newest, by name, and the columns of all.
+
+    older : how many entries a newer one takes the place of; others : files that are no entries
+    """
+
+    newest: dict[str, Path]
+    columns: tuple[str, ...]
+    older: int
+    others: int
+
+
+def cohort_of(paths: Iterable[Path]) -> Cohort:
+    """What the files of a folder, the oldest first, are."""
+    newest, count, others = dict[str, tuple[Path, tuple[str, ...]]](), 0, 0
+    known = dict[tuple[str, ...], tuple[str, ...]]()  # most rows have the same columns
+    for path in paths:
+        entry = read_entry(path)
+        if entry is None:
+            others += 1
+            continue
+        columns = tuple(_table_row(entry))
+        newest[entry.recording] = path, known.setdefault(columns, columns)
+        count += 1
+    ordered = sorted(newest.items())
+    kinds = dict.fromkeys(columns for _, (_, columns) in ordered)
+    return Cohort(
+        newest={name: path for name, (path, _) in ordered},
+        columns=tuple(dict.fromkeys(name for columns in kinds for name in columns)),
+        older=count - len(newest),
+        others=others,
+    )
+
+
+def rows(cohort: Cohort) -> Iterator[dict[str, Any]]:
     """One flat row a recording: what it is good for and why, quality, errors before and after,
     parameters with sd. Of recordings with the same content all but the first say so."""
-    table, first = [], dict[str, str]()
-    for entry in sorted(entries, key=lambda e: e.recording):
-        use = _USE.get(entry.report["status"], _NO_USE) if entry.report else _NO_USE
-        reasons = entry.report["reasons"] if entry.report else [entry.error]
-        content = entry.report["provenance"]["sha256"] if entry.report else entry.recording
-        twin = first.setdefault(content, entry.recording)
-        if twin != entry.recording:
-            use, reasons = _NO_USE, [f"the same data as {Path(twin).name}", *reasons]
-        row: dict[str, Any] = {
-            "recording": entry.recording,
-            "use": use,
-            "why": "; ".join(reasons),
-            "exit_code": entry.exit_code,
-            "status": entry.report["status"]
-            if entry.report
-            else _FAILED.get(entry.exit_code, "failed"),
-            "verdict": entry.report["loop"]["verdict"] if entry.report else None,
-            "what_to_do": _next(entry),
-        }
-        if entry.report:
-            row |= quality_of(entry.report) | _numbers(entry.report)
-        table.append(row)
-    return tuple(table)
+    first = dict[str, str]()
+    for recording, path in cohort.newest.items():
+        entry = read_entry(path)
+        if entry is None:  # it went since the folder was looked at
+            continue
+        row = _table_row(entry)
+        twin = first.setdefault(row.get("sha256", recording), recording)
+        if twin != recording:
+            said = f"the same data as {Path(twin).name}"
+            row |= {"use": _NO_USE, "why": "; ".join(filter(None, (said, row["why"])))}
+        yield row
 
 
-def _next(entry: Entry) -> str:
-    """The first step that the report advises for the recording, or how to mend what failed."""
-    if entry.report is None:
-        return entry.error.rpartition(". ")[2]
-    card = entry.report.get("card")
-    steps = card["to_do"] if card else entry.report["loop"]["advice"]
-    return next((str(step) for step in steps if not step.startswith(KEEP)), "")
+def _table_row(entry: Entry) -> dict[str, Any]:
+    """An entry's row; of a recording without a calibration what failed, and how to mend it."""
+    failed = {
+        "use": _NO_USE,
+        "why": entry.error,
+        "status": _FAILED.get(entry.exit_code, "failed"),
+        "verdict": None,
+        "what_to_do": entry.error.rpartition(". ")[2],
+    }
+    names = {"recording": entry.recording, "exit_code": entry.exit_code}
+    return names | (entry.row or failed)
+
+
+def _row_of(report: Mapping[str, Any]) -> dict[str, Any]:
+    """What a table tells of a calibration, by its report.json."""
+    card = report.get("card")
+    steps = card["to_do"] if card else report["loop"]["advice"]
+    return {
+        "use": _USE.get(report["status"], _NO_USE),
+        "why": "; ".join(report["reasons"]),
+        "status": report["status"],
+        "verdict": report["loop"]["verdict"],
+        "what_to_do": next((str(step) for step in steps if not step.startswith(KEEP)), ""),
+        **quality_of(report),
+        **_numbers(report),
+    }
 
 
 def _numbers(report: Mapping[str, Any]) -> dict[str, Any]:
@@ -196,16 +250,12 @@ def _rounded(value: Any) -> float | None:
     return None if value is None else float(f"{value:.5g}")
 
 
-def write_table(
-    rows: tuple[dict[str, Any], ...], path: Path, columns: Sequence[str] | None = None
-) -> None:
-    """Write rows; columns : those of `PAPER`, say, of which a row may lack some; None: the union of
-    all rows' keys, in order of first appearance.
+def write_table(rows: Iterable[dict[str, Any]], path: Path, columns: Sequence[str]) -> None:
+    """Write rows, one after the other; columns : those of `PAPER`, say, of which a row may lack
+    some.
 
     Raises UsageError for a suffix that is neither .csv nor .parquet, or without the extra.
     """
-    if columns is None:
-        columns = list(dict.fromkeys(name for row in rows for name in row))
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.suffix == ".parquet":
         _parquet(rows, columns, path)
@@ -221,7 +271,7 @@ def write_table(
         writer.writerows({k: cell(v) for k, v in row.items()} for row in rows)
 
 
-def _parquet(rows: tuple[dict[str, Any], ...], columns: Sequence[str], path: Path) -> None:
+def _parquet(rows: Iterable[dict[str, Any]], columns: Sequence[str], path: Path) -> None:
     try:
         import pyarrow
         import pyarrow.parquet
@@ -229,6 +279,10 @@ def _parquet(rows: tuple[dict[str, Any], ...], columns: Sequence[str], path: Pat
         raise UsageError(
             "Parquet needs pyarrow", remedy="pip install 'imucalib[parquet]', or write .csv"
         ) from None
-    table = pyarrow.table({name: [row.get(name) for row in rows] for name in columns})
+    cells: dict[str, list[Any]] = {name: [] for name in columns}
+    for row in rows:
+        for name, column in cells.items():
+            column.append(row.get(name))
+    table = pyarrow.table(cells)
     with replace_atomically(path) as temporary:
         pyarrow.parquet.write_table(table, temporary)

@@ -29,12 +29,15 @@ _NUMBERS = {
 _TONES: dict[str, Tone] = {"use": "ok", "care": "warning", "do not": "bad"}
 
 
-def cohort_html(table: Sequence[Mapping[str, Any]], title: str) -> str:
-    """One self-contained HTML page of the rows that `cohort.entries.rows` makes.
+def cohort_html(rows: Iterable[Mapping[str, Any]], title: str) -> str:
+    """One self-contained HTML page of the rows that `cohort.entries.rows` makes; of each it keeps
+    what it shows.
 
     Without a script the table is sorted: what is not to be used, what is with care, then by the
     error left, largest first.
     """
+    shown = ("recording", "use", "why", "error_unit", *_NUMBERS)
+    table = [{name: row.get(name) for name in shown} for row in rows]
     errors = [v for row in table for v in (row.get("error_before"), row.get("error_after")) if v]
     ends = (min(errors), max(errors)) if errors else (1.0, 1.0)
     units = sorted({str(row["error_unit"]) for row in table if row.get("error_unit")})

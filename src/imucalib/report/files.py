@@ -5,7 +5,6 @@ report.json is the machine's report, with the same keys for every calibrator.
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,7 +19,7 @@ from imucalib.atomic_file import replace_atomically
 from imucalib.calibration.file import to_yaml, write_together
 from imucalib.calibration.findings import Findings, FoundStep
 from imucalib.calibration.outcome import Run
-from imucalib.calibration.plain import fields, listed, plain
+from imucalib.calibration.plain import fields, json_text, listed, plain
 from imucalib.errors import ImucalError, UsageError
 from imucalib.exports import Made
 from imucalib.loop.found import Score
@@ -90,10 +89,9 @@ def write_report(report: Report, folder: Path, exported: Sequence[Made] = ()) ->
     returns their paths."""
     from imucalib.report.render.html import render_html
 
-    content = json.dumps(report.content, indent=2, ensure_ascii=False, allow_nan=False)
     texts = {
         "calibration.yaml": to_yaml(report.run.calibration),
-        "report.json": content + "\n",
+        "report.json": json_text(report.content) + "\n",
         "report.html": render_html(report.document),
         **{one.file: one.text for one in exported},
     }
@@ -137,7 +135,6 @@ def _covariance(run: Run) -> dict[str, Any]:
         return {"estimated_noise": covariance}
     return {
         "estimated_noise": covariance,
-        "declared_noise": covariance / fit.noise.factor**2,
         **fields(fit, "chi2 dof noise_factor=noise.factor condition"),
     }
 

@@ -13,9 +13,10 @@ import numpy as np
 
 from imucalib.calibration import sums as block
 from imucalib.calibration.calibration import Calibration, StoredParameter
-from imucalib.calibration.file import check, read
+from imucalib.calibration.file import as_dict, check, read
 from imucalib.calibration.provenance import Provenance
 from imucalib.calibration.triads import triad_from
+from imucalib.cohort.entries import calibration_beside
 from imucalib.errors import ImucalError, UnreadableInput
 from imucalib.loop.sums import Sums
 from imucalib.units import MG
@@ -106,14 +107,16 @@ def _read(file: Path) -> Calibrated:
     """Raises UnreadableInput for what is no report, or an entry of what was not calibrated."""
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
-        if "report" in content and content["report"] is None:
+        entry = "exit_code" in content and "calibrator" not in content
+        if entry and content["row"] is None:
             raise UnreadableInput(content["error"] or "it was not calibrated", where=str(file))
-        report = content.get("report", content)
-        stored = file.with_name("calibration.yaml")
-        own = read(stored) if file.name == "report.json" and stored.is_file() else None
+        stored = calibration_beside(file) if entry else file.with_name("calibration.yaml")
+        own = read(stored) if entry or (file.name == "report.json" and stored.is_file()) else None
         if own is not None:
             check(own, str(stored))
-        return _of(report, str(content.get("recording", report["provenance"]["input"])), own)
+        if entry and own is not None:
+            return _of({**as_dict(own), block.KEY: content["sums"]}, content["recording"], own)
+        return _of(content, content["provenance"]["input"], own)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise UnreadableInput(
             f"no report of imucal, or a damaged one: {error!r}", where=str(file)
