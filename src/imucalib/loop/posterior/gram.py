@@ -88,10 +88,66 @@ class Multiplied:
         return Multiplied(self.matrix[:, columns[:, None], columns])
 
 
+#: Numbers that are whitened at once.
+_AT_ONCE = 1 << 21
+
+
+@dataclass(frozen=True)
+class Unmultiplied:
+    """Of which a row or a block is made when it is asked for, and the whole of some noises only.
+
+    columns : (n, q) Z; noises : E; white : gives L⁻¹ (E, n, m) of columns (n, m), back : L⁻ᵀ of
+    these; whole : (e, q, q) at some noises
+    """
+
+    columns: Array
+    noises: int
+    white: Callable[[Array], Array]
+    back: Callable[[Array], Array]
+    whole: Callable[[Index], Array]
+
+    def rows(self, at: Index) -> Array:
+        """(E, s, q) some rows."""
+        weighted = self.back(self.white(self.columns[:, at]))
+        return np.asarray(weighted.swapaxes(1, 2) @ self.columns)
+
+    @cached_property
+    def along(self) -> Array:
+        """(E, q) products with y."""
+        return np.asarray(self.rows(np.array([self.columns.shape[1] - 1]))[:, 0])
+
+    def blocks(self, index: Index) -> Array:
+        """(E, m, w, w) blocks on the diagonal of columns index (m, w)."""
+        (m, w), n = index.shape, len(self.columns)
+        out = np.empty((self.noises, m, w, w))
+        step = max(1, _AT_ONCE // (self.noises * n * w))
+        for a in range(0, m, step):
+            part = index[a : a + step]
+            own = self.white(self.columns[:, part.ravel()]).reshape(-1, n, *part.shape)
+            own = np.ascontiguousarray(own.transpose(0, 2, 3, 1))
+            np.matmul(own, own.swapaxes(2, 3), out=out[:, a : a + step])
+        return out
+
+    def of(self, noises: Index) -> Multiplied:
+        """Multiplied out at some of the noises."""
+        return Multiplied(self.whole(noises))
+
+    def narrowed(self, columns: Index) -> Unmultiplied:
+        """Of some columns, in their order."""
+        whole = self.whole
+        return replace(
+            self,
+            columns=self.columns[:, columns],
+            whole=lambda some: whole(some)[:, columns[:, None], columns],
+        )
+
+
 #: A block of columns and the sd of its normal prior, times the noise factor; infinite where flat.
 Block = tuple[Index, float]
+
+
 #: Zᵀ V⁻¹ Z at E noises.
-Products = Weighted | Multiplied
+Products = Weighted | Multiplied | Unmultiplied
 
 
 @dataclass(frozen=True)

@@ -38,14 +38,14 @@ from imucalib.loop.odds import (
     WANDERS,
 )
 from imucalib.loop.posterior.catalogue import Member
-from imucalib.loop.posterior.gram import Grams, Multiplied, log_sum, marginalize
+from imucalib.loop.posterior.gram import Grams, Unmultiplied, log_sum, marginalize
 from imucalib.loop.posterior.noise import diagonal_logs
 from imucalib.loop.posterior.problem import Choice, Problem
 from imucalib.loop.posterior.space import NARROW, block_logs
 from imucalib.units import MG
 
-#: Rows that are whitened at once.
-_BLOCK = 16
+#: Rows that are whitened at once, and numbers.
+_BLOCK, _AT_ONCE = 16, 1 << 20
 
 
 @dataclass(frozen=True)
@@ -179,10 +179,15 @@ class RunCourse:
         log |V|."""
         white = self.whitener(self.walks)
         gram = np.empty((len(self.walks), columns.shape[1], columns.shape[1]))
-        for k in range(len(gram)):
-            own = white.of(slice(k, k + 1))(columns)[0]
-            gram[k] = own.T @ own
-        return gram, np.array([w.log_prior for w in self.walks]) - 0.5 * white.log_det
+        step = max(1, _AT_ONCE // columns.size)
+        for k in range(0, len(gram), step):
+            own = white.of(slice(k, k + step))(columns)
+            np.matmul(own.swapaxes(1, 2), own, out=gram[k : k + step])
+        return gram, self.log_weight(white)
+
+    def log_weight(self, white: WalkWhitener) -> Array:
+        """(E,) log prior less half of log |V| under every walk."""
+        return np.array([w.log_prior for w in self.walks]) - 0.5 * white.log_det
 
 
 def fit_at(model: Model, data: Observations, theta: Array, covariance: Array) -> Fit:
@@ -261,16 +266,22 @@ def _settle(course: RunCourse, every: Array, known: Array) -> tuple[RunCourse, B
 
 def recorded_grams(problem: Problem, course: RunCourse) -> Grams:
     """At all walks of a course, which go on through runs that are left out."""
-    gram, log_weight = course.summed(problem.columns)
+    white = course.whitener(course.walks)
+
+    def whole(some: Index) -> tuple[Array, Array]:
+        walks = tuple(course.walks[k] for k in some)
+        return replace(course, walks=walks).summed(problem.columns)
 
     def inverse(walk: WalkNoise) -> Callable[[Array], Array]:
-        white = course.whitener((walk,))
-        return lambda columns: white.back(white(columns))[0]
+        own = course.whitener((walk,))
+        return lambda columns: own.back(own(columns))[0]
 
     return Grams(
-        products=Multiplied(gram),
-        removed=np.zeros((len(gram), 0, gram.shape[1])),
-        log_weight=log_weight,
+        products=Unmultiplied(
+            problem.columns, len(course.walks), white, white.back, lambda some: whole(some)[0]
+        ),
+        removed=np.zeros((len(course.walks), 0, problem.columns.shape[1])),
+        log_weight=course.log_weight(white),
         numbers=problem.numbers,
         points=course.walks,
         spread=np.inf,
@@ -292,13 +303,15 @@ def score_walks(
     blocks = [(place[m.free], size) for m, size in chosen if m.free in place]
     base = marginalize(grams, problem.flat)
     found, values = np.zeros(len(grams.points), bool), dict[str, list[str]]()
+    every = _narrow(problem)
+    wholes = [grams.products.blocks(_columns(problem, some)) for some in every]
     for one in (base, marginalize(base, *blocks)) if blocks else (base,):
-        every, logs = _profiles(problem, one)
+        logs = _profiles(problem, one, every, wholes)
         likely = logs.max(axis=0) > logs.max() - HEARD
         found |= (logs[:, likely] > logs[:, likely].max(axis=0) - HEARD).any(axis=1)
         lead = (logs[:, 1:] - logs[:, :1]).max(axis=0)
         best = dict[str, tuple[float, Member]]()
-        for k, nats in zip(every, lead, strict=True):
+        for k, nats in zip(np.concatenate([*every, np.zeros(0, np.intp)]), lead, strict=True):
             name = problem.components[problem.choices[k].component].name
             if name.endswith("@") and (name not in best or nats > best[name][0]):
                 best[name] = nats, problem.choices[k].member
@@ -339,14 +352,25 @@ def _join(taken: Sequence[Choice], odds: float) -> Choice:
     return Choice(taken[0].component, Member(effects, weight), at, weight)
 
 
-def _profiles(problem: Problem, grams: Grams) -> tuple[Index, Array]:
-    """Narrow choices (m,), and (E, 1 + m) log evidence under every walk of what is there and of
-    each of them beside it at its likeliest size."""
-    dof = grams.numbers - problem.base
+def _narrow(problem: Problem) -> list[Index]:
+    """Choices that are narrow, by their widths."""
     width = np.array([c.at.size for c in problem.choices], dtype=int)
+    return [np.flatnonzero(width == w) for w in np.unique(width[width <= NARROW])]
+
+
+def _columns(problem: Problem, some: Index) -> Index:
+    """(m, w) columns of some choices of one width."""
+    return np.array([problem.choices[k].at for k in some])
+
+
+def _profiles(
+    problem: Problem, grams: Grams, every: Sequence[Index], wholes: Sequence[Array]
+) -> Array:
+    """(E, 1 + m) log evidence under every walk of what is there and of each narrow choice beside it
+    at its likeliest size. wholes : the products of each width's blocks"""
+    dof = grams.numbers - problem.base
     logs = [(grams.log_weight + grams.log_noise(grams.power, dof))[:, None]]
-    every = [np.flatnonzero(width == w) for w in np.unique(width[width <= NARROW])]
-    for some in every:
-        index = np.array([problem.choices[k].at for k in some])
-        logs.append(block_logs(grams, index, SIZES, dof)[0].max(axis=2))
-    return np.concatenate([*every, np.zeros(0, np.intp)]).astype(np.intp), np.hstack(logs)
+    for some, whole in zip(every, wholes, strict=True):
+        index = _columns(problem, some)
+        logs.append(block_logs(grams, index, SIZES, dof, whole)[0].max(axis=2))
+    return np.hstack(logs)

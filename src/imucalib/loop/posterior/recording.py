@@ -131,7 +131,6 @@ def _search_posterior(
         problem = with_jumps(problem, every)
         kept, leading = score_walks(problem, every, before)
         grams = every.of(kept)
-        del every  # the products of all walks are most of the memory
         brief = search(problem, grams, beams=FOLD_BEAMS, deepest=FOLD_DEEPEST)
         found = SearchedPosterior(replace(plain, observations=scaled), problem, brief, grams)
         hypothesis = select_model(problem, brief).hypothesis
