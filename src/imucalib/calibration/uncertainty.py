@@ -10,6 +10,7 @@ frame. Then (paper 004, formulae (1) and (2), p. 2, differentiated):
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -109,8 +110,19 @@ def force_slope(fit: Fit, force: Array) -> tuple[Array, Array]:
 
 def correct_readings(fit: Fit, reading: Array) -> Array:
     """New readings (n, 3) m/s² corrected to specific force (n, 3) by a fit, K = 1."""
-    model, theta, context = _correcting(fit, len(reading))
-    return model.correct(theta, reading[:, None], context)[:, 0]
+    return corrector(fit)(reading)
+
+
+def corrector(fit: Fit) -> Callable[[Array], Array]:
+    """`correct_readings` by one fit, for many calls."""
+    model, theta, one = _correcting(fit, 1)
+
+    def correct(reading: Array) -> Array:
+        n = len(reading)
+        context = Context(n, {k: np.repeat(v, n) for k, v in one.covariates.items()})
+        return model.correct(theta, reading[:, None], context)[:, 0]
+
+    return correct
 
 
 def _correcting(fit: Fit, n: int) -> tuple[Model, Array, Context]:

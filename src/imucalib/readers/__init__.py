@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -36,6 +37,7 @@ __all__ = [
     "BLOCK_SAMPLES",
     "Reader",
     "blocks",
+    "blocks_again",
     "read",
     "read_together",
     "reader_for",
@@ -158,6 +160,26 @@ def blocks(
     reader = _reader(path, full)
     found = reader.blocks(Path(path), full, block_samples=block_samples, strict=strict)
     return _looked_at(found, full, reader)
+
+
+def blocks_again(
+    path: str | os.PathLike[str], mapping: FieldMapping, channel: str
+) -> Iterator[Recording]:
+    """One channel of a recording that `blocks` has gone through: neither repeats nor units are
+    looked at anew, and what a format can leave out is not read."""
+    full = with_preset(mapping)
+    reader, place = _reader(path, full), Path(path)
+    alone = getattr(reader, "blocks_of", None)
+    found: Iterator[Recording] = (
+        alone(place, full, channel, block_samples=BLOCK_SAMPLES)
+        if alone and not full.sensor
+        else reader.blocks(place, full, block_samples=BLOCK_SAMPLES, strict=False)
+    )
+    found = select_sensor(found, full.sensor) if full.sensor else found
+    one = (
+        replace(b, channels={k: c for k, c in b.channels.items() if k == channel}) for b in found
+    )
+    return _unwarned(in_parts(without_the_impossible(one)))
 
 
 def _reader(path: str | os.PathLike[str], mapping: FieldMapping) -> Reader:

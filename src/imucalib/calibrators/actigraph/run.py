@@ -49,7 +49,7 @@ from imucalib.core.effect import CLOCKS
 from imucalib.core.sphere import count_by_cell
 from imucalib.effects.forms import in_words
 from imucalib.errors import Undetermined
-from imucalib.readers import blocks
+from imucalib.readers import blocks, blocks_again
 from imucalib.recording.mapping import FieldMapping
 from imucalib.rests.runs import WORN, PostureRuns, Scan, posture_runs, scan
 from imucalib.units import MG
@@ -80,7 +80,8 @@ def calibrate_recording(
     runs = posture_runs(scanned, WORN)
     wear, rule = wear_of(scanned), closest_point(scanned)
     run = run_of(runs, scanned.without_windows(), request, say)
-    minutes = minutes_of(blocks(path, mapping), scanned.triad, run.result.final)
+    again = blocks_again(path, mapping, f"{scanned.triad}/acceleration")
+    minutes = minutes_of(again, scanned.triad, run.result.final)
     raw, corrected = (
         h.error[:, 0, 0] for h in (raw_errors(run.result.base), run.result.final_held)
     )

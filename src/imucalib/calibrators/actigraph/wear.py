@@ -14,7 +14,7 @@ no uncertainty.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Flags
 from imucalib.calibration.plain import fields
-from imucalib.calibration.uncertainty import correct_readings
+from imucalib.calibration.uncertainty import corrector
 from imucalib.core.fit import Fit
-from imucalib.recording.recording import Recording
+from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.runs import Scan
 from imucalib.units import MG, STANDARD_GRAVITY
 
@@ -37,6 +37,8 @@ _SEEN = 0.8
 #: Of points of the field's rule: largest reading, and what each axis has to see on both sides (g).
 _LARGEST, _SPAN_SEEN = 2.0 * STANDARD_GRAVITY, 0.3
 _ROUNDS, _SETTLED, _NEAREST = 1000, 1e-10, 0.01
+#: Samples at a time, so that what is made of them stays in the cache.
+_AT_ONCE = 1 << 14
 _ONE_G, _NONE = np.float32(STANDARD_GRAVITY), np.float32(0.0)
 
 
@@ -119,37 +121,42 @@ class Activity:
 def minutes_of(blocks: Iterable[Recording], triad: str, fit: Fit) -> Minutes:
     """One pass over the samples. Each is corrected by the linear part; what the rest of the
     correction does to |a| is taken at the mean of its block's minute."""
-    origin = correct_readings(fit, np.zeros((1, 3)))[0]
-    slope = (correct_readings(fit, np.eye(3) * STANDARD_GRAVITY) - origin).T / STANDARD_GRAVITY
+    correct = corrector(fit)
+    origin = correct(np.zeros((1, 3)))[0]
+    slope = (correct(np.eye(3) * STANDARD_GRAVITY) - origin).T / STANDARD_GRAVITY
     parts = []
     for block in blocks:
         for channel in block.channels.values():
             if channel.quantity == "acceleration" and channel.triad == triad and channel.t.size:
-                parts.append(_sum_minutes(channel.t, channel.values, slope, origin, fit))
+                parts.append(_sum_minutes(channel, slope, origin, correct))
     rows = np.concatenate(parts) if parts else np.empty((0, 4))
     minute, place = np.unique(rows[:, 0], return_inverse=True)
     count, raw, corrected = (np.bincount(place, v).astype(np.float64) for v in rows[:, 1:].T)
     return Minutes(minute, count, raw / count, corrected / count)
 
 
-def _sum_minutes(t: Array, values: Array, slope: Array, origin: Array, fit: Fit) -> Array:
+def _sum_minutes(
+    channel: Channel, slope: Array, origin: Array, correct: Callable[[Array], Array]
+) -> Array:
     """(m, 4) minute, samples, and the sums of ENMO raw and corrected, of each stretch within one
     minute; of samples in single precision, which is finer than any converter."""
+    t, values = channel.t, channel.values
     minute = np.floor(t / 60.0)
     starts = np.append(0, np.flatnonzero(np.diff(minute)) + 1)
     count = np.diff(np.append(starts, t.size))
     mean = np.add.reduceat(values, starts, axis=0) / count[:, None]
-    shift = np.linalg.norm(correct_readings(fit, mean), axis=1)
+    shift = np.linalg.norm(correct(mean), axis=1)
     shift -= np.linalg.norm(mean @ slope.T + origin, axis=1)
-    # An axis a row: every step then runs along neighbouring numbers.
-    raw = values.T.astype(np.float32, order="C")
-    linear = slope.astype(np.float32) @ raw
-    linear += origin.astype(np.float32)[:, None]
-    above = _norms(raw), _norms(linear) + np.repeat(shift.astype(np.float32), count)
-    over = (
-        np.add.reduceat(np.maximum(size - _ONE_G, _NONE), starts, dtype=np.float64)
-        for size in above
-    )
+    turn, zero = slope.astype(np.float32), origin.astype(np.float32)[:, None]
+    above = np.empty((2, t.size), np.float32)
+    for a in range(0, t.size, _AT_ONCE):
+        rows = slice(a, a + _AT_ONCE)
+        # An axis a row: every step then runs along neighbouring numbers.
+        raw = values[rows].T.astype(np.float32, order="C")
+        above[0, rows], above[1, rows] = _norms(raw), _norms(turn @ raw + zero)
+    above[1] += np.repeat(shift.astype(np.float32), count)
+    above -= _ONE_G
+    over = np.add.reduceat(np.maximum(above, _NONE, out=above), starts, axis=1, dtype=np.float64)
     return np.column_stack([minute[starts], count, *over])
 
 
@@ -157,8 +164,7 @@ def _norms(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
     """(n,) of vectors (3, n)."""
     x, y, z = vectors
     size: NDArray[np.float32] = x * x + y * y + z * z
-    np.sqrt(size, out=size)
-    return size
+    return np.sqrt(size, out=size)
 
 
 def activity_of(

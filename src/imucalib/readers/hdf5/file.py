@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.arrays import Flags
+from imucalib.arrays import Array, Flags
 from imucalib.errors import ImucalError, UnreadableInput
 from imucalib.readers.hdf5.fields import FieldPlace, fills_of, valid_of
 
@@ -207,7 +207,8 @@ _RANGES = 3  # of absent rows that are named
 class File:
     """An open file, and what of it could not be read.
 
-    external : whether its data may lie in other files
+    external : whether its data may lie in other files; times : of the rows that were read last,
+    with what they are, for the next channel of their clock
     """
 
     handle: Any
@@ -220,6 +221,7 @@ class File:
         default_factory=dict
     )
     held: dict[tuple[str, int], Spans] = field(default_factory=dict)
+    times: tuple[tuple[Any, ...], Array] | None = None
 
     def rows(self, place: FieldPlace, start: int, stop: int) -> NDArray[np.generic]:
         """Rows of one place in its unit; those that are damaged or not in the file become NaN."""

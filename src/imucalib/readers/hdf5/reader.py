@@ -24,6 +24,7 @@ from imucalib.readers.contents import Content, listing, norm_of, suggestion, unr
 from imucalib.readers.conversion import AS_STORED, Conversion
 from imucalib.readers.hdf5.fields import (
     FieldChannel,
+    FieldPlace,
     datasets,
     fields_of,
     number_of,
@@ -116,6 +117,12 @@ class FieldSignal:
         place = self.found.time
         if place is None:
             return np.arange(start, stop, dtype=np.float64) / self.rate
+        key = place, start, stop, self.origin, self.found.time_unit, self.shift
+        if self.file.times is None or self.file.times[0] != key:  # channels of one clock
+            self.file.times = key, self._times(place, start, stop)
+        return self.file.times[1]
+
+    def _times(self, place: FieldPlace, start: int, stop: int) -> Array:
         found, held = self.file.stored(place, start, stop)
         t = seconds_of(place.unpacked(found).reshape(-1), self.origin, self.found.time_unit)
         t = t + self.shift if self.shift else t
@@ -251,12 +258,22 @@ class Hdf5Reader(Joined):
         with opened(path, strict, bool(mapping.allow_external)) as file:
             yield from _blocks_of(file, path, mapping, block_samples)
 
+    def blocks_of(
+        self, path: Path, mapping: FieldMapping, channel: str, *, block_samples: int
+    ) -> Iterator[Recording]:
+        """The same blocks of one channel, without reading the others."""
+        with opened(path, False, bool(mapping.allow_external)) as file:
+            yield from _blocks_of(file, path, mapping, block_samples, only=channel)
+
 
 READER = Hdf5Reader()
 
 
-def _blocks_of(file: File, path: Path, mapping: FieldMapping, size: int) -> Iterator[Recording]:
-    """The fields of an open file in blocks of about `size` rows; errors as in `Reader.blocks`."""
+def _blocks_of(
+    file: File, path: Path, mapping: FieldMapping, size: int, *, only: str = ""
+) -> Iterator[Recording]:
+    """The fields of an open file, or one of them, in blocks of about `size` rows; errors as in
+    `Reader.blocks`."""
     nodes = list(datasets(file.handle, file.where))
     found = fields_of(file.handle, nodes, mapping)
     if not any(f.quantity != "temperature" for f in found):
@@ -282,6 +299,7 @@ def _blocks_of(file: File, path: Path, mapping: FieldMapping, size: int) -> Iter
     )
     notes += map(str, marks)
     notes += _unread(nodes, signals, path)
+    signals = [s for s in signals if only in ("", s.name)]
     last: dict[str, float] = {}
     at, read = ({s.name: 0 for s in signals} for _ in range(2))
     main = max(signals, key=lambda s: s.found.rows)
