@@ -120,6 +120,18 @@ def test_a_wrong_block_is_refused(key: str, bad: Any) -> None:
         from_dict(content, "file.yaml")
 
 
+@pytest.mark.parametrize("size", [1e300, -1e300, 1e-300, float("nan"), float("inf")])
+@pytest.mark.parametrize("place", [("parameters", 0, "value"), ("raw", "to_m_per_s2")])
+def test_a_number_without_a_variance_is_refused(place: tuple[Any, ...], size: float) -> None:
+    content = as_dict(_calibration())
+    block: Any = content
+    for key in place[:-1]:
+        block = block[key]
+    block[place[-1]] = size
+    with pytest.raises(UnreadableInput, match="damaged"):
+        from_dict(content, "file.yaml")
+
+
 def test_content_that_contradicts_itself_is_refused() -> None:
     good = _calibration()
     covariance = good.covariance.copy()

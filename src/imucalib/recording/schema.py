@@ -29,7 +29,7 @@ def schema_of(name: str) -> dict[str, Any]:
 
 def misfits(content: Any, schema: Mapping[str, Any]) -> Iterator[str]:
     """Where and how a document does not fit its schema, in words. A number that is not finite,
-    which JSON has not, fits nowhere."""
+    which JSON has not, fits nowhere, nor one whose square, a variance, is not."""
     return _misfits(content, schema, schema.get("$defs", {}), "")
 
 
@@ -72,8 +72,8 @@ def _plain_misfits(value: Any, schema: Mapping[str, Any]) -> Iterator[str]:
     fits = any(isinstance(value, _KINDS[kind]) for kind in kinds)
     if kinds and (not fits or (isinstance(value, bool) and "boolean" not in kinds)):
         yield f"is no {' or '.join(kinds)}"
-    elif isinstance(value, float) and not math.isfinite(value):
-        yield "is not a finite number"
+    elif isinstance(value, float) and value and not 0.0 < value * value < math.inf:
+        yield "is no finite number, or its square is none"
     if "const" in schema and value != schema["const"]:
         yield f"is not {schema['const']}"
     if "enum" in schema and value not in schema["enum"]:

@@ -104,7 +104,7 @@ def choose_clock(
         factor, why = _unit(stamps, log, mapping.time_unit)
     why = apart or _useless(stamps, log, factor) or why
     facts, factor = (log, 1) if why else (stamps, factor)
-    notes = [f"time from log_time: {why}"] if why else []
+    notes = [why] if why else []
     times = _to_ns(np.concatenate(facts.head), factor)
     batched = 2 * facts.repeats > facts.count and not facts.backs and _batches(times).size > 1
     if facts.backs:
@@ -157,7 +157,7 @@ def _by_rate(rate: float, first: int) -> TopicClock:
         period=1e9 / rate,
         longest=np.inf,
         first=first,
-        notes=(f"time from the stated rate of {rate:g} Hz",),
+        notes=(f"{rate:g} Hz as stated",),
     )
 
 
