@@ -2,7 +2,6 @@
 it. Prints a Markdown table for each kind:
 
     python benchmarks/closed_loop bench --count 60 --seed 1 [--jobs 2] [--only two] [--each]
-    python benchmarks/closed_loop bench norm worn --diagram benchmarks/reliability.svg
 
 A kind is bench, norm or worn; boards of array_world are run by array_jobs. The same seed gives the
 same worlds, and a larger count goes on from a smaller one.
@@ -19,10 +18,9 @@ from concurrent.futures import ProcessPoolExecutor
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-from diagram import draw
 from draws import KINDS, ROWS, drawn, rows
 from judge import Judged, judged
-from table import stated, table
+from table import table
 
 #: Worlds that a seed has room for.
 _ROOM = 100_000
@@ -61,9 +59,7 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--only", nargs="*", choices=ROWS, default=list(ROWS), help="rows")
     parser.add_argument("--each", action="store_true", help="tell every world on stderr")
-    parser.add_argument("--diagram", help="SVG of stated against true, over all kinds")
     options = parser.parse_args()
-    every = list[Judged]()
     with ProcessPoolExecutor(options.jobs) as pool:
         for kind in options.kinds:
             asked = [j for j in jobs(kind, options.count, options.seed) if j[1] in options.only]
@@ -73,9 +69,6 @@ def main() -> None:
                 if options.each:
                     print(line(j), file=sys.stderr, flush=True)
             print(f"\n{kind}\n\n{table(found)}", flush=True)
-            every += found
-    if options.diagram:
-        draw(*stated(every), options.diagram)
 
 
 if __name__ == "__main__":

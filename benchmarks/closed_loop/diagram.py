@@ -1,36 +1,52 @@
-"""The reliability diagram: how often names are true that are given with a probability."""
+"""The reliability diagram: how often names are true that are told with a probability, of all tables
+of RESULTS.md that say so, class by class.
+
+    python benchmarks/closed_loop/diagram.py
+"""
 
 from __future__ import annotations
 
-from itertools import pairwise
+import re
+from collections import defaultdict
+from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import beta
-from table import EDGES
+
+RESULTS = Path(__file__).resolve().parents[1] / "RESULTS.md"
+#: A row of `table.reliability`: class, names, mean probability, share that is true.
+_ROW = re.compile(r"^\| (\d\.\d\d to \d\.\d\d) \| (\d+) \| (\d\.\d\d) \| (\d\.\d\d) \|$", re.M)
 
 
-def draw(stated: NDArray[np.float64], true: NDArray[np.bool_], path: str) -> None:
-    """Write the share of true names of each class against their mean probability, with the 95 %
-    interval of the share (Clopper and Pearson 1934) and the number of names.
+def classes(text: str) -> list[tuple[float, int, int]]:
+    """Of every class the mean probability stated, the names, and how many are true."""
+    stated, names, true = defaultdict(float), defaultdict(int), defaultdict(int)
+    for group, n, mean, share in _ROW.findall(text):
+        stated[group] += int(n) * float(mean)
+        names[group] += int(n)
+        true[group] += round(int(n) * float(share))
+    return [(stated[g] / names[g], names[g], true[g]) for g in sorted(names)]
 
-    stated, true : (n,) probability of each name and whether it is true; path : of the SVG
-    """
+
+def main() -> None:
+    """Draw each class with the 95 % interval of its share (Clopper and Pearson 1934) and its
+    number of names."""
+    from matplotlib import rcParams
     from matplotlib.figure import Figure
 
+    rcParams["svg.hashsalt"] = "imucal"
     figure = Figure(figsize=(4.5, 4.5), layout="constrained")
     axes = figure.subplots()
     axes.plot([0.0, 1.0], [0.0, 1.0], color="0.7", linestyle="--")
-    for low, high in pairwise(EDGES):
-        mine = (stated >= low) & (stated < high)
-        n, k = int(mine.sum()), int(true[mine].sum())
-        if not n:
-            continue
-        at, share = float(stated[mine].mean()), k / n
+    for at, n, k in classes(RESULTS.read_text("utf-8")):
+        share = k / n
         least = beta.ppf(0.025, k, n - k + 1) if k else 0.0
         most = beta.ppf(0.975, k + 1, n - k) if k < n else 1.0
         reach = [[share - least], [most - share]]
         axes.errorbar([at], [share], yerr=reach, fmt="o", color="C0", capsize=3)
         axes.annotate(str(n), (at, share), xytext=(6, -12), textcoords="offset points")
     axes.set(xlabel="probability stated", ylabel="share that is true", xlim=(0, 1), ylim=(0, 1.02))
-    figure.savefig(path, metadata={"Date": None})
+    figure.savefig(RESULTS.with_name("reliability.svg"), metadata={"Date": None})
+
+
+if __name__ == "__main__":
+    main()

@@ -90,7 +90,7 @@ def _slips(judged: Sequence[Judged]) -> list[str]:
     return lines
 
 
-def stated(judged: Sequence[Judged]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def _stated(judged: Sequence[Judged]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Probability of each name that is told, and whether it is true; outside the catalogue no name
     is."""
     said = [
@@ -105,7 +105,7 @@ def stated(judged: Sequence[Judged]) -> tuple[NDArray[np.float64], NDArray[np.bo
 
 def _reliability(judged: Sequence[Judged]) -> list[str]:
     """How often a name is true that is given with a probability; nothing where none is stated."""
-    p, true = stated(judged)
+    p, true = _stated(judged)
     if not p.size:
         return []
     lines = ["", "| probability stated | n | stated, mean | true |", "|---|---|---|---|"]

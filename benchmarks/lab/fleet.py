@@ -24,7 +24,6 @@ import numpy as np
 from imucalib.calibrators.lab.files import LabFiles, calibrate_files
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.cohort.fleet.run import run_fleet
-from imucalib.cohort.fleet.search import Rules
 
 COUNT, NOISE = 24, 1.0
 REQUEST = replace(LabRequest(), reference="norm")
@@ -69,14 +68,14 @@ def power(fleets: int, devices: int, strength: float, folder: Path) -> None:
             rng = np.random.default_rng((seed, devices))
             paths = [folder / f"{k}.csv" for k in range(devices)]
             truth = [device(rng, planted, path) for path in paths]
-            fleet = run_fleet([LabFiles(p) for p in paths], REQUEST, Rules(), lambda _: None)
+            fleet = run_fleet([LabFiles(p) for p in paths], REQUEST, lambda _: None)
             steps = fleet.search.found
             found += bool(steps)
             names = {n for one in steps for n in (one.effect, *one.rivals)}
             right += "quadratic" in names
             own = run_fleet(
                 [LabFiles(p) for p in paths], replace(REQUEST, only=("quadratic",)),
-                Rules(alpha=1.0, draws=99), lambda _: None,
+                lambda _: None,
             )  # fmt: skip
             if planted and own.search.found:
                 for member, size in zip(own.members, truth, strict=True):
@@ -101,7 +100,7 @@ def cost(devices: int, folder: Path) -> None:
     for path in paths:
         calibrate_files(LabFiles(path), alone, lambda _: None)
     between = time.process_time()
-    run_fleet([LabFiles(path) for path in paths], REQUEST, Rules(), lambda _: None)
+    run_fleet([LabFiles(path) for path in paths], REQUEST, lambda _: None)
     each, whole = between - start, time.process_time() - between
     print(f"{devices} devices: {each:.0f} CPU s to calibrate them, {whole - each:.0f} beyond that")
 

@@ -26,7 +26,6 @@ from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import LabRun
 from imucalib.calibrators.population import Population
 from imucalib.cohort.fleet.run import run_fleet
-from imucalib.cohort.fleet.search import Rules
 from imucalib.core.effect import Context
 from imucalib.core.fit import Fit
 from imucalib.loop.held_out import errors
@@ -87,8 +86,8 @@ def calibrated(path: Path, kind: Population | None, train: tuple[int, ...] = ())
     )
 
 
-def fleet_of(paths: list[Path], draws: int) -> Population:
-    found = run_fleet([LabFiles(p) for p in paths], REQUEST, Rules(draws=draws), lambda _: None)
+def fleet_of(paths: list[Path]) -> Population:
+    found = run_fleet([LabFiles(p) for p in paths], REQUEST, lambda _: None)
     assert found.following is not None
     return found.following
 
@@ -102,7 +101,7 @@ def simulated(fleets: int, devices: int, following: int, folder: Path) -> None:
         for seed in range(fleets):
             rng = np.random.default_rng((seed, len(kind)))
             paths = [device(rng, kind).write(folder / f"{k}.csv", 24, rng) for k in range(devices)]
-            told = fleet_of(paths, 299)
+            told = fleet_of(paths)
             for _ in range(following):
                 one = device(rng, kind)
                 runs = [

@@ -25,7 +25,7 @@ CALLS: dict[str, tuple[str, ...]] = {
     "array": ("{two}", "--board", "mimu4444_corners", "--no-loop"),
     "check": ("{calibration}", "{two}"),
     "convert": ("{two}", "{out}/two.h5"),
-    "fleet": ("{two}", "{again}", "--reference", "norm", "--draws", "99"),
+    "fleet": ("{two}", "{again}", "--reference", "norm"),
     "imu": ("{two}", "--no-loop"),
     "inspect": ("{two}",),
     "lab": ("{two}", "--reference", "norm", "--no-loop"),

@@ -22,7 +22,6 @@ from imucalib.cohort.entries import Entry, write_entry
 from imucalib.cohort.fleet.calibrated import load_calibrations
 from imucalib.cohort.fleet.outcome import Fleet
 from imucalib.cohort.fleet.recorded import Wanted, run_recorded
-from imucalib.cohort.fleet.search import Rules
 from imucalib.core.effect import Context
 from imucalib.effects import named
 from imucalib.errors import UnreadableInput, UsageError
@@ -105,7 +104,7 @@ def cohort(
 
 
 def pooled(paths: Sequence[Path], table: Path | None) -> Fleet:
-    return run_recorded(paths, Wanted(devices=table, rules=Rules(draws=199)), lambda _: None)
+    return run_recorded(paths, Wanted(devices=table), lambda _: None)
 
 
 @pytest.mark.slow
@@ -188,7 +187,7 @@ def test_folders_give_each_device_its_calibration_with_the_fleets_effects(tmp_pa
         content = report(f"w{k}.csv", device(rng), np.r_[2.5, 2.5, 2.5, 0.0, 0.0, 0.0], k)
         folders.append(str(folder_of(tmp_path / f"w{k}", content)))
     out = tmp_path / "fleet"
-    done = run("fleet", *folders, "-o", out, "--draws", "199")
+    done = run("fleet", *folders, "-o", out)
     assert "all devices have temperature bias" in " ".join(done.stdout.split()), done.exception
     stored = read(out / "w3" / "calibration.yaml")
     assert {p.effect for p in stored.parameters} == {*NINE, "temperature_bias"}

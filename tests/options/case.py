@@ -23,7 +23,7 @@ USUAL: dict[str, tuple[str, ...]] = {
     "check": ("check", "<calibration.yaml>", "<bench.csv>", "--json"),
     "compare": ("compare", "<calibration.yaml>", "<own_calibration.yaml>", "--effects", "<own.py>",
                 "--json"),
-    "fleet": ("fleet", "<norms.csv>", "<norms2.csv>", "--reference", "norm", "--draws", "99",
+    "fleet": ("fleet", "<norms.csv>", "<norms2.csv>", "--reference", "norm",
               "--only", "quadratic", "--json"),
     "design": ("design", "<bench.csv>", "--json"),
     "inspect": ("inspect", "<samples.csv>", "--json"),

@@ -43,8 +43,6 @@ NO_NUMBER = {*LAWS, "--output", "--entry", "--full", "--verbose", "--export", "-
 NO_NUMBER |= {"--recording"}
 #: What a run ends with.
 NO_NUMBER |= {"--fail-on"}
-#: Of a fleet, whose request is that of each device: its report has it.
-NO_NUMBER |= {"--draws"}
 #: The headings of a table: in the mapping, as they were taken.
 NO_NUMBER |= {"--columns"}
 

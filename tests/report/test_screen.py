@@ -106,7 +106,7 @@ OTHERS = {
     "check, undecided": ("check", AI, "{}/rests.csv", "--limit", "0.02mg"),
     "compare, differ": ("compare", AI, BI),
     "compare, agree": ("compare", AI, BI, "--limit", "90mg", "--limit", "9deg"),
-    "fleet": ("fleet", "cave_ai.csv", "cave_bi.csv", "cave_fb.csv", *NORM, "--draws", "99"),
+    "fleet": ("fleet", "cave_ai.csv", "cave_bi.csv", "cave_fb.csv", *NORM),
 }
 
 
@@ -217,7 +217,7 @@ def test_an_undecided_check_names_the_rests(devices: Path) -> None:
 def test_a_fleet_says_what_a_device_is_good_to(tmp_path: Path) -> None:
     tables = [SAMPLES / f"cave_{n}.csv" for n in ("ai", "bi", "fb")]
     out = tmp_path / "fleet"
-    done = run("fleet", *tables, "--reference", "norm", "--only", "quadratic", "--draws", "99",
+    done = run("fleet", *tables, "--reference", "norm", "--only", "quadratic",
                "-o", out)  # fmt: skip
     content = json.loads((out / "report.json").read_text())
     names = [w["quantity"] for w in content["card"]["good_to"]]

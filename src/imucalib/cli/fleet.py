@@ -28,9 +28,6 @@ if TYPE_CHECKING:
 @opt.option("--exclude", "Rows to leave out of every table.", default="", metavar="ROWS")
 @opt.only
 @opt.without
-@opt.option(
-    "--draws", "Simulated fleets behind each p-value.", type=click.IntRange(min=99), default=1000
-)
 @opt.file(
     "--devices",
     "Of calibrations: CSV that says which recording is of which device, columns "
@@ -41,7 +38,6 @@ if TYPE_CHECKING:
 @opt.recording
 @opt.shortest_rest
 @opt.force
-@opt.seed
 @opt.json
 @opt.verbose
 @opt.quiet
@@ -86,10 +82,9 @@ def _fleet(inputs: tuple[Path, ...], options: dict[str, Any], say: Say) -> Fleet
     from imucalib.cohort.fleet.calibrated import is_calibrated
     from imucalib.cohort.fleet.recorded import Wanted, run_recorded
     from imucalib.cohort.fleet.run import run_fleet
-    from imucalib.cohort.fleet.search import Rules
     from imucalib.errors import UsageError
 
-    rules, devices = Rules(draws=options["draws"]), options["devices"]
+    devices = options["devices"]
     made = [path for path in inputs if is_calibrated(path)]
     if made and len(made) < len(inputs):
         raise UsageError(
@@ -98,9 +93,7 @@ def _fleet(inputs: tuple[Path, ...], options: dict[str, Any], say: Say) -> Fleet
         )
     if made:
         _demand_usable()
-        wanted = Wanted(
-            options["only"], options["without"], devices, rules, options["seed"], command_line()
-        )
+        wanted = Wanted(options["only"], options["without"], devices, command_line())
         return run_recorded(made, wanted, say)
     if devices is not None:
         raise UsageError("--devices is for calibrations", remedy="each table is a device")
@@ -108,7 +101,7 @@ def _fleet(inputs: tuple[Path, ...], options: dict[str, Any], say: Say) -> Fleet
     files = [LabFiles(table, None, columns, mapping) for table in inputs]
     gravity, source = opt.gravity_of(options)
     request = LabRequest(
-        **{name: options[name] for name in ("unit", "reference", "only", "without", "seed")},
+        **{name: options[name] for name in ("unit", "reference", "only", "without")},
         lsb_per_g=opt.one_scale(options["lsb"]),
         gravity=gravity,
         gravity_source=source,
@@ -116,11 +109,11 @@ def _fleet(inputs: tuple[Path, ...], options: dict[str, Any], say: Say) -> Fleet
         still=opt.still_of(options),
         command=command_line(),
     )
-    return run_fleet(files, request, rules, say)
+    return run_fleet(files, request, say)
 
 
 #: What holds for all inputs; other options are read with tables.
-_OF_ALL = "inputs output only without draws devices full force seed as_json verbose quiet"
+_OF_ALL = "inputs output only without devices full force as_json verbose quiet"
 
 
 def _demand_usable() -> None:

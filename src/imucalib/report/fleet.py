@@ -25,7 +25,7 @@ from imucalib.report.document import (
     Worth,
     capital,
 )
-from imucalib.significant_digits import plus_minus, size_with_unit
+from imucalib.significant_digits import per_cent, plus_minus, size_with_unit
 
 _TONE: dict[str, Tone] = {"explained": "ok", "suspected": "warning", "unexplained": "warning"}
 #: What an error of a device is an error of.
@@ -56,7 +56,7 @@ def fleet_document(fleet: Fleet) -> Document:
         Section("Notes", Text.each(notes)),
     )
     command = fleet.settings.command
-    footer = (("command", command), ("seed", str(fleet.settings.seed))) if command else ()
+    footer = (("command", command),) if command else ()
     title, verdict = f"Fleet of {len(fleet.members)} devices", _verdict(fleet)
     uses, headline = _uses(fleet), _headline(fleet)
     card = Card(
@@ -93,11 +93,11 @@ def _verdict(fleet: Fleet) -> Text:
     elif search.refused:
         stood = " and ".join(name for name, _ in search.refused)
         text = (
-            f"{lead}: {stood} stands out beyond chance, but what some devices say of it does not "
+            f"{lead}: {stood} stands out, but what some devices say of it does not "
             "foretell the others."
         )
     else:
-        text = f"{lead}: no effect is shared beyond chance."
+        text = f"{lead}: no effect is shared."
     return Text(text, _TONE.get(fleet.verdict, "plain"))
 
 
@@ -160,7 +160,7 @@ def _found(fleet: Fleet) -> tuple[Text, ...]:
         )
         lines.append(Text(words, tone))
     if not lines:
-        what = "Nothing that the devices share stands out beyond chance."
+        what = "Nothing that the devices share stands out."
         if fleet.search and fleet.search.refused:
             what = "; ".join(f"{name} stands out, but {why}" for name, why in fleet.search.refused)
             what = f"{capital(what)}."
@@ -191,17 +191,17 @@ def _shared(fleet: Fleet) -> tuple[Table, ...]:
     rows = tuple(
         (
             one.effect,
-            f"{one.pooled.p:.2g}",
+            per_cent(one.pooled.probability),
             f"{one.nats.sum():+.1f}",
             f"{int(np.sum(one.nats > 0.0))} of {len(one.able)}",
             ", ".join(one.rivals) or "none",
         )
         for one in (fleet.search.found if fleet.search else ())
     )
-    header = ("effect", "chance in the fleet", "foretold, nats", "devices that gain", "rivals")
+    header = ("effect", "probability", "foretold, nats", "devices that gain", "rivals")
     note = (
-        "Chance: how often anything stands out as much in a fleet that lacks nothing. Foretold: "
-        "what each device's data gain by the size that the other devices give the effect."
+        "Probability: that the fleet lacks this, and nothing else beside what stands above. "
+        "Foretold: what each device's data gain by the size that the other devices give the effect."
     )
     return (Table("", header, rows, "lrrrl", note),) if rows else ()
 
@@ -266,11 +266,11 @@ def _tried(fleet: Fleet) -> tuple[Table | Text, ...]:
     if fleet.search is None or not fleet.search.first:
         return ()
     rows = tuple(
-        (one.effect, f"{one.evidence:.1f}", f"{one.p:.2g}", str(one.devices))
+        (one.effect, f"{one.evidence:.1f}", per_cent(one.probability), str(one.devices))
         for one in fleet.search.first
     )
     refused = Text.each(f"{name}: {why}" for name, why in fleet.search.refused)
-    header = ("effect", "evidence, nats", "chance", "devices")
+    header = ("effect", "evidence, nats", "probability", "devices")
     return (Table("", header, rows, "lrrr"), *refused)
 
 
@@ -278,9 +278,10 @@ def fleet_dict(fleet: Fleet) -> dict[str, Any]:
     """report.json of a fleet, as plain types."""
     search, made = fleet.search, [r.provenance for m in fleet.members for r in m.recordings]
     found = (
-        "effect p=pooled.p evidence_nats=pooled.evidence foretold_nats=nats rivals devices=able "
-        "common_typical=sizes.common scatter_typical=sizes.scatter"
+        "effect probability=pooled.probability evidence_nats=pooled.evidence foretold_nats=nats "
+        "rivals devices=able common_typical=sizes.common scatter_typical=sizes.scatter"
     )
+    tried = "effect evidence_nats=evidence probability devices"
     outlier = "device parameter value sd unit others=mean scatter p"
     gain = "before after gain low high nats nats_low"
     members = [
@@ -309,7 +310,7 @@ def fleet_dict(fleet: Fleet) -> dict[str, Any]:
         "devices": members,
         "between_devices": spreads,
         "outliers": listed(fleet.outliers, outlier),
-        "tried": listed(search.first if search else (), "effect evidence_nats=evidence p devices"),
+        "tried": listed(search.first if search else (), tried),
         "refused": [
             {"effect": name, "why": why} for name, why in (search.refused if search else ())
         ],
@@ -317,7 +318,7 @@ def fleet_dict(fleet: Fleet) -> dict[str, Any]:
         "notes": fleet.notes,
         "provenance": {
             "inputs": listed(made, "input=path sha256"),
-            **fields(fleet.settings, "settings=stated command seed"),
+            **fields(fleet.settings, "settings=stated command"),
             **fields(made[-1], "versions time"),
         },
     }

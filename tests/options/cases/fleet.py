@@ -9,7 +9,7 @@ import numpy as np
 from options.bench import Bench
 from options.case import USUAL, Case, Check, Of, ends, longer, says_the_cost
 from options.cases.calibrating_block import normal_gravity
-from options.outcome import Outcome, differences
+from options.outcome import Outcome
 
 FLEET = Of("fleet")
 PLAIN = USUAL["fleet"]
@@ -66,12 +66,6 @@ def _not_that(without: Outcome, done: Outcome, bench: Bench) -> None:
     assert _tried(without) - _tried(done) == {"cubic"}
 
 
-def _finer(without: Outcome, done: Outcome, bench: Bench) -> None:
-    for outcome, draws in ((without, 99), (done, 199)):
-        shares = [t["p"] * (draws + 1) for t in outcome.content["tried"]]
-        np.testing.assert_allclose(shares, np.round(shares), atol=1e-6)
-
-
 def _no_mounting(without: Outcome, done: Outcome, bench: Bench) -> None:
     names = [[n for n, _ in _numbers(o)] for o in (without, done)]
     assert [n for n in names[0] if not n.startswith("mounting")] == names[1]
@@ -82,12 +76,6 @@ def _written(without: Outcome, done: Outcome, bench: Bench) -> None:
     assert set(done.files) == {"report.html", "report.json", "norms/calibration.yaml",
                                "norms2/calibration.yaml"}  # fmt: skip
     assert not without.files
-
-
-def _other_chance(without: Outcome, done: Outcome, bench: Bench) -> None:
-    """Chance alone moves."""
-    moved = {place.rpartition("/")[2] for place in differences(without.content, done.content)}
-    assert moved == {"p"}
 
 
 def _devices_named(without: Outcome, done: Outcome, bench: Bench) -> None:
@@ -105,7 +93,6 @@ CASES: tuple[Case, ...] = (
     FLEET("--exclude 3", _like(*_on("norms_short.csv", "norms2_short.csv"))),
     FLEET("--only cubic", _only_that, *_without("--only")),
     FLEET("--without cubic", _not_that, *_without("--only")),
-    FLEET("--draws 199", _finer),
     FLEET("--devices <devices.csv>", _devices_named, "fleet", "<entries>", "--json"),
     FLEET("--full", longer, *WORDS),
     FLEET("--gravity 9.75", _weaker),
@@ -113,6 +100,5 @@ CASES: tuple[Case, ...] = (
     FLEET("--height 3000", _like(*PLAIN, "--gravity", repr(normal_gravity(46.3, 3000.0))),
           *PLAIN, "--latitude", "46.3"),
     FLEET("--shortest-rest 100", ends(2, "18 too short"), *_on("rests.csv", "rests2.csv")),
-    FLEET("--seed 3", _other_chance),
     FLEET("--verbose", says_the_cost),
 )  # fmt: skip

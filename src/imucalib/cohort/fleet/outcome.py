@@ -245,7 +245,6 @@ class Settings:
 
     calibrator: str
     command: str
-    seed: int
     stated: Mapping[str, object]
 
 

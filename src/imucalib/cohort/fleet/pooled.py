@@ -7,12 +7,13 @@ Device d says of the sizes θ_d (typical sizes, without the base model) exp(a_d�
 
 everything is closed: w = Σ (1 + τ²G)⁻¹ a and Λ = Σ (1 + τ²G)⁻¹ G over the devices give
 
-    ln m = Σ [τ² aᵀ(1 + τ²G)⁻¹a - ln det(1 + τ²G)] / 2 + wᵀ(Λ + γ⁻²)⁻¹w / 2 - ln det(1 + γ²Λ) / 2
+    2 q = Σ τ² aᵀ(1 + τ²G)⁻¹a + wᵀ(Λ + γ⁻²)⁻¹w
+    ln m = -ν/2 ln(1 - 2 q / ν) - Σ ln det(1 + τ²G) / 2 - ln det(1 + γ²Λ) / 2
 
-The evidence is the mean of m over a grid of τ and γ: all the same, all different, and between. It
-ranks effects. Whether the best is chance is tested by what stands out most, one size for all (χ² of
-k) or each device its own (χ² of devices times k), on fleets that lack nothing, drawn with each
-device's own products of all candidates and its noise estimated anew, through the same code.
+with the factor of all noises, which the same data tell in ν degrees of freedom, integrated out
+under Jeffreys' prior. The evidence is the mean of m over a grid of τ and γ: all the same, all
+different, and between. What exists is a posterior over nothing and each of the effects, with the
+prior odds of one device's search.
 
 Scatter between devices of one axis, drawn towards that of the other axes of its kind.
 
@@ -32,10 +33,10 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.core.effect import Effect
-from imucalib.core.eigen import eigen
 from imucalib.core.fit import Fit
 from imucalib.loop.candidates import effect_columns, testable
-from imucalib.loop.odds import ABSORBED
+from imucalib.loop.odds import ABSORBED, KNOWN, MISSING
+from imucalib.loop.posterior.gram import log_sum
 
 #: λ of a candidate at typical size below which it is rounding.
 _SHOWN = 1e-6
@@ -48,8 +49,6 @@ _TAU = (0.0, 0.1, 0.3, 1.0, 3.0)
 _GAMMA = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0)
 #: Of the estimate of τ: its range in sds of one device's own size, values, and a flat prior of μ.
 _ALLOWED, _SIZES, _WIDE = (0.03, 30.0), 40, 30.0
-#: Share of the largest eigenvalue of products below which a direction is rounding.
-_ROUNDING = 1e-9
 #: Groups of devices, at most, each of which the others predict.
 GROUPS = 20
 
@@ -157,12 +156,12 @@ def inverse_trigamma(value: float) -> float:
 
 @dataclass(frozen=True)
 class PooledEffect:
-    """An effect over a fleet. evidence : nats; p : family-wise, of fleets that lack nothing
+    """An effect over a fleet. evidence : nats; probability : that it exists, and no other does
     devices : how many can show it"""
 
     effect: str
     evidence: float
-    p: float
+    probability: float
     devices: int
 
 
@@ -191,53 +190,34 @@ def products(devices: Sequence[PooledDevice], effect: str) -> tuple[tuple[str, .
     return tuple(d.name for d, _ in able), gram, np.stack([d.along[at] for d, at in able])
 
 
-def pool_effects(
-    devices: Sequence[PooledDevice], rng: np.random.Generator, draws: int
-) -> tuple[PooledEffect, ...]:
-    """Every effect that two devices or more can show, best first."""
+def pool_effects(devices: Sequence[PooledDevice], *, missing: bool) -> tuple[PooledEffect, ...]:
+    """Every effect that two devices or more can show, best first.
+
+    devices : at least two
+    missing : whether the fleet is known to lack something already, which one more is beside
+    """
     names = dict.fromkeys(name for device in devices for name in device.columns)
-    drawn = zip(devices, _nulls(devices, rng, draws), strict=True)
-    # The data, and next to them draws of what lacks nothing.
-    data = [replace(d, along=np.column_stack([d.along, null])) for d, null in drawn]
-    found, null = list[tuple[str, float, float, int]](), np.zeros(draws)
+    dof, found = sum(device.dof for device in devices), list[tuple[str, float, int]]()
     for name in names:
-        able, gram, along = products(data, name)
+        able, gram, along = products(devices, name)
         if len(able) > 1:
-            scores = outstanding(gram, along)
-            nats = float(evidence(gram, along[..., :1])[0])
-            found.append((name, nats, float(scores[0]), len(able)))
-            null = np.maximum(null, scores[1:])
+            found.append((name, evidence(gram, along, dof), len(able)))
+    odds = np.log(KNOWN * (1.0 if missing else MISSING) / max(len(found), 1))
+    logs = np.array([0.0, *(nats + odds for _, nats, _ in found)])
+    weight = np.exp(logs - log_sum(logs))[1:]
     best = [
-        PooledEffect(name, nats, float((1 + np.sum(null >= own)) / (draws + 1)), count)
-        for name, nats, own, count in found
+        PooledEffect(name, nats, p, count)
+        for (name, nats, count), p in zip(found, weight.tolist(), strict=True)
     ]
     return tuple(sorted(best, key=lambda one: -one.evidence))
 
 
-def outstanding(gram: Array, along: Array) -> Array:
-    """(draws,) -ln p of an effect the same in all devices or of each device's own, the smaller p.
-
-    Shapes as of `evidence`.
-    """
-    from scipy.special import chdtrc
-
-    def square(products: Array, sums: Array) -> Array:
-        inverse = np.linalg.pinv(products, rcond=1e-9, hermitian=True)
-        return np.asarray(np.einsum("...in,...ij,...jn->...n", sums, inverse, sums))
-
-    k = gram.shape[1]
-    shared = chdtrc(k, square(gram.sum(axis=0), along.sum(axis=0)))
-    own = chdtrc(k * len(gram), square(gram, along).sum(axis=0))
-    return np.asarray(-np.log(np.maximum(np.minimum(shared, own), 1e-300)))
-
-
-def evidence(gram: Array, along: Array) -> Array:
-    """(draws,) nats of one effect. gram : (devices, k, k); along : (devices, k, draws)"""
+def evidence(gram: Array, along: Array, dof: float) -> float:
+    """Nats of one effect. gram : (devices, k, k); along : (devices, k); dof : of the noise"""
     sums = {tau: _sums(gram, along, tau) for tau in _TAU}
     grid = [(tau, gamma) for tau in _TAU for gamma in _GAMMA if tau or gamma]
-    every = np.stack([_nats(*sums[tau], gamma) for tau, gamma in grid])
-    top = every.max(axis=0)
-    return np.asarray(top + np.log(np.mean(np.exp(every - top), axis=0)))
+    every = np.array([_nats(*sums[tau], gamma, dof) for tau, gamma in grid])
+    return float(log_sum(every) - np.log(every.size))
 
 
 def sizes(gram: Array, along: Array) -> Sizes:
@@ -248,12 +228,12 @@ def sizes(gram: Array, along: Array) -> Sizes:
     """
     alone = float(np.sqrt(np.mean(1.0 / np.maximum(np.einsum("dii->di", gram), 1e-12))))
     tau = np.concatenate([[0.0], alone * np.geomspace(*_ALLOWED, _SIZES)])
-    nats = np.array([_nats(*_sums(gram, along[..., None], float(t)), _WIDE)[0] for t in tau])
+    nats = np.array([_nats(*_sums(gram, along, float(t)), _WIDE, np.inf) for t in tau])
     weight = np.exp(nats - nats.max()) * np.gradient(tau) / (tau + alone)
     scatter = float(np.sqrt(weight @ tau**2 / weight.sum()))
-    _, w, inside = _sums(gram, along[..., None], scatter)
+    _, _, w, inside = _sums(gram, along, scatter)
     spread = np.linalg.inv(inside + np.eye(len(inside)) / _WIDE**2)
-    return Sizes(spread @ w[:, 0], np.asarray(spread, np.float64), scatter)
+    return Sizes(spread @ w, np.asarray(spread, np.float64), scatter)
 
 
 def by_others(gram: Array, along: Array) -> list[tuple[Array, Array]]:
@@ -279,45 +259,26 @@ def evidence_of_sizes(gram: Array, along: Array, mean: Array, spread: Array) -> 
     return float(gain + 0.5 * np.linalg.slogdet(inner)[1])
 
 
-def _sums(gram: Array, along: Array, tau: float) -> tuple[Array, Array, Array]:
-    """(draws,) the part without μ, (k, draws) w and (k, k) Λ."""
+def _sums(gram: Array, along: Array, tau: float) -> tuple[float, float, Array, Array]:
+    """What sizes that differ explain, log det of what they cost, (k,) w and (k, k) Λ."""
     shrunk = np.linalg.inv(np.eye(gram.shape[1]) + tau**2 * gram)
-    pulled = np.einsum("dij,djn->din", shrunk, along)
-    own = 0.5 * tau**2 * np.einsum("din,din->n", along, pulled)
-    own = own + 0.5 * float(np.linalg.slogdet(shrunk)[1].sum())
+    pulled = np.einsum("dij,dj->di", shrunk, along)
     inside = np.einsum("dij,djk->ik", shrunk, gram)
-    return own, pulled.sum(axis=0), 0.5 * (inside + inside.T)
+    return (
+        float(tau**2 * np.sum(along * pulled)),
+        -float(np.linalg.slogdet(shrunk)[1].sum()),
+        pulled.sum(axis=0),
+        0.5 * (inside + inside.T),
+    )
 
 
-def _nats(own: Array, w: Array, inside: Array, gamma: float) -> Array:
-    if gamma == 0.0:
-        return own
+def _nats(
+    explained: float, log_det: float, w: Array, inside: Array, gamma: float, dof: float
+) -> float:
+    """Of `_sums` with a common size; an infinite dof: at a noise that is known."""
     grown = np.eye(len(inside)) + gamma**2 * inside
-    gain = 0.5 * gamma**2 * np.einsum("in,in->n", w, np.linalg.solve(grown, w))
-    return np.asarray(own + gain - 0.5 * np.linalg.slogdet(grown)[1])
-
-
-def _nulls(devices: Sequence[PooledDevice], rng: np.random.Generator, draws: int) -> list[Array]:
-    """(m, draws) products of each device with data that lack nothing, in units of a noise that is
-    estimated from the same data, drawn towards the fleet's as that of the devices.
-
-    What an effect explains is part of the noise that was estimated without it: with a noise drawn
-    apart from the products, nothing stands out in four fleets of a hundred but in fewer than two.
-    """
-    roots, normal, squares, dof = [], [], [], []
-    for device in devices:
-        values, vectors = eigen(device.gram)
-        keep = values > _ROUNDING * max(float(values.max(initial=0.0)), 1e-300)
-        roots.append(vectors[:, keep] * np.sqrt(values[keep]))
-        z = rng.standard_normal((int(keep.sum()), draws))
-        beyond = device.dof - len(z)
-        rest = rng.chisquare(beyond, draws) if beyond > 0.0 else np.zeros(draws)
-        normal.append(z)
-        dof.append(max(device.dof, float(len(z)), 1.0))
-        squares.append((np.sum(z**2, axis=0) + rest) / dof[-1])
-    fleet = np.einsum("d,dn->n", dof, np.array(squares)) / np.sum(dof)
-    every = zip(devices, roots, normal, squares, dof, strict=True)
-    return [
-        root @ z / np.sqrt((d.borrowed * fleet + own * square) / (d.borrowed + own))
-        for d, root, z, square, own in every
-    ]
+    square = explained + gamma**2 * float(w @ np.linalg.solve(grown, w))
+    cost = 0.5 * (log_det + float(np.linalg.slogdet(grown)[1]))
+    if np.isinf(dof):
+        return 0.5 * square - cost
+    return -0.5 * dof * float(np.log(max(1.0 - square / dof, 1e-12))) - cost

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +25,7 @@ from imucalib.cohort.fleet.outcome import (
     shared_parameters,
 )
 from imucalib.cohort.fleet.pooled import PooledDevice, evidence_of_sizes
-from imucalib.cohort.fleet.search import Priors, Rules, Said, search_fleet
+from imucalib.cohort.fleet.search import Priors, Said, search_fleet
 from imucalib.core.effect import Context
 from imucalib.effects import named
 from imucalib.errors import UnreadableInput, UsageError
@@ -194,8 +194,6 @@ class Wanted:
     only: tuple[str, ...] = ()
     without: tuple[str, ...] = ()
     devices: Path | None = None
-    rules: Rules = field(default_factory=Rules)
-    seed: int = 0
     command: str = ""
 
     def stated(self) -> dict[str, object]:
@@ -204,7 +202,6 @@ class Wanted:
             "only": list(self.only),
             "without": list(self.without),
             "devices_sha256": None if self.devices is None else sha256_of(self.devices),
-            **vars(self.rules),
         }
 
 
@@ -230,7 +227,7 @@ def run_recorded(paths: Sequence[Path], wanted: Wanted, say: Callable[[str], Non
     effects = tuple(effects_to_search(wanted.only, wanted.without, {}).effects)
     sums = {name: [one.sums for one in own if one.sums is not None] for name, own in of.items()}
     own = [device_of(name, every, effects) for name, every in sums.items() if every]
-    said = search_fleet(own, wanted.rules, wanted.seed, say, without=True) if len(own) > 1 else None
+    said = search_fleet(own, say, without=True) if len(own) > 1 else None
     members, values = _members(of, own, said)
     device = np.repeat(np.arange(len(of)), [len(own) for own in of.values()])
     spreads = shared_parameters(
@@ -245,7 +242,7 @@ def run_recorded(paths: Sequence[Path], wanted: Wanted, say: Callable[[str], Non
         spreads=spreads,
         outliers=outliers(list(of), spreads),
         difference=_gain(own, said) if said and said.search.found else None,
-        settings=Settings(usable[0].calibrator, wanted.command, wanted.seed, wanted.stated()),
+        settings=Settings(usable[0].calibrator, wanted.command, wanted.stated()),
         following=_following(usable, spreads, said),
         notes=_notes(found, usable, own),
     )

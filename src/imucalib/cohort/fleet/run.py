@@ -23,7 +23,7 @@ from imucalib.cohort.fleet.outcome import (
     shared_parameters,
 )
 from imucalib.cohort.fleet.pooled import device_of
-from imucalib.cohort.fleet.search import Priors, Rules, Said, search_fleet
+from imucalib.cohort.fleet.search import Priors, Said, search_fleet
 from imucalib.core.effect import Effect
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
@@ -45,9 +45,7 @@ from imucalib.units import MG
 _HELD_OUT = 60
 
 
-def run_fleet(
-    tables: Sequence[LabFiles], request: LabRequest, rules: Rules, say: Callable[[str], None]
-) -> Fleet:
+def run_fleet(tables: Sequence[LabFiles], request: LabRequest, say: Callable[[str], None]) -> Fleet:
     """Calibrate every table alone, find what they share, and calibrate each with it.
 
     Raises UsageError for fewer than two devices and for devices of different models.
@@ -65,12 +63,11 @@ def run_fleet(
     say(f"{len(runs)} devices calibrated alone; searching for what they share")
     fits = [run.result.final for _, run in runs]
     own = [device_of(name, run.result.final, effects) for name, run in runs]
-    said = search_fleet(own, rules, request.seed, say, without=len(runs) <= _HELD_OUT)
+    said = search_fleet(own, say, without=len(runs) <= _HELD_OUT)
     members, gain = _members(runs, said, effects)
     made = [r.calibration.parameters for m in members for r in m.recordings if r.calibration]
     spreads = shared_parameters(made, tuple(said.following), np.arange(len(made)))
     by_name = {one.name: one for one in spreads}
-    stated = {**request.stated(), "draws": rules.draws}
     return Fleet(
         members=members,
         failed=failed,
@@ -78,7 +75,7 @@ def run_fleet(
         spreads=spreads,
         outliers=outliers([member.name for member in members], spreads),
         difference=gain if said.search.found else None,
-        settings=Settings("lab", request.command, request.seed, stated),
+        settings=Settings("lab", request.command, request.stated()),
         following=population_of(
             [by_name[p.name] for p in fits[0].parameters],
             said.following,

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imucalib.arrays import Array
+from imucalib.arrays import Array, Index
 from imucalib.cohort.fleet.pooled import (
     GROUPS,
     PooledDevice,
@@ -27,21 +27,10 @@ from imucalib.cohort.fleet.pooled import (
     sizes,
 )
 from imucalib.core.prior import Prior, joint_prior
-from imucalib.loop.odds import OCCAM
+from imucalib.loop.odds import DEEPEST, FALSE_CLAIM, OCCAM
 
-#: Simulated fleets of a search without some of the devices: enough for alpha.
-_DRAWS = 199
 #: Devices beyond which a fifth of them says no less than a twentieth would.
 _MANY, _OF_MANY = 60, 5
-
-
-@dataclass(frozen=True)
-class Rules:
-    """alpha : of a false effect anywhere in the fleet; most : effects; draws : of the null"""
-
-    alpha: float = 0.04
-    most: int = 3
-    draws: int = 1000
 
 
 @dataclass(frozen=True)
@@ -86,47 +75,40 @@ class Said:
     following: Priors
 
 
-def search_fleet(
-    own: Sequence[PooledDevice],
-    rules: Rules,
-    seed: int,
-    say: Callable[[str], None],
-    *,
-    without: bool,
-) -> Said:
+def search_fleet(own: Sequence[PooledDevice], say: Callable[[str], None], *, without: bool) -> Said:
     """Search a fleet. own : with their own noise; without : whether also without each device"""
     devices = shrink_noise(own)
-    found = search(devices, rules, np.random.default_rng(seed))
+    found = search(devices)
     by_device: dict[str, dict[str, Prior]] = {device.name: {} for device in devices}
     for one in found.found:
-        say(f"{one.effect}: in {len(one.able)} devices, p {one.pooled.p:.2g}")
+        say(f"{one.effect}: in {len(one.able)} devices, {100.0 * one.pooled.probability:.0f} %")
         able, gram, along = products(devices, one.effect)
         for name, said in zip(able, by_others(gram, along), strict=True):
             by_device[name][one.effect] = joint_prior(*said)
-    unseen = _without_each(own, rules, seed) if found.found and without else {}
+    unseen = _without_each(own) if found.found and without else {}
     return Said(found, by_device, unseen, _of_another(devices, found))
 
 
-def search(devices: Sequence[PooledDevice], rules: Rules, rng: np.random.Generator) -> Search:
-    """Accept what stands out and what each device confirms by what the others predict."""
+def search(devices: Sequence[PooledDevice]) -> Search:
+    """Accept the likeliest effect while silence would cost more than a false claim, and each device
+    confirms it by what the others predict."""
     now, found, refused = tuple(devices), list[FleetEffect](), dict[str, str]()
     first: tuple[PooledEffect, ...] = ()
     while True:
-        scores = pool_effects(now, rng, rules.draws)
+        scores = pool_effects(now, missing=bool(found))
         first = first or scores
-        rest = [s for s in scores if s.effect not in refused]
-        if not rest or rest[0].p > rules.alpha or len(found) == rules.most:
+        there = sum(s.probability for s in scores)
+        if FALSE_CLAIM * (1.0 - there) >= there or len(found) == DEEPEST:
             return Search(tuple(found), first, tuple(refused.items()))
-        best = rest[0]
+        best = scores[0]
         able, gram, along = products(now, best.effect)
         nats = predictive(gram, along)
         if nats.sum() <= 0.0:
             refused[best.effect] = f"the others foretell no device's: {nats.sum():+.1f} nats"
+            now = tuple(replace(d, columns=_but(d, best.effect)) for d in now)
             continue
         said = sizes(gram, along)
-        rivals = tuple(
-            s.effect for s in rest[1:] if s.p <= rules.alpha and s.evidence > best.evidence - OCCAM
-        )
+        rivals = tuple(s.effect for s in scores[1:] if s.evidence > best.evidence - OCCAM)
         found.append(FleetEffect(best, rivals, nats, able, said))
         now = tuple(_without(device, best.effect, said) for device in now)
 
@@ -140,24 +122,26 @@ def _without(device: PooledDevice, effect: str, said: Sizes) -> PooledDevice:
     shrunk = said.scatter**2 * np.linalg.inv(np.eye(len(k)) + said.scatter**2 * own)
     away = device.along[k] - own @ said.common
     along = device.along - across @ (said.common + shrunk @ away)
-    columns = {name: at for name, at in device.columns.items() if name != effect}
-    return replace(
-        device, columns=columns, gram=device.gram - across @ shrunk @ across.T, along=along
-    )
+    gram = device.gram - across @ shrunk @ across.T
+    return replace(device, columns=_but(device, effect), gram=gram, along=along)
 
 
-def _without_each(devices: Sequence[PooledDevice], rules: Rules, seed: int) -> dict[str, Priors]:
+def _but(device: PooledDevice, effect: str) -> dict[str, Index]:
+    """Where the parameters of all other effects stand."""
+    return {name: at for name, at in device.columns.items() if name != effect}
+
+
+def _without_each(devices: Sequence[PooledDevice]) -> dict[str, Priors]:
     """Of each device the effects that the others find, with what these say of its sizes.
 
     devices : with their own noise, not drawn towards the fleet's, which the one left out would
     tell
     """
     groups = min(len(devices), GROUPS if len(devices) <= _MANY else _OF_MANY)
-    few = replace(rules, draws=min(rules.draws, _DRAWS))
     every: dict[str, Priors] = {}
     for group in range(groups):
         rest = shrink_noise([d for k, d in enumerate(devices) if k % groups != group])
-        said = _of_another(rest, search(rest, few, np.random.default_rng((seed, group))))
+        said = _of_another(rest, search(rest))
         for device in devices[group::groups]:
             every[device.name] = {n: one for n, one in said.items() if n in device.columns}
     return every
