@@ -8,6 +8,7 @@ import shlex
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from imucalib.effects import catalogue
@@ -136,7 +137,7 @@ def test_a_calibration_prints_a_certificate_and_shows_its_residual(tmp_path: Pat
     assert "10:y=-58593" in certificate
     assert "signature" in certificate
     assert page.index("<figure>") < page.index("<nav")
-    assert {s["label"] for s in report["figures"][0]["series"]} >= {"before", "after"}
+    assert {s["label"] for s in report["figures"][0]["series"]} >= {"raw", "before", "after"}
 
 
 def test_nobody_signs_a_run_that_is_undecided(tmp_path: Path) -> None:
@@ -240,3 +241,27 @@ def test_a_certificate_says_its_method_in_words(tmp_path: Path) -> None:
     certificate = page[page.index('class="certificate"') : page.index("<header>")]
     assert "a curve of the response of x" in certificate
     assert "@" not in certificate
+
+
+def test_the_first_figure_has_the_raw_reading_and_the_corrected_one(tmp_path: Path) -> None:
+    run(*located(QUICK["lab, norm"]), "-q", "-o", tmp_path)
+    first = json.loads((tmp_path / "report.json").read_text())["figures"][0]
+    sizes = {s["label"]: np.abs(s["y"]).max() for s in first["series"]}
+    assert sizes["after"] < 0.1 * sizes["raw"]
+    assert "before" not in sizes  # which the corrected one would hide: nothing was searched for
+
+
+@pytest.mark.slow
+def test_an_array_shows_its_board_and_noise_that_its_residuals_have(tmp_path: Path) -> None:
+    run(*located(SLOW["array"]), "-q", "-o", tmp_path)
+    report = json.loads((tmp_path / "report.json").read_text())
+    board, *others = report["figures"]
+    assert {s["label"].partition(",")[0] for s in board["series"]} >= {"drawn", "found", "97 %"}
+    assert "times as large" in board["caption"]
+    for figure in (f for f in others if f["title"].endswith("residual against the rate")):
+        noise, after = (
+            next(s for s in figure["series"] if s["label"] == label)
+            for label in ("noise that was fitted", "after")
+        )
+        ratio = np.array(after["y"]) / np.interp(after["x"], noise["x"], noise["y"])
+        assert np.all((ratio > 0.5) & (ratio < 1.1)), figure["title"]

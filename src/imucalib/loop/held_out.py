@@ -30,6 +30,7 @@ from imucalib.arrays import Array, Index
 from imucalib.core.balance import whitener
 from imucalib.core.effect import Truth
 from imucalib.core.fit import Fit
+from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.effects.record_error import is_record_error
 from imucalib.estimators.student import quantile
@@ -254,6 +255,11 @@ def errors(fit: Fit, theta: Array, observations: Observations) -> Predictions:
     size = np.linalg.norm(corrected, axis=-1, keepdims=True)
     gravity = np.linalg.norm(reference.truth(reference.start(corrected)), axis=-1, keepdims=True)
     return Predictions(corrected, corrected / size * gravity, size - gravity)
+
+
+def raw_errors(fit: Fit) -> Predictions:
+    """The uncorrected readings of a fit against what is known."""
+    return errors(replace(fit, model=Model(()), theta=np.zeros(0)), np.zeros(0), fit.observations)
 
 
 def leave_groups_out(fit: Fit) -> Predictions:

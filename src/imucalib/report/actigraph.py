@@ -6,13 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
-from imucalib.calibrators.actigraph.errors import Coverage, norm_sd, raw_errors, sphere_cells
+from imucalib.calibrators.actigraph.errors import Coverage, norm_sd, sphere_cells
 from imucalib.calibrators.actigraph.observations import from_data, hours
 from imucalib.calibrators.actigraph.published import PublishedRun
 from imucalib.calibrators.actigraph.run import ActigraphRun
 from imucalib.calibrators.actigraph.series import CalibrationSeries as Calibrations
 from imucalib.core.sphere import coverage, even_directions
 from imucalib.exports.per_axis import nearest_row
+from imucalib.loop.held_out import raw_errors
 from imucalib.report import sections
 from imucalib.report.document import (
     RESIDUALS,

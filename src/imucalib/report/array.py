@@ -13,13 +13,12 @@ from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.run import ArrayRun
 from imucalib.core.eigen import eigen
 from imucalib.report import sections
-from imucalib.report.array_figures import board_plots, chain_plots, residual_plots
+from imucalib.report.array_figures import board_picture, board_plots, chain_plots, residual_plots
 from imucalib.report.document import (
     RESIDUALS,
     Card,
     Document,
     Facts,
-    Plot,
     Section,
     Table,
     Text,
@@ -48,8 +47,7 @@ def array_document(run: ArrayRun) -> Document:
     more = tuple(", ".join(f"{v:+.2f}" for v in one) for one in off)
     positions = ("Positions of the accelerometers", run.board, run.total, "minus drawing", more)
     known = _known(run.total, run.gyros, run.board, run.request)
-    figures = residual_plots(run)
-    residuals = (*gain_plot(outcome.findings), *figures[1:])
+    residuals = (*gain_plot(outcome.findings), *residual_plots(run))
     chains = (
         (
             "sampler",
@@ -70,7 +68,7 @@ def array_document(run: ArrayRun) -> Document:
         Section("The chains", (Facts(chains), *chain_plots(run)), brief=False),
     ]
     title = f"Positions of {run.board.name} from {outcome.provenance.path}"
-    card = _card(run, observability, figures[0] if figures else None)
+    card = _card(run, observability)
     return sections.calibration_document(title, head, parts, run, card)
 
 
@@ -80,7 +78,7 @@ _FUSE = Use(
 )
 
 
-def _card(run: ArrayRun, observability: tuple[Text, ...], picture: Plot | None) -> Card:
+def _card(run: ArrayRun, observability: tuple[Text, ...]) -> Card:
     """Worth of positions, gyros and accelerometers in motion.
 
     observability : what the motion did not determine, in words
@@ -102,7 +100,7 @@ def _card(run: ArrayRun, observability: tuple[Text, ...], picture: Plot | None) 
         *(sections.error_worth(e, n, "motion") for e, n in errors),
     )
     weak = (t.text for t in observability if t.tone == "warning")
-    return sections.card_of(run.outcome, worths, *weak, uses=(_FUSE,), picture=picture)
+    return sections.card_of(run.outcome, worths, *weak, uses=(_FUSE,), picture=board_picture(run))
 
 
 def _rms(values: Array) -> float:
@@ -170,10 +168,24 @@ def _motion_section(run: ArrayRun) -> Section:
             f"{residual.acceleration:.3f} m/s² and {residual.rate / DEG:.2f} deg/s (1.4826 MAD); "
             f"at rest {_rms(rests.noise):.3f} and {_rms(rests.gyro_noise) / DEG:.2f}",
         ),
+        ("inside the noise", f"{_inside(run)} of readings, where the fitted noise has 95 %"),
         ("not explained", ", ".join(open_)),
         ("clipped samples", "left out whole"),
     ]
     return Section("The motion", (Facts(tuple(rows)),))
+
+
+def _inside(run: ArrayRun) -> str:
+    """The share of residuals of accelerometers and gyros within 95 % of the noise that was fitted,
+    a Student t of as many numbers as the motion leaves of a triad (Lange, Little, Taylor 1989)."""
+    from scipy.special import fdtri
+
+    *squares, speed = run.state.squares()
+    shares = []
+    for noise, off in zip(run.state.noise, squares, strict=True):
+        edge = fdtri(off.numbers, min(noise.freedom, 1e9), 0.95) * off.numbers
+        shares.append(100.0 * float(np.mean(off.length <= edge * noise.variance(speed))))
+    return " and ".join(f"{share:.0f} %" for share in shares)
 
 
 def _rests_section(run: ArrayRun) -> Section:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from imucalib.arrays import Array, Flags, Index
+from imucalib.arrays import Array, Index
 from imucalib.calibrators.array.estimate.covariance import sd_of_few
 from imucalib.calibrators.array.loop.cross_fit import NORMAL_MAD
 from imucalib.calibrators.array.loop.state import ArrayState
@@ -22,46 +22,43 @@ _AXES = ("x (mm)", "y (mm)")
 
 
 def board_plots(run: ArrayRun) -> tuple[Plot | Table, ...]:
-    """Plan views, deviations from the drawing, and what more samples bring."""
+    """Deviations from the drawing, and what more samples bring."""
+    return (_close_up(run), _deviations(run), *_growth(run))
+
+
+def _sides(run: ArrayRun) -> dict[str, Index]:
+    """Which IMUs are on each side of the board."""
     z = run.board.positions[:, 2]
     top = z >= float(np.median(z))
-    sides = [("top side", top), ("underside", ~top)]
-    named = sides if np.ptp(z) > 0 else [("board", top | True)]
-    plans = (_plan(run, name, np.flatnonzero(side)) for name, side in named if side.any())
-    return (*plans, _close_up(run, sides), _deviations(run), *_growth(run))
+    sides = {"top side": top, "underside": ~top} if np.ptp(z) > 0 else {"board": top | True}
+    return {name: np.flatnonzero(side) for name, side in sides.items() if side.any()}
 
 
-def _plan(run: ArrayRun, name: str, rows: Index) -> Plot:
-    """One side with 50 and 97 % ellipses. Deviations are drawn to scale; ellipses that would vanish
-    are magnified, and say so."""
-    origin = 1e3 * run.board.positions[0]
-    mean = 1e3 * run.total.mean[rows] + origin
-    drawn = 1e3 * run.board.positions[rows]
-    names = tuple(run.board.imus[k] for k in rows)
-    series = [Series("drawn", drawn[:, 0], drawn[:, 1], "points", names=names)]
+def board_picture(run: ArrayRun) -> Plot:
+    """The board as drawn, and where its accelerometers were found, with 97 % ellipses. Deviations
+    are drawn to scale; ellipses that would vanish are magnified, and say so."""
+    origin, drawn = 1e3 * run.board.positions[0], 1e3 * run.board.positions
+    mean, sides = 1e3 * run.total.mean + origin, _sides(run)
+    series = [Series("drawn", drawn[:, 0], drawn[:, 1], "points", names=tuple(run.board.imus))]
     if run.board.package is not None:
         half = 0.5e3 * np.array(run.board.package[:2])
         corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)]) * half
         series.append(_joined("package", [d[:2] + corners for d in drawn]))
-    times, placed = _magnification(run, rows), list(zip(rows.tolist(), mean, strict=True))
-    for label, radius in (("50 %", _HALF), ("97 %", _MOST)):
-        if rings := [times * _ellipse(run, k, radius) + m[:2] for k, m in placed if k > 0]:
-            shown = label if times == 1.0 else f"{label}, {times:g} times as large"
-            series.append(_joined(shown, rings))
-    series.append(Series("posterior mean", mean[:, 0], mean[:, 1], "points", names=names))
-    caption = f"Seen from the top; {run.board.imus[0]} is the reference and stands where drawn."
-    held = centres_held(run, rows)
-    if held:
-        caption += f" The 97 % ellipses hold the package's centre in {sum(held)} of {len(held)}"
-        caption += (
-            "."
-            if all(held)
-            else (
-                ": accelerometers that sit beside the middle of their package, alike in all, are "
-                "beside it on the side that the reference is not on."
-            )
+    times = min(_magnification(run, rows) for rows in sides.values())
+    larger = "" if times == 1.0 else f", {times:g} times as large"
+    caption = f"Seen from the top, in mm; {run.board.imus[0]} is the reference and stands where "
+    caption += f"drawn. Places are to scale; ellipses hold 97 %{larger}."
+    for side, rows in sides.items():
+        names, on = tuple(run.board.imus[k] for k in rows), "" if side == "board" else f", {side}"
+        series.append(
+            Series(f"found{on}", mean[rows, 0], mean[rows, 1], "points", names=names),
         )
-    return Plot(f"Positions, {name}", *_AXES, tuple(series), caption, equal=True)
+        if rings := [times * _ellipse(run, int(k), _MOST) + mean[k, :2] for k in rows if k > 0]:
+            series.append(_joined(f"97 %{on}", rings))
+        held = centres_held(run, rows)
+        if held:
+            caption += f" They hold the package's centre in {sum(held)} of {len(held)}{on}."
+    return Plot("The board, drawn and found", *_AXES, tuple(series), caption, equal=True)
 
 
 def centres_held(run: ArrayRun, rows: Index) -> list[bool]:
@@ -103,12 +100,12 @@ def _joined(label: str, rings: list[Array]) -> Series:
     return Series(label, line[:, 0], line[:, 1], "line")
 
 
-def _close_up(run: ArrayRun, sides: list[tuple[str, Flags]]) -> Plot:
+def _close_up(run: ArrayRun) -> Plot:
     """All IMUs' deviations from the drawing in one place, to scale, with 97 % ellipses."""
     off = 1e3 * (run.total.mean - run.board.drawn)
     series = []
-    for label, side in sides:
-        if rows := [int(k) for k in np.flatnonzero(side) if k > 0]:
+    for label, side in _sides(run).items():
+        if rows := [int(k) for k in side if k > 0]:
             names = tuple(run.board.imus[k] for k in rows)
             series.append(Series(label, off[rows, 0], off[rows, 1], "points", names=names))
             rings = [_ellipse(run, k, _MOST) + off[k, :2] for k in rows]
@@ -168,13 +165,12 @@ def residual_plots(run: ArrayRun) -> list[Plot]:
     base, final = run.loop.base, run.loop.final
     before, after = len(base.setup.inner), len(final.setup.inner)
     used = f"Before: {before} samples of the search; after: {after}."
-    one = f"One point a moving sample, rms of an axis, its own motion taken out. {used}"
     binned = f"1.4826 MAD of a {_BINS}th of the samples, of all sensors."
     each = f"1.4826 MAD over the moving samples. {used}"
     order = np.arange(run.board.count, dtype=np.float64)
 
     def against_rate(state: ArrayState, off: Array) -> tuple[Array, Array]:
-        return _speed(state) / DEG, np.sqrt(np.mean(off**2, axis=(1, 2)))
+        return _bin(_speed(state) / DEG, off)
 
     def against_force(state: ArrayState, off: Array) -> tuple[Array, Array]:
         force = np.linalg.norm(state.sampled.force, axis=2).mean(axis=1)
@@ -187,7 +183,7 @@ def residual_plots(run: ArrayRun) -> list[Plot]:
         return order, NORMAL_MAD * np.median(np.abs(off), axis=(0, 2))
 
     kinds = (
-        ("against the rate", against_rate, "speed of rotation (deg/s)", one),
+        ("against the rate", against_rate, "speed of rotation (deg/s)", binned),
         ("against force", against_force, "specific force (m/s²)", binned),
         ("against time", against_time, "time in the log (s)", binned),
         ("of each IMU", of_each, "IMU, in the board's order", each),
@@ -209,11 +205,14 @@ def residual_plots(run: ArrayRun) -> list[Plot]:
 
 
 def _noise(state: ArrayState, sensor: int, size: float) -> Series:
-    """What was fitted, over the speeds of the motion."""
-    ends = _speed(state)
+    """What 1.4826 MAD of the fitted noise is, over the speeds of the motion."""
+    from scipy.special import stdtrit
+
+    noise, ends = state.noise[sensor], _speed(state)
     speed = np.geomspace(max(float(ends.min()), 1e-3), float(ends.max()), 60)
-    sd = np.sqrt(state.noise[sensor].variance(speed).mean(axis=1)) / size
-    return Series("noise that was fitted, 1 sd", speed / DEG, sd, "line")
+    sd = np.sqrt(noise.variance(speed).mean(axis=1)) / size
+    sd *= NORMAL_MAD * float(stdtrit(min(noise.freedom, 1e9), 0.75))
+    return Series("noise that was fitted", speed / DEG, sd, "line")
 
 
 def _speed(state: ArrayState) -> Array:

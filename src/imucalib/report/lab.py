@@ -23,7 +23,7 @@ from imucalib.core.references import KnownVector, angles_of
 from imucalib.core.sphere import coverage, even_directions
 from imucalib.effects import known
 from imucalib.effects.scans import COLUMN
-from imucalib.loop.held_out import Predictions, predict_fitted
+from imucalib.loop.held_out import Predictions, predict_fitted, raw_errors
 from imucalib.loop.held_out import errors as held_errors
 from imucalib.report import sections
 from imucalib.report.conditions import power_up_worths, sessions_section, temperature_section
@@ -300,36 +300,42 @@ def _held_out_models(run: LabRun) -> tuple[Predictions, Predictions, bool]:
 
 
 def _residual_plots(run: LabRun) -> list[Plot]:
-    """The quantity that gained most against all that what was found follows, the others by row."""
+    """As read, before and after in one picture; then before and after alone: of the quantity that
+    gained most against all that what was found follows, of the others by row."""
     base, final, held = _held_out_models(run)
-    before, after, bands = _errors_of(run, base), _errors_of(run, final), _bands(run)
-    quantities = [("|a|", "mg", before.norm, after.norm)]
+    shown = {"raw": raw_errors(run.result.base), "before": base, "after": final}
+    errors = {name: _errors_of(run, one) for name, one in shown.items()}
+    quantities = [("|a|", "mg", "norm")]
     if _knows_angles(run):
-        quantities += [
-            ("inclination", "deg", before.inclination, after.inclination),
-            ("tool-face", "deg", before.tool_face, after.tool_face),
-        ]
-    quantities.sort(key=lambda q: rms(q[3]) / max(rms(q[2]), 1e-12))
+        quantities += [("inclination", "deg", "inclination"), ("tool-face", "deg", "tool_face")]
+
+    two = ("after",) if np.array_equal(base.error, final.error) else ("before", "after")
+
+    def left(quantity: tuple[str, str, str]) -> float:
+        first, last = (rms(getattr(errors[name], quantity[2])) for name in ("raw", *two)[-2:])
+        return last / max(first, 1e-12)
+
+    quantities.sort(key=left)
     axes = _axes(run)
     wanted = [(quantities[0], name) for name in _drivers(run) if name in axes]
     wanted += [(q, "row") for q in quantities if (q, "row") not in wanted]
-    caption = "Each row predicted without it" if held else "The fitted rows"
-    caption += ", before and after the search."
-    labels, wrong, plots = run.result.final.observations.label, _suspects(run), []
-    for (what, unit, old, new), name in wanted:
-        x = axes[name]
-        series = [
-            band("noise and setting, ± 2 sd", x, bands[what]),
-            Series("before", x, old, "points", names=labels),
-            Series("after", x, new, "points", names=labels),
-        ]
+    how = "Each row predicted without it" if held else "The fitted rows"
+    how += "; before and after the search."
+    labels, wrong, bands = run.result.final.observations.label, _suspects(run), _bands(run)
+
+    def drawn(quantity: tuple[str, str, str], name: str, *whose: str) -> Plot:
+        x, (what, unit, key) = axes[name], quantity
+        sizes = {one: getattr(errors[one], key) for one in whose}
+        points = [Series(one, x, off, "points", names=labels) for one, off in sizes.items()]
+        series = [band("noise and setting, ± 2 sd", x, bands[what]), *points]
         if wrong.size:
-            series.append(Series("wrong record", x[wrong], old[wrong], "rings"))
+            series.append(Series("wrong record", x[wrong], sizes[whose[0]][wrong], "rings"))
         other = " (g)" if len(name) == 1 else "" if name.startswith(COLUMN) else " (deg)"
         x_label = name + {"row": "", "temperature": " (°C)"}.get(name, other)
         title, y_label = f"Error of {what} against {name}", f"error of {what} ({unit})"
-        plots.append(Plot(title, x_label, y_label, tuple(series), caption))
-    return plots
+        return Plot(title, x_label, y_label, tuple(series), how)
+
+    return [drawn(*wanted[0], "raw", *two), *(drawn(*one, *two) for one in wanted)]
 
 
 def _suspects(run: LabRun) -> Index:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
@@ -14,9 +14,8 @@ from imucalib.calibration.plain import fields
 from imucalib.calibration.uncertainty import force_slope
 from imucalib.calibrators.actigraph.observations import quantisation
 from imucalib.core.fit import Fit
-from imucalib.core.model import Model
 from imucalib.core.sphere import even_directions
-from imucalib.loop.held_out import Predictions, errors, predict_fitted
+from imucalib.loop.held_out import Predictions, predict_fitted, raw_errors
 from imucalib.rests.runs import PostureRuns, Scan
 from imucalib.units import MG
 
@@ -26,11 +25,6 @@ _NEVER = 0.3  # g, an end of an axis that gravity never came closer to
 def mean_error(held: Predictions) -> float:
     """Mean absolute error of the norm over the runs, mg: the field's measure."""
     return float(np.mean(np.abs(held.error))) / MG
-
-
-def raw_errors(fit: Fit) -> Predictions:
-    """The uncorrected readings against gravity."""
-    return errors(replace(fit, model=Model(()), theta=np.zeros(0)), np.zeros(0), fit.observations)
 
 
 def error_summary(

@@ -22,7 +22,6 @@ from imucalib.calibrators.actigraph.errors import (
     Coverage,
     coverage_of,
     mean_error,
-    raw_errors,
     sphere_cells,
 )
 from imucalib.calibrators.actigraph.observations import from_data, open_words, quantisation
@@ -49,6 +48,7 @@ from imucalib.core.effect import CLOCKS
 from imucalib.core.sphere import count_by_cell
 from imucalib.effects.forms import in_words
 from imucalib.errors import Undetermined
+from imucalib.loop.held_out import raw_errors
 from imucalib.readers import blocks, blocks_again
 from imucalib.recording.mapping import FieldMapping
 from imucalib.rests.runs import WORN, PostureRuns, Scan, posture_runs, scan

@@ -12,13 +12,12 @@ from imucalib.arrays import Array, Index
 from imucalib.calibration.outcome import ErrorSummary, HeldOutError
 from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.core.fit import Fit
-from imucalib.core.model import Model
 from imucalib.core.observations import Observations, session_of
 from imucalib.core.references import angles_of
 from imucalib.errors import NotConverged
 from imucalib.estimators.corrected import OBJECTIVES, fit_corrected
 from imucalib.estimators.variance import INSTEAD
-from imucalib.loop.held_out import Predictions, errors, leave_groups_out, predict_fitted
+from imucalib.loop.held_out import Predictions, errors, leave_groups_out, predict_fitted, raw_errors
 from imucalib.units import DEG, MG
 
 #: Below this cosine of the inclination (about 3 degrees from vertical) tool-face has no meaning.
@@ -138,8 +137,7 @@ def error_summary(
     apart = [np.nan] * 2
     if splits:
         apart = [held.rms() / MG for held in (splits[-1].base, splits[-1].final)]
-    nothing = replace(base, model=Model(()), theta=np.zeros(0))
-    raw = errors(nothing, nothing.theta, data).rms() / MG
+    raw = raw_errors(replace(base, observations=data)).rms() / MG
     return ErrorSummary(
         metric="vector error, rms" if data.reference.directed else "error of |a|, rms",
         unit="mg",

@@ -218,7 +218,7 @@ PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "cu
 FONT = 12.5
 DASHED = 200  # points of a line that may be dashed: a longer one is too ragged for it
 DASHES = ("", "7 3", "2 3", "8 3 2 3", "12 4", "4 2 1 2 1 2")
-WIDTH, HEIGHT = 500, 300
+WIDTH, HEIGHT = 600, 330
 LEGEND_ROW = 20.0
 SWATCH = 26.0
 #: Colours that mean the same on every page: the reading as it came, before the search, after it.
