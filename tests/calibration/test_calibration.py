@@ -17,6 +17,7 @@ from imucalib.calibration.file import as_dict, check, from_dict, read, to_yaml, 
 from imucalib.calibration.findings import Findings
 from imucalib.calibration.outcome import ErrorSummary, Gate, HeldOutError, Outcome, left_open
 from imucalib.calibration.provenance import provenance_of
+from imucalib.calibration.triads import Triad
 from imucalib.core.effect import Context
 from imucalib.core.fit import Fit
 from imucalib.effects import named
@@ -132,6 +133,14 @@ def test_a_number_without_a_variance_is_refused(place: tuple[Any, ...], size: fl
         from_dict(content, "file.yaml")
 
 
+@pytest.mark.parametrize("rows", [[[1.0], [0.0, 4.0, 0.0]], [[1.0]], [[1.0], [0.0, 9.0]]])
+def test_the_covariance_of_an_effect_fits_its_parameters(rows: list[list[float]]) -> None:
+    parameters = [{"name": n, "unit": "mg", "value": 0.0, "sd": s} for n, s in (("a", 1), ("b", 2))]
+    block = {"effect": "gyro_delay", "parameters": parameters, "covariance": rows}
+    with pytest.raises(UnreadableInput, match="damaged"):
+        from_dict({**as_dict(_calibration()), "effects": [block]}, "file.yaml")
+
+
 def test_content_that_contradicts_itself_is_refused() -> None:
     good = _calibration()
     covariance = good.covariance.copy()
@@ -145,6 +154,12 @@ def test_content_that_contradicts_itself_is_refused() -> None:
     wrong[0, 1] = wrong[1, 0] = 2.0 * sd[0] * sd[1]
     with pytest.raises(UnreadableInput, match="not positive"):
         check(replace(good, covariance=wrong), "f")
+    singular = np.diag(np.full(12, 1e-8))
+    singular[0, 1] = singular[1, 0] = 2e-8
+    triad = Triad("imu0", np.eye(3), np.eye(3), np.zeros(3), np.eye(3), np.zeros(3), singular, 0.0,
+                  0.0)  # fmt: skip
+    with pytest.raises(UnreadableInput, match="not positive"):
+        check(replace(good, triads=(triad,)), "f")
     flat = tuple(replace(p, value=-1.0) if p.name == "scale_x" else p for p in good.parameters)
     with pytest.raises(UnreadableInput, match="inverted"):
         check(replace(good, parameters=flat), "f")

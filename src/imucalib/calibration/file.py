@@ -16,10 +16,11 @@ from typing import Any
 
 import numpy as np
 
+from imucalib.arrays import Array
 from imucalib.atomic_file import replace_together
 from imucalib.calibration.calibration import UNSETTLED, Calibration, StoredParameter
 from imucalib.calibration.plain import plain
-from imucalib.calibration.triads import triad_from
+from imucalib.calibration.triads import effect_covariance, triad_from
 from imucalib.core.effect import Context
 from imucalib.errors import NotConverged, UnreadableInput
 from imucalib.file_hash import sha256_of
@@ -208,6 +209,8 @@ def _check_names(content: Mapping[str, Any], where: str) -> None:
 
 def _calibration(content: dict[str, Any]) -> Calibration:
     parameters = tuple(parameter_from(block) for block in content["parameters"])
+    for block in content.get("effects", ()):
+        effect_covariance(block)
     size = len(parameters)
     covariance = np.array(content["covariance"], dtype=float).reshape(size, size)
     return Calibration(
@@ -234,18 +237,24 @@ def parameter_from(block: Mapping[str, Any]) -> StoredParameter:
 
 def check(calibration: Calibration, where: str) -> None:
     """Raise UnreadableInput unless the content makes sense: a covariance, an invertible model."""
-    covariance = calibration.covariance
-    if not np.isfinite(covariance).all() or not np.allclose(covariance, covariance.T, rtol=1e-6):
-        raise UnreadableInput("the covariance is not finite and symmetric", where=where)
-    sd = np.array([p.sd for p in calibration.parameters])
-    if not np.allclose(np.sqrt(np.maximum(np.diag(covariance), 0.0)), sd, rtol=1e-6, atol=1e-12):
+    for covariance in (calibration.covariance, *(t.covariance for t in calibration.triads)):
+        _demand_covariance(covariance, where)
+    own = np.sqrt(np.maximum(np.diag(calibration.covariance), 0.0))
+    if not np.allclose(own, [p.sd for p in calibration.parameters], rtol=1e-6, atol=1e-12):
         raise UnreadableInput("the standard deviations contradict the covariance", where=where)
-    size = np.maximum(sd, 1e-300)
-    if np.linalg.eigvalsh(covariance / np.outer(size, size)).min(initial=0.0) < -1e-6:
-        raise UnreadableInput("the covariance is not positive", where=where)
     model, theta = calibration.model()
     gains = [g for triad in calibration.triads for g in (triad.gain, triad.gyro_gain)]
     zeros = {name: np.zeros(1) for effect in model.effects for name in effect.needs}
     gains += [model.predict(theta, np.zeros((1, 1, 3)), Context(1, zeros)).d_truth[0, 0]]
     if min(abs(np.linalg.det(gain)) for gain in gains) < 1e-3:
         raise UnreadableInput("the calibration cannot be inverted", where=where)
+
+
+def _demand_covariance(covariance: Array, where: str) -> None:
+    """Raise UnreadableInput for a matrix that is none."""
+    if not np.isfinite(covariance).all() or not np.allclose(covariance, covariance.T, rtol=1e-6):
+        raise UnreadableInput("the covariance is not finite and symmetric", where=where)
+    sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    size = np.where(sd > 0.0, sd, 1.0)
+    if np.linalg.eigvalsh(covariance / np.outer(size, size)).min(initial=0.0) < -1e-6:
+        raise UnreadableInput("the covariance is not positive", where=where)

@@ -15,6 +15,9 @@ from imucalib.recording.pairing import Pairing, pair
 from imucalib.recording.recording import Channel, Recording
 from imucalib.units import DEG
 
+#: Digits of a covariance in the file: an array of many IMUs has a hundred thousand.
+_DIGITS = 9
+
 
 @dataclass(frozen=True)
 class Triad:
@@ -94,6 +97,34 @@ def triad_from(block: Mapping[str, Any]) -> Triad:
         gyro_noise=float(block["gyro_noise_deg_per_s"]) * DEG,
         channel=str(block.get("channel", "")),
     )
+
+
+def triangle(covariance: Array) -> list[list[float]]:
+    """Rows of a covariance up to its diagonal, for a file."""
+    return [
+        [float(f"{value:.{_DIGITS}g}") for value in row[: k + 1]]
+        for k, row in enumerate(covariance)
+    ]
+
+
+def effect_covariance(block: Mapping[str, Any]) -> Array:
+    """(p, p) covariance of a found effect's parameters, in their units, as its block states it; of
+    a file that has sds alone, that of parameters by themselves.
+
+    Raises ValueError where it does not fit the parameters.
+    """
+    sd = np.array([float(p.get("sd") or 0.0) for p in block["parameters"]])
+    rows, name = block.get("covariance"), block["effect"]
+    if rows is None:
+        return np.diag(sd**2)
+    if [len(row) for row in rows] != list(range(1, len(sd) + 1)):
+        raise ValueError(f"the covariance of {name} does not fit its {len(sd)} parameters")
+    found = np.zeros((len(sd), len(sd)))
+    for k, row in enumerate(rows):
+        found[k, : k + 1] = found[: k + 1, k] = row
+    if not np.allclose(np.sqrt(np.maximum(np.diag(found), 0.0)), sd, rtol=1e-6, atol=1e-12):
+        raise ValueError(f"the standard deviations of {name} contradict its covariance")
+    return found
 
 
 def pairing_of(triads: Sequence[Triad], recording: Recording) -> Pairing:

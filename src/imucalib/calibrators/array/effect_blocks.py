@@ -1,8 +1,8 @@
-"""Found effects as calibration.yaml and report.json have them, and their covariance read back."""
+"""Found effects as calibration.yaml and report.json have them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -10,18 +10,17 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import StoredParameter, stored_parameters
+from imucalib.calibration.triads import triangle
 from imucalib.calibrators.array.loop.ages import beats
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop
 from imucalib.calibrators.array.loop.terms import Term
 from imucalib.calibrators.array.rests import BASE, RestFit
 from imucalib.core.effect import Effect
 from imucalib.effects.record_error import is_record_error
-from imucalib.errors import UnreadableInput
 from imucalib.loop.found import FitLoop, Step
 
 #: How a name begins that speaks of the rests alone.
 AT_REST = "at rest: "
-_DIGITS = 9  # of a covariance in the file: an array of many IMUs has a hundred thousand
 
 
 def rest_blocks(rests: RestFit) -> list[dict[str, Any]]:
@@ -62,41 +61,6 @@ def _block(
         ],
         "covariance": triangle(covariance),
     }
-
-
-def triangle(covariance: Array) -> list[list[float]]:
-    """Rows of a covariance up to its diagonal, for a file."""
-    return [
-        [float(f"{value:.{_DIGITS}g}") for value in row[: k + 1]]
-        for k, row in enumerate(covariance)
-    ]
-
-
-def covariance_of(block: Mapping[str, Any]) -> Array:
-    """(p, p) covariance of an effect's parameters, in their units, as its block states it; of a
-    file that has sds alone, that of parameters by themselves.
-
-    Raises UnreadableInput where it does not fit the parameters.
-    """
-    sd = np.array([float(p.get("sd") or 0.0) for p in block["parameters"]])
-    rows = block.get("covariance")
-    if rows is None:
-        return np.diag(sd**2)
-    name = block.get("effect")
-    if [len(row) for row in rows] != list(range(1, len(sd) + 1)):
-        raise UnreadableInput(
-            f"the covariance of {name} does not fit its {len(sd)} parameters",
-            remedy="calibrate again; the file was changed by hand",
-        )
-    found = np.zeros((len(sd), len(sd)))
-    for k, row in enumerate(rows):
-        found[k, : k + 1] = found[: k + 1, k] = row
-    if not np.allclose(np.sqrt(np.maximum(np.diag(found), 0.0)), sd, rtol=1e-6, atol=1e-12):
-        raise UnreadableInput(
-            f"the standard deviations of {name} contradict its covariance",
-            remedy="calibrate again; the file was changed by hand",
-        )
-    return found
 
 
 def parameters_of(loop: MotionLoop, term: Term) -> Iterator[StoredParameter]:

@@ -10,8 +10,8 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Limit, Outcome, Run
-from imucalib.calibration.triads import Triad
-from imucalib.calibrators.array.effect_blocks import covariance_of, effect_blocks, triangle
+from imucalib.calibration.triads import Triad, effect_covariance, triangle
+from imucalib.calibrators.array.effect_blocks import effect_blocks
 from imucalib.calibrators.array.estimate.total import (
     GyroScale,
     Total,
@@ -336,7 +336,7 @@ def _effects(run: ArrayRun, repeats: Sequence[Repeat]) -> Iterator[dict[str, Any
             continue
         sd = np.sqrt(np.diag(one.covariance) + one.tau**2)
         # Numbers are pooled one by one; how they go together is the first log's word.
-        first = covariance_of(block)
+        first = effect_covariance(block)
         share = sd / np.sqrt(np.maximum(np.diag(first), 1e-300))
         own = zip(block["parameters"], one.mean, sd, strict=True)
         parameters = [{**p, "value": float(v), "sd": float(s)} for p, v, s in own]

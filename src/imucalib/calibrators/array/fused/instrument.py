@@ -19,8 +19,8 @@ import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
 from imucalib.calibration.calibration import Calibration
-from imucalib.calibration.triads import Triad
-from imucalib.calibrators.array.effect_blocks import AT_REST, covariance_of
+from imucalib.calibration.triads import Triad, effect_covariance
+from imucalib.calibrators.array.effect_blocks import AT_REST
 from imucalib.calibrators.array.linear_part import slope_at_rest
 from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
 from imucalib.calibrators.array.loop.terms import Term, lost
@@ -331,7 +331,7 @@ def _add_doubt(calibration: Calibration) -> Iterator[tuple[Term, Array]]:
         term = None if str(block["effect"]).startswith(AT_REST) else _term_of(block, imus)
         if term is None or term.aged:
             continue
-        values, vectors = eigen(covariance_of(block))
+        values, vectors = eigen(effect_covariance(block))
         seen = values > _FLAT * float(values[-1])
         if seen.any():
             yield term, np.asarray(vectors[:, seen] * np.sqrt(values[seen]))
