@@ -251,6 +251,8 @@ def test_runs_left_out_are_as_good_as_never_taken() -> None:
         assert hasattr(walk, "memory")
         shares = course.shares[kept] * walk.size
         v = dense(course.time[kept], course.variance[kept], shares, walk.memory)
+        volume = np.linalg.slogdet(v)[1]
+        assert left.log_weight[e] == pytest.approx(walk.log_prior - 0.5 * volume)
         gram = left.rows(np.array([0, 4]))[e][:, [0, 4, -1]]
         assert gram == pytest.approx((some.T @ np.linalg.solve(v, some))[:2], rel=1e-8)
     assert left.numbers == grams.numbers - rows.size
