@@ -201,42 +201,69 @@ def below(lower: NDArray[np.floating[Any]], columns: Array, *, transposed: bool 
     return np.asarray(dtrtrs(lower.T, columns, lower=0, trans=0 if transposed else 1)[0])
 
 
-def whitener(settings: Sequence[Array | csr_array], ratio: Sequence[float]) -> Whitener:
-    """For N_c matrices and ratios sd_c / s (rad). Readings that share no setting, through others
-    neither, are independent: V comes apart into blocks."""
-    scaled = [rho * matrix for matrix, rho in zip(settings, ratio, strict=True) if rho]
-    if not scaled:
-        return Whitener((), 0.0)
-    if scaled[0].shape[0] < _FEW:
-        columns = np.column_stack([m if isinstance(m, np.ndarray) else m.toarray() for m in scaled])
+@dataclass(frozen=True)
+class SettingBlocks:
+    """Readings that share no setting, through others neither, are independent: V comes apart into
+    blocks, which are the same whatever the settings' sizes.
+
+    rows : (b, m) of all blocks of one size; products : of each N_c the numbers of N_c N_cᵀ that are
+    not zero, by where they stand in all blocks, one behind the other
+    """
+
+    rows: tuple[Index, ...]
+    products: tuple[tuple[Index, Array], ...]
+
+    @staticmethod
+    def of(settings: Sequence[Array | csr_array]) -> SettingBlocks:
+        """settings : N_c matrices, one or more"""
+        from scipy.sparse import coo_array, csr_array, hstack
+
+        n = settings[0].shape[0]
+        every = [np.arange(n)]
+        if n >= _FEW:
+            settings = [csr_array(m) for m in settings]
+            every = blocks_of(hstack(settings, format="csr"))
+        sizes = sorted({rows.size for rows in every})
+        rows = [np.array([one for one in every if one.size == size]) for size in sizes]
+        (first, place), end = np.zeros((2, n), np.intp), 0
+        for one in rows:
+            count, size = one.shape
+            first[one] = end + size * np.arange(one.size).reshape(one.shape)
+            place[one] = np.arange(size)
+            end += count * size**2
+        found = []
+        for matrix in settings:
+            product = coo_array(matrix @ matrix.T)
+            found.append((first[product.row] + place[product.col], product.data))
+        return SettingBlocks(tuple(rows), tuple(found))
+
+    def whitener(self, ratio: Sequence[float], scale: Array | None = None) -> Whitener:
+        """ratio : sd_c / s (rad) of each N_c; scale : (N,) that each reading is divided by"""
+        blocks, log_det, end = list[tuple[Index, Array]](), 0.0, 0
+        numbers = np.zeros(sum(rows.size * rows.shape[1] for rows in self.rows))
         with np.errstate(over="ignore"):  # of a ratio that nothing bounds
-            every, whole = [np.arange(len(columns))], columns @ columns.T
-    else:
-        from scipy.sparse import csr_array, hstack
+            for rho, (at, product) in zip(ratio, self.products, strict=True):
+                numbers[at] += rho * rho * product
+        for rows in self.rows:
+            size = rows.shape[1]
+            whole = numbers[end : end + rows.size * size].reshape(-1, size, size)
+            end += rows.size * size
+            if scale is not None:
+                whole /= scale[rows][:, :, None] * scale[rows][:, None]
+            whole[:, np.arange(size), np.arange(size)] += 1.0
+            lower = np.linalg.cholesky(whole)
+            log_det += 2.0 * float(np.log(np.diagonal(lower, axis1=1, axis2=2)).sum())
+            own = np.linalg.inv(lower) if size <= _SMALL else lower
+            blocks.append((rows, np.asarray(own, np.float64)))
+        return Whitener(tuple(blocks), log_det)
 
-        sparse = hstack([csr_array(m) for m in scaled], format="csr")
-        every, whole = blocks_of(sparse), sparse @ sparse.T
-    blocks, log_det = list[tuple[Index, Array]](), 0.0
-    for size in sorted({rows.size for rows in every}):
-        rows = np.array([one for one in every if one.size == size])
-        lower = np.linalg.cholesky(np.eye(size) + _on_the_diagonal(whole, rows))
-        log_det += 2.0 * float(np.log(np.diagonal(lower, axis1=1, axis2=2)).sum())
-        lower = np.linalg.inv(lower) if size <= _SMALL else lower
-        blocks.append((rows, np.asarray(lower, np.float64)))
-    return Whitener(tuple(blocks), log_det)
 
-
-def _on_the_diagonal(whole: Array | csr_array, rows: Index) -> Array:
-    """(b, m, m) blocks of a matrix (N, N), whose other numbers in these rows (b, m) are zero."""
-    b, m = rows.shape
-    if isinstance(whole, np.ndarray):
-        return np.asarray(whole[rows[:, :, None], rows[:, None]])
-    own = whole[rows.ravel()].tocoo()
-    place = np.zeros(whole.shape[1], np.intp)
-    place[rows] = np.arange(m)
-    found = np.zeros((b, m, m))
-    found[own.row // m, own.row % m, place[own.col]] = own.data
-    return found
+def whitener(settings: Sequence[Array | csr_array], ratio: Sequence[float]) -> Whitener:
+    """For N_c matrices and ratios sd_c / s (rad)."""
+    some = [(matrix, rho) for matrix, rho in zip(settings, ratio, strict=True) if rho]
+    if not some:
+        return Whitener((), 0.0)
+    return SettingBlocks.of([m for m, _ in some]).whitener([rho for _, rho in some])
 
 
 def setting_errors(at: Balanced, white: Whitener, ratio: tuple[float, ...], misfit: Array) -> Array:

@@ -22,6 +22,9 @@ from imucalib.core.balance import below
 from imucalib.loop.posterior.noise import NoiseHypothesis, Terms
 from imucalib.loop.posterior.problem import Problem
 
+#: Numbers of blocks that are made at once.
+_AT_ONCE = 1 << 21
+
 
 @dataclass(frozen=True)
 class Weighted:
@@ -44,9 +47,13 @@ class Weighted:
 
     def blocks(self, index: Index) -> Array:
         """(E, m, w, w) blocks on the diagonal of columns index (m, w)."""
-        left, right = self.columns[:, index], self.weighted[:, :, index]
-        own = np.matmul(left.transpose(1, 2, 0)[None], right.transpose(0, 2, 1, 3))
-        known = self.known[:, index]
+        (m, w), (e, n, _) = index.shape, self.weighted.shape
+        own, known = np.empty((e, m, w, w)), self.known[:, index]
+        step = max(1, _AT_ONCE // (e * n * w))
+        for a in range(0, m, step):
+            some = index[a : a + step]
+            left, right = self.columns[:, some], self.weighted[:, :, some]
+            own[:, a : a + step] = left.transpose(1, 2, 0)[None] @ right.transpose(0, 2, 1, 3)
         return np.asarray(own + np.einsum("kmw,kmv->mwv", known, known))
 
     def of(self, noises: Index) -> Weighted:
@@ -86,10 +93,6 @@ class Multiplied:
     def narrowed(self, columns: Index) -> Multiplied:
         """Of some columns, in their order."""
         return Multiplied(self.matrix[:, columns[:, None], columns])
-
-
-#: Numbers that are whitened at once.
-_AT_ONCE = 1 << 21
 
 
 @dataclass(frozen=True)

@@ -13,13 +13,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.core.balance import Whitener, below, whitener
+from imucalib.core.balance import SettingBlocks, Whitener, below, whitener
 from imucalib.core.fit import Fit
 from imucalib.core.observations import BIAS, Observations, SharedNoise
 from imucalib.core.references import KnownVector
@@ -113,12 +114,12 @@ class Terms:
 
     def covariance(self, point: NoiseHypothesis) -> SheetCovariance:
         """V at a point."""
-        few, n = [f.few for f in self.sharings[point.sharing]], self.order.size
+        n, blocks = self.order.size, self._settings(point)
         wide = [size * factor for size, factor in self._wide(point) if size]
         if sum(m.shape[1] for m in wide) >= n:
+            few = [f.few for f in self.sharings[point.sharing]]
             whole = whitener((*few, *wide), (*point.ratio, *(1.0 for _ in wide)))
             return SheetCovariance(whole, np.zeros((n, 0)), np.zeros((0, 0)))
-        blocks = whitener(few, point.ratio)
         columns = blocks(np.column_stack([np.zeros((n, 0)), *wide]))
         inner = np.eye(columns.shape[1]) + columns.T @ columns
         return SheetCovariance(blocks, columns, np.asarray(np.linalg.cholesky(inner)))
@@ -137,9 +138,7 @@ class Terms:
         logs = np.empty(len(points))
         for group in self._same_blocks(points):
             first = points[group[0]]
-            few = [f.few for f in self.sharings[first.sharing]]
-            few = few if plain else [m.multiply(1.0 / scale).tocsr() for m in few]
-            blocks = whitener(few, first.ratio)
+            blocks = self._settings(first, None if plain else scale[:, 0])
             sizes = np.array([[s for s, _ in self._wide(points[k])] for k in group])
             used = np.flatnonzero(sizes.any(axis=0))
             every = self._wide(first)
@@ -152,6 +151,23 @@ class Terms:
                 flat = _flat_evidence(rest + self.known.T @ self.known, self.dof)
                 logs[k] = points[k].log_prior - 0.5 * log_det + flat
         return logs
+
+    def _settings(self, point: NoiseHypothesis, scale: Array | None = None) -> Whitener:
+        """Of what few numbers share at a point; scale : (N,) that each number is divided by"""
+        pairs = enumerate(zip(self.sharings[point.sharing], point.ratio, strict=True))
+        used = tuple(c for c, (f, ratio) in pairs if ratio and f.few.nnz)
+        key = point.sharing, used
+        if used and key not in self._blocks:
+            few = [self.sharings[point.sharing][c].few for c in used]
+            self._blocks[key] = SettingBlocks.of(few)
+        if not used:
+            return Whitener((), 0.0)
+        return self._blocks[key].whitener([point.ratio[c] for c in used], scale)
+
+    @cached_property
+    def _blocks(self) -> dict[tuple[int, tuple[int, ...]], SettingBlocks]:
+        """Of settings that scatter, made when first asked for."""
+        return {}
 
     def _same_blocks(self, points: Sequence[NoiseHypothesis]) -> Iterable[list[int]]:
         """Points by what few numbers share in them, which is whitened once."""
