@@ -9,20 +9,23 @@ import numpy as np
 import pytest
 
 from imucalib.core.effect import Context
-from imucalib.core.observations import Observations
-from imucalib.core.references import KnownNorm
+from imucalib.core.observations import NoisePrior, Observations
+from imucalib.core.references import KnownNorm, KnownVector
 from imucalib.estimators.least_squares import fit
 from imucalib.loop.candidates import effects_to_search
-from imucalib.loop.held_out import errors
+from imucalib.loop.held_out import by_folds, errors, folds_of, predict_fitted
 from imucalib.loop.odds import SIZES, SPREAD
 from imucalib.loop.posterior.catalogue import Component, components_of, log_size_prior, scan_of
+from imucalib.loop.posterior.closed import close_loop
 from imucalib.loop.posterior.explored import SearchedPosterior, search_posterior
-from imucalib.loop.posterior.problem import Contest
+from imucalib.loop.posterior.held_out import leave_folds_out
+from imucalib.loop.posterior.noise import NoiseHypothesis, terms_of
+from imucalib.loop.posterior.problem import Contest, problem_of
 from imucalib.loop.posterior.solution import moments, solve
 from imucalib.loop.posterior.space import Hypothesis, Pick, Posterior
 from imucalib.loop.posterior.words import SelectedModel, rivals_of, select_model
 from imucalib.units import DEG, MG
-from worlds.bench import NINE, base_model, bench
+from worlds.bench import NINE, base_model, bench, draw, ordinary_theta
 
 G = 9.80665
 
@@ -210,3 +213,68 @@ def test_a_set_is_held_at_its_sizes() -> None:
         assert np.isinf(
             solved.shrink[solved.model.slices(problem.fit.observations.context)[name]]
         ).all()
+
+
+def noises(data: Observations) -> tuple[NoiseHypothesis, ...]:
+    """All that the noise of a clean bench may be."""
+    base = base_model()
+    one = fit(base, draw(base, ordinary_theta(base, data, 3), data, 5))
+    return terms_of(problem_of(one, ())).points
+
+
+def test_the_scatter_of_settings_has_a_half_cauchy_prior() -> None:
+    """Half of it lies below its median, .1 deg: a hundred times a reading's noise seldom is it."""
+    prior = NoisePrior(spread=0.5, setting=0.1 * DEG)
+    points = noises(replace(bench(3, 24), noise_prior=prior))
+    assert np.exp([p.log_prior for p in points]).sum() == pytest.approx(1.0)
+    share: dict[float, float] = {}
+    for point in points:
+        share[point.ratio[0]] = share.get(point.ratio[0], 0.0) + float(np.exp(point.log_prior))
+    ratio, mass = np.array(sorted(share.items())).T
+    edges = np.sqrt(ratio[1:] * np.maximum(ratio[:-1], ratio[1:] / 9.0))
+    below = 2.0 / np.pi * np.arctan(edges * fitted_factor(prior) / prior.setting)
+    np.testing.assert_allclose(np.cumsum(mass)[:-1], below, rtol=1e-6)
+
+
+def fitted_factor(prior: NoisePrior) -> float:
+    """The noise factor of the same bench."""
+    base, data = base_model(), replace(bench(3, 24), noise_prior=prior)
+    return fit(base, draw(base, ordinary_theta(base, data, 3), data, 5)).noise.factor
+
+
+def test_rows_in_an_order_of_work_share_settings_as_their_neighbours_do() -> None:
+    """Sorted by dip and tool-face the order is that of work, in disorder nobody knows."""
+    data = bench(3, 30, shared=True)
+    reference = data.reference
+    assert isinstance(reference, KnownVector)
+    rows = np.lexsort([reference.tool_face, reference.inclination])
+    mixed = np.random.default_rng(1).permutation(reference.n)
+    for some, least, most in ((rows, 0.97, 0.99), (mixed, 0.2, 0.6)):
+        points = noises(data.take(some))
+        told = [p for p in points if any(p.ratio)]
+        assert len({p.sharing for p in told}) > 1
+        mass = np.exp([p.log_prior for p in told])
+        own = mass[[p.sharing == 0 for p in told]].sum() / mass.sum()
+        assert least < own < most
+
+
+def test_a_clean_bench_is_fitted_without_a_walk() -> None:
+    base, data = base_model(), bench(3, 24)
+    data = draw(base, ordinary_theta(base, data, 3), data, 5)
+    asked = effects_to_search(("quadratic",), (), {}, lambda effect: True)
+    loop = close_loop(base, data, asked).loop
+    assert not loop.steps
+    assert loop.base.observations.shared == ()
+
+
+def test_folds_are_predicted_as_by_refits_and_gain_what_the_whole_does() -> None:
+    one = found()
+    folds = folds_of(one.base.observations)
+    left = leave_folds_out(one.problem, one.posterior, folds)
+    literal = by_folds(one.base, folds)
+    np.testing.assert_allclose(left.before.rms(), literal.rms(), rtol=0.05)
+    assert left.before.rms() > 1.1 * predict_fitted(one.base).rms()
+    best = one.posterior.hypotheses[0]
+    whole = best.evidence - one.posterior.base.evidence
+    assert whole > 10.0
+    assert 0.5 * whole < left.nats.sum() < 3.0 * whole
