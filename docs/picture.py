@@ -1,4 +1,5 @@
-"""Draw docs/images/report.png, the first report that the README writes; needs Chromium.
+"""Draw docs/images: report.png, the first report that the README writes, and residuals.png, what
+each calibrator left of the error in its sample log; needs Chromium.
 
 The words that the picture shows stand in it as PNG text, for those who cannot see it, and for the
 test that holds them against the README.
@@ -9,6 +10,7 @@ python docs/picture.py [CHROMIUM]
 from __future__ import annotations
 
 import json
+import re
 import struct
 import subprocess
 import sys
@@ -16,30 +18,68 @@ import tempfile
 import zlib
 from pathlib import Path
 
-from examples import PAGES, ROOT, bench, examples, run
+from examples import PAGES, ROOT, Example, bench, examples, run
 
 _QUIET = (
     "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-sync",
     "--disable-background-networking", "--disable-component-update", "--hide-scrollbars",
-    "--window-size=860,1560", "--force-device-scale-factor=1",
+    "--force-device-scale-factor=1",
 )  # fmt: skip
 
 
 def main(browser: str = "chromium") -> None:
-    """Run the command, open its report, keep the head of the page."""
+    """Run the README's commands that calibrate, open their reports, keep what is shown."""
     readme = PAGES[0]
-    shown = (e for e in examples(readme.read_text(encoding="utf-8")) if e.shown is not None)
-    example = next(e for e in shown if "-o" in e.arguments)
-    with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryDirectory() as profile:
-        with bench(Path(folder), readme):
-            run(example)
-        page = Path(folder) / example.arguments[example.arguments.index("-o") + 1] / "report.html"
-        picture = ROOT / "docs" / "images" / "report.png"
-        command = [browser, *_QUIET, f"--user-data-dir={profile}", f"--screenshot={picture}"]
-        subprocess.run([*command, page.as_uri()], check=True, capture_output=True)
-        card = json.loads(page.with_suffix(".json").read_text(encoding="utf-8"))["card"]
+    every = examples(readme.read_text(encoding="utf-8"))
+    calls = {e.arguments[0]: e for e in every if e.arguments[0] in _FIGURES and "-o" in e.arguments}
+    first = next(e for e in every if e.shown is not None and "-o" in e.arguments)
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        with bench(folder, readme):
+            for one in {id(e): e for e in (first, *calls.values())}.values():
+                run(one)
+        reports = {name: _report(one, folder) for name, one in {**calls, "lab": first}.items()}
+        card = json.loads(reports["lab"].with_suffix(".json").read_text(encoding="utf-8"))["card"]
         said = [f"{w['quantity']} {w['value']}" for w in card["good_to"]] + card["found"]
-        picture.write_bytes(described(picture.read_bytes(), "\n".join(said)))
+        _draw(reports["lab"], "report.png", (860, 1560), said, browser)
+        drawn = {name: _figure(reports[name], name, title) for name, title in _FIGURES.items()}
+        page = folder / "residuals.html"
+        page.write_text(_PAGE + "".join(drawn[n] for n in _FIGURES), encoding="utf-8")
+        _draw(page, "residuals.png", (1240, 736), list(_FIGURES.values()), browser)
+
+
+#: Calibrator -> the title of the figure that has the error before and after.
+_FIGURES = {
+    "lab": "Error of inclination against inclination",
+    "actigraph": "Error of |a| raw and corrected",
+    "imu": "Gravity after a turn",
+    "array": "Gyro residual against the rate",
+}
+_PAGE = """<!DOCTYPE html><meta charset="utf-8"><style>
+body{margin:0;padding:8px;background:#fff;display:grid;grid-template-columns:1fr 1fr;gap:12px;
+font:15px sans-serif}
+figure{margin:0}svg{width:100%;height:auto}</style>"""
+
+
+def _report(example: Example, folder: Path) -> Path:
+    return folder / example.arguments[example.arguments.index("-o") + 1] / "report.html"
+
+
+def _figure(report: Path, calibrator: str, title: str) -> str:
+    """The first figure of a title in a report, with the calibrator's name. StopIteration where
+    there is none."""
+    page, label = report.read_text(encoding="utf-8"), f'aria-label="{title}'
+    svg = next(s for s in re.findall(r"<svg .*?</svg>", page, re.S) if label in s)
+    return f"<figure>imucal {calibrator}: {title}{svg}</figure>"
+
+
+def _draw(page: Path, name: str, size: tuple[int, int], said: list[str], browser: str) -> None:
+    picture = ROOT / "docs" / "images" / name
+    with tempfile.TemporaryDirectory() as profile:
+        command = [browser, *_QUIET, "--window-size={},{}".format(*size)]
+        command += [f"--user-data-dir={profile}", f"--screenshot={picture}", page.as_uri()]
+        subprocess.run(command, check=True, capture_output=True)
+    picture.write_bytes(described(picture.read_bytes(), "\n".join(said)))
 
 
 #: Signature and header of a PNG file; its text comes next.
