@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
+import sys
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -162,7 +163,7 @@ def _options_of(calibrator: str, typed: tuple[str, ...]) -> tuple[tuple[str, ...
     if context.params["output"] is not None:
         raise UsageError(
             "-o behind -- would be the folder of every recording",
-            remedy="leave it out: each entry holds its recording's report",
+            remedy="leave it out; imucal CALIBRATOR RECORDING -o gives the report of one",
         )
     return _with_absolute_paths(command, [*from_file(context), *typed])
 
@@ -216,6 +217,54 @@ def _workers(address: str | None, patience: float) -> Iterator[Cluster | None]:
     with client:
         executor = client.get_executor(retries=2)  # type: ignore[no-untyped-call]
         yield Cluster(executor, workers, address, patience)
+
+
+def serve(run: Callable[[], None]) -> None:
+    """Answer a `cohort.worker.Worker` until stdin ends: each command is a fork of this process.
+
+    run : does what `sys.argv` says, and ends by SystemExit
+    """
+    import importlib
+    import json
+    from tempfile import TemporaryFile
+
+    while request := sys.stdin.readline():
+        *words, folder = json.loads(request)
+        with TemporaryFile() as said, TemporaryFile() as loaded:
+            child = os.fork()
+            if child == 0:
+                _become(run, words, folder, said.fileno(), loaded.fileno())
+            code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+            said.seek(0)
+            text = said.read().decode(errors="replace")
+            loaded.seek(0)
+            names = loaded.read().decode().split()
+        os.write(1, f"{json.dumps([code, text])}\n".encode())
+        for name in names:  # the next one begins with them
+            with suppress(Exception):
+                importlib.import_module(name)
+
+
+def _become(
+    run: Callable[[], None], words: Sequence[str], folder: str, said: int, loaded: int
+) -> None:
+    """Be the command; the process ends here, whatever happens."""
+    code = 1
+    try:
+        before, nothing = set(sys.modules), os.open(os.devnull, os.O_RDWR)
+        for end, place in enumerate((nothing, nothing, said)):
+            os.dup2(place, end)
+        os.chdir(folder)
+        sys.argv = ["imucal", *words]
+        try:
+            run()
+        except SystemExit as error:
+            code = error.code if isinstance(error.code, int) else int(error.code is not None)
+        sys.stderr.flush()
+        new = [name for name in sys.modules if name not in before]
+        os.write(loaded, "\n".join(new).encode(errors="replace"))
+    finally:
+        os._exit(code)
 
 
 @opt.command_with_page("collect")

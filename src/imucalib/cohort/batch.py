@@ -11,8 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import subprocess
-import sys
+import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -22,6 +21,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from imucalib.cohort.entries import Entry, calibration_beside, read_entry, write_entry
+from imucalib.cohort.worker import Worker
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.file_hash import sha256_of
 
@@ -113,11 +113,11 @@ def run_task(task: Task, *, resume: bool = True) -> Entry:
     with TemporaryDirectory(prefix=".", dir=path.parent) as place:
         own = Path(place) / "entry.json"
         words = (task.calibrator, task.recording, *task.arguments, "--entry", str(own), "--quiet")
-        done = _run(task, words)
+        code, text = _run(task, words)
         made = read_entry(own)
         if made is None:  # it was killed, or is no recording for these options
-            said = done.stderr.strip().removeprefix("error: ") or f"ended by {done.returncode}"
-            made = Entry(task.recording, key, done.returncode, 0.0, said)
+            said = text.strip().removeprefix("error: ") or f"ended by {code}"
+            made = Entry(task.recording, key, code, 0.0, said)
         calibration_beside(path).unlink(missing_ok=True)
         if calibration_beside(own).exists():
             os.replace(calibration_beside(own), calibration_beside(path))
@@ -137,18 +137,17 @@ def _correct(task: Task, entry: Entry) -> None:
     _run(task, ("apply", calibration, task.recording, "-o", task.corrected, "--quiet"))
 
 
-def _run(task: Task, words: Sequence[str]) -> subprocess.CompletedProcess[str]:
-    """A command in a process of its own, with one thread."""
-    threads = dict.fromkeys(("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"), "1")
-    return subprocess.run(
-        [sys.executable, "-m", "imucalib", *words],
-        capture_output=True,
-        text=True,
-        check=False,
-        env={**os.environ, **threads},
-        stdin=subprocess.DEVNULL,
-        cwd=Path(task.entry).parent,  # no imucal.toml but the caller's, which is in the arguments
-    )
+def _run(task: Task, words: Sequence[str]) -> tuple[int, str]:
+    """A command in a process of its own: exit code, and what it says on stderr. It sees no
+    imucal.toml but the caller's, which is in the arguments."""
+    if not hasattr(_OWN, "worker"):
+        _OWN.worker = Worker()
+    worker: Worker = _OWN.worker
+    return worker.run(words, Path(task.entry).parent)
+
+
+#: The worker of a thread.
+_OWN = threading.local()
 
 
 @dataclass(frozen=True)
@@ -189,7 +188,7 @@ def run_all(
         while waiting:
             done, waiting = wait(waiting, _LOOK if watch else None, FIRST_COMPLETED)
             for future in done:
-                yield _ended(future, futures[future])
+                yield _ended(future, futures.pop(future))
             if watch and waiting and (why := watch.given_up()):
                 for future in waiting:
                     future.cancel()
