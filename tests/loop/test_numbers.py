@@ -267,6 +267,18 @@ def test_a_clean_bench_is_fitted_without_a_walk() -> None:
     assert loop.base.observations.shared == ()
 
 
+def test_a_bias_that_walks_is_noise_of_the_fit() -> None:
+    """2 mg that forget after eight rows: nothing is named, and readings are worth fewer."""
+    base, data = base_model(), bench(3, 40)
+    data = draw(base, ordinary_theta(base, data, 3), data, 5)
+    near = np.exp(-np.abs(np.arange(40)[:, None] - np.arange(40)) / 8.0) + 1e-9 * np.eye(40)
+    off = 2.0 * np.linalg.cholesky(near) @ np.random.default_rng(1).normal(size=(40, 3))
+    asked = effects_to_search(("quadratic",), (), {}, lambda effect: True)
+    loop = close_loop(base, data.with_reading(data.reading + off[:, None] * MG), asked).loop
+    assert not loop.steps
+    assert len(loop.base.observations.shared) == 1
+
+
 def test_folds_are_predicted_as_by_refits_and_gain_what_the_whole_does() -> None:
     one = found()
     folds = folds_of(one.base.observations)

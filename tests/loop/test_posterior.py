@@ -508,3 +508,12 @@ def test_what_makes_held_out_data_worse_is_neither_corrected_nor_nothing(seed: i
     assert bool(loop.refuted) == (not loop.steps)
     if closed.left is not None:
         assert closed.left.after.rms() <= closed.left.before.rms()
+
+
+def test_what_holds_is_corrected_though_it_is_not_proved() -> None:
+    """Only data that took no part refuse a correction; few rests seldom prove one."""
+    loop = close_loop(base_model(NINE), at_rest(1, 30, bend=0.9), asked()).loop
+    assert loop.difference is not None
+    assert (loop.difference.holds, loop.difference.proved) == (True, False)
+    assert len(loop.steps) == 1
+    assert not loop.refuted
