@@ -117,3 +117,16 @@ def test_values_of_a_column_of_words_are_named_without_a_count_of_pieces() -> No
     page = " ".join(said(run(SAMPLES / "wrist_day.csv.gz")).split())
     assert "column 'Activity' is SB, LPA" in page
     assert "rows)" not in page
+
+
+def test_a_table_of_two_sensors_has_readings_once_one_is_named(tmp_path: Path) -> None:
+    lines = [line.split(",") for line in (SAMPLES / "bench.csv").read_text().splitlines()[1:]]
+    heads = [f"G{a} {s} [mg]" for s in ("Left", "Right") for a in "xyz"]
+    rows = [",".join([*row, *row[2:]]) for row in lines]
+    file = tmp_path / "sheet.csv"
+    file.write_text("\n".join([",".join(["inclination", "tool_face", *heads]), *rows]) + "\n")
+    asked = said(run(file))
+    (name,) = re.findall(r"--sensor (\S+)$", asked)
+    page = said(run(file, "--sensor", name))
+    assert "A plan of positions" not in page
+    assert any(one.startswith("imucal lab") and "LOG" not in one for one in commands(page)), page

@@ -370,10 +370,10 @@ def inspect_table(path: Path, mapping: FieldMapping) -> TableSeen | None:
     except ImucalError:
         return None
     if roles >= ANGLES:
-        whole = set("xyz") <= roles
-        raw = whole or bool(triples_of(list(cells.columns)))  # of which sensor, is asked
+        # Of which sensor, is asked where there are several.
+        raw = set("xyz") <= roles or bool(triples_of(list(cells.columns)))
         table = read_position_table(path, need_raw=raw, mapping=mapping, cells=cells)
-        if not whole:
+        if not raw:
             return TableSeen(table, "plan", "", (), table.left_out)
         return _look_at_table(table, "vector", mapping)
     devices = any(take_turns(n, [str(c) for c in own]) for n, own in cells.columns.items())
