@@ -65,7 +65,7 @@ benchmark: $(VENV)/.dev ## measure the marks of docs/lab.md on simulated benches
 
 benchmark-worn: $(VENV)/.dev ## measure actigraph beside its peers, on generated days and weeks
 	$(BIN)/python benchmarks/actigraph/peers.py
-	$(BIN)/python benchmarks/actigraph/week.py --days 7,28 --rate 25
+	$(BIN)/python benchmarks/cost.py --write
 
 benchmark-array: $(VENV)/.dev ## measure the array's reading of long logs
 	$(BIN)/python benchmarks/array/log.py

@@ -24,11 +24,41 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from week import environment, make, peak
 
 Array = NDArray[np.float64]
 G = 9.80665
 PACKAGES = {"skdh": "scikit-digital-health"}
+
+
+def make(path: Path, days: float, rate: float) -> None:
+    """A contiguous float32 recording in g."""
+    import h5py
+
+    from imucalib.calibrators.actigraph.simulation import WeekPlan, worn_blocks
+
+    with h5py.File(path, "w") as file:
+        n = round(days * 86400 * rate)
+        data = file.create_dataset("accelerometer/data", (n, 3), "f4")
+        data.attrs["unit"] = "g"
+        data.attrs["sample_rate"] = rate
+        at = 0
+        for block in worn_blocks(WeekPlan(days=days, rate=rate, temperature=False), 1):
+            values = block.channels["imu0/acceleration"].values / 9.80665
+            data[at : at + len(values)] = values
+            at += len(values)
+
+
+def environment() -> dict[str, str]:
+    """One BLAS thread, and bytecode kept between runs as in an installed package."""
+    cache = str(Path(tempfile.gettempdir()) / "imucal_benchmark_bytecode")
+    kept = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
+    own = {"OPENBLAS_NUM_THREADS": "1", "PYTHONPYCACHEPREFIX": cache}
+    return {**kept, **own}
+
+
+def peak() -> float:
+    """Peak memory of this process, MB; Linux only."""
+    return int(Path("/proc/self/status").read_text().split("VmHWM:")[1].split()[0]) / 1024
 
 
 def sphere_error(gain: Array, offset: Array) -> float:
