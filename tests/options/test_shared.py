@@ -39,7 +39,7 @@ def bare(outcome: Outcome) -> dict[str, bytes]:
     out = {}
     for name, data in outcome.files.items():
         plain = data.replace(str(outcome.folder).encode(), b"")
-        plain = re.sub(rb'"(seconds|command|time)": [^,\n]*|--json ?|--quiet ?|-q ?', b"", plain)
+        plain = re.sub(rb'"(seconds|command|time)": ?[^,\n]*|--json ?|--quiet ?|-q ?', b"", plain)
         out[name] = re.sub(rb"(?m)^(# imucal calibration|  (time|command): ).*$", b"", plain)
     return out
 
