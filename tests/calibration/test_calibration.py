@@ -247,4 +247,4 @@ def test_gates_are_stricter(findings: Findings | None, gates: set[Gate]) -> None
     for gate in ("suspected", "unexplained", "caution"):
         strict = replace(found, fail_on=gate)  # type: ignore[arg-type]
         assert strict.exit_code == (5 if gate in gates else 0)
-        assert bool(strict.gated) == (gate in gates)
+        assert bool(strict.gate_reason) == (gate in gates)

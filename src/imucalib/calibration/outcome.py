@@ -179,10 +179,10 @@ class Outcome:
             return LimitBroken.exit_code
         if self.weak:
             return Undetermined.exit_code
-        return UNEXPLAINED_EXIT_CODE if self.unexplained or self.gated else 0
+        return UNEXPLAINED_EXIT_CODE if self.unexplained or self.gate_reason else 0
 
     @property
-    def gated(self) -> str:
+    def gate_reason(self) -> str:
         """What `fail_on` names and is there, in words, or empty. Where nothing was searched for,
         nobody knows that it is not."""
         found = self.findings or Findings("not run")

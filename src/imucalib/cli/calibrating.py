@@ -245,7 +245,7 @@ def finish(
         both = {"logs": logs, **({"together": every[-1].content} if together else {})}
         emit_json(both if len(every) > 1 else logs[0])
     for report in every:
-        outcome, said = report.run.outcome, tuple(filter(None, (report.run.outcome.gated,)))
+        outcome, said = report.run.outcome, tuple(filter(None, (report.run.outcome.gate_reason,)))
         if not (options["quiet"] or options["as_json"]):
             show(report.document, full=options["full"])
         elif options["quiet"] and outcome.exit_code:

@@ -57,8 +57,7 @@ GROUPS = 20
 class PooledDevice:
     """A device as the pooled search sees it.
 
-    noise : size of its noise, in a unit that all devices share; dof : its degrees of freedom, and
-        borrowed : how many the fleet adds
+    noise : size of its noise, in a unit that all devices share; dof : its degrees of freedom
     columns : effect -> (k,) where its parameters stand in `gram`
     gram : (m, m) products of all candidates' columns in units of the noise, at typical sizes, with
         the base model's parameters projected out; along : (m,) their products with the residual
@@ -70,7 +69,6 @@ class PooledDevice:
     gram: Array
     along: Array
     dof: float
-    borrowed: float = 0.0
 
 
 def device_of(name: str, fit: Fit, effects: Mapping[str, Effect]) -> PooledDevice:
@@ -115,7 +113,7 @@ def shrink_noise(devices: Sequence[PooledDevice]) -> tuple[PooledDevice, ...]:
         fleet, size = _ALL_THE_SAME, float(np.sum(dof * square) / np.sum(dof))
     better = (fleet * size + dof * square) / (fleet + dof)
     return tuple(
-        replace(d, gram=d.gram * share, along=d.along * share, borrowed=float(fleet))
+        replace(d, gram=d.gram * share, along=d.along * share)
         for d, share in zip(devices, square / better, strict=True)
     )
 

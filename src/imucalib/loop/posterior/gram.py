@@ -60,7 +60,7 @@ class Weighted:
         """At some of the noises."""
         return replace(self, weighted=self.weighted[noises])
 
-    def narrowed(self, columns: Index) -> Weighted:
+    def select_columns(self, columns: Index) -> Weighted:
         """Of some columns, in their order."""
         return Weighted(
             self.columns[:, columns], self.weighted[:, :, columns], self.known[:, columns]
@@ -90,7 +90,7 @@ class Multiplied:
         """At some of the noises."""
         return Multiplied(self.matrix[noises])
 
-    def narrowed(self, columns: Index) -> Multiplied:
+    def select_columns(self, columns: Index) -> Multiplied:
         """Of some columns, in their order."""
         return Multiplied(self.matrix[:, columns[:, None], columns])
 
@@ -135,7 +135,7 @@ class Unmultiplied:
         """Multiplied out at some of the noises."""
         return Multiplied(self.whole(noises))
 
-    def narrowed(self, columns: Index) -> Unmultiplied:
+    def select_columns(self, columns: Index) -> Unmultiplied:
         """Of some columns, in their order."""
         whole = self.whole
         return replace(
@@ -147,8 +147,6 @@ class Unmultiplied:
 
 #: A block of columns and the sd of its normal prior, times the noise factor; infinite where flat.
 Block = tuple[Index, float]
-
-
 #: Zᵀ V⁻¹ Z at E noises.
 Products = Weighted | Multiplied | Unmultiplied
 
@@ -233,7 +231,7 @@ def select_columns(grams: Grams, columns: Index) -> Grams:
     """Of some of the columns, in ascending order, y among them as the last."""
     return replace(
         grams,
-        products=grams.products.narrowed(columns),
+        products=grams.products.select_columns(columns),
         removed=grams.removed[:, :, columns],
         columns=grams.columns[:, columns],
     )
