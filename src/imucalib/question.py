@@ -6,6 +6,12 @@ import shlex
 from dataclasses import dataclass
 
 
+def paste(*words: object) -> str:
+    """Words of a command line as they are pasted into a shell: what is printed to be typed is made
+    here, and nowhere else."""
+    return shlex.join(map(str, words))
+
+
 @dataclass(frozen=True)
 class Question:
     """what : what was found, a sentence without its full stop
@@ -21,4 +27,4 @@ class Question:
         if not self.options:
             return "; ".join(filter(None, (self.what, self.otherwise)))
         other = f" (or: {self.otherwise})" if self.otherwise else ""
-        return f"{self.what}; decide with {shlex.join(self.options)}{other}"
+        return f"{self.what}; decide with {paste(*self.options)}{other}"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import os
 import re
-import shlex
 import signal
 import sys
 from collections.abc import Sequence
@@ -15,6 +14,7 @@ from typing import Any
 import click
 
 from imucalib.errors import CRASH_EXIT_CODE, EXIT_CODES, ImucalError
+from imucalib.question import paste
 
 #: Command -> one line for the overview. The module of that name holds `command`; of those in
 #: `_MODULES` another one, a function of their name. A file beside them that begins with
@@ -91,7 +91,7 @@ class LazyGroup(click.Group):
         except (ImucalError, click.ClickException, OSError) as error:
             given = list(sys.argv[1:] if args is None else args)
             if isinstance(error, ImucalError) and error.add:
-                error.remedy += f", for example: {shlex.join(['imucal', *given, *error.add])}"
+                error.remedy += f", for example: {paste('imucal', *given, *error.add)}"
             if "--json" in given[: given.index("--") if "--" in given else None]:
                 from imucalib.cli.output import emit_json
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from imucalib.cli.calibrating import (
     limit_option,
     shared_fields,
 )
+from imucalib.question import paste
 
 
 def _one_of(ctx: click.Context, _: click.Parameter, recordings: tuple[Path, ...]) -> Path:
@@ -38,7 +38,7 @@ def _one_of(ctx: click.Context, _: click.Parameter, recordings: tuple[Path, ...]
             at = options.index(name)
             place, options = options[at + 1], options[:at] + options[at + 2 :]
     study = ["imucal", "batch", *map(str, recordings), "-o", place]
-    typed = shlex.join([*study, *(["--", *options] if options else [])])
+    typed = paste(*study, *(["--", *options] if options else []))
     what = f"{len(recordings)} recordings" if others else "a folder"
     raise UsageError(
         f"it calibrates one recording; given: {what}",

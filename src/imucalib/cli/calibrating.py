@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import shlex
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
@@ -17,6 +16,7 @@ from imucalib.cli import options as opt
 from imucalib.cli.bench_file import from_file
 from imucalib.cli.output import Say, emit_json, note, say, show, working
 from imucalib.errors import LimitBroken, UnnamedColumns
+from imucalib.question import paste
 
 if TYPE_CHECKING:
     from imucalib.calibration.outcome import Gate
@@ -105,7 +105,7 @@ def calibrating(command: Callable[..., int]) -> Callable[..., int]:
                 return command(*args, **options)
             return _with_entry(functools.partial(command, *args, **options), options)
         except UnnamedColumns as error:  # of a table that another command may take
-            file = shlex.quote(str(_inputs(options)[0]))
+            file = paste(_inputs(options)[0])
             error.remedy += f"; imucal {file} says what else it may be"
             raise
 
@@ -215,7 +215,7 @@ def command_line() -> str:
     if "--entry" in words:
         at = words.index("--entry")
         del words[at : at + 2]
-    return shlex.join(["imucal", *words, *from_file(ctx)])
+    return paste("imucal", *words, *from_file(ctx))
 
 
 def finish(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +11,7 @@ import click
 from imucalib.cli import options as opt
 from imucalib.cli.calibrating import command_line
 from imucalib.cli.output import Say, note, present, working
+from imucalib.question import paste
 
 if TYPE_CHECKING:
     from imucalib.cohort.fleet.outcome import Fleet
@@ -67,7 +67,7 @@ def command(inputs: tuple[Path, ...], **options: Any) -> int:
     if folder is None:
         document = document.unwritten(f"{fleet.settings.command} -o fleet")
     else:
-        document = document.placed({"folder": shlex.quote(str(folder))})
+        document = document.placed({"folder": paste(folder)})
     content = {**fleet_dict(fleet), **shown_dict(document)}
     if folder is not None:
         _write(fleet, document, content, folder, quiet)

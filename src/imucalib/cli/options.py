@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import shlex
+import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import partial
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from imucalib.cli.output import note
+from imucalib.question import paste
 
 if TYPE_CHECKING:
     from imucalib.calibration.calibration import Calibration
@@ -181,7 +182,7 @@ def repeat_typed(*files: Path, without: tuple[str, ...] = ()) -> str:
         for one in value if isinstance(value, tuple) else (value,):
             shown = f"{one:.15g}" if isinstance(one, float) else str(one)
             words += [parameter.opts[0]] if value is True else [parameter.opts[0], shown]
-    return shlex.join(words)
+    return paste(*words)
 
 
 def inputs_of(options: Mapping[str, Any], *files: Path) -> list[Path]:
@@ -342,10 +343,14 @@ def numbers(text: str, what: str) -> tuple[int, ...]:
     return tuple(rows)
 
 
+#: Between pairs: a name follows, so that commas of a heading are its own.
+_PAIRS = re.compile(r",(?=[^,=]*=|\s*$)")
+
+
 def pairs(texts: tuple[str, ...], what: str) -> dict[str, str]:
     """ "a=b,c=d" options as a dictionary; raises click's usage error."""
     found: dict[str, str] = {}
-    for part in (p for text in texts for p in text.split(",") if p.strip()):
+    for part in (p for text in texts for p in _PAIRS.split(text) if p.strip()):
         name, sign, value = part.partition("=")
         if not sign:
             raise click.BadParameter(f"'{part}' is not of the form name=value", param_hint=what)

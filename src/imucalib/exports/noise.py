@@ -18,6 +18,7 @@ from imucalib.errors import UsageError
 from imucalib.exports.imus import Imu, noise_of
 from imucalib.exports.openvins import chain
 from imucalib.inspection.noise import SensorNoise, noise_blocks
+from imucalib.question import paste
 from imucalib.recording.yaml_text import dump
 
 
@@ -130,7 +131,7 @@ def _only(noise: Sequence[SensorNoise], program: str) -> tuple[Imu, dict[str, An
     if len(blocks) != 1:
         raise UsageError(
             f"{program} reads one IMU, the recording has {', '.join(blocks)}",
-            remedy=f"name one: --sensor {next(iter(blocks))}",
+            remedy=f"name one: {paste('--sensor', next(iter(blocks)))}",
         )
     name, block = next(iter(blocks.items()))
     turn, none = np.eye(3), np.zeros((3, 3))

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 import re
-import shlex
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
@@ -15,6 +14,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.errors import ImucalError
+from imucalib.question import paste
 from imucalib.readers.conversion import zero_g
 from imucalib.readers.timebase import mean_period
 from imucalib.recording.recording import Channel, Gap, Recording
@@ -296,7 +296,7 @@ def next_commands(found: Inspection, typed: str) -> tuple[str, ...]:
             if f.norm_at_rest > 0.0
         )[:1]
     if copies or len(sensors) > 1:
-        one = _of_one(found, f"{typed} --sensor {shlex.quote(sensors[0].triad)}")
+        one = _of_one(found, f"{typed} {paste('--sensor', sensors[0].triad)}")
         board = (
             f"`imucal array {typed} --board BOARD -o out`: where its accelerometers are; BOARD is "
             "the drawing's file, or one of those that ship."

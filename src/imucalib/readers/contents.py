@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucalib.arrays import Array
+from imucalib.question import paste
 
 _SHOWN = 12
 #: Median norms that gravity has in the units in use, within this factor.
@@ -63,7 +64,9 @@ def listing(contents: Sequence[Content]) -> str:
 def suggestion(contents: Sequence[Content]) -> str:
     """The field whose norm is that of gravity, as an option; empty when there is none or two."""
     fitting = [c.address for c in contents if c.like_gravity]
-    return f"; the norm of gravity is in: --acc {fitting[0]}" if len(fitting) == 1 else ""
+    if len(fitting) != 1:
+        return ""
+    return f"; the norm of gravity is in: {paste('--acc', fitting[0])}"
 
 
 def unread(contents: Sequence[Content]) -> tuple[str, ...]:

@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import os
 import re
-import shlex
 import stat
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from imucalib.errors import UnreadableInput
+from imucalib.question import paste
 
 HEAD_BYTES = 65536  #: what `recognises` gets to see
 #: Bytes within which a zip archive's end record lies (22 and a comment of 64 KiB), and of its
@@ -32,7 +32,7 @@ def head_of(path: Path) -> bytes:
         raise UnreadableInput(
             "this is a directory",
             where=str(path),
-            remedy=f"name a file of it, or take all: imucal batch {shlex.quote(str(path))} -o out",
+            remedy=f"name a file of it, or take all: imucal batch {paste(path)} -o out",
         )
     if not stat.S_ISREG(mode):
         raise UnreadableInput(

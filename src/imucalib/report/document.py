@@ -12,6 +12,7 @@ from typing import Literal
 
 from imucalib.arrays import Array
 from imucalib.calibration.outcome import KEEP
+from imucalib.question import paste
 
 #: Section of the plots of what is left before and after a search.
 RESIDUALS = "Residual before and after"
@@ -149,7 +150,7 @@ class Use:
         for word in self.words:
             words.append(word.format(**places))
             words += shlex.split(places["reading"]) if word == "{input}" else []
-        return f"{self.purpose}: `{shlex.join(words)}`"
+        return f"{self.purpose}: `{paste(*words)}`"
 
 
 @dataclass(frozen=True)

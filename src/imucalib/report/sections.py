@@ -6,7 +6,6 @@ The card says what the result is worth, what was found, and what to do next.
 from __future__ import annotations
 
 import math
-import shlex
 from collections.abc import Sequence
 
 import numpy as np
@@ -22,7 +21,7 @@ from imucalib.effects import known, names_a_cause
 from imucalib.effects.forms import in_words
 from imucalib.exports.bound import carries
 from imucalib.loop.found import Unexplained
-from imucalib.question import Question
+from imucalib.question import Question, paste
 from imucalib.report.certificate import certify
 from imucalib.report.document import (
     Block,
@@ -151,7 +150,7 @@ def decision(step: str | Question, command: str) -> str:
         return f"{capital(str(step))}."
     other = f"; else {step.otherwise}" if step.otherwise else ""
     named = capital(step.what.partition(":")[0])
-    typed = f"{command} {shlex.join(step.options)}"
+    typed = f"{command} {paste(*step.options)}"
     return f"{named}: if that is right, type this{other}: `{typed}`"
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shlex
 from collections.abc import Mapping
 
 import numpy as np
@@ -35,7 +34,7 @@ from imucalib.estimators.corrected import OBJECTIVES
 from imucalib.loop.found import Unexplained
 from imucalib.loop.posterior.trust import split_at_jump
 from imucalib.loop.record_errors import RecordError
-from imucalib.question import Question
+from imucalib.question import Question, paste
 from imucalib.units import DEG, MG
 
 #: Share of a place from which on an effect is worth telling apart.
@@ -50,7 +49,7 @@ def settle(what: str, record: RecordError, raw: RawUnit) -> Question:
     words = [("--fix", f"{row}:{axis}={value / raw.si:.10g}") for axis, value in record.fix]
     repair = tuple(word for pair in words for word in pair)
     out = ("--exclude", row)
-    other = f"{shlex.join(out)}, or --auto-exclude" if repair else "--auto-exclude"
+    other = f"{paste(*out)}, or --auto-exclude" if repair else "--auto-exclude"
     return Question(what, repair or out, other)
 
 

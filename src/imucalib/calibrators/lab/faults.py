@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shlex
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import get_args, get_type_hints
@@ -38,7 +37,7 @@ from imucalib.loop.faults.converter import (
 from imucalib.loop.faults.sheet import Fault, Sheet, in_order
 from imucalib.loop.posterior.slips import Written
 from imucalib.loop.record_errors import RecordError
-from imucalib.question import Question
+from imucalib.question import Question, paste
 from imucalib.units import DEG, MG
 
 #: What a dial or a column may be read wrongly by, without any misfit.
@@ -106,7 +105,7 @@ def _axes_questions(sheet: Sheet, request: LabRequest) -> tuple[Question, ...]:
         return ()
     stated, before = request.conventions, request.repairs.axes
     straight = _standing_straight(sheet, stated)
-    lines = [shlex.join(_options(stated, straight))] if straight else []
+    lines = [paste(*_options(stated, straight))] if straight else []
     # In terms of the sheet's columns, where some were stated already.
     over = axes.text.split(",")
     under = [(before or ("x", "y", "z"))["xyz".index(part[-1])] for part in over]
@@ -221,7 +220,7 @@ def look_for_faults(
     if misread is not None:
         meant = _misread(sheet, misread, request)
         if misread.meaning.inclination_steps or misread.meaning.tool_face_steps:
-            line = shlex.join(meant.options)
+            line = paste(*meant.options)
             fault = Fault("convention", meant.what, (), misread.score, line)
             return Faults((fault,), questions)
         if not request.keep_angles:

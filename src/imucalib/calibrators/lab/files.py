@@ -61,7 +61,6 @@ _OF_TABLES = {
 }
 
 Say = Callable[[str], None]
-Kind = Literal["vector", "direction", "norm", "plan"]
 
 
 @dataclass(frozen=True)
@@ -130,16 +129,20 @@ def _order_rows(files: LabFiles, request: LabRequest, say: Say) -> PositionTable
 
 def _table(files: LabFiles, request: LabRequest, *, need_raw: bool = True) -> PositionTable:
     zero = request.conventions.inclination_zero
-    table = read_position_table(
-        files.table,
-        files.columns,
-        need_raw=need_raw,
-        need_angles=request.reference == "vector",
-        need_direction=request.reference == "direction",
-        mapping=files.mapping if need_raw else None,
-        exclude=request.exclude,
-        vertical=_VERTICAL[zero],
-    )
+    try:
+        table = read_position_table(
+            files.table,
+            files.columns,
+            need_raw=need_raw,
+            need_angles=request.reference == "vector",
+            need_direction=request.reference == "direction",
+            mapping=files.mapping if need_raw else None,
+            exclude=request.exclude,
+            vertical=_VERTICAL[zero],
+        )
+    except UsageError as error:
+        error.add += _settle_further(files, request, error.add)
+        raise
     if need_raw:
         table = table.once
         if request.unit is None and request.lsb_per_g is None:
@@ -155,6 +158,20 @@ def _table(files: LabFiles, request: LabRequest, *, need_raw: bool = True) -> Po
             remedy=f"add --inclination-zero {stated}, or correct the heading",
         )
     return table
+
+
+def _settle_further(
+    files: LabFiles, request: LabRequest, sensor: tuple[str, ...]
+) -> tuple[str, ...]:
+    """What the sensor that an error's words name needs as well, so that what is printed runs."""
+    if not sensor:
+        return ()
+    named = replace(files, mapping=replace(files.mapping, sensor=sensor[-1]))
+    try:
+        wrong = _look_at_table(_table(named, request), request).wrong
+    except ImucalError:  # which is said once the sensor is named
+        return ()
+    return next((one.options for one in wrong if one.options), ())
 
 
 def _of_one_unit(table: PositionTable) -> PositionTable:
@@ -353,7 +370,7 @@ class TableSeen:
     """
 
     table: PositionTable
-    kind: Kind
+    kind: str
     unit: str
     wrong: tuple[Question, ...] = ()
     notes: tuple[str, ...] = ()
@@ -375,29 +392,38 @@ def inspect_table(path: Path, mapping: FieldMapping) -> TableSeen | None:
         table = read_position_table(path, need_raw=raw, mapping=mapping, cells=cells)
         if not raw:
             return TableSeen(table, "plan", "", (), table.left_out)
-        return _look_at_table(table, "vector", mapping)
+        return _look_at_table(table, _request_for(table, "vector", mapping))
     devices = any(take_turns(n, [str(c) for c in own]) for n, own in cells.columns.items())
     found = None if devices else positions_in(LabFiles(path, mapping=mapping), cells)
     if found is None or not ("ux" in found or found.turns):
         return None
-    return _look_at_table(found, "direction" if "ux" in found else "norm", mapping)
+    kind = "direction" if "ux" in found else "norm"
+    return _look_at_table(found, _request_for(found, kind, mapping))
 
 
-def _look_at_table(table: PositionTable, kind: Kind, mapping: FieldMapping) -> TableSeen:
-    notes, wrong, unit = table.left_out, list[Question](), ""
+def _request_for(table: PositionTable, kind: str, mapping: FieldMapping) -> LabRequest:
+    """The request of a command that states no more than the file and how it is read."""
     zero: Literal["vertical", "horizontal"] = (
         "vertical" if table.inclination_zero == "vertical" else "horizontal"
     )
-    conventions = Conventions(inclination_zero=zero)
-    request = LabRequest(reference=kind, unit=mapping.acc_unit or None, conventions=conventions)
     lsb = mapping.lsb_per_g
+    return LabRequest(
+        reference=kind,
+        unit=mapping.acc_unit or None,
+        lsb_per_g=float(lsb[0]) if lsb else None,
+        conventions=Conventions(inclination_zero=zero),
+    )
+
+
+def _look_at_table(table: PositionTable, request: LabRequest) -> TableSeen:
+    notes, wrong, unit = table.left_out, list[Question](), ""
     try:
         meant = in_celsius(table)
         notes = meant.left_out
         rows = kept_rows(table, ())
         refuse_dead_axis(table, rows)
         refuse_units(table, rows)
-        raw = raw_unit(table, request.unit, float(lsb[0]) if lsb else None)
+        raw = raw_unit(table, request.unit, request.lsb_per_g)
         unit = raw.sentence
         implausible_rows(meant, rows, refuse=True)
         whole = observations_of(meant, raw, request)
@@ -408,4 +434,4 @@ def _look_at_table(table: PositionTable, kind: Kind, mapping: FieldMapping) -> T
         where = error.where.removeprefix(table.path).lstrip(", ")
         what = f"{where}: {error.what}" if where else error.what
         wrong.append(Question(what, error.add, error.remedy))
-    return TableSeen(table, kind, unit, tuple(wrong), notes)
+    return TableSeen(table, request.reference, unit, tuple(wrong), notes)

@@ -10,6 +10,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput, UsageError
+from imucalib.question import paste
 from imucalib.readers.csv.text import is_number
 from imucalib.readers.words import strip_accents, without_tex
 
@@ -159,7 +160,7 @@ def roles_of(headings: list[str], chosen: Mapping[str, str], where: str) -> dict
             raise UnreadableInput(
                 f"several columns could be {role}: {', '.join(hits)}",
                 where=where,
-                remedy=f"choose one with --columns {role}={hits[0]}",
+                remedy=f"choose one with {paste('--columns', f'{role}={hits[0]}')}",
             )
         if hits:
             names[role] = hits[0]

@@ -19,6 +19,7 @@ from imucalib.atomic_file import replace_atomically
 from imucalib.calibrators.lab.headings import ROLES, bare, roles_of, says_something
 from imucalib.errors import UnnamedColumns, UnreadableInput, UsageError
 from imucalib.file_hash import sha256_of
+from imucalib.question import paste
 from imucalib.readers.csv.table import Cells, and_more, selected, table_cells
 from imucalib.readers.csv.text import few_values, is_blank, is_number
 from imucalib.readers.devices.catalogue import refuse_foreign
@@ -132,7 +133,7 @@ class PositionTable:
         unused = [name for name, cells in self.others.items() if says_something(cells)]
         if not unused:
             return said
-        hint = f"--columns driver={unused[0]} looks whether it drives what is left"
+        hint = f"{paste('--columns', f'driver={unused[0]}')} looks whether it drives what is left"
         return (*said, f"columns that take no part: {', '.join(unused)} ({hint})")
 
     @property
@@ -400,7 +401,7 @@ def _face_heading(headings: list[str], chosen: str, where: str) -> str:
         raise UnreadableInput(
             f"several columns could be the direction: {', '.join((*hits, *both))}",
             where=where,
-            remedy=f"choose one with --columns face={hits[0]}, or rename the others",
+            remedy=f"choose one with {paste('--columns', f'face={hits[0]}')}, or rename the others",
         )
     return hits[0] if hits else ""
 

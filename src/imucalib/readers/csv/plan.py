@@ -10,6 +10,7 @@ import numpy as np
 
 from imucalib.arrays import Array, Flags
 from imucalib.errors import UnreadableInput
+from imucalib.question import paste
 from imucalib.readers import conversion
 from imucalib.readers.choice import Vector, resolve_mapping
 from imucalib.readers.contents import unread
@@ -217,7 +218,7 @@ def _demand_one_device(dialect: Dialect, piece: bytes, where: str) -> None:
             raise UnreadableInput(
                 f"rows of several sensors take turns: {said.partition(' (')[0]}",
                 where=where,
-                remedy=f"read one of them: --where '{name}={cells[0]}'",
+                remedy=f"read one of them: {paste('--where', f'{name}={cells[0]}')}",
             )
 
 

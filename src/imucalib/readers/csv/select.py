@@ -14,6 +14,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.errors import UnnamedColumns, UsageError
+from imucalib.question import paste
 from imucalib.readers.choice import OPTIONS, Field, Vector, choose
 from imucalib.readers.contents import Content, listing, norm_of
 from imucalib.readers.csv.dialect import Dialect
@@ -165,7 +166,7 @@ def nothing_found(dialect: Dialect, pieces: Sequence[bytes], where: str) -> Unna
         ("no acceleration columns among" if dialect.names else what)
         + f":{listing([*columns, *vectors])}\n",
         where=where,
-        remedy=f"Name them: --acc {option} (and --gyro, --time or --rate, --unit)",
+        remedy=f"Name them: {paste('--acc', option)} (and --gyro, --time or --rate, --unit)",
     )
 
 

@@ -18,6 +18,7 @@ from typing import BinaryIO
 import numpy as np
 
 from imucalib.errors import UnreadableInput
+from imucalib.question import paste
 
 _GZIP = b"\x1f\x8b"
 _UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
@@ -288,9 +289,8 @@ def few_values(name: str, cells: Sequence[str], decimal: str = ".") -> str:
     named = bool(set(name.lower().replace("-", "_").replace(" ", "_").split("_")) & _NAMES)
     if not 2 <= len(found) <= _FEW or not (words or named):
         return ""
-    return (
-        f"column '{name}' is {_listed(found)} (--where '{name}={found[0]}' reads those rows alone)"
-    )
+    option = paste("--where", f"{name}={found[0]}")
+    return f"column '{name}' is {_listed(found)} ({option} reads those rows alone)"
 
 
 def take_turns(name: str, cells: Sequence[str], decimal: str = ".") -> bool:

@@ -91,7 +91,7 @@ class _Sheet:
         """Lines as text."""
         for line in lines:
             self.console.print(line, no_wrap=True, overflow="ignore", crop=False)
-        return self.out.getvalue()
+        return self.out.getvalue().replace(_HELD, " ")
 
     def lines(self, *parts: RenderableType) -> list[Line]:
         """What parts come to on this terminal, without blanks at the ends of lines."""
@@ -294,7 +294,7 @@ class _Sheet:
 
     def facts(self, rows: Sequence[tuple[str, str]], style: str = "") -> RenderableType:
         """Names in one column, values folded in the next."""
-        named = [(one_line(name), one_line(value)) for name, value in rows]
+        named = [(one_line(name), _hold_options(one_line(value))) for name, value in rows]
         widest = max((cell_len(name) for name, _ in named), default=0)
         return self.listed(named, min(widest, self.measure // 3), 2, "dim", style)
 
@@ -325,8 +325,8 @@ class _Sheet:
 _SENTENCE = re.compile(r"(?<=[.)]) (?=[A-Z])")
 
 
-#: A command within a text.
-_COMMAND = re.compile(r"`(imucal [^`]+)`")
+#: A command within a text, to the first backtick that is in no quotes.
+_COMMAND = re.compile(r"""`(imucal (?:[^`'"]|'[^']*'|"[^"]*")+)`""")
 
 
 def _height(items: Sequence[Sequence[Line]]) -> int:
@@ -350,9 +350,21 @@ def _has_words(section: Section) -> bool:
     return any(not isinstance(block, Plot) for block in section.blocks)
 
 
+#: Stands for a blank at which no line ends, until it is printed.
+_HELD = "\ue000"
+#: An option and its value in a shell's quotes, which a line break within would change.
+_QUOTED = re.compile(r"""--[a-z-]+[ =](?:'[^']*'|"[^"]*")+""")
+
+
 def _normalize_spaces(text: str) -> str:
     """Paragraphs a line each, with single blanks between words."""
-    return "\n".join(" ".join(line.split()) for line in safe(text).splitlines() if line.split())
+    lines = (" ".join(line.split()) for line in safe(text).splitlines())
+    return _hold_options("\n".join(filter(None, lines)))
+
+
+def _hold_options(text: str) -> str:
+    """The text, in which no line ends within an option that is to be typed."""
+    return _QUOTED.sub(lambda found: found[0].replace(" ", _HELD), text)
 
 
 def _cut_tables(section: Section, rows: int) -> Section:
