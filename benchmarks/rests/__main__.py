@@ -186,7 +186,7 @@ def of_xsens(folder: Path) -> Iterator[str]:
     recording = read(folder / "xsens_acc.txt", mapping)
     found = still_segments(recording)
     values, worst = recording.channels["imu0/acceleration"].values, 0.0
-    for first, last in zip(found.first[:, 0], found.last[:, 0], strict=True):
+    for first, last in (ends for rest in found.spans for ends in rest[0]):
         rest, n = values[first:last], last - first
         middle = rest[n // 4 : n - n // 4]
         error = found.noise[0] / np.sqrt(30)

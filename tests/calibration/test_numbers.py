@@ -46,12 +46,12 @@ def by_hand() -> Calibration:
 def rests_in(ways: np.ndarray, samples: int = 25) -> tuple[Segments, np.ndarray]:
     """Rests of equal length in some attitudes, every second sample half a mg off to either side."""
     n = len(ways)
-    first = samples * np.arange(n)[:, None]
+    spans = tuple((((samples * k, samples * (k + 1)),),) for k in range(n))
     force = np.repeat(9.81 * ways, samples, axis=0)
     nothing = np.zeros((n, 1, 3))
     return Segments(
-        start=10.0 * np.arange(n), stop=10.0 * np.arange(n) + 4.0, triads=("imu0",), first=first,
-        last=first + samples, samples=np.full((n, 1), samples), mean=nothing,
+        start=10.0 * np.arange(n), stop=10.0 * np.arange(n) + 4.0, triads=("imu0",), spans=spans,
+        samples=np.full((n, 1), samples), mean=nothing,
         rate=nothing, temperature=np.zeros((n, 1)), noise=np.array([[1.0, 2.0, 3.0]]) * MG,
         rate_noise=np.zeros((1, 3)), step=np.zeros((1, 3)), rate_step=np.zeros((1, 3)),
     ), force  # fmt: skip

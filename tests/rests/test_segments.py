@@ -51,7 +51,7 @@ def test_planted_rests_are_found_with_their_means(seed: int) -> None:
     assert found.n == len(spans)
     values = recording.channels["imu0/acceleration"].values
     for k, (a, b) in enumerate(spans):
-        first, last = int(found.first[k, 0]), int(found.last[k, 0])
+        ((first, last),) = found.spans[k][0]
         assert a <= first < last <= b
         np.testing.assert_allclose(found.mean[k, 0], values[first:last].mean(axis=0), atol=1e-12)
         assert found.start[k] == first / RATE

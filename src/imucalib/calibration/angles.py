@@ -52,7 +52,7 @@ def angles_of_samples(
 ) -> Angles:
     """corrected : (N, 3) m/s² of triad number `k` at times t (N,) s; angles hold where still."""
     still = np.zeros(t.size, np.bool_)
-    for a, b in zip(rests.first[:, k], rests.last[:, k], strict=True):
+    for a, b in (ends for rest in rests.spans for ends in rest[k]):
         still[a:b] = True
     noise = np.broadcast_to(rests.noise[k], corrected.shape)
     return _angles(calibration, corrected, noise, t, still)

@@ -14,8 +14,8 @@ from imucalib.arrays import Array, Flags
 from imucalib.estimators.allan import SHAPES, draws, freedom_of, shapes, unexplained_times
 from imucalib.inspection.allan import AllanCurve, AllanSums
 from imucalib.recording.recording import Channel, Recording
-from imucalib.rests.candidates import BLUR
 from imucalib.rests.segments import Segments
+from imucalib.rests.spans import BLUR
 
 _FEWEST = 5  # values that a fit needs
 _SHOWN = 0.1  # share of the variance at some τ that a term must be, to show

@@ -15,7 +15,8 @@ import numpy as np
 from imucalib.arrays import Array, Index
 from imucalib.errors import UsageError
 from imucalib.recording.recording import HeldSamples, Recording
-from imucalib.rests.candidates import Candidate, SensorView, candidates_of
+from imucalib.rests.candidates import Candidate, candidates_of
+from imucalib.rests.spans import SensorView
 from imucalib.rests.stillness import Sensor, StillSettings
 from imucalib.rests.windows import KeptSamples, WindowBuilder, Windows, usable
 
@@ -33,8 +34,9 @@ class Segments:
 
     start, stop : (n,) s since the recording's start, of the first and last sample
     triads : K names, the order of every second axis
-    first, last : (n, K) sample indices in each triad's acceleration channel; last is exclusive
-    samples : (n, K) samples
+    spans : n of K of sample indices (first, last) in each triad's acceleration channel, last
+        exclusive: what is quiet of the segment, several where single samples are loud
+    samples : (n, K) samples of them
     mean : (n, K, 3) acceleration, m/s² (or counts)
     rate : (n, K, 3) mean angular rate, rad/s; NaN without a gyroscope
     temperature : (n, K) mean temperature, °C; NaN without a thermometer
@@ -48,8 +50,7 @@ class Segments:
     start: Array
     stop: Array
     triads: tuple[str, ...]
-    first: Index
-    last: Index
+    spans: tuple[tuple[tuple[tuple[int, int], ...], ...], ...]
     samples: Index
     mean: Array
     rate: Array
@@ -90,8 +91,8 @@ class Segments:
 
     def means(self, values: Array, k: int) -> Array:
         """(n, 3) mean of samples (N, 3) of triad number `k` at each segment."""
-        spans = zip(self.first[:, k], self.last[:, k], strict=True)
-        return np.array([values[a:b].mean(axis=0) for a, b in spans]).reshape(-1, 3)
+        quiet = (np.concatenate([values[a:b] for a, b in rest[k]]) for rest in self.spans)
+        return np.array([samples.mean(axis=0) for samples in quiet]).reshape(-1, 3)
 
 
 def still_segments(recording: Recording, settings: StillSettings | None = None) -> Segments:
@@ -183,7 +184,7 @@ def _measured(
 ) -> Segments:
     triads = tuple(dict.fromkeys(one.sensor.triad for one in every))
     n, k = len(rests), len(triads)
-    first, last = np.zeros((n, k), dtype=np.intp), np.zeros((n, k), dtype=np.intp)
+    spans: list[list[tuple[tuple[int, int], ...]]] = [[()] * k for _ in rests]
     mean, rate = np.full((n, k, 3), np.nan), np.full((n, k, 3), np.nan)
     temperature = np.full((n, k), np.nan)
     noise, rate_noise = np.full((k, 3), np.nan), np.full((k, 3), np.nan)
@@ -193,11 +194,12 @@ def _measured(
         (rate_noise if sensor.turns else noise)[at] = sensor.noise
         (rate_step if sensor.turns else step)[at] = sensor.step
         for i, rest in enumerate(rests):
-            own, a, b = one.mean((rest.start, rest.stop))
-            if sensor.turns:
-                rate[i, at] = own
-            else:
-                mean[i, at], first[i, at], last[i, at] = own, a, b
+            quiet = one.quiet_in((rest.start, rest.stop))
+            (rate if sensor.turns else mean)[i, at] = one.mean(quiet)
+            if not sensor.turns:
+                spans[i][at] = tuple((span.first, span.last) for span in quiet)
+    counted = [sum(b - a for a, b in own) for rest in spans for own in rest]
+    samples = np.array(counted, dtype=np.intp).reshape(n, k)
     middle = np.array([0.5 * (rest.start + rest.stop) for rest in rests])
     for triad, windows in temperatures.items():
         if triad in triads:
@@ -207,9 +209,8 @@ def _measured(
         start=np.array([rest.start for rest in rests]),
         stop=np.array([rest.stop for rest in rests]),
         triads=triads,
-        first=first,
-        last=last,
-        samples=last - first,
+        spans=tuple(tuple(rest) for rest in spans),
+        samples=samples,
         mean=mean,
         rate=rate,
         temperature=temperature,
