@@ -153,10 +153,10 @@ DRIFT = "drift of the rests"
 
 def drift_block(t: Array, offset: Array) -> dict[str, Any]:
     """What an array's accelerometers drifted by while they were calibrated, as calibration.yaml has
-    it below `rests`. A later recording has its own drift, and keeps the biases of the end.
+    it below `rests`. Another recording has its own drift, and keeps the mean biases.
 
     t : (m,) s of the calibrated recording; offset : (m, K, 3) m/s² of readings in the sensors' own
-    axes, beyond that of the last; straight between, and beyond the ends as there
+    axes, beyond their mean; straight between, and beyond the ends as there
     """
     return {"t_s": t.tolist(), "m_per_s2": np.round(offset, 7).tolist()}
 

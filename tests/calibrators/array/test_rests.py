@@ -86,6 +86,22 @@ def test_gains_and_offsets_within_their_deviation() -> None:
     assert 0.93 < size < 1.07  # 480 numbers: sd of the rms is 0.032
 
 
+def test_the_file_has_the_mean_of_a_drift_and_the_drift_as_its_doubt() -> None:
+    warm = 0.03
+    segments, board, _, offset = simulated(3, warm=warm)
+    found = fitted(segments, board)
+    course = warm * np.exp(-4.0 * np.linspace(0.0, 1.0, segments.n))
+    _, bias, covariance = found.in_board_axes()
+    own = np.einsum("kji,kj->ki", board.rotations, bias) - offset
+    # Either sign of the drift; its mean and its scatter over the rests are those of every axis.
+    assert np.all(np.abs(np.abs(own) - course.mean()) < 5.0 * SIGMA)
+    sd = np.sqrt(np.trace(covariance[:, 9:, 9:], axis1=1, axis2=2) / 3.0)
+    np.testing.assert_allclose(sd, course.std(), rtol=0.15)
+    away = found.away(segments.middle)
+    np.testing.assert_allclose(away.mean(axis=0), 0.0, atol=1e-12)
+    assert float(np.sqrt(np.mean(away**2))) == pytest.approx(course.std(), rel=0.1)
+
+
 @pytest.mark.slow
 def test_a_gain_that_drifts_is_undone_at_every_time() -> None:
     """An array whose rests showed it ended with a traceback."""

@@ -160,19 +160,22 @@ def framed_misalignment() -> Effect:
     return _Framed(**{**own, "each": each})
 
 
-def in_the_mean_frame(fit: Fit, rotations: Array) -> tuple[Array, Array]:
-    """Gains (K, 3, 3) and the covariance (K, 12, K, 12) of gains and offsets at the end of the
-    rests, turned so that the gains' mean rotation, in board axes, is none."""
+def in_the_mean_frame(fit: Fit, rotations: Array, *, last: bool) -> tuple[Array, Array]:
+    """Gains (K, 3, 3) and the covariance (K, 12, K, 12) of gains and offsets, turned so that the
+    gains' mean rotation, in board axes, is none.
+
+    last : whether the offsets are those at the last rest, or the mean over all
+    """
     context, count = fit.observations.context, len(rotations)
     slices = fit.model.slices(context)
-    last = context.take(np.array([context.n - 1]))
-    end = replace(last, covariates={**last.covariates, "record": -np.ones(1)})
+    some = context.take(np.arange(context.n - 1 if last else 0, context.n))
+    when = replace(some, covariates={**some.covariates, "record": -np.ones(some.n)})
     linear = np.zeros((count, 12, fit.theta.size))
 
     def columns(effect: Effect, force: Array) -> Array:
         zero = np.zeros(slices[effect.name].stop - slices[effect.name].start)
-        truth = Truth(np.broadcast_to(force, (1, count, 3)))
-        return np.asarray(effect.act(zero, truth, end).d_theta[0])
+        truth = Truth(np.broadcast_to(force, (when.n, count, 3)))
+        return np.asarray(effect.act(zero, truth, when).d_theta.mean(axis=0))
 
     for effect in fit.model.effects:
         part = slices[effect.name]
@@ -295,16 +298,31 @@ class RestFit:
                 total[part] += effect.act(theta, some, context).delta
         return total
 
+    def away(self, t: Array) -> Array:
+        """(N, K, 3) m/s², by how much the offsets differ at times (N,) s from their mean over the
+        rests, in the triads' own axes."""
+        return np.asarray(self.offset(t) - self.bias)
+
+    @property
+    def bias(self) -> Array:
+        """(K, 3) m/s², the offsets' mean over the rests, in the triads' own axes: what another
+        recording of theirs, which has its own drift, is nearest to."""
+        return np.asarray(self.offset(self.fit.observations.context["time"]).mean(axis=0))
+
     def in_board_axes(self) -> tuple[Array, Array, Array]:
-        """Gains (K, 3, 3), offsets (K, 3) m/s² at the end of the rests and their covariance
-        (K, 12, 12), of readings and forces in board axes."""
+        """Gains (K, 3, 3), the offsets' mean over the rests (K, 3) m/s² and their covariance
+        (K, 12, 12), of readings and forces in board axes; what the offsets drifted by is doubt of
+        them."""
         turn, count = self.rotations, len(self.gain)
         gain = turn @ self.gain @ turn.transpose(0, 2, 1)
-        offset = (turn @ self.offset(np.array([self.stop]))[0][..., None])[..., 0]
+        offset = np.einsum("kij,kj->ki", turn, self.bias)
         both = np.zeros((count, 12, 12))
         both[:, :9, :9] = np.einsum("kij,kab->kiajb", turn, turn).reshape(count, 9, 9)
         both[:, 9:, 9:] = turn
-        own = self.covariance[np.arange(count), :, np.arange(count)]
+        _, covariance = in_the_mean_frame(self.fit, turn, last=False)
+        own = covariance[np.arange(count), :, np.arange(count)]
+        away = self.away(self.fit.observations.context["time"])
+        own[:, 9:, 9:] += np.einsum("nki,nkj->kij", away, away) / len(away)
         return gain, offset, np.asarray(both @ own @ both.transpose(0, 2, 1))
 
     def powers(self, t: Array) -> Array:
@@ -333,7 +351,7 @@ def fit_rests(
         raise _too_similar()
     if not fit.converged:
         raise NotConverged("the fit of the rests did not settle", remedy="check the recording")
-    gain, covariance = in_the_mean_frame(fit, board.rotations)
+    gain, covariance = in_the_mean_frame(fit, board.rotations, last=True)
     _refuse_vague(gain, covariance, board)
     middle = data.context["time"]
     turn = board.rotations

@@ -211,10 +211,9 @@ def _triads(made: Stages) -> Iterator[Triad]:
 def _details(made: Stages) -> dict[str, Any]:
     """What only an array has to say, for report.json; a part of it also for the YAML."""
     board, rests, total, residual = made.board, made.rests, made.total, made.residual
-    # How the offsets moved during the rests, against their end, which is where the biases hold.
-    times = np.linspace(rests.start, rests.stop, 21)
-    away = rests.offset(times) - rests.offset(times[-1:])
-    drift = ((DRIFT, float(np.sqrt(np.mean(away**2))), "m/s²"),) if away.any() else ()
+    # How the offsets moved during the rests, against their mean, which is what the file holds.
+    away = rests.away(np.linspace(rests.start, rests.stop, 21))
+    drift = ((DRIFT, float(np.sqrt(np.mean(away**2))), "m/s²"),) if np.ptp(away, axis=0).any() else ()
     details: dict[str, Any] = {
         "board": board.name,
         "reference": board.imus[0],
@@ -274,8 +273,8 @@ def instrument_block(board: Board, interval: float) -> dict[str, Any]:
 def _drift_of(rests: RestFit, board: Board) -> dict[str, Any]:
     """Of the offsets at every rest, in the sensors' own axes; nothing where none is."""
     t = rests.fit.observations.context["time"]
-    away = rests.offset(t) - rests.offset(np.array([rests.stop]))
-    if not away.any():
+    away = rests.away(t)
+    if not np.ptp(away, axis=0).any():
         return {}
     return {"drift": drift_block(t, np.einsum("kji,nkj->nki", board.accelerometer_axes, away))}
 
