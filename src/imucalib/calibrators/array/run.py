@@ -213,7 +213,8 @@ def _details(made: Stages) -> dict[str, Any]:
     board, rests, total, residual = made.board, made.rests, made.total, made.residual
     # How the offsets moved during the rests, against their mean, which is what the file holds.
     away = rests.away(np.linspace(rests.start, rests.stop, 21))
-    drift = ((DRIFT, float(np.sqrt(np.mean(away**2))), "m/s²"),) if np.ptp(away, axis=0).any() else ()
+    moved = np.ptp(away, axis=0).any()
+    drift = ((DRIFT, float(np.sqrt(np.mean(away**2))), "m/s²"),) if moved else ()
     details: dict[str, Any] = {
         "board": board.name,
         "reference": board.imus[0],
