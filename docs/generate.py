@@ -27,6 +27,7 @@ PAGES = {
 def main() -> int:
     """Write or compare; the exit code says whether anything is stale."""
     made = {HERE / name: make().rstrip() + "\n" for name, make in PAGES.items()}
+    made |= {schemas.FOLDER / name: text + "\n" for name, text in schemas.files().items()}
     if "--outputs" in sys.argv:
         made |= outputs()
     stale = []

@@ -24,6 +24,7 @@ FLOORS: dict[str, int] = {
     "file_hash": 0,
     "question": 0,
     "arrays": 0,
+    "data": 0,
     "recording": 1,
     "core": 2,
     "readers": 2,

@@ -1,60 +1,76 @@
-"""What report.json and calibration.yaml hold, from their JSON Schemas."""
+"""JSON Schemas of what commands print and write, from the types of the data; and their page."""
 
 from __future__ import annotations
 
+import importlib
 import json
+import pkgutil
 from collections.abc import Iterator
-from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
-from generators.markdown import table
+import imucalib
+from generators.markdown import cell
+from imucalib.data import documents, schema_of
 
 _HEAD = """# Schemas
 
-`report.json` and `calibration.yaml` obey these JSON Schemas (draft 2020-12), which are part of the package
-(`imucalib/schemas`); the tests hold the files of every calibrator against them. Generated from the schemas.
+What commands print with `--json`, `report.json` and `calibration.yaml` obey these JSON Schemas (draft 2020-12), which are
+part of the package (`imucalib/schemas`); the tests hold every document against them. Generated from the schemas: a line an
+object, keys that may be left out in brackets.
 """
-NAMES = ("report", "calibration")
+FOLDER = Path(imucalib.__file__).parent / "schemas"
+
+
+def files() -> dict[str, str]:
+    """File -> schema of every document that is a type."""
+    for module in pkgutil.walk_packages(imucalib.__path__, "imucalib."):
+        if not module.name.endswith("__main__"):
+            importlib.import_module(module.name)
+    return {
+        f"{name}.schema.json": json.dumps(schema_of(forms), indent=1, ensure_ascii=False)
+        for name, forms in documents().items()
+    }
 
 
 def page() -> str:
     """The page."""
-    lines = [_HEAD]
-    for name in NAMES:
-        file = f"{name}.schema.json"
-        schema = json.loads((files("imucalib") / "schemas" / file).read_text(encoding="utf-8"))
-        lines += [f"## {schema['title']}", "", schema.get("description", ""), "",
-                  f"[{file}](../../src/imucalib/schemas/{file}), `{schema['$id']}`", "",
-                  *table(("key", "type", "there", "meaning"), _rows(schema, ""))]  # fmt: skip
+    lines, made = [_HEAD], files()
+    names = [
+        "report.schema.json",
+        *sorted({path.name for path in FOLDER.glob("*.json")} | set(made)),
+    ]
+    for file in dict.fromkeys(names):
+        schema = json.loads(made.get(file) or (FOLDER / file).read_text(encoding="utf-8"))
+        lines += [f"## {schema['$id']}", "", f"[{file}](../../src/imucalib/schemas/{file})"]
+        for form in schema.get("oneOf", [schema]):
+            lines += ["", form.get("description", ""), "", *_objects(form, "")]
+        lines += [
+            line for name, one in schema.get("$defs", {}).items() for line in _objects(one, name)
+        ]
+        lines.append("")
     return "\n".join(lines)
 
 
-def _rows(schema: dict[str, Any], path: str) -> Iterator[tuple[str, str, str, str]]:
-    required = schema.get("required", ())
-    for name, one in schema.get("properties", {}).items():
-        key = f"{path}{name}"
-        yield (
-            f"`{key}`",
-            _type(one),
-            "always" if name in required else "",
-            one.get("description", ""),
+def _objects(schema: dict[str, Any], path: str) -> Iterator[str]:
+    """A line an object: its keys, those in brackets that may be left out, and what they mean."""
+    keys, required = schema.get("properties", {}), schema.get("required", ())
+    if keys:
+        told = (
+            _told(name, one, name in required) for name, one in keys.items() if name != "schema"
         )
-        yield from _rows(one, f"{key}.")
-        if isinstance(one.get("items"), dict):
-            yield from _rows(one["items"], f"{key}[].")
-        if isinstance(one.get("additionalProperties"), dict):
-            yield from _rows(one["additionalProperties"], f"{key}.*.")
+        yield f"- {f'`{path}`: ' if path else ''}{', '.join(told)}"
+    for name, one in keys.items():
+        below = f"{path}.{name}" if path else name
+        yield from _objects(one, below)
+        for step, inside in (("[]", "items"), (".*", "additionalProperties")):
+            if isinstance(one.get(inside), dict):
+                yield from _objects(one[inside], f"{below}{step}")
 
 
-def _type(one: dict[str, Any]) -> str:
-    if "const" in one:
-        return f"`{one['const']}`"
-    if "enum" in one:
-        return ", ".join(f"`{v}`" for v in one["enum"])
-    if "$ref" in one:
-        return f"`{one['$ref'].rpartition('/')[2]}`"
-    for many in ("anyOf", "oneOf"):
-        if many in one:
-            return " or ".join(_type(o) for o in one[many])
-    kind = one.get("type", "any")
-    return " or ".join(kind) if isinstance(kind, list) else str(kind)
+def _told(name: str, one: dict[str, Any], required: bool) -> str:
+    means = cell(one.get("description", "").rstrip("."))
+    words = " or ".join(f"`{word}`" for word in one.get("enum", ()))
+    aside = "; ".join(filter(None, (f"{means[:1].lower()}{means[1:]}", words)))
+    key = f"`{name}`" if required else f"[`{name}`]"
+    return f"{key} ({aside})" if aside else key

@@ -46,9 +46,9 @@ def test_facts() -> None:
     acc, gyro = found.channels
     assert (acc.samples, acc.unit) == (2400, "m/s2")
     assert (acc.duplicates, acc.back_steps) == (1, 0)
-    assert acc.rate == pytest.approx(RATE)
-    assert acc.longest_step == pytest.approx(3.01)
-    assert acc.jitter < 1e-9
+    assert acc.rate_hz == pytest.approx(RATE)
+    assert acc.longest_step_s == pytest.approx(3.01)
+    assert acc.jitter_s < 1e-9
     assert acc.norm_at_rest == pytest.approx(STANDARD_GRAVITY, rel=1e-3)
     np.testing.assert_allclose(acc.noise, 0.01, rtol=0.1)
     assert gyro.norm_at_rest == pytest.approx(0.02, rel=0.05)
@@ -78,7 +78,7 @@ def test_blocks_and_whole_agree(tmp_path: object) -> None:
     many = inspect_recording(readers.blocks(path, block_samples=100))
     for a, b in zip(one.channels, many.channels, strict=True):
         assert (a.name, a.samples, a.norm_at_rest) == (b.name, b.samples, b.norm_at_rest)
-        assert (a.duplicates, a.longest_step) == (b.duplicates, b.longest_step)
+        assert (a.duplicates, a.longest_step_s) == (b.duplicates, b.longest_step_s)
         np.testing.assert_array_equal(a.low, b.low)
     assert one.gaps == many.gaps
 
@@ -154,7 +154,7 @@ def test_a_walk_that_is_not_told_has_a_limit_above_it() -> None:
     for seed in range(60):
         found = identify(curve(walk(seed, 500)))
         assert found.walk.value is None
-        low += found.walk.bound < 2e-3
+        low += found.walk.below < 2e-3
     assert low <= at_most(60, 0.05).most
 
 

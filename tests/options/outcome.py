@@ -14,6 +14,7 @@ from click.testing import CliRunner
 
 from imucalib import cli, effects
 from imucalib.errors import ImucalError
+from options.schemas import keep_schema
 
 #: Blocks of a result that say where it came from, not what it is.
 ORIGIN = {"provenance", "notes", "output", "written", "path", "sha256", "file", "mapping", "input",
@@ -54,6 +55,8 @@ def run(arguments: list[str], folder: Path) -> Outcome:
     done = CliRunner().invoke(cli.cli, arguments, standalone_mode=False)
     effects._LOADED.clear()  # as in a process of its own
     error = done.exception
+    if "--json" in arguments[: arguments.index("--") if "--" in arguments else None]:
+        keep_schema(json.loads(done.stdout))
     if error is None:
         return Outcome(int(done.return_value or 0), done.stdout, done.stderr, folder)
     code = getattr(error, "exit_code", None)

@@ -17,6 +17,7 @@ from options.bench import Bench
 from options.case import USUAL
 from options.listed import reading
 from options.outcome import Outcome, run
+from options.schemas import keep_schema
 from options.tree import commands, options_of
 
 Pair = tuple[Outcome, Outcome]
@@ -55,6 +56,15 @@ def test_json_is_the_result_and_changes_no_file(name: str, bench: Bench) -> None
     binary = (".h5", ".mcap")  # they keep the time at which they were written
     for file, data in bare(plain).items():
         assert file.endswith(binary) or bare(done)[file] == data, file
+
+
+@having("--json")
+def test_json_keeps_its_schema(name: str, bench: Bench) -> None:
+    """A result, and what is printed in place of one."""
+    plain = [a for a in USUAL[name] if a != "--json"]
+    at = plain.index("--") if "--" in plain else len(plain)
+    typed = [*plain[:at], "--json", *plain[at:]]
+    keep_schema(json.loads(bench.run(typed).stdout))
 
 
 @pytest.mark.slow

@@ -3,31 +3,16 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterable
-from dataclasses import is_dataclass
 from operator import attrgetter
 from typing import Any
 
+from imucalib.data import plain
+
+__all__ = ["fields", "json_text", "listed", "plain"]
+
 #: What has an end of its own in JSON.
 _MANY = (dict, list, tuple)
-
-
-def plain(value: Any) -> Any:
-    """Mappings, lists and Python scalars, a dataclass by its fields; a number that does not exist
-    is None, never NaN."""
-    if is_dataclass(value):
-        value = vars(value)
-    if hasattr(value, "items"):
-        return {str(k): plain(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(v) for v in value]
-    if isinstance(value, bool | int | str) or value is None:
-        return value
-    if hasattr(value, "tolist"):
-        return plain(value.tolist())
-    number = float(value)
-    return number if math.isfinite(number) else None
 
 
 def fields(source: object, names: str) -> dict[str, Any]:

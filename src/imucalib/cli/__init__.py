@@ -9,10 +9,11 @@ import signal
 import sys
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any
+from typing import Annotated, Any
 
 import click
 
+from imucalib.data import Data
 from imucalib.errors import CRASH_EXIT_CODE, EXIT_CODES, ImucalError
 from imucalib.question import paste
 
@@ -95,7 +96,7 @@ class LazyGroup(click.Group):
             if "--json" in given[: given.index("--") if "--" in given else None]:
                 from imucalib.cli.output import emit_json
 
-                emit_json({"error": failure_of(error)})
+                emit_json(Failed(failure_of(error)))
             raise
 
     def list_commands(self, ctx: click.Context) -> list[str]:
@@ -222,8 +223,23 @@ def _example(error: click.ClickException) -> str:
     return next((line for line in typed if line.startswith("imucal ")), "")
 
 
-def failure_of(error: Exception) -> dict[str, Any]:
-    """A failure for machines: message, where, remedy and exit code."""
+class Failure(Data):
+    """Why a command ended."""
+
+    message: str
+    where: Annotated[str, "File, row, byte or option; empty where there is none."]
+    remedy: Annotated[str, "What to do."]
+    exit_code: int
+
+
+class Failed(Data, name="error/1"):
+    """What a command prints in place of a result."""
+
+    error: Failure
+
+
+def failure_of(error: Exception) -> Failure:
+    """A failure for machines."""
     from imucalib.errors import ImucalError, UnreadableInput
 
     if isinstance(error, ImucalError):
@@ -235,7 +251,7 @@ def failure_of(error: Exception) -> dict[str, Any]:
     else:
         name = str(getattr(error, "filename", None) or "")
         said = str(getattr(error, "strerror", error)), name, "", UnreadableInput.exit_code
-    return dict(zip(("message", "where", "remedy", "exit_code"), said, strict=True))
+    return Failure(*said)
 
 
 def main() -> None:

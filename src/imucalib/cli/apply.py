@@ -11,6 +11,7 @@ import click
 
 from imucalib.cli import options as opt
 from imucalib.cli.output import emit_json, note, say, working
+from imucalib.data import Data
 
 if TYPE_CHECKING:
     from imucalib.calibration.calibration import Calibration
@@ -30,6 +31,21 @@ def _millimetres(
     if len(point) != 3 or not all(map(math.isfinite, point)):
         raise click.BadParameter(f"'{text}' is no point: three numbers, mm", ctx, param)
     return point
+
+
+class Corrected(Data, name="apply/1"):
+    """A corrected recording."""
+
+    output: str
+    notes: tuple[str, ...]
+
+
+class Converted(Data, name="convert/1"):
+    """A recording in another format."""
+
+    output: str
+    channels: tuple[str, ...]
+    notes: tuple[str, ...]
 
 
 @opt.command_with_page("apply")
@@ -112,7 +128,7 @@ def command(calibration: Path, recording: Path, **options: Any) -> int:
     for text in (*notes, *filter(None, [frame])):
         note(text, quiet)
     if options["as_json"]:
-        emit_json({"output": str(output), "notes": list(notes)})
+        emit_json(Corrected(str(output), tuple(notes)))
     elif not quiet:
         for path in made:
             say(f"wrote {path}")
@@ -235,8 +251,7 @@ def convert(
     for text in noted.notes:
         note(text, options["quiet"])
     if options["as_json"]:
-        seen = {"channels": list(noted.channels), "notes": list(noted.notes)}
-        emit_json({"output": str(target), **seen})
+        emit_json(Converted(str(target), tuple(noted.channels), tuple(noted.notes)))
     elif not options["quiet"]:
         say(f"wrote {target}: {', '.join(noted.channels)}")
     return 0

@@ -9,12 +9,13 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
 from imucalib.cli import options as opt
 from imucalib.cli.output import emit_json, note, progress
+from imucalib.data import Data
 
 if TYPE_CHECKING:
     from imucalib.cohort.batch import Cluster, Task
@@ -124,21 +125,38 @@ def _what(
     )
 
 
+class Failed(Data):
+    """A recording without a calibration."""
+
+    recording: str
+    error: str
+
+
+class Study(Data, name="batch/1"):
+    """What became of the recordings of a cohort."""
+
+    recordings: int
+    calibrated: int
+    reused: Annotated[int, "Of these, from before."]
+    failed: tuple[Failed, ...]
+    seconds: float
+
+
 def _summarize(
     count: int, reused: int, failed: Sequence[Entry], seconds: float, options: dict[str, Any]
 ) -> int:
-    summary = {
-        "recordings": count,
-        "calibrated": count - len(failed),
-        "reused": reused,
-        "failed": [{"recording": e.recording, "error": e.error} for e in failed],
-        "seconds": round(seconds, 1),
-    }
+    summary = Study(
+        recordings=count,
+        calibrated=count - len(failed),
+        reused=reused,
+        failed=tuple(Failed(e.recording, e.error) for e in failed),
+        seconds=round(seconds, 1),
+    )
     if options["as_json"]:
         emit_json(summary)
     elif not options["quiet"]:
         click.echo(
-            f"{summary['calibrated']} of {summary['recordings']} calibrated "
+            f"{summary.calibrated} of {summary.recordings} calibrated "
             f"({reused} from before), {len(failed)} failed; entries in {options['output']}"
         )
     return 3 if failed else 0

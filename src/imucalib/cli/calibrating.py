@@ -8,13 +8,14 @@ from contextlib import AbstractContextManager
 from dataclasses import replace
 from itertools import chain, count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
 from imucalib.cli import options as opt
 from imucalib.cli.bench_file import from_file
 from imucalib.cli.output import Say, emit_json, note, say, show, working
+from imucalib.data import Data
 from imucalib.errors import LimitBroken, UnnamedColumns
 from imucalib.question import paste
 
@@ -144,7 +145,7 @@ def _with_entry(work: Callable[[], int], options: Mapping[str, Any]) -> int:
         raise
     except (ImucalError, OSError) as error:
         failure = failure_of(error)
-        write(failure["exit_code"], failure_words(failure), None)
+        write(failure.exit_code, failure_words(failure.message, failure.remedy), None)
         raise
     except Exception as error:  # a study keeps what it was; the caller reports it as a crash
         write(CRASH_EXIT_CODE, f"{type(error).__name__}: {error}", None)
@@ -218,6 +219,13 @@ def command_line() -> str:
     return paste("imucal", *words, *from_file(ctx))
 
 
+class Logs(Data, name="logs/1"):
+    """Reports of several logs, and of what they say as one."""
+
+    logs: Annotated[tuple[Mapping[str, Any], ...], "A report each."]
+    together: Annotated[Mapping[str, Any] | None, "A report."] = None
+
+
 def finish(
     reports: Sequence[Report], options: Mapping[str, Any], together: Report | None = None
 ) -> int:
@@ -241,9 +249,9 @@ def finish(
     meta, run = click.get_current_context().meta, every[-1].run
     meta[_CONTENT], meta[_CALIBRATION] = every[-1].content, run.calibration
     if options["as_json"]:
-        logs = [report.content for report in every[:count_]]
-        both = {"logs": logs, **({"together": every[-1].content} if together else {})}
-        emit_json(both if len(every) > 1 else logs[0])
+        logs = tuple(report.content for report in every[:count_])
+        whole = every[-1].content if together else None
+        emit_json(Logs(logs, whole) if len(every) > 1 else logs[0])
     for report in every:
         outcome, said = report.run.outcome, tuple(filter(None, (report.run.outcome.gate_reason,)))
         if not (options["quiet"] or options["as_json"]):

@@ -10,6 +10,7 @@ import click
 from imucalib.cli import options as opt
 from imucalib.cli.calibrating import command_line
 from imucalib.cli.output import emit_json, present, working
+from imucalib.data import Data
 
 if TYPE_CHECKING:
     from imucalib.calibration.calibration import Calibration
@@ -119,6 +120,15 @@ def _measure(
     return make(replace(calibration, gravity=gravity), files, noise, request)
 
 
+class Validated(Data, name="validate/1"):
+    """A calibration file that is whole."""
+
+    file: str
+    valid: bool
+    status: str
+    parameters: int
+
+
 @opt.command_with_page("validate")
 @click.argument("file", type=opt.PATH)
 @opt.json
@@ -132,8 +142,7 @@ def validate(file: Path, as_json: bool, quiet: bool) -> int:
     found = opt.calibration_of(file, None)
     count = len(found.parameters)
     if as_json:
-        shown = {"status": found.status, "parameters": count}
-        emit_json({"file": str(file), "valid": True, **shown})
+        emit_json(Validated(str(file), True, found.status, count))
     elif not quiet:
         what = f"valid {found.calibrator} calibration, status {found.status}"
         click.echo(f"{file}: {what}, {count} parameters")

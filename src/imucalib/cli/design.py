@@ -114,10 +114,10 @@ def _turns(calibration: Path | None, rests: int | None, options: dict[str, Any])
     """A plan of turns by hand, or what to add to those of a calibration; the exit code."""
     from imucalib.calibration.file import read
     from imucalib.calibrators.imu.plan import hand_plan, turns_to_add
-    from imucalib.report.imu import hand_plan_dict, hand_plan_document
+    from imucalib.report.imu import describe_hand_plan, hand_plan_document
 
     plan = hand_plan(rests or 0) if calibration is None else turns_to_add(read(calibration))
-    present(hand_plan_document(plan), hand_plan_dict(plan), options)
+    present(hand_plan_document(plan), describe_hand_plan(plan), options)
     return 4 if plan.open_gains else 0
 
 

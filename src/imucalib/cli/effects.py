@@ -27,7 +27,7 @@ def command(name: str | None, effects_file: Path | None, as_json: bool) -> int:
       imucal effects gyro_delay
     """
     from imucalib.effects import catalogue, families, load_file
-    from imucalib.report.catalogue import catalogue_document, effect_dict
+    from imucalib.report.catalogue import catalogue_document, describe_effect
     from imucalib.report.render.text import render_text
 
     own = load_file(effects_file) if effects_file else {}
@@ -36,7 +36,7 @@ def command(name: str | None, effects_file: Path | None, as_json: bool) -> int:
         effects[name] = _scan_at(name, list(effects))
     chosen = [effects[name]] if name else list(effects.values())
     if as_json:
-        emit_json([effect_dict(effect) for effect in chosen])
+        emit_json([describe_effect(effect) for effect in chosen])
     else:
         document = catalogue_document(chosen, list(families().values()))
         click.echo(render_text(document, width(), color=False, full=True), nl=False)

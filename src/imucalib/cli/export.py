@@ -5,16 +5,28 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
 from imucalib.cli import options as opt
 from imucalib.cli.output import emit_json, note
+from imucalib.data import Data
 
 if TYPE_CHECKING:
     from imucalib.calibration.calibration import Calibration
     from imucalib.exports import Made
+
+
+class Exported(Data, name="export/1"):
+    """Coefficients in the form of another program."""
+
+    form: str
+    lost: Annotated[tuple[str, ...], "What the form cannot carry."]
+    loss_mg: Annotated[float, "Error of a force that this makes."]
+    loss_deg_per_s: Annotated[float | None, "Error of a rate that this makes."]
+    files: Annotated[tuple[str, ...] | None, "That were written."] = None
+    text: Annotated[str | None, "Where no file was asked for."] = None
 
 
 @opt.command_with_page("export")
@@ -85,9 +97,16 @@ def command(calibration: Path, form: str, output: Path | None, **options: Any) -
     for text in made.lost:
         note(f"{form} lacks {text}", options["quiet"])
     if options["as_json"]:
-        place = {"files": [str(path) for path in files]} if files else {"text": made.text}
-        losses = {"loss_mg": made.loss, "loss_deg_per_s": made.rate_loss}
-        emit_json({"form": form, **place, "lost": list(made.lost), **losses})
+        emit_json(
+            Exported(
+                form=form,
+                lost=made.lost,
+                loss_mg=made.loss,
+                loss_deg_per_s=made.rate_loss,
+                files=tuple(map(str, files)) or None,
+                text=None if files else made.text,
+            )
+        )
     elif not options["quiet"] or not files:
         said = "\n".join(f"wrote {path}" for path in files)
         click.echo(said or made.text, nl=bool(files))

@@ -68,7 +68,7 @@ def command(inputs: tuple[Path, ...], **options: Any) -> int:
         document = document.unwritten(f"{fleet.settings.command} -o fleet")
     else:
         document = document.placed({"folder": paste(folder)})
-    content = {**fleet_dict(fleet), **shown_dict(document)}
+    content = {"schema": "imucal/fleet/1", **fleet_dict(fleet), **shown_dict(document)}
     if folder is not None:
         _write(fleet, document, content, folder, quiet)
     present(document, content, options)

@@ -11,6 +11,7 @@ from imucalib.cli import options as opt
 from imucalib.cli.output import note, present, working
 
 if TYPE_CHECKING:
+    from imucalib.data import Data
     from imucalib.report.document import Document
 
 
@@ -41,7 +42,7 @@ def command(file: Path, **options: Any) -> int:
     from imucalib.inspection.inspection import inspect_recording
     from imucalib.readers import blocks
     from imucalib.recording.mapping import from_dict, save_mapping
-    from imucalib.report.inspection import inspection_dict, inspection_document
+    from imucalib.report.inspection import describe_recording, inspection_document
 
     mapping_file, page = options["save_mapping"], options["html"]
     for output in filter(None, (mapping_file, page)):
@@ -57,18 +58,18 @@ def command(file: Path, **options: Any) -> int:
         save_mapping(from_dict(found.mapping), mapping_file)
         note(f"wrote {mapping_file}", options["quiet"])
     document = inspection_document(found, typed, rests=rests)
-    present(document, inspection_dict(found, typed, rests=rests), options, page)
+    present(document, describe_recording(found, typed, rests=rests), options, page)
     return 0
 
 
-def _no_recording(
-    file: Path, typed: str, options: dict[str, Any]
-) -> tuple[Document, dict[str, Any]] | None:
+def _no_recording(file: Path, typed: str, options: dict[str, Any]) -> tuple[Document, Data] | None:
     """What is to be said of a file of this program or of a table of positions; None of another."""
     from imucalib.calibrators.lab.files import inspect_table
-    from imucalib.report.inspection import own_document, table_dict, table_document
+    from imucalib.report.inspection import describe_table, own_document, table_document
 
     if file.is_file() and (own := own_document(file, typed)):
         return own
-    seen = inspect_table(file, opt.mapping_of(options))
-    return None if seen is None else (table_document(seen, typed), table_dict(seen, typed))
+    if (seen := inspect_table(file, opt.mapping_of(options))) is None:
+        return None
+    table = describe_table(seen, typed)
+    return table_document(table), table

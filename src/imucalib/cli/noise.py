@@ -48,7 +48,7 @@ def command(recording: Path, form: str | None, output: Path | None, **options: A
     from imucalib.exports.noise import noise_text
     from imucalib.inspection.noise import noise_at_rest
     from imucalib.readers import blocks
-    from imucalib.report.noise import noise_dict, noise_document
+    from imucalib.report.noise import describe_noise, noise_document
     from imucalib.rests.segments import find_segments
 
     if output is not None and form is None:
@@ -75,5 +75,5 @@ def command(recording: Path, form: str | None, output: Path | None, **options: A
         write_whole(output, text)
         note(f"wrote {output}", options["quiet"])
     document = noise_document(str(recording), noise, opt.repeat_typed(recording))
-    present(document, noise_dict(str(recording), noise), options, page)
+    present(document, describe_noise(str(recording), noise), options, page)
     return 0

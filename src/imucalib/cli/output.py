@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
+    from imucalib.data import Data
     from imucalib.report.document import Document
 
 #: What JSON may hold as it is but a terminal obeys: DEL, C1, line separators, direction marks.
@@ -34,9 +35,10 @@ def color() -> bool:
 
 def emit_json(content: Any) -> None:
     """The result as one JSON document on stdout."""
-    from imucalib.calibration.plain import json_text
+    from imucalib.calibration.plain import json_text, plain
 
-    click.echo(_CONTROLS.sub(lambda found: f"\\u{ord(found[0]):04x}", json_text(content)))
+    text = json_text(plain(content))
+    click.echo(_CONTROLS.sub(lambda found: f"\\u{ord(found[0]):04x}", text))
 
 
 def show(document: Document, *, full: bool = False) -> None:
@@ -48,14 +50,11 @@ def show(document: Document, *, full: bool = False) -> None:
 
 def present(
     document: Document,
-    content: Mapping[str, Any],
+    content: Data | Mapping[str, Any],
     options: Mapping[str, Any],
     page: Path | None = None,
 ) -> None:
-    """The result as --json, --quiet and --full ask for it; `page` is written before.
-
-    content : ready for JSON
-    """
+    """The result as --json, --quiet and --full ask for it; `page` is written before."""
     if page is not None:
         from imucalib.calibration.file import write_whole
         from imucalib.report.render.html import render_html

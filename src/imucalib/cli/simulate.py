@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
 from imucalib.cli import options as opt
 from imucalib.cli.output import emit_json, working
+from imucalib.data import Data
 
 if TYPE_CHECKING:
     from imucalib.recording.recording import Recording
@@ -68,7 +69,7 @@ def actigraph(recording: Path, seed: int, **options: Any) -> int:
     plan = WeekPlan(**{name: options[name] for name in names}, plant=plant)
     with working("simulating", quiet=options["quiet"]):
         _write(join(worn_blocks(plan, seed), "simulated"), recording, options["fault"])
-    return _finish([recording], plant, options, sensor={k: list(v) for k, v in plan.sensor.items()})
+    return _finish([recording], plant, options, sensor=plan.sensor)
 
 
 @opt.command_with_page("array", short_help="A board's bench log.")
@@ -252,6 +253,17 @@ def _write(made: Recording, path: Path, faults: Sequence[str]) -> None:
     write(with_faults(made, [fault_of(text) for text in faults]), path)
 
 
+class Simulated(Data, name="simulation/1"):
+    """What was simulated, and the truth of it."""
+
+    written: tuple[str, ...]
+    planted: Annotated[Mapping[str, tuple[float, ...]], "Parameters of effects by their names."]
+    faults: tuple[str, ...] | None = None
+    sensor: Annotated[Mapping[str, tuple[float, ...]] | None, "Of a worn one."] = None
+    positions_mm: Annotated[list[list[float]] | None, "Of the IMUs of an array."] = None
+    gyro_gain: Annotated[list[list[float]] | None, "Of one IMU."] = None
+
+
 def _finish(
     written: Sequence[Path],
     plant: Mapping[str, tuple[float, ...]],
@@ -260,12 +272,8 @@ def _finish(
 ) -> int:
     """Say what was written and planted, to people or machines; returns the exit code."""
     if options["as_json"]:
-        content = {
-            "written": [str(p) for p in written],
-            "planted": {k: list(v) for k, v in plant.items()},
-        }
-        faults = {"faults": list(options["fault"])} if options["fault"] else {}
-        emit_json({**content, **faults, **truth})
+        faults = tuple(options["fault"]) or None
+        emit_json(Simulated(tuple(map(str, written)), plant, faults, **truth))
     elif not options["quiet"]:
         click.echo("\n".join(f"wrote {path}" for path in written))
     return 0

@@ -48,9 +48,9 @@ class Entry:
         return self.row is not None
 
 
-def failure_words(failure: Mapping[str, str]) -> str:
+def failure_words(message: str, remedy: str) -> str:
     """What and what to do, of a failure as commands tell it to machines."""
-    return ". ".join(failure[key] for key in ("message", "remedy") if failure[key])
+    return ". ".join(filter(None, (message, remedy)))
 
 
 def read_entry(path: Path) -> Entry | None:

@@ -103,7 +103,7 @@ def _ros(noise: Sequence[SensorNoise], said: list[str]) -> str:
     blocks: dict[str, dict[str, Any]] = {}
     fields = {"acceleration": "linear_acceleration", "angular_rate": "angular_velocity"}
     for sensor in noise:
-        square = [sensor.rate * (a.white.value or a.white.bound) ** 2 for a in sensor.axes]
+        square = [sensor.rate * (a.white.value or a.white.below) ** 2 for a in sensor.axes]
         block = blocks.setdefault(sensor.triad, {"orientation_covariance": [-1.0, *[0.0] * 8]})
         matrix = np.diag([float(f"{value:.6g}") for value in square]).ravel()
         block[f"{fields[sensor.quantity]}_covariance"] = matrix.tolist()

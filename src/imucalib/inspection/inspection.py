@@ -9,10 +9,12 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 
 from imucalib.arrays import Array
+from imucalib.data import Data
 from imucalib.errors import ImucalError
 from imucalib.question import paste
 from imucalib.readers.conversion import zero_g
@@ -32,31 +34,24 @@ _REPEATS = re.compile(r"repeat the one before to the last digit")
 _STEPS = 1 << 16  # steps a channel keeps for the jitter
 
 
-@dataclass(frozen=True)
-class ChannelFacts:
-    """One channel; low, high : (k,) extremes; noise : (k,) of one sample at rest, or empty.
-
-    rate : Hz, samples over time; jitter : s, 1.4826 times the median absolute deviation of the
-    steps; duplicates, back_steps : counts; longest_step : s
-    norm_at_rest : median norm over the still segments, in the channel's unit; NaN without rest
-    names : what the file calls the sensor: topic, dataset; a board or a calibration may go by these
-    """
+class ChannelFacts(Data):
+    """One channel of a recording."""
 
     name: str
     quantity: str
-    triad: str
+    triad: Annotated[str, "The sensor that it is of."]
     unit: str
     samples: int
-    rate: float
-    jitter: float
-    duplicates: int
-    back_steps: int
-    longest_step: float
-    low: Array
-    high: Array
-    noise: Array
-    norm_at_rest: float
-    names: tuple[str, ...] = ()
+    rate_hz: Annotated[float, "Samples over time."]
+    jitter_s: Annotated[float, "1.4826 times the median absolute deviation of the steps."]
+    duplicates: Annotated[int, "Stamps that repeat the one before."]
+    back_steps: Annotated[int, "Stamps before the one before."]
+    longest_step_s: float
+    low: Annotated[Array, "Least value of each axis, in the unit."]
+    high: Annotated[Array, "Largest value of each axis, in the unit."]
+    noise: Annotated[Array, "Of one sample of each axis at rest, in the unit; empty without rest."]
+    norm_at_rest: Annotated[float, "Median over the still segments, in the unit."]
+    names: Annotated[tuple[str, ...], "What the file calls the sensor: topic, dataset."] = ()
 
 
 @dataclass(frozen=True)
@@ -145,11 +140,11 @@ class _Running:
             triad=channel.triad,
             unit=channel.unit,
             samples=self.samples,
-            rate=1.0 / mean_period(steps, middle) if steps.size else math.nan,
-            jitter=jitter,
+            rate_hz=1.0 / mean_period(steps, middle) if steps.size else math.nan,
+            jitter_s=jitter,
             duplicates=self.duplicates,
             back_steps=self.back_steps,
-            longest_step=self.longest,
+            longest_step_s=self.longest,
             low=self.low,
             high=self.high,
             noise=noise,

@@ -6,11 +6,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from imucalib.arrays import Array, Flags
+from imucalib.data import Data
 from imucalib.estimators.allan import SHAPES, draws, freedom_of, shapes, unexplained_times
 from imucalib.inspection.allan import AllanCurve, AllanSums
 from imucalib.recording.recording import Channel, Recording
@@ -23,16 +24,14 @@ _ODD = 1.5  # intervals between samples from which on there is a gap
 _SENSORS = {"acceleration": "m/s2", "angular_rate": "rad/s"}
 
 
-@dataclass(frozen=True)
-class Coefficient:
-    """value, low, high : median and 95 % interval of one that the recording shows, else None
-    bound : what it lies below, 95 %; probability : that it is a tenth of the variance at some τ"""
+class Coefficient(Data):
+    """A term of the noise of one axis, in SI: Q in s, N in 1/√Hz, B, K in 1/s/√Hz, R in 1/s."""
 
-    value: float | None
-    low: float | None
+    value: Annotated[float | None, "Median; null where the recording does not show it."]
+    low: Annotated[float | None, "Of its 95 % interval."]
     high: float | None
-    bound: float
-    probability: float
+    below: Annotated[float, "What it lies below, 95 %."]
+    probability: Annotated[float, "That it is a tenth of the variance at some τ."]
 
 
 @dataclass(frozen=True)
@@ -171,7 +170,7 @@ def noisiest(axes: Sequence[AxisNoise], term: str) -> AxisNoise:
 
     def size(axis: AxisNoise) -> tuple[bool, float]:
         own: Coefficient = getattr(axis, term)
-        return own.value is not None, own.bound if own.value is None else own.value
+        return own.value is not None, own.below if own.value is None else own.value
 
     return max(axes, key=size)
 
@@ -189,7 +188,7 @@ def noise_blocks(noise: Sequence[SensorNoise]) -> dict[str, dict[str, Any]]:
         for name, term in (("noise_density", "white"), ("random_walk", "walk")):
             key = f"{_PREFIX[sensor.quantity]}_{name}"
             most: Coefficient = getattr(noisiest(sensor.axes, term), term)
-            block[key] = most.bound if most.value is None else most.value
+            block[key] = most.below if most.value is None else most.value
             if most.value is None:
                 block.setdefault("upper_limits", []).append(key)
         block["rostopic"] = sensor.topic or f"/{sensor.triad}/imu"

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import groupby
-from typing import Any
+from typing import Annotated
 
-from imucalib.calibration.plain import fields, listed
 from imucalib.core.effect import Context, Effect, EffectScan, Parameter, Response
-from imucalib.report.document import Document, Facts, Section, Table, Text, capital
+from imucalib.data import Data
+from imucalib.report.document import Column, Document, Facts, Section, Table, Text, capital
 from imucalib.report.render.templates import fill
 
 #: Needs as a list of a line each has them.
@@ -32,12 +32,43 @@ def _acts_on(effect: Effect) -> str:
     return f"all {sensors}s" if shared else sensors
 
 
-def effect_dict(effect: Effect) -> dict[str, Any]:
-    """One effect as plain types."""
-    return {
-        **fields(effect, "name stage channel sentence equation source needs identify"),
-        "parameters": listed(_parameters(effect), "name unit typical plausible"),
-    }
+class ParameterFacts(Data):
+    """An unknown of an effect."""
+
+    name: str
+    unit: str
+    typical: Annotated[float, "Standard deviation that data sheets and practice let one expect."]
+    plausible: Annotated[float, "Largest absolute value that is still believed."]
+
+
+class EffectFacts(Data, name="effect/1"):
+    """An effect of the catalogue."""
+
+    name: str
+    stage: Annotated[str, "What it acts on."]
+    channel: str
+    sentence: str
+    equation: str
+    source: str
+    needs: Annotated[tuple[str, ...], "Covariates."]
+    identify: Annotated[str, "What to record to find it."]
+    parameters: tuple[ParameterFacts, ...]
+
+
+def describe_effect(effect: Effect) -> EffectFacts:
+    """What `imucal effects` tells machines."""
+    each = ((p.name, p.unit, p.typical, p.plausible) for p in _parameters(effect))
+    return EffectFacts(
+        name=effect.name,
+        stage=effect.stage,
+        channel=effect.channel,
+        sentence=effect.sentence,
+        equation=effect.equation,
+        source=effect.source,
+        needs=tuple(effect.needs),
+        identify=effect.identify,
+        parameters=tuple(ParameterFacts(*one) for one in each),
+    )
 
 
 def catalogue_document(effects: Sequence[Effect], scans: Sequence[EffectScan] = ()) -> Document:
@@ -72,10 +103,15 @@ def _needs(effect: Effect) -> str:
     return ", ".join(effect.needs) or "nothing beside the readings"
 
 
+_PARAMETERS: tuple[Column, ...] = (
+    ("parameter", "name", ""),
+    ("typical", "typical", "g"),
+    ("plausible", "plausible", "g"),
+    ("unit", "unit", ""),
+)
+
+
 def _one(effect: Effect) -> Section:
-    rows = tuple(
-        (p.name, f"{p.typical:g}", f"{p.plausible:g}", p.unit) for p in _parameters(effect)
-    )
     facts = (
         ("equation", effect.equation),
         ("acts on", _acts_on(effect)),
@@ -83,7 +119,7 @@ def _one(effect: Effect) -> Section:
         ("source", effect.source),
         ("to identify it", effect.identify),
     )
-    table = Table("Parameters", ("parameter", "typical", "plausible", "unit"), rows, "lrrl")
+    table = Table.of(_PARAMETERS, _parameters(effect), "Parameters")
     return Section("Effect", (Facts(facts), table))
 
 

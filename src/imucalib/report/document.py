@@ -5,10 +5,12 @@ A block says what is shown, not how: `report.render` decides the looks.
 
 from __future__ import annotations
 
+import math
 import shlex
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from operator import attrgetter
+from typing import Any, Literal
 
 from imucalib.arrays import Array
 from imucalib.calibration.outcome import KEEP
@@ -65,10 +67,36 @@ class Table:
     note: str = ""
     tones: Mapping[int, Tone] = field(default_factory=dict)
 
+    @classmethod
+    def of(
+        cls,
+        columns: Sequence[Column],
+        rows: Iterable[Any],
+        title: str = "",
+        note: str = "",
+        tones: Mapping[int, Tone] | None = None,
+    ) -> Table:
+        """A row an object; what does not exist is "-"."""
+        cells = [tuple(_cell(one, of, form) for _, of, form in columns) for one in rows]
+        align = "".join("r" if form else "l" for _, _, form in columns)
+        headings = tuple(heading for heading, _, _ in columns)
+        return cls(title, headings, tuple(cells), align, note, tones or {})
+
     @staticmethod
     def marked(tone: Tone, which: Iterable[bool]) -> dict[int, Tone]:
         """One tone for rows, by whether each is marked."""
         return {k: tone for k, one in enumerate(which) if one}
+
+
+#: Heading of a table's column, attribute or what makes its cells, and their format: one with a
+#: format stands to the right.
+Column = tuple[str, str | Callable[[Any], Any], str]
+
+
+def _cell(row: Any, of: str | Callable[[Any], Any], form: str) -> str:
+    value = attrgetter(of)(row) if isinstance(of, str) else of(row)
+    missing = value is None or (isinstance(value, float) and math.isnan(value))
+    return "-" if missing else f"{value:{form}}"
 
 
 @dataclass(frozen=True)

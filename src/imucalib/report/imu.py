@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 
+from imucalib.arrays import Array
 from imucalib.calibration.gyroscope import STAGE, told_delay
-from imucalib.calibration.plain import listed
 from imucalib.calibrators.imu.plan import HandPlan
 from imucalib.calibrators.imu.run import ImuRun, heading_drift
+from imucalib.data import Data
 from imucalib.report import sections
 from imucalib.report.conditions import power_up_worths, sessions_section, temperature_section
 from imucalib.report.document import (
@@ -179,15 +181,32 @@ def hand_plan_document(plan: HandPlan) -> Document:
     return Document("Turns to add" if added else "Turns to take", verdict, parts)
 
 
-def hand_plan_dict(plan: HandPlan) -> dict[str, Any]:
+class TurnToTake(Data):
+    """A turn of 135 deg by hand."""
+
+    about: Annotated[str, "Signed axis of the sensor."]
+    gravity_before: Annotated[Array, "What its accelerometer reads, g."]
+    sd_after: Annotated[float, "Mean sd of the gains once it is taken."]
+
+
+class TurnPlan(Data, name="turns/1"):
+    """Turns to take, in their order, and what they tell of a gyroscope's gains."""
+
+    turns: tuple[TurnToTake, ...]
+    sd: Annotated[Mapping[str, float], "Of each gain after them."]
+    sd_before: Annotated[Mapping[str, float] | None, "The same before them, of turns to add."]
+    open: Annotated[tuple[str, ...], "What they leave open."]
+
+
+def describe_hand_plan(plan: HandPlan) -> TurnPlan:
     """The same for machines."""
-    sd, before = plan.sd.tolist(), None if plan.before is None else plan.before.tolist()
-    return {
-        "turns": listed(plan.turns, "about=axis gravity_before=up sd_after=after"),
-        "sd": dict(zip(_NAMES, sd, strict=True)),
-        "sd_before": before and dict(zip(_NAMES, before, strict=True)),
-        "open": list(plan.open_gains),
-    }
+    before = plan.before
+    return TurnPlan(
+        turns=tuple(TurnToTake(turn.axis, turn.up, turn.after) for turn in plan.turns),
+        sd=dict(zip(_NAMES, plan.sd, strict=True)),
+        sd_before=None if before is None else dict(zip(_NAMES, before, strict=True)),
+        open=tuple(plan.open_gains),
+    )
 
 
 def _worst(plan: HandPlan) -> tuple[float, float]:

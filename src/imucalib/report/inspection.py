@@ -4,21 +4,22 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from imucalib.calibration.plain import fields, listed, plain
 from imucalib.calibrators.lab.files import TableSeen
-from imucalib.inspection.inspection import Inspection, advice, next_commands, problems
+from imucalib.data import Data
+from imucalib.inspection.inspection import ChannelFacts, Inspection, advice, next_commands, problems
 from imucalib.recording.mapping import OPTION_FIELDS
 from imucalib.recording.yaml_text import load
 from imucalib.report.document import (
     Block,
+    Column,
     Document,
     Facts,
     Plot,
@@ -69,7 +70,10 @@ def inspection_document(
     notes = _merge([n for n in found.notes if n not in found.losses])
     parts = [
         Section("File", (_file(found),)),
-        Section("Channels", (_channels(found),)),
+        Section(
+            "Channels",
+            (Table.of(_CHANNELS, found.channels, note="Noise of one sample at rest, worst axis."),),
+        ),
         Section("Clocks", (_clocks(found),)),
         Section("Rest", _rest(found.still)),
         Section("Candidates for rests", _candidates(found) if rests else (), kept=True),
@@ -99,41 +103,29 @@ _REFERENCES = {
 }
 
 
-def table_document(seen: TableSeen, typed: str) -> Document:
+def table_document(seen: TableInspection) -> Document:
     """What a table of positions holds, how it would be read, what is wrong, the next command."""
-    table = seen.table
-    rows = tuple(
-        (
-            table.names.get(role, role),
-            role.replace("_", "-"),
-            table.unit.get(role, "-"),
-            f"{np.min(values):.6g}",
-            f"{np.max(values):.6g}",
-        )
-        for role, values in table.columns.items()
-    )
-    header = ("column", "taken as", "unit", "smallest", "largest")
-    wrong = [Text(f"{one.what}.", "warning") for one in seen.wrong]
-    facts = [("rows", str(table.n)), ("file", f"sha256 {table.sha256[:16]}…")]
-    facts += [("readings", seen.unit)] if seen.unit else []
+    facts = [("rows", str(seen.rows)), ("file", f"sha256 {seen.sha256[:16]}…")]
+    facts += [("readings", seen.readings)] if seen.readings else []
     parts = (
-        Section("Table", (Facts(tuple(facts)), Table("", header, rows, "lllrr"))),
-        Section("What is wrong", tuple(wrong), kept=True),
+        Section("Table", (Facts(tuple(facts)), Table.of(_COLUMNS, seen.columns))),
+        Section("What is wrong", Text.sentences(seen.problems, "warning"), kept=True),
         Section("Notes", Text.each(seen.notes)),
-        Section("Next", Text.each(table_commands(seen, typed)), kept=True),
+        Section("Next", Text.each(seen.next), kept=True),
     )
-    said = f"{len(wrong)} thing{'s' * (len(wrong) != 1)} to settle" if wrong else "nothing is wrong"
+    wrong = len(seen.problems)
+    said = f"{wrong} thing{'s' * (wrong != 1)} to settle" if wrong else "nothing is wrong"
     verdict = Text(
-        f"{_REFERENCES[seen.kind].capitalize()}: {table.n} rows; {said}.",
+        f"{_REFERENCES[seen.reference].capitalize()}: {seen.rows} rows; {said}.",
         "warning" if wrong else "plain",
     )
-    return Document(table.path, verdict, parts, drawn="--html")
+    return Document(seen.path, verdict, parts, drawn="--html")
 
 
 _OWN = 4096  # bytes in which a file of this program says that it is one
 
 
-def own_document(path: Path, typed: str) -> tuple[Document, dict[str, Any]] | None:
+def own_document(path: Path, typed: str) -> tuple[Document, OwnInspection] | None:
     """What a file is that this program wrote, the next command, and the same for machines; None of
     another's file. Raises UnreadableInput where it is damaged."""
     if path.suffix.lower() not in (".yaml", ".yml", ".json"):
@@ -156,9 +148,9 @@ def own_document(path: Path, typed: str) -> tuple[Document, dict[str, Any]] | No
         steps = (f"{page} shows it." if page.is_file() else "It is for programs; `--full` prints.",)
     else:
         return None
-    content = {"schema": "imucal/inspection/1", "path": str(path), "format": kind, "next": steps}
     section = Section("Next", Text.each(steps), kept=True)
-    return Document(str(path), Text(f"{what}."), (section,), drawn="--html"), content
+    document = Document(str(path), Text(f"{what}."), (section,), drawn="--html")
+    return document, OwnInspection(str(path), kind, steps)
 
 
 #: Where what is proposed writes.
@@ -185,27 +177,151 @@ def table_commands(seen: TableSeen, typed: str) -> tuple[str, ...]:
     return tuple(found) or (f"`{command} -o out`: calibrates; {local}.",)
 
 
-def table_dict(seen: TableSeen, typed: str) -> dict[str, Any]:
-    """Plain types, ready for JSON."""
+class TableColumn(Data):
+    """A column that takes part."""
+
+    heading: str
+    role: str
+    unit: Annotated[str | None, "As the heading states it."]
+    smallest: float
+    largest: float
+
+
+class TableInspection(Data, name="inspection/1"):
+    """A table of positions as `imucal lab` would read it."""
+
+    path: str
+    format: Literal["positions"]
+    sha256: str
+    reference: Annotated[str, "What its columns give; a plan has angles alone."]
+    rows: int
+    columns: tuple[TableColumn, ...]
+    readings: Annotated[str, "Their unit, and how it is known."]
+    problems: tuple[str, ...]
+    notes: tuple[str, ...]
+    next: Annotated[tuple[str, ...], "What to type, and why."]
+
+
+class OwnInspection(Data, name="inspection/1"):
+    """A file that this program wrote."""
+
+    path: str
+    format: Annotated[str, "Its schema."]
+    next: Annotated[tuple[str, ...], "What to type, and why."]
+
+
+class CandidateFacts(Data):
+    """A candidate for a rest."""
+
+    start_s: float
+    stop_s: float
+    length_s: float
+    drift: float
+    noise: float
+    unit: Annotated[str, "Of drift and noise."]
+    rest: Annotated[bool, "Whether it is one."]
+    reason: Annotated[str, "What refused it; empty for a rest."]
+
+
+class Gaps(Data):
+    """Stretches in which a sensor has no samples."""
+
+    count: int
+    seconds: Annotated[float, "In which any sensor has one."]
+
+
+class NormAtRest(Data):
+    """What a channel's norm at rest says."""
+
+    channel: str
+    finding: str
+
+
+class RecordingInspection(Data, name="inspection/1"):
+    """A recording: what it holds, how it was read, what is wrong with it, what to type."""
+
+    path: str
+    format: str
+    sha256: str
+    start_ns: Annotated[int | None, "Of the Unix epoch; null where the file does not say."]
+    span_s: float
+    channels: tuple[ChannelFacts, ...]
+    gaps: Gaps
+    still_segments: int
+    why_not_still: str
+    candidates: Annotated[tuple[NormAtRest, ...], "Accelerometers, nearest to gravity first."]
+    problems: tuple[str, ...]
+    next: Annotated[tuple[str, ...], "What to type, and why."]
+    losses: tuple[str, ...]
+    mapping: Annotated[Mapping[str, Any], "How it was read, for --mapping."]
+    notes: tuple[str, ...]
+    rests: Annotated[tuple[CandidateFacts, ...] | None, "With --rests."] = None
+
+
+def describe_table(seen: TableSeen, typed: str) -> TableInspection:
+    """What is known of a table. typed : as for `table_document`"""
     table = seen.table
-    columns = [
-        {"heading": heading, "role": role, "unit": table.unit.get(role)}
-        for role, heading in table.names.items()
-    ]
-    content = {
-        "schema": "imucal/inspection/1",
-        "path": table.path,
-        "format": "positions",
-        "sha256": table.sha256,
-        "reference": seen.kind,
-        "rows": table.n,
-        "columns": columns,
-        "readings": seen.unit,
-        "problems": [one.what for one in seen.wrong],
-        "notes": seen.notes,
-        "next": table_commands(seen, typed),
-    }
-    return dict(plain(content))
+    columns = (
+        TableColumn(
+            table.names.get(role, role),
+            role,
+            table.unit.get(role),
+            float(np.min(values)),
+            float(np.max(values)),
+        )
+        for role, values in table.columns.items()
+    )
+    return TableInspection(
+        path=table.path,
+        format="positions",
+        sha256=table.sha256,
+        reference=seen.kind,
+        rows=table.n,
+        columns=tuple(columns),
+        readings=seen.unit,
+        problems=tuple(one.what for one in seen.wrong),
+        notes=seen.notes,
+        next=table_commands(seen, typed),
+    )
+
+
+def describe_recording(found: Inspection, typed: str, *, rests: bool) -> RecordingInspection:
+    """What is known of a recording; on request with every candidate for a rest."""
+    return RecordingInspection(
+        path=found.path,
+        format=found.format,
+        sha256=found.sha256,
+        start_ns=found.start_ns,
+        span_s=found.span,
+        channels=found.channels,
+        gaps=Gaps(found.gap_count, found.gap_seconds),
+        still_segments=found.still.n if found.still else 0,
+        why_not_still=found.why_not_still,
+        candidates=tuple(NormAtRest(*one) for one in found.candidates),
+        problems=tuple(problems(found)),
+        next=next_commands(found, typed),
+        losses=found.losses,
+        mapping=found.mapping,
+        notes=found.notes,
+        rests=_describe_candidates(found) if rests else None,
+    )
+
+
+def _describe_candidates(found: Inspection) -> tuple[CandidateFacts, ...]:
+    unit = "m/s2" if _in_si(found) else "counts"
+    return tuple(
+        CandidateFacts(
+            start_s=c.start,
+            stop_s=c.stop,
+            length_s=c.length,
+            drift=c.drift,
+            noise=c.noise,
+            unit=unit,
+            rest=not c.reason,
+            reason=c.reason,
+        )
+        for c in (found.still.candidates if found.still else ())
+    )
 
 
 def _options(found: Inspection) -> tuple[tuple[str, str], ...]:
@@ -237,10 +353,9 @@ def _merge(notes: list[str]) -> list[str]:
 
 
 def _gaps(found: Inspection) -> Table:
-    rows = tuple((f"{g.start:.3f}", f"{g.stop - g.start:.3f}", g.reason) for g in found.gaps)
     title = f"{found.gap_count} gap{'s' * (found.gap_count != 1)}, {found.gap_seconds:.3g} s in all"
-    title += f"; the longest {len(rows)}" if found.gap_count > len(rows) else ""
-    return Table(title, ("at, s", "length, s", "reason"), rows, "rrl")
+    title += f"; the longest {len(found.gaps)}" if found.gap_count > len(found.gaps) else ""
+    return Table.of(_GAPS, found.gaps, title)
 
 
 def _rest(still: Segments | None) -> tuple[Table, ...]:
@@ -272,21 +387,28 @@ def _file(found: Inspection) -> Facts:
     return Facts((("format", found.format), ("starts", start), ("span", span), ("sha256", sha256)))
 
 
-def _channels(found: Inspection) -> Table:
-    rows = tuple(
-        (
-            f.name,
-            f.unit,
-            str(f.samples),
-            f"{f.rate:.4g}" if math.isfinite(f.rate) else "-",
-            _size(float(f.noise.max()) if len(f.noise) else math.nan, f.unit, 0),
-            _size(f.norm_at_rest, f.unit, 1),
-            _size(float(np.abs([f.low, f.high]).max()), f.unit, 2),
-        )
-        for f in found.channels
-    )
-    header = ("channel", "unit", "samples", "Hz", "noise", "norm at rest", "largest")
-    return Table("", header, rows, "llrrrrr", "Noise of one sample at rest, worst axis.")
+#: Heading, what it shows, format: of the channels, the columns of a table, candidates.
+_CHANNELS: tuple[Column, ...] = (
+    ("channel", "name", ""),
+    ("unit", "unit", ""),
+    ("samples", "samples", "d"),
+    ("Hz", "rate_hz", ".4g"),
+    ("noise", lambda f: _size(max(f.noise, default=math.nan), f.unit, 0), ">"),
+    ("norm at rest", lambda f: _size(f.norm_at_rest, f.unit, 1), ">"),
+    ("largest", lambda f: _size(float(np.abs([f.low, f.high]).max()), f.unit, 2), ">"),
+)
+_COLUMNS: tuple[Column, ...] = (
+    ("column", "heading", ""),
+    ("taken as", lambda one: one.role.replace("_", "-"), ""),
+    ("unit", "unit", ""),
+    ("smallest", "smallest", ".6g"),
+    ("largest", "largest", ".6g"),
+)
+_GAPS: tuple[Column, ...] = (
+    ("at, s", "start", ".3f"),
+    ("length, s", lambda gap: gap.stop - gap.start, ".3f"),
+    ("reason", "reason", ""),
+)
 
 
 def _size(value: float, unit: str, kind: int) -> str:
@@ -302,8 +424,8 @@ def _clocks(found: Inspection) -> Table:
     same: dict[tuple[str, ...], list[str]] = {}
     for f in found.channels:
         facts = (
-            f"{1e6 * f.jitter:.1f}" if math.isfinite(f.jitter) else "-",
-            f"{1e3 * f.longest_step:.2f}",
+            f"{1e6 * f.jitter_s:.1f}" if math.isfinite(f.jitter_s) else "-",
+            f"{1e3 * f.longest_step_s:.2f}",
             str(f.duplicates),
             str(f.back_steps),
         )
@@ -325,22 +447,18 @@ def _candidates(found: Inspection) -> tuple[Block, ...]:
     if not candidates:
         return (Text(f"None: {found.why_not_still or refusals(candidates)}.", "warning"),)
     unit, size = ("mg", MG) if _in_si(found) else ("counts", 1.0)
-    rows = tuple(
-        (
-            f"{c.start:.2f}",
-            f"{c.length:.2f}",
-            f"{c.drift / size:.2f}",
-            f"{c.noise / size:.2f}",
-            c.reason or "rest",
-        )
-        for c in candidates
+    columns: tuple[Column, ...] = (
+        ("start, s", "start", ".2f"),
+        ("length, s", "length", ".2f"),
+        (f"drift, {unit}", lambda c: c.drift / size, ".2f"),
+        (f"noise, {unit}", lambda c: c.noise / size, ".2f"),
+        ("", lambda c: c.reason or "rest", ""),
     )
     tones = Table.marked("warning", (bool(c.reason) for c in candidates))
-    header = ("start, s", "length, s", f"drift, {unit}", f"noise, {unit}", "")
     rests = sum(not c.reason for c in candidates)
     title = f"{rests} rests, {len(candidates) - rests} refused"
     plots = (_over_time(candidates, name, unit, size) for name in ("drift", "noise"))
-    return (Table(title, header, rows, "rrrrl", _RESTS, tones), *plots)
+    return (Table.of(columns, candidates, title, _RESTS, tones), *plots)
 
 
 def _in_si(found: Inspection) -> bool:
@@ -360,40 +478,3 @@ def _over_time(candidates: Sequence[Candidate], name: str, unit: str, size: floa
     caption = f"{what} of every candidate at its middle, by what became of it."
     labels = (f"{what} over time", "time, s", f"{name}, {unit}")
     return Plot(*labels, tuple(series), caption, log_y=True)
-
-
-def inspection_dict(
-    found: Inspection,
-    typed: str,
-    *,
-    rests: bool = False,
-) -> dict[str, Any]:
-    """Plain types, ready for JSON; on request with every candidate for a rest."""
-    channel = (
-        "name quantity triad unit samples rate_hz=rate jitter_s=jitter "
-        "duplicates back_steps names "
-        "longest_step_s=longest_step noise norm_at_rest"
-    )
-    content = {
-        "schema": "imucal/inspection/1",
-        **fields(found, "path format sha256 start_ns span_s=span"),
-        "channels": listed(found.channels, channel),
-        "gaps": fields(found, "count=gap_count seconds=gap_seconds"),
-        "still_segments": found.still.n if found.still else 0,
-        "why_not_still": found.why_not_still,
-    }
-    if rests:
-        unit = "m/s2" if _in_si(found) else "counts"
-        content["rests"] = [
-            {
-                **fields(c, "start_s=start stop_s=stop length_s=length drift noise"),
-                "unit": unit,
-                "rest": not c.reason,
-                "reason": c.reason,
-            }
-            for c in (found.still.candidates if found.still else ())
-        ]
-    content["candidates"] = [{"channel": c, "finding": w} for c, w in found.candidates]
-    content["problems"] = tuple(problems(found))
-    content["next"] = next_commands(found, typed)
-    return dict(plain({**content, **fields(found, "losses mapping notes")}))

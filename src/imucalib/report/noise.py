@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Annotated
 
 import numpy as np
 
-from imucalib.calibration.plain import fields, plain
+from imucalib.arrays import Array, Flags
+from imucalib.data import Data
 from imucalib.estimators.allan import SHAPES
 from imucalib.exports.noise import NOISE_FORMS
 from imucalib.inspection.noise import Coefficient, SensorNoise, noisiest
@@ -111,7 +112,7 @@ def _tables(noise: Sequence[SensorNoise]) -> Iterator[Table]:
 
 def _cell(found: Coefficient, scale: float) -> str:
     if found.value is None or found.low is None or found.high is None:
-        return f"< {float(f'{found.bound / scale:.2g}'):.9g}"
+        return f"< {float(f'{found.below / scale:.2g}'):.9g}"
     value, low, high = (f"{v / scale:.4g}" for v in (found.value, found.low, found.high))
     return f"{value} ({low} to {high})"
 
@@ -163,28 +164,59 @@ def _plots(noise: Sequence[SensorNoise]) -> Iterator[Plot]:
             yield Plot(*labels, tuple(series), caption, log_y=True)
 
 
-def noise_dict(path: str, noise: Sequence[SensorNoise]) -> dict[str, Any]:
-    """Plain types, ready for JSON, in SI; null where the recording does not show a term."""
-    axes = [_axis(sensor, k) for sensor in noise for k in range(len(sensor.axes))]
+class Allan(Data):
+    """The overlapping Allan deviation of one axis, and what explains it."""
+
+    tau_s: Array
+    deviation: Array
+    low: Annotated[Array, "Of its 95 % interval."]
+    high: Array
+    fit: Annotated[Array, "Of the sum of the terms: median, and 95 % interval."]
+    holds: Annotated[Flags, "Where the terms explain it."]
+
+
+class AxisAtRest(Data):
+    """One axis, in SI."""
+
+    triad: Annotated[str, "The sensor that it is of."]
+    quantity: str
+    unit: str
+    rate_hz: float
+    axis: str
+    quantisation: Coefficient
+    white: Coefficient
+    instability: Coefficient
+    walk: Coefficient
+    ramp: Coefficient
+    allan: Allan
+
+
+class NoiseAtRest(Data, name="noise/1"):
+    """The noise of every axis of the sensors of a recording."""
+
+    path: str
+    noise: tuple[AxisAtRest, ...]
+    not_used_s: Annotated[
+        Mapping[str, tuple[tuple[float, float], ...]],
+        "Of each sensor rests that are louder than the quietest.",
+    ]
+
+
+def describe_noise(path: str, noise: Sequence[SensorNoise]) -> NoiseAtRest:
+    """What `imucal noise` tells machines."""
+    axes = (_describe_axis(sensor, k) for sensor in noise for k in range(len(sensor.axes)))
     settles = {sensor.triad: sensor.settles for sensor in noise if sensor.settles}
-    content = {"schema": "imucal/noise/1", "path": path, "noise": axes, "not_used_s": settles}
-    return dict(plain(content))
+    return NoiseAtRest(path, tuple(axes), settles)
 
 
-def _axis(sensor: SensorNoise, k: int) -> dict[str, Any]:
-    axis = sensor.axes[k]
-    low, high = axis.curve.interval()
-    return {
-        **fields(sensor, "triad quantity unit rate_hz=rate"),
-        "axis": "xyz"[k],
-        **{
-            term: fields(getattr(axis, term), "value low high below=bound probability")
-            for term in SHAPES
-        },
-        "allan": {
-            **fields(axis.curve, "tau_s=tau deviation"),
-            "low": low,
-            "high": high,
-            **fields(axis, "fit holds"),
-        },
-    }
+def _describe_axis(sensor: SensorNoise, k: int) -> AxisAtRest:
+    axis, curve = sensor.axes[k], sensor.axes[k].curve
+    return AxisAtRest(
+        triad=sensor.triad,
+        quantity=sensor.quantity,
+        unit=sensor.unit,
+        rate_hz=sensor.rate,
+        axis="xyz"[k],
+        allan=Allan(curve.tau, curve.deviation, *curve.interval(), axis.fit, axis.holds),
+        **{term: getattr(axis, term) for term in SHAPES},
+    )

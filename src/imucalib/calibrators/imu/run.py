@@ -418,14 +418,14 @@ def _gyro_noise(noise: Sequence[SensorNoise]) -> dict[str, Any]:
     return {
         "rest_s": max((axis.curve.longest for axis in axes), default=0.0),
         "white_deg_per_s_per_root_hz": [
-            (axis.white.value or axis.white.bound) / DEG for axis in axes
+            (axis.white.value or axis.white.below) / DEG for axis in axes
         ],
         "white_sd": [
             (w.high - w.low) / (2.0 * _NORMAL_95 * DEG) if w.low and w.high else None
             for w in (axis.white for axis in axes)
         ],
         "bias_instability_deg_per_s": [
-            (value or axis.instability.bound) / DEG for value, axis in zip(shown, axes, strict=True)
+            (value or axis.instability.below) / DEG for value, axis in zip(shown, axes, strict=True)
         ],
         "upper_limit": None in shown,
     }

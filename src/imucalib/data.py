@@ -1,0 +1,162 @@
+"""Documents for programs as types: the JSON, its schema and the page about it are one list of keys.
+
+`Data` is a frozen dataclass. Its fields are keys, in order; what a key means, and in which unit it
+is where its name does not say so, is `Annotated`. A key whose default is None is left out where it
+has no value; any other number that does not exist is null.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
+from types import NoneType, UnionType
+from typing import (
+    Annotated,
+    Any,
+    ClassVar,
+    Literal,
+    Union,
+    dataclass_transform,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
+
+#: A number that does not exist is null.
+_PLAIN: dict[Any, dict[str, Any]] = {
+    str: {"type": "string"},
+    bool: {"type": "boolean"},
+    int: {"type": "integer"},
+    float: {"type": ["number", "null"]},
+    NoneType: {"type": "null"},
+}
+#: Written `schema`, first in a document.
+_NAME = "imucal/{}"
+
+
+@dataclass_transform(frozen_default=True)
+class Data:
+    """A part of a document, or, with a name such as "noise/1", a document."""
+
+    schema_name: ClassVar[str] = ""
+
+    def __init_subclass__(cls, name: str = "", **others: Any) -> None:
+        super().__init_subclass__(**others)
+        cls.schema_name = name
+        dataclass(frozen=True)(cls)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain types, ready for JSON; of a document with its schema's name."""
+        content = {"schema": _NAME.format(self.schema_name)} if self.schema_name else {}
+        each = ((one, getattr(self, one.name)) for one in fields(self))  # type: ignore[arg-type]
+        return content | {
+            one.name: plain(value)
+            for one, value in each
+            if not (one.default is None and value is None)
+        }
+
+
+def plain(value: Any) -> Any:
+    """Mappings, lists and Python scalars, data by their keys, a dataclass by its fields; a number
+    that does not exist is None, never NaN."""
+    if isinstance(value, Data):
+        return value.as_dict()
+    if is_dataclass(value):
+        value = vars(value)
+    if hasattr(value, "items"):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(v) for v in value]
+    if isinstance(value, bool | int | str) or value is None:
+        return value
+    if hasattr(value, "tolist"):
+        return plain(value.tolist())
+    number = float(value)
+    return number if math.isfinite(number) else None
+
+
+def documents() -> dict[str, list[type[Data]]]:
+    """Every form of every document that is imported, by the part of its name before the version."""
+    found: dict[str, list[type[Data]]] = {}
+    waiting = [Data]
+    while waiting:
+        cls = waiting.pop()
+        waiting += cls.__subclasses__()
+        if cls.schema_name:
+            found.setdefault(cls.schema_name.partition("/")[0], []).append(cls)
+    return dict(sorted(found.items()))
+
+
+def schema_of(forms: Sequence[type[Data]]) -> dict[str, Any]:
+    """JSON Schema (draft 2020-12) of a document of one or more forms: the first line of a form's
+    docstring says what it is, and no key is there that the form does not name."""
+    name = _NAME.format(forms[0].schema_name)
+    head = {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "$id": name,
+        "title": name.replace("/", " ").rpartition(" ")[0],
+    }
+    bodies = [_schema_of_keys(form) for form in sorted(forms, key=lambda form: form.__name__)]
+    for body in bodies:
+        body["required"].insert(0, "schema")
+        body["properties"] = {"schema": {"const": name}, **body["properties"]}
+    return head | (bodies[0] if len(bodies) == 1 else {"oneOf": bodies})
+
+
+def _schema(kind: Any) -> dict[str, Any]:
+    """Of what an annotation allows."""
+    origin, inside = get_origin(kind), get_args(kind)
+    if origin is Annotated:
+        return {"description": inside[1], **_schema(inside[0])}
+    if origin in (Union, UnionType):
+        return _schema_of_either([_schema(one) for one in inside])
+    if is_dataclass(kind):
+        return _schema_of_keys(kind)
+    return _schema_of_many(origin, inside) if origin else dict(_PLAIN.get(kind, {}))
+
+
+def _schema_of_many(origin: Any, inside: tuple[Any, ...]) -> dict[str, Any]:
+    """Of a choice of words, a list, a mapping or an array of any shape."""
+    if origin is Literal:
+        return {"enum": list(inside)}
+    if origin in (tuple, list):
+        return {"type": "array", "items": _schema(inside[0])}
+    if origin.__name__ == "ndarray":
+        return {"type": "array"}
+    return {"type": "object", "additionalProperties": _schema(inside[1])}
+
+
+def _schema_of_either(each: list[dict[str, Any]]) -> dict[str, Any]:
+    """One of several; as one list of types where all of them are plain."""
+    if all(set(one) == {"type"} for one in each):
+        return {"type": list(dict.fromkeys(kind for one in each for kind in _types(one)))}
+    rest = [one for one in each if one != _PLAIN[NoneType]]
+    if len(rest) == 1 and "type" in rest[0]:
+        return {**rest[0], "type": list(dict.fromkeys([*_types(rest[0]), "null"]))}
+    return {"anyOf": each}
+
+
+def _types(schema: Mapping[str, Any]) -> list[str]:
+    kinds = schema["type"]
+    return kinds if isinstance(kinds, list) else [kinds]
+
+
+def _schema_of_keys(kind: Any) -> dict[str, Any]:
+    hints = get_type_hints(kind, include_extras=True)
+    own: tuple[Field[Any], ...] = fields(kind)
+    return {
+        "description": (kind.__doc__ or "").partition("\n")[0],
+        "type": "object",
+        "required": [one.name for one in own if one.default is MISSING],
+        "properties": {one.name: _schema(_without_none(one, hints[one.name])) for one in own},
+        "additionalProperties": False,
+    }
+
+
+def _without_none(field: Field[Any], hint: Any) -> Any:
+    """What a key holds where it is there: one that may be left out is never null."""
+    if field.default is not None or get_origin(hint) is Annotated:
+        return hint
+    rest = tuple(one for one in get_args(hint) if one is not NoneType)
+    return Union[rest] if rest else hint  # noqa: UP007
