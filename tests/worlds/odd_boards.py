@@ -49,6 +49,15 @@ def slowed(t: Array, values: Array, tau: float) -> Array:
     return np.asarray(lfilter([first, second], [1.0, -kept], values, axis=0, zi=start)[0])
 
 
+def leading(m: Moved, r: Array, k: int) -> Planted:
+    """imu2's gyro is .2 ms before the others."""
+    one = plain(m, r, k)
+    if k != 2:
+        return one
+    early = [np.interp(m.t + 2e-4, m.t, axis) for axis in one.rate.T]
+    return Planted(one.felt, np.stack(early, axis=1))
+
+
 def slow(
     force: float = 0.0, rate: float = 0.0, imus: frozenset[int] = frozenset(range(8))
 ) -> Plant:

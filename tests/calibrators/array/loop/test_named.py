@@ -14,7 +14,7 @@ from imucalib.recording.recording import Recording
 from worlds.array_stories import PLAN as STORY
 from worlds.array_stories import closed, moving_of, named, planted_log
 from worlds.boards import board_log, made_board
-from worlds.odd_boards import PLAN, Plant, by_rate, flexing, gyro_drifting, slow
+from worlds.odd_boards import PLAN, Plant, by_rate, flexing, gyro_drifting, leading, slow
 
 BOARD = read_board("mimu4444_corners")
 ONE = frozenset({2})
@@ -44,6 +44,17 @@ def test_it_is_told_as_that_and_by_its_time(
     assert next(s for s in found.steps if s.effect == name).aliases == rivals
     term = next(t for t in found.final.found if t.name == name)
     assert abs(term.theta[0] - ms) < 4.0 * found.final.sd_of(term)[0]
+
+
+@pytest.mark.slow
+def test_a_lead_is_no_filter_of_negative_time() -> None:
+    rng = np.random.default_rng(1)
+    parts = made_board(BOARD.positions, BOARD.rotations, BOARD.imus, PLAN, rng)
+    made = board_log(parts, PLAN, rng, leading, often=10)
+    found = closed(made.recording, 400)
+    told = {name for step in found.steps for name in (step.effect, *step.aliases)}
+    assert any(name.startswith("gyro_delay") for name in told)
+    assert not any("low_pass" in name for name in told)
 
 
 @pytest.mark.slow

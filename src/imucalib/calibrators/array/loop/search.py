@@ -466,8 +466,11 @@ def _against(
     for twin in twins:
         other = _as_twin(term, twin)
         least = np.resize([p.least for p in other.effect.each], len(other.theta))
-        # No filter has a negative time.
-        if np.all(other.theta + 3.0 * state.sd_of(term) >= least):
+        # No filter has a negative time; those of all are against each other, so one of them has
+        # none.
+        alone = other.only is not None or other.effect.shared
+        theta = other.theta - (0.0 if alone else other.theta.min())
+        if np.all(theta + 3.0 * state.sd_of(term) >= least):
             terms = (other if t is term else t for t in state.terms)
             fits[twin] = refit(replace(state, terms=tuple(terms)))
     level = _nats(state, name)
