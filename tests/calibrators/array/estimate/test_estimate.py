@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -24,6 +25,17 @@ from imucalib.calibrators.array.request import Accepted
 from worlds.array import corners
 from worlds.boards import DEG, Array, BoardPlan, handled
 from worlds.twisted_board import BOARD, fitted
+
+
+def test_a_tight_wrong_drawing_gives_way_to_the_motion() -> None:
+    # Places .2 mm off, which the board file allows 3 mm, or .01.
+    plan = BoardPlan(twist_s=10.0, places=2e-4)
+    free, true = fitted(plan, 1, 450)
+    tight, _ = fitted(plan, 1, 450, replace(BOARD, prior_sd=1e-5))
+    assert free.converged and tight.converged
+    sd = np.sqrt(np.diag(free.covariance))[: free.positions].reshape(-1, 3)
+    assert np.all(np.abs(tight.r - free.r)[1:] < 0.5 * sd)
+    assert np.all(np.abs(tight.r - true)[1:] < 5.0 * sd)
 
 
 @pytest.mark.slow

@@ -22,6 +22,17 @@ from imucalib.estimators.array.gram import Columns, Gram
 from imucalib.estimators.array.samples import Readings, Sampled
 
 
+#: Coordinates that a drawing's stated deviation counts as.
+_STATED = 3.0
+
+
+def drawing_precision(off: Array, sd: float) -> float:
+    """1/m², of each coordinate about its drawing, where the drawing's stated sd (m) may itself be
+    wrong by a factor that all coordinates share: a multivariate t, whose weight follows from what
+    they are off (d,) m (Lange, Little, Taylor 1989, JASA 84, equation 5)."""
+    return (_STATED + off.size) / (_STATED * sd**2 + float(off @ off))
+
+
 class PositionBase:
     """Columns of what is fitted: positions and terms, and the matrix from raw columns to the
     coordinates that are free."""
@@ -39,7 +50,7 @@ class PositionBase:
         self.raw = sum(block.size for block in blocks)
         self.lives = [np.eye(3 * k)[:, 3:], *(term.live for term in terms)]
         off = (r - setup.board.drawn)[1:].ravel()
-        flat = np.full(off.size, setup.board.prior_sd**-2.0)
+        flat = np.full(off.size, drawing_precision(off, setup.board.prior_sd))
         self.prior = np.concatenate([flat, *(term.sd**-2.0 for term in terms)])
         # What positions absorb is absorbed for good.
         held = [term.sd**-2.0 * (not term.found) for term in terms]

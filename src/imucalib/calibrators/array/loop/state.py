@@ -37,8 +37,8 @@ _ROUNDS, _AGAIN, _ROUGH, _CLOSE = 30, (0, 8, 16, 24), 0.4, 0.03
 _STALE = 0.1
 #: Rounds of a motion with the weights that its residuals ask for, at one step of what is fitted.
 _WEIGHED = 2
-#: Of a lost fit: step of a position in its prior's sd, growth of a squared step.
-_RUNAWAY, _GROWN = 10.0, 1e3
+#: Growth of a squared step of a lost fit.
+_GROWN = 1e3
 #: Samples from which the shape of the noise is chosen.
 _SHAPED_BY = 250
 
@@ -152,6 +152,7 @@ def _newton(state: ArrayState, close: float) -> ArrayState:
     base: PositionBase | None = None
     off = state.sampled.off
     share = min(noise.information for noise in state.noise)
+    wide = float(np.abs(state.setup.board.drawn).max())  # no place moves by more than the board is
     for k in range(_ROUNDS):
         state = moved_motion(state, base, off)
         base = state.base
@@ -163,7 +164,7 @@ def _newton(state: ArrayState, close: float) -> ArrayState:
         inner = matrix + np.diag(base.prior)
         # Weights that follow residuals answer less than they say, so a step goes farther.
         step = np.linalg.solve(share * matrix + np.diag(base.prior), along - base.pull)
-        if not float(np.abs(step[: state.positions]).max()) < _RUNAWAY * state.setup.board.prior_sd:
+        if not float(np.abs(step[: state.positions]).max()) < wide:
             break
         variance = np.sum(inverse_root(inner) ** 2, axis=1)
         # Weights go by the residuals after the step, not by those that led to it.
