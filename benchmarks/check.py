@@ -1,5 +1,5 @@
-"""The marks of `imucal check`: false alarms, shifts that are found, the power that is stated
-against the power had, and false alarms of repeated checks.
+"""The marks of `imucal check`: false alarms and power as stated against those had, changes that are
+found, and false alarms of repeated checks.
 
 Sensors, calibrations and checks are made in plain numpy; the program calibrates and checks. Usage:
 
@@ -21,9 +21,9 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import numpy as np
 
 from imucalib.calibration.calibration import Calibration, from_fit
-from imucalib.calibration.checking.misfit import misfits_of
+from imucalib.calibration.checking.check import Measured, SensorCheck, check
+from imucalib.calibration.checking.misfit import change_question, misfits_of
 from imucalib.calibration.checking.noise import check_noise
-from imucalib.calibration.checking.statistic import Statistic
 from imucalib.calibrators.lab.bench import position_observations, still_observations
 from imucalib.calibrators.lab.calibrate import base_model
 from imucalib.calibrators.lab.conventions import Conventions
@@ -33,8 +33,6 @@ from imucalib.calibrators.lab.run import noise_block
 from imucalib.core.observations import Observations
 from imucalib.estimators.least_squares import fit
 from worlds.instrument import Array, Bench, G, Instrument, four, instrument, positions
-
-ALPHA = 0.05
 
 
 @dataclass(frozen=True)
@@ -79,11 +77,24 @@ def calibrated(world: World, tool: Instrument, rng: np.random.Generator) -> Cali
     )
 
 
+def checked(calibration: Calibration, now: Observations) -> SensorCheck:
+    """The check of one recording, with the limit by default."""
+    noise = check_noise(calibration)
+    misfits, _ = misfits_of(calibration, now, noise)
+    return check(calibration, [Measured(misfits)], noise, {}).sensors[0]
+
+
 @dataclass(frozen=True)
 class Trial:
-    """p by kind of shift; stated : shift that the check says it could see"""
+    """told, changed, right : by kind of shift, whether anything was told, a change of the sensor,
+    and that one among its causes
+    nothing : probability that nothing changed; stated : size that the check says it could see, and
+    its false alarms"""
 
-    p: dict[str, float]
+    told: dict[str, bool]
+    changed: dict[str, bool]
+    right: dict[str, bool]
+    nothing: dict[str, float]
     stated: dict[str, float]
 
 
@@ -94,41 +105,41 @@ def trial(job: tuple[str, int]) -> Trial:
     rng = np.random.default_rng([seed, len(name)])
     tool = instrument(rng)
     made = calibrated(world, tool, rng)
-    noise = check_noise(made)
     angles = four(rng)
     along = rng.standard_normal(3)
     along /= np.linalg.norm(along)
-    shifts = {"none": ("bias", 0.0, along), "bias 1.5 mg": ("bias", 1.5, along)}
+    shifts = {"none": ("bias", 0.0, along)}
+    shifts |= {f"bias {size} mg": ("bias", size, along) for size in (1.0, 1.5, 2.0)}
+    shifts["scale 0.1 %"] = ("scale", 1.0, np.eye(3)[rng.integers(3)])
     if world.known:
-        shifts["mounting 0.1 deg"] = ("mounting", 0.1, along)
-    first = Statistic(misfits_of(made, recorded(world, tool, angles, rng), noise)[0], seed=seed)
-    stated = {}
-    for kind in first.columns:
-        worst = first.worst(kind)
-        stated[kind] = first.seen(kind)
-        if kind != "scale" and worst is not None:
-            shifts[f"stated {kind}"] = (kind, stated[kind], worst * rng.choice([-1.0, 1.0]))
-    p = {}
+        shifts |= {f"mounting {size} deg": ("mounting", size, along) for size in (0.05, 0.1)}
+    first = checked(made, recorded(world, tool, angles, rng))
+    question = change_question(first.misfits, dict.fromkeys(("bias", "scale", "mounting"), 1.0))
+    stated = {"none": first.false_alarm}
+    for k, (kind, own) in enumerate(first.sizes.items()):
+        worst = question.worst(k)
+        if worst is not None:
+            stated[f"stated {kind}"] = own.seen
+            shifts[f"stated {kind}"] = (kind, own.seen, worst * rng.choice([-1.0, 1.0]))
+    told, changed, right, nothing = {}, {}, {}, {}
     for what, (kind, size, direction) in shifts.items():
-        now = recorded(world, tool.changed(kind, size, direction), angles, rng)
-        misfits, _ = misfits_of(made, now, noise)
-        p[what] = Statistic(misfits, seed=seed).p()
-    return Trial(p, stated)
+        found = checked(made, recorded(world, tool.changed(kind, size, direction), angles, rng))
+        told[what] = found.answer.told
+        changed[what] = found.changed
+        right[what] = kind in found.causes
+        nothing[what] = found.answer.nothing
+    return Trial(told, changed, right, nothing, stated)
 
 
-def repeated(job: tuple[str, int]) -> float:
-    """Twenty checks of an unchanged sensor with one calibration: smallest p."""
+def repeated(job: tuple[str, int]) -> bool:
+    """Twenty checks of an unchanged sensor with one calibration: whether any tells a change."""
     name, seed = job
     world = WORLDS[name]
     rng = np.random.default_rng([seed, 77])
     tool = instrument(rng)
     made = calibrated(world, tool, rng)
-    noise = check_noise(made)
-    smallest = 1.0
-    for _ in range(20):
-        misfits, _ = misfits_of(made, recorded(world, tool, four(rng), rng), noise)
-        smallest = min(smallest, Statistic(misfits, seed=seed, draws=2000).p())
-    return smallest
+    every = (checked(made, recorded(world, tool, four(rng), rng)) for _ in range(20))
+    return any([one.answer.told for one in every])
 
 
 def share(hits: list[bool]) -> str:
@@ -141,21 +152,24 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=400)
     parser.add_argument("--jobs", type=int, default=1)
     chosen = parser.parse_args()
-    print("| world | shift | found (p <= 5 %) | stated, median |")
-    print("|---|---|---|---|")
+    print("| world | shift | told | changed | as this kind | unchanged, mean | stated, mean |")
+    print("|---|---|---|---|---|---|---|")
     with ProcessPoolExecutor(chosen.jobs) as pool:
         for name, world in WORLDS.items():
             trials = list(pool.map(trial, [(name, k) for k in range(chosen.runs)], chunksize=8))
-            for what in trials[0].p:
-                kind = what.removeprefix("stated ")
-                size = [t.stated[kind] for t in trials] if what.startswith("stated") else []
+            for what in dict.fromkeys(w for t in trials for w in t.told):
+                some = [t for t in trials if what in t.told]
+                size = [t.stated[what] for t in some if what in t.stated]
                 print(f"| {name}: {world.noise:g} mg, {world.setting:g} deg, "
                       f"{world.calibrated} + 4 | {what} "
-                      f"| {share([t.p[what] <= ALPHA for t in trials])} "
-                      f"| {f'{np.median(size):.2f}' if size else '-'} |", flush=True)  # fmt: skip
-        each = list(pool.map(repeated, [("rests", k) for k in range(chosen.runs)], chunksize=8))
-    print(f"\n20 checks of one calibration, nothing changed, {chosen.runs} devices: "
-          f"p <= 5 % ever in {share([p <= ALPHA for p in each])}")  # fmt: skip
+                      f"| {share([t.told[what] for t in some])} "
+                      f"| {share([t.changed[what] for t in some])} "
+                      f"| {share([t.right[what] for t in some])} "
+                      f"| {np.mean([t.nothing[what] for t in some]):.2f} "
+                      f"| {f'{np.mean(size):.3f}' if size else '-'} |", flush=True)  # fmt: skip
+        each = list(pool.map(repeated, [("rests", k) for k in range(chosen.runs // 4)]))
+    print(f"\n20 checks of one calibration, nothing changed, {len(each)} devices: "
+          f"a change ever told in {share(each)}")  # fmt: skip
 
 
 if __name__ == "__main__":

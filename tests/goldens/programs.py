@@ -173,20 +173,6 @@ def chi_quantiles() -> tuple[str, str, Iterable[Array]]:
     return "findroot of gammainc(dof/2, x/2) = 0.025 and 0.975, 40 digits", "dof,high,low", rows
 
 
-def fisher() -> tuple[str, str, Iterable[Array]]:
-    """Upper tails of F(rank, dof)."""
-    from mpmath import betainc, mp, mpf
-
-    mp.dps = 40
-    rows = []
-    for rank, dof in ((1, 4.0), (3, 7.5), (3, 26.0), (12, 33.25), (3, 1e6)):
-        for f in (0.3, 1.0, 4.0, 25.0):
-            x = mpf(dof) / (mpf(dof) + rank * mpf(f))
-            tail = betainc(mpf(dof) / 2, mpf(rank) / 2, 0, x, regularized=True)
-            rows.append(np.array([rank, dof, f, _precise(tail)]))
-    return "betainc(dof/2, rank/2, 0, dof/(dof+rank f)), 40 digits", "rank,dof,f,tail", rows
-
-
 #: Recordings of the sample logs that hold ROS messages.
 LOGS = ("rests.mcap", "board_part.mcap")
 SUMS = ("first", "last", "messages", *(f"{kind}_{axis}" for kind in
@@ -240,7 +226,6 @@ MADE: dict[str, tuple[str, Callable[[], tuple[str, str, Iterable[Array]]]]] = {
     "student": ("mpmath", student),
     "chi_square": ("mpmath", chi_square),
     "chi_quantiles": ("mpmath", chi_quantiles),
-    "fisher": ("mpmath", fisher),
     "messages": ("mcap", messages),
 }
 

@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 
 from goldens.test_programs import golden
-from imucalib.calibration.checking.misfit import CovariancePart, Misfits
-from imucalib.calibration.checking.statistic import ANYTHING, Statistic
 from imucalib.calibration.comparison.agreement import beyond
 from imucalib.calibrators.lab.advice import beyond_declared
 from imucalib.core.fit import Fit
@@ -57,32 +55,6 @@ def test_more_scatter_than_declared_has_the_tail_of_chi_square() -> None:
         noise = SimpleNamespace(factor=np.sqrt(x / dof))
         fit = SimpleNamespace(noise=noise, noise_covariance=np.array([[0.5 / dof]]), dof=3)
         assert beyond_declared(cast(Fit, fit)) == pytest.approx(tail, rel=1e-9, abs=1e-300)
-
-
-def test_a_check_has_the_tail_of_f() -> None:
-    """A misfit along one of `rank` columns of twelve: F = misfit² / (rank variance)."""
-    n = 12
-    for of, dof, f, tail in zip(*golden("fisher").values(), strict=True):
-        rank = int(of)
-        value = np.zeros(n)
-        value[0] = 0.3 * np.sqrt(rank * f)
-        misfits = Misfits(
-            value=value,
-            noise={"reading": CovariancePart(0.09 * np.eye(n), dof)},
-            session={},
-            jacobian=np.zeros((n, 1)),
-            parameters=np.zeros((1, 1)),
-            changes={"bias": np.eye(n)[:, :rank]},
-            owner=np.arange(n) // 3,
-            label=("",) * 4,
-            force=np.ones((4, 3)),
-            directed=True,
-        )
-        tested = Statistic(misfits).tested()
-        assert tested["bias"].f == pytest.approx(f)
-        assert tested["bias"].p == pytest.approx(tail, rel=1e-9)
-        if rank == n:
-            assert tested[ANYTHING].p == pytest.approx(tail, rel=1e-9)
 
 
 def test_the_scatter_between_calibrations_has_the_ends_of_chi_square() -> None:

@@ -51,7 +51,6 @@ if TYPE_CHECKING:
 @opt.gravity
 @opt.force
 @opt.recording
-@opt.seed
 @opt.full
 @opt.json
 @opt.quiet
@@ -59,8 +58,8 @@ def command(calibration: Path, log: Path, **options: Any) -> int:
     """Say whether a calibration is still good, from a few rests or positions.
 
     LOG is a recording with rests, or a table of positions as `lab` reads it; four suffice. Known
-    angles or faces also test directions. Exit 0 still good, 1 changed, 5 undecided: with the change
-    that could have been seen, and the rests to add.
+    angles or faces also test directions. Exit 0 still good, 1 changed, 5 undecided: with the
+    probability of each change, the size that would have been seen, and the rests to add.
 
     \b
     Examples:
@@ -87,7 +86,7 @@ def command(calibration: Path, log: Path, **options: Any) -> int:
         measured, notes = opt.read_as_calibrated(
             loaded, options, lambda mapping: _measure(loaded, log, mapping, noise, options)
         )
-        found = check(loaded, measured, noise, limits, seed=options["seed"], notes=notes)
+        found = check(loaded, measured, noise, limits, notes=notes)
     content = check_dict(found, log.name, calibration.name, loaded.sha256)
     document = check_document(found, log, calibration, command_line())
     present(document, {**content, **shown_dict(document)}, options, page)

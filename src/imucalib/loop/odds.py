@@ -165,3 +165,10 @@ ENDED, PLANNED = 0.9, (4, 24)
 #: Sizes of a rival, in its typical size, over which its evidence is maximised; draws of it, and
 #: the share of them that counts as few when plans are compared.
 RIVAL_SIZES, DRAWS, UNLUCKY = (0.1, 0.3, 1.0, 3.0, 10.0), 24, 0.15
+
+# What has changed: told once that it is likelier than not (`ACCUSED`), for a change that is missed
+# costs as much as one that is none.
+#: Shares of the noises of parts whose sizes are estimates, over which what changed is summed.
+NOISES = 32
+#: Chance with which a change of the size that is stated is told.
+SEEN_IN = 0.8

@@ -28,7 +28,8 @@ from imucalib.core.observations import Observations
 from imucalib.effects import known, names_a_cause
 from imucalib.effects.record_error import is_record_error
 from imucalib.loop.candidates import effect_columns, slopes_within
-from imucalib.loop.odds import ALIKE, CERTAIN, DRAWS, ENDED, PLANNED, RIVAL_SIZES, ROUNDS, UNLUCKY
+from imucalib.loop.odds import ALIKE, CERTAIN, DRAWS, ENDED, PLANNED, RIVAL_SIZES, UNLUCKY
+from imucalib.loop.planning import Plan, grow
 from imucalib.loop.record_errors import drop_effects
 
 #: Precision of a base parameter at typical size that no data determine: a hundred typical sizes.
@@ -162,7 +163,7 @@ class Separation:
 
     effect: str
     rivals: tuple[str, ...]
-    plan: tuple[int, ...]
+    plan: Plan
     pairs: tuple[tuple[str, str], ...]
     now: Array
     then: Array
@@ -183,17 +184,17 @@ def separation(one: Ambiguity, pool: Array) -> Separation:
     pool : (c, P, P) products of each candidate, of what could be recorded
     """
     able = separable(one, pool)
-    plan: tuple[int, ...] = ()
+    plan: Plan = ()
     ends: Mapping[str, float] = {}
 
-    def worth(gram: Array) -> Array:
+    def worth(plan: Plan) -> Array:
         """(c,) the least μ that few sizes fall below, and a little of the others, so that a plan
         grows where one pair alone cannot."""
-        each = _few(apart(one, one.gram + gram))[..., able]
+        each = _few(apart(one, one.gram + pool[list(plan)].sum(axis=0) + pool))[..., able]
         return np.asarray(each.min(axis=-1) + 0.05 * each.mean(axis=-1))
 
     while able.any() and len(plan) < PLANNED[1] and min(ends.values(), default=0.0) < ENDED:
-        plan = _grow(pool, plan, worth)
+        plan = grow(plan, worth)
         if len(plan) >= PLANNED[0]:
             ends = _ends(one, able, pool[list(plan)].sum(axis=0))
     total = pool[list(plan)].sum(axis=0)
@@ -239,22 +240,6 @@ def _ends(one: Ambiguity, able: Array, added: Array) -> Mapping[str, float]:
         if rows:
             found[truth] = float(certain[rows].prod(axis=0).mean())
     return found
-
-
-def _grow(pool: Array, plan: tuple[int, ...], worth: Callable[[Array], Array]) -> tuple[int, ...]:
-    """A plan with one candidate more, then each exchanged while that helps."""
-    each = worth(pool[list(plan)].sum(axis=0) + pool)
-    chosen, now = [*plan, int(np.argmax(each))], float(each.max())
-    for _ in range(ROUNDS):
-        before = now
-        for place in range(len(chosen)):
-            rest = chosen[:place] + chosen[place + 1 :]
-            each = worth(pool[rest].sum(axis=0) + pool)
-            if float(each.max()) > now * (1.0 + 1e-6) + 1e-12:
-                chosen[place], now = int(np.argmax(each)), float(each.max())
-        if now <= before * (1.0 + 1e-3):
-            break
-    return tuple(chosen)
 
 
 def ambiguities(

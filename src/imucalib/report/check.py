@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibration.checking.check import ALPHA, POWER, SIGNIFICANT, Check, SensorCheck
+from imucalib.calibration.checking.check import SIGNIFICANT, Check, SensorCheck
+from imucalib.calibration.checking.misfit import BAD_REST
 from imucalib.calibration.checking.next_rests import MANY, NextRests
 from imucalib.calibration.checking.noise import FAMILIES
-from imucalib.calibration.checking.statistic import ANYTHING, DRAWS
 from imucalib.calibration.plain import fields, plain
+from imucalib.loop.changes import NOISE
+from imucalib.loop.odds import SEEN_IN
 from imucalib.report.document import (
     Block,
     Card,
@@ -29,10 +31,10 @@ from imucalib.report.document import (
     Worth,
     capital,
 )
-from imucalib.significant_digits import plus_minus, probability, signed_components, two_digits
+from imucalib.significant_digits import per_cent, plus_minus, signed_components, two_digits
 from imucalib.units import MG
 
-SCHEMA = "imucal/check/1"
+SCHEMA = "imucal/check/2"
 _TONE: dict[str, Tone] = {"still good": "ok", "changed": "bad", "undecided": "warning"}
 _HEADLINE = {
     "still good": "Still good.",
@@ -43,7 +45,9 @@ _HEADLINE = {
 _NORMAL_95 = 1.96
 #: Rests that a card names.
 _RESTS = 6
-_OFTEN = f"{100 * POWER:.0f} %"
+#: Probability from which on another kind of change is named beside the likeliest.
+_NAMED = 0.1
+_OFTEN = f"{100 * SEEN_IN:.0f} %"
 
 
 def check_document(check: Check, log: Path, calibration: Path, command: str = "") -> Document:
@@ -79,7 +83,7 @@ def _of(sensor: SensorCheck) -> str:
 
 def _least(check: Check, name: str) -> float:
     """The change of a kind that would have been found in every sensor."""
-    return max(sensor.seen[name] for sensor in check.sensors)
+    return max(sensor.sizes[name].seen for sensor in check.sensors)
 
 
 def _sizes(sizes: Iterable[tuple[str, float]]) -> str:
@@ -91,21 +95,23 @@ def _sizes(sizes: Iterable[tuple[str, float]]) -> str:
 
 
 def _odd(check: Check) -> list[str]:
-    """The readings that do not belong to the others of their sensor."""
-    return [f"{_of(s)}{s.misfits.label[s.alone]}" for s in check.disturbed if s.alone is not None]
+    """What may be off of the sensors that need not have changed."""
+    return [
+        f"{_of(s)}{s.misfits.label[s.alone]} does not belong to the others"
+        if s.alone is not None
+        else f"{_of(s)}may have changed: {_others(s, ())}"
+        for s in check.disturbed
+    ]
 
 
 def _verdict(check: Check) -> Text:
     """The headline."""
-    lead, tone = f"(p {probability(check.p, DRAWS)})", _TONE[check.verdict]
+    lead, tone = f"(unchanged: {per_cent(check.nothing)})", _TONE[check.verdict]
     least = {name: _least(check, name) for name in check.limits}
     if check.verdict == "changed":
         return Text(f"Changed {lead}: {'; '.join(_changes(check))}.", tone)
     if check.disturbed:
-        words = (
-            f"Undecided {lead}: only {' and '.join(_odd(check))} does not belong to the others; "
-            "without it nothing shows. Hold that attitude again."
-        )
+        words = f"Undecided {lead}: {'; '.join(_odd(check))}."
     elif check.verdict == "undecided":
         short = " or ".join(
             f"{limit:.2g} {FAMILIES[name]} of {name}"
@@ -118,7 +124,7 @@ def _verdict(check: Check) -> Text:
         )
     else:
         words = (
-            f"Still good {lead}: a change of {_sizes(least.items())} would have been found in "
+            f"Still good {lead}: a change of {_sizes(least.items())} would have been told in "
             f"{_OFTEN} of such checks."
         )
     return Text(words, tone)
@@ -133,13 +139,10 @@ def _card(check: Check, calibration: Path, command: str) -> Card:
         detail = f"seen by {_OFTEN} of such checks; limit {limit:.2g} {unit}, {_how(check)}"
         worths.append(Worth(f"see a change of {name}", shown, detail))
     found = Text.sentences(_changes(check), "bad")
-    found += Text.each((f"{odd} does not belong to the others." for odd in _odd(check)), "warning")
+    found += Text.sentences(_odd(check), "warning")
     if not found:
         words = "Nothing shows: the readings are as the calibration foretells them."
         found = (Text(words, "ok" if check.verdict == "still good" else "plain"),)
-    if moved := [s.name or "the gyroscope" for s in check.turned_on if s not in check.drifted]:
-        words = f"The gyroscope's bias of {', '.join(moved)} moved, as at every switching on."
-        found += (Text(words),)
     steps = _to_do(check, shlex.quote(str(calibration)))
     picture, headline = _picture(check), _HEADLINE[check.verdict]
     return Card(tuple(worths), found, steps, command, headline=headline, picture=picture)
@@ -148,7 +151,7 @@ def _card(check: Check, calibration: Path, command: str) -> Card:
 def _picture(check: Check) -> Plot:
     """By how much every reading of the least likely sensor is off what the calibration foretells,
     with the 95 % of an unchanged one."""
-    sensor = min(check.sensors, key=lambda s: s.p)
+    sensor = min(check.sensors, key=lambda s: s.answer.nothing)
     misfits = sensor.misfits
     rows, half = np.arange(1.0, misfits.n + 1.0), np.zeros(misfits.n)
     # Of a reading's axes the one that is known least.
@@ -171,7 +174,9 @@ def _to_do(check: Check, calibration: str) -> tuple[str, ...]:
             f"See then what has changed: `imucal compare {calibration} NEW`.",
         )
     if check.disturbed:
-        return ("Hold that attitude again, and check all readings together.",)
+        odd = [s.misfits.label[s.alone] for s in check.disturbed if s.alone is not None]
+        which = f"the attitude of {', '.join(dict.fromkeys(odd))}" if odd else "these attitudes"
+        return (f"Hold {which} again, and check all readings together.",)
     if check.verdict != "undecided":
         return (f"Go on with it: `imucal apply {calibration} RECORDING -o corrected.mcap`.",)
     if following is not None and following.enough:
@@ -195,28 +200,35 @@ def _changes(check: Check) -> list[str]:
 
 
 def _causes(sensor: SensorCheck) -> str:
-    if not sensor.causes:
-        kinds = [name for name in sensor.tests if name != ANYTHING]
-        text = f"neither {' nor '.join(kinds)} alone explains it, "
-        if sensor.together is None:
-            return text + "and these are too few readings to tell more"
-        return text + ("all together do" if sensor.together else "nor do all together")
-    sizes = {name: _size(sensor, name) for name in sensor.causes}
-    name, *others = (f"the {name}" for name in sizes)
-    size, *rest = (f" ({size})" if size else "" for size in sizes.values())
-    first = f"{name} has changed{size}"
-    if not others:
-        return first
-    named = ", or ".join(map(str.__add__, others, rest))
-    return f"{first}, or {named}: these readings cannot tell them apart"
+    kinds = [name for name in sensor.causes if name in FAMILIES]
+    words = [f"the {name} has changed{_sized(sensor, name)}" for name in kinds]
+    if NOISE in sensor.causes:
+        alone = "these readings scatter more than the calibration says"
+        words.append("the rest scatters more" if words else f"{alone}, or change in another way")
+    if BAD_REST in sensor.causes:
+        words.append("one rest is off")
+    more = _others(sensor, sensor.causes)
+    return " and ".join(words) + (f" (or else: {more})" if more else "")
+
+
+def _others(sensor: SensorCheck, told: Sequence[str]) -> str:
+    """What else may have changed, with its probability, likeliest first."""
+    share = {n: sensor.answer.of(n) for n in (*sensor.sizes, BAD_REST, NOISE) if n not in told}
+    likely = sorted((n for n, p in share.items() if p >= _NAMED), key=lambda n: -share[n])
+    return ", ".join(f"{name} {per_cent(share[name])}" for name in likely)
+
+
+def _sized(sensor: SensorCheck, name: str) -> str:
+    size = _size(sensor, name)
+    return f" by {size}" if size else ""
 
 
 def _size(sensor: SensorCheck, name: str) -> str:
     """Each axis with its sd; nothing where it is open."""
-    test = sensor.tests[name]
-    if np.isnan(test.size).any():
+    size = sensor.sizes[name]
+    if np.isnan(size.value).any():
         return ""
-    axes = zip("xyz", map(plus_minus, test.size, test.sd), strict=True)
+    axes = zip("xyz", map(plus_minus, size.value, size.sd), strict=True)
     return f"{', '.join(map(' '.join, axes))} {FAMILIES[name]}".strip()
 
 
@@ -229,39 +241,44 @@ def _attitude(direction: Array) -> str:
 def _each(check: Check) -> Table:
     """An array's IMUs, a row each."""
     rows = tuple(
-        (s.name, f"{s.p:.2g}", _size(s, "bias") or "open", two_digits(s.seen["bias"]))
+        (
+            s.name,
+            per_cent(s.answer.nothing),
+            _size(s, "bias") or "open",
+            two_digits(s.sizes["bias"].seen),
+        )
         for s in check.sensors
     )
     limit = check.limits.get("bias")
     more = "" if limit is None else f"; limit {limit:.2g} mg, {_how(check)}"
-    note = (
-        f"Could see: change of bias, mg, found in {_OFTEN} of such checks at a level of "
-        f"{100 * ALPHA:.0f} % over all IMUs{more}."
-    )
-    header = ("sensor", "p", "change of bias", "could see")
+    note = f"Could see: change of bias, mg, told in {_OFTEN} of such checks{more}."
+    header = ("sensor", "unchanged", "change of bias", "could see")
     tones = Table.marked("bad", (s in check.changed for s in check.sensors))
     return Table("", header, rows, "lrlr", note, tones)
 
 
 def _change_table(check: Check) -> Table:
-    several, every = bool(check.sensors[0].name), [(s, n) for s in check.sensors for n in s.tests]
+    several = bool(check.sensors[0].name)
+    every = [(s, n) for s in check.sensors for n in (*s.sizes, BAD_REST, NOISE)]
 
     def row(sensor: SensorCheck, name: str) -> tuple[str, ...]:
-        limit, seen = check.limits.get(name), sensor.seen.get(name, math.nan)
-        size = "" if name == ANYTHING else _size(sensor, name)
-        shown = "-" if math.isnan(seen) else "none" if math.isinf(seen) else two_digits(seen)
-        cells = (name, f"{sensor.tests[name].p:.2g}", size or "open", shown)
+        limit, size = check.limits.get(name), sensor.sizes.get(name)
+        estimate, shown = "-", "-"
+        if size is not None:
+            estimate = _size(sensor, name) or "open"
+            shown = "none" if math.isinf(size.seen) else two_digits(size.seen)
+        cells = (name, per_cent(sensor.answer.of(name)), estimate, shown)
         last = ("-" if limit is None else f"{limit:.2g}", FAMILIES.get(name, ""))
         return (*[sensor.name] * several, *cells, *last)
 
-    level = ALPHA / len(check.sensors)
-    tones = Table.marked("bad", (s.tests[n].p <= level and s in check.changed for s, n in every))
+    tones = Table.marked("bad", (n in s.causes for s, n in every))
     note = (
-        f"Could see: change in the direction that shows least, found in {_OFTEN} of "
-        f"such checks at a level of {100 * ALPHA:.0f} % over all kinds. Limit: {_how(check)}. "
-        "A scale of 1 mg/g is a thousandth."
+        "There: probability, whatever else changed. Could see: change in the direction that shows "
+        f"least, told in {_OFTEN} of such checks; of unchanged sensors at most "
+        f"{per_cent(check.false_alarm)} are told. Limit: {_how(check)}. A scale of 1 mg/g is a "
+        "thousandth."
     )
-    header = (*["sensor"] * several, "change", "p", "estimate", "could see", "limit", "unit")
+    header = (*["sensor"] * several, "change", "there", "estimate", "could see", "limit", "unit")
     rows = tuple(row(*one) for one in every)
     return Table("", header, rows, "l" * several + "lrlrrl", note, tones)
 
@@ -294,17 +311,20 @@ def _readings(sensor: SensorCheck) -> Table:
 
 def _gyros(check: Check) -> tuple[Table, ...]:
     resting = [(s, s.gyro) for s in check.sensors if s.gyro is not None]
+    limit = check.rate_limit
     rows = tuple(
-        (s.name, *map(plus_minus, gyro.bias, gyro.sd), f"{gyro.p:.2g}") for s, gyro in resting
+        (s.name, *map(plus_minus, gyro.bias, gyro.sd))
+        + ((per_cent(gyro.beyond(limit)),) if math.isfinite(limit) else ())
+        for s, gyro in resting
     )
     note = (
         "Rate at rest beyond the calibrated bias, deg/s; sd by the scatter between rests. "
-        "Gyroscopes move at every switching on: it counts as changed beyond a limit only "
-        "(--limit 0.5deg/s)."
+        "Gyroscopes move at every switching on: it counts as changed where it is likelier beyond "
+        "a limit than within (--limit 0.5deg/s)."
     )
-    tones = Table.marked("warning", (s in check.turned_on for s, _ in resting))
-    header = ("sensor", "x", "y", "z", "p")
-    return (Table("", header, rows, "lrrrr", note, tones),) if rows else ()
+    tones = Table.marked("warning", (s in check.drifted for s, _ in resting))
+    header = ("sensor", "x", "y", "z", "beyond limit")[: len(rows[0]) if rows else 0]
+    return (Table("", header, rows, "lrrrr"[: len(header)], note, tones),) if rows else ()
 
 
 def _following(following: NextRests) -> tuple[Block, ...]:
@@ -342,9 +362,9 @@ def check_dict(check: Check, log: str, calibration: str, sha256: str) -> dict[st
         "calibration": calibration,
         "calibration_sha256": sha256,
         "log": log,
-        **fields(check, "verdict exit_code p"),
-        "alpha": ALPHA,
-        "power": POWER,
+        **fields(check, "verdict exit_code unchanged=nothing"),
+        "power": SEEN_IN,
+        "false_alarm": check.false_alarm,
         "limits": {n: {"value": v, "unit": FAMILIES[n]} for n, v in check.limits.items()},
         "limits_stated": check.stated,
         "explanation": _changes(check),
@@ -359,19 +379,20 @@ def _sensor_dict(sensor: SensorCheck) -> dict[str, Any]:
     misfits = sensor.misfits
     sd = np.sqrt(np.diag(misfits.covariance))
     each = zip(misfits.owner, misfits.value, sd, strict=True)
-    test = "f p rank p_of_what_is_left=rest estimate=size sd"
-    bias = "bias_deg_per_s=gyro.bias sd_deg_per_s=gyro.sd p=gyro.p"
+    gyro = sensor.gyro
     return {
-        **fields(sensor, "name p causes"),
+        **fields(sensor, "name unchanged=answer.nothing causes"),
         "one_reading_alone": None if sensor.alone is None else misfits.label[sensor.alone],
-        **fields(misfits, "dof readings=n directions_known=directed"),
+        **fields(misfits, "readings=n directions_known=directed"),
         "changes": [
-            {"kind": name, "unit": FAMILIES.get(name, ""), **fields(one, test)}
-            | {"could_see": sensor.seen.get(name)}
-            for name, one in sensor.tests.items()
+            {"kind": name, "unit": FAMILIES[name], "probability": sensor.answer.of(name)}
+            | fields(size, "estimate=value sd could_see=seen")
+            for name, size in sensor.sizes.items()
         ],
+        "one_bad_rest": sensor.answer.of(BAD_REST),
+        "more_noise": sensor.answer.of(NOISE),
         "misfits": [
             {"reading": misfits.label[o], "mg": v / MG, "sd_mg": s / MG} for o, v, s in each
         ],
-        "gyroscope": None if sensor.gyro is None else fields(sensor, bias),
+        "gyroscope": gyro and fields(gyro, "bias_deg_per_s=bias sd_deg_per_s=sd"),
     }

@@ -11,7 +11,7 @@ from options.bench import Bench
 from options.case import USUAL, Case, Check, Of, ends, gives_what
 from options.cases.calibrating_block import normal_gravity
 from options.inputs import direction, rows
-from options.outcome import Outcome, differences
+from options.outcome import Outcome
 
 CHECK = Of("check")
 PLAIN = USUAL["check"]
@@ -65,14 +65,6 @@ def _long_ones(without: Outcome, done: Outcome, bench: Bench) -> None:
     assert [len(one), len(two)] == [18, 9]
     assert list(two) == list(one)[1::2]
     np.testing.assert_allclose([two[k] for k in two], [one[k] for k in two], rtol=1e-6)
-
-
-def _other_chance(without: Outcome, done: Outcome, bench: Bench) -> None:
-    """What is simulated moves, by what 8000 simulated recordings leave open; the card rounds it."""
-    moved = {place.rpartition("/")[2] for place in differences(without.content, done.content)}
-    assert moved - {"value"} == {"p", "could_see"}
-    p, other = without.content["p"], done.content["p"]
-    assert abs(p - other) < 5.0 * np.sqrt(2.0 * p * (1.0 - p) / 8000.0) + 1e-3
 
 
 def _knows(without: Outcome, done: Outcome, bench: Bench) -> None:
@@ -130,7 +122,6 @@ CASES: tuple[Case, ...] = (
     CHECK("--shortest-rest 3", _long_ones, *_on("long_and_short.csv")),
     CHECK("--shortest-rest 100", ends(3, "18 too short"), *_on("rests.csv")),
     CHECK("--shortest-rest nan", ends(2, "--shortest-rest nan"), *_on("rests.csv")),
-    CHECK("--seed 3", _other_chance),
     CHECK("--effects <own.py>", _knows, *_on("crossed.csv", "crossed_calibration.yaml")),
     Of("compare")("--between-sessions 0.5mg", _more_apart({"bias": 0.25}), *TWINS),
     Of("compare")("--between-sessions 0.05deg", _more_apart({"mounting": 0.0025}), *TWINS),

@@ -1,4 +1,5 @@
-"""Is a calibration still good? The verdict of a few rests or positions, and what they can see."""
+"""Is a calibration still good? What a few rests or positions say of it, in per cent, and what they
+could have shown."""
 
 from __future__ import annotations
 
@@ -9,46 +10,65 @@ from typing import Literal
 
 import numpy as np
 
+from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
-from imucalib.calibration.checking.misfit import GyroRest, Misfits
+from imucalib.calibration.checking.misfit import BAD_REST, GyroRest, Misfits, change_question
 from imucalib.calibration.checking.next_rests import NextRests, next_rests, one_reading
-from imucalib.calibration.checking.noise import CheckNoise, Limits
-from imucalib.calibration.checking.statistic import ANYTHING, FamilyTest, Statistic
+from imucalib.calibration.checking.noise import FAMILIES, CheckNoise, Limits
 from imucalib.errors import UNEXPLAINED_EXIT_CODE, LimitBroken, UsageError
+from imucalib.loop.changes import ChangeAnswer
+from imucalib.loop.odds import ACCUSED
 from imucalib.units import DEG, MG
 
 Verdict = Literal["still good", "changed", "undecided"]
 #: Standard deviations of one corrected reading that a change must reach to matter, where no limit
 #: is stated: what is less, single readings of the instrument do not show.
 SIGNIFICANT = 5.0
-#: Level of the test, over all sensors.
-ALPHA = 0.05
-#: Chance with which the change that is stated would have been found.
-POWER = 0.9
-#: p below which a kind of change leaves too much unexplained to be the whole story.
-_LEFT = 0.05
-#: Readings from which on one of them may be set apart from the others.
-_MANY = 8
+
+
+@dataclass(frozen=True)
+class ChangeSize:
+    """One kind of change. value, sd : (3,) each axis in the kind's unit, beside what else is
+    likeliest; NaN where one is open; seen : the size that would have been told"""
+
+    value: Array
+    sd: Array
+    seen: float
 
 
 @dataclass(frozen=True)
 class SensorCheck:
-    """One sensor. name : of an array's IMU, else empty; p : that nothing changed, over all kinds of
-    change; seen : per kind, the change in the worst direction that would have been found
-    causes : kinds of change that explain the misfits, the best first, none where none does alone
-    together : whether all kinds together explain them, None where they always would
-    alone : the row of the one reading without which nothing shows
-    """
+    """One sensor. name : of an array's IMU, else empty; answer : what changed; sizes : by kind
+    false_alarm : chance, at most, with which a change is told where there is none"""
 
     name: str
     misfits: Misfits
-    tests: Mapping[str, FamilyTest]
-    p: float
-    seen: Mapping[str, float]
-    causes: tuple[str, ...]
-    together: bool | None = None
-    alone: int | None = None
+    answer: ChangeAnswer
+    sizes: Mapping[str, ChangeSize]
+    false_alarm: float
     gyro: GyroRest | None = None
+
+    @property
+    def changed(self) -> bool:
+        """Whether it is likelier that the sensor changed than not: one rest that is off is none."""
+        p = self.answer.probability_that(lambda names: not set(names) <= {BAD_REST})
+        return p > ACCUSED * (1.0 - p)
+
+    @property
+    def disturbed(self) -> bool:
+        """Whether something is likelier to be off than not, and it may be one rest alone."""
+        return self.answer.told and not self.changed
+
+    @property
+    def causes(self) -> tuple[str, ...]:
+        """What the likeliest explanation of a change holds."""
+        return self.answer.likeliest.names if self.changed else ()
+
+    @property
+    def alone(self) -> int | None:
+        """Row of the one rest that does not belong to the others, where that is likeliest."""
+        likeliest = self.answer.likeliest
+        return likeliest.members[0] if self.disturbed and likeliest.names == (BAD_REST,) else None
 
 
 @dataclass(frozen=True)
@@ -56,18 +76,27 @@ class Check:
     """A finished check.
 
     limits : kind of change -> size in its unit; stated : whether the user gave them
-    p : over all sensors (Bonferroni)
+    rate_limit : of a gyroscope's bias, deg/s
     """
 
     verdict: Verdict
     sensors: tuple[SensorCheck, ...]
     limits: Mapping[str, float]
     stated: bool
-    p: float
     following: NextRests | None
     noise: CheckNoise
-    rate_limit: float | None = None
+    rate_limit: float = math.inf
     notes: tuple[str, ...] = ()
+
+    @property
+    def nothing(self) -> float:
+        """Probability that no sensor changed."""
+        return math.prod(sensor.answer.nothing for sensor in self.sensors)
+
+    @property
+    def false_alarm(self) -> float:
+        """Chance, at most, with which a change is told where no sensor changed."""
+        return min(1.0, sum(sensor.false_alarm for sensor in self.sensors))
 
     @property
     def exit_code(self) -> int:
@@ -77,33 +106,20 @@ class Check:
 
     @property
     def changed(self) -> tuple[SensorCheck, ...]:
-        """The sensors that have, by their accelerometers and not by one reading alone."""
-        return tuple(s for s in self.sensors if self.shows(s) and s.alone is None)
+        """The sensors that have, by their accelerometers."""
+        return tuple(s for s in self.sensors if s.changed)
 
     @property
     def disturbed(self) -> tuple[SensorCheck, ...]:
-        """The sensors of which one reading alone does not belong to the rest."""
-        return tuple(s for s in self.sensors if self.shows(s) and s.alone is not None)
-
-    def shows(self, sensor: SensorCheck) -> bool:
-        """Whether a sensor's readings differ from an unchanged one's beyond chance."""
-        return sensor.p * len(self.sensors) <= ALPHA
-
-    @property
-    def turned_on(self) -> tuple[SensorCheck, ...]:
-        """The sensors whose gyroscope's bias moved beyond chance."""
-        number = len(self.sensors)
-        return tuple(s for s in self.sensors if s.gyro is not None and s.gyro.p * number <= ALPHA)
+        """The sensors of which something is off, which may be one reading."""
+        return tuple(s for s in self.sensors if s.disturbed)
 
     @property
     def drifted(self) -> tuple[SensorCheck, ...]:
-        """Of those, the ones beyond the limit that the user set for rates."""
-        limit = math.inf if self.rate_limit is None else self.rate_limit
-        return tuple(
-            s
-            for s in self.turned_on
-            if s.gyro is not None and float(np.abs(s.gyro.bias).max()) > limit
-        )
+        """The sensors whose gyroscope's bias is likelier beyond the limit than within."""
+        limit = self.rate_limit
+        bar = ACCUSED / (1.0 + ACCUSED)
+        return tuple(s for s in self.sensors if s.gyro and s.gyro.beyond(limit) > bar)
 
 
 @dataclass(frozen=True)
@@ -121,38 +137,38 @@ def check(
     noise: CheckNoise,
     limits: Limits,
     *,
-    seed: int = 0,
     notes: tuple[str, ...] = (),
 ) -> Check:
-    """Judge a log of one sensor, or of an array's.
+    """Judge a log of one sensor, or of an array's, which share the prior odds of a change.
 
-    At level ALPHA over all sensors; a sensor that shows no change is still good where a change of
-    the limit's size would have been found with a chance of `POWER`.
+    A sensor that shows no change is still good where a change of the limit's size would have been
+    told. Raises UsageError where nothing tests a limit that is stated.
     """
-    level = ALPHA / len(measured)
-    sensors = tuple(_judge(one, level, seed) for one in measured)
-    directed = measured[0].misfits.directed
-    _demand_tested(limits, directed=directed, gyros=bool(calibration.triads))
-    wanted, stated = _limits(calibration, measured[0].misfits, noise, limits)
+    first = measured[0].misfits
+    _demand_tested(limits, directed=first.directed, gyros=bool(calibration.triads))
+    matters = _matters(calibration, first, noise)
+    stated = _stated(limits, directed=first.directed)
+    tested = ("bias", "mounting")[: 1 + first.directed]
+    wanted = stated or {kind: matters[kind] for kind in tested}
     found = Check(
         verdict="still good",
-        sensors=sensors,
+        sensors=tuple(_judge(one, matters, len(measured)) for one in measured),
         limits=wanted,
-        stated=stated,
-        p=min(1.0, len(sensors) * min(s.p for s in sensors)),
+        stated=bool(stated),
         following=None,
         noise=noise,
-        rate_limit=limits.get("deg/s"),
+        rate_limit=limits.get("deg/s", math.inf),
         notes=notes,
     )
     if found.changed or found.drifted:
         return replace(found, verdict="changed")
-    enough = all(s.seen[name] <= limit for s in sensors for name, limit in wanted.items())
+    sized = [(s.sizes[name].seen, limit) for s in found.sensors for name, limit in wanted.items()]
+    enough = all(seen <= limit for seen, limit in sized)
     if enough and not found.disturbed:
         return found
     if calibration.triads or enough:
         return replace(found, verdict="undecided")
-    following = next_rests(calibration, measured[0].misfits, noise, wanted, directed=directed)
+    following = next_rests(calibration, first, noise, wanted, matters)
     return replace(found, verdict="undecided", following=following)
 
 
@@ -168,57 +184,31 @@ def _demand_tested(limits: Limits, *, directed: bool, gyros: bool) -> None:
         )
 
 
-def _judge(one: Measured, level: float, seed: int) -> SensorCheck:
-    statistic = Statistic(one.misfits, seed=seed)
-    tests = statistic.tested()
-    seen = {name: statistic.seen(name, alpha=level, power=POWER) for name in statistic.columns}
-    kinds = [name for name in tests if name != ANYTHING]
-    causes = [n for n in kinds if tests[n].p <= _LEFT < tests[n].rest]
-    together = statistic.rest_of_all()
-    return SensorCheck(
-        name=one.name,
-        misfits=one.misfits,
-        tests=tests,
-        p=statistic.p(),
-        seen=seen,
-        causes=tuple(sorted(causes, key=lambda n: tests[n].p)),
-        together=None if together is None else together > _LEFT,
-        alone=None if causes else _alone(statistic, level),
-        gyro=one.gyro,
-    )
+def _judge(one: Measured, matters: Mapping[str, float], among: int) -> SensorCheck:
+    question = change_question(one.misfits, matters, among)
+    answer = question.answer()
+    told = [name for name in answer.likeliest.names if name in FAMILIES]
+    sizes = {}
+    for k, (name, unit) in enumerate(one.misfits.kinds(matters)):
+        beside = [one.misfits.changes[n] for n in told if n != name]
+        value, sd = question.size_of(one.misfits.changes[name], beside)
+        sizes[name] = ChangeSize(value, sd, unit * question.seen(k))
+    alarm = question.false_alarm()
+    return SensorCheck(one.name, one.misfits, answer, sizes, alarm, one.gyro)
 
 
-def _alone(statistic: Statistic, level: float) -> int | None:
-    """The row without which nothing shows, where no kind of change explains all rows; None of few:
-    one of these may be all that sees a change."""
-    misfits = statistic.misfits
-    if misfits.n < _MANY or statistic.p() > level:
-        return None
-    inverse = np.linalg.inv(misfits.covariance)
-    power = []
-    for row in range(misfits.n):
-        own = np.flatnonzero(misfits.owner == row)
-        part = inverse[np.ix_(own, own)]
-        pull = inverse[own] @ misfits.value
-        power.append(float(pull @ np.linalg.solve(part, pull)))
-    worst = int(np.argmax(power))
-    others = Statistic(misfits.take(np.delete(np.arange(misfits.n), worst)), seed=statistic.seed)
-    return worst if others.p() > level else None
+def _matters(calibration: Calibration, misfits: Misfits, noise: CheckNoise) -> dict[str, float]:
+    """Of every kind of change what readings show: `SIGNIFICANT` sd of one corrected reading."""
+    turn = calibration.gravity * DEG  # m/s² of a deg
+    if calibration.triads:
+        force = across = SIGNIFICANT * float(np.sqrt(np.max(np.diag(misfits.covariance))))
+    else:
+        force = SIGNIFICANT * one_reading(calibration, noise, directed=False)
+        across = SIGNIFICANT * one_reading(calibration, noise, directed=misfits.directed)
+    return {"bias": force / MG, "scale": force / MG, "mounting": across / turn}
 
 
-def _limits(
-    calibration: Calibration, misfits: Misfits, noise: CheckNoise, limits: Limits
-) -> tuple[dict[str, float], bool]:
-    """Per kind of change; where nothing is stated, `SIGNIFICANT` sd of one corrected reading."""
-    force, direction = limits.get("mg"), limits.get("deg") if misfits.directed else None
-    stated = force is not None or direction is not None
-    if not stated and calibration.triads:
-        carried = float(np.sqrt(np.max(np.diag(misfits.covariance))))
-        force = SIGNIFICANT * carried / MG
-    elif not stated:
-        force = SIGNIFICANT * one_reading(calibration, noise, directed=False) / MG
-        if misfits.directed:
-            angle = one_reading(calibration, noise, directed=True) / calibration.gravity / DEG
-            direction = SIGNIFICANT * angle
-    sizes = {"bias": force, "mounting": direction}
-    return {kind: size for kind, size in sizes.items() if size is not None}, stated
+def _stated(limits: Limits, *, directed: bool) -> dict[str, float]:
+    """The limits by the kind of change that they are of."""
+    found = {"bias": limits.get("mg"), "mounting": limits.get("deg") if directed else None}
+    return {kind: size for kind, size in found.items() if size is not None}

@@ -21,28 +21,22 @@ from imucalib.arrays import Array, Index
 from imucalib.calibration.calibration import Calibration, where_assumed
 from imucalib.calibration.checking.noise import FAMILIES, CheckNoise, Scatter
 from imucalib.calibration.triads import Triad, gain_and_bias_slope
-from imucalib.core.balance import Balanced, balance, below
+from imucalib.core.balance import Balanced, balance
 from imucalib.core.effect import Truth
-from imucalib.core.eigen import eigen
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.core.references import tangents
 from imucalib.effects import named
 from imucalib.errors import UnreadableInput
+from imucalib.loop.changes import ChangeQuestion, CovariancePart, Suspect
 from imucalib.units import DEG, MG
 
 #: Of an effect's parameter in the unit of its kind of change.
 _PER_UNIT = {"bias": 1.0, "scale": 1e-3, "mounting": 1.0}
 #: What the noise of readings is called among the parts of a covariance.
 READING = "reading"
-
-
-@dataclass(frozen=True)
-class CovariancePart:
-    """covariance : (N, N) (m/s²)²; dof : degrees of freedom of its size"""
-
-    covariance: Array
-    dof: float
+#: What a rest is called that does not belong to the others.
+BAD_REST = "one bad rest"
 
 
 @dataclass(frozen=True)
@@ -89,32 +83,9 @@ class Misfits:
         """(N, N) of an unchanged sensor."""
         return np.asarray(np.sum([part.covariance for part in self.parts], axis=0))
 
-    @cached_property
-    def dof(self) -> float:
-        """Of the whole covariance's scale: ν = 1 / Σ share² / ν_part (Satterthwaite 1946,
-        Biometrics Bulletin 2, 110-114)."""
-        inverse = np.linalg.inv(self.covariance)
-        share = np.array([np.sum(inverse * part.covariance) for part in self.parts])
-        share = share / share.sum()
-        return float(1.0 / np.sum(share**2 / np.array([part.dof for part in self.parts])))
-
-    def white(self, columns: Array) -> Array:
-        """L⁻¹ columns, V = L Lᵀ."""
-        return below(np.linalg.cholesky(self.covariance), columns)
-
-    def drawn(self, rng: np.random.Generator, draws: int) -> Array:
-        """(draws, N) whitened misfits of unchanged sensors, each part's true size drawn by what its
-        estimate says: size² = estimate² ν / χ²(ν) (Fisher's fiducial law, exact of one part)."""
-        total: Array = np.zeros((draws, self.value.size))
-        for part in self.parts:
-            white = self.white(self.white(part.covariance).T)
-            values, vectors = eigen(0.5 * (white + white.T))
-            keep = values > 1e-12 * max(float(values[-1]), 1e-300)
-            # The symmetric root: equal values leave the vectors open, and rounding would choose.
-            root = (vectors[:, keep] * np.sqrt(values[keep])) @ vectors[:, keep].T
-            size = np.sqrt(part.dof / rng.chisquare(part.dof, draws))[:, None]
-            total += size * (rng.standard_normal((draws, root.shape[1])) @ root.T)
-        return total
+    def kinds(self, matters: Mapping[str, float]) -> list[tuple[str, float]]:
+        """Kinds of change that these misfits could show, with what of each matters."""
+        return [(name, matters[name]) for name in self.changes]
 
     def take(self, rows: Index) -> Misfits:
         """Some of the rows, in order."""
@@ -250,6 +221,24 @@ def _changes(force: Array, observations: Observations, at: Balanced) -> dict[str
     return found
 
 
+def change_question(
+    misfits: Misfits, matters: Mapping[str, float], among: int = 1
+) -> ChangeQuestion:
+    """What changed: a kind of change, one bad rest, more noise.
+
+    matters : kind of change -> the size in its unit that matters
+    among : sensors that share the prior odds of a change
+    """
+    kinds = [
+        Suspect(name, (size * misfits.changes[name],)) for name, size in misfits.kinds(matters)
+    ]
+    own = matters["bias"] * MG * np.eye(misfits.value.size)
+    rests = tuple(own[:, misfits.owner == row] for row in range(misfits.n))
+    none = np.zeros((misfits.value.size, 0))
+    suspects = (*kinds, Suspect(BAD_REST, rests, "loose"))
+    return ChangeQuestion(misfits.value, misfits.parts, suspects, none, among)
+
+
 def triad_misfits(
     calibration: Calibration, triad: Triad, reading: Array, noise: CheckNoise, more: Array
 ) -> Misfits:
@@ -283,12 +272,19 @@ def triad_misfits(
 @dataclass(frozen=True)
 class GyroRest:
     """A gyroscope at rest. bias : (3,) deg/s that it reads beyond its calibrated bias; sd : (3,)
-    by the scatter between rests, the calibration's rests included; p : of no change, the smallest
-    of its axes times three"""
+    by the scatter between rests, the calibration's rests included; dof : of these"""
 
     bias: Array
     sd: Array
-    p: float
+    dof: int
+
+    def beyond(self, limit: float) -> float:
+        """Probability that any axis moved by more than a limit (deg/s)."""
+        from scipy.special import stdtr
+
+        high, low = ((sign * self.bias - limit) / self.sd for sign in (1.0, -1.0))
+        within = 1.0 - stdtr(self.dof, high) - stdtr(self.dof, low)
+        return float(1.0 - np.prod(np.maximum(within, 0.0)))
 
 
 def gyro_rest(triad: Triad, rate: Array, rests: Mapping[str, float]) -> GyroRest | None:
@@ -296,14 +292,10 @@ def gyro_rest(triad: Triad, rate: Array, rests: Mapping[str, float]) -> GyroRest
 
     None where fewer than three rests have a rate: their scatter is the only noise that counts.
     """
-    from scipy.special import stdtr
-
     known = rate[np.isfinite(rate).all(axis=1)]
     if len(known) < 3:
         return None
     moved = triad.rate(known) / DEG
     before = float(rests.get("count") or len(known))
     sd = moved.std(axis=0, ddof=1) * np.sqrt(1.0 / len(known) + 1.0 / before)
-    sd = np.maximum(sd, 1e-12)
-    each = 2.0 * stdtr(len(known) - 1, -np.abs(moved.mean(axis=0)) / sd)
-    return GyroRest(moved.mean(axis=0), sd, float(min(1.0, 3.0 * each.min())))
+    return GyroRest(moved.mean(axis=0), np.maximum(sd, 1e-12), len(known) - 1)

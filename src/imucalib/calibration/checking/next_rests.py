@@ -1,32 +1,30 @@
-"""The cheapest next recording: rests to add, each the one that tells most of a change.
+"""The cheapest next recording: the rests that tell most of a change, until one of the limits' size
+would be told.
 
-What a set of rests tells of a change ~ N(0, limit² I) is their mutual information (Lindley 1956),
-½ log det(I + L Cᵀ V⁻¹ C L) nats, L the limits; the calibration's covariance is in V, so that what
-it cannot know is not counted. The best single rest is added until a change of the limits' size
-would be seen.
+What rests tell of a change ~ N(0, limit² I) are ½ log det(I + L Cᵀ P C L) nats, L the limits, with
+the calibration's own errors taken out, so that what it cannot know is not counted.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import reduce
 
 import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
-from imucalib.calibration.checking.misfit import Misfits, misfits_of
+from imucalib.calibration.checking.misfit import Misfits, change_question, misfits_of
 from imucalib.calibration.checking.noise import CheckNoise
-from imucalib.calibration.checking.statistic import Statistic
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm, Reference
 from imucalib.core.sphere import KnownDirection
+from imucalib.loop.planning import Plan, grow, nats
 
 #: Rests that are proposed at most, and numbers beyond, all round, of which the first that does is
 #: named.
 MOST, MANY = 12, (16, 24, 32, 48, 64, 96, 128, 192, 256)
-#: Simulated recordings for the change that a plan could see.
-_DRAWS = 2000
 
 
 @dataclass(frozen=True)
@@ -56,42 +54,60 @@ def next_rests(
     now: Misfits,
     noise: CheckNoise,
     limits: Mapping[str, float],
-    *,
-    directed: bool,
+    matters: Mapping[str, float],
 ) -> NextRests:
-    """Rests to add to those of `now` until a change of the limits would be seen.
+    """Rests to add to those of `now` until a change of the limits would be told.
 
-    limits : family -> size in its unit; directed : whether the new rests have known directions
+    limits : family -> size in its unit; matters : the same of every kind of change
     """
-    pool = _pool(calibration, noise, directed)
+    pool = _pool(calibration, noise, directed=now.directed)
     single = [pool.take(np.array([k], np.intp)) for k in range(pool.n)]
-    total, chosen = now, np.zeros((0, 3))
-    seen = {name: float("inf") for name in limits}
-    for _ in range(MOST):
-        more = [total.joined(one) for one in single]
-        best = int(np.argmax(np.round([_information(one, limits) for one in more], 9)))
-        total, force = more[best], pool.force[best]
-        chosen = np.vstack([chosen, np.round(force / np.linalg.norm(force), 3) + 0.0])
-        statistic = Statistic(total, draws=_DRAWS)
-        seen = {name: statistic.seen(name) for name in limits}
-        if all(seen[name] <= limit for name, limit in limits.items()):
-            return NextRests(chosen, seen, True)
-    return NextRests(chosen, seen, False, _many(now, pool, limits))
+
+    def beside(plan: Plan) -> Misfits:
+        return reduce(Misfits.joined, (single[k] for k in plan), now)
+
+    def worth(plan: Plan) -> Array:
+        """(c,) nats of a change; those of attitudes held alike are alike, rounding apart."""
+        total = beside(plan)
+        return np.round(nats(np.array([_information(total.joined(o), limits) for o in single])), 9)
+
+    plan: Plan = ()
+    seen = dict.fromkeys(limits, float("inf"))
+    while len(plan) < MOST and not _within(seen, limits):
+        plan = grow(plan, worth)
+        seen = _seen(beside(plan), limits, matters)
+    direction = np.round(pool.force / np.linalg.norm(pool.force, axis=1, keepdims=True), 3) + 0.0
+    enough = _within(seen, limits)
+    many = None if enough else _many(now, pool, limits, matters)
+    return NextRests(direction[list(plan)], seen, enough, many)
 
 
-def _many(now: Misfits, pool: Misfits, limits: Mapping[str, float]) -> int | None:
+def _within(seen: Mapping[str, float], limits: Mapping[str, float]) -> bool:
+    return all(seen[name] <= limit for name, limit in limits.items())
+
+
+def _seen(
+    misfits: Misfits, limits: Mapping[str, float], matters: Mapping[str, float]
+) -> dict[str, float]:
+    """The change of each limited kind that would be told."""
+    question = change_question(misfits, matters)
+    kinds = enumerate(misfits.kinds(matters))
+    return {name: unit * question.seen(k) for k, (name, unit) in kinds if name in limits}
+
+
+def _many(
+    now: Misfits, pool: Misfits, limits: Mapping[str, float], matters: Mapping[str, float]
+) -> int | None:
     """The first number of rests, spread over all attitudes, that would see the limits."""
     for number in MANY:
         less = pool.n / number
         noise = {k: replace(p, covariance=less * p.covariance) for k, p in pool.noise.items()}
-        each = replace(pool, noise=noise)
-        statistic = Statistic(now.joined(each), draws=_DRAWS)
-        if all(statistic.seen(name) <= limit for name, limit in limits.items()):
+        if _within(_seen(now.joined(replace(pool, noise=noise)), limits, matters), limits):
             return number
     return None
 
 
-def _pool(calibration: Calibration, noise: CheckNoise, directed: bool) -> Misfits:
+def _pool(calibration: Calibration, noise: CheckNoise, *, directed: bool) -> Misfits:
     """One rest in each attitude, read as the calibration predicts; session noise is added when
     rests are joined."""
     along, n = attitudes(), len(attitudes())
@@ -108,15 +124,15 @@ def _pool(calibration: Calibration, noise: CheckNoise, directed: bool) -> Misfit
     return misfits_of(calibration, observations, replace(noise, setting=setting), fixture=False)[0]
 
 
-def _information(misfits: Misfits, limits: Mapping[str, float]) -> float:
-    """Nats about changes of the limits' size."""
+def _information(misfits: Misfits, limits: Mapping[str, float]) -> Array:
+    """(q, q) of changes of the limits' size, that which is known before among it."""
     columns = np.concatenate([limits[n] * misfits.changes[n] for n in limits], axis=1)
-    white = misfits.white(columns)
-    return 0.5 * float(np.linalg.slogdet(np.eye(columns.shape[1]) + white.T @ white)[1])
+    inner = columns.T @ np.linalg.solve(misfits.covariance, columns)
+    return np.asarray(np.eye(len(inner)) + inner)
 
 
 def one_reading(calibration: Calibration, noise: CheckNoise, *, directed: bool) -> float:
     """m/s², standard deviation of one corrected reading in the attitude where it is largest: of its
     size, or with known directions of its worst component."""
-    pool = _pool(calibration, noise, directed)
+    pool = _pool(calibration, noise, directed=directed)
     return float(np.sqrt(np.max(np.diag(pool.covariance))))

@@ -21,6 +21,7 @@ from imucalib.core.effect import cross_matrix, left_jacobian, rotations
 from imucalib.core.eigen import eigen
 from imucalib.errors import UnreadableInput
 from imucalib.estimators.turns import tangents
+from imucalib.loop.planning import Plan, grow, nats
 from imucalib.units import DEG
 
 #: rad of a turn; rad that a turn by hand is off, of measured ones 0.03 to 0.3 deg.
@@ -89,8 +90,8 @@ def hand_plan(rests: int) -> HandPlan:
 
 
 def turns_to_add(calibration: Calibration, count: int = _ADDED) -> HandPlan:
-    """The turns that make the gains of a calibration best known, one after another, from any face,
-    edge or corner. Raises UnreadableInput where it has no gyroscope."""
+    """The turns that are expected to tell most of a calibration's gains, from any face, edge or
+    corner. Raises UnreadableInput where it has no gyroscope."""
     at = [k for k, p in enumerate(calibration.parameters) if p.effect == GAIN]
     if not at:
         raise UnreadableInput(
@@ -107,15 +108,18 @@ def turns_to_add(calibration: Calibration, count: int = _ADDED) -> HandPlan:
         for axis in range(3)
         for sign in (1.0, -1.0)
     ]
-    columns = [of_turn(up, vector) for up, vector in choices]
-    turns = []
+    told = np.array([of_turn(up, vector) for up, vector in choices]) / off
+    each = told.transpose(0, 2, 1) @ told
+    known = _inverse(covariance)
+    plan: Plan = ()
     for _ in range(count):
-        after = [_after(covariance, rows, off) for rows in columns]
-        best = int(np.argmin([np.trace(c) for c in after]))
-        covariance = after[best]
-        up, vector = choices[best]
-        turns.append(HandTurn(_axis(vector), up, _mean(covariance)))
-    return _plan(turns, covariance, before)
+        plan = grow(plan, lambda plan: nats(known + each[list(plan)].sum(axis=0) + each))
+    turns = []
+    for place in plan:
+        known = known + each[place]
+        up, vector = choices[place]
+        turns.append(HandTurn(_axis(vector), up, _mean(_inverse(known))))
+    return _plan(turns, _inverse(known), before)
 
 
 def _after(covariance: Array, rows: Array, off: float) -> Array:
@@ -139,6 +143,10 @@ def _plan(turns: list[HandTurn], covariance: Array, before: Array | None) -> Han
 def _axis(vector: Array) -> str:
     k = int(np.argmax(np.abs(vector)))
     return ("-" if vector[k] < 0.0 else "+") + "xyz"[k]
+
+
+def _inverse(matrix: Array) -> Array:
+    return np.asarray(np.linalg.inv(matrix), np.float64)
 
 
 def _mean(covariance: Array) -> float:

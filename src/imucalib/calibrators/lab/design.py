@@ -23,6 +23,7 @@ from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm, KnownVector, unit_vector
 from imucalib.effects import named
+from imucalib.loop.planning import nats
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
 
 _STEP = 15.0  # deg
@@ -94,7 +95,7 @@ def judge(model: Model, inclination: Array, tool_face: Array, *, norm: bool = Fa
     offered = _information(model, *grid(), norm=norm)
     additions, current, count = [], total, len(inclination)
     for _ in range(2):
-        pick = int(np.argmax([_log_det(current + more) for more in offered]))
+        pick = int(np.argmax(nats(current + offered)))
         before, after = _sd(current), _sd(current + offered[pick])
         current, count = current + offered[pick], count + 1
         with np.errstate(invalid="ignore"):
@@ -133,11 +134,6 @@ def grid() -> tuple[Array, Array]:
     ]
     inclination, tool_face = np.array(pairs).T
     return inclination * DEG, tool_face * DEG
-
-
-def _log_det(information: Array) -> float:
-    sign, value = np.linalg.slogdet(information)
-    return float(value) if sign > 0 else -np.inf
 
 
 def _efficiency(information: Array, count: int, best: float) -> float:
