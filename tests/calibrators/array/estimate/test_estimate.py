@@ -32,7 +32,8 @@ def test_a_tight_wrong_drawing_gives_way_to_the_motion() -> None:
     plan = BoardPlan(twist_s=10.0, places=2e-4)
     free, true = fitted(plan, 1, 450)
     tight, _ = fitted(plan, 1, 450, replace(BOARD, prior_sd=1e-5))
-    assert free.converged and tight.converged
+    assert free.converged
+    assert tight.converged
     sd = np.sqrt(np.diag(free.covariance))[: free.positions].reshape(-1, 3)
     assert np.all(np.abs(tight.r - free.r)[1:] < 0.5 * sd)
     assert np.all(np.abs(tight.r - true)[1:] < 5.0 * sd)

@@ -21,7 +21,6 @@ from imucalib.calibrators.array.loop.terms import Term
 from imucalib.estimators.array.gram import Columns, Gram
 from imucalib.estimators.array.samples import Readings, Sampled
 
-
 #: Coordinates that a drawing's stated deviation counts as.
 _STATED = 3.0
 

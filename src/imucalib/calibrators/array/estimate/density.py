@@ -5,7 +5,8 @@
 over all triads of the samples that are fitted to (for Gaussian noise Σ |e|²/2 σ²), with the nine
 unknowns of each sample at their best for x: equations 4 and 5 of paper 001, whose flat integral
 over dω/dt pulls positions to the drawing's middle, while the best motion does not. Noise, and what
-the places scatter by about the drawing, are those of the fit; effects are linear about it, positions and motion are not.
+places scatter by about the drawing, are those of the fit; effects are linear about it, positions
+and motion are not.
 """
 
 from __future__ import annotations
