@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
-from imucalib.calibrators.array.board import read_board
+from imucalib.calibrators.array.board.board import read_board
 from imucalib.calibrators.array.calibrate import calibrate_array
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.errors import ImucalError

@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.file import read as read_calibration
 from imucalib.calibration.file import write as write_calibration
-from imucalib.calibrators.array.board import read_board
+from imucalib.calibrators.array.board.board import read_board
 from imucalib.calibrators.array.calibrate import calibrate_array
-from imucalib.calibrators.array.fused.fuse import Fused
-from imucalib.calibrators.array.fused.instrument import Stretch, instrument_of
-from imucalib.calibrators.array.fused.recording import fused_stretch
-from imucalib.calibrators.array.fused.survey import Survey, side_by_side, survey
+from imucalib.calibrators.array.fusion.fuse import Fused
+from imucalib.calibrators.array.fusion.instrument import Stretch, instrument_of
+from imucalib.calibrators.array.fusion.recording import fused_stretch
+from imucalib.calibrators.array.fusion.survey import Survey, side_by_side, survey
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.readers import read
 from imucalib.units import DEG

@@ -25,11 +25,11 @@ from fused import (
     moving,
 )
 
-from imucalib.calibrators.array.fused.fuse import Fused
-from imucalib.calibrators.array.fused.instrument import Instrument, Stretch
-from imucalib.calibrators.array.fused.noise import ChipNoise
-from imucalib.calibrators.array.fused.recording import fused_stretch
-from imucalib.calibrators.array.fused.survey import Survey, ages
+from imucalib.calibrators.array.fusion.fuse import Fused
+from imucalib.calibrators.array.fusion.instrument import Instrument, Stretch
+from imucalib.calibrators.array.fusion.noise import ChipNoise
+from imucalib.calibrators.array.fusion.recording import fused_stretch
+from imucalib.calibrators.array.fusion.survey import Survey, ages
 
 CASES = {
     "Gaussian noise, one delay": (np.inf, False),

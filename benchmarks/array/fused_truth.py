@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.calibrators.array.fused.instrument import Stretch, instrument_of
-from imucalib.calibrators.array.fused.recording import fused_stretch
-from imucalib.calibrators.array.fused.survey import survey
+from imucalib.calibrators.array.fusion.instrument import Stretch, instrument_of
+from imucalib.calibrators.array.fusion.recording import fused_stretch
+from imucalib.calibrators.array.fusion.survey import survey
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
 from worlds.rigid_board import DEG, G, board, calibration, moves, readings, recording

@@ -25,8 +25,8 @@ def peak() -> float:
 
 def one(stage: str, path: Path) -> None:
     """The measured process."""
-    from imucalib.calibrators.array.board import read_board
-    from imucalib.calibrators.array.log import array_log, of_board
+    from imucalib.calibrators.array.board.board import read_board
+    from imucalib.calibrators.array.board.log import array_log, of_board
     from imucalib.readers import read
 
     recording = read(path)

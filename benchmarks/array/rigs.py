@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
-from imucalib.calibrators.array.board import Board, read_board, undrawn_board
+from imucalib.calibrators.array.board.board import Board, read_board, undrawn_board
 from imucalib.calibrators.array.calibrate import calibrate_array
-from imucalib.calibrators.array.estimate.total import Total
+from imucalib.calibrators.array.motion.total import Total
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.errors import ImucalError
 from worlds.boards import BoardPlan, board_log, made_board

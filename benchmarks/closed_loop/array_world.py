@@ -14,17 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 from trial import Job, Trial, noise, said
 
-from imucalib.calibrators.array.board import read_board
-from imucalib.calibrators.array.log import array_log, of_board
-from imucalib.calibrators.array.loop.catalogue import array_catalogue
-from imucalib.calibrators.array.loop.closed_loop import MotionLoop, close_array_loop
-from imucalib.calibrators.array.loop.motion import board_motion
-from imucalib.calibrators.array.loop.search import new_term, own_gram, start_state, with_declared
-from imucalib.calibrators.array.loop.setup import Setup, array_setup
-from imucalib.calibrators.array.loop.state import ArrayState
-from imucalib.calibrators.array.loop.terms import Term, rest_terms, typical_of
-from imucalib.calibrators.array.moving import moving_part
-from imucalib.calibrators.array.rests import fit_rests
+from imucalib.calibrators.array.board.board import read_board
+from imucalib.calibrators.array.board.catalogue import array_catalogue
+from imucalib.calibrators.array.board.log import array_log, of_board
+from imucalib.calibrators.array.board.moving import moving_part
+from imucalib.calibrators.array.board.rests import fit_rests
+from imucalib.calibrators.array.motion.board_motion import board_motion
+from imucalib.calibrators.array.motion.closed_loop import MotionLoop, close_array_loop
+from imucalib.calibrators.array.motion.search import new_term, own_gram, start_state, with_declared
+from imucalib.calibrators.array.motion.setup import Setup, array_setup
+from imucalib.calibrators.array.motion.state import ArrayState
+from imucalib.calibrators.array.motion.terms import Term, rest_terms, typical_of
 from imucalib.calibrators.array.simulation import LogPlan, lever_arm, simulated_motion
 from imucalib.errors import Undetermined
 from imucalib.recording.recording import Channel, Recording

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.calibrators.array.loop.closed_loop import MotionLoop
+from imucalib.calibrators.array.motion.closed_loop import MotionLoop
 
 Array = NDArray[np.float64]
 

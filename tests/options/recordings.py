@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 
 from imucalib.calibrators.actigraph.simulation import WeekPlan
-from imucalib.calibrators.array.board import read_board
+from imucalib.calibrators.array.board.board import read_board
 from imucalib.calibrators.array.simulation import LogPlan, simulated_log
 from imucalib.readers import read
 from imucalib.readers.joining import join

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibrators.array.board import Board, read_board
-from imucalib.calibrators.array.log import array_log
-from imucalib.calibrators.array.loop.catalogue import array_catalogue
-from imucalib.calibrators.array.loop.closed_loop import MotionLoop, close_array_loop
-from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
-from imucalib.calibrators.array.loop.setup import array_setup
-from imucalib.calibrators.array.moving import Moving, moving_part
-from imucalib.calibrators.array.rests import RestFit, fit_rests
+from imucalib.calibrators.array.board.board import Board, read_board
+from imucalib.calibrators.array.board.catalogue import array_catalogue
+from imucalib.calibrators.array.board.log import array_log
+from imucalib.calibrators.array.board.moving import Moving, moving_part
+from imucalib.calibrators.array.board.rests import RestFit, fit_rests
+from imucalib.calibrators.array.motion.board_motion import BoardMotion, board_motion
+from imucalib.calibrators.array.motion.closed_loop import MotionLoop, close_array_loop
+from imucalib.calibrators.array.motion.setup import array_setup
 from imucalib.calibrators.array.simulation import LogPlan, lever_arm, simulated_motion
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.segments import still_segments
@@ -110,7 +110,7 @@ def moving_of(recording: Recording, board: Board = BOARD) -> tuple[Moving, RestF
 
 
 def closed(recording: Recording, samples: int = 300, board: Board = BOARD) -> MotionLoop:
-    from imucalib.calibrators.array.loop.terms import rest_terms
+    from imucalib.calibrators.array.motion.terms import rest_terms
 
     moving, rests = moving_of(recording, board)
     setup = array_setup(moving, board, samples)

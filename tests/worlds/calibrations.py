@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from imucalib.calibrators.actigraph.simulation import WeekPlan
-from imucalib.calibrators.array.board import read_board
+from imucalib.calibrators.array.board.board import read_board
 from imucalib.calibrators.array.simulation import LogPlan, simulated_log
 from imucalib.calibrators.lab.simulation import BenchPlan, simulated_recording, simulated_table
 from imucalib.writers import write, write_blocks

@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from imucalib.calibrators.array.board import Board, read_board
-from imucalib.calibrators.array.loop.search import start_state
-from imucalib.calibrators.array.loop.setup import array_setup
-from imucalib.calibrators.array.loop.state import ArrayState
-from imucalib.calibrators.array.moving import Moving, relative_gyros
+from imucalib.calibrators.array.board.board import Board, read_board
+from imucalib.calibrators.array.board.moving import Moving, relative_gyros
+from imucalib.calibrators.array.motion.search import start_state
+from imucalib.calibrators.array.motion.setup import array_setup
+from imucalib.calibrators.array.motion.state import ArrayState
 from worlds.boards import DEG, BoardPlan, twisted
 
 BOARD = read_board("mimu4444_corners")

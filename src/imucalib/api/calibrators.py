@@ -22,7 +22,7 @@ import numpy as np
 from imucalib.api.result import Result
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibrators.actigraph.request import ActigraphRequest
-from imucalib.calibrators.array.board import Board, read_board
+from imucalib.calibrators.array.board.board import Board, read_board
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.imu.request import ImuRequest
 from imucalib.calibrators.lab.request import LabRequest

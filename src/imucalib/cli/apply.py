@@ -192,8 +192,8 @@ def _apply(
     if fused or options["at"] is not None or (fused is None and not alone):
         import numpy as np
 
-        from imucalib.calibrators.array.fused.recording import fuse_file
-        from imucalib.calibrators.array.fused.survey import NotFusable
+        from imucalib.calibrators.array.fusion.recording import fuse_file
+        from imucalib.calibrators.array.fusion.survey import NotFusable
 
         if fused is False or mapping.sensor:
             raise click.UsageError("--at and --fused are of all IMUs together: leave the other out")

@@ -19,7 +19,7 @@ from imucalib.cli.calibrating import (
 from imucalib.cli.output import freed_memory, note
 
 if TYPE_CHECKING:
-    from imucalib.calibrators.array.estimate.total import Distance
+    from imucalib.calibrators.array.motion.total import Distance
     from imucalib.calibrators.array.request import ArrayRequest
 
 #: Bytes from which an array goes back to the system when it is freed, and that are kept at the end
@@ -111,8 +111,8 @@ def command(logs: tuple[Path, ...], **options: Any) -> int:
 
 
 def _request(options: dict[str, Any], logs: tuple[Path, ...]) -> ArrayRequest:
-    from imucalib.calibrators.array.board import read_board
-    from imucalib.calibrators.array.loop.catalogue import named_effect
+    from imucalib.calibrators.array.board.board import read_board
+    from imucalib.calibrators.array.board.catalogue import named_effect
     from imucalib.calibrators.array.request import Accepted, ArrayRequest
     from imucalib.errors import UsageError
     from imucalib.estimators.markov.crank_nicolson import Stop
@@ -135,7 +135,7 @@ def _request(options: dict[str, Any], logs: tuple[Path, ...]) -> ArrayRequest:
 
 
 def _distance(given: tuple[str, str, str], imus: tuple[str, ...]) -> Distance:
-    from imucalib.calibrators.array.estimate.total import Distance
+    from imucalib.calibrators.array.motion.total import Distance
     from imucalib.errors import UsageError
 
     one, two, text = given

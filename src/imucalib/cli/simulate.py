@@ -96,7 +96,7 @@ def array(recording: Path, seed: int, **options: Any) -> int:
     """
     import numpy as np
 
-    from imucalib.calibrators.array.board import read_board
+    from imucalib.calibrators.array.board.board import read_board
     from imucalib.calibrators.array.simulation import LogPlan, simulated_log
     from imucalib.errors import UsageError
     from imucalib.units import MG

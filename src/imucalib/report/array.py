@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibrators.array.board import Board
-from imucalib.calibrators.array.estimate.posterior import along, shown, size_over
-from imucalib.calibrators.array.estimate.total import GyroScale, Total
+from imucalib.calibrators.array.board.board import Board
 from imucalib.calibrators.array.logs import BoardRun
+from imucalib.calibrators.array.motion.posterior import along, shown, size_over
+from imucalib.calibrators.array.motion.total import GyroScale, Total
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.run import ArrayRun
 from imucalib.core.eigen import eigen

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.calibrators.array.estimate.covariance import sd_of_few
-from imucalib.calibrators.array.loop.cross_fit import NORMAL_MAD
-from imucalib.calibrators.array.loop.state import ArrayState
+from imucalib.calibrators.array.motion.covariance import sd_of_few
+from imucalib.calibrators.array.motion.cross_fit import NORMAL_MAD
+from imucalib.calibrators.array.motion.state import ArrayState
 from imucalib.calibrators.array.run import ArrayRun
 from imucalib.estimators.markov.convergence import autocorrelation
 from imucalib.report.document import Plot, Series, Table

@@ -11,7 +11,7 @@ import pytest
 from imucalib.calibration.apply import apply_to_recording
 from imucalib.calibration.file import read, write
 from imucalib.calibration.triads import DRIFT, drift_block
-from imucalib.calibrators.array.board import read_board
+from imucalib.calibrators.array.board.board import read_board
 from imucalib.calibrators.array.calibrate import calibrate_array
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.run import ArrayRun

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imucalib.calibrators.array.board import Board, read_board, undrawn_board
+from imucalib.calibrators.array.board.board import Board, read_board, undrawn_board
 from imucalib.calibrators.array.calibrate import calibrate_array
-from imucalib.calibrators.array.loop.search import start_state
-from imucalib.calibrators.array.loop.setup import array_setup
-from imucalib.calibrators.array.loop.terms import rest_terms
+from imucalib.calibrators.array.motion.search import start_state
+from imucalib.calibrators.array.motion.setup import array_setup
+from imucalib.calibrators.array.motion.terms import rest_terms
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.run import ArrayRun
 from imucalib.calibrators.array.simulation import LogPlan, SimulatedLog, simulated_log

@@ -10,7 +10,7 @@ from scipy.linalg import block_diag, null_space
 from scipy.optimize import minimize_scalar
 from scipy.stats import multivariate_normal
 
-from imucalib.calibrators.array.board import read_board
+from imucalib.calibrators.array.board.board import read_board
 from imucalib.calibrators.array.calibrate import calibrate_array
 from imucalib.calibrators.array.logs import BoardRun, PooledLogs, between_logs, board_run, pool_logs
 from imucalib.calibrators.array.request import ArrayRequest

@@ -9,9 +9,9 @@ import pytest
 
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.triads import effect_covariance, triangle
-from imucalib.calibrators.array.board import read_board
-from imucalib.calibrators.array.fused.instrument import doubt_of
-from imucalib.calibrators.array.log import array_log
+from imucalib.calibrators.array.board.board import read_board
+from imucalib.calibrators.array.board.log import array_log
+from imucalib.calibrators.array.fusion.instrument import doubt_of
 from imucalib.recording.recording import Recording
 from imucalib.units import DEG
 from worlds.boards import BoardPlan, board_log, made_board

@@ -9,37 +9,41 @@ from typing import NamedTuple
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibrators.array.board import Board
-from imucalib.calibrators.array.drawing import board_from_log, check_board, refuse_contradiction
-from imucalib.calibrators.array.effect_blocks import with_rests
-from imucalib.calibrators.array.estimate.covariance import (
-    Uneven,
-    fitted_on_all,
-    samples_used,
-    with_uneven,
+from imucalib.calibrators.array.board.board import Board
+from imucalib.calibrators.array.board.drawing import (
+    board_from_log,
+    check_board,
+    refuse_contradiction,
 )
-from imucalib.calibrators.array.estimate.posterior import draw_positions
-from imucalib.calibrators.array.estimate.total import frame_sd, scale_by_turns, total_of
-from imucalib.calibrators.array.findings import residual_in_motion
-from imucalib.calibrators.array.linear_part import linear_part
-from imucalib.calibrators.array.log import ArrayLog, array_log, of_board
-from imucalib.calibrators.array.loop.closed_loop import MotionLoop, close_array_loop
-from imucalib.calibrators.array.loop.motion import board_motion
-from imucalib.calibrators.array.loop.search import frame_term, start_state
-from imucalib.calibrators.array.loop.setup import array_setup, plain_setup
-from imucalib.calibrators.array.loop.state import ArrayState, shared_by_neighbours
-from imucalib.calibrators.array.loop.terms import rest_terms
-from imucalib.calibrators.array.moving import Moving, moving_part
-from imucalib.calibrators.array.published import published_positions
-from imucalib.calibrators.array.request import ArrayRequest
-from imucalib.calibrators.array.rests import ATTITUDES, RestFit, contradicted, fit_rests
-from imucalib.calibrators.array.run import ArrayRun, Stages, finish_run
-from imucalib.calibrators.array.streams import (
+from imucalib.calibrators.array.board.log import ArrayLog, array_log, of_board
+from imucalib.calibrators.array.board.moving import Moving, moving_part
+from imucalib.calibrators.array.board.rests import ATTITUDES, RestFit, contradicted, fit_rests
+from imucalib.calibrators.array.board.streams import (
     noisy_alone,
     refuse_streams,
     stream_notes,
     streams,
 )
+from imucalib.calibrators.array.findings import residual_in_motion
+from imucalib.calibrators.array.motion.board_motion import board_motion
+from imucalib.calibrators.array.motion.closed_loop import MotionLoop, close_array_loop
+from imucalib.calibrators.array.motion.covariance import (
+    Uneven,
+    fitted_on_all,
+    samples_used,
+    with_uneven,
+)
+from imucalib.calibrators.array.motion.effect_blocks import with_rests
+from imucalib.calibrators.array.motion.linear_part import linear_part
+from imucalib.calibrators.array.motion.posterior import draw_positions
+from imucalib.calibrators.array.motion.search import frame_term, start_state
+from imucalib.calibrators.array.motion.setup import array_setup, plain_setup
+from imucalib.calibrators.array.motion.state import ArrayState, shared_by_neighbours
+from imucalib.calibrators.array.motion.terms import rest_terms
+from imucalib.calibrators.array.motion.total import frame_sd, scale_by_turns, total_of
+from imucalib.calibrators.array.published import published_positions
+from imucalib.calibrators.array.request import ArrayRequest
+from imucalib.calibrators.array.run import ArrayRun, Stages, finish_run
 from imucalib.errors import Undetermined, UsageError
 from imucalib.loop.found import Unexplained
 from imucalib.recording.recording import Recording

@@ -16,16 +16,16 @@ from imucalib.arrays import Array
 from imucalib.calibration.calibration import stored_parameters
 from imucalib.calibration.findings import CheckedError, Findings, FoundStep, Gain, Untestable
 from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Left
-from imucalib.calibrators.array.effect_blocks import AT_REST, parameters_of
-from imucalib.calibrators.array.estimate.covariance import POSITIONS, Uneven
-from imucalib.calibrators.array.loop.catalogue import array_catalogue
-from imucalib.calibrators.array.loop.closed_loop import MotionLoop, size_in_words
-from imucalib.calibrators.array.loop.cross_fit import NORMAL_MAD, Gained
-from imucalib.calibrators.array.loop.laws import CURVE
-from imucalib.calibrators.array.loop.state import ArrayState
-from imucalib.calibrators.array.loop.terms import typical_of
+from imucalib.calibrators.array.board.catalogue import array_catalogue
+from imucalib.calibrators.array.board.rests import RestFit
+from imucalib.calibrators.array.motion.closed_loop import MotionLoop, size_in_words
+from imucalib.calibrators.array.motion.covariance import POSITIONS, Uneven
+from imucalib.calibrators.array.motion.cross_fit import NORMAL_MAD, Gained
+from imucalib.calibrators.array.motion.effect_blocks import AT_REST, parameters_of
+from imucalib.calibrators.array.motion.laws import CURVE
+from imucalib.calibrators.array.motion.state import ArrayState
+from imucalib.calibrators.array.motion.terms import typical_of
 from imucalib.calibrators.array.request import Accepted
-from imucalib.calibrators.array.rests import RestFit
 from imucalib.effects.forms import in_words
 from imucalib.estimators.array.noise import MotionNoise
 from imucalib.loop.found import Step

@@ -11,8 +11,9 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Limit, Outcome, Run
 from imucalib.calibration.triads import Triad, effect_covariance, triangle
-from imucalib.calibrators.array.effect_blocks import effect_blocks
-from imucalib.calibrators.array.estimate.total import (
+from imucalib.calibrators.array.board.turns import BoardTurns
+from imucalib.calibrators.array.motion.effect_blocks import effect_blocks
+from imucalib.calibrators.array.motion.total import (
     GyroScale,
     Total,
     frame_sd,
@@ -20,7 +21,6 @@ from imucalib.calibrators.array.estimate.total import (
     size_block,
     total_of,
 )
-from imucalib.calibrators.array.estimate.turns import BoardTurns
 from imucalib.calibrators.array.run import (
     ArrayRun,
     array_calibration,

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from imucalib.arrays import Index
-from imucalib.calibrators.array.board import Board
-from imucalib.calibrators.array.estimate.posterior import (
+from imucalib.calibrators.array.board.board import Board
+from imucalib.calibrators.array.board.moving import Moving, spread_over
+from imucalib.calibrators.array.motion.posterior import (
     PositionDraws,
     refuse_collapse,
     refuse_open,
     size_over,
 )
-from imucalib.calibrators.array.moving import Moving, spread_over
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.errors import NotConverged, Undetermined
 from imucalib.estimators.array.published.algorithm import run_pmmh

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from imucalib.calibrators.array.board import Board
-from imucalib.calibrators.array.estimate.total import Distance
-from imucalib.calibrators.array.loop.catalogue import Scope
+from imucalib.calibrators.array.board.board import Board
+from imucalib.calibrators.array.board.catalogue import Scope
+from imucalib.calibrators.array.motion.total import Distance
 from imucalib.calibrators.request import Request
 from imucalib.estimators.markov.crank_nicolson import Stop
 from imucalib.rests.stillness import StillSettings

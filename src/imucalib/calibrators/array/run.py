@@ -17,11 +17,9 @@ from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.outcome import Limit, Outcome, Run
 from imucalib.calibration.provenance import provenance_of
 from imucalib.calibration.triads import DRIFT, Triad, drift_block
-from imucalib.calibrators.array.board import Board
-from imucalib.calibrators.array.effect_blocks import effect_blocks, rest_blocks
-from imucalib.calibrators.array.estimate.covariance import Uneven
-from imucalib.calibrators.array.estimate.posterior import PositionDraws
-from imucalib.calibrators.array.estimate.total import GyroScale, Total, size_block
+from imucalib.calibrators.array.board.board import Board
+from imucalib.calibrators.array.board.moving import Moving
+from imucalib.calibrators.array.board.rests import RestFit
 from imucalib.calibrators.array.findings import (
     Residual,
     advice,
@@ -31,12 +29,14 @@ from imucalib.calibrators.array.findings import (
     reasons,
     unexplained,
 )
-from imucalib.calibrators.array.linear_part import LinearPart
-from imucalib.calibrators.array.loop.closed_loop import MotionLoop
-from imucalib.calibrators.array.loop.state import ArrayState
-from imucalib.calibrators.array.moving import Moving
+from imucalib.calibrators.array.motion.closed_loop import MotionLoop
+from imucalib.calibrators.array.motion.covariance import Uneven
+from imucalib.calibrators.array.motion.effect_blocks import effect_blocks, rest_blocks
+from imucalib.calibrators.array.motion.linear_part import LinearPart
+from imucalib.calibrators.array.motion.posterior import PositionDraws
+from imucalib.calibrators.array.motion.state import ArrayState
+from imucalib.calibrators.array.motion.total import GyroScale, Total, size_block
 from imucalib.calibrators.array.request import ArrayRequest
-from imucalib.calibrators.array.rests import RestFit
 from imucalib.recording.identity import Identity
 from imucalib.recording.pairing import channel_names
 from imucalib.recording.recording import Recording

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibrators.array.board import Board
+from imucalib.calibrators.array.board.board import Board
 from imucalib.errors import UsageError
 from imucalib.recording.recording import Channel, Recording
 from imucalib.units import DEG, STANDARD_GRAVITY

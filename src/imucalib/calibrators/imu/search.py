@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
-from imucalib.calibrators.array.loop.laws import array_functions, array_laws
-from imucalib.calibrators.array.loop.motion import BoardMotion
+from imucalib.calibrators.array.motion.board_motion import BoardMotion
+from imucalib.calibrators.array.motion.laws import array_functions, array_laws
 from imucalib.calibrators.imu.log import LogCourse
 from imucalib.calibrators.imu.request import ImuRequest, gyro_effects
 from imucalib.core.effect import Context, Motion, Response, Truth

@@ -1,0 +1,1 @@
+"""The rig: its drawing, streams, log and rests, before anything of its motion is fitted."""

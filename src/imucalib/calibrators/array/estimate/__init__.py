@@ -1,1 +1,0 @@
-"""What the array's estimate states: positions with all of their uncertainty."""

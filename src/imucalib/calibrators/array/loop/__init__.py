@@ -1,1 +1,0 @@
-"""The closed loop over an array's motion: what it fits, scores and takes in."""

@@ -1,0 +1,262 @@
+"""The array's closed loop: search, hold out each half, fit all samples, and say what was found."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imucalib.arrays import Array
+from imucalib.calibrators.array.board.catalogue import EVERYTHING, Scope
+from imucalib.calibrators.array.motion.ages import found_clock, with_clock, with_found_clock
+from imucalib.calibrators.array.motion.covariance import (
+    POSITIONS,
+    Uneven,
+    fitted_on_all,
+    on_all,
+    settled_there,
+    with_uneven,
+)
+from imucalib.calibrators.array.motion.cross_fit import CHANNELS, Gained, Residuals, cross_fitted
+from imucalib.calibrators.array.motion.search import (
+    GYRO_FRAME,
+    MotionSearch,
+    frame_term,
+    scores_of,
+    search_posterior,
+    start_state,
+    with_declared,
+    with_members,
+)
+from imucalib.calibrators.array.motion.setup import Setup
+from imucalib.calibrators.array.motion.state import ArrayState, remembered, shared_by_neighbours
+from imucalib.calibrators.array.motion.terms import Term
+from imucalib.core.effect import Channel
+from imucalib.loop.found import FitLoop, Loop, Step, Unexplained
+from imucalib.loop.odds import CERTAIN
+from imucalib.loop.posterior.words import name_of
+from imucalib.significant_digits import plus_minus
+
+_REFUSED = "it makes the held-out error larger"
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionLoop(Loop[ArrayState]):
+    """The search over a motion.
+
+    gained : what motion that took no part in any choice says, None where it is too short for that
+    impact : what cannot be seen, with the m rms by which its typical size moves the positions;
+    moved : the same of what has no name; dispersion : how many times fewer accelerometer samples
+        noise that neighbours share leaves
+    scope : what the user declared; rests : the search at rest, of which `with_rests` made a part of
+        this one
+    """
+
+    gained: Gained | None
+    impact: Mapping[str, float]
+    moved: Mapping[str, float]
+    dispersion: float
+    scope: Scope = EVERYTHING
+    rests: FitLoop | None = None
+
+    @property
+    def suspected(self) -> bool:
+        """Whether the motion names a cause that the other half of it does not prove."""
+        own = self.rests.steps if self.rests is not None else ()
+        in_motion = len(self.named) > len(own)
+        return in_motion and self.difference is not None and not self.difference.proved
+
+    @property
+    def held_out(self) -> tuple[Residuals, Residuals] | None:
+        """Errors on motion that took no part, of the base model and of what is corrected."""
+        if self.gained is None:
+            return None
+        return self.gained.before, self.gained.before if self.refuted else self.gained.after
+
+
+def close_array_loop(
+    setup: Setup,
+    terms: tuple[Term, ...],
+    *,
+    curves: bool = False,
+    halved: Setup | None = None,
+    most: int | None = None,
+    scope: Scope = EVERYTHING,
+) -> MotionLoop:
+    """The posterior over what the motion lacks; corrected is what is told, unless motion that took
+    no part refuses it.
+
+    curves : whether laws without a name are corrected; halved : more samples for the halves
+    most : of all informative ones, how many the final fit takes, or None for those of the search
+    scope : effects that the user declares, or keeps out of the search
+    """
+
+    first, held = (*terms, frame_term()), replace(scope, declare=(*scope.declare, GYRO_FRAME))
+    if GYRO_FRAME in (*scope.declare, *scope.without):
+        first, held = terms, scope
+
+    def searched(
+        chosen: Setup, whole: MotionSearch | None = None
+    ) -> tuple[ArrayState, ArrayState, MotionSearch]:
+        base = with_found_clock(with_declared(start_state(chosen, first), scope.declare))
+        found = search_posterior(base, held, whole)
+        return base, _named(found, held, curves=curves) or base, found
+
+    base, final, found = searched(setup)
+    gained = cross_fitted(halved or setup, lambda half: searched(half, found)[:2])
+    steps = steps_of(found, final, gained)
+    shifts = _unnamed(found, final)
+    open_ends = {one: float(np.sqrt(np.mean(moved**2))) for one, moved in shifts.items()}
+    deciding = None if gained is None else gained.deciding(_sensors_that_show(final, steps))
+    refused: tuple[tuple[str, str], ...] = ()
+    if steps and deciding is not None and not deciding.holds:
+        refused = tuple((step.effect, _REFUSED) for step in steps)
+        nameless = (
+            Unexplained(s.effect, s.effect, "effect", s.probability, s.evidence) for s in steps
+        )
+        open_ends = dict.fromkeys(nameless, 0.0) | open_ends
+        final, steps = base, ()
+    final = _on_all(final, most)
+    open_ends |= dict.fromkeys(remembered(final) if scope.search else (), 0.0)
+    dispersion = shared_by_neighbours(final, gyro=False)
+    final, uneven = with_uneven(final, dispersion)
+    final = _as_far_as_known(final, shifts.values())
+    if uneven is not None:
+        open_ends = {_as_positions(uneven): float(uneven.spread.max())} | open_ends
+    return MotionLoop(
+        base=base,
+        final=final,
+        steps=steps,
+        rejected=(*found.rejected, *refused),
+        refuted=tuple(name for name, _ in refused),
+        unexplained=tuple(open_ends),
+        scores=scores_of(found.problem, found.posterior),
+        first_scores=found.scores,
+        missing=found.problem.missing,
+        difference=deciding,
+        complete=found.said.complete,
+        gained=gained,
+        impact=found.impact,
+        moved={one.name: move for one, move in open_ends.items()},
+        dispersion=dispersion,
+        scope=scope,
+    )
+
+
+def _sensors_that_show(final: ArrayState, steps: Sequence[Step]) -> set[Channel]:
+    """Whose errors show what is told: of what single sensors do, those of their kind; of what all
+    do alike, or has no name, those of both."""
+    told = {step.effect for step in steps}
+    shown = [term.effect for term in final.found if term.name in told]
+    shared = any(effect.shared for effect in shown) or not shown
+    return set(CHANNELS) if shared else {effect.channel for effect in shown}
+
+
+def _named(found: MotionSearch, scope: Scope, *, curves: bool) -> ArrayState | None:
+    """The fit without laws, which have no name, unless they are to be corrected; None where it runs
+    away."""
+    chosen = found.problem.of_set(found.said.hypothesis)
+    named = [one for one in chosen if curves or found.problem.named(one.name)]
+    known = {term.name for term in found.state.found}
+    if known == {one.name for one in named} | (known & set(scope.declare)):
+        return found.state
+    return with_members(found.state, named, scope)
+
+
+def _as_far_as_known(state: ArrayState, shifts: Iterable[Array]) -> ArrayState:
+    """With positions known no better than by what moves them and is not corrected, (d,) m each."""
+    covariance, d = state.covariance.copy(), state.positions
+    for moved in shifts:
+        covariance[:d, :d] += np.outer(moved, moved)
+    return replace(state, covariance=covariance)
+
+
+def _as_positions(apart: Uneven) -> Unexplained:
+    name = POSITIONS + apart.follows
+    return Unexplained(name, apart.follows, "probe", 1.0 - apart.p, apart.nats)
+
+
+def _on_all(state: ArrayState, most: int | None) -> ArrayState:
+    """The final fit on all samples; accepted clocks with their phases from all of the motion."""
+    if not any(term.aged for term in state.terms):
+        state = replace(state, clock=None)
+        return state if most is None else fitted_on_all(state, most)
+    moved = state if most is None else on_all(state, most)
+    clock = found_clock(moved, every=True)
+    if clock is None:
+        return state
+    return settled_there(with_clock(moved, clock, voting=False))
+
+
+def size_in_words(state: ArrayState, term: Term) -> str:
+    """The one value with its deviation, or the rms of many."""
+    parameters = term.parameters(state.setup.imus)
+    unit = parameters[0].unit
+    if len(parameters) == 1:
+        return plus_minus(float(term.theta[0]), float(state.sd_of(term)[0]), unit)
+    if len(parameters) <= 3:
+        return f"{', '.join(f'{v:.3g}' for v in term.theta)} {unit}"
+    rms = float(np.sqrt(np.mean(term.theta**2)))
+    return f"{rms:.2g} {unit} rms, {term.live.shape[1]} of {len(parameters)} determined"
+
+
+def steps_of(found: MotionSearch, final: ArrayState, gained: Gained | None) -> tuple[Step, ...]:
+    """What is told and corrected, likeliest first; a place that twins share is theirs together.
+
+    final : the fit with what is corrected
+    """
+    steps = []
+    for place in found.said.places:
+        name = _member(found, place.component)
+        twins = next((s for s in found.shares.values() if name in dict(s)), ((name, 1.0),))
+        term = next((t for t in final.found if t.name == twins[0][0]), None)
+        if term is None:
+            continue
+        rivals = [
+            (own, share * part)
+            for c, share in place.rivals
+            for own, part in (twins if c == place.component else ((_member(found, c), 1.0),))
+        ]
+        likely = [r for r in rivals if r[1] > 1.0 - CERTAIN or r[0] == term.name]
+        step = Step(
+            effect=term.name,
+            evidence=place.log_odds,
+            checked=() if gained is None else gained.checked,
+            aliases=tuple(n for n, _ in likely if n != term.name),
+            value=size_in_words(final, term),
+            curve=not found.problem.named(name),
+            probability=place.probability,
+            rivals=tuple(sorted(likely, key=lambda r: -r[1])),
+            certain=place.certain and twins[0][1] > CERTAIN,
+        )
+        steps.append(step)
+    return tuple(steps)
+
+
+def _unnamed(found: MotionSearch, final: ArrayState) -> dict[Unexplained, Array]:
+    """What is told and has no name, be it corrected or not: laws, and effects of which the data
+    determine no size; with the (d,) m by which each moves the positions, where it is not corrected.
+
+    final : the fit with what is corrected
+    """
+    shifts, own = {}, {term.name for term in final.found}
+    for place in found.said.places:
+        name = _member(found, place.component)
+        if found.problem.named(name) and name in own:
+            continue
+        moved = found.problem.moved(found.posterior, found.said.hypothesis, place.component)
+        one = Unexplained(
+            name=name,
+            follows=found.problem.components[place.component].follows,
+            kind="probe",
+            probability=place.probability,
+            evidence=0.0,
+            rivals=tuple(_member(found, c) for c, _ in place.rivals),
+        )
+        shifts[one] = 0.0 * moved if name in own else moved
+    return shifts
+
+
+def _member(found: MotionSearch, component: int) -> str:
+    return name_of(found.problem, found.posterior, found.said, component)

@@ -1,0 +1,506 @@
+"""The search over a motion: fit a set, make its products, search from it, until it stays the same.
+
+The products are those of what is fitted, of all that may be missing, and of the readings,
+
+    A = Zᵀ V⁻¹ Z,  Z = [positions and what the rests did not determine | components | y]
+
+with the nine unknowns of every sample taken out. All is in absolute numbers: y is what the readings
+would be off with everything at its prior's mean, so that products at two linearisations speak of
+the same thing. Noise that neighbours share and tails lessen the weights before. Effects whose
+columns are the same to the first order, delays and low-passes, are told apart by refits. A part of
+a motion starts from the search of the whole: its own products say which of the sets that were
+likely there is the likeliest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from imucalib.arrays import Array
+from imucalib.calibrators.array.board.catalogue import (
+    Scope,
+    array_catalogue,
+    named_effect,
+    twins_of,
+)
+from imucalib.calibrators.array.motion.ages import with_found_clock, with_phases
+from imucalib.calibrators.array.motion.base import PositionBase
+from imucalib.calibrators.array.motion.laws import candidates_of
+from imucalib.calibrators.array.motion.setup import Setup, looked_at, motion_at
+from imucalib.calibrators.array.motion.state import (
+    ArrayState,
+    fit_jointly,
+    sampled_at,
+    shared_by_neighbours,
+)
+from imucalib.calibrators.array.motion.terms import (
+    OPEN,
+    Term,
+    determined,
+    typical_columns,
+    typical_of,
+)
+from imucalib.core.effect import Effect, Response
+from imucalib.errors import Undetermined
+from imucalib.estimators.array.gram import Columns, gram, inverse_root, marginalize
+from imucalib.estimators.array.noise import MotionNoise, log_density
+from imucalib.estimators.array.samples import reweighed
+from imucalib.loop.found import Score
+from imucalib.loop.odds import ABSORBED, FINE_SIZES
+from imucalib.loop.posterior.catalogue import Member, log_odds
+from imucalib.loop.posterior.gram import Grams, Multiplied
+from imucalib.loop.posterior.problem import Choice, Contest
+from imucalib.loop.posterior.space import Hypothesis, Pick, Posterior, blocks_of, hill_climb
+from imucalib.loop.posterior.words import SelectedModel, of_each, select_model
+
+#: Times that twins are told apart, where some have gone to another name.
+_PASSES = 3
+#: Times that a set is settled and searched from: two do, three at most on measured motions.
+_ROUNDS = 5
+#: Nats by which a settled fit may be beside what its products foretold of it.
+_SETTLED = 1.0
+#: Probability below which no part of a motion asks for a component again.
+_UNLIKELY = 0.01
+DIVERGED = "its refit did not converge"
+#: What gyros share, scale apart, against the accelerometers.
+GYRO_FRAME = "gyro_frame"
+#: Name in a model -> (twin, share) of what may be in its place, itself first.
+Shares = dict[str, tuple[tuple[str, float], ...]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionProblem(Contest):
+    """What a motion may lack; what is fitted has left its products.
+
+    missing : why effects could not be tried
+    prior : (C,) log prior odds of each component, be the others tried or not
+    seen : (q,) squares of the columns without the motion, and what free positions leave of them
+    moves : (d, q) m by which each column moves free positions at typical size
+    """
+
+    missing: dict[str, str]
+    prior: Array
+    seen: tuple[Array, Array]
+    moves: Array
+
+    @cached_property
+    def odds(self) -> Array:
+        """(C,) of `prior`."""
+        return self.prior
+
+    @property
+    def sizes(self) -> Array:
+        """Those of a component: a motion has thousands of readings, so that small ones count; the
+        evidence is flat over a factor of four."""
+        return FINE_SIZES[::2]
+
+    def named(self, name: str) -> bool:
+        """Whether a candidate of this name is a cause."""
+        own = next(choice for choice in self.choices if choice.member.name == name)
+        return self.components[own.component].named
+
+    def shown(self, component: int) -> tuple[float, float, float]:
+        """Of a component's first member at typical size: the share of its columns that free
+        positions leave, their length in units of the noise, and the m rms by which it moves the
+        positions."""
+        at = next(c.at for c in self.choices if c.component == component)
+        before, after = (float(one[at].sum()) for one in self.seen)
+        moves = float(np.sqrt(np.sum(np.mean(self.moves[:, at] ** 2, axis=0))))
+        return after / max(before, 1e-300), float(np.sqrt(max(after, 0.0))), moves
+
+    def of_set(self, hypothesis: Hypothesis) -> tuple[Member, ...]:
+        """What a set adds to the model."""
+        return tuple(self.choices[p.choice].member for p in hypothesis.picks)
+
+    def picks(self, state: ArrayState) -> tuple[Pick, ...]:
+        """The effects of a state as a set, at their sizes."""
+        at = {choice.member.name: k for k, choice in enumerate(self.choices)}
+        return tuple(Pick(at[t.name], float(t.sd[0])) for t in state.found if t.name in at)
+
+    def moved(self, posterior: Posterior, hypothesis: Hypothesis, component: int) -> Array:
+        """(d,) m by which a component of a set moves the positions."""
+        columns, value, _ = self._linear(posterior, hypothesis)
+        own = next(
+            self.choices[p.choice].at
+            for p in hypothesis.picks
+            if self.choices[p.choice].component == component
+        )
+        mine = np.isin(columns, own)
+        return np.asarray(self.moves[:, columns[mine]] @ value[mine])
+
+    def shortfall(self, posterior: Posterior, hypothesis: Hypothesis, state: ArrayState) -> float:
+        """Nats by which a settled fit of a set is beside what the products foretold of it."""
+        columns, value, rows = self._linear(posterior, hypothesis)
+        off = _held(state, self.choices, int(columns.max(initial=0)) + 1)[columns] - value
+        return float(0.5 * off @ rows[:, columns] @ off)
+
+    def _linear(self, posterior: Posterior, hypothesis: Hypothesis) -> tuple[Array, Array, Array]:
+        """Columns (m,) of a set, what the products say of each, and their rows."""
+        blocks = blocks_of(self.choices, hypothesis.picks)
+        columns = np.concatenate([at for at, _ in blocks])
+        sizes = np.concatenate([np.full(at.size, size) for at, size in blocks])
+        rows = posterior.grams.rows(columns)[0]
+        value = np.linalg.solve(rows[:, columns] + np.diag(sizes**-2.0), rows[:, -1])
+        return columns, value, rows
+
+
+#: Log prior odds of the components that are tried, by name.
+Odds = Mapping[str, float]
+
+
+def products(
+    state: ArrayState,
+    skipped: frozenset[str],
+    declared: Sequence[str],
+    among: Odds | None = None,
+) -> tuple[MotionProblem, Grams]:
+    """At a fitted state. skipped : names that are not tried; declared : terms that are no question
+    of the search; among : components that are tried, where these are not all"""
+    motion, setup = state.motion, state.setup
+    rows = setup.inner[looked_at(setup)]
+    clock = any(t.aged for t in state.found if t.name in declared)
+    own = tuple(
+        t for t in state.terms if t.name in declared or not (t.found or (t.aged and not clock))
+    )
+    every = candidates_of(motion.take(rows), state.terms, skipped.union(declared), among)
+    odds = log_odds(tuple(every.components))
+    if among is not None:
+        odds = np.array([among[one.name] for one in every.components])
+    base = PositionBase(setup, state.sampled, motion, state.r, own)
+    kappa = [shared_by_neighbours(state, gyro=gyro) for gyro in (False, True)]
+    a, g = (n.information / k for n, k in zip(state.noise, kappa, strict=True))
+    sampled = reweighed(state.sampled.take(rows), a, g)
+    blocks = [Columns(b.basis[:, rows], b.gyro, b.shared) for b in base.blocks]
+    found = base.free(gram(sampled, [*blocks, *every.blocks], np.arange(len(rows))))
+    b = len(base.prior)
+    theta = np.concatenate([base.pull / base.prior, _held(state, every.choices, every.width)])
+    toward = found.matrix @ theta
+    along = (found.along + toward)[:, None]
+    power = found.power + 2.0 * float(theta @ found.along) + float(theta @ toward)
+    whole = np.block([[found.matrix, along], [along.T, np.array([[power]])]])
+    matrix = marginalize(whole, base.prior)
+    loose = inverse_root(found.matrix[:b, :b] + np.diag(base.rests))
+    carried, square = loose.T @ found.matrix[:b, b:], np.diag(found.matrix)[b:]
+    problem = MotionProblem(
+        components=tuple(every.components),
+        base=0,
+        choices=tuple(every.choices),
+        missing=every.missing,
+        prior=odds,
+        seen=(square, square - np.sum(carried**2, axis=0)),
+        moves=loose[: state.positions] @ carried,
+    )
+    grams = Grams(
+        products=Multiplied(matrix[None]),
+        removed=np.zeros((1, 0, len(matrix))),
+        log_weight=np.zeros(1),
+        numbers=found.power,  # as many as their weights say
+        points=(),
+        spread=np.inf,
+    )
+    return problem, grams
+
+
+def _held(state: ArrayState, choices: Sequence[Choice], width: int) -> Array:
+    """(width,) what the state has of the candidates' columns, in typical sizes."""
+    theta = np.zeros(width)
+    at = {choice.member.name: choice.at for choice in choices}
+    phases = [t.value for t in state.terms if t.aged and not t.found]
+    for term in state.found:
+        if term.name in at:
+            value = term.theta / typical_of(term.effect, len(term.theta))
+            theta[at[term.name]] = np.concatenate([value, *(phases if term.aged else ())])
+    return theta
+
+
+@dataclass(frozen=True)
+class MotionSearch:
+    """The end of a search.
+
+    state : with what is told in the model, twins told apart
+    shares : of what is in it
+    problem, posterior, said : of the last products
+    scores : of every component beside the base model, and impact : m rms by which what no motion
+        shows moves the positions at its typical size; both of the first products
+    rejected : (name, reason) of what the model could not take in
+    """
+
+    state: ArrayState
+    shares: Shares
+    problem: MotionProblem
+    posterior: Posterior
+    said: SelectedModel
+    scores: tuple[Score, ...]
+    impact: dict[str, float]
+    rejected: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def chosen(self) -> tuple[Member, ...]:
+        """What is told."""
+        return self.problem.of_set(self.said.hypothesis)
+
+    @property
+    def likely(self) -> Odds:
+        """Components that are in any set near the likeliest, or in what is told."""
+        inside = of_each(self.posterior, len(self.problem.components))[1]
+        inside[list(self.said.hypothesis.components)] = 1.0
+        own = zip(self.problem.components, self.problem.odds, inside, strict=True)
+        return {one.name: float(odds) for one, odds, share in own if share > _UNLIKELY}
+
+
+def search_posterior(
+    base: ArrayState, scope: Scope, whole: MotionSearch | None = None
+) -> MotionSearch:
+    """The posterior over what a fitted state lacks, at the set that it tells.
+
+    scope : declared effects stay in the model; whole : the search of a motion of which this is a
+    part, which starts from what is told there
+    """
+    skipped = scope.skipped(base.setup.imus)
+    state, shares, seen = base, Shares(), set[frozenset[str]]()
+    among, first, rejected = None, None, tuple[tuple[str, str], ...]()
+    if whole is not None:
+        among = whole.likely
+        state, shares = _take_in(base, whole.chosen, scope, None) or (base, shares)
+    for _ in range(_ROUNDS):
+        problem, grams = products(state, skipped, scope.declare, among)
+        posterior = hill_climb(problem, grams, problem.picks(state))
+        del grams
+        first = first or (scores_of(problem, posterior), absorbed(problem))
+        said = select_model(problem, posterior)
+        chosen = problem.of_set(said.hypothesis)
+        names = frozenset(one.name for one in chosen)
+        held = {t.name for t in state.found}
+        if names == held.difference(scope.declare) or names in seen:
+            break
+        seen.add(names)
+        grown = _take_in(state, chosen, scope, skipped if whole is None else None)
+        if grown is None:
+            rejected = tuple((one.name, DIVERGED) for one in chosen if one.name not in held)
+            break
+        state, shares = grown
+        # Where the fit is what its products foretold, others would say the same.
+        same = names == {t.name for t in state.found}.difference(scope.declare)
+        if same and problem.shortfall(posterior, said.hypothesis, state) < _SETTLED:
+            break
+    assert first is not None
+    scores, impact = first
+    return MotionSearch(
+        state=state,
+        shares=shares,
+        problem=problem,
+        posterior=posterior,
+        said=said,
+        scores=scores,
+        impact=impact,
+        rejected=rejected,
+    )
+
+
+def _take_in(
+    state: ArrayState, chosen: Sequence[Member], scope: Scope, skipped: Collection[str] | None
+) -> tuple[ArrayState, Shares] | None:
+    """The fit with a set, its clocks and its twins told apart; None where it runs away.
+
+    skipped : names that are not tried; None where twins stay as the whole motion has told them
+    """
+    grown = with_members(state, chosen, scope)
+    if grown is None:
+        return None
+    if any(term.aged for term in grown.terms):
+        grown = refit(with_found_clock(grown)) or grown
+    return (grown, Shares()) if skipped is None else resolve_aliases(grown, skipped)
+
+
+def scores_of(problem: MotionProblem, posterior: Posterior) -> tuple[Score, ...]:
+    """Every component, likeliest first, by its first member at typical size: its evidence with
+    the base model alone, and the probability that it is there."""
+    evidence, inside = of_each(posterior, len(problem.components))
+    found = []
+    for c, component in enumerate(problem.components):
+        share, strength, _ = problem.shown(c)
+        score = Score(
+            name=component.name,
+            kind="effect" if component.named else "probe",
+            follows=component.follows,
+            evidence=float(evidence[c]),
+            probability=float(inside[c]),
+            left=share if strength > OPEN else 0.0,
+            strength=strength,
+        )
+        found.append(score)
+    return tuple(sorted(found, key=lambda s: -s.probability))
+
+
+def absorbed(problem: MotionProblem) -> dict[str, float]:
+    """What no motion shows, and by how many m rms its typical size moves the positions."""
+    found = {}
+    for c, component in enumerate(problem.components):
+        share, strength, moves = problem.shown(c)
+        if component.named and (strength <= OPEN or share < ABSORBED):
+            found[component.name] = moves
+    return found
+
+
+def with_members(state: ArrayState, chosen: Sequence[Member], scope: Scope) -> ArrayState | None:
+    """The joint fit with these and what is declared, and no others; None where it runs away."""
+    names = {*scope.declare, *(one.name for one in chosen)}
+    grown = replace(state, terms=tuple(t for t in state.terms if not t.found or t.name in names))
+    for one in chosen:
+        if one.name not in {t.name for t in grown.terms}:
+            term = new_term(grown, one.name, one.effects[0][0])
+            if term.value.size:
+                grown = replace(grown, terms=(*grown.terms, term))
+    try:
+        grown = fit_jointly(with_phases(grown))
+    except np.linalg.LinAlgError:
+        return None
+    return grown if grown.converged else None
+
+
+def with_declared(state: ArrayState, names: Sequence[str]) -> ArrayState:
+    """The joint fit with the named effects in the model.
+
+    Raises UsageError for unknown names, Undetermined where the motion cannot carry one.
+    """
+    for name in names:
+        effect = named_effect(name, state.setup.imus)
+        if "sample_age" in effect.needs and state.motion.age is None:
+            state = with_found_clock(state)
+        reason = effect.missing(state.motion.context)
+        term = None if reason else new_term(state, name, effect)
+        if term is None or term.value.size == 0:
+            raise Undetermined(
+                f"{name} was declared, and this motion does not show it"
+                + (f": {reason}" if reason else ""),
+                remedy=effect.identify,
+            )
+        state = replace(state, terms=(*state.terms, term))
+    return fit_jointly(with_phases(state)) if names else state
+
+
+def new_term(state: ArrayState, name: str, effect: Effect) -> Term:
+    """An effect as a new term of a fitted state: what these data can determine of it, at zero.
+
+    name : with "@imu3" where it is of one IMU alone
+    """
+    family, _, imu = name.partition("@")
+    assert isinstance(effect, Response)
+    own, only = replace(effect, name=family), state.setup.imus.index(imu) if imu else None
+    return determined(name, own, only, own_gram(state, own, only), state.found)
+
+
+def own_gram(state: ArrayState, effect: Response, only: int | None = None) -> Array:
+    """(p, p) Gram matrix, in units of the noise, of an effect's columns in typical sizes, with
+    motion, positions and terms taken out."""
+    columns, base = typical_columns(effect, state.motion, only), state.base
+    found = base.free(gram(state.sampled, [*base.blocks, columns], state.setup.inner))
+    return marginalize(found.matrix, base.rests)
+
+
+def frame_term() -> Term:
+    """What gyros share against the accelerometers: no comparison of gyros shows it, every board has
+    it, and positions hold it where a model does not."""
+    effect = array_catalogue()[GYRO_FRAME]
+    size = typical_of(effect, len(effect.each))
+    return Term(GYRO_FRAME, effect, None, np.diag(size), 0.0 * size, np.ones(len(size)))
+
+
+def start_state(setup: Setup, terms: tuple[Term, ...]) -> ArrayState:
+    """Fitted with the drawing and plain noise as the start."""
+    one = np.ones(setup.triads)
+    noise = MotionNoise(0.2, 0.0, np.inf, one), MotionNoise(5e-3, 0.0, np.inf, one)
+    sampled = sampled_at(setup, setup.board.drawn, noise)
+    drawn = ArrayState(
+        setup=setup,
+        r=setup.board.drawn,
+        terms=terms,
+        noise=noise,
+        sampled=sampled,
+        motion=motion_at(setup, sampled, None),
+        covariance=np.empty((0, 0)),
+        converged=False,
+    )
+    return fit_jointly(drawn)
+
+
+def refit(state: ArrayState) -> ArrayState | None:
+    """The joint fit with the noise in the shape that it has; None where it runs away."""
+    try:
+        found = fit_jointly(state, shaped=False)
+    except np.linalg.LinAlgError:
+        return None
+    return found if found.converged else None
+
+
+def resolve_aliases(state: ArrayState, skipped: Collection[str]) -> tuple[ArrayState, Shares]:
+    """Of a settled fit, every found effect that has twins against these, each fitted anew in its
+    place; again where one has gone to a twin, for with a wrong one another seems right.
+
+    skipped : names that are not tried. A twin whose fit is lost keeps the share it had before:
+    nothing is known against it.
+    """
+    for _ in range(_PASSES):
+        shares = Shares()
+        names = [t.name for t in state.found]
+        for name in names:
+            twins = [twin for twin in twins_of(name) if twin not in skipped]
+            if twins:
+                state, known = _against(state, name, twins)
+                shares[known[0][0]] = known
+        if names == [t.name for t in state.found]:
+            break
+    return state, shares
+
+
+def _against(
+    state: ArrayState, name: str, twins: list[str]
+) -> tuple[ArrayState, tuple[tuple[str, float], ...]]:
+    """The fit with the likeliest of an effect and its twins, and the share of each."""
+    fits: dict[str, ArrayState | None] = {name: state}
+    term = next(t for t in state.terms if t.name == name)
+    for twin in twins:
+        other = _as_twin(term, twin)
+        least = np.resize([p.least for p in other.effect.each], len(other.theta))
+        # No filter has a negative time; those of all are against each other, so one of them has
+        # none.
+        alone = other.only is not None or other.effect.shared
+        theta = other.theta - (0.0 if alone else other.theta.min())
+        if np.all(theta + 3.0 * state.sd_of(term) >= least):
+            terms = (other if t is term else t for t in state.terms)
+            fits[twin] = refit(replace(state, terms=tuple(terms)))
+    level = _nats(state, name)
+    nats = np.array([_nats(s, n) - level if s else 0.0 for n, s in fits.items()])
+    share = np.exp(nats - nats.max())
+    order = np.argsort(-share, kind="stable")
+    names = [list(fits)[k] for k in order]
+    known = zip(names, share[order] / share.sum(), strict=True)
+    return fits[names[0]] or state, tuple((n, float(s)) for n, s in known)
+
+
+def _effect(name: str) -> Response:
+    return array_catalogue()[name.partition("@")[0]]
+
+
+def _as_twin(term: Term, twin: str) -> Term:
+    """With the effect of a twin: where one kind of sensor lags, the other leads."""
+    effect = _effect(twin)
+    sign = 1.0 if effect.channel == term.effect.channel else -1.0
+    return replace(term, name=twin, effect=effect, value=sign * term.value)
+
+
+def _nats(state: ArrayState, name: str) -> float:
+    """Log density of the residuals, neighbours counted for what they are worth. A lag of single
+    sensors shows against others of their kind: what neighbours' noise brings into dω/dt, other for
+    each twin, is in the other kind's residuals, and was worth 36 nats for the wrong one."""
+    effect = _effect(name)
+    *squares, speed = state.squares()
+    return sum(
+        float(log_density(noise, square, speed).sum()) / shared_by_neighbours(state, gyro=gyro)
+        for noise, square, gyro in zip(state.noise, squares, (False, True), strict=True)
+        if effect.shared or gyro == (effect.channel == "angular_rate")
+    )

@@ -1,0 +1,288 @@
+"""The array's model as fitted: positions, terms, noise and motion together.
+
+Positions and terms by Gauss-Newton with the motion of every sample taken out, weights by the noise,
+which is estimated along. Every basis is taken at the fitted motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from imucalib.arrays import Array
+from imucalib.calibrators.array.motion.base import PositionBase
+from imucalib.calibrators.array.motion.board_motion import BoardMotion
+from imucalib.calibrators.array.motion.setup import Setup, motion_at
+from imucalib.calibrators.array.motion.terms import Term, lagging, lost, sensed
+from imucalib.estimators.array.gram import gradient, gram, inverse_root, without_motion
+from imucalib.estimators.array.noise import (
+    MotionNoise,
+    Squares,
+    chosen_noise,
+    not_followed,
+    scaled,
+)
+from imucalib.estimators.array.sample_age import SampleAge
+from imucalib.estimators.array.samples import Readings, Sampled, Weights, fit_samples
+from imucalib.loop.found import Unexplained
+from imucalib.loop.odds import CERTAIN
+
+#: Newton steps at most, those before which the matrix is made again in any case, and the squared
+#: steps at which a fit is settled: one in the search, which compares nats, and one that is stated.
+_ROUNDS, _AGAIN, _ROUGH, _CLOSE = 30, (0, 8, 16, 24), 0.4, 0.03
+#: Change of the noise from which the matrix no longer serves.
+_STALE = 0.1
+#: Rounds of a motion with the weights that its residuals ask for, at one step of what is fitted.
+_WEIGHED = 2
+#: Growth of a squared step of a lost fit.
+_GROWN = 1e3
+#: Samples from which the shape of the noise is chosen.
+_SHAPED_BY = 250
+
+
+@dataclass(frozen=True)
+class ArrayState:
+    """r : (K, 3) m, the first at zero; terms; noise of accelerometers and gyros; sampled : the
+    fitted motion; motion : the same for effects; covariance : of positions and terms' coordinates;
+    by_noise : the same if the noise is what was fitted, where that is known; clock : of the gyros,
+    where one shows"""
+
+    setup: Setup
+    r: Array
+    terms: tuple[Term, ...]
+    noise: tuple[MotionNoise, MotionNoise]
+    sampled: Sampled
+    motion: BoardMotion
+    covariance: Array
+    converged: bool
+    by_noise: Array | None = None
+    clock: SampleAge | None = None
+
+    @property
+    def positions(self) -> int:
+        """How many coordinates are free."""
+        return 3 * (self.setup.triads - 1)
+
+    @cached_property
+    def base(self) -> PositionBase:
+        return PositionBase(self.setup, self.sampled, self.motion, self.r, self.terms)
+
+    @property
+    def found(self) -> tuple[Term, ...]:
+        return tuple(term for term in self.terms if term.found)
+
+    def squares(self, off: Readings | None = None) -> tuple[Squares, Squares, Array]:
+        """Residuals of accelerometers and gyros at the inner samples as their noise is judged by,
+        and the speed (inner,) rad/s; off : (T, K, 3) other residuals."""
+        off, inner = off or self.sampled.off, self.setup.inner
+        found = []
+        for values, kept in zip((off.acceleration, off.rate), self.sampled.kept, strict=True):
+            numbers = np.mean(kept.numbers[inner], axis=0)
+            length = np.sum(values[inner] ** 2, axis=2) / kept.share[inner]
+            found.append(Squares(length * (numbers / 3.0), numbers))
+        return found[0], found[1], np.linalg.norm(self.sampled.rate, axis=1)[inner]
+
+    def sd_of(self, term: Term) -> Array:
+        """(p,) posterior standard deviations of a term's parameters."""
+        return np.asarray(np.sqrt(np.diag(self.covariance_of(term))))
+
+    def covariance_of(self, term: Term) -> Array:
+        """(p, p) posterior covariance of a term's parameters."""
+        names = [other.name for other in self.terms]
+        ends = self.positions + np.cumsum([0, *(len(other.value) for other in self.terms)])
+        start = int(ends[names.index(term.name)])
+        own = slice(start, start + len(term.value))
+        return np.asarray(term.live @ self.covariance[own, own] @ term.live.T)
+
+
+def sampled_at(setup: Setup, r: Array, noise: tuple[MotionNoise, MotionNoise]) -> Sampled:
+    """The motion of samples for positions alone, each kind of sensor weighted by its size."""
+    ones = np.ones((len(setup.rows), setup.triads))
+    weights = Weights(ones / noise[0].sigma ** 2, ones / noise[1].sigma ** 2)
+    return fit_samples(setup.readings, weights, r, np.median(setup.readings.rate, axis=1))
+
+
+def fit_jointly(state: ArrayState, *, shaped: bool = True) -> ArrayState:
+    """The joint fit of everything, and the noise in the shape that held-out halves ask for.
+
+    shaped : whether these choose it, or it keeps its shape, as where the search is over
+    """
+    state = _newton(_with_scale(state), _ROUGH if shaped else _CLOSE)
+    if shaped:
+        # Which shape only shows once the fit is close; the fit then moves a little with it.
+        for _ in range(3):
+            noise = _shaped(state)
+            same = all(_same(a, b) for a, b in zip(noise, state.noise, strict=True))
+            state = replace(state, noise=noise)
+            if same:
+                break
+            state = _newton(state, _ROUGH)
+    base = state.base
+    inner = base.free(gram(state.sampled, base.blocks, state.setup.inner))
+    root = inverse_root(inner.matrix + np.diag(base.prior))
+    return replace(state, covariance=root @ root.T)
+
+
+def _same(one: MotionNoise, two: MotionNoise) -> bool:
+    # Growth is in units of the median speed, which moves a little with every fit.
+    a, b = ((x.growth, *x.factor) for x in (one, two))
+    return one.freedom == two.freedom and bool(np.allclose(a, b, rtol=_STALE, atol=0.0))
+
+
+def _with_scale(state: ArrayState, off: Readings | None = None) -> ArrayState:
+    a, g, speed = state.squares(off)
+    one, two = state.noise
+    return replace(state, noise=(scaled(one, a, speed), scaled(two, g, speed)))
+
+
+def _shaped(state: ArrayState) -> tuple[MotionNoise, MotionNoise]:
+    a, g, speed = state.squares()
+    some = np.linspace(0, len(speed) - 1, min(len(speed), _SHAPED_BY)).astype(np.intp)
+    first, rows = state.setup.first[some], state.setup.inner[some]
+    one, two = (chosen_noise(x[some], speed[some], first) for x in (a, g))
+    return scaled(one, a, speed), scaled(not_followed(two, state.sampled, rows), g, speed)
+
+
+def _newton(state: ArrayState, close: float) -> ArrayState:
+    """Newton with the matrix of the start: what changes on the way is the residual."""
+    converged, matrix, made, shortest = False, np.empty((0, 0)), np.zeros(2), np.inf
+    base: PositionBase | None = None
+    off = state.sampled.off
+    share = min(noise.information for noise in state.noise)
+    wide = float(np.abs(state.setup.board.drawn).max())  # no place moves by more than the board is
+    for k in range(_ROUNDS):
+        state = moved_motion(state, base, off)
+        base = state.base
+        sigma = np.array([noise.sigma for noise in state.noise])
+        if k in _AGAIN or np.any(np.abs(made / sigma - 1.0) > _STALE):
+            made = sigma
+            matrix = base.free(gram(state.sampled, base.blocks, state.setup.inner)).matrix
+        along = base.along(gradient(state.sampled, base.blocks, state.setup.inner))
+        inner = matrix + np.diag(base.prior)
+        # Weights that follow residuals answer less than they say, so a step goes farther.
+        step = np.linalg.solve(share * matrix + np.diag(base.prior), along - base.pull)
+        if not float(np.abs(step[: state.positions]).max()) < wide:
+            break
+        variance = np.sum(inverse_root(inner) ** 2, axis=1)
+        # Weights go by the residuals after the step, not by those that led to it.
+        change = without_motion(state.sampled, base.reading(step, off.rate.shape))
+        off = state.sampled.off.less(change)
+        state = _with_scale(_moved(state, step, variance), off)
+        moved = np.array([noise.sigma for noise in state.noise]) / sigma - 1.0
+        square = float(step @ inner @ step)
+        converged = square < close and float(np.abs(moved).max()) < _STALE
+        shortest = min(shortest, square)
+        if converged or square > _GROWN * shortest:
+            break
+    return replace(moved_motion(state, base, off), converged=converged)
+
+
+def _moved(state: ArrayState, step: Array, variance: Array) -> ArrayState:
+    ends = state.positions + np.cumsum([0, *(len(term.value) for term in state.terms)])
+    r = state.r.copy()
+    r[1:] += step[: state.positions].reshape(-1, 3)
+    parts = zip(state.terms, ends, ends[1:], strict=False)
+    terms = tuple(term.moved(step[a:b], variance[a:b]) for term, a, b in parts)
+    return replace(state, r=r, terms=terms)
+
+
+def moved_motion(
+    state: ArrayState, base: PositionBase | None = None, off: Readings | None = None
+) -> ArrayState:
+    """The motion for the positions, terms and noise as they are.
+
+    base : with the columns of the same terms at the same motion, where they are made already
+    off : residuals that the weights go by, where they are foreseen
+    """
+    readings, sampled, off = corrected(state, base), state.sampled, off or state.sampled.off
+    tailed = any(np.isfinite(noise.freedom) for noise in state.noise)
+    for more in reversed(range(_WEIGHED if tailed else 1)):
+        speed = np.linalg.norm(sampled.rate, axis=1)
+        weights = Weights(
+            state.noise[0].weight(np.sum(off.acceleration**2, axis=2), speed),
+            state.noise[1].weight(np.sum(off.rate**2, axis=2), speed),
+        )
+        # With weights that are made anew at once, the motion need not be at its end.
+        sampled = fit_samples(readings, weights, state.r, sampled, *([1] if more else []))
+        off = sampled.off
+    motion = motion_at(state.setup, sampled, state.motion.age, courses=bool(lagging(state.terms)))
+    return replace(state, sampled=sampled, motion=sensed(state.terms, motion))
+
+
+def refit_motion(state: ArrayState, rounds: int) -> ArrayState:
+    """The motion of every sample, with its weights, for positions, terms and noise that are held
+    as they are."""
+    for _ in range(rounds):
+        state = moved_motion(state)
+    return state
+
+
+def corrected(state: ArrayState, base: PositionBase | None = None) -> Readings:
+    """The readings less what the terms add to them."""
+    own = None if base is None else base.blocks[1:]
+    acceleration = state.setup.readings.acceleration.copy()
+    rate = state.setup.readings.rate.copy()
+    late = lagging(state.terms) if state.motion.courses is not None else ()
+    if late:
+        force, turned = lost(late, state.motion)
+        acceleration += force
+        rate += turned
+    for k, term in enumerate(state.terms):
+        if late and term.effect.lagged:
+            continue
+        columns = own[k] if own is not None else term.columns(state.motion)
+        target = rate if columns.gyro else acceleration
+        target -= term.reading(columns)
+    return Readings(acceleration, rate)
+
+
+#: Samples over which a sum of residuals is taken, and the farthest neighbours that are compared.
+_RUN, _FAR = 16, 6
+#: Pairs of neighbours below which nothing is known of what they share, and standard deviations of
+#: chance below which it is nothing.
+_FEWEST, _CHANCE = 50, 2.0
+
+
+def _shared(state: ArrayState, *, gyro: bool) -> Iterator[tuple[float, float]]:
+    """Correlation of the weighted residuals of samples 1, 2, ... apart, and how many independent
+    products it is the mean of; until there are few."""
+    setup, sampled = state.setup, state.sampled
+    root = np.sqrt(sampled.weights.of(gyro=gyro))[..., None]
+    white = (sampled.off.of(gyro=gyro) * root)[setup.inner]
+    follows = np.diff(setup.rows[setup.inner]) == 1
+    power = float(np.mean(white**2))
+    # The motion has its share of the numbers of every sample.
+    numbers = max(3 * white.shape[1] - (3 if gyro else 6), 1)
+    for k in range(1, _FAR + 1):
+        together = np.convolve(follows, np.ones(k), "valid") == k
+        if together.sum() < _FEWEST or power == 0.0:
+            return
+        product = float(np.mean((white[:-k] * white[k:])[together]))
+        yield product / power, float(together.sum() * numbers)
+
+
+def shared_by_neighbours(state: ArrayState, *, gyro: bool) -> float:
+    """How many times fewer samples noise with memory is worth: the variance of a sum over a run
+    of samples over that of independent ones, 1 + 2 Σ ρ_k (1 - k / run), up to the first neighbour
+    that shares nothing beyond chance."""
+    factor = 1.0
+    for k, (rho, n) in enumerate(_shared(state, gyro=gyro), 1):
+        if rho * np.sqrt(n) < _CHANCE:
+            break
+        factor += 2.0 * rho * (1.0 - k / _RUN)
+    return factor
+
+
+def remembered(state: ArrayState) -> Iterator[Unexplained]:
+    """Sensors whose noise follows its own past, where noise without memory is unlikely at even odds
+    (Schwarz 1978): something goes on from sample to sample that the model does not have."""
+    for sensor, gyro in (("accelerometer", False), ("gyroscope", True)):
+        rho, n = next(_shared(state, gyro=gyro), (0.0, 1.0))
+        nats = 0.5 * n * max(rho, 0.0) ** 2 - 0.5 * float(np.log(n))
+        p = 1.0 / (1.0 + float(np.exp(min(nats, 700.0))))
+        if p < 1.0 - CERTAIN:
+            name = f"{sensor} noise correlated in time"
+            yield Unexplained(name, "time", "noise", 1.0 - p, nats)

@@ -1,0 +1,211 @@
+"""What an array's model holds beyond the positions: errors of the rests, and accepted effects."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imucalib.arrays import Array
+from imucalib.calibrators.array.board.rests import RestFit
+from imucalib.calibrators.array.motion.board_motion import BoardMotion
+from imucalib.core.course import Course
+from imucalib.core.effect import Basis, Channel, Context, Motion, Parameter, Response, Truth
+from imucalib.core.eigen import eigen
+from imucalib.estimators.array.gram import Columns
+
+SMALLEST, LARGEST = 1e-3, 10.0  # believable sizes of an effect, in its typical ones
+OPEN = 0.05  # λ at typical size below which a direction says nothing
+
+
+@dataclass(frozen=True)
+class Term:
+    """An effect with its estimate.
+
+    name : of the effect, with "@imu3" when it acts on one IMU only; only : that IMU or None
+    live : (p, q) its parameters per unit of the q coordinates that the data can determine; the
+        others are held at zero
+    value, sd : (q,) the coordinates and their prior standard deviations
+    found : whether the loop accepted it; otherwise it is what the rests did not determine
+    """
+
+    name: str
+    effect: Response
+    only: int | None
+    live: Array
+    value: Array
+    sd: Array
+    found: bool = True
+
+    @property
+    def theta(self) -> Array:
+        """(p,) in the parameters' units."""
+        return np.asarray(self.live @ self.value)
+
+    @property
+    def family(self) -> str:
+        """The effect's name, be it of one IMU or of all."""
+        return self.name.partition("@")[0]
+
+    @property
+    def aged(self) -> bool:
+        """Whether it says what the chips' own clocks do."""
+        return "sample_age" in self.effect.needs
+
+    def parameters(self, imus: Sequence[str]) -> tuple[Parameter, ...]:
+        if self.effect.shared:
+            return self.effect.each
+        return self.effect.of_each(imus if self.only is None else [imus[self.only]])
+
+    def columns(self, motion: BoardMotion) -> Columns:
+        return columns_of(self.effect, motion, self.only)
+
+    def reading(self, columns: Columns) -> Array:
+        """(T, K, 3) what it adds to the readings of its sensors."""
+        return columns.at(self.theta)
+
+    def lag(self, motion: BoardMotion) -> Array:
+        """(T, K) s by which its sensors lag: its answer to a change by one a second; zero of what
+        does not say when they read."""
+        late = np.zeros(motion.shape)
+        if self.effect.lagged is None:
+            return late
+        along = np.zeros(motion.truth.shape)
+        along[..., 0] = 1.0
+        steady = replace(motion.truth, motion=Motion(along, along, along))
+        basis = self.effect.basis(steady, motion.context)[:, :, 0]
+        each = self.theta.reshape(-1, basis.shape[2])  # of all, of each or of one IMU
+        some = slice(None) if self.only is None else slice(self.only, self.only + 1)
+        late[:, some] = -np.sum(basis[:, some] * each, axis=2)
+        return late
+
+    def moved(self, step: Array, variance: Array) -> Term:
+        """After a step of its coordinates, of variance (q,); the size of a found effect is learned
+        along."""
+        value = self.value + step
+        sd = self.sd
+        if self.found and value.size:
+            size = np.sqrt(np.mean(value**2 + variance))
+            sd = np.full_like(self.sd, np.clip(size, SMALLEST, LARGEST))
+        return replace(self, value=value, sd=sd)
+
+
+def lagging(terms: Sequence[Term]) -> tuple[Term, ...]:
+    """Those that say when sensors read."""
+    return tuple(term for term in terms if term.effect.lagged is not None)
+
+
+def sensed(terms: Sequence[Term], motion: BoardMotion) -> BoardMotion:
+    """The motion as lagging sensors meet it: all that acts on a reading acts on what they meet."""
+    late = lagging(terms)
+    if motion.courses is None or not late:
+        return motion
+    rate, force = motion.courses
+
+    def met(channel: Channel) -> tuple[Course, Course]:
+        return _met(late, rate, motion, channel), _met(late, force, motion, channel)
+
+    return motion.met(met("angular_rate"), met("acceleration"))
+
+
+def _met(late: Sequence[Term], course: Course, motion: BoardMotion, channel: Channel) -> Course:
+    """What sensors of one kind meet of a course."""
+    for term in late:
+        lag = term.lag(motion)[..., None]
+        if term.effect.channel == channel and term.effect.lagged and lag.any():
+            course = term.effect.lagged(course, lag)
+    return course
+
+
+def lost(terms: Sequence[Term], motion: BoardMotion) -> tuple[Array, Array]:
+    """(T, K, 3) in board axes: what lagging accelerometers and gyros read less than there is, where
+    the motion has its courses."""
+    assert motion.courses is not None
+    rate, force = motion.courses
+    late, common = lagging(terms), motion.context.in_common
+    return (
+        common(force.value - _met(late, force, motion, "acceleration").value),
+        common(rate.value - _met(late, rate, motion, "angular_rate").value),
+    )
+
+
+def determined(
+    name: str, effect: Response, only: int | None, matrix: Array, others: Sequence[Term] = ()
+) -> Term:
+    """A new term at zero, with the directions that the data can determine.
+
+    matrix : (p, p) Gram of its columns in typical sizes, with all else that is fitted taken out;
+    others : the terms that are there
+    """
+    opposite = any(
+        t.only is None and not t.aged and t.effect.channel != effect.channel
+        for t in lagging(others)
+    )
+    if effect.lagged and only is None and opposite:
+        # Delays of both kinds of sensor: what all share is the time itself, which none can show.
+        apart = np.eye(len(matrix)) - 1.0 / len(matrix)
+        matrix = apart @ matrix @ apart
+    values, vectors = eigen(matrix)
+    use = values > max(OPEN**2, 1e-9 * float(values[-1]))
+    live = typical_of(effect, len(matrix))[:, None] * vectors[:, use]
+    rank = int(use.sum())
+    return Term(name, effect, only, live, np.zeros(rank), np.ones(rank))
+
+
+def typical_of(effect: Response, count: int) -> Array:
+    """(count,) typical sizes of its columns."""
+    return np.resize([p.typical for p in effect.each], count)
+
+
+def columns_of(effect: Response, motion: BoardMotion, only: int | None = None) -> Columns:
+    """Columns of an effect in board axes, per unit of its parameters."""
+    basis = motion.turned(effect.basis(motion.truth_of(effect.channel), motion.context))
+    gyro = effect.channel == "angular_rate"
+    if only is None:
+        return Columns(basis, gyro, effect.shared)
+    alone = np.zeros_like(basis)
+    alone[only] = basis[only]
+    return Columns(alone, gyro, shared=True)
+
+
+def typical_columns(effect: Response, motion: BoardMotion, only: int | None = None) -> Columns:
+    """Its columns in units of typical sizes, of all IMUs or of one."""
+    columns = columns_of(effect, motion, only)
+    columns.basis[...] *= typical_of(effect, len(effect.each))
+    return columns
+
+
+def rest_terms(rests: RestFit) -> tuple[Term, ...]:
+    """Errors of gains and offsets with the covariance that the rests give them, in package axes."""
+    k = len(rests.gain)
+    values, vectors = eigen(rests.covariance.reshape(12 * k, 12 * k))
+    back = np.zeros((k, 3, k, 3))
+    back[range(k), :, range(k)] = rests.rotations.transpose(0, 2, 1)
+    gains = vectors * np.sqrt(np.maximum(values, 0.0))
+    offsets = back.reshape(3 * k, 3 * k) * rests.gyro_bias_sd.ravel()
+    return (
+        _of_rests("rests", "acceleration", _gain_and_offset, gains),
+        _of_rests("rests_gyro", "angular_rate", _offset, offsets),
+    )
+
+
+def _of_rests(name: str, channel: Channel, basis: Basis, live: Array) -> Term:
+    effect = Response(name, "What the rests did not determine.", "", "", "", channel=channel)
+    width = 12 if channel == "acceleration" else 3
+    each = tuple(Parameter(f"{name}_{k}", "SI", 1.0, np.inf) for k in range(width))
+    effect = replace(effect, each=each, basis=basis)
+    n = live.shape[1]
+    return Term(name, effect, None, live, np.zeros(n), np.ones(n), found=False)
+
+
+def _gain_and_offset(truth: Truth, context: Context) -> Array:
+    out = np.zeros((*truth.shape, 12))
+    for i in range(3):
+        out[..., i, 3 * i : 3 * i + 3] = truth.force
+        out[..., i, 9 + i] = 1.0
+    return out
+
+
+def _offset(truth: Truth, context: Context) -> Array:
+    return np.broadcast_to(np.eye(3), (*truth.shape, 3))
