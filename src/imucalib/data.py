@@ -41,10 +41,10 @@ class Data:
 
     schema_name: ClassVar[str] = ""
 
-    def __init_subclass__(cls, name: str = "", **others: Any) -> None:
-        super().__init_subclass__(**others)
+    def __init_subclass__(cls, name: str = "", kw_only: bool = False) -> None:
+        super().__init_subclass__()
         cls.schema_name = name
-        dataclass(frozen=True)(cls)
+        dataclass(frozen=True, kw_only=kw_only)(cls)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain types, ready for JSON; of a document with its schema's name."""
@@ -121,7 +121,8 @@ def _schema_of_many(origin: Any, inside: tuple[Any, ...]) -> dict[str, Any]:
     if origin is Literal:
         return {"enum": list(inside)}
     if origin in (tuple, list):
-        return {"type": "array", "items": _schema(inside[0])}
+        each = [_schema(one) for one in inside if one is not ...]
+        return {"type": "array", "items": _schema_of_either(each)}
     if origin.__name__ == "ndarray":
         return {"type": "array"}
     return {"type": "object", "additionalProperties": _schema(inside[1])}

@@ -12,6 +12,7 @@ from imucalib.calibration.findings import Findings
 from imucalib.calibration.plain import plain
 from imucalib.calibration.provenance import Provenance
 from imucalib.core.fit import Fit
+from imucalib.data import Data
 from imucalib.errors import UNEXPLAINED_EXIT_CODE, LimitBroken, Undetermined
 from imucalib.loop.found import FitLoop
 from imucalib.question import Question
@@ -206,9 +207,9 @@ class Run:
     """A finished run: reports, files, exports, tables and the exit code need no more.
 
     calibration : made once, when the run was; details : blocks of report.json that only this
-    calibrator has, in plain types (NaN where a number does not exist)
+    calibrator has
     """
 
     outcome: Outcome
     calibration: Calibration
-    details: Mapping[str, Any] = field(default_factory=dict)
+    details: Data | Mapping[str, Any] = field(default_factory=dict)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibration.plain import fields, listed
 from imucalib.core.fit import NoiseMixture
+from imucalib.data import Data
 from imucalib.estimators.power_ups import Parts, sizes_allowed
 
 
@@ -46,6 +46,37 @@ class NextPowerUp:
     half: float
 
 
+class ScatterFacts(Data):
+    """What scatters between sessions."""
+
+    what: str
+    unit: str
+    sd: Annotated[float, "Of all axes."]
+    low_95: Annotated[float, "Of what the data allow."]
+    high_95: float
+    offsets: Annotated[Array, "Of each session from the mean, by axis."]
+    offsets_sd: Array
+
+
+class NextPowerUpFacts(Data):
+    """A parameter after the next power-up."""
+
+    parameter: str
+    unit: str
+    value: float
+    sd_of_mean: Annotated[float, "Of the mean over power-ups."]
+    sd_next_power_up: float
+    half_of_95: Annotated[float, "Of the interval of the next one."]
+
+
+class BetweenSessions(Data):
+    """How much power-ups scatter, each one's own offset, and the next one's parameters."""
+
+    sessions: tuple[str, ...]
+    scatter: tuple[ScatterFacts, ...]
+    next_power_up: tuple[NextPowerUpFacts, ...]
+
+
 @dataclass(frozen=True)
 class Sessions:
     """names : of the sessions, in the order of the offsets; between : what scatters between them;
@@ -55,25 +86,32 @@ class Sessions:
     between: tuple[Between, ...]
     parameters: tuple[NextPowerUp, ...]
 
-    def block(self) -> dict[str, Any]:
-        """How much power-ups scatter, each one's own offset, and the next one's parameters, in
-        plain types."""
-        return {
-            "sessions": list(self.names),
-            "scatter": [
-                {
-                    **fields(one, "what=name unit sd"),
-                    "low_95": one.interval[0],
-                    "high_95": one.interval[1],
-                    **fields(one, "offsets offsets_sd"),
-                }
-                for one in self.between
-            ],
-            "next_power_up": listed(
-                self.parameters,
-                "parameter=name unit value sd_of_mean=mean sd_next_power_up=sd half_of_95=half",
-            ),
-        }
+    def describe(self) -> BetweenSessions:
+        """What report.json and calibration.yaml tell of it."""
+        scatter = (
+            ScatterFacts(
+                what=one.name,
+                unit=one.unit,
+                sd=one.sd,
+                low_95=one.interval[0],
+                high_95=one.interval[1],
+                offsets=one.offsets,
+                offsets_sd=one.offsets_sd,
+            )
+            for one in self.between
+        )
+        following = (
+            NextPowerUpFacts(
+                parameter=one.name,
+                unit=one.unit,
+                value=one.value,
+                sd_of_mean=one.mean,
+                sd_next_power_up=one.sd,
+                half_of_95=one.half,
+            )
+            for one in self.parameters
+        )
+        return BetweenSessions(self.names, tuple(scatter), tuple(following))
 
 
 def estimate_scatter(

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from imucalib.calibrators.actigraph.errors import Coverage, norm_sd, sphere_cells
+from imucalib.calibrators.actigraph.errors import Coverage, norm_sd
 from imucalib.calibrators.actigraph.observations import from_data, hours
 from imucalib.calibrators.actigraph.published import PublishedRun
 from imucalib.calibrators.actigraph.run import ActigraphRun
@@ -18,6 +18,7 @@ from imucalib.report import sections
 from imucalib.report.document import (
     RESIDUALS,
     Card,
+    Column,
     Document,
     Facts,
     Plot,
@@ -42,6 +43,23 @@ _MOST_ROWS = 12  # parameters of one effect that are shown in full
 _BINS = 60
 #: Two standard deviations of noise whose mean size is one.
 _NOISE = 2.0 * float(np.sqrt(np.pi / 2.0))
+
+
+_SPHERE: tuple[Column, ...] = (
+    ("towards", "name", ""),
+    ("runs", "runs", "d"),
+    ("raw", "raw_mg", ".2f"),
+    ("nine", "base_mg", ".2f"),
+    ("final", "final_mg", ".2f"),
+    ("held out", "held_out_mg", ".2f"),
+    ("sd", "sd_mg", ".2f"),
+)
+_BEFORE_AFTER: tuple[Column, ...] = (
+    ("mg", lambda one: one[0], ""),
+    ("raw", lambda one: one[1].raw, ".2f"),
+    ("corrected", lambda one: one[1].corrected, ".2f"),
+    ("change", lambda one: one[1].corrected - one[1].raw, "+.2f"),
+)
 
 
 def actigraph_document(run: ActigraphRun) -> Document:
@@ -81,11 +99,12 @@ def _card(run: ActigraphRun, picture: Plot) -> Card:
         sections.error_worth(run.outcome.error, "|a| at rest", "time", like),
         sections.worst_attitude("|a|", sd, directions),
     ]
-    enmo = run.activity.enmo if run.activity else {}
+    enmo = run.details.activity.enmo_mg if run.details.activity else {}
     if "night" in enmo and "day" in enmo:  # where one can be told from the other
-        (raw, now), (by_day, now_by_day) = enmo["night"], enmo["day"]
-        detail = f"raw reading {raw:.2g}; by day {by_day:.2g} raw, {now_by_day:.2g} corrected"
-        good.append(Worth("ENMO at night", f"{two_digits(now)} mg", detail))
+        night, day = enmo["night"], enmo["day"]
+        detail = f"raw reading {night.raw:.2g}; by day {day.raw:.2g} raw, {day.corrected:.2g} "
+        worth = Worth("ENMO at night", f"{two_digits(night.corrected)} mg", f"{detail}corrected")
+        good.append(worth)
     ggir = sections.exporting(run.calibration, "For GGIR", "ggir-csv", "ggir.csv")
     uses = (sections.CORRECT, *ggir)
     return sections.card_of(run.outcome, good, uses=uses, picture=picture)
@@ -118,31 +137,32 @@ def _of_a_kind(run: ActigraphRun) -> Section:
 
 def _activity(run: ActigraphRun) -> Section:
     """Wear, ENMO and |a| at night, before and after; empty where the samples were not seen."""
-    found = run.activity
+    found = run.details.activity
     if found is None:
         return Section("Wear and activity", ())
-    wear, night = found.wear, "cannot be named: too little of a day was seen"
-    if found.night is not None:
-        start, stop = (f"{int(s // 3600):02d}:{int(s % 3600 // 60):02d}" for s in found.night)
+    night, off = "cannot be named: too little of a day was seen", found.not_worn_s
+    if found.night_s_of_day is not None:
+        each = found.night_s_of_day
+        start, stop = (f"{int(s // 3600):02d}:{int(s % 3600 // 60):02d}" for s in each)
         night = f"{start} to {stop}, the least active five hours"
-    off = ", ".join(f"{a / 3600:.2f} to {b / 3600:.2f} h" for a, b in wear.off[:4])
-    off += f" and {len(wear.off) - 4} more" if len(wear.off) > 4 else ""
+    spans = ", ".join(f"{a / 3600:.2f} to {b / 3600:.2f} h" for a, b in off[:4])
+    spans += f" and {len(off) - 4} more" if len(off) > 4 else ""
     facts = (
-        ("worn", f"{wear.worn:.1f} of {wear.hours:.1f} h"),
-        ("not worn", f"{off}, from the start" if off else "never an hour in a row"),
+        ("worn", f"{found.hours_worn:.1f} of {found.hours_recorded:.1f} h"),
+        ("not worn", f"{spans}, from the start" if spans else "never an hour in a row"),
         ("night", night),
     )
-    compared = [(f"ENMO, {name}", *both) for name, both in found.enmo.items()]
-    if found.night_runs:
-        name = f"error of |a| at rest, night ({found.night_runs} runs)"
-        compared.append((name, *found.night_error))
-    rows = tuple((name, f"{a:.2f}", f"{b:.2f}", f"{b - a:+.2f}") for name, a, b in compared)
+    compared = [(f"ENMO, {name}", both) for name, both in found.enmo_mg.items()]
+    if found.night_posture_runs:
+        name = f"error of |a| at rest, night ({found.night_posture_runs} runs)"
+        compared.append((name, found.night_error_mg))
     note = (
         "ENMO: mean of max(|a| - 1 g, 0) over the samples of worn time. The error at rest is held "
         "out: each run predicted without its block of time."
     )
-    table = Table("Before and after", ("mg", "raw", "corrected", "change"), rows, "lrrr", note)
-    hour, ends = np.arange(25.0), np.concatenate([found.profile, found.profile[-1:]])
+    table = Table.of(_BEFORE_AFTER, compared, "Before and after", note)
+    profile = found.enmo_by_hour_mg
+    hour, ends = np.arange(25.0), np.concatenate([profile, profile[-1:]])
     steps = (Series(name, hour, ends[:, k], "step") for k, name in enumerate(("raw", "corrected")))
     labels = ("ENMO over the day", "hour of the day (h)", "ENMO (mg)")
     plot = Plot(*labels, tuple(steps), "Mean of each hour of the recording's clock, worn time.")
@@ -151,11 +171,11 @@ def _activity(run: ActigraphRun) -> Section:
 
 def _rule(run: ActigraphRun) -> Section:
     """Our coefficients in GGIR's form and those of its own rule; empty without windows."""
-    rule, title = run.rule, "Beside GGIR's rule"
+    rule, title = run.details.ggir_rule, "Beside GGIR's rule"
     if rule is None:
         return Section(title, ())
     row = nearest_row(run.calibration)
-    compared = (("scale", row.scale, rule.scale), ("offset", row.offset, rule.offset))
+    compared = (("scale", row.scale, rule.scale), ("offset", row.offset, rule.offset_g))
     rows = tuple(
         (f"{name} {axis}", f"{a:.5f}", f"{b:.5f}", f"{a - b:+.5f}")
         for name, ours, theirs in compared
@@ -170,8 +190,8 @@ def _rule(run: ActigraphRun) -> Section:
     words = [
         (
             "windows of its rule",
-            f"{rule.points}, {rule.before:.2f} mg before, {rule.after:.2f} mg after, on the "
-            "windows that were fitted",
+            f"{rule.windows}, {rule.error_before_mg:.2f} mg before, {rule.error_after_mg:.2f} mg "
+            "after, on the windows that were fitted",
         ),
         (
             "on the posture runs",
@@ -239,32 +259,35 @@ def _parameters(run: ActigraphRun) -> Section:
 
 
 def _coverage(run: ActigraphRun) -> Section:
-    c = run.coverage
-    ends = zip("xyz", c.span.T, strict=True)
+    c = run.details.coverage
+    ends = c.axis_range_g.items()
     seen = ", ".join(f"{a} {low:+.2f} to {high:+.2f} g" for a, (low, high) in ends)
-    known = f"{c.mean_sd:.2f} mg on average over all directions, {c.worst_sd:.2f} mg in the worst"
-    noise = ", ".join(f"{v:.2g}" for v in c.noise)
+    known = f"{c.norm_sd_mean_mg:.2f} mg on average over all directions, "
+    known += f"{c.norm_sd_largest_mg:.2f} mg in the worst"
+    noise = ", ".join(f"{v:.2g}" for v in c.noise_of_a_sample_mg)
+    still = f"{c.still_windows} of {c.windows} windows of {c.window_s:g} s"
     rows = [
-        ("recorded", f"{c.hours:.1f} h at {c.rate:g} Hz"),
-        ("at rest", f"{c.still} of {c.windows} windows of {c.window:g} s, {c.runs} posture runs"),
+        ("recorded", f"{c.hours:.1f} h at {c.rate_hz:g} Hz"),
+        ("at rest", f"{still}, {c.posture_runs} posture runs"),
         ("seen of gravity", seen),
         ("|a| is known to", known),
         ("noise", f"{noise} mg a sample{_steps(c)}"),
         ("local gravity", f"{run.request.gravity:.5f} m/s² ({run.request.gravity_source})"),
     ]
-    if c.temperature is not None:
-        low, high = c.temperature
-        rows.append(("temperature", f"{low:.1f} to {high:.1f} °C; reference 25 °C"))
-    if c.downweighted:
-        rows.append(("count less", f"{c.downweighted} runs that nothing else is like"))
+    if c.temperature_degC is not None:
+        low, high = c.temperature_degC
+        reference = f"reference {c.temperature_reference_degC:g} °C"
+        rows.append(("temperature", f"{low:.1f} to {high:.1f} °C; {reference}"))
+    if c.runs_that_count_less:
+        rows.append(("count less", f"{c.runs_that_count_less} runs that nothing else is like"))
     rows += [("note", text) for text in run.outcome.notes]
     return Section("What was recorded", (Facts(tuple(rows)),))
 
 
 def _steps(coverage: Coverage) -> str:
     """The resolution, and whether the noise averages it out."""
-    step, size = float(coverage.resolution.max()), coverage.quantisation
-    if step < 0.05 * float(coverage.noise.min()):  # numbers as fine as their format
+    step, size = float(coverage.resolution_mg.max()), coverage.quantisation_mg
+    if step < 0.05 * float(coverage.noise_of_a_sample_mg.min()):  # numbers as fine as their format
         return ""
     if size == 0.0:
         return f"; the smallest step, {step:.2g} mg, averages out"
@@ -322,14 +345,9 @@ def _sphere_blocks(run: ActigraphRun) -> tuple[Plot, Table]:
         poor=directions[sd > bar],
         poor_words=f"|a| known to worse than {bar:.2g} mg (sd)",
     )
-    rows = tuple(
-        (c.name, str(c.runs), *(number(v) for v in (c.raw, c.base, c.final, c.held_out, c.sd)))
-        for c in sphere_cells(result.base, result.final, result.final_held)
-    )
     title = "Mean error of |a| by direction (mg)"
-    header = ("towards", "runs", "raw", "nine", "final", "held out", "sd")
     note = "sd: what the parameters' uncertainty leaves there, with or without postures."
-    return map_, Table(title, header, rows, "lrrrrrr", note)
+    return map_, Table.of(_SPHERE, run.details.sphere, title, note)
 
 
 def published_document(run: PublishedRun) -> Document:

@@ -57,7 +57,7 @@ def certify(run: Run, card: Card) -> Certificate | None:
         ("input", made.path),
         ("input, sha256", made.sha256),
         ("changed by hand", _list_changes(settings)),
-        ("left out", "; ".join(map(str, run.details.get("left_out", ()))) or "nothing"),
+        ("left out", "; ".join(map(str, getattr(run.details, "left_out", ()))) or "nothing"),
         *((worth.quantity, f"{worth.value} ({worth.detail})") for worth in card.good_to),
         ("calibrated by", f"{_BLANK}   date, signature {_BLANK}"),
         ("approved by", f"{_BLANK}   date, signature {_BLANK}"),

@@ -126,7 +126,8 @@ def report_dict(run: Run) -> dict[str, Any]:
         content["triads"] = [triad.as_dict() for triad in calibration.triads]
     else:
         content["matrices"] = calibration.matrices().as_dict()
-    return dict(plain({**content, **run.details}))
+    whole: dict[str, Any] = plain(content) | plain(run.details)
+    return whole
 
 
 def _covariance(run: Run) -> dict[str, Any]:

@@ -105,18 +105,17 @@ def _gains(run: ImuRun) -> Table:
 
 
 def _facts(run: ImuRun) -> Facts:
-    imu = run.details["imu"]
-    noise = imu["gyroscope_noise"]
-    axes = zip(noise["white_deg_per_s_per_root_hz"], noise["white_sd"], strict=True)
+    imu, noise = run.details.imu, run.details.imu.gyroscope_noise
+    axes = zip(noise.white_deg_per_s_per_root_hz, noise.white_sd, strict=True)
     white = ", ".join(plus_minus(v, sd, "") if sd else f"at most {v:.3g}" for v, sd in axes)
-    late, late_sd = (1e3 * imu["gyroscope_late_s"][name] for name in ("value", "sd"))
-    least = max(noise["bias_instability_deg_per_s"], default=float("nan"))
-    word = "at most " if noise["upper_limit"] else ""
-    turns = f"{imu['turns']} between {imu['rests']} rests; {len(imu['turns_left_out'])} left out"
+    late, late_sd = 1e3 * imu.gyroscope_late_s.value, 1e3 * imu.gyroscope_late_s.sd
+    least = max(noise.bias_instability_deg_per_s, default=float("nan"))
+    word = "at most " if noise.upper_limit else ""
+    turns = f"{imu.turns} between {imu.rests} rests; {len(imu.turns_left_out)} left out"
     delay = f"{plus_minus(late, late_sd, 'ms')} behind the accelerometer, by the moving "
     rows = (
-        ("frame", imu["frame"]),
-        ("white noise x, y, z", f"{white} deg/s/√Hz, from a rest of {noise['rest_s']:.0f} s"),
+        ("frame", imu.frame),
+        ("white noise x, y, z", f"{white} deg/s/√Hz, from a rest of {noise.rest_s:.0f} s"),
         ("bias instability", f"{word}{least:.2g} deg/s"),
         ("gyroscope's delay", f"{delay}accelerometer; nothing is corrected by it"),
         ("turns", turns),

@@ -124,8 +124,8 @@ def test_the_fields_rule_finds_what_was_planted(wear_scanned: Scan) -> None:
     assert rule is not None
     assert rule.enough
     np.testing.assert_allclose(rule.scale, SCALE, atol=5e-4)
-    np.testing.assert_allclose(rule.offset, OFFSET, atol=5e-4)
-    assert rule.after < 0.5 < rule.before
+    np.testing.assert_allclose(rule.offset_g, OFFSET, atol=5e-4)
+    assert rule.error_after_mg < 0.5 < rule.error_before_mg
     corrected = SCALE * (wear_scanned.windows.mean / STANDARD_GRAVITY + OFFSET)
     expected = np.linalg.norm(corrected, axis=1) - 1.0
     np.testing.assert_allclose(
@@ -145,9 +145,9 @@ def test_night_is_the_least_active_part_of_the_clock() -> None:
     errors = np.array([4.0, 9.0, 9.0]) * MG, np.array([-1.0, 5.0, 5.0]) * MG
     found = activity_of(minutes, wear, 6.0 * 3600.0, errors, at)
     assert found.night == pytest.approx((22.5 * 3600, 3.5 * 3600))
-    assert found.enmo["night"] == pytest.approx((2.0, 1.0))
-    assert found.enmo["day"] == pytest.approx((40.0, 20.0))
+    assert tuple(vars(found.enmo_mg["night"]).values()) == pytest.approx((2.0, 1.0))
+    assert tuple(vars(found.enmo_mg["day"]).values()) == pytest.approx((40.0, 20.0))
     assert found.night_runs == 1
-    assert found.night_error == pytest.approx((4.0, 1.0))
+    assert tuple(vars(found.night_error_mg).values()) == pytest.approx((4.0, 1.0))
     few = Minutes(minute[:600], minutes.count[:600], minutes.raw[:600], minutes.corrected[:600])
     assert activity_of(few, wear, 0.0, errors, at).night is None

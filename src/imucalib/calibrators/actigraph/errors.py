@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
 from itertools import product
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.outcome import ErrorSummary, HeldOutError
-from imucalib.calibration.plain import fields
 from imucalib.calibration.uncertainty import force_slope
 from imucalib.calibrators.actigraph.observations import quantisation
 from imucalib.core.fit import Fit
 from imucalib.core.sphere import even_directions
+from imucalib.data import Data
 from imucalib.loop.held_out import Predictions, predict_fitted, raw_errors
 from imucalib.rests.runs import PostureRuns, Scan
 from imucalib.units import MG
 
 _NEVER = 0.3  # g, an end of an axis that gravity never came closer to
+_REFERENCE = 25.0  # °C
 
 
 def mean_error(held: Predictions) -> float:
@@ -45,19 +46,16 @@ def error_summary(
     )
 
 
-@dataclass(frozen=True)
-class SphereCell:
-    """A part of the sphere of postures: its name, runs in it, mean absolute errors (mg) raw, with
-    the base and the final model, and the standard deviation (mg) of |a| that the parameters leave.
-    """
+class SphereCell(Data):
+    """A part of the sphere of postures: mean absolute errors of |a| in it, null without a run."""
 
     name: str
-    runs: int
-    raw: float
-    base: float
-    final: float
-    held_out: float
-    sd: float
+    runs: Annotated[int, "Posture runs in it."]
+    raw_mg: float
+    base_mg: Annotated[float, "Of the base model, fitted."]
+    final_mg: Annotated[float, "Of the final model, fitted."]
+    held_out_mg: float
+    sd_mg: Annotated[float, "Of |a|, that the parameters leave."]
 
 
 def sphere_cells(base: Fit, final: Fit, held: Predictions) -> tuple[SphereCell, ...]:
@@ -80,10 +78,10 @@ def sphere_cells(base: Fit, final: Fit, held: Predictions) -> tuple[SphereCell, 
     nearest = np.argmax(direction @ where.T, axis=1)
     sd = norm_sd(final, where) / MG
     compared = {
-        "raw": raw_errors(base),
-        "base": predict_fitted(base),
-        "final": known,
-        "held_out": held,
+        "raw_mg": raw_errors(base),
+        "base_mg": predict_fitted(base),
+        "final_mg": known,
+        "held_out_mg": held,
     }
     series = {k: np.abs(h.error[:, 0, 0]) / MG for k, h in compared.items()}
     found = []
@@ -91,7 +89,7 @@ def sphere_cells(base: Fit, final: Fit, held: Predictions) -> tuple[SphereCell, 
         inside = nearest == at
         some = inside.any()
         means = {k: float(e[inside].mean()) if some else float("nan") for k, e in series.items()}
-        found.append(SphereCell(name, int(inside.sum()), sd=float(sd[at]), **means))
+        found.append(SphereCell(name, int(inside.sum()), sd_mg=float(sd[at]), **means))
     return tuple(found)
 
 
@@ -104,50 +102,26 @@ def norm_sd(fit: Fit, directions: Array) -> Array:
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
-@dataclass(frozen=True)
-class Coverage:
-    """What a recording has shown.
-
-    hours; rate : Hz; windows, still, runs, downweighted : windows, those at rest, posture runs, and
-    those that count less; window : s; noise, resolution : (3,) mg; quantisation : mg
-    span : (2, 3) least and largest reading of each axis, local g; temperature : °C, or None
-    mean_sd, worst_sd : mg, of the corrected |a| over all directions
-    unseen : ends of the axes that gravity never came close to, in words
-    """
+class Coverage(Data):
+    """What a recording has shown."""
 
     hours: float
-    rate: float
+    rate_hz: float
+    window_s: Annotated[float, "Length of a window."]
     windows: int
-    still: int
-    runs: int
-    downweighted: int
-    window: float
-    noise: Array
-    resolution: Array
-    quantisation: float
-    span: Array
-    mean_sd: float
-    worst_sd: float
-    temperature: tuple[float, float] | None
-    unseen: tuple[str, ...]
-
-    def as_dict(self) -> dict[str, Any]:
-        """The block of calibration.yaml and report.json."""
-        block = {
-            **fields(self, "hours rate_hz=rate windows still_windows=still"),
-            "still_hours": self.still * self.window / 3600.0,
-            **fields(
-                self,
-                "posture_runs=runs runs_that_count_less=downweighted noise_of_a_sample_mg=noise "
-                "resolution_mg=resolution quantisation_mg=quantisation",
-            ),
-            "axis_range_g": {a: self.span[:, k].tolist() for k, a in enumerate("xyz")},
-            **fields(self, "norm_sd_mean_mg=mean_sd norm_sd_largest_mg=worst_sd"),
-        }
-        if self.temperature is not None:
-            block["temperature_degC"] = list(self.temperature)
-            block["temperature_reference_degC"] = 25.0
-        return block
+    still_windows: Annotated[int, "Of these at rest."]
+    still_hours: float
+    posture_runs: int
+    runs_that_count_less: Annotated[int, "That nothing else is like."]
+    noise_of_a_sample_mg: Annotated[Array, "Of each axis."]
+    resolution_mg: Annotated[Array, "Smallest step of each axis."]
+    quantisation_mg: Annotated[float, "Of a posture, that the noise does not average out."]
+    axis_range_g: Annotated[Mapping[str, tuple[float, float]], "Least and largest, by axis."]
+    norm_sd_mean_mg: Annotated[float, "Of the corrected |a|, over all directions."]
+    norm_sd_largest_mg: float
+    never: Annotated[tuple[str, ...], "Ends of axes that gravity never came close to."]
+    temperature_degC: Annotated[tuple[float, float] | None, "Least and largest."] = None  # noqa: N815
+    temperature_reference_degC: float | None = None  # noqa: N815
 
 
 def coverage_of(
@@ -163,25 +137,30 @@ def coverage_of(
     sd = norm_sd(final, even_directions()) / MG
     warm = runs.temperature[np.isfinite(runs.temperature)]
     own = runs.mean / np.median(np.linalg.norm(runs.mean, axis=1))
+    span = np.array([runs.mean.min(axis=0), runs.mean.max(axis=0)]) / gravity
     return Coverage(
         hours=scanned.stop / 3600.0,
-        rate=scanned.rate,
+        rate_hz=scanned.rate,
+        window_s=window,
         windows=runs.total,
-        still=runs.still,
-        runs=runs.n,
-        downweighted=downweighted,
-        window=window,
-        noise=runs.noise / MG,
-        resolution=runs.resolution / MG,
-        quantisation=quantisation(runs) / MG,
-        span=np.array([runs.mean.min(axis=0), runs.mean.max(axis=0)]) / gravity,
-        mean_sd=float(sd.mean()),
-        worst_sd=float(sd.max()),
-        temperature=(float(warm.min()), float(warm.max())) if warm.size else None,
-        unseen=tuple(
+        still_windows=runs.still,
+        still_hours=runs.still * window / 3600.0,
+        posture_runs=runs.n,
+        runs_that_count_less=downweighted,
+        noise_of_a_sample_mg=runs.noise / MG,
+        resolution_mg=runs.resolution / MG,
+        quantisation_mg=quantisation(runs) / MG,
+        axis_range_g={
+            a: (float(low), float(high)) for a, (low, high) in zip("xyz", span.T, strict=True)
+        },
+        norm_sd_mean_mg=float(sd.mean()),
+        norm_sd_largest_mg=float(sd.max()),
+        never=tuple(
             f"{axis} {word}"
             for k, axis in enumerate("xyz")
             for sign, word in ((1.0, "up"), (-1.0, "down"))
             if (sign * own[:, k]).max() < _NEVER
         ),
+        temperature_degC=(float(warm.min()), float(warm.max())) if warm.size else None,
+        temperature_reference_degC=_REFERENCE if warm.size else None,
     )

@@ -5,21 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from imucalib.calibration import sums
-from imucalib.calibration.ambiguity import KEY
 from imucalib.calibration.calibration import Calibration, from_fit
 from imucalib.calibration.outcome import Limit, Outcome, Run, left_open
-from imucalib.calibration.plain import fields, listed, plain
 from imucalib.calibration.power import advice_of, hidden
 from imucalib.calibration.provenance import Provenance, provenance_of
 from imucalib.calibration.series import series_facts
 from imucalib.calibrators.actigraph.calibrate import ActigraphResult, calibrate
 from imucalib.calibrators.actigraph.errors import (
     Coverage,
+    SphereCell,
     coverage_of,
     mean_error,
     sphere_cells,
@@ -29,9 +28,10 @@ from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.series import (
     CalibrationSeries,
     Exchange,
+    SeriesFacts,
+    describe_series,
     exchange_in,
     series,
-    series_block,
     without_found,
 )
 from imucalib.calibrators.actigraph.wear import (
@@ -46,6 +46,7 @@ from imucalib.calibrators.next_recording import recorded_block
 from imucalib.calibrators.population import not_of_its_kind
 from imucalib.core.effect import CLOCKS
 from imucalib.core.sphere import count_by_cell
+from imucalib.data import Data
 from imucalib.effects.forms import in_words
 from imucalib.errors import Undetermined
 from imucalib.loop.held_out import raw_errors
@@ -55,17 +56,45 @@ from imucalib.rests.runs import WORN, PostureRuns, Scan, posture_runs, scan
 from imucalib.units import MG
 
 
+class MeanError(Data):
+    """The field's measure, mg."""
+
+    metric: str
+    raw: float
+    base_fitted: float
+    final_fitted: float
+    base_held_out: float
+    final_held_out: float
+    base_held_out_rms: float
+    final_held_out_rms: float
+    held_out_blocks: Annotated[int, "Of time, each predicted without it."]
+
+
+class ActigraphDetails(Data):
+    """What only a worn sensor has to say."""
+
+    error_mg: MeanError
+    coverage: Coverage
+    from_data: Annotated[Mapping[str, float], "Share of each parameter that the data tell."]
+    sphere: tuple[SphereCell, ...]
+    series: Annotated[SeriesFacts | None, "With --every."] = None
+    effects_beside_base: Annotated[Mapping[str, Any] | None, "Products for a fleet."] = None
+    record_next: Annotated[Mapping[str, Any] | None, "What `imucal design --separate` reads."] = (
+        None
+    )
+    activity: Annotated[Activity | None, "Where the samples were seen."] = None
+    ggir_rule: Annotated[ClosestPoint | None, "Where it had windows enough."] = None
+
+
 @dataclass(frozen=True, kw_only=True)
 class ActigraphRun(Run):
     """A finished run: what all calibrators share, and what only its own report shows."""
 
+    details: ActigraphDetails
     result: ActigraphResult
-    coverage: Coverage
     scanned: Scan
     request: ActigraphRequest
     series: CalibrationSeries | None = None
-    activity: Activity | None = None
-    rule: ClosestPoint | None = None
 
     @property
     def runs(self) -> PostureRuns:
@@ -87,8 +116,7 @@ def calibrate_recording(
     )
     start = (scanned.start_ns or 0) / 1e9 % 86400.0
     activity = activity_of(minutes, wear, start, (raw, corrected), runs.time)
-    block = plain({"activity": activity.as_dict(), "ggir_rule": rule and rule.as_dict()})
-    return replace(run, activity=activity, rule=rule, details={**run.details, **block})
+    return replace(run, details=replace(run.details, activity=activity, ggir_rule=rule))
 
 
 def run_of(
@@ -145,7 +173,6 @@ def run_of(
         calibration=actigraph_calibration(outcome, result, scanned, request, details, parts),
         details=details,
         result=result,
-        coverage=coverage,
         scanned=scanned,
         request=request,
         series=parts,
@@ -212,11 +239,12 @@ def reasons(result: ActigraphResult, coverage: Coverage) -> tuple[str, ...]:
     """Why the calibration is not simply good."""
     found = [_coverage_words(result, coverage)] if result.weak else []
     held, raw = mean_error(result.final_held), result.error.held_out.raw
-    if coverage.worst_sd > _WELL_KNOWN and not result.weak:
-        ends = ", ".join(coverage.unseen)
+    if coverage.norm_sd_largest_mg > _WELL_KNOWN and not result.weak:
+        ends = ", ".join(coverage.never)
         where = f"; no posture with {ends}" if ends else ""
         found.append(
-            f"the error in some directions is known to {coverage.worst_sd:.1f} mg only{where}"
+            "the error in some directions is known to "
+            f"{coverage.norm_sd_largest_mg:.1f} mg only{where}"
         )
     if held > _GOOD:
         found.append(f"the held-out error of {held:.1f} mg is above the field's 10 mg")
@@ -228,13 +256,13 @@ def reasons(result: ActigraphResult, coverage: Coverage) -> tuple[str, ...]:
 def _coverage_words(result: ActigraphResult, coverage: Coverage) -> str:
     """What weak coverage of the sphere leaves open, in the field's terms."""
     count = f"{result.runs.n} posture run" + "s" * (result.runs.n != 1)
-    never = f" (never {', '.join(coverage.unseen)})" if coverage.unseen else ""
+    never = f" (never {', '.join(coverage.never)})" if coverage.never else ""
     text = f"weak coverage of the sphere: {count}{never} leave open {open_words(result.base)}"
     if result.with_fleet:
         text += "; what is open stays as devices of its kind have it"
     elif result.base.prior is not None:
         text += "; what is open stays near its nominal value, with a data sheet's uncertainty"
-    return f"{text}; |a| is known to {coverage.worst_sd:.1f} mg in the worst direction"
+    return f"{text}; |a| is known to {coverage.norm_sd_largest_mg:.1f} mg in the worst direction"
 
 
 def advice(result: ActigraphResult, coverage: Coverage) -> tuple[str, ...]:
@@ -246,8 +274,8 @@ def advice(result: ActigraphResult, coverage: Coverage) -> tuple[str, ...]:
         found.append(_UNSEARCHED.format("postures which determine all of them"))
     elif result.few:
         found.append(_UNSEARCHED.format("twice as many posture runs as parameters"))
-    if coverage.worst_sd > _WELL_KNOWN:
-        ends = ", ".join(coverage.unseen)
+    if coverage.norm_sd_largest_mg > _WELL_KNOWN:
+        ends = ", ".join(coverage.never)
         found.append(
             f"Rest the sensor for ten seconds with {ends}, or record more nights."
             if ends
@@ -285,7 +313,7 @@ def actigraph_calibration(
     result: ActigraphResult,
     scanned: Scan,
     request: ActigraphRequest,
-    details: Mapping[str, Any],
+    details: ActigraphDetails,
     parts: CalibrationSeries | None,
 ) -> Calibration:
     """The calibration of a run's final fit."""
@@ -297,11 +325,11 @@ def actigraph_calibration(
         "frame": "x keeps its direction; gravity alone cannot see a rotation of the frame",
         "clock": {"start_ns": scanned.start_ns, "span_s": max(scanned.stop, 1.0)},
         "errors": [error.as_dict() for error in outcome.errors],
-        "error_mg": details["error_mg"],
+        "error_mg": details.error_mg.as_dict(),
         "noise": {"reading_mg": sigma, "reading_sd_mg": sigma * float(final.noise_sd[0])},
-        "coverage": details["coverage"],
+        "coverage": details.coverage.as_dict(),
         "postures": count_by_cell(final.observations.reading[:, 0]).tolist(),
-        "from_data": details["from_data"],
+        "from_data": details.from_data,
         "provenance": outcome.provenance.as_dict(),
     }
     whole = from_fit(
@@ -323,35 +351,36 @@ def actigraph_calibration(
 
 def actigraph_details(
     result: ActigraphResult, coverage: Coverage, parts: CalibrationSeries | None
-) -> dict[str, Any]:
-    """What only a worn sensor has to say, for report.json; the shorter blocks also for the YAML."""
+) -> ActigraphDetails:
+    """What only a worn sensor has to say; its samples are seen later."""
     final, loop, error = result.final, result.loop, result.error
     shares = zip(final.parameters, from_data(final), strict=True)
-    cells = sphere_cells(result.base, final, result.final_held)
-    sizes = "raw_mg=raw base_mg=base final_mg=final held_out_mg=held_out sd_mg=sd"
-    details: dict[str, Any] = {
-        "error_mg": {
-            "metric": "mean absolute error of the norm over posture runs",
-            **fields(error, "raw base_fitted=base final_fitted=final"),
-            **fields(error.held_out, "base_held_out=base final_held_out=final"),
-            "base_held_out_rms": result.base_held.rms() / MG,
-            "final_held_out_rms": result.final_held.rms() / MG,
-            "held_out_blocks": int(np.unique(final.observations.group).size),
-        },
-        "coverage": coverage.as_dict(),
-        "from_data": {p.name: float(v) for p, v in shares},
-        "sphere": listed(cells, f"name runs {sizes}"),
-    }
-    if parts is not None:
-        details["series"] = series_block(parts)
+    recorded = products = None
     if loop is not None and loop.drift is not None:
-        if loop.sums is not None:
-            details[sums.KEY] = sums.sums_block(loop.sums)
-        details[KEY] = recorded_block(
+        products = sums.sums_block(loop.sums) if loop.sums else None
+        recorded = recorded_block(
             final,
             loop.ambiguous,
             reading=MG * loop.drift.scatter,
             settings={},
             drift=loop.drift.sd,
         )
-    return details
+    return ActigraphDetails(
+        error_mg=MeanError(
+            metric="mean absolute error of the norm over posture runs",
+            raw=error.raw,
+            base_fitted=error.base,
+            final_fitted=error.final,
+            base_held_out=error.held_out.base,
+            final_held_out=error.held_out.final,
+            base_held_out_rms=result.base_held.rms() / MG,
+            final_held_out_rms=result.final_held.rms() / MG,
+            held_out_blocks=int(np.unique(final.observations.group).size),
+        ),
+        coverage=coverage,
+        from_data={p.name: float(v) for p, v in shares},
+        sphere=sphere_cells(result.base, final, result.final_held),
+        series=None if parts is None else describe_series(parts),
+        effects_beside_base=products,
+        record_next=recorded,
+    )

@@ -12,12 +12,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.calibration.plain import fields
 from imucalib.calibrators.actigraph.calibrate import base_model
 from imucalib.calibrators.actigraph.observations import (
     NINE,
@@ -30,6 +29,7 @@ from imucalib.calibrators.actigraph.observations import (
 from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.core.effect import Parameter, Truth
 from imucalib.core.fit import Fit
+from imucalib.data import Data
 from imucalib.errors import ImucalError, Undetermined
 from imucalib.estimators.power_ups import moved
 from imucalib.loop.odds import CERTAIN
@@ -226,20 +226,52 @@ def _compare_parts(parts: tuple[SeriesPart, ...], good: list[Fit]) -> Calibratio
     )
 
 
-def series_block(found: CalibrationSeries) -> dict[str, Any]:
-    """Plain types, ready for JSON."""
-    rows = []
-    for part in found.parts:
-        row = fields(part, "start_s=start stop_s=stop runs reason") | {"parameters": []}
-        if part.fit is not None:
-            each = zip(found.parameters, part.fit.theta, part.fit.sd, strict=True)
-            row["parameters"] = [
-                {"name": p.name, "value": float(v), "sd": float(sd), "unit": p.unit}
-                for p, v, sd in each
-            ]
-        rows.append(row)
-    return {
-        **fields(found, "differ probability"),
-        "moved": [{"effect": n, "probability": p} for n, p in found.moved],
-        "parts": rows,
-    }
+class PartValue(Data):
+    """A parameter of a part."""
+
+    name: str
+    value: float
+    sd: float
+    unit: str
+
+
+class PartFacts(Data):
+    """A part of the recording, and its own calibration."""
+
+    start_s: float
+    stop_s: float
+    runs: int
+    reason: Annotated[str, "Why it has none; empty where it has one."]
+    parameters: tuple[PartValue, ...]
+
+
+class MovedEffect(Data):
+    """An effect whose parameters differ between parts."""
+
+    effect: str
+    probability: float
+
+
+class SeriesFacts(Data):
+    """Recalibration over time."""
+
+    differ: bool
+    probability: Annotated[float, "That the parts differ."]
+    moved: tuple[MovedEffect, ...]
+    parts: tuple[PartFacts, ...]
+
+
+def describe_series(found: CalibrationSeries) -> SeriesFacts:
+    """What report.json tells of it."""
+
+    def values(fit: Fit | None) -> tuple[PartValue, ...]:
+        each = zip(found.parameters, fit.theta, fit.sd, strict=True) if fit else ()
+        return tuple(PartValue(p.name, float(v), float(sd), p.unit) for p, v, sd in each)
+
+    parts = ((p.start, p.stop, p.runs, p.reason, values(p.fit)) for p in found.parts)
+    return SeriesFacts(
+        differ=found.differ,
+        probability=found.probability,
+        moved=tuple(MovedEffect(*one) for one in found.moved),
+        parts=tuple(PartFacts(*one) for one in parts),
+    )

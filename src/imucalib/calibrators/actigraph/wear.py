@@ -14,17 +14,17 @@ no uncertainty.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Flags
-from imucalib.calibration.plain import fields
 from imucalib.calibration.uncertainty import corrector
 from imucalib.core.fit import Fit
+from imucalib.data import Data
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.runs import Scan
 from imucalib.units import MG, STANDARD_GRAVITY
@@ -89,33 +89,24 @@ class Minutes:
     corrected: Array
 
 
-@dataclass(frozen=True)
-class Activity:
-    """What a calibration does to what is made of the recording.
+class RawCorrected(Data):
+    """Before and after, mg."""
 
-    night : (start, stop) s of the recording's clock, or None where no night can be named
-    enmo : (raw, corrected) mg of the worn time by "day", "night" and "all"; absent where unknown
-    night_error : (raw, corrected) mg, mean error of |a| at rest at night; night_runs : how many
-    profile : (24, 2) mg, raw and corrected ENMO by the clock's hour, NaN where not worn
-    """
+    raw: float
+    corrected: float
 
-    wear: Wear
-    night: tuple[float, float] | None
-    enmo: dict[str, tuple[float, float]]
-    night_error: tuple[float, float]
-    night_runs: int
-    profile: Array
 
-    def as_dict(self) -> dict[str, Any]:
-        """The block of report.json."""
-        night = None if self.night is None else list(self.night)
-        return {
-            **fields(self, "hours_recorded=wear.hours hours_worn=wear.worn not_worn_s=wear.off"),
-            "night_s_of_day": night,
-            "enmo_mg": {k: {"raw": a, "corrected": b} for k, (a, b) in self.enmo.items()},
-            "night_error_mg": dict(zip(("raw", "corrected"), self.night_error, strict=True)),
-            **fields(self, "night_posture_runs=night_runs enmo_by_hour_mg=profile"),
-        }
+class Activity(Data):
+    """What a calibration does to what is made of the recording."""
+
+    hours_recorded: Annotated[float, "Gaps left out."]
+    hours_worn: float
+    not_worn_s: Annotated[Array, "Start and stop of stretches without wear."]
+    night_s_of_day: Annotated[tuple[float, float] | None, "Start and stop, by its clock."]
+    enmo_mg: Annotated[Mapping[str, RawCorrected], "Of worn time: day, night, all."]
+    night_error_mg: Annotated[RawCorrected, "Mean error of |a| at rest at night."]
+    night_posture_runs: int
+    enmo_by_hour_mg: Annotated[Array, "Raw and corrected of each hour of the clock."]
 
 
 def minutes_of(blocks: Iterable[Recording], triad: str, fit: Fit) -> Minutes:
@@ -182,19 +173,28 @@ def activity_of(
         found = (float(np.average(v[rows], weights=weight)) for v in (raw, corrected))
         return next(found), next(found)
 
-    enmo = {"all": pair(worn)} if worn.any() else {}
+    enmo = {"all": RawCorrected(*pair(worn))} if worn.any() else {}
     asleep = np.zeros(at.size, np.bool_)
     if night is not None:
         dark = _between(clock, night)
         parts = {"day": worn & ~dark, "night": worn & dark}
-        enmo |= {name: pair(rows) for name, rows in parts.items() if rows.any()}
+        enmo |= {name: RawCorrected(*pair(rows)) for name, rows in parts.items() if rows.any()}
         asleep = _between(np.mod(at + start, _DAY), night) & wear.worn_at(at)
     means = [float(np.mean(np.abs(e[asleep]))) / MG if asleep.any() else np.nan for e in errors]
     hour = np.floor(clock / _HOUR)
     profile = np.array(
         [pair(r) if (r := worn & (hour == h)).any() else (np.nan, np.nan) for h in range(24)]
     )
-    return Activity(wear, night, enmo, (means[0], means[1]), int(asleep.sum()), profile)
+    return Activity(
+        hours_recorded=wear.hours,
+        hours_worn=wear.worn,
+        not_worn_s=wear.off,
+        night_s_of_day=night,
+        enmo_mg=enmo,
+        night_error_mg=RawCorrected(*means),
+        night_posture_runs=int(asleep.sum()),
+        enmo_by_hour_mg=profile,
+    )
 
 
 def _between(clock: Array, night: tuple[float, float]) -> Flags:
@@ -216,27 +216,19 @@ def _night(clock: Array, enmo: Array) -> tuple[float, float] | None:
     return first, float(np.mod(first + 60.0 * _NIGHT, _DAY))
 
 
-@dataclass(frozen=True)
-class ClosestPoint:
-    """corrected = scale (raw + offset), in g. scale, offset : (3,); points : windows used
-    before, after : mean error of |a| over these windows, mg; enough : whether every axis saw both
-    signs beyond 0.3 g, without which the rule is not to be applied"""
+class ClosestPoint(Data):
+    """GGIR's rule on the same recording: corrected = scale (raw + offset), in g."""
 
     scale: Array
-    offset: Array
-    points: int
-    before: float
-    after: float
-    enough: bool
-
-    def as_dict(self) -> dict[str, Any]:
-        """The block of report.json."""
-        names = "scale offset_g=offset windows=points"
-        return fields(self, f"{names} error_before_mg=before error_after_mg=after enough")
+    offset_g: Array
+    windows: int
+    error_before_mg: Annotated[float, "Mean, of |a| over these windows."]
+    error_after_mg: float
+    enough: Annotated[bool, "Whether every axis saw both signs beyond 0.3 g, as the rule demands."]
 
     def norm_error(self, reading: Array) -> Array:
         """(n,) m/s², |corrected| minus 1 g of readings (n, 3) m/s²."""
-        size = np.linalg.norm(self.scale * (reading / STANDARD_GRAVITY + self.offset), axis=1)
+        size = np.linalg.norm(self.scale * (reading / STANDARD_GRAVITY + self.offset_g), axis=1)
         return np.asarray((size - 1.0) * STANDARD_GRAVITY, np.float64)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -20,8 +20,10 @@ from imucalib.calibrators.imu.plan import open_words
 from imucalib.calibrators.imu.power_ups import bias_parts, differing, products_of
 from imucalib.calibrators.imu.request import ImuRequest, gyro_effects
 from imucalib.calibrators.lab.errors import rms
+from imucalib.calibrators.lab.run import LabDetails
 from imucalib.calibrators.sessions import Sessions, estimate_scatter
 from imucalib.core.sphere import even_directions
+from imucalib.data import Data
 from imucalib.effects.forms import in_words
 from imucalib.estimators.lateness import lateness
 from imucalib.estimators.turns import ACCELEROMETER, GAIN, LOWER, TurnFit
@@ -50,10 +52,59 @@ _PLAN = (
 )
 
 
+class GyroscopeNoise(Data):
+    """The gyroscope at rest, by axis; what the rests do not show is told as what it is at most."""
+
+    rest_s: Annotated[float, "The longest."]
+    white_deg_per_s_per_root_hz: tuple[float, ...]
+    white_sd: Annotated[tuple[float | None, ...], "Null of an upper limit."]
+    bias_instability_deg_per_s: tuple[float, ...]
+    upper_limit: Annotated[bool, "Whether an instability is one."]
+
+
+class ValueSd(Data):
+    """A value and its standard deviation."""
+
+    value: float
+    sd: float
+
+
+class ImuFacts(Data):
+    """The gyroscope beside the accelerometer."""
+
+    frame: str
+    sample_interval_s: float | None
+    turns: int
+    turns_left_out: tuple[str, ...]
+    rests: int
+    gyroscope_noise: GyroscopeNoise
+    bias_walk_deg_per_s_per_root_s: Array
+    gyroscope_late_s: Annotated[ValueSd, "Behind the accelerometer."]
+    turn_floor_deg: Annotated[float, "Noise of a turn, however short."]
+    turn_error_per_angle: float
+
+
+class TurnErrors(Data):
+    """By what gravity is off after each turn that took no part."""
+
+    raw: Array
+    base: Array
+    final: Array
+
+
+class ImuDetails(LabDetails, kw_only=True):
+    """What only an IMU has to say, beside the bench of its rests."""
+
+    imu: ImuFacts
+    noise_density: Annotated[Mapping[str, Any], "As Kalibr has it."]
+    held_out_turns_deg: TurnErrors
+
+
 @dataclass(frozen=True, kw_only=True)
 class ImuRun(Run):
     """A finished run, with every stage for its own report."""
 
+    details: ImuDetails
     result: ImuResult
     request: ImuRequest
     sessions: Sessions | None = None
@@ -92,9 +143,10 @@ def run_imu(
     sessions = None
     if products:
         sessions = _sessions(result.fit, products, names, calibration)
-        block = {"between_sessions": sessions.block()}
-        details |= block
-        calibration = replace(calibration, facts={**calibration.facts, **block})
+        between = sessions.describe()
+        details = replace(details, between_sessions=between)
+        facts = {**calibration.facts, "between_sessions": between.as_dict()}
+        calibration = replace(calibration, facts=facts)
     return ImuRun(
         outcome=outcome,
         calibration=calibration,
@@ -299,7 +351,7 @@ _LINEAR = ("bias", "scale", "non_orthogonality")
 _STEP = 1e-6
 
 
-def imu_calibration(result: ImuResult, outcome: Outcome, details: Mapping[str, Any]) -> Calibration:
+def imu_calibration(result: ImuResult, outcome: Outcome, details: ImuDetails) -> Calibration:
     """The accelerometer's calibration as the turns leave it, with the gyroscope's parameters."""
     from scipy.linalg import block_diag
 
@@ -340,8 +392,8 @@ def imu_calibration(result: ImuResult, outcome: Outcome, details: Mapping[str, A
         facts={
             **{k: v for k, v in made.facts.items() if k not in ("errors", "provenance")},
             "errors": [error.as_dict() for error in outcome.errors],
-            "imu": dict(details["imu"]),
-            "noise_density": {"imu0": dict(details["noise_density"])},
+            "imu": details.imu.as_dict(),
+            "noise_density": {"imu0": dict(details.noise_density)},
             "provenance": outcome.provenance.as_dict(),
         },
     )
@@ -381,51 +433,38 @@ def _gyro_parameters(result: ImuResult, sd: Array) -> list[StoredParameter]:
     ]
 
 
-def imu_details(result: ImuResult) -> dict[str, Any]:
-    """What only an IMU has to say, for report.json; `imu` also for the YAML."""
-    imu, fit = result.imu, result.fit
-    held = result.held_out
-    return {
-        **result.accelerometer.details,
-        "imu": {
-            "frame": "of the accelerometer: x along its x axis, y in the plane of its x and y",
-            "sample_interval_s": 1.0 / result.noise[0].rate if result.noise else None,
-            "turns": len(imu.turns.turns),
-            "turns_left_out": list(imu.left_out),
-            "rests": imu.turns.rests,
-            "gyroscope_noise": _gyro_noise(result.noise),
-            "bias_walk_deg_per_s_per_root_s": (fit.noise.walk / DEG).tolist(),
-            "gyroscope_late_s": dict(zip(("value", "sd"), lateness(fit), strict=True)),
-            "turn_floor_deg": fit.noise.floor / DEG,
-            "turn_error_per_angle": fit.noise.per_angle,
-        },
-        "noise_density": {
-            key: value
-            for block in noise_blocks(result.noise).values()
-            for key, value in block.items()
-        },
-        "held_out_turns_deg": {
-            name: getattr(held, name).tolist() for name in ("raw", "base", "final")
-        },
-    }
+def imu_details(result: ImuResult) -> ImuDetails:
+    """What only an IMU has to say."""
+    imu, fit, held = result.imu, result.fit, result.held_out
+    blocks = noise_blocks(result.noise).values()
+    return ImuDetails(
+        **vars(result.accelerometer.details),
+        imu=ImuFacts(
+            frame="of the accelerometer: x along its x axis, y in the plane of its x and y",
+            sample_interval_s=1.0 / result.noise[0].rate if result.noise else None,
+            turns=len(imu.turns.turns),
+            turns_left_out=tuple(imu.left_out),
+            rests=imu.turns.rests,
+            gyroscope_noise=_gyro_noise(result.noise),
+            bias_walk_deg_per_s_per_root_s=fit.noise.walk / DEG,
+            gyroscope_late_s=ValueSd(*lateness(fit)),
+            turn_floor_deg=fit.noise.floor / DEG,
+            turn_error_per_angle=fit.noise.per_angle,
+        ),
+        noise_density={key: value for block in blocks for key, value in block.items()},
+        held_out_turns_deg=TurnErrors(held.raw, held.base, held.final),
+    )
 
 
-def _gyro_noise(noise: Sequence[SensorNoise]) -> dict[str, Any]:
-    """Of the gyroscope at rest, by axis: white noise and the bias instability, or what each is at
-    most where the rests do not show it; such a white noise has no sd."""
+def _gyro_noise(noise: Sequence[SensorNoise]) -> GyroscopeNoise:
     axes = next((s.axes for s in noise if s.quantity == "angular_rate"), ())
-    shown = [axis.instability.value for axis in axes]
-    return {
-        "rest_s": max((axis.curve.longest for axis in axes), default=0.0),
-        "white_deg_per_s_per_root_hz": [
-            (axis.white.value or axis.white.below) / DEG for axis in axes
-        ],
-        "white_sd": [
-            (w.high - w.low) / (2.0 * _NORMAL_95 * DEG) if w.low and w.high else None
-            for w in (axis.white for axis in axes)
-        ],
-        "bias_instability_deg_per_s": [
-            (value or axis.instability.below) / DEG for value, axis in zip(shown, axes, strict=True)
-        ],
-        "upper_limit": None in shown,
-    }
+    white, slow = [axis.white for axis in axes], [axis.instability for axis in axes]
+    return GyroscopeNoise(
+        rest_s=max((axis.curve.longest for axis in axes), default=0.0),
+        white_deg_per_s_per_root_hz=tuple((w.value or w.below) / DEG for w in white),
+        white_sd=tuple(
+            (w.high - w.low) / (2.0 * _NORMAL_95 * DEG) if w.low and w.high else None for w in white
+        ),
+        bias_instability_deg_per_s=tuple((b.value or b.below) / DEG for b in slow),
+        upper_limit=any(b.value is None for b in slow),
+    )

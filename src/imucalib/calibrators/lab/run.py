@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
-from imucalib.arrays import Index
-from imucalib.calibration.ambiguity import KEY
+from imucalib.arrays import Array, Index
 from imucalib.calibration.calibration import Calibration, from_fit
 from imucalib.calibration.outcome import Outcome, Run, left_open
 from imucalib.calibration.provenance import provenance_of
@@ -47,11 +46,13 @@ from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.sessions import sessions_of
 from imucalib.calibrators.next_recording import recorded_block
 from imucalib.calibrators.population import not_of_its_kind
-from imucalib.calibrators.sessions import Sessions
+from imucalib.calibrators.sessions import BetweenSessions, Sessions
 from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownVector
+from imucalib.data import Data, plain
 from imucalib.errors import NotConverged, Undetermined, UnreadableInput, UsageError
+from imucalib.loop.faults.sheet import Fault
 from imucalib.loop.held_out import errors
 from imucalib.loop.record_errors import RecordError
 from imucalib.loop.separation import ambiguities
@@ -61,6 +62,60 @@ from imucalib.significant_digits import per_cent
 from imucalib.units import DEG, MG
 
 
+class HeldOutRow(Data, kw_only=True):
+    """A model's errors on positions that it was not fitted to: largest and rms."""
+
+    split: str
+    model: str
+    positions: int
+    tool_face_deg: Annotated[tuple[float, float] | None, "Where angles are known."] = None
+    inclination_deg: tuple[float, float] | None = None
+    norm_mg: tuple[float, float]
+
+
+class PositionFacts(Data):
+    """A position, and the final model's errors at it."""
+
+    position: str
+    fitted: Annotated[bool, "Whether it took part in the fit."]
+    corrected_m_per_s2: Array
+    norm_error_mg: float
+    error_mg: Annotated[Array | None, "Of the vector, where angles are known."] = None
+    inclination_error_deg: float | None = None
+    tool_face_error_deg: float | None = None
+
+
+class DialAt(Data):
+    """The true inclination beside the dial's."""
+
+    inclination_deg: float
+    true_minus_dial_deg: float
+    sd_deg: float
+    low_95_deg: float
+    high_95_deg: float
+
+
+class Fixture(Data):
+    """What the bench is off by."""
+
+    effects: tuple[str, ...]
+    inclination: Annotated[tuple[DialAt, ...], "Empty without an effect of the bench."]
+
+
+class LabDetails(Data):
+    """What only a bench has to say."""
+
+    noise: Annotated[Mapping[str, float], "Of readings and settings, each with its sd."]
+    held_out: tuple[HeldOutRow, ...]
+    left_out: Annotated[tuple[str, ...], "Rows, and why."]
+    positions: tuple[PositionFacts, ...]
+    undecided: tuple[str, ...]
+    faults: Annotated[tuple[Fault, ...], "Slips of hand."]
+    fixture: Annotated[Fixture | None, "Where angles are known."] = None
+    between_sessions: Annotated[BetweenSessions | None, "Of several power-ups."] = None
+    record_next: Annotated[Mapping[str, Any] | None, "For `imucal design --separate`."] = None
+
+
 @dataclass(frozen=True, kw_only=True)
 class LabRun(Run):
     """A finished run: what all calibrators share, and what only the report of `lab` shows.
@@ -68,6 +123,7 @@ class LabRun(Run):
     recorded : the readings are a recording's rests, and no table's
     """
 
+    details: LabDetails
     result: LabResult
     table: PositionTable
     raw: RawUnit
@@ -236,21 +292,21 @@ def lab_calibration(
     outcome: Outcome,
     result: LabResult,
     raw: RawUnit,
-    details: Mapping[str, Any],
+    details: LabDetails,
 ) -> Calibration:
     """The calibration of a run's final fit, with the blocks that people read beside the numbers."""
     facts = {
         "gravity_source": result.request.gravity_source,
         "errors": [error.as_dict() for error in outcome.errors],
-        "noise": details["noise"],
-        "held_out": details["held_out"],
+        "noise": details.noise,
+        "held_out": plain(details.held_out),
     }
-    if "fixture" in details:
+    if details.fixture:
         facts["conventions"] = asdict(result.request.conventions)
-        facts["fixture"] = details["fixture"]
-    if "between_sessions" in details:
-        facts["between_sessions"] = details["between_sessions"]
-    facts["left_out"] = details["left_out"]
+        facts["fixture"] = details.fixture.as_dict()
+    if details.between_sessions:
+        facts["between_sessions"] = details.between_sessions.as_dict()
+    facts["left_out"] = list(details.left_out)
     facts["undecided"] = list(map(str, outcome.undecided))
     facts["provenance"] = outcome.provenance.as_dict()
     return from_fit(
@@ -272,27 +328,26 @@ def lab_details(
     undecided: tuple[Question, ...],
     faults: Faults,
     sessions: Sessions | None,
-) -> dict[str, Any]:
-    """What only a bench has to say, for report.json; the shorter blocks also for the YAML."""
-    details: dict[str, Any] = {
-        "noise": noise_block(result.final),
-        "held_out": _held_out_block(result),
-        "left_out": list(excluded),
-        "positions": _positions(result),
-        "undecided": list(map(str, undecided)),
-        "faults": [asdict(fault) for fault in faults.slips],
-    }
-    if isinstance(result.observations.reference, KnownVector):
-        details["fixture"] = _fixture_block(result)
-    if sessions:
-        details["between_sessions"] = sessions.block()
+) -> LabDetails:
+    """What only a bench has to say."""
+    fit, recorded = result.final, None
     if result.loop is not None:
-        fit = result.final
         # What neighbours share is noise of a later rest too.
         reading = reading_noise(fit).whole
         found = ambiguities(result.loop.final, result.loop.alternatives)
-        details[KEY] = recorded_block(fit, found, reading=reading, settings=setting_noise(fit))
-    return details
+        recorded = recorded_block(fit, found, reading=reading, settings=setting_noise(fit))
+    known = isinstance(result.observations.reference, KnownVector)
+    return LabDetails(
+        noise=noise_block(fit),
+        held_out=_held_out_rows(result),
+        left_out=excluded,
+        positions=_positions(result),
+        undecided=tuple(map(str, undecided)),
+        faults=faults.slips,
+        fixture=_fixture(result) if known else None,
+        between_sessions=sessions.describe() if sessions else None,
+        record_next=recorded,
+    )
 
 
 def noise_block(fit: Fit) -> dict[str, Any]:
@@ -309,60 +364,45 @@ def noise_block(fit: Fit) -> dict[str, Any]:
     return block
 
 
-def _held_out_block(result: LabResult) -> list[dict[str, Any]]:
-    """Errors on data that was not fitted, largest and rms, per split and model."""
-    rows = []
+def _held_out_rows(result: LabResult) -> tuple[HeldOutRow, ...]:
+    """Errors on data that was not fitted, per split and model."""
+    known, rows = isinstance(result.observations.reference, KnownVector), []
     for split in result.splits:
         for name, held in (("base", split.base), ("final", split.final)):
             found = attitude_errors(held, result.request.conventions)
-            row: dict[str, Any] = {"split": split.name, "model": name, "positions": len(split.rows)}
-            if isinstance(result.observations.reference, KnownVector):
-                row |= {
-                    "tool_face_deg": [worst(found.tool_face), rms(found.tool_face)],
-                    "inclination_deg": [worst(found.inclination), rms(found.inclination)],
-                }
-            rows.append({**row, "norm_mg": [worst(found.norm), rms(found.norm)]})
-    return rows
+            angles = {"tool_face_deg": found.tool_face, "inclination_deg": found.inclination}
+            sizes = {"norm_mg": found.norm} | (angles if known else {})
+            both = {key: (worst(off), rms(off)) for key, off in sizes.items()}
+            count = len(split.rows)
+            rows.append(HeldOutRow(split=split.name, model=name, positions=count, **both))
+    return tuple(rows)
 
 
-def _fixture_block(result: LabResult) -> dict[str, Any]:
+def _fixture(result: LabResult) -> Fixture:
     """What the bench is off by: inclination against the dial with 95 % intervals."""
-    fit = result.final
-    effects = [e.name for e in fit.model.effects if e.stage == "fixture"]
+    effects = tuple(e.name for e in result.final.model.effects if e.stage == "fixture")
     at = np.array([0.0, 30.0, 50.0, 60.0, 90.0])
     dial = dial_of(result, at)
-    curve = [
-        {
-            "inclination_deg": float(a),
-            "true_minus_dial_deg": float(s),
-            "sd_deg": float(d),
-            "low_95_deg": float(s - h),
-            "high_95_deg": float(s + h),
-        }
-        for a, s, d, h in zip(at, dial.shift, dial.sd, dial.half, strict=True)
-    ]
-    return {"effects": effects, "inclination": curve if effects else []}
+    ends = dial.shift - dial.half, dial.shift + dial.half
+    curve = np.stack([at, dial.shift, dial.sd, *ends], axis=1).tolist() if effects else []
+    return Fixture(effects, tuple(DialAt(*row) for row in curve))
 
 
-def _positions(result: LabResult) -> list[dict[str, Any]]:
+def _positions(result: LabResult) -> tuple[PositionFacts, ...]:
     fit, whole = result.final, result.observations
     known = isinstance(whole.reference, KnownVector)
     held = errors(fit, fit.theta, whole)
     angle = attitude_errors(held, result.request.conventions)
     used = set(result.used.tolist())
-    rows = []
-    for k, label in enumerate(whole.label):
-        row: dict[str, Any] = {
-            "position": label,
-            "fitted": k in used,
-            "corrected_m_per_s2": held.corrected[k, 0].tolist(),
-            "norm_error_mg": float(angle.norm[k]),
-        }
-        if known:
-            row |= {
-                "error_mg": (held.error[k, 0] / MG).tolist(),
-                "inclination_error_deg": float(angle.inclination[k]),
-                "tool_face_error_deg": float(angle.tool_face[k]),
-            }
-        rows.append(row)
-    return rows
+    return tuple(
+        PositionFacts(
+            position=label,
+            fitted=k in used,
+            corrected_m_per_s2=held.corrected[k, 0],
+            norm_error_mg=float(angle.norm[k]),
+            error_mg=held.error[k, 0] / MG if known else None,
+            inclination_error_deg=float(angle.inclination[k]) if known else None,
+            tool_face_error_deg=float(angle.tool_face[k]) if known else None,
+        )
+        for k, label in enumerate(whole.label)
+    )
