@@ -32,11 +32,11 @@ from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.run import run_of
 from imucalib.calibrators.actigraph.simulation import postures, scan_of
 from imucalib.calibrators.population import UNLIKELY, Population, read, to_yaml
+from imucalib.calibrators.result import describe_run
 from imucalib.cohort.fleet.recorded import Wanted, run_recorded
 from imucalib.core.effect import Context
 from imucalib.core.sphere import even_directions
 from imucalib.effects import named
-from imucalib.report.files import report_dict
 from imucalib.rests.runs import PostureRuns
 from imucalib.units import MG
 
@@ -118,7 +118,7 @@ def recorded(one: Device, name: str, folder: Path, rng: np.random.Generator) -> 
     runs, scan, _ = one.runs(200, rng)
     run = run_of(runs, replace(scan, path=name, sha256=name), REQUEST, lambda _: None)
     path = folder / f"{name}.json"
-    path.write_text(json.dumps(report_dict(run)))
+    path.write_text(json.dumps(describe_run(run)))
     return path
 
 

@@ -48,6 +48,11 @@ def page() -> str:
         lines += [
             line for name, one in schema.get("$defs", {}).items() for line in _objects(one, name)
         ]
+        for part in schema.get("allOf", ()):
+            ((key, value),) = part["if"]["properties"].items()
+            for one in part["then"]["anyOf"]:
+                lines += ["", f"Where `{key}` is `{value['const']}`: {one['description']}", ""]
+                lines += [line for line in _objects(one, "") if line not in lines]
         lines.append("")
     return "\n".join(lines)
 

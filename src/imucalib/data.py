@@ -10,12 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
+from operator import attrgetter
 from types import NoneType, UnionType
 from typing import (
     Annotated,
     Any,
     ClassVar,
     Literal,
+    Self,
     Union,
     dataclass_transform,
     get_args,
@@ -37,14 +39,37 @@ _NAME = "imucal/{}"
 
 @dataclass_transform(frozen_default=True)
 class Data:
-    """A part of a document, or, with a name such as "noise/1", a document."""
+    """A part of a document, or, with a name such as "noise/1", a document.
+
+    kw_only : as of dataclasses
+    beside : (document, key, value): its keys stand beside the document's where that key has this
+        value
+    """
 
     schema_name: ClassVar[str] = ""
+    beside: ClassVar[tuple[str, str, str] | None] = None
 
-    def __init_subclass__(cls, name: str = "", kw_only: bool = False) -> None:
+    def __init_subclass__(
+        cls,
+        name: str = "",
+        *,
+        kw_only: bool = False,
+        beside: tuple[str, str, str] | None = None,
+    ) -> None:
         super().__init_subclass__()
-        cls.schema_name = name
+        cls.schema_name, cls.beside = name, beside
         dataclass(frozen=True, kw_only=kw_only)(cls)
+
+    @classmethod
+    def of(cls, source: object, renamed: str = "", **stated: Any) -> Self:
+        """From what is stated, and else from an object's attributes of the same names.
+
+        renamed : keys whose attribute has another name: "rate_hz=clock.rate start_s=start"
+        """
+        paths = dict(one.split("=") for one in renamed.split())
+        names = [one.name for one in fields(cls) if one.init and one.name not in stated]  # type: ignore[arg-type]
+        read = {name: attrgetter(paths.get(name, name))(source) for name in names}
+        return cls(**read, **stated)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain types, ready for JSON; of a document with its schema's name."""
@@ -77,31 +102,49 @@ def plain(value: Any) -> Any:
 
 
 def documents() -> dict[str, list[type[Data]]]:
-    """Every form of every document that is imported, by the part of its name before the version."""
+    """Every form of every document that is imported, by the part of its name before the version,
+    and after them what stands beside."""
     found: dict[str, list[type[Data]]] = {}
-    waiting = [Data]
+    waiting, parts = [Data], []
     while waiting:
         cls = waiting.pop()
         waiting += cls.__subclasses__()
         if cls.schema_name:
             found.setdefault(cls.schema_name.partition("/")[0], []).append(cls)
+        elif cls.beside:
+            parts.append((cls.beside[0], cls))
+    for name, cls in sorted(parts, key=lambda part: part[1].__name__):
+        found[name].append(cls)
     return dict(sorted(found.items()))
 
 
 def schema_of(forms: Sequence[type[Data]]) -> dict[str, Any]:
     """JSON Schema (draft 2020-12) of a document of one or more forms: the first line of a form's
-    docstring says what it is, and no key is there that the form does not name."""
+    docstring says what it is, and no key is there that the form does not name. A form with parts
+    beside it is open to the keys of a part that is no type yet."""
     name = _NAME.format(forms[0].schema_name)
     head = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "$id": name,
         "title": name.replace("/", " ").rpartition(" ")[0],
     }
-    bodies = [_schema_of_keys(form) for form in sorted(forms, key=lambda form: form.__name__)]
+    own = sorted((form for form in forms if not form.beside), key=lambda form: form.__name__)
+    bodies = [_schema_of_keys(form) for form in own]
     for body in bodies:
         body["required"].insert(0, "schema")
         body["properties"] = {"schema": {"const": name}, **body["properties"]}
-    return head | (bodies[0] if len(bodies) == 1 else {"oneOf": bodies})
+    if len(bodies) > 1:
+        return head | {"oneOf": bodies}
+    beside: dict[tuple[str, str], list[Any]] = {}
+    for form in forms:
+        if form.beside:
+            own_keys = _schema_of_keys(form) | {"additionalProperties": True}
+            beside.setdefault(form.beside[1:], []).append(own_keys)
+    parts = [
+        {"if": {"properties": {key: {"const": value}}}, "then": {"anyOf": each}}
+        for (key, value), each in beside.items()
+    ]
+    return head | bodies[0] | ({"additionalProperties": True, "allOf": parts} if parts else {})
 
 
 def _schema(kind: Any) -> dict[str, Any]:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Annotated
 
 from imucalib.calibration.calibration import StoredParameter, stored_parameters
 from imucalib.calibration.power import hidden
 from imucalib.core.fit import Fit
+from imucalib.data import Data
 from imucalib.effects import known
 from imucalib.loop.found import FitLoop, Score, Step, Unexplained
 from imucalib.loop.held_out import Difference
@@ -53,32 +55,26 @@ class FoundStep:
     rivals: tuple[tuple[str, float], ...] = ()
 
 
-@dataclass(frozen=True)
-class Untestable:
-    """An effect that these data cannot show; shift : what its typical size does to the answer."""
+class Untestable(Data):
+    """An effect that these data cannot show."""
 
     effect: str
-    typical: str
-    shift: float
+    typical: Annotated[str, "Its typical size."]
+    shift: Annotated[float, "What that does to the answer."]
     unit: str
 
 
-@dataclass(frozen=True)
-class Gain:
-    """What data that took no part in any choice say: errors before and after, and the 95 % interval
-    of what was gained, all in `unit`; proved : whether the gain is beyond chance
-    nats, nats_low : what the log density of those data gains, and its lower 95 % edge; NaN where it
-        was not judged
-    """
+class Gain(Data):
+    """What data that took no part in any choice say."""
 
     before: float
     after: float
-    low: float
+    low: Annotated[float, "Of the 95 % interval of what was gained."]
     high: float
-    proved: bool
+    proved: Annotated[bool, "Whether the gain is beyond chance."]
     unit: str
-    nats: float = math.nan
-    nats_low: float = math.nan
+    nats: Annotated[float, "Gain of their log density; null where it was not judged."] = math.nan
+    nats_low: Annotated[float, "Its lower 95 % edge."] = math.nan
 
     @property
     def dense(self) -> str:

@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.findings import Findings
-from imucalib.calibration.plain import plain
 from imucalib.calibration.provenance import Provenance
 from imucalib.core.fit import Fit
 from imucalib.data import Data
@@ -33,8 +32,7 @@ _CORRECTED = (
 )
 
 
-@dataclass(frozen=True)
-class HeldOutError:
+class HeldOutError(Data):
     """Errors of one metric on data that was not fitted; NaN where there is none."""
 
     raw: float
@@ -42,22 +40,16 @@ class HeldOutError:
     final: float
 
 
-@dataclass(frozen=True)
-class ErrorSummary:
-    """One metric before and after: raw reading, base model, final model, and the noise floor; NaN
-    what does not exist."""
+class ErrorSummary(Data):
+    """One metric before and after; NaN what does not exist."""
 
     metric: str
     unit: str
     raw: float
-    base: float
-    final: float
-    floor: float
+    base: Annotated[float, "Of the base model, fitted."]
+    final: Annotated[float, "Of the final model, fitted."]
+    floor: Annotated[float, "What the noise alone would leave."]
     held_out: HeldOutError
-
-    def as_dict(self) -> dict[str, Any]:
-        """The block of calibration.yaml and report.json."""
-        return dict(plain(self))
 
 
 @dataclass(frozen=True)

@@ -7,12 +7,28 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from imucalib import __version__
-from imucalib.calibration.plain import fields
+from imucalib.data import Data
+
+
+class Origin(Data, kw_only=True):
+    """Where the numbers come from; enough to compute them again."""
+
+    input: str
+    sha256: str
+    inputs_sha256: Annotated[tuple[str, ...] | None, "Of each file, where it is several."] = None
+    samples: int
+    gaps: int
+    mapping: Annotated[Mapping[str, Any], "How it was read."]
+    settings: Mapping[str, Any]
+    command: Annotated[str, "That was typed."]
+    seed: int
+    versions: Mapping[str, str]
+    time: str
 
 
 @dataclass(frozen=True)
@@ -46,11 +62,14 @@ class Provenance:
             ("time", self.time),
         )
 
+    @property
+    def described(self) -> Origin:
+        """As report.json has it."""
+        return Origin.of(self, "input=path", inputs_sha256=self.parts or None)
+
     def as_dict(self) -> dict[str, Any]:
         """The block of calibration.yaml and report.json."""
-        parts = " inputs_sha256=parts" if self.parts else ""
-        rest = " samples gaps mapping settings command seed versions time"
-        return fields(self, f"input=path sha256{parts}{rest}")
+        return self.described.as_dict()
 
 
 def provenance_of(

@@ -30,7 +30,6 @@ from imucalib.report.document import (
 )
 from imucalib.report.plots import band, gain_plot, sphere_map
 from imucalib.significant_digits import (
-    number,
     per_cent,
     plus_minus,
     probability,
@@ -59,6 +58,14 @@ _BEFORE_AFTER: tuple[Column, ...] = (
     ("raw", lambda one: one[1].raw, ".2f"),
     ("corrected", lambda one: one[1].corrected, ".2f"),
     ("change", lambda one: one[1].corrected - one[1].raw, "+.2f"),
+)
+
+
+_METHODS: tuple[Column, ...] = (
+    ("method", lambda one: one[0], ""),
+    ("fitted, mg", lambda one: one[1].fitted_mg, ".2f"),
+    ("second set, mg", lambda one: one[1].verified_mg, ".2f"),
+    ("R, %", lambda one: one[1].improvement_percent, ".0f"),
 )
 
 
@@ -355,17 +362,15 @@ def published_document(run: PublishedRun) -> Document:
     error = run.outcome.error
     head = (
         f"Mean error {error.held_out.raw:.2f} mg before, {error.held_out.final:.2f} mg after, on "
-        f"{len(run.control)} points that were not used (paper 002, Table 3)."
+        f"{len(run.details.control_points_g)} points that were not used (paper 002, Table 3)."
     )
-    rows = tuple(
-        (m.name, f"{m.fitted:.2f}", number(m.verified), number(m.improvement, 0))
-        for m in run.methods
-    )
-    header = ("method", "fitted, mg", "second set, mg", "R, %")
     note = "Fixed point: operands of 32 or 16 bits, products of twice as many, no square root."
-    methods = Table("The paper's methods on the same 18 points", header, rows, "lrrr", note)
+    title = "The paper's methods on the same 18 points"
+    methods = Table.of(_METHODS, run.details.methods.items(), title, note)
     note = "sd from the residual of the points; 18 points leave 9 degrees of freedom."
-    points = tuple((f"{k}", *(f"{v:+.4f}" for v in p)) for k, p in enumerate(run.points, start=1))
+    points = tuple(
+        (f"{k}", *(f"{v:+.4f}" for v in p)) for k, p in enumerate(run.details.points_g, 1)
+    )
     parts = (
         Section("Methods", (methods,)),
         Section("Parameters", (sections.parameter_table(run.calibration, note),)),

@@ -17,23 +17,19 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.atomic_file import replace_atomically
 from imucalib.calibration.file import to_yaml, write_together
-from imucalib.calibration.findings import Findings, FoundStep
 from imucalib.calibration.outcome import Run
-from imucalib.calibration.plain import fields, json_text, listed, plain
+from imucalib.calibration.plain import json_text
+from imucalib.calibrators.result import CardFacts, Figure, SeriesFacts, Shown, Worth, describe_run
 from imucalib.errors import ImucalError, UsageError
 from imucalib.exports import Made
-from imucalib.loop.found import Score
 from imucalib.recording.yaml_text import load
 from imucalib.report.document import Document, Series
-from imucalib.significant_digits import per_cent
 
 if TYPE_CHECKING:
     from imucalib.calibration.angles import Angles
     from imucalib.calibrators.array.run import ArrayRun
     from imucalib.calibrators.lab.conventions import Conventions
 
-SCHEMA = "imucal/report/2"
-_PARAMETER = "name effect value sd unit"
 _ANGLES = {
     "time_s": "%.6f",
     "inclination_deg": "%.4f",
@@ -58,7 +54,7 @@ class Report:
 
     @cached_property
     def content(self) -> dict[str, Any]:
-        return {**report_dict(self.run), **shown_dict(self.document)}
+        return describe_run(self.run) | shown_dict(self.document)
 
 
 def demand_folder(folder: Path, inputs: Sequence[Path]) -> None:
@@ -99,127 +95,41 @@ def write_report(report: Report, folder: Path, exported: Sequence[Made] = ()) ->
     return tuple(folder / name for name in texts)
 
 
-def report_dict(run: Run) -> dict[str, Any]:
-    """The report as plain types.
-
-    Numbers that do not exist (no held-out part) are null, never NaN, which is no JSON.
-    """
-    outcome, calibration, found = run.outcome, run.calibration, run.outcome.findings
-    content: dict[str, Any] = {
-        "schema": SCHEMA,
-        **fields(outcome, "calibrator status exit_code reasons"),
-        "sensor": outcome.sensor.as_dict(),
-        "parameters": listed(calibration.parameters, _PARAMETER),
-        "covariance": _covariance(run),
-        "loop": {
-            "errors": [error.as_dict() for error in outcome.errors],
-            "advice": list(map(str, outcome.advice)),
-            **_found(found or Findings("not run")),
-        },
-        "limits": listed(outcome.limits, "name value limit unit broken"),
-        "undecided": list(map(str, outcome.undecided)),
-        "left": listed(outcome.left, "name value accepted unit beyond"),
-        "notes": outcome.notes,
-        "provenance": outcome.provenance.as_dict(),
-    }
-    if calibration.triads:
-        content["triads"] = [triad.as_dict() for triad in calibration.triads]
-    else:
-        content["matrices"] = calibration.matrices().as_dict()
-    whole: dict[str, Any] = plain(content) | plain(run.details)
-    return whole
-
-
-def _covariance(run: Run) -> dict[str, Any]:
-    covariance, fit = run.calibration.covariance, run.outcome.fit
-    if fit is None:
-        return {"estimated_noise": covariance}
-    return {
-        "estimated_noise": covariance,
-        **fields(fit, "chi2 dof noise_factor=noise.factor condition"),
-    }
-
-
-def _found(found: Findings) -> dict[str, Any]:
-    # Why each effect was not added.
-    reasons = {s.name: _why(s, found) for s in found.scores if s.kind == "effect"}
-    reasons |= dict(found.rejected)
-    reasons |= {name: f"not tested: {why}" for name, why in found.missing.items()}
-    records, scores = found.records, found.scores
-    return {
-        "verdict": found.verdict,
-        "p_nothing_missing": found.complete,
-        "gain": None if found.gain is None else vars(found.gain),
-        "declared": [{"effect": name, "size": size} for name, size in found.declared],
-        **fields(found, "only without"),
-        "record_errors": listed(records, "where channel size sd unit likely probability"),
-        "steps": [_step(step) for step in found.steps],
-        "unexplained": listed(
-            found.unexplained, "name driver=follows kind probability evidence_nats=evidence"
-        ),
-        "rejected": [{"effect": name, "reason": why} for name, why in reasons.items()],
-        "refuted": found.refuted,
-        "not_testable": [vars(u) for u in found.not_testable],
-        "candidates": listed(
-            scores,
-            "name kind evidence_nats=evidence probability left lambda_at_typical_size=strength "
-            "size_m_per_s2=size",
-        ),
-    }
-
-
-def _step(step: FoundStep) -> dict[str, Any]:
-    return {
-        **fields(step, "effect size probability"),
-        "in_its_place": [{"effect": name, "share": share} for name, share in step.rivals],
-        **fields(step, "evidence_nats=evidence held_out_nats=held_out"),
-        "checks": listed(step.checks, "metric unit before after"),
-        **fields(step, "aliases certain formula"),
-        "parameters": listed(step.parameters, _PARAMETER),
-    }
-
-
-def _why(score: Score, found: Findings) -> str:
-    if score.absorbed:
-        return "absorbed by the fitted parameters: these data cannot show it"
-    numbers = f"{per_cent(score.probability)} likely, {score.evidence:.2f} nats by itself"
-    best = found.scores[0]
-    if score.evidence > 0.0 and score.evidence < best.evidence:
-        return f"{best.name} explains more: {numbers}"
-    return f"no evidence: {numbers}"
+def describe_page(document: Document) -> Shown:
+    """What only the document holds: its card, and its figures as series, five digits each."""
+    card, figures = document.card, []
+    for title, plot in document.plots:
+        series = tuple(map(_series, plot.series))
+        labels = "x=x_label y=y_label"
+        figures.append(Figure.of(plot, labels, section=title, series=series))
+    shown = None
+    if card is not None:
+        worth = tuple(Worth.of(one, "detail=whole") for one in card.good_to)
+        found = tuple(text.text for text in card.found)
+        shown = CardFacts.of(card, good_to=worth, found=found)
+    return Shown(shown, tuple(figures))
 
 
 def shown_dict(document: Document) -> dict[str, Any]:
-    """What only the document holds: its card, and its figures as series, five digits each."""
-    card, plots = document.card, []
-    for title, plot in document.plots:
-        series = [_series(s) for s in plot.series]
-        words = fields(plot, "title x=x_label y=y_label caption")
-        plots.append({"section": title, **words, "series": series})
-    shown = card and {
-        "good_to": [
-            {**fields(worth, "quantity value"), "detail": worth.whole} for worth in card.good_to
-        ],
-        "found": [text.text for text in card.found],
-        **fields(card, "to_do command"),
-    }
-    return dict(plain({"card": shown, "figures": plots}))
+    """The same as plain types."""
+    return describe_page(document).as_dict()
 
 
-def _series(series: Series) -> dict[str, Any]:
+def _series(series: Series) -> SeriesFacts:
     """Values (n,), the edges of bands and bars, and the names of points, where they exist."""
-    edges = {"low": series.low, "high": series.high}
-    return {
-        "label": series.label,
-        "x": _round_numbers(series.x),
-        "y": _round_numbers(series.y),
-        **{name: _round_numbers(edge) for name, edge in edges.items() if edge is not None},
-        **({"names": series.names} if series.names else {}),
-    }
+    low, high = (None if e is None else _round_numbers(e) for e in (series.low, series.high))
+    return SeriesFacts(
+        label=series.label,
+        x=_round_numbers(series.x),
+        y=_round_numbers(series.y),
+        low=low,
+        high=high,
+        names=series.names or None,
+    )
 
 
-def _round_numbers(values: Array) -> list[float]:
-    return [float(f"{v:.5g}") for v in values]
+def _round_numbers(values: Array) -> tuple[float, ...]:
+    return tuple(float(f"{v:.5g}") for v in values)
 
 
 def write_angles(found: Angles, conventions: Conventions, path: Path) -> None:

@@ -63,11 +63,11 @@ def test_errors_over_the_sphere_are_those_of_the_nearest_part() -> None:
         final = np.abs(np.linalg.norm(corrected[near == k], axis=1) - G) / MG
         assert cell.runs == own.size
         if own.size:
-            assert cell.raw == cell.held_out == pytest.approx(own.mean())
-            assert cell.base == cell.final == pytest.approx(final.mean())
+            assert cell.raw_mg == cell.held_out_mg == pytest.approx(own.mean())
+            assert cell.base_mg == cell.final_mg == pytest.approx(final.mean())
         else:
-            assert np.isnan(cell.raw)
-        assert cell.sd > 0.0
+            assert np.isnan(cell.raw_mg)
+        assert cell.sd_mg > 0.0
     summary = errors.error_summary(found, found, held, held)  # type: ignore[arg-type]
     assert (
         summary.raw
@@ -144,10 +144,10 @@ def test_night_is_the_least_active_part_of_the_clock() -> None:
     at = np.array([17.0, 40.0, 3.0]) * 3600.0  # 23:00, 22:00 and 9:00
     errors = np.array([4.0, 9.0, 9.0]) * MG, np.array([-1.0, 5.0, 5.0]) * MG
     found = activity_of(minutes, wear, 6.0 * 3600.0, errors, at)
-    assert found.night == pytest.approx((22.5 * 3600, 3.5 * 3600))
+    assert found.night_s_of_day == pytest.approx((22.5 * 3600, 3.5 * 3600))
     assert tuple(vars(found.enmo_mg["night"]).values()) == pytest.approx((2.0, 1.0))
     assert tuple(vars(found.enmo_mg["day"]).values()) == pytest.approx((40.0, 20.0))
-    assert found.night_runs == 1
+    assert found.night_posture_runs == 1
     assert tuple(vars(found.night_error_mg).values()) == pytest.approx((4.0, 1.0))
     few = Minutes(minute[:600], minutes.count[:600], minutes.raw[:600], minutes.corrected[:600])
-    assert activity_of(few, wear, 0.0, errors, at).night is None
+    assert activity_of(few, wear, 0.0, errors, at).night_s_of_day is None

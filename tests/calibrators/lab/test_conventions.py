@@ -161,6 +161,6 @@ def test_a_dial_is_off_by_what_its_user_would_read(meant: Conventions) -> None:
     found = {p.name: p for p in run.calibration.parameters}
     for name, want in (("inclination_zero", 0.9), ("inclination_scale", 1.2)):
         assert abs(found[name].value - want) < 4.0 * found[name].sd + 0.01
-    for row in run.details["fixture"]["inclination"]:
-        want = 0.9 + 1.2 * row["inclination_deg"] / 90.0
-        assert abs(row["true_minus_dial_deg"] - want) < 4.0 * row["sd_deg"] + 0.01
+    for row in run.details.fixture.inclination:
+        want = 0.9 + 1.2 * row.inclination_deg / 90.0
+        assert abs(row.true_minus_dial_deg - want) < 4.0 * row.sd_deg + 0.01

@@ -9,17 +9,16 @@ their middles, since few postures reach them.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import from_fit
 from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Limit, Outcome, Run
-from imucalib.calibration.plain import fields
 from imucalib.calibrators.actigraph.observations import NINE
 from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.run import provenance
@@ -28,6 +27,7 @@ from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm
+from imucalib.data import Data, plain
 from imucalib.effects import named
 from imucalib.errors import Undetermined
 from imucalib.estimators.gradient_descent import METHODS, improvement, norm_errors
@@ -93,28 +93,31 @@ ARITHMETIC = {
 }
 
 
-@dataclass(frozen=True)
-class PublishedMethod:
-    """One method on one set of points: p (9,) of the paper, mean errors in mg on the points that
-    it used and on the second set, and R in per cent."""
+_NAMES = ("k_xx", "k_yy", "k_zz", "k_xy", "k_xz", "k_yz", "o_x", "o_y", "o_z")
 
-    name: str
-    p: Array
-    fitted: float
-    verified: float
-    improvement: float
+
+class PublishedMethod(Data):
+    """One method of the paper on one set of points."""
+
+    p: Annotated[Mapping[str, float], "Of the paper."]
+    fitted_mg: Annotated[float, "Mean error on the points that it used."]
+    verified_mg: Annotated[float, "Mean error on the second set."]
+    improvement_percent: Annotated[float, "R."]
+
+
+class PublishedDetails(Data, beside=("report", "calibrator", "actigraph")):
+    """What the paper's own procedure has to say (--as-published)."""
+
+    methods: Mapping[str, PublishedMethod]
+    points_g: Annotated[Array, "To calibrate with."]
+    control_points_g: Annotated[Array, "To verify with."]
 
 
 @dataclass(frozen=True, kw_only=True)
 class PublishedRun(Run):
-    """The paper's procedure on one recording.
+    """The paper's procedure on one recording."""
 
-    points, control : (18, 3) g, to calibrate with and to verify with
-    """
-
-    points: Array
-    control: Array
-    methods: tuple[PublishedMethod, ...]
+    details: PublishedDetails
     scanned: Scan
 
 
@@ -141,8 +144,8 @@ def calibrate_as_published(
         )
     first, second = np.array(points.points), np.array(control.points).reshape(-1, 3)
     methods = compare_methods(first, second)
-    chosen = next(m for m in methods if m.name == ARITHMETIC[request.arithmetic])
-    found = published_fit(chosen.p, first, request.gravity)
+    chosen = methods[ARITHMETIC[request.arithmetic]]
+    found = published_fit(np.array(list(chosen.p.values())), first, request.gravity)
     error = _error(chosen, found, first, second)
     held = {"max-error": error.held_out.final}  # no other limit has a value here
     outcome = Outcome(
@@ -155,14 +158,12 @@ def calibrate_as_published(
         notes=scanned.notes,
         sensor=scanned.sensor,
     )
-    blocks_of = {m.name: _method_block(m) for m in methods}
     facts = {
         "gravity_source": request.gravity_source,
         "errors": [error.as_dict() for error in outcome.errors],
-        "method": blocks_of,
+        "method": plain(methods),
         "provenance": outcome.provenance.as_dict(),
     }
-    sets = {"points_g": first.tolist(), "control_points_g": second.tolist()}
     return PublishedRun(
         outcome=outcome,
         calibration=from_fit(
@@ -176,10 +177,7 @@ def calibrate_as_published(
             facts=facts,
             sensor=outcome.sensor,
         ),
-        details={"methods": blocks_of, **sets},
-        points=first,
-        control=second,
-        methods=methods,
+        details=PublishedDetails(methods, first, second),
         scanned=scanned,
     )
 
@@ -193,16 +191,16 @@ def _error(chosen: PublishedMethod, found: Fit, first: Array, second: Array) -> 
         metric="mean error of |a|",
         unit="mg",
         raw=raw,
-        base=chosen.fitted,
-        final=chosen.fitted,
+        base=chosen.fitted_mg,
+        final=chosen.fitted_mg,
         floor=found.noise.factor * float(np.sqrt(2.0 / np.pi)),
-        held_out=HeldOutError(raw_second, chosen.verified, chosen.verified),
+        held_out=HeldOutError(raw_second, chosen.verified_mg, chosen.verified_mg),
     )
 
 
-def compare_methods(first: Array, second: Array) -> tuple[PublishedMethod, ...]:
+def compare_methods(first: Array, second: Array) -> dict[str, PublishedMethod]:
     """Every method of the paper on the same points (n, 3) g, and verified on a second set."""
-    found = []
+    found = {}
     for name, method in METHODS.items():
         p = method(first)
         fitted = float(np.mean(np.abs(norm_errors(p, first)))) * 1e3
@@ -210,8 +208,9 @@ def compare_methods(first: Array, second: Array) -> tuple[PublishedMethod, ...]:
         if len(second):
             verified = float(np.mean(np.abs(norm_errors(p, second)))) * 1e3
             gain = improvement(p, second)
-        found.append(PublishedMethod(name, p, fitted, verified, gain))
-    return tuple(found)
+        names = dict(zip(_NAMES, map(float, p), strict=True))
+        found[name] = PublishedMethod(names, fitted, verified, gain)
+    return found
 
 
 def published_fit(p: Array, points: Array, gravity: float) -> Fit:
@@ -236,10 +235,3 @@ def published_fit(p: Array, points: Array, gravity: float) -> Fit:
     rough = evaluate(model, data, theta, np.eye(9))
     inverse = np.linalg.pinv(rough.at.jacobian.T @ rough.at.jacobian, rcond=1e-14)
     return replace(rough, covariance=np.asarray(rough.noise.factor**2 * inverse))
-
-
-def _method_block(method: PublishedMethod) -> dict[str, Any]:
-    """One method as plain types."""
-    names = ("k_xx", "k_yy", "k_zz", "k_xy", "k_xz", "k_yz", "o_x", "o_y", "o_z")
-    errors = "fitted_mg=fitted verified_mg=verified improvement_percent=improvement"
-    return {"p": dict(zip(names, map(float, method.p), strict=True)), **fields(method, errors)}

@@ -70,7 +70,7 @@ class MeanError(Data):
     held_out_blocks: Annotated[int, "Of time, each predicted without it."]
 
 
-class ActigraphDetails(Data):
+class ActigraphDetails(Data, beside=("report", "calibrator", "actigraph")):
     """What only a worn sensor has to say."""
 
     error_mg: MeanError

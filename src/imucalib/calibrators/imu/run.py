@@ -92,7 +92,7 @@ class TurnErrors(Data):
     final: Array
 
 
-class ImuDetails(LabDetails, kw_only=True):
+class ImuDetails(LabDetails, kw_only=True, beside=("report", "calibrator", "imu")):
     """What only an IMU has to say, beside the bench of its rests."""
 
     imu: ImuFacts

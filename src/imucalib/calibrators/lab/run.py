@@ -102,7 +102,7 @@ class Fixture(Data):
     inclination: Annotated[tuple[DialAt, ...], "Empty without an effect of the bench."]
 
 
-class LabDetails(Data):
+class LabDetails(Data, beside=("report", "calibrator", "lab")):
     """What only a bench has to say."""
 
     noise: Annotated[Mapping[str, float], "Of readings and settings, each with its sd."]
