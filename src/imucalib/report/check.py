@@ -34,7 +34,7 @@ from imucalib.report.document import (
 from imucalib.significant_digits import per_cent, plus_minus, signed_components, two_digits
 from imucalib.units import MG
 
-SCHEMA = "imucal/check/2"
+SCHEMA = "imucal/check/1"
 _TONE: dict[str, Tone] = {"still good": "ok", "changed": "bad", "undecided": "warning"}
 _HEADLINE = {
     "still good": "Still good.",

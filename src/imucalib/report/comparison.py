@@ -13,7 +13,6 @@ import numpy as np
 
 from imucalib.calibration.comparison.basis import Worst
 from imucalib.calibration.comparison.compare import (
-    ALPHA,
     SIGNIFICANT,
     CalibrationDrift,
     Comparison,
@@ -33,11 +32,13 @@ from imucalib.report.document import (
     capital,
 )
 from imucalib.report.plots import band
-from imucalib.significant_digits import plus_minus, signed_components, two_digits, with_sd
+from imucalib.significant_digits import per_cent, plus_minus, signed_components, two_digits, with_sd
 
 SCHEMA = "imucal/comparison/1"
 #: Columns of single calibrations that a table has room for.
 _ROOM = 3
+#: Probability from which on a kind of difference is named.
+_NAMED = 0.1
 _HALF = 1.959964
 _QUANTITY = {
     "mg": "the size of the corrected force",
@@ -76,11 +77,10 @@ def _how(found: Comparison) -> str:
 
 
 def _verdict(found: Comparison) -> Text:
-    fit = found.agreement
-    proof = f"χ² {fit.chi2:.3g} with {fit.dof} degrees of freedom, p {fit.p:.2g}"
+    proof = f"as stated: {per_cent(found.agreement.answer.nothing)}"
     worst = "; ".join(_words(found, m) for m in found.meanings)
     if found.verdict == "differ":
-        which = f" Without {' and '.join(found.odd)} the others agree." if found.odd else ""
+        which = f" {' and '.join(found.odd)} differs from the others." if found.odd else ""
         words = f"They differ beyond the limit ({proof}): {worst}.{which}"
     elif found.verdict == "undecided":
         kinds = " and ".join(_QUANTITY[m.unit] for m in found.meanings if m.beyond)
@@ -111,20 +111,28 @@ def _card(found: Comparison, paths: Sequence[Path], command: str) -> Card:
         detail = f"at most, where the force is {signed_components(worst.attitude)}; {limit}"
         sensor = f", {worst.sensor}" if worst.sensor else ""
         worths.append(Worth(f"difference of {_WORTH[unit]}{sensor}", f"{size} {unit}", detail))
-    fit = found.agreement
     words = (
-        f"The files differ by {'more' if found.differ else 'no more'} than they state: over "
-        f"{fit.dof} parameters by {two_digits(fit.z_rms)} times that, rms."
+        f"The files differ by {'more' if found.differ else 'no more'} than they state "
+        f"({per_cent(found.agreement.answer.nothing)} that nothing does){_differing(found)}."
     )
     said = [Text(words, _TONE[found.verdict])]
     if found.odd:
-        said.append(Text(f"Without {' and '.join(found.odd)} the others agree.", "warning"))
+        words = f"{' and '.join(found.odd)} differs from the others."
+        said.append(Text(capital(words), "warning"))
     if found.drift is not None:
         said.append(_due(found.drift))
     said += Text.sentences(found.notes, "warning")
     steps, headline = _to_do(found, paths), _HEADLINE[found.verdict]
     chart = _control_chart(found)
     return Card(tuple(worths), tuple(said), steps, command, headline=headline, picture=chart)
+
+
+def _differing(found: Comparison) -> str:
+    """What differs, with its probability, likeliest first."""
+    share = found.differing
+    likely = sorted((k for k, p in share.items() if p >= _NAMED), key=lambda k: -share[k])
+    named = ", ".join(f"{kind} {per_cent(share[kind])}" for kind in likely)
+    return f": {named}" if found.differ and named else ""
 
 
 def _to_do(found: Comparison, paths: Sequence[Path]) -> tuple[str, ...]:
@@ -302,10 +310,11 @@ def comparison_dict(found: Comparison) -> dict[str, Any]:
     content = {
         "schema": SCHEMA,
         **fields(found, "calibrations=names verdict exit_code basis=basis.words"),
-        **fields(fit, "chi2 dof noise_dof p"),
-        "alpha": ALPHA,
-        **fields(fit, "z_rms"),
-        **fields(found, "differ_from_the_others=odd p_against_the_others=agreement.without"),
+        "as_stated": fit.answer.nothing,
+        "differing": found.differing,
+        **fields(fit, "chi2 dof z_rms"),
+        "differ_from_the_others": found.odd,
+        "probability_of_each_file": [fit.differs(k) for k in range(len(found.names))],
         "limits_stated": found.stated,
         "worst": worst,
         "parameters": parameters,

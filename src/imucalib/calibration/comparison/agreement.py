@@ -1,14 +1,8 @@
-"""Whether numbers agree with their stated covariances, and how much they scatter beyond.
+"""Whether calibrations agree, in per cent, and how much they scatter beyond what they state.
 
-All agree: χ² = Σ (θ_i - θ̄)ᵀ C_i⁻¹ (θ_i - θ̄), θ̄ by generalised least squares, with (m-1) p degrees
-of freedom; since the covariances' scale was estimated, χ² / dof is held against F (ν by
-Satterthwaite).
-
-Where power-ups scatter it is held against what chance does: what readings leave open and what
-power-ups bring have sizes of their own, known from few of each. In the directions of a bias the
-second decides alone, so that no one F holds: calibrations are drawn with each part's true size as
-its estimate tells it, size² = estimate² ν / χ²(ν) (Fisher's fiducial law). The size of what
-power-ups bring is one, for all.
+All have their parameters in common, unless one differs in a kind of them, or all scatter more than
+they state: the posterior of `loop.changes`, with the covariance of each file as well known as its
+noise, and what power-ups bring as one part for all.
 
 How much values y scatter beyond their own variances v, about a mean, a mean of each group, or a
 line X b: τ² solves Q(τ²) = Σ (y_i - (X b)_i)² / (v_i + τ²) = degrees of freedom (Paule and Mandel
@@ -21,13 +15,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from imucalib.arrays import Array
+from imucalib.calibration.checking.noise import KNOWN
 from imucalib.calibration.comparison.basis import Basis
-from imucalib.core.eigen import eigen
+from imucalib.loop.changes import ChangeAnswer, ChangeQuestion, CovariancePart, Suspect
 
-#: Calibrations that are drawn; p is no finer than one of as many and one.
-DRAWS = 6000
+#: Stated standard deviations of a parameter that readings of it show, and the share of a variance
+#: that keeps a parameter without any from being certain.
+_SHOWN, _LEAST = 5.0, 1e-9
 
 
 @dataclass(frozen=True)
@@ -86,23 +83,33 @@ def _design(value: Array, design: Array | None) -> Array:
 @dataclass(frozen=True)
 class Agreement:
     """mean, mean_sd : (p,) of all; z : (m, p) of each against the mean of the others, by its whole
-    sd; chi2, dof, p : that all agree; noise_dof : of the covariances' scale
-    without : (m,) p of each calibration against the others, all parameters together
-    """
+    sd; chi2, dof : that all agree; answer : what differs, by `suspect`"""
 
     mean: Array
     mean_sd: Array
     z: Array
     chi2: float
     dof: int
-    p: float
-    noise_dof: float
-    without: Array
+    answer: ChangeAnswer
 
     @property
     def z_rms(self) -> float:
         """1 where the scatter is what is stated."""
         return float(np.sqrt(self.chi2 / self.dof))
+
+    @property
+    def odd(self) -> tuple[int, ...]:
+        """Files that differ from the others in the likeliest explanation, where they do; none of
+        two, of which either may."""
+        if not self.answer.told or len(self.z) < 3:
+            return ()
+        names = self.answer.likeliest.names
+        return tuple(k for k in range(len(self.z)) if any(_is_of(k, name) for name in names))
+
+    def differs(self, file: int) -> float:
+        """Probability that a file differs from the others."""
+        holds = self.answer.probability_that
+        return holds(lambda names: any(_is_of(file, name) for name in names))
 
 
 @dataclass(frozen=True)
@@ -120,59 +127,69 @@ def agreement(basis: Basis) -> Agreement:
     """Of two or more."""
     value, covariance = basis.value, basis.covariance
     m, p = value.shape
-    null = _draw_truths(basis)
     mean, own = _mean(value, covariance)
-    chi2 = float(_squares(value, mean, covariance))
-    z, without = np.zeros((m, p)), np.zeros(m)
+    z = np.zeros((m, p))
     for k in range(m):
         rest = np.arange(m) != k
         other, spread = _mean(value[rest], covariance[rest])
-        whole = covariance[k] + spread
-        z[k] = (value[k] - other) / np.sqrt(np.diag(whole))
-        square = float(_square(value[k] - other, whole))
-        if null is not None:
-            away = null[:, k] - _mean(null[:, rest], covariance[rest])[0]
-            without[k] = _p_by_draws(_square(away, whole), square)
-        else:
-            pair = np.array([covariance[k], spread])
-            dofs = np.array([basis.dof[k], basis.dof[rest].sum()])
-            without[k] = _tail(square, p, noise_dof(pair, dofs))
-    dof, nu = (m - 1) * p, noise_dof(covariance, basis.dof)
-    chance = _tail(chi2, dof, nu)
-    if null is not None:
-        chance = _p_by_draws(_squares(null, _mean(null, covariance)[0], covariance), chi2)
+        z[k] = (value[k] - other) / np.sqrt(np.diag(covariance[k] + spread))
+    inverse = np.linalg.pinv(covariance, hermitian=True)
     return Agreement(
         mean=mean,
         mean_sd=np.sqrt(np.diag(own)),
         z=z,
-        chi2=chi2,
-        dof=dof,
-        p=chance,
-        noise_dof=nu,
-        without=without,
+        chi2=float(np.einsum("ki,kij,kj->", value - mean, inverse, value - mean)),
+        dof=(m - 1) * p,
+        answer=difference_question(basis).answer(),
     )
 
 
-def odd_ones(basis: Basis, alpha: float) -> tuple[int, ...]:
-    """Calibrations without which the others agree, fewer than half of all; none where all agree,
-    and none where more would have to go: then they scatter."""
-    kept, gone = list(range(len(basis.value))), list[int]()
-    while agreement(basis.take(kept)).p <= alpha:
-        if len(kept) < 3 or 2 * (len(gone) + 1) >= len(basis.value):
-            return ()
-        rest = [[k for k in kept if k != out] for out in kept]
-        best = int(np.argmin([agreement(basis.take(some)).chi2 for some in rest]))
-        gone.append(kept[best])
-        kept = rest[best]
-    return tuple(sorted(gone))
+def difference_question(basis: Basis) -> ChangeQuestion:
+    """Which kinds of parameters differ in which file, all in units of their mean stated sd; of two
+    files the last stands for both."""
+    m, p = basis.value.shape
+    sd = np.sqrt(np.einsum("kii->i", basis.covariance) / m)
+    sd = np.where(sd > 0.0, sd, 1.0)
+    shares = np.zeros_like(basis.covariance)
+    if basis.power_ups is not None:
+        shares = np.array(basis.power_ups.share)
+    own = (basis.covariance - shares) / np.outer(sd, sd) + _LEAST * np.eye(p)
+    parts = [
+        CovariancePart(_of_file(k, m, own[k]), min(float(basis.dof[k]), KNOWN)) for k in range(m)
+    ]
+    if basis.power_ups is not None:
+        whole = block_diag(*(share / np.outer(sd, sd) for share in shares))
+        parts.append(CovariancePart(whole, min(basis.power_ups.dof, KNOWN)))
+    unit = np.eye(m * p).reshape(m * p, m, p)
+    kinds = dict.fromkeys(map(kind_of, basis.names))
+    suspects = [
+        Suspect(suspect(kind, k), (_SHOWN * unit[:, k, [kind_of(n) == kind for n in basis.names]],))
+        for k in range(m == 2, m)
+        for kind in kinds
+    ]
+    value = (basis.value / sd).ravel()
+    return ChangeQuestion(value, tuple(parts), tuple(suspects), np.tile(np.eye(p), (m, 1)))
 
 
-def noise_dof(covariance: Array, dof: Array) -> float:
-    """ν of a sum of covariances (k, p, p), each with its own dof (k,), by its share."""
-    total = np.linalg.pinv(covariance.sum(axis=0), hermitian=True)
-    share = np.einsum("ij,kji->k", total, covariance)
-    share = share / share.sum()
-    return float(1.0 / np.sum(share**2 / dof))
+def kind_of(name: str) -> str:
+    """What a parameter is one of: "bias" of "bias_x"."""
+    return name.rpartition("_")[0] or name
+
+
+def suspect(kind: str, file: int) -> str:
+    """The name of what differs."""
+    return f"{kind} of {file}"
+
+
+def _is_of(file: int, name: str) -> bool:
+    return name.endswith(f" of {file}")
+
+
+def _of_file(k: int, m: int, covariance: Array) -> Array:
+    """(m p, m p) covariance of one file's parameters alone."""
+    alone = np.zeros((m, m))
+    alone[k, k] = 1.0
+    return np.asarray(np.kron(alone, covariance), np.float64)
 
 
 def scatter(basis: Basis) -> ParameterScatter | None:
@@ -188,53 +205,8 @@ def scatter(basis: Basis) -> ParameterScatter | None:
     return ParameterScatter(sd, low, high, np.sqrt(np.array(squares) / (m - 1)))
 
 
-def _draw_truths(basis: Basis) -> Array | None:
-    """(DRAWS, m, p) values about a common truth; None where nothing tells what power-ups bring."""
-    if basis.power_ups is None:
-        return None
-    rng, (m, p) = np.random.default_rng(0), basis.value.shape
-    found = np.zeros((DRAWS, m, p))
-    common = _size(basis.power_ups.dof, rng)
-    for k, share in enumerate(basis.power_ups.share):
-        own = basis.covariance[k] - share
-        for part, size in ((own, _size(float(basis.dof[k]), rng)), (share, common)):
-            values, vectors = eigen(0.5 * (part + part.T))
-            root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
-            found[:, k] += size[:, None] * (rng.standard_normal((DRAWS, p)) @ root)
-    return found
-
-
-def _size(dof: float, rng: np.random.Generator) -> Array:
-    if not np.isfinite(dof):
-        return np.ones(DRAWS)
-    return np.asarray(np.sqrt(dof / rng.chisquare(dof, DRAWS)))
-
-
-def _p_by_draws(squares: Array, found: float) -> float:
-    """p of a sum of squares among those that are drawn."""
-    return float((1 + np.count_nonzero(squares >= found)) / (squares.size + 1))
-
-
-def _tail(square: float, dof: int, noise: float) -> float:
-    from scipy.special import fdtrc
-
-    return float(fdtrc(dof, noise, square / dof))
-
-
 def _mean(value: Array, covariance: Array) -> tuple[Array, Array]:
     """Generalised least squares mean (..., p) of values (..., m, p) and its covariance (p, p)."""
     weight = np.linalg.pinv(covariance, hermitian=True)
     own = np.linalg.pinv(weight.sum(axis=0), hermitian=True)
     return np.einsum("kij,...kj->...i", weight, value) @ own, own
-
-
-def _square(difference: Array, covariance: Array) -> Array:
-    """(...,) of differences (..., p)."""
-    inverse = np.linalg.pinv(covariance, hermitian=True)
-    return np.asarray(np.einsum("...i,ij,...j->...", difference, inverse, difference))
-
-
-def _squares(value: Array, mean: Array, covariance: Array) -> Array:
-    """(...,) of all calibrations, value (..., m, p), about their means (..., p)."""
-    each = [_square(value[..., k, :] - mean, c) for k, c in enumerate(covariance)]
-    return np.asarray(np.sum(each, axis=0))

@@ -152,17 +152,6 @@ class Basis:
     words: str
     power_ups: PowerUps | None = None
 
-    def take(self, of: Sequence[int]) -> Basis:
-        """Some of the calibrations."""
-        days = self.power_ups
-        return replace(
-            self,
-            value=self.value[of],
-            covariance=self.covariance[of],
-            dof=self.dof[of],
-            power_ups=days and replace(days, share=[days.share[k] for k in of]),
-        )
-
 
 def basis_of(
     calibrations: Sequence[Calibration],

@@ -16,6 +16,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -35,8 +36,9 @@ from imucalib.calibration.comparison.agreement import (
     ParameterScatter,
     agreement,
     excess,
-    odd_ones,
+    kind_of,
     scatter,
+    suspect,
     weighted_line,
 )
 from imucalib.calibration.comparison.basis import (
@@ -51,10 +53,10 @@ from imucalib.calibration.comparison.basis import (
     worst_turn,
 )
 from imucalib.errors import UNEXPLAINED_EXIT_CODE, LimitBroken, UnreadableInput, UsageError
+from imucalib.loop.changes import NOISE
 from imucalib.units import DEG, MG
 
 Verdict = Literal["agree", "differ", "undecided"]
-ALPHA = 0.05
 #: Stated standard deviations that a difference may reach where no limit is given.
 SIGNIFICANT = 2.0
 #: Attitudes that chance sees independently: the largest of what nine parameters of like effect do
@@ -135,7 +137,7 @@ def remarks(
     if len(set().union(*inputs)) < sum(map(len, inputs)):
         notes.append(
             "two of them were made from the same recording: their errors are shared, so the "
-            "standard deviations of the difference are too large and p too near 1"
+            "standard deviations of the difference are too large and they seem to agree too well"
         )
     gravities = [c.gravity for c in calibrations]
     if np.ptp(gravities) > 1e-9:
@@ -349,8 +351,8 @@ class Comparison:
 
     @property
     def differ(self) -> bool:
-        """Whether they differ by more than they state."""
-        return self.agreement.p <= ALPHA
+        """Whether it is likelier that they differ than that they scatter as they state."""
+        return self.agreement.answer.told
 
     @property
     def verdict(self) -> Verdict:
@@ -370,8 +372,22 @@ class Comparison:
 
     @property
     def odd(self) -> tuple[str, ...]:
-        """Of three and more, the files without which the others agree."""
-        return tuple(self.names[k] for k in odd_ones(self.basis, ALPHA))
+        """Of three and more, the files that differ from the others."""
+        return tuple(self.names[k] for k in self.agreement.odd)
+
+    @property
+    def differing(self) -> Mapping[str, float]:
+        """Probability of each kind of parameters that it differs, in any file, and of a scatter
+        beyond what is stated."""
+        answer, found = self.agreement.answer, dict[str, float]()
+        for kind in dict.fromkeys(map(kind_of, self.basis.names)):
+            own = {suspect(kind, k) for k in range(len(self.names))}
+            found[kind] = answer.probability_that(partial(_share, own))
+        return {**found, "scatter": self.agreement.answer.of(NOISE)}
+
+
+def _share(some: set[str], names: tuple[str, ...]) -> bool:
+    return bool(some & set(names))
 
 
 def compare(
