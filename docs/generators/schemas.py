@@ -17,7 +17,7 @@ _HEAD = """# Schemas
 
 What commands print with `--json`, `report.json` and `calibration.yaml` obey these JSON Schemas (draft 2020-12), which are
 part of the package (`imucalib/schemas`); the tests hold every document against them. Generated from the schemas: a line an
-object, keys that may be left out in brackets.
+object that needs words, keys that may be left out in brackets.
 """
 FOLDER = Path(imucalib.__file__).parent / "schemas"
 
@@ -60,7 +60,7 @@ def page() -> str:
 def _objects(schema: dict[str, Any], path: str) -> Iterator[str]:
     """A line an object: its keys, those in brackets that may be left out, and what they mean."""
     keys, required = schema.get("properties", {}), schema.get("required", ())
-    if keys:
+    if any(not path or {"description", "enum"} & one.keys() for one in keys.values()):
         told = (
             _told(name, one, name in required) for name, one in keys.items() if name != "schema"
         )

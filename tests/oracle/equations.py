@@ -47,16 +47,16 @@ def page(path: Path = PAGE) -> dict[str, Entry]:
     out = {}
     for part in path.read_text(encoding="utf-8").split("\n## ")[1:]:
         name = part.split("\n", 1)[0].strip()
-        equation = re.search(r"^- Equation: `(.*)`$", part, re.M)
-        listed = re.search(r"^- Parameters: (.*)$", part, re.M)
+        equation = re.search(r"^`(.*)`$", part, re.M)
+        listed = re.search(r"^(`[\w{},]+` .* to .*)$", part, re.M)
         if equation is None or listed is None:
             continue
         number = r"([-+.\de]+|inf)"
-        size = rf"((?:`\w+`(?:, )?)+) typical {number} \(at most {number}\) ?([^;]*)"
+        size = rf"`(\w*)\{{?([\w,]*)\}}?` {number} to {number} ?([^;:]*)"
         found = [
-            (n, float(typical), float(most), unit.strip())
-            for names, typical, most, unit in re.findall(size, listed[1])
-            for n in re.findall(r"\w+", names)
+            (head + tail, float(typical), float(most), unit.strip())
+            for head, tails, typical, most, unit in re.findall(size, listed[1])
+            for tail in tails.split(",")
         ]
         units = {n: unit for n, _, _, unit in found}
         typical, most = (tuple(row[k] for row in found) for k in (1, 2))

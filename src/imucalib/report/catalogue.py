@@ -126,7 +126,16 @@ def _one(effect: Effect) -> Section:
 def _sizes(effect: Effect) -> list[tuple[str, float, float, str]]:
     """Names, typical size, largest and unit of neighbours that share them."""
     same = groupby(_parameters(effect), lambda p: (p.typical, p.plausible, p.unit))
-    return [(", ".join(f"`{p.name}`" for p in names), *size) for size, names in same]
+    return [(_name_together([p.name for p in group]), *size) for size, group in same]
+
+
+def _name_together(names: list[str]) -> str:
+    """`bias_{x,y,z}` of three names that begin alike."""
+    if len(names) == 1:
+        return f"`{names[0]}`"
+    letters = enumerate(zip(*names, strict=False))
+    start = next((k for k, each in letters if len(set(each)) > 1), len(names[0]))
+    return f"`{names[0][:start]}{{{','.join(name[start:] for name in names)}}}`"
 
 
 def catalogue_markdown(effects: Sequence[Effect], scans: Sequence[EffectScan] = ()) -> str:
