@@ -88,30 +88,13 @@ class Sessions:
 
     def describe(self) -> BetweenSessions:
         """What report.json and calibration.yaml tell of it."""
-        scatter = (
-            ScatterFacts(
-                what=one.name,
-                unit=one.unit,
-                sd=one.sd,
-                low_95=one.interval[0],
-                high_95=one.interval[1],
-                offsets=one.offsets,
-                offsets_sd=one.offsets_sd,
-            )
+        facts = "parameter=name sd_of_mean=mean sd_next_power_up=sd half_of_95=half"
+        scatter = tuple(
+            ScatterFacts.of(one, "what=name", low_95=one.interval[0], high_95=one.interval[1])
             for one in self.between
         )
-        following = (
-            NextPowerUpFacts(
-                parameter=one.name,
-                unit=one.unit,
-                value=one.value,
-                sd_of_mean=one.mean,
-                sd_next_power_up=one.sd,
-                half_of_95=one.half,
-            )
-            for one in self.parameters
-        )
-        return BetweenSessions(self.names, tuple(scatter), tuple(following))
+        following = tuple(NextPowerUpFacts.of(one, facts) for one in self.parameters)
+        return BetweenSessions(self.names, scatter, following)
 
 
 def estimate_scatter(

@@ -57,18 +57,7 @@ class EffectFacts(Data, name="effect/1"):
 
 def describe_effect(effect: Effect) -> EffectFacts:
     """What `imucal effects` tells machines."""
-    each = ((p.name, p.unit, p.typical, p.plausible) for p in _parameters(effect))
-    return EffectFacts(
-        name=effect.name,
-        stage=effect.stage,
-        channel=effect.channel,
-        sentence=effect.sentence,
-        equation=effect.equation,
-        source=effect.source,
-        needs=tuple(effect.needs),
-        identify=effect.identify,
-        parameters=tuple(ParameterFacts(*one) for one in each),
-    )
+    return EffectFacts.of(effect, parameters=tuple(map(ParameterFacts.of, _parameters(effect))))
 
 
 def catalogue_document(effects: Sequence[Effect], scans: Sequence[EffectScan] = ()) -> Document:

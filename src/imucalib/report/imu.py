@@ -199,9 +199,9 @@ class TurnPlan(Data, name="turns/1"):
 
 def describe_hand_plan(plan: HandPlan) -> TurnPlan:
     """The same for machines."""
-    before = plan.before
+    before, keys = plan.before, "about=axis gravity_before=up sd_after=after"
     return TurnPlan(
-        turns=tuple(TurnToTake(turn.axis, turn.up, turn.after) for turn in plan.turns),
+        turns=tuple(TurnToTake.of(one, keys) for one in plan.turns),
         sd=dict(zip(_NAMES, plan.sd, strict=True)),
         sd_before=None if before is None else dict(zip(_NAMES, before, strict=True)),
         open=tuple(plan.open_gains),

@@ -287,39 +287,23 @@ def describe_table(seen: TableSeen, typed: str) -> TableInspection:
 
 def describe_recording(found: Inspection, typed: str, *, rests: bool) -> RecordingInspection:
     """What is known of a recording; on request with every candidate for a rest."""
-    return RecordingInspection(
-        path=found.path,
-        format=found.format,
-        sha256=found.sha256,
-        start_ns=found.start_ns,
-        span_s=found.span,
-        channels=found.channels,
+    return RecordingInspection.of(
+        found,
+        "span_s=span",
         gaps=Gaps(found.gap_count, found.gap_seconds),
         still_segments=found.still.n if found.still else 0,
-        why_not_still=found.why_not_still,
         candidates=tuple(NormAtRest(*one) for one in found.candidates),
         problems=tuple(problems(found)),
         next=next_commands(found, typed),
-        losses=found.losses,
-        mapping=found.mapping,
-        notes=found.notes,
         rests=_describe_candidates(found) if rests else None,
     )
 
 
 def _describe_candidates(found: Inspection) -> tuple[CandidateFacts, ...]:
     unit = "m/s2" if _in_si(found) else "counts"
+    times = "start_s=start stop_s=stop length_s=length"
     return tuple(
-        CandidateFacts(
-            start_s=c.start,
-            stop_s=c.stop,
-            length_s=c.length,
-            drift=c.drift,
-            noise=c.noise,
-            unit=unit,
-            rest=not c.reason,
-            reason=c.reason,
-        )
+        CandidateFacts.of(c, times, unit=unit, rest=not c.reason)
         for c in (found.still.candidates if found.still else ())
     )
 

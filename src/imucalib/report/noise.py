@@ -211,12 +211,6 @@ def describe_noise(path: str, noise: Sequence[SensorNoise]) -> NoiseAtRest:
 
 def _describe_axis(sensor: SensorNoise, k: int) -> AxisAtRest:
     axis, curve = sensor.axes[k], sensor.axes[k].curve
-    return AxisAtRest(
-        triad=sensor.triad,
-        quantity=sensor.quantity,
-        unit=sensor.unit,
-        rate_hz=sensor.rate,
-        axis="xyz"[k],
-        allan=Allan(curve.tau, curve.deviation, *curve.interval(), axis.fit, axis.holds),
-        **{term: getattr(axis, term) for term in SHAPES},
-    )
+    allan = Allan(curve.tau, curve.deviation, *curve.interval(), axis.fit, axis.holds)
+    terms = {term: getattr(axis, term) for term in SHAPES}
+    return AxisAtRest.of(sensor, "rate_hz=rate", axis="xyz"[k], allan=allan, **terms)

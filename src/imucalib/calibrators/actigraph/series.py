@@ -268,10 +268,9 @@ def describe_series(found: CalibrationSeries) -> SeriesFacts:
         each = zip(found.parameters, fit.theta, fit.sd, strict=True) if fit else ()
         return tuple(PartValue(p.name, float(v), float(sd), p.unit) for p, v, sd in each)
 
-    parts = ((p.start, p.stop, p.runs, p.reason, values(p.fit)) for p in found.parts)
-    return SeriesFacts(
-        differ=found.differ,
-        probability=found.probability,
+    spans = "start_s=start stop_s=stop"
+    return SeriesFacts.of(
+        found,
         moved=tuple(MovedEffect(*one) for one in found.moved),
-        parts=tuple(PartFacts(*one) for one in parts),
+        parts=tuple(PartFacts.of(p, spans, parameters=values(p.fit)) for p in found.parts),
     )
