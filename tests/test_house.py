@@ -121,13 +121,9 @@ def _folder(name: str) -> str:
 #: Pairs of folders of one room that still import each other, to be untied: a folder and one below.
 TIED = {
     ("calibrators", "calibrators/lab"),
-    ("exports", "exports/flight"),
     ("loop", "loop/faults"),
     ("loop", "loop/posterior"),
     ("loop/faults", "loop/posterior"),
-    ("readers", "readers/devices"),
-    ("readers", "readers/hdf5"),
-    ("readers", "readers/messages"),
     ("report", "report/render"),
 }
 

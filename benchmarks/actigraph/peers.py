@@ -105,7 +105,7 @@ def imucal(path: Path, rate: float) -> dict[str, Any]:
     """Windows, rests, fit and search on an array in memory."""
     from imucalib.calibrators.actigraph.request import ActigraphRequest
     from imucalib.calibrators.actigraph.run import run_of
-    from imucalib.readers.conversion import Conversion
+    from imucalib.readers.fields.conversion import Conversion
     from imucalib.recording.recording import Channel, Recording
     from imucalib.rests.runs import posture_runs, scan
 

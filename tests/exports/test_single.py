@@ -24,8 +24,9 @@ from imucalib.effects import named
 from imucalib.errors import LimitBroken, UsageError
 from imucalib.exports import export
 from imucalib.exports.bound import demand_carried
+from imucalib.exports.flight.parameters import with_ids
 from imucalib.exports.imus import NOISE_UNITS
-from imucalib.exports.per_axis import nearest_row, with_ids
+from imucalib.exports.per_axis import nearest_row
 from worlds.stated import stated
 from worlds.targets import by_ggir, by_imu_calib, by_qgroundcontrol, by_realsense
 

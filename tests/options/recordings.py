@@ -14,7 +14,7 @@ from imucalib.calibrators.actigraph.simulation import WeekPlan
 from imucalib.calibrators.array.board.board import read_board
 from imucalib.calibrators.array.simulation import LogPlan, simulated_log
 from imucalib.readers import read
-from imucalib.readers.joining import join
+from imucalib.readers.fields.joining import join
 from imucalib.recording.recording import Recording
 from imucalib.writers import write
 from options.inputs import TABLES, Make, Rows, rows, still

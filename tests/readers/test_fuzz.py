@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from imucalib import readers
-from imucalib.readers.conversion import readings_at_rest
-from imucalib.readers.joining import join
+from imucalib.readers.fields.conversion import readings_at_rest
+from imucalib.readers.fields.joining import join
 from imucalib.recording.recording import Recording
 from worlds.flight_logs import dataflash
 from worlds.fuzz.cases import Fuzzer

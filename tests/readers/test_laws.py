@@ -289,7 +289,7 @@ def less_of(whole: Recording) -> dict[str, Channel]:
 
 
 READER = """
-from imucalib.readers.joining import join
+from imucalib.readers.fields.joining import join
 from imucalib.recording.recording import Channel, Recording
 import numpy as np
 

@@ -14,7 +14,7 @@ from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.inspection.inspection import Inspection, inspect_recording, problems
 from imucalib.readers import blocks, read
-from imucalib.readers.joining import join
+from imucalib.readers.fields.joining import join
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.pairing import channel_names, pair
 from worlds.bag_logs import ros1_bag, ros2_bag

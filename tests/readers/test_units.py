@@ -16,9 +16,9 @@ from imucalib import readers
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
 from imucalib.readers import read
-from imucalib.readers.conversion import zero_g
-from imucalib.readers.joining import join
-from imucalib.readers.rates import FASTEST
+from imucalib.readers.fields.conversion import zero_g
+from imucalib.readers.fields.joining import join
+from imucalib.readers.fields.rates import FASTEST
 from imucalib.recording.mapping import FieldMapping, from_dict, parse_axis_map
 from imucalib.recording.recording import Recording
 from imucalib.units import ACCELERATION_UNITS, DEG, RATE_UNITS

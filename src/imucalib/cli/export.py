@@ -115,8 +115,8 @@ def command(calibration: Path, form: str, output: Path | None, **options: Any) -
 
 def _with_stated(calibration: Calibration, form: str, options: dict[str, Any]) -> Calibration:
     """With the noise and the ids that are stated beside it; raises click's usage errors."""
+    from imucalib.exports.flight.parameters import FLIGHT, with_ids
     from imucalib.exports.imus import with_noise, with_walks
-    from imucalib.exports.per_axis import FLIGHT, with_ids
     from imucalib.recording.identity import NAMELESS
     from imucalib.recording.pairing import fault
 

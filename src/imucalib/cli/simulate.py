@@ -59,7 +59,7 @@ def actigraph(recording: Path, seed: int, **options: Any) -> int:
     """
     from imucalib.calibrators.actigraph.simulation import WeekPlan, worn_blocks
     from imucalib.errors import UsageError
-    from imucalib.readers.joining import join
+    from imucalib.readers.fields.joining import join
 
     if not (options["days"] > 0.0 and options["rate"] > 0.0):
         raise UsageError("--days and --rate are positive")

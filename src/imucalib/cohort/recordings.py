@@ -11,7 +11,7 @@ from pathlib import Path
 
 from imucalib.errors import ImucalError, UnreadableInput
 from imucalib.readers import reader_for, readers
-from imucalib.readers.source import HEAD_BYTES
+from imucalib.readers.fields.source import HEAD_BYTES
 
 #: Lines of a text that are looked at.
 _LINES = 100

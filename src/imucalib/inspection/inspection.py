@@ -17,8 +17,8 @@ from imucalib.arrays import Array
 from imucalib.data import Data
 from imucalib.errors import ImucalError
 from imucalib.question import paste
-from imucalib.readers.conversion import zero_g
-from imucalib.readers.timebase import mean_period
+from imucalib.readers.fields.conversion import zero_g
+from imucalib.readers.fields.timebase import mean_period
 from imucalib.recording.recording import Channel, Gap, Recording
 from imucalib.rests.candidates import refusals
 from imucalib.rests.segments import Segments, find_segments

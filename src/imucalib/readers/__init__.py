@@ -19,16 +19,16 @@ import numpy as np
 from imucalib.core.discovery import modules_of
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.readers.devices.catalogue import refuse_foreign, with_preset
-from imucalib.readers.joining import (
+from imucalib.readers.fields.joining import (
     in_parts,
     together,
     with_order_told,
     with_plausible_clocks,
 )
-from imucalib.readers.possible import without_the_impossible
-from imucalib.readers.rates import with_checked_rates
-from imucalib.readers.repeats import with_held
-from imucalib.readers.source import UNREAD, file_kind, head_of
+from imucalib.readers.fields.possible import without_the_impossible
+from imucalib.readers.fields.rates import with_checked_rates
+from imucalib.readers.fields.repeats import with_held
+from imucalib.readers.fields.source import UNREAD, file_kind, head_of
 from imucalib.recording.mapping import TIME_ZEROS, FieldMapping
 from imucalib.recording.recording import Recording
 from imucalib.recording.sensors import select_sensor

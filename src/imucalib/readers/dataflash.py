@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Index
 from imucalib.errors import UnreadableInput
+from imucalib.readers.fields.joining import Joined
 from imucalib.readers.hdf5.reader import blocks_in_memory, put_channel
-from imucalib.readers.joining import Joined
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.onboard import TAKEN, Onboard, in_ardupilot, parameters_from
 from imucalib.recording.recording import Recording

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from imucalib.errors import ImucalError, UnreadableInput
+from imucalib.readers.fields.joining import Joined
 from imucalib.readers.hdf5.reader import blocks_in_memory
-from imucalib.readers.joining import Joined
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
 

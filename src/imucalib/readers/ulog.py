@@ -18,8 +18,8 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput, UsageError
+from imucalib.readers.fields.joining import Joined
 from imucalib.readers.hdf5.reader import blocks_in_memory, put_channel
-from imucalib.readers.joining import Joined
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.onboard import AHEAD, TAKEN, Onboard, Parameters, in_px4, parameters_from
 from imucalib.recording.recording import Recording

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 import imucalib
 from imucalib.arrays import Array, Index
 from imucalib.errors import UsageError
-from imucalib.readers.choice import OPTIONS
+from imucalib.readers.fields.choice import OPTIONS
 from imucalib.readers.mcap import CORRECTIONS, MAGIC, RECORD_HEADER
 from imucalib.readers.messages.layout import (
     ACCEL_ROS2,

@@ -21,7 +21,7 @@ from imucalib.arrays import Array, Flags, Index
 from imucalib.atomic_file import replace_atomically
 from imucalib.errors import UsageError
 from imucalib.readers import reader_for
-from imucalib.readers.choice import OPTIONS
+from imucalib.readers.fields.choice import OPTIONS
 from imucalib.readers.mcap import CORRECTIONS, MalformedRecordError, McapLog, parse_record
 from imucalib.readers.messages.decode import RosDecoder, decoder_for
 from imucalib.readers.messages.layout import Groups

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from imucalib import readers, writers
 from imucalib.errors import UnreadableInput
-from imucalib.readers.joining import join
+from imucalib.readers.fields.joining import join
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
 from imucalib.units import STANDARD_GRAVITY

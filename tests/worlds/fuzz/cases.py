@@ -22,7 +22,7 @@ import numpy as np
 
 from imucalib import readers
 from imucalib.errors import ImucalError
-from imucalib.readers.joining import join
+from imucalib.readers.fields.joining import join
 from imucalib.recording.recording import Recording
 from worlds.fuzz import calibrations
 from worlds.fuzz.damage import damaged

@@ -20,7 +20,7 @@ from imucalib.effects.scans import COLUMN, trust_records
 from imucalib.effects.table import covariates_before
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.loop.faults.cells import transpositions
-from imucalib.readers.conversion import temperature, zero_g
+from imucalib.readers.fields.conversion import temperature, zero_g
 from imucalib.recording.mapping import FieldMapping
 from imucalib.rests.thermal import is_power_up_code, remember_in_rows
 from imucalib.units import (

@@ -36,7 +36,7 @@ from imucalib.question import Question
 from imucalib.readers import read
 from imucalib.readers.csv.table import Cells
 from imucalib.readers.csv.text import take_turns
-from imucalib.readers.words import triples_of
+from imucalib.readers.fields.words import triples_of
 from imucalib.recording.identity import identity_of, same_parameters
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording

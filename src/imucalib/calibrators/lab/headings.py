@@ -12,7 +12,7 @@ from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.question import paste
 from imucalib.readers.csv.text import is_number
-from imucalib.readers.words import strip_accents, without_tex
+from imucalib.readers.fields.words import strip_accents, without_tex
 
 
 def _words(text: str) -> tuple[str, ...]:

@@ -23,9 +23,9 @@ from imucalib.question import paste
 from imucalib.readers.csv.table import Cells, and_more, selected, table_cells
 from imucalib.readers.csv.text import few_values, is_blank, is_number
 from imucalib.readers.devices.catalogue import refuse_foreign
+from imucalib.readers.fields.source import head_of
+from imucalib.readers.fields.words import triples_of
 from imucalib.readers.hdf5.reader import table_columns
-from imucalib.readers.source import head_of
-from imucalib.readers.words import triples_of
 from imucalib.recording.identity import NAMELESS, Identity
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.sensors import undecided

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from imucalib.calibration.calibration import Calibration
 from imucalib.exports import Export, Made
-from imucalib.exports.per_axis import Flight, flight_of, heading
+from imucalib.exports.flight.parameters import Flight, flight_of
+from imucalib.exports.per_axis import heading
 from imucalib.recording.identity import NAMELESS
 from imucalib.recording.onboard import Onboard, in_ardupilot
 

@@ -13,7 +13,7 @@ from imucalib.errors import UnreadableInput
 from imucalib.readers.csv.rows import ParsedRows
 from imucalib.readers.csv.select import HeaderFacts, Selection
 from imucalib.readers.csv.stamps import MISSING, TextTime, text_layout, text_to_ns
-from imucalib.readers.timebase import contradicts, date_of, seconds_of, stamps_of
+from imucalib.readers.fields.timebase import contradicts, date_of, seconds_of, stamps_of
 from imucalib.recording.mapping import TIME_UNITS, FieldMapping
 
 #: What headings of stamps have in brackets that is no unit.

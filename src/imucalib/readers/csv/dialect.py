@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 from itertools import accumulate
 
 from imucalib.errors import UnreadableInput
-from imucalib.readers.choice import Field, named_vectors
 from imucalib.readers.csv.text import COMMENT, cells_of, decoded, is_blank, is_number
 from imucalib.readers.devices.catalogue import rows_of_heading
-from imucalib.readers.words import instant_rank, understand
+from imucalib.readers.fields.choice import Field, named_vectors
+from imucalib.readers.fields.words import instant_rank, understand
 from imucalib.recording.mapping import FieldMapping
 from imucalib.units import without_brackets
 

@@ -11,10 +11,6 @@ import numpy as np
 from imucalib.arrays import Array, Flags
 from imucalib.errors import UnreadableInput
 from imucalib.question import paste
-from imucalib.readers import conversion
-from imucalib.readers.choice import Vector, resolve_mapping
-from imucalib.readers.contents import unread
-from imucalib.readers.conversion import Conversion
 from imucalib.readers.csv.clock import TableClock, clock_by_rate, clock_by_stamps
 from imucalib.readers.csv.dialect import Dialect, sniff
 from imucalib.readers.csv.rows import ParsedRows, TableLayout, parse
@@ -38,8 +34,12 @@ from imucalib.readers.csv.text import (
     take_turns,
 )
 from imucalib.readers.devices.catalogue import Device
-from imucalib.readers.timebase import stepping
-from imucalib.readers.words import understand
+from imucalib.readers.fields import conversion
+from imucalib.readers.fields.choice import Vector, resolve_mapping
+from imucalib.readers.fields.contents import unread
+from imucalib.readers.fields.conversion import Conversion
+from imucalib.readers.fields.timebase import stepping
+from imucalib.readers.fields.words import understand
 from imucalib.recording.mapping import FieldMapping
 
 _ADJACENT = 200  # rows that show whether those of devices take turns

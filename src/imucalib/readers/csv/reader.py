@@ -22,8 +22,8 @@ from imucalib.readers.csv.plan import TablePlan, make_plans
 from imucalib.readers.csv.rows import ParsedRows, parse
 from imucalib.readers.csv.stamps import spread
 from imucalib.readers.csv.text import Lines, cells_of, is_number, line_blocks, text_head
-from imucalib.readers.joining import Joined
-from imucalib.readers.timebase import find_gaps
+from imucalib.readers.fields.joining import Joined
+from imucalib.readers.fields.timebase import find_gaps
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Count, Gap, Recording
 

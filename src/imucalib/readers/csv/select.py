@@ -15,13 +15,13 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.errors import UnnamedColumns, UsageError
 from imucalib.question import paste
-from imucalib.readers.choice import OPTIONS, Field, Vector, choose
-from imucalib.readers.contents import Content, listing, norm_of
 from imucalib.readers.csv.dialect import Dialect
 from imucalib.readers.csv.text import is_number
 from imucalib.readers.devices.catalogue import UNKNOWN, Device, DeviceStart, device_named_in
-from imucalib.readers.timebase import start_of
-from imucalib.readers.words import (
+from imucalib.readers.fields.choice import OPTIONS, Field, Vector, choose
+from imucalib.readers.fields.contents import Content, listing, norm_of
+from imucalib.readers.fields.timebase import start_of
+from imucalib.readers.fields.words import (
     Meaning,
     bare_quantity,
     is_date,

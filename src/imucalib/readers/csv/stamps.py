@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Flags, Index
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.readers.words import by_word
+from imucalib.readers.fields.words import by_word
 
 Int = NDArray[np.int64]
 Codes = NDArray[np.uint8]

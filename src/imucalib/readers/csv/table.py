@@ -27,7 +27,7 @@ from imucalib.readers.csv.text import (
     text_head,
     whole_text,
 )
-from imucalib.readers.source import head_of, small_directory
+from imucalib.readers.fields.source import head_of, small_directory
 from imucalib.recording.mapping import FieldMapping
 from imucalib.units import ACCELERATION_UNITS, ANGLE_UNITS, RATE_UNITS, canonical, without_brackets
 

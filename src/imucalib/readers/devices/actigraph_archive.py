@@ -18,7 +18,7 @@ from typing import BinaryIO, NamedTuple
 
 from imucalib.errors import UnreadableInput
 from imucalib.readers.devices.packets import Log, Packets
-from imucalib.readers.source import small_directory
+from imucalib.readers.fields.source import small_directory
 
 #: What a damaged archive raises, depending on where the damage is.
 _DAMAGED = (

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from imucalib.core.discovery import modules_of
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.readers.source import REFUSED, file_kind
+from imucalib.readers.fields.source import REFUSED, file_kind
 from imucalib.recording.mapping import FieldMapping
 
 

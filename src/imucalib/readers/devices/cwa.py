@@ -27,7 +27,7 @@ from imucalib.readers.devices.packets import (
     packets_of,
     recordings,
 )
-from imucalib.readers.joining import Joined
+from imucalib.readers.fields.joining import Joined
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
 

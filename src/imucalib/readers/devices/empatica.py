@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from imucalib.readers.devices.catalogue import Device, DeviceStart
-from imucalib.readers.timebase import is_absolute
+from imucalib.readers.fields.timebase import is_absolute
 from imucalib.recording.mapping import FieldMapping
 
 _LSB_PER_G = 64.0

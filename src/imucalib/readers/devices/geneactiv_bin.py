@@ -29,7 +29,7 @@ from imucalib.readers.devices.packets import (
     recordings,
     twelve_bits,
 )
-from imucalib.readers.joining import Joined
+from imucalib.readers.fields.joining import Joined
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
 

@@ -15,7 +15,7 @@ import numpy as np
 from imucalib.errors import UnreadableInput
 from imucalib.readers.devices.actigraph_archive import Archive, members_of
 from imucalib.readers.devices.packets import Packets, packets_of, recordings, twelve_bits
-from imucalib.readers.joining import Joined
+from imucalib.readers.fields.joining import Joined
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
 

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from imucalib.arrays import Array, Flags
 from imucalib.errors import UnreadableInput
 from imucalib.file_hash import sha256_of
-from imucalib.readers.conversion import (
+from imucalib.readers.fields.conversion import (
     Conversion,
     UnitSource,
     acceleration,
@@ -32,7 +32,7 @@ from imucalib.readers.conversion import (
     readings_at_rest,
     temperature,
 )
-from imucalib.readers.timebase import find_gaps
+from imucalib.readers.fields.timebase import find_gaps
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Recording
 

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.readers.choice import OPTIONS, Field, Vector, choose, join_units
-from imucalib.readers.words import instant_rank, understand
+from imucalib.readers.fields.choice import OPTIONS, Field, Vector, choose, join_units
+from imucalib.readers.fields.words import instant_rank, understand
 from imucalib.recording.mapping import FieldMapping
 from imucalib.units import canonical
 

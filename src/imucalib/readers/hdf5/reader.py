@@ -18,10 +18,20 @@ from numpy.typing import NDArray
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
 from imucalib.file_hash import sha256_of
-from imucalib.readers import conversion
-from imucalib.readers.choice import resolve_mapping
-from imucalib.readers.contents import Content, listing, norm_of, suggestion, unread
-from imucalib.readers.conversion import AS_STORED, Conversion
+from imucalib.readers.fields import conversion
+from imucalib.readers.fields.choice import resolve_mapping
+from imucalib.readers.fields.contents import Content, listing, norm_of, suggestion, unread
+from imucalib.readers.fields.conversion import AS_STORED, Conversion
+from imucalib.readers.fields.joining import Joined
+from imucalib.readers.fields.timebase import (
+    Stepping,
+    date_of,
+    find_gaps,
+    seconds_of,
+    stamps_of,
+    start_of,
+    stepping,
+)
 from imucalib.readers.hdf5.fields import (
     FieldChannel,
     FieldPlace,
@@ -32,16 +42,6 @@ from imucalib.readers.hdf5.fields import (
     unit_of,
 )
 from imucalib.readers.hdf5.file import File, FileWalk, opened
-from imucalib.readers.joining import Joined
-from imucalib.readers.timebase import (
-    Stepping,
-    date_of,
-    find_gaps,
-    seconds_of,
-    stamps_of,
-    start_of,
-    stepping,
-)
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.onboard import Onboard
 from imucalib.recording.recording import Channel, Count, Gap, Recording, corrections_of

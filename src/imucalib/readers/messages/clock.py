@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Index
 from imucalib.errors import UnreadableInput
+from imucalib.readers.fields.timebase import SIDES, set_back, stepping
 from imucalib.readers.messages.topics import ClockFacts, Stamps, TopicSamples, TopicSource
-from imucalib.readers.timebase import SIDES, set_back, stepping
 from imucalib.recording.mapping import TIME_UNITS, FieldMapping
 from imucalib.recording.recording import Gap
 

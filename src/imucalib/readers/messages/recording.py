@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.readers import conversion
-from imucalib.readers.choice import OPTIONS
-from imucalib.readers.contents import listing, suggestion
-from imucalib.readers.conversion import Conversion
+from imucalib.readers.fields import conversion
+from imucalib.readers.fields.choice import OPTIONS
+from imucalib.readers.fields.contents import listing, suggestion
+from imucalib.readers.fields.conversion import Conversion
 from imucalib.readers.messages.clock import Timeline, TopicClock, choose_clock
 from imucalib.readers.messages.records import MessageLog
 from imucalib.readers.messages.select import (

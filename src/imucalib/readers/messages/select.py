@@ -16,13 +16,13 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.errors import UsageError
-from imucalib.readers.choice import OPTIONS, Field, Vector, join_units, named_vectors
-from imucalib.readers.contents import Content, norm_of
+from imucalib.readers.fields.choice import OPTIONS, Field, Vector, join_units, named_vectors
+from imucalib.readers.fields.contents import Content, norm_of
+from imucalib.readers.fields.words import INERTIAL, bare_quantity, instant_rank, understand
 from imucalib.readers.messages.decode import Decoder, Look, decoder_for
 from imucalib.readers.messages.layout import FieldGroup, LayoutError
 from imucalib.readers.messages.records import MessageBlock, MessageLog, Topic
 from imucalib.readers.messages.topics import TopicField, TopicSource
-from imucalib.readers.words import INERTIAL, bare_quantity, instant_rank, understand
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.pairing import distinct_names
 

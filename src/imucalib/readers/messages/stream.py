@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.readers.contents import Content, unread
+from imucalib.readers.fields.contents import Content, unread
 from imucalib.readers.messages.decode import Decoder, decoder_for
 from imucalib.readers.messages.layout import Groups, LayoutError
 from imucalib.readers.messages.records import MessageBlock, MessageLog, Topic

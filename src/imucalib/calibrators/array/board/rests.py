@@ -5,8 +5,6 @@ finds beside them: a warm-up, a drift, a rest that does not belong to the others
 the triads relative to each other is determined, that of the whole set is not: its mean over the
 triads is the board's frame (paper 001, section IV-B, and its reference 18).
 
-An array's rests as observations: what each shows, and how much it counts.
-
 A rest's mean is as good as its samples are many, down to what a chip's offset does from rest to
 rest. A rest of one second between rests of half a minute is five times as noisy, and an error of
 the model that is only its noise would be searched for.
@@ -45,6 +43,18 @@ ATTITUDES, _WORSE = 4, 1.2
 _BETWEEN = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
 #: Share of the median axis' noise below which rounding, which does not average, is all there is.
 _QUIET = 0.1
+#: What is fitted before anything is searched for.
+BASE = ("bias", "scale", "accelerometer_misalignment")
+#: Misalignments of the first triad that stand for the frame: xy, xz, yz.
+_FIRST = (0, 1, 3)
+#: Samples of which columns are held at once.
+_AT_A_TIME = 128
+#: Standard deviation of a gain entry above which the attitudes are too alike.
+_VAGUE = 0.02
+#: Largest believable deviation of a triad's gain from a plain one.
+_LOOSE = 0.2
+#: g: up to there a bend that rests show is undone.
+_FARTHEST = 1.2
 
 
 def base_model() -> Model:
@@ -133,11 +143,6 @@ def weigh_rests(data: Observations, own: Array) -> Observations:
     return replace(data, sigma=max((np.hypot(own, size) for size in sizes), key=likelihood))
 
 
-#: What is fitted before anything is searched for.
-BASE = ("bias", "scale", "accelerometer_misalignment")
-_FIRST = (0, 1, 3)  # misalignments of the first triad that stand for the frame: xy, xz, yz
-
-
 class _Framed(Response):
     """Misalignment of every triad, the first one's axes being the frame of all: x along its x,
     y in its x-y plane, so that no rotation of the whole set is left open."""
@@ -200,12 +205,6 @@ def _without_rotation(changes: Array, gain: Array, rotations: Array) -> Array:
     moved, held = (gain @ own).reshape(3, -1), own.reshape(3, -1)
     kept = changes - moved.T @ np.linalg.solve(held @ moved.T, held @ changes)
     return np.asarray(kept.reshape(len(gain), 9, -1))
-
-
-_AT_A_TIME = 128  # samples of which columns are held at once
-_VAGUE = 0.02  # standard deviation of a gain entry above which the attitudes are too alike
-_LOOSE = 0.2  # largest believable deviation of a triad's gain from a plain one
-_FARTHEST = 1.2  # g: up to there a bend that rests show is undone
 
 
 @dataclass(frozen=True)

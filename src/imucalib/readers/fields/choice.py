@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from imucalib.readers.words import INERTIAL, Meaning, Name
+from imucalib.readers.fields.words import INERTIAL, Meaning, Name
 from imucalib.recording.mapping import FieldMapping
 
 #: Quantities of channels, in the order in which they are given, and what a mapping calls them.

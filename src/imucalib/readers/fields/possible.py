@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucalib.arrays import Flags
-from imucalib.readers.joining import add_notes, amend_last
-from imucalib.readers.timebase import find_gaps, stepping
+from imucalib.readers.fields.joining import add_notes, amend_last
+from imucalib.readers.fields.timebase import find_gaps, stepping
 from imucalib.recording.recording import Channel, Count, Gap, Recording
 from imucalib.units import STANDARD_GRAVITY
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.readers.timebase import FASTEST, SIDES, SLOWEST, set_back
+from imucalib.readers.fields.timebase import FASTEST, SIDES, SLOWEST, set_back
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Gap, Recording
 

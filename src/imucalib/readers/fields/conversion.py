@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from imucalib import units
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.readers.words import INERTIAL
+from imucalib.readers.fields.words import INERTIAL
 from imucalib.recording.mapping import UNCHANGED, AxisMap, FieldMapping, parse_axis_map
 
 _FEWEST = 8

@@ -16,7 +16,7 @@ from math import erf, log, sqrt
 import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
-from imucalib.readers.joining import add_notes, amend_last
+from imucalib.readers.fields.joining import add_notes, amend_last
 from imucalib.recording.recording import Channel, HeldSamples, Recording
 
 #: s, and samples at least and at most, that a difference's size and step are taken from: half of a

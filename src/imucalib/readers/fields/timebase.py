@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
-from imucalib.readers.words import by_word
+from imucalib.readers.fields.words import by_word
 from imucalib.recording.mapping import TIME_UNITS, TIME_ZEROS
 from imucalib.recording.recording import Gap
 

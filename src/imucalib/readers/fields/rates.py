@@ -15,7 +15,7 @@ from imucalib.arrays import Array, Flags
 from imucalib.core.effect import rotations
 from imucalib.core.set_up import DOUBT, SIGNED, axes_in_words, misfits, weigh
 from imucalib.errors import UnreadableInput
-from imucalib.readers.conversion import UNKNOWN_RATE
+from imucalib.readers.fields.conversion import UNKNOWN_RATE
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Recording
 
