@@ -152,16 +152,16 @@ class ChangeQuestion:
         """Smallest size, in what matters, of a suspect in the direction that shows least that is
         told with this chance; infinite where it cannot show."""
         from scipy.optimize import brentq
-        from scipy.stats import ncx2
+        from scipy.special import chndtr
 
-        known = self._bars.get(suspect)
+        known = self._bar(suspect)
         if known is None:
             return float("inf")
         bar, rank, square = known
 
         def short(size: float) -> float:
-            told = ncx2.sf(bar * self._scale, rank, size**2 * square * self._scale)
-            return float(np.mean(told)) - chance
+            missed = chndtr(bar * self._scale, rank, size**2 * square * self._scale)
+            return 1.0 - float(np.mean(missed)) - chance
 
         high = 6.0 / square**0.5
         while short(high) < 0.0:
@@ -171,30 +171,36 @@ class ChangeQuestion:
     def false_alarm(self) -> float:
         """Chance, at most, with which a change is told where there is none: the sum of the named
         suspects'."""
-        from scipy.stats import chi2
+        from scipy.special import chdtrc
 
-        every = self._bars.values()
-        return float(sum(np.mean(chi2.sf(bar * self._scale, rank)) for bar, rank, _ in every))
+        named = (k for k, one in enumerate(self.suspects) if one.kind == "name")
+        every = [known for k in named if (known := self._bar(k)) is not None]
+        return float(sum(np.mean(chdtrc(rank, bar * self._scale)) for bar, rank, _ in every))
 
     @cached_property
     def _scale(self) -> Array:
         """Quantiles of the noise over its estimate, as the square of its inverse."""
-        from scipy.stats import chi2
+        from scipy.special import gammaincinv
 
-        return np.asarray(chi2.ppf(_QUANTILES, self.dof) / self.dof)
+        return np.asarray(2.0 * gammaincinv(0.5 * self.dof, _QUANTILES) / self.dof)
 
-    @cached_property
-    def _bars(self) -> dict[int, tuple[float, int, float]]:
-        """Of each named suspect that can show: `told_from` in its worst direction, how many numbers
-        it has, and z² of a size that matters."""
-        found = {}
-        for k, one in enumerate(self.suspects):
-            if one.kind == "name" and (direction := self.worst(k)) is not None:
+    def _bar(self, suspect: int) -> tuple[float, int, float] | None:
+        """`told_from` in the direction that shows least of a suspect, how many numbers it has, and
+        z² of a size that matters; None where it cannot show."""
+        if suspect not in self._bars:
+            one, direction = self.suspects[suspect], self.worst(suspect)
+            known = None
+            if direction is not None:
                 along = one.members[0] @ direction
                 square = float(along @ self.precision @ along)
-                rank = direction.size
-                found[k] = self.told_from(along, rank), rank, square
-        return found
+                known = self.told_from(along, direction.size), direction.size, square
+            self._bars[suspect] = known
+        return self._bars[suspect]
+
+    @cached_property
+    def _bars(self) -> dict[int, tuple[float, int, float] | None]:
+        """Those of `_bar` that were asked for."""
+        return {}
 
     def size_of(self, columns: Array, beside: Sequence[Array]) -> tuple[Array, Array]:
         """(w,) sizes by columns (N, w) and their standard deviations, others (N, w) beside them
