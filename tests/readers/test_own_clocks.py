@@ -131,7 +131,7 @@ def test_the_rate_is_samples_over_time(
     path = written(tmp_path / "log.csv", ["time", "acc_x", "acc_y", "acc_z"], columns)
     assert readers.read(path).channels["imu0/acceleration"].rate == pytest.approx(rate, rel=2e-3)
     (channel,) = inspect_recording(readers.blocks(path)).channels
-    assert channel.rate == pytest.approx(rate, rel=2e-3)
+    assert channel.rate_hz == pytest.approx(rate, rel=2e-3)
 
 
 @pytest.mark.parametrize("rate", [10.0, 20.0, 33.3, 40.0, 50.0, 66.7, 85.7, 100.0])
