@@ -123,7 +123,7 @@ def imucal(path: Path, rate: float) -> dict[str, Any]:
     )
     scanned = scan([Recording({"imu0/acceleration": channel}, "week", "array", "")], 10.0)
     runs = posture_runs(scanned)
-    run = run_of(runs, scanned.without_windows(), ActigraphRequest(), lambda _: None)
+    run = run_of(runs, scanned.drop_windows(), ActigraphRequest(), lambda _: None)
     cpu = spent() - before
     linear = run.calibration.matrices().as_dict()["corrected_from_raw"]
     error = sphere_error(np.array(linear["M"]), np.array(linear["b"]) / G)

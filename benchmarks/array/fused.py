@@ -23,7 +23,7 @@ from imucalib.calibrators.array.board.board import read_board
 from imucalib.calibrators.array.calibrate import calibrate_array
 from imucalib.calibrators.array.fusion.fuse import Fused
 from imucalib.calibrators.array.fusion.instrument import Stretch, instrument_of
-from imucalib.calibrators.array.fusion.recording import fused_stretch
+from imucalib.calibrators.array.fusion.recording import fuse_stretch
 from imucalib.calibrators.array.fusion.survey import Survey, side_by_side, survey
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.readers import read
@@ -68,13 +68,13 @@ def half(found: Survey, stretch: Stretch, chips: tuple[int, ...]) -> Fused:
     out = [k for k in range(stretch.rate.shape[1]) if k not in chips]
     acceleration, rate = stretch.acceleration.copy(), stretch.rate.copy()
     acceleration[:, out] = rate[:, out] = np.nan
-    return fused_stretch(found, Stretch(stretch.t, acceleration, rate))
+    return fuse_stretch(found, Stretch(stretch.t, acceleration, rate))
 
 
 def residuals(label: str, found: Survey, stretch: Stretch) -> Fused:
     """Print and return."""
     start = time.process_time()
-    fused = fused_stretch(found, stretch)
+    fused = fuse_stretch(found, stretch)
     cost = 1e6 * (time.process_time() - start) / len(stretch.t)
     rows = moving(fused)
     print(f"| {label} | {mad(fused.rate_off[rows]) / DEG:.3f} | {mad(fused.off[rows]):.4f} | "
@@ -111,7 +111,7 @@ def beyond(found: Survey, stretch: Stretch, fused: Fused, limit: float) -> None:
     """Rates above a limit (deg/s) from readings that were cut there."""
     cut = np.clip(stretch.rate, -limit * DEG, limit * DEG)
     blind = replace(found, instrument=replace(found.instrument, gyroscope_range=limit * DEG))
-    lost = fused_stretch(blind, Stretch(stretch.t, stretch.acceleration, cut))
+    lost = fuse_stretch(blind, Stretch(stretch.t, stretch.acceleration, cut))
     rows = lost.alone & fused.rate_live.all(axis=(1, 2))
     true, off = fused.motion.rate[rows], (lost.motion.rate - fused.motion.rate)[rows]
     axes = np.abs(true) > limit * DEG

@@ -28,7 +28,7 @@ from fused import (
 from imucalib.calibrators.array.fusion.fuse import Fused
 from imucalib.calibrators.array.fusion.instrument import Instrument, Stretch
 from imucalib.calibrators.array.fusion.noise import ChipNoise
-from imucalib.calibrators.array.fusion.recording import fused_stretch
+from imucalib.calibrators.array.fusion.recording import fuse_stretch
 from imucalib.calibrators.array.fusion.survey import Survey, ages
 
 CASES = {
@@ -80,7 +80,7 @@ def main() -> None:
     for old, new in (("exp_1", "exp_5"), ("exp_4", "exp_2")):
         calibration = calibration_of(options.data, old, options.calibrations)
         found, stretch = looked_at(calibration, options.data / f"{new}.h5")
-        fused = fused_stretch(found, stretch)
+        fused = fuse_stretch(found, stretch)
         rows, true, late = moving(fused), fused.motion, delay_of(found)
         told(f"{old}, {new}, measured", found, stretch, fused, rows)
         print("|", flush=True)
@@ -98,7 +98,7 @@ def main() -> None:
             rate = true.rate[:, None] + np.matmul(by, true.spin[:, None, :, None])[..., 0]
             made = Stretch(stretch.t, true.felt(plain.r) + shaken, rate + turned)
             seen = replace(found, instrument=plain, noise=(noise[0], noise[1]))
-            again = fused_stretch(seen, made)
+            again = fuse_stretch(seen, made)
             told(label, seen, made, again, rows)
             off = (again.motion.rate - true.rate - late * (again.motion.spin - true.spin))[rows]
             ideal = turned[rows] / np.sqrt(8.0)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.calibrators.array.fusion.instrument import Stretch, instrument_of
-from imucalib.calibrators.array.fusion.recording import fused_stretch
+from imucalib.calibrators.array.fusion.recording import fuse_stretch
 from imucalib.calibrators.array.fusion.survey import survey
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
@@ -50,7 +50,7 @@ def errors(
     motion = moves(rng, still=STILL, moving=MOVING, hz=HZ, twist=twist)
     read = readings(made, motion, rng)
     found = survey([recording(made, motion.t, *read)], instrument_of(calibration(made)))
-    fused = fused_stretch(found, Stretch(motion.t, *read))
+    fused = fuse_stretch(found, Stretch(motion.t, *read))
     at = found.instrument.at[None]
     force = motion.force + np.cross(motion.rate, np.cross(motion.rate, at))
     force = force + np.cross(motion.spin, at)

@@ -21,11 +21,11 @@ from imucalib.calibrators.array.board.moving import moving_part
 from imucalib.calibrators.array.board.rests import fit_rests
 from imucalib.calibrators.array.motion.board_motion import board_motion
 from imucalib.calibrators.array.motion.closed_loop import MotionLoop, close_array_loop
-from imucalib.calibrators.array.motion.search import new_term, own_gram, start_state, with_declared
+from imucalib.calibrators.array.motion.search import add_declared, new_term, own_gram, start_state
 from imucalib.calibrators.array.motion.setup import Setup, array_setup
 from imucalib.calibrators.array.motion.state import ArrayState
 from imucalib.calibrators.array.motion.terms import Term, rest_terms, typical_of
-from imucalib.calibrators.array.simulation import LogPlan, lever_arm, simulated_motion
+from imucalib.calibrators.array.simulation import LogPlan, lever_arm, simulate_motion
 from imucalib.errors import Undetermined
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.segments import still_segments
@@ -81,7 +81,7 @@ def trial(job: Job) -> Trial:
     strength: tuple[float, ...] = ()
     oracle = loop.base
     try:
-        oracle = with_declared(loop.base, tuple(log.planted))
+        oracle = add_declared(loop.base, tuple(log.planted))
         strength = tuple(_strength(oracle, name, theta) for name, theta in log.planted.items())
     except Undetermined:  # the motion shows nothing of what was planted
         pass
@@ -107,7 +107,7 @@ class _Log:
         self.job, k = job, BOARD.count
         true = BOARD.drawn + rng.normal(size=(k, 3)) * PLAN.scatter
         self.positions = true - true[0]
-        t, w, _, force = simulated_motion(PLAN, rng)
+        t, w, _, force = simulate_motion(PLAN, rng)
         spin = np.gradient(w, t, axis=0)
         self.turning = w, spin
         felt = lever_arm(w, spin, self.positions) + force[:, None]

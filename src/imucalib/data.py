@@ -193,12 +193,12 @@ def _schema_of_keys(kind: Any) -> dict[str, Any]:
         "description": (kind.__doc__ or "").partition("\n")[0],
         "type": "object",
         "required": [one.name for one in own if one.default is MISSING],
-        "properties": {one.name: _schema(_without_none(one, hints[one.name])) for one in own},
+        "properties": {one.name: _schema(_drop_none(one, hints[one.name])) for one in own},
         "additionalProperties": False,
     }
 
 
-def _without_none(field: Field[Any], hint: Any) -> Any:
+def _drop_none(field: Field[Any], hint: Any) -> Any:
     """What a key holds where it is there: one that may be left out is never null."""
     if field.default is not None or get_origin(hint) is Annotated:
         return hint

@@ -81,7 +81,7 @@ _SPELLINGS = {
 }
 
 
-def without_brackets(text: str) -> str:
+def strip_brackets(text: str) -> str:
     """The text without the pair of brackets around it: "[m/(s^2)]" is "m/(s^2)"."""
     text = text.strip()
     while text[:1] + text[-1:] in ("[]", "()") and _BALANCED.fullmatch(text[1:-1]):
@@ -91,7 +91,7 @@ def without_brackets(text: str) -> str:
 
 def canonical(unit: str) -> str:
     """The one spelling of a unit that this package uses; unknown text comes back stripped."""
-    text = without_brackets(unit)
+    text = strip_brackets(unit)
     low = text.lower().replace("**", "^")
     return _SPELLINGS.get(low, low if low in _ALL else text)
 
@@ -160,7 +160,7 @@ def local_gravity(latitude_deg: float, height_m: float = 0.0) -> float:
     )
 
 
-def stated_gravity(
+def resolve_gravity(
     given: float | None, latitude: float | None, height: float
 ) -> tuple[float, str] | None:
     """Local gravity (m/s²) with its source in words, as stated or of a place (deg, m); None where

@@ -35,9 +35,9 @@ from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
 from imucalib.rests.thermal import (
     ThermalHistory,
+    pair_thermometer,
     temperature_at,
     thermometer_of,
-    with_thermometer,
 )
 from imucalib.units import MG, STANDARD_GRAVITY
 from worlds.command import run
@@ -145,7 +145,7 @@ def test_a_slow_thermometer_reads_the_same_in_blocks_of_any_size(
     expected = temperature_at(channel, t)
     found = [
         temperature_at(warm, block.channels["imu0/acceleration"].t)
-        for block, warm in with_thermometer(iter(parts), "imu0")
+        for block, warm in pair_thermometer(iter(parts), "imu0")
         if warm is not None
     ]
     assert np.allclose(np.concatenate(found), expected, rtol=0.0, atol=1e-12)

@@ -12,7 +12,7 @@ import numpy as np
 
 from imucalib.calibrators.actigraph.simulation import WeekPlan
 from imucalib.calibrators.array.board.board import read_board
-from imucalib.calibrators.array.simulation import LogPlan, simulated_log
+from imucalib.calibrators.array.simulation import LogPlan, simulate_log
 from imucalib.readers import read
 from imucalib.readers.fields.joining import join
 from imucalib.recording.recording import Recording
@@ -116,7 +116,7 @@ def board_log(path: Path) -> None:
     folder = path.parent / "board.yaml"
     _board(folder)
     plan = LogPlan(poses=12, pose_seconds=3.0, seconds=20.0, gyro_gain=0.0)
-    write(simulated_log(read_board(folder), plan, np.random.default_rng(3)).recording, path)
+    write(simulate_log(read_board(folder), plan, np.random.default_rng(3)).recording, path)
 
 
 def samples() -> Rows:

@@ -1,4 +1,4 @@
-"""Thermometers: what is believed, and what of the past is remembered."""
+"""Thermometers: what is believed, and what of the past is find_memory."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from imucalib.calibrators.array.board.rests import RestFit, fit_rests
 from imucalib.calibrators.array.motion.board_motion import BoardMotion, board_motion
 from imucalib.calibrators.array.motion.closed_loop import MotionLoop, close_array_loop
 from imucalib.calibrators.array.motion.setup import array_setup
-from imucalib.calibrators.array.simulation import LogPlan, lever_arm, simulated_motion
+from imucalib.calibrators.array.simulation import LogPlan, lever_arm, simulate_motion
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.segments import still_segments
 from imucalib.units import DEG
@@ -45,7 +45,7 @@ def planted_log(name: str, seed: int, plan: LogPlan = PLAN, board: Board = BOARD
     k = board.count
     true = board.drawn + rng.normal(size=(k, 3)) * plan.scatter
     true -= true[0]
-    t, w, _, force = simulated_motion(plan, rng)
+    t, w, _, force = simulate_motion(plan, rng)
     spin = np.gradient(w, t, axis=0)
     felt = lever_arm(w, spin, true) + force[:, None]
     # The triads' mean is the board's frame: a mean error would turn it against the gyros.

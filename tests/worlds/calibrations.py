@@ -10,7 +10,7 @@ import numpy as np
 
 from imucalib.calibrators.actigraph.simulation import WeekPlan
 from imucalib.calibrators.array.board.board import read_board
-from imucalib.calibrators.array.simulation import LogPlan, simulated_log
+from imucalib.calibrators.array.simulation import LogPlan, simulate_log
 from imucalib.calibrators.lab.simulation import BenchPlan, simulated_recording, simulated_table
 from imucalib.writers import write, write_blocks
 from worlds.turned_imu import chip, turned
@@ -41,7 +41,7 @@ def _day(folder: Path) -> Input:
 
 def _log(folder: Path) -> Input:
     plan = LogPlan(poses=12, pose_seconds=3.0, seconds=20.0, gyro_gain=0.0)
-    made = simulated_log(read_board("mimu4444_corners"), plan, np.random.default_rng(0))
+    made = simulate_log(read_board("mimu4444_corners"), plan, np.random.default_rng(0))
     path = folder / "log.h5"
     write(made.recording, path)
     return Input(path, ("--board", "mimu4444_corners", "--samples", "100", "--only", "gyro_delay"))

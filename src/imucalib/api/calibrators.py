@@ -30,7 +30,7 @@ from imucalib.errors import UsageError
 from imucalib.readers import read as read_recording
 from imucalib.recording.mapping import OPTION_FIELDS, FieldMapping, from_dict
 from imucalib.recording.recording import Recording
-from imucalib.units import stated_gravity
+from imucalib.units import resolve_gravity
 
 Say = Callable[[str], None]
 #: Local (m/s²), or latitude (deg) and height (m).
@@ -90,7 +90,7 @@ def _each(given: Given) -> tuple[Given, tuple[Path, ...]]:
 
 def _with(request: AnyRequest, gravity: Gravity, **stated: Any) -> AnyRequest:
     """The request with what keywords state, that is not None, in place of its fields."""
-    if (found := stated_gravity(*gravity)) is not None:
+    if (found := resolve_gravity(*gravity)) is not None:
         stated["gravity"], stated["gravity_source"] = found
     given: dict[str, Any] = {
         name: tuple(value) if isinstance(value, Sequence) and name in _SEVERAL else value
@@ -297,7 +297,7 @@ def _mapping_of(base: FieldMapping | None, reading: Mapping[str, Any]) -> FieldM
             remedy = f"did you mean {close[0]}" if close else f"there are: {', '.join(known)}"
             raise UsageError(f"no option '{name}'", remedy=remedy)
     stated = {OPTION_FIELDS.get(name, name): value for name, value in reading.items()}
-    return from_dict(stated, "keywords").filled_from(base or FieldMapping())
+    return from_dict(stated, "keywords").fill_from(base or FieldMapping())
 
 
 @contextmanager

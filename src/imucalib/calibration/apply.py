@@ -14,9 +14,9 @@ from imucalib.calibration.triads import (
     DRIFT,
     Triad,
     correct_triads,
-    named_triads,
     pairing_of,
-    without_drift,
+    select_triads,
+    undo_drift,
 )
 from imucalib.effects.forms import in_words
 from imucalib.errors import Undetermined
@@ -94,12 +94,12 @@ def imus_corrected(
     """
     demand_device(calibration.sensor, recording)
     facts, notes = calibration.facts, []
-    chosen = named_triads(calibration.triads, partner, only)
+    chosen = select_triads(calibration.triads, partner, only)
     drift = (facts.get("rests") or {}).get("drift")
     made_of = (facts.get("provenance") or {}).get("sha256")
     if made_of is None or made_of != recording.sha256:
         drift = None
-    source = without_drift(recording, partner, drift) if drift else recording
+    source = undo_drift(recording, partner, drift) if drift else recording
     channels = correct_triads(chosen, source)
     notes.append("corrected with a calibration by array; vectors are in the board's axes")
     notes += [

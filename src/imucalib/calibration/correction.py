@@ -17,7 +17,7 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration, where_assumed
 from imucalib.calibration.file import identity
-from imucalib.calibration.gyroscope import gyroscope_of, with_rates_corrected
+from imucalib.calibration.gyroscope import correct_rates, gyroscope_of
 from imucalib.calibration.series import part_at, parts_of
 from imucalib.calibration.shared_gravity import GravityAtRest
 from imucalib.calibration.undo import Undo
@@ -31,12 +31,12 @@ from imucalib.recording.sensors import accelerometer
 from imucalib.rests.thermal import (
     ThermalHistory,
     is_remembered,
+    pair_thermometer,
     remember,
     temperature_at,
     thermal_history,
     thermometer_of,
     unheard,
-    with_thermometer,
 )
 from imucalib.units import MG, STANDARD_GRAVITY
 
@@ -88,7 +88,7 @@ class Corrector:
             self._history = thermal_history(found, name)
         name, found = self._named(blocks())
         if self._warm:
-            for block, thermometer in with_thermometer(found, name):
+            for block, thermometer in pair_thermometer(found, name):
                 yield self._block(block, thermometer)
         else:
             for block in found:
@@ -109,7 +109,7 @@ class Corrector:
 
     def _block(self, recording: Recording, thermometer: Channel | None) -> Recording:
         calibration = self._calibration
-        name, channel = self._chosen(recording)
+        name, channel = self._choose(recording)
         if not self._again:
             refuse_second(recording, channel.triad)
         thermometer = thermometer or thermometer_of(recording, channel.triad)
@@ -127,9 +127,9 @@ class Corrector:
         )
         if self._gyro is None:
             return done
-        return with_rates_corrected(self._gyro, done, channel.triad, thermometer)
+        return correct_rates(self._gyro, done, channel.triad, thermometer)
 
-    def _chosen(self, recording: Recording) -> tuple[str, Channel]:
+    def _choose(self, recording: Recording) -> tuple[str, Channel]:
         channel = accelerometer(recording, self._sensor)
         if channel.unit != "m/s2":
             raise UnreadableInput(

@@ -98,7 +98,7 @@ def gyroscope_of(calibration: Calibration) -> Gyroscope | None:
     )
 
 
-def told_delay(calibration: Calibration) -> tuple[float, float] | None:
+def read_delay(calibration: Calibration) -> tuple[float, float] | None:
     """s by which the gyroscope is late against its accelerometer, and its standard deviation; None
     where it is no more than chance."""
     known = calibration.facts.get("imu", {}).get("gyroscope_late_s")
@@ -107,7 +107,7 @@ def told_delay(calibration: Calibration) -> tuple[float, float] | None:
     return float(known["value"]), float(known["sd"])
 
 
-def with_rates_corrected(
+def correct_rates(
     gyro: Gyroscope, recording: Recording, triad: str, thermometer: Channel | None
 ) -> Recording:
     """A recording whose acceleration is corrected, with the rates of the same sensor corrected too;

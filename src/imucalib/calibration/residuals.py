@@ -15,7 +15,7 @@ from imucalib.rests.segments import Segments, still_segments
 from imucalib.units import MG
 
 
-def with_residuals(
+def add_residuals(
     calibration: Calibration,
     recording: Recording,
     sensor: str = "",

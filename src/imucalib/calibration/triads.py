@@ -132,7 +132,7 @@ def pairing_of(triads: Sequence[Triad], recording: Recording) -> Pairing:
     return pair([(t.name, t.channel) for t in triads], recording, "the calibration")
 
 
-def named_triads(
+def select_triads(
     triads: Sequence[Triad], partner: Mapping[str, int], only: str = ""
 ) -> dict[str, Triad]:
     """The triad of each recorded sensor that is wanted, by the recording's name.
@@ -161,7 +161,7 @@ def drift_block(t: Array, offset: Array) -> dict[str, Any]:
     return {"t_s": t.tolist(), "m_per_s2": np.round(offset, 7).tolist()}
 
 
-def without_drift(
+def undo_drift(
     recording: Recording, partner: Mapping[str, int], drift: Mapping[str, Any]
 ) -> Recording:
     """The recording that was calibrated with its accelerations as they would read without the
@@ -179,7 +179,7 @@ def without_drift(
 def correct_triads(chosen: Mapping[str, Triad], recording: Recording) -> dict[str, Channel]:
     """The channels of a recording with its IMUs' readings corrected, in board axes.
 
-    chosen : as of `named_triads`. Raises UnreadableInput for acceleration that is not in m/s²;
+    chosen : as of `select_triads`. Raises UnreadableInput for acceleration that is not in m/s²;
     rates that are not in rad/s stay as they are.
     """
     channels = dict(recording.channels)

@@ -15,7 +15,7 @@ from imucalib.calibration.checking.noise import CheckNoise
 from imucalib.calibration.correction import refuse_second
 from imucalib.calibration.series import BLOCK
 from imucalib.calibration.shared_gravity import check_against_gravity
-from imucalib.calibration.triads import named_triads, pairing_of
+from imucalib.calibration.triads import pairing_of, select_triads
 from imucalib.calibrators.lab.bench import in_celsius, observations_of, raw_unit
 from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.calibrators.lab.files import LabFiles, positions_in, rests_of
@@ -90,7 +90,7 @@ def array_log(
     segments = rests_of(recording, request.still, _silent)
     pairing = pairing_of(calibration.triads, recording)
     said = check_against_gravity(calibration.triads, pairing.partner, segments, recording.path)
-    triads = named_triads(calibration.triads, pairing.partner, files.mapping.sensor)
+    triads = select_triads(calibration.triads, pairing.partner, files.mapping.sensor)
     rests = calibration.facts.get("rests") or {}
     # The usual scatter holds the usual noise of samples: an IMU that is noisier has more.
     own = segments.noise.max(axis=1) ** 2 / np.maximum(segments.samples, 1)

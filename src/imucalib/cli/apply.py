@@ -165,13 +165,13 @@ def _residuals(
     calibration: Calibration, source: Path, mapping: FieldMapping, options: dict[str, Any]
 ) -> None:
     """Write what rests read before and after."""
-    from imucalib.calibration.residuals import with_residuals
+    from imucalib.calibration.residuals import add_residuals
     from imucalib.readers import read
     from imucalib.writers.residuals import write_residuals
 
     recording = read(source, replace(mapping, sensor=""), strict=options["strict"])
     chosen = {name: options[name] for name in ("use", "again")}
-    found = with_residuals(calibration, recording, mapping.sensor, **chosen)
+    found = add_residuals(calibration, recording, mapping.sensor, **chosen)
     write_residuals(found, options["residuals"])
 
 

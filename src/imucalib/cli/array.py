@@ -112,7 +112,7 @@ def command(logs: tuple[Path, ...], **options: Any) -> int:
 
 def _request(options: dict[str, Any], logs: tuple[Path, ...]) -> ArrayRequest:
     from imucalib.calibrators.array.board.board import read_board
-    from imucalib.calibrators.array.board.catalogue import named_effect
+    from imucalib.calibrators.array.board.catalogue import find_effect
     from imucalib.calibrators.array.request import Accepted, ArrayRequest
     from imucalib.errors import UsageError
     from imucalib.estimators.markov.crank_nicolson import Stop
@@ -121,7 +121,7 @@ def _request(options: dict[str, Any], logs: tuple[Path, ...]) -> ArrayRequest:
         raise UsageError("two logs have one name, and so would their folders")
     shared, board = shared_fields(options), read_board(options["board"])
     for name in (*options["declare"], *options["only"], *options["without"]):
-        named_effect(name.partition("@")[0], board.imus)  # the log may name its IMUs otherwise
+        find_effect(name.partition("@")[0], board.imus)  # the log may name its IMUs otherwise
     as_stated = "as_published samples iterations as_drawn"
     return ArrayRequest(
         board=board,

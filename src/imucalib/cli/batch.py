@@ -183,10 +183,10 @@ def _options_of(calibrator: str, typed: tuple[str, ...]) -> tuple[tuple[str, ...
             "-o behind -- would be the folder of every recording",
             remedy="leave it out; imucal CALIBRATOR RECORDING -o gives the report of one",
         )
-    return _with_absolute_paths(command, [*from_file(context), *typed])
+    return _add_absolute_paths(command, [*from_file(context), *typed])
 
 
-def _with_absolute_paths(
+def _add_absolute_paths(
     command: click.Command, words: list[str]
 ) -> tuple[tuple[str, ...], frozenset[str]]:
     """Options with absolute paths: a worker may stand in another folder."""

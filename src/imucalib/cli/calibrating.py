@@ -104,7 +104,7 @@ def calibrating(command: Callable[..., int]) -> Callable[..., int]:
         try:
             if options["entry"] is None:
                 return command(*args, **options)
-            return _with_entry(functools.partial(command, *args, **options), options)
+            return _add_entry(functools.partial(command, *args, **options), options)
         except UnnamedColumns as error:  # of a table that another command may take
             file = paste(_inputs(options)[0])
             error.remedy += f"; imucal {file} says what else it may be"
@@ -120,7 +120,7 @@ def calibrates(command: click.Command) -> bool:
     return bool(getattr(command.callback, "calibrates", False))
 
 
-def _with_entry(work: Callable[[], int], options: Mapping[str, Any]) -> int:
+def _add_entry(work: Callable[[], int], options: Mapping[str, Any]) -> int:
     """Do the work, and write what became of it as an entry of a cohort, a failure too, with the
     calibration beside it; but not that of the call itself, which says nothing about a recording."""
     import time

@@ -246,7 +246,7 @@ def mapping_of(options: Mapping[str, Any]) -> FieldMapping:
     stated["delimiter"] = words.get(delimiter, delimiter) if delimiter else None
     stated["where"] = list(stated["where"]) or None
     base = load_mapping(options["mapping"]) if options["mapping"] else FieldMapping()
-    return from_dict(stated, "command line").filled_from(base)
+    return from_dict(stated, "command line").fill_from(base)
 
 
 def read_as_calibrated(
@@ -265,7 +265,7 @@ def read_as_calibrated(
         known = dict(calibration.facts.get("provenance", {}).get("mapping", {}))
         own = {name: value for name, value in known.items() if name not in ("sensor", "triads")}
         try:
-            made = deed(stated.filled_from(from_dict(own)))
+            made = deed(stated.fill_from(from_dict(own)))
         except ImucalError:
             raise refused from None
         why = refused.what.partition("\n")[0].rstrip(":")
@@ -283,14 +283,14 @@ def one_scale(text: str | None) -> float | None:
 
 def gravity_of(options: Mapping[str, Any]) -> tuple[float, str]:
     """Local gravity (m/s²) and where it comes from. Raises UsageError."""
-    from imucalib.units import STANDARD_GRAVITY, stated_gravity
+    from imucalib.units import STANDARD_GRAVITY, resolve_gravity
 
     given = options["gravity"]
     if given is not None and not 9.7 < given < 9.9:
         said = "local gravity is between 9.7 and 9.9 m/s²"
         raise click.BadParameter(said, param_hint="--gravity")
     default = "standard gravity; --gravity or --latitude gives the local value"
-    found = stated_gravity(given, options["latitude"], options["height"])
+    found = resolve_gravity(given, options["latitude"], options["height"])
     return found or (STANDARD_GRAVITY, default)
 
 

@@ -97,7 +97,7 @@ def array(recording: Path, seed: int, **options: Any) -> int:
     import numpy as np
 
     from imucalib.calibrators.array.board.board import read_board
-    from imucalib.calibrators.array.simulation import LogPlan, simulated_log
+    from imucalib.calibrators.array.simulation import LogPlan, simulate_log
     from imucalib.errors import UsageError
     from imucalib.units import MG
 
@@ -115,7 +115,7 @@ def array(recording: Path, seed: int, **options: Any) -> int:
     )
     board = read_board(options["board"])
     with working("simulating", quiet=options["quiet"]):
-        made = simulated_log(board, plan, np.random.default_rng(seed))
+        made = simulate_log(board, plan, np.random.default_rng(seed))
         _write(made.recording, recording, options["fault"])
     return _finish([recording], plant, options, positions_mm=(1e3 * made.positions).tolist())
 

@@ -228,25 +228,25 @@ def quality_of(report: Mapping[str, Any]) -> dict[str, Any]:
         "sensor": sensor.get("name"),
         **{key: sensor.get(key) for key in ("device", "serial")},
         "rate_hz": coverage.get("rate_hz"),
-        "hours_recorded": _rounded(activity.get("hours_recorded", coverage.get("hours"))),
-        "hours_worn": _rounded(activity.get("hours_worn")),
+        "hours_recorded": _round(activity.get("hours_recorded", coverage.get("hours"))),
+        "hours_worn": _round(activity.get("hours_worn")),
         "gaps": report["provenance"]["gaps"],
         "still_windows": coverage.get("still_windows"),
         "posture_runs": coverage.get("posture_runs"),
         "axes_seen_both_ways": (seen or "none") if span else None,
-        "norm_sd_largest_mg": _rounded(coverage.get("norm_sd_largest_mg")),
+        "norm_sd_largest_mg": _round(coverage.get("norm_sd_largest_mg")),
         "temperature_least_degC": warm[0],
         "temperature_largest_degC": warm[1],
-        "error_before": _rounded(held["raw"]),
-        "error_after": _rounded(held["final"]),
+        "error_before": _round(held["raw"]),
+        "error_after": _round(held["final"]),
         "worst_direction": worst.get("name"),
-        "worst_direction_error_mg": _rounded(worst.get("held_out_mg")),
-        "enmo_before_mg": _rounded(enmo.get("raw")),
-        "enmo_after_mg": _rounded(enmo.get("corrected")),
+        "worst_direction_error_mg": _round(worst.get("held_out_mg")),
+        "enmo_before_mg": _round(enmo.get("raw")),
+        "enmo_after_mg": _round(enmo.get("corrected")),
     }
 
 
-def _rounded(value: Any) -> float | None:
+def _round(value: Any) -> float | None:
     return None if value is None else float(f"{value:.5g}")
 
 

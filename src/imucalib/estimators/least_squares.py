@@ -71,7 +71,7 @@ def fit(
         theta, eta, at = solution.state.theta, solution.state.eta, solution.state.at
         steps += solution.iterations
         if prior is None:
-            whole = at if shrink is None else _with_rows(at, shrinking(shrink, first - theta))
+            whole = at if shrink is None else _add_rows(at, shrinking(shrink, first - theta))
             estimate = estimate_noise(whole, current, fixed=noise is not None)
         elif prior.noise is None:
             estimate = estimate_with_prior(at, current, prior, theta)
@@ -157,7 +157,7 @@ class _Problem:
             ):  # the step may lead where nothing can be evaluated
                 other = self._at(theta + step, eta)
                 first = min(first, other, key=lambda p: float(np.sum(self._linearise(p)[0] ** 2)))
-        return minimise(self._linearise, self._moved, first)
+        return minimise(self._linearise, self._move, first)
 
     def _linearise(self, point: SolverPoint) -> tuple[Array, Array]:
         rows = [point.white(np.column_stack([point.at.residual, point.at.jacobian]))]
@@ -168,7 +168,7 @@ class _Problem:
         both = np.vstack(rows)
         return both[:, 0], both[:, 1:]
 
-    def _moved(self, point: SolverPoint, step: Array) -> SolverPoint:
+    def _move(self, point: SolverPoint, step: Array) -> SolverPoint:
         eta, at = point.eta, point.at
         if self._settled:  # where the settings go with the step, to first order
             misfit = at.residual - at.jacobian @ step
@@ -195,7 +195,7 @@ class _Problem:
         return point
 
 
-def _with_rows(at: Balanced, rows: Array) -> Balanced:
+def _add_rows(at: Balanced, rows: Array) -> Balanced:
     """The balance with what shrinks the parameters, (k, 1 + p), behind the readings' numbers."""
     settings = tuple(np.vstack([m, np.zeros((len(rows), m.shape[1]))]) for m in at.settings)
     return replace(

@@ -75,7 +75,7 @@ def c_header(calibration: Calibration, filename: str) -> Made:
         losses, places = (loss, 0.0), np.zeros((0, 3))
     for one in corrections:
         _demand_fixed_point(one)
-    text = _filled(
+    text = _fill(
         {
             "filename": filename,
             "sensor": calibration.sensor or NAMELESS,
@@ -101,7 +101,7 @@ def _prefix(calibration: Calibration) -> str:
     return f"imucal_{word or identity(calibration)[:8]}_" if name else "imucal_"
 
 
-def _filled(values: Mapping[str, Any]) -> str:
+def _fill(values: Mapping[str, Any]) -> str:
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     made = Environment(

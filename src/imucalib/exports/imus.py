@@ -17,7 +17,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
-from imucalib.calibration.gyroscope import Gyroscope, gyroscope_of, told_delay
+from imucalib.calibration.gyroscope import Gyroscope, gyroscope_of, read_delay
 from imucalib.calibration.triads import Triad
 from imucalib.core.effect import Response
 from imucalib.effects import catalogue
@@ -166,7 +166,7 @@ def _effect(calibration: Calibration, name: str, imu: str, size: int) -> Array:
 def late_of(calibration: Calibration) -> float:
     """s by which all gyros are late against the accelerometers: what a low-pass of either does is,
     to the first order, a delay by its time constant."""
-    if (told := told_delay(calibration)) is not None:
+    if (told := read_delay(calibration)) is not None:
         return told[0]
     found = _common_delays().items()
     return sum(sign * 1e-3 * float(_effect(calibration, name, "", 1)[0]) for name, sign in found)

@@ -18,14 +18,14 @@ def urdf(calibration: Calibration, filename: str) -> Made:
         f"<!-- {in_comment(calibration, filename)} -->",
         '<robot name="imu_array">',
         f'  <link name="{BOARD}"/>',
-        *map(_joined, frames),
+        *map(_join, frames),
         "</robot>",
         "",
     ]
     return Made("\n".join(lines), LOST)
 
 
-def _joined(frame: ImuFrame) -> str:
+def _join(frame: ImuFrame) -> str:
     from scipy.spatial.transform import Rotation
 
     angles = Rotation.from_matrix(frame.turn).as_euler("xyz")

@@ -77,7 +77,7 @@ def sums_of(problem: Problem, posterior: Posterior, base: Fit, noise: float, dri
     own = {
         problem.components[c.component].name: c.at
         for c in reversed(problem.choices)
-        if _kept(problem, c.component)
+        if _keep(problem, c.component)
     }
     at = columns_of(own, list(own))
     rows = one.rows(at)
@@ -107,7 +107,7 @@ def sums_of(problem: Problem, posterior: Posterior, base: Fit, noise: float, dri
     )
 
 
-def _kept(problem: Problem, component: int) -> bool:
+def _keep(problem: Problem, component: int) -> bool:
     """Whether a component is one name, and not of this recording's time alone, which its kind does
     not share."""
     one = problem.components[component]

@@ -20,14 +20,14 @@ from imucalib.core.discovery import modules_of
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.readers.devices.catalogue import refuse_foreign, with_preset
 from imucalib.readers.fields.joining import (
+    check_clocks,
     in_parts,
+    tell_order,
     together,
-    with_order_told,
-    with_plausible_clocks,
 )
-from imucalib.readers.fields.possible import without_the_impossible
-from imucalib.readers.fields.rates import with_checked_rates
-from imucalib.readers.fields.repeats import with_held
+from imucalib.readers.fields.possible import drop_impossible
+from imucalib.readers.fields.rates import check_rates
+from imucalib.readers.fields.repeats import mark_held
 from imucalib.readers.fields.source import UNREAD, file_kind, head_of
 from imucalib.recording.mapping import TIME_ZEROS, FieldMapping
 from imucalib.recording.recording import Recording
@@ -134,7 +134,7 @@ def read(
     full = with_preset(mapping or FieldMapping())
     reader = _reader(path, full)
     found = (reader.read(Path(path), full, strict=strict) for _ in range(1))
-    return next(_looked_at(found, full, reader))
+    return next(_look_at(found, full, reader))
 
 
 def read_together(
@@ -159,7 +159,7 @@ def blocks(
     full = with_preset(mapping or FieldMapping())
     reader = _reader(path, full)
     found = reader.blocks(Path(path), full, block_samples=block_samples, strict=strict)
-    return _looked_at(found, full, reader)
+    return _look_at(found, full, reader)
 
 
 def blocks_again(
@@ -179,7 +179,7 @@ def blocks_again(
     one = (
         replace(b, channels={k: c for k, c in b.channels.items() if k == channel}) for b in found
     )
-    return _unwarned(in_parts(without_the_impossible(one)))
+    return _unwarned(in_parts(drop_impossible(one)))
 
 
 def _reader(path: str | os.PathLike[str], mapping: FieldMapping) -> Reader:
@@ -200,16 +200,16 @@ def _reader(path: str | os.PathLike[str], mapping: FieldMapping) -> Reader:
     return reader
 
 
-def _looked_at(
+def _look_at(
     found: Iterator[Recording], mapping: FieldMapping, reader: Reader
 ) -> Iterator[Recording]:
     """What holds for every format: the sensor that is wanted, a clock's parts, clocks that such
     sensors can have, rates in the unit that is stated, and samples that are no measurement."""
     fixed = getattr(reader, "fixed", False)
     found = select_sensor(found, mapping.sensor) if mapping.sensor else found
-    possible = without_the_impossible(found)
-    clocked = with_plausible_clocks(with_order_told(in_parts(possible)))
-    return _unwarned(with_held(with_checked_rates(clocked, mapping, fixed=fixed)))
+    possible = drop_impossible(found)
+    clocked = check_clocks(tell_order(in_parts(possible)))
+    return _unwarned(mark_held(check_rates(clocked, mapping, fixed=fixed)))
 
 
 def _unwarned(found: Iterator[Recording]) -> Iterator[Recording]:

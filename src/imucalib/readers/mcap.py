@@ -143,7 +143,7 @@ class ChunkHead(NamedTuple):
         # One byte more than is due shows that there is more.
         pieces, missing = list[bytes](), self.size + 1
         try:
-            with self._opened(packed) as stream:
+            with self._open(packed) as stream:
                 while piece := stream.read(min(missing, _CUT_PIECE) if cut else missing):
                     pieces.append(piece)
                     missing -= len(piece)
@@ -160,7 +160,7 @@ class ChunkHead(NamedTuple):
             raise MalformedRecordError("the chunk's CRC differs from its header")
         return data
 
-    def _opened(self, packed: bytes) -> Any:
+    def _open(self, packed: bytes) -> Any:
         if self.compression == "zstd":
             import zstandard
 
@@ -388,7 +388,7 @@ class McapLog(MessageLog):
         walk = _walk(data)
         if not walk.end:
             raise MalformedRecordError(walk.stopped)
-        yield from self._found(data, walk, at)
+        yield from self._find(data, walk, at)
         return at + walk.end
 
     def _chunk(self, at: int, end: int, head: ChunkHead | None) -> _Steps:
@@ -409,7 +409,7 @@ class McapLog(MessageLog):
             self.report(Damage(at, end - at, str(error), *span))
             return end
         walk = _walk(data)
-        for block in self._found(data, walk, at):
+        for block in self._find(data, walk, at):
             times = block.header("log_time")
             if not walk.stopped and (int(times.min()), int(times.max())) != span:
                 reason = "a chunk header's time span differs from its messages'"
@@ -420,7 +420,7 @@ class McapLog(MessageLog):
             self.report(Damage(at, 0, reason, *span))
         return end
 
-    def _found(self, data: bytes, walk: _Walk, at: int) -> Iterator[MessageBlock]:
+    def _find(self, data: bytes, walk: _Walk, at: int) -> Iterator[MessageBlock]:
         """Take the definitions of a chunk or stretch, and yield its messages if there are any."""
         for opcode, start, stop in walk.others:
             try:
@@ -509,7 +509,7 @@ class McapLog(MessageLog):
             with suppress(MalformedRecordError):
                 data = head.unpacked(packed, self._most, cut=True)
         walk = _walk(data)
-        blocks = list(self._found(data, walk, at))
+        blocks = list(self._find(data, walk, at))
         kept = f"; {walk.starts.size} messages of the cut chunk are kept" if data else ""
         span = (head.first_ns, head.last_ns) if head and data else (None, None)
         self.report(Damage(at, self._size - at, reason + kept, *span))

@@ -50,7 +50,7 @@ class BagLog(MessageLog):
     def blocks(self) -> Iterator[MessageBlock]:
         """The messages, some thousand at a time."""
         self._begin()
-        with self._opened() as (bag, connections):
+        with self._open() as (bag, connections):
             self.topics = {n: _topic(n, c) for n, c in enumerate(connections)}
             total, done = sum(c.msgcount for c in connections), 0
             keys = {(c.topic, c.id): n for n, c in enumerate(connections)}
@@ -61,7 +61,7 @@ class BagLog(MessageLog):
 
     def indexed_topics(self) -> dict[int, Topic]:
         """Topics of the bag's index."""
-        with self._opened() as (_, connections):
+        with self._open() as (_, connections):
             return {n: _topic(n, c) for n, c in enumerate(connections)}
 
     def sha256(self) -> str:
@@ -94,7 +94,7 @@ class BagLog(MessageLog):
         return batch
 
     @contextmanager
-    def _opened(self) -> Iterator[tuple[Any, list[Any]]]:
+    def _open(self) -> Iterator[tuple[Any, list[Any]]]:
         """The open bag, and its connections."""
         bag = _reader(self.path)
         files = self.path.glob("*.db3") if self.path.is_dir() else [self.path]

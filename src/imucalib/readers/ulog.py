@@ -60,7 +60,7 @@ class UlogReader(Joined):
     ) -> Iterator[Recording]:
         """Yield blocks of about `block_samples` rows; the log's sensors are held in memory."""
         log, said = _log(path)
-        topics, thinned = _chosen(log.data_list)
+        topics, thinned = _choose(log.data_list)
         notes = (*_damage(log, said, path, strict=strict), *thinned)
         yield from blocks_in_memory(
             lambda held: _fill(held, topics, path),
@@ -142,7 +142,7 @@ def _damage(log: Any, said: str, path: Path, *, strict: bool) -> tuple[str, ...]
     return tuple(notes)
 
 
-def _chosen(topics: Sequence[Any]) -> tuple[list[Any], tuple[str, ...]]:
+def _choose(topics: Sequence[Any]) -> tuple[list[Any], tuple[str, ...]]:
     """The topics to read, and a sentence on those that are left out for their rate."""
     fed = max((_rate(d) for d in topics if d.name == _COMBINED), default=0.0)
     raw = [d for d in topics if d.name not in (_COMBINED, _SELECTION)]

@@ -131,7 +131,7 @@ class FieldMapping:
         stated = self._stated().items()
         return {name: list(v) if isinstance(v, tuple) else v for name, v in stated}
 
-    def filled_from(self, other: FieldMapping) -> FieldMapping:
+    def fill_from(self, other: FieldMapping) -> FieldMapping:
         """This mapping, with every field that is not stated taken from `other`."""
         return replace(other, **self._stated())
 

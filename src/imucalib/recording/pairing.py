@@ -118,7 +118,7 @@ def names_in(recording: Recording) -> dict[str, frozenset[str]]:
         if channel.quantity == "acceleration":
             own = whole.setdefault(channel.triad, [])
             own += channel.names if channel.numbered else (channel.triad, *channel.names)
-    return dict(zip(whole, _with_parts(list(whole.values())), strict=True))
+    return dict(zip(whole, _add_parts(list(whole.values())), strict=True))
 
 
 def channel_names(recording: Recording) -> dict[str, str]:
@@ -132,7 +132,7 @@ def channel_names(recording: Recording) -> dict[str, str]:
     return {triad: "" if fault(name) else name for triad, name in found.items()}
 
 
-def _with_parts(sensors: Sequence[Sequence[str]]) -> list[frozenset[str]]:
+def _add_parts(sensors: Sequence[Sequence[str]]) -> list[frozenset[str]]:
     """The names of each sensor, and the parts of them, that no other sensor has."""
     every = [{*names, *(p for name in names for p in parts_of(name))} for names in sensors]
     whole = Counter(n for names in sensors for n in set(names))
@@ -162,7 +162,7 @@ def _by_names(
 ) -> dict[str, int]:
     """What fits: by the name that each is called first, else by any of its names."""
     found: dict[str, int] = {}
-    for names in ([frozenset(w[:1]) for w in wanted], _with_parts(wanted)):
+    for names in ([frozenset(w[:1]) for w in wanted], _add_parts(wanted)):
         fits = {r: [k for k, w in enumerate(names) if own & w] for r, own in known.items()}
         once = Counter(k for few in fits.values() for k in few)
         found = {r: few[0] for r, few in fits.items() if len(few) == 1 and once[few[0]] == 1}

@@ -43,7 +43,7 @@ def board_picture(run: ArrayRun) -> Plot:
     if run.board.package is not None:
         half = 0.5e3 * np.array(run.board.package[:2])
         corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)]) * half
-        series.append(_joined("package", [d[:2] + corners for d in drawn]))
+        series.append(_join("package", [d[:2] + corners for d in drawn]))
     times = min(_magnification(run, rows) for rows in sides.values())
     larger = "" if times == 1.0 else f", {times:g} times as large"
     caption = f"Seen from the top, in mm; {run.board.imus[0]} is the reference and stands where "
@@ -54,7 +54,7 @@ def board_picture(run: ArrayRun) -> Plot:
             Series(f"found{on}", mean[rows, 0], mean[rows, 1], "points", names=names),
         )
         if rings := [times * _ellipse(run, int(k), _MOST) + mean[k, :2] for k in rows if k > 0]:
-            series.append(_joined(f"97 %{on}", rings))
+            series.append(_join(f"97 %{on}", rings))
         held = centres_held(run, rows)
         if held:
             caption += f" They hold the package's centre in {sum(held)} of {len(held)}{on}."
@@ -94,7 +94,7 @@ def _ellipse(run: ArrayRun, k: int, radius: float) -> Array:
     return np.asarray(1e3 * radius * circle @ root.T)
 
 
-def _joined(label: str, rings: list[Array]) -> Series:
+def _join(label: str, rings: list[Array]) -> Series:
     gap = np.full((1, 2), np.nan)
     line = np.concatenate([part for ring in rings for part in (ring, gap)])
     return Series(label, line[:, 0], line[:, 1], "line")
@@ -109,7 +109,7 @@ def _close_up(run: ArrayRun) -> Plot:
             names = tuple(run.board.imus[k] for k in rows)
             series.append(Series(label, off[rows, 0], off[rows, 1], "points", names=names))
             rings = [_ellipse(run, k, _MOST) + off[k, :2] for k in rows]
-            series.append(_joined(f"{label}, 97 %", rings))
+            series.append(_join(f"{label}, 97 %", rings))
     caption = (
         f"Accelerometers relative to {run.board.imus[0]}, each about its drawn position at 0, 0; "
         "what the sides share is where the accelerometer sits inside its package."

@@ -32,7 +32,13 @@ from imucalib.report.document import (
     capital,
 )
 from imucalib.report.plots import band
-from imucalib.significant_digits import per_cent, plus_minus, signed_components, two_digits, with_sd
+from imucalib.significant_digits import (
+    per_cent,
+    plus_minus,
+    signed_components,
+    two_digits,
+    with_sd,
+)
 
 SCHEMA = "imucal/comparison/1"
 #: Columns of single calibrations that a table has room for.

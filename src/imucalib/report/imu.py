@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibration.gyroscope import STAGE, told_delay
+from imucalib.calibration.gyroscope import STAGE, read_delay
 from imucalib.calibrators.imu.plan import HandPlan
 from imucalib.calibrators.imu.run import ImuRun, heading_drift
 from imucalib.data import Data
@@ -29,7 +29,13 @@ from imucalib.report.document import (
     Worth,
 )
 from imucalib.report.plots import gain_plot
-from imucalib.significant_digits import number, plus_minus, signed_components, two_digits, with_sd
+from imucalib.significant_digits import (
+    number,
+    plus_minus,
+    signed_components,
+    two_digits,
+    with_sd,
+)
 from imucalib.units import DEG
 
 #: Standard deviations from which on a delay is told on the first page.
@@ -78,7 +84,7 @@ def _card(run: ImuRun) -> Card:
 
 def _delay(run: ImuRun) -> tuple[Worth, ...]:
     """What is to be taken from the gyroscope's stamps, where it is more than chance."""
-    told = told_delay(run.calibration)
+    told = read_delay(run.calibration)
     if told is None:
         return ()
     late, sd = 1e3 * told[0], 1e3 * told[1]

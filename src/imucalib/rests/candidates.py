@@ -106,7 +106,7 @@ def candidates_of(every: Sequence[SensorView]) -> tuple[tuple[Candidate, ...], t
     found = _off_bias(found, every)
     for one in every:
         if not one.sensor.turns:
-            found = _with_refused(found, one)
+            found = _add_refused(found, one)
     return tuple(sorted(found, key=lambda c: c.start)), tuple(_louder_notes(found, every))
 
 
@@ -214,7 +214,7 @@ def _louder_notes(found: Sequence[Candidate], every: Sequence[SensorView]) -> li
     return notes
 
 
-def _with_refused(found: list[Candidate], one: SensorView) -> list[Candidate]:
+def _add_refused(found: list[Candidate], one: SensorView) -> list[Candidate]:
     """With the stretches that one accelerometer's windows refuse, where nothing else is known.
 
     They take the place of what was too short in them. Both lists are in order of time.

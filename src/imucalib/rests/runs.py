@@ -137,7 +137,7 @@ class _TailBuilder:
         self._t, self._values = t[first:].copy(), values[first:].copy()
 
 
-def _with_tails(windows: Windows, tails: Sequence[Tail]) -> Windows:
+def _add_tails(windows: Windows, tails: Sequence[Tail]) -> Windows:
     """The windows and, in order of time, those before gaps; these may overlap the one before."""
     if not tails:
         return windows
@@ -216,7 +216,7 @@ def _dead(sensor: Sensor, axis: int, constant: Flags, frozen: Flags) -> Flags:
     joined = constant[1:] & constant[:-1] & (value[1:] == value[:-1])
     starts = np.flatnonzero(np.append(True, ~joined)).astype(np.intp)
     count = np.diff(starts, append=constant.size)
-    dead = _moved(w, axis, starts) & (count * w.samples >= _SECONDS * sensor.rate)
+    dead = _move(w, axis, starts) & (count * w.samples >= _SECONDS * sensor.rate)
     step, noise = float(sensor.step[axis]), float(sensor.noise[axis])
     if step > 0.0 and noise >= _SHOWN * step:
         stays = math.log(math.erf(0.5 * step / (math.sqrt(2.0) * noise)))
@@ -246,7 +246,7 @@ def _held(sensor: Sensor, axis: int, known: Flags) -> Flags:
     return np.asarray(held & ~known)
 
 
-def _moved(w: Windows, axis: int, starts: Index) -> Flags:
+def _move(w: Windows, axis: int, starts: Index) -> Flags:
     """Whether another axis moves far within each stretch, by more than the motion that may reach
     into its first and last window with a sample or two."""
     others = [k for k in range(w.high.shape[1]) if k != axis]
@@ -317,7 +317,7 @@ class Scan:
     mapping: Mapping[str, object] = field(default_factory=dict)
     sensor: Identity = NAMELESS
 
-    def without_windows(self) -> Scan:
+    def drop_windows(self) -> Scan:
         """The rest, once the runs are made: the windows are most of the memory."""
         return replace(self, windows=self.windows.take(np.zeros(0, np.intp)))
 
@@ -373,7 +373,7 @@ def scan(blocks: Iterable[Recording], window: float) -> Scan:
         if known and not name:
             name = _accelerometer(known, block.path)
             sensor = identity_of(block, name)
-        for key, channel in _chosen(block, name):
+        for key, channel in _choose(block, name):
             per = max(1 if key == "temperature" else 5, round(window * channel.rate))
             builders.setdefault(key, WindowBuilder(per)).add(channel, block.gaps)
             if key == "acceleration":
@@ -393,7 +393,7 @@ def scan(blocks: Iterable[Recording], window: float) -> Scan:
         held,
         f"{name}/acceleration",
         first.path,
-        with_more=lambda windows: _with_tails(windows, tails.tails),
+        with_more=lambda windows: _add_tails(windows, tails.tails),
     )
     notes += [f"{lost} windows left out: time had stepped back"] * bool(lost)
     warm = builders["temperature"].windows() if "temperature" in builders else None
@@ -430,7 +430,7 @@ def _accelerometer(found: dict[str, Channel], path: str) -> str:
     return chosen.triad
 
 
-def _chosen(block: Recording, triad: str) -> list[tuple[str, Channel]]:
+def _choose(block: Recording, triad: str) -> list[tuple[str, Channel]]:
     return [
         (c.quantity, c)
         for c in block.channels.values()
@@ -463,11 +463,11 @@ def posture_runs(scanned: Scan, settings: StillSettings = WORN) -> PostureRuns:
             where=scanned.path,
             remedy="wear it through a night; `imucal inspect` shows the noise",
         )
-    runs = _with_temperature(group_windows(scanned, chosen, sensor.noise, tuple(notes)))
+    runs = _add_temperature(group_windows(scanned, chosen, sensor.noise, tuple(notes)))
     return replace(runs, faults=(*words, *_limits(sensor)))
 
 
-def _with_temperature(runs: PostureRuns) -> PostureRuns:
+def _add_temperature(runs: PostureRuns) -> PostureRuns:
     """The runs that have a temperature, where the thermometer measured any."""
     known = np.isfinite(runs.temperature)
     if known.all() or not known.any():

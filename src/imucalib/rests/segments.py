@@ -124,7 +124,7 @@ def find_segments(blocks: Iterable[Recording], settings: StillSettings | None = 
     if not passed.samples.whole:
         window = passed.settings.window
         more += (f"too long for ends to the sample: those of rests are at {window:g} s",)
-    measured = _measured(rests, every, passed.temperatures())
+    measured = _measure(rests, every, passed.temperatures())
     more += tuple(
         f"{copy} repeats {raw}, filtered or with a constant added: one chip; {raw} has all of it"
         for copy, raw in measured.copies().items()
@@ -179,7 +179,7 @@ class _Pass:
         return every, notes
 
 
-def _measured(
+def _measure(
     rests: list[Candidate], every: list[SensorView], temperatures: Mapping[str, Windows]
 ) -> Segments:
     triads = tuple(dict.fromkeys(one.sensor.triad for one in every))

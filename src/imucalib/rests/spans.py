@@ -193,7 +193,7 @@ class SensorView:
         ends = [0] + [int(w.first[g.windows[-1]]) + w.samples for g in groups]
         for k, group in enumerate(groups):
             before = max(ends[k], found[-1].last if found else 0)
-            if (span := self._refined(group, (before, begins[k + 1]))) is not None:
+            if (span := self._refine(group, (before, begins[k + 1]))) is not None:
                 found.append(span)
         return found
 
@@ -212,7 +212,7 @@ class SensorView:
         last = int(w.first[b]) + w.samples
         return Span(int(w.first[a]), last, float(w.start[a]), float(w.stop[b]), group)
 
-    def _refined(self, group: WindowGroup, walls: tuple[int, int]) -> Span | None:
+    def _refine(self, group: WindowGroup, walls: tuple[int, int]) -> Span | None:
         """The stretch around a group of windows, within walls that belong to other groups."""
         w, own = self.sensor.windows, group.windows
         # Standard deviation of a sample of the group; its own, unless it is a single window's.

@@ -237,7 +237,7 @@ def unheard(thermometer: Channel, history: ThermalHistory, at: Array) -> Flags:
     return np.asarray(bad[after] | bad[before])
 
 
-def with_thermometer(
+def pair_thermometer(
     blocks: Iterable[Recording], triad: str
 ) -> Iterator[tuple[Recording, Channel | None]]:
     """Every block with the readings around it: the last one before it and the first one after.

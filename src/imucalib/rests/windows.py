@@ -185,7 +185,7 @@ def in_order(windows: Windows) -> tuple[Windows, int]:
     return windows if keep.all() else windows.take(keep), int((~keep).sum())
 
 
-def without_held(windows: Windows, held: Sequence[HeldSamples]) -> Windows:
+def drop_held(windows: Windows, held: Sequence[HeldSamples]) -> Windows:
     """The windows, in order of time, in which nothing is held; what stands on both sides of such a
     stretch does not follow one another."""
     if not held:
@@ -220,7 +220,7 @@ def usable(
             remedy=longer,
         )
     ordered, lost = in_order(windows)
-    ordered = without_held(with_more(ordered), held)
+    ordered = drop_held(with_more(ordered), held)
     if not ordered.start.size:
         raise Undetermined(
             f"{name} repeats one reading in every stretch of {builder.samples} samples",

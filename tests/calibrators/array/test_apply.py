@@ -15,7 +15,7 @@ from imucalib.calibrators.array.board.board import read_board
 from imucalib.calibrators.array.calibrate import calibrate_array
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.run import ArrayRun
-from imucalib.calibrators.array.simulation import LogPlan, SimulatedLog, simulated_log
+from imucalib.calibrators.array.simulation import LogPlan, SimulatedLog, simulate_log
 from imucalib.errors import Undetermined, UnreadableInput
 from imucalib.recording.recording import Recording
 from imucalib.units import DEG, STANDARD_GRAVITY
@@ -28,7 +28,7 @@ QUADRATIC = 5e-4  # 1 per m/s²
 def log() -> SimulatedLog:
     planted = {"quadratic": QUADRATIC}  # no reading of this motion reaches its range
     plan = LogPlan(poses=14, pose_seconds=3.0, seconds=25.0, twist=450.0, planted=planted)
-    return simulated_log(BOARD, plan, np.random.default_rng(3))
+    return simulate_log(BOARD, plan, np.random.default_rng(3))
 
 
 @pytest.fixture(scope="module")

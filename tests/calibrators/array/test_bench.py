@@ -16,7 +16,7 @@ from imucalib.calibrators.array.motion.setup import array_setup
 from imucalib.calibrators.array.motion.terms import rest_terms
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.run import ArrayRun
-from imucalib.calibrators.array.simulation import LogPlan, SimulatedLog, simulated_log
+from imucalib.calibrators.array.simulation import LogPlan, SimulatedLog, simulate_log
 from imucalib.errors import ImucalError, Undetermined, UnreadableInput, UsageError
 from imucalib.readers import read
 from imucalib.recording.recording import Channel, Recording
@@ -35,7 +35,7 @@ def calibrate(recording: Recording, **options: object) -> ArrayRun:
 
 @pytest.fixture(scope="module")
 def log() -> SimulatedLog:
-    return simulated_log(BOARD, PLAN, np.random.default_rng(0))
+    return simulate_log(BOARD, PLAN, np.random.default_rng(0))
 
 
 @pytest.fixture(scope="module")
@@ -105,7 +105,7 @@ def test_positions_are_recovered_within_what_is_stated(log: SimulatedLog, run: A
     ],
 )
 def test_logs_that_cannot_answer(plan: LogPlan, message: str) -> None:
-    log = simulated_log(BOARD, plan, np.random.default_rng(1))
+    log = simulate_log(BOARD, plan, np.random.default_rng(1))
     with pytest.raises(Undetermined, match=message):
         calibrate(log.recording)
 

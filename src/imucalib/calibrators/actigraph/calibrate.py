@@ -9,7 +9,7 @@ from imucalib.calibrators.actigraph.errors import error_summary
 from imucalib.calibrators.actigraph.observations import (
     NINE,
     OfAKind,
-    averaged_noise,
+    average_noise,
     base_fit,
     fit_of_a_kind,
     is_weak,
@@ -135,7 +135,7 @@ def _search_under_walk(
     wanted = effects_to_search(
         request.only, request.without, request.extra_effects, lambda e: e.stage == "sensor"
     )
-    closed = close_recording(base, wanted, averaged_noise(runs), curves=request.curves)
+    closed = close_recording(base, wanted, average_noise(runs), curves=request.curves)
     loop = closed.loop
     final = with_rivals(loop.final, loop.weighed, request.gravity)
     if request.curves and "curve" not in request.without and request.every is None:

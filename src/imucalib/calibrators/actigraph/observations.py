@@ -88,10 +88,10 @@ def is_weak(fit: Fit) -> bool:
         # Of the scatter of many runs only so much may be noise: postures are not few because
         # something else is missing, which only a search can tell.
         some *= min(1.0, _SCATTER / float(np.median(fit.at.sigma)))
-    return known_worse(fit, some)
+    return is_known_worse(fit, some)
 
 
-def known_worse(fit: Fit, root: Array) -> bool:
+def is_known_worse(fit: Fit, root: Array) -> bool:
     """Whether some combination is known worse than a third of what is known beforehand.
 
     root : (q, p), rootᵀ root the precision of that
@@ -140,9 +140,9 @@ def fit_of_a_kind(kind: Population, alone: Fit, runs: PostureRuns) -> tuple[OfAK
     contradicts it.
     """
     own = kind.prior(alone.model, alone.observations, ())
-    if not known_worse(alone, own.root):
+    if not is_known_worse(alone, own.root):
         return OfAKind(kind, alone, float("nan"), False), alone, 0
-    data = _with_temperature(alone.observations, runs)
+    data = _add_temperature(alone.observations, runs)
     effects = (*alone.model.effects, *kind.shared_effects(data.context))
     model = Model(tuple({e.name: e for e in effects}.values()))
     found, fewer = robust_fit(model, data, runs, kind.prior(model, data, ()))
@@ -217,7 +217,7 @@ def _is_shown(name: str, past: Array, now: Array, warm: ThermalHistory) -> bool:
     return name.startswith(RATE.prefix) or warm.shows(past, now)
 
 
-def _with_temperature(data: Observations, runs: PostureRuns) -> Observations:
+def _add_temperature(data: Observations, runs: PostureRuns) -> Observations:
     """With the runs' temperature, also where it varies too little to show what it does."""
     if not np.isfinite(runs.temperature).all():
         return data
@@ -235,13 +235,13 @@ def quantisation(runs: PostureRuns) -> float:
     return float(np.sqrt(np.mean(step**2) / 12.0))
 
 
-def averaged_noise(runs: PostureRuns) -> Array:
+def average_noise(runs: PostureRuns) -> Array:
     """(n,) (m/s²)², variance of a posture's norm but for what postures scatter by."""
     return np.asarray(quantisation(runs) ** 2 + runs.window_noise**2 / runs.windows)
 
 
 def _sigma(between: float, runs: PostureRuns) -> Array:
-    size = np.sqrt(between**2 + averaged_noise(runs))
+    size = np.sqrt(between**2 + average_noise(runs))
     return np.asarray(np.broadcast_to(size[:, None, None], (runs.n, 1, 3)).copy())
 
 
@@ -253,7 +253,7 @@ def weigh_runs(fit: Fit, runs: PostureRuns) -> tuple[Observations, int]:
     one at 4 (Huber's weight). Returns the observations and how many runs count less.
     """
     misfit = fit.at.residual * fit.at.sigma[:, 0]
-    noise = averaged_noise(runs)
+    noise = average_noise(runs)
 
     def ratio(between: float) -> float:
         return float(np.median(misfit**2 / (between**2 + noise))) / _MEDIAN_SQUARE

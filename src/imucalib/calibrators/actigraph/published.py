@@ -145,7 +145,7 @@ def calibrate_as_published(
     first, second = np.array(points.points), np.array(control.points).reshape(-1, 3)
     methods = compare_methods(first, second)
     chosen = methods[ARITHMETIC[request.arithmetic]]
-    found = published_fit(np.array(list(chosen.p.values())), first, request.gravity)
+    found = fit_as_published(np.array(list(chosen.p.values())), first, request.gravity)
     error = _error(chosen, found, first, second)
     held = {"max-error": error.held_out.final}  # no other limit has a value here
     outcome = Outcome(
@@ -213,7 +213,7 @@ def compare_methods(first: Array, second: Array) -> dict[str, PublishedMethod]:
     return found
 
 
-def published_fit(p: Array, points: Array, gravity: float) -> Fit:
+def fit_as_published(p: Array, points: Array, gravity: float) -> Fit:
     """The paper's result as a fit: covariance as least squares on these points would have it.
 
     θ is of bias (mg), scale and non-orthogonality: S = K⁻¹, c = -o for the paper's p.

@@ -32,7 +32,7 @@ from imucalib.calibrators.actigraph.series import (
     describe_series,
     exchange_in,
     series,
-    without_found,
+    undo_found,
 )
 from imucalib.calibrators.actigraph.wear import (
     Activity,
@@ -108,7 +108,7 @@ def calibrate_recording(
     scanned = scan(blocks(path, mapping), request.window)
     runs = posture_runs(scanned, WORN)
     wear, rule = wear_of(scanned), closest_point(scanned)
-    run = run_of(runs, scanned.without_windows(), request, say)
+    run = run_of(runs, scanned.drop_windows(), request, say)
     again = blocks_again(path, mapping, f"{scanned.triad}/acceleration")
     minutes = minutes_of(again, scanned.triad, run.result.final)
     raw, corrected = (
@@ -166,7 +166,7 @@ def run_of(
     )
     parts = None
     if request.every:
-        parts = series(without_found(runs, result.final, request), scanned, request, say)
+        parts = series(undo_found(runs, result.final, request), scanned, request, say)
     details = actigraph_details(result, coverage, parts)
     return ActigraphRun(
         outcome=outcome,

@@ -180,7 +180,7 @@ def series(
     return _compare_parts(tuple(parts), good)
 
 
-def without_found(runs: PostureRuns, final: Fit, request: ActigraphRequest) -> PostureRuns:
+def undo_found(runs: PostureRuns, final: Fit, request: ActigraphRequest) -> PostureRuns:
     """The runs as they would read without the effects that the search found in the whole: these
     belong to all parts, and what is left to differ are the parameters of the base model."""
     data = final.observations

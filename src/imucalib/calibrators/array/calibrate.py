@@ -29,11 +29,11 @@ from imucalib.calibrators.array.motion.board_motion import board_motion
 from imucalib.calibrators.array.motion.closed_loop import MotionLoop, close_array_loop
 from imucalib.calibrators.array.motion.covariance import (
     Uneven,
-    fitted_on_all,
+    add_unevenness,
+    fit_all_samples,
     samples_used,
-    with_uneven,
 )
-from imucalib.calibrators.array.motion.effect_blocks import with_rests
+from imucalib.calibrators.array.motion.effect_blocks import join_rests
 from imucalib.calibrators.array.motion.linear_part import linear_part
 from imucalib.calibrators.array.motion.posterior import draw_positions
 from imucalib.calibrators.array.motion.search import frame_term, start_state
@@ -41,7 +41,7 @@ from imucalib.calibrators.array.motion.setup import array_setup, plain_setup
 from imucalib.calibrators.array.motion.state import ArrayState, shared_by_neighbours
 from imucalib.calibrators.array.motion.terms import rest_terms
 from imucalib.calibrators.array.motion.total import frame_sd, scale_by_turns, total_of
-from imucalib.calibrators.array.published import published_positions
+from imucalib.calibrators.array.published import draw_as_published
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.run import ArrayRun, Stages, finish_run
 from imucalib.errors import Undetermined, UsageError
@@ -101,7 +101,7 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
     moving = moving_part(laid.log, rests)
     say("moving samples: " + ", ".join(f"{n} {name}" for name, n in moving.counts.items()))
     try:
-        fit = _fitted(moving, rests, board, request)
+        fit = _fit(moving, rests, board, request)
     except np.linalg.LinAlgError as error:
         raise Undetermined(
             f"no motion of a rigid board fits these readings: {error}",
@@ -126,7 +126,7 @@ def _stated(
     """The positions with all of their uncertainty."""
     board, (loop, state, uneven), rng = laid.board, fit, np.random.default_rng(request.seed)
     if request.as_published:
-        drawn = published_positions(moving, board, request, rng)
+        drawn = draw_as_published(moving, board, request, rng)
         motion = drawn.covariance
     else:
         drawn = draw_positions(state, request.stop, rng)
@@ -228,7 +228,7 @@ def _refuse_restless(segments: Segments, board: Board, recording: Recording, log
     )
 
 
-def _fitted(moving: Moving, rests: RestFit, board: Board, request: ArrayRequest) -> _Fit:
+def _fit(moving: Moving, rests: RestFit, board: Board, request: ArrayRequest) -> _Fit:
     most = samples_used(moving, request.samples)
     searched = (request.loop or bool(request.declare)) and not request.as_published
     setup = array_setup(moving, board, min(most, SEARCH_SAMPLES)) if searched else None
@@ -241,8 +241,8 @@ def _fitted(moving: Moving, rests: RestFit, board: Board, request: ArrayRequest)
     if setup is None:
         # Where nothing is searched, gyros are made like their mean by plain comparison.
         plain = plain_setup(moving.levelled, board, min(most, SEARCH_SAMPLES))
-        state = fitted_on_all(start_state(plain, (*terms, frame_term())), most)
-        return _Fit(None, *with_uneven(state, shared_by_neighbours(state, gyro=False)))
+        state = fit_all_samples(start_state(plain, (*terms, frame_term())), most)
+        return _Fit(None, *add_unevenness(state, shared_by_neighbours(state, gyro=False)))
     loop = close_array_loop(
         setup,
         terms,
@@ -251,7 +251,7 @@ def _fitted(moving: Moving, rests: RestFit, board: Board, request: ArrayRequest)
         most=most,
         scope=request.scope,
     )
-    return _Fit(with_rests(loop, rests.loop), loop.final, None)
+    return _Fit(join_rests(loop, rests.loop), loop.final, None)
 
 
 def _held_against_rests(loop: MotionLoop, laid: _Laid, rests: RestFit) -> MotionLoop:

@@ -25,7 +25,7 @@ NON_LINEARITY = 0.005
 _KEPT = 2000  # draws of a chain that are kept
 
 
-def published_positions(
+def draw_as_published(
     moving: Moving, board: Board, request: ArrayRequest, rng: np.random.Generator
 ) -> PositionDraws:
     """Algorithm 1 of paper 001 on at most `SAMPLES` samples.

@@ -55,14 +55,14 @@ class SimulatedLog:
     positions: Array
 
 
-def simulated_log(board: Board, plan: LogPlan, rng: np.random.Generator) -> SimulatedLog:
+def simulate_log(board: Board, plan: LogPlan, rng: np.random.Generator) -> SimulatedLog:
     """A whole bench log of a board. Raises UsageError for an unknown planted error."""
     unknown = set(plan.planted) - {"gyro_scale", "gyro_delay", "quadratic"}
     if unknown:
         raise UsageError(f"cannot plant {', '.join(sorted(unknown))}")
     true = board.positions + rng.normal(size=(board.count, 3)) * plan.scatter
     true -= true[0]
-    t, w, delayed, force = simulated_motion(plan, rng)
+    t, w, delayed, force = simulate_motion(plan, rng)
     spin = np.gradient(w, t, axis=0)
     felt = lever_arm(w, spin, true) + force[:, None]
     channels = {}
@@ -83,7 +83,7 @@ def simulated_log(board: Board, plan: LogPlan, rng: np.random.Generator) -> Simu
     return SimulatedLog(Recording(channels, "simulated", "simulated", ""), true)
 
 
-def simulated_motion(plan: LogPlan, rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:
+def simulate_motion(plan: LogPlan, rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:
     """Times, ω (rad/s), ω as late gyros see it, and the specific force of the origin (m/s²)."""
     still = plan.poses * plan.pose_seconds
     t = np.arange(round((still + plan.seconds) * plan.rate)) / plan.rate

@@ -169,7 +169,7 @@ def _of_one(recording: Recording, segments: Segments, gravity: float) -> ImuLog:
     flat = _flat_tops(rate)
     for k in range(segments.n - 1):
         rows = slice(int(middle[k]), int(middle[k + 1]) + 1)
-        span = _without_still_ends(moving[rows])
+        span = _drop_still_ends(moving[rows])
         rows = slice(rows.start + span[0], rows.start + span[1])
         turn = Turn(k, t[rows], rate[rows], reading[rows], moving[rows])
         reason = _unusable(turn, recording, flat[rows], step)
@@ -264,7 +264,7 @@ def moving_share(away: Array, noise: Array, step: float) -> Array:
     return out
 
 
-def _without_still_ends(moving: Array) -> tuple[int, int]:
+def _drop_still_ends(moving: Array) -> tuple[int, int]:
     """Where motion begins and ends: nothing is integrated outside."""
     at = np.flatnonzero(moving > 0.0)
     return (max(int(at[0]) - 1, 0), min(int(at[-1]) + 2, len(moving))) if at.size else (0, 2)

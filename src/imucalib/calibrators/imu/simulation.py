@@ -54,9 +54,7 @@ def simulated_imu(plan: ImuPlan, rng: np.random.Generator) -> tuple[Recording, A
     gain = np.eye(3) + rng.normal(size=(3, 3)) * plan.gain
     late = np.stack([np.interp(t - plan.late, t, v) for v in rate.T], axis=1)
     own = late @ np.linalg.inv(gain).T
-    read = (
-        own + _planted_rates(plan.planted, own, up, t) + rng.normal(size=3) * plan.gyro_bias * DEG
-    )
+    read = own + _plant_rates(plan.planted, own, up, t) + rng.normal(size=3) * plan.gyro_bias * DEG
     read += rng.normal(size=read.shape) * plan.gyro_noise * DEG
     force += rng.normal(size=force.shape) * plan.noise * MG
     channels = {
@@ -84,7 +82,7 @@ def _by_hand(plan: ImuPlan, t: Array, rng: np.random.Generator) -> Array:
     return rate
 
 
-def _planted_rates(
+def _plant_rates(
     planted: Mapping[str, tuple[float, ...]], rate: Array, up: Array, t: Array
 ) -> Array:
     """(n, 3) rad/s that effects add to what a gyroscope's axes turn by."""

@@ -109,10 +109,10 @@ def _refuse_offset(table: PositionTable) -> None:
 
 def held_settings(angle: Array) -> Index:
     """Setting ids: consecutive rows with the same dial value were not re-set in between."""
-    return _counted(np.diff(angle) != 0.0)
+    return _count(np.diff(angle) != 0.0)
 
 
-def _counted(new: Flags) -> Index:
+def _count(new: Flags) -> Index:
     return np.concatenate([[0], np.cumsum(new)]).astype(np.intp)
 
 
@@ -239,7 +239,7 @@ def _setting(table: PositionTable, dial: str) -> Index:
     new = np.diff(table.columns[dial]) != 0.0
     if "session" in table:
         new |= np.diff(table.columns["session"]) != 0.0
-    return _counted(new)
+    return _count(new)
 
 
 def _covariates(table: PositionTable, reading: Array) -> dict[str, Array]:

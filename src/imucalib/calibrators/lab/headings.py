@@ -12,7 +12,7 @@ from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.question import paste
 from imucalib.readers.csv.text import is_number
-from imucalib.readers.fields.words import strip_accents, without_tex
+from imucalib.readers.fields.words import strip_accents, strip_tex
 
 
 def _words(text: str) -> tuple[str, ...]:
@@ -105,7 +105,7 @@ class Heading:
 
 def bare(text: str) -> Heading:
     """The parts of a heading such as "Inclination (deg from vertical)"."""
-    name, zero = strip_accents(without_tex(text.strip())).lower(), ""
+    name, zero = strip_accents(strip_tex(text.strip())).lower(), ""
     warm = _WARM.fullmatch(name)
     if warm:
         return Heading(warm[1], _SCALES[warm[2][0]], "")

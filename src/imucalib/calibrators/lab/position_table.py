@@ -201,7 +201,7 @@ def read_position_table(
     out = np.isin(cells.row, list(exclude)) & np.any([bad[role] for role in needed], axis=0)
     _demand_numbers(cells, names, {role: bad[role] & ~out for role in needed}, where)
     row = np.array(cells.row, np.intp)
-    notes = [*cells.notes, *_without_unreadable(cells, names, needed, bad, out)]
+    notes = [*cells.notes, *_drop_unreadable(cells, names, needed, bad, out)]
     if out.any():
         notes.append(f"excluded as asked, and not readable: row {_listed(row[out])}")
     if upright.any():
@@ -261,7 +261,7 @@ def cells_of_positions(path: Path, mapping: FieldMapping) -> Cells | None:
     return cells_of(path, mapping) if stated else None
 
 
-def _without_unreadable(
+def _drop_unreadable(
     cells: Cells,
     names: dict[str, str],
     needed: Collection[str],

@@ -159,7 +159,7 @@ def repair(
         order = every.copy()
         order[[a, b]] = b, a
         table = _reorder(table, order, "readings")
-    return _with_cells(table, fixes), tuple(empty)
+    return _add_cells(table, fixes), tuple(empty)
 
 
 def _turn_columns(table: PositionTable, rows: Index, axes: tuple[str, ...]) -> PositionTable:
@@ -193,7 +193,7 @@ def _reorder(table: PositionTable, order: Index, what: str) -> PositionTable:
     return replace(table, columns={**table.columns, **moves})
 
 
-def _with_cells(table: PositionTable, fixes: tuple[tuple[int, str, float], ...]) -> PositionTable:
+def _add_cells(table: PositionTable, fixes: tuple[tuple[int, str, float], ...]) -> PositionTable:
     """The table with single cells replaced, as the user asked; rows count from 1."""
     columns = {role: values.copy() for role, values in table.columns.items()}
     for row, role, value in fixes:

@@ -97,7 +97,7 @@ class FusedMotion:
         return np.asarray(own + (2.0 * cross + inner) / 3.0)
 
 
-def precision_of(axes: Array, weight: Array) -> Array:
+def compute_precision(axes: Array, weight: Array) -> Array:
     """(T, K, 3, 3) inverse covariances in board axes.
 
     axes : (K, 3, 3), in its rows what each axis senses of a vector in board axes
@@ -108,7 +108,7 @@ def precision_of(axes: Array, weight: Array) -> Array:
     return np.asarray(made.transpose(1, 0, 2).reshape(*weight.shape, 3))
 
 
-def fused_motion(sensed: Sensed, r: Array, start: Array) -> FusedMotion:
+def fuse_samples(sensed: Sensed, r: Array, start: Array) -> FusedMotion:
     """The best motion of every sample.
 
     r : (K, 3) m, positions about the point whose force is wanted; start : (T, 3) rad/s

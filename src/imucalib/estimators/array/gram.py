@@ -135,7 +135,7 @@ def _heavy(sampled: Sampled, rows: Index, *, gyro: bool) -> Array:
     return np.asarray((sampled.off.of(gyro=gyro)[rows] * weight).swapaxes(0, 1))
 
 
-def without_motion(sampled: Sampled, change: Readings) -> Readings:
+def project_out_motion(sampled: Sampled, change: Readings) -> Readings:
     """What remains of a change (T, K, 3) of the readings when the motion follows it, to first
     order."""
     n, k = change.rate.shape[:2]

@@ -138,7 +138,7 @@ def _power_of_each(noise: MotionNoise, square: Squares, speed: Array) -> Array:
     return np.asarray(np.mean(heavy, axis=0) / square.numbers)
 
 
-def chosen_noise(square: Squares, speed: Array, first: Flags) -> MotionNoise:
+def choose_noise(square: Squares, speed: Array, first: Flags) -> MotionNoise:
     """The simplest shape that no other beats by `HELD_OUT_NATS` on held-out halves, both ways.
 
     first : (T,) which half each sample belongs to

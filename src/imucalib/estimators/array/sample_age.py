@@ -60,12 +60,12 @@ def _wave(t: Array, off: Array, slope: Array, rows: Index) -> tuple[Array, float
     f = float(frequencies[top])
     turns = f * t + _phase(t, t[rows], series[at], f) / (2.0 * np.pi)
     # Both directions share the fundamental; the harmonics tell them apart.
-    found = [(*_settled(t, turns - 0.25 * s, s, rows, along, power), s * f) for s in (1.0, -1.0)]
+    found = [(*_settle(t, turns - 0.25 * s, s, rows, along, power), s * f) for s in (1.0, -1.0)]
     wave, _, signed = max(found, key=lambda one: one[1])
     return wave, signed
 
 
-def _settled(
+def _settle(
     t: Array, turns: Array, sign: float, rows: Index, along: Array, power: Array
 ) -> tuple[Array, float]:
     """A sawtooth with its phase where it fits best, and how much it explains. A slow one is partly

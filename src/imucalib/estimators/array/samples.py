@@ -105,8 +105,8 @@ class Sampled:
         turned = self.root[:, 6:] @ self.root[:, 6:].transpose(0, 2, 1)
         weights = self.weights
         return (
-            _kept(moved.transpose(0, 2, 1) * weights.acceleration[..., None]),
-            _kept(turned.reshape(t, 1, 9) * weights.rate[..., None]),
+            _keep(moved.transpose(0, 2, 1) * weights.acceleration[..., None]),
+            _keep(turned.reshape(t, 1, 9) * weights.rate[..., None]),
         )
 
 
@@ -120,7 +120,7 @@ class Kept:
     numbers: Array
 
 
-def _kept(lost: Array) -> Kept:
+def _keep(lost: Array) -> Kept:
     """lost : (T, K, 9) what the motion takes of a triad's covariance, over that of one axis"""
     own = np.eye(3).ravel() - lost
     whole = own[..., 0] + own[..., 4] + own[..., 8]

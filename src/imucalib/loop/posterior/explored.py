@@ -69,16 +69,16 @@ class SearchStart:
 
     def explored(self) -> SearchedPosterior:
         """The posterior, scans refined where they count."""
-        found = self._searched()
+        found = self._search()
         values = values_found(found)
         if values:
             data = self.base.observations
             components = components_of(self.base.model, data, self.wanted)
             finer = refine_scans(components, values, data, self.wanted)
-            found = replace(self, problem=problem_of(self.base, finer))._searched()
+            found = replace(self, problem=problem_of(self.base, finer))._search()
         return replace(found, posterior=keep_plausible_noises(found))
 
-    def _searched(self) -> SearchedPosterior:
+    def _search(self) -> SearchedPosterior:
         nothing = np.zeros((len(self.terms.order), 0))
         points, found = self.terms.points, np.zeros(len(self.terms.points), bool)
         for logs in (self.terms.evidence(points, nothing), self._lacking_all):

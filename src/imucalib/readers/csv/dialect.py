@@ -11,10 +11,10 @@ from itertools import accumulate
 from imucalib.errors import UnreadableInput
 from imucalib.readers.csv.text import COMMENT, cells_of, decoded, is_blank, is_number
 from imucalib.readers.devices.catalogue import rows_of_heading
-from imucalib.readers.fields.choice import Field, named_vectors
+from imucalib.readers.fields.choice import Field, find_vectors
 from imucalib.readers.fields.words import instant_rank, understand
 from imucalib.recording.mapping import FieldMapping
-from imucalib.units import without_brackets
+from imucalib.units import strip_brackets
 
 _FEWEST = 20  # rows that show with how many decimals the last number is written
 _DELIMITERS = (",", ";", "\t", "|", " ")
@@ -213,7 +213,7 @@ def _names(above: list[str], shape: Dialect) -> tuple[str, ...]:
     for first in reversed(range(len(rows))):
         names = rows[-1] if first == len(rows) - 1 else _join_rows(rows[first:])
         told = understand(names)
-        axes = [v for v in named_vectors([Field(n) for n in names], told) if len(v.parts) == 3]
+        axes = [v for v in find_vectors([Field(n) for n in names], told) if len(v.parts) == 3]
         own = len(axes), sum(any(m.quantity == q for m in told) for q in ("time", "temperature"))
         if own > score and any(map(any, names)):
             found, score = names, own
@@ -226,7 +226,7 @@ def _join_rows(rows: Sequence[tuple[str, ...]]) -> tuple[str, ...]:
     axes = any(m.is_axis for m in understand(lower)) or {"x", "y", "z"} & set(map(str.lower, lower))
     named = [axes or instant_rank(cell) >= 0 for cell in lower]
     whole = [
-        f"{u}_{low}" if own else f"{u} [{without_brackets(low)}]"
+        f"{u}_{low}" if own else f"{u} [{strip_brackets(low)}]"
         for u, low, own in zip(upper, lower, named, strict=True)
     ]
     return tuple(

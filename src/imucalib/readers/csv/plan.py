@@ -93,10 +93,10 @@ class TablePlan:
             parts = lines.data.split(b"\n", above)
             data = parts[-1] if len(parts) > above else b""
             lines = replace(lines, data=data, first_line=dialect.data_line)
-        return _chosen(lines, self.conditions, dialect)
+        return _choose(lines, self.conditions, dialect)
 
 
-def _chosen(lines: Lines, conditions: Sequence[tuple[int, Condition]], dialect: Dialect) -> Lines:
+def _choose(lines: Lines, conditions: Sequence[tuple[int, Condition]], dialect: Dialect) -> Lines:
     if not conditions:
         return lines
     kept, numbers = [], []
@@ -148,7 +148,7 @@ def make_plans(path: Path, mapping: FieldMapping) -> list[TablePlan]:
             where=where,
             remedy="read one sensor with --acc or --gyro and its own --time",
         )
-    whole = _resolved(mapping, dialect, plans, selection, device=facts.device)
+    whole = _resolve(mapping, dialect, plans, selection, device=facts.device)
     clocks = [replace(p.clock, origin=main.origin, start_ns=main.start_ns) for p in plans]
     return [replace(p, resolved=whole, clock=c) for p, c in zip(plans, clocks, strict=True)]
 
@@ -199,7 +199,7 @@ def _pieces_chosen(
     lines = pieces[0].split(b"\n")
     above = b"".join(line + b"\n" for line in lines[: dialect.data_line - 1])
     below = [b"\n".join(lines[dialect.data_line - 1 :]), *pieces[1:]]
-    kept = [_chosen(Lines(p, 1), conditions, dialect).data for p in below]
+    kept = [_choose(Lines(p, 1), conditions, dialect).data for p in below]
     if not any(kept):
         rows = dialect.rows_of(pieces)
         raise no_row_has(mapping.where, [[row[at] for row in rows] for at, _ in conditions], where)
@@ -303,7 +303,7 @@ def _signal(
     return TableSignal(vector, at, how, rate, threshold)
 
 
-def _resolved(
+def _resolve(
     mapping: FieldMapping,
     dialect: Dialect,
     plans: Sequence[TablePlan],

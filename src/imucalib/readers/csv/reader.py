@@ -55,7 +55,7 @@ class CsvReader(Joined):
             plans = make_plans(path, mapping)
             tables = [_Table(path, plan).blocks(block_samples, strict) for plan in plans]
             found = tables[0] if len(tables) == 1 else _side_by_side(tables)
-            yield from without_repeats(found) if plans[0].facts.device.sleeps else found
+            yield from drop_repeats(found) if plans[0].facts.device.sleeps else found
         except OSError as error:
             raise UnreadableInput(
                 f"the file cannot be read: {error.strerror or error}", where=str(path)
@@ -137,7 +137,7 @@ class _Table:
             name: (total - self.last[name]) / max(count - 1, 1)
             for name, (total, count) in self.sums.items()
         }
-        last, footer = _without_footer(last, means)
+        last, footer = _drop_footer(last, means)
         lost += [f"{self.bad} rows left out; {self.first_bad}"] if self.bad else []
         lost += plan.facts.contradicted(self.row, crc)
         if strict and lost:
@@ -281,7 +281,7 @@ class _Table:
         return (channels, tuple(gaps.values())) if channels else None
 
 
-def _without_footer(block: Recording, means: Mapping[str, float]) -> tuple[Recording, int]:
+def _drop_footer(block: Recording, means: Mapping[str, float]) -> tuple[Recording, int]:
     """The last block without a last row at the mean of the times before it, which is that of the
     means of the columns; and whether there was one.
 
@@ -296,7 +296,7 @@ def _without_footer(block: Recording, means: Mapping[str, float]) -> tuple[Recor
     return replace(block, channels=channels, gaps=gaps), cut
 
 
-def without_repeats(blocks: Iterator[Recording]) -> Iterator[Recording]:
+def drop_repeats(blocks: Iterator[Recording]) -> Iterator[Recording]:
     """The same blocks without accelerations that repeat the one before for over a second.
 
     The device sleeps by whole seconds, so the rest of the stretch's first second stays. The
@@ -306,11 +306,11 @@ def without_repeats(blocks: Iterator[Recording]) -> Iterator[Recording]:
     before: Recording | None = None
     for block in chain(blocks, [None]):
         if before is not None:
-            yield _filtered(before, awake, last=block is None)
+            yield _filter(before, awake, last=block is None)
         before = block
 
 
-def _filtered(block: Recording, awake: dict[str, _Awake], *, last: bool) -> Recording:
+def _filter(block: Recording, awake: dict[str, _Awake], *, last: bool) -> Recording:
     channels, gaps, notes = dict(block.channels), list(block.gaps), list(block.notes)
     for name, channel in block.channels.items():
         if channel.quantity == "acceleration":

@@ -68,7 +68,7 @@ def parse(lines: Lines, layout: TableLayout, where: str) -> ParsedRows:
         text = text.translate(_COMMA_TO_POINT)
     rows = _plain(text, layout) if plain else None
     if rows is None and plain and dialect.delimiter != " ":
-        rows = _plain(_filled(text, dialect.delimiter.encode()), layout)
+        rows = _plain(_fill(text, dialect.delimiter.encode()), layout)
     if rows is None:
         rows = _by_lines(lines, layout, where)
     elif lines.numbers:
@@ -77,7 +77,7 @@ def parse(lines: Lines, layout: TableLayout, where: str) -> ParsedRows:
     return rows if finite.all() else replace(rows, values=np.where(finite, rows.values, np.nan))
 
 
-def _filled(text: bytes, mark: bytes) -> bytes:
+def _fill(text: bytes, mark: bytes) -> bytes:
     """The text with nan in its empty cells."""
     text = b"\n" + text
     for _ in range(2):
@@ -108,7 +108,7 @@ def _plain(text: bytes, layout: TableLayout) -> ParsedRows | None:
         return None
     stamps = table["t"]
     if stamps.shape[1] > 1:
-        stamps = _joined(stamps)
+        stamps = _join(stamps)
     return ParsedRows(np.ascontiguousarray(stamps.reshape(-1)), np.ascontiguousarray(table["v"]))
 
 
@@ -116,7 +116,7 @@ def _type_of(layout: TableLayout) -> str:
     return {"int": "i8", "float": "f8", "text": f"S{layout.text_width}", "": "i8"}[layout.kind]
 
 
-def _joined(texts: NDArray[np.bytes_]) -> NDArray[np.bytes_]:
+def _join(texts: NDArray[np.bytes_]) -> NDArray[np.bytes_]:
     """Stamps whose parts (n, k) are in several columns; blank where a part is."""
     whole = texts[:, 0]
     for part in texts.T[1:]:

@@ -235,9 +235,9 @@ def select(
     if len(time) > 1:
         names = ", ".join(dialect.names[k] if dialect.names else str(k + 1) for k in time)
         notes.append(f"time: columns {names} taken together")
-    every = [v if v.quantity == "temperature" else _with_unit(v, facts) for v in every]
+    every = [v if v.quantity == "temperature" else _add_unit(v, facts) for v in every]
     if len(time) == 1 and not mapping.time:
-        every = table.with_clocks(every)
+        every = table.add_clocks(every)
     return Selection(tuple(every), time, time_unit, tuple(notes), order)
 
 
@@ -291,11 +291,11 @@ class _Table:
             key=lambda v: list(OPTIONS).index(v.quantity),
         )
         usual = self.facts.device.fields
-        known = () if self.columns or "temperature" in stated else self._numbered(usual.temperature)
+        known = () if self.columns or "temperature" in stated else self._number(usual.temperature)
         warm = [Vector("temperature", "imu0", known, usual.temperature_unit)] if known else []
         return [*found, *warm]
 
-    def _numbered(self, addresses: Sequence[str]) -> tuple[int, ...]:
+    def _number(self, addresses: Sequence[str]) -> tuple[int, ...]:
         """Indices from 0 of a device's columns; none unless all are numbers that the table has."""
         width = self.dialect.width
         indices = tuple(int(a) - 1 for a in addresses if a.isdecimal() and int(a) <= width)
@@ -327,7 +327,7 @@ class _Table:
             return (dates[0], at), "", ""
         return (at,), best.unit, ""
 
-    def with_clocks(self, vectors: list[Vector]) -> list[Vector]:
+    def add_clocks(self, vectors: list[Vector]) -> list[Vector]:
         """The vectors with the column of stamps of each, where they do not share one: that which
         is named after its quantity, else the nearest to the left where some of one name stand
         between vectors (to the right, where the first one has none to its left)."""
@@ -350,7 +350,7 @@ class _Table:
     def time_without_names(self, vectors: Sequence[Vector]) -> tuple[int, ...]:
         """The time column of a table without names whose other columns the user has named."""
         used = {c for v in vectors for c in v.parts}
-        known = self._numbered((self.facts.device.fields.time,))
+        known = self._number((self.facts.device.fields.time,))
         if known and known[0] not in used:
             return known
         if 0 not in used and (self.dialect.width == 1 + len(used) or not self.dialect.numeric[0]):
@@ -364,8 +364,8 @@ class _Table:
         dialect, fields = self.dialect, self.facts.device.fields
         if any(c.quantity for c in understand(dialect.names)):
             return [], ()
-        if known := self._numbered(fields.acc):
-            time = self._numbered((fields.time,))
+        if known := self._number(fields.acc):
+            time = self._number((fields.time,))
             if not time and not dialect.numeric[known[0]]:  # some exports put a stamp in front
                 known, time = tuple(k + 1 for k in known), (known[0],)
             if known[-1] < dialect.width:
@@ -400,7 +400,7 @@ def _nearest(times: Sequence[int], column: int, right: bool) -> int:
     return (min if right else max)(side, default=-1)
 
 
-def _with_unit(vector: Vector, facts: HeaderFacts) -> Vector:
+def _add_unit(vector: Vector, facts: HeaderFacts) -> Vector:
     """The vector with the unit that the lines above the table state; with both, where its heading
     states another: no unit that is known, which is refused. Where neither does, its device's."""
     above = facts.units.get(vector.quantity)

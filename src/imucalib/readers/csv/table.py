@@ -29,7 +29,7 @@ from imucalib.readers.csv.text import (
 )
 from imucalib.readers.fields.source import head_of, small_directory
 from imucalib.recording.mapping import FieldMapping
-from imucalib.units import ACCELERATION_UNITS, ANGLE_UNITS, RATE_UNITS, canonical, without_brackets
+from imucalib.units import ACCELERATION_UNITS, ANGLE_UNITS, RATE_UNITS, canonical, strip_brackets
 
 _BINARY = re.compile(rb"[\0\xfe\xff]")  # in no text of UTF-8, and in no table of Windows-1252
 _FEWEST = 3  # cells of a heading
@@ -133,7 +133,7 @@ def _columns_of(
     heading, *rows = rows
     if rows and len(rows[0]) == len(heading) and _are_units(rows[0]):
         units = rows.pop(0)
-        heading = [_with_unit(n, u) for n, u in zip(heading, units, strict=True)]
+        heading = [_add_unit(n, u) for n, u in zip(heading, units, strict=True)]
     comma = decimal == ","
     if all(is_number(cell) or (comma and is_number(cell, ",")) for cell in heading if cell):
         raise UnreadableInput(
@@ -149,7 +149,7 @@ def _columns_of(
             remedy="rename one of them, or take it out",
         )
     thousands = _thousands([cell for row in rows for cell in row], decimal, stated)
-    rows, lost = _without_footer(
+    rows, lost = _drop_footer(
         [[_plain_number(cell, comma, thousands) for cell in row] for row in rows]
     )
     notes = [f"below the table, left out: {' | '.join(filter(None, row))}" for row in lost]
@@ -181,7 +181,7 @@ def and_more(places: Sequence[str]) -> str:
     return f"; {len(places) + 1} in all: also {shown}"
 
 
-def _without_footer(rows: list[list[str]]) -> tuple[list[list[str]], list[list[str]]]:
+def _drop_footer(rows: list[list[str]]) -> tuple[list[list[str]], list[list[str]]]:
     """The rows with something in them, and those below the last empty one that lack a number where
     every row above has one (means, remarks)."""
     last = max((k for k, row in enumerate(rows) if any(row)), default=-1)
@@ -282,15 +282,15 @@ def _cells(line: str, delimiter: str) -> list[str]:
 
 def _are_units(row: list[str]) -> bool:
     """Whether every cell is a unit, or nothing."""
-    texts = [without_brackets(cell) for cell in row if cell]
+    texts = [strip_brackets(cell) for cell in row if cell]
     return bool(texts) and all(
         canonical(text) in _UNITS or text.lower() in _OTHER_UNITS for text in texts
     )
 
 
-def _with_unit(name: str, cell: str) -> str:
+def _add_unit(name: str, cell: str) -> str:
     """The heading with the unit below it, unless it states one."""
-    unit = without_brackets(cell).replace("°", "deg")
+    unit = strip_brackets(cell).replace("°", "deg")
     return name if not unit or name.endswith((")", "]")) else f"{name} [{unit}]"
 
 

@@ -68,7 +68,7 @@ def _clean(data: bytes) -> bytes:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[tuple[Callable[[int], bytes], BinaryIO | None]]:
+def _open(path: Path) -> Iterator[tuple[Callable[[int], bytes], BinaryIO | None]]:
     """What reads bytes of the text, and the file itself where it can be sought in cheaply."""
     with path.open("rb") as raw:
         packed = raw.peek(2).startswith(_GZIP)
@@ -91,7 +91,7 @@ def whole_text(path: Path, most: int = 0) -> bytes:
     """All of a small text file, unpacked and as UTF-8, its line ends as line feeds; most : of a
     large one, lines after which it may end, at the end of one."""
     held = list[bytes]()
-    with _opened(path) as (read, _):
+    with _open(path) as (read, _):
         for piece, _ in _chunks(read, path, _LONGEST_LINE, strict=True):
             held.append(piece)
             if most and sum(part.count(b"\n") for part in held) > most:
@@ -107,7 +107,7 @@ def looks(path: Path) -> list[bytes]:
     is read through once, keeping every k-th piece, with k doubled whenever there are too many.
     """
     pieces: list[bytes] = []
-    with _opened(path) as (read, file):
+    with _open(path) as (read, file):
         size = path.stat().st_size
         if file is None:
             stride = 1
@@ -165,7 +165,7 @@ def line_blocks(path: Path, size: int, *, strict: bool) -> Iterator[Lines]:
     breaks off raises UnreadableInput.
     """
     rest, line, end, zeros = b"", 1, b"", 0
-    with _opened(path) as (read, _):
+    with _open(path) as (read, _):
         for piece, note in _chunks(read, path, size, strict=strict):
             end = end or (b"\r" if b"\n" not in piece and b"\r" in piece[:-1] else b"\n")
             text = rest + piece

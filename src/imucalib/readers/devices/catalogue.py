@@ -98,7 +98,7 @@ def with_preset(mapping: FieldMapping) -> FieldMapping:
             where="mapping: preset",
             remedy=f"use one of: {', '.join(devices())}",
         )
-    return mapping.filled_from(replace(device.fields, preset=device.name))
+    return mapping.fill_from(replace(device.fields, preset=device.name))
 
 
 def refuse_foreign(path: Path, head: bytes) -> None:

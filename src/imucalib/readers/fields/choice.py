@@ -64,7 +64,7 @@ def vector_of(quantity: str, triad: str, parts: Sequence[int], told: Sequence[Me
     return Vector(quantity, triad, tuple(parts), unit)
 
 
-def named_vectors(fields: Sequence[Field], told: Sequence[Meaning]) -> list[Vector]:
+def find_vectors(fields: Sequence[Field], told: Sequence[Meaning]) -> list[Vector]:
     """The vectors and temperatures that names tell, one of each quantity of a sensor: that which is
     not called linear (gravity may lack), then the one that lies in the fewest groups.
 
@@ -88,7 +88,7 @@ def named_vectors(fields: Sequence[Field], told: Sequence[Meaning]) -> list[Vect
         if len(three) == 3 and len({fields[k].rows for k in three.values()}) == 1:
             parts = [three[axis] for axis in range(3)]
             found.append((linear, depth, vector_of(quantity, triad, parts, told)))
-    return _paired(_firsts([one for *_, one in sorted(found, key=lambda each: each[:2])]))
+    return _pair(_firsts([one for *_, one in sorted(found, key=lambda each: each[:2])]))
 
 
 def choose(
@@ -112,7 +112,7 @@ def choose(
             own.append(replace(vector_of(quantity, triad, parts, told), numbered=numbered))
     triads = dict.fromkeys(v.triad for v in own if v.quantity in INERTIAL)
     sensors = [(told[v.parts[0]].triad or "imu0", v.triad) for v in own] if told else []
-    for one in named_vectors(fields, told):
+    for one in find_vectors(fields, told):
         same = [triad for sensor, triad in sensors if sensor == one.triad and triad in triads]
         if one.quantity not in stated:
             others = tuple(triads)[: len(triads) == 1] if triads else (one.triad,)
@@ -153,7 +153,7 @@ def _firsts(vectors: Sequence[Vector]) -> list[Vector]:
     return [v for v in vectors if first[v.name] is v]
 
 
-def _paired(vectors: list[Vector]) -> list[Vector]:
+def _pair(vectors: list[Vector]) -> list[Vector]:
     """A gyroscope whose name begins that of one accelerometer only ("s1", "s1_ln") is with it."""
     acc = [v.triad for v in vectors if v.quantity == "acceleration"]
     out = []

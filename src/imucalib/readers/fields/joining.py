@@ -94,7 +94,7 @@ def together(recordings: Sequence[Recording]) -> Recording:
             remedy="join files whose stamps count from one zero",
         )
     start = min((one.start_ns for one in recordings if one.start_ns is not None), default=None)
-    moved = [_shifted(one, (one.start_ns or 0) - (start or 0)) for one in recordings]
+    moved = [_shift(one, (one.start_ns or 0) - (start or 0)) for one in recordings]
     spans = [_span(one) for one in moved]
     for one, (low, high) in zip(moved[1:], spans[1:], strict=True):
         if low > spans[0][1] or high < spans[0][0]:
@@ -120,7 +120,7 @@ def together(recordings: Sequence[Recording]) -> Recording:
     )
 
 
-def _shifted(recording: Recording, ns: int) -> Recording:
+def _shift(recording: Recording, ns: int) -> Recording:
     if not ns:
         return recording
     shift = ns * 1e-9
@@ -295,7 +295,7 @@ class _Order:
             yield f"{name}: {self.count} steps back in time, by up to {self.most:.3g} s"
 
 
-def with_order_told(blocks: Iterator[Recording]) -> Iterator[Recording]:
+def tell_order(blocks: Iterator[Recording]) -> Iterator[Recording]:
     """The same blocks; the last one's notes count the steps back in time that are left."""
     order: dict[str, _Order] = {}
 
@@ -311,7 +311,7 @@ def with_order_told(blocks: Iterator[Recording]) -> Iterator[Recording]:
     return amend_last(map(look, blocks), lambda last: add_notes(last, notes()))
 
 
-def with_plausible_clocks(blocks: Iterator[Recording]) -> Iterator[Recording]:
+def check_clocks(blocks: Iterator[Recording]) -> Iterator[Recording]:
     """The same blocks; raises UnreadableInput for an inertial channel whose rate no such sensor
     has, and for one whose samples all have one time."""
     spans: dict[str, tuple[float, float, int, str]] = {}

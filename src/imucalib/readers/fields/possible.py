@@ -19,7 +19,7 @@ _MOST = 1000.0 * STANDARD_GRAVITY
 _FEW = 0.5  # share of a block: more is no sample that went wrong, but a wrong unit
 
 
-def without_the_impossible(blocks: Iterable[Recording]) -> Iterator[Recording]:
+def drop_impossible(blocks: Iterable[Recording]) -> Iterator[Recording]:
     """The same blocks without such samples of accelerometers and gyroscopes; the last one's notes
     and counts say how many there were."""
     found: dict[str, _Impossible] = {}

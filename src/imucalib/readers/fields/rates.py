@@ -33,7 +33,7 @@ _REFUTED = 10.0 * units.DEG
 _TURNS, _SAMPLES = 12, 1 << 20  # that are looked at, of each sensor
 
 
-def with_checked_rates(
+def check_rates(
     blocks: Iterable[Recording], mapping: FieldMapping, *, fixed: bool
 ) -> Iterator[Recording]:
     """The same blocks, their angular rates looked at; in SI where no unit is stated and turns prove

@@ -37,7 +37,7 @@ _VALUES = 1000  # numbers of a gyroscope that are counted
 _ZONE, _ZONE_SHARE = 3, 0.2  # runs of one number, and of all of them, that make a dead zone
 
 
-def with_held(blocks: Iterable[Recording]) -> Iterator[Recording]:
+def mark_held(blocks: Iterable[Recording]) -> Iterator[Recording]:
     """The same blocks with `Recording.held` filled; the last one's notes say how many samples these
     are where there are any. Of a corrected sensor nothing is told: its axes are mixed, and no step
     of a converter is left to judge by."""
@@ -114,7 +114,7 @@ class _Repeats:
             same[1:] &= values[1:, axis] == values[:-1, axis]
         self.count += t.size
         self.repeats += int(np.count_nonzero(same))
-        found = self._found(same, channel, force) if self.chance and same.any() else []
+        found = self._find(same, channel, force) if self.chance and same.any() else []
         if not same[-1]:
             self._running = None
         self._last = float(t[-1]), values[-1].copy()
@@ -168,7 +168,7 @@ class _Repeats:
             return 0.0
         return sum(log(_stays(float(n / s))) for n, s in zip(level, step, strict=True))
 
-    def _found(
+    def _find(
         self, same: Flags, channel: Channel, force: Sequence[HeldSamples]
     ) -> list[HeldSamples]:
         t, values = channel.t, channel.values

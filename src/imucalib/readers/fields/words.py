@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
-from imucalib.units import ACCELERATION_UNITS, RATE_UNITS, canonical, without_brackets
+from imucalib.units import ACCELERATION_UNITS, RATE_UNITS, canonical, strip_brackets
 
 T = TypeVar("T")
 
@@ -245,7 +245,7 @@ def strip_accents(text: str) -> str:
     return "".join(c for c in parts if unicodedata.category(c) != "Mn")
 
 
-def without_tex(text: str) -> str:
+def strip_tex(text: str) -> str:
     """A heading without the marks of TeX that a copy of a paper's has: "$\\hat{a}_x$" is "a_x"."""
     return _TEX.sub("", text).strip() if "$" in text or "\\" in text else text
 
@@ -351,11 +351,11 @@ def _sensor_of(parts: Sequence[str]) -> str:
 
 
 def _of_part(index: int, text: str) -> Meaning:
-    name, unit = without_tex(text.strip().lstrip("#%").strip()), ""
+    name, unit = strip_tex(text.strip().lstrip("#%").strip()), ""
     found = _BRACKETED.search(name)
     slashed = None if found else _SLASHED.search(name)
     if found:
-        name, unit = name[: found.start()].strip(), without_brackets(found.group(1))
+        name, unit = name[: found.start()].strip(), strip_brackets(found.group(1))
     elif slashed and canonical(slashed[1]) in {**ACCELERATION_UNITS, **RATE_UNITS}:
         name, unit = name[: slashed.start()], slashed[1]
     words = _words(name)

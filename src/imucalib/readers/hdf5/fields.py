@@ -201,7 +201,7 @@ class FieldChannel:
         return f"{whole}[{first.triad}]" if first.triad >= 0 else whole
 
 
-def found_in(vector: Vector, parts: Sequence[FieldPlace], rows: int) -> FieldChannel:
+def find_channel(vector: Vector, parts: Sequence[FieldPlace], rows: int) -> FieldChannel:
     """The channel that lies at some places, with their unit."""
     units = [part.unit for part in parts]
     if len(parts) == 1 and "," in units[0]:  # one an axis, in the order of the file
@@ -227,7 +227,7 @@ def _node_at(nodes: dict[str, Any], address: str, option: str) -> Any:
     return nodes[path]
 
 
-def _with_device(field: FieldChannel, file: Any) -> FieldChannel:
+def _add_device(field: FieldChannel, file: Any) -> FieldChannel:
     """APDM Opal files state no units: they are m/s², rad/s and µs; sensors have a label."""
     parts = words_of(field.parts[0].path)
     if len(parts) < 3 or parts[0] != "Sensors" or "Configuration" not in file["Sensors"][parts[1]]:
@@ -241,7 +241,7 @@ def _with_device(field: FieldChannel, file: Any) -> FieldChannel:
     return replace(field, unit=unit, triad=name, time_unit="us", preset="apdm")
 
 
-def _with_clock(
+def _add_clock(
     field: FieldChannel, nodes: dict[str, Any], file: Any, mapping: FieldMapping
 ) -> FieldChannel:
     """The field with the nearest time dataset of its length, else with a stated rate."""
@@ -369,9 +369,9 @@ def fields_of(file: Any, held: Iterable[Any], mapping: FieldMapping) -> list[Fie
             for n, c, number in [each[k]]
         ]
         one = replace(
-            found_in(vector, places, fields[vector.parts[0]].rows), numbered=vector.numbered
+            find_channel(vector, places, fields[vector.parts[0]].rows), numbered=vector.numbered
         )
-        found.append(_with_clock(_with_device(one, file), nodes, file, mapping))
+        found.append(_add_clock(_add_device(one, file), nodes, file, mapping))
     return found
 
 

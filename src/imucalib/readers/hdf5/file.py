@@ -243,16 +243,16 @@ class File:
             node = self.nodes[place.path] = self.handle[place.path]
         held = _mask_of(self._known(node, 1 if place.transposed else 0), start, stop)
         try:
-            return self._filled(node, place, _slice(node, place, start, stop), held)
+            return self._fill(node, place, _slice(node, place, start, stop), held)
         except (OSError, RuntimeError) as error:
             if self.strict:
                 raise UnreadableInput(
                     f"{place.path}, rows {start} to {stop}: {error}", where=self.where
                 ) from error
         values, whole = self._by_chunks(node, place, start, stop)
-        return self._filled(node, place, values, whole if held is None else whole & held)
+        return self._fill(node, place, values, whole if held is None else whole & held)
 
-    def _filled(
+    def _fill(
         self, node: Any, place: FieldPlace, values: NDArray[np.generic], held: Flags | None
     ) -> tuple[NDArray[np.generic], Flags | None]:
         """The values, and which rows of them hold none of the values that stand for nothing."""

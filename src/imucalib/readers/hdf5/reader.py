@@ -167,7 +167,7 @@ def _signals_of(
             own = date_of(zero, clock.time_unit, clock.epoch) or 0
             start_ns = start_ns if dated else own
             shift = (own - (start_ns or 0)) * 1e-9
-        return _measured(FieldSignal(file, clock, zero, shift, clock.rate or 1.0), mapping)
+        return _measure(FieldSignal(file, clock, zero, shift, clock.rate or 1.0), mapping)
 
     signals = list(conversion.readable(found, signal, notes))
     notes += [s.conversion.note for s in signals if s.conversion.note]
@@ -198,7 +198,7 @@ def _clock(file: File, found: FieldChannel) -> tuple[FieldChannel, float | int |
     return replace(found, time_unit=stamps.unit, epoch=stamps.epoch), stamps.first, stamps.note
 
 
-def _measured(signal: FieldSignal, mapping: FieldMapping) -> FieldSignal:
+def _measure(signal: FieldSignal, mapping: FieldMapping) -> FieldSignal:
     """The signal with its rate, gap threshold and unit, from looks all over the field."""
     found, file = signal.found, signal.file
     stated = {"acceleration": mapping.acc_unit, "angular_rate": mapping.gyro_unit}
@@ -224,7 +224,7 @@ def _measured(signal: FieldSignal, mapping: FieldMapping) -> FieldSignal:
     return replace(signal, conversion=how, rate=rate, threshold=steps.threshold)
 
 
-def _resolved(mapping: FieldMapping, signals: Sequence[FieldSignal]) -> FieldMapping:
+def _resolve(mapping: FieldMapping, signals: Sequence[FieldSignal]) -> FieldMapping:
     """What was read, as far as one mapping can say it (a dataset of K triads is named once)."""
     if any(len(s.found.parts) > 1 or s.found.parts[0].column for s in signals):
         return mapping
@@ -292,7 +292,7 @@ def _blocks_of(
         "hdf5",
         sha256_of(path),
         start_ns,
-        mapping=_resolved(mapping, signals).to_dict(),
+        mapping=_resolve(mapping, signals).to_dict(),
         corrections=marks,
         device=text_of(file.handle.attrs.get("device", "")),
         serial=text_of(file.handle.attrs.get("serial", "")),

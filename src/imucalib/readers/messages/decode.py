@@ -27,7 +27,7 @@ from imucalib.readers.messages.records import MessageBlock, RecordRows, Topic
 
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _MOST_INFLATED = 1 << 26  # bytes of one message: no sensor reading is larger
-_MOST_LAYOUTS = 16  # that are remembered for each definition
+_MOST_LAYOUTS = 16  # that are find_memory for each definition
 
 
 class Decoded(NamedTuple):

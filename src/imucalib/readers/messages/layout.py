@@ -283,7 +283,7 @@ class MessageLayout:
         names: list[list[str]] = []
         for group in groups:
             names.append([])
-            for offset, kind, count in self._merged(group):
+            for offset, kind, count in self._merge(group):
                 names[-1].append(f"f{len(spec)}")
                 spec.append((names[-1][-1], (self.order + kind, (count,)), offset))
         spec += [(f"guard{at}", self.order + "u4", at) for at, _ in self.guards]
@@ -291,7 +291,7 @@ class MessageLayout:
             spec.append(("head", f"V{len(self.head)}", 0))
         return record_type(spec, self.end), names
 
-    def _merged(self, group: FieldGroup) -> list[tuple[int, str, int]]:
+    def _merge(self, group: FieldGroup) -> list[tuple[int, str, int]]:
         merged: list[tuple[int, str, int]] = []
         for path in group.paths:
             if path not in self.fields:

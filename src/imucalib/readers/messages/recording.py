@@ -237,7 +237,7 @@ def _decide(stream: TopicStream) -> MessagePlan:
         sha256=log.sha256(),
         start_ns=start if dated else None,
         notes=(*notes, *stream.losses(), *map(str, marks), *stream.unread()),
-        mapping=_resolved(mapping, triads, sources, parts).to_dict(),
+        mapping=_resolve(mapping, triads, sources, parts).to_dict(),
         corrections=marks,
         counts=tuple(c for c in stream.tallies() if c.source.removeprefix("messages of ") in used),
     )
@@ -359,7 +359,7 @@ def _origin(sources: list[TopicSource], clocks: list[TopicClock]) -> tuple[int, 
     return min(clock.first for clock in clocks), all(clock.dated for clock in clocks)
 
 
-def _resolved(
+def _resolve(
     mapping: FieldMapping,
     triads: list[TopicTriad],
     sources: Mapping[str, TopicSource],

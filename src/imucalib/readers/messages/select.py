@@ -16,7 +16,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.errors import UsageError
-from imucalib.readers.fields.choice import OPTIONS, Field, Vector, join_units, named_vectors
+from imucalib.readers.fields.choice import OPTIONS, Field, Vector, find_vectors, join_units
 from imucalib.readers.fields.contents import Content, norm_of
 from imucalib.readers.fields.words import INERTIAL, bare_quantity, instant_rank, understand
 from imucalib.readers.messages.decode import Decoder, Look, decoder_for
@@ -128,7 +128,7 @@ def _named(leaves: Leaves, topic: Topic) -> list[tuple[Vector, str, FieldGroup]]
     paths = list(leaves)
     fields = [Field(tuple(path.split(".")), count) for path, count in leaves.items()]
     found = []
-    for one in named_vectors(
+    for one in find_vectors(
         fields, understand([f.name for f in fields], bare_quantity(topic.name))
     ):
         three = [paths[k] for k in one.parts]
@@ -177,11 +177,11 @@ def source_of(topic: Topic, look: Look, mapping: FieldMapping) -> TopicSource | 
     own = topic.metadata.get(META_QUANTITIES)
     fields = stated
     if own is not None and not stated:
-        every = [*_found(topic, leaves), *_own_temperature(leaves)]
+        every = [*_find(topic, leaves), *_own_temperature(leaves)]
         fields = [replace(f, found=False) for f in every if OPTIONS[f.quantity] in own.split()]
     elif len(stated) <= 1:
         named = [q for q, option in OPTIONS.items() if getattr(mapping, option)]
-        fields = stated + [f for f in _found(topic, leaves) if f.quantity not in named]
+        fields = stated + [f for f in _find(topic, leaves) if f.quantity not in named]
         told = bare_quantity(topic.name) == "angular_rate"
         if not (stated or told or any(f.quantity == "acceleration" for f in fields)):
             return None  # a rate alone is also in odometry and in many a controller's messages
@@ -225,7 +225,7 @@ def _stated(topic: Topic, leaves: Leaves, mapping: FieldMapping, quantity: str) 
     return fields
 
 
-def _found(topic: Topic, leaves: Leaves) -> list[TopicField]:
+def _find(topic: Topic, leaves: Leaves) -> list[TopicField]:
     """The vectors that their names tell, a field for each sensor and quantity."""
     fields = [
         TopicField(q := one.quantity, address, group, _unit_of(topic, q, one.unit), True, one.triad)
@@ -291,7 +291,7 @@ def triads_of(mapping: FieldMapping, sources: Mapping[str, TopicSource]) -> list
     A vector that is always zero is a part of a split topic, or was never filled: it is left out
     unless the user named it.
     """
-    parts = (_stated_parts if is_stated(mapping) else _found_parts)(mapping, sources)
+    parts = (_stated_parts if is_stated(mapping) else _find_parts)(mapping, sources)
     owns = [{sources[topic].triad for topic, _ in part.values()} for part in parts]
     own = tuple(name for names in owns if len(names) == 1 for name in names if name)
     numbered = False
@@ -349,7 +349,7 @@ def _stated_parts(mapping: FieldMapping, sources: Mapping[str, TopicSource]) -> 
     return parts
 
 
-def _found_parts(mapping: FieldMapping, sources: Mapping[str, TopicSource]) -> list[_Parts]:
+def _find_parts(mapping: FieldMapping, sources: Mapping[str, TopicSource]) -> list[_Parts]:
     parts: list[_Parts] = []
     halves: dict[str, list[_Parts]] = {}
     for name in sorted(sources, key=natural):
@@ -438,7 +438,7 @@ def _vectors_of(leaves: Leaves) -> dict[str, FieldGroup]:
     return {a: found for found, a in reversed(named.items())}
 
 
-def left_in(
+def list_left(
     decoder: Decoder, look: Look, payload: bytes, source: TopicSource | None
 ) -> list[Content]:
     """What a message of a topic holds beside what is read: its vectors with their norm, and other

@@ -19,7 +19,7 @@ from imucalib.readers.messages.select import (
     addresses,
     is_imu,
     is_stated,
-    left_in,
+    list_left,
     natural,
     source_of,
     split_address,
@@ -123,7 +123,7 @@ class TopicStream:
         for block in self.log.blocks():
             if len(self.log.damages) != damages:
                 damages = len(self.log.damages)
-                yield from self._divided_all()
+                yield from self._divide_all()
                 for source in self.sources.values():
                     source.marks.append(source.rows)
             channels = block.header("channel")
@@ -136,8 +136,8 @@ class TopicStream:
                 elif wanted.any():
                     self._decode(lane, block.take(wanted), channels[wanted])
                 if lane.rows >= self._gather:
-                    yield from self._divided(lane)
-        yield from self._divided_all()
+                    yield from self._divide(lane)
+        yield from self._divide_all()
 
     def losses(self) -> list[str]:
         """Notes on what was damaged or could not be decoded."""
@@ -206,7 +206,7 @@ class TopicStream:
             decoder = self._decoder(topic)
             look = decoder.look(payload)
             found = source_of(topic, look, self.mapping)
-            self._left[number] = [] if imu else left_in(decoder, look, payload, found)
+            self._left[number] = [] if imu else list_left(decoder, look, payload, found)
             if found is None:
                 return _SKIPPED
             source = self.sources.setdefault(topic.name, found)
@@ -270,7 +270,7 @@ class TopicStream:
             instants = instants[good] if instants is not None else None
         # Copies, so that the block's bytes are free.
         columns = [c.astype(np.float64) for c in columns]
-        stamps = None if instants is None else _joined(instants)
+        stamps = None if instants is None else _join(instants)
         lane.waiting.append(_Rows(channels, stamps, log, columns))
         lane.rows += channels.size
 
@@ -281,11 +281,11 @@ class TopicStream:
             source.problem = problem
             self._fail(f"topic {source.name}: {problem}")
 
-    def _divided_all(self) -> Iterator[TopicSamples]:
+    def _divide_all(self) -> Iterator[TopicSamples]:
         for lane in self._lanes:
-            yield from self._divided(lane)
+            yield from self._divide(lane)
 
-    def _divided(self, lane: _Lane) -> Iterator[TopicSamples]:
+    def _divide(self, lane: _Lane) -> Iterator[TopicSamples]:
         """What waits in a lane, topic by topic."""
         waiting, lane.waiting, lane.rows = lane.waiting, [], 0
         if not waiting:
@@ -320,7 +320,7 @@ def _order_of(stamps: Stamps, log: NDArray[np.int64]) -> NDArray[np.intp] | None
     return order if (steps >= 0).all() and alike[0] > alike[1] else None
 
 
-def _joined(instants: NDArray[Any]) -> Stamps:
+def _join(instants: NDArray[Any]) -> Stamps:
     """(n,) stamps: seconds and nanoseconds as int64 ns, a single number as it is."""
     if instants.shape[1] == 2:
         pair = instants.astype(np.int64)

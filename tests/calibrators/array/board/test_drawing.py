@@ -20,7 +20,7 @@ from imucalib.calibrators.array.board.drawing import (
 from imucalib.calibrators.array.board.log import array_log, of_board
 from imucalib.calibrators.array.calibrate import calibrate_array
 from imucalib.calibrators.array.request import ArrayRequest
-from imucalib.calibrators.array.simulation import LogPlan, simulated_log
+from imucalib.calibrators.array.simulation import LogPlan, simulate_log
 from imucalib.core.set_up import SIGNED, axes_in_words
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.segments import still_segments
@@ -52,7 +52,7 @@ QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 @pytest.fixture(scope="module")
 def recording() -> Recording:
-    return simulated_log(BOARD, CHECK_PLAN, np.random.default_rng(1)).recording
+    return simulate_log(BOARD, CHECK_PLAN, np.random.default_rng(1)).recording
 
 
 def check_seen(recording: Recording, board: Board) -> Drawn:
@@ -148,7 +148,7 @@ def test_all_sensors_of_a_kind_that_are_wired_alike_are_told(
 @pytest.mark.parametrize("seed", range(6))
 def test_a_board_within_its_tolerance_is_let_be(seed: int) -> None:
     plan = replace(CHECK_PLAN, scatter=1e-3, gain=0.02, gyro_gain=0.03, twist=250.0 + 100.0 * seed)
-    log = simulated_log(BOARD, plan, np.random.default_rng(seed))
+    log = simulate_log(BOARD, plan, np.random.default_rng(seed))
     assert check_seen(log.recording, BOARD).faults == ()
 
 

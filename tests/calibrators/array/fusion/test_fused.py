@@ -24,7 +24,7 @@ from imucalib.calibrators.array.fusion.instrument import (
     beyond_linear,
     instrument_of,
 )
-from imucalib.calibrators.array.fusion.recording import fused_stretch
+from imucalib.calibrators.array.fusion.recording import fuse_stretch
 from imucalib.calibrators.array.fusion.survey import NotFusable, Survey, side_by_side, survey
 from imucalib.calibrators.array.motion.board_motion import board_motion
 from imucalib.errors import UsageError
@@ -75,7 +75,7 @@ def fused_by(
 ) -> World:
     log = recording(made, motion.t, *read)
     found = survey([log], instrument_of(file or calibration(made)))
-    return World(made, motion, read, found, fused_stretch(found, Stretch(motion.t, *read)))
+    return World(made, motion, read, found, fuse_stretch(found, Stretch(motion.t, *read)))
 
 
 def rms(values: Array) -> float:
@@ -140,7 +140,7 @@ def test_a_frozen_chip_is_as_good_as_one_that_is_not_there() -> None:
         )
         assert np.isnan(stretch.rate[1901:, 3]).all()
         assert np.isfinite(stretch.rate[:1900]).all()
-        errors.append(fused_stretch(found, stretch).motion.rate - motion.rate)
+        errors.append(fuse_stretch(found, stretch).motion.rate - motion.rate)
     frozen, absent = (rms(e[rows]) for e in errors)
     assert frozen < 1.2 * absent
 
@@ -185,7 +185,7 @@ def test_a_log_in_uneven_blocks_is_the_same(plain: World) -> None:
     assert np.concatenate([p.t for p in parts]) == pytest.approx(plain.moves.t)
     assert np.array_equal(np.concatenate([p.rate for p in parts]), plain.readings[1])
     first = Stretch(plain.moves.t[:900], *(r[:900] for r in plain.readings))
-    joined = fused_stretch(plain.survey, first).motion
+    joined = fuse_stretch(plain.survey, first).motion
     assert joined.rate[:850] == pytest.approx(plain.fused.motion.rate[:850], abs=1e-6)
 
 

@@ -11,7 +11,7 @@ from imucalib.arrays import Array
 from imucalib.calibrators.array.board.catalogue import array_catalogue
 from imucalib.calibrators.array.board.moving import Moving
 from imucalib.calibrators.array.board.rests import RestFit
-from imucalib.calibrators.array.motion.ages import beats, found_clock, voting
+from imucalib.calibrators.array.motion.ages import beats, estimate_clock, voting
 from imucalib.calibrators.array.motion.board_motion import BoardMotion, board_motion
 from imucalib.calibrators.array.motion.cross_fit import Gained, difference_of_medians
 from imucalib.calibrators.array.motion.search import start_state
@@ -56,11 +56,11 @@ def test_halves_share_no_sample_and_no_clock_learns_of_them(clean: Recording) ->
         setup.rows[setup.inner],
     )
     state = start_state(one, rest_terms(rests))
-    before = found_clock(state)
+    before = estimate_clock(state)
     silent = two.rows[two.inner][voting(two)]
     rate = moving.rate.copy()
     rate[silent] *= 1.5
-    after = found_clock(replace(state, setup=replace(one, moving=replace(moving, rate=rate))))
+    after = estimate_clock(replace(state, setup=replace(one, moving=replace(moving, rate=rate))))
     assert before is not None
     assert after is not None
     assert np.array_equal(before.frequency, after.frequency)

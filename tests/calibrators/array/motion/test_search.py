@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gates.bounds import at_most
-from imucalib.calibrators.array.board.catalogue import Scope, array_catalogue, named_effect
+from imucalib.calibrators.array.board.catalogue import Scope, array_catalogue, find_effect
 from imucalib.calibrators.array.motion.board_motion import BoardMotion, board_motion
 from imucalib.calibrators.array.motion.closed_loop import MotionLoop
 from imucalib.errors import UsageError
@@ -108,4 +108,4 @@ def test_names_of_effects_are_checked(name: str, says: str) -> None:
     with pytest.raises(UsageError, match=says):
         Scope(only=(name,)).skipped(BOARD.imus)
     with pytest.raises(UsageError, match=says):
-        named_effect(name, BOARD.imus)
+        find_effect(name, BOARD.imus)

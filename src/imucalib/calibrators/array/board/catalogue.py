@@ -54,7 +54,7 @@ def twins_of(name: str) -> tuple[str, ...]:
     return tuple(f"{n}{at}{imu}" for n in twins)
 
 
-def named_effect(name: str, imus: Sequence[str]) -> Response:
+def find_effect(name: str, imus: Sequence[str]) -> Response:
     """The effect that a name means, such as "gyro_scale@imu3" of one IMU.
 
     Raises UsageError for an unknown effect or IMU.
@@ -84,7 +84,7 @@ class Scope:
     def skipped(self, imus: Sequence[str]) -> frozenset[str]:
         """All effects that the search shall not try. Raises UsageError for an unknown name."""
         for name in (*self.only, *self.without):
-            named_effect(name, imus)
+            find_effect(name, imus)
         every = [n + end for n in array_catalogue() for end in ("", *(f"@{i}" for i in imus))]
 
         def meant(name: str, chosen: Sequence[str]) -> bool:

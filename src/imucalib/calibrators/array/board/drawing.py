@@ -298,7 +298,7 @@ class Drawn:
         which it stands, or what both of its sensors say."""
         if self.places is not None and k in self._exchanged:
             turns = self.board.rotations
-            return _signed(turns[k].T @ turns[self.places.place[k]])
+            return _sign(turns[k].T @ turns[self.places.place[k]])
         rate = self.gyro[k]
         whole = np.array_equal(self.accelerometer[k], rate) and np.linalg.det(rate) > 0.0
         return rate if whole else np.eye(3)
@@ -319,7 +319,7 @@ def _mounting_words(rotation: Array) -> str:
     return f"rotation: {np.round(rotation, 9).tolist()}"
 
 
-def _signed(matrix: Array) -> Array:
+def _sign(matrix: Array) -> Array:
     """Signed permutations as whole numbers, where mountings are such; else as they are."""
     whole = np.round(matrix)
     return np.asarray(np.where(np.abs(matrix - whole).max() < 1e-6, whole, matrix))
@@ -352,7 +352,7 @@ def check_board(log: ArrayLog, segments: Segments, board: Board) -> Drawn:
                 log.t, force, rate @ common.T, usable, drawn=board.positions, mounted=turns
             )
         own = -own if seen is not None and seen.inverted else own
-        return Drawn(board, own, _signed(back @ common @ turns @ gyro), seen)
+        return Drawn(board, own, _sign(back @ common @ turns @ gyro), seen)
 
     found = where_forces_are_read_by(acceleration)
     as_drawn, seen = np.array_equal(found.accelerometer, same), found.places

@@ -123,13 +123,13 @@ def moving_part(log: ArrayLog, rests: RestFit) -> Moving:
 def _around_motion(log: ArrayLog, rests: RestFit) -> tuple[Array, Array, Array, Flags]:
     """Times, raw forces, rates without offsets and clipping of the samples that turn and those
     beside them: a log is mostly rest, and large."""
-    offset = rests.without_bias(np.zeros((1, *log.rate.shape[1:])), log.t[-1:])[0]
+    offset = rests.subtract_bias(np.zeros((1, *log.rate.shape[1:])), log.t[-1:])[0]
     turning = np.linalg.norm(np.median(log.rate + offset, axis=1), axis=1) > 0.5 * SLOWEST
     turning[1:-1] |= turning[2:] | turning[:-2]
     if not turning.any():
         turning[:1] = True
     t = log.t[turning]
-    rate = rests.without_bias(log.rate[turning], t)
+    rate = rests.subtract_bias(log.rate[turning], t)
     return t, log.acceleration[turning], rate, log.clipped[turning]
 
 

@@ -59,10 +59,10 @@ _FARTHEST = 1.2
 
 def base_model() -> Model:
     """Bias, scale and misalignment of every triad, in the frame that is their mean."""
-    return Model((named("bias"), named("scale"), framed_misalignment()))
+    return Model((named("bias"), named("scale"), frame_misalignment()))
 
 
-def rest_context(t: Array, start: float, stop: float, triads: tuple[str, ...]) -> Context:
+def describe_rests(t: Array, start: float, stop: float, triads: tuple[str, ...]) -> Context:
     """What effects know at times (N,) s: the order runs from 0 at the first rest to 1 at the last,
     and no further. No record is one of the rests'."""
     order = np.clip((t - start) / max(stop - start, 1e-9), 0.0, 1.0)
@@ -91,7 +91,7 @@ def observations_of(segments: Segments, board: Board, gravity: float) -> Observa
             remedy="its unit is not what the recording or its mapping says (g against m/s²: 9.81)",
         )
     middle = 0.5 * (segments.start + segments.stop)
-    known = rest_context(middle, float(middle[0]), float(middle[-1]), board.imus)
+    known = describe_rests(middle, float(middle[0]), float(middle[-1]), board.imus)
     covariates = {**known.covariates, "record": np.arange(float(n))}
     return Observations(
         reading,
@@ -103,7 +103,7 @@ def observations_of(segments: Segments, board: Board, gravity: float) -> Observa
     )
 
 
-def own_noise(segments: Segments) -> Array:
+def estimate_own_noise(segments: Segments) -> Array:
     """(n, K, 3) m/s², what its samples' noise and their rounding leave of each rest's mean."""
     noise = np.maximum(segments.noise, _QUIET * np.median(segments.noise))
     averaged = noise / np.sqrt(segments.samples)[..., None]
@@ -156,7 +156,7 @@ class _Framed(Response):
         return replace(action, d_theta=np.delete(action.d_theta, _FIRST, axis=3))
 
 
-def framed_misalignment() -> Effect:
+def frame_misalignment() -> Effect:
     """The catalogue's misalignment at the size that uncalibrated triads have."""
     plain = named("accelerometer_misalignment")
     assert isinstance(plain, Response)
@@ -165,7 +165,7 @@ def framed_misalignment() -> Effect:
     return _Framed(**{**own, "each": each})
 
 
-def in_the_mean_frame(fit: Fit, rotations: Array, *, last: bool) -> tuple[Array, Array]:
+def turn_to_mean_frame(fit: Fit, rotations: Array, *, last: bool) -> tuple[Array, Array]:
     """Gains (K, 3, 3) and the covariance (K, 12, K, 12) of gains and offsets, turned so that the
     gains' mean rotation, in board axes, is none.
 
@@ -193,12 +193,12 @@ def in_the_mean_frame(fit: Fit, rotations: Array, *, last: bool) -> tuple[Array,
     back = rotations.transpose(0, 2, 1)
     one, _, two = np.linalg.svd(np.mean(rotations @ gain @ back, axis=0))
     gain = gain @ back @ (one @ two).T @ rotations
-    linear[:, :9] = _without_rotation(linear[:, :9].reshape(9 * count, -1), gain, rotations)
+    linear[:, :9] = _drop_rotation(linear[:, :9].reshape(9 * count, -1), gain, rotations)
     flat = linear.reshape(12 * count, -1)
     return gain, (flat @ fit.covariance @ flat.T).reshape(count, 12, count, 12)
 
 
-def _without_rotation(changes: Array, gain: Array, rotations: Array) -> Array:
+def _drop_rotation(changes: Array, gain: Array, rotations: Array) -> Array:
     """(K, 9, n) small changes (9 K, n) of all gains, in which their mean does not turn."""
     crosses = cross_matrix(np.eye(3))[:, None]
     own = rotations.transpose(0, 2, 1) @ crosses @ rotations  # (3 axes, K, 3, 3)
@@ -291,7 +291,7 @@ class RestFit:
         for start in range(0, len(t), _AT_A_TIME):
             part = slice(start, start + _AT_A_TIME)
             some = Truth(truth.force[part])
-            context = rest_context(t[part], self.start, self.stop, data.triads)
+            context = describe_rests(t[part], self.start, self.stop, data.triads)
             for effect in effects:
                 theta = self.fit.theta[slices[effect.name]]
                 total[part] += effect.act(theta, some, context).delta
@@ -318,7 +318,7 @@ class RestFit:
         both = np.zeros((count, 12, 12))
         both[:, :9, :9] = np.einsum("kij,kab->kiajb", turn, turn).reshape(count, 9, 9)
         both[:, 9:, 9:] = turn
-        _, covariance = in_the_mean_frame(self.fit, turn, last=False)
+        _, covariance = turn_to_mean_frame(self.fit, turn, last=False)
         own = covariance[np.arange(count), :, np.arange(count)]
         away = self.away(self.fit.observations.context["time"])
         own[:, 9:, 9:] += np.einsum("nki,nkj->kij", away, away) / len(away)
@@ -329,7 +329,7 @@ class RestFit:
         late = np.clip((t - self.stop) / (self.stop - self.start), -1.0, 0.0)
         return np.asarray(late[:, None] ** np.arange(len(self.gyro_bias)))
 
-    def without_bias(self, rate: Array, t: Array) -> Array:
+    def subtract_bias(self, rate: Array, t: Array) -> Array:
         """Angular rates (N, K, 3) rad/s in board axes less their offsets at rest."""
         return np.asarray(rate - np.einsum("no,oki->nki", self.powers(t), self.gyro_bias))
 
@@ -343,14 +343,14 @@ def fit_rests(
     similar rests, NotConverged.
     """
     unweighted = observations_of(segments, board, gravity)
-    data, model = weigh_rests(unweighted, own_noise(segments)), base_model()
+    data, model = weigh_rests(unweighted, estimate_own_noise(segments)), base_model()
     loop = _search(model, data, scope) if scope.search else None
     fit = fit_model(model, data) if loop is None else loop.final
     if (fit if loop is None else loop.plain).null_directions:
         raise _too_similar()
     if not fit.converged:
         raise NotConverged("the fit of the rests did not settle", remedy="check the recording")
-    gain, covariance = in_the_mean_frame(fit, board.rotations, last=True)
+    gain, covariance = turn_to_mean_frame(fit, board.rotations, last=True)
     _refuse_vague(gain, covariance, board)
     middle = data.context["time"]
     turn = board.rotations

@@ -56,7 +56,7 @@ def common_scale(
         slope.append((more - less) / (2.0 * _STEP))
     if len(off) < _FEWEST:
         return None
-    return _fitted(np.array(off), np.array(slope))
+    return _fit(np.array(off), np.array(slope))
 
 
 def between(t: Array, start: Array, stop: Array, gap: float) -> list[Index]:
@@ -88,7 +88,7 @@ def _carried(t: Array, rate: Array, vector: Array) -> Array:
     return np.asarray(composed(Rotation.from_rotvec(-small).as_matrix()) @ vector)
 
 
-def _fitted(off: Array, slope: Array) -> BoardTurns:
+def _fit(off: Array, slope: Array) -> BoardTurns:
     scale = _robust(off, slope)
     n = len(off)
     each = np.arange(n)

@@ -17,7 +17,7 @@ from imucalib.calibrators.array.fusion.instrument import Instrument, Pair, Stret
 from imucalib.calibrators.array.fusion.noise import ChipNoise
 from imucalib.calibrators.array.motion.board_motion import BoardMotion, board_motion
 from imucalib.core.course import slope_of
-from imucalib.estimators.array.fusion import FusedMotion, Sensed, fused_motion, precision_of
+from imucalib.estimators.array.fusion import FusedMotion, Sensed, compute_precision, fuse_samples
 
 #: Times its range that a clipped rate is first thought to be; times that, where it led to an answer
 #: inside the range; weight of that guess; share of one gyro's say along an axis below which gyros
@@ -109,10 +109,10 @@ def _begun(
         axes, inside = instrument.axes[1], live[1][rest].astype(float)
         weight = inside + _FAINT * (there & clipped[1])[rest]
         reading = along(axes, gyro[rest]) * np.where((there & clipped[1])[rest], _BEYOND, 1.0)
-        matrix = precision_of(axes, weight).sum(axis=1) + _FAINT**2 * np.eye(3)
+        matrix = compute_precision(axes, weight).sum(axis=1) + _FAINT**2 * np.eye(3)
         right = np.einsum("tka,kai->ti", weight * reading, axes)
         first[rest] = np.linalg.solve(matrix, right[..., None])[..., 0]
-        seen = precision_of(axes, inside).sum(axis=1)
+        seen = compute_precision(axes, inside).sum(axis=1)
         alone[rest] = np.linalg.eigvalsh(seen)[:, 0] < _GONE
     return live, first, alone
 
@@ -162,12 +162,12 @@ class _Rounds:
         self.sensed = Sensed(
             force=self.less[0],
             rate=self.less[1],
-            force_precision=precision_of(self.axes[0], one),
-            rate_precision=precision_of(self.axes[1], two),
+            force_precision=compute_precision(self.axes[0], one),
+            rate_precision=compute_precision(self.axes[1], two),
             late=self.late,
         )
         before = self.first if self.motion is None else self.motion.rate
-        motion = fused_motion(self.sensed, self.instrument.r, before)
+        motion = fuse_samples(self.sensed, self.instrument.r, before)
         back = np.zeros(len(self.t), dtype=np.bool_)
         if turn == 0:
             motion = self._from_farther_out(motion)
@@ -177,7 +177,7 @@ class _Rounds:
             back = np.any(inside, axis=(1, 2))
             motion = replace(motion, rate=np.where(back[:, None], self.first, motion.rate))
         self.motion = motion
-        self.less = self._without_effects(motion)
+        self.less = self._drop_effects(motion)
         self.off = self._residuals(motion)
         self.share = [
             chip.share(np.sum(np.where(on, off**2 / v, 0.0), axis=2), on.sum(axis=2))[..., None]
@@ -192,7 +192,7 @@ class _Rounds:
         known = spin_by_neighbours(self.t, motion, self.late) if self.tied else None
         if known is not None:
             sensed = replace(sensed, spin=known[0], spin_precision=known[1])
-            motion = fused_motion(sensed, r, motion.rate)
+            motion = fuse_samples(sensed, r, motion.rate)
         # By the tails: force and dω/dt stand on the accelerometers, ω on the gyros.
         wide = np.sqrt(np.repeat([one.widening for one in self.noise], (6, 3)))
         covariance = motion.covariance * np.outer(wide, wide)
@@ -239,11 +239,11 @@ class _Rounds:
             if not len(rows):
                 break
             start = times * self.first[rows]
-            again = fused_motion(self.sensed.take(rows), self.instrument.r, start)
+            again = fuse_samples(self.sensed.take(rows), self.instrument.r, start)
             motion = motion.put(rows, again)
         return motion
 
-    def _without_effects(self, motion: FusedMotion) -> Pair:
+    def _drop_effects(self, motion: FusedMotion) -> Pair:
         """Corrected readings (T, K, 3) less what the effects beyond the linear parts add."""
         beyond = self.instrument.beyond
         if all(part.late and not part.lags for part in beyond.parts):

@@ -128,7 +128,7 @@ class NonlinearTerms:
         for part in self.parts:
             if not part.late:
                 found[part.gyro][...] += part.added(motion)
-        return self._corrected(found)
+        return self._correct(found)
 
     def added_by_lags(self, motion: BoardMotion) -> Pair:
         """The same of lags beyond their first order, where the motion has its courses."""
@@ -136,9 +136,9 @@ class NonlinearTerms:
         less = lost([part.term for part in lagging], motion)
         for part in lagging:
             less[part.gyro][...] += part.added(motion)
-        return self._corrected((-less[0], -less[1]))
+        return self._correct((-less[0], -less[1]))
 
-    def _corrected(self, found: Pair) -> Pair:
+    def _correct(self, found: Pair) -> Pair:
         return along(self.back[0], found[0]), along(self.back[1], found[1])
 
     def late(self, t: Array, age: Array | None) -> Array | None:

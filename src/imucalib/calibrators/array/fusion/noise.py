@@ -54,7 +54,7 @@ def at_rest(rest: Array) -> ChipNoise:
     return ChipNoise(rest, np.zeros(len(rest)), np.inf)
 
 
-def fitted_noise(off: Array, live: Flags, left: Array, speed: Array, rest: Array) -> ChipNoise:
+def fit_noise(off: Array, live: Flags, left: Array, speed: Array, rest: Array) -> ChipNoise:
     """The likeliest noise of residuals.
 
     off : (T, K, 3) along the sensors' axes; live : (T, K, 3); left : (T, K) share of a triad's

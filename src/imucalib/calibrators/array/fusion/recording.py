@@ -33,7 +33,7 @@ _OF_MESSAGES = ("mcap", "rosbag")
 _OPEN = (STANDARD_GRAVITY, 500.0 * DEG)
 
 
-def fused_stretch(found: Survey, stretch: Stretch) -> Fused:
+def fuse_stretch(found: Survey, stretch: Stretch) -> Fused:
     """The motion of a stretch of any length, a part at a time."""
     age = ages(found.instrument, stretch, found.noise)
     parts = []
@@ -137,7 +137,7 @@ class _Work:
     def _channels(self, stretch: Stretch) -> dict[str, Channel]:
         """Force, rate and angular acceleration in board axes, each with the rows of its covariance,
         of the samples that are determined."""
-        fused = fused_stretch(self.found, stretch)
+        fused = fuse_stretch(self.found, stretch)
         keep = is_determined(fused.motion.covariance)
         self._count(fused, keep)
         motion, t = fused.motion.take(np.flatnonzero(keep)), stretch.t[keep]

@@ -20,7 +20,7 @@ from imucalib.calibrators.array.board.rests import ATTITUDES, contradicted
 from imucalib.calibrators.array.board.streams import Held, repeats
 from imucalib.calibrators.array.fusion.fuse import fuse, turning
 from imucalib.calibrators.array.fusion.instrument import Biases, Instrument, Stretch, along
-from imucalib.calibrators.array.fusion.noise import ChipNoise, at_rest, fitted_noise
+from imucalib.calibrators.array.fusion.noise import ChipNoise, at_rest, fit_noise
 from imucalib.calibrators.array.motion.board_motion import BoardMotion, board_motion
 from imucalib.errors import Undetermined, UnreadableInput
 from imucalib.estimators.array.sample_age import fit_sample_age
@@ -120,9 +120,9 @@ class _Queue:
             used = int(np.searchsorted(own, until - self._tolerance, side="right"))
             used = len(t) if key == self._base else used
             self._waiting[key] = own[used:], values[used:]
-        yield self._without_held(Stretch(t, found["acceleration"], found["angular_rate"]))
+        yield self._drop_held(Stretch(t, found["acceleration"], found["angular_rate"]))
 
-    def _without_held(self, stretch: Stretch) -> Stretch:
+    def _drop_held(self, stretch: Stretch) -> Stretch:
         """With readings that are held from before missing."""
         speed = np.linalg.norm(stretch.rate, axis=2)
         there = np.isfinite(speed)
@@ -177,7 +177,7 @@ def survey(blocks: Iterable[Recording], instrument: Instrument) -> Survey:
             for k, column in order.items():
                 good = np.isfinite(seen[column]) & (seen[column] > 0.0)
                 calibrated[k, good] = seen[column, good]
-        instrument = _with_rests(segments, order, instrument)
+        instrument = _add_rests(segments, order, instrument)
     noise, turned = (at_rest(rest[0]), at_rest(rest[1])), 0
     if look.busiest is not None and look.most >= _FEWEST:
         noise, turned = _noise_in_motion(instrument, look.busiest, rest)
@@ -219,7 +219,7 @@ _GROUPS = 200  # of rests, at most
 _SHARES = np.concatenate([[0.0], np.geomspace(1e-3, 1e2, 26)])
 
 
-def _with_rests(segments: Segments, order: Mapping[int, int], instrument: Instrument) -> Instrument:
+def _add_rests(segments: Segments, order: Mapping[int, int], instrument: Instrument) -> Instrument:
     """With what corrected readings hold at the rests, and without gyro effects of the force that
     the rests contradict: an effect found in motion may stand for something else there, and gravity
     in other attitudes shows whether it is one of force.
@@ -324,10 +324,10 @@ def _noise_in_motion(instrument: Instrument, busy: Stretch, rest: list[Array]) -
             mean = weight.sum(axis=2) / np.maximum(live.sum(axis=2), 1)
             share = np.broadcast_to(1.0 - mean * doubt, off.shape[:2])
             kept = live & (share > _KEPT)[..., None]
-            found.append(fitted_noise(off[good], kept[good], share[good], speed[good], still))
+            found.append(fit_noise(off[good], kept[good], share[good], speed[good], still))
         first, second = found
     some, own = some.take(slice(None, None, 2)), None if own is None else own[::2]
-    return (_confirmed(instrument, some, (first, second), own), second), len(moving)
+    return (_confirm(instrument, some, (first, second), own), second), len(moving)
 
 
 _CHIPS = 6  # from which each half shows the motion with some to spare
@@ -335,7 +335,7 @@ _SURE = 1.04  # factor from which the noise is widened
 _MAD = 1.4826
 
 
-def _confirmed(
+def _confirm(
     instrument: Instrument, stretch: Stretch, noise: Noise, age: Array | None
 ) -> ChipNoise:
     """The accelerometers' noise, its growth wider by what halves of the chips differ beyond what is

@@ -9,7 +9,7 @@ import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
 from imucalib.calibrators.array.motion.board_motion import board_motion
-from imucalib.calibrators.array.motion.setup import Setup, with_neighbours
+from imucalib.calibrators.array.motion.setup import Setup, select_with_neighbours
 from imucalib.calibrators.array.motion.state import ArrayState, sampled_at
 from imucalib.calibrators.array.motion.terms import Term
 from imucalib.core.effect import Context, Response, Truth
@@ -51,10 +51,10 @@ def beats(clock: SampleAge, t: Array, rows: Index) -> Iterator[Beat | None]:
         yield Beat(float(f + slope), float(start % 1.0), at, scatter)
 
 
-def found_clock(state: ArrayState, *, every: bool = False) -> SampleAge | None:
+def estimate_clock(state: ArrayState, *, every: bool = False) -> SampleAge | None:
     """Sawtooth ages from the samples outside of the search, or from every one; None where no gyro
     shows a line."""
-    amid = with_neighbours(state.setup.moving)
+    amid = select_with_neighbours(state.setup.moving)
     learning = amid if every else _learning(state.setup)[0]
     if len(learning) < _FEWEST:
         return None
@@ -65,7 +65,7 @@ def found_clock(state: ArrayState, *, every: bool = False) -> SampleAge | None:
 
 def _learning(setup: Setup) -> tuple[Index, Flags]:
     """Samples from which clocks are learned, and (T,) those of the setup that vote on them."""
-    amid = with_neighbours(setup.moving)
+    amid = select_with_neighbours(setup.moving)
     learning = amid[~np.isin(amid, setup.chosen)]
     if len(learning) >= _TRAIN * len(amid):
         return learning, np.ones(len(setup.rows), dtype=np.bool_)
@@ -77,7 +77,7 @@ def voting(setup: Setup) -> Flags:
     return np.asarray(_learning(setup)[1][setup.inner])
 
 
-def with_clock(state: ArrayState, clock: SampleAge, *, voting: bool) -> ArrayState:
+def add_clock(state: ArrayState, clock: SampleAge, *, voting: bool) -> ArrayState:
     """The state with the ages of a clock; while voting, samples that it was learned from are
     silent."""
     wave = clock.wave[state.setup.rows]
@@ -86,13 +86,13 @@ def with_clock(state: ArrayState, clock: SampleAge, *, voting: bool) -> ArraySta
     return replace(state, clock=clock, motion=state.motion.aged(wave))
 
 
-def with_found_clock(state: ArrayState) -> ArrayState:
+def add_estimated_clock(state: ArrayState) -> ArrayState:
     """With the clocks that it shows, or as it was."""
-    clock = found_clock(state)
-    return state if clock is None else with_clock(state, clock, voting=True)
+    clock = estimate_clock(state)
+    return state if clock is None else add_clock(state, clock, voting=True)
 
 
-def with_phases(state: ArrayState) -> ArrayState:
+def add_phases(state: ArrayState) -> ArrayState:
     """With what is not known of the clocks' phases where the model has their ages, and without it
     where it has not."""
     rest = tuple(term for term in state.terms if term.found or not term.aged)
@@ -130,13 +130,13 @@ def _everywhere(state: ArrayState, rows: Index) -> tuple[Array, Array]:
     some = max(_READINGS // k, 1)
     for a in range(0, len(rows), some):  # of many IMUs the columns of all samples would be large
         part = rows[a : a + some]
-        sampled = _fitted_at(state, part)
+        sampled = _fit_at(state, part)
         off[part] = sampled.off.rate - sampled.off.rate.mean(axis=1, keepdims=True)
         spin[part] = sampled.spin
     return off, spin
 
 
-def _fitted_at(state: ArrayState, rows: Index) -> Sampled:
+def _fit_at(state: ArrayState, rows: Index) -> Sampled:
     """The motion of other samples under what was found."""
     setup = replace(state.setup, rows=rows)
     readings, sampled = setup.readings, sampled_at(setup, state.r, state.noise)

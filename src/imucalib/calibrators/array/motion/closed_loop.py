@@ -9,28 +9,28 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibrators.array.board.catalogue import EVERYTHING, Scope
-from imucalib.calibrators.array.motion.ages import found_clock, with_clock, with_found_clock
+from imucalib.calibrators.array.motion.ages import add_clock, add_estimated_clock, estimate_clock
 from imucalib.calibrators.array.motion.covariance import (
     POSITIONS,
     Uneven,
-    fitted_on_all,
+    add_unevenness,
+    fit_all_samples,
     on_all,
-    settled_there,
-    with_uneven,
+    settle_there,
 )
 from imucalib.calibrators.array.motion.cross_fit import CHANNELS, Gained, Residuals, cross_fitted
 from imucalib.calibrators.array.motion.search import (
     GYRO_FRAME,
     MotionSearch,
+    add_declared,
+    fit_with_members,
     frame_term,
     scores_of,
     search_posterior,
     start_state,
-    with_declared,
-    with_members,
 )
 from imucalib.calibrators.array.motion.setup import Setup
-from imucalib.calibrators.array.motion.state import ArrayState, remembered, shared_by_neighbours
+from imucalib.calibrators.array.motion.state import ArrayState, find_memory, shared_by_neighbours
 from imucalib.calibrators.array.motion.terms import Term
 from imucalib.core.effect import Channel
 from imucalib.loop.found import FitLoop, Loop, Step, Unexplained
@@ -49,7 +49,7 @@ class MotionLoop(Loop[ArrayState]):
     impact : what cannot be seen, with the m rms by which its typical size moves the positions;
     moved : the same of what has no name; dispersion : how many times fewer accelerometer samples
         noise that neighbours share leaves
-    scope : what the user declared; rests : the search at rest, of which `with_rests` made a part of
+    scope : what the user declared; rests : the search at rest, of which `join_rests` made a part of
         this one
     """
 
@@ -99,7 +99,7 @@ def close_array_loop(
     def searched(
         chosen: Setup, whole: MotionSearch | None = None
     ) -> tuple[ArrayState, ArrayState, MotionSearch]:
-        base = with_found_clock(with_declared(start_state(chosen, first), scope.declare))
+        base = add_estimated_clock(add_declared(start_state(chosen, first), scope.declare))
         found = search_posterior(base, held, whole)
         return base, _named(found, held, curves=curves) or base, found
 
@@ -118,9 +118,9 @@ def close_array_loop(
         open_ends = dict.fromkeys(nameless, 0.0) | open_ends
         final, steps = base, ()
     final = _on_all(final, most)
-    open_ends |= dict.fromkeys(remembered(final) if scope.search else (), 0.0)
+    open_ends |= dict.fromkeys(find_memory(final) if scope.search else (), 0.0)
     dispersion = shared_by_neighbours(final, gyro=False)
-    final, uneven = with_uneven(final, dispersion)
+    final, uneven = add_unevenness(final, dispersion)
     final = _as_far_as_known(final, shifts.values())
     if uneven is not None:
         open_ends = {_as_positions(uneven): float(uneven.spread.max())} | open_ends
@@ -161,7 +161,7 @@ def _named(found: MotionSearch, scope: Scope, *, curves: bool) -> ArrayState | N
     known = {term.name for term in found.state.found}
     if known == {one.name for one in named} | (known & set(scope.declare)):
         return found.state
-    return with_members(found.state, named, scope)
+    return fit_with_members(found.state, named, scope)
 
 
 def _as_far_as_known(state: ArrayState, shifts: Iterable[Array]) -> ArrayState:
@@ -181,12 +181,12 @@ def _on_all(state: ArrayState, most: int | None) -> ArrayState:
     """The final fit on all samples; accepted clocks with their phases from all of the motion."""
     if not any(term.aged for term in state.terms):
         state = replace(state, clock=None)
-        return state if most is None else fitted_on_all(state, most)
+        return state if most is None else fit_all_samples(state, most)
     moved = state if most is None else on_all(state, most)
-    clock = found_clock(moved, every=True)
+    clock = estimate_clock(moved, every=True)
     if clock is None:
         return state
-    return settled_there(with_clock(moved, clock, voting=False))
+    return settle_there(add_clock(moved, clock, voting=False))
 
 
 def size_in_words(state: ArrayState, term: Term) -> str:

@@ -191,7 +191,7 @@ def sd_of_few(state: ArrayState, count: int) -> Array:
     return np.asarray(np.sqrt(np.median(variance.reshape(-1, 3), axis=0)))
 
 
-def with_uneven(state: ArrayState, factor: float) -> tuple[ArrayState, Uneven | None]:
+def add_unevenness(state: ArrayState, factor: float) -> tuple[ArrayState, Uneven | None]:
     """The state with that covariance, positions known no better than parts of the motion agree on
     them, and where they do not; factor : how many times fewer samples noise that neighbours share
     leaves."""
@@ -219,20 +219,20 @@ def on_all(state: ArrayState, most: int) -> ArrayState:
     """The state at `most` of all informative samples, not settled there. Samples without
     neighbours serve unless a term needs the force's derivative."""
     neighbours = any("jerk" in term.effect.needs for term in state.terms)
-    return transferred(state, every_sample(state.setup, most, neighbours=neighbours))
+    return transfer_to(state, every_sample(state.setup, most, neighbours=neighbours))
 
 
-def fitted_on_all(state: ArrayState, most: int) -> ArrayState:
+def fit_all_samples(state: ArrayState, most: int) -> ArrayState:
     """The joint fit at `most` of all informative samples, with the noise in the shape it has."""
-    return settled_there(on_all(state, most))
+    return settle_there(on_all(state, most))
 
 
-def settled_there(state: ArrayState) -> ArrayState:
+def settle_there(state: ArrayState) -> ArrayState:
     """The joint fit at samples that the state was moved to, with the noise in the shape it has."""
     return fit_jointly(refit_motion(state, _FOLLOWED), shaped=False)
 
 
-def transferred(state: ArrayState, setup: Setup) -> ArrayState:
+def transfer_to(state: ArrayState, setup: Setup) -> ArrayState:
     """What was found, at other samples; to be settled there."""
     sampled = sampled_at(setup, state.r, state.noise)
     motion = motion_at(setup, sampled, None, courses=bool(lagging(state.terms)))

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
-from imucalib.calibrators.array.motion.ages import voting, with_clock
-from imucalib.calibrators.array.motion.covariance import transferred
+from imucalib.calibrators.array.motion.ages import add_clock, voting
+from imucalib.calibrators.array.motion.covariance import transfer_to
 from imucalib.calibrators.array.motion.setup import FEWEST, Setup, part_of
 from imucalib.calibrators.array.motion.state import ArrayState, refit_motion
 from imucalib.core.effect import Channel
@@ -103,9 +103,9 @@ def cross_fitted(
 
 def _predict(state: ArrayState, setup: Setup) -> ArrayState:
     """The motion at other samples under positions, terms and noise that were found without them."""
-    moved = transferred(state, setup)
+    moved = transfer_to(state, setup)
     if state.clock is not None:
-        moved = with_clock(moved, state.clock, voting=False)
+        moved = add_clock(moved, state.clock, voting=False)
     return refit_motion(moved, _FOLLOWED)
 
 

@@ -93,7 +93,7 @@ def _beats(loop: MotionLoop, term: Term) -> dict[str, Any]:
     }
 
 
-def with_rests(loop: MotionLoop, rests: FitLoop | None) -> MotionLoop:
+def join_rests(loop: MotionLoop, rests: FitLoop | None) -> MotionLoop:
     """The loop over the motion with the records, steps and doubts of the rests before its own."""
     if rests is None:
         return loop

@@ -81,7 +81,7 @@ def candidates_of(
         for effect in forms:
             every = _members(effect, motion.context.triads)
             members = [one for one in every if one.name not in skipped]
-            columns = _with_phases(effect, motion)
+            columns = _add_phases(effect, motion)
             if members and np.isfinite(columns.basis).all() and columns.basis.any():
                 found += [(one, out.width + one.effects[0][1]) for one in members]
                 out.blocks.append(columns)
@@ -137,7 +137,7 @@ def _member(effect: Response, of: str, part: Index, share: float) -> Member:
     return Member(((replace(effect, name=effect.name + of), part, sizes),), float(np.log(share)))
 
 
-def _with_phases(effect: Response, motion: BoardMotion) -> Columns:
+def _add_phases(effect: Response, motion: BoardMotion) -> Columns:
     """Its columns in typical sizes, and of clocks what their phases leave of each gyro."""
     own = typical_columns(effect, motion)
     if not _aged(effect):
@@ -160,7 +160,7 @@ CURVE = "curve of "
 Shape = Callable[[Array], Array]
 
 
-def _tilted(quantity: Quantity) -> Basis:
+def _tilt(quantity: Quantity) -> Basis:
     """Three numbers, deg: what is sensed is turned about the axes."""
     return lambda truth, context: DEG * cross_matrix(-quantity(truth))
 
@@ -205,8 +205,8 @@ _TIMED = (
     (_Error("gyro scale", "%", 0.2, _GYRO, each_axis(RATE, 0.01)), _DRIFTS),
     (_Error("offset", "mg", 2.0, part=each_axis(one, MG)), _DRIFTS),
     (_Error("scale", "%", 0.1, part=each_axis(FORCE, 0.01)), _DRIFTS),
-    (_Error("attitude", "deg", 0.1, part=_tilted(FORCE)), _LINES[:1]),
-    (_Error("gyro attitude", "deg", 0.1, _GYRO, _tilted(RATE)), _LINES[:1]),
+    (_Error("attitude", "deg", 0.1, part=_tilt(FORCE)), _LINES[:1]),
+    (_Error("gyro attitude", "deg", 0.1, _GYRO, _tilt(RATE)), _LINES[:1]),
     (_PLACE, _LINES),
     (_Error("gyro delay", "ms", 0.05, _GYRO, all_axes(SPIN, -1e-3)), _LINES),
 )
@@ -220,7 +220,7 @@ def array_laws(motion: BoardMotion) -> Iterator[tuple[str, Response]]:
     for covariate, quantity, error, unit in _INPUTS:
         most = float(np.abs(quantity(motion.truth)).max())
         for words, shape in _OF_INPUT.items():
-            basis = each_axis(_shaped(quantity, shape, most), unit)
+            basis = each_axis(_shape(quantity, shape, most), unit)
             yield _law(covariate, error, words, basis)
     for error, names in _TIMED:
         for words in names:
@@ -230,7 +230,7 @@ def array_laws(motion: BoardMotion) -> Iterator[tuple[str, Response]]:
         yield _law("force", _PLACE, f"by the sign of its {axis}", basis)
 
 
-def _shaped(quantity: Quantity, shape: Shape, most: float) -> Quantity:
+def _shape(quantity: Quantity, shape: Shape, most: float) -> Quantity:
     return lambda truth: np.asarray(shape(quantity(truth) / most))
 
 

@@ -24,10 +24,10 @@ from imucalib.arrays import Array
 from imucalib.calibrators.array.board.catalogue import (
     Scope,
     array_catalogue,
-    named_effect,
+    find_effect,
     twins_of,
 )
-from imucalib.calibrators.array.motion.ages import with_found_clock, with_phases
+from imucalib.calibrators.array.motion.ages import add_estimated_clock, add_phases
 from imucalib.calibrators.array.motion.base import PositionBase
 from imucalib.calibrators.array.motion.laws import candidates_of
 from imucalib.calibrators.array.motion.setup import Setup, looked_at, motion_at
@@ -308,11 +308,11 @@ def _take_in(
 
     skipped : names that are not tried; None where twins stay as the whole motion has told them
     """
-    grown = with_members(state, chosen, scope)
+    grown = fit_with_members(state, chosen, scope)
     if grown is None:
         return None
     if any(term.aged for term in grown.terms):
-        grown = refit(with_found_clock(grown)) or grown
+        grown = refit(add_estimated_clock(grown)) or grown
     return (grown, Shares()) if skipped is None else resolve_aliases(grown, skipped)
 
 
@@ -346,7 +346,9 @@ def absorbed(problem: MotionProblem) -> dict[str, float]:
     return found
 
 
-def with_members(state: ArrayState, chosen: Sequence[Member], scope: Scope) -> ArrayState | None:
+def fit_with_members(
+    state: ArrayState, chosen: Sequence[Member], scope: Scope
+) -> ArrayState | None:
     """The joint fit with these and what is declared, and no others; None where it runs away."""
     names = {*scope.declare, *(one.name for one in chosen)}
     grown = replace(state, terms=tuple(t for t in state.terms if not t.found or t.name in names))
@@ -356,21 +358,21 @@ def with_members(state: ArrayState, chosen: Sequence[Member], scope: Scope) -> A
             if term.value.size:
                 grown = replace(grown, terms=(*grown.terms, term))
     try:
-        grown = fit_jointly(with_phases(grown))
+        grown = fit_jointly(add_phases(grown))
     except np.linalg.LinAlgError:
         return None
     return grown if grown.converged else None
 
 
-def with_declared(state: ArrayState, names: Sequence[str]) -> ArrayState:
+def add_declared(state: ArrayState, names: Sequence[str]) -> ArrayState:
     """The joint fit with the named effects in the model.
 
     Raises UsageError for unknown names, Undetermined where the motion cannot carry one.
     """
     for name in names:
-        effect = named_effect(name, state.setup.imus)
+        effect = find_effect(name, state.setup.imus)
         if "sample_age" in effect.needs and state.motion.age is None:
-            state = with_found_clock(state)
+            state = add_estimated_clock(state)
         reason = effect.missing(state.motion.context)
         term = None if reason else new_term(state, name, effect)
         if term is None or term.value.size == 0:
@@ -380,7 +382,7 @@ def with_declared(state: ArrayState, names: Sequence[str]) -> ArrayState:
                 remedy=effect.identify,
             )
         state = replace(state, terms=(*state.terms, term))
-    return fit_jointly(with_phases(state)) if names else state
+    return fit_jointly(add_phases(state)) if names else state
 
 
 def new_term(state: ArrayState, name: str, effect: Effect) -> Term:

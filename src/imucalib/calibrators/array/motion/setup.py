@@ -72,7 +72,7 @@ class Setup:
 def array_setup(moving: Moving, board: Board, samples: int) -> Setup | None:
     """At most `samples` informative samples whose neighbours are informative too; None when
     there are too few."""
-    amid = with_neighbours(moving)
+    amid = select_with_neighbours(moving)
     if len(amid) < FEWEST:
         return None
     chosen = stretches(amid, samples)
@@ -85,7 +85,7 @@ def every_sample(setup: Setup, samples: int, *, neighbours: bool) -> Setup:
     neighbours : whether only those whose neighbours are informative too
     """
     moving = setup.moving
-    chosen = stretches(with_neighbours(moving) if neighbours else moving.good, samples)
+    chosen = stretches(select_with_neighbours(moving) if neighbours else moving.good, samples)
     rows = _around(chosen) if neighbours else chosen
     return _setup(moving, setup.board, chosen, rows)
 
@@ -137,7 +137,7 @@ def looked_at(setup: Setup) -> Index:
     return np.linspace(0, len(setup.inner) - 1, min(most, len(setup.inner))).astype(np.intp)
 
 
-def with_neighbours(moving: Moving) -> Index:
+def select_with_neighbours(moving: Moving) -> Index:
     """Informative samples whose two neighbours are informative and at the usual interval."""
     good = np.zeros(len(moving.t) + 2, dtype=np.bool_)
     good[1 + moving.good] = True

@@ -17,11 +17,11 @@ from imucalib.calibrators.array.motion.base import PositionBase
 from imucalib.calibrators.array.motion.board_motion import BoardMotion
 from imucalib.calibrators.array.motion.setup import Setup, motion_at
 from imucalib.calibrators.array.motion.terms import Term, lagging, lost, sensed
-from imucalib.estimators.array.gram import gradient, gram, inverse_root, without_motion
+from imucalib.estimators.array.gram import gradient, gram, inverse_root, project_out_motion
 from imucalib.estimators.array.noise import (
     MotionNoise,
     Squares,
-    chosen_noise,
+    choose_noise,
     not_followed,
     scaled,
 )
@@ -114,7 +114,7 @@ def fit_jointly(state: ArrayState, *, shaped: bool = True) -> ArrayState:
     if shaped:
         # Which shape only shows once the fit is close; the fit then moves a little with it.
         for _ in range(3):
-            noise = _shaped(state)
+            noise = _shape(state)
             same = all(_same(a, b) for a, b in zip(noise, state.noise, strict=True))
             state = replace(state, noise=noise)
             if same:
@@ -138,11 +138,11 @@ def _with_scale(state: ArrayState, off: Readings | None = None) -> ArrayState:
     return replace(state, noise=(scaled(one, a, speed), scaled(two, g, speed)))
 
 
-def _shaped(state: ArrayState) -> tuple[MotionNoise, MotionNoise]:
+def _shape(state: ArrayState) -> tuple[MotionNoise, MotionNoise]:
     a, g, speed = state.squares()
     some = np.linspace(0, len(speed) - 1, min(len(speed), _SHAPED_BY)).astype(np.intp)
     first, rows = state.setup.first[some], state.setup.inner[some]
-    one, two = (chosen_noise(x[some], speed[some], first) for x in (a, g))
+    one, two = (choose_noise(x[some], speed[some], first) for x in (a, g))
     return scaled(one, a, speed), scaled(not_followed(two, state.sampled, rows), g, speed)
 
 
@@ -154,7 +154,7 @@ def _newton(state: ArrayState, close: float) -> ArrayState:
     share = min(noise.information for noise in state.noise)
     wide = float(np.abs(state.setup.board.drawn).max())  # no place moves by more than the board is
     for k in range(_ROUNDS):
-        state = moved_motion(state, base, off)
+        state = update_motion(state, base, off)
         base = state.base
         sigma = np.array([noise.sigma for noise in state.noise])
         if k in _AGAIN or np.any(np.abs(made / sigma - 1.0) > _STALE):
@@ -168,19 +168,19 @@ def _newton(state: ArrayState, close: float) -> ArrayState:
             break
         variance = np.sum(inverse_root(inner) ** 2, axis=1)
         # Weights go by the residuals after the step, not by those that led to it.
-        change = without_motion(state.sampled, base.reading(step, off.rate.shape))
+        change = project_out_motion(state.sampled, base.reading(step, off.rate.shape))
         off = state.sampled.off.less(change)
-        state = _with_scale(_moved(state, step, variance), off)
+        state = _with_scale(_move(state, step, variance), off)
         moved = np.array([noise.sigma for noise in state.noise]) / sigma - 1.0
         square = float(step @ inner @ step)
         converged = square < close and float(np.abs(moved).max()) < _STALE
         shortest = min(shortest, square)
         if converged or square > _GROWN * shortest:
             break
-    return replace(moved_motion(state, base, off), converged=converged)
+    return replace(update_motion(state, base, off), converged=converged)
 
 
-def _moved(state: ArrayState, step: Array, variance: Array) -> ArrayState:
+def _move(state: ArrayState, step: Array, variance: Array) -> ArrayState:
     ends = state.positions + np.cumsum([0, *(len(term.value) for term in state.terms)])
     r = state.r.copy()
     r[1:] += step[: state.positions].reshape(-1, 3)
@@ -189,7 +189,7 @@ def _moved(state: ArrayState, step: Array, variance: Array) -> ArrayState:
     return replace(state, r=r, terms=terms)
 
 
-def moved_motion(
+def update_motion(
     state: ArrayState, base: PositionBase | None = None, off: Readings | None = None
 ) -> ArrayState:
     """The motion for the positions, terms and noise as they are.
@@ -216,7 +216,7 @@ def refit_motion(state: ArrayState, rounds: int) -> ArrayState:
     """The motion of every sample, with its weights, for positions, terms and noise that are held
     as they are."""
     for _ in range(rounds):
-        state = moved_motion(state)
+        state = update_motion(state)
     return state
 
 
@@ -276,7 +276,7 @@ def shared_by_neighbours(state: ArrayState, *, gyro: bool) -> float:
     return factor
 
 
-def remembered(state: ArrayState) -> Iterator[Unexplained]:
+def find_memory(state: ArrayState) -> Iterator[Unexplained]:
     """Sensors whose noise follows its own past, where noise without memory is unlikely at even odds
     (Schwarz 1978): something goes on from sample to sample that the model does not have."""
     for sensor, gyro in (("accelerometer", False), ("gyroscope", True)):

@@ -121,11 +121,11 @@ def total_of(
     joint[range(d, d + 5), range(d, d + 5)] = more**2
     found = Total(factor * r, joint, r, motion)
     for one in distances:
-        found = _measured(found, one)
+        found = _measure(found, one)
     return found
 
 
-def _measured(found: Total, seen: Distance) -> Total:
+def _measure(found: Total, seen: Distance) -> Total:
     """The best estimate with one distance more, by the iterated extended Kalman update."""
     start, joint = found.mean[1:].ravel(), found.joint
     spread, mean = _spread(found.mean), found.mean
