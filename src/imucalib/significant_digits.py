@@ -23,12 +23,12 @@ def size_with_unit(value: float, unit: str) -> str:
     return f"{value:.2g} {unit.removeprefix('1')}".rstrip()
 
 
-def signed_components(values: Iterable[float], places: int = 2) -> str:
+def format_components(values: Iterable[float], places: int = 2) -> str:
     """ "+0.10  -0.99  +0.00": components of a vector."""
     return "  ".join(f"{value:+.{places}f}" for value in values)
 
 
-def with_sd(value: float, sd: float) -> tuple[str, str]:
+def format_with_sd(value: float, sd: float) -> tuple[str, str]:
     """Value and standard deviation as text with matching digits."""
     places = digits_for(sd)
     if places > 9:
@@ -38,7 +38,7 @@ def with_sd(value: float, sd: float) -> tuple[str, str]:
 
 def plus_minus(value: float, sd: float, unit: str = "") -> str:
     """ "1.96 ± 0.16 deg" """
-    shown, spread = with_sd(value, sd)
+    shown, spread = format_with_sd(value, sd)
     return f"{shown} ± {spread}" + (f" {unit}" if unit and unit != "1" else "")
 
 

@@ -73,9 +73,9 @@ class Ambiguity:
     def sizes(self) -> Mapping[str, Array]:
         """(k, draws) of every rival: sizes that the recording allows, were it the truth."""
         rng = np.random.default_rng(0)
-        return {name: self._drawn(self.blocks[name], rng) for name in self.rivals}
+        return {name: self._draw(self.blocks[name], rng) for name in self.rivals}
 
-    def _drawn(self, at: Index, rng: np.random.Generator) -> Array:
+    def _draw(self, at: Index, rng: np.random.Generator) -> Array:
         every, own = np.concatenate([self.own, at]), self.own.size
         inside, dof = self.gram[np.ix_(every, every)], self.numbers - own
         best: tuple[float, Array, Array] | None = None
@@ -133,17 +133,17 @@ def apart(one: Ambiguity, gram: Array) -> Array:
     little = 1e-10 * np.einsum("...ii->...i", gram) + 1e-12
     every = np.concatenate([one.blocks[name] for name in one.rivals])
     # The base is taken out once for all pairs.
-    rest = _without(gram, one.own, every, little[..., one.own])
+    rest = _drop(gram, one.own, every, little[..., one.own])
     found = []
     for truth, other in one.pairs:
         a, b = np.searchsorted(every, one.blocks[truth]), np.searchsorted(every, one.blocks[other])
-        square = _without(rest, b, a, little[..., one.blocks[other]])
+        square = _drop(rest, b, a, little[..., one.blocks[other]])
         size = one.sizes[truth]
         found.append(np.einsum("kd,...kl,ld->...d", size, square, size))
     return np.asarray(np.sqrt(np.maximum(np.stack(found, axis=-2), 0.0)))
 
 
-def _without(gram: Array, out: Index, kept: Index, little: Array) -> Array:
+def _drop(gram: Array, out: Index, kept: Index, little: Array) -> Array:
     """(..., k, k) products of the kept columns with others taken out; little : (..., o) that is
     added to the diagonal of these"""
     inside = gram[..., out[:, None], out] + little[..., None] * np.eye(len(out))
@@ -213,7 +213,7 @@ def separation(one: Ambiguity, pool: Array) -> Separation:
 def separable(one: Ambiguity, pool: Array) -> Array:
     """(pairs,) bool, whether any number of candidates would tell the truth from its rival."""
     gram = one.gram + _ANY_NUMBER * pool.mean(axis=0)
-    alone = _without(gram, one.own, np.arange(len(gram)), np.zeros(one.own.size))
+    alone = _drop(gram, one.own, np.arange(len(gram)), np.zeros(one.own.size))
     size = {
         name: np.einsum("kd,kl,ld->d", drawn, alone[np.ix_(at, at)], drawn)
         for name, drawn in one.sizes.items()
@@ -272,7 +272,7 @@ def _of_step(
     white = white or whitener(held.at.settings, held.noise.ratio)
     factor = held.noise.factor
     whole = white(held.at.jacobian * typical) / factor
-    base, rest = _without_records(held, whole)
+    base, rest = _drop_records(held, whole)
     own = [p.name for p, kept in zip(held.parameters, base, strict=True) if kept]
     seen = rest(white(np.column_stack(blocks)) / factor)
     columns = np.column_stack([rest(whole)[:, base], seen])
@@ -291,7 +291,7 @@ def _of_step(
     )
 
 
-def _without_records(fit: Fit, seen: Array) -> tuple[Array, Callable[[Array], Array]]:
+def _drop_records(fit: Fit, seen: Array) -> tuple[Array, Callable[[Array], Array]]:
     """(p,) bool, which parameters are none of records that are set aside, and what takes those out
     of columns, for they are free; seen : (N, p) columns of all parameters"""
     kept = np.ones(seen.shape[1], bool)

@@ -30,11 +30,11 @@ from imucalib.report.document import (
 )
 from imucalib.report.plots import band, gain_plot, sphere_map
 from imucalib.significant_digits import (
+    format_with_sd,
     per_cent,
     plus_minus,
     probability,
     two_digits,
-    with_sd,
 )
 from imucalib.units import MG
 
@@ -254,7 +254,7 @@ def _parameters(run: ActigraphRun) -> Section:
             continue
         for k in range(part.start, part.stop):
             p = fit.parameters[k]
-            value = with_sd(fit.theta[k], fit.sd[k])
+            value = format_with_sd(fit.theta[k], fit.sd[k])
             rows.append((p.name, name, *value, p.unit, f"{100.0 * share[k]:.0f}"))
     note = (
         "Uncertainty by posture run: windows of one posture are not independent. Data: the share "

@@ -26,7 +26,7 @@ from imucalib.report.document import (
     Worth,
 )
 from imucalib.report.plots import gain_plot
-from imucalib.significant_digits import plus_minus, with_sd
+from imucalib.significant_digits import format_with_sd, plus_minus
 from imucalib.units import DEG
 
 #: Of the best shown direction, or the liveliest axis, from which another is worth a word.
@@ -114,7 +114,7 @@ def _position_table(
     rows: list[tuple[str, ...]] = [(board.imus[0], "0", "0", "0", "", "", "", "reference")]
     for k, name in enumerate(board.imus[1:], start=1):
         mean, sd = 1e3 * total.mean[k], 1e3 * total.sd[k]
-        cells = [with_sd(m, s)[0] for m, s in zip(mean, sd, strict=True)]
+        cells = [format_with_sd(m, s)[0] for m, s in zip(mean, sd, strict=True)]
         rows.append((name, *cells, *(f"{s:.2g}" for s in sd), more[k]))
     header = ("IMU", "x", "y", "z", "sd x", "sd y", "sd z", last)
     return Table(title, header, tuple(rows), "lrrrrrrr", note)

@@ -14,7 +14,7 @@ from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.outcome import Run
 from imucalib.effects.forms import in_words
 from imucalib.report.document import Card, Certificate, Facts, Table
-from imucalib.significant_digits import with_sd
+from imucalib.significant_digits import format_with_sd
 from imucalib.units import MG
 
 #: Coverage factor k: about 95 % (GUM, 6.3.3).
@@ -63,7 +63,7 @@ def certify(run: Run, card: Card) -> Certificate | None:
         ("approved by", f"{_BLANK}   date, signature {_BLANK}"),
     ]
     rows = tuple(
-        (p.name.replace("_", " "), *with_sd(p.value, _COVERAGE * p.sd), p.unit)
+        (p.name.replace("_", " "), *format_with_sd(p.value, _COVERAGE * p.sd), p.unit)
         for p in calibration.parameters
         if p.stage != "fixture"
     )

@@ -31,7 +31,7 @@ from imucalib.report.document import (
     Worth,
     capital,
 )
-from imucalib.significant_digits import per_cent, plus_minus, signed_components, two_digits
+from imucalib.significant_digits import format_components, per_cent, plus_minus, two_digits
 from imucalib.units import MG
 
 SCHEMA = "imucal/check/1"
@@ -293,7 +293,7 @@ def _readings(sensor: SensorCheck) -> Table:
     rows = tuple(
         (
             label,
-            signed_components(force),
+            format_components(force),
             f"{misfits.value[k] / MG:+.2f}",
             f"{sd[k] / MG:.2f}",
             f"{z[k]:+.1f}",

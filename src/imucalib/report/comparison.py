@@ -33,11 +33,11 @@ from imucalib.report.document import (
 )
 from imucalib.report.plots import band
 from imucalib.significant_digits import (
+    format_components,
+    format_with_sd,
     per_cent,
     plus_minus,
-    signed_components,
     two_digits,
-    with_sd,
 )
 
 SCHEMA = "imucal/comparison/1"
@@ -114,7 +114,7 @@ def _card(found: Comparison, paths: Sequence[Path], command: str) -> Card:
         unit = worst.unit
         size = plus_minus(worst.value, worst.sd) if worst.sd > 0.0 else two_digits(worst.value)
         limit = f"limit {worst.limit:.2g} {unit}, {_how(found)}"
-        detail = f"at most, where the force is {signed_components(worst.attitude)}; {limit}"
+        detail = f"at most, where the force is {format_components(worst.attitude)}; {limit}"
         sensor = f", {worst.sensor}" if worst.sensor else ""
         worths.append(Worth(f"difference of {_WORTH[unit]}{sensor}", f"{size} {unit}", detail))
     words = (
@@ -165,8 +165,12 @@ def _meanings(found: Comparison) -> Table:
 
     def row(worst: Worst) -> tuple[str, ...]:
         pair = " - ".join(found.names[j] for j in reversed(worst.pair))
-        size = with_sd(worst.value, worst.sd) if worst.sd > 0.0 else (two_digits(worst.value), "-")
-        last = (f"{worst.limit:.2g}", worst.unit, signed_components(worst.attitude))
+        size = (
+            format_with_sd(worst.value, worst.sd)
+            if worst.sd > 0.0
+            else (two_digits(worst.value), "-")
+        )
+        last = (f"{worst.limit:.2g}", worst.unit, format_components(worst.attitude))
         return (_QUANTITY[worst.unit], *[worst.sensor] * named, pair, *size, *last)
 
     note = f"The worst attitude of all, as the direction of the force. Limit: {_how(found)}."
@@ -224,7 +228,7 @@ def _drift(found: Comparison) -> tuple[Text | Table, ...]:
     if drift is None:
         return ()
     rows = tuple(
-        (name, *with_sd(s.value, s.half), f"{unit}/day")
+        (name, *format_with_sd(s.value, s.half), f"{unit}/day")
         for name, unit, s in zip(basis.names, basis.units, drift.slopes, strict=True)
     )
     tones = Table.marked("warning", (s.shown for s in drift.slopes))
@@ -251,7 +255,7 @@ def _due(drift: CalibrationDrift) -> Text:
         return Text(words)
     words = (
         f"The corrected force drifts by {plus_minus(due.slope.value, due.slope.half)} (95 %) "
-        f"{due.unit} a day at its worst attitude ({signed_components(due.attitude)}): the limit of "
+        f"{due.unit} a day at its worst attitude ({format_components(due.attitude)}): the limit of "
         f"{due.limit:.2g} {due.unit} is reached on {day(due.expected)}, {early}."
     )
     return Text(words, "warning")

@@ -51,7 +51,7 @@ def fleet_document(fleet: Fleet) -> Document:
         Section("Devices", each[:1]),
         Section("Between devices", _spread(fleet), brief=False),
         Section("Not of the kind", Text.each(outlying, "warning")),
-        Section("What was tried", _tried(fleet), brief=False),
+        Section("What was tried", _try(fleet), brief=False),
         Section("Not calibrated", Text.each((f"{n}: {why}" for n, why in fleet.failed), "bad")),
         Section("Notes", Text.each(notes)),
     )
@@ -61,7 +61,7 @@ def fleet_document(fleet: Fleet) -> Document:
     uses, headline = _uses(fleet), _headline(fleet)
     card = Card(
         _worth(fleet),
-        _found(fleet),
+        _find(fleet),
         _to_do(fleet),
         command,
         uses,
@@ -150,7 +150,7 @@ def _worth(fleet: Fleet) -> tuple[Worth, ...]:
     )
 
 
-def _found(fleet: Fleet) -> tuple[Text, ...]:
+def _find(fleet: Fleet) -> tuple[Text, ...]:
     tone, lines = _TONE.get(fleet.verdict, "plain"), []
     for one in fleet.search.found if fleet.search else ():
         rivals = f"; or {' or '.join(map(in_words, one.rivals))}" if one.rivals else ""
@@ -262,7 +262,7 @@ def _scatter(one: ExcessScatter, unit: str) -> str:
     return f"{size_with_unit(one.sd, unit)} ({one.low:.2g} to {one.high:.2g})"
 
 
-def _tried(fleet: Fleet) -> tuple[Table | Text, ...]:
+def _try(fleet: Fleet) -> tuple[Table | Text, ...]:
     if fleet.search is None or not fleet.search.first:
         return ()
     rows = tuple(

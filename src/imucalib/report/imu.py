@@ -30,11 +30,11 @@ from imucalib.report.document import (
 )
 from imucalib.report.plots import gain_plot
 from imucalib.significant_digits import (
+    format_components,
+    format_with_sd,
     number,
     plus_minus,
-    signed_components,
     two_digits,
-    with_sd,
 )
 from imucalib.units import DEG
 
@@ -105,7 +105,7 @@ def _for_kalibr(run: ImuRun) -> tuple[Use, ...]:
 def _gains(run: ImuRun) -> Table:
     """K, in the accelerometer's frame."""
     values = [p for p in run.calibration.parameters if p.stage == STAGE]
-    rows = tuple((p.name, *with_sd(p.value, p.sd), p.unit) for p in values)
+    rows = tuple((p.name, *format_with_sd(p.value, p.sd), p.unit) for p in values)
     note = "ω = K (reading - bias - what effects add), in the accelerometer's frame."
     return Table("Gyroscope", ("parameter", "value", "sd", "unit"), rows, "lrrl", note)
 
@@ -168,7 +168,7 @@ def hand_plan_document(plan: HandPlan) -> Document:
         "bad" if plan.open_gains else "ok",
     )
     rows = tuple(
-        (str(k), turn.axis, signed_components(turn.up), f"{100.0 * turn.after:.2g}")
+        (str(k), turn.axis, format_components(turn.up), f"{100.0 * turn.after:.2g}")
         for k, turn in enumerate(plan.turns, start=1)
     )
     note = (

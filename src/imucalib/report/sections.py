@@ -38,14 +38,14 @@ from imucalib.report.document import (
     capital,
 )
 from imucalib.significant_digits import (
+    format_components,
+    format_with_sd,
     number,
     per_cent,
     plus_minus,
     probability,
-    signed_components,
     size_with_unit,
     two_digits,
-    with_sd,
 )
 from imucalib.units import MG
 
@@ -531,7 +531,7 @@ def closing_sections(outcome: Outcome) -> tuple[Section, ...]:
 def parameter_table(calibration: Calibration, note: str) -> Table:
     """Every parameter with its standard deviation."""
     rows = tuple(
-        (p.name, p.effect, *with_sd(p.value, p.sd), p.unit) for p in calibration.parameters
+        (p.name, p.effect, *format_with_sd(p.value, p.sd), p.unit) for p in calibration.parameters
     )
     return Table("Parameters", ("parameter", "effect", "value", "sd", "unit"), rows, "llrrl", note)
 
@@ -542,9 +542,9 @@ def sensor_section(calibration: Calibration, *more: Table) -> Section:
     rows = tuple(
         (
             letter,
-            signed_components(linear.M[k], 6),
+            format_components(linear.M[k], 6),
             f"{linear.b[k] / MG:+.3f}",
-            *with_sd(linear.scale[k], linear.scale_sd[k]),
+            *format_with_sd(linear.scale[k], linear.scale_sd[k]),
         )
         for k, letter in enumerate("xyz")
     )

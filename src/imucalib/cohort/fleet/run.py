@@ -117,7 +117,7 @@ def _members(
     folds = 2
     for name, run in runs:
         fit = run.result.final
-        final = _with_priors(fit, said.by_others[name], effects)
+        final = _add_priors(fit, said.by_others[name], effects)
         others = said.unseen.get(name, {})
         base_error = final_error = float("nan")
         if len(runs) <= _HELD_OUT:
@@ -154,7 +154,7 @@ def _predict_held_out(
     return before, join(parts, [fold.rows for fold in folds])
 
 
-def _with_priors(fit: Fit, said: Priors, effects: Mapping[str, Effect]) -> Fit:
+def _add_priors(fit: Fit, said: Priors, effects: Mapping[str, Effect]) -> Fit:
     """The fit with effects of whose sizes others say something: θ and covariance of both together.
 
     said : effect -> its sizes, in typical sizes

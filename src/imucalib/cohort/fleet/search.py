@@ -85,7 +85,7 @@ def search_fleet(own: Sequence[PooledDevice], say: Callable[[str], None], *, wit
         able, gram, along = products(devices, one.effect)
         for name, said in zip(able, by_others(gram, along), strict=True):
             by_device[name][one.effect] = joint_prior(*said)
-    unseen = _without_each(own) if found.found and without else {}
+    unseen = _drop_each(own) if found.found and without else {}
     return Said(found, by_device, unseen, _of_another(devices, found))
 
 
@@ -110,10 +110,10 @@ def search(devices: Sequence[PooledDevice]) -> Search:
         said = sizes(gram, along)
         rivals = tuple(s.effect for s in scores[1:] if s.evidence > best.evidence - OCCAM)
         found.append(FleetEffect(best, rivals, nats, able, said))
-        now = tuple(_without(device, best.effect, said) for device in now)
+        now = tuple(_drop(device, best.effect, said) for device in now)
 
 
-def _without(device: PooledDevice, effect: str, said: Sizes) -> PooledDevice:
+def _drop(device: PooledDevice, effect: str, said: Sizes) -> PooledDevice:
     """A device without an effect, whose size is N(μ, τ²) before its data are seen."""
     if effect not in device.columns:
         return device
@@ -131,7 +131,7 @@ def _but(device: PooledDevice, effect: str) -> dict[str, Index]:
     return {name: at for name, at in device.columns.items() if name != effect}
 
 
-def _without_each(devices: Sequence[PooledDevice]) -> dict[str, Priors]:
+def _drop_each(devices: Sequence[PooledDevice]) -> dict[str, Priors]:
     """Of each device the effects that the others find, with what these say of its sizes.
 
     devices : with their own noise, not drawn towards the fleet's, which the one left out would
