@@ -111,44 +111,25 @@ def candidates_of(every: Sequence[SensorView]) -> tuple[tuple[Candidate, ...], t
 
 
 def _common(every: Sequence[SensorView]) -> list[Interval]:
-    """Intervals in which, at every moment, most accelerometers and most gyroscopes are quiet: one
-    loud sample of one chip ends no rest of the others."""
-    common: list[Interval] | None = None
-    for turns in (False, True):
-        kind = [one for one in every if one.sensor.turns == turns]
-        if kind:
-            own = _most(kind)
-            common = own if common is None else _intersect(common, own)
-    return common or []
-
-
-def _most(kind: Sequence[SensorView]) -> list[Interval]:
-    """Intervals in which more than half of some sensors are quiet, in order."""
-    ends = [(span.start, -1) for one in kind for span in one.spans]
-    ends += [(span.stop, 1) for one in kind for span in one.spans]
-    found, quiet, needed = list[Interval](), 0, len(kind) // 2 + 1
-    begin = 0.0
-    for at, step in sorted(ends):
-        quiet -= step
-        if step < 0 and quiet == needed:
-            begin = at
-        elif step > 0 and quiet == needed - 1 and at > begin:
+    """Intervals in which, at every moment, more than half of the accelerometers and of the
+    gyroscopes are quiet, in order: one loud sample of one chip ends no rest of the others."""
+    of_kind, quiet = Counter(one.sensor.turns for one in every), Counter[bool]()
+    # Of a start and a stop at one moment the start comes first.
+    ends = sorted(
+        (at, stops, one.sensor.turns)
+        for one in every
+        for span in one.spans
+        for at, stops in ((span.start, False), (span.stop, True))
+    )
+    found = list[Interval]()
+    begin: float | None = None
+    for at, stops, turns in ends:
+        quiet[turns] += -1 if stops else 1
+        still = all(2 * quiet[kind] > count for kind, count in of_kind.items())
+        if begin is not None and not still and at > begin:
             found.append((begin, at))
+        begin = (at if begin is None else begin) if still else None
     return found
-
-
-def _intersect(one: Sequence[Interval], two: Sequence[Interval]) -> list[Interval]:
-    """Common parts of two ordered lists of intervals."""
-    out, i, j = [], 0, 0
-    while i < len(one) and j < len(two):
-        start, stop = max(one[i][0], two[j][0]), min(one[i][1], two[j][1])
-        if stop > start:
-            out.append((start, stop))
-        if one[i][1] < two[j][1]:
-            i += 1
-        else:
-            j += 1
-    return out
 
 
 def _judge(inside: Interval, every: Sequence[SensorView]) -> Candidate:
