@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
-from imucalib.calibrators.array.motion.board_motion import board_motion
-from imucalib.calibrators.array.motion.setup import Setup, select_with_neighbours
+from imucalib.calibrators.array.motion.setup import Setup, describe_motion, select_with_neighbours
 from imucalib.calibrators.array.motion.state import ArrayState, sampled_at
 from imucalib.calibrators.array.motion.terms import Term
 from imucalib.core.effect import Context, Response, Truth
@@ -142,16 +141,7 @@ def _fit_at(state: ArrayState, rows: Index) -> Sampled:
     readings, sampled = setup.readings, sampled_at(setup, state.r, state.noise)
     plain = [term for term in state.terms if not term.aged]
     for _ in range(2 if plain else 0):
-        motion = board_motion(
-            imus=setup.imus,
-            rotations=setup.board.rotations,
-            t=setup.t,
-            order=setup.order,
-            rate=sampled.rate,
-            spin=sampled.spin,
-            force=sampled.force,
-            jerk=np.zeros_like(sampled.force),
-        )
+        motion = describe_motion(setup, sampled, np.zeros_like(sampled.force))
         acceleration, rate = readings.acceleration.copy(), readings.rate.copy()
         for term in plain:
             columns = term.columns(motion)
