@@ -24,7 +24,7 @@ from imucalib.effects import named
 from imucalib.errors import LimitBroken, UsageError
 from imucalib.exports import export
 from imucalib.exports.bound import demand_carried
-from imucalib.exports.flight.parameters import with_ids
+from imucalib.exports.flight.parameters import state_ids
 from imucalib.exports.imus import NOISE_UNITS
 from imucalib.exports.per_axis import nearest_row
 from worlds.stated import stated
@@ -323,7 +323,7 @@ def test_the_sensors_id_is_written_or_asked_for(form: str, name: str) -> None:
     plain = export(made(*SIX), "x.csv", form)
     assert name not in ground_station(plain.text)
     assert any(f"{name}: " in lost and "--device-id" in lost for lost in plain.lost)
-    known = export(with_ids(made(*SIX), (1310988, 7)), "x.csv", form)
+    known = export(state_ids(made(*SIX), (1310988, 7)), "x.csv", form)
     assert ground_station(known.text)[name] == 1310988
     assert len(ground_station(known.text)) == 7  # there is no gyroscope that 7 would be of
     assert known.lost == ()

@@ -115,7 +115,7 @@ def command(calibration: Path, form: str, output: Path | None, **options: Any) -
 
 def _with_stated(calibration: Calibration, form: str, options: dict[str, Any]) -> Calibration:
     """With the noise and the ids that are stated beside it; raises click's usage errors."""
-    from imucalib.exports.flight.parameters import FLIGHT, with_ids
+    from imucalib.exports.flight.parameters import FLIGHT, state_ids
     from imucalib.exports.imus import with_noise, with_walks
     from imucalib.recording.identity import NAMELESS
     from imucalib.recording.pairing import fault
@@ -141,7 +141,7 @@ def _with_stated(calibration: Calibration, form: str, options: dict[str, Any]) -
     if len(words) > 2 or not all(word.strip().isdigit() for word in words):
         said = "give the accelerometer's id, or ACC,GYRO: whole numbers"
         raise click.BadParameter(said, param_hint="--device-id")
-    return with_ids(calibration, tuple(int(word) for word in words))
+    return state_ids(calibration, tuple(int(word) for word in words))
 
 
 def _numbers(text: str) -> list[float]:

@@ -23,7 +23,7 @@ FLIGHT = ("px4", "ardupilot")
 _IDS = "device_ids"
 
 
-def with_ids(calibration: Calibration, ids: tuple[int, ...]) -> Calibration:
+def state_ids(calibration: Calibration, ids: tuple[int, ...]) -> Calibration:
     """A calibration whose accelerometer, and gyroscope, has the id that a controller gives it."""
     return replace(calibration, facts={**calibration.facts, _IDS: list(ids)})
 
