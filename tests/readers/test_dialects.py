@@ -80,7 +80,7 @@ def verdict_on(planted: Dialect, folder: Path) -> tuple[str, str]:
 @pytest.mark.parametrize("name", DIALECTS)
 def test_no_dialect_is_read_wrongly_without_a_word(name: str, tmp_path: Path) -> None:
     planted = DIALECTS[name]
-    needs = NEEDS.get(planted.library, [planted.library])
+    needs = NEEDS.get(planted.package, [planted.package])
     for module in needs:
         pytest.importorskip(module)
     verdict, why = verdict_on(planted, tmp_path)

@@ -41,7 +41,7 @@ class Dialect:
     resolution : of the numbers, SI; kept : rows that have a value; dated : whether stamps are dates
     """
 
-    library: str
+    package: str
     write: Callable[[Path], Path]
     expected: str = "right"
     mapping: FieldMapping = field(default_factory=FieldMapping)
@@ -55,10 +55,10 @@ class Dialect:
 DIALECTS: dict[str, Dialect] = {}
 
 
-def dialect(library: str, **facts: object) -> Callable[[Callable[[Path], Path]], None]:
+def dialect(package: str, **facts: object) -> Callable[[Callable[[Path], Path]], None]:
     """Register what writes one file."""
 
     def add(write: Callable[[Path], Path]) -> None:
-        DIALECTS[f"{library}_{write.__name__}"] = Dialect(library, write, **facts)  # type: ignore[arg-type]
+        DIALECTS[f"{package}_{write.__name__}"] = Dialect(package, write, **facts)  # type: ignore[arg-type]
 
     return add
