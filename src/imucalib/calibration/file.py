@@ -19,9 +19,9 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.atomic_file import replace_together
 from imucalib.calibration.calibration import UNSETTLED, Calibration, StoredParameter
-from imucalib.calibration.plain import plain
 from imucalib.calibration.triads import effect_covariance, triad_from
 from imucalib.core.effect import Context
+from imucalib.data import plain
 from imucalib.errors import NotConverged, UnreadableInput
 from imucalib.file_hash import sha256_of
 from imucalib.recording.identity import NAMELESS, identity_from

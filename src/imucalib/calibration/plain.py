@@ -9,8 +9,6 @@ from typing import Any
 
 from imucalib.data import plain
 
-__all__ = ["fields", "json_text", "listed", "plain"]
-
 #: What has an end of its own in JSON.
 _MANY = (dict, list, tuple)
 

@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibration.plain import plain
 from imucalib.core.balance import Noise, balance
 from imucalib.core.effect import Context, Effect
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.core.prior import Prior, joint_prior
+from imucalib.data import plain
 from imucalib.effects import named
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.estimators.least_squares import fit

@@ -37,6 +37,11 @@ _QUANTILES = (np.arange(24) + 0.5) / 24
 NOISE = "more noise"
 
 
+def is_told(probability: float) -> bool:
+    """Whether what has a probability is likely enough to be told."""
+    return probability > ACCUSED * (1.0 - probability)
+
+
 @dataclass(frozen=True)
 class CovariancePart:
     """covariance : (N, N); dof : degrees of freedom of its size"""
@@ -83,7 +88,7 @@ class ChangeAnswer:
     @property
     def told(self) -> bool:
         """Whether a change is likelier than none."""
-        return 1.0 - self.nothing > ACCUSED * self.nothing
+        return is_told(1.0 - self.nothing)
 
     @property
     def likeliest(self) -> Explanation:

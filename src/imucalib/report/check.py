@@ -15,7 +15,8 @@ from imucalib.calibration.checking.check import SIGNIFICANT, Check, SensorCheck
 from imucalib.calibration.checking.misfit import BAD_REST
 from imucalib.calibration.checking.next_rests import MANY, NextRests
 from imucalib.calibration.checking.noise import FAMILIES
-from imucalib.calibration.plain import fields, plain
+from imucalib.calibration.plain import fields
+from imucalib.data import plain
 from imucalib.loop.changes import NOISE
 from imucalib.loop.odds import SEEN_IN
 from imucalib.report.document import (

@@ -18,7 +18,8 @@ from imucalib.calibration.comparison.compare import (
     Comparison,
     Slope,
 )
-from imucalib.calibration.plain import fields, plain
+from imucalib.calibration.plain import fields
+from imucalib.data import plain
 from imucalib.report.document import (
     Card,
     Document,

@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 
 from imucalib.calibration.comparison.agreement import ExcessScatter
-from imucalib.calibration.plain import fields, listed, plain
+from imucalib.calibration.plain import fields, listed
 from imucalib.cohort.fleet.outcome import Fleet
 from imucalib.core.effect import Context
+from imucalib.data import plain
 from imucalib.effects import named
 from imucalib.effects.forms import in_words
 from imucalib.report.document import (

@@ -16,8 +16,7 @@ from imucalib.calibration.checking.misfit import BAD_REST, GyroRest, Misfits, ch
 from imucalib.calibration.checking.next_rests import NextRests, next_rests, one_reading
 from imucalib.calibration.checking.noise import FAMILIES, CheckNoise, Limits
 from imucalib.errors import UNEXPLAINED_EXIT_CODE, LimitBroken, UsageError
-from imucalib.loop.changes import ChangeAnswer
-from imucalib.loop.odds import ACCUSED
+from imucalib.loop.changes import ChangeAnswer, is_told
 from imucalib.units import DEG, MG
 
 Verdict = Literal["still good", "changed", "undecided"]
@@ -51,8 +50,7 @@ class SensorCheck:
     @property
     def changed(self) -> bool:
         """Whether it is likelier that the sensor changed than not: one rest that is off is none."""
-        p = self.answer.probability_that(lambda names: not set(names) <= {BAD_REST})
-        return p > ACCUSED * (1.0 - p)
+        return is_told(self.answer.probability_that(lambda names: not set(names) <= {BAD_REST}))
 
     @property
     def disturbed(self) -> bool:
@@ -118,8 +116,7 @@ class Check:
     def drifted(self) -> tuple[SensorCheck, ...]:
         """The sensors whose gyroscope's bias is likelier beyond the limit than within."""
         limit = self.rate_limit
-        bar = ACCUSED / (1.0 + ACCUSED)
-        return tuple(s for s in self.sensors if s.gyro and s.gyro.beyond(limit) > bar)
+        return tuple(s for s in self.sensors if s.gyro and is_told(s.gyro.beyond(limit)))
 
 
 @dataclass(frozen=True)
