@@ -1,6 +1,6 @@
 """The next device of a kind, from few rests beside its fleet, on devices made by plain numpy.
 
-    python benchmarks/lab/next_device.py [--fleets 8] [--devices 12] [--next 10]
+    python benchmarks/lab/next_device.py [--fleets 40] [--devices 5 20] [--rests 24] [--next 3]
     python benchmarks/lab/next_device.py measured
 
 A device: reading = matrix force + bias + q force² + 1 mg of noise, read at evenly spread attitudes;
@@ -12,9 +12,11 @@ other rows.
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import tempfile
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -92,30 +94,73 @@ def fleet_of(paths: list[Path]) -> Population:
     return found.following
 
 
-def simulated(fleets: int, devices: int, following: int, folder: Path) -> None:
-    heads = " | ".join(f"{n} rests" for n in RESTS)
-    print(f"| devices differ | {heads} | 24 rests alone | z rms of 6 rests | told strange |")
-    print("|---|" + "---|" * (len(RESTS) + 3))
-    for kind in KINDS:
-        beside, alone, z, strange = [], [], [], []
-        for seed in range(fleets):
-            rng = np.random.default_rng((seed, len(kind)))
-            paths = [device(rng, kind).write(folder / f"{k}.csv", 24, rng) for k in range(devices)]
-            told = fleet_of(paths)
-            for _ in range(following):
-                one = device(rng, kind)
-                runs = [
-                    calibrated(one.write(folder / "new.csv", n, rng), told).result for n in RESTS
-                ]
-                beside.append([one.error(r.final) for r in runs])
-                z.append(one.z(runs[0].final))
-                strange.append(runs[0].kind_chance < 0.01)
-                alone.append(one.error(calibrated(folder / "new.csv", None).result.final))
-        rms = np.sqrt(np.mean(np.square(beside), axis=0))
-        cells = " | ".join(f"{v:.2f} mg" for v in rms)
-        own = float(np.sqrt(np.mean(np.square(alone))))
-        print(f"| {kind} | {cells} | {own:.2f} mg | {np.std(z):.2f} | "
-              f"{sum(strange)} of {len(strange)} |")  # fmt: skip
+def next_ones(devices: int, rests: int, kind: str, seed: int, following: int, folder: Path) -> dict:  # type: ignore[type-arg]
+    """A fleet of devices with so many rests each, and ones that follow it."""
+    rng = np.random.default_rng((seed, len(kind), devices, rests))
+    paths = [device(rng, kind).write(folder / f"{k}.csv", rests, rng) for k in range(devices)]
+    told = fleet_of(paths)
+    found = {"kind": kind, "devices": devices, "rests": rests, "seed": seed, "next": []}
+    for _ in range(following):
+        one = device(rng, kind)
+        runs, alone = [], []
+        for count in RESTS:
+            path = one.write(folder / "new.csv", count, rng)
+            runs.append(calibrated(path, told).result)
+            if count > 9:
+                alone.append(one.error(calibrated(path, None).result.final))
+        found["next"].append({
+            "beside": [one.error(r.final) for r in runs], "alone": alone,
+            "z": [one.z(r.final).tolist() for r in runs], "chance": runs[0].kind_chance,
+            "prior": told_of(told, one),
+        })  # fmt: skip
+    return found
+
+
+def told_of(told: Population, one: Device) -> list[float]:
+    """Errors of the prior itself over its sd, of bias, scale and cross terms."""
+    m = one.matrix
+    truth = [*one.bias, *(np.diag(m) - 1.0), m[1, 0], m[2, 0], m[2, 1]]
+    every = zip(told.parameters[:9], truth, strict=True)
+    return [float((v - p.mean) / p.sd) for p, v in every]
+
+
+def table(lines: list[dict]) -> None:  # type: ignore[type-arg]
+    heads = (
+        "devices", "of rests", "differ", "next ones", *(f"{n} rests" for n in RESTS),
+        "12, 24 alone", "95 % hold: the prior alone", f"{RESTS[0]} rests", f"{RESTS[-1]} rests",
+        "told strange",
+    )  # fmt: skip
+    print("| " + " | ".join(heads) + " |\n" + "|---" * len(heads) + "|")
+    for devices, rests, kind in sorted({(x["devices"], x["rests"], x["kind"]) for x in lines}):
+        own = [x for x in lines if (x["devices"], x["rests"], x["kind"]) == (devices, rests, kind)]
+        ones = [one for x in own for one in x["next"]]
+        rms = np.sqrt(np.mean(np.square([one["beside"] for one in ones]), axis=0))
+        alone = np.sqrt(np.mean(np.square([one["alone"] for one in ones]), axis=0))
+        z = np.array([one["z"] for one in ones])
+        held = [np.array([one["prior"] for one in ones]), z[:, 0], z[:, -1]]
+        print("| " + " | ".join((
+            f"{devices} | {rests} | {kind} | {len(ones)} of {len(own)}",
+            *(f"{v:.2f} mg" for v in rms), ", ".join(f"{v:.2f}" for v in alone) + " mg",
+            *(f"{100 * np.mean(np.abs(h) < 1.96):.1f} % (z {np.sqrt(np.mean(h**2)):.2f})"
+              for h in held),
+            f"{sum(one['chance'] < 0.01 for one in ones)}",
+        )) + " |")  # fmt: skip
+
+
+def simulated(
+    fleets: int, devices: list[int], rests: list[int], following: int, results: Path
+) -> None:
+    """Each fleet is a line of the results, so that a run may be cut and taken up again."""
+    text = results.read_text() if results.exists() else ""
+    lines = [json.loads(line) for line in text.splitlines()]
+    had = {(x["devices"], x["rests"], x["kind"], x["seed"]) for x in lines}
+    with tempfile.TemporaryDirectory() as folder, results.open("a") as out:
+        for seed, *case in product(range(fleets), devices, rests, KINDS):
+            if (*case, seed) not in had:
+                lines.append(next_ones(*case, seed, following, Path(folder)))
+                out.write(json.dumps(lines[-1]) + "\n")
+                out.flush()
+    table(lines)
 
 
 def measured(repeats: int = 12) -> None:
@@ -124,7 +169,7 @@ def measured(repeats: int = 12) -> None:
     print("| " + " | ".join(heads) + " |")
     print("|---" * len(heads) + "|")
     for path in paths:
-        kind = fleet_of([p for p in paths if p != path], 299)
+        kind = fleet_of([p for p in paths if p != path])
         whole = calibrated(path, None)
         data = whole.result.final.observations
         cells = []
@@ -142,15 +187,16 @@ def measured(repeats: int = 12) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("what", nargs="?", default="simulated", choices=["simulated", "measured"])
-    parser.add_argument("--fleets", type=int, default=8)
-    parser.add_argument("--devices", type=int, default=12)
-    parser.add_argument("--next", type=int, default=10)
+    parser.add_argument("--fleets", type=int, default=40)
+    parser.add_argument("--devices", type=int, nargs="*", default=[5, 20])
+    parser.add_argument("--rests", type=int, nargs="*", default=[24])
+    parser.add_argument("--next", type=int, default=3)
+    parser.add_argument("--results", type=Path, default=Path("next_device.jsonl"))
     chosen = parser.parse_args()
     if chosen.what == "measured":
         measured()
         return
-    with tempfile.TemporaryDirectory() as folder:
-        simulated(chosen.fleets, chosen.devices, chosen.next, Path(folder))
+    simulated(chosen.fleets, chosen.devices, chosen.rests, chosen.next, chosen.results)
 
 
 if __name__ == "__main__":

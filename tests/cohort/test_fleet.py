@@ -16,7 +16,7 @@ from gates.bounds import at_most
 from imucalib.calibration.file import read
 from imucalib.calibrators.lab.files import LabFiles
 from imucalib.calibrators.lab.request import LabRequest
-from imucalib.cohort.fleet.outcome import Fleet, estimate_spread, outliers
+from imucalib.cohort.fleet.outcome import Fleet, estimate_spreads, outliers
 from imucalib.cohort.fleet.pooled import PooledDevice
 from imucalib.cohort.fleet.run import run_fleet
 from imucalib.cohort.fleet.search import search
@@ -152,16 +152,14 @@ def test_fleets_that_lack_nothing_claim_nothing() -> None:
 def test_one_of_five_that_is_off_is_told() -> None:
     """A bias of twenty times the others' scatter was nothing odd, by three degrees of freedom; of
     fleets that lack nothing one in a hundred is told odd, also where axes scatter unlike."""
-    rng, sds, names = np.random.default_rng(5), np.full(5, 0.2), [f"bias_{a}" for a in "xyz"]
+    rng, sds, names = np.random.default_rng(5), np.full((5, 3), 0.2), [f"bias_{a}" for a in "xyz"]
     told, false = 0, 0
     for _ in range(30):
         size = np.exp(0.5 * rng.standard_normal(3))
         values = size * rng.standard_normal((5, 3)) + 0.2 * rng.standard_normal((5, 3))
         for odd in (False, True):
             values[2, 0] += 20.0 * size[0] * odd
-            spreads = [
-                estimate_spread(n, "mg", v, sds) for n, v in zip(names, values.T, strict=True)
-            ]
+            spreads = estimate_spreads(names, ["mg"] * 3, values, sds, [None] * 3)
             found = outliers(list("abcde"), spreads)
             told += odd and [o.device for o in found] == ["c"]
             false += bool(found) and not odd

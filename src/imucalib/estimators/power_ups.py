@@ -11,6 +11,8 @@ next one is a mixture over those that the data allow, so that few give wide inte
 size zero. Axes of one chip scatter alike within a factor of two, not equally: the size of an axis
 is log-normal about that of all, which has the prior 1 / (size + what noise alone does to a
 recording's mean); what the axes say of each other is in the weights of each.
+
+Devices of a kind scatter as power-ups of one do, and the next device is foretold alike.
 """
 
 from __future__ import annotations
@@ -23,6 +25,8 @@ import numpy as np
 from imucalib.arrays import Array, Index
 
 _SIZES, _REACH = 36, (0.05, 30.0)
+#: Nats below the likeliest from which on a size of the scatter is not looked at closely.
+_FAR = 15.0
 #: Standard deviation of the log of an axis' scatter about that of all: 60 power-ups of an MPU-9250
 #: have 0.46, 0.25 and 0.63 mg.
 _UNLIKE = 0.5
@@ -101,6 +105,66 @@ def moved(
     return 1.0 - float(weight[0]), {n: sum(w for names, w in every if n in names) for n in blocks}
 
 
+@dataclass(frozen=True)
+class NextOne:
+    """What recordings or devices say of the next one's k numbers of a kind: a mixture over the
+    sizes of the scatter that they allow.
+
+    size : (s,); weight : (k, s) of them; means, variances : (k, s) of the mean of all at each size
+    """
+
+    size: Array
+    weight: Array
+    means: Array
+    variances: Array
+
+    @property
+    def mean(self) -> Array:
+        """(k,) of all."""
+        return np.asarray(np.sum(self.weight * self.means, axis=1))
+
+    @property
+    def mean_sd(self) -> Array:
+        """(k,) of the mean."""
+        away = self.means - self.mean[:, None]
+        return np.asarray(np.sqrt(np.sum(self.weight * (self.variances + away**2), axis=1)))
+
+    @property
+    def sd(self) -> Array:
+        """(k,) of the next one, as well as a normal law says it."""
+        return np.asarray(np.sqrt(self.weight @ self.size**2 + self.mean_sd**2))
+
+    def scatter(self, share: float) -> Array:
+        """(k,) what the scatter is below with a probability."""
+        below = np.cumsum(self.weight, axis=1) - 0.5 * self.weight
+        return np.array([np.interp(share, own, self.size) for own in below])
+
+    def chance(self, value: Array, sd: Array) -> Array:
+        """(k,) that one more, measured with sd (k,), is as far from the others as a value (k,)."""
+        from scipy.special import ndtr
+
+        whole = np.sqrt(self.variances + self.size**2 + sd[:, None] ** 2)
+        tail = ndtr(-np.abs(value[:, None] - self.means) / whole)
+        return np.asarray(2.0 * np.sum(self.weight * tail, axis=1))
+
+
+def predict_next(values: Array, sds: Array) -> NextOne:
+    """By values (L, k) with standard deviations (L, k), each by itself; L is two at least."""
+    noise = float(np.sqrt(np.mean(sds**2)))
+    top = max(float(np.std(values, axis=0, ddof=1).max()), noise)
+    sizes = np.geomspace(_REACH[0] * noise, _REACH[1] * top, _SIZES)
+    for _ in range(2):  # over all sizes, then over those that are likely
+        whole = sizes[:, None, None] ** 2 + sds**2  # (s, L, k)
+        variances = 1.0 / np.sum(1.0 / whole, axis=1).T
+        means = variances * np.sum(values / whole, axis=1).T
+        squares = np.sum((values - means.T[:, None]) ** 2 / whole, axis=1).T
+        nats = 0.5 * (np.log(variances) - squares - np.sum(np.log(whole), axis=1).T)
+        seen = np.flatnonzero(np.any(nats > nats.max(axis=1, keepdims=True) - _FAR, axis=0))
+        first, last = max(seen[0] - 1, 0), min(seen[-1] + 1, sizes.size - 1)
+        used, sizes = sizes, np.geomspace(sizes[first], sizes[last], 2 * _SIZES)
+    return NextOne(used, _weights(used, nats, noise)[1], means, variances)
+
+
 def sizes_allowed(parts: Parts, sd: float) -> tuple[Array, Array, Array]:
     """Sizes of the parts' scatter, their weights for all axes and for each, the other axes at
     `sd`."""
@@ -108,6 +172,11 @@ def sizes_allowed(parts: Parts, sd: float) -> tuple[Array, Array, Array]:
     sizes = np.geomspace(_REACH[0] * noise_alone, _REACH[1] * max(sd, noise_alone), _SIZES)
     axes = np.eye(3, dtype=bool)
     nats = np.array([[parts.log_likelihood(np.where(axis, s, sd)) for s in sizes] for axis in axes])
+    return (sizes, *_weights(sizes, nats, noise_alone))
+
+
+def _weights(sizes: Array, nats: Array, noise_alone: float) -> tuple[Array, Array]:
+    """Of sizes (s,) for all axes and for each, by the nats (k, s) of each."""
     likely = np.exp(nats - nats.max(axis=1, keepdims=True))
     about = np.exp(-0.5 * (np.log(sizes[:, None] / sizes) / _UNLIKE) ** 2)
     about = about / about.sum(axis=0)  # (size of an axis, size of all)
@@ -115,4 +184,4 @@ def sizes_allowed(parts: Parts, sd: float) -> tuple[Array, Array, Array]:
     seen = likely @ about
     all_axes = prior * seen.prod(axis=0)
     each = likely * ((prior * seen.prod(axis=0) / np.maximum(seen, 1e-300)) @ about.T)
-    return sizes, all_axes / all_axes.sum(), each / each.sum(axis=1, keepdims=True)
+    return all_axes / all_axes.sum(), each / each.sum(axis=1, keepdims=True)

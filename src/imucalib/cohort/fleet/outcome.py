@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.calibration.calibration import Calibration, StoredParameter
-from imucalib.calibration.comparison.agreement import ExcessScatter, beyond, excess
+from imucalib.calibration.comparison.agreement import ExcessScatter, beyond
 from imucalib.calibration.provenance import Provenance
 from imucalib.calibrators.population import Population, PriorNoise, PriorParameter
-from imucalib.cohort.fleet.pooled import moderated_axes, of_a_kind
 from imucalib.cohort.fleet.search import Priors, Search
 from imucalib.core.effect import Context
 from imucalib.core.fit import Fit
 from imucalib.effects import named
+from imucalib.estimators.power_ups import predict_next
 from imucalib.loop.held_out import Difference
 
 #: Devices from which on there is a scatter to speak of.
@@ -25,45 +25,31 @@ FEWEST = 4
 _SURE, _VANISHED = 0.05, 0.1
 #: Family-wise chance of an outlying device where none is, and devices from which on one is named.
 _ALPHA, _FEWEST = 0.01, 5
-#: Share of the devices' own variance below which a scatter cannot be known from none.
-_LEAST = 0.1
 #: Sizes of a noise (devices,) and their relative standard deviations.
 Sizes = tuple[Array, Array]
 
 
 @dataclass(frozen=True)
 class Spread:
-    """A parameter over a fleet: mean ± sd of the mean, and the scatter between devices, in `unit`;
-    values, sds : (devices,); sessions : the scatter between recordings of one device, beyond what
-    each one's sd explains, None where no device was recorded twice"""
+    """A parameter over a fleet: mean ± sd of the mean, and the scatter between devices in its 95 %
+    interval, in `unit`; next_sd : of one recording of the next device, by all scatters that the
+    devices allow; values, sds : (devices,); sessions : the scatter between recordings of a device,
+    beyond what each one's sd explains, None where no device was recorded twice"""
 
     name: str
     unit: str
     mean: float
     mean_sd: float
-    scatter: float
+    interval: ExcessScatter
+    next_sd: float
     values: Array
     sds: Array
     sessions: ExcessScatter | None = None
 
     @property
-    def interval(self) -> ExcessScatter:
-        """The scatter between devices with its 95 % interval."""
-        return beyond(self.values, self.sds**2)
-
-    @property
-    def next_sd(self) -> float:
-        """Of one recording of the next device: the scatter between devices and between recordings,
-        the doubt about the mean, and Student's (K - 1) / (K - 3) for that about the scatter."""
-        count = len(self.values)
-        within = 0.0 if self.sessions is None else self.sessions.sd
-        whole = self.scatter**2 + within**2 + self.mean_sd**2
-        return float(np.sqrt(grown(count) * whole))
-
-
-def grown(devices: int) -> float:
-    """By how much a variance that few devices tell falls short of the next one's, on average."""
-    return (devices - 1.0) / (devices - 3.0)
+    def scatter(self) -> float:
+        """As likely larger as smaller."""
+        return self.interval.sd
 
 
 @dataclass(frozen=True)
@@ -80,80 +66,111 @@ class Outlier:
     p: float
 
 
-def estimate_spread(name: str, unit: str, values: Array, sds: Array) -> Spread:
-    """Of devices with one value each."""
-    scatter = excess(values.size - 1.0, values, sds**2) ** 0.5
-    weight = 1.0 / (sds**2 + scatter**2)
-    mean = float(weight @ values / weight.sum())
-    return Spread(
-        name=name,
-        unit=unit,
-        mean=mean,
-        mean_sd=float(weight.sum() ** -0.5),
-        scatter=scatter,
-        values=values,
-        sds=sds,
-    )
+def estimate_spreads(
+    names: Sequence[str],
+    units: Sequence[str],
+    values: Array,
+    sds: Array,
+    sessions: Sequence[ExcessScatter | None],
+) -> tuple[Spread, ...]:
+    """Of parameters by name, whose values and sds are (devices, p); those of a kind, "bias_x" and
+    "bias_y", scatter alike."""
+    found = dict[int, Spread]()
+    for kind in of_a_kind(names):
+        said = predict_next(values[:, kind], sds[:, kind])
+        ends = np.array([said.scatter(share) for share in (0.5, 0.025, 0.975)])
+        for k, j in enumerate(kind):
+            within = sessions[j]
+            found[j] = Spread(
+                name=names[j],
+                unit=units[j],
+                mean=float(said.mean[k]),
+                mean_sd=float(said.mean_sd[k]),
+                interval=ExcessScatter(*ends[:, k].tolist()),
+                next_sd=float(np.hypot(said.sd[k], within.sd if within else 0.0)),
+                values=values[:, j],
+                sds=sds[:, j],
+                sessions=within,
+            )
+    return tuple(found[j] for j in range(len(names)))
 
 
-def nested_spread(name: str, unit: str, values: Array, sds: Array, device: Index) -> Spread:
-    """Of recordings with one value each; device : (recordings,) 0 to devices - 1.
+def by_device(
+    values: Array, sds: Array, device: Index
+) -> tuple[Array, Array, ExcessScatter | None]:
+    """A parameter's value and sd of each device: the mean of its recordings, whose scatter beyond
+    their sds all devices tell together; None where no device has two.
 
-    A device's value is the mean of its recordings, whose scatter beyond their sds all devices tell
-    together.
+    values, sds : (recordings,); device : (recordings,) 0 to devices - 1
     """
     within = beyond(values, sds**2, np.eye(device.max() + 1)[device])
     if np.isnan(within.sd):
-        return estimate_spread(name, unit, values, sds)
+        return values, sds, None
     weight = 1.0 / (sds**2 + within.sd**2)
     total = np.bincount(device, weight)
-    own = np.bincount(device, weight * values) / total
-    return replace(estimate_spread(name, unit, own, np.sqrt(1.0 / total)), sessions=within)
+    return np.bincount(device, weight * values) / total, np.sqrt(1.0 / total), within
 
 
 def shared_parameters(
     tables: Sequence[Sequence[StoredParameter]], pooled: Sequence[str], device: Index
 ) -> tuple[Spread, ...]:
     """Of every parameter that all recordings have, without effects whose sizes are pooled already:
-    there each device's value leans on the others'. device : (recordings,) as of `nested_spread`"""
+    there each device's value leans on the others'. device : (recordings,) as of `by_device`"""
     by_name = [{p.name: p for p in own if p.effect not in pooled} for own in tables]
     shared = [p for name, p in by_name[0].items() if all(name in table for table in by_name)]
-    return tuple(
-        nested_spread(
-            p.name,
-            p.unit,
+    if not shared:
+        return ()
+    every = [
+        by_device(
             np.array([table[p.name].value for table in by_name]),
             np.array([table[p.name].sd for table in by_name]),
             device,
         )
         for p in shared
-    )
+    ]
+    values, sds, sessions = zip(*every, strict=True)
+    names, units = [p.name for p in shared], [p.unit for p in shared]
+    return estimate_spreads(names, units, np.array(values).T, np.array(sds).T, sessions)
 
 
 def outliers(devices: Sequence[str], spreads: Sequence[Spread]) -> tuple[Outlier, ...]:
-    """Devices outside a normal population that the others make, by Student's t, worst first."""
-    from scipy.special import stdtr
-
+    """Devices that the others do not foretell, worst first."""
     count = len(devices)
     if count < _FEWEST:
         return ()
-    kinds, found = of_a_kind([one.name for one in spreads]), list[Outlier]()
-    for k, device in enumerate(devices):
-        rest = np.arange(count) != k
-        others = [estimate_spread(s.name, s.unit, s.values[rest], s.sds[rest]) for s in spreads]
-        least = [_LEAST * float(np.mean(s.sds**2)) for s in others]
-        variance = np.maximum([s.scatter**2 for s in others], least)
-        better, freedom = moderated_axes(variance, count - 2.0, kinds)
-        for one, own, square, dof in zip(spreads, others, better, freedom, strict=True):
-            weight = 1.0 / (own.sds**2 + square)
-            mean = float(weight @ own.values / weight.sum())
-            value, sd = float(one.values[k]), float(one.sds[k])
-            t = abs(value - mean) / float(np.sqrt(square + 1.0 / weight.sum() + sd**2))
-            p = min(1.0, 2.0 * float(stdtr(dof, -t)) * count * len(spreads))
-            if p <= _ALPHA:
-                row = {"value": value, "sd": sd, "mean": mean, "scatter": float(square**0.5)}
-                found.append(Outlier(device, one.name, unit=one.unit, p=p, **row))
+    found = list[Outlier]()
+    for kind in of_a_kind([one.name for one in spreads]):
+        values, sds = (
+            np.array([getattr(spreads[j], n) for j in kind]).T for n in ("values", "sds")
+        )
+        for k, device in enumerate(devices):
+            rest = np.arange(count) != k
+            others = predict_next(values[rest], sds[rest])
+            scatter, chance = others.scatter(0.5), others.chance(values[k], sds[k])
+            for i, j in enumerate(kind):
+                p = min(1.0, float(chance[i]) * count * len(spreads))
+                if p <= _ALPHA:
+                    found.append(
+                        Outlier(
+                            device=device,
+                            parameter=spreads[j].name,
+                            value=float(values[k, i]),
+                            sd=float(sds[k, i]),
+                            unit=spreads[j].unit,
+                            mean=float(others.mean[i]),
+                            scatter=float(scatter[i]),
+                            p=p,
+                        )
+                    )
     return tuple(sorted(found, key=lambda o: o.p))
+
+
+def of_a_kind(names: Sequence[str]) -> list[list[int]]:
+    """Numbers of the parameters that are alike: "bias_x" with "bias_y" and "bias_z"."""
+    kinds = dict[str, list[int]]()
+    for k, name in enumerate(names):
+        kinds.setdefault(name.rpartition("_")[0] or name, []).append(k)
+    return list(kinds.values())
 
 
 def population_of(
@@ -179,7 +196,7 @@ def population_of(
     for name, prior in effects.items():
         parameters = named(name).parameters(context)
         typical = np.array([p.typical for p in parameters])
-        own = grown(count) * prior.covariance * np.outer(typical, typical)
+        own = prior.covariance * np.outer(typical, typical)
         blocks.append(own)
         every += [
             PriorParameter(p.name, p.unit, float(m * p.typical), float(np.sqrt(v)))
@@ -212,8 +229,8 @@ def _noise(name: str, sizes: Array, sds: Array) -> PriorNoise:
     least = _VANISHED * float(np.median(sizes[sizes > 0.0]))
     gone = sizes < least
     logs = np.log(np.maximum(sizes, least))
-    one = estimate_spread(name, "log", logs, np.where(gone, 1.0, np.maximum(sds, _SURE)))
-    return PriorNoise(name, float(np.exp(one.mean)), max(one.next_sd, _SURE))
+    said = predict_next(logs[:, None], np.where(gone, 1.0, np.maximum(sds, _SURE))[:, None])
+    return PriorNoise(name, float(np.exp(said.mean[0])), max(float(said.sd[0]), _SURE))
 
 
 @dataclass(frozen=True)

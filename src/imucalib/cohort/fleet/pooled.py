@@ -14,14 +14,6 @@ with the factor of all noises, which the same data tell in ν degrees of freedom
 under Jeffreys' prior. The evidence is the mean of m over a grid of τ and γ: all the same, all
 different, and between. What exists is a posterior over nothing and each of the effects, with the
 prior odds of one device's search.
-
-Scatter between devices of one axis, drawn towards that of the other axes of its kind.
-
-Few devices say little of a scatter: of five, the four that judge the fifth leave three degrees of
-freedom, and Student's t asks for 22 of it at one in a hundred of 45 numbers. Axes of a kind scatter
-the same within a factor, log-normal about what they share, so that the others count as ν₀ degrees
-of freedom: s² = (ν₀ s₀² + ν s_a²) / (ν₀ + ν), with trigamma(ν₀ / 2) the variance of log s₀² about
-it (moderated variances; Smyth 2004, section 6.2).
 """
 
 from __future__ import annotations
@@ -42,8 +34,6 @@ from imucalib.loop.posterior.gram import log_sum
 _SHOWN = 1e-6
 #: Devices from which on their noise is compared, and degrees of freedom that mean "all the same".
 _MODERATED, _ALL_THE_SAME = 3, 1e4
-#: Standard deviation of the log of an axis' scatter about that of its kind, as between power-ups.
-_UNLIKE = 0.5
 #: Sizes of the scatter τ between devices and of the common size γ, in typical sizes.
 _TAU = (0.0, 0.1, 0.3, 1.0, 3.0)
 _GAMMA = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0)
@@ -116,31 +106,6 @@ def shrink_noise(devices: Sequence[PooledDevice]) -> tuple[PooledDevice, ...]:
         replace(d, gram=d.gram * share, along=d.along * share)
         for d, share in zip(devices, square / better, strict=True)
     )
-
-
-def of_a_kind(names: Sequence[str]) -> list[list[int]]:
-    """Numbers of the parameters that stand with each: "bias_x" with "bias_y" and "bias_z"."""
-    kinds = [name.rpartition("_")[0] or name for name in names]
-    return [[j for j, other in enumerate(kinds) if other == kind] for kind in kinds]
-
-
-def moderated_axes(
-    variance: Array, dof: float, kinds: Sequence[Sequence[int]]
-) -> tuple[Array, Array]:
-    """Variances (p,) above zero with `dof` degrees of freedom each; what becomes of both (p,)."""
-    from scipy.special import polygamma
-
-    better, freedom = variance.copy(), np.full(variance.size, dof)
-    own = (2.0 * _UNLIKE) ** 2
-    for k, kind in enumerate(kinds):
-        others = [j for j in kind if j != k]
-        if others:
-            shared = float(np.exp(np.mean(np.log(variance[others]))))
-            doubt = own + (own + float(polygamma(1, dof / 2.0))) / len(others)
-            more = 2.0 * inverse_trigamma(doubt)
-            better[k] = (more * shared + dof * variance[k]) / (more + dof)
-            freedom[k] = dof + more
-    return better, freedom
 
 
 def inverse_trigamma(value: float) -> float:
@@ -221,17 +186,22 @@ def evidence(gram: Array, along: Array, dof: float) -> float:
 def sizes(gram: Array, along: Array) -> Sizes:
     """The sizes of an effect. gram : (devices, k, k); along : (devices, k)
 
-    The scatter is the root of its mean square over what the data allow, with the prior
-    1 / (τ + sd of a device's own size): few devices that look equal are not believed to be.
+    All are means over the scatters that the data allow, with the prior 1 / (τ + sd of a device's
+    own size): few devices that look equal are not believed to be.
     """
     alone = float(np.sqrt(np.mean(1.0 / np.maximum(np.einsum("dii->di", gram), 1e-12))))
     tau = np.concatenate([[0.0], alone * np.geomspace(*_ALLOWED, _SIZES)])
     nats = np.array([_nats(*_sums(gram, along, float(t)), _WIDE, np.inf) for t in tau])
     weight = np.exp(nats - nats.max()) * np.gradient(tau) / (tau + alone)
-    scatter = float(np.sqrt(weight @ tau**2 / weight.sum()))
-    _, _, w, inside = _sums(gram, along, scatter)
-    spread = np.linalg.inv(inside + np.eye(len(inside)) / _WIDE**2)
-    return Sizes(spread @ w, np.asarray(spread, np.float64), scatter)
+    weight /= weight.sum()
+    wide = np.eye(gram.shape[1]) / _WIDE**2
+    pulled = [_sums(gram, along, float(t))[2:] for t in tau]
+    each = np.array([np.linalg.inv(inside + wide) for _, inside in pulled])
+    common = np.einsum("tij,tj->ti", each, np.array([w for w, _ in pulled]))
+    mean = weight @ common
+    away = common - mean
+    spread = np.einsum("t,tij->ij", weight, each) + (weight * away.T) @ away
+    return Sizes(mean, spread, float(np.sqrt(weight @ tau**2)))
 
 
 def by_others(gram: Array, along: Array) -> list[tuple[Array, Array]]:
