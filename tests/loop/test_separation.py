@@ -48,13 +48,15 @@ def test_the_distance_is_that_of_least_squares() -> None:
 
 def test_new_data_have_an_offset_of_their_own_after_a_power_up() -> None:
     one, _ = linear(0, 40, 0.1, 1.5)
-    later = one.after_a_power_up(2.0, (10.0, 10.0, 20.0))
-    assert later.columns[:4] == ("next_bias_x", "next_bias_y", "next_bias_z", "x")
-    assert [at.tolist() for at in later.blocks.values()] == [[5], [6]]
-    np.testing.assert_allclose(later.gram[:3, :3], np.diag([25.0, 25.0, 100.0]))
-    np.testing.assert_allclose(later.gram[3:, 3:], one.gram)
-    assert not later.gram[:3, 3:].any()
-    np.testing.assert_allclose(later.along, [0.0] * 3 + one.along.tolist())
+    rows = np.random.default_rng(1).normal(size=(5, 4))
+    later, pool = one.after_a_power_up({"y": 25.0}, np.array([rows.T @ rows]))
+    assert later.columns == ("next_y", "x", "y", "a", "b")
+    assert [at.tolist() for at in later.blocks.values()] == [[3], [4]]
+    assert later.gram[0].tolist() == [25.0, 0.0, 0.0, 0.0, 0.0]
+    np.testing.assert_allclose(later.gram[1:, 1:], one.gram)
+    np.testing.assert_allclose(later.along, [0.0, *one.along])
+    both = np.column_stack([rows[:, 1], rows])  # what the bias is off by acts as the bias does
+    np.testing.assert_allclose(pool[0], both.T @ both)
 
 
 @pytest.mark.parametrize("count", [60, 200, 600])

@@ -18,25 +18,17 @@ import numpy as np
 from imucalib.arrays import Array, Index
 from imucalib.calibration.ambiguity import KEY, ambiguity_block, ambiguity_of, read_report
 from imucalib.calibration.calibration import Calibration
-from imucalib.calibration.checking.next_rests import attitudes
 from imucalib.calibration.file import check, read
 from imucalib.calibrators.lab.conventions import Conventions
-from imucalib.calibrators.lab.design import grid
 from imucalib.core.effect import Context
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
-from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm, KnownVector, Reference, angles_of, unit_vector
 from imucalib.core.sphere import KnownDirection
 from imucalib.effects import named
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.loop.separation import (
-    Ambiguity,
-    Separation,
-    columns_of,
-    separable,
-    separation,
-)
+from imucalib.loop.planning import attitudes, products_of, table_positions
+from imucalib.loop.separation import Ambiguity, Separation, separable, separation
 
 _KINDS = {KnownVector: "vector", KnownDirection: "direction", KnownNorm: "norm"}
 #: Rests after the recording at which drifts are judged.
@@ -217,7 +209,11 @@ def next_recording(
     for ambiguity in recorded.ambiguities:
         rests = rests_of(recorded, ambiguity, temperatures)
         pool = pool_of(recorded, calibration, ambiguity, rests)
-        found = separation(*_later(ambiguity, pool, max(between, recorded.drift)))
+        if (off := max(between, recorded.drift)) > 0.0:
+            bias = {p.name: (p.typical / off) ** 2 for p in named("bias").parameters(Context(1))}
+            found = separation(*ambiguity.after_a_power_up(bias, pool))
+        else:
+            found = separation(ambiguity, pool)
         values = _columns(recorded, calibration, rests.take(np.array(found.plan, np.intp)))
         every.append(values)
         shown = {n: v for n, v in values.items() if n not in ("inclination", "tool_face")}
@@ -235,19 +231,6 @@ def next_recording(
         table=plan_table(every, [str(headings.get(axis, axis)) for axis in "xyz"]),
         between=between,
     )
-
-
-def _later(ambiguity: Ambiguity, pool: Array, drift: float) -> tuple[Ambiguity, Array]:
-    """The same for rests whose bias is off by `drift` (mg, sd) beside the recording's."""
-    if drift <= 0.0:
-        return ambiguity, pool
-    bias = named("bias").parameters(Context(1))
-    turn = np.zeros((3, len(ambiguity.columns)))
-    for k, parameter in enumerate(bias):
-        turn[k, ambiguity.columns.index(parameter.name)] = 1.0
-    whole = np.concatenate([turn, np.eye(len(ambiguity.columns))])
-    later = ambiguity.after_a_power_up(drift, [p.typical for p in bias])
-    return later, np.asarray(whole @ pool @ whole.T)
 
 
 def _remedies(
@@ -282,7 +265,7 @@ def rests_of(recorded: Recorded, ambiguity: Ambiguity, temperatures: Sequence[fl
     """All candidates for an ambiguity. temperatures : °C that can be held, the ends of those of the
     recording by default; only where an effect depends on it."""
     levels = _levels(recorded, recorded.follows(ambiguity), temperatures)
-    i, t = angles_of(attitudes()) if levels else grid()
+    i, t = angles_of(attitudes()) if levels else table_positions()
     combined = list(product(*levels.values()))
     each = np.repeat(np.array(combined).reshape(len(combined), len(levels)), len(i), axis=0)
     return Rests(
@@ -316,7 +299,6 @@ def pool_of(
     context = _context(recorded, rests)
     value = {p.name: p.value for p in calibration.parameters}
     theta = np.array([value.get(p.name, p.start) for p in model.parameters(context)])
-    force = recorded.gravity * rests.direction[:, None]
     ids = np.arange(rests.n)
     reference: Reference = KnownNorm(rests.n, recorded.gravity)
     if recorded.reference == "vector":
@@ -324,17 +306,16 @@ def pool_of(
         reference = KnownVector(*angles, recorded.gravity, ids, ids)
     elif recorded.reference == "direction":
         reference = KnownDirection(rests.direction, recorded.gravity)
-    data = Observations(
-        model.predict(theta, force, context).reading,
-        np.full((rests.n, 1, 3), recorded.reading),
+    return products_of(
+        model,
+        theta,
+        recorded.gravity * rests.direction,
         reference,
         context,
-        ids,
-        ("",) * rests.n,
+        recorded.reading,
+        rivals=[named(name) for name in ambiguity.blocks],
+        settings=recorded.settings,
     )
-    rivals = [named(name) for name in ambiguity.blocks]
-    rows = columns_of(model, theta, rivals, data, recorded.settings)
-    return np.asarray(rows.transpose(0, 2, 1) @ rows)
 
 
 def _context(recorded: Recorded, rests: Rests) -> Context:

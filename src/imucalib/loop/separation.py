@@ -19,21 +19,16 @@ from functools import cached_property
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.core.balance import balance, whitener
-from imucalib.core.effect import Effect
+from imucalib.core.balance import whitener
 from imucalib.core.eigen import eigen
 from imucalib.core.fit import Fit
-from imucalib.core.model import Model
-from imucalib.core.observations import Observations
 from imucalib.effects import known, names_a_cause
 from imucalib.effects.record_error import is_record_error
-from imucalib.loop.candidates import effect_columns, slopes_within
+from imucalib.loop.candidates import effect_columns
 from imucalib.loop.odds import ALIKE, CERTAIN, DRAWS, ENDED, PLANNED, RIVAL_SIZES, UNLUCKY
-from imucalib.loop.planning import Plan, grow
+from imucalib.loop.planning import Plan, grow_until
 from imucalib.loop.record_errors import drop_effects
 
-#: Precision of a base parameter at typical size that no data determine: a hundred typical sizes.
-_OPEN = 1e-4
 #: How much of everything that could be recorded stands for any number of observations.
 _ANY_NUMBER = 1e6
 
@@ -76,61 +71,44 @@ class Ambiguity:
         return {name: self._draw(self.blocks[name], rng) for name in self.rivals}
 
     def _draw(self, at: Index, rng: np.random.Generator) -> Array:
-        every, own = np.concatenate([self.own, at]), self.own.size
-        inside, dof = self.gram[np.ix_(every, every)], self.numbers - own
-        best: tuple[float, Array, Array] | None = None
-        for size in RIVAL_SIZES:
-            prior = np.concatenate([np.full(own, _OPEN), np.full(at.size, size**-2.0)])
-            root = _root(inside + np.diag(prior))
-            half = np.linalg.solve(root, self.along[every])
-            left = max(self.power - float(half @ half), 1e-300)
-            evidence = 0.5 * float(np.log(prior).sum()) - float(np.log(np.diag(root)).sum())
-            evidence -= 0.5 * dof * float(np.log(left))
-            if best is None or evidence > best[0]:
-                best = evidence, root, half
-        assert best is not None
-        back = np.linalg.inv(best[1]).T
+        """With the base model taken out, along the axes of what is left of a rival."""
+        last, dof = len(self.columns), self.numbers - self.own.size
+        whole = np.block([[self.gram, self.along[:, None]], [self.along, np.array(self.power)]])
+        rest = _drop(whole, self.own, np.append(at, last), _little(self.gram)[self.own])
+        values, vectors = eigen(rest[:-1, :-1])
+        seen = vectors.T @ rest[:-1, -1]
+        # Of rounding a square may be left that is below zero.
+        precision = np.maximum(values, 0.0) + np.array(RIVAL_SIZES)[:, None] ** -2.0
+        left = np.maximum(rest[-1, -1] - np.sum(seen**2 / precision, axis=1), 1e-300)
+        volume = np.sum(np.log(precision), axis=1) + 2.0 * at.size * np.log(RIVAL_SIZES)
+        best = precision[int(np.argmin(volume + dof * np.log(left)))][:, None]
         noise = np.sqrt(dof / rng.chisquare(dof, DRAWS))  # as well known as the data leave it
-        white = rng.standard_normal((every.size, DRAWS))
-        drawn = (back @ best[2])[:, None] / noise + back @ white
-        return np.asarray(drawn[own:])
+        white = rng.standard_normal((at.size, DRAWS))
+        return np.asarray(vectors @ (seen[:, None] / best / noise + white / np.sqrt(best)))
 
-    def after_a_power_up(self, sd: float, typical: Sequence[float]) -> Ambiguity:
-        """With three columns before all others: offsets of the bias that new data have and the
-        recording has not. sd : of one; typical : of the base model's bias, in its unit"""
-        grown = np.zeros((len(self.columns) + 3,) * 2)
-        grown[:3, :3] = np.diag((np.array(typical) / sd) ** 2)
-        grown[3:, 3:] = self.gram
-        return replace(
+    def after_a_power_up(self, bias: Mapping[str, float], pool: Array) -> tuple[Ambiguity, Array]:
+        """With columns before all others, and so the pool (c, P, P): what the bias of new data is
+        off by, which the recording has not. bias : parameter -> precision of its offset, at typical
+        size"""
+        size, more = len(self.columns), len(bias)
+        grown = np.zeros((size + more,) * 2)
+        grown[:more, :more] = np.diag(list(bias.values()))
+        grown[more:, more:] = self.gram
+        later = replace(
             self,
-            columns=(*(f"next_bias_{a}" for a in "xyz"), *self.columns),
-            blocks={name: at + 3 for name, at in self.blocks.items()},
+            columns=(*(f"next_{name}" for name in bias), *self.columns),
+            blocks={name: at + more for name, at in self.blocks.items()},
             gram=grown,
-            along=np.concatenate([np.zeros(3), self.along]),
+            along=np.concatenate([np.zeros(more), self.along]),
         )
-
-
-def _root(precision: Array) -> Array:
-    """(k, k) lower triangular, whose square a precision is.
-
-    Columns that the data hardly show leave directions whose precision drowns in the rounding of the
-    others' products, which may be 1e15 times larger; it is then that of the rounding.
-    """
-    size = np.sqrt(np.diag(precision))
-    value, vector = eigen(precision / np.outer(size, size))
-    floor = max(1e2 * np.finfo(float).eps * len(size), -2.0 * float(value[0]))
-    if value[0] > floor:
-        return np.asarray(np.linalg.cholesky(precision))
-    # The triangle of a square root by columns: no rounding makes it fail.
-    upper = np.linalg.qr(np.sqrt(np.maximum(value, floor))[:, None] * vector.T * size, mode="r")
-    return np.asarray((upper * np.sign(np.diag(upper))[:, None]).T)
+        turn = np.concatenate([np.eye(size)[[self.columns.index(n) for n in bias]], np.eye(size)])
+        return later, np.asarray(turn @ pool @ turn.T)
 
 
 def apart(one: Ambiguity, gram: Array) -> Array:
     """(..., pairs, draws) μ of every pair, at every size of its truth, with products of all columns
     (..., P, P)."""
-    # A little of each diagonal: columns that nothing tells apart must not end the computation.
-    little = 1e-10 * np.einsum("...ii->...i", gram) + 1e-12
+    little = _little(gram)
     every = np.concatenate([one.blocks[name] for name in one.rivals])
     # The base is taken out once for all pairs.
     rest = _drop(gram, one.own, every, little[..., one.own])
@@ -141,6 +119,11 @@ def apart(one: Ambiguity, gram: Array) -> Array:
         size = one.sizes[truth]
         found.append(np.einsum("kd,...kl,ld->...d", size, square, size))
     return np.asarray(np.sqrt(np.maximum(np.stack(found, axis=-2), 0.0)))
+
+
+def _little(gram: Array) -> Array:
+    """(..., P) of each diagonal: columns that nothing tells apart must not end the computation."""
+    return np.asarray(1e-10 * np.einsum("...ii->...i", gram) + 1e-12)
 
 
 def _drop(gram: Array, out: Index, kept: Index, little: Array) -> Array:
@@ -184,8 +167,6 @@ def separation(one: Ambiguity, pool: Array) -> Separation:
     pool : (c, P, P) products of each candidate, of what could be recorded
     """
     able = separable(one, pool)
-    plan: Plan = ()
-    ends: Mapping[str, float] = {}
 
     def worth(plan: Plan) -> Array:
         """(c,) the least μ that few sizes fall below, and a little of the others, so that a plan
@@ -193,10 +174,13 @@ def separation(one: Ambiguity, pool: Array) -> Separation:
         each = _few(apart(one, one.gram + pool[list(plan)].sum(axis=0) + pool))[..., able]
         return np.asarray(each.min(axis=-1) + 0.05 * each.mean(axis=-1))
 
-    while able.any() and len(plan) < PLANNED[1] and min(ends.values(), default=0.0) < ENDED:
-        plan = grow(plan, worth)
-        if len(plan) >= PLANNED[0]:
-            ends = _ends(one, able, pool[list(plan)].sum(axis=0))
+    def ends(plan: Plan) -> Mapping[str, float]:
+        few = len(plan) < PLANNED[0]
+        return {} if few else _ends(one, able, pool[list(plan)].sum(axis=0))
+
+    plan: Plan = ()
+    if able.any():
+        plan = grow_until(worth, PLANNED[1], lambda p: min(ends(p).values(), default=0.0) >= ENDED)
     total = pool[list(plan)].sum(axis=0)
     return Separation(
         effect=one.effect,
@@ -205,7 +189,7 @@ def separation(one: Ambiguity, pool: Array) -> Separation:
         pairs=tuple(pair for pair, can in zip(one.pairs, able, strict=True) if can),
         now=_few(apart(one, one.gram))[able],
         then=_few(apart(one, one.gram + total))[able],
-        ends=ends,
+        ends=ends(plan),
         never=tuple(pair for pair, can in zip(one.pairs, able, strict=True) if not can),
     )
 
@@ -299,34 +283,3 @@ def _drop_records(fit: Fit, seen: Array) -> tuple[Array, Callable[[Array], Array
         kept[part] &= not is_record_error(name)
     basis = np.linalg.qr(seen[:, ~kept])[0]
     return kept, lambda columns: np.asarray(columns - basis @ (basis.T @ columns))
-
-
-def columns_of(
-    model: Model,
-    theta: Array,
-    rivals: Sequence[Effect],
-    data: Observations,
-    settings: Mapping[str, float],
-) -> Array:
-    """(n, r, P) columns of the model's parameters and of the rivals', each observation's r numbers
-    whitened by themselves, in units of the noise and at typical sizes.
-
-    data : with sigma the noise of a reading, m/s², and settings that no two observations share
-    settings : component -> standard deviation
-    """
-    eta = data.reference.start(model.correct(theta, data.reading, data.context))
-    at = balance(model, theta, eta, data)
-    typical = np.array([p.typical for p in model.parameters(data.context)])
-    blocks = [at.jacobian * typical]
-    truth = data.reference.truth(eta)
-    for effect in rivals:
-        slope = slopes_within(model, theta, effect, truth, data.context)
-        size = np.array([p.typical for p in effect.parameters(data.context)])
-        blocks.append(at.columns(slope * size))
-    every = np.column_stack(blocks)
-    rows = every.reshape(data.n, -1, every.shape[1])
-    covariance = np.broadcast_to(np.eye(rows.shape[1]), (data.n, *(rows.shape[1],) * 2)).copy()
-    for name, matrix in zip(at.component, at.settings, strict=True):
-        own = matrix.reshape(data.n, rows.shape[1], -1)
-        covariance += settings.get(name, 0.0) ** 2 * own @ own.transpose(0, 2, 1)
-    return np.asarray(np.linalg.solve(np.linalg.cholesky(covariance), rows))

@@ -20,7 +20,7 @@ from imucalib.calibration.checking.noise import CheckNoise
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm, Reference
 from imucalib.core.sphere import KnownDirection
-from imucalib.loop.planning import Plan, grow, nats
+from imucalib.loop.planning import Plan, attitudes, grow_until, nats
 
 #: Rests that are proposed at most, and numbers beyond, all round, of which the first that does is
 #: named.
@@ -38,15 +38,6 @@ class NextRests:
     seen: Mapping[str, float]
     enough: bool
     many: int | None = None
-
-
-def attitudes() -> Array:
-    """(26, 3) faces, edges and corners: attitudes that a hand can hold."""
-    grid = np.array([(x, y, z) for x in (0, 1, -1) for y in (0, 1, -1) for z in (0, 1, -1)])
-    grid = grid[np.any(grid != 0, axis=1)]
-    size = np.linalg.norm(grid, axis=1)
-    order = np.argsort(size, kind="stable")
-    return np.asarray(grid[order] / size[order, None], np.float64)
 
 
 def next_rests(
@@ -71,11 +62,11 @@ def next_rests(
         total = beside(plan)
         return np.round(nats(np.array([_information(total.joined(o), limits) for o in single])), 9)
 
-    plan: Plan = ()
-    seen = dict.fromkeys(limits, float("inf"))
-    while len(plan) < MOST and not _within(seen, limits):
-        plan = grow(plan, worth)
-        seen = _seen(beside(plan), limits, matters)
+    def seen_by(plan: Plan) -> Mapping[str, float]:
+        return _seen(beside(plan), limits, matters) if plan else dict.fromkeys(limits, np.inf)
+
+    plan = grow_until(worth, MOST, lambda plan: _within(seen_by(plan), limits))
+    seen = seen_by(plan)
     direction = np.round(pool.force / np.linalg.norm(pool.force, axis=1, keepdims=True), 3) + 0.0
     enough = _within(seen, limits)
     many = None if enough else _many(now, pool, limits, matters)

@@ -8,7 +8,7 @@ Of a turn by φ about n, from gravity along u, the gains' columns are those of t
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -21,7 +21,7 @@ from imucalib.core.effect import cross_matrix, left_jacobian, rotations
 from imucalib.core.eigen import eigen
 from imucalib.errors import UnreadableInput
 from imucalib.estimators.turns import tangents
-from imucalib.loop.planning import Plan, grow, nats
+from imucalib.loop.planning import gain, grow_until
 from imucalib.units import DEG
 
 #: rad of a turn; rad that a turn by hand is off, of measured ones 0.03 to 0.3 deg.
@@ -78,15 +78,12 @@ def of_turn(up: Array, vector: Array) -> Array:
 def hand_plan(rests: int) -> HandPlan:
     """135 deg about x, y and z in turn, every second round backwards, from z up: as good as the
     D-optimal plan, and to hold in the hand."""
-    up, covariance = np.array([0.0, 0.0, 1.0]), _KNOWN**2 * np.eye(9)
-    turns = []
+    up, chosen = np.array([0.0, 0.0, 1.0]), list[tuple[Array, Array]]()
     for k in range(rests - 1):
-        sign = -1.0 if k // 3 % 2 else 1.0
-        vector = sign * ANGLE * np.eye(3)[k % 3]
-        covariance = _after(covariance, of_turn(up, vector), _OFF)
-        turns.append(HandTurn(_axis(vector), up, _mean(covariance)))
+        vector = (-1.0 if k // 3 % 2 else 1.0) * ANGLE * np.eye(3)[k % 3]
+        chosen.append((up, vector))
         up = rotations(vector).T @ up
-    return _plan(turns, covariance, None)
+    return _plan(chosen, np.eye(9) / _KNOWN**2, _OFF, None)
 
 
 def turns_to_add(calibration: Calibration, count: int = _ADDED) -> HandPlan:
@@ -108,25 +105,16 @@ def turns_to_add(calibration: Calibration, count: int = _ADDED) -> HandPlan:
         for axis in range(3)
         for sign in (1.0, -1.0)
     ]
-    told = np.array([of_turn(up, vector) for up, vector in choices]) / off
-    each = told.transpose(0, 2, 1) @ told
-    known = _inverse(covariance)
-    plan: Plan = ()
-    for _ in range(count):
-        plan = grow(plan, lambda plan: nats(known + each[list(plan)].sum(axis=0) + each))
-    turns = []
-    for place in plan:
-        known = known + each[place]
-        up, vector = choices[place]
-        turns.append(HandTurn(_axis(vector), up, _mean(_inverse(known))))
-    return _plan(turns, _inverse(known), before)
+    known = np.asarray(np.linalg.inv(covariance), np.float64)
+    worth = gain(known, np.array([_told(*choice, off) for choice in choices]))
+    plan = grow_until(worth, count, lambda _: False)
+    return _plan([choices[place] for place in plan], known, off, before)
 
 
-def _after(covariance: Array, rows: Array, off: float) -> Array:
-    """(9, 9) once a turn with columns (2, 9) is taken. off : rad"""
-    shared = rows @ covariance
-    inner = shared @ rows.T + off**2 * np.eye(2)
-    return np.asarray(covariance - shared.T @ np.linalg.solve(inner, shared))
+def _told(up: Array, vector: Array, off: float) -> Array:
+    """(9, 9) what a turn tells that is off by so much, rad."""
+    rows = of_turn(up, vector) / off
+    return np.asarray(rows.T @ rows)
 
 
 def _off(own: Mapping[str, float]) -> float:
@@ -136,18 +124,19 @@ def _off(own: Mapping[str, float]) -> float:
     return max(found, 0.2 * _OFF) if own else _OFF
 
 
-def _plan(turns: list[HandTurn], covariance: Array, before: Array | None) -> HandPlan:
+def _plan(
+    chosen: Sequence[tuple[Array, Array]], known: Array, off: float, before: Array | None
+) -> HandPlan:
+    """Of turns from `up` by a rotation vector, beside information (9, 9) that is there."""
+    turns, covariance = list[HandTurn](), np.asarray(np.linalg.inv(known), np.float64)
+    for up, vector in chosen:
+        known = known + _told(up, vector, off)
+        covariance = np.asarray(np.linalg.inv(known), np.float64)
+        mean = float(np.sqrt(np.mean(np.diag(covariance))))
+        turns.append(HandTurn(_axis(vector), up, mean))
     return HandPlan(tuple(turns), np.sqrt(np.diag(covariance)), before, open_words(covariance))
 
 
 def _axis(vector: Array) -> str:
     k = int(np.argmax(np.abs(vector)))
     return ("-" if vector[k] < 0.0 else "+") + "xyz"[k]
-
-
-def _inverse(matrix: Array) -> Array:
-    return np.asarray(np.linalg.inv(matrix), np.float64)
-
-
-def _mean(covariance: Array) -> float:
-    return float(np.sqrt(np.mean(np.diag(covariance))))

@@ -15,18 +15,14 @@ from imucalib.arrays import Array
 from imucalib.calibrators.lab.bench import held_settings
 from imucalib.calibrators.lab.calibrate import MODELS
 from imucalib.calibrators.lab.conventions import Conventions
-from imucalib.core.balance import balance
 from imucalib.core.effect import Context
 from imucalib.core.eigen import eigen
 from imucalib.core.fit import null_directions
 from imucalib.core.model import Model
-from imucalib.core.observations import Observations
-from imucalib.core.references import KnownNorm, KnownVector, unit_vector
+from imucalib.core.references import KnownNorm, KnownVector, Reference, unit_vector
 from imucalib.effects import named
-from imucalib.loop.planning import nats
+from imucalib.loop.planning import Plan, gain, products_of, table_positions
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
-
-_STEP = 15.0  # deg
 
 
 @dataclass(frozen=True)
@@ -62,21 +58,13 @@ class Design:
 
 def _information(model: Model, inclination: Array, tool_face: Array, *, norm: bool) -> Array:
     """(n, p, p) information of each position, for 1 mg of noise and typical-size parameters."""
-    n = len(inclination)
-    gravity, context = STANDARD_GRAVITY, Context(n)
-    force = gravity * unit_vector(inclination, tool_face)[:, None]
-    reference: KnownVector | KnownNorm
-    if norm:
-        reference, eta = KnownNorm(n, gravity), force.ravel() / gravity
-    else:
-        ids = np.arange(n)
+    n, gravity = len(inclination), STANDARD_GRAVITY
+    context, ids = Context(n), np.arange(n)
+    reference: Reference = KnownNorm(n, gravity)
+    if not norm:
         reference = KnownVector(inclination, tool_face, gravity, ids, ids, setting_errors=False)
-        eta = np.zeros(reference.eta_size)
-    data = Observations(force, np.full((n, 1, 3), MG), reference, context, np.arange(n), ("",) * n)
-    at = balance(model, model.start(context), eta, data)
-    typical = np.array([p.typical for p in model.parameters(context)])
-    rows = (at.jacobian * typical).reshape(n, -1, typical.size)
-    return np.asarray(rows.transpose(0, 2, 1) @ rows)
+    force = gravity * unit_vector(inclination, tool_face)
+    return products_of(model, model.start(context), force, reference, context, MG)
 
 
 def uniform_directions(count: int) -> tuple[Array, Array]:
@@ -91,13 +79,15 @@ def judge(model: Model, inclination: Array, tool_face: Array, *, norm: bool = Fa
     sphere = _information(model, *uniform_directions(4000), norm=norm).mean(axis=0)
     best = float(np.linalg.slogdet(sphere)[1])
     total = _information(model, inclination, tool_face, norm=norm).sum(axis=0)
-    candidates = np.array(grid()) / DEG
-    offered = _information(model, *grid(), norm=norm)
+    candidates = np.array(table_positions()) / DEG
+    offered = _information(model, *table_positions(), norm=norm)
+    worth = gain(total, offered)
+    plan: Plan = ()
     additions, current, count = [], total, len(inclination)
     for _ in range(2):
-        pick = int(np.argmax(nats(current + offered)))
+        pick = int(np.argmax(worth(plan)))
         before, after = _sd(current), _sd(current + offered[pick])
-        current, count = current + offered[pick], count + 1
+        plan, current, count = (*plan, pick), current + offered[pick], count + 1
         with np.errstate(invalid="ignore"):
             ratio = np.nan_to_num(before / after, nan=1.0, posinf=np.inf)
         best_known = int(np.argmax(ratio))
@@ -123,17 +113,6 @@ def judge(model: Model, inclination: Array, tool_face: Array, *, norm: bool = Fa
         open_directions=null_directions(root / typical, parameters, 1.0),
         additions=tuple(additions),
     )
-
-
-def grid() -> tuple[Array, Array]:
-    """(c,) inclination and tool-face, rad, of a two-axis table's positions every 15 deg."""
-    pairs = [
-        (i, t)
-        for i in np.arange(-90.0, 90.0 + 1e-9, _STEP)
-        for t in (np.arange(0.0, 360.0, _STEP) if abs(i) < 89.9 else (0.0,))
-    ]
-    inclination, tool_face = np.array(pairs).T
-    return inclination * DEG, tool_face * DEG
 
 
 def _efficiency(information: Array, count: int, best: float) -> float:
