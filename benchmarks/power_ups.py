@@ -1,13 +1,14 @@
 """Several power-ups as one calibration, beside the best of their logs alone.
 
-    python benchmarks/power_ups.py run RESULTS.jsonl [--worlds 40] [--of lab imu]
+    python benchmarks/power_ups.py run RESULTS.jsonl [--worlds 40] [--of lab imu] [--no-loop]
     python benchmarks/power_ups.py table RESULTS.jsonl
 
 Two or three power-ups whose bias scatters by 0, 5 or 20 mg an axis, at equal temperatures or at
 some that differ by 15 degC; at 5 mg also with a bias that follows the temperature at λ = 8: its
 length in units of the noise of the rows, with bias of each power-up, scale and cross terms taken
 out. Tables of `lab` are made here, logs of `imu` by `tests/worlds/turned_imu.py`; the command runs
-on the files. Each world is a line of RESULTS, so that a run may be cut and taken up again.
+on the files. Each world is a line of RESULTS, so that a run may be cut and taken up again; with
+`--no-loop` errors and intervals alone, of worlds without a law.
 
 Error: rms of the gains over what is true (readings per g at 200 directions, mg; per rad, 1e-3), of
 the common calibration over that of the log that happens to be best. Bias: of one more power-up.
@@ -195,7 +196,7 @@ def off(content: Report, world: World, of: str) -> list[float]:
     return [(found[n]["value"] - v) / found[n]["sd"] for n, v in world.truth.items()]
 
 
-def tried(case: Case, seed: int) -> Report:
+def tried(case: Case, seed: int, loop: bool) -> Report:
     """A line of results."""
     key = (seed, case.of == "imu", case.count, int(case.apart), case.warm, case.law)
     start = time.process_time()
@@ -203,29 +204,30 @@ def tried(case: Case, seed: int) -> Report:
         make = log if case.of == "imu" else bench
         world = make(case, np.random.default_rng([int(k) for k in key]), Path(name))
         logs = world.paths if case.of == "imu" else world.paths[1:]
-        whole = calibrated(case.of, *(logs if case.of == "imu" else world.paths[:1]))
+        together = logs if case.of == "imu" else world.paths[:1]
+        whole = calibrated(case.of, *together, *([] if loop else ["--no-loop"]))
         alone = [calibrated(case.of, path, "--no-loop") for path in logs]
     after = whole["between_sessions"]["next_power_up"]
     after = [one for one in after if one["parameter"].startswith("bias_")]
-    loop = whole["loop"]
+    steps = whole["loop"]["steps"] if loop else []
     return {
-        "case": vars(case), "seed": seed, "error": error(whole, world, case.of),
+        "case": vars(case), "seed": seed, "loop": loop, "error": error(whole, world, case.of),
         "alone": [error(one, world, case.of) for one in alone], "status": whole["status"],
         "z": off(whole, world, case.of),
         "next": [
             bool(abs(one["value"] - true) <= one["half_of_95"])
             for one, true in zip(after, world.following, strict=True)
         ],
-        "told": [[s["effect"], *s["aliases"]] for s in loop["steps"]],
-        "certain": [s["certain"] for s in loop["steps"]],
-        "left": [one["name"] for one in loop["unexplained"]],
+        "told": [[s["effect"], *s["aliases"]] for s in steps],
+        "certain": [s["certain"] for s in steps],
+        "left": [one["name"] for one in whole["loop"]["unexplained"]] if loop else [],
         "reasons": whole["reasons"], "cpu": time.process_time() - start,
     }  # fmt: skip
 
 
 def table(lines: list[Report]) -> None:
     heads = (
-        "calibrator", "power-ups", "apart, mg", "temperatures", "law", "worlds",
+        "calibrator", "power-ups", "apart, mg", "temperatures", "law", "worlds", "searched",
         "error / best log: median, 95 %, max", "95 % hold", "next bias", "law named",
         "lag beside", "others told", "not ok",
     )  # fmt: skip
@@ -238,14 +240,16 @@ def table(lines: list[Report]) -> None:
             ratio = np.array([x["error"] / min(x["alone"]) for x in own])
             z = np.abs([v for x in own for v in x["z"]])
             following = [v for x in own for v in x["next"]]
-            named = [any("temperature_bias" in place for place in x["told"]) for x in own]
-            lag = [any(p[0].startswith("thermal_lag") for p in x["told"]) for x in own]
+            whole = [x for x in own if x.get("loop", True)]
+            named = [any("temperature_bias" in place for place in x["told"]) for x in whole]
+            lag = [any(p[0].startswith("thermal_lag") for p in x["told"]) for x in whole]
             other = [
-                any("temperature_bias" not in p for p in x["told"]) or bool(x["left"]) for x in own
+                any("temperature_bias" not in p for p in x["told"]) or bool(x["left"])
+                for x in whole
             ]
             cells = (
                 of, case.count, f"{case.apart:g}", "differ" if case.warm else "equal",
-                "λ 8" if case.law else "none", len(own),
+                "λ 8" if case.law else "none", len(own), len(whole),
                 f"{np.median(ratio):.2f}, {np.quantile(ratio, 0.95):.2f}, {ratio.max():.2f}",
                 f"{100 * np.mean(z < 1.96):.1f} % of {z.size}", f"{100 * np.mean(following):.0f} %",
                 sum(named), sum(lag), sum(other), sum(x["status"] != "ok" for x in own),
@@ -259,6 +263,7 @@ def main() -> None:
     parser.add_argument("results", type=Path)
     parser.add_argument("--worlds", type=int, default=40)
     parser.add_argument("--of", nargs="*", default=["lab", "imu"])
+    parser.add_argument("--no-loop", dest="loop", action="store_false")
     asked = parser.parse_args()
     text = asked.results.read_text() if asked.results.exists() else ""
     lines = [json.loads(line) for line in text.splitlines()]
@@ -269,8 +274,9 @@ def main() -> None:
     with asked.results.open("a") as out:
         every = [case for both in zip(*map(cases, asked.of), strict=True) for case in both]
         for seed, case in product(range(asked.worlds), every):
-            if (json.dumps(vars(case)), seed) not in had:
-                out.write(json.dumps(tried(case, seed)) + "\n")
+            wanted = asked.loop or not case.law
+            if wanted and (json.dumps(vars(case)), seed) not in had:
+                out.write(json.dumps(tried(case, seed, asked.loop)) + "\n")
                 out.flush()
 
 

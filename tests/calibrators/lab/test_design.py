@@ -14,11 +14,12 @@ from imucalib.calibrators.lab.design import (
     design_of,
     judge,
     recommend,
-    uniform_directions,
 )
 from imucalib.calibrators.lab.simulation import BenchPlan
 from imucalib.core.effect import Context
 from imucalib.core.model import Model
+from imucalib.core.references import angles_of
+from imucalib.core.sphere import even_directions
 from imucalib.effects import named
 from imucalib.errors import UsageError
 from worlds.sheets import direction
@@ -45,7 +46,7 @@ def test_efficiency_sd_and_gain_are_those_of_the_information() -> None:
     rng = np.random.default_rng(4)
     i, t = rng.uniform(-80.0, 80.0, 30), rng.uniform(0.0, 360.0, 30)
     found = judge(MODEL, np.deg2rad(i), np.deg2rad(t), norm=True)
-    known, sphere = scaled(i, t), scaled(*np.rad2deg(uniform_directions(4000)))
+    known, sphere = scaled(i, t), scaled(*np.rad2deg(angles_of(even_directions(4000))))
     share = np.linalg.slogdet(known / 30.0)[1] - np.linalg.slogdet(sphere / 4000.0)[1]
     assert found.efficiency == pytest.approx(np.exp(share / 9.0), rel=1e-6)
     sd = np.sqrt(np.diag(np.linalg.inv(known)))

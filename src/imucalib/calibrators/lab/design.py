@@ -19,7 +19,8 @@ from imucalib.core.effect import Context
 from imucalib.core.eigen import eigen
 from imucalib.core.fit import null_directions
 from imucalib.core.model import Model
-from imucalib.core.references import KnownNorm, KnownVector, Reference, unit_vector
+from imucalib.core.references import KnownNorm, KnownVector, Reference, angles_of, unit_vector
+from imucalib.core.sphere import even_directions
 from imucalib.effects import named
 from imucalib.loop.planning import Plan, gain, products_of, table_positions
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
@@ -67,16 +68,10 @@ def _information(model: Model, inclination: Array, tool_face: Array, *, norm: bo
     return products_of(model, model.start(context), force, reference, context, MG)
 
 
-def uniform_directions(count: int) -> tuple[Array, Array]:
-    """Inclination and tool-face (rad) of a Fibonacci lattice on the sphere."""
-    k = np.arange(count) + 0.5
-    return np.arcsin(1.0 - 2.0 * k / count), np.mod(np.pi * (1.0 + 5.0**0.5) * k, 2.0 * np.pi)
-
-
 def judge(model: Model, inclination: Array, tool_face: Array, *, norm: bool = False) -> Design:
     """Judge positions (rad). `model` must not need known angles when `norm` is set."""
     parameters = model.parameters(Context(1))
-    sphere = _information(model, *uniform_directions(4000), norm=norm).mean(axis=0)
+    sphere = _information(model, *angles_of(even_directions(4000)), norm=norm).mean(axis=0)
     best = float(np.linalg.slogdet(sphere)[1])
     total = _information(model, inclination, tool_face, norm=norm).sum(axis=0)
     candidates = np.array(table_positions()) / DEG
