@@ -27,22 +27,22 @@ from imucalib.cohort.fleet.search import Priors, Said, search_fleet
 from imucalib.core.effect import Effect
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
+from imucalib.core.prior import Prior
 from imucalib.errors import ImucalError, UsageError
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.loop.candidates import effects_to_search
 from imucalib.loop.held_out import (
     Difference,
-    Predictions,
     by_folds,
     difference,
-    errors,
     folds_of,
-    join,
 )
 from imucalib.units import MG
 
 #: Devices up to which each one's folds are predicted, with and without what was found.
 _HELD_OUT = 60
+#: Where the others say nothing: sd of a parameter in typical sizes, and of a log of the noise.
+_ANY, _ANY_NOISE = 1e9, 3.0
 
 
 def run_fleet(tables: Sequence[LabFiles], request: LabRequest, say: Callable[[str], None]) -> Fleet:
@@ -121,7 +121,9 @@ def _members(
         others = said.unseen.get(name, {})
         base_error = final_error = float("nan")
         if len(runs) <= _HELD_OUT:
-            before, after = _predict_held_out(fit, others, effects)
+            design = folds_of(fit.observations)
+            pair = (fit, _add_priors(fit, others, effects))
+            before, after = (by_folds(one, design) for one in pair)
             base_error, final_error = before.rms() / MG, after.rms() / MG
             pairs.append((before.size / MG, after.size / MG))
             folds = max(folds, min(len(before.size), 30))
@@ -137,60 +139,25 @@ def _members(
     return tuple(members), gain
 
 
-def _predict_held_out(
-    fit: Fit, said: Priors, effects: Mapping[str, Effect]
-) -> tuple[Predictions, Predictions]:
-    """Errors on each fold of the design, predicted by the rest, without and with the effects."""
-    folds = folds_of(fit.observations)
-    before = by_folds(fit, folds)
-    if not said:
-        return before, before
-    model, start = _extend(fit, said, effects)
-    parts = []
-    for fold in folds:
-        rest = fit.observations.take(fold.rest)
-        own = fit_model(model, rest, start=start, noise=fit.noise)
-        parts.append(errors(own, _combine(own, said).theta, fit.observations.take(fold.rows)))
-    return before, join(parts, [fold.rows for fold in folds])
-
-
 def _add_priors(fit: Fit, said: Priors, effects: Mapping[str, Effect]) -> Fit:
-    """The fit with effects of whose sizes others say something: θ and covariance of both together.
+    """The fit with effects of whose sizes others say something: θ and covariance of both together,
+    the base model's parameters and the noise as its own data say.
 
     said : effect -> its sizes, in typical sizes
     """
     if not said:
         return fit
-    model, start = _extend(fit, said, effects)
-    return _combine(fit_model(model, fit.observations, start=start, begin=fit.noise), said)
-
-
-def _extend(fit: Fit, said: Priors, effects: Mapping[str, Effect]) -> tuple[Model, Array]:
-    """The model with more effects, and its θ to begin with."""
-    model, context = (
-        Model((*fit.model.effects, *(effects[n] for n in said))),
-        fit.observations.context,
-    )
-    start, slices = model.start(context), model.slices(context)
+    context = fit.observations.context
+    model = Model((*fit.model.effects, *(effects[name] for name in said)))
+    mean, slices = model.start(context), model.slices(context)
     for name, part in fit.model.slices(context).items():
-        start[slices[name]] = fit.theta[part]
-    return model, start
-
-
-def _combine(fit: Fit, said: Priors) -> Fit:
-    """Normal prior times normal likelihood, in typical sizes so that rounding stays small."""
-    typical = np.array([p.typical for p in fit.parameters])
-    slices = fit.model.slices(fit.observations.context)
-    whole = np.linalg.pinv(fit.covariance / np.outer(typical, typical), hermitian=True)
-    towards = whole @ (fit.theta / typical)
+        mean[slices[name]] = fit.theta[part]
+    typical, root = np.array([p.typical for p in model.parameters(context)]), np.eye(mean.size)
+    root /= _ANY * typical
     for name, prior in said.items():
-        part, own = slices[name], prior.root.T @ prior.root
-        whole[part, part] += own
-        towards[part] += own @ prior.mean
-    covariance = np.linalg.inv(whole)
-    return replace(
-        fit,
-        theta=covariance @ towards * typical,
-        covariance=covariance * np.outer(typical, typical),
-        slope=np.zeros_like(fit.slope),
-    )
+        part = slices[name]
+        mean[part] = prior.mean * typical[part]
+        root[part, part] = prior.root / typical[part]
+    noise = np.log(np.maximum([fit.noise.factor, *fit.noise.sd], 1e-9))
+    known = Prior(mean, root, np.column_stack([noise, np.full(noise.size, _ANY_NOISE)]))
+    return fit_model(model, fit.observations, start=mean, begin=fit.noise, prior=known)
