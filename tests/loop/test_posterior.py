@@ -141,9 +141,7 @@ def test_the_mean_of_what_is_likely_against_a_clean_recording_is_one() -> None:
         columns = problem.columns.copy()
         columns[:n, -1] = lower @ rng.normal(size=n)
         other = replace(problem, columns=columns)
-        weighted = grams.products.weighted.copy()
-        weighted[0][:, -1] = inverse @ columns[:n, -1]
-        products = replace(grams.products, columns=columns[:n], weighted=weighted)
+        products = replace(grams.products, columns=columns[:n])
         drawn = replace(grams, products=products)
         at = problem.choices[j].at
         gain = log_evidence(other, drawn, [(at, 1.0)]) - log_evidence(other, drawn, [])

@@ -7,6 +7,7 @@ noise factors, no algebra of the program's.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -52,10 +53,10 @@ def posterior_of(columns: Array, noises: list[Array]) -> tuple[Contest, Posterio
         ),
         base=BASE,
     )
-    weighted = np.array([np.linalg.solve(v, columns) for v in noises])
+    solves = tuple(partial(np.linalg.solve, v) for v in noises)
     logs = [np.log(p) - 0.5 * np.linalg.slogdet(v)[1] for p, v in zip(NOISES, noises, strict=True)]
     grams = Grams(
-        products=Weighted(columns, weighted, np.zeros((0, 8))),
+        products=Weighted(columns, solves, np.zeros((0, 8))),
         removed=np.zeros((2, 0, 8)),
         log_weight=np.array(logs),
         numbers=float(N),

@@ -37,6 +37,7 @@ class Restricted:
     frame : (N, n) orthonormal, into those axes; out : (n, r) orthonormal, what of the parameters is
         not yet taken out
     columns : (n, q) the narrow components side by side; owner : (q,) the component of each
+    blocks : as these come apart, rows (b, m) and columns (b, k) of all blocks of one shape
     wide : which component is diagonal, or -1; spread : (n,) its Λ
     """
 
@@ -44,6 +45,7 @@ class Restricted:
     out: Array
     columns: Array
     owner: Index
+    blocks: tuple[tuple[Index, Index], ...]
     wide: int
     spread: Array
 
@@ -61,31 +63,44 @@ class Restricted:
         diagonal = np.ones(self.frame.shape[1])
         if self.wide >= 0:
             diagonal += ratio[self.wide] ** 2 * self.spread
-        return LowRankCovariance(diagonal, self.out, self.columns, ratio[self.owner])
+        return LowRankCovariance(diagonal, self.out, self.columns, ratio[self.owner], self.blocks)
 
 
 @dataclass(frozen=True)
 class LowRankCovariance:
     """V / s² = diag(diagonal) + U U', U = columns * size, columns (n, q), size (q,), and beside it
-    an infinite variance along out (n, r)."""
+    an infinite variance along out (n, r); blocks : of the columns, as `Restricted` has them"""
 
     diagonal: Array
     out: Array
     columns: Array
     size: Array
+    blocks: tuple[tuple[Index, Index], ...]
 
     @cached_property
     def _factors(self) -> tuple[Array, Array, Array]:
-        """Q₁ (n, r + q), Q₂ (q, r + q) and |diag R| of [diag^-½ [out, U]; 0, 1] = [Q₁; Q₂] R.
+        """Q₁ (n, q + r), Q₂ (q, q + r) and |diag R| of [diag^-½ [U, out]; 1, 0] = [Q₁; Q₂] R.
 
         V⁻¹ = diag^-½ (1 - Q₁Q₁') diag^-½: settings as large as may be cost no digits, as they do
-        where (1 + U'U)⁻¹ is formed.
+        where (1 + U'U)⁻¹ is formed. U comes apart into blocks; what is left of out beside it is
+        formed twice, so that it is orthogonal (Giraud et al. 2005).
         """
-        above = np.concatenate([self.out, self.columns * self.size], axis=1)
-        below = np.eye(self.size.size, above.shape[1], self.out.shape[1])
-        q, r = np.linalg.qr(np.concatenate([above / np.sqrt(self.diagonal)[:, None], below]))
-        n = len(self.diagonal)
-        return q[:n], q[n:], np.abs(np.diagonal(r))
+        (n, q), root = self.columns.shape, np.sqrt(self.diagonal)[:, None]
+        basis, size = np.zeros((n + q, q)), np.ones(q)
+        for rows, some in self.blocks:
+            m, k = rows.shape[1], some.shape[1]
+            own = self.columns[rows[:, :, None], some[:, None]] * self.size[some][:, None]
+            unit = np.broadcast_to(np.eye(k), (len(rows), k, k))
+            part, r = np.linalg.qr(np.concatenate([own / root[rows], unit], axis=1))
+            basis[rows[:, :, None], some[:, None]] = part[:, :m]
+            basis[n + some[:, :, None], some[:, None]] = part[:, m:]
+            size[some] = np.abs(np.diagonal(r, axis1=1, axis2=2))
+        rest = np.concatenate([self.out / root, np.zeros((q, self.out.shape[1]))])
+        for _ in range(2):
+            rest = rest - basis @ (basis.T @ rest)
+        along, r = np.linalg.qr(rest)
+        whole = np.concatenate([basis, along], axis=1)
+        return whole[:n], whole[n:], np.append(size, np.abs(np.diagonal(r)))
 
     @cached_property
     def inside(self) -> Array:
@@ -139,7 +154,31 @@ def _beside(
     columns = [np.asarray(frame.T @ settings[c]) for c in narrow]
     owner = np.repeat(narrow, [part.shape[1] for part in columns]).astype(np.intp)
     side = np.column_stack(columns) if columns else np.zeros((int(frame.shape[1]), 0))
-    return Restricted(frame, out, side, owner, wide, spread)
+    return Restricted(
+        frame=frame,
+        out=out,
+        columns=side,
+        owner=owner,
+        blocks=_blocks(side),
+        wide=wide,
+        spread=spread,
+    )
+
+
+def _blocks(columns: Array) -> tuple[tuple[Index, Index], ...]:
+    """As `Restricted` has them, of columns (n, q)."""
+    shapes, owner = dict[tuple[int, int], list[tuple[Index, Index]]](), np.zeros(len(columns), int)
+    every = blocks_of(columns) if columns.size else []
+    for k, rows in enumerate(every):
+        owner[rows] = k
+    place = owner[np.argmax(columns != 0.0, axis=0)] if every else owner[:0]
+    for k in np.unique(place):
+        some = np.flatnonzero(place == k)
+        shapes.setdefault((every[k].size, some.size), []).append((every[k], some))
+    return tuple(
+        (np.array([rows for rows, _ in own]), np.array([some for _, some in own]))
+        for own in shapes.values()
+    )
 
 
 def _along(jacobian: Array, mode: Literal["full", "economic"]) -> tuple[Array, int]:

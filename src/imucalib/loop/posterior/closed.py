@@ -126,8 +126,8 @@ def _as_recorded(loop: FitLoop, state: Mended) -> Fit:
     aside, where the base model stands at the angles that were meant, and where slips were mended,
     to the table as it was."""
     final, names = loop.final, record_names(loop.final)
-    if final is loop.plain:
-        return final
+    if not loop.steps and final.observations is loop.plain.observations:
+        return loop.plain
     one = drop_effects(final, names) if names or not loop.steps else final
     if not state.slips:
         return one

@@ -16,6 +16,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.core.balance import Noise, balance
+from imucalib.core.eigen import eigen
 from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations
 from imucalib.effects.record_error import GROSS_MG
@@ -36,8 +37,8 @@ from imucalib.loop.posterior.solution import noises_of
 from imucalib.loop.posterior.space import Posterior, search
 from imucalib.units import MG
 
-#: Rows whose own precision is formed at once.
-_AT_ONCE = 64
+#: Rows whose own precision is formed at once; what of the largest product is rounding.
+_AT_ONCE, _ROUNDING = 64, 1e-12
 
 
 @dataclass(frozen=True)
@@ -131,7 +132,8 @@ class SearchStart:
         reach = SIZES[-1] if between_temperatures(self.base.observations) else REACH
         every = (choice.at for choice in self._functions)
         free = np.unique(np.concatenate([np.zeros(0, np.intp), *every]))
-        return np.hstack([reach * self.problem.columns[: len(self._gross), free], self._gross])
+        columns = reach * self.problem.columns[: len(self._gross), free]
+        return _span(np.hstack([columns, self._gross]))
 
     @cached_property
     def _lacking_all(self) -> Array:
@@ -157,6 +159,13 @@ class SearchStart:
             if reached > best:
                 best, found = reached, (lacked, odds)
         return found
+
+
+def _span(factor: Array) -> Array:
+    """(N, r) with the products W Wᵀ of a factor (N, m), by a column for each of its directions:
+    free functions of many things are much alike."""
+    values, turn = eigen(factor.T @ factor)
+    return np.asarray(factor @ turn[:, values > _ROUNDING * values[-1]])
 
 
 def search_posterior(fit: Fit, wanted: SearchedEffects) -> SearchedPosterior:

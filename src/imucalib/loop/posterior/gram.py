@@ -28,17 +28,20 @@ _AT_ONCE = 1 << 21
 
 @dataclass(frozen=True)
 class Weighted:
-    """columns : (N, q) Z; weighted : (E, N, q) V⁻¹ Z; known : (k, q) rows of what is known before
-    the readings"""
+    """Of which a row or a block is made when it is asked for: a search asks for each block once.
+
+    columns : (N, q) Z; solves : of each noise what multiplies columns (N, m) by V⁻¹
+    known : (k, q) rows of what is known before the readings
+    """
 
     columns: Array
-    weighted: Array
+    solves: tuple[Callable[[Array], Array], ...]
     known: Array
 
     def rows(self, at: Index) -> Array:
         """(E, s, q) some rows."""
-        found = self.columns[:, at].T @ self.weighted
-        return np.asarray(found + self.known[:, at].T @ self.known)
+        own, known = self.columns[:, at], self.known[:, at].T @ self.known
+        return np.array([solve(own).T @ self.columns + known for solve in self.solves])
 
     @cached_property
     def along(self) -> Array:
@@ -47,24 +50,23 @@ class Weighted:
 
     def blocks(self, index: Index) -> Array:
         """(E, m, w, w) blocks on the diagonal of columns index (m, w)."""
-        (m, w), (e, n, _) = index.shape, self.weighted.shape
-        own, known = np.empty((e, m, w, w)), self.known[:, index]
-        step = max(1, _AT_ONCE // (e * n * w))
+        (m, w), n = index.shape, len(self.columns)
+        own, known = np.empty((len(self.solves), m, w, w)), self.known[:, index]
+        step = max(1, _AT_ONCE // (len(self.solves) * n * w))
         for a in range(0, m, step):
-            some = index[a : a + step]
-            left, right = self.columns[:, some], self.weighted[:, :, some]
-            own[:, a : a + step] = left.transpose(1, 2, 0)[None] @ right.transpose(0, 2, 1, 3)
+            left = self.columns[:, index[a : a + step]]
+            for k, solve in enumerate(self.solves):
+                right = solve(left.reshape(n, -1)).reshape(left.shape)
+                np.matmul(left.transpose(1, 2, 0), right.transpose(1, 0, 2), own[k, a : a + step])
         return np.asarray(own + np.einsum("kmw,kmv->mwv", known, known))
 
     def of(self, noises: Index) -> Weighted:
         """At some of the noises."""
-        return replace(self, weighted=self.weighted[noises])
+        return replace(self, solves=tuple(self.solves[k] for k in noises))
 
     def select_columns(self, columns: Index) -> Weighted:
         """Of some columns, in their order."""
-        return Weighted(
-            self.columns[:, columns], self.weighted[:, :, columns], self.known[:, columns]
-        )
+        return replace(self, columns=self.columns[:, columns], known=self.known[:, columns])
 
 
 @dataclass(frozen=True)
@@ -173,6 +175,8 @@ class Grams:
     @cached_property
     def solves(self) -> tuple[Callable[[Array], Array], ...]:
         """V⁻¹ at each noise. Raises TypeError where it was not kept."""
+        if isinstance(self.products, Weighted):
+            return self.products.solves
         if self.inverse is None:
             raise TypeError("the products' own numbers were not kept")
         return tuple(self.inverse(point) for point in self.points)
@@ -180,8 +184,6 @@ class Grams:
     @cached_property
     def weighted(self) -> Array:
         """(E, N, q) V⁻¹ Z."""
-        if isinstance(self.products, Weighted):
-            return self.products.weighted
         return np.array([solve(self.columns) for solve in self.solves])
 
     def log_noise(self, power: Array, dof: float) -> Array:
@@ -241,16 +243,17 @@ def grams_of(problem: Problem, terms: Terms, points: Sequence[NoiseHypothesis]) 
     """At some noises; multiplied out where there are more numbers than columns."""
     n, q = len(terms.order), problem.columns.shape[1]
     columns, known = problem.columns[:n], problem.columns[n:]
-    few = n <= q
-    out, weight = np.empty((len(points), n if few else q, q)), np.empty(len(points))
-    for k, point in enumerate(points):
-        covariance = terms.covariance(point)
-        weighted = covariance.solve(columns)
-        out[k] = weighted if few else columns.T @ weighted + known.T @ known
-        weight[k] = point.log_prior - 0.5 * covariance.log_det
+    covariances = [terms.covariance(point) for point in points]
+    solves = tuple(covariance.solve for covariance in covariances)
+    products: Products = Weighted(columns, solves, known)
+    if n > q:
+        products = Multiplied(np.array([columns.T @ v(columns) + known.T @ known for v in solves]))
+    weight = np.array(
+        [p.log_prior - 0.5 * v.log_det for p, v in zip(points, covariances, strict=True)]
+    )
     prior = problem.fit.observations.noise_prior
     return Grams(
-        products=Weighted(columns, out, known) if few else Multiplied(out),
+        products=products,
         removed=np.zeros((len(points), 0, q)),
         log_weight=weight,
         numbers=problem.numbers,

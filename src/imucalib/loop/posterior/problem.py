@@ -113,17 +113,17 @@ def problem_of(fit: Fit, components: tuple[Component, ...], model: Model | None 
     # What is known of the base before its readings, in units of the noise that the fit has: of a
     # bench's sensor, and of a record that is set aside.
     known = shrinking(known_sd(fit) / fit.noise.factor, start - fit.theta)
-    every = [at.jacobian[:, own], *blocks.columns]
-    columns = np.column_stack([*every, misfit])
-    rows = np.zeros((len(known), columns.shape[1]))
-    rows[:, -1], rows[:, : own.size] = known[:, 0], known[:, 1 + own]
+    n, every = len(misfit), [*at.jacobian[:, own].T, *blocks.columns, misfit]
+    columns = np.zeros((n + len(known), len(every)))
+    np.stack(every, axis=1, out=columns[:n])
+    columns[n:, -1], columns[n:, : own.size] = known[:, 0], known[:, 1 + own]
     return Problem(
         fit=fit,
         model=base,
         start=fit.theta[own],
         components=tuple(kept),
         choices=tuple(choices),
-        columns=np.vstack([columns, rows]),
+        columns=columns,
         base=own.size,
         owner=np.concatenate([at.owner, np.full(len(known), -1)]),
     )

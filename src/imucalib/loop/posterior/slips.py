@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucalib.arrays import Array, Index
+from imucalib.core.balance import below
 from imucalib.core.effect import Context
 from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations
@@ -184,22 +185,21 @@ def _given_each(
     every = [blocks_of(problem.choices, picks) for picks in sets]
     used = np.array(sorted({int(k) for one in every for at, _ in one for k in at}), np.intp)
     own, n = np.r_[:p, used, grams.columns.shape[1] - 1], len(grams.columns)
-    weighted, known = grams.weighted[:, :, own], problem.columns[n:, own]
-    inner = grams.columns[:, own].T @ weighted + known.T @ known
-    # The base model leaves as in `marginalize`, multiplied out.
-    lower = np.linalg.cholesky(inner[:, :p, :p])
-    across = np.concatenate([weighted[:, :, :p].swapaxes(1, 2), inner[:, :p, p:]], axis=2)
-    across, weighted = np.linalg.solve(lower, across), weighted[:, :, p:]
-    matrix = np.empty((len(inner), across.shape[2], across.shape[2]))
+    columns = np.hstack([grams.columns[:, own[:p]], np.eye(n), grams.columns[:, own[p:]]])
+    known = np.insert(problem.columns[n:, own], [p] * n, 0.0, axis=1)
+    matrix = np.empty((len(grams.points), columns.shape[1] - p, columns.shape[1] - p))
+    log_size = np.empty(len(matrix))
     for k, solve in enumerate(grams.solves):  # of many readings one noise alone fills the memory
-        matrix[k, :n, :n], matrix[k, :n, n:] = solve(np.eye(n)), weighted[k]
-        matrix[k, n:, :n], matrix[k, n:, n:] = weighted[k].T, inner[k, p:, p:]
-        matrix[k] -= across[k].T @ across[k]
-    log_size = np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1)
+        whole = columns.T @ solve(columns) + known.T @ known
+        # The base model leaves as in `marginalize`, multiplied out.
+        lower = np.linalg.cholesky(whole[:p, :p])
+        across = below(lower, whole[:p, p:])
+        np.subtract(whole[p:, p:], across.T @ across, out=matrix[k])
+        log_size[k] = np.log(np.diag(lower)).sum()
     base = replace(
         grams,
         products=Multiplied(matrix),
-        removed=across[:, :0],
+        removed=np.zeros((len(matrix), 0, matrix.shape[1])),
         log_weight=grams.log_weight - log_size,
         inverse=None,
     )
