@@ -145,6 +145,34 @@ def test_a_frozen_chip_is_as_good_as_one_that_is_not_there() -> None:
     assert frozen < 1.2 * absent
 
 
+def late(read: Array, own: Array) -> Array:
+    return np.concatenate([own[:1], own[:-1]])
+
+
+def clipped(read: Array, own: Array) -> Array:
+    """At the third quarter of all of its readings, a limit that no file states."""
+    return np.clip(own, *np.quantile(read, [0.25, 0.75]))
+
+
+@pytest.mark.parametrize("start", [1200, 1800], ids=["all along", "from the middle on"])
+@pytest.mark.parametrize("spoil", [late, clipped])
+@pytest.mark.parametrize("chips", [4, 8])
+def test_a_chip_that_is_wrong_costs_little_more_than_one_that_is_not_there(
+    chips: int, spoil: Callable[[Array, Array], Array], start: int
+) -> None:
+    rng = np.random.default_rng(6)
+    made = board(rng, chips=chips)
+    motion = moves(rng, still=12.0, moving=12.0, hz=HZ, twist=250.0)
+    read, errors = readings(made, motion, rng), []
+    for gone in (False, True):
+        own = [v.copy() for v in read]
+        for v in own:
+            v[start:, 2] = np.nan if gone else spoil(v[1200:, 2], v[start:, 2])
+        errors.append(fused_by(made, motion, (own[0], own[1])).error[1900:])
+    for part in (slice(3), slice(6, None)):
+        assert rms(errors[0][:, part]) < 1.2 * rms(errors[1][:, part])
+
+
 @pytest.mark.slow
 def test_biases_are_taken_anew_at_rest(plain: World) -> None:
     made, motion, old = plain.board, plain.moves, calibration(plain.board)

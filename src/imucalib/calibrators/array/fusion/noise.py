@@ -15,7 +15,6 @@ from imucalib.arrays import Array, Flags
 
 _NU = (np.inf, 25.0, 10.0, 6.0, 4.0, 3.0)
 _GROWTH = np.concatenate([[0.0], np.geomspace(0.03, 30.0, 31)])
-_FACTORS = np.concatenate([[0.0], np.geomspace(0.4, 2.5, 25)])
 _GROSS = 30.0  # squared length in sigmas beyond which a Gaussian triad is no part of the sample
 _LEAST = 4.0  # nats by which tails or one IMU's factor must win
 _LEFT = 0.02  # least share of its variance that a residual keeps
@@ -62,23 +61,18 @@ def fit_noise(off: Array, live: Flags, left: Array, speed: Array, rest: Array) -
     """
     square = np.where(live, off**2, 0.0) / np.maximum(left, _LEFT)[..., None]
     fast = float(np.sqrt(np.mean(speed**2))) or 1.0
-    unit = float(np.sqrt(np.mean(rest**2))) / fast
+    growth = _GROWTH * float(np.sqrt(np.mean(rest**2))) / fast
     found, best = at_rest(rest), -np.inf
     for nu in _NU:
-        tried = [replace(found, growth=np.full(len(rest), c * unit), freedom=nu) for c in _GROWTH]
-        values = [_density(noise, square, live, speed) for noise in tried]
-        top = int(np.argmax(values))
-        if values[top] > best + _LEAST:
-            found, best = tried[top], values[top]
-    # With the growth of every IMU by itself.
-    tried = [replace(found, growth=found.growth * factor) for factor in _FACTORS]
-    best_of_each = np.argmax([_of_triads(one, square, live, speed) for one in tried], axis=0)
-    each = replace(found, growth=found.growth * _FACTORS[best_of_each])
-    return each if _density(each, square, live, speed) > best + _LEAST * len(rest) else found
-
-
-def _density(noise: ChipNoise, square: Array, live: Flags, speed: Array) -> float:
-    return float(_of_triads(noise, square, live, speed).sum())
+        tried = [ChipNoise(rest, np.full(len(rest), one), nu) for one in growth]
+        table = np.array([_of_triads(one, square, live, speed) for one in tried])
+        same, each = int(table.sum(axis=1).argmax()), table.argmax(axis=0)
+        value, own = float(table[same].sum()), float(table.max(axis=0).sum())
+        apart = own > value + _LEAST * len(rest)
+        if (own if apart else value) > best + _LEAST:
+            best = own if apart else value
+            found = ChipNoise(rest, growth[each] if apart else tried[same].growth, nu)
+    return found
 
 
 def _of_triads(noise: ChipNoise, square: Array, live: Flags, speed: Array) -> Array:
