@@ -24,6 +24,8 @@ from imucalib.loop.posterior.problem import Choice, Contest
 
 #: Columns up to which a block is narrow.
 NARROW = 20
+#: Numbers of blocks that are worked on at once.
+_AT_ONCE = 1 << 21
 #: What rounding may take from the diagonal of a wide block.
 _ROUNDING = 1e-12
 
@@ -226,12 +228,19 @@ def block_logs(
 ) -> tuple[Array, Array]:
     """(E, m, T) log evidence of each block of columns index (m, w) at each size (T,) over the noise
     factor, and that factor; whole : the blocks' own products, where they are there."""
-    inner, along = grams.blocks(index, whole), grams.along[:, index]
     by_factors = index.shape[1] > NARROW or size.size == 1
-    logs, explained = (_by_factors if by_factors else _by_values)(grams, inner, along, size)
-    rest = np.maximum(grams.power[:, None, None] - explained, 1e-9)
-    logs = logs + grams.log_weight[:, None, None] + grams.log_noise(rest, dof)
-    return logs, np.sqrt(rest / dof)
+    logs, factor = np.empty((2, len(grams.log_weight), len(index), size.size))
+    step = max(1, _AT_ONCE // (len(grams.log_weight) * index.shape[1] ** 2))
+    for a in range(0, len(index), step):
+        part = slice(a, a + step)
+        inner = grams.blocks(index[part], None if whole is None else whole[:, part])
+        own, explained = (_by_factors if by_factors else _by_values)(
+            grams, inner, grams.along[:, index[part]], size
+        )
+        rest = np.maximum(grams.power[:, None, None] - explained, 1e-9)
+        logs[:, part] = own + grams.log_weight[:, None, None] + grams.log_noise(rest, dof)
+        factor[:, part] = np.sqrt(rest / dof)
+    return logs, factor
 
 
 def _by_values(grams: Grams, inner: Array, along: Array, size: Array) -> tuple[Array, Array]:

@@ -73,7 +73,23 @@ def test_a_late_chip_is_told(log: ArrayLog, late: int, kind: str) -> None:
     with pytest.raises(Undetermined, match=f"{sensor} of imu5 is {word} by {abs(late)}") as caught:
         refuse_streams(found, BOARD.imus, log.interval)
     assert caught.value.exit_code == 4
-    assert np.count_nonzero(found.shift) == 1
+    assert np.count_nonzero(found.shift) == 2
+    assert np.isnan(found.since).all()
+
+
+@pytest.mark.parametrize("share", [0.3, 0.5, 0.7])
+def test_a_chip_that_loses_a_sample_is_told_with_the_time(log: ArrayLog, share: float) -> None:
+    """From there on its readings are those of the next instant, and so are all that it has."""
+    moving = np.flatnonzero(np.linalg.norm(np.median(log.rate, axis=1), axis=1) > 0.5)
+    lost, parts = moving[int(share * len(moving))], []
+    for values in (log.acceleration.copy(), log.rate.copy()):
+        values[lost:-1, 5] = values[lost + 1 :, 5]
+        parts.append(values)
+    found = streams(replace(log, acceleration=parts[0], rate=parts[1]))
+    assert np.argwhere(found.shift).tolist() == [[1, 5, 0], [1, 5, 1]]
+    assert np.allclose(found.since[5], log.t[lost], atol=0.5)
+    with pytest.raises(Undetermined, match=r"gyro of imu5 is early by 1 samples .* from .* s on"):
+        refuse_streams(found, BOARD.imus, log.interval)
 
 
 @pytest.mark.parametrize("kind", ["acceleration", "rate"])

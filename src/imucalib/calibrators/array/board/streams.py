@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imucalib.arrays import Array, Flags
+from imucalib.arrays import Array, Flags, Index
 from imucalib.calibrators.array.board.log import ArrayLog
 from imucalib.calibrators.array.board.moving import SLOWEST
 from imucalib.errors import Undetermined
@@ -28,19 +28,22 @@ _TURNING = 7  # columns of the rate's products, and of one
 #: noisiest from which one accelerometer alone is noisy.
 _STRETCH, _FEW_STRETCHES, _NOISY = 50, 8, 4.0
 _FEWEST, _MOST = 100, 1500  # moving samples that are looked at
+_PLACES = 60  # at which a sensor may have lost samples
 _SENSORS = ("accelerometer", "gyro")
 
 
 @dataclass(frozen=True)
 class Streams:
     """lost : share of the instants that the log lacks; repeated : (K, 2) share of the moving
-    samples in which accelerometer and gyro read exactly what they read before; shift : (K, 2)
-    samples by which they are late; spikes : (K, 2) moving samples in which they alone read what
+    samples in which accelerometer and gyro read exactly what they read before; shift : (2, K, 2)
+    samples by which they are late as the motion begins and as it ends, and since : (K, 2) s from
+    which on, where these differ; spikes : (K, 2) moving samples in which they alone read what
     nobody else does; held : (N,) samples in motion with a repeated reading or a spike"""
 
     lost: float
     repeated: Array
     shift: Array
+    since: Array
     spikes: Array
     held: Flags
 
@@ -54,7 +57,8 @@ def streams(log: ArrayLog) -> Streams:
     repeated = same.sum(axis=0) / max(int(moving.sum()), 1)
     spikes = _spikes(log, moving & ~log.clipped)
     held = np.asarray((same | spikes).any(axis=(1, 2)))
-    return Streams(lost, repeated, _shifts(log, moving), spikes.sum(axis=0), held)
+    shift, since = _shifts(log, moving)
+    return Streams(lost, repeated, shift, since, spikes.sum(axis=0), held)
 
 
 @dataclass(frozen=True)
@@ -117,35 +121,72 @@ def _spikes(log: ArrayLog, looked: Flags) -> Flags:
     return found
 
 
-def _shifts(log: ArrayLog, moving: Flags) -> Array:
-    """(K, 2) samples by which each sensor is late: where a shift brings it far nearer to what the
-    others of its kind say, by least squares with the products of the rate and its change. Late by
-    one sample is what then fits as well as the others do: a slow filter, or a lag of a part of one,
-    does not, and is the loop's to name. An IMU has one clock: with one of its sensors the other is
-    late whose best shift is the same, though it answers to the part of a sample that remains."""
+def _shifts(log: ArrayLog, moving: Flags) -> tuple[Array, Array]:
+    """Samples (2, K, 2) by which each sensor is late in the first quarter of the motion and in the
+    last, and (K, 2) s from which on, where these differ: a chip lost or doubled samples there."""
     count = log.rate.shape[1]
-    found, least = np.zeros((count, 2)), np.full((count, 2), np.inf)
+    found, since = np.zeros((2, count, 2)), np.full((count, 2), np.nan)
     rows = np.flatnonzero(moving[_FAR:-_FAR]) + _FAR
     if len(rows) < _FEWEST or count < 2:
-        return found
-    rows = rows[:: max(len(rows) // _MOST, 1)]
+        return found, since
+    some = max(len(rows) // 4, _FEWEST)
+    ends = [part[:: max(len(part) // _MOST, 1)] for part in (rows[:some], rows[-some:])]
+    found = np.array([_shifts_in(log, part) for part in ends])
+    some = rows[:: max(len(rows) // _MOST, 1)]
+    for k, kind in np.argwhere(found[0] != found[1]):
+        columns, seen = _told_by_others(log, k, kind, some, found[:, k, kind].astype(np.intp))
+        edges = np.linspace(0, len(some), _PLACES + 2).astype(np.intp)
+        left = [
+            _left(columns, np.where(np.arange(len(some))[:, None] < edge, *seen.swapaxes(0, 1)))
+            for edge in edges
+        ]
+        # A quarter that shows no shift may only have moved too little for it.
+        place = int(np.argmin(np.linalg.norm(left, axis=(1, 2))))
+        if place in (0, _PLACES + 1):
+            found[:, k, kind] = found[0 if place else 1, k, kind]
+        else:
+            since[k, kind] = log.t[some[edges[place]]]
+    return found, since
+
+
+def _shifts_in(log: ArrayLog, rows: Index) -> Array:
+    """(K, 2) samples by which each sensor is late in some samples: where a shift brings it far
+    nearer to what the others of its kind say. Late by one sample is what then fits as well as the
+    others do: a slow filter, or a lag of a part of one, does not, and is the loop's to name. An IMU
+    has one clock: with one of its sensors the other is late whose best shift is the same, though it
+    answers to the part of a sample that remains."""
+    count = log.rate.shape[1]
+    found, least = np.zeros((count, 2)), np.full((count, 2), np.inf)
     lags = np.arange(-_FAR, _FAR + 1)
-    for k in range(count):
-        others = np.arange(count) != k
-        rate = log.rate[:, others].mean(axis=1)
-        turning = np.hstack([_products(rate[rows]), rate[rows + 1] - rate[rows - 1]])
-        for kind, values in enumerate((log.acceleration, log.rate)):
-            columns = np.hstack([values[rows][:, others].reshape(len(rows), -1), turning])
-            seen = values[rows[:, None] + lags, k].reshape(len(rows), -1)
-            off = seen - columns @ np.linalg.lstsq(columns, seen, rcond=None)[0]
-            misfit = np.median(np.abs(off.reshape(len(rows), len(lags), 3)), axis=(0, 2))
-            best = int(np.argmin(misfit))
-            least[k, kind] = misfit[best]
-            if misfit[best] < _BETTER * misfit[_FAR]:
-                found[k, kind] = lags[best]
+    for k, kind in np.ndindex(count, 2):
+        columns, seen = _told_by_others(log, k, kind, rows, lags)
+        off = _left(columns, seen.reshape(len(rows), -1)).reshape(seen.shape)
+        misfit = np.median(np.abs(off), axis=(0, 2))
+        best = int(np.argmin(misfit))
+        least[k, kind] = misfit[best]
+        if misfit[best] < _BETTER * misfit[_FAR]:
+            found[k, kind] = lags[best]
     slow = (np.abs(found) == 1.0) & (least > _SINGLE * np.median(least, axis=0))
     slow &= slow[:, ::-1] | (found != found[:, ::-1])
     return np.where(slow, 0.0, found)
+
+
+def _told_by_others(
+    log: ArrayLog, k: int, kind: int, rows: Index, lags: Index
+) -> tuple[Array, Array]:
+    """(n, m) readings of the others of a sensor's kind, with the products of the rate and its
+    change, and (n, lags, 3) its own where it is late by so many samples."""
+    values = (log.acceleration, log.rate)[kind]
+    others = np.arange(values.shape[1]) != k
+    rate = log.rate[:, others].mean(axis=1)
+    turning = _products(rate[rows]), rate[rows + 1] - rate[rows - 1]
+    columns = np.hstack([values[rows][:, others].reshape(len(rows), -1), *turning])
+    return columns, np.asarray(values[rows[:, None] + lags, k])
+
+
+def _left(columns: Array, seen: Array) -> Array:
+    """What least squares leave."""
+    return np.asarray(seen - columns @ np.linalg.lstsq(columns, seen, rcond=None)[0])
 
 
 def noisy_alone(log: ArrayLog) -> int | None:
@@ -187,12 +228,15 @@ def refuse_streams(found: Streams, imus: tuple[str, ...], interval: float) -> No
     """Raise Undetermined for sensors that are late by whole samples, or mostly stand still."""
     wrong = []
     for kind, sensor in enumerate(_SENSORS):
-        own = zip(imus, found.shift[:, kind], found.repeated[:, kind], strict=True)
-        for name, late, share in own:
-            if late:
+        for k, name in enumerate(imus):
+            own, share = found.shift[:, k, kind], found.repeated[k, kind]
+            if own.any():
+                late = own[1] or own[0]
+                when = f"{'from' if own[1] else 'up to'} {found.since[k, kind]:.4g} s"
                 wrong.append(
                     f"the {sensor} of {name} is {'late' if late > 0 else 'early'} by "
                     f"{abs(late):.0f} samples ({1e3 * abs(late) * interval:.3g} ms)"
+                    + (f" {when}{' on' if own[1] else ''}" if own[0] != own[1] else "")
                 )
             elif share > _FROZEN:
                 wrong.append(

@@ -7,7 +7,7 @@ with the motion, and the stated covariance stands on it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
