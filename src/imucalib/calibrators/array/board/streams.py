@@ -129,17 +129,16 @@ def _shifts(log: ArrayLog, moving: Flags) -> tuple[Array, Array]:
     rows = np.flatnonzero(moving[_FAR:-_FAR]) + _FAR
     if len(rows) < _FEWEST or count < 2:
         return found, since
-    some = max(len(rows) // 4, _FEWEST)
-    ends = [part[:: max(len(part) // _MOST, 1)] for part in (rows[:some], rows[-some:])]
+    quarter = max(len(rows) // 4, _FEWEST)
+    ends = [part[:: max(len(part) // _MOST, 1)] for part in (rows[:quarter], rows[-quarter:])]
     found = np.array([_shifts_in(log, part) for part in ends])
     some = rows[:: max(len(rows) // _MOST, 1)]
     for k, kind in np.argwhere(found[0] != found[1]):
         columns, seen = _told_by_others(log, k, kind, some, found[:, k, kind].astype(np.intp))
         edges = np.linspace(0, len(some), _PLACES + 2).astype(np.intp)
-        left = [
-            _left(columns, np.where(np.arange(len(some))[:, None] < edge, *seen.swapaxes(0, 1)))
-            for edge in edges
-        ]
+        early, late = seen[:, 0], seen[:, 1]
+        before = np.arange(len(some))[:, None] < edges[:, None, None]
+        left = [_left(columns, np.asarray(np.where(b, early, late))) for b in before]
         # A quarter that shows no shift may only have moved too little for it.
         place = int(np.argmin(np.linalg.norm(left, axis=(1, 2))))
         if place in (0, _PLACES + 1):
