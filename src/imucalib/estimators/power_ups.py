@@ -147,6 +147,12 @@ class NextOne:
         tail = ndtr(-np.abs(value[:, None] - self.means) / whole)
         return np.asarray(2.0 * np.sum(self.weight * tail, axis=1))
 
+    def drawn(self, values: Array, sds: Array) -> Array:
+        """(L, k) values with sds (L, k), which the mixture was made of, drawn towards the mean."""
+        own = self.size**2 / (self.size**2 + sds[..., None] ** 2)  # (L, k, s)
+        each = self.means + own * (values[..., None] - self.means)
+        return np.asarray(np.sum(self.weight * each, axis=-1))
+
 
 def predict_next(values: Array, sds: Array) -> NextOne:
     """By values (L, k) with standard deviations (L, k), each by itself; L is two at least."""

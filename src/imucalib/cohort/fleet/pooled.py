@@ -26,14 +26,15 @@ import numpy as np
 from imucalib.arrays import Array, Index
 from imucalib.core.effect import Effect
 from imucalib.core.fit import Fit
+from imucalib.estimators.power_ups import predict_next
 from imucalib.loop.candidates import effect_columns, testable
 from imucalib.loop.odds import ABSORBED, KNOWN, MISSING
 from imucalib.loop.posterior.gram import log_sum
 
 #: λ of a candidate at typical size below which it is rounding.
 _SHOWN = 1e-6
-#: Devices from which on their noise is compared, and degrees of freedom that mean "all the same".
-_MODERATED, _ALL_THE_SAME = 3, 1e4
+#: Devices from which on their noise is compared.
+_MODERATED = 3
 #: Sizes of the scatter τ between devices and of the common size γ, in typical sizes.
 _TAU = (0.0, 0.1, 0.3, 1.0, 3.0)
 _GAMMA = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0)
@@ -82,39 +83,18 @@ def device_of(name: str, fit: Fit, effects: Mapping[str, Effect]) -> PooledDevic
 
 
 def shrink_noise(devices: Sequence[PooledDevice]) -> tuple[PooledDevice, ...]:
-    """With each device's noise drawn towards the fleet's, as far as the devices agree.
-
-    Variances scatter between devices like a scaled inverse χ², whose size s₀² and degrees of
-    freedom ν₀ the logs of the estimates tell: s² = (ν₀ s₀² + ν s_d²) / (ν₀ + ν), with ν₀ + ν of
-    them (Smyth 2004, section 6.2).
-    """
+    """With each device's noise drawn towards the fleet's, as far as the devices agree: its log is
+    that of the kind and a part of its own, told by as many degrees of freedom as it has."""
     from scipy.special import polygamma, psi
 
     if len(devices) < _MODERATED:
         return tuple(devices)
-    dof = np.array([d.dof for d in devices])
-    square = np.array([d.noise**2 for d in devices])
-    own = np.log(square) - psi(dof / 2.0) + np.log(dof / 2.0)
-    spread = float(np.var(own, ddof=1) - np.mean(polygamma(1, dof / 2.0)))
-    if spread > 0.0:
-        fleet = 2.0 * inverse_trigamma(spread)
-        size = np.exp(own.mean() + psi(fleet / 2.0) - np.log(fleet / 2.0))
-    else:
-        fleet, size = _ALL_THE_SAME, float(np.sum(dof * square) / np.sum(dof))
-    better = (fleet * size + dof * square) / (fleet + dof)
-    return tuple(
-        replace(d, gram=d.gram * share, along=d.along * share)
-        for d, share in zip(devices, square / better, strict=True)
-    )
-
-
-def inverse_trigamma(value: float) -> float:
-    """Of the second derivative of the log of the gamma function."""
-    from scipy.optimize import brentq
-    from scipy.special import polygamma
-
-    found = brentq(lambda log_x: float(polygamma(1, np.exp(log_x))) - value, -12.0, 12.0)
-    return float(np.exp(found))
+    half = np.array([d.dof / 2.0 for d in devices])
+    logs = np.log([d.noise for d in devices]) - 0.5 * (psi(half) - np.log(half))
+    known = logs[:, None], 0.5 * np.sqrt(polygamma(1, half))[:, None]
+    better = np.exp(predict_next(*known).drawn(*known)[:, 0])
+    every = zip(devices, [d.noise for d in devices] / better, strict=True)
+    return tuple(replace(d, gram=d.gram * r**2, along=d.along * r**2) for d, r in every)
 
 
 @dataclass(frozen=True)
