@@ -43,3 +43,13 @@ def test_devices_that_are_equal_have_a_scatter_within_their_noise() -> None:
     said = predict_next(np.zeros((6, 2)), np.ones((6, 2)))
     assert np.all(said.scatter(0.5) < 1.0)
     assert np.all(said.sd > said.scatter(0.5))
+
+
+def test_numbers_that_nobody_doubts_end_no_fleet() -> None:
+    """A gain that is one by definition, in all devices; and one that is read without noise."""
+    values = np.column_stack([np.ones(5), np.arange(5.0)])
+    said = predict_next(values[:, :1], np.zeros((5, 1)))
+    assert (said.mean, said.sd) == (pytest.approx([1.0]), pytest.approx([0.0], abs=1e-50))
+    said = predict_next(values[:, 1:], np.zeros((5, 1)))
+    assert said.mean == pytest.approx([2.0])
+    assert 1.6 < said.sd[0] < 3.5

@@ -27,6 +27,8 @@ from imucalib.arrays import Array, Index
 _SIZES, _REACH = 36, (0.05, 30.0)
 #: Nats below the likeliest from which on a size of the scatter is not looked at closely.
 _FAR = 15.0
+#: Share of a scatter below which a noise is none, and the least size that is squared.
+_SURE, _LEAST = 1e-9, 1e-100
 #: Standard deviation of the log of an axis' scatter about that of all: 60 power-ups of an MPU-9250
 #: have 0.46, 0.25 and 0.63 mg.
 _UNLIKE = 0.5
@@ -156,8 +158,9 @@ class NextOne:
 
 def predict_next(values: Array, sds: Array) -> NextOne:
     """By values (L, k) with standard deviations (L, k), each by itself; L is two at least."""
-    noise = float(np.sqrt(np.mean(sds**2)))
-    top = max(float(np.std(values, axis=0, ddof=1).max()), noise)
+    apart = float(np.std(values, axis=0, ddof=1).max())
+    noise = max(float(np.sqrt(np.mean(sds**2))), _SURE * apart, _LEAST)
+    top = max(apart, noise)
     sizes = np.geomspace(_REACH[0] * noise, _REACH[1] * top, _SIZES)
     for _ in range(2):  # over all sizes, then over those that are likely
         whole = sizes[:, None, None] ** 2 + sds**2  # (s, L, k)
