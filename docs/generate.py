@@ -9,7 +9,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from generators import commands, functions, schemas
+from generators import commands, functions, rooms, schemas
 from imucalib.effects import catalogue, families
 from imucalib.report.catalogue import catalogue_markdown
 
@@ -17,6 +17,7 @@ HERE = Path(__file__).parent
 
 
 PAGES = {
+    "DESIGN.md": rooms.page,
     "effects.md": lambda: catalogue_markdown(list(catalogue().values()), list(families().values())),
     "reference/commands.md": commands.page,
     "reference/functions.md": functions.page,
