@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -22,8 +22,9 @@ from imucalib.core.balance import below
 from imucalib.loop.posterior.noise import NoiseHypothesis, Terms
 from imucalib.loop.posterior.problem import Problem
 
-#: Numbers of blocks that are made at once.
-_AT_ONCE = 1 << 21
+#: Numbers of blocks that are made at once, columns that are weighted, and columns whose products
+#: are quicker together than block by block.
+_AT_ONCE, _COLUMNS, _SIDE = 1 << 21, 256, 64
 
 
 @dataclass(frozen=True)
@@ -97,24 +98,39 @@ class Multiplied:
         return Multiplied(self.matrix[:, columns[:, None], columns])
 
 
+class Whitening(Protocol):
+    """L⁻¹ at E noises, L Lᵀ = V."""
+
+    @property
+    def noises(self) -> int:
+        """E"""
+        ...
+
+    def __call__(self, columns: Array) -> Array:
+        """(E, n, m) L⁻¹ of columns (n, m)."""
+        ...
+
+    def back(self, white: Array) -> Array:
+        """(E, n, m) L⁻ᵀ of columns (E, n, m)."""
+        ...
+
+    def of(self, noises: Index) -> Whitening:
+        """At some of the noises."""
+        ...
+
+
 @dataclass(frozen=True)
 class Unmultiplied:
-    """Of which a row or a block is made when it is asked for, and the whole of some noises only.
-
-    columns : (n, q) Z; noises : E; white : gives L⁻¹ (E, n, m) of columns (n, m), back : L⁻ᵀ of
-    these; whole : (e, q, q) at some noises
-    """
+    """`Weighted` of what all noises whiten at once. columns : (n, q) Z"""
 
     columns: Array
-    noises: int
-    white: Callable[[Array], Array]
-    back: Callable[[Array], Array]
-    whole: Callable[[Index], Array]
+    white: Whitening
 
     def rows(self, at: Index) -> Array:
         """(E, s, q) some rows."""
-        weighted = self.back(self.white(self.columns[:, at]))
-        return np.asarray(weighted.swapaxes(1, 2) @ self.columns)
+        weighted = self.white.back(self.white(self.columns[:, at])).swapaxes(1, 2)
+        flat = weighted.reshape(-1, len(self.columns)) @ self.columns
+        return np.asarray(flat.reshape(-1, at.size, self.columns.shape[1]))
 
     @cached_property
     def along(self) -> Array:
@@ -123,28 +139,25 @@ class Unmultiplied:
 
     def blocks(self, index: Index) -> Array:
         """(E, m, w, w) blocks on the diagonal of columns index (m, w)."""
-        (m, w), n = index.shape, len(self.columns)
-        out = np.empty((self.noises, m, w, w))
-        step = max(1, _AT_ONCE // (self.noises * n * w))
+        (m, w), made = index.shape, self.white.noises * len(self.columns)
+        out = np.empty((self.white.noises, m, w, w))
+        step = max(1, min(_AT_ONCE // made, _SIDE) // w)
         for a in range(0, m, step):
             part = index[a : a + step]
-            own = self.white(self.columns[:, part.ravel()]).reshape(-1, n, *part.shape)
-            own = np.ascontiguousarray(own.transpose(0, 2, 3, 1))
-            np.matmul(own, own.swapaxes(2, 3), out=out[:, a : a + step])
+            own = self.white(self.columns[:, part.ravel()])
+            gram, at = own.swapaxes(1, 2) @ own, np.arange(part.size).reshape(part.shape)
+            out[:, a : a + step] = gram[:, at[:, :, None], at[:, None, :]]
         return out
 
-    def of(self, noises: Index) -> Multiplied:
-        """Multiplied out at some of the noises."""
-        return Multiplied(self.whole(noises))
+    def of(self, noises: Index) -> Unmultiplied:
+        """At some of the noises."""
+        return replace(self, white=self.white.of(noises))
 
-    def select_columns(self, columns: Index) -> Unmultiplied:
-        """Of some columns, in their order."""
-        whole = self.whole
-        return replace(
-            self,
-            columns=self.columns[:, columns],
-            whole=lambda some: whole(some)[:, columns[:, None], columns],
-        )
+    def select_columns(self, columns: Index) -> Multiplied:
+        """Of some columns, in their order, which are few enough to be multiplied out."""
+        some = self.columns[:, columns]
+        found = (self.white.of(np.array([k]))(some)[0] for k in range(self.white.noises))
+        return Multiplied(np.array([own.T @ own for own in found]))
 
 
 #: A block of columns and the sd of its normal prior, times the noise factor; infinite where flat.
@@ -184,7 +197,11 @@ class Grams:
     @cached_property
     def weighted(self) -> Array:
         """(E, N, q) V⁻¹ Z."""
-        return np.array([solve(self.columns) for solve in self.solves])
+        out = np.empty((len(self.solves), *self.columns.shape))
+        for k, solve in enumerate(self.solves):
+            for a in range(0, out.shape[2], _COLUMNS):
+                out[k, :, a : a + _COLUMNS] = solve(self.columns[:, a : a + _COLUMNS])
+        return out
 
     def log_noise(self, power: Array, dof: float) -> Array:
         """(...) what is left of yᵀ V⁻¹ y with the noise factor integrated out: under Jeffreys'

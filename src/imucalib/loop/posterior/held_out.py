@@ -71,12 +71,13 @@ def _select_columns(problem: Problem, posterior: Posterior) -> tuple[Problem, Gr
     choices = _rivals(problem, posterior)
     last = problem.columns.shape[1] - 1
     used = np.unique(np.concatenate([np.arange(problem.base), *(c.at for c in choices), [last]]))
+    grams = select_columns(posterior.grams, used)
     found = replace(
         problem,
         columns=problem.columns[:, used],
         choices=tuple(replace(c, at=np.searchsorted(used, c.at)) for c in choices),
     )
-    return found, select_columns(posterior.grams, used)
+    return found, replace(grams, columns=found.columns[: len(grams.columns)])
 
 
 def _rivals(problem: Problem, posterior: Posterior) -> tuple[Choice, ...]:

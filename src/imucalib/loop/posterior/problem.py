@@ -102,7 +102,10 @@ def problem_of(fit: Fit, components: tuple[Component, ...], model: Model | None 
     more = np.setdiff1d(np.arange(len(fit.theta)), own)
     start = np.array([p.start for p in fit.parameters])
     misfit = at.residual + at.jacobian[:, more] @ (fit.theta - start)[more]
-    blocks = _Blocks(fit, own.size)
+    # What is known of the base before its readings, in units of the noise that the fit has: of a
+    # bench's sensor, and of a record that is set aside.
+    known = shrinking(known_sd(fit) / fit.noise.factor, start - fit.theta)
+    blocks = _Blocks(fit, own.size, len(known), components)
     choices, kept = list[Choice](), list[Component]()
     for component in components:
         found = [(m, c) for m in component.members if (c := blocks.of(m)) is not None]
@@ -110,13 +113,9 @@ def problem_of(fit: Fit, components: tuple[Component, ...], model: Model | None 
             whole = np.log(sum(np.exp(m.log_weight) for m, _ in found))
             choices += [Choice(len(kept), m, c, m.log_weight - whole) for m, c in found]
             kept.append(component)
-    # What is known of the base before its readings, in units of the noise that the fit has: of a
-    # bench's sensor, and of a record that is set aside.
-    known = shrinking(known_sd(fit) / fit.noise.factor, start - fit.theta)
-    n, every = len(misfit), [*at.jacobian[:, own].T, *blocks.columns, misfit]
-    columns = np.zeros((n + len(known), len(every)))
-    np.stack(every, axis=1, out=columns[:n])
-    columns[n:, -1], columns[n:, : own.size] = known[:, 0], known[:, 1 + own]
+    n, columns = len(misfit), blocks.columns[:, : blocks.used + 1]
+    columns[:n, : own.size], columns[:n, -1] = at.jacobian[:, own], misfit
+    columns[n:, : own.size], columns[n:, -1] = known[:, 1 + own], known[:, 0]
     return Problem(
         fit=fit,
         model=base,
@@ -130,35 +129,52 @@ def problem_of(fit: Fit, components: tuple[Component, ...], model: Model | None 
 
 
 class _Blocks:
-    """Columns of members, each once: parameters alone and together share theirs."""
+    """Columns of members, each once: parameters alone and together share theirs.
 
-    def __init__(self, fit: Fit, first: int) -> None:
-        self.columns = list[Array]()
-        self._fit, self._first, self._prediction = fit, first, predict_by_fit(fit)
+    first, more : columns before them and rows beneath; columns : with room for all, of which `used`
+    """
+
+    def __init__(self, fit: Fit, first: int, more: int, components: tuple[Component, ...]) -> None:
+        members = (member for component in components for member in component.members)
+        most = {key for member in members for key in _keys(member)}
+        self.columns, self.used = np.zeros((len(fit.at.owner) + more, first + len(most) + 1)), first
+        self._fit, self._prediction = fit, predict_by_fit(fit)
         slices = fit.model.slices(fit.observations.context)
         self._slopes = {name: fit.at.jacobian[:, part] for name, part in slices.items()}
         self._place = dict[tuple[str, int, float], int]()
 
     def of(self, member: Member) -> Index | None:
         """Where the columns of a member stand; None where it does nothing or nothing finite."""
-        every = [
-            (effect.name, int(k), float(size), self._of(effect)[:, k] * size)
-            for effect, own, sizes in member.effects
-            for k, size in zip(own, sizes, strict=True)
-        ]
-        values = np.array([column for *_, column in every])
+        every = _keys(member)
+        values = np.array(
+            [
+                self._of(effect)[:, k] * size
+                for effect, own, sizes in member.effects
+                for k, size in zip(own, sizes, strict=True)
+            ]
+        )
         if not np.isfinite(values).all() or not values.any():
             return None
-        for name, k, size, column in every:
-            if (name, k, size) not in self._place:
-                self._place[name, k, size] = self._first + len(self.columns)
-                self.columns.append(column)
-        return np.array([self._place[one[:3]] for one in every], dtype=np.intp)
+        for key, column in zip(every, values, strict=True):
+            if key not in self._place:
+                self.columns[: column.size, self.used] = column
+                self._place[key] = self.used
+                self.used += 1
+        return np.array([self._place[key] for key in every], dtype=np.intp)
 
     def _of(self, effect: Effect) -> Array:
         if effect.name not in self._slopes:
             self._slopes[effect.name] = effect_slopes(self._fit, effect, self._prediction)
         return self._slopes[effect.name]
+
+
+def _keys(member: Member) -> list[tuple[str, int, float]]:
+    """What each column of a member is known by."""
+    return [
+        (effect.name, int(k), float(size))
+        for effect, own, sizes in member.effects
+        for k, size in zip(own, sizes, strict=True)
+    ]
 
 
 def known_sd(fit: Fit) -> Array:

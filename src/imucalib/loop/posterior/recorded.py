@@ -63,7 +63,12 @@ class WalkWhitener:
     gain: Array
     log_det: Array
 
-    def of(self, noises: slice) -> WalkWhitener:
+    @property
+    def noises(self) -> int:
+        """E"""
+        return self.log_det.size
+
+    def of(self, noises: Index | slice) -> WalkWhitener:
         """At some of the noises."""
         return WalkWhitener(
             self.inverse[:, noises],
@@ -76,14 +81,16 @@ class WalkWhitener:
     def __call__(self, columns: Array) -> Array:
         """(E, n, m) L⁻¹ columns, of columns (n, m)."""
         n, m = columns.shape
-        own = np.zeros((len(self.keep) * _BLOCK, m))
-        own[:n] = columns
-        out = np.empty((self.log_det.size, len(own), m))
+        out = np.empty((self.log_det.size, len(self.keep) * _BLOCK, m))
         state = np.zeros((self.log_det.size, self.gain.shape[2], m))
         for k in range(len(self.keep)):
             rows = slice(k * _BLOCK, (k + 1) * _BLOCK)
-            white = np.matmul(self.inverse[k], own[rows], out=out[:, rows])
+            own = columns[rows]
+            # One product for all noises.
+            whole = self.inverse[k, :, :, : len(own)].reshape(-1, len(own)) @ own
+            white = whole.reshape(-1, _BLOCK, m)
             white -= self.seen[k] @ state
+            out[:, rows] = white
             state = self.keep[k][:, None, None] * state + self.gain[k] @ white
         return out[:, :n]
 
@@ -268,18 +275,12 @@ def recorded_grams(problem: Problem, course: RunCourse) -> Grams:
     """At all walks of a course, which go on through runs that are left out."""
     white = course.whitener(course.walks)
 
-    def whole(some: Index) -> tuple[Array, Array]:
-        walks = tuple(course.walks[k] for k in some)
-        return replace(course, walks=walks).summed(problem.columns)
-
     def inverse(walk: WalkNoise) -> Callable[[Array], Array]:
         own = course.whitener((walk,))
         return lambda columns: own.back(own(columns))[0]
 
     return Grams(
-        products=Unmultiplied(
-            problem.columns, len(course.walks), white, white.back, lambda some: whole(some)[0]
-        ),
+        products=Unmultiplied(problem.columns, white),
         removed=np.zeros((len(course.walks), 0, problem.columns.shape[1])),
         log_weight=course.log_weight(white),
         numbers=problem.numbers,
@@ -331,9 +332,9 @@ def with_jumps(problem: Problem, grams: Grams) -> Problem:
             continue
         every = [c for c in problem.choices if c.component == k]
         index, taken = np.array([c.at for c in every]), list[Choice]()
-        own = marginalize(still, problem.flat)
+        own, whole = marginalize(still, problem.flat), still.products.blocks(index)
         while len(taken) < DEEPEST:
-            logs = block_logs(own, index, SIZES, dof)[0][0]
+            logs = block_logs(own, index, SIZES, dof, whole)[0][0]
             at, size = np.unravel_index(np.argmax(logs), logs.shape)
             if any(c is every[at] for c in taken) or logs[at, size] < own.evidence(dof) + OPEN:
                 break

@@ -14,6 +14,7 @@ recording, each predicted by the others, are told no worse with it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -34,7 +35,7 @@ from imucalib.loop.held_out import (
     parts_of,
 )
 from imucalib.loop.odds import EVERY, FOLD_BEAMS, FOLD_DEEPEST, ROUNDS, STRETCHES
-from imucalib.loop.posterior.catalogue import Member, components_of
+from imucalib.loop.posterior.catalogue import Component, Member, components_of
 from imucalib.loop.posterior.closed import accept_or_reject, start_loop
 from imucalib.loop.posterior.explored import (
     SearchedPosterior,
@@ -123,17 +124,13 @@ def _search_posterior(
     values: dict[str, list[str]] = {}
     before: tuple[tuple[Member, float], ...] = ()
     course, _ = course_of(fit, known)
+    found: SearchedPosterior | None = None
     for _ in range(ROUNDS):
-        scaled = replace(data, sigma=np.full_like(data.sigma, course.scatter))
-        at = fit_at(fit.model, scaled, fit.theta, fit.covariance)
-        problem = problem_of(at, refine_scans(first, values, data, wanted), plain.model)
-        every = recorded_grams(problem, course)
-        problem = with_jumps(problem, every)
-        kept, leading = score_walks(problem, every, before)
-        grams = every.of(kept)
-        brief = search(problem, grams, beams=FOLD_BEAMS, deepest=FOLD_DEEPEST)
-        found = SearchedPosterior(replace(plain, observations=scaled), problem, brief, grams)
-        hypothesis = select_model(problem, brief).hypothesis
+        found = None  # its columns are most of the memory
+        found, leading = _look(
+            fit, plain, refine_scans(first, values, data, wanted), course, before
+        )
+        problem, hypothesis = found.problem, select_model(found.problem, found.posterior).hypothesis
         likely = values_found(found)
         more = {
             name: sorted({*leading.get(name, ()), *likely.get(name, ())})
@@ -145,14 +142,36 @@ def _search_posterior(
             break
         values, before = more, now
         try:
-            one = solve(problem, grams, hypothesis)
+            one = solve(problem, found.every, hypothesis)
             fit = fit_at(one.model, data, one.theta, one.covariance)
         except NotConverged:  # it is told where it stands, and corrects nothing
             break
         course, _ = course_of(fit, known, course)
-    whole = replace(found, posterior=search(problem, grams))
+        del problem
+    assert found is not None
+    whole = replace(found, posterior=search(found.problem, found.every))
     posterior = keep_plausible_noises(whole)
-    return replace(whole, posterior=posterior), course, select_model(problem, posterior)
+    return replace(whole, posterior=posterior), course, select_model(whole.problem, posterior)
+
+
+def _look(
+    fit: Fit,
+    plain: Fit,
+    components: tuple[Component, ...],
+    course: RunCourse,
+    before: Sequence[tuple[Member, float]],
+) -> tuple[SearchedPosterior, dict[str, list[str]]]:
+    """The posterior by a brief search beside a fit, and what `score_walks` says of scans."""
+    data = plain.observations
+    scaled = replace(data, sigma=np.full_like(data.sigma, course.scatter))
+    at = fit_at(fit.model, scaled, fit.theta, fit.covariance)
+    problem = problem_of(at, components, plain.model)
+    every = recorded_grams(problem, course)
+    problem = with_jumps(problem, every)
+    kept, leading = score_walks(problem, every, before)
+    grams = every.of(kept)
+    brief = search(problem, grams, beams=FOLD_BEAMS, deepest=FOLD_DEEPEST)
+    return SearchedPosterior(replace(plain, observations=scaled), problem, brief, grams), leading
 
 
 def _gain(final: Fit, left: LeftOut) -> Difference:
