@@ -54,7 +54,10 @@ def test_new_data_have_an_offset_of_their_own_after_a_power_up() -> None:
     assert [at.tolist() for at in later.blocks.values()] == [[3], [4]]
     assert later.gram[0].tolist() == [25.0, 0.0, 0.0, 0.0, 0.0]
     np.testing.assert_allclose(later.gram[1:, 1:], one.gram)
+    for name, size in one.sizes.items():  # which tells the recording nothing of its rivals
+        np.testing.assert_allclose(later.sizes[name], size, rtol=1e-6)
     np.testing.assert_allclose(later.along, [0.0, *one.along])
+    assert np.all(apart(later, later.gram + pool[0]) <= apart(one, one.gram + rows.T @ rows))
     both = np.column_stack([rows[:, 1], rows])  # what the bias is off by acts as the bias does
     np.testing.assert_allclose(pool[0], both.T @ both)
 

@@ -100,6 +100,7 @@ class Ambiguity:
             blocks={name: at + more for name, at in self.blocks.items()},
             gram=grown,
             along=np.concatenate([np.zeros(more), self.along]),
+            numbers=self.numbers + more,  # what is known of an offset is a number too
         )
         turn = np.concatenate([np.eye(size)[[self.columns.index(n) for n in bias]], np.eye(size)])
         return later, np.asarray(turn @ pool @ turn.T)
