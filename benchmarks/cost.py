@@ -3,7 +3,8 @@
 Each command is a child of this process, which is small and imports nothing large: the peak memory
 of a child begins with that of its parent. What it is held against (SHA-256 and one pass over the
 same file, the same command without its search, one recording alone) is measured in the same run,
-before it. Prints a table; --write puts it into RESULTS.md in the place of the last one.
+before it. Prints a table; --write puts it into RESULTS.md in the place of the last one. --skdh is a
+Python that has scikit-digital-health, which is measured on the plain week: it needs 6 GB there.
 """
 
 from __future__ import annotations
@@ -58,6 +59,20 @@ with h5py.File(sys.argv[1]) as file:
             node[row : row + (1 << 18)]
 print(time.process_time() - begin)
 """
+#: All that `inspect` cannot do without: every block of a recording.
+READ = """
+import sys
+from imucalib.readers import blocks
+for _ in blocks(sys.argv[1]): pass
+"""
+SKDH = """
+import sys, h5py, numpy as np
+from skdh.preprocessing import CalibrateAccelerometer
+with h5py.File(sys.argv[1]) as file:
+    values = file["accelerometer/data"][:].astype(np.float64)
+    time = 1.7e9 + file["accelerometer/time"][:]
+CalibrateAccelerometer(min_hours=12).predict(time=time, accel=values, fs=100.0)
+"""
 #: Entries as a batch leaves them, from one: number, folder.
 COPY = """
 import json, pathlib, sys
@@ -80,8 +95,13 @@ def run(*words: object) -> None:
 
 def cost(*words: object) -> tuple[float, float]:
     """CPU s and peak MB of a command of imucal, with all that it starts."""
-    typed = [sys.executable, "-m", "imucalib", *map(str, words), "-q"]
-    child = os.posix_spawn(sys.executable, typed, ENVIRONMENT)
+    return child_cost(sys.executable, "-m", "imucalib", *words, "-q")
+
+
+def child_cost(*words: object) -> tuple[float, float]:
+    """CPU s and peak MB of any command."""
+    typed = [*map(str, words)]
+    child = os.posix_spawn(typed[0], typed, ENVIRONMENT)
     _, status, use = os.wait4(child, 0)
     if os.waitstatus_to_exitcode(status) not in (0, 4, 5):
         raise SystemExit(f"{' '.join(typed)} ended with {status}")
@@ -98,8 +118,8 @@ def row(what: str, size: float, beside: float, peak: float) -> str:
     return f"| {what} | {size:.2f} | {beside:.2f} | {size / beside:.2f} | {peak:.0f} |"
 
 
-def weeks(folder: Path, days: float) -> Iterator[str]:
-    """A week of each kind, and one that imucal wrote."""
+def weeks(folder: Path, days: float, skdh: str) -> Iterator[str]:
+    """A week of each kind, and one that imucal wrote; of the plain one what skdh takes."""
     for name, plant in WEEKS.items():
         path = folder / f"{name.partition(' ')[0]}.h5"
         run("-c", MAKE, path, days, 100.0, json.dumps(plant))
@@ -108,10 +128,11 @@ def weeks(folder: Path, days: float) -> Iterator[str]:
             files["plain, written by us"] = folder / "written.h5"
             cost("convert", path, folder / "written.h5")
         for kind, file in files.items():
-            least = limit(file)
-            yield row(
-                f"week of {days:g} d, {kind}; hash and pass", *swap(cost("actigraph", file), least)
-            )
+            least, found = limit(file), cost("actigraph", file)
+            yield row(f"week of {days:g} d, {kind}; hash and pass", *swap(found, least))
+            if skdh and kind == "plain":
+                other = child_cost(skdh, "-c", SKDH, file)
+                yield row("skdh reads and calibrates it; imucal", *swap(other, found[0]))
             file.unlink()
 
 
@@ -129,6 +150,18 @@ def days(folder: Path) -> Iterator[str]:
     yield row(
         "day written by us; its source", *swap(cost("actigraph", written, "--no-loop"), first)
     )
+
+
+def inspections(folder: Path) -> Iterator[str]:
+    """An hour and a half, which a text table of a day would make many minutes."""
+    source = folder / "some.h5"
+    run("-c", MAKE, source, 1.0 / 16.0, 100.0, "{}")
+    for ending in ("h5", "csv", "mcap"):
+        path = folder / f"some.{ending}"
+        if path != source:
+            cost("convert", source, path)
+        alone, _ = child_cost(sys.executable, "-c", READ, path)
+        yield row(f"inspect, {ending}; reading", *swap(cost("inspect", path), alone))
 
 
 def sheets(folder: Path) -> Iterator[str]:
@@ -162,8 +195,11 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--days", type=float, default=7.0, help="of a week")
-    parser.add_argument("--only", default="weeks days sheets cohorts", help="which of these")
+    parser.add_argument(
+        "--only", default="weeks days inspections sheets cohorts", help="which of these"
+    )
     parser.add_argument("--write", action="store_true", help="into RESULTS.md")
+    parser.add_argument("--skdh", default="", help="a Python that has scikit-digital-health")
     given = parser.parse_args()
     load = os.getloadavg()[0]
     lines = [
@@ -174,8 +210,9 @@ def main() -> None:
         "|---|---|---|---|---|",
     ]
     kinds = {
-        "weeks": lambda folder: weeks(folder, given.days),
+        "weeks": lambda folder: weeks(folder, given.days, given.skdh),
         "days": days,
+        "inspections": inspections,
         "sheets": sheets,
         "cohorts": cohorts,
     }
