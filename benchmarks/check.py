@@ -26,10 +26,10 @@ from imucalib.calibration.checking.misfit import change_question, misfits_of
 from imucalib.calibration.checking.noise import check_noise
 from imucalib.calibrators.lab.bench import position_observations, still_observations
 from imucalib.calibrators.lab.calibrate import base_model
-from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import noise_block
+from imucalib.core.angle_conventions import Conventions
 from imucalib.core.observations import Observations
 from imucalib.estimators.least_squares import fit
 from worlds.instrument import Array, Bench, G, Instrument, four, instrument, positions

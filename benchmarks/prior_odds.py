@@ -23,14 +23,14 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from imucalib.loop.odds import MISSING, SPREAD
+from imucalib.posterior.odds import MISSING, SPREAD
 
 SAMPLES = Path(__file__).resolve().parents[1] / "sample_logs"
 MEASURED = SAMPLES.parent / "tests" / "measured"
 #: Factors beyond which one more tells nothing of the share.
 _BEYOND = 1e6
 #: The command with another spread of sizes.
-_RUN = "import sys, imucalib.loop.odds as o; o.SPREAD = float(sys.argv.pop(1)); "
+_RUN = "import sys, imucalib.posterior.odds as o; o.SPREAD = float(sys.argv.pop(1)); "
 _RUN += "from imucalib.cli import main; sys.exit(main())"
 
 

@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 from imucalib.calibration.uncertainty import angle_uncertainty, correct_readings, correcting
 from imucalib.calibrators.lab.bench import position_observations
 from imucalib.calibrators.lab.calibrate import calibrate
-from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.simulation import SENSOR, BenchPlan, simulated_table
 from imucalib.calibrators.planted import planted_model
+from imucalib.core.angle_conventions import Conventions
 from imucalib.core.effect import Context
 from imucalib.core.observations import Observations
 from imucalib.core.references import angles_of, unit_vector

@@ -30,7 +30,7 @@ from imucalib.calibrators.population import Population
 from imucalib.cohort.fleet.run import run_fleet
 from imucalib.core.effect import Context
 from imucalib.core.fit import Fit
-from imucalib.loop.held_out import errors
+from imucalib.posterior.held_out import errors
 from imucalib.units import MG
 
 REQUEST = replace(LabRequest(), reference="norm")

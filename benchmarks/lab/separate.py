@@ -44,10 +44,10 @@ from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm, KnownVector
 from imucalib.effects import names_a_cause
 from imucalib.estimators.starting_point import full_matrix_start
-from imucalib.loop.candidates import effects_to_search
-from imucalib.loop.found import FitLoop, Step
-from imucalib.loop.posterior.closed import close_loop
-from imucalib.loop.separation import ambiguities, separation
+from imucalib.posterior.candidates import effects_to_search
+from imucalib.posterior.closed_loop.closed import close_loop
+from imucalib.posterior.closed_loop.found import FitLoop, Step
+from imucalib.posterior.closed_loop.separation import ambiguities, separation
 
 G = 9.80665
 MG = G / 1000.0

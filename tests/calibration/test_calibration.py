@@ -24,7 +24,7 @@ from imucalib.effects import named
 from imucalib.effects.record_error import record_error
 from imucalib.errors import NotConverged, UnreadableInput
 from imucalib.estimators.least_squares import fit as fit_model
-from imucalib.loop.found import Unexplained
+from imucalib.posterior.closed_loop.found import Unexplained
 from imucalib.units import MG
 from worlds.bench import GRAVITY, base_model, bench, draw, ordinary_theta
 

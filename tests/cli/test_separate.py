@@ -88,5 +88,5 @@ def test_another_power_up_promises_less(warm: Path) -> None:
         for plan in (separate(warm / "out")[1],
                      separate(warm / "out", "--between-sessions", "2mg")[1])
     )  # fmt: skip
-    # Of one plan it is less (`tests/loop/test_separation.py`); each is best among its exchanges.
+    # Of one plan it is less (tests/posterior/test_separation.py); each is best of its exchanges.
     assert other < 1.02 * same

@@ -20,7 +20,7 @@ from imucalib.core.restricted import restrict
 from imucalib.effects.record_error import record_error
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.estimators.variance import estimate_noise
-from imucalib.loop.held_out import theta_without
+from imucalib.posterior.held_out import theta_without
 from worlds.bench import NINE, base_model, bench, draw, ordinary_theta, tumble
 
 

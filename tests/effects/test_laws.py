@@ -16,7 +16,7 @@ from imucalib.core.model import Model
 from imucalib.effects import catalogue, named
 from imucalib.effects.record_error import is_record_error, record_error
 from imucalib.estimators.least_squares import fit
-from imucalib.loop.candidates import effect_columns
+from imucalib.posterior.candidates import effect_columns
 from worlds.bench import GRAVITY, base_model, bench, draw, ordinary_theta
 from worlds.places import ROOT
 

@@ -12,7 +12,7 @@ from goldens.test_programs import golden
 from imucalib.calibration.comparison.agreement import beyond
 from imucalib.calibrators.lab.advice import beyond_declared
 from imucalib.core.fit import Fit
-from imucalib.loop.held_out import difference, with_density
+from imucalib.posterior.held_out import difference, with_density
 
 
 def test_the_interval_of_a_gain_is_students() -> None:

@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 
 from imucalib.arrays import Array
-from imucalib.loop.held_out import difference
-from imucalib.loop.odds import KNOWN, MISSING, SIZES, SPREAD
-from imucalib.loop.posterior.catalogue import Component, Member
-from imucalib.loop.posterior.gram import Grams, Weighted
-from imucalib.loop.posterior.problem import Choice, Contest
-from imucalib.loop.posterior.solution import moments, noises_of
-from imucalib.loop.posterior.space import Posterior, blocks_of, search
+from imucalib.posterior.held_out import difference
+from imucalib.posterior.odds import KNOWN, MISSING, SIZES, SPREAD
+from imucalib.posterior.search.catalogue import Component, Member
+from imucalib.posterior.search.gram import Grams, Weighted
+from imucalib.posterior.search.problem import Choice, Contest
+from imucalib.posterior.search.solution import moments, noises_of
+from imucalib.posterior.search.space import Posterior, blocks_of, search
 
 N, BASE = 40, 3
 #: Columns of the members of two components, and the weights of the members.

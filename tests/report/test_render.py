@@ -15,7 +15,8 @@ from rich.cells import cell_len
 
 import imucalib
 from imucalib.calibration.findings import Findings, Gain
-from imucalib.report.document import (
+from imucalib.report.plots import gain_plot, project
+from imucalib.report.render.document import (
     Card,
     Document,
     Facts,
@@ -27,7 +28,6 @@ from imucalib.report.document import (
     Tone,
     Worth,
 )
-from imucalib.report.plots import gain_plot, project
 from imucalib.report.render.html import render_html
 from imucalib.report.render.svg import Axis, linear_axis, render_svg, slots_of
 from imucalib.report.render.table import decimal_pads

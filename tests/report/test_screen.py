@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from imucalib.effects import catalogue
-from imucalib.report.document import Card, Document, Text, Worth
+from imucalib.report.render.document import Card, Document, Text, Worth
 from imucalib.report.render.text import SCREEN, render_text
 from worlds.command import run
 from worlds.places import SAMPLES

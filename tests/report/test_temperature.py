@@ -9,7 +9,7 @@ import pytest
 
 from imucalib.calibration.calibration import StoredParameter
 from imucalib.report.conditions import temperature_section
-from imucalib.report.document import Table
+from imucalib.report.render.document import Table
 from worlds.stated import stated
 
 SPAN = (5.0, 45.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import strategies as st
 
-from imucalib.report.document import Document, Facts, Plot, Section, Series, Table, Text
+from imucalib.report.render.document import Document, Facts, Plot, Section, Series, Table, Text
 
 TONES = st.sampled_from(["ok", "warning", "bad", "plain"])
 WORDS = st.text(max_size=60)

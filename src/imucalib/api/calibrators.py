@@ -154,8 +154,8 @@ def lab(
         what is searched for
     mapping, reading : how the file is read; say : gets a line for each thing worth knowing
     """
-    from imucalib.calibrators.lab.conventions import preset
     from imucalib.calibrators.lab.files import LabFiles, calibrate_files
+    from imucalib.core.angle_conventions import preset
     from imucalib.report.lab import lab_document
 
     wanted = _with(

@@ -15,8 +15,8 @@ from imucalib.calibration.findings import Gain
 from imucalib.calibration.outcome import Run, Status
 from imucalib.effects.forms import in_words
 from imucalib.errors import UsageError
-from imucalib.report.document import RESIDUALS, Document, Plot, Series
 from imucalib.report.files import Report, write_report
+from imucalib.report.render.document import RESIDUALS, Document, Plot, Series
 
 Rows = Literal["parameters", "errors", "candidates"]
 #: What a series is drawn with.

@@ -11,7 +11,7 @@ import numpy as np
 
 from imucalib.calibration.plain import fields
 from imucalib.errors import UnreadableInput
-from imucalib.loop.separation import Ambiguity
+from imucalib.posterior.closed_loop.separation import Ambiguity
 
 #: Key of the block that every calibrator's report has.
 KEY = "record_next"

@@ -12,9 +12,9 @@ from imucalib.calibration.power import hidden
 from imucalib.core.fit import Fit
 from imucalib.data import Data
 from imucalib.effects import known
-from imucalib.loop.found import FitLoop, Score, Step, Unexplained
-from imucalib.loop.held_out import Difference
-from imucalib.loop.record_errors import RecordError
+from imucalib.posterior.closed_loop.found import FitLoop, Score, Step, Unexplained
+from imucalib.posterior.held_out import Difference
+from imucalib.posterior.record_errors import RecordError
 from imucalib.significant_digits import plus_minus
 from imucalib.units import MG
 

@@ -13,7 +13,7 @@ from imucalib.calibration.provenance import Provenance
 from imucalib.core.fit import Fit
 from imucalib.data import Data
 from imucalib.errors import UNEXPLAINED_EXIT_CODE, LimitBroken, Undetermined
-from imucalib.loop.found import FitLoop
+from imucalib.posterior.closed_loop.found import FitLoop
 from imucalib.question import Question
 from imucalib.recording.identity import NAMELESS, Identity
 from imucalib.recording.recording import CORRECTED

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from imucalib.effects import known
 from imucalib.effects.forms import in_words
-from imucalib.loop.found import Score
+from imucalib.posterior.closed_loop.found import Score
 from imucalib.units import MG
 
 #: λ that gives an 80 % chance of detection.

@@ -9,7 +9,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.plain import fields
-from imucalib.loop.sums import BaseParameters, Sums
+from imucalib.posterior.closed_loop.sums import BaseParameters, Sums
 
 #: Key of the block.
 KEY = "effects_beside_base"

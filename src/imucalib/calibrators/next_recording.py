@@ -19,7 +19,7 @@ from imucalib.arrays import Array, Index
 from imucalib.calibration.ambiguity import KEY, ambiguity_block, ambiguity_of, read_report
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.file import check, read
-from imucalib.calibrators.lab.conventions import Conventions
+from imucalib.core.angle_conventions import Conventions
 from imucalib.core.effect import Context
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
@@ -27,8 +27,8 @@ from imucalib.core.references import KnownNorm, KnownVector, Reference, angles_o
 from imucalib.core.sphere import KnownDirection
 from imucalib.effects import named
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.loop.planning import attitudes, products_of, table_positions
-from imucalib.loop.separation import Ambiguity, Separation, separable, separation
+from imucalib.posterior.closed_loop.planning import attitudes, products_of, table_positions
+from imucalib.posterior.closed_loop.separation import Ambiguity, Separation, separable, separation
 
 _KINDS = {KnownVector: "vector", KnownDirection: "direction", KnownNorm: "norm"}
 #: Rests after the recording at which drifts are judged.

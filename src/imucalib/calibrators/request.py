@@ -9,7 +9,7 @@ from imucalib.calibration.findings import Findings, findings_of
 from imucalib.core.effect import Context, Effect
 from imucalib.effects import named, own_effects
 from imucalib.errors import UsageError
-from imucalib.loop.found import FitLoop
+from imucalib.posterior.closed_loop.found import FitLoop
 from imucalib.units import STANDARD_GRAVITY
 
 #: Relative sd of gravity, by where its value comes from: anywhere on Earth (9.78 to 9.83 m/s²); of

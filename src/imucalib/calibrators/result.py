@@ -13,7 +13,7 @@ from imucalib.calibration.findings import Findings, FoundStep, Gain, Untestable
 from imucalib.calibration.outcome import ErrorSummary, Run, Status
 from imucalib.calibration.provenance import Origin
 from imucalib.data import Data, plain
-from imucalib.loop.found import Score
+from imucalib.posterior.closed_loop.found import Score
 from imucalib.recording.identity import Identity
 from imucalib.significant_digits import per_cent
 

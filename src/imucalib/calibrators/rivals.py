@@ -18,7 +18,7 @@ from imucalib.calibration.uncertainty import correct_readings, force_slope
 from imucalib.core.fit import Fit, NoiseMixture
 from imucalib.core.sphere import even_directions
 from imucalib.errors import NotConverged
-from imucalib.loop.found import Rival
+from imucalib.posterior.closed_loop.found import Rival
 from imucalib.units import MG
 
 #: Attitudes at which models are compared, and a ridge on the shifts in standard deviations.

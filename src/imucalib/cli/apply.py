@@ -140,7 +140,7 @@ def _angles(
 ) -> str:
     """Write the angles of the corrected recording; what must be said of their frame."""
     from imucalib.calibration.angles import angles_at_rests, angles_of_samples
-    from imucalib.calibrators.lab.conventions import Conventions
+    from imucalib.core.angle_conventions import Conventions
     from imucalib.readers import read
     from imucalib.recording.sensors import accelerometer
     from imucalib.report.files import write_angles

@@ -103,7 +103,7 @@ def _measure(
     """The log as misfits, sensor by sensor, and notes."""
     from dataclasses import replace
 
-    from imucalib.calibrators.check_log import CheckRequest, array_log, sensor_log
+    from imucalib.calibrators.checking.check_log import CheckRequest, array_log, sensor_log
     from imucalib.calibrators.lab.files import LabFiles
 
     files = LabFiles(log, None, opt.pairs(options["columns"], "--columns"), mapping)

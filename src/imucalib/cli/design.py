@@ -72,9 +72,9 @@ def command(table: Path | None, count: int | None, **options: Any) -> int:
 
 def _positions(table: Path | None, count: int | None, options: dict[str, Any]) -> int:
     """Judge a set of positions, or recommend so many; the exit code."""
-    from imucalib.calibrators.lab.conventions import preset
     from imucalib.calibrators.lab.design import design_of, recommend
     from imucalib.calibrators.lab.position_table import read_position_table
+    from imucalib.core.angle_conventions import preset
     from imucalib.report.design import design_dict, design_document
 
     angles = preset(options["convention"])

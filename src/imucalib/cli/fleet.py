@@ -15,7 +15,7 @@ from imucalib.question import paste
 
 if TYPE_CHECKING:
     from imucalib.cohort.fleet.outcome import Fleet
-    from imucalib.report.document import Document
+    from imucalib.report.render.document import Document
 
 
 @opt.command_with_page("fleet")

@@ -12,7 +12,7 @@ from imucalib.cli.output import note, present, working
 
 if TYPE_CHECKING:
     from imucalib.data import Data
-    from imucalib.report.document import Document
+    from imucalib.report.render.document import Document
 
 
 @opt.command_with_page("inspect")

@@ -141,9 +141,9 @@ def request_of(options: dict[str, Any]) -> LabRequest:
     """The request that the options state; raises click's usage errors."""
     from dataclasses import replace
 
-    from imucalib.calibrators.lab.conventions import preset
     from imucalib.calibrators.lab.repairs import repairs_of
     from imucalib.calibrators.lab.request import LabRequest, as_published
+    from imucalib.core.angle_conventions import preset
     from imucalib.units import MG
 
     stated = {key: options[key] for key in _CONVENTIONS if options[key] is not None}

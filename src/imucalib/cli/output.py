@@ -17,7 +17,7 @@ import click
 
 if TYPE_CHECKING:
     from imucalib.data import Data
-    from imucalib.report.document import Document
+    from imucalib.report.render.document import Document
 
 #: What JSON may hold as it is but a terminal obeys: DEL, C1, line separators, direction marks.
 _CONTROLS = re.compile("[\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069]")

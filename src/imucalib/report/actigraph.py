@@ -13,9 +13,10 @@ from imucalib.calibrators.actigraph.run import ActigraphRun
 from imucalib.calibrators.actigraph.series import CalibrationSeries as Calibrations
 from imucalib.core.sphere import coverage, even_directions
 from imucalib.exports.per_axis import nearest_row
-from imucalib.loop.held_out import raw_errors
+from imucalib.posterior.held_out import raw_errors
 from imucalib.report import sections
-from imucalib.report.document import (
+from imucalib.report.plots import band, gain_plot, sphere_map
+from imucalib.report.render.document import (
     RESIDUALS,
     Card,
     Column,
@@ -28,7 +29,6 @@ from imucalib.report.document import (
     Text,
     Worth,
 )
-from imucalib.report.plots import band, gain_plot, sphere_map
 from imucalib.significant_digits import (
     format_with_sd,
     per_cent,

@@ -14,7 +14,8 @@ from imucalib.calibrators.array.run import ArrayRun
 from imucalib.core.eigen import eigen
 from imucalib.report import sections
 from imucalib.report.array_figures import board_picture, board_plots, chain_plots, residual_plots
-from imucalib.report.document import (
+from imucalib.report.plots import gain_plot
+from imucalib.report.render.document import (
     RESIDUALS,
     Card,
     Document,
@@ -25,7 +26,6 @@ from imucalib.report.document import (
     Use,
     Worth,
 )
-from imucalib.report.plots import gain_plot
 from imucalib.significant_digits import format_with_sd, plus_minus
 from imucalib.units import DEG
 

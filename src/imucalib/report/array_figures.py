@@ -10,7 +10,7 @@ from imucalib.calibrators.array.motion.cross_fit import NORMAL_MAD
 from imucalib.calibrators.array.motion.state import ArrayState
 from imucalib.calibrators.array.run import ArrayRun
 from imucalib.estimators.markov.convergence import autocorrelation
-from imucalib.report.document import Plot, Series, Table
+from imucalib.report.render.document import Plot, Series, Table
 from imucalib.units import DEG, MG
 
 _HALF, _MOST = 1.1774, 2.6482  # radii that hold 50 % and 97 % of a plane Gaussian

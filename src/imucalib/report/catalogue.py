@@ -8,7 +8,7 @@ from typing import Annotated
 
 from imucalib.core.effect import Context, Effect, EffectScan, Parameter, Response
 from imucalib.data import Data
-from imucalib.report.document import Column, Document, Facts, Section, Table, Text, capital
+from imucalib.report.render.document import Column, Document, Facts, Section, Table, Text, capital
 from imucalib.report.render.templates import fill
 
 #: Needs as a list of a line each has them.

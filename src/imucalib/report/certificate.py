@@ -13,7 +13,7 @@ import numpy as np
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.outcome import Run
 from imucalib.effects.forms import in_words
-from imucalib.report.document import Card, Certificate, Facts, Table
+from imucalib.report.render.document import Card, Certificate, Facts, Table
 from imucalib.significant_digits import format_with_sd
 from imucalib.units import MG
 

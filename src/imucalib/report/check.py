@@ -17,9 +17,9 @@ from imucalib.calibration.checking.next_rests import MANY, NextRests
 from imucalib.calibration.checking.noise import FAMILIES
 from imucalib.calibration.plain import fields
 from imucalib.data import plain
-from imucalib.loop.changes import NOISE
-from imucalib.loop.odds import SEEN_IN
-from imucalib.report.document import (
+from imucalib.posterior.closed_loop.changes import NOISE
+from imucalib.posterior.odds import SEEN_IN
+from imucalib.report.render.document import (
     Block,
     Card,
     Document,

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from imucalib.report.document import Plot, Series, Tone
+from imucalib.report.render.document import Plot, Series, Tone
 from imucalib.report.render.html import SIGNS, WORDS
 from imucalib.report.render.svg import render_svg
 from imucalib.report.render.templates import fill

@@ -20,7 +20,8 @@ from imucalib.calibration.comparison.compare import (
 )
 from imucalib.calibration.plain import fields
 from imucalib.data import plain
-from imucalib.report.document import (
+from imucalib.report.plots import band
+from imucalib.report.render.document import (
     Card,
     Document,
     Plot,
@@ -32,7 +33,6 @@ from imucalib.report.document import (
     Worth,
     capital,
 )
-from imucalib.report.plots import band
 from imucalib.significant_digits import (
     format_components,
     format_with_sd,

@@ -11,7 +11,7 @@ from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.gyroscope import STAGE, gyroscope_of
 from imucalib.calibrators.sessions import Between, Sessions
 from imucalib.core.effect import Context
-from imucalib.report.document import Plot, Section, Series, Table, Text, Worth
+from imucalib.report.render.document import Plot, Section, Series, Table, Text, Worth
 from imucalib.significant_digits import plus_minus
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
 

@@ -23,12 +23,12 @@ from imucalib.calibrators.result import CardFacts, Figure, SeriesFacts, Shown, W
 from imucalib.errors import ImucalError, UsageError
 from imucalib.exports import Made
 from imucalib.recording.yaml_text import load
-from imucalib.report.document import Document, Series
+from imucalib.report.render.document import Document, Series
 
 if TYPE_CHECKING:
     from imucalib.calibration.angles import Angles
     from imucalib.calibrators.array.run import ArrayRun
-    from imucalib.calibrators.lab.conventions import Conventions
+    from imucalib.core.angle_conventions import Conventions
 
 _ANGLES = {
     "time_s": "%.6f",

@@ -13,7 +13,7 @@ from imucalib.core.effect import Context
 from imucalib.data import plain
 from imucalib.effects import named
 from imucalib.effects.forms import in_words
-from imucalib.report.document import (
+from imucalib.report.render.document import (
     Card,
     Document,
     Plot,

@@ -15,7 +15,8 @@ from imucalib.calibrators.imu.run import ImuRun, heading_drift
 from imucalib.data import Data
 from imucalib.report import sections
 from imucalib.report.conditions import power_up_worths, sessions_section, temperature_section
-from imucalib.report.document import (
+from imucalib.report.plots import gain_plot
+from imucalib.report.render.document import (
     RESIDUALS,
     Card,
     Document,
@@ -28,7 +29,6 @@ from imucalib.report.document import (
     Use,
     Worth,
 )
-from imucalib.report.plots import gain_plot
 from imucalib.significant_digits import (
     format_components,
     format_with_sd,

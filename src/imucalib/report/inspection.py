@@ -17,7 +17,7 @@ from imucalib.data import Data
 from imucalib.inspection.inspection import ChannelFacts, Inspection, advice, next_commands, problems
 from imucalib.recording.mapping import OPTION_FIELDS
 from imucalib.recording.yaml_text import load
-from imucalib.report.document import (
+from imucalib.report.render.document import (
     Block,
     Column,
     Document,

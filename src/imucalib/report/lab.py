@@ -23,11 +23,12 @@ from imucalib.core.references import KnownVector, angles_of
 from imucalib.core.sphere import coverage, even_directions
 from imucalib.effects import known
 from imucalib.effects.scans import COLUMN
-from imucalib.loop.held_out import Predictions, predict_fitted, raw_errors
-from imucalib.loop.held_out import errors as held_errors
+from imucalib.posterior.held_out import Predictions, predict_fitted, raw_errors
+from imucalib.posterior.held_out import errors as held_errors
 from imucalib.report import sections
 from imucalib.report.conditions import power_up_worths, sessions_section, temperature_section
-from imucalib.report.document import (
+from imucalib.report.plots import band, gain_plot, sphere_map
+from imucalib.report.render.document import (
     RESIDUALS,
     Block,
     Card,
@@ -41,7 +42,6 @@ from imucalib.report.document import (
     Use,
     Worth,
 )
-from imucalib.report.plots import band, gain_plot, sphere_map
 from imucalib.significant_digits import number, plus_minus
 from imucalib.units import DEG, MG
 

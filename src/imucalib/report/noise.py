@@ -12,7 +12,7 @@ from imucalib.data import Data
 from imucalib.estimators.allan import SHAPES
 from imucalib.exports.noise import NOISE_FORMS
 from imucalib.inspection.noise import Coefficient, SensorNoise, noisiest
-from imucalib.report.document import Document, Plot, Section, Series, Table, Text
+from imucalib.report.render.document import Document, Plot, Section, Series, Table, Text
 from imucalib.units import DEG, MG
 
 #: Of each term: unit, and SI in one of it.

@@ -8,7 +8,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.findings import Findings
-from imucalib.report.document import Plot, Series
+from imucalib.report.render.document import Plot, Series
 from imucalib.report.render.svg import nice_step
 
 #: Radius of a hemisphere of the unit sphere, Lambert's azimuthal equal-area projection (Snyder, Map

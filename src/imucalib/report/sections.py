@@ -20,10 +20,10 @@ from imucalib.core.fit import Fit
 from imucalib.effects import known, names_a_cause
 from imucalib.effects.forms import in_words
 from imucalib.exports.bound import carries
-from imucalib.loop.found import Unexplained
+from imucalib.posterior.closed_loop.found import Unexplained
 from imucalib.question import Question, paste
 from imucalib.report.certificate import certify
-from imucalib.report.document import (
+from imucalib.report.render.document import (
     Block,
     Card,
     Document,

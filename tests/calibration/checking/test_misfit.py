@@ -22,7 +22,7 @@ from imucalib.calibration.triads import Triad
 from imucalib.core.effect import Context
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm
-from imucalib.loop.changes import NOISE
+from imucalib.posterior.closed_loop.changes import NOISE
 from worlds.instrument import DEG, MG, G, four, vectors
 from worlds.stated import stated
 

@@ -24,7 +24,7 @@ from imucalib.calibration.comparison.compare import (
 )
 from imucalib.core.sphere import even_directions
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.loop.changes import NOISE
+from imucalib.posterior.closed_loop.changes import NOISE
 from imucalib.units import DEG
 from worlds.instrument import MG, Array, G, rotation
 from worlds.stated import made

@@ -13,13 +13,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imucalib.arrays import Array
-from imucalib.calibrators.lab.conventions import PRESETS, Conventions
 from imucalib.calibrators.lab.position_table import PositionTable, read_position_table
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import LabRun, run_lab
+from imucalib.core.angle_conventions import PRESETS, Conventions
 from imucalib.core.references import unit_vector
-from imucalib.report.document import Document, Plot
 from imucalib.report.lab import lab_document
+from imucalib.report.render.document import Document, Plot
 from imucalib.units import DEG
 from worlds.places import SAMPLES
 

@@ -9,13 +9,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from imucalib.calibrators.lab import simulation
-from imucalib.calibrators.lab.conventions import PRESETS
 from imucalib.calibrators.lab.design import (
     design_of,
     judge,
     recommend,
 )
 from imucalib.calibrators.lab.simulation import BenchPlan
+from imucalib.core.angle_conventions import PRESETS
 from imucalib.core.effect import Context
 from imucalib.core.model import Model
 from imucalib.core.references import angles_of

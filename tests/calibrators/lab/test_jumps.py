@@ -12,7 +12,7 @@ import pytest
 from imucalib.arrays import Array
 from imucalib.core.effect import Context
 from imucalib.effects import families
-from imucalib.loop.posterior.catalogue import scan_of
+from imucalib.posterior.search.catalogue import scan_of
 from worlds import sheets
 from worlds.bench import bench
 from worlds.command import run

@@ -12,12 +12,12 @@ from imucalib.calibrators.lab.bench import (
     in_celsius,
     position_observations,
 )
-from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.calibrators.lab.errors import attitude_errors
 from imucalib.calibrators.lab.position_table import PositionTable
+from imucalib.core.angle_conventions import Conventions
 from imucalib.core.references import KnownVector
 from imucalib.errors import UsageError
-from imucalib.loop.held_out import Predictions
+from imucalib.posterior.held_out import Predictions
 from worlds.sheets import direction
 
 G = 9.80665

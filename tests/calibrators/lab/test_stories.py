@@ -13,7 +13,6 @@ import pytest
 from gates.bounds import at_most
 from imucalib.calibrators.lab.bench import position_observations
 from imucalib.calibrators.lab.calibrate import LabResult, calibrate
-from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.calibrators.lab.dial import dial_of
 from imucalib.calibrators.lab.errors import attitude_errors, rms, worst
 from imucalib.calibrators.lab.files import LabFiles, calibrate_files
@@ -21,7 +20,8 @@ from imucalib.calibrators.lab.position_table import read_position_table
 from imucalib.calibrators.lab.request import LabRequest, as_published
 from imucalib.calibrators.lab.run import LabRun, run_lab
 from imucalib.calibrators.lab.simulation import BenchPlan, simulated_table
-from imucalib.loop.held_out import predict_fitted
+from imucalib.core.angle_conventions import Conventions
+from imucalib.posterior.held_out import predict_fitted
 from imucalib.units import MG, STANDARD_GRAVITY
 from worlds.places import ROOT, SAMPLES
 

@@ -16,7 +16,7 @@ from imucalib.calibration.checking.misfit import BAD_REST, GyroRest, Misfits, ch
 from imucalib.calibration.checking.next_rests import NextRests, next_rests, one_reading
 from imucalib.calibration.checking.noise import FAMILIES, CheckNoise, Limits
 from imucalib.errors import UNEXPLAINED_EXIT_CODE, LimitBroken, UsageError
-from imucalib.loop.changes import ChangeAnswer, is_told
+from imucalib.posterior.closed_loop.changes import ChangeAnswer, is_told
 from imucalib.units import DEG, MG
 
 Verdict = Literal["still good", "changed", "undecided"]

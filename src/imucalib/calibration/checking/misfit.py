@@ -28,7 +28,7 @@ from imucalib.core.observations import Observations
 from imucalib.core.references import tangents
 from imucalib.effects import named
 from imucalib.errors import UnreadableInput
-from imucalib.loop.changes import ChangeQuestion, CovariancePart, Suspect
+from imucalib.posterior.closed_loop.changes import ChangeQuestion, CovariancePart, Suspect
 from imucalib.units import DEG, MG
 
 #: Of an effect's parameter in the unit of its kind of change.

@@ -20,7 +20,7 @@ from imucalib.calibration.checking.noise import CheckNoise
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm, Reference
 from imucalib.core.sphere import KnownDirection
-from imucalib.loop.planning import Plan, attitudes, grow_until, nats
+from imucalib.posterior.closed_loop.planning import Plan, attitudes, grow_until, nats
 
 #: Rests that are proposed at most, and numbers beyond, all round, of which the first that does is
 #: named.

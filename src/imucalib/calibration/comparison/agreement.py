@@ -1,8 +1,8 @@
 """Whether calibrations agree, in per cent, and how much they scatter beyond what they state.
 
 All have their parameters in common, unless one differs in a kind of them, or all scatter more than
-they state: the posterior of `loop.changes`, with the covariance of each file as well known as its
-noise, and what power-ups bring as one part for all.
+they state: the posterior of `closed_loop.changes`, with the covariance of each file as well known
+as its noise, and what power-ups bring as one part for all.
 
 How much values y scatter beyond their own variances v, about a mean, a mean of each group, or a
 line X b: τ² solves Q(τ²) = Σ (y_i - (X b)_i)² / (v_i + τ²) = degrees of freedom (Paule and Mandel
@@ -20,7 +20,12 @@ from scipy.linalg import block_diag
 from imucalib.arrays import Array
 from imucalib.calibration.checking.noise import KNOWN
 from imucalib.calibration.comparison.basis import Basis
-from imucalib.loop.changes import ChangeAnswer, ChangeQuestion, CovariancePart, Suspect
+from imucalib.posterior.closed_loop.changes import (
+    ChangeAnswer,
+    ChangeQuestion,
+    CovariancePart,
+    Suspect,
+)
 
 #: Stated standard deviations of a parameter that readings of it show, and the share of a variance
 #: that keeps a parameter without any from being certain.

@@ -53,7 +53,7 @@ from imucalib.calibration.comparison.basis import (
     worst_turn,
 )
 from imucalib.errors import UNEXPLAINED_EXIT_CODE, LimitBroken, UnreadableInput, UsageError
-from imucalib.loop.changes import NOISE
+from imucalib.posterior.closed_loop.changes import NOISE
 from imucalib.units import DEG, MG
 
 Verdict = Literal["agree", "differ", "undecided"]

@@ -22,10 +22,10 @@ from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.effects import named
 from imucalib.errors import NotConverged
-from imucalib.loop.candidates import effects_to_search
-from imucalib.loop.found import FitLoop
-from imucalib.loop.held_out import Predictions, leave_groups_out, predict_fitted
-from imucalib.loop.posterior.recording import close_recording, follow_bias
+from imucalib.posterior.candidates import effects_to_search
+from imucalib.posterior.closed_loop.found import FitLoop
+from imucalib.posterior.closed_loop.recording import close_recording, follow_bias
+from imucalib.posterior.held_out import Predictions, leave_groups_out, predict_fitted
 from imucalib.rests.runs import PostureRuns, Scan
 
 #: Posture runs a parameter below which what is left over is no noise to search in.

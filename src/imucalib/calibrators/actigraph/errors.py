@@ -15,7 +15,7 @@ from imucalib.calibrators.actigraph.observations import quantisation
 from imucalib.core.fit import Fit
 from imucalib.core.sphere import even_directions
 from imucalib.data import Data
-from imucalib.loop.held_out import Predictions, predict_fitted, raw_errors
+from imucalib.posterior.held_out import Predictions, predict_fitted, raw_errors
 from imucalib.rests.runs import PostureRuns, Scan
 from imucalib.units import MG
 

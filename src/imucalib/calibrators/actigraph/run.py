@@ -49,7 +49,7 @@ from imucalib.core.sphere import count_by_cell
 from imucalib.data import Data
 from imucalib.effects.forms import in_words
 from imucalib.errors import Undetermined
-from imucalib.loop.held_out import raw_errors
+from imucalib.posterior.held_out import raw_errors
 from imucalib.readers import blocks, blocks_again
 from imucalib.recording.mapping import FieldMapping
 from imucalib.rests.runs import WORN, PostureRuns, Scan, posture_runs, scan

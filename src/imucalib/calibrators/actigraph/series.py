@@ -32,7 +32,7 @@ from imucalib.core.fit import Fit
 from imucalib.data import Data
 from imucalib.errors import ImucalError, Undetermined
 from imucalib.estimators.power_ups import moved
-from imucalib.loop.odds import CERTAIN
+from imucalib.posterior.odds import CERTAIN
 from imucalib.rests.runs import PostureRuns, Scan
 from imucalib.units import MG
 

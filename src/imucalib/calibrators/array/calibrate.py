@@ -45,7 +45,7 @@ from imucalib.calibrators.array.published import draw_as_published
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.run import ArrayRun, Stages, finish_run
 from imucalib.errors import Undetermined, UsageError
-from imucalib.loop.found import Unexplained
+from imucalib.posterior.closed_loop.found import Unexplained
 from imucalib.recording.recording import Recording
 from imucalib.rests.candidates import refusals
 from imucalib.rests.segments import Segments, still_segments

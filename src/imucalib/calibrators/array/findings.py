@@ -28,7 +28,7 @@ from imucalib.calibrators.array.motion.terms import typical_of
 from imucalib.calibrators.array.request import Accepted
 from imucalib.effects.forms import in_words
 from imucalib.estimators.array.noise import MotionNoise
-from imucalib.loop.found import Step
+from imucalib.posterior.closed_loop.found import Step
 from imucalib.units import DEG, MG
 
 _COUNTS = 0.5  # of an effect's typical size, from which it asks for something to be done

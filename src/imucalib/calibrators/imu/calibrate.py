@@ -28,7 +28,7 @@ from imucalib.estimators.carried import attitudes
 from imucalib.estimators.turn_log import TurnLog, moved_by
 from imucalib.estimators.turns import TurnFit, carried_error
 from imucalib.inspection.noise import SensorNoise, noise_at_rest
-from imucalib.loop.held_out import Difference, difference
+from imucalib.posterior.held_out import Difference, difference
 from imucalib.recording.mapping import UNCHANGED, AxisMap, FieldMapping
 from imucalib.recording.recording import Recording
 from imucalib.units import DEG

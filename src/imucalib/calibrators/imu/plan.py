@@ -21,7 +21,7 @@ from imucalib.core.effect import cross_matrix, left_jacobian, rotations
 from imucalib.core.eigen import eigen
 from imucalib.errors import UnreadableInput
 from imucalib.estimators.turns import tangents
-from imucalib.loop.planning import gain, grow_until
+from imucalib.posterior.closed_loop.planning import gain, grow_until
 from imucalib.units import DEG
 
 #: rad of a turn; rad that a turn by hand is off, of measured ones 0.03 to 0.3 deg.

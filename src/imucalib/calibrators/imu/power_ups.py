@@ -20,7 +20,7 @@ from imucalib.estimators.turns import (
     fit_turns,
     without_laws,
 )
-from imucalib.loop.odds import FALSE_CLAIM
+from imucalib.posterior.odds import FALSE_CLAIM
 from imucalib.significant_digits import per_cent
 
 _FIXED, _BIAS = ACCELEROMETER + GAIN, np.arange(3)

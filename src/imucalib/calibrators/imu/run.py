@@ -28,8 +28,8 @@ from imucalib.effects.forms import in_words
 from imucalib.estimators.lateness import lateness
 from imucalib.estimators.turns import ACCELEROMETER, GAIN, LOWER, TurnFit
 from imucalib.inspection.noise import SensorNoise, noise_blocks
-from imucalib.loop.found import Score, Unexplained
-from imucalib.loop.posterior.words import of_each
+from imucalib.posterior.closed_loop.found import Score, Unexplained
+from imucalib.posterior.closed_loop.words import of_each
 from imucalib.recording.mapping import FieldMapping
 from imucalib.significant_digits import plus_minus
 from imucalib.units import DEG, MG

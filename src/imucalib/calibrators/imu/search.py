@@ -34,13 +34,13 @@ from imucalib.estimators.turns import (
     variances,
     without,
 )
-from imucalib.loop.odds import HEARD, LEAST, TOGETHER
-from imucalib.loop.posterior.catalogue import Component, Kind, Member
-from imucalib.loop.posterior.gram import Grams, Multiplied, marginalize
-from imucalib.loop.posterior.problem import Choice, Contest
-from imucalib.loop.posterior.solution import moments
-from imucalib.loop.posterior.space import Hypothesis, Posterior, blocks_of, hill_climb
-from imucalib.loop.posterior.words import SelectedModel, select_model
+from imucalib.posterior.closed_loop.words import SelectedModel, select_model
+from imucalib.posterior.odds import HEARD, LEAST, TOGETHER
+from imucalib.posterior.search.catalogue import Component, Kind, Member
+from imucalib.posterior.search.gram import Grams, Multiplied, marginalize
+from imucalib.posterior.search.problem import Choice, Contest
+from imucalib.posterior.search.solution import moments
+from imucalib.posterior.search.space import Hypothesis, Posterior, blocks_of, hill_climb
 from imucalib.units import DEG, STANDARD_GRAVITY
 
 _FIXED = ACCELEROMETER + GAIN

@@ -31,9 +31,9 @@ from imucalib.effects import known
 from imucalib.effects.forms import in_words
 from imucalib.errors import UsageError
 from imucalib.estimators.corrected import OBJECTIVES
-from imucalib.loop.found import Unexplained
-from imucalib.loop.posterior.trust import split_at_jump
-from imucalib.loop.record_errors import RecordError
+from imucalib.posterior.closed_loop.found import Unexplained
+from imucalib.posterior.record_errors import RecordError
+from imucalib.posterior.search.trust import split_at_jump
 from imucalib.question import Question, paste
 from imucalib.units import DEG, MG
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
-from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.calibrators.lab.headings import covariate_name, is_covariate
 from imucalib.calibrators.lab.position_table import PositionTable, ranges
 from imucalib.calibrators.lab.request import LabRequest
+from imucalib.core.angle_conventions import Conventions
 from imucalib.core.effect import Context
 from imucalib.core.observations import NoisePrior, Observations, with_sessions
 from imucalib.core.references import KnownNorm, KnownVector, Reference
@@ -19,7 +19,7 @@ from imucalib.core.sphere import KnownDirection
 from imucalib.effects.scans import COLUMN, trust_records
 from imucalib.effects.table import covariates_before
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.loop.faults.cells import transpositions
+from imucalib.posterior.slips.cells import transpositions
 from imucalib.readers.fields.conversion import temperature, zero_g
 from imucalib.recording.mapping import FieldMapping
 from imucalib.rests.thermal import is_power_up_code, remember_in_rows

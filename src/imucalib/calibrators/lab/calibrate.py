@@ -29,11 +29,11 @@ from imucalib.estimators.in_a_population import kind_chance
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.estimators.noise_mixture import with_noise_integrated
 from imucalib.estimators.starting_point import full_matrix_start, linear_map
-from imucalib.loop.candidates import effects_to_search
-from imucalib.loop.found import FitLoop
-from imucalib.loop.held_out import Predictions, by_folds, folds_of
-from imucalib.loop.posterior.closed import close_loop
-from imucalib.loop.posterior.slips import Written
+from imucalib.posterior.candidates import effects_to_search
+from imucalib.posterior.closed_loop.closed import close_loop
+from imucalib.posterior.closed_loop.found import FitLoop
+from imucalib.posterior.held_out import Predictions, by_folds, folds_of
+from imucalib.posterior.slips.trials import Written
 
 MODELS: dict[str, tuple[str, ...]] = {
     "linear12": ("mounting", "bias", "scale", "non_orthogonality"),

@@ -14,7 +14,7 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.calibrators.lab.bench import held_settings
 from imucalib.calibrators.lab.calibrate import MODELS
-from imucalib.calibrators.lab.conventions import Conventions
+from imucalib.core.angle_conventions import Conventions
 from imucalib.core.effect import Context
 from imucalib.core.eigen import eigen
 from imucalib.core.fit import null_directions
@@ -22,7 +22,7 @@ from imucalib.core.model import Model
 from imucalib.core.references import KnownNorm, KnownVector, Reference, angles_of, unit_vector
 from imucalib.core.sphere import even_directions
 from imucalib.effects import named
-from imucalib.loop.planning import Plan, gain, products_of, table_positions
+from imucalib.posterior.closed_loop.planning import Plan, gain, products_of, table_positions
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
 
 

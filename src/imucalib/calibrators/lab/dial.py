@@ -8,7 +8,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibrators.lab.calibrate import LabResult
-from imucalib.calibrators.lab.conventions import Conventions
+from imucalib.core.angle_conventions import Conventions
 from imucalib.core.effect import Context
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model

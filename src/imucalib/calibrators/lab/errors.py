@@ -10,14 +10,20 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.calibration.outcome import ErrorSummary, HeldOutError
-from imucalib.calibrators.lab.conventions import Conventions
+from imucalib.core.angle_conventions import Conventions
 from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations, session_of
 from imucalib.core.references import angles_of
 from imucalib.errors import NotConverged
 from imucalib.estimators.corrected import OBJECTIVES, fit_corrected
 from imucalib.estimators.variance import INSTEAD
-from imucalib.loop.held_out import Predictions, errors, leave_groups_out, predict_fitted, raw_errors
+from imucalib.posterior.held_out import (
+    Predictions,
+    errors,
+    leave_groups_out,
+    predict_fitted,
+    raw_errors,
+)
 from imucalib.units import DEG, MG
 
 #: Below this cosine of the inclination (about 3 degrees from vertical) tool-face has no meaning.

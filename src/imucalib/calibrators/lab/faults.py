@@ -12,21 +12,22 @@ import numpy as np
 from imucalib.arrays import Array, Index
 from imucalib.calibrators.lab.bench import NOISE, RawUnit, held_settings, in_degrees
 from imucalib.calibrators.lab.calibrate import LabResult
-from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.calibrators.lab.errors import setting_noise
 from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.calibrators.lab.request import LabRequest
+from imucalib.core.angle_conventions import Conventions
 from imucalib.core.observations import Observations
 from imucalib.core.sphere import KnownDirection
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.loop.faults.conventions import (
+from imucalib.posterior.record_errors import RecordError
+from imucalib.posterior.sheet.conventions import (
     Misread,
     as_meant,
     misread_angles,
     nearest_axes,
     wrong_directions,
 )
-from imucalib.loop.faults.converter import (
+from imucalib.posterior.sheet.converter import (
     CutOff,
     find_cut_offs,
     flat_tops,
@@ -34,9 +35,8 @@ from imucalib.loop.faults.converter import (
     rows_of,
     step_of,
 )
-from imucalib.loop.faults.sheet import Fault, Sheet, in_order
-from imucalib.loop.posterior.slips import Written
-from imucalib.loop.record_errors import RecordError
+from imucalib.posterior.sheet.sheet import Fault, Sheet, in_order
+from imucalib.posterior.slips.trials import Written
 from imucalib.question import Question, paste
 from imucalib.units import DEG, MG
 

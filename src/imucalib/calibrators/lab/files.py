@@ -20,7 +20,6 @@ from imucalib.calibrators.lab.bench import (
     refuse_dead_axis,
     refuse_units,
 )
-from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.calibrators.lab.faults import look_for_faults
 from imucalib.calibrators.lab.headings import roles_of
 from imucalib.calibrators.lab.position_table import (
@@ -31,6 +30,7 @@ from imucalib.calibrators.lab.position_table import (
 )
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import LabRun, run_lab
+from imucalib.core.angle_conventions import Conventions
 from imucalib.errors import ImucalError, UnreadableInput, UsageError
 from imucalib.question import Question
 from imucalib.readers import read

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field, replace
 from typing import Literal
 
-from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.calibrators.lab.repairs import Repairs
 from imucalib.calibrators.population import Population
 from imucalib.calibrators.request import Request
+from imucalib.core.angle_conventions import Conventions
 from imucalib.rests.stillness import StillSettings
 from imucalib.units import MG
 

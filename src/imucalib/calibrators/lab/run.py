@@ -52,10 +52,10 @@ from imucalib.core.observations import Observations
 from imucalib.core.references import KnownVector
 from imucalib.data import Data, plain
 from imucalib.errors import NotConverged, Undetermined, UnreadableInput, UsageError
-from imucalib.loop.faults.sheet import Fault
-from imucalib.loop.held_out import errors
-from imucalib.loop.record_errors import RecordError
-from imucalib.loop.separation import ambiguities
+from imucalib.posterior.closed_loop.separation import ambiguities
+from imucalib.posterior.held_out import errors
+from imucalib.posterior.record_errors import RecordError
+from imucalib.posterior.sheet.sheet import Fault
 from imucalib.question import Question
 from imucalib.recording.identity import Identity
 from imucalib.significant_digits import per_cent

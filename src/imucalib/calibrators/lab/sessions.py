@@ -9,7 +9,7 @@ from imucalib.core.balance import whitener
 from imucalib.core.fit import Fit
 from imucalib.core.observations import BIAS, MOUNTING, session_of
 from imucalib.estimators.power_ups import Parts
-from imucalib.loop.held_out import Fold
+from imucalib.posterior.held_out import Fold
 from imucalib.units import DEG, MG
 
 #: What sessions change: the effect whose parameters carry it, and the unit that people read.

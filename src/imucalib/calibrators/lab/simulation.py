@@ -8,10 +8,10 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibrators.lab.bench import position_observations
-from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.calibrators.lab.design import recommend
 from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.calibrators.planted import planted_model
+from imucalib.core.angle_conventions import Conventions
 from imucalib.core.references import unit_vector
 from imucalib.errors import UsageError
 from imucalib.recording.recording import Channel, Recording

@@ -18,7 +18,7 @@ from imucalib.calibration.provenance import Provenance
 from imucalib.calibration.triads import triad_from
 from imucalib.cohort.entries import calibration_beside
 from imucalib.errors import ImucalError, UnreadableInput
-from imucalib.loop.sums import Sums
+from imucalib.posterior.closed_loop.sums import Sums
 from imucalib.units import MG
 
 #: What is no table: a folder of a run or of a batch, a calibration, a report, an entry.

@@ -17,7 +17,7 @@ from imucalib.core.effect import Context
 from imucalib.core.fit import Fit
 from imucalib.effects import named
 from imucalib.estimators.power_ups import predict_next
-from imucalib.loop.held_out import Difference
+from imucalib.posterior.held_out import Difference
 
 #: Devices from which on there is a scatter to speak of.
 FEWEST = 4

@@ -27,9 +27,9 @@ from imucalib.arrays import Array, Index
 from imucalib.core.effect import Effect
 from imucalib.core.fit import Fit
 from imucalib.estimators.power_ups import predict_next
-from imucalib.loop.candidates import effect_columns, testable
-from imucalib.loop.odds import ABSORBED, KNOWN, MISSING
-from imucalib.loop.posterior.gram import log_sum
+from imucalib.posterior.candidates import effect_columns, testable
+from imucalib.posterior.odds import ABSORBED, KNOWN, MISSING
+from imucalib.posterior.search.gram import log_sum
 
 #: λ of a candidate at typical size below which it is rounding.
 _SHOWN = 1e-6

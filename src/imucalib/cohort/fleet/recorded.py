@@ -30,9 +30,9 @@ from imucalib.core.effect import Context
 from imucalib.effects import named
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.file_hash import sha256_of
-from imucalib.loop.candidates import effects_to_search
-from imucalib.loop.held_out import Difference, difference, with_density
-from imucalib.loop.sums import Sums, columns_of
+from imucalib.posterior.candidates import effects_to_search
+from imucalib.posterior.closed_loop.sums import Sums, columns_of
+from imucalib.posterior.held_out import Difference, difference, with_density
 from imucalib.units import MG
 
 #: sd of an effect that a recording has by itself, in typical sizes: its own data decide.

@@ -30,8 +30,8 @@ from imucalib.core.model import Model
 from imucalib.core.prior import Prior
 from imucalib.errors import ImucalError, UsageError
 from imucalib.estimators.least_squares import fit as fit_model
-from imucalib.loop.candidates import effects_to_search
-from imucalib.loop.held_out import (
+from imucalib.posterior.candidates import effects_to_search
+from imucalib.posterior.held_out import (
     Difference,
     by_folds,
     difference,

@@ -27,7 +27,7 @@ from imucalib.cohort.fleet.pooled import (
     sizes,
 )
 from imucalib.core.prior import Prior, joint_prior
-from imucalib.loop.odds import DEEPEST, FALSE_CLAIM, OCCAM
+from imucalib.posterior.odds import DEEPEST, FALSE_CLAIM, OCCAM
 
 #: Devices beyond which a fifth of them says no less than a twentieth would.
 _MANY, _OF_MANY = 60, 5

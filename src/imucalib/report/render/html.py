@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 
-from imucalib.report.document import Document, Tone
+from imucalib.report.render.document import Document, Tone
 from imucalib.report.render.svg import render_svg
 from imucalib.report.render.table import column_pads, square
 from imucalib.report.render.templates import fill

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.report.document import Plot, Series
 from imucalib.report.render import marks
+from imucalib.report.render.document import Plot, Series
 from imucalib.report.render.marks import Shape, clip, text_width
 from imucalib.report.render.templates import fill, short
 

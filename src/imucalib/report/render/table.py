@@ -16,7 +16,7 @@ from rich.padding import Padding
 from rich.table import Table as Grid
 from rich.text import Text as Line
 
-from imucalib.report.document import Table, Tone
+from imucalib.report.render.document import Table, Tone
 from imucalib.report.render.terminal import one_line
 
 _NUMBER = re.compile(r"[<>≤≥~±+\-−]*\s?\d[\d,   ]*(?:\.(?P<decimals>[\d   ]*))?(?P<tail>.*)")

@@ -14,7 +14,7 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table as Grid
 from rich.text import Text as Line
 
-from imucalib.report.document import (
+from imucalib.report.render.document import (
     Card,
     Document,
     Facts,

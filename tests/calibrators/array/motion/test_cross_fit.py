@@ -26,7 +26,7 @@ from imucalib.calibrators.array.motion.terms import (
 )
 from imucalib.core.effect import Channel
 from imucalib.estimators.array.sample_age import SampleAge
-from imucalib.loop.held_out import Difference
+from imucalib.posterior.held_out import Difference
 from imucalib.recording.recording import Recording
 from worlds.array_stories import BOARD, moving_of, planted_log
 

@@ -29,9 +29,9 @@ from imucalib.effects import catalogue, families, named
 from imucalib.errors import NotConverged, Undetermined
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.estimators.variance import estimate_noise
-from imucalib.loop.candidates import SearchedEffects, effects_to_search
-from imucalib.loop.found import FitLoop
-from imucalib.loop.posterior.closed import close_loop
+from imucalib.posterior.candidates import SearchedEffects, effects_to_search
+from imucalib.posterior.closed_loop.closed import close_loop
+from imucalib.posterior.closed_loop.found import FitLoop
 from imucalib.rests.segments import Segments
 from imucalib.units import MG
 

@@ -33,9 +33,9 @@ from imucalib.calibrators.array.motion.setup import Setup
 from imucalib.calibrators.array.motion.state import ArrayState, find_memory, shared_by_neighbours
 from imucalib.calibrators.array.motion.terms import Term
 from imucalib.core.effect import Channel
-from imucalib.loop.found import FitLoop, Loop, Step, Unexplained
-from imucalib.loop.odds import CERTAIN
-from imucalib.loop.posterior.words import name_of
+from imucalib.posterior.closed_loop.found import FitLoop, Loop, Step, Unexplained
+from imucalib.posterior.closed_loop.words import name_of
+from imucalib.posterior.odds import CERTAIN
 from imucalib.significant_digits import plus_minus
 
 _REFUSED = "it makes the held-out error larger"

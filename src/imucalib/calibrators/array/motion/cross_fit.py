@@ -20,8 +20,8 @@ from imucalib.calibrators.array.motion.covariance import transfer_to
 from imucalib.calibrators.array.motion.setup import FEWEST, Setup, part_of
 from imucalib.calibrators.array.motion.state import ArrayState, refit_motion
 from imucalib.core.effect import Channel
-from imucalib.loop.found import Checked
-from imucalib.loop.held_out import Difference, difference
+from imucalib.posterior.closed_loop.found import Checked
+from imucalib.posterior.held_out import Difference, difference
 from imucalib.units import DEG
 
 #: Standard deviation of normal errors over their median absolute deviation.

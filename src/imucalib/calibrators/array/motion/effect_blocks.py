@@ -17,7 +17,7 @@ from imucalib.calibrators.array.motion.closed_loop import MotionLoop
 from imucalib.calibrators.array.motion.terms import Term
 from imucalib.core.effect import Effect
 from imucalib.effects.record_error import is_record_error
-from imucalib.loop.found import FitLoop, Step
+from imucalib.posterior.closed_loop.found import FitLoop, Step
 
 #: How a name begins that speaks of the rests alone.
 AT_REST = "at rest: "

@@ -40,9 +40,9 @@ from imucalib.effects.array.parts import (
     times,
 )
 from imucalib.estimators.array.gram import Columns
-from imucalib.loop.odds import TOGETHER
-from imucalib.loop.posterior.catalogue import Component, Kind, Member
-from imucalib.loop.posterior.problem import Choice
+from imucalib.posterior.odds import TOGETHER
+from imucalib.posterior.search.catalogue import Component, Kind, Member
+from imucalib.posterior.search.problem import Choice
 from imucalib.units import DEG, MG
 
 

@@ -49,13 +49,13 @@ from imucalib.errors import Undetermined
 from imucalib.estimators.array.gram import Columns, gram, inverse_root, marginalize
 from imucalib.estimators.array.noise import MotionNoise, log_density
 from imucalib.estimators.array.samples import reweighed
-from imucalib.loop.found import Score
-from imucalib.loop.odds import ABSORBED, FINE_SIZES
-from imucalib.loop.posterior.catalogue import Member, log_odds
-from imucalib.loop.posterior.gram import Grams, Multiplied
-from imucalib.loop.posterior.problem import Choice, Contest
-from imucalib.loop.posterior.space import Hypothesis, Pick, Posterior, blocks_of, hill_climb
-from imucalib.loop.posterior.words import SelectedModel, of_each, select_model
+from imucalib.posterior.closed_loop.found import Score
+from imucalib.posterior.closed_loop.words import SelectedModel, of_each, select_model
+from imucalib.posterior.odds import ABSORBED, FINE_SIZES
+from imucalib.posterior.search.catalogue import Member, log_odds
+from imucalib.posterior.search.gram import Grams, Multiplied
+from imucalib.posterior.search.problem import Choice, Contest
+from imucalib.posterior.search.space import Hypothesis, Pick, Posterior, blocks_of, hill_climb
 
 #: Times that twins are told apart, where some have gone to another name.
 _PASSES = 3

@@ -27,8 +27,8 @@ from imucalib.estimators.array.noise import (
 )
 from imucalib.estimators.array.sample_age import SampleAge
 from imucalib.estimators.array.samples import Readings, Sampled, Weights, fit_samples
-from imucalib.loop.found import Unexplained
-from imucalib.loop.odds import CERTAIN
+from imucalib.posterior.closed_loop.found import Unexplained
+from imucalib.posterior.odds import CERTAIN
 
 #: Newton steps at most, those before which the matrix is made again in any case, and the squared
 #: steps at which a fit is settled: one in the search, which compares nats, and one that is stated.

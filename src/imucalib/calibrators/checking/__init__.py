@@ -1,0 +1,1 @@
+"""A sensor that has a calibration: does it still hold?"""

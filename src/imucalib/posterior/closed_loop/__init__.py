@@ -1,0 +1,1 @@
+"""Questions to the posterior: what is missing, what has changed, what to record next."""

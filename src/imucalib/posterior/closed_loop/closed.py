@@ -1,0 +1,253 @@
+"""The closed loop: fit, ask the posterior what is missing, add it, prove it on rows left out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imucalib.arrays import Array
+from imucalib.core.fit import Fit
+from imucalib.core.model import Model
+from imucalib.core.observations import Observations
+from imucalib.effects.record_error import record_of
+from imucalib.errors import NotConverged
+from imucalib.estimators.least_squares import fit as fit_model
+from imucalib.posterior.candidates import SearchedEffects
+from imucalib.posterior.closed_loop.folds import LeftOut, leave_folds_out
+from imucalib.posterior.closed_loop.found import Checked, FitLoop, Step, Unexplained
+from imucalib.posterior.closed_loop.words import (
+    SelectedModel,
+    member_of,
+    name_of,
+    rivals_of,
+    scores_of,
+    select_model,
+)
+from imucalib.posterior.held_out import (
+    Difference,
+    Fold,
+    difference,
+    folds_of,
+    parts_of,
+    with_density,
+)
+from imucalib.posterior.record_errors import accuse, drop_effects, record_names
+from imucalib.posterior.search.explored import SearchedPosterior, SearchStart
+from imucalib.posterior.search.noise import NoiseHypothesis, between_temperatures, shared_bias
+from imucalib.posterior.search.solution import Solved, change, fit_of, noises_of, solve
+from imucalib.posterior.slips.trials import Mended, Written, repair_sheet
+from imucalib.units import MG
+
+
+@dataclass(frozen=True)
+class ClosedLoop:
+    """A finished loop, what it explored, and its predictions of what was left out, where anything
+    was corrected."""
+
+    loop: FitLoop
+    found: SearchedPosterior
+    left: LeftOut | None
+
+    def by(self, folds: tuple[Fold, ...]) -> LeftOut | None:
+        """The same by other folds; None where there are none."""
+        return leave_folds_out(self.found.problem, self.found.posterior, folds) if folds else None
+
+
+def close_loop(
+    model: Model,
+    observations: Observations,
+    wanted: SearchedEffects,
+    start: Array | None = None,
+    written: Written | None = None,
+    *,
+    curves: bool = True,
+) -> ClosedLoop:
+    """Fit the base model, search for what it lacks, and judge it on rows left out.
+
+    start : θ of the base model to start from; written : the sheet, where slips can be read in it
+    curves : whether structure without a name is corrected
+    A correction that rows left out refuse is not made. `base` and `final` are those of the table
+    with its slips mended and what a wrong record is off by free, `plain` and `as_recorded` take
+    every record as it stands.
+    """
+    plain = fit_model(model, observations, start=start)
+    begun = SearchStart.of(plain, wanted)
+    uneven = begun.axis_noise()
+    if np.any(uneven != 1.0):
+        observations = replace(observations, sigma=observations.sigma * uneven)
+        plain = fit_model(model, observations, start=plain.theta)
+        begun = SearchStart.of(plain, wanted)
+    state = repair_sheet(begun.explored(), wanted, written)
+    found = state.found
+    said = select_model(found.problem, found.posterior)
+    data, base = _walking(found, said), found.base
+    if data is not base.observations:
+        base = fit_model(base.model, data, start=base.theta)
+    loop, left = accept_or_reject(
+        start_loop(base, plain, found, wanted, said),
+        found,
+        said,
+        lambda one: fit_of(found.problem, one, data),
+        lambda final, left: _gain(base, left),
+        curves=curves,
+    )
+    loop = replace(
+        loop,
+        records=accuse(loop.final, state.aside),
+        slips=state.slips,
+        weighed=rivals_of(found.problem, found.posterior),
+    )
+    return ClosedLoop(replace(loop, as_recorded=_as_recorded(loop, state)), found, left)
+
+
+def _walking(found: SearchedPosterior, said: SelectedModel) -> Observations:
+    """The observations, with the bias that walks as a noise of theirs where it more likely does
+    than not beside what is told: readings that share an error are worth fewer."""
+    data, posterior = found.base.observations, found.posterior
+    weight = noises_of(found.problem, posterior.grams, said.hypothesis.picks)
+    walks = dict[float, float]()
+    for point, share in zip(posterior.grams.points, weight, strict=True):
+        if isinstance(point, NoiseHypothesis) and point.walk is not None:
+            walks[point.walk[1]] = walks.get(point.walk[1], 0.0) + float(share)
+    if sum(walks.values()) <= 0.5:
+        return data
+    walk = shared_bias(data, max(walks, key=lambda memory: walks[memory]))
+    return replace(data, shared=(*data.shared, walk))
+
+
+def _gain(base: Fit, left: LeftOut) -> Difference:
+    """What the rows gain but for records that are set aside. Where a law may be what sessions
+    differ by, the density of a row says nothing of it: the others of its session know its bias."""
+    data, folds = base.observations, folds_of(base.observations)
+    aside = [record_of(name) for name in record_names(base)]
+    good = ~np.isin(data.context.covariates.get("record", np.arange(data.n)), aside)
+    sizes = left.before.size[good], left.after.size[good]
+    gain = difference(*sizes, parts_of(folds)[good], len(folds), "rms")
+    return gain if between_temperatures(data) else with_density(gain, left.nats)
+
+
+def _as_recorded(loop: FitLoop, state: Mended) -> Fit:
+    """The final model with every record taken as it stands: fitted anew where records are set
+    aside, where the base model stands at the angles that were meant, and where slips were mended,
+    to the table as it was."""
+    final, names = loop.final, record_names(loop.final)
+    if not loop.steps and final.observations is loop.plain.observations:
+        return loop.plain
+    one = drop_effects(final, names) if names or not loop.steps else final
+    if not state.slips:
+        return one
+    return fit_model(one.model, loop.plain.observations, start=one.theta, shrink=one.shrink)
+
+
+def start_loop(
+    base: Fit, plain: Fit, found: SearchedPosterior, wanted: SearchedEffects, said: SelectedModel
+) -> FitLoop:
+    """The loop before anything is corrected."""
+    context = plain.observations.context
+    reasons = {name: effect.missing(context) for name, effect in wanted.effects.items()}
+    scores = scores_of(found.problem, found.posterior)
+    return FitLoop(
+        base=base,
+        final=base,
+        plain=plain,
+        as_recorded=plain,
+        scores=scores,
+        first_scores=scores,
+        missing={name: reason for name, reason in reasons.items() if reason},
+        complete=said.complete,
+    )
+
+
+def accept_or_reject(
+    loop: FitLoop,
+    found: SearchedPosterior,
+    said: SelectedModel,
+    fitted: Callable[[Solved], Fit],
+    gain_of: Callable[[Fit, LeftOut], Difference],
+    *,
+    curves: bool,
+) -> tuple[FitLoop, LeftOut | None]:
+    """The loop with what is told in the model, and the predictions that prove it: the one veto is
+    that of data that took no part.
+
+    fitted : makes the final fit of the linear one; gain_of : what is gained by a final fit on what
+    was left out; curves : whether structure without a name is corrected
+    """
+    problem, posterior = found.problem, found.posterior
+    free = any(problem.components[place.component].kind == "free" for place in said.places)
+    if not said.places:
+        return loop, None
+    if free and not curves:
+        return _reject(loop, found, said, None), None
+    try:
+        final = fitted(solve(problem, posterior.grams, said.hypothesis))
+        if not final.converged:
+            return _reject(loop, found, said, None), None
+        left = leave_folds_out(problem, posterior, folds_of(loop.base.observations))
+    except NotConverged:  # a response that has no inverse
+        return _reject(loop, found, said, None), None
+    gain = gain_of(final, left)
+    if not gain.holds:
+        return _reject(loop, found, said, gain), None
+    loop = replace(loop, final=final, steps=_steps(found, said, left), difference=gain)
+    size = change(problem, posterior.grams, said.hypothesis) if loop.suspected else 0.0
+    return replace(loop, open_size=size), left
+
+
+def _steps(found: SearchedPosterior, said: SelectedModel, left: LeftOut) -> tuple[Step, ...]:
+    """One of each place, and of each time that a cause acts."""
+    steps = []
+    for place in said.places:
+        component = found.problem.components[place.component]
+        member = member_of(found.problem, found.posterior, said, place.component)
+        named = [(_name(found, said, c), share) for c, share in place.rivals]
+        step = Step(
+            effect=member.name,
+            evidence=place.log_odds,
+            checked=(Checked("error", "m/s2", left.before.rms(), left.after.rms()),),
+            aliases=tuple(dict.fromkeys(n for n, _ in named if n != member.name)),
+            curve=component.kind == "free",
+            probability=place.probability,
+            rivals=tuple(named),
+            certain=place.certain,
+        )
+        again = member.effects[1:] if component.named else ()
+        alone = replace(step, aliases=(), rivals=())
+        steps += [step, *(replace(alone, effect=effect.name) for effect, _, _ in again)]
+    return tuple(steps)
+
+
+def _name(found: SearchedPosterior, said: SelectedModel, component: int) -> str:
+    return name_of(found.problem, found.posterior, said, component)
+
+
+def _reject(
+    loop: FitLoop, found: SearchedPosterior, said: SelectedModel, gain: Difference | None
+) -> FitLoop:
+    """Nothing is corrected: what is missing stays without a name."""
+    why = "it has no inverse, no fit settles with it, or curves are not wanted"
+    if gain is not None:
+        why = f"held-out data refuse it: {gain.before / MG:.3g} -> {gain.after / MG:.3g} mg"
+        why += "" if np.isnan(gain.nats) else f", {gain.nats:+.1f} nats in density"
+    names = tuple(_name(found, said, place.component) for place in said.places)
+    unexplained = tuple(
+        Unexplained(
+            name=name,
+            follows=found.problem.components[place.component].follows,
+            kind="probe",
+            probability=place.probability,
+            evidence=0.0,
+            rivals=tuple(_name(found, said, c) for c, _ in place.rivals),
+        )
+        for place, name in zip(said.places, names, strict=True)
+    )
+    return replace(
+        loop,
+        difference=gain,
+        rejected=tuple((name, why) for name in names),
+        refuted=names if gain is not None else (),
+        unexplained=unexplained,
+        open_size=change(found.problem, found.posterior.grams, said.hypothesis),
+    )

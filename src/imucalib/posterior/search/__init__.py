@@ -1,0 +1,1 @@
+"""Sets of components, their evidence, and the search among them."""

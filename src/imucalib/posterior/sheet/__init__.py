@@ -1,0 +1,1 @@
+"""A sheet of positions as somebody wrote it."""

@@ -1,0 +1,1 @@
+"""Slips of hand in a sheet, each a hypothesis."""
