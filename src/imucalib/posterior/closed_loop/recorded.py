@@ -88,7 +88,7 @@ class WalkWhitener:
             own = columns[rows]
             # One product for all noises.
             whole = self.inverse[k, :, :, : len(own)].reshape(-1, len(own)) @ own
-            white = whole.reshape(-1, _BLOCK, m)
+            white = whole.reshape(self.log_det.size, _BLOCK, m)
             white -= self.seen[k] @ state
             out[:, rows] = white
             state = self.keep[k][:, None, None] * state + self.gain[k] @ white

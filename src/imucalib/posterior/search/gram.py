@@ -130,7 +130,7 @@ class Unmultiplied:
         """(E, s, q) some rows."""
         weighted = self.white.back(self.white(self.columns[:, at])).swapaxes(1, 2)
         flat = weighted.reshape(-1, len(self.columns)) @ self.columns
-        return np.asarray(flat.reshape(-1, at.size, self.columns.shape[1]))
+        return np.asarray(flat.reshape(len(weighted), *at.shape, self.columns.shape[1]))
 
     @cached_property
     def along(self) -> Array:
