@@ -22,7 +22,7 @@ from ruamel.yaml import YAML
 import imucalib
 from imucalib import cli
 from imucalib.calibration.outcome import Limit
-from imucalib.cli.calibrating import calibrates
+from imucalib.cli.frame.calibrating import calibrates
 from imucalib.exports import exports
 from imucalib.readers import read
 from imucalib.recording.recording import Recording

@@ -14,7 +14,7 @@ import pytest
 from click.testing import CliRunner
 
 from imucalib import cli
-from imucalib.cli.options import PAGE, RARE
+from imucalib.cli.frame.options import PAGE, RARE
 from imucalib.effects import catalogue
 from imucalib.readers import read
 from options.tree import commands
@@ -38,7 +38,7 @@ def spelled(lines: list[str]) -> set[str]:
 @pytest.mark.parametrize("name", ["", *NAMES])
 def test_help_is_a_page_of_80_columns(name: str) -> None:
     lines = shown(name, "--help")
-    assert len(lines) <= PAGE, f"mark what is rare in cli/options: {len(lines)} lines"
+    assert len(lines) <= PAGE, f"mark what is rare in cli/frame/options: {len(lines)} lines"
     assert max(map(len, lines)) <= 80
 
 

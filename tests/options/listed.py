@@ -43,7 +43,7 @@ ELSEWHERE: dict[tuple[str, str], str] = {
 
 def reading() -> tuple[str, ...]:
     """Options that say how a recording is read."""
-    from imucalib.cli.options import recording
+    from imucalib.cli.frame.options import recording
 
     def nothing() -> None:
         """A command without options of its own."""

@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 import pytest
 
 from imucalib import effects
-from imucalib.cli.calibrating import calibrates
+from imucalib.cli.frame.calibrating import calibrates
 from imucalib.errors import UnreadableInput
 from options.bench import Bench
 from options.cases import cases

@@ -8,12 +8,11 @@ import re
 import signal
 import sys
 from collections.abc import Sequence
-from itertools import pairwise
-from typing import Annotated, Any
+from typing import Any
 
 import click
 
-from imucalib.data import Data
+from imucalib.cli.frame.failures import Failed, example_of, failure_of
 from imucalib.errors import CRASH_EXIT_CODE, EXIT_CODES, ImucalError
 from imucalib.question import paste
 
@@ -73,7 +72,7 @@ class LazyGroup(click.Group):
         """What imucal.toml says of the command that was called."""
         from pathlib import Path
 
-        from imucalib.cli.bench_file import NAME, defaults, sections
+        from imucalib.cli.frame.bench_file import NAME, defaults, sections
 
         found = sections(Path.cwd())
         unknown = [name for name in found if name not in COMMANDS]
@@ -94,7 +93,7 @@ class LazyGroup(click.Group):
             if isinstance(error, ImucalError) and error.add:
                 error.remedy += f", for example: {paste('imucal', *given, *error.add)}"
             if "--json" in given[: given.index("--") if "--" in given else None]:
-                from imucalib.cli.output import emit_json
+                from imucalib.cli.frame.output import emit_json
 
                 emit_json(Failed(failure_of(error)))
             raise
@@ -148,7 +147,7 @@ _WORDS = {"help": "--help", "version": "--version"}
 
 def calibrators() -> list[str]:
     """The commands that calibrate."""
-    from imucalib.cli.calibrating import calibrates
+    from imucalib.cli.frame.calibrating import calibrates
 
     root = click.Context(cli)
     every = ((name, cli.get_command(root, name)) for name in COMMANDS)
@@ -202,58 +201,6 @@ def cli() -> None:
     """
 
 
-def _example(error: click.ClickException) -> str:
-    """A call of the command that was misused, as its help shows it; or how the value is written."""
-    ctx = getattr(error, "ctx", None)
-    if ctx is None or ctx.parent is None:
-        return ""
-    number = re.search(r"'(-?\d+),(\d+)' is not a valid float", error.format_message())
-    if number:
-        return f"{number[1]}.{number[2]}, with a point"
-    if number := re.search(
-        r"'(-?[\d.]+) ?[^\d'.]+\d*' is not a valid float", error.format_message()
-    ):
-        return f"{number[1]}, without the unit"
-    if isinstance(error, click.NoSuchOption) and re.fullmatch(r"-\d", error.option_name):
-        pairs = pairwise(ctx.find_root().meta["imucal.arguments"])
-        value = next(two for two in pairs if two[1].startswith(error.option_name))
-        return f"--fix {value[0]}={value[1]}" if ":" in value[0] else f"-- {value[1]}"
-    lines = (ctx.command.help or "").splitlines()
-    typed = (line.strip().removeprefix("Example: ") for line in lines)
-    return next((line for line in typed if line.startswith("imucal ")), "")
-
-
-class Failure(Data):
-    """Why a command ended."""
-
-    message: str
-    where: Annotated[str, "File, row, byte or option; empty where there is none."]
-    remedy: Annotated[str, "What to do."]
-    exit_code: int
-
-
-class Failed(Data, name="error/1"):
-    """What a command prints in place of a result."""
-
-    error: Failure
-
-
-def failure_of(error: Exception) -> Failure:
-    """A failure for machines."""
-    from imucalib.errors import ImucalError, UnreadableInput
-
-    if isinstance(error, ImucalError):
-        said = error.what, error.where, error.remedy, error.exit_code
-    elif isinstance(error, click.ClickException):
-        example = _example(error)
-        remedy = f"for example: {example}" if example else ""
-        said = error.format_message(), "", remedy, error.exit_code
-    else:
-        name = str(getattr(error, "filename", None) or "")
-        said = str(getattr(error, "strerror", error)), name, "", UnreadableInput.exit_code
-    return Failure(*said)
-
-
 def main() -> None:
     """Entry point: runs a command and turns every failure into its message and exit code."""
     # The matrices are small: a second BLAS thread costs more than it does, and changes last bits.
@@ -266,13 +213,13 @@ def main() -> None:
         code = cli.main(prog_name="imucal", standalone_mode=False)
         sys.stdout.flush()
     except ImucalError as error:
-        from imucalib.cli.output import say
+        from imucalib.cli.frame.output import say
 
         say(f"error: {error}", err=True)
         code = error.exit_code
     except click.ClickException as error:
         error.show()
-        if example := _example(error):
+        if example := example_of(error):
             click.echo(f"For example: {example}", err=True)
         code = error.exit_code
     except click.Abort:
@@ -316,7 +263,7 @@ def _report_crash(error: Exception) -> int:
             file.write("".join(traceback.format_exception(error)))
     except OSError:
         path = "nowhere: no place for it"
-    from imucalib.cli.output import say
+    from imucalib.cli.frame.output import say
 
     say(f"error: imucal failed ({what}); please report it with {path}", err=True)
     return CRASH_EXIT_CODE

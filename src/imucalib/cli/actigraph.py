@@ -8,8 +8,8 @@ from typing import Any
 
 import click
 
-from imucalib.cli import options as opt
-from imucalib.cli.calibrating import (
+from imucalib.cli.frame import options as opt
+from imucalib.cli.frame.calibrating import (
     ARGUMENTS,
     calibrating,
     calibrating_of,

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from imucalib.cli import options as opt
-from imucalib.cli.output import emit_json, note, progress
+from imucalib.cli.frame import options as opt
+from imucalib.cli.frame.output import emit_json, note, progress
 from imucalib.data import Data
 
 if TYPE_CHECKING:
@@ -169,7 +169,7 @@ def _options_of(calibrator: str, typed: tuple[str, ...]) -> tuple[tuple[str, ...
     Raises UsageError for what is no calibrator, and click's usage errors for options it lacks.
     """
     from imucalib.cli import calibrators, cli
-    from imucalib.cli.bench_file import defaults, from_file, sections
+    from imucalib.cli.frame.bench_file import defaults, from_file, sections
     from imucalib.errors import UsageError
 
     command = cli.get_command(click.Context(cli), calibrator)

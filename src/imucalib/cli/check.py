@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imucalib.cli import options as opt
-from imucalib.cli.calibrating import command_line
-from imucalib.cli.output import emit_json, present, working
+from imucalib.cli.frame import options as opt
+from imucalib.cli.frame.calibrating import command_line
+from imucalib.cli.frame.output import emit_json, present, working
 from imucalib.data import Data
 
 if TYPE_CHECKING:

@@ -7,9 +7,9 @@ from typing import Any
 
 import click
 
-from imucalib.cli import options as opt
-from imucalib.cli.calibrating import command_line
-from imucalib.cli.output import present
+from imucalib.cli.frame import options as opt
+from imucalib.cli.frame.calibrating import command_line
+from imucalib.cli.frame.output import present
 
 
 @opt.command_with_page("compare")

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imucalib.cli import options as opt
-from imucalib.cli.output import emit_json, width
+from imucalib.cli.frame import options as opt
+from imucalib.cli.frame.output import emit_json, width
 
 if TYPE_CHECKING:
     from imucalib.core.effect import Effect

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from imucalib.cli import options as opt
-from imucalib.cli.output import emit_json, note
+from imucalib.cli.frame import options as opt
+from imucalib.cli.frame.output import emit_json, note
 from imucalib.data import Data
 
 if TYPE_CHECKING:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imucalib.cli import options as opt
-from imucalib.cli.calibrating import command_line
-from imucalib.cli.output import Say, note, present, working
+from imucalib.cli.frame import options as opt
+from imucalib.cli.frame.calibrating import command_line
+from imucalib.cli.frame.output import Say, note, present, working
 from imucalib.question import paste
 
 if TYPE_CHECKING:

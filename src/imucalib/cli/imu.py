@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imucalib.cli import options as opt
-from imucalib.cli.calibrating import (
+from imucalib.cli.frame import options as opt
+from imucalib.cli.frame.calibrating import (
     calibrating,
     calibrating_of,
     finish,

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imucalib.cli import options as opt
-from imucalib.cli.output import note, present, working
+from imucalib.cli.frame import options as opt
+from imucalib.cli.frame.output import note, present, working
 
 if TYPE_CHECKING:
     from imucalib.data import Data

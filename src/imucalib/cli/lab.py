@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imucalib.cli import options as opt
-from imucalib.cli.calibrating import (
+from imucalib.cli.frame import options as opt
+from imucalib.cli.frame.calibrating import (
     calibrating,
     calibrating_of,
     finish,
     limit_option,
     shared_fields,
 )
-from imucalib.cli.output import freed_memory
+from imucalib.cli.frame.output import freed_memory
 
 if TYPE_CHECKING:
     from imucalib.calibrators.lab.request import LabRequest

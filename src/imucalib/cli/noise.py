@@ -7,8 +7,8 @@ from typing import Any
 
 import click
 
-from imucalib.cli import options as opt
-from imucalib.cli.output import note, present, working
+from imucalib.cli.frame import options as opt
+from imucalib.cli.frame.output import note, present, working
 
 
 def _forms() -> tuple[str, ...]:

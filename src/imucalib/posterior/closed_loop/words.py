@@ -16,7 +16,7 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.core.fit import Fit
 from imucalib.posterior.closed_loop.found import Rival, Score
-from imucalib.posterior.odds import CERTAIN, FALSE_CLAIM, LEAST, OCCAM, WEIGHED
+from imucalib.posterior.odds import ABSORBED, CERTAIN, FALSE_CLAIM, LEAST, OCCAM, WEIGHED
 from imucalib.posterior.search.catalogue import Member
 from imucalib.posterior.search.gram import marginalize
 from imucalib.posterior.search.problem import Contest, Problem
@@ -76,9 +76,11 @@ def scores_of(problem: Problem, posterior: Posterior) -> tuple[Score, ...]:
     first = {c.component: c.at for c in reversed(problem.choices)}
     found = []
     for k, component in enumerate(problem.components):
-        power = max(float(np.trace(one.blocks(first[k][None])[0, 0])), 0.0)
         columns = problem.columns[:n, first[k]]
         rest = columns - basis @ (basis.T @ columns)
+        left = float(np.sum(rest**2) / np.sum(columns**2))
+        # What the base absorbs has the length of rounding, another in every process.
+        power = float(np.trace(one.blocks(first[k][None])[0, 0])) if left > ABSORBED else 0.0
         sized = columns * problem.fit.at.unit[:, None]
         found.append(
             Score(
@@ -87,7 +89,7 @@ def scores_of(problem: Problem, posterior: Posterior) -> tuple[Score, ...]:
                 follows=component.follows,
                 evidence=float(evidence[k]),
                 probability=float(inside[k]),
-                left=float(np.sum(rest**2) / np.sum(columns**2)),
+                left=left,
                 strength=float(np.sqrt(power * dof / one.power[0])),
                 size=float(np.linalg.norm(sized) / problem.fit.observations.n**0.5),
             )

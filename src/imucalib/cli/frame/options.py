@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from imucalib.cli.output import note
+from imucalib.cli.frame.output import note
 from imucalib.question import paste
 
 if TYPE_CHECKING:

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from imucalib.cli import options as opt
-from imucalib.cli.bench_file import from_file
-from imucalib.cli.output import Say, emit_json, note, say, show, working
+from imucalib.cli.frame import options as opt
+from imucalib.cli.frame.bench_file import from_file
+from imucalib.cli.frame.output import Say, emit_json, note, say, show, working
 from imucalib.data import Data
 from imucalib.errors import LimitBroken, UnnamedColumns
 from imucalib.question import paste
@@ -126,7 +126,7 @@ def _add_entry(work: Callable[[], int], options: Mapping[str, Any]) -> int:
     import time
 
     from imucalib.atomic_file import demand_output
-    from imucalib.cli import failure_of
+    from imucalib.cli.frame.failures import failure_of
     from imucalib.cohort.entries import calibration_beside, entry_of, failure_words, write_entry
     from imucalib.errors import CRASH_EXIT_CODE, ImucalError, UsageError
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import click
 
-from imucalib.cli.options import no_limit
+from imucalib.cli.frame.options import no_limit
 
 NAME = "imucal.toml"
 #: Never read from a file that lies about: code to run, and where to write.

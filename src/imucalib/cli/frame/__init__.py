@@ -1,0 +1,1 @@
+"""What commands have in common: options, how a calibrator runs, what is printed, failures."""
