@@ -26,8 +26,10 @@ from imucalib.posterior.odds import ABSORBED
 class JumpParts:
     """The two parts of a sheet beside a jump, either of which may stand as it was set.
 
-    after : (n,) whether an observation comes after the jump
-    taken_over : (p, w) M, what the base model's parameters take over of each of the jump's
+    after : (n,) whether an observation comes after the jump: those whose readings it moves where
+        the part before it stands
+    taken_over : (p, w) M, what the base model's p parameters take over of each of the jump's w, in
+        the parameters' units: b - M u is b once the part after the jump is the one that stands
     """
 
     after: Flags
@@ -38,9 +40,14 @@ def split_at_jump(fit: Fit, base: Model, effect: Effect) -> JumpParts | None:
     """The parts beside a jump of the bench; None where the readings or the user say which stands as
     it was set, or where nothing jumps.
 
-    fit : at whose balance columns are compared
+    fit : at whose balance columns C, C' and B are compared; the user says so by the covariates
+        `TRUSTED` of its context
     base : the model of the p parameters that may take over, all in the fit's
-    effect : that may be a jump, and is not in the base
+    effect : that may be a jump, and is not in the base: an effect of the fixture whose columns are
+        others once the last record is the one that is trusted
+
+    M is the least-squares solution of C' - C = B M, columns of B at unit length. It is there when
+    what it leaves is within `ABSORBED` of C' - C, as sums of squares.
     """
     data, context = fit.observations, fit.observations.context
     if effect.stage != "fixture" or "record" not in context or TRUSTED[0] in context:
