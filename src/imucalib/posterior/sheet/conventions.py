@@ -21,9 +21,12 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.estimators.starting_point import larger_part
-from imucalib.posterior.odds import BENCH, CLEAR, FAR_BETTER, FIXTURE
+from imucalib.posterior.odds import BENCH, CLEAR, FAR_BETTER, FIXTURE, WRONG
 from imucalib.posterior.sheet.sheet import Fault, Sheet
 
+#: Ways in which the angle columns may mean other than said: exchanged, in radians, from the
+#: vertical, and either of them a row early or late.
+_DEPARTURES = 7
 _FACES = {tuple(s * np.eye(3)[a]): f"{'-+'[s > 0]}{'xyz'[a]}" for a in range(3) for s in (1, -1)}
 
 
@@ -106,10 +109,12 @@ class Misread:
 
 
 def misread_angles(sheet: Sheet) -> Misread | None:
-    """The best meaning of the angle columns when it is not the stated one, else None.
+    """The likeliest meaning of the angle columns when it is not the stated one, else None.
 
-    log L = -ν/2 ln RSS with scatter of a bench's size under both: no sheet is better than the
-    tenth of a degree to which a bench is set, so a misfit below 2 mg counts as 2 mg.
+    log p = -ν/2 ln RSS + ln prior, with scatter of a bench's size under each: no sheet is better
+    than the tenth of a degree to which a bench is set, so a misfit below 2 mg counts as 2 mg. Each
+    departure from what is stated has a slip's prior odds. All meanings are held against the same
+    readings, those whose angles each of them knows.
     """
     steps = (-1, 0, 1) if sheet.ordered else (0,)
     tried = [
@@ -118,20 +123,24 @@ def misread_angles(sheet: Sheet) -> Misread | None:
         # Both angles moved by one step is a shift of the readings, and is told as one.
         if not (m[3] and m[3] == m[4])
     ]
+    rows = sheet.row[1:-1] if sheet.ordered else sheet.row
     misfits = {}
     for meaning in tried:
         other = as_meant(sheet, meaning)
-        misfit = np.inf if other is None else _misfit(other, whole=meaning != AngleMeaning())
+        misfit = np.inf
+        if other is not None:
+            known = other.take(np.flatnonzero(np.isin(other.row, rows)))
+            misfit = _misfit(known, whole=meaning != AngleMeaning())
         misfits[meaning] = max(misfit, BENCH)
-    plain = misfits[AngleMeaning()]
-    best = min(tried, key=lambda m: (round(misfits[m], 6), sum(map(bool, m))))
-    if best == AngleMeaning() or not np.isfinite(plain):
+    plain, dof = misfits[AngleMeaning()], 3 * rows.size - 15
+    logs = {
+        m: sum(map(bool, m)) * np.log(WRONG / _DEPARTURES) - dof * np.log(misfits[m]) for m in tried
+    }
+    best = max(tried, key=lambda m: logs[m])
+    score = float(logs[best] - logs[AngleMeaning()])
+    if not np.isfinite(plain) or score <= CLEAR or misfits[best] > plain * FAR_BETTER:
         return None
-    dof = 3 * sheet.n - 15
-    score = dof * np.log(plain / misfits[best]) - np.log(len(tried))
-    if score <= CLEAR or misfits[best] > plain * FAR_BETTER:
-        return None
-    return Misread(best, float(score), misfits[best], plain)
+    return Misread(best, score, misfits[best], plain)
 
 
 def as_meant(sheet: Sheet, meaning: AngleMeaning) -> Sheet | None:
