@@ -33,6 +33,7 @@ STORIES: dict[str, tuple[str, float | Array]] = {
     "element positions, 0.5 mm": ("sensing_elements", 0.5),
     "bad accelerometer, 1 %": ("scale@imu5", 0.01),
     "bent gyro, 20 deg/s at full scale": ("gyro_quadratic@imu2", 20.0),
+    "gyro that feels force, 0.3 deg/s/g": ("gyro_g_sensitivity@imu2", 0.3 * np.eye(3).ravel()),
 }
 
 

@@ -34,6 +34,14 @@ def test_a_planted_error_is_named(name: str) -> None:
     assert found.gained.after.acceleration <= found.gained.before.acceleration * 1.05
 
 
+def test_a_set_is_searched_from_anew_at_the_noise_that_it_leaves() -> None:
+    """While the force is in one gyro's readings that gyro counts as noisy, and a law that is nearly
+    the right one is as good."""
+    found = closed(planted_log("gyro that feels force, 0.3 deg/s/g", 12)[0], 200)
+    assert named(found) == {"gyro_g_sensitivity@imu2"}
+    assert not found.unexplained
+
+
 @pytest.mark.slow
 def test_clean_logs_are_left_alone_as_often_as_stated() -> None:
     again = [closed(planted_log("clean", seed)[0], 150) for seed in range(20, 60)]

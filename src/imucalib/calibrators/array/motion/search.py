@@ -278,14 +278,19 @@ def search_posterior(
         if names == held.difference(scope.declare) or names in seen:
             break
         seen.add(names)
-        grown = _take_in(state, chosen, scope, skipped if whole is None else None)
+        noise, grown = (
+            state.noise,
+            _take_in(state, chosen, scope, skipped if whole is None else None),
+        )
         if grown is None:
             rejected = tuple((one.name, DIVERGED) for one in chosen if one.name not in held)
             break
         state, shares = grown
-        # Where the fit is what its products foretold, others would say the same.
+        # Where the fit is what its products foretold, at the noise that they had, others would say
+        # the same.
         same = names == {t.name for t in state.found}.difference(scope.declare)
-        if same and problem.shortfall(posterior, said.hypothesis, state) < _SETTLED:
+        away = problem.shortfall(posterior, said.hypothesis, state) + _noise_gain(noise, state)
+        if same and away < _SETTLED:
             break
     assert first is not None
     scores, impact = first
@@ -298,6 +303,15 @@ def search_posterior(
         scores=scores,
         impact=impact,
         rejected=rejected,
+    )
+
+
+def _noise_gain(before: tuple[MotionNoise, MotionNoise], state: ArrayState) -> float:
+    """Nats that the noise of a state gains over one before it, for the residuals of the state."""
+    accelerometers, gyros, speed = state.squares()
+    return sum(
+        float(np.sum(log_density(now, square, speed) - log_density(then, square, speed)))
+        for now, then, square in zip(state.noise, before, (accelerometers, gyros), strict=True)
     )
 
 
