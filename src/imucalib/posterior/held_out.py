@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Index
-from imucalib.core.balance import whitener
+from imucalib.core.balance import below, whitener
 from imucalib.core.effect import Truth
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
@@ -167,6 +167,16 @@ def with_density(found: Difference, nats: Array) -> Difference:
 #: What a group must leave of the data's information on every direction, for θ without it to follow
 #: from all data's.
 _DETERMINED = 1e-8
+
+
+def leaves_determined(every: Array, rest: Array) -> bool:
+    """Whether data determine all directions of their parameters without a group of them.
+
+    every, rest : (p, p) information of all, positive definite, and without the group
+    """
+    lower = np.linalg.cholesky(every)
+    inner = below(lower, below(lower, rest).T)
+    return bool(np.linalg.eigvalsh(inner).min(initial=1.0) >= _DETERMINED)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.effects.record_error import record_of
-from imucalib.errors import NotConverged
+from imucalib.errors import NotConverged, Undetermined
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.posterior.candidates import SearchedEffects
 from imucalib.posterior.closed_loop.folds import LeftOut, leave_folds_out
@@ -51,8 +51,13 @@ class ClosedLoop:
     left: LeftOut | None
 
     def by(self, folds: tuple[Fold, ...]) -> LeftOut | None:
-        """The same by other folds; None where there are none."""
-        return leave_folds_out(self.found.problem, self.found.posterior, folds) if folds else None
+        """The same by other folds; None where there are none, or the rest of one is too little."""
+        try:
+            return (
+                leave_folds_out(self.found.problem, self.found.posterior, folds) if folds else None
+            )
+        except Undetermined:
+            return None
 
 
 def close_loop(
@@ -180,17 +185,19 @@ def accept_or_reject(
     if not said.places:
         return loop, None
     if free and not curves:
-        return _reject(loop, found, said, None), None
+        return _reject(loop, found, said, "curves are not wanted"), None
     try:
         final = fitted(solve(problem, posterior.grams, said.hypothesis))
         if not final.converged:
-            return _reject(loop, found, said, None), None
+            raise NotConverged("no fit settles with it")
         left = leave_folds_out(problem, posterior, folds_of(loop.base.observations))
-    except NotConverged:  # a response that has no inverse
-        return _reject(loop, found, said, None), None
+    except (NotConverged, Undetermined) as reason:  # a response that has no inverse, too few data
+        return _reject(loop, found, said, f"{reason}"), None
     gain = gain_of(final, left)
     if not gain.holds:
-        return _reject(loop, found, said, gain), None
+        why = f"held-out data refuse it: {gain.before / MG:.3g} -> {gain.after / MG:.3g} mg"
+        why += "" if np.isnan(gain.nats) else f", {gain.nats:+.1f} nats in density"
+        return _reject(loop, found, said, why, gain), None
     loop = replace(loop, final=final, steps=_steps(found, said, left), difference=gain)
     size = change(problem, posterior.grams, said.hypothesis) if loop.suspected else 0.0
     return replace(loop, open_size=size), left
@@ -224,13 +231,13 @@ def _name(found: SearchedPosterior, said: SelectedModel, component: int) -> str:
 
 
 def _reject(
-    loop: FitLoop, found: SearchedPosterior, said: SelectedModel, gain: Difference | None
+    loop: FitLoop,
+    found: SearchedPosterior,
+    said: SelectedModel,
+    why: str,
+    gain: Difference | None = None,
 ) -> FitLoop:
     """Nothing is corrected: what is missing stays without a name."""
-    why = "it has no inverse, no fit settles with it, or curves are not wanted"
-    if gain is not None:
-        why = f"held-out data refuse it: {gain.before / MG:.3g} -> {gain.after / MG:.3g} mg"
-        why += "" if np.isnan(gain.nats) else f", {gain.nats:+.1f} nats in density"
     names = tuple(_name(found, said, place.component) for place in said.places)
     unexplained = tuple(
         Unexplained(

@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucalib.arrays import Array
+from imucalib.errors import Undetermined
 from imucalib.posterior.closed_loop.words import select_model
-from imucalib.posterior.held_out import Fold, Predictions, errors, join
+from imucalib.posterior.held_out import Fold, Predictions, errors, join, leaves_determined
 from imucalib.posterior.odds import FOLD_BEAMS, FOLD_DEEPEST, SEEN, SINGLES
 from imucalib.posterior.search.gram import Grams, leave_out, marginalize, select_columns
 from imucalib.posterior.search.problem import Choice, Problem
@@ -35,13 +36,21 @@ class LeftOut:
 
 
 def leave_folds_out(problem: Problem, posterior: Posterior, folds: Sequence[Fold]) -> LeftOut:
-    """Every fold of a design, in the order of the observations."""
+    """Every fold of a design, in the order of the observations. Raises Undetermined where the rest
+    of one determines the base no more: what it reads can be foretold by nobody."""
     problem, grams = _select_columns(problem, posterior)
     every, whole = np.arange(problem.fit.observations.n), marginalize(grams, problem.flat)
+    base = _information(problem, grams)
     deepest = min(FOLD_DEEPEST, len(select_model(problem, posterior).hypothesis.components) + 1)
     before, after, nats = list[Predictions](), list[Predictions](), list[float]()
     for fold in folds:
         kept = leave_out(grams, problem, np.setdiff1d(every, fold.rest))
+        if not leaves_determined(base, _information(problem, kept)):
+            labels = [problem.fit.observations.label[k] for k in fold.rows]
+            raise Undetermined(
+                f"without {', '.join(labels)} the others determine the sensor no more",
+                remedy="record more positions",
+            )
         found = search(problem, kept, beams=FOLD_BEAMS, deepest=deepest)
         said = select_model(problem, found).hypothesis
         # The fold's rows given all others, by the set that is told over the base model.
@@ -63,6 +72,12 @@ def leave_folds_out(problem: Problem, posterior: Posterior, folds: Sequence[Fold
 def base_left_out(problem: Problem, posterior: Posterior, folds: Sequence[Fold]) -> Predictions:
     """Predictions of every observation without its fold by the base model alone."""
     return leave_folds_out(replace(problem, choices=()), posterior, folds).before
+
+
+def _information(problem: Problem, grams: Grams) -> Array:
+    """(p, p) what the data say of the base, at the first noise."""
+    columns = np.arange(problem.base)
+    return np.asarray(grams.of(np.zeros(1, np.intp)).rows(columns)[0][:, columns])
 
 
 def _select_columns(problem: Problem, posterior: Posterior) -> tuple[Problem, Grams]:

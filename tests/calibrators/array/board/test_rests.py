@@ -11,6 +11,7 @@ from imucalib.arrays import Array
 from imucalib.calibrators.array.board.board import Board
 from imucalib.calibrators.array.board.catalogue import Scope
 from imucalib.calibrators.array.board.rests import RestFit, fit_rests
+from imucalib.errors import Undetermined
 from imucalib.rests.segments import Segments
 from imucalib.units import DEG, MG
 
@@ -29,9 +30,12 @@ def _board(rng: np.random.Generator) -> Board:
     return Board("test", tuple(f"imu{k}" for k in range(K)), positions, _turns(K, rng))
 
 
-def simulated(seed: int, n: int = 20, warm: float = 0.0) -> tuple[Segments, Board, Array, Array]:
-    """Rests of K triads; gains (K, 3, 3) and offsets (K, 3) in their own axes, the gains' mean
-    rotation in board axes taken out. warm : m/s², exponential warm-up of each axis, either sign."""
+def simulated(
+    seed: int, n: int = 20, warm: float = 0.0, faces: int = 0
+) -> tuple[Segments, Board, Array, Array]:
+    """Rests of K triads, the first of them on faces; gains (K, 3, 3) and offsets (K, 3) in their
+    own axes, the gains' mean rotation in board axes taken out. warm : m/s², exponential warm-up of
+    each axis, either sign."""
     rng = np.random.default_rng(seed)
     board = _board(rng)
     turn = board.rotations
@@ -41,6 +45,7 @@ def simulated(seed: int, n: int = 20, warm: float = 0.0) -> tuple[Segments, Boar
     gain = gain - turn.transpose(0, 2, 1) @ skew @ turn
     offset = 0.3 * rng.normal(size=(K, 3))
     u = rng.normal(size=(n, 3))
+    u[:faces] = np.vstack([np.eye(3), -np.eye(3)])[:faces]
     u /= np.linalg.norm(u, axis=1, keepdims=True)
     start = 30.0 * np.arange(n)
     order = np.linspace(0.0, 1.0, n)
@@ -124,6 +129,30 @@ def test_a_rest_that_was_none_is_a_wrong_record() -> None:
     assert found.loop is not None
     assert [(r.row, r.channel) for r in found.loop.records] == [(5, "all")]
     assert found.loop.records[0].size == pytest.approx(10.0, rel=0.1)
+
+
+@pytest.mark.parametrize("n", [9, 10, 11])
+def test_few_rests_hold_out_what_they_can(n: int) -> None:
+    """Nine rests are as many as a triad of unknown attitude has parameters: without one of them
+    nothing foretells it, so what is seen beside is told, and corrected only where it is proved."""
+    segments, board, _, _ = simulated(15, n, faces=6)
+    for k, mean in enumerate(segments.mean.transpose(1, 0, 2)):
+        mean[:] += (0.0004 + 0.0001 * k) * mean**2
+    found = fitted(segments, board)
+    assert found.loop is not None
+    told = {step.effect for step in found.loop.steps} | {u.name for u in found.loop.unexplained}
+    assert "quadratic" in told
+    assert bool(found.loop.steps) == (n > 9)
+    if n == 9:
+        assert "determine the sensor no more" in dict(found.loop.rejected)["quadratic"]
+
+
+def test_rests_that_determine_nothing_are_not_searched() -> None:
+    segments, board, _, _ = simulated(14, 9)
+    for mean in segments.mean.transpose(1, 0, 2):
+        mean[:] += 0.002 * mean**2
+    with pytest.raises(Undetermined, match="too alike"):
+        fitted(segments, board)
 
 
 @pytest.mark.slow

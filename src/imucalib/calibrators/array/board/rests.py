@@ -344,10 +344,11 @@ def fit_rests(
     """
     unweighted = observations_of(segments, board, gravity)
     data, model = weigh_rests(unweighted, estimate_own_noise(segments)), base_model()
-    loop = _search(model, data, scope) if scope.search else None
-    fit = fit_model(model, data) if loop is None else loop.final
-    if (fit if loop is None else loop.plain).null_directions:
+    fit = fit_model(model, data)
+    if fit.null_directions:
         raise _too_similar()
+    loop = _search(fit, scope) if scope.search else None
+    fit = fit if loop is None else loop.final
     if not fit.converged:
         raise NotConverged("the fit of the rests did not settle", remedy="check the recording")
     gain, covariance = turn_to_mean_frame(fit, board.rotations, last=True)
@@ -372,7 +373,7 @@ def fit_rests(
     )
 
 
-def _search(model: Model, data: Observations, scope: Scope) -> FitLoop:
+def _search(plain: Fit, scope: Scope) -> FitLoop:
     """The closed loop over what a rest can show; names of single IMUs are the motion's affair."""
     known = {*catalogue(), *families()}
     only = tuple(n for n in scope.only if n in known)
@@ -382,7 +383,8 @@ def _search(model: Model, data: Observations, scope: Scope) -> FitLoop:
     )
     effects = {} if scope.only and not only else wanted.effects
     scans = () if scope.only else wanted.families
-    return close_loop(model, data, SearchedEffects(effects, scans)).loop
+    tried = SearchedEffects(effects, scans)
+    return close_loop(plain.model, plain.observations, tried, plain.theta).loop
 
 
 def _too_similar() -> Undetermined:
