@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imucalib.arrays import Array
+from imucalib.arrays import Array, Index
 from imucalib.core.effect import Context
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
@@ -109,18 +109,20 @@ def force_slope(fit: Fit, force: Array) -> tuple[Array, Array]:
 
 
 def correct_readings(fit: Fit, reading: Array) -> Array:
-    """New readings (n, 3) m/s² corrected to specific force (n, 3) by a fit, K = 1."""
-    return corrector(fit)(reading)
+    """New readings (n, 3) m/s² corrected to specific force (n, 3) by a fit, K = 1, covariates at
+    their median over the calibration."""
+    model, theta, context = _correcting(fit, len(reading))
+    return model.correct(theta, reading[:, None], context)[:, 0]
 
 
-def corrector(fit: Fit) -> Callable[[Array], Array]:
-    """`correct_readings` by one fit, for many calls."""
-    model, theta, one = _correcting(fit, 1)
+def corrector(fit: Fit) -> Callable[[Array, Index], Array]:
+    """What corrects readings (n, 3) m/s² as observations (n,) of the fit are, at the covariates of
+    these; K = 1."""
+    model, theta, _ = _correcting(fit, 1)
+    context = fit.observations.context
 
-    def correct(reading: Array) -> Array:
-        n = len(reading)
-        context = Context(n, {k: np.repeat(v, n) for k, v in one.covariates.items()})
-        return model.correct(theta, reading[:, None], context)[:, 0]
+    def correct(reading: Array, like: Index) -> Array:
+        return model.correct(theta, reading[:, None], context.take(like))[:, 0]
 
     return correct
 

@@ -16,13 +16,16 @@ from imucalib.calibrators.actigraph.wear import (
     Wear,
     activity_of,
     closest_point,
+    minutes_of,
     wear_of,
 )
 from imucalib.core.model import Model
 from imucalib.effects import named
-from imucalib.recording.recording import Recording
+from imucalib.estimators.least_squares import fit
+from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.runs import PostureRuns, Scan, scan
 from imucalib.units import MG, STANDARD_GRAVITY
+from worlds.bench import SIGMA, base_model, draw, tumble
 from worlds.recordings import recording_of
 from worlds.week import WeekPlan, simulated_week
 
@@ -131,6 +134,22 @@ def test_the_fields_rule_finds_what_was_planted(wear_scanned: Scan) -> None:
     np.testing.assert_allclose(
         rule.norm_error(wear_scanned.windows.mean) / STANDARD_GRAVITY, expected, atol=2e-3
     )
+
+
+@pytest.mark.parametrize("effect", ["temperature_bias", "bias_drift", "bias_step@1800s"])
+def test_activity_is_that_of_samples_with_every_effect_undone(effect: str) -> None:
+    """What lies still has no activity, be its bias what it may be with temperature or time."""
+    blank, model = tumble(3), base_model((*NINE, effect))
+    typical = np.array([p.typical for p in model.parameters(blank.context)])
+    data = draw(model, 4.0 * typical, blank, 4)
+    found = fit(model, data)
+    t = np.add.outer(data.context["time"], np.linspace(0.0, 1.0, 10)).ravel()
+    reading = np.repeat(data.reading[:, 0], 10, axis=0)
+    channel = Channel(t, reading, "m/s2", "acceleration", "wrist", 10.0)
+    block = Recording({"wrist/acceleration": channel}, "made", "made", "")
+    minutes = minutes_of([block], "wrist", found)
+    assert minutes.raw.mean() > 2.0 * MG
+    assert minutes.corrected.max() < 2.0 * SIGMA
 
 
 def test_night_is_the_least_active_part_of_the_clock() -> None:

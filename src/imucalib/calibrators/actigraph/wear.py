@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Flags
-from imucalib.calibration.uncertainty import corrector
+from imucalib.calibration.uncertainty import correct_readings, corrector
 from imucalib.core.fit import Fit
 from imucalib.data import Data
 from imucalib.recording.recording import Channel, Recording
@@ -111,15 +111,26 @@ class Activity(Data):
 
 def minutes_of(blocks: Iterable[Recording], triad: str, fit: Fit) -> Minutes:
     """One pass over the samples. Each is corrected by the linear part; what the rest of the
-    correction does to |a| is taken at the mean of its block's minute."""
-    correct = corrector(fit)
-    origin = correct(np.zeros((1, 3)))[0]
-    slope = (correct(np.eye(3) * STANDARD_GRAVITY) - origin).T / STANDARD_GRAVITY
+    correction does to |a| is taken at the mean of its minute, at the covariates (temperature, time,
+    posture) of the posture run that is nearest in time.
+
+    blocks : of the recording; triad : its sensor
+    fit : of posture runs, in order of time
+    """
+    origin = correct_readings(fit, np.zeros((1, 3)))[0]
+    along = correct_readings(fit, np.eye(3) * STANDARD_GRAVITY)
+    slope = (along - origin).T / STANDARD_GRAVITY
+    correct, time = corrector(fit), fit.observations.context["time"]
+    between = 0.5 * (time[1:] + time[:-1])
+
+    def whole(reading: Array, at: Array) -> Array:
+        return correct(reading, np.searchsorted(between, at))
+
     parts = []
     for block in blocks:
         for channel in block.channels.values():
             if channel.quantity == "acceleration" and channel.triad == triad and channel.t.size:
-                parts.append(_sum_minutes(channel, slope, origin, correct))
+                parts.append(_sum_minutes(channel, slope, origin, whole))
     rows = np.concatenate(parts) if parts else np.empty((0, 4))
     minute, place = np.unique(rows[:, 0], return_inverse=True)
     count, raw, corrected = (np.bincount(place, v).astype(np.float64) for v in rows[:, 1:].T)
@@ -127,7 +138,7 @@ def minutes_of(blocks: Iterable[Recording], triad: str, fit: Fit) -> Minutes:
 
 
 def _sum_minutes(
-    channel: Channel, slope: Array, origin: Array, correct: Callable[[Array], Array]
+    channel: Channel, slope: Array, origin: Array, correct: Callable[[Array, Array], Array]
 ) -> Array:
     """(m, 4) minute, samples, and the sums of ENMO raw and corrected, of each stretch within one
     minute; of samples in single precision, which is finer than any converter."""
@@ -136,7 +147,7 @@ def _sum_minutes(
     starts = np.append(0, np.flatnonzero(np.diff(minute)) + 1)
     count = np.diff(np.append(starts, t.size))
     mean = np.add.reduceat(values, starts, axis=0) / count[:, None]
-    shift = np.linalg.norm(correct(mean), axis=1)
+    shift = np.linalg.norm(correct(mean, t[starts]), axis=1)
     shift -= np.linalg.norm(mean @ slope.T + origin, axis=1)
     turn, zero = slope.astype(np.float32), origin.astype(np.float32)[:, None]
     above = np.empty((2, t.size), np.float32)
