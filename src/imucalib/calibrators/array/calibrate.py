@@ -19,6 +19,7 @@ from imucalib.calibrators.array.board.log import ArrayLog, array_log, of_board
 from imucalib.calibrators.array.board.moving import Moving, moving_part
 from imucalib.calibrators.array.board.rests import ATTITUDES, RestFit, contradicted, fit_rests
 from imucalib.calibrators.array.board.streams import (
+    broken_sensors,
     noisy_alone,
     refuse_streams,
     stream_notes,
@@ -61,13 +62,17 @@ HALVED_SAMPLES = 800  # moving samples of which each half is searched again
 
 @dataclass(frozen=True)
 class _Laid:
-    """A recording laid out as the board is: its IMUs side by side, and where they rest."""
+    """A recording laid out as the board is: its IMUs side by side, and where they rest.
+
+    broken : sensors that do not serve all the time, with what to look at
+    """
 
     recording: Recording
     board: Board
     log: ArrayLog
     segments: Segments
     notes: tuple[str, ...]
+    broken: tuple[str, ...]
 
 
 class _Fit(NamedTuple):
@@ -169,6 +174,7 @@ def _stated(
         uneven=uneven,
         residual=residual_in_motion(loop, state),
         notes=(*laid.notes, *drawn.notes, *unsearched, *off_the_drawing(total.mean, board)),
+        broken=laid.broken,
     )
 
 
@@ -199,13 +205,14 @@ def _laid(recording: Recording, request: ArrayRequest, say: Say) -> _Laid:
         refuse_streams(seen, board.imus, log.interval)
         refuse_contradiction(check_board(log, segments, board), request.agreeing)
     log = replace(log, clipped=log.clipped | seen.held)
-    notes = (*recording.notes, *segments.notes, *log.notes, *stream_notes(seen, board.imus))
+    notes = (*recording.notes, *segments.notes, *log.notes, *stream_notes(seen))
     # What the recording is called and how long it is, but no readings.
     channels = {
         name: replace(c, values=np.broadcast_to(np.nan, c.values.shape))
         for name, c in recording.channels.items()
     }
-    return _Laid(replace(recording, channels=channels), board, log, segments, notes)
+    broken = tuple(broken_sensors(seen, board.imus))
+    return _Laid(replace(recording, channels=channels), board, log, segments, notes, broken)
 
 
 def _refuse_restless(segments: Segments, board: Board, recording: Recording, log: ArrayLog) -> None:

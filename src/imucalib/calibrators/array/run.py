@@ -67,7 +67,8 @@ class Stages:
     """recording : without its readings; state : the joint fit; drawn : chains over it, or those of
     the paper; total : with size and frame; loop : None where nothing was searched; linear : what a
     linear correction holds of the joint fit; uneven : where positions differ from part to part of
-    the motion and no loop says so"""
+    the motion and no loop says so; broken : what to look at of sensors that do not serve all the
+    time"""
 
     recording: Recording
     board: Board
@@ -84,6 +85,7 @@ class Stages:
     uneven: Uneven | None
     residual: Residual
     notes: tuple[str, ...]
+    broken: tuple[str, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,7 +118,7 @@ def finish_run(made: Stages) -> ArrayRun:
         ),
         findings=array_findings(loop) if loop else None,
         reasons=reasons(loop, left),
-        advice=advice(loop, rests) if loop else (),
+        advice=(*made.broken, *(advice(loop, rests) if loop else ())),
         limits=tuple(
             Limit(name, values[name][0], limit, values[name][1])
             for name, limit in request.limits.items()

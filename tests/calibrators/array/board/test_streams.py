@@ -10,6 +10,7 @@ import pytest
 from imucalib.calibrators.array.board.board import read_board
 from imucalib.calibrators.array.board.log import ArrayLog, array_log
 from imucalib.calibrators.array.board.streams import (
+    broken_sensors,
     refuse_streams,
     stream_notes,
     streams,
@@ -41,9 +42,7 @@ def test_lost_samples_are_told_with_their_share(log: ArrayLog) -> None:
     short = replace(log, t=log.t[keep], acceleration=log.acceleration[keep], rate=log.rate[keep],
                     clipped=log.clipped[keep])  # fmt: skip
     assert streams(short).lost == pytest.approx(0.02, rel=0.1)
-    assert next(stream_notes(streams(short), BOARD.imus)).startswith(
-        "2 % of the samples are missing"
-    )
+    assert next(stream_notes(streams(short))).startswith("2 % of the samples are missing")
 
 
 def test_a_frozen_chip_is_told_and_left_out(log: ArrayLog) -> None:
@@ -51,9 +50,9 @@ def test_a_frozen_chip_is_told_and_left_out(log: ArrayLog) -> None:
     first = len(rate) - 400
     rate[first : first + 60, 3] = rate[first, 3]
     found = streams(replace(log, rate=rate))
-    notes = list(stream_notes(found, BOARD.imus))
+    notes = list(broken_sensors(found, BOARD.imus))
     assert len(notes) == 1
-    assert notes[0].startswith("the gyro of imu3 repeats its reading in ")
+    assert notes[0].startswith("The gyro of imu3 repeats its reading in ")
     assert 0.05 < found.repeated[3, 1] < 0.12
     assert found.held[first + 1 : first + 60].sum() > 45
     assert not found.held[:first].any()
@@ -129,8 +128,8 @@ def test_spikes_that_no_other_sensor_knows_of_are_left_out(log: ArrayLog) -> Non
     assert found.spikes[5].tolist() == [4, 0]
     assert found.spikes[2].tolist() == [0, 3]
     assert found.spikes.sum() == 7
-    told = list(stream_notes(found, BOARD.imus))
+    told = list(broken_sensors(found, BOARD.imus))
     assert [n.split(" spikes")[0] for n in told] == [
-        "the accelerometer of imu5 has 4",
-        "the gyro of imu2 has 3",
+        "The accelerometer of imu5 has 4",
+        "The gyro of imu2 has 3",
     ]

@@ -203,23 +203,30 @@ def noisy_alone(log: ArrayLog) -> int | None:
     return worst if own[worst] > _NOISY * float(np.delete(own, worst).max()) else None
 
 
-def stream_notes(found: Streams, imus: tuple[str, ...]) -> Iterator[str]:
-    """Lost and repeated samples with their share, and spikes, in words."""
+def stream_notes(found: Streams) -> Iterator[str]:
+    """Lost samples with their share, in words."""
     if found.lost > _NOTED:
         yield f"{100 * found.lost:.2g} % of the samples are missing from the recording"
+
+
+def broken_sensors(found: Streams, imus: tuple[str, ...]) -> Iterator[str]:
+    """Sensors whose readings repeat, with their share, or have spikes in motion: what to look at.
+
+    found : of the streams; imus : (K,) their names
+    """
     for kind, sensor in enumerate(_SENSORS):
         for name, share in zip(imus, found.repeated[:, kind], strict=True):
             if share > _NOTED:
                 yield (
-                    f"the {sensor} of {name} repeats its reading in {100 * share:.2g} % of the "
-                    "moving samples; these are left out"
+                    f"The {sensor} of {name} repeats its reading in {100 * share:.2g} % of the "
+                    "moving samples, which are left out: check its bus and its supply."
                 )
         for name, count in zip(imus, found.spikes[:, kind], strict=True):
             if count:
                 yield (
-                    f"the {sensor} of {name} has {count:.0f} spikes in motion, which no other "
-                    "sensor knows of; these samples are left out: look for a broken transfer or a "
-                    "loose contact"
+                    f"The {sensor} of {name} has {count:.0f} spikes in motion, which no other "
+                    "sensor knows of and which are left out: look for a broken transfer or a loose "
+                    "contact."
                 )
 
 
