@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from imucalib.calibration.calibration import Calibration, StoredParameter, from_fit
-from imucalib.calibration.file import as_dict, check, from_dict, read, to_yaml, write
+from imucalib.calibration.file import VERSION, as_dict, check, from_dict, read, to_yaml, write
 from imucalib.calibration.findings import Findings
 from imucalib.calibration.outcome import ErrorSummary, Gate, HeldOutError, Outcome, left_open
 from imucalib.calibration.provenance import provenance_of
@@ -27,6 +27,7 @@ from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.posterior.closed_loop.found import Unexplained
 from imucalib.units import MG
 from worlds.bench import GRAVITY, base_model, bench, draw, ordinary_theta
+from worlds.places import ROOT
 
 FACTS: dict[str, Any] = {
     "provenance": {"input": "bench.csv", "sha256": "0" * 64, "settings": {"rows": [1, 2]},
@@ -248,3 +249,8 @@ def test_gates_are_stricter(findings: Findings | None, gates: set[Gate]) -> None
         strict = replace(found, fail_on=gate)  # type: ignore[arg-type]
         assert strict.exit_code == (5 if gate in gates else 0)
         assert bool(strict.gate_reason) == (gate in gates)
+
+
+def test_the_page_of_formats_states_the_version_that_is_written() -> None:
+    page = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
+    assert f"| `schema`, `version` | `imucal/calibration`, {VERSION} |" in page

@@ -12,6 +12,7 @@ from imucalib import readers
 from imucalib.readers.devices.catalogue import Device, devices
 from imucalib.recording.mapping import FieldMapping
 from imucalib.units import ACCELERATION_UNITS, RATE_UNITS
+from worlds.places import ROOT
 
 #: Of which no true export is known: what they write is HDF5, messages, or a table of which pages
 #: show two rows that are not neighbours.
@@ -25,7 +26,13 @@ def named(device: Device, text: str) -> bool:
 
 
 def numbers_in(text: str) -> set[float]:
-    return {float(cell) for cell in re.split(r"[,\t\n]", text) if re.fullmatch(r"-?[\d.]+", cell)}
+    return {float(cell) for cell in re.split(r"[,;\t\n]", text) if re.fullmatch(r"-?[\d.]+", cell)}
+
+
+def test_the_page_of_formats_names_every_device() -> None:
+    page = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
+    (row,) = re.findall(r"^\| `--preset` \| (.*) \|$", page, re.M)
+    assert row.split(", ") == sorted(devices())
 
 
 def test_every_device_has_an_example_and_its_source() -> None:
