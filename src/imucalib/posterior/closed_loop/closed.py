@@ -52,10 +52,10 @@ class ClosedLoop:
 
     def by(self, folds: tuple[Fold, ...]) -> LeftOut | None:
         """The same by other folds; None where there are none, or the rest of one is too little."""
+        if not folds:
+            return None
         try:
-            return (
-                leave_folds_out(self.found.problem, self.found.posterior, folds) if folds else None
-            )
+            return leave_folds_out(self.found.problem, self.found.posterior, folds)
         except Undetermined:
             return None
 

@@ -70,7 +70,8 @@ def leave_folds_out(problem: Problem, posterior: Posterior, folds: Sequence[Fold
 
 
 def base_left_out(problem: Problem, posterior: Posterior, folds: Sequence[Fold]) -> Predictions:
-    """Predictions of every observation without its fold by the base model alone."""
+    """Predictions of every observation without its fold by the base model alone. Raises
+    Undetermined where the rest of a fold does not determine it."""
     return leave_folds_out(replace(problem, choices=()), posterior, folds).before
 
 

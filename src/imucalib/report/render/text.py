@@ -135,20 +135,19 @@ class _Sheet:
         return cut(counts[max(fitting - 1, 0)])
 
     def screen(self, card: Card) -> list[Line]:
-        """The card alone, in `SCREEN` lines of 80 columns: of what has no room the last goes."""
+        """The card alone, in `SCREEN` lines of 80 columns: all of it is said shorter before anything
+        goes, and of what goes the last steps are first."""
         for most in range(_MOST, _FEWEST - 1, -1):
             lists = self.briefly(card, most)
             headline = card.headline or self.document.verdict.text
             head = self.lines(*self.head(self.cut(headline, most - 1, 10)))
             room = SCREEN - len(head) - 2 * len(lists) - len(self.last(PAGE))
-            kept = {name: list(items) for name, items in lists.items()}
-            while sum(map(_height, kept.values())) > room:
-                longer = [items for items in kept.values() if len(items) > 1]
-                if not longer:
-                    break
-                max(longer[-2:], key=_height).pop()  # what it is good to goes last
-            if sum(map(_height, kept.values())) <= room:
+            if sum(map(_height, lists.values())) <= room:
                 break
+        kept = {name: list(items) for name, items in lists.items()}
+        for items in reversed(kept.values()):  # what it is good to goes last
+            while len(items) > 1 and sum(map(_height, kept.values())) > room:
+                items.pop()
         lines = head
         for name, shown in kept.items():
             lines += self.lines(*self.heading(name))
