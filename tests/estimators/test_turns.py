@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from imucalib.estimators.carried import attitudes
 from imucalib.estimators.turn_log import Turn, TurnLog
-from imucalib.estimators.turns import LOWER, TurnFit, carried_error, fit_turns, without
+from imucalib.estimators.turns import LOWER, Laws, TurnFit, carried_error, fit_turns, without
 from worlds.turned_imu import Chip, chip, turned
 
 
@@ -95,7 +95,7 @@ def by_force(rate: np.ndarray, force: np.ndarray, t: np.ndarray) -> np.ndarray:
 def test_sensitivity_to_force_is_a_law_of_nine_numbers() -> None:
     planted = np.radians(0.2) * np.random.default_rng(5).normal(size=(3, 3))
     made, log = known(3, by_force=planted)
-    plain, fit = fit_turns(log), fit_turns(log, by_force, sizes=np.full(9, np.radians(1.0)))
+    plain, fit = fit_turns(log), fit_turns(log, Laws(by_force), sizes=np.full(9, np.radians(1.0)))
     # Bias and g-sensitivity together: what is known is the fit's own frame of forces.
     sd = np.sqrt(np.diag(fit.gains))[9:]
     assert np.abs((fit.state.theta - planted.ravel()) / sd).max() < 4.0

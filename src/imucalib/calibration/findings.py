@@ -174,8 +174,11 @@ def findings_of(
     )
 
 
-def _bent(curve: str) -> str:
-    """What a curve bends, and against what: a scan's own name where it bends no driver."""
+def bent(curve: str) -> str:
+    """What a curve bends, and against what: a scan's own name where it bends no driver.
+
+    curve : name of the effect
+    """
     family, _, value = curve.partition("@")
     what, *against = value.split(":")
     return f"{what} against {against[0]}".replace("_", "-") if against else f"a {family}'s offset"
@@ -190,7 +193,7 @@ def _step(step: Step, loop: FitLoop) -> FoundStep:
         checks=(CheckedError("held-out error, rms", "mg", before / MG, after / MG),),
         aliases=step.aliases,
         parameters=tuple(p for p in stored_parameters(loop.final) if p.effect == step.effect),
-        curve=_bent(step.effect) if step.curve else "",
+        curve=bent(step.effect) if step.curve else "",
         formula=f"{form.sentence.rstrip('.')}, {form.equation}" if form else "",
         certain=step.certain and not loop.suspected,
         probability=step.probability,

@@ -38,6 +38,8 @@ class TurnLog:
     time : (N,) s; force : (N, 3) g and rate : (N, 3) rad/s, means as read; force_sd : (N,) g and
     rate_sd : (N, 3) rad/s of these means; session : (N,) number of the power-up, from 0; white :
     rad/s √s, noise density of the gyroscope
+
+    A rest that takes no part has an infinite force_sd.
     """
 
     time: Array
@@ -75,6 +77,10 @@ class TurnLog:
                 [turn.moving, turn.moving**2, np.linalg.norm(seen, axis=1)], axis=1
             )
         return found
+
+    def without(self, rests: Flags) -> TurnLog:
+        """With what the accelerometer reads at some rests (N,) said to be worth nothing."""
+        return replace(self, force_sd=np.where(rests, np.inf, self.force_sd))
 
     def of_session(self, k: int) -> TurnLog:
         """One power-up by itself."""

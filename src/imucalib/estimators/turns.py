@@ -1,12 +1,12 @@
 """Accelerometer and gyroscope of one IMU from rests and the turns between them, jointly.
 
-    f = L (a - b_a),    ω = K (w - b(t) - Σ_j θ_j h_j(t)),    u_{k+1} = R_k' u_k
+    f = L (a - b_a - Σ_j θ_j c_j),    ω = K (w - b(t) - Σ_j θ_j h_j(t)),    u_{k+1} = R_k' u_k
 
 a : readings in g, L lower triangular: the frame is the accelerometer's, x along its x axis, y in
-its x-y plane; w : rates as read; h_j : what else the gyroscope does, of what its axes meet;
-b : its bias, a walk linked at the rests, linear between them; u_k : gravity's direction at rest k,
-R_k : the rotation of the turn after it (`carried`). Of several logs b_a is the mean over power-ups
-and a part of each one's own, whose scatter is estimated; b begins anew.
+its x-y plane; w : rates as read; c_j, h_j : what else accelerometer (at rest) and gyroscope do;
+b : the latter's bias, a walk linked at the rests, linear between them; u_k : gravity's direction at
+rest k, R_k : the rotation of the turn after it (`carried`). Of several logs b_a is the mean over
+power-ups and a part of each one's own, whose scatter is estimated; b begins anew.
 
 At a rest f_k = u_k + noise and w_k = b_k + Σ θ_j h_j; a turn is two numbers in the plane across
 u_{k+1}. One Gauss-Newton over all, as Skog and Händel (2006) for the norm and Tedaldi, Pretto and
@@ -33,10 +33,6 @@ from imucalib.estimators.carried import attitudes, between, shares
 from imucalib.estimators.chain import chain_of, eliminate, turns_of
 from imucalib.estimators.turn_log import Turn, TurnLog, moved_by
 
-#: What else a gyroscope does: (rate (n, 3) rad/s in its axes, force (n, 3) g, time (n,) s) to
-#: (n, 3, m) rad/s per unit of each of m parameters.
-Laws = Callable[[Array, Array, Array], Array]
-
 #: Places of L's free elements, rows first, and their number with the accelerometer's bias.
 LOWER = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2))
 ACCELEROMETER, GAIN = 9, 9
@@ -47,7 +43,9 @@ _EDGES = np.r_[0.0, 0.5e-4 * 3.0 ** (np.arange(6) - 0.5), np.inf]
 ANGLE_PRIOR = np.diff(np.arctan(_EDGES / 3e-4)) * 2.0 / np.pi
 _NU = 4.0  # degrees of freedom of a turn's errors
 #: Known before any reading (data sheets): accelerometer's bias (g), scale and cross terms, gains.
-_BIAS, _SCALE, _CROSS, _GAIN = 0.1, 0.03, 0.02, 0.1
+_BIAS, _SCALE, _CROSS, _GAIN = 0.3, 0.1, 0.02, 0.1
+#: g, of the reading of a rest that takes no part.
+_NOTHING = 1.0
 #: By how much a bias is another at the next power-up: rad/s (data sheets: 0.05 to 0.3 deg/s) and g;
 #: the latter's size is estimated, and begins free.
 _AWAKE, _FREE = np.radians(0.2), 0.02
@@ -58,6 +56,18 @@ _AT_ONCE = 2048  # samples of which all columns are held at once
 #: rad, floors of a turn that are weighed.
 _FLOORS = np.radians([0.0, *0.005 * 2.0 ** np.arange(11)])
 _NORMAL = 0.455  # median of the square of a normal number
+
+
+@dataclass(frozen=True)
+class Laws:
+    """What else the sensors do, per unit of each of m parameters.
+
+    rate : (rate (n, 3) rad/s in the gyroscope's axes, force (n, 3) g, time (n,) s) to (n, 3, m)
+        rad/s; force : gravity's directions (N, 3) at the rests to (N, 3, m) g, or None of nothing
+    """
+
+    rate: Callable[[Array, Array, Array], Array]
+    force: Callable[[Array], Array] | None = None
 
 
 @dataclass(frozen=True)
@@ -192,10 +202,17 @@ def fit_turns(
     return fit
 
 
-def without(fit: TurnFit, out: Flags, sizes: Array | None = None) -> TurnFit:
-    """The fit without some turns, linear about where it stands: what a refit would end at, to the
-    second order in what these turns move. out : (T,); sizes : (m,) sd of θ, or as it was"""
+def without(
+    fit: TurnFit, out: Flags, rests: Flags | None = None, sizes: Array | None = None
+) -> TurnFit:
+    """The fit without some turns, and without what the accelerometer reads at some rests, linear
+    about where it stands: what a refit would end at, to the second order in what these move.
+
+    out : (T,); rests : (N,), or None of none; sizes : (m,) sd of θ, or as it was
+    """
     rows, m = fit.rows, fit.state.theta.size
+    if rests is not None:
+        fit = replace(fit, log=fit.log.without(rests))
     last = len(fit.variance) - fit.state.offset.size
     prior = np.sqrt(fit.variance[last - m : last]) if sizes is None else sizes
     found, whole = replace(fit, used=fit.used & ~out), np.zeros(rows.jacobian.shape[1])
@@ -252,7 +269,7 @@ def exposure(
         return rate, np.zeros((*rate.shape, 0))
 
     def at(true: Array) -> Array:
-        return turn.moving[:, None, None] * laws(true, force, turn.t)
+        return turn.moving[:, None, None] * laws.rate(true, force, turn.t)
 
     columns = at(rate)
     for _ in range(3 if state.theta.any() else 0):
@@ -307,7 +324,7 @@ def _integrate(gained: Array, laws: Laws, rate: Array, force: Array, turn: Turn)
     whole: Array | float = 0.0
     for begin in range(0, len(turn.t), _AT_ONCE):
         part = slice(begin, begin + _AT_ONCE)
-        columns = turn.moving[part, None, None] * laws(rate[part], force[part], turn.t[part])
+        columns = turn.moving[part, None, None] * laws.rate(rate[part], force[part], turn.t[part])
         whole = whole + np.tensordot(gained[part], columns, ((0, 2), (0, 1)))
     return np.asarray(whole)
 
@@ -320,8 +337,11 @@ def _rest_rows(
     first, apart, ups = ACCELEROMETER + GAIN, state.first_offset, state.first_up
     walk, each = state.first_drift, np.arange(n)
     force, rate, step = (np.zeros((n, 3, size)) for _ in range(3))
-    away = log.force - state.bias_at(log.session)
+    of_force = force_columns(state, laws)
+    reading = log.force - of_force @ state.theta
+    away = reading - state.bias_at(log.session)
     force[:, :, :3] = -state.lower
+    force[:, :, first:apart] = -state.lower @ of_force
     for axis in range(3 if many else 0):
         force[each, :, apart + 3 * log.session + axis] = -state.lower[:, axis]
     for column, (i, j) in enumerate(LOWER):
@@ -336,7 +356,7 @@ def _rest_rows(
             force[each, axis, ups + 2 * each + k] = -across[:, axis, k]
     known = np.eye(walk, size)
     residual = [
-        state.force(log.force, log.session) - state.up,
+        state.force(reading, log.session) - state.up,
         state.drift + columns @ state.theta - log.rate,
         np.diff(state.drift, axis=0),
     ]
@@ -363,14 +383,28 @@ def without_laws(fit: TurnFit) -> TurnLog:
         true, _ = exposure(state, seen, force, turn, fit.laws)
         turns.append(replace(turn, rate=turn.rate - (seen - true)))
     still = log.rate - _at_rest(log, state, fit.laws) @ state.theta
-    return replace(log, rate=still, turns=tuple(turns))
+    force = log.force - force_columns(state, fit.laws) @ state.theta
+    return replace(log, rate=still, force=force, turns=tuple(turns))
 
 
 def _at_rest(log: TurnLog, state: State, laws: Laws | None) -> Array:
     """(N, 3, m) the laws' columns at the rests, where nothing turns."""
     if laws is None or not state.theta.size:
         return np.zeros((log.rests, 3, 0))
-    return laws(np.zeros((log.rests, 3)), state.up, log.time)
+    return laws.rate(np.zeros((log.rests, 3)), state.up, log.time)
+
+
+def force_columns(state: State, laws: Laws | None) -> Array:
+    """(N, 3, m) g, what laws add to the accelerometer's readings at the rests."""
+    if laws is None or laws.force is None:
+        return np.zeros((*state.up.shape, state.theta.size))
+    return laws.force(state.up)
+
+
+def rest_forces(fit: TurnFit) -> Array:
+    """(N, 3) g, of every rest as it is corrected."""
+    read = fit.log.force - force_columns(fit.state, fit.laws) @ fit.state.theta
+    return fit.state.force(read, fit.log.session)
 
 
 def variances(log: TurnLog, noise: TurnNoise, prior: Array) -> Array:
@@ -381,7 +415,7 @@ def variances(log: TurnLog, noise: TurnNoise, prior: Array) -> Array:
     return np.concatenate(
         [
             np.repeat(turns, 2),
-            np.repeat(log.force_sd**2 + noise.force**2, 3),
+            np.repeat(np.minimum(log.force_sd**2 + noise.force**2, _NOTHING**2), 3),
             (log.rate_sd**2).ravel(),
             apart.ravel(),
             np.repeat(
@@ -428,7 +462,7 @@ def _estimate_noise(fit: TurnFit, prior: Array) -> TurnNoise:
         floor=0.0,
         per_angle=0.0,
         walk=_walk(log, state, fit.laws),
-        force=_scatter(log, state),
+        force=_scatter(fit),
         power_up=_between_power_ups(fit),
     )
     used = fit.used & (fit.weight > 0.0)
@@ -506,19 +540,24 @@ def _between_power_ups(fit: TurnFit) -> float:
     return float(np.sqrt((square + _USUAL**2) / (3 * (count - 1) + 1)))
 
 
-def _scatter(log: TurnLog, state: State) -> float:
-    """g, of the norms of the rests beside what their samples say: of what nine parameters leave of
-    them, for the turns, which hold these too, leave more."""
-    force, away = state.force(log.force, log.session), log.force - state.bias_at(log.session)
+def _scatter(fit: TurnFit) -> float:
+    """g, of the norms of the rests beside what their samples say: of what accelerometer and laws
+    leave of them, for the turns, which hold these too, leave more."""
+    log, state = fit.log, fit.state
+    force, own = rest_forces(fit), force_columns(state, fit.laws)
     size = np.linalg.norm(force, axis=1)
     up = force / size[:, None]
+    away = log.force - own @ state.theta - state.bias_at(log.session)
     each = np.eye(max(log.sessions, 1))[log.session]
     biases = (each[:, :, None] * (up @ state.lower)[:, None, :]).reshape(log.rests, -1)
-    slopes = np.column_stack([biases, *(up[:, i] * away[:, j] for i, j in LOWER)])
+    laws = np.einsum("ni,nim->nm", up @ state.lower, own)
+    slopes = np.column_stack([biases, *(up[:, i] * away[:, j] for i, j in LOWER), laws])
+    known = np.isfinite(log.force_sd)
+    slopes, left = slopes[known][:, slopes.any(axis=0)], (1.0 - size)[known]
     basis = np.linalg.qr(slopes)[0]
-    off = (1.0 - size) - basis @ (basis.T @ (1.0 - size))
-    whole = float(off @ off) / max(log.rests - slopes.shape[1], 1)
-    return float(np.sqrt(max(whole - float(np.mean(log.force_sd**2)), 1e-14)))
+    off = left - basis @ (basis.T @ left)
+    whole = float(off @ off) / max(left.size - slopes.shape[1], 1)
+    return float(np.sqrt(max(whole - float(np.mean(log.force_sd[known] ** 2)), 1e-14)))
 
 
 def carried_error(fit: TurnFit, at: Index) -> Array:
@@ -528,7 +567,7 @@ def carried_error(fit: TurnFit, at: Index) -> Array:
     at : turns, of which none need have taken part in the fit
     """
     log, state = fit.log, fit.state
-    force = state.force(log.force, log.session)
+    force = rest_forces(fit)
     found = []
     for i in at:
         turn = log.turns[i]

@@ -66,7 +66,7 @@ def imu_document(run: ImuRun) -> Document:
 
 def _card(run: ImuRun) -> Card:
     outcome = run.outcome
-    median = two_digits(float(np.median(run.result.held_out.final)))
+    median = two_digits(float(np.median(run.result.held_out.turns.final)))
     carried = sections.error_worth(outcome.error, "gravity after a turn", "turns")
     drift = f"± {two_digits(heading_drift(run.result.fit))} deg"
     how = "95 %, worst axis, beside what the bias does"
@@ -131,7 +131,7 @@ def _facts(run: ImuRun) -> Facts:
 
 def _picture(run: ImuRun) -> Plot:
     """By how much gravity is off after every turn, as read and corrected."""
-    held, path = run.result.held_out, run.result.imu.turns.spans[2] / DEG
+    held, path = run.result.held_out.turns, run.result.imu.turns.spans[2] / DEG
     shown = (("as read", held.raw), ("with gains", held.base), ("corrected", held.final))
     series = tuple(Series(name, path, off, "points") for name, off in shown)
     caption = (
@@ -142,7 +142,7 @@ def _picture(run: ImuRun) -> Plot:
 
 
 def _turns(run: ImuRun) -> Table:
-    log, held, weight = run.result.imu.turns, run.result.held_out, run.result.fit.weight
+    log, held, weight = run.result.imu.turns, run.result.held_out.turns, run.result.fit.weight
     spans = zip(log.turns, log.spans[2], held.raw, held.base, held.final, weight, strict=True)
     rows = []
     for turn, path, *off, w in spans:

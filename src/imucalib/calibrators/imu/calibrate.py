@@ -1,4 +1,4 @@
-"""`imucal imu`: the accelerometer by the size of gravity, then both sensors by the turns."""
+"""`imucal imu`: accelerometer and gyroscope by the rests of a log and the turns between them."""
 
 from __future__ import annotations
 
@@ -8,17 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from imucalib.arrays import Array
-from imucalib.calibration.apply import apply_to_recording
+from imucalib.arrays import Array, Flags
+from imucalib.calibrators.imu.laws import declared_terms
 from imucalib.calibrators.imu.log import ImuLog, gyroscope_of, imu_of
 from imucalib.calibrators.imu.request import ImuRequest
-from imucalib.calibrators.imu.search import (
-    LawSearch,
-    declared_terms,
-    in_fold,
-    joint_fit,
-    search_laws,
-)
+from imucalib.calibrators.imu.search import LawSearch, in_fold, joint_fit, search_laws
+from imucalib.calibrators.lab.bench import observations_of, row_numbers
 from imucalib.calibrators.lab.errors import rms
 from imucalib.calibrators.lab.files import run_of_rests, still_rests, table_of_rests
 from imucalib.calibrators.lab.run import LabRun
@@ -26,44 +21,65 @@ from imucalib.core.set_up import DOUBT, SIGNED, axes_in_words, misfits, weigh
 from imucalib.errors import UnreadableInput
 from imucalib.estimators.carried import attitudes
 from imucalib.estimators.turn_log import TurnLog, moved_by
-from imucalib.estimators.turns import TurnFit, carried_error
+from imucalib.estimators.turns import TurnFit, carried_error, rest_forces
 from imucalib.inspection.noise import SensorNoise, noise_at_rest
 from imucalib.posterior.held_out import Difference, difference
 from imucalib.recording.mapping import UNCHANGED, AxisMap, FieldMapping
 from imucalib.recording.recording import Recording
-from imucalib.units import DEG
+from imucalib.units import DEG, MG
 
-#: Blocks of turns that are held out.
+#: Blocks of a log that are held out; of several logs each is one.
 FOLDS = 5
 _TURNS = 12  # that are carried
 
 
 @dataclass(frozen=True)
-class HeldOutTurns:
-    """(T,) deg, what gravity is off after a turn that took no part: as read, by the base model and
-    by the final one; and what the search gains"""
+class Compared:
+    """Errors as read, by the base model and by the final one, of the same data."""
 
     raw: Array
     base: Array
     final: Array
+
+    @property
+    def sizes(self) -> tuple[float, float, float]:
+        """rms of each."""
+        return rms(self.raw), rms(self.base), rms(self.final)
+
+
+@dataclass(frozen=True)
+class HeldOutLog:
+    """Errors of what took no part, and what the search gains there.
+
+    turns : (T,) deg, of gravity after a turn; forces : (N,) mg, of its size at a rest; of_turns,
+    of_forces, gained : of each, and of both, in units of what the base model leaves
+    """
+
+    turns: Compared
+    forces: Compared
+    of_turns: Difference
+    of_forces: Difference
     gained: Difference
 
 
 @dataclass(frozen=True)
 class ImuResult:
-    """accelerometer : by the rests; imu : the log; noise : of the longest rest
-    found : the search; fit : what is corrected;
-    fitted : (3,) deg rms of the turns that were fitted, as in `HeldOutTurns`
-    refused : whether held-out turns refuse what the search found"""
+    """accelerometer : the bench of the rests, with what was found of it in its model; by_size :
+    the same by the sizes of gravity alone, which tells wrong rests
+    imu : the log; noise : of the longest rest; found : the search; fit : what is corrected
+    turns, forces : as in `HeldOutLog`, of what was fitted
+    refused : whether held-out data refuse what the search found"""
 
     recordings: tuple[Recording, ...]
     accelerometer: LabRun
+    by_size: LabRun
     imu: ImuLog
     noise: tuple[SensorNoise, ...]
     found: LawSearch
     fit: TurnFit
-    fitted: tuple[float, float, float]
-    held_out: HeldOutTurns
+    turns: Compared
+    forces: Compared
+    held_out: HeldOutLog
     refused: bool
 
 
@@ -80,46 +96,64 @@ def calibrate_imu(
     """
     recordings, segments = [], []
     for path in paths:
-        recording, rests = still_rests(path, mapping, request.still, say)
-        gyroscope_of(recording, rests.triads[0])
+        recording, still = still_rests(path, mapping, request.still, say)
+        gyroscope_of(recording, still.triads[0])
         recordings.append(_in_axes(recording, request))
-        segments.append(rests)
-    # An hour of samples is not held once more than it has to be.
-    plain = imu_of(recordings, segments, request.gravity).turns
-    demand_axes(plain, str(paths[0]), request.gyro_axes)
-    del plain
-    tables = [table_of_rests(s, r) for s, r in zip(segments, recordings, strict=True)]
-    accelerometer = run_of_rests(tables, recordings, request.of_rests, say)
-    # The mark that a correction leaves is not kept: a check sum of its own is not made for it.
-    first = replace(accelerometer.calibration, sha256=accelerometer.table.sha256)
-    corrected = [
-        apply_to_recording(first, recording, found.triads[0], again=True)
-        for recording, found in zip(recordings, segments, strict=True)
-    ]
-    imu = imu_of(corrected, segments, request.gravity)
+        segments.append(still)
+    imu = imu_of(recordings, segments, request.gravity)
+    demand_axes(imu.turns, str(paths[0]), request.gyro_axes)
     say(f"{len(imu.turns.turns)} turns between rests; {len(imu.left_out)} left out")
-    pairs = zip(recordings, segments, strict=True)
-    longest, still = max(pairs, key=lambda pair: float(np.max(pair[1].stop - pair[1].start)))
-    base = joint_fit(imu.turns, declared_terms(request), imu.course)
-    found = search_laws(base, imu.course, request)
+    tables = [table_of_rests(s, r) for s, r in zip(segments, recordings, strict=True)]
+    by_size = run_of_rests(tables, recordings, request.of_rests, say)
+    wrong = _wrong_rests(by_size, imu.turns.rests)
+    rests = observations_of(by_size.table, by_size.raw, by_size.request)
+    course = replace(imu.course, rests=rests.context)
+    imu = replace(imu, turns=imu.turns.without(wrong), course=course)
+    base = joint_fit(imu.turns, declared_terms(request, rests.context), course)
+    found = search_laws(base, course, rests, request)
     held = _predict_held_out(found, imu, request)
     refused = bool(found.said.places) and not held.gained.holds
-    every = np.arange(len(imu.turns.turns))
-    fits = (_as_read(base), base, found.final)
-    raw, before, after = (rms(carried_error(fit, every) / DEG) for fit in fits)
+    fit = base if refused else found.final
     if refused:
-        held, after = replace(held, final=held.base), before
+        held = replace(
+            held,
+            turns=replace(held.turns, final=held.turns.base),
+            forces=replace(held.forces, final=held.forces.base),
+        )
+    told = () if refused else tuple(t.name for t in found.terms if not t.of_rate)
+    pairs = zip(recordings, segments, strict=True)
+    longest, at_rest = max(pairs, key=lambda pair: float(np.max(pair[1].stop - pair[1].start)))
+    everywhere = np.ones(len(imu.turns.turns), bool), np.isfinite(imu.turns.force_sd)
+    turns, forces = _compare(base, fit, *everywhere, request.gravity)
+    bench = replace(
+        request.of_rests,
+        loop=False,
+        declare=tuple(dict.fromkeys((*request.of_rests.declare, *told))),
+        exclude=tuple((np.flatnonzero(wrong) + 1).tolist()),
+    )
     return ImuResult(
         recordings=tuple(recordings),
-        accelerometer=accelerometer,
+        accelerometer=run_of_rests(tables, recordings, bench, lambda _: None),
+        by_size=by_size,
         imu=imu,
-        noise=noise_at_rest((longest,), still),
+        noise=noise_at_rest((longest,), at_rest),
         found=found,
-        fit=base if refused else found.final,
-        fitted=(raw, before, after),
+        fit=fit,
+        turns=turns,
+        forces=forces,
         held_out=held,
         refused=refused,
     )
+
+
+def _wrong_rests(by_size: LabRun, count: int) -> Flags:
+    """(N,) which rests the size of gravity there shows to be wrong."""
+    result = by_size.result
+    used = row_numbers(result.observations) - 1
+    out = np.ones(count, bool)
+    out[used] = False
+    out[[used[r.row] for r in (result.loop.records if result.loop else ())]] = True
+    return out
 
 
 def _in_axes(recording: Recording, request: ImuRequest) -> Recording:
@@ -135,19 +169,41 @@ def _in_axes(recording: Recording, request: ImuRequest) -> Recording:
     return replace(recording, channels=channels)
 
 
-def _predict_held_out(found: LawSearch, imu: ImuLog, request: ImuRequest) -> HeldOutTurns:
-    """Blocks of turns in turn, everything chosen without them."""
-    count = len(imu.turns.turns)
-    folds = min(FOLDS, count)
-    part = np.arange(count) * folds // count
-    errors = np.zeros((3, count))
+def _predict_held_out(found: LawSearch, imu: ImuLog, request: ImuRequest) -> HeldOutLog:
+    """Blocks of a log in turn, or each of several, everything chosen without them."""
+    log = imu.turns
+    folds = log.sessions or min(FOLDS, log.rests)
+    part = log.session if log.sessions else np.arange(log.rests) * folds // log.rests
+    of_turn = part[[turn.rest for turn in log.turns]]
+    turns, forces = np.zeros((3, len(of_turn))), np.zeros((3, log.rests))
     for k in range(folds):
-        out = part == k
-        base, final = in_fold(found, out, imu.course, request)
-        for row, fit in enumerate((_as_read(base), base, final)):
-            errors[row, out] = carried_error(fit, np.flatnonzero(out)) / DEG
-    gained = difference(errors[1], errors[2], np.arange(count), folds, "rms")
-    return HeldOutTurns(errors[0], errors[1], errors[2], gained)
+        out = of_turn == k, part == k
+        base, final = in_fold(found, *out, imu.course, request)
+        own = _compare(base, final, *out, request.gravity)
+        for whole, one, at in zip((turns, forces), own, out, strict=True):
+            whole[:, at] = one.raw, one.base, one.final
+    forces = forces[:, np.isfinite(log.force_sd)]
+    every = [Compared(*turns), Compared(*forces)]
+    pairs = [(one.base, one.final) for one in every]
+    usual = [max(rms(one.base), 1e-12) for one in every]
+    both = (np.concatenate([p[k] / u for p, u in zip(pairs, usual, strict=True)]) for k in (0, 1))
+    gains = (
+        difference(before, after, np.arange(before.size), folds, "rms")
+        for before, after in (*pairs, tuple(both))
+    )
+    of_turns, of_forces, gained = gains
+    return HeldOutLog(every[0], every[1], of_turns, of_forces, gained)
+
+
+def _compare(
+    base: TurnFit, final: TurnFit, turns: Flags, rests: Flags, gravity: float
+) -> tuple[Compared, Compared]:
+    """Of some turns (T,), deg, and rests (N,), mg, what two models leave of gravity."""
+    fits, at = (_as_read(base), base, final), np.flatnonzero(turns)
+    carried = (carried_error(fit, at) / DEG for fit in fits)
+    forces = (base.log.force, rest_forces(base), rest_forces(final))
+    sizes = (gravity / MG * (np.linalg.norm(force[rests], axis=1) - 1.0) for force in forces)
+    return Compared(*carried), Compared(*sizes)
 
 
 def _as_read(fit: TurnFit) -> TurnFit:

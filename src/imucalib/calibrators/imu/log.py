@@ -10,7 +10,7 @@ averaged whole, and one in the hand is carried to its middle before it is averag
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -24,7 +24,7 @@ from imucalib.estimators.turn_log import Turn, TurnLog
 from imucalib.recording.recording import Channel, Recording
 from imucalib.recording.sensors import angular_rate
 from imucalib.rests.segments import Segments
-from imucalib.units import DEG
+from imucalib.units import DEG, STANDARD_GRAVITY
 
 #: s of motion beyond which the bias is not known well enough within a turn.
 _LONGEST = 15.0
@@ -38,13 +38,16 @@ _TILT = 10.0 * DEG
 
 @dataclass(frozen=True)
 class LogCourse:
-    """What a gyroscope's effects may follow. begin, span : (L,) s, of each log; time : (N,) s and
-    warm : (N,) °C, of the rests, None without a thermometer in each log"""
+    """What effects may follow. begin, span : (L,) s, of each log; time : (N,) s and warm : (N,) °C,
+    of the rests, None without a thermometer in each log; gravity : m/s²; rests : what those of an
+    accelerometer may, which know a log by its rests alone"""
 
     begin: Array
     span: Array
     time: Array
     warm: Array | None
+    gravity: float = STANDARD_GRAVITY
+    rests: Context = field(default_factory=lambda: Context(0))
 
     def context(self, t: Array) -> Context:
         """At times (n,) s: a log's own clock, for logs one after another are no time series."""
@@ -91,7 +94,7 @@ def gyroscope_of(recording: Recording, triad: str) -> Channel:
 
 
 def imu_of(recordings: Sequence[Recording], segments: Sequence[Segments], gravity: float) -> ImuLog:
-    """The turns of one IMU's logs, whose acceleration is corrected already.
+    """The turns of one IMU's logs, its acceleration as it was read.
 
     Raises as `gyroscope_of`, and Undetermined where too few turns can be used, with why.
     """
@@ -136,7 +139,11 @@ def _together(logs: list[ImuLog]) -> ImuLog:
         turns=whole,
         left_out=tuple(w for log in logs for w in log.left_out),
         course=LogCourse(
-            apart, span, time, np.concatenate(warm) if len(warm) == len(logs) else None
+            apart,
+            span,
+            time,
+            np.concatenate(warm) if len(warm) == len(logs) else None,
+            logs[0].course.gravity,
         ),
     )
 
@@ -189,9 +196,9 @@ def _of_one(recording: Recording, segments: Segments, gravity: float) -> ImuLog:
         white=float(np.sqrt(np.mean(noise**2) * step)),
     )
     known = warm if np.isfinite(warm).all() else None
-    return ImuLog(
-        log, tuple(why), LogCourse(np.zeros(1), np.array([t[-1] - t[0]]), t[middle], known)
-    )
+    lasting = np.array([t[-1] - t[0]])
+    course = LogCourse(np.zeros(1), lasting, t[middle], known, gravity)
+    return ImuLog(log, tuple(why), course)
 
 
 def _demand_together(recording: Recording, gyro: Channel, force: Channel) -> None:

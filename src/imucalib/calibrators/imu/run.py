@@ -11,15 +11,21 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration, StoredParameter
-from imucalib.calibration.findings import CheckedError, Findings, FoundStep, Gain, Untestable
+from imucalib.calibration.findings import (
+    CheckedError,
+    Findings,
+    FoundStep,
+    Gain,
+    Untestable,
+    bent,
+)
 from imucalib.calibration.gyroscope import BIAS, STAGE
 from imucalib.calibration.gyroscope import GAIN as GAIN_EFFECT
 from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Limit, Outcome, Run
 from imucalib.calibrators.imu.calibrate import ImuResult, calibrate_imu
 from imucalib.calibrators.imu.plan import open_words
 from imucalib.calibrators.imu.power_ups import bias_parts, differing, products_of
-from imucalib.calibrators.imu.request import ImuRequest, gyro_effects
-from imucalib.calibrators.lab.errors import rms
+from imucalib.calibrators.imu.request import ImuRequest
 from imucalib.calibrators.lab.run import LabDetails
 from imucalib.calibrators.sessions import Sessions, estimate_scatter
 from imucalib.core.sphere import even_directions
@@ -29,7 +35,7 @@ from imucalib.estimators.lateness import lateness
 from imucalib.estimators.turns import ACCELEROMETER, GAIN, LOWER, TurnFit
 from imucalib.inspection.noise import SensorNoise, noise_blocks
 from imucalib.posterior.closed_loop.found import Score, Unexplained
-from imucalib.posterior.closed_loop.words import of_each
+from imucalib.posterior.closed_loop.words import member_of, of_each
 from imucalib.recording.mapping import FieldMapping
 from imucalib.significant_digits import plus_minus
 from imucalib.units import DEG, MG
@@ -37,15 +43,6 @@ from imucalib.units import DEG, MG
 _NORMAL_95 = 1.96
 #: Why what was found in the turns is not corrected.
 _NEEDLESS = "not corrected: turns held out are no better with it"
-#: From weakest to strongest, what two searches say together.
-_VERDICTS = (
-    "not run",
-    "nothing missing",
-    "explained",
-    "explained in part",
-    "suspected",
-    "unexplained",
-)
 _PLAN = (
     "turn by 135 deg about x, y and z in turn, every second round backwards, with 2 s of rest on "
     "something hard between"
@@ -115,27 +112,28 @@ def run_imu(
 ) -> ImuRun:
     """From logs to a run. Errors as in `calibrate_imu`."""
     result = calibrate_imu(paths, mapping, request, say)
-    rests = result.accelerometer.outcome
+    rests, by_size = result.accelerometer.outcome, result.by_size.outcome
     open_gains = open_words(result.fit.gains[:GAIN, :GAIN])
-    error, names = _error(result), result.accelerometer.table.sessions
+    errors, names = _errors(result), result.accelerometer.table.sessions
     products = products_of(result.fit) if names else None
     samples = sum(max(len(c.t) for c in r.channels.values()) for r in result.recordings)
     both = rests.fit is not None and rests.fit.converged and result.fit.converged
     outcome = replace(
         rests,
         calibrator="imu",
-        errors=(error, *rests.errors),
+        errors=errors,
         provenance=replace(rests.provenance, samples=samples, settings=request.stated()),
         findings=_findings(result, request),
+        undecided=by_size.undecided,
         fit=rests.fit and replace(rests.fit, converged=both),
         reasons=(
-            *rests.reasons,
+            *by_size.reasons,
             *(f"the turns leave open {words}" for words in open_gains),
             *(differing(*products, names) if products else ()),
         ),
-        advice=(*_advice(result, open_gains), *rests.advice),
-        limits=_limits(request, error, rests.errors[0]),
-        notes=(*rests.notes, *_notes(result)),
+        advice=(*_advice(result, open_gains), *by_size.advice),
+        limits=_limits(request, errors),
+        notes=(*by_size.notes, *_notes(result)),
         weak=bool(open_gains),
     )
     details = imu_details(result)
@@ -161,29 +159,27 @@ def _sessions(
     fit: TurnFit, products: tuple[Array, Array], names: tuple[str, ...], made: Calibration
 ) -> Sessions:
     """What power-ups do to the bias that a calibration states."""
-    stated = {p.name: (p.name, p.value, p.sd) for p in made.parameters if p.effect == "bias"}
-    own = {e: [p.value for p in made.parameters if p.effect == e] for e in _LINEAR}
-    sensitivity = np.diag(1.0 + np.array(own["scale"]))
-    sensitivity[[1, 2, 2], [0, 0, 1]] = own["non_orthogonality"]
-    slope = sensitivity @ fit.state.lower * made.gravity / MG
-    sd = float(fit.noise.power_up * np.mean(np.diag(slope)))
+    stated = [(p.name, p.value, p.sd) for p in made.parameters if p.effect == "bias"]
+    mg = made.gravity / MG
+    parts = bias_parts(*products, mg * np.eye(3))
     what = ("session bias", "bias", "mg")
-    between, after = estimate_scatter(what, bias_parts(*products, slope), sd, list(stated.values()))
+    between, after = estimate_scatter(what, parts, mg * fit.noise.power_up, stated)
     return Sessions(names, (between,), after)
 
 
-def _error(result: ImuResult) -> ErrorSummary:
-    held, (raw, base, final) = result.held_out, result.fitted
-    noisy = result.imu.turns.white * np.sqrt(np.mean(result.imu.turns.spans[1]))
-    return ErrorSummary(
-        metric="gravity carried over a turn, rms",
-        unit="deg",
-        raw=raw,
-        base=base,
-        final=final,
-        floor=float(np.hypot(noisy, np.sqrt(2.0) * np.mean(result.imu.turns.force_sd)) / DEG),
-        held_out=HeldOutError(rms(held.raw), rms(held.base), rms(held.final)),
+def _errors(result: ImuResult) -> tuple[ErrorSummary, ErrorSummary]:
+    """Of gravity carried over turns, and of its size at the rests."""
+    held, log = result.held_out, result.imu.turns
+    noisy = log.white * np.sqrt(np.mean(log.spans[1]))
+    known = log.force_sd[np.isfinite(log.force_sd)]
+    floors = (float(np.hypot(noisy, np.sqrt(2.0) * np.mean(known)) / DEG), float("nan"))
+    metrics = (("gravity carried over a turn, rms", "deg"), ("error of |a|, rms", "mg"))
+    pairs = ((result.turns, held.turns), (result.forces, held.forces))
+    turns, forces = (
+        ErrorSummary(metric, unit, *fitted.sizes, floor, HeldOutError(*out.sizes))
+        for (metric, unit), floor, (fitted, out) in zip(metrics, floors, pairs, strict=True)
     )
+    return turns, forces
 
 
 def heading_drift(fit: TurnFit) -> float:
@@ -198,69 +194,77 @@ def heading_drift(fit: TurnFit) -> float:
 
 def _findings(result: ImuResult, request: ImuRequest) -> Findings:
     """What rests and turns say together."""
-    rests = result.accelerometer.outcome.findings or Findings("not run")
-    if not request.loop:
-        return replace(rests, only=request.only, without=request.without)
-    problem, gained = result.found.problem, result.held_out.gained
-    steps, unnamed = _steps(result), _nameless_laws(result)
+    by_size = result.by_size.outcome.findings
+    if not request.loop or by_size is None:
+        return Findings("not run", only=request.only, without=request.without)
+    found, held = result.found, result.held_out
+    problem, steps, unnamed = found.problem, _steps(result), _nameless_laws(result)
     names, refused = tuple(s.effect for s in steps), result.refused
-    turns = "nothing missing"
-    if unnamed:
-        turns = "explained in part" if steps and not refused else "unexplained"
-    if steps:
-        turns = turns if gained.proved else "suspected"
-        turns = "explained" if turns == "nothing missing" else turns
-    verdict = max(rests.verdict, turns, key=_VERDICTS.index)
-    if {rests.verdict, turns} == {"explained", "unexplained"}:
-        verdict = "explained in part"
-    gain, noise = rests.gain, result.fit.noise
-    if names:
-        sizes = (gained.before, gained.after, gained.low, gained.high)
-        gain = Gain(*sizes, gained.proved, "deg")
+    named = [s for s in steps if not s.curve and not s.formula]
+    open_end = bool(unnamed) or len(named) < len(steps)
+    if named and not refused and not held.gained.proved:
+        verdict = "suspected"
+    elif (named and not refused) or by_size.records:
+        verdict = "explained in part" if open_end else "explained"
+    else:
+        verdict = "unexplained" if open_end else "nothing missing"
+    noise = result.fit.noise
     words = (
         f"off by {noise.floor / DEG:.2g} deg and {100.0 * noise.per_angle:.2g} % of the angle "
         f"each; bias walk {float(np.mean(noise.walk)) / DEG:.2g} deg/s per root s"
     )
-    absorbed = (n for n in problem.absorbed if n not in rests.missing)
-    declared = (n for n in request.declare if n in gyro_effects(request.extra_effects))
-    return replace(
-        rests,
+    return Findings(
         verdict=verdict,
-        steps=(*(() if refused else steps), *rests.steps),
-        rejected=(*rests.rejected, *((n, _NEEDLESS) for n in names if refused)),
-        refuted=(*rests.refuted, *(names if refused else ())),
-        unexplained=(*unnamed, *rests.unexplained),
-        scores=tuple(sorted((*_scores(result), *rests.scores), key=lambda s: -s.probability)),
-        missing={**rests.missing, **result.found.lacking.missing},
-        not_testable=(
-            *rests.not_testable,
-            *(Untestable(n, "a typical size", 0.0, "deg") for n in absorbed),
-        ),
-        declared=(*rests.declared, *((n, "") for n in declared)),
-        gain=gain,
-        complete=rests.complete * result.found.said.complete,
-        facts=(*rests.facts, ("turns", words)),
+        steps=() if refused else steps,
+        records=by_size.records,
+        rejected=tuple((n, _NEEDLESS) for n in names if refused),
+        refuted=names if refused else (),
+        unexplained=unnamed,
+        scores=tuple(sorted(_scores(result), key=lambda s: -s.probability)),
+        missing={**by_size.missing, **found.lacking.missing},
+        not_testable=tuple(Untestable(n, "a typical size", 0.0, "deg") for n in problem.absorbed),
+        declared=tuple((n, "") for n in request.declare),
+        only=request.only,
+        without=request.without,
+        gain=_gain(result) if names else None,
+        complete=found.said.complete,
+        facts=(("turns", words),),
     )
 
 
+def _gain(result: ImuResult) -> Gain:
+    """Of the sensor that more was gained of, in its unit."""
+    held = result.held_out
+    each = ((held.of_turns, "deg"), (held.of_forces, "mg"))
+    one, unit = min(each, key=lambda pair: pair[0].after / max(pair[0].before, 1e-12))
+    return Gain(one.before, one.after, one.low, one.high, one.proved, unit)
+
+
 def _steps(result: ImuResult) -> tuple[FoundStep, ...]:
-    """What the turns show and that has a name."""
-    components, gained = result.found.problem.components, result.held_out.gained
-    check = CheckedError("held-out error, rms", "deg", gained.before, gained.after, 3)
+    """What the log shows and a calibration can state."""
+    found, held = result.found, result.held_out
+    problem, checks = found.problem, {True: held.of_turns, False: held.of_forces}
     sizes, steps = _sizes(result), []
-    for place in result.found.said.places:
-        component = components[place.component]
-        if not component.named:
+    for place in found.said.places:
+        if not problem.corrects(place.component):
             continue
-        rivals = tuple((components[c].name, share) for c, share in place.rivals)
+        component = problem.components[place.component]
+        effect, _, _ = member_of(problem, found.posterior, found.said, place.component).effects[0]
+        check = checks[effect.channel == "angular_rate"]
+        unit = "deg" if effect.channel == "angular_rate" else "mg"
+        own = _name(result, place.component)
+        rivals = tuple((_name(result, c), share) for c, share in place.rivals)
+        form = component.kind == "law"
         steps.append(
             FoundStep(
-                effect=component.name,
+                effect=own,
                 evidence=place.log_odds,
-                checks=(check,),
-                aliases=tuple(n for n, _ in rivals if n != component.name),
-                size=sizes.get(component.name, ""),
-                certain=place.certain and gained.proved,
+                checks=(CheckedError("held-out error, rms", unit, check.before, check.after, 3),),
+                aliases=tuple(n for n, _ in rivals if n != own),
+                size=sizes.get(own, ""),
+                curve=bent(own) if component.kind == "free" else "",
+                formula=f"{effect.sentence.rstrip('.')}, {effect.equation}" if form else "",
+                certain=place.certain and held.gained.proved,
                 probability=place.probability,
                 rivals=rivals,
             )
@@ -268,25 +272,34 @@ def _steps(result: ImuResult) -> tuple[FoundStep, ...]:
     return tuple(steps)
 
 
+def _name(result: ImuResult, component: int) -> str:
+    """The effect of a component where it is told or likeliest, its own name where it has none."""
+    found = result.found
+    if not found.problem.corrects(component):
+        return found.problem.components[component].name
+    return member_of(found.problem, found.posterior, found.said, component).name
+
+
 def _sizes(result: ImuResult) -> dict[str, str]:
     """Found effects' numbers in words, by name."""
-    final = result.found.final
+    final, sized = result.found.final, dict[str, str]()
     sd = np.sqrt(np.diag(final.gains))[GAIN:]
-    numbers = zip(final.state.theta.tolist(), sd.tolist(), strict=True)
-    found = {}
+    numbers = iter(zip(final.state.theta.tolist(), sd.tolist(), strict=True))
     for term in result.found.terms:
-        each = [term.effect.each[int(k)] for k in term.own]
+        every = term.effect.parameters(result.imu.course.rests)
         words = (
-            f"{p.name.rpartition('_')[2]} {plus_minus(*number, p.unit)}"
-            for p, number in zip(each, numbers, strict=False)
+            f"{every[int(k)].name.rpartition('_')[2]} {plus_minus(*next(numbers), p.unit)}"
+            for k in term.own
+            for p in (every[int(k)],)
         )
-        found[term.name] = ", ".join(words)
-    return found
+        sized[term.name] = ", ".join(words)
+    return sized
 
 
 def _nameless_laws(result: ImuResult) -> tuple[Unexplained, ...]:
-    """What the turns show and that has no name."""
-    components = result.found.problem.components
+    """What the log shows and that has no name, corrected or not."""
+    problem = result.found.problem
+    components = problem.components
     return tuple(
         Unexplained(
             name=components[place.component].name,
@@ -318,8 +331,8 @@ def _scores(result: ImuResult) -> list[Score]:
     ]
 
 
-def _limits(request: ImuRequest, error: ErrorSummary, rests: ErrorSummary) -> tuple[Limit, ...]:
-    of = {"max-error": error, "max-force-error": rests}
+def _limits(request: ImuRequest, errors: tuple[ErrorSummary, ErrorSummary]) -> tuple[Limit, ...]:
+    of = dict(zip(("max-error", "max-force-error"), errors, strict=True))
     each = ((name, limit, of[name]) for name, limit in request.limits.items())
     return tuple(Limit(n, one.held_out.final, limit, one.unit) for n, limit, one in each)
 
@@ -345,43 +358,35 @@ def _notes(result: ImuResult) -> tuple[str, ...]:
     return (unseen, *said, *((f"{len(lost)} turns were left out", *lost) if lost else ()))
 
 
-#: Effects of the accelerometer that the turns bear on.
-_LINEAR = ("bias", "scale", "non_orthogonality")
 #: Relative step of a derivative.
 _STEP = 1e-6
+#: Parameters of the accelerometer that the joint fit has first.
+_LINEAR = (
+    *(f"bias_{a}" for a in "xyz"),
+    *(f"scale_{a}" for a in "xyz"),
+    *(f"cross_{pair}" for pair in ("yx", "zx", "zy")),
+)
 
 
 def imu_calibration(result: ImuResult, outcome: Outcome, details: ImuDetails) -> Calibration:
-    """The accelerometer's calibration as the turns leave it, with the gyroscope's parameters."""
-    from scipy.linalg import block_diag
-
+    """The accelerometer's calibration, with the gyroscope's parameters after it."""
     made, fit = result.accelerometer.calibration, result.fit
-    linear = np.isin([p.effect for p in made.parameters], _LINEAR)
-    own, others = np.flatnonzero(linear), np.flatnonzero(~linear)
-    theta = np.array([made.parameters[int(k)].value for k in own])
-    moved, slopes = _linear(theta, fit, made.gravity)
     last = fit.state.first_up - 3
-    kept = np.r_[: ACCELEROMETER + GAIN + fit.state.theta.size, last : last + 3]
-    joint, rest = fit.covariance[np.ix_(kept, kept)], made.covariance[np.ix_(others, others)]
-    turn = np.eye(kept.size + others.size)
+    kept = np.r_[: fit.state.first_offset, last : last + 3]
+    linear, slopes = _linear(fit, made.gravity)
+    turn = np.eye(kept.size)
     turn[:ACCELEROMETER, :ACCELEROMETER] = slopes
-    turn[kept.size - 3 : kept.size] /= DEG
-    # What other effects are off by moves the linear ones with them.
-    shared = made.covariance[np.ix_(others, own)]
-    turn[:ACCELEROMETER, kept.size :] = np.linalg.lstsq(rest, shared, rcond=None)[0].T
-    covariance = turn @ block_diag(joint, rest) @ turn.T
-    sd = np.sqrt(np.diag(covariance))
-    accelerometer = [
-        replace(made.parameters[int(k)], value=float(v), sd=float(s))
-        for k, v, s in zip(own, moved, sd, strict=False)
-    ]
-    parameters = (
-        *accelerometer,
-        *(made.parameters[int(k)] for k in others),
-        *_gyro_parameters(result, sd[ACCELEROMETER : kept.size]),
+    turn[-3:] /= DEG
+    joint = turn @ fit.covariance[np.ix_(kept, kept)] @ turn.T
+    values = np.r_[linear, fit.state.gain.ravel(), fit.state.theta, fit.state.drift[-1] / DEG]
+    names, order = _order(result, made)
+    rows = np.array([k >= 0 for k in order]), np.maximum(order, 0)
+    covariance = np.where(np.outer(rows[0], rows[0]), joint[np.ix_(rows[1], rows[1])], 0.0)
+    stored = np.where(rows[0], values[rows[1]], 0.0)
+    parameters = tuple(
+        replace(one, value=float(value), sd=float(sd))
+        for one, value, sd in zip(names, stored, np.sqrt(np.diag(covariance)), strict=True)
     )
-    order = np.r_[:ACCELEROMETER, kept.size : len(turn), ACCELEROMETER : kept.size]
-    covariance = covariance[np.ix_(order, order)]
     return replace(
         made,
         calibrator="imu",
@@ -399,18 +404,15 @@ def imu_calibration(result: ImuResult, outcome: Outcome, details: ImuDetails) ->
     )
 
 
-def _linear(theta: Array, fit: TurnFit, gravity: float) -> tuple[Array, Array]:
-    """(9,) bias (mg), scale and cross terms of the readings, by those (9,) of the readings that the
-    turns were fitted to: S f + c with f as L (f' - b) leaves it; and (9, 9) their slopes by b and
-    `LOWER`."""
-    sensitivity = np.diag(1.0 + theta[3:6])  # as the effects have it
-    sensitivity[[1, 2, 2], [0, 0, 1]] = theta[6:9]
+def _linear(fit: TurnFit, gravity: float) -> tuple[Array, Array]:
+    """(9,) bias (mg), scale and cross terms of readings a = S f + c with f = L (a - b), and (9, 9)
+    their slopes by b and `LOWER`."""
 
     def of(x: Array) -> Array:
         lower = np.zeros((3, 3))
         lower[tuple(zip(*LOWER, strict=True))] = x[3:]
-        whole = sensitivity @ np.linalg.inv(lower)
-        bias = theta[:3] + sensitivity @ x[:3] * gravity / MG
+        whole = np.linalg.inv(lower)
+        bias = x[:3] * gravity / MG
         return np.array([*bias, *(np.diag(whole) - 1.0), whole[1, 0], whole[2, 0], whole[2, 1]])
 
     here = np.array([*fit.state.bias, *(fit.state.lower[at] for at in LOWER)])
@@ -419,18 +421,30 @@ def _linear(theta: Array, fit: TurnFit, gravity: float) -> tuple[Array, Array]:
     return start, np.stack([(of(here + step) - start) / _STEP for step in steps], axis=1)
 
 
-def _gyro_parameters(result: ImuResult, sd: Array) -> list[StoredParameter]:
-    state = result.fit.state
-    names = [(f"gyro_gain_{a}{b}", GAIN_EFFECT, "1") for a in "xyz" for b in "xyz"]
-    for term in () if result.refused else result.found.terms:
-        each = [term.effect.each[int(k)] for k in term.own]
-        names += [(p.name, term.name, p.unit) for p in each]
-    names += [(f"gyro_rest_bias_{a}", BIAS, "deg/s") for a in "xyz"]
-    values = np.r_[state.gain.ravel(), state.theta, state.drift[-1] / DEG]
-    return [
-        StoredParameter(name, effect, STAGE, float(v), float(s), unit)
-        for (name, effect, unit), v, s in zip(names, values, sd, strict=True)
+def _order(result: ImuResult, made: Calibration) -> tuple[list[StoredParameter], list[int]]:
+    """The accelerometer's parameters as its bench has them and then the gyroscope's, and where each
+    stands in the joint fit, -1 where it does not."""
+    rests, at = result.imu.course.rests, ACCELEROMETER + GAIN
+    place, turning = {name: k for k, name in enumerate(_LINEAR)}, list[StoredParameter]()
+    terms = result.found.declared if result.refused else result.found.terms
+    for term in terms:
+        every = term.effect.parameters(rests)
+        for k in term.own:
+            one = every[int(k)]
+            place[one.name] = at
+            if term.of_rate:
+                turning.append(StoredParameter(one.name, term.name, STAGE, 0.0, 0.0, one.unit))
+            at += 1
+    gains = [
+        StoredParameter(f"gyro_gain_{a}{b}", GAIN_EFFECT, STAGE, 0.0, 0.0, "1")
+        for a in "xyz"
+        for b in "xyz"
     ]
+    biases = [StoredParameter(f"gyro_rest_bias_{a}", BIAS, STAGE, 0.0, 0.0, "deg/s") for a in "xyz"]
+    place.update({one.name: ACCELEROMETER + k for k, one in enumerate(gains)})
+    place.update({one.name: at + k for k, one in enumerate(biases)})
+    names = [*made.parameters, *gains, *turning, *biases]
+    return names, [place.get(one.name, -1) for one in names]
 
 
 def imu_details(result: ImuResult) -> ImuDetails:
@@ -452,7 +466,7 @@ def imu_details(result: ImuResult) -> ImuDetails:
             turn_error_per_angle=fit.noise.per_angle,
         ),
         noise_density={key: value for block in blocks for key, value in block.items()},
-        held_out_turns_deg=TurnErrors(held.raw, held.base, held.final),
+        held_out_turns_deg=TurnErrors(held.turns.raw, held.turns.base, held.turns.final),
     )
 
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imucalib.arrays import Array
+from imucalib.calibrators.imu.laws import exposure
 from imucalib.calibrators.imu.log import LogCourse
 from imucalib.calibrators.imu.plan import ANGLE
 from imucalib.calibrators.imu.request import gyro_effects
-from imucalib.calibrators.imu.search import exposure
 from imucalib.errors import UsageError
 from imucalib.estimators.carried import attitudes
 from imucalib.recording.recording import Channel, Recording

@@ -17,7 +17,7 @@ from imucalib.posterior.closed_loop.words import select_model
 from imucalib.posterior.held_out import Fold, Predictions, errors, join, leaves_determined
 from imucalib.posterior.odds import FOLD_BEAMS, FOLD_DEEPEST, SEEN, SINGLES
 from imucalib.posterior.search.gram import Grams, leave_out, marginalize, select_columns
-from imucalib.posterior.search.problem import Choice, Problem
+from imucalib.posterior.search.problem import Problem
 from imucalib.posterior.search.solution import solve
 from imucalib.posterior.search.space import Posterior, blocks_of, search
 
@@ -84,7 +84,8 @@ def _information(problem: Problem, grams: Grams) -> Array:
 def _select_columns(problem: Problem, posterior: Posterior) -> tuple[Problem, Grams]:
     """The problem and its products with the members of every component that any data have a say
     for."""
-    choices = _rivals(problem, posterior)
+    heard = components_heard(posterior)
+    choices = tuple(c for c in problem.choices if c.component in heard)
     last = problem.columns.shape[1] - 1
     used = np.unique(np.concatenate([np.arange(problem.base), *(c.at for c in choices), [last]]))
     grams = select_columns(posterior.grams, used)
@@ -96,9 +97,9 @@ def _select_columns(problem: Problem, posterior: Posterior) -> tuple[Problem, Gr
     return found, replace(grams, columns=found.columns[: len(grams.columns)])
 
 
-def _rivals(problem: Problem, posterior: Posterior) -> tuple[Choice, ...]:
-    """Members of every component that any data have a say for."""
+def components_heard(posterior: Posterior) -> set[int]:
+    """Components that a part of the data may have a say for: those of likely sets, and the
+    likeliest that stand alone."""
     used = {c for h, p in posterior.weighed if p > SEEN for c in h.components}
     single = [h for h in posterior.hypotheses if len(h.components) == 1][:SINGLES]
-    used |= {h.components[0] for h in single}
-    return tuple(c for c in problem.choices if c.component in used)
+    return used | {h.components[0] for h in single}

@@ -63,6 +63,15 @@ class Member:
         return [effect.name.removeprefix(scan) for effect, _, _ in self.effects]
 
     @property
+    def columns(self) -> list[tuple[str, int, float]]:
+        """What each of its columns is known by: effect, parameter and size."""
+        return [
+            (effect.name, int(k), float(size))
+            for effect, own, sizes in self.effects
+            for k, size in zip(own, sizes, strict=True)
+        ]
+
+    @property
     def free(self) -> tuple[tuple[str, bytes], ...]:
         """Which parameters of which effects it frees."""
         return tuple((effect.name, own.tobytes()) for effect, own, _ in self.effects)

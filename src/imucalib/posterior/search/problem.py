@@ -136,7 +136,7 @@ class _Blocks:
 
     def __init__(self, fit: Fit, first: int, more: int, components: tuple[Component, ...]) -> None:
         members = (member for component in components for member in component.members)
-        most = {key for member in members for key in _keys(member)}
+        most = {key for member in members for key in member.columns}
         self.columns, self.used = np.zeros((len(fit.at.owner) + more, first + len(most) + 1)), first
         self._fit, self._prediction = fit, predict_by_fit(fit)
         slices = fit.model.slices(fit.observations.context)
@@ -145,7 +145,7 @@ class _Blocks:
 
     def of(self, member: Member) -> Index | None:
         """Where the columns of a member stand; None where it does nothing or nothing finite."""
-        every = _keys(member)
+        every = member.columns
         values = np.array(
             [
                 self._of(effect)[:, k] * size
@@ -166,15 +166,6 @@ class _Blocks:
         if effect.name not in self._slopes:
             self._slopes[effect.name] = effect_slopes(self._fit, effect, self._prediction)
         return self._slopes[effect.name]
-
-
-def _keys(member: Member) -> list[tuple[str, int, float]]:
-    """What each column of a member is known by."""
-    return [
-        (effect.name, int(k), float(size))
-        for effect, own, sizes in member.effects
-        for k, size in zip(own, sizes, strict=True)
-    ]
 
 
 def known_sd(fit: Fit) -> Array:

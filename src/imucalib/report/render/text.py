@@ -135,8 +135,8 @@ class _Sheet:
         return cut(counts[max(fitting - 1, 0)])
 
     def screen(self, card: Card) -> list[Line]:
-        """The card alone, in `SCREEN` lines of 80 columns: all of it is said shorter before anything
-        goes, and of what goes the last steps are first."""
+        """The card alone, in `SCREEN` lines of 80 columns: all of it is said shorter before any of
+        it goes, the last step first."""
         for most in range(_MOST, _FEWEST - 1, -1):
             lists = self.briefly(card, most)
             headline = card.headline or self.document.verdict.text
