@@ -560,14 +560,14 @@ def _scatter(fit: TurnFit) -> float:
     return float(np.sqrt(max(whole - float(np.mean(log.force_sd[known] ** 2)), 1e-14)))
 
 
-def carried_error(fit: TurnFit, at: Index) -> Array:
-    """(k,) rad: gravity of the rest before a turn, carried by the rate, against the rest after,
-    both as the accelerometer reads them.
+def carried_error(fit: TurnFit, at: Index, force: Array | None = None) -> Array:
+    """(k,) rad: gravity of the rest before a turn, carried by the rate, against the rest after.
 
-    at : turns, of which none need have taken part in the fit
+    at : turns, of which none need have taken part in the fit; force : (N, 3) gravity at the rests,
+    or None as the fit's accelerometer reads it
     """
     log, state = fit.log, fit.state
-    force = rest_forces(fit)
+    force = rest_forces(fit) if force is None else force
     found = []
     for i in at:
         turn = log.turns[i]

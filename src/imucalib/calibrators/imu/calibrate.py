@@ -124,7 +124,7 @@ def calibrate_imu(
     pairs = zip(recordings, segments, strict=True)
     longest, at_rest = max(pairs, key=lambda pair: float(np.max(pair[1].stop - pair[1].start)))
     everywhere = np.ones(len(imu.turns.turns), bool), np.isfinite(imu.turns.force_sd)
-    turns, forces = _compare(base, fit, *everywhere, request.gravity)
+    turns, forces = _compare(base, fit, *everywhere, request.gravity, found)
     bench = replace(
         request.of_rests,
         loop=False,
@@ -148,11 +148,8 @@ def calibrate_imu(
 
 def _wrong_rests(by_size: LabRun, count: int) -> Flags:
     """(N,) which rests the size of gravity there shows to be wrong."""
-    result = by_size.result
-    used = row_numbers(result.observations) - 1
     out = np.ones(count, bool)
-    out[used] = False
-    out[[used[r.row] for r in (result.loop.records if result.loop else ())]] = True
+    out[row_numbers(by_size.result.observations) - 1] = False
     return out
 
 
@@ -179,7 +176,7 @@ def _predict_held_out(found: LawSearch, imu: ImuLog, request: ImuRequest) -> Hel
     for k in range(folds):
         out = of_turn == k, part == k
         base, final = in_fold(found, *out, imu.course, request)
-        own = _compare(base, final, *out, request.gravity)
+        own = _compare(base, final, *out, request.gravity, found)
         for whole, one, at in zip((turns, forces), own, out, strict=True):
             whole[:, at] = one.raw, one.base, one.final
     forces = forces[:, np.isfinite(log.force_sd)]
@@ -196,11 +193,17 @@ def _predict_held_out(found: LawSearch, imu: ImuLog, request: ImuRequest) -> Hel
 
 
 def _compare(
-    base: TurnFit, final: TurnFit, turns: Flags, rests: Flags, gravity: float
+    base: TurnFit, final: TurnFit, turns: Flags, rests: Flags, gravity: float, whole: LawSearch
 ) -> tuple[Compared, Compared]:
-    """Of some turns (T,), deg, and rests (N,), mg, what two models leave of gravity."""
+    """Of some turns (T,), deg, and rests (N,), mg, what two models leave of gravity. Of a power-up
+    that took no part nobody knows the bias: its turns are seen by the accelerometer of the whole,
+    since what carries gravity is the gyroscope."""
     fits, at = (_as_read(base), base, final), np.flatnonzero(turns)
-    carried = (carried_error(fit, at) / DEG for fit in fits)
+    ends = (whole.base, whole.base, whole.base if final is base else whole.final)
+    seen = (
+        rest_forces(end if base.log.sessions else fit) for fit, end in zip(fits, ends, strict=True)
+    )
+    carried = (carried_error(fit, at, up) / DEG for fit, up in zip(fits, seen, strict=True))
     forces = (base.log.force, rest_forces(base), rest_forces(final))
     sizes = (gravity / MG * (np.linalg.norm(force[rests], axis=1) - 1.0) for force in forces)
     return Compared(*carried), Compared(*sizes)

@@ -39,12 +39,15 @@ class ImuRequest(Request):
 
     @property
     def of_rests(self) -> LabRequest:
-        """The same of the accelerometer's calibration by its rests."""
+        """The same of the accelerometer's bench of rests, from which a wrong one is left out as a
+        turn is: nobody set it by hand."""
         shared = {one.name: getattr(self, one.name) for one in fields(Request)}
         gyro = gyro_effects(self.extra_effects)
         shared["declare"] = tuple(n for n in self.declare if n not in gyro)
         shared["limits"] = {}
-        return LabRequest(**shared, reference="norm", still=self.still, partial=True)
+        return LabRequest(
+            **shared, reference="norm", still=self.still, partial=True, auto_exclude=True
+        )
 
 
 def gyro_effects(own: Mapping[str, Effect]) -> dict[str, Response]:

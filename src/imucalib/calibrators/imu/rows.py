@@ -132,6 +132,8 @@ class ReducedRows:
         drift, up = state.first_drift, state.first_up
         of_rate, of_up = every[:, drift:up], every[:, up : up + 2 * n]
         every = (every - of_rate @ rates + of_up @ forces[across]).toarray()
+        shared = every[:, state.first_offset : drift]
+        every[:, -1] -= shared @ state.offset.ravel()  # which power-ups have about none
         at = np.repeat([turn.rest for turn in log.turns], 2)[used]
         steps = np.repeat(np.arange(n - 1), 3)
         order = np.argsort(np.concatenate([at + 0.3, np.arange(n), steps + 0.6]), kind="stable")
@@ -149,7 +151,7 @@ class ReducedRows:
         sd = np.sqrt(variance[ends[3] : ends[3] + first])
         return ReducedRows(
             columns=every[order][:, kept],
-            shared=every[order][:, state.first_offset : drift],
+            shared=shared[order],
             known=known.toarray()[:first][:, kept] / sd[:, None],
             turn=turn[order].astype(np.intp),
             force=sparse.csr_array((along + of_up @ place)[order]),

@@ -21,7 +21,7 @@ from imucalib.calibration.findings import (
 )
 from imucalib.calibration.gyroscope import BIAS, STAGE
 from imucalib.calibration.gyroscope import GAIN as GAIN_EFFECT
-from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Limit, Outcome, Run
+from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Left, Limit, Outcome, Run
 from imucalib.calibrators.imu.calibrate import ImuResult, calibrate_imu
 from imucalib.calibrators.imu.plan import open_words
 from imucalib.calibrators.imu.power_ups import bias_parts, differing, products_of
@@ -32,7 +32,7 @@ from imucalib.core.sphere import even_directions
 from imucalib.data import Data
 from imucalib.effects.forms import in_words
 from imucalib.estimators.lateness import lateness
-from imucalib.estimators.turns import ACCELEROMETER, GAIN, LOWER, TurnFit
+from imucalib.estimators.turns import ACCELEROMETER, GAIN, LOWER, TurnFit, rest_forces
 from imucalib.inspection.noise import SensorNoise, noise_blocks
 from imucalib.posterior.closed_loop.found import Score, Unexplained
 from imucalib.posterior.closed_loop.words import member_of, of_each
@@ -118,13 +118,13 @@ def run_imu(
     products = products_of(result.fit) if names else None
     samples = sum(max(len(c.t) for c in r.channels.values()) for r in result.recordings)
     both = rests.fit is not None and rests.fit.converged and result.fit.converged
+    findings = _findings(result, request)
     outcome = replace(
         rests,
         calibrator="imu",
         errors=errors,
         provenance=replace(rests.provenance, samples=samples, settings=request.stated()),
-        findings=_findings(result, request),
-        undecided=by_size.undecided,
+        findings=findings,
         fit=rests.fit and replace(rests.fit, converged=both),
         reasons=(
             *by_size.reasons,
@@ -135,6 +135,7 @@ def run_imu(
         limits=_limits(request, errors),
         notes=(*by_size.notes, *_notes(result)),
         weak=bool(open_gains),
+        left=_left_open(result, findings),
     )
     details = imu_details(result)
     calibration = imu_calibration(result, outcome, details)
@@ -202,9 +203,9 @@ def _findings(result: ImuResult, request: ImuRequest) -> Findings:
     names, refused = tuple(s.effect for s in steps), result.refused
     named = [s for s in steps if not s.curve and not s.formula]
     open_end = bool(unnamed) or len(named) < len(steps)
-    if named and not refused and not held.gained.proved:
+    if named and not held.gained.proved:
         verdict = "suspected"
-    elif (named and not refused) or by_size.records:
+    elif named or by_size.records:
         verdict = "explained in part" if open_end else "explained"
     else:
         verdict = "unexplained" if open_end else "nothing missing"
@@ -230,6 +231,17 @@ def _findings(result: ImuResult, request: ImuRequest) -> Findings:
         complete=found.said.complete,
         facts=(("turns", words),),
     )
+
+
+def _left_open(result: ImuResult, findings: Findings) -> tuple[Left, ...]:
+    """By how much what is not settled changes a force, against what the calibration is good to."""
+    base, final = (rest_forces(fit) for fit in (result.found.base, result.found.final))
+    moved = np.sqrt(np.mean(np.sum((final - base) ** 2, axis=1)))
+    size = float(moved * result.imu.course.gravity / MG)
+    if not size or not (result.refused or findings.verdict == "suspected"):
+        return ()
+    accepted = result.held_out.forces.sizes[2]
+    return (Left("what stays open in a reading", size, accepted, "mg"),)
 
 
 def _gain(result: ImuResult) -> Gain:
@@ -353,9 +365,15 @@ def _notes(result: ImuResult) -> tuple[str, ...]:
         "from rest to rest turns the same angle"
     )
     lost = result.imu.left_out
+    rests = result.by_size.excluded
     refused = [s.effect for s in _steps(result)] if result.refused else []
     said = [f"{in_words(n)} is there, and {_NEEDLESS}; --declare {n} puts it in" for n in refused]
-    return (unseen, *said, *((f"{len(lost)} turns were left out", *lost) if lost else ()))
+    return (
+        unseen,
+        *said,
+        *((f"{len(rests)} rests were left out", *rests) if rests else ()),
+        *((f"{len(lost)} turns were left out", *lost) if lost else ()),
+    )
 
 
 #: Relative step of a derivative.
