@@ -57,3 +57,14 @@ def test_a_blunder_in_the_last_row_moves_no_column(seed: int) -> None:
     angles, reading = columns(rings=6, zero="+y", vertical=False, seed=seed)
     reading[-1] *= -1.0
     assert misread_angles(sheet_of(angles, reading)) is None
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("zero", ZEROS)
+def test_a_false_row_does_not_hide_where_inclination_counts_from(zero: str, seed: int) -> None:
+    angles, reading = columns(rings=4, zero=zero, vertical=True, seed=seed)
+    k = int(np.argmax(np.abs(reading[:, 1])))
+    reading[k, 1] *= -1.0
+    found = misread_angles(sheet_of(angles, reading))
+    assert found is not None
+    assert found.meaning == AngleMeaning(vertical=True)

@@ -114,7 +114,8 @@ def misread_angles(sheet: Sheet) -> Misread | None:
     log p = -ν/2 ln RSS + ln prior, with scatter of a bench's size under each: no sheet is better
     than the tenth of a degree to which a bench is set, so a misfit below 2 mg counts as 2 mg. Each
     departure from what is stated has a slip's prior odds. All meanings are held against the same
-    readings, those whose angles each of them knows.
+    readings, those whose angles each of them knows. A false row is false under every meaning: how
+    far one is better than another, the larger part of the rows says.
     """
     steps = (-1, 0, 1) if sheet.ordered else (0,)
     tried = [
@@ -124,21 +125,22 @@ def misread_angles(sheet: Sheet) -> Misread | None:
         if not (m[3] and m[3] == m[4])
     ]
     rows = sheet.row[1:-1] if sheet.ordered else sheet.row
-    misfits = {}
+    misfits = dict.fromkeys(tried, np.inf)
+    parts = dict.fromkeys(tried, np.inf)
     for meaning in tried:
         other = as_meant(sheet, meaning)
-        misfit = np.inf
         if other is not None:
             known = other.take(np.flatnonzero(np.isin(other.row, rows)))
-            misfit = _misfit(known, whole=meaning != AngleMeaning())
-        misfits[meaning] = max(misfit, BENCH)
+            misfits[meaning] = max(_misfit(known, whole=meaning != AngleMeaning()), BENCH)
+            parts[meaning] = max(_misfit_of_part(known), BENCH)
     plain, dof = misfits[AngleMeaning()], 3 * rows.size - 15
     logs = {
         m: sum(map(bool, m)) * np.log(WRONG / _DEPARTURES) - dof * np.log(misfits[m]) for m in tried
     }
     best = max(tried, key=lambda m: logs[m])
     score = float(logs[best] - logs[AngleMeaning()])
-    if not np.isfinite(plain) or score <= CLEAR or misfits[best] > plain * FAR_BETTER:
+    far_better = parts[best] <= parts[AngleMeaning()] * FAR_BETTER
+    if not np.isfinite(plain) or score <= CLEAR or not far_better:
         return None
     return Misread(best, score, misfits[best], plain)
 
@@ -177,6 +179,12 @@ def _misfit(sheet: Sheet, *, whole: bool) -> float:
         return float("inf")
     rest = sheet.reading - design @ found
     return float(np.sqrt(np.sum(rest**2) / (sheet.n - 4)))
+
+
+def _misfit_of_part(sheet: Sheet) -> float:
+    """Mean length (mg) that the linear map of the larger part of the rows leaves on these."""
+    part = larger_part(np.column_stack([sheet.truth(), np.ones(sheet.n)]), sheet.reading)
+    return part.misfit / part.rows.size
 
 
 def axes_text(source: Iterable[int], sign: Iterable[float]) -> str:
