@@ -130,3 +130,46 @@ def test_a_table_of_two_sensors_has_readings_once_one_is_named(tmp_path: Path) -
     page = said(run(file, "--sensor", name))
     assert "A plan of positions" not in page
     assert any(one.startswith("imucal lab") and "LOG" not in one for one in commands(page)), page
+
+
+def in_volts(path: Path) -> Path:
+    """The table of paper 004, headed right and with its lost sign, in volts about 2.5 V."""
+    lines = ["tool_face [deg];incl [deg];Gx [V];Gy [V];Gz [V]"]
+    for row in TABLE[1:]:
+        cells = row.split(",")
+        volts = (f"{2.5 + 1.25e-6 * float(c):.6f}" for c in cells[2:5])
+        lines.append(";".join([cells[1], cells[0], *volts]))
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_a_table_in_volts_is_told_with_the_command_that_reads_it(tmp_path: Path) -> None:
+    table = in_volts(tmp_path / "volts.csv")
+    page = said(run(table))
+    assert "counted from an offset" in " ".join(page.split())
+    (command,) = commands(page)
+    words = shlex.split(command)
+    assert words[:3] == ["imucal", "lab", str(table)]
+    assert words[-2:] == ["-o", "out"]
+    again = said(run(*words[2:-2]))
+    assert "counted from an offset" not in " ".join(again.split())
+
+
+def test_a_mirrored_table_is_told_with_a_whole_command(tmp_path: Path) -> None:
+    table = tmp_path / "mirrored.csv"
+    table.write_text(
+        "\n".join(
+            ["toolface_deg,inclination_deg,raw_x,raw_y,raw_z"]
+            + [
+                ",".join([c[1], c[0], str(-float(c[2])), *c[3:]])
+                for c in (r.split(",") for r in TABLE[1:])
+            ]
+        )
+    )
+    page = said(run(table))
+    assert "a mirror image of the angles" in " ".join(page.split())
+    (command,) = commands(page)
+    assert f"imucal lab {table} --" in command
+    assert "mirror image" not in said(
+        run("lab", *shlex.split(command)[2:-2], "--no-loop", "-o", tmp_path / "o")
+    )

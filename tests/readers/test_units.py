@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -271,9 +272,10 @@ def test_a_recording_from_an_offset_is_refused_with_the_options_that_read_it(
     assert isinstance(refused.exception, UnreadableInput)
     told = str(refused.exception)
     assert "counted from an offset" in told
-    line = told.split("offset. ")[1].split(" counts them", maxsplit=1)[0]
-    assert line.startswith("--unit counts --lsb 40")
-    done = run("lab", log, "--reference", "norm", "-o", tmp_path / "out", "--full", *line.split())
+    line = refused.exception.add
+    assert shlex.join(line).startswith("--unit counts --lsb 40")
+    assert told.endswith(shlex.join(line))
+    done = run("lab", log, "--reference", "norm", "-o", tmp_path / "out", "--full", *line)
     assert done.exception is None, done.stderr
     assert "as the recording was read" in " ".join(done.stdout.split())
 

@@ -341,7 +341,7 @@ def _scale(counts: ChannelFacts, found: Inspection) -> tuple[str, str]:
     if found.still is not None and counts.triad in found.still.triads:
         away = zero_g(found.still.mean[:, found.still.triads.index(counts.triad)])
         if away is not None:
-            return "--acc-offset", f"{away.sentence}; try {away.option}"
+            return "--acc-offset", f"{away.sentence}; try {paste(*away.options)}"
     if not math.isfinite(norm):
         return "--lsb N", why
     return f"--lsb {norm:.0f}", f"{why}; the norm at rest is that many counts"

@@ -250,6 +250,7 @@ def demand_axes(log: TurnLog, where: str, stated: AxisMap) -> None:
         f"({_percent(chance[best])}{rival}){mirrored}",
         where=where,
         remedy=f"add --gyro-axes={line}",
+        add=(f"--gyro-axes={line}",),
     )
 
 

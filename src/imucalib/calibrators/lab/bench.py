@@ -104,7 +104,7 @@ def raw_unit(table: PositionTable, unit: str | None, lsb_per_g: float | None) ->
 def _refuse_offset(table: PositionTable) -> None:
     away = zero_g(table.raw())
     if away is not None:
-        raise UnreadableInput(away.sentence, where=table.path, remedy=f"add {away.option}")
+        raise away.error(table.path)
 
 
 def held_settings(angle: Array) -> Index:

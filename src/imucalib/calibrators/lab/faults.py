@@ -105,23 +105,25 @@ def _axes_questions(sheet: Sheet, request: LabRequest) -> tuple[Question, ...]:
         return ()
     stated, before = request.conventions, request.repairs.axes
     straight = _standing_straight(sheet, stated)
-    lines = [paste(*_options(stated, straight))] if straight else []
+    dial = tuple(_options(stated, straight)) if straight else ()
     # In terms of the sheet's columns, where some were stated already.
     over = axes.text.split(",")
     under = [(before or ("x", "y", "z"))["xyz".index(part[-1])] for part in over]
     signs = (part[:-1] != b[:-1] for part, b in zip(over, under, strict=True))
     columns = ("-" * sign + b[-1] for sign, b in zip(signs, under, strict=True))
-    lines.append(f"--axes={','.join(columns)}")
+    line = f"--axes={','.join(columns)}"
     if axes.mirrored:
         raise UnreadableInput(
             "the readings are a mirror image of the angles: "
             "an axis or the tool-face has the other sign",
-            remedy=f"which one only you can know: {' or '.join(lines)}",
+            remedy=f"mend the columns with {line}" + ", or say how the dial turns" * bool(dial),
+            add=dial or (line,),
         )
     if before:
         return ()
     turned = f"the sensor stands turned by 90 or 180 deg in the tool (its axes as {axes.text})"
-    other = f"{' or '.join(lines)} if columns or dial are misread"
+    other = f"{paste(*dial)} or {line}" if dial else line
+    other += " if columns or dial are misread"
     return (Question(turned, ("--axes=x,y,z",), other),)
 
 

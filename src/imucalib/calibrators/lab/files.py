@@ -147,8 +147,7 @@ def _table(files: LabFiles, request: LabRequest, *, need_raw: bool = True) -> Po
         table = table.once
         if request.unit is None and request.lsb_per_g is None:
             table = _of_one_unit(table)
-        if files.mapping.acc_offset:
-            table = _subtract_zero(files.mapping.acc_offset, table)
+        table = _from_zero(table, files.mapping)
     stated = table.inclination_zero
     if request.reference == "vector" and stated and stated != zero:
         raise UsageError(
@@ -192,8 +191,11 @@ def _of_one_unit(table: PositionTable) -> PositionTable:
     return replace(table, columns=columns, unit={**table.unit, **dict.fromkeys("xyz", stated[0])})
 
 
-def _subtract_zero(zero: tuple[float, ...], table: PositionTable) -> PositionTable:
+def _from_zero(table: PositionTable, mapping: FieldMapping) -> PositionTable:
     """The table's readings without what they show at zero g, one number or one an axis."""
+    zero = mapping.acc_offset
+    if not zero:
+        return table
     if len(zero) not in (1, 3):
         raise UsageError("--acc-offset needs one value, or one an axis", where=table.path)
     less = dict(zip("xyz", np.broadcast_to(zero, 3), strict=True))
@@ -392,12 +394,14 @@ def inspect_table(path: Path, mapping: FieldMapping) -> TableSeen | None:
         table = read_position_table(path, need_raw=raw, mapping=mapping, cells=cells)
         if not raw:
             return TableSeen(table, "plan", "", (), table.left_out)
+        table = _from_zero(table, mapping)
         return _look_at_table(table, _request_for(table, "vector", mapping))
     devices = any(take_turns(n, [str(c) for c in own]) for n, own in cells.columns.items())
     found = None if devices else positions_in(LabFiles(path, mapping=mapping), cells)
     if found is None or not ("ux" in found or found.turns):
         return None
     kind = "direction" if "ux" in found else "norm"
+    found = _from_zero(found, mapping)
     return _look_at_table(found, _request_for(found, kind, mapping))
 
 

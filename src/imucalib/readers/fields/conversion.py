@@ -46,9 +46,14 @@ class ZeroG:
         )
 
     @property
-    def option(self) -> str:
+    def options(self) -> tuple[str, ...]:
         level = ",".join(f"{v:.6g}" for v in self.level)
-        return f"--unit counts --lsb {self.radius:.4g} --acc-offset {level}"
+        return ("--unit", "counts", "--lsb", f"{self.radius:.4g}", f"--acc-offset={level}")
+
+    def error(self, where: str) -> UnreadableInput:
+        """What refuses such readings until somebody says where they are counted from."""
+        remedy = "take zero and scale from the data sheet (--acc-offset, --lsb)"
+        return UnreadableInput(self.sentence, where=where, remedy=remedy, add=self.options)
 
 
 def zero_g(rest: Array) -> ZeroG | None:
@@ -235,8 +240,7 @@ def acceleration(
         return found(unit, np.array([units.ACCELERATION_UNITS[unit]]), _caution(norm, unit))
     away = None if mapping.acc_offset else zero_g(rest)
     if away is not None and (unit != COUNTS or mapping.lsb_per_g):
-        remedy = f"{away.option} counts them from there; the data sheet may know better"
-        raise UnreadableInput(away.sentence, where=where, remedy=remedy)
+        raise away.error(where)
     if mapping.lsb_per_g and unit in ("", COUNTS):
         scale = units.STANDARD_GRAVITY / _per_axis(mapping.lsb_per_g, "lsb_per_g", 1.0)
         if rest.size:
