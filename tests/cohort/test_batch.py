@@ -6,6 +6,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -148,6 +149,24 @@ def test_a_study_leaves_calibrations_corrected_recordings_and_a_file_for_ggir(
     assert "1 to use, 0 with care, 2 not" in page.read_text()
     head, *lines = ggir.read_text().splitlines()
     assert [line.count(",") for line in lines] == [head.count(",")] * 2
+
+
+def test_a_file_for_ggir_is_counted_by_its_rows_and_says_why_one_has_none(
+    cohort: Path, tmp_path: Path
+) -> None:
+    """A recording that was not calibrated has no calibration's file to be missed."""
+    entries, table, ggir = tmp_path / "entries", tmp_path / "t.csv", tmp_path / "g.csv"
+    done = run(
+        "batch", cohort / "cohort.txt", "-o", entries, "--calibrator", "lab", "--", *ARGUMENTS
+    )
+    (line,) = (text for text in done.stdout.splitlines() if "imucal collect" in text)
+    words = shlex.split(line.partition("imucal ")[2])
+    assert words[:2] == ["collect", str(entries)]
+    done = run("collect", entries, "-o", table, "--ggir", ggir)
+    rows = ggir.read_text().splitlines()[1:]
+    assert f"wrote {ggir}: {len(rows)} recordings" in done.stdout
+    assert "not calibrated: " in done.stderr
+    assert "no such file" not in done.stderr
 
 
 def test_an_entry_overwrites_no_file_beside_it(cohort: Path, tmp_path: Path) -> None:

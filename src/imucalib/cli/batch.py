@@ -16,6 +16,7 @@ import click
 from imucalib.cli.frame import options as opt
 from imucalib.cli.frame.output import emit_json, note, progress
 from imucalib.data import Data
+from imucalib.question import paste
 
 if TYPE_CHECKING:
     from imucalib.cohort.batch import Cluster, Task
@@ -159,6 +160,8 @@ def _summarize(
             f"{summary.calibrated} of {summary.recordings} calibrated "
             f"({reused} from before), {len(failed)} failed; entries in {options['output']}"
         )
+        gather = ("imucal", "collect", options["output"], "-o", "cohort.csv")
+        click.echo(f"the table: {paste(*gather, '--html', 'cohort.html')}")
     return 3 if failed else 0
 
 
@@ -325,28 +328,33 @@ def collect(folder: Path, output: Path, **options: Any) -> int:
     write_table(rows(cohort), output, cohort.columns if options["all_columns"] else PAPER)
     if html is not None:
         write_whole(html, cohort_html(rows(cohort), folder.absolute().name))
+    for_ggir = _rows_for_ggir(cohort.newest.values(), quiet) if ggir is not None else []
     if ggir is not None:
-        write_whole(ggir, _compose_ggir(cohort.newest.values(), quiet))
+        write_whole(ggir, "\n".join([*for_ggir, ""]))
     if cohort.others:
         note(f"{cohort.others} files are no entries", quiet)
     if cohort.older:
         note(f"{cohort.older} entries are older ones of the same recording", quiet)
     if not quiet:
         for target in targets:
-            click.echo(f"wrote {target}: {len(cohort.newest)} recordings")
+            count = max(len(for_ggir) - 1, 0) if target == ggir else len(cohort.newest)
+            click.echo(f"wrote {target}: {count} recordings")
     return 0
 
 
-def _compose_ggir(entries: Iterable[Path], quiet: bool) -> str:
-    """The text of one file for GGIR; what has no row in it is told."""
+def _rows_for_ggir(entries: Iterable[Path], quiet: bool) -> list[str]:
+    """Lines of one file for GGIR, its heading first; what has no row in it is told."""
     from imucalib.calibration.file import read
-    from imucalib.cohort.entries import calibration_beside
+    from imucalib.cohort.entries import calibration_beside, read_entry
     from imucalib.errors import ImucalError
     from imucalib.exports import export
     from imucalib.exports.bound import demand_carried
 
     lines: list[str] = []
-    for path in map(calibration_beside, entries):
+    for entry, path in ((one, calibration_beside(one)) for one in entries):
+        if (known := read_entry(entry)) and not known.calibrated:
+            note(f"no row for GGIR: {path.stem}: not calibrated: {known.error}", quiet)
+            continue
         try:
             calibration = read(path)
             recording = str(calibration.facts["provenance"]["input"])
@@ -356,4 +364,4 @@ def _compose_ggir(entries: Iterable[Path], quiet: bool) -> str:
             note(f"no row for GGIR: {path.stem}: {error.what}", quiet)
             continue
         lines += made.text.splitlines()[bool(lines) :]
-    return "\n".join([*lines, ""])
+    return lines
