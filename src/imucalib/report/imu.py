@@ -71,15 +71,17 @@ def _card(run: ImuRun) -> Card:
     drift = f"± {two_digits(heading_drift(run.result.fit))} deg"
     how = "95 %, worst axis, beside what the bias does"
     left_out = "rests" if run.sessions is None else "power-ups"
-    good = (
+    good = [
         Worth(carried.quantity, carried.value, carried.detail, f"median {median} deg"),
         Worth("heading after 360 deg", drift, how),
         sections.error_worth(outcome.errors[1], "size of a force", left_out),
         *power_up_worths(run.sessions),
         *_delay(run),
-    )
+    ]
+    if run.request.gravity_assumed:
+        good.append(sections.gravity_worth(run.request.gravity))
     uses = (sections.CORRECT, *_for_kalibr(run))
-    return sections.card_of(outcome, good, uses=uses, picture=_picture(run))
+    return sections.card_of(outcome, tuple(good), uses=uses, picture=_picture(run))
 
 
 def _delay(run: ImuRun) -> tuple[Worth, ...]:

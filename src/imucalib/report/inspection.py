@@ -357,7 +357,8 @@ def _rest(still: Segments | None) -> tuple[Table, ...]:
         for triad, span in zip(still.triads, spans, strict=True)
     )
     tones = Table.marked("warning", ((s[0] > -0.5).any() or (s[1] < 0.5).any() for s in spans))
-    title = f"{still.n} still segments; gravity along each axis, in units of its norm at rest"
+    title = f"{still.n} still segment{'s' * (still.n != 1)}; gravity along each axis, in units of "
+    title += "its norm at rest"
     note = "Scale and bias of an axis show only when it has pointed both up and down."
     return (Table(title, ("sensor", "x", "y", "z"), rows, "lrrr", note, tones),)
 
