@@ -103,7 +103,10 @@ def card_of(
     """
     found, slips = outcome.findings or Findings("not run"), _slips(outcome)
     said = [Text(f"{capital(one.what)}.", "bad") for one in slips]
-    said += _list_findings(found) if not slips or found.verdict != "not run" else ()
+    # What a fit that did not settle finds, and what it is good to, mean nothing.
+    settled = outcome.fit is None or outcome.fit.converged
+    told = settled and found.verdict != "not run"
+    said += _list_findings(found) if told or not slips else ()
     # Until slips are decided the other advice is about an error that is none of the sensor's.
     broken = (f"{text}." for text in outcome.broken)
     steps: tuple[str | Question, ...] = slips or (*broken, *outcome.advice, *more)
@@ -112,9 +115,8 @@ def card_of(
     usable = usable and not outcome.corrected
     if outcome.corrected:
         steps = ("Calibrate the recording from which it was made.", *steps)
-    settled = outcome.fit is None or outcome.fit.converged
     return Card(
-        tuple(good_to) if settled else (),  # figures of a fit that did not settle mean nothing
+        tuple(good_to) if settled else (),
         tuple(said),
         tuple(decision(step, command) for step in steps[:_STEPS]),
         command,

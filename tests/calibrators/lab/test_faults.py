@@ -61,6 +61,9 @@ def test_a_slip_that_keeps_the_fit_from_settling_is_named_on_a_card(tmp_path: Pa
     assert "row 14: z lost its sign" in text
     assert "--fix 14:z=815.2" in report["card"]["to_do"][0]
     assert report["card"]["good_to"] == []
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "Good to" not in page
+    assert "nothing is missing" not in page.partition("<nav")[0]
     assert not list((tmp_path / "out").glob("*.m"))
     refused = run("export", tmp_path / "out" / "calibration.yaml", "--to", "matlab").exception
     assert "did not settle" in str(refused)

@@ -179,7 +179,8 @@ class _Sheet:
             self.step(k, step, most)
             for k, step in enumerate(card.to_do or ("Nothing to do.",), start=1)
         ]
-        return {"Good to": worths, "Found": found, "What to do next": steps}
+        whole = {"Good to": worths, "Found": found, "What to do next": steps}
+        return {name: items for name, items in whole.items() if items}
 
     def step(self, number: int, text: str, most: int) -> list[Line]:
         """One step; a command that does not fit beside its purpose on lines of its own."""
@@ -238,8 +239,7 @@ class _Sheet:
             or [self.listed([(lead, _normalize_spaces(one))], 2, 1, "", "")]
         ]
         return [
-            *self.heading("Good to"),
-            self.facts(worth),
+            *((*self.heading("Good to"), self.facts(worth)) if worth else ()),
             *self.heading("Found"),
             *map(self.paragraph, card.found),
             *self.heading("What to do"),
