@@ -114,8 +114,9 @@ def misread_angles(sheet: Sheet) -> Misread | None:
     log p = -ν/2 ln RSS + ln prior, with scatter of a bench's size under each: no sheet is better
     than the tenth of a degree to which a bench is set, so a misfit below 2 mg counts as 2 mg. Each
     departure from what is stated has a slip's prior odds. All meanings are held against the same
-    readings, those whose angles each of them knows. A false row is false under every meaning: how
-    far one is better than another, the larger part of the rows says.
+    readings, those whose angles each of them knows. A false row is false under every meaning: one
+    is far better where it is so in all rows or in the larger part of them. Of a column that moved
+    all rows must say so: most may stand where they stood.
     """
     steps = (-1, 0, 1) if sheet.ordered else (0,)
     tried = [
@@ -139,7 +140,8 @@ def misread_angles(sheet: Sheet) -> Misread | None:
     }
     best = max(tried, key=lambda m: logs[m])
     score = float(logs[best] - logs[AngleMeaning()])
-    far_better = parts[best] <= parts[AngleMeaning()] * FAR_BETTER
+    told = (misfits,) if best.inclination_steps or best.tool_face_steps else (misfits, parts)
+    far_better = any(each[best] <= each[AngleMeaning()] * FAR_BETTER for each in told)
     if not np.isfinite(plain) or score <= CLEAR or not far_better:
         return None
     return Misread(best, score, misfits[best], plain)
