@@ -123,13 +123,35 @@ def clean(seed: int) -> dict[str, object]:
     }  # fmt: skip
 
 
+#: mg a typical size of what an accelerometer adds to each axis, of gravity (n, 3) and the share
+#: (n, 1) of the log.
+OF_FORCE: dict[str, Callable[[Array, Array], Array]] = {
+    "quadratic": lambda up, share: up**2,
+    "product_across": lambda up, share: up[:, [1, 2, 0]] * up[:, [2, 0, 1]],
+    "bias_drift": lambda up, share: np.broadcast_to(share, up.shape),
+}
+SIZE = 2e-3  # g, rms over the axes
+
+
+def bent(effect: str, seed: int) -> dict[str, object]:
+    """An accelerometer with an effect."""
+    rng, made = np.random.default_rng(seed + 7), world(seed, 20)
+    way, log = rng.normal(size=3), made.log
+    share = (log.t / log.t[-1])[:, None]
+    more = OF_FORCE[effect](log.up, share) * SIZE * way / np.sqrt(np.mean(way**2))
+    return _judged(effect, World(made.chip, replace(log, force=log.force + more)))
+
+
 def planted(effect: str, seed: int) -> dict[str, object]:
     rng = np.random.default_rng(seed + 7)
     way = rng.normal(size=(3, 3) if effect == "gyro_g_sensitivity" else 3)
     size = 0.05 * DEG if effect == "gyro_g_sensitivity" else 0.005
     more = size * way / np.sqrt(np.mean(way**2))
     name = "by_force" if effect == "gyro_g_sensitivity" else "asymmetry"
-    made = world(seed, 20, **{name: more})
+    return _judged(effect, world(seed, 20, **{name: more}))
+
+
+def _judged(effect: str, made: World) -> dict[str, object]:
     content = report(made.log)
     found = told(content)
     places = [(s["effect"], *s["aliases"]) for s in content["loop"]["steps"]]
@@ -266,8 +288,8 @@ def main() -> None:
             print(f"  {low}-{high} rests, gains: {_intervals(some, True)}")
         claims = [f["told"] for f in found if f["told"]]
         print(f"  claims: {_share([bool(f['told']) for f in found])} {claims}; {_beside(found)}")
-        for effect in ("gyro_g_sensitivity", "gyro_asymmetry"):
-            found = each(planted, effect)
+        for effect in ("gyro_g_sensitivity", "gyro_asymmetry", *OF_FORCE):
+            found = each(bent if effect in OF_FORCE else planted, effect)
             print(f"{effect}: named {_share([f['named'] for f in found])}; gains: "
                   f"{_intervals(found, True)}; {_beside(found)}")  # fmt: skip
             print("  others:", [f["told"] for f in found if f["first"] != [(effect, True)]])
