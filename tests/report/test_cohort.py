@@ -49,6 +49,27 @@ def test_a_cautioned_recording_is_flagged_with_its_reason_in_sight() -> None:
     assert cells[2] == "known to 3.6 mg only"  # before the numbers, which a narrow window cuts off
 
 
+def test_what_to_do_stands_beside_why_once_and_commands_are_set_as_such() -> None:
+    why, step = "known to 3.6 mg only", "record more nights"
+    page = cohort_html(
+        (
+            row("a.csv", 1, why=why, what_to_do=step),
+            failed("b.csv") | {"why": "never still. `imucal inspect` shows it"},
+            failed("c.csv") | {"what_to_do": "copy it"},
+        ),
+        "cohort",
+    )
+    said = re.findall(r'<td class="do">(.*?)</td>', page)
+    assert said[2] == f"{why}. {step}"
+    assert said[0] == "never still. <code>imucal inspect</code> shows it"
+    assert said[1] == "it is empty. copy it"
+
+
+def test_a_count_has_all_its_digits() -> None:
+    page = cohort_html((row("a.csv", posture_runs=1768, enmo_before_mg=41.23),), "cohort")
+    assert re.findall(r'<td class="r">(.*?)</td>', page) == ["30", "1", "20", "1768", "41.2"]
+
+
 def test_a_cohort_of_failures_and_of_one_have_a_page() -> None:
     assert names_of(cohort_html((failed("d.csv"),), "c")) == ["d.csv"]
     assert names_of(cohort_html((row("a.csv", after=None),), "c")) == ["a.csv"]

@@ -36,7 +36,7 @@ def cohort_html(rows: Iterable[Mapping[str, Any]], title: str) -> str:
     Without a script the table is sorted: what is not to be used, what is with care, then by the
     error left, largest first.
     """
-    shown = ("recording", "use", "why", "error_unit", *_NUMBERS)
+    shown = ("recording", "use", "why", "what_to_do", "error_unit", *_NUMBERS)
     table = [{name: row.get(name) for name in shown} for row in rows]
     errors = [v for row in table for v in (row.get("error_before"), row.get("error_after")) if v]
     ends = (min(errors), max(errors)) if errors else (1.0, 1.0)
@@ -86,12 +86,20 @@ def _row(
         "after": _place(after, ends) if after and known else None,
         "picture": f"{_shown(before)} before, {_shown(after)} {unit} after" if known else "",
         "order": "" if after is None else f"{after:.6g}",
-        "why": row["why"],
+        "why": _why(row),
     }
 
 
+def _why(row: Mapping[str, Any]) -> str:
+    """What is against a recording and, where that does not say so itself, what to do."""
+    why, step = str(row["why"]), str(row.get("what_to_do") or "")
+    return f"{why}. {step}" if why and step and step not in why else why
+
+
 def _shown(value: Any, unit: str = "") -> str:
-    return "" if value is None else f"{value:.3g} {unit}".strip()
+    if value is None:
+        return ""
+    return f"{value:{'.3g' if abs(value) < 999.5 else '.0f'}} {unit}".strip()
 
 
 def _place(value: float, ends: tuple[float, float]) -> float:
