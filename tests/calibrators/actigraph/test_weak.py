@@ -72,6 +72,15 @@ def test_one_posture_moves_only_what_it_shows() -> None:
     assert found.theta[2] + 1e3 * found.theta[5] == pytest.approx(20.0, abs=1.0)
 
 
+def test_a_posture_alone_says_first_what_to_do_and_no_number_against_itself() -> None:
+    week, _ = short(np.random.default_rng(0), 1)
+    up = replace(week.runs, mean=G * np.array([[0.0, 0.0, 1.02]]))
+    told = run_of(up, week.scanned, ActigraphRequest(), lambda _: None).outcome
+    assert str(told.advice[0]).startswith("Rest the sensor for ten seconds with x up, x down")
+    assert "the held-out error of 20.00 mg is above the field's 10 mg" in told.reasons
+    assert "worse" not in " ".join(told.reasons)  # 20.00 mg as it came
+
+
 OTHER = {
     "bias": (-10.0, 30.0, 5.0),
     "scale": (-0.02, 0.01, 0.03),

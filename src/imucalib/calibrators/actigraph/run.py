@@ -247,9 +247,9 @@ def reasons(result: ActigraphResult, coverage: Coverage) -> tuple[str, ...]:
             f"{coverage.norm_sd_largest_mg:.1f} mg only{where}"
         )
     if held > _GOOD:
-        found.append(f"the held-out error of {held:.1f} mg is above the field's 10 mg")
+        found.append(f"the held-out error of {held:.2f} mg is above the field's 10 mg")
     if held > raw:
-        found.append(f"on held-out time it is worse than no calibration ({raw:.2f} mg)")
+        found.append(f"on held-out time it is no better than no calibration ({raw:.2f} mg)")
     return tuple(found)
 
 
@@ -268,12 +268,6 @@ def _coverage_words(result: ActigraphResult, coverage: Coverage) -> str:
 def advice(result: ActigraphResult, coverage: Coverage) -> tuple[str, ...]:
     """The next steps, most useful first."""
     found, loop = [], result.loop
-    if result.with_fleet:
-        found.append("What the model lacks is not searched for beside a fleet.")
-    elif result.weak and loop is None:
-        found.append(_UNSEARCHED.format("postures which determine all of them"))
-    elif result.few:
-        found.append(_UNSEARCHED.format("twice as many posture runs as parameters"))
     if coverage.norm_sd_largest_mg > _WELL_KNOWN:
         ends = ", ".join(coverage.never)
         found.append(
@@ -281,6 +275,12 @@ def advice(result: ActigraphResult, coverage: Coverage) -> tuple[str, ...]:
             if ends
             else "More postures at rest, in new directions, make the parameters better known."
         )
+    if result.with_fleet:
+        found.append("What the model lacks is not searched for beside a fleet.")
+    elif result.weak and loop is None:
+        found.append(_UNSEARCHED.format("postures which determine all of them"))
+    elif result.few:
+        found.append(_UNSEARCHED.format("twice as many posture runs as parameters"))
     if loop is None:
         return tuple(found)
     kinds = {u.kind for u in loop.unexplained if u.follows in CLOCKS}
