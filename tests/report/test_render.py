@@ -118,6 +118,19 @@ def test_text_cannot_become_markup() -> None:
     assert _text(_tree(html)).count(evil) >= 12
 
 
+def test_a_command_and_an_option_are_whole_wherever_they_stand() -> None:
+    note = "`imucal apply` undoes it"
+    table = Table("t", ("a",), (("1",),), "r", note)
+    facts = Facts((("gravity", "standard; --latitude gives the place's"),))
+    card = Card((Worth("gravity", "9.8", "assumed: --latitude"),), (), ())
+    html = render_html(
+        Document("d", Text("v"), (Section("s", (table, facts, Text("or --gravity."))),), card=card)
+    )
+    assert "<code>imucal apply</code> undoes it" in html
+    assert html.count('<span class="option">--latitude</span>') == 2
+    assert '<span class="option">--gravity.</span>' in html
+
+
 @pytest.mark.parametrize(
     ("cells", "pads"),
     [
@@ -347,7 +360,7 @@ def test_the_card_says_worth_findings_and_steps_before_the_sections() -> None:
     assert "<code>imucal apply calibration.yaml LOG</code>" in render_html(document("ok"))
     option = replace(CARD, to_do=("Take it: `imucal export c.yaml --to kalibr`",))
     page = render_html(replace(document("ok"), card=option))
-    assert "export c.yaml <span>--to</span> kalibr" in page  # which no line parts at its hyphens
+    assert 'export c.yaml <span class="option">--to</span> kalibr' in page
     assert page.index("Take it") > page.index('role="status"')
 
 
