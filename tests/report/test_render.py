@@ -29,7 +29,7 @@ from imucalib.report.render.document import (
     Worth,
 )
 from imucalib.report.render.html import render_html
-from imucalib.report.render.svg import Axis, linear_axis, render_svg, slots_of
+from imucalib.report.render.svg import Axis, linear_axis, log_axis, plot_axes, render_svg, slots_of
 from imucalib.report.render.table import decimal_pads
 from imucalib.report.render.text import PAGE, render_text
 from worlds.places import SAMPLES
@@ -216,6 +216,23 @@ def _told(axis: Axis, label: str) -> float:
     power = 10.0 ** int(note[1]) if note[1] else 1.0
     offset = float(f"{note[2]}{note[3]}") if note[3] else 0.0
     return float(label.translate(plain)) * power + offset
+
+
+def test_what_is_counted_has_no_halves() -> None:
+    for n in (1, 2, 3, 60):
+        one = np.arange(1.0, n + 1.0)
+        x_axis, _ = plot_axes(_plot(Series("calibrations", one, one, "points")), (500, 300), (7, 6))
+        assert len(x_axis.ticks) >= min(n, 2)
+        assert np.all(x_axis.ticks == np.round(x_axis.ticks))
+
+
+@pytest.mark.parametrize("ends", [(0.28, 1.75), (0.65, 2.5), (3.9, 4.3), (0.5, 5.0), (1e-3, 1e4)])
+def test_a_logarithmic_axis_shows_that_it_is_one(ends: tuple[float, float]) -> None:
+    axis = log_axis(*np.log10(ends), count=6)
+    assert len(axis.ticks) >= 3
+    assert all(
+        float(text) == pytest.approx(at) for text, at in zip(axis.labels, axis.ticks, strict=True)
+    )
 
 
 def test_gap_breaks_the_line_and_a_lone_point_stays_visible() -> None:

@@ -14,6 +14,7 @@ import pytest
 from imucalib.effects import catalogue
 from imucalib.report.render.document import Card, Document, Text, Worth
 from imucalib.report.render.text import SCREEN, render_text
+from imucalib.report.sections import worst_attitude
 from worlds.command import run
 from worlds.places import SAMPLES
 
@@ -241,6 +242,13 @@ def test_a_certificate_says_its_method_in_words(tmp_path: Path) -> None:
     certificate = page[page.index('class="certificate"') : page.index("<header>")]
     assert "a curve of the response of x" in certificate
     assert "@" not in certificate
+    assert certificate.count("<tr>") == 1 + 9  # the terms of curves fill four more pages
+    assert "a curve of the response of x (32 terms)" in certificate
+
+
+def test_a_direction_has_no_minus_before_a_zero() -> None:
+    worth = worst_attitude("|a|", np.ones(1), np.array([[1.0, -0.02, 0.04]]))
+    assert worth.more == "with gravity along x +1.0, y +0.0, z +0.0"
 
 
 def test_the_first_figure_has_the_raw_reading_and_the_corrected_one(tmp_path: Path) -> None:
@@ -249,6 +257,7 @@ def test_the_first_figure_has_the_raw_reading_and_the_corrected_one(tmp_path: Pa
     sizes = {s["label"]: np.abs(s["y"]).max() for s in first["series"]}
     assert sizes["after"] < 0.1 * sizes["raw"]
     assert "before" not in sizes  # which the corrected one would hide: nothing was searched for
+    assert "before" not in first["caption"]
 
 
 @pytest.mark.slow

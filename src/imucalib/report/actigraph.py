@@ -269,8 +269,8 @@ def _coverage(run: ActigraphRun) -> Section:
     c = run.details.coverage
     ends = c.axis_range_g.items()
     seen = ", ".join(f"{a} {low:+.2f} to {high:+.2f} g" for a, (low, high) in ends)
-    known = f"{c.norm_sd_mean_mg:.2f} mg on average over all directions, "
-    known += f"{c.norm_sd_largest_mg:.2f} mg in the worst"
+    known = f"{two_digits(c.norm_sd_mean_mg)} mg on average over all directions, "
+    known += f"{two_digits(c.norm_sd_largest_mg)} mg in the worst (sd)"
     noise = ", ".join(f"{v:.2g}" for v in c.noise_of_a_sample_mg)
     still = f"{c.still_windows} of {c.windows} windows of {c.window_s:g} s"
     rows = [

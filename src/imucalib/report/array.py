@@ -90,7 +90,7 @@ def _card(run: ArrayRun, observability: tuple[Text, ...]) -> Card:
     shape = 1e3 * np.sqrt(np.maximum(np.diag(total.shape), 0.0))
     apart = (
         f"one error for all is in the size, ± {196.0 * total.size_sd:.2g} %, and in the frame, "
-        f"± {1.96 * float(total.frame_sd.max()) / DEG:.2g} deg"
+        f"± {1.96 * float(total.frame_sd.max()) / DEG:.2g} deg (95 %)"
     )
     names = ("accelerometers in motion", "gyros in motion")
     errors = zip(run.outcome.errors, names, strict=False)

@@ -5,6 +5,7 @@ Its terms are those of JCGM 100:2008 (GUM): standard uncertainty u, expanded unc
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
@@ -21,6 +22,8 @@ from imucalib.units import MG
 _COVERAGE = 2.0
 #: Rows of a table that is printed whole.
 _ROWS = 200
+#: Of an effect whose parameters have no meaning one by one.
+_CURVE = "curve@"
 #: A place to write in by hand.
 _BLANK = "_" * 24
 _REFERENCES = {
@@ -35,8 +38,8 @@ _REFERENCES = {
 
 def certify(run: Run, card: Card) -> Certificate | None:
     """Device, date, reference, conditions, method, input and what of it was changed or left out;
-    every parameter with U; each position raw and corrected. None of a run that is not decided:
-    nobody signs two answers."""
+    every parameter with U, but for the terms of curves; each position raw and corrected. None of a
+    run that is not decided: nobody signs two answers."""
     outcome, calibration = run.outcome, run.calibration
     if outcome.undecided or not (outcome.fit is None or outcome.fit.converged):
         return None
@@ -62,12 +65,17 @@ def certify(run: Run, card: Card) -> Certificate | None:
         ("calibrated by", f"{_BLANK}   date, signature {_BLANK}"),
         ("approved by", f"{_BLANK}   date, signature {_BLANK}"),
     ]
+    own = [p for p in calibration.parameters if p.stage != "fixture"]
+    curves = Counter(in_words(p.effect) for p in own if p.effect.startswith(_CURVE))
     rows = tuple(
         (p.name.replace("_", " "), *format_with_sd(p.value, _COVERAGE * p.sd), p.unit)
-        for p in calibration.parameters
-        if p.stage != "fixture"
+        for p in own
+        if not p.effect.startswith(_CURVE)
     )
     note = f"U: expanded uncertainty, k = {_COVERAGE:g}, about 95 %."
+    if curves:
+        terms = ", ".join(f"{name} ({count} terms)" for name, count in curves.items())
+        note += f" In calibration.yaml only: {terms}."
     results = Table("Results", ("", "value", "U", "unit"), rows, "lrrl", note)
     return Certificate(Facts(tuple(facts)), results, _positions(run))
 

@@ -73,7 +73,8 @@ def comparison_document(found: Comparison, paths: Sequence[Path], command: str =
         Section("Between calibrations", _scatter(found)),
         Section("Drift", _drift(found)),
     )
-    title, footer = f"Comparison of {', '.join(found.names)}", (("command", command),)
+    count, footer = len(found.names), (("command", command),)
+    title = f"Comparison of {', '.join(found.names) if count <= _ROOM else f'{count} calibrations'}"
     card = _card(found, paths, command)
     return Document(title, _verdict(found), parts, footer[: bool(command)], card, drawn="--html")
 
@@ -87,7 +88,7 @@ def _verdict(found: Comparison) -> Text:
     proof = f"as stated: {per_cent(found.agreement.answer.nothing)}"
     worst = "; ".join(_words(found, m) for m in found.meanings)
     if found.verdict == "differ":
-        which = f" {' and '.join(found.odd)} differs from the others." if found.odd else ""
+        which = f" {_odd(found)}" if found.odd else ""
         words = f"They differ beyond the limit ({proof}): {worst}.{which}"
     elif found.verdict == "undecided":
         kinds = " and ".join(_QUANTITY[m.unit] for m in found.meanings if m.beyond)
@@ -99,6 +100,10 @@ def _verdict(found: Comparison) -> Text:
         lead = "They agree" if not found.differ else "They differ, but within the limit"
         words = f"{lead} ({proof}): {worst}."
     return Text(words, _TONE[found.verdict])
+
+
+def _odd(found: Comparison) -> str:
+    return f"Unlike the others: {', '.join(found.odd)}."
 
 
 def _words(found: Comparison, worst: Worst) -> str:
@@ -124,8 +129,7 @@ def _card(found: Comparison, paths: Sequence[Path], command: str) -> Card:
     )
     said = [Text(words, _TONE[found.verdict])]
     if found.odd:
-        words = f"{' and '.join(found.odd)} differs from the others."
-        said.append(Text(capital(words), "warning"))
+        said.append(Text(_odd(found), "warning"))
     if found.drift is not None:
         said.append(_due(found.drift))
     said += Text.sentences(found.notes, "warning")

@@ -320,7 +320,7 @@ def _residual_plots(run: LabRun) -> list[Plot]:
     wanted = [(quantities[0], name) for name in _drivers(run) if name in axes]
     wanted += [(q, "row") for q in quantities if (q, "row") not in wanted]
     how = "Each row predicted without it" if held else "The fitted rows"
-    how += "; before and after the search."
+    how += "; before and after the search." if "before" in two else "."
     labels, wrong, bands = run.result.final.observations.label, _suspects(run), _bands(run)
 
     def drawn(quantity: tuple[str, str, str], name: str, *whose: str) -> Plot:

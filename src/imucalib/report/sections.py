@@ -209,7 +209,8 @@ def worst_attitude(quantity: str, sd: Array, directions: Array, what: str = "") 
     sd : (n,) mg; what : else the interval holds, in words
     """
     k = int(np.argmax(sd))
-    towards = ", ".join(f"{a} {v:+.1f}" for a, v in zip("xyz", directions[k], strict=True))
+    along = np.round(directions[k], 1) + 0.0  # no minus before a zero
+    towards = ", ".join(f"{a} {v:+.1f}" for a, v in zip("xyz", along, strict=True))
     detail = f"95 %; {two_digits(1.96 * sd.mean())} mg on average"
     where = f"{what}with gravity along {towards}"
     return Worth(f"{quantity}, worst attitude", f"± {two_digits(1.96 * sd[k])} mg", detail, where)

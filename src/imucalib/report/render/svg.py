@@ -72,13 +72,16 @@ def nice_step(span: float, count: int) -> float:
     return next(m * power for m in (1.0, 2.0, 5.0, 10.0) if m * power >= raw * (1 - 1e-9))
 
 
-def linear_axis(low: float, high: float, count: int) -> Axis:
-    """A linear axis with about `count` ticks, at least two; `low` < `high`."""
-    step = nice_step(high - low, count)
+def linear_axis(low: float, high: float, count: int, whole: bool = False) -> Axis:
+    """A linear axis with about `count` ticks, at least two; `low` < `high`.
+
+    whole : of things that are counted: no tick between two numbers, be there one only
+    """
+    step = max(nice_step(high - low, count), float(whole))
     offset = _offset(low, high, step)
     first = math.ceil((low - offset) / step - 1e-9)
     last = math.floor((high - offset) / step + 1e-9)
-    if last <= first:
+    if last <= first and not whole:
         return linear_axis(low, high, 2 * count)
     index = np.arange(first, last + 1, dtype=np.float64)
     labels, note = _labels(index, step)
@@ -114,18 +117,18 @@ def _labels(index: Array, step: float) -> tuple[tuple[str, ...], str]:
 
 
 def log_axis(low: float, high: float, count: int) -> Axis:
-    """A logarithmic axis between two log10 limits: decades, with 2 and 5 where there is room."""
+    """A logarithmic axis between two log10 limits: decades, with 2 and 5 where there is room, and
+    even steps where those are too few."""
     decades = np.arange(math.ceil(low - 1e-9), math.floor(high + 1e-9) + 1, dtype=np.float64)
-    if high - low < 0.5:
+    start = math.floor(low)
+    fine = [k + math.log10(m) for k in range(start, math.ceil(high) + 1) for m in (1, 2, 5)]
+    exponents = np.array([e for e in fine if low - 1e-9 <= e <= high + 1e-9])
+    if len(exponents) < 3:  # no one would see that the axis is logarithmic
         plain = linear_axis(10.0**low, 10.0**high, count)
         kept = plain.ticks > 0
         labels = tuple(text for text, keep in zip(plain.labels, kept, strict=True) if keep)
         return Axis(low, high, plain.ticks[kept], labels, plain.note, log=True)
-    if high - low < count / 2:
-        start = math.floor(low)
-        fine = [k + math.log10(m) for k in range(start, math.ceil(high) + 1) for m in (1, 2, 5)]
-        exponents = np.array([e for e in fine if low - 1e-9 <= e <= high + 1e-9])
-    else:
+    if high - low >= count / 2:
         stride = max(1, math.ceil(len(decades) / max(count, 1)))
         exponents = decades[decades % stride == 0] if len(decades) else decades
     exponents = exponents[exponents < math.log10(LARGEST)]
@@ -185,7 +188,9 @@ def plot_axes(plot: Plot, shape: tuple[float, float], counts: tuple[int, int]) -
         x_low, x_high = _widen(x_low, x_high, unit * shape[0])
         y_low, y_high = _widen(y_low, y_high, unit * shape[1])
     y_axis = (log_axis if plot.log_y else linear_axis)(y_low, y_high, counts[1])
-    return linear_axis(x_low, x_high, counts[0]), y_axis
+    shown = [drawable(s.x) for s in plot.series]
+    whole = all(np.all(np.isnan(x) | (x == np.round(x))) for x in shown)
+    return linear_axis(x_low, x_high, counts[0], whole), y_axis
 
 
 def _widen(low: float, high: float, span: float) -> tuple[float, float]:
