@@ -155,9 +155,9 @@ def _motion_section(run: ArrayRun) -> Section:
     moving, residual, rests, inner = run.moving, run.residual, run.rests, run.state.setup.inner
     speed = np.linalg.norm(run.state.sampled.rate[inner], axis=1) / DEG
     open_ = (f"{x.name} {x.value:.2g} {x.unit} (accepted {x.accepted:g})" for x in run.outcome.left)
-    rows = [(name, str(n)) for name, n in moving.counts.items()]
+    rows = [(name, f"{n} samples") for name, n in moving.counts.items()]
     rows += [
-        ("used", f"{len(inner)}, evenly over the motion"),
+        ("used", f"{len(inner)} samples, evenly over the motion"),
         ("rotation", f"median {np.median(speed):.0f}, largest {speed.max():.0f} deg/s"),
         (
             "gyro scatter",

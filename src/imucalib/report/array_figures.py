@@ -123,9 +123,7 @@ def _deviations(run: ArrayRun) -> Plot:
     off, half = 1e3 * (run.total.mean - run.board.drawn)[1:], 1.96e3 * run.total.sd[1:]
     x = np.arange(1.0, run.board.count)
     series = tuple(
-        Series.about(
-            axis, x + 0.2 * (k - 1), off[:, k], half[:, k], "bars", names=run.board.imus[1:]
-        )
+        Series.about(axis, x, off[:, k], half[:, k], "bars", names=run.board.imus[1:])
         for k, axis in enumerate("xyz")
     )
     caption = f"Position minus drawing, relative to {run.board.imus[0]}, 95 % intervals."
