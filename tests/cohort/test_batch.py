@@ -373,6 +373,24 @@ def test_a_cohort_is_gathered_without_holding_it(tmp_path: Path) -> None:
     assert (peak(60) - peak(20)) / 40 < 2_000
 
 
+def test_a_row_that_is_not_simply_to_use_says_which_number_made_it_so(tmp_path: Path) -> None:
+    done = run("lab", SAMPLES / "bench.csv", "--no-loop", "--json", "-q")
+    report = json.loads(done.stdout) | {"reasons": [], "undecided": [], "limits": [], "left": []}
+    limit = {"name": "max-error", "value": 0.29, "limit": 0.1, "unit": "mg", "broken": True}
+    left = {"name": "what stays open in a reading", "value": 0.3137, "accepted": 0.290197,
+            "unit": "mg", "beyond": True}  # fmt: skip
+    slip = "row 10: y lost its sign (94 %); decide with --fix 10:y=-58593"
+    for more, use, why in (
+        ({"status": "failed", "limits": [limit]}, "do not", "max-error: 0.29 mg exceeds 0.1"),
+        ({"status": "marginal", "undecided": [slip]}, "care", slip),
+        ({"status": "marginal", "left": [left]}, "care",
+         "what stays open in a reading: 0.314 mg, more than the 0.29 accepted"),
+        ({"status": "ok", "left": [left | {"beyond": False}]}, "use", ""),
+    ):  # fmt: skip
+        row = row_of(entry_of("a.csv", 5, 1.0, "", report | more), tmp_path)
+        assert (row["use"], row["why"]) == (use, why)
+
+
 @pytest.mark.slow
 def test_a_row_tells_a_manager_what_to_know(tmp_path: Path) -> None:
     done = run("actigraph", SAMPLES / "wrist_day.csv.gz", "--no-loop", "--json", "-q")

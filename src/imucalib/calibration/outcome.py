@@ -90,7 +90,7 @@ class Left:
     @property
     def sentence(self) -> str:
         more = "more than" if self.beyond else "within"
-        return f"{self.name}: {self.value:.2g} {self.unit}, {more} the {self.accepted:g} accepted"
+        return f"{self.name}: {self.value:.3g} {self.unit}, {more} the {self.accepted:.3g} accepted"
 
 
 def left_open(loop: FitLoop | None, error: ErrorSummary) -> tuple[Left, ...]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -17,7 +18,7 @@ from imucalib.atomic_file import replace_atomically
 from imucalib.calibration import sums
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.file import to_yaml, write_together
-from imucalib.calibration.outcome import KEEP
+from imucalib.calibration.outcome import KEEP, Left, Limit
 from imucalib.errors import UsageError
 from imucalib.recording.pairing import cell
 
@@ -176,13 +177,27 @@ def _row_of(report: Mapping[str, Any]) -> dict[str, Any]:
     steps = card["to_do"] if card else report["loop"]["advice"]
     return {
         "use": _USE.get(report["status"], _NO_USE),
-        "why": "; ".join(report["reasons"]),
+        "why": "; ".join(_against(report)),
         "status": report["status"],
         "verdict": report["loop"]["verdict"],
         "what_to_do": next((str(step) for step in steps if not step.startswith(KEEP)), ""),
         **quality_of(report),
         **_numbers(report),
     }
+
+
+def _against(report: Mapping[str, Any]) -> list[str]:
+    """All that keeps a calibration from being simply good, each with its number."""
+    broken = (
+        Limit(m["name"], math.nan if m["value"] is None else m["value"], m["limit"], m["unit"])
+        for m in report["limits"]
+        if m["broken"]
+    )
+    left = (
+        Left(m["name"], m["value"], m["accepted"], m["unit"]) for m in report["left"] if m["beyond"]
+    )
+    said = (*(one.sentence for one in broken), *report["undecided"], *report["reasons"])
+    return [*said, *(one.sentence for one in left)]
 
 
 def _numbers(report: Mapping[str, Any]) -> dict[str, Any]:
