@@ -385,6 +385,8 @@ def test_a_row_that_is_not_simply_to_use_says_which_number_made_it_so(tmp_path: 
         ({"status": "marginal", "undecided": [slip]}, "care", slip),
         ({"status": "marginal", "left": [left]}, "care",
          "what stays open in a reading: 0.314 mg, more than the 0.29 accepted"),
+        ({"status": "marginal", "loop": report["loop"] | {"verdict": "explained in part"}}, "care",
+         "what stays has no name yet"),
         ({"status": "ok", "left": [left | {"beyond": False}]}, "use", ""),
     ):  # fmt: skip
         row = row_of(entry_of("a.csv", 5, 1.0, "", report | more), tmp_path)

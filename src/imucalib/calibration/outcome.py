@@ -27,6 +27,10 @@ Gate = Literal["suspected", "unexplained", "caution"]
 
 #: The step that a run which wrote nothing is told.
 KEEP = "Write the calibration to use it"
+#: Why a calibration is marginal of which nothing else says why: a name that held-out data do not
+#: prove, or none.
+UNPROVED_NAME = "held-out data do not prove what was found"
+NO_NAME = "what stays has no name yet"
 _CORRECTED = (
     "the recording was corrected already: this is no calibration of the sensor's own readings"
 )

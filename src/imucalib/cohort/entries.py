@@ -18,7 +18,7 @@ from imucalib.atomic_file import replace_atomically
 from imucalib.calibration import sums
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.file import to_yaml, write_together
-from imucalib.calibration.outcome import KEEP, Left, Limit
+from imucalib.calibration.outcome import KEEP, NO_NAME, UNPROVED_NAME, Left, Limit
 from imucalib.errors import UsageError
 from imucalib.recording.pairing import cell
 
@@ -197,7 +197,10 @@ def _against(report: Mapping[str, Any]) -> list[str]:
         Left(m["name"], m["value"], m["accepted"], m["unit"]) for m in report["left"] if m["beyond"]
     )
     said = (*(one.sentence for one in broken), *report["undecided"], *report["reasons"])
-    return [*said, *(one.sentence for one in left)]
+    why = [*said, *(one.sentence for one in left)]
+    if report["status"] == "marginal" and not why:
+        why.append(UNPROVED_NAME if report["loop"]["verdict"] == "suspected" else NO_NAME)
+    return why
 
 
 def _numbers(report: Mapping[str, Any]) -> dict[str, Any]:

@@ -13,7 +13,14 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.findings import Findings, FoundStep
-from imucalib.calibration.outcome import ErrorSummary, Outcome, Run, Status
+from imucalib.calibration.outcome import (
+    NO_NAME,
+    UNPROVED_NAME,
+    ErrorSummary,
+    Outcome,
+    Run,
+    Status,
+)
 from imucalib.calibration.power import hidden
 from imucalib.calibrators.population import Population
 from imucalib.core.fit import Fit
@@ -61,8 +68,6 @@ _LIKELY, _NAMED = 0.1, 2
 _EVEN = 0.5
 #: How reasons begin that the card says in full.
 _IN_FULL = ("unexplained structure", "structure that no effect")
-_UNPROVED = "held-out data do not prove what was found"
-_NAMELESS = "what stays has no name yet"
 _TONE: dict[Status, Tone] = {"ok": "ok", "marginal": "warning", "weak": "warning", "failed": "bad"}
 _HELD_OUT = {
     "actigraph": "Held out: each block of time predicted by a fit without it.",
@@ -321,10 +326,10 @@ def _why(outcome: Outcome) -> list[str]:
     elsewhere = ("record errors",) * bool(outcome.undecided) + _IN_FULL
     why = [r for r in outcome.reasons if not r.startswith(elsewhere)]
     if len(why) < len(outcome.reasons) and not outcome.undecided:
-        why.append(_NAMELESS)
+        why.append(NO_NAME)
     if outcome.status == "marginal" and not (why or outcome.undecided):
         suspected = outcome.findings is not None and outcome.findings.verdict == "suspected"
-        why.append(_UNPROVED if suspected else _NAMELESS)
+        why.append(UNPROVED_NAME if suspected else NO_NAME)
     return why
 
 
