@@ -31,6 +31,7 @@ from imucalib.arrays import Array, Flags, Index
 from imucalib.core.effect import cross_matrix
 from imucalib.estimators.carried import attitudes, between, shares
 from imucalib.estimators.chain import chain_of, eliminate, turns_of
+from imucalib.estimators.power_ups import Parts
 from imucalib.estimators.turn_log import Turn, TurnLog, moved_by
 
 #: Places of L's free elements, rows first, and their number with the accelerometer's bias.
@@ -47,9 +48,8 @@ _BIAS, _SCALE, _CROSS, _GAIN = 0.3, 0.1, 0.02, 0.1
 #: g, of the reading of a rest that takes no part.
 _NOTHING = 1.0
 #: By how much a bias is another at the next power-up: rad/s (data sheets: 0.05 to 0.3 deg/s) and g;
-#: the latter's size is estimated, and begins free.
-_AWAKE, _FREE = np.radians(0.2), 0.02
-_USUAL = 0.001  # g, measured of MPU-9250s: weighs as one number beside what is seen
+#: the latter's size is estimated, of those that are weighed, and begins free.
+_AWAKE, _FREE, _SCATTERS = np.radians(0.2), 0.02, np.geomspace(1e-5, 0.3, 48)
 _MOST, _SETTLED = 30, 1e-2  # steps, and standard deviations that the last one may go
 _NOISES = 6  # steps in which the noise is estimated anew
 _AT_ONCE = 2048  # samples of which all columns are held at once
@@ -206,7 +206,8 @@ def without(
     fit: TurnFit, out: Flags, rests: Flags | None = None, sizes: Array | None = None
 ) -> TurnFit:
     """The fit without some turns, and without what the accelerometer reads at some rests, linear
-    about where it stands: what a refit would end at, to the second order in what these move.
+    about where it stands and at its noise: what a refit there would end at, to the second order in
+    what these move.
 
     out : (T,); rests : (N,), or None of none; sizes : (m,) sd of θ, or as it was
     """
@@ -218,7 +219,7 @@ def without(
     found, whole = replace(fit, used=fit.used & ~out), np.zeros(rows.jacobian.shape[1])
     for _ in range(_NOISES):
         moved = replace(rows, residual=rows.residual + rows.jacobian @ whole)
-        found, step = _round(replace(found, rows=moved), prior, held=False)
+        found, step = _round(replace(found, rows=moved), prior, held=True)
         whole = whole + step
     return replace(found, rows=rows, state=_move(fit.state, whole))
 
@@ -529,15 +530,19 @@ def _walk(log: TurnLog, state: State, laws: Laws | None) -> Array:
 
 
 def _between_power_ups(fit: TurnFit) -> float:
-    """g, of the parts of power-ups about their mean, as they are and may still be."""
+    """g, by which power-ups scatter: of their parts, everything else unknown, as the mean in the
+    logarithm over the sizes that they allow. A law that they may follow is no scatter."""
     count, first = len(fit.state.offset), fit.state.first_offset
     if not (count and fit.covariance.size):
         return _FREE
-    centre = np.kron(np.eye(count) - 1.0 / count, np.eye(3))
     own = slice(first, first + 3 * count)
-    spread = centre @ fit.covariance[own, own] @ centre
-    square = float(np.sum((centre @ fit.state.offset.ravel()) ** 2) + np.trace(spread))
-    return float(np.sqrt((square + _USUAL**2) / (3 * (count - 1) + 1)))
+    whole = np.linalg.inv(fit.covariance[own, own])
+    information = whole - np.eye(3 * count) / fit.variance[-1]
+    parts = Parts(information, whole @ fit.state.offset.ravel())
+    noise_alone = float(np.mean(np.diag(information)) ** -0.5)
+    logs = np.array([parts.log_likelihood(np.full(3, size)) for size in _SCATTERS])
+    weight = np.exp(logs - logs.max()) * _SCATTERS / (_SCATTERS + noise_alone)
+    return float(np.exp(weight @ np.log(_SCATTERS) / weight.sum()))
 
 
 def _scatter(fit: TurnFit) -> float:

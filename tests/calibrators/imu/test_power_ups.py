@@ -113,4 +113,5 @@ def test_a_bias_that_follows_the_temperature_is_no_power_ups(seed: int, tmp_path
     for axis, true in zip("xyz", slope, strict=True):
         one = found[f"temperature_bias_{axis}"]
         assert abs(one["value"] - 1e3 * true) < 4.0 * one["sd"]
-    assert content["loop"]["errors"][1]["held_out"]["final"] < 1.0
+    held = content["loop"]["errors"][1]["held_out"]
+    assert held["final"] < 0.4 * held["base"]

@@ -61,6 +61,11 @@ class HeldOutLog:
     of_forces: Difference
     gained: Difference
 
+    @property
+    def proved(self) -> bool:
+        """Whether what was gained of one of them is beyond chance: the other may show nothing."""
+        return self.of_turns.proved or self.of_forces.proved
+
 
 @dataclass(frozen=True)
 class ImuResult:

@@ -203,7 +203,7 @@ def _findings(result: ImuResult, request: ImuRequest) -> Findings:
     names, refused = tuple(s.effect for s in steps), result.refused
     named = [s for s in steps if not s.curve and not s.formula]
     open_end = bool(unnamed) or len(named) < len(steps)
-    if named and not held.gained.proved:
+    if named and not held.proved:
         verdict = "suspected"
     elif named or by_size.records:
         verdict = "explained in part" if open_end else "explained"
@@ -276,7 +276,7 @@ def _steps(result: ImuResult) -> tuple[FoundStep, ...]:
                 size=sizes.get(own, ""),
                 curve=bent(own) if component.kind == "free" else "",
                 formula=f"{effect.sentence.rstrip('.')}, {effect.equation}" if form else "",
-                certain=place.certain and held.gained.proved,
+                certain=place.certain and held.proved,
                 probability=place.probability,
                 rivals=rivals,
             )
