@@ -52,13 +52,18 @@ class Request:
             return _ANYWHERE
         return _BY_LATITUDE if self.gravity_source.startswith("normal") else _GIVEN
 
-    def search_settings(self) -> dict[str, object]:
-        """The names of the search as provenance keeps them."""
+    def stated(self) -> dict[str, object]:
+        """The settings as provenance keeps them."""
         return {
+            "gravity_m_per_s2": self.gravity,
+            "gravity_source": self.gravity_source,
             "declare": list(self.declare),
             "only": list(self.only),
             "without": list(self.without),
             "own_effects": own_effects(self.extra_effects),
+            "loop": self.loop,
+            "curves": self.curves,
+            "limits": dict(self.limits),
         }
 
     def declared_effects(self, context: Context) -> tuple[Effect, ...]:

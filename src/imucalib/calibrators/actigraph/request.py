@@ -32,15 +32,10 @@ class ActigraphRequest(Request):
         """The settings as provenance keeps them."""
         return {
             "window_s": self.window,
-            "gravity_m_per_s2": self.gravity,
-            "gravity_source": self.gravity_source,
             "every_s": self.every,
             "as_published": self.as_published,
             "arithmetic": self.arithmetic,
-            **self.search_settings(),
-            "loop": self.loop,
+            **super().stated(),
             "blocks": self.blocks,
-            "curves": self.curves,
-            "limits": dict(self.limits),
             "fleet_sha256": self.kind.sha256 if self.kind else None,
         }

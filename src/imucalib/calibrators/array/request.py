@@ -58,11 +58,7 @@ class ArrayRequest(Request):
             "samples": self.samples,
             "ess": self.stop.ess,
             "prior_sd_mm": 1e3 * self.board.prior_sd,
-            "gravity_m_per_s2": self.gravity,
-            "gravity_source": self.gravity_source,
-            **self.search_settings(),
-            "loop": self.loop,
-            "curves": self.curves,
+            **super().stated(),
             "accepted": dict(vars(self.accepted)),
             "distances_mm": [
                 [self.board.imus[d.one], self.board.imus[d.two], 1e3 * d.value, 1e3 * d.sd]
@@ -70,5 +66,4 @@ class ArrayRequest(Request):
             ],
             "as_drawn": self.as_drawn,
             "shortest_rest_s": self.still.shortest,
-            "limits": dict(self.limits),
         }

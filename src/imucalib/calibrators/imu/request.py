@@ -27,14 +27,9 @@ class ImuRequest(Request):
     def stated(self) -> dict[str, object]:
         """The settings as provenance keeps them."""
         return {
-            **self.search_settings(),
-            "loop": self.loop,
-            "curves": self.curves,
-            "gravity_m_per_s2": self.gravity,
-            "gravity_source": self.gravity_source,
+            **super().stated(),
             "gyro_axes": [list(self.gyro_axes.order), list(self.gyro_axes.sign)],
             "shortest_rest_s": self.still.shortest,
-            "limits": dict(self.limits),
         }
 
     @property

@@ -58,14 +58,10 @@ class LabRequest(Request):
             "reference": self.reference,
             "model": self.model,
             "objective": self.objective,
-            **self.search_settings(),
+            **super().stated(),
             "fleet_sha256": self.population.sha256 if self.population else None,
-            "loop": self.loop,
-            "curves": self.curves,
             "sigma_mg": None if self.sigma is None else self.sigma / MG,
             "lsb_per_g": self.lsb_per_g,
-            "gravity_m_per_s2": self.gravity,
-            "gravity_source": self.gravity_source,
             "conventions": asdict(self.conventions),
             "fix": [f"{row}:{role}={value!r}" for row, role, value in self.fixes],
             "repairs": {k: v for k, v in asdict(self.repairs).items() if v},
@@ -76,7 +72,6 @@ class LabRequest(Request):
             "swap_angles": self.swap_angles,
             "keep_angles": self.keep_angles,
             "shortest_rest_s": self.still.shortest,
-            "limits": dict(self.limits),
         }
 
 
