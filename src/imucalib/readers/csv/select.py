@@ -219,6 +219,7 @@ def select(
     turned = bare == "angular_rate" and any(c.quantity for c in columns)
     if turned and columns != understand(dialect.names):
         notes.append("x, y, z are taken as an angular rate, by the name of the file")
+    mapping = _of_device(mapping, facts.device, dialect)
     table = _Table(dialect, mapping, facts, pieces, columns, notes)
     every = table.vectors()
     vectors = [v for v in every if v.quantity != "temperature"]
@@ -239,6 +240,17 @@ def select(
     if len(time) == 1 and not mapping.time:
         every = table.add_clocks(every)
     return Selection(tuple(every), time, time_unit, tuple(notes), order)
+
+
+def _of_device(mapping: FieldMapping, device: Device, dialect: Dialect) -> FieldMapping:
+    """The mapping, with the columns that the device names where the user names none and the table
+    has them."""
+    names = {*dialect.names, *(c.name for c in understand(dialect.names))}
+    usual = {option: getattr(device.fields, option) for option in OPTIONS.values()}
+    known = {option: each for option, each in usual.items() if names.issuperset(each)}
+    if device.fields.time in names and not mapping.rate:
+        known["time"] = device.fields.time
+    return mapping if mapping.acc or mapping.gyro else mapping.fill_from(FieldMapping(**known))
 
 
 def by_clock(selection: Selection, columns: Sequence[Meaning]) -> list[Selection]:
