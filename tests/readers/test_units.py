@@ -191,6 +191,11 @@ RATES = FieldMapping(gyro_unit="rad/s")
 BY_FORMAT = pytest.mark.parametrize("name", WRITE)
 
 
+def test_every_format_that_fixes_no_unit_is_written() -> None:
+    """Its line in `worlds.every_format` is what the laws of units, parts and bombs run on."""
+    assert set(WRITE) == {r.name for r in readers.readers() if not getattr(r, "fixed", False)}
+
+
 @BY_FORMAT
 @pytest.mark.parametrize("peak", [1.0, 4.0])
 def test_degrees_called_radians_are_refused_with_what_reads_them(
