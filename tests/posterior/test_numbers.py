@@ -8,9 +8,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from imucalib.core.effect import Context
 from imucalib.core.observations import NoisePrior, Observations
-from imucalib.core.references import KnownNorm, KnownVector
+from imucalib.core.references import KnownVector
 from imucalib.estimators.least_squares import fit
 from imucalib.posterior.candidates import effects_to_search
 from imucalib.posterior.closed_loop.closed import close_loop
@@ -25,28 +24,14 @@ from imucalib.posterior.search.problem import Contest, problem_of
 from imucalib.posterior.search.solution import moments, solve
 from imucalib.posterior.search.space import Hypothesis, Pick, Posterior
 from imucalib.units import DEG, MG
+from worlds.at_rest import at_rest
 from worlds.bench import NINE, base_model, bench, draw, ordinary_theta
-
-G = 9.80665
-
-
-def at_rest(seed: int, n: int = 30) -> Observations:
-    """Attitudes at random, 0.3 mg, 3 mg/g² along each axis."""
-    rng = np.random.default_rng(seed)
-    u = rng.normal(size=(n, 3))
-    u /= np.linalg.norm(u, axis=1, keepdims=True)
-    reading = 1000.0 * u + [12.0, -9.0, 20.0] + 3.0 * u**2 + 0.3 * rng.normal(size=(n, 3))
-    context = Context(n, {"order": np.linspace(0.0, 1.0, n), "record": np.arange(n, dtype=float)})
-    label = tuple(f"row {k + 1}" for k in range(n))
-    return Observations(
-        reading[:, None] * MG, np.full((n, 1, 3), MG), KnownNorm(n, G), context, np.arange(n), label
-    )
 
 
 @cache
 def found() -> SearchedPosterior:
     asked = effects_to_search((), (), {}, lambda effect: effect.stage == "sensor")
-    return search_posterior(fit(base_model(NINE), at_rest(1)), asked)
+    return search_posterior(fit(base_model(NINE), at_rest(1, 30, bend=3.0)), asked)
 
 
 def test_moments_are_those_of_the_mixture_of_normals() -> None:
@@ -117,7 +102,7 @@ def test_a_scan_has_one_prior_in_all() -> None:
 
 def test_terms_of_a_free_function_fall_by_each_power_of_their_order() -> None:
     """Relative sizes of the same curve: all equal, as given, and its square."""
-    data = at_rest(1)
+    data = at_rest(1, 30, bend=3.0)
     asked = effects_to_search((), (), {}, lambda effect: effect.stage == "sensor")
     every = components_of(base_model(NINE), data, asked)
     (slow,) = (c for c in every if c.name == "scale against order")

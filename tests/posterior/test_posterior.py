@@ -17,7 +17,6 @@ from imucalib.arrays import Array, Index
 from imucalib.core.effect import Context
 from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations
-from imucalib.core.references import KnownNorm
 from imucalib.effects import catalogue, families
 from imucalib.estimators.least_squares import fit
 from imucalib.estimators.least_squares import fit as fit_model
@@ -43,30 +42,8 @@ from imucalib.posterior.search.gram import Grams, leave_out, marginalize
 from imucalib.posterior.search.noise import NoiseHypothesis, Terms, terms_of
 from imucalib.posterior.search.problem import Problem, problem_of
 from imucalib.units import MG
+from worlds.at_rest import at_rest, worn
 from worlds.bench import NINE, base_model, bench, draw, ordinary_theta
-
-G = 9.80665
-
-
-def at_rest(seed: int, n: int = 40, bend: float = 0.0, noise: float = 0.3) -> Observations:
-    """Attitudes at random of a sensor in plain numpy; bend : mg/g² along each axis."""
-    rng = np.random.default_rng(seed)
-    u = rng.normal(size=(n, 3))
-    u /= np.linalg.norm(u, axis=1, keepdims=True)
-    gain = np.eye(3) + np.triu(0.003 * rng.normal(size=(3, 3))) + 0.004 * np.diag([1.0, -1.0, 0.5])
-    reading = 1000.0 * u @ gain.T + [12.0, -9.0, 20.0] + bend * np.array([1.0, -0.8, 1.2]) * u**2
-    reading = reading + noise * rng.normal(size=(n, 3))
-    context = Context(n, {"order": np.linspace(0.0, 1.0, n), "record": np.arange(n, dtype=float)})
-    return observed(reading, context, np.arange(n), "row")
-
-
-def observed(reading: Array, context: Context, group: Index, name: str) -> Observations:
-    """Of readings (n, 3) mg by the size of gravity."""
-    n = len(reading)
-    labels = tuple(f"{name} {k + 1}" for k in range(n))
-    return Observations(
-        reading[:, None] * MG, np.full((n, 1, 3), MG), KnownNorm(n, G), context, group, labels
-    )
 
 
 def asked() -> SearchedEffects:
@@ -75,7 +52,7 @@ def asked() -> SearchedEffects:
 
 @cache
 def found(seed: int = 1, bend: float = 3.0) -> SearchedPosterior:
-    return search_posterior(fit(base_model(NINE), at_rest(seed, bend=bend)), asked())
+    return search_posterior(fit(base_model(NINE), at_rest(seed, 40, bend)), asked())
 
 
 def log_evidence(problem: Problem, grams: Grams, blocks: list[tuple[np.ndarray, float]]) -> float:
@@ -186,10 +163,6 @@ def test_the_same_recording_gives_the_same_answer_in_any_order() -> None:
     assert one.posterior.probability[0] == pytest.approx(two.posterior.probability[0], rel=1e-6)
 
 
-HOUR = 3600.0
-SPAN = 48.0 * HOUR
-
-
 def dense(time: np.ndarray, d: np.ndarray, shares: np.ndarray, memory: float) -> np.ndarray:
     near = np.exp(-np.abs(time[:, None] - time) / memory)
     return np.diag(d) + near * (shares @ shares.T)
@@ -209,23 +182,6 @@ def test_the_filter_whitens_as_the_dense_factor(n: int) -> None:
         assert seen[e].T @ seen[e] == pytest.approx(columns.T @ solved)
         assert back[e] == pytest.approx(solved)
         assert white.log_det[e] == pytest.approx(np.linalg.slogdet(v)[1])
-
-
-def worn(seed: int, n: int = 90, drift: float = 0.0, hours: float = 8.0) -> Observations:
-    """Postures of two days in plain numpy, 0.3 mg; drift : mg, of the bias."""
-    rng = np.random.default_rng(seed)
-    time = np.sort(rng.uniform(0.0, SPAN, n))
-    u = rng.normal(size=(n, 3))
-    u /= np.linalg.norm(u, axis=1, keepdims=True)
-    off = drift * rng.normal(size=(n, 3))
-    for k in range(1, n):
-        keep = np.exp((time[k - 1] - time[k]) / (hours * HOUR))
-        off[k] = keep * off[k - 1] + np.sqrt(1.0 - keep**2) * off[k]
-    gain = np.eye(3) + np.diag([0.004, -0.003, 0.002])
-    reading = 1000.0 * u @ gain.T + [12.0, -9.0, 20.0] + off + 0.3 * rng.normal(size=(n, 3))
-    covariates = {"time": time, "order": time / SPAN, "record": np.arange(n, dtype=float)}
-    group = np.minimum((time / SPAN * 12).astype(int), 11)
-    return observed(reading, Context(n, covariates), group, "run")
 
 
 @cache

@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 from scipy.stats import t as student
 
-from imucalib.core.effect import Context
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
-from imucalib.core.references import KnownNorm
 from imucalib.effects.record_error import record_error
 from imucalib.estimators.least_squares import fit
 from imucalib.posterior.candidates import effects_to_search
@@ -21,23 +19,8 @@ from imucalib.posterior.held_out import difference, without_records
 from imucalib.posterior.odds import UNLIKE
 from imucalib.posterior.search.explored import SearchStart
 from imucalib.units import MG
+from worlds.at_rest import at_rest, worn
 from worlds.bench import BASE, NINE, SIGMA, base_model, bench, draw, ordinary_theta
-
-G = 9.80665
-
-
-def of_gravity(seed: int, n: int = 30) -> Observations:
-    """Attitudes at random by the size of gravity, 0.3 mg, over a day."""
-    rng = np.random.default_rng(seed)
-    u = rng.normal(size=(n, 3))
-    u /= np.linalg.norm(u, axis=1, keepdims=True)
-    reading = 1000.0 * u + [12.0, -9.0, 20.0] + 0.3 * rng.normal(size=(n, 3))
-    times = {"order": np.linspace(0.0, 1.0, n), "time": np.linspace(0.0, 86400.0, n)}
-    context = Context(n, {**times, "record": np.arange(n, dtype=float)})
-    label = tuple(f"row {k + 1}" for k in range(n))
-    return Observations(
-        reading[:, None] * MG, np.full((n, 1, 3), MG), KnownNorm(n, G), context, np.arange(n), label
-    )
 
 
 def exact(seed: int, n: int = 30) -> Observations:
@@ -49,7 +32,7 @@ def exact(seed: int, n: int = 30) -> Observations:
 @pytest.mark.parametrize("seed", range(4))
 def test_no_record_of_a_clean_recording_is_accused(seed: int) -> None:
     asked = effects_to_search(("quadratic",), (), {}, lambda effect: True)
-    assert not close_loop(base_model(NINE), of_gravity(seed), asked).loop.records
+    assert not close_loop(base_model(NINE), at_rest(seed, 30), asked).loop.records
 
 
 def test_a_wrong_record_is_off_by_what_a_refit_without_it_predicts() -> None:
@@ -103,7 +86,7 @@ def test_the_interval_of_a_gain_is_widened_for_shared_training_data() -> None:
 
 def test_runs_unlike_the_others_count_less() -> None:
     """Three of sixty are 8 mg off: their variance grows with how far they are, others' does not."""
-    data, rows = of_gravity(2, 60), np.array([7, 30, 51])
+    data, rows = worn(2, 60), np.array([7, 30, 51])
     reading = data.reading.copy()
     reading[rows] *= 1.008
     plain = fit(base_model(NINE), data.with_reading(reading))
