@@ -6,7 +6,9 @@ at the start,
 
     r = ∫ R f dt - T u_k = 0,    dr = -∫ [S(t)]x R δω dt,    S(t) = ∫_t^T R f ds
 
-(exchange of the integrals in the variation of R). A delay τ is δω = τ dω/dt. It is estimated last,
+(exchange of the integrals in the variation of R). f counts in the motion alone, where `Turn.moving`
+is one, and T is how long that lasts; δω counts wherever the turn has samples, by trapezoids, with
+half of a sample's own R f ahead of it. A delay τ is δω = τ dω/dt. It is estimated last,
 all else held at the joint fit with its covariance, and informs nothing of it: what the
 accelerometer meets in motion is no part of a model of rests.
 """
@@ -36,7 +38,8 @@ _USUAL = 0.05  # s, sd of what filters, buses and drivers delay by
 
 
 def lateness(fit: TurnFit) -> tuple[float, float]:
-    """s by which the gyroscope is late (negative: early), and its standard deviation."""
+    """s by which the gyroscope is late (negative: early), and its standard deviation: mean and sd
+    over the densities, each as likely before, of turns that took part, all of one weight."""
     used = [turn for turn, own in zip(fit.log.turns, fit.used, strict=True) if own]
     rows = [_of_turn(fit, turn) for turn in used]
     misfit, along, jacobian = (np.concatenate([row[k] for row in rows]) for k in range(3))
@@ -62,7 +65,8 @@ def lateness(fit: TurnFit) -> tuple[float, float]:
 
 def _of_turn(fit: TurnFit, turn: Turn) -> tuple[Array, Array, Array, Array, float]:
     """r (3,), its columns by the delay (3,) and by the fit's parameters (3, P), the covariance
-    (3, 3) that the gyroscope's white noise gives it, and how long it lasts."""
+    (3, 3) that the gyroscope's white noise gives it, and for how long (s) the accelerometer's noise
+    adds up: the motion and, where its ends lie between samples, one more."""
     log, state, k = fit.log, fit.state, turn.rest
     seen, share = moved_by(log, state.drift, turn)
     session = log.session[k]
