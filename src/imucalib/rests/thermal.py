@@ -35,7 +35,11 @@ _HALF = 0.5  # share of jumps from which on nothing of a thermometer is believed
 
 def believable_windows(w: Windows | None) -> tuple[ThermalHistory | None, tuple[str, ...]]:
     """What windows of a thermometer, if there is one, tell without those that hold a jump; None
-    where too few are left. How many those are, in words, or nothing."""
+    where more than half do. How many those are, in words, or nothing.
+
+    Gone is a window's length, or the time from one to the next where that is longer, about its
+    middle; the resolution is that of the samples, of means where each window is one sample.
+    """
     if w is None:
         return None, ()
     bad, gone = _jumps(w), np.empty((0, 2))
@@ -54,7 +58,8 @@ def believable_windows(w: Windows | None) -> tuple[ThermalHistory | None, tuple[
 
 
 def is_gone(gone: Array, at: Array) -> Flags:
-    """(n,) whether times (s) are within what a thermometer did not measure, (k, 2) s in order."""
+    """(n,) whether times (s) are within what a thermometer did not measure, (k, 2) s in order: from
+    the first of two to before the second."""
     last = np.searchsorted(gone[:, 0], at, side="right") - 1
     return np.asarray((last >= 0) & (at < np.append(gone[:, 1], -np.inf)[last]))
 
@@ -69,7 +74,8 @@ def mean_of_known(values: Array, starts: Index) -> Array:
 
 def is_power_up_code(values: Array) -> Flags:
     """(n,) whether a reading of a table, °C, is what a thermometer says that has not measured: just
-    that number, not in two rows that follow each other, and far from the rows that measured."""
+    that number, far from every row that measured. None is where half of the rows say it, or any
+    two that follow each other, by whatever codes."""
     code = np.isin(values, _CODES)
     others = values[~code]
     if others.size <= _HALF * values.size or (code[1:] & code[:-1]).any():
@@ -78,6 +84,10 @@ def is_power_up_code(values: Array) -> Flags:
 
 
 def _jumps(w: Windows) -> Flags:
+    """(m,) whether a window holds a jump: a reading that is none or beyond `_RANGE`, or one farther
+    from the median of the means around it, of good windows alone, than the largest of what a case
+    changes from window to window, of the noise of these distances, and of steps of the means. Where
+    that many good ones are not there, nothing is held against them."""
     low, high = w.low[:, 0], w.high[:, 0]
     bad = ~(np.isfinite(w.mean[:, 0]) & (low >= _RANGE[0]) & (high <= _RANGE[1]))
     good = np.flatnonzero(~bad)
@@ -97,7 +107,7 @@ def _jumps(w: Windows) -> Flags:
 
 
 def _interval(w: Windows) -> float:
-    """s from window to window."""
+    """s from window to window, the median; of one alone 1 s."""
     return float(np.median(np.diff(w.start))) if w.start.size > 1 else 1.0
 
 
@@ -131,7 +141,8 @@ class ThermalHistory:
     step: float = 0.0
 
     def temperature(self, at: Array) -> Array:
-        """(n,) °C at times (s); NaN where a reading is gone."""
+        """(n,) °C at times (s); NaN where a reading is gone. What is made of it below goes through
+        that, straight from reading to reading."""
         found = np.interp(at, self.time, self.values)
         return np.where(is_gone(self.gone, at), np.nan, found)
 
@@ -141,7 +152,8 @@ class ThermalHistory:
         return float(np.mean(np.square(one - other))) > self.step**2 / 3.0
 
     def lagged(self, hours: float, at: Array) -> Array:
-        """Temperature (°C) behind a lag of some hours, at times (s); it starts in equilibrium."""
+        """Temperature (°C) behind a lag of some hours, at times (s); it starts in equilibrium, and
+        goes on in steps of the usual time between windows where some are missing."""
         t = self.time
         step = float(np.median(np.diff(t))) if t.size > 1 else 1.0
         grid = np.arange(t[0], t[-1] + step, step)
@@ -150,7 +162,8 @@ class ThermalHistory:
         return np.asarray(np.interp(at, grid, _trailing(values, share)))
 
     def rate(self, hours: float, at: Array) -> Array:
-        """How fast the temperature changes (°C/h), over a lag of some hours, at times (s)."""
+        """How fast the temperature changes (°C/h), at times (s): what it is ahead of a lag of some
+        hours, an hour."""
         now = np.interp(at, self.time, self.values)
         return np.asarray((now - self.lagged(hours, at)) / hours)
 
@@ -192,7 +205,8 @@ def _trailing(values: Array, share: float) -> Array:
 
 def thermal_history(blocks: Iterable[Recording], triad: str) -> ThermalHistory | None:
     """From a recording in blocks, of the thermometer of a triad; None when there is none. Jumps
-    that no case can follow are left out; where more than half are jumps, all is gone."""
+    that no case can follow are left out; where more than half are jumps, nothing is there and all
+    times are gone."""
     builder: WindowBuilder | None = None
     for block in blocks:
         if (channel := thermometer_of(block, triad)) is not None:
@@ -208,10 +222,8 @@ def thermal_history(blocks: Iterable[Recording], triad: str) -> ThermalHistory |
 
 def thermometer_of(recording: Recording, triad: str) -> Channel | None:
     """The temperature channel of a triad, or the one that belongs to none."""
-    for channel in recording.channels.values():
-        if channel.quantity == "temperature" and channel.triad in (triad, ""):
-            return channel
-    return None
+    each = [c for c in recording.channels.values() if c.quantity == "temperature"]
+    return next((c for owner in (triad, "") for c in each if c.triad == owner), None)
 
 
 def temperature_at(thermometer: Channel, at: Array) -> Array:
@@ -240,10 +252,11 @@ def unheard(thermometer: Channel, history: ThermalHistory, at: Array) -> Flags:
 def pair_thermometer(
     blocks: Iterable[Recording], triad: str
 ) -> Iterator[tuple[Recording, Channel | None]]:
-    """Every block with the readings around it: the last one before it and the first one after.
+    """Every block with the readings around it: its own, the last one before it, and the first one
+    after its last acceleration, unless one is at that time; later ones may come along.
 
-    A block waits for that one, an hour of the recording at most, so that a slow thermometer gives
-    the same temperatures in blocks of any size.
+    A block waits for that one, so that a slow thermometer gives the same temperatures in blocks of
+    any size; not where for an hour, of the readings or else of the recording, there was none.
     """
     waiting: deque[tuple[Recording, float]] = deque()
     track: Channel | None = None
@@ -278,7 +291,7 @@ _PLAIN = {PLAY.prefix: 0.97, LAG.prefix: 0.999}
 
 
 def is_remembered(name: str) -> bool:
-    """Whether a history of the temperature gives the covariate."""
+    """Whether a history of the temperature gives the covariate; it knows of no rows."""
     return name.startswith((LAG.prefix, PLAY.prefix, RATE.prefix)) and not name.endswith(ROWS)
 
 
@@ -290,9 +303,11 @@ def remember(history: ThermalHistory, name: str, at: Array) -> Array:
 
 
 def remember_in_rows(temperature: Array, time: Array | None, session: Array) -> dict[str, Array]:
-    """Covariates (n,) of a table: lags and rates by its clock (s), or in rows, and plays of a width
-    that its temperatures show: on one way alone, or between two of them, a play is an offset. Each
-    session (n,) begins in equilibrium, amid the play."""
+    """Covariates (n,) of a table: lags of `LAG.rows` rows where it has four times as many, rates of
+    `RATE.rows`, and plays of half its range of temperature and less: on one way alone, or between
+    two of them, a play is an offset. With a clock (s) rows are the median times between them, and
+    named in hours or minutes to two digits. Each session (n,) begins in equilibrium, amid the play.
+    Nothing where the clock stands, nor what is plainly the temperature."""
     at = 3600.0 * np.arange(len(temperature)) if time is None else time
     every = float(np.median(np.abs(np.diff(at)))) / 3600.0
     if every <= 0.0:
@@ -317,7 +332,8 @@ def remember_in_rows(temperature: Array, time: Array | None, session: Array) -> 
 
 
 def _is_plain(name: str, values: Array, temperature: Array) -> bool:
-    """Whether what follows the temperature is no more than it, a scale and an offset."""
+    """Whether what follows the temperature is no more than it, a scale and an offset; a rate never
+    is."""
     most = next((p for prefix, p in _PLAIN.items() if name.startswith(prefix)), np.inf)
     spread = float(np.std(values))
     same = spread <= 0.0 or float(np.corrcoef(values, temperature)[0, 1] ** 2) >= most
