@@ -78,3 +78,16 @@ def test_a_rest_that_is_none_moves_nothing(tmp_path: Path) -> None:
     before = {p["name"]: p for p in plain["parameters"]}
     for p in content["parameters"]:
         assert abs(p["value"] - before[p["name"]]["value"]) < 4.0 * p["sd"] + 1e-9
+
+
+def test_what_is_not_corrected_has_the_error_of_the_base(tmp_path: Path) -> None:
+    """A part of the log may be corrected by another name: that is no error of this calibration."""
+    log = world(71)
+    force = log.force.copy()
+    force[:, 0] += square(log)
+    path = replace(log, force=force).write(tmp_path / "log.csv")
+    content = report(path, "--without", "quadratic", "--no-curves")
+    assert not content["loop"]["steps"]
+    assert content["loop"]["unexplained"]
+    for error in content["loop"]["errors"]:
+        assert error["held_out"]["final"] == error["held_out"]["base"]

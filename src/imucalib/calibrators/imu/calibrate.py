@@ -118,14 +118,15 @@ def calibrate_imu(
     found = search_laws(base, course, rests, request)
     held = _predict_held_out(found, imu, request)
     refused = bool(found.said.places) and not held.gained.holds
+    corrected = not refused and len(found.terms) > len(found.declared)
     fit = base if refused else found.final
-    if refused:
+    if not corrected:  # whatever a part of the log would have been corrected by
         held = replace(
             held,
             turns=replace(held.turns, final=held.turns.base),
             forces=replace(held.forces, final=held.forces.base),
         )
-    told = () if refused else tuple(t.name for t in found.terms if not t.of_rate)
+    told = tuple(t.name for t in found.terms if corrected and not t.of_rate)
     pairs = zip(recordings, segments, strict=True)
     longest, at_rest = max(pairs, key=lambda pair: float(np.max(pair[1].stop - pair[1].start)))
     everywhere = np.ones(len(imu.turns.turns), bool), np.isfinite(imu.turns.force_sd)
