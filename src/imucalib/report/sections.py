@@ -448,7 +448,8 @@ def _step_table(steps: Sequence[FoundStep]) -> Table:
     header += ["nats", "held out, nats"] * nats
     if len(checks) == 1:
         header += ["before", "after"]
-        note = f"{capital(checks[0].metric).removesuffix(', rms')} in {checks[0].unit} rms, "
+        units = " or ".join(dict.fromkeys(s.checks[0].unit for s in steps))
+        note = f"{capital(checks[0].metric).removesuffix(', rms')} in {units} rms, "
         note += (
             "of all steps together. P(present): of this effect, in this place or beside another."
         )

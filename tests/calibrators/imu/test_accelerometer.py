@@ -57,6 +57,8 @@ def test_turns_tell_what_sizes_of_gravity_cannot(
     told = content["loop"]["steps"]
     assert [step["effect"] for step in told] == [name]
     assert content["loop"]["verdict"] == "explained"
+    # What the sizes of gravity alone cannot tell is no advice where the turns have told it.
+    assert not any("cannot tell" in step for step in content["card"]["to_do"])
     held = [error["held_out"] for error in content["loop"]["errors"]]
     assert held[0]["final"] < 0.7 * held[0]["base"]
     assert held[1]["final"] < 0.4

@@ -112,7 +112,7 @@ def run_imu(
 ) -> ImuRun:
     """From logs to a run. Errors as in `calibrate_imu`."""
     result = calibrate_imu(paths, mapping, request, say)
-    rests, by_size = result.accelerometer.outcome, result.by_size.outcome
+    rests = result.accelerometer.outcome
     open_gains = open_words(result.fit.gains[:GAIN, :GAIN])
     errors, names = _errors(result), result.accelerometer.table.sessions
     products = products_of(result.fit) if names else None
@@ -127,13 +127,13 @@ def run_imu(
         findings=findings,
         fit=rests.fit and replace(rests.fit, converged=both),
         reasons=(
-            *by_size.reasons,
+            *rests.reasons,
             *(f"the turns leave open {words}" for words in open_gains),
             *(differing(*products, names) if products else ()),
         ),
-        advice=(*_advice(result, open_gains), *by_size.advice),
+        advice=(*_advice(result, open_gains), *rests.advice),
         limits=_limits(request, errors),
-        notes=(*by_size.notes, *_notes(result)),
+        notes=(*rests.notes, *_notes(result)),
         weak=bool(open_gains),
         left=_left_open(result, findings),
     )
@@ -205,7 +205,7 @@ def _findings(result: ImuResult, request: ImuRequest) -> Findings:
     open_end = bool(unnamed) or len(named) < len(steps)
     if named and not held.proved:
         verdict = "suspected"
-    elif named or by_size.records:
+    elif named:
         verdict = "explained in part" if open_end else "explained"
     else:
         verdict = "unexplained" if open_end else "nothing missing"
@@ -217,7 +217,6 @@ def _findings(result: ImuResult, request: ImuRequest) -> Findings:
     return Findings(
         verdict=verdict,
         steps=() if refused else steps,
-        records=by_size.records,
         rejected=tuple((n, _NEEDLESS) for n in names if refused),
         refuted=names if refused else (),
         unexplained=unnamed,
