@@ -66,7 +66,6 @@ def differing(information: Array, vector: Array, names: tuple[str, ...]) -> tupl
     return tuple(said)
 
 
-def bias_parts(information: Array, vector: Array, slope: Array) -> Parts:
-    """Of the accelerometer's bias in mg. slope : (3, 3) mg per g, of the bias that is stated by the
-    fit's"""
-    return parts_of(information, vector, _BIAS, np.arange(0)).in_unit(slope)
+def bias_parts(information: Array, vector: Array, mg: float) -> Parts:
+    """Of the accelerometer's bias in mg. mg : in one g of the place"""
+    return parts_of(information, vector, _BIAS, np.arange(0)).in_unit(mg * np.eye(3))

@@ -13,10 +13,10 @@ Cholesky factor costs as the rests (Golub and Van Loan, Matrix Computations, 4th
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import product
+from itertools import pairwise, product
 from typing import NamedTuple
 
 import numpy as np
@@ -122,7 +122,8 @@ class ReducedRows:
         n, of_turns = log.rests, 2 * rows.turns
         whole = sparse.hstack([rows.jacobian, rows.residual[:, None]], format="csr")
         ends = np.cumsum([of_turns, 3 * n, 3 * n, 3 * (n - 1)])
-        turns, forces, rates, walk, known = (whole[a:b] for a, b in _spans(ends, whole.shape[0]))
+        edges = pairwise([0, *ends.tolist(), whole.shape[0]])
+        turns, forces, rates, walk, known = (whole[a:b] for a, b in edges)
         frames = np.concatenate([state.up[:, :, None], tangents(state.up)], axis=2)
         turned = sparse.block_diag(list(frames.swapaxes(1, 2)), format="csr")
         forces = turned @ forces  # along gravity, and twice across
@@ -159,17 +160,13 @@ class ReducedRows:
             walk=own[order],
         )
 
-    def scaled(self, size: Array) -> ReducedRows:
+    def scale(self, size: Array) -> ReducedRows:
         """With each column times its size (q,)."""
         return replace(self, columns=self.columns * size, known=self.known * size)
 
     def select(self, columns: Index) -> ReducedRows:
         """Of some columns."""
         return replace(self, columns=self.columns[:, columns], known=self.known[:, columns])
-
-
-def _spans(ends: Array, last: int) -> Iterator[tuple[int, int]]:
-    yield from zip((0, *ends.tolist()), (*ends.tolist(), last), strict=True)
 
 
 @dataclass(frozen=True)

@@ -162,7 +162,7 @@ def _sessions(
     """What power-ups do to the bias that a calibration states."""
     stated = [(p.name, p.value, p.sd) for p in made.parameters if p.effect == "bias"]
     mg = made.gravity / MG
-    parts = bias_parts(*products, mg * np.eye(3))
+    parts = bias_parts(*products, mg)
     what = ("session bias", "bias", "mg")
     between, after = estimate_scatter(what, parts, mg * fit.noise.power_up, stated)
     return Sessions(names, (between,), after)
@@ -397,9 +397,9 @@ def imu_calibration(result: ImuResult, outcome: Outcome, details: ImuDetails) ->
     joint = turn @ fit.covariance[np.ix_(kept, kept)] @ turn.T
     values = np.r_[linear, fit.state.gain.ravel(), fit.state.theta, fit.state.drift[-1] / DEG]
     names, order = _order(result, made)
-    rows = np.array([k >= 0 for k in order]), np.maximum(order, 0)
-    covariance = np.where(np.outer(rows[0], rows[0]), joint[np.ix_(rows[1], rows[1])], 0.0)
-    stored = np.where(rows[0], values[rows[1]], 0.0)
+    there, at = np.array(order) >= 0, np.maximum(order, 0)
+    covariance = np.where(np.outer(there, there), joint[np.ix_(at, at)], 0.0)
+    stored = np.where(there, values[at], 0.0)
     parameters = tuple(
         replace(one, value=float(value), sd=float(sd))
         for one, value, sd in zip(names, stored, np.sqrt(np.diag(covariance)), strict=True)

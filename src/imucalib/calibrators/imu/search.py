@@ -26,7 +26,6 @@ from imucalib.calibrators.imu.laws import (
 from imucalib.calibrators.imu.log import LogCourse
 from imucalib.calibrators.imu.request import ImuRequest
 from imucalib.calibrators.imu.rows import ReducedRows, TurnNoisePoint, TurnTerms, points_of
-from imucalib.core.eigen import eigen
 from imucalib.core.observations import Observations
 from imucalib.effects import known
 from imucalib.estimators.turn_log import TurnLog
@@ -35,16 +34,16 @@ from imucalib.posterior.closed_loop.folds import components_heard
 from imucalib.posterior.closed_loop.words import SelectedModel, select_model
 from imucalib.posterior.odds import HEARD, LEAST
 from imucalib.posterior.search.catalogue import Component
-from imucalib.posterior.search.gram import Grams, Multiplied, Products, Weighted, marginalize
+from imucalib.posterior.search.explored import span
+from imucalib.posterior.search.gram import Grams, marginalize, multiply_columns
 from imucalib.posterior.search.noise import between_temperatures
 from imucalib.posterior.search.problem import Choice, Contest
 from imucalib.posterior.search.solution import moments
 from imucalib.posterior.search.space import Hypothesis, Posterior, blocks_of, hill_climb
 
 _FIXED = ACCELEROMETER + GAIN
-#: Share of a column's square that the base leaves, below which it is the base's; and what of the
-#: largest product is rounding.
-_LEFT, _ROUNDING = 1e-3, 1e-12
+#: Share of a column's square that the base leaves, below which it is the base's.
+_LEFT = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,7 +116,7 @@ def search_laws(
     declared = declared_terms(request, course.rests)
     final, terms, seen = base, declared, set[tuple[str, ...]]()
     while True:
-        lacking = Lacking.of(final, course, rests, request)
+        lacking = Lacking.of(final, declared, course, rests, request)
         problem, grams = lacking.contest(final)
         posterior = hill_climb(problem, grams)
         said = select_model(problem, posterior)
@@ -177,7 +176,7 @@ def in_fold(
     new = problem.terms_of(select_model(problem, hill_climb(problem, grams)).hypothesis)
     if not new:
         return base, base
-    terms = (*declared_terms(request, course.rests), *new)
+    terms = (*found.declared, *new)
     if _keys(terms) == _keys(found.terms):
         sizes = {term.key: term.sizes for term in terms}
         own = np.concatenate([sizes[term.key] for term in found.terms])
@@ -204,10 +203,15 @@ class Lacking:
     curves: bool
 
     @staticmethod
-    def of(fit: TurnFit, course: LogCourse, rests: Observations, request: ImuRequest) -> Lacking:
+    def of(
+        fit: TurnFit,
+        declared: Sequence[LawTerm],
+        course: LogCourse,
+        rests: Observations,
+        request: ImuRequest,
+    ) -> Lacking:
         """All that a fit may lack, linearised where it stands."""
         components, missing = components_of_both(fit.log, course, rests, request)
-        declared = declared_terms(request, course.rests)
         tried, place = side_by_side(components)
         every = (*declared, *tried)
         sizes = np.concatenate([np.zeros(0), *(term.sizes for term in every)])
@@ -219,7 +223,7 @@ class Lacking:
             components=components,
             missing=missing,
             place={key: _FIXED + held + k for key, k in place.items()},
-            rows=rows.scaled(np.concatenate([np.ones(_FIXED), sizes, np.ones(1)])),
+            rows=rows.scale(np.concatenate([np.ones(_FIXED), sizes, np.ones(1)])),
             held=held,
             warm=between_temperatures(rests),
             curves=request.curves,
@@ -285,14 +289,10 @@ class Lacking:
         log_weight = [
             point.log_prior - 0.5 * v.log_det for point, v in zip(points, covariances, strict=True)
         ]
-        columns, known = terms.columns, self.rows.known
-        products: Products = Weighted(columns, tuple(v.solve for v in covariances), known)
-        if len(columns) > columns.shape[1]:
-            own, before = [columns.T @ v.solve(columns) for v in covariances], known.T @ known
-            products = Multiplied(np.array(own) + before)
+        solves = tuple(v.solve for v in covariances)
         grams = Grams(
-            products=products,
-            removed=np.zeros((len(points), 0, columns.shape[1])),
+            products=multiply_columns(terms.columns, self.rows.known, solves),
+            removed=np.zeros((len(points), 0, terms.columns.shape[1])),
             log_weight=np.array(log_weight),
             numbers=terms.numbers,
             points=tuple(points),
@@ -303,17 +303,10 @@ class Lacking:
     def _plausible(self, terms: TurnTerms, fit: TurnFit) -> list[TurnNoisePoint]:
         """Noise points that neither the base model excludes nor one that lacks everything."""
         points = points_of(fit, between_temperatures=self.warm)
-        rich = _span(terms.columns[:, :-1][:, self._tried])
+        rich = span(terms.columns[:, :-1][:, self._tried])
         held = terms.columns[:, _FIXED : _FIXED + self.held]
         logs = np.array(
             [terms.evidence(points, _FIXED, lacked) for lacked in (held, np.hstack([held, rich]))]
         )
         counts = (logs > logs.max(axis=1)[:, None] - HEARD).any(axis=0)
         return [points[k] for k in np.flatnonzero(counts)]
-
-
-def _span(factor: Array) -> Array:
-    """(n, r) with the products W Wᵀ of a factor (n, m), by a column for each of its directions."""
-    values, turn = eigen(factor @ factor.T)
-    kept = values > _ROUNDING * values[-1]
-    return np.asarray(turn[:, kept] * np.sqrt(values[kept]))

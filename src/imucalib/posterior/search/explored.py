@@ -133,7 +133,7 @@ class SearchStart:
         every = (choice.at for choice in self._functions)
         free = np.unique(np.concatenate([np.zeros(0, np.intp), *every]))
         columns = reach * self.problem.columns[: len(self._gross), free]
-        return _span(np.hstack([columns, self._gross]))
+        return span(np.hstack([columns, self._gross]))
 
     @cached_property
     def _lacking_all(self) -> Array:
@@ -161,7 +161,7 @@ class SearchStart:
         return found
 
 
-def _span(factor: Array) -> Array:
+def span(factor: Array) -> Array:
     """(N, r) with the products W Wᵀ of a factor (N, m), by a column for each of its directions:
     free functions of many things are much alike."""
     values, turn = eigen(factor.T @ factor)

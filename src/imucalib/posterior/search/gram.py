@@ -256,21 +256,27 @@ def select_columns(grams: Grams, columns: Index) -> Grams:
     )
 
 
+def multiply_columns(
+    columns: Array, known: Array, solves: tuple[Callable[[Array], Array], ...]
+) -> Products:
+    """Of columns (N, q) as in `Weighted`, multiplied out where there are more numbers than
+    columns."""
+    if len(columns) <= columns.shape[1]:
+        return Weighted(columns, solves, known)
+    return Multiplied(np.array([columns.T @ v(columns) + known.T @ known for v in solves]))
+
+
 def grams_of(problem: Problem, terms: Terms, points: Sequence[NoiseHypothesis]) -> Grams:
-    """At some noises; multiplied out where there are more numbers than columns."""
+    """At some noises."""
     n, q = len(terms.order), problem.columns.shape[1]
     columns, known = problem.columns[:n], problem.columns[n:]
     covariances = [terms.covariance(point) for point in points]
-    solves = tuple(covariance.solve for covariance in covariances)
-    products: Products = Weighted(columns, solves, known)
-    if n > q:
-        products = Multiplied(np.array([columns.T @ v(columns) + known.T @ known for v in solves]))
     weight = np.array(
         [p.log_prior - 0.5 * v.log_det for p, v in zip(points, covariances, strict=True)]
     )
     prior = problem.fit.observations.noise_prior
     return Grams(
-        products=products,
+        products=multiply_columns(columns, known, tuple(v.solve for v in covariances)),
         removed=np.zeros((len(points), 0, q)),
         log_weight=weight,
         numbers=problem.numbers,
