@@ -79,7 +79,7 @@ def test_meanings_are_in_the_schema() -> None:
     row = schema_of([Page])["properties"]["rows"]["items"]
     assert row["description"] == "A row."
     assert row["properties"]["sizes"]["description"] == "Of each axis, mg."
-    assert row["required"] == ["name", "sizes", "sd"]
+    assert row["required"] == ["name", "sizes", "sd", "rest"]
 
 
 def test_keys_beside_a_document_hold_where_its_key_says_so() -> None:

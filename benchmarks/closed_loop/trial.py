@@ -96,7 +96,7 @@ def said(trial: Trial, loop: MotionLoop) -> Trial:
         certain=tuple(plain(s.effect) for s in loop.steps if s.certain),
         records=tuple(f"{r.row}:{r.channel}" for r in getattr(loop, "records", ())),
         unexplained=(
-            *((u.kind, u.follows) for u in loop.unexplained),
+            *((u.kind, u.driver) for u in loop.unexplained),
             *(("curve", _against(s.effect)) for s in getattr(loop, "curves", ())),
         ),
         absorbed=tuple(plain(s.name) for s in loop.first_scores if s.absorbed),

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
+from dataclasses import Field, dataclass, fields, is_dataclass
 from operator import attrgetter
 from types import NoneType, UnionType
 from typing import (
@@ -192,7 +192,7 @@ def _schema_of_keys(kind: Any) -> dict[str, Any]:
     return {
         "description": (kind.__doc__ or "").partition("\n")[0],
         "type": "object",
-        "required": [one.name for one in own if one.default is MISSING],
+        "required": [one.name for one in own if one.default is not None],
         "properties": {one.name: _schema(_drop_none(one, hints[one.name])) for one in own},
         "additionalProperties": False,
     }

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from imucalib.arrays import Array
 from imucalib.calibration import apply as application
 from imucalib.calibration.apply import apply_to_recording
-from imucalib.calibration.calibration import Calibration, StoredParameter
+from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.file import read as read_calibration
 from imucalib.calibration.file import write as write_calibration
 from imucalib.calibration.undo import Undo
@@ -26,6 +26,7 @@ from imucalib.calibrators.lab.position_table import read_position_table
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import run_lab
 from imucalib.core.effect import Context
+from imucalib.core.fit import StoredParameter
 from imucalib.core.model import Model
 from imucalib.effects import catalogue, known, named
 from imucalib.errors import UnreadableInput

@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from imucalib.calibration.calibration import Calibration, StoredParameter, from_fit
+from imucalib.calibration.calibration import Calibration, from_fit
 from imucalib.calibration.file import VERSION, as_dict, check, from_dict, read, to_yaml, write
 from imucalib.calibration.findings import Findings
 from imucalib.calibration.outcome import ErrorSummary, Gate, HeldOutError, Outcome, left_open
 from imucalib.calibration.provenance import provenance_of
 from imucalib.calibration.triads import Triad
 from imucalib.core.effect import Context
-from imucalib.core.fit import Fit
+from imucalib.core.fit import Fit, StoredParameter
 from imucalib.effects import named
 from imucalib.effects.record_error import record_error
 from imucalib.errors import NotConverged, UnreadableInput

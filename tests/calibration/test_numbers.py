@@ -213,7 +213,9 @@ def test_matrices_are_the_linear_part_and_its_scatter() -> None:
 
 
 def score(name: str, size: float, strength: float, *, absorbed: bool) -> SimpleNamespace:
-    return SimpleNamespace(name=name, size=size, strength=strength, absorbed=absorbed)
+    return SimpleNamespace(
+        name=name, size_m_per_s2=size, lambda_at_typical_size=strength, absorbed=absorbed
+    )
 
 
 def test_what_may_hide_is_told_at_the_size_that_four_of_five_would_find() -> None:

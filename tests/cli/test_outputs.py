@@ -19,9 +19,10 @@ import pytest
 
 from imucalib import readers, writers
 from imucalib.atomic_file import replace_atomically
-from imucalib.calibration.calibration import Calibration, StoredParameter
+from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.file import write as write_calibration
 from imucalib.calibration.file import write_together
+from imucalib.core.fit import StoredParameter
 from imucalib.errors import UsageError
 from imucalib.file_hash import sha256_of
 from imucalib.recording.recording import Channel, Recording

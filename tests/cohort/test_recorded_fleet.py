@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imucalib.calibration.calibration import Calibration, StoredParameter
+from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.file import read, to_yaml
 from imucalib.calibration.sums import KEY
 from imucalib.calibrators.population import read as read_population
@@ -23,6 +23,7 @@ from imucalib.cohort.fleet.calibrated import load_calibrations
 from imucalib.cohort.fleet.outcome import Fleet
 from imucalib.cohort.fleet.recorded import Wanted, run_recorded
 from imucalib.core.effect import Context
+from imucalib.core.fit import StoredParameter
 from imucalib.effects import named
 from imucalib.errors import UnreadableInput, UsageError
 from worlds.command import run

@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from imucalib.arrays import Array
-from imucalib.calibration.calibration import Calibration, StoredParameter
+from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.file import from_dict, to_yaml
+from imucalib.core.fit import StoredParameter
 from imucalib.errors import UsageError
 from imucalib.exports import export
 from imucalib.readers import read

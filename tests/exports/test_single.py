@@ -17,8 +17,9 @@ import pytest
 from numpy.typing import ArrayLike
 
 from imucalib.arrays import Array
-from imucalib.calibration.calibration import Calibration, StoredParameter
+from imucalib.calibration.calibration import Calibration
 from imucalib.core.effect import Context
+from imucalib.core.fit import StoredParameter
 from imucalib.core.sphere import count_by_cell, even_directions
 from imucalib.effects import named
 from imucalib.errors import LimitBroken, UsageError

@@ -355,8 +355,8 @@ def test_the_evidence_is_that_of_the_whole_matrix(terms: Terms) -> None:
         assert one == pytest.approx(expected, rel=1e-7)
 
 
-STEP = Step("cubic", 9.0, (), (), certain=True)
-CURVE = replace(STEP, effect="curve@bias:order:0:1:4", curve=True)
+STEP = Step(effect="cubic", evidence_nats=9.0, certain=True)
+CURVE = replace(STEP, effect="curve@bias:order:0:1:4", curve="bias against order")
 RECORD = RecordError(3, "row 4", "y", 100.0, 3.0, "mg", "lost sign of y", (), 0.999)
 LEFT = Unexplained("a", "order", "bias", 0.999, 9.0)
 SURE = Difference(2.0, 1.0, 0.5, 1.5, 20)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imucalib.calibration.calibration import StoredParameter
+from imucalib.core.fit import StoredParameter
 from imucalib.report.conditions import temperature_section
 from imucalib.report.render.document import Table
 from worlds.stated import stated

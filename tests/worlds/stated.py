@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from imucalib.calibration.calibration import Calibration, StoredParameter
+from imucalib.calibration.calibration import Calibration
 from imucalib.core.effect import Context
+from imucalib.core.fit import StoredParameter
 from imucalib.effects import named
 from worlds.instrument import Array, G
 

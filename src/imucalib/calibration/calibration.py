@@ -15,7 +15,7 @@ from imucalib.calibration.plain import fields
 from imucalib.calibration.triads import Triad
 from imucalib.calibration.uncertainty import correcting, force_slopes
 from imucalib.core.effect import Context
-from imucalib.core.fit import Fit
+from imucalib.core.fit import Fit, StoredParameter
 from imucalib.core.model import Model
 from imucalib.effects import known
 from imucalib.effects.record_error import is_record_error
@@ -25,18 +25,6 @@ from imucalib.units import ACCELERATION_UNITS, DEG, MG
 
 #: The reason of a calibration that is none, kept for the record errors in its report.
 UNSETTLED = "the fit did not settle"
-
-
-@dataclass(frozen=True)
-class StoredParameter:
-    """One parameter as stored: value and standard deviation in `unit`."""
-
-    name: str
-    effect: str
-    stage: str
-    value: float
-    sd: float
-    unit: str
 
 
 #: Times gravity from which on a reading of usual size is in another unit.

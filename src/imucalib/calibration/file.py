@@ -18,9 +18,10 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.atomic_file import replace_together
-from imucalib.calibration.calibration import UNSETTLED, Calibration, StoredParameter
+from imucalib.calibration.calibration import UNSETTLED, Calibration
 from imucalib.calibration.triads import effect_covariance, triad_from
 from imucalib.core.effect import Context
+from imucalib.core.fit import StoredParameter
 from imucalib.data import plain
 from imucalib.errors import NotConverged, UnreadableInput
 from imucalib.file_hash import sha256_of

@@ -3,56 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Annotated
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Any
 
-from imucalib.calibration.calibration import StoredParameter, stored_parameters
+from imucalib.calibration.calibration import stored_parameters
 from imucalib.calibration.power import hidden
-from imucalib.core.fit import Fit
+from imucalib.core.fit import Fit, StoredParameter
 from imucalib.data import Data
-from imucalib.effects import known
-from imucalib.posterior.closed_loop.found import FitLoop, Score, Step, Unexplained
+from imucalib.posterior.closed_loop.found import FitLoop, Loop, Score, Step, Unexplained
 from imucalib.posterior.held_out import Difference
 from imucalib.posterior.record_errors import RecordError
 from imucalib.significant_digits import plus_minus
 from imucalib.units import MG
-
-
-@dataclass(frozen=True)
-class CheckedError:
-    """An error before and after a step; digits : how many decimals it is worth."""
-
-    metric: str
-    unit: str
-    before: float
-    after: float
-    digits: int = 2
-
-
-@dataclass(frozen=True)
-class FoundStep:
-    """One accepted effect.
-
-    size : in words where there are many parameters; checks : errors that the choice has seen or
-    not, as their metric says; held_out : nats that data gain which did not estimate it; curve :
-    what a correction without a name corrects, in words, or empty; formula : of a form that has no
-    cause, in words, or empty; certain : nothing else would do, and held-out data prove it
-    probability : that it is there; rivals : (effect, share) of all that may stand in its place
-    """
-
-    effect: str
-    evidence: float
-    checks: tuple[CheckedError, ...]
-    aliases: tuple[str, ...]
-    parameters: tuple[StoredParameter, ...] = ()
-    size: str = ""
-    held_out: tuple[float, ...] = ()
-    curve: str = ""
-    formula: str = ""
-    certain: bool = False
-    probability: float = math.nan
-    rivals: tuple[tuple[str, float], ...] = ()
 
 
 class Untestable(Data):
@@ -117,7 +80,7 @@ class Findings:
     """
 
     verdict: str
-    steps: tuple[FoundStep, ...] = ()
+    steps: tuple[Step, ...] = ()
     records: tuple[RecordError, ...] = ()
     rejected: tuple[tuple[str, str], ...] = ()
     refuted: tuple[str, ...] = ()
@@ -139,29 +102,43 @@ class Findings:
         return bool(self.unexplained) or curved or self.verdict == "suspected"
 
 
+#: What a loop says in the words of every calibrator.
+_OF_LOOP = ("verdict", "records", "rejected", "refuted", "unexplained", "scores", "missing")
+
+
 def findings_of(
+    loop: Loop[Any], parameters: Callable[[Step], Iterable[StoredParameter]], **stated: Any
+) -> Findings:
+    """What a loop found. parameters : of a step; stated : what the loop itself does not say"""
+    steps = tuple(
+        replace(
+            step,
+            parameters=tuple(parameters(step)),
+            certain=step.certain and not loop.suspected,
+        )
+        for step in loop.steps
+    )
+    own = {name: getattr(loop, name) for name in _OF_LOOP}
+    return Findings(**{**own, "steps": steps, "complete": loop.complete, **stated})
+
+
+def findings_of_fit(
     loop: FitLoop,
     *,
     declared: Sequence[str] = (),
     only: tuple[str, ...] = (),
     without: tuple[str, ...] = (),
 ) -> Findings:
-    """The shared loop's search."""
+    """What the loop of a fit found, with its parameters."""
     facts, walk = [], loop.drift  # the walk that the noise holds
     if walk is not None and (walk.counts or walk.followed):
         what = "which the calibration follows" if walk.followed else "which nothing follows"
         facts.append(("noise", f"{walk.words}, {what}"))
-    return Findings(
-        verdict=loop.verdict,
-        steps=tuple(_step(step, loop) for step in loop.steps),
-        records=loop.records,
-        rejected=loop.rejected,
-        refuted=loop.refuted,
-        unexplained=loop.unexplained,
-        scores=loop.scores,
-        missing=loop.missing,
+    stored = stored_parameters(loop.final)
+    return findings_of(
+        loop,
+        lambda step: (p for p in stored if p.effect == step.effect),
         gain=_gain_of(loop.difference),
-        complete=loop.complete,
         facts=tuple(facts),
         declared=tuple((name, _size(loop.final, name)) for name in declared),
         only=only,
@@ -171,33 +148,6 @@ def findings_of(
             for h in hidden(loop.scores, loop.final.model.names)
             if h.absorbed
         ),
-    )
-
-
-def bent(curve: str) -> str:
-    """What a curve bends, and against what: a scan's own name where it bends no driver.
-
-    curve : name of the effect
-    """
-    family, _, value = curve.partition("@")
-    what, *against = value.split(":")
-    return f"{what} against {against[0]}".replace("_", "-") if against else f"a {family}'s offset"
-
-
-def _step(step: Step, loop: FitLoop) -> FoundStep:
-    before, after = step.checked[0].before, step.checked[0].after
-    form = known(step.effect) if step.formed else None
-    return FoundStep(
-        effect=step.effect,
-        evidence=step.evidence,
-        checks=(CheckedError("held-out error, rms", "mg", before / MG, after / MG),),
-        aliases=step.aliases,
-        parameters=tuple(p for p in stored_parameters(loop.final) if p.effect == step.effect),
-        curve=bent(step.effect) if step.curve else "",
-        formula=f"{form.sentence.rstrip('.')}, {form.equation}" if form else "",
-        certain=step.certain and not loop.suspected,
-        probability=step.probability,
-        rivals=step.rivals,
     )
 
 

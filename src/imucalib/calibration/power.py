@@ -37,7 +37,9 @@ def hidden(scores: Sequence[Score], present: Sequence[str] = ()) -> tuple[Hidden
         effect = known(one.name)
         if effect is None or effect.stage == "fixture" or one.name in present:
             continue
-        size = one.size if one.absorbed else one.size * _SEEN / max(one.strength, 1e-12)
+        size = one.size_m_per_s2
+        if not one.absorbed:
+            size *= _SEEN / max(one.lambda_at_typical_size, 1e-12)
         if size >= _LEAST and "@" not in one.name:
             found.append(Hidden(one.name, size, one.absorbed, effect.identify))
     return tuple(sorted(found, key=lambda h: (not h.absorbed, -h.size)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from imucalib.calibration.findings import Findings, findings_of
+from imucalib.calibration.findings import Findings, findings_of_fit
 from imucalib.core.effect import Context, Effect
 from imucalib.effects import named, own_effects
 from imucalib.errors import UsageError
@@ -79,4 +79,4 @@ class Request:
         """What a search found, or None where there was none."""
         if loop is None:
             return None
-        return findings_of(loop, declared=self.declare, only=self.only, without=self.without)
+        return findings_of_fit(loop, declared=self.declare, only=self.only, without=self.without)

@@ -9,11 +9,12 @@ from collections.abc import Mapping
 from typing import Annotated, Any
 
 from imucalib.arrays import Array
-from imucalib.calibration.findings import Findings, FoundStep, Gain, Untestable
+from imucalib.calibration.findings import Findings, Gain, Untestable
 from imucalib.calibration.outcome import ErrorSummary, Run, Status
 from imucalib.calibration.provenance import Origin
+from imucalib.core.fit import StoredParameter
 from imucalib.data import Data, plain
-from imucalib.posterior.closed_loop.found import Score
+from imucalib.posterior.closed_loop.found import Score, Step, Unexplained
 from imucalib.recording.identity import Identity
 from imucalib.significant_digits import per_cent
 
@@ -46,16 +47,6 @@ class SensorFacts(Data):
     onboard_rate: OnboardFacts | None = None
 
 
-class ParameterFacts(Data):
-    """A parameter."""
-
-    name: str
-    effect: str
-    value: float
-    sd: float
-    unit: str
-
-
 class Covariance(Data):
     """Of the parameters, and what the fit says of the noise."""
 
@@ -85,65 +76,11 @@ class WrongRecord(Data):
     probability: float
 
 
-class Share(Data):
-    """An effect that may stand in the place of another."""
-
-    effect: str
-    share: float
-
-
-class CheckFacts(Data):
-    """An error before and after a step."""
-
-    metric: str
-    unit: str
-    before: float
-    after: float
-
-
-class StepFacts(Data):
-    """An effect that was found."""
-
-    effect: str
-    size: Annotated[str, "In words, where there are many parameters."]
-    probability: float
-    in_its_place: tuple[Share, ...]
-    evidence_nats: float
-    held_out_nats: tuple[float, ...]
-    checks: tuple[CheckFacts, ...]
-    aliases: tuple[str, ...]
-    certain: Annotated[bool, "Nothing else would do as well, and chance would not."]
-    formula: Annotated[str, "Of a form that has no cause, in words; empty for others."]
-    parameters: tuple[ParameterFacts, ...]
-
-
-class Structure(Data):
-    """Structure that no effect carries."""
-
-    name: str
-    driver: str
-    kind: str
-    probability: float
-    evidence_nats: float
-
-
 class Rejected(Data):
     """An effect that was not added."""
 
     effect: str
     reason: str
-
-
-class CandidateFacts(Data):
-    """What the data say of a component."""
-
-    name: str
-    kind: str
-    evidence_nats: float
-    probability: float
-    left: Annotated[float, "Share that the fitted parameters do not absorb."]
-    lambda_at_typical_size: float
-    size_m_per_s2: Annotated[float, "What its typical size does to a reading, rms."]
 
 
 class LoopFacts(Data):
@@ -158,12 +95,12 @@ class LoopFacts(Data):
     only: tuple[str, ...]
     without: tuple[str, ...]
     record_errors: tuple[WrongRecord, ...]
-    steps: tuple[StepFacts, ...]
-    unexplained: tuple[Structure, ...]
+    steps: tuple[Step, ...]
+    unexplained: tuple[Unexplained, ...]
     rejected: tuple[Rejected, ...]
     refuted: Annotated[tuple[str, ...], "Taken and put back, since data that took no part refuse."]
     not_testable: tuple[Untestable, ...]
-    candidates: tuple[CandidateFacts, ...]
+    candidates: tuple[Score, ...]
 
 
 class LimitFacts(Data):
@@ -240,7 +177,7 @@ class Result(Data, name="report/2"):
     exit_code: int
     reasons: tuple[str, ...]
     sensor: SensorFacts
-    parameters: tuple[ParameterFacts, ...]
+    parameters: tuple[StoredParameter, ...]
     covariance: Covariance
     loop: LoopFacts
     limits: tuple[LimitFacts, ...]
@@ -264,7 +201,7 @@ def describe_run(run: Run) -> dict[str, Any]:
         exit_code=outcome.exit_code,
         reasons=outcome.reasons,
         sensor=_describe_sensor(outcome.sensor),
-        parameters=tuple(map(ParameterFacts.of, calibration.parameters)),
+        parameters=calibration.parameters,
         covariance=_covariance(run),
         loop=_describe_loop(run),
         limits=tuple(map(LimitFacts.of, outcome.limits)),
@@ -298,37 +235,22 @@ def _describe_loop(run: Run) -> LoopFacts:
     reasons = {s.name: _why(s, found) for s in found.scores if s.kind == "effect"}
     reasons |= dict(found.rejected)
     reasons |= {name: f"not tested: {why}" for name, why in found.missing.items()}
-    sizes = "evidence_nats=evidence lambda_at_typical_size=strength size_m_per_s2=size"
-    structure = "driver=follows evidence_nats=evidence"
     return LoopFacts.of(
         found,
-        "p_nothing_missing=complete",
+        "p_nothing_missing=complete candidates=scores",
         errors=run.outcome.errors,
         advice=tuple(map(str, run.outcome.advice)),
         declared=tuple(EffectSize(*one) for one in found.declared),
         record_errors=tuple(map(WrongRecord.of, found.records)),
-        steps=tuple(map(_describe_step, found.steps)),
-        unexplained=tuple(Structure.of(one, structure) for one in found.unexplained),
         rejected=tuple(Rejected(*one) for one in reasons.items()),
-        candidates=tuple(CandidateFacts.of(one, sizes) for one in found.scores),
-    )
-
-
-def _describe_step(step: FoundStep) -> StepFacts:
-    return StepFacts.of(
-        step,
-        "evidence_nats=evidence held_out_nats=held_out",
-        in_its_place=tuple(Share(*one) for one in step.rivals),
-        checks=tuple(map(CheckFacts.of, step.checks)),
-        parameters=tuple(map(ParameterFacts.of, step.parameters)),
     )
 
 
 def _why(score: Score, found: Findings) -> str:
     if score.absorbed:
         return "absorbed by the fitted parameters: these data cannot show it"
-    numbers = f"{per_cent(score.probability)} likely, {score.evidence:.2f} nats by itself"
+    numbers = f"{per_cent(score.probability)} likely, {score.evidence_nats:.2f} nats by itself"
     best = found.scores[0]
-    if score.evidence > 0.0 and score.evidence < best.evidence:
+    if score.evidence_nats > 0.0 and score.evidence_nats < best.evidence_nats:
         return f"{best.name} explains more: {numbers}"
     return f"no evidence: {numbers}"

@@ -9,6 +9,7 @@ values of the whitened Jacobian, scaled by each parameter's typical size.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from imucalib.core.effect import Parameter
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.core.prior import Prior
+from imucalib.data import Data
 
 #: A combination counts as open when its standard deviation exceeds this many typical sizes.
 OPEN_AT = 3.0
@@ -46,6 +48,17 @@ def _words(direction: Array, parameters: tuple[Parameter, ...]) -> str:
     if len(main) == 1:
         return f"{main[0]} is not determined"
     return f"{main[0]} cannot be told from {', '.join(main[1:])}"
+
+
+class StoredParameter(Data):
+    """A parameter: value and standard deviation in `unit`."""
+
+    name: str
+    effect: str
+    stage: Annotated[str, "Of the effect; what is off in the fixture is not the sensor's."]
+    value: float
+    sd: float
+    unit: str
 
 
 @dataclass(frozen=True)

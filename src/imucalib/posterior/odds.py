@@ -84,6 +84,8 @@ UNLIKE = 2.5
 SEEN, LIKELY, SINGLES = 1e-3, 0.05, 12
 #: Noises on which many hypotheses are looked at first, and how many of these go on to all.
 FEW, SHORT_LIST = 3, 60
+#: Searches at most, each at the refit of the one before: two do, three on most measured motions.
+SEARCHES = 5
 #: Rounds until scatter, walk, weights and what is told stand still.
 ROUNDS = 4
 #: Models that an interval is mixed from at most.

@@ -373,7 +373,7 @@ def _drivers(run: LabRun) -> tuple[str, ...]:
     named = [d for e in effects for d in of(e)]
     # A sensor's own curve acts on the axis: all three are shown.
     own = [a for e in effects if not of(e) for a in "xyz"]
-    stays = [u.follows for u in loop.unexplained] if loop else []
+    stays = [u.driver for u in loop.unexplained] if loop else []
     return tuple(dict.fromkeys((*named, *own, *stays)))
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
-from imucalib.calibration.findings import Findings, FoundStep
+from imucalib.calibration.findings import Findings
 from imucalib.calibration.outcome import (
     NO_NAME,
     UNPROVED_NAME,
@@ -27,7 +27,7 @@ from imucalib.core.fit import Fit
 from imucalib.effects import known, names_a_cause
 from imucalib.effects.forms import in_words
 from imucalib.exports.bound import carries
-from imucalib.posterior.closed_loop.found import Unexplained
+from imucalib.posterior.closed_loop.found import Step, Unexplained
 from imucalib.question import Question, paste
 from imucalib.report.certificate import certify
 from imucalib.report.render.document import (
@@ -264,12 +264,12 @@ def _is_named(one: Unexplained) -> bool:
 def _nameless(unexplained: Sequence[Unexplained]) -> list[str]:
     """What no effect explains, and against what it shows."""
     return [
-        f"{in_words(u.name)} (driven by {u.follows})" if u.follows else in_words(u.name)
+        f"{in_words(u.name)} (driven by {u.driver})" if u.driver else in_words(u.name)
         for u in unexplained
     ]
 
 
-def _describe_step(step: FoundStep) -> str:
+def _describe_step(step: Step) -> str:
     """An effect and its size in words."""
     if step.curve:
         return f"A curve without a name, {step.curve}"
@@ -279,16 +279,16 @@ def _describe_step(step: FoundStep) -> str:
     return capital(step.formula or in_words(step.effect)) + (f": {size}" if size else "")
 
 
-def _doubt(step: FoundStep, found: Findings) -> str:
+def _doubt(step: Step, found: Findings) -> str:
     """What else it may be, how likely each is, and whether data that took no part prove it."""
-    others = [(n, s) for n, s in step.rivals if n != step.effect][:_RIVALS]
+    others = [one for one in step.in_its_place if one.effect != step.effect][:_RIVALS]
     doubts = []
     if not math.isnan(step.probability) and not others:
         doubts.append(per_cent(step.probability))
     elif not math.isnan(step.probability):
-        own = sum(share for n, share in step.rivals if n == step.effect)
-        rest = 1.0 - own - sum(share for _, share in others)
-        words = [f"{in_words(name)} {per_cent(share)}" for name, share in others]
+        own = sum(one.share for one in step.in_its_place if one.effect == step.effect)
+        rest = 1.0 - own - sum(one.share for one in others)
+        words = [f"{in_words(one.effect)} {per_cent(one.share)}" for one in others]
         words += [f"something else {per_cent(rest)}"] if rest > 0.005 else []
         doubts.append(f"{per_cent(own)}; or {', '.join(words)}")
     elif step.aliases:
@@ -428,20 +428,21 @@ def _loop_verdict(found: Findings) -> Text:
     return Text(words, "bad")
 
 
-def _step_table(steps: Sequence[FoundStep]) -> Table:
+def _step_table(steps: Sequence[Step]) -> Table:
     """Effects that were added; a column of sizes and of nats held out where a calibrator has it."""
     checks = steps[0].checks
-    sized, nats = (any(getattr(s, name) for s in steps) for name in ("size", "held_out"))
+    sized, nats = (any(getattr(s, name) for s in steps) for name in ("size", "held_out_nats"))
 
-    def row(s: FoundStep) -> tuple[str, ...]:
+    def row(s: Step) -> tuple[str, ...]:
         cells = [s.effect, *[s.size] * sized, per_cent(s.probability)]
         if nats:
-            cells += [f"{s.evidence:.1f}", ", ".join(f"{v:.0f}" for v in s.held_out)]
+            cells += [f"{s.evidence_nats:.1f}", ", ".join(f"{v:.0f}" for v in s.held_out_nats)]
         for c in s.checks:
             change = [f"{v:.{c.digits}f}" for v in (c.before, c.after)]
             cells += change if len(s.checks) == 1 else [" -> ".join(change)]
-        others = ", ".join(f"{n} {per_cent(v)}" for n, v in s.rivals if n != s.effect)
-        others = others if s.rivals else ", ".join(s.aliases)
+        rivals = (one for one in s.in_its_place if one.effect != s.effect)
+        others = ", ".join(f"{one.effect} {per_cent(one.share)}" for one in rivals)
+        others = others if s.in_its_place else ", ".join(s.aliases)
         return (*cells, others or ("nothing: certain" if s.certain else "-"))
 
     header = ["effect added", *["size"] * sized, "P(present)"]
@@ -486,14 +487,14 @@ def candidate_section(found: Findings) -> Section:
         (
             s.name,
             s.kind,
-            "absorbed" if s.absorbed else f"{s.evidence:.2f}",
+            "absorbed" if s.absorbed else f"{s.evidence_nats:.2f}",
             "-" if s.absorbed else per_cent(s.probability),
             f"{100.0 * s.left:.1f}",
-            f"{s.strength:.1f}",
-            f"{s.size / MG:.2g}" if s.size else "-",
+            f"{s.lambda_at_typical_size:.1f}",
+            f"{s.size_m_per_s2 / MG:.2g}" if s.size_m_per_s2 else "-",
         )
         for s in found.scores
-        if "@" not in s.name or s.evidence > 1.0  # a scan has hundreds of members
+        if "@" not in s.name or s.evidence_nats > 1.0  # a scan has hundreds of members
     ]
     rows += [(name, "effect", "rejected", "-", "-", "-", "-") for name in rejected]
     rows += [(name, "effect", "not tested", "-", "-", "-", "-") for name in found.missing]

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from imucalib.calibration.calibration import Calibration, StoredParameter
+from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.checking.noise import sessions_of
 from imucalib.calibration.comparison.agreement import (
     agreement,
@@ -23,6 +23,7 @@ from imucalib.calibration.comparison.compare import (
     slope_of,
     with_power_ups,
 )
+from imucalib.core.fit import StoredParameter
 from imucalib.core.sphere import even_directions
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.posterior.closed_loop.changes import NOISE

@@ -283,7 +283,7 @@ def advice(result: ActigraphResult, coverage: Coverage) -> tuple[str, ...]:
         found.append(_UNSEARCHED.format("twice as many posture runs as parameters"))
     if loop is None:
         return tuple(found)
-    kinds = {u.kind for u in loop.unexplained if u.follows in CLOCKS}
+    kinds = {u.kind for u in loop.unexplained if u.driver in CLOCKS}
     if kinds and "temperature" not in result.final.observations.context:
         found.append(_COLD)
     elif "probe" in kinds:

@@ -291,7 +291,7 @@ def _held_against_rests(loop: MotionLoop, laid: _Laid, rests: RestFit) -> Motion
             "force",
             "probe",
             s.probability,
-            s.evidence,
+            s.evidence_nats,
         )
         for s in doubted
     )

@@ -7,14 +7,14 @@ calibrated array leaves unexplained in the terms of who uses it (mm, mg and deg/
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import stored_parameters
-from imucalib.calibration.findings import CheckedError, Findings, FoundStep, Gain, Untestable
+from imucalib.calibration.findings import Findings, Gain, Untestable, findings_of
 from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Left
 from imucalib.calibrators.array.board.catalogue import array_catalogue
 from imucalib.calibrators.array.board.rests import RestFit
@@ -22,10 +22,10 @@ from imucalib.calibrators.array.motion.closed_loop import MotionLoop, size_in_wo
 from imucalib.calibrators.array.motion.covariance import POSITIONS, Uneven
 from imucalib.calibrators.array.motion.cross_fit import NORMAL_MAD, Gained
 from imucalib.calibrators.array.motion.effect_blocks import AT_REST, parameters_of
-from imucalib.calibrators.array.motion.laws import CURVE
 from imucalib.calibrators.array.motion.state import ArrayState
 from imucalib.calibrators.array.motion.terms import typical_of
 from imucalib.calibrators.array.request import Accepted
+from imucalib.core.fit import StoredParameter
 from imucalib.effects.forms import in_words
 from imucalib.estimators.array.noise import MotionNoise
 from imucalib.posterior.closed_loop.found import Step
@@ -169,17 +169,12 @@ def _noisy(
 def array_findings(loop: MotionLoop) -> Findings:
     """The search as all calibrators report it."""
     a, g = loop.final.noise
-    return Findings(
+    steps = tuple(replace(step, size=_final_size(step, loop)) for step in loop.steps)
+    return findings_of(
+        replace(loop, steps=steps),
+        lambda step: _parameters(step, loop),
         verdict=loop.verdict if loop.scope.search else "not run",
-        steps=tuple(_step(step, loop) for step in loop.steps),
-        records=loop.records,
-        rejected=loop.rejected,
-        refuted=loop.refuted,
-        unexplained=loop.unexplained,
-        scores=loop.scores,
-        missing=loop.missing,
         gain=_gain(loop),
-        complete=loop.complete,
         not_testable=tuple(_untestable(name, m) for name, m in loop.impact.items()),
         declared=tuple(
             (t.name, size_in_words(loop.final, t))
@@ -225,40 +220,20 @@ def _gains(found: Gained | None) -> tuple[tuple[str, str], ...]:
     )
 
 
-#: What an error is called in a step's table, and its decimals.
-_CHECKED = {"accelerometers": ("acc residual", 3), "gyros": ("gyro residual", 2)}
-
-
-def _step(step: Step, loop: MotionLoop) -> FoundStep:
-    checks = []
-    for c in step.checked:
-        metric, digits = _CHECKED.get(c.name, (f"{c.name}, leave one out", 5))
-        checks.append(
-            CheckedError(metric, c.unit.replace("m/s2", "m/s²"), c.before, c.after, digits)
-        )
-    own = [p for t in loop.final.found if t.name == step.effect for p in parameters_of(loop, t)]
+def _parameters(step: Step, loop: MotionLoop) -> Iterator[StoredParameter]:
+    """Of a step's effect in the final model."""
+    for term in loop.final.found:
+        if term.name == step.effect:
+            yield from parameters_of(loop, term)
     if step.effect.startswith(AT_REST) and loop.rests is not None:
-        stored = stored_parameters(loop.rests.final)
-        own = [p for p in stored if p.effect == step.effect.removeprefix(AT_REST)]
-    return FoundStep(
-        effect=step.effect,
-        evidence=step.evidence,
-        checks=tuple(checks),
-        aliases=step.aliases,
-        parameters=tuple(own),
-        size=_final_size(step, loop),
-        held_out=step.gains,
-        curve=step.effect.removeprefix(CURVE) if step.curve else "",
-        certain=step.certain and not loop.suspected,
-        probability=step.probability,
-        rivals=step.rivals,
-    )
+        name = step.effect.removeprefix(AT_REST)
+        yield from (p for p in stored_parameters(loop.rests.final) if p.effect == name)
 
 
 def _final_size(step: Step, loop: MotionLoop) -> str:
     """Its size in the final model, in words; of what that does not hold, as it was accepted."""
     sizes = (size_in_words(loop.final, t) for t in loop.final.found if t.name == step.effect)
-    return next(sizes, step.value)
+    return next(sizes, step.size)
 
 
 def _untestable(name: str, impact: float) -> Untestable:

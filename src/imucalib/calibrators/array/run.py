@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibration.calibration import Calibration, StoredParameter
+from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.outcome import Limit, Outcome, Run
 from imucalib.calibration.provenance import provenance_of
 from imucalib.calibration.triads import DRIFT, Triad, drift_block
@@ -37,6 +37,7 @@ from imucalib.calibrators.array.motion.posterior import PositionDraws
 from imucalib.calibrators.array.motion.state import ArrayState
 from imucalib.calibrators.array.motion.total import GyroScale, Total, size_block
 from imucalib.calibrators.array.request import ArrayRequest
+from imucalib.core.fit import StoredParameter
 from imucalib.recording.identity import Identity
 from imucalib.recording.pairing import channel_names
 from imucalib.recording.recording import Recording

@@ -10,15 +10,8 @@ from typing import Annotated, Any
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibration.calibration import Calibration, StoredParameter
-from imucalib.calibration.findings import (
-    CheckedError,
-    Findings,
-    FoundStep,
-    Gain,
-    Untestable,
-    bent,
-)
+from imucalib.calibration.calibration import Calibration
+from imucalib.calibration.findings import Findings, Gain, Untestable, findings_of
 from imucalib.calibration.gyroscope import BIAS, STAGE
 from imucalib.calibration.gyroscope import GAIN as GAIN_EFFECT
 from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Left, Limit, Outcome, Run
@@ -28,14 +21,15 @@ from imucalib.calibrators.imu.power_ups import bias_parts, differing, products_o
 from imucalib.calibrators.imu.request import ImuRequest
 from imucalib.calibrators.lab.run import LabDetails
 from imucalib.calibrators.sessions import Sessions, estimate_scatter
+from imucalib.core.fit import StoredParameter
 from imucalib.core.sphere import even_directions
 from imucalib.data import Data
 from imucalib.effects.forms import in_words
 from imucalib.estimators.lateness import lateness
 from imucalib.estimators.turns import ACCELEROMETER, GAIN, LOWER, TurnFit, rest_forces
 from imucalib.inspection.noise import SensorNoise, noise_blocks
-from imucalib.posterior.closed_loop.found import Score, Unexplained
-from imucalib.posterior.closed_loop.words import member_of, of_each
+from imucalib.posterior.closed_loop.found import CheckedError, Loop, Step
+from imucalib.posterior.closed_loop.words import scores_of
 from imucalib.recording.mapping import FieldMapping
 from imucalib.significant_digits import plus_minus
 from imucalib.units import DEG, MG
@@ -198,37 +192,45 @@ def _findings(result: ImuResult, request: ImuRequest) -> Findings:
     by_size = result.by_size.outcome.findings
     if not request.loop or by_size is None:
         return Findings("not run", only=request.only, without=request.without)
-    found, held = result.found, result.held_out
-    problem, steps, unnamed = found.problem, _steps(result), _nameless_laws(result)
-    names, refused = tuple(s.effect for s in steps), result.refused
-    named = [s for s in steps if not s.curve and not s.formula]
-    open_end = bool(unnamed) or len(named) < len(steps)
-    if named and not held.proved:
-        verdict = "suspected"
-    elif named:
-        verdict = "explained in part" if open_end else "explained"
-    else:
-        verdict = "unexplained" if open_end else "nothing missing"
-    noise = result.fit.noise
+    loop, noise, stored = _loop(result), result.fit.noise, result.found.problem.absorbed
     words = (
         f"off by {noise.floor / DEG:.2g} deg and {100.0 * noise.per_angle:.2g} % of the angle "
         f"each; bias walk {float(np.mean(noise.walk)) / DEG:.2g} deg/s per root s"
     )
-    return Findings(
-        verdict=verdict,
-        steps=() if refused else steps,
-        rejected=tuple((n, _NEEDLESS) for n in names if refused),
-        refuted=names if refused else (),
-        unexplained=unnamed,
-        scores=tuple(sorted(_scores(result), key=lambda s: -s.probability)),
-        missing={**by_size.missing, **found.lacking.missing},
-        not_testable=tuple(Untestable(n, "a typical size", 0.0, "deg") for n in problem.absorbed),
+    return findings_of(
+        loop,
+        lambda _: (),
+        missing={**by_size.missing, **loop.missing},
+        not_testable=tuple(Untestable(n, "a typical size", 0.0, "deg") for n in stored),
         declared=tuple((n, "") for n in request.declare),
         only=request.only,
         without=request.without,
-        gain=_gain(result) if names else None,
-        complete=found.said.complete,
+        gain=_gain(result) if loop.steps or loop.refuted else None,
         facts=(("turns", words),),
+    )
+
+
+def _loop(result: ImuResult) -> Loop[TurnFit]:
+    """The search over both sensors."""
+    found, held = result.found, result.held_out
+    problem, said, steps = found.problem, found.said, _steps(result)
+    components = problem.components
+    nameless = (place for place in said.places if not components[place.component].named)
+    refused = tuple(step.effect for step in steps) if result.refused else ()
+    shown = [(*seen, 0.0) for seen in problem.seen]
+    return Loop(
+        base=found.base,
+        final=result.fit,
+        steps=() if result.refused else steps,
+        rejected=tuple((name, _NEEDLESS) for name in refused),
+        refuted=refused,
+        unexplained=tuple(
+            said.unexplained(p, lambda c: problem.components[c].name) for p in nameless
+        ),
+        scores=scores_of(problem, found.posterior, shown),
+        missing=found.lacking.missing,
+        difference=next((d for d in (held.of_turns, held.of_forces) if d.proved), held.gained),
+        complete=said.complete,
     )
 
 
@@ -251,35 +253,19 @@ def _gain(result: ImuResult) -> Gain:
     return Gain(one.before, one.after, one.low, one.high, one.proved, unit)
 
 
-def _steps(result: ImuResult) -> tuple[FoundStep, ...]:
+def _steps(result: ImuResult) -> tuple[Step, ...]:
     """What the log shows and a calibration can state."""
     found, held = result.found, result.held_out
-    problem, checks = found.problem, {True: held.of_turns, False: held.of_forces}
-    sizes, steps = _sizes(result), []
-    for place in found.said.places:
-        if not problem.corrects(place.component):
+    said, sizes, steps = found.said, _sizes(result), []
+    for place in said.places:
+        if not found.problem.corrects(place.component):
             continue
-        component = problem.components[place.component]
-        effect, _, _ = member_of(problem, found.posterior, found.said, place.component).effects[0]
-        check = checks[effect.channel == "angular_rate"]
-        unit = "deg" if effect.channel == "angular_rate" else "mg"
-        own = _name(result, place.component)
+        effect = said.member(place.component).effects[0][0]
+        of_rate = effect.channel == "angular_rate"
+        one, unit = (held.of_turns, "deg") if of_rate else (held.of_forces, "mg")
+        check = CheckedError("held-out error, rms", unit, one.before, one.after, 3)
         rivals = tuple((_name(result, c), share) for c, share in place.rivals)
-        form = component.kind == "law"
-        steps.append(
-            FoundStep(
-                effect=own,
-                evidence=place.log_odds,
-                checks=(CheckedError("held-out error, rms", unit, check.before, check.after, 3),),
-                aliases=tuple(n for n, _ in rivals if n != own),
-                size=sizes.get(own, ""),
-                curve=bent(own) if component.kind == "free" else "",
-                formula=f"{effect.sentence.rstrip('.')}, {effect.equation}" if form else "",
-                certain=place.certain and held.proved,
-                probability=place.probability,
-                rivals=rivals,
-            )
-        )
+        steps.append(said.step(place, (check,), rivals, sizes.get(effect.name, "")))
     return tuple(steps)
 
 
@@ -288,7 +274,7 @@ def _name(result: ImuResult, component: int) -> str:
     found = result.found
     if not found.problem.corrects(component):
         return found.problem.components[component].name
-    return member_of(found.problem, found.posterior, found.said, component).name
+    return found.said.name(component)
 
 
 def _sizes(result: ImuResult) -> dict[str, str]:
@@ -305,41 +291,6 @@ def _sizes(result: ImuResult) -> dict[str, str]:
         )
         sized[term.name] = ", ".join(words)
     return sized
-
-
-def _nameless_laws(result: ImuResult) -> tuple[Unexplained, ...]:
-    """What the log shows and that has no name, corrected or not."""
-    problem = result.found.problem
-    components = problem.components
-    return tuple(
-        Unexplained(
-            name=components[place.component].name,
-            follows=components[place.component].follows,
-            kind="probe",
-            probability=place.probability,
-            evidence=0.0,
-            rivals=tuple(components[c].name for c, _ in place.rivals),
-        )
-        for place in result.found.said.places
-        if not components[place.component].named
-    )
-
-
-def _scores(result: ImuResult) -> list[Score]:
-    found = result.found
-    evidence, inside = of_each(found.posterior, len(found.problem.components))
-    return [
-        Score(
-            name=c.name,
-            kind="effect" if c.named else "probe",
-            follows=c.follows,
-            evidence=float(evidence[k]),
-            probability=float(inside[k]),
-            left=found.problem.seen[k][0],
-            strength=found.problem.seen[k][1],
-        )
-        for k, c in enumerate(found.problem.components)
-    ]
 
 
 def _limits(request: ImuRequest, errors: tuple[ErrorSummary, ErrorSummary]) -> tuple[Limit, ...]:

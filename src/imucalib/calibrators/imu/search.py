@@ -32,8 +32,9 @@ from imucalib.estimators.turn_log import TurnLog
 from imucalib.estimators.turns import ACCELEROMETER, GAIN, TurnFit, fit_turns, linearise, without
 from imucalib.posterior.closed_loop.folds import components_heard
 from imucalib.posterior.closed_loop.words import SelectedModel, select_model
-from imucalib.posterior.odds import HEARD, LEAST
+from imucalib.posterior.odds import HEARD, LEAST, SEARCHES
 from imucalib.posterior.search.catalogue import Component
+from imucalib.posterior.search.driver import search_until_settled
 from imucalib.posterior.search.explored import span
 from imucalib.posterior.search.gram import Grams, marginalize, multiply_columns
 from imucalib.posterior.search.noise import between_temperatures
@@ -80,12 +81,20 @@ class LawSearch:
 
     base: TurnFit
     lacking: Lacking
-    problem: TurnProblem
-    posterior: Posterior
-    said: SelectedModel
+    said: SelectedModel[TurnProblem]
     declared: tuple[LawTerm, ...]
     terms: tuple[LawTerm, ...]
     final: TurnFit
+
+    @property
+    def problem(self) -> TurnProblem:
+        """The last one."""
+        return self.said.problem
+
+    @property
+    def posterior(self) -> Posterior:
+        """Over its sets."""
+        return self.said.posterior
 
     @cached_property
     def heard(self) -> Lacking:
@@ -114,38 +123,53 @@ def search_laws(
     """The posterior over what a base fit lacks, at the set that it says: searched again from where
     that is, until the same is said. rests : as a bench has them"""
     declared = declared_terms(request, course.rests)
-    final, terms, seen = base, declared, set[tuple[str, ...]]()
-    while True:
-        lacking = Lacking.of(final, declared, course, rests, request)
-        problem, grams = lacking.contest(final)
-        posterior = hill_climb(problem, grams)
-        said = select_model(problem, posterior)
-        new = problem.terms_of(said.hypothesis)
-        if not request.loop or not new or _keys(new) in seen:
-            break
-        seen.add(_keys(new))
-        terms = (*declared, *new)
-        final = joint_fit(base.log, terms, course, base)
-    if not new:
-        final, terms = base, declared
+
+    def search(state: _WithTerms) -> tuple[Lacking, SelectedModel[TurnProblem]]:
+        lacking = Lacking.of(state[0], declared, course, rests, request)
+        problem, grams = lacking.contest(state[0])
+        return lacking, select_model(problem, hill_climb(problem, grams))
+
+    def refit(
+        _: _WithTerms, found: tuple[Lacking, SelectedModel[TurnProblem]]
+    ) -> tuple[_WithTerms, bool]:
+        terms = (*declared, *_terms(found[1]))
+        told = len(terms) > len(declared)
+        return (joint_fit(base.log, terms, course, base) if told else base, terms), False
+
+    settled = search_until_settled(
+        (base, declared),
+        search,
+        refit,
+        told=lambda found: _keys((*declared, *_terms(found[1])) if request.loop else declared),
+        held=lambda state: _keys(state[1]),
+        rounds=SEARCHES,
+    )
+    (final, terms), (lacking, said) = settled.state, settled.found
     covariance = final.covariance.copy()
-    covariance[:_FIXED, :_FIXED] += _between_names(problem, posterior, said)
-    final = replace(final, covariance=covariance)
+    covariance[:_FIXED, :_FIXED] += _between_names(said)
     return LawSearch(
         base=base,
         lacking=lacking,
-        problem=problem,
-        posterior=posterior,
         said=said,
         declared=declared,
         terms=terms,
-        final=final,
+        final=replace(final, covariance=covariance),
     )
 
 
-def _between_names(problem: TurnProblem, posterior: Posterior, said: SelectedModel) -> Array:
+#: A joint fit and its terms.
+_WithTerms = tuple[TurnFit, tuple[LawTerm, ...]]
+
+
+def _terms(said: SelectedModel[TurnProblem]) -> tuple[LawTerm, ...]:
+    return said.problem.terms_of(said.hypothesis)
+
+
+def _between_names(said: SelectedModel[TurnProblem]) -> Array:
     """(18, 18) by how far other sets that would do have accelerometer and gains from where the
     set that is told has them, in the mean over the posterior."""
+
+    problem, posterior = said.problem, said.posterior
 
     def fixed(hypothesis: Hypothesis) -> Array:
         blocks = blocks_of(problem.choices, hypothesis.picks)
@@ -173,7 +197,7 @@ def in_fold(
     if not request.loop:
         return base, base
     problem, grams = found.heard.contest(base, found.posterior.grams.points)
-    new = problem.terms_of(select_model(problem, hill_climb(problem, grams)).hypothesis)
+    new = _terms(select_model(problem, hill_climb(problem, grams)))
     if not new:
         return base, base
     terms = (*found.declared, *new)

@@ -101,7 +101,11 @@ def advice(result: LabResult, raw: RawUnit) -> tuple[str | Question, ...]:
         found.append(settle(f"{record.where}: the calibration takes it as it stands", record, raw))
     for step in loop.steps if loop else ():
         effect = known(step.effect)
-        others = [n for n, share in step.rivals if n != step.effect and share > _WORTH_TELLING]
+        others = [
+            one.effect
+            for one in step.in_its_place
+            if one.effect != step.effect and one.share > _WORTH_TELLING
+        ]
         names = " or ".join(map(in_words, (step.effect, *others)))
         if others and effect is not None:
             found.append(f"These positions cannot tell {names} apart. {effect.identify}")
@@ -132,14 +136,14 @@ def _repeat(fit: Fit) -> list[str]:
 
 
 def _of_structure(item: Unexplained) -> str:
-    by = f", driven by {item.follows}" if item.follows else ""
+    by = f", driven by {item.driver}" if item.driver else ""
     words = f"Structure without a name{by}: {in_words(item.name)}"
     rivals = [effect for name in item.rivals if (effect := known(name)) is not None]
     if rivals:
         how = "To tell them apart" if item.kind == "noise" else "To settle it"
         return f"{words}. {how}: {' '.join(effect.identify for effect in rivals)}"
-    if item.follows:
-        return f"{words}. Record with {item.follows} varied on its own."
+    if item.driver:
+        return f"{words}. Record with {item.driver} varied on its own."
     return f"{words}; no quantity drives it."
 
 

@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 
 from imucalib.calibration import sums as block
-from imucalib.calibration.calibration import Calibration, StoredParameter
+from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.file import as_dict, check, read
 from imucalib.calibration.provenance import Provenance
 from imucalib.calibration.triads import triad_from
 from imucalib.cohort.entries import calibration_beside
+from imucalib.core.fit import StoredParameter
 from imucalib.errors import ImucalError, UnreadableInput
 from imucalib.posterior.closed_loop.sums import Sums
 from imucalib.units import MG

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.calibration.calibration import Calibration, StoredParameter
+from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.comparison.agreement import ExcessScatter, beyond
 from imucalib.calibration.provenance import Provenance
 from imucalib.calibrators.population import Population, PriorNoise, PriorParameter
 from imucalib.cohort.fleet.search import Priors, Search
 from imucalib.core.effect import Context
-from imucalib.core.fit import Fit
+from imucalib.core.fit import Fit, StoredParameter
 from imucalib.effects import named
 from imucalib.estimators.power_ups import predict_next
 from imucalib.posterior.held_out import Difference

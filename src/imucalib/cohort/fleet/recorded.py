@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.calibration.calibration import StoredParameter
 from imucalib.calibrators.population import Population
 from imucalib.cohort.fleet.calibrated import Calibrated, load_calibrations
 from imucalib.cohort.fleet.outcome import (
@@ -27,6 +26,7 @@ from imucalib.cohort.fleet.outcome import (
 from imucalib.cohort.fleet.pooled import PooledDevice, evidence_of_sizes
 from imucalib.cohort.fleet.search import Priors, Said, search_fleet
 from imucalib.core.effect import Context
+from imucalib.core.fit import StoredParameter
 from imucalib.effects import named
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.file_hash import sha256_of

@@ -16,14 +16,13 @@ from imucalib.errors import NotConverged, Undetermined
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.posterior.candidates import SearchedEffects
 from imucalib.posterior.closed_loop.folds import LeftOut, leave_folds_out
-from imucalib.posterior.closed_loop.found import Checked, FitLoop, Step, Unexplained
+from imucalib.posterior.closed_loop.found import CheckedError, FitLoop, Step
 from imucalib.posterior.closed_loop.words import (
     SelectedModel,
-    member_of,
-    name_of,
     rivals_of,
     scores_of,
     select_model,
+    shown_by,
 )
 from imucalib.posterior.held_out import (
     Difference,
@@ -36,6 +35,7 @@ from imucalib.posterior.held_out import (
 from imucalib.posterior.record_errors import accuse, drop_effects, record_names
 from imucalib.posterior.search.explored import SearchedPosterior, SearchStart
 from imucalib.posterior.search.noise import NoiseHypothesis, between_temperatures, shared_bias
+from imucalib.posterior.search.problem import Problem
 from imucalib.posterior.search.solution import Solved, change, fit_of, noises_of, solve
 from imucalib.posterior.slips.trials import Mended, Written, repair_sheet
 from imucalib.units import MG
@@ -87,12 +87,11 @@ def close_loop(
     state = repair_sheet(begun.explored(), wanted, written)
     found = state.found
     said = select_model(found.problem, found.posterior)
-    data, base = _walking(found, said), found.base
+    data, base = _walking(found.base.observations, said), found.base
     if data is not base.observations:
         base = fit_model(base.model, data, start=base.theta)
     loop, left = accept_or_reject(
-        start_loop(base, plain, found, wanted, said),
-        found,
+        start_loop(base, plain, wanted, said),
         said,
         lambda one: fit_of(found.problem, one, data),
         lambda final, left: _gain(base, left),
@@ -107,13 +106,13 @@ def close_loop(
     return ClosedLoop(replace(loop, as_recorded=_as_recorded(loop, state)), found, left)
 
 
-def _walking(found: SearchedPosterior, said: SelectedModel) -> Observations:
+def _walking(data: Observations, said: SelectedModel[Problem]) -> Observations:
     """The observations, with the bias that walks as a noise of theirs where it more likely does
     than not beside what is told: readings that share an error are worth fewer."""
-    data, posterior = found.base.observations, found.posterior
-    weight = noises_of(found.problem, posterior.grams, said.hypothesis.picks)
+    grams = said.posterior.grams
+    weight = noises_of(said.problem, grams, said.hypothesis.picks)
     walks = dict[float, float]()
-    for point, share in zip(posterior.grams.points, weight, strict=True):
+    for point, share in zip(grams.points, weight, strict=True):
         if isinstance(point, NoiseHypothesis) and point.walk is not None:
             walks[point.walk[1]] = walks.get(point.walk[1], 0.0) + float(share)
     if sum(walks.values()) <= 0.5:
@@ -147,12 +146,12 @@ def _as_recorded(loop: FitLoop, state: Mended) -> Fit:
 
 
 def start_loop(
-    base: Fit, plain: Fit, found: SearchedPosterior, wanted: SearchedEffects, said: SelectedModel
+    base: Fit, plain: Fit, wanted: SearchedEffects, said: SelectedModel[Problem]
 ) -> FitLoop:
     """The loop before anything is corrected."""
     context = plain.observations.context
     reasons = {name: effect.missing(context) for name, effect in wanted.effects.items()}
-    scores = scores_of(found.problem, found.posterior)
+    scores = scores_of(said.problem, said.posterior, shown_by(said.problem, said.posterior))
     return FitLoop(
         base=base,
         final=base,
@@ -167,8 +166,7 @@ def start_loop(
 
 def accept_or_reject(
     loop: FitLoop,
-    found: SearchedPosterior,
-    said: SelectedModel,
+    said: SelectedModel[Problem],
     fitted: Callable[[Solved], Fit],
     gain_of: Callable[[Fit, LeftOut], Difference],
     *,
@@ -180,81 +178,54 @@ def accept_or_reject(
     fitted : makes the final fit of the linear one; gain_of : what is gained by a final fit on what
     was left out; curves : whether structure without a name is corrected
     """
-    problem, posterior = found.problem, found.posterior
+    problem, posterior = said.problem, said.posterior
     free = any(problem.components[place.component].kind == "free" for place in said.places)
     if not said.places:
         return loop, None
     if free and not curves:
-        return _reject(loop, found, said, "curves are not wanted"), None
+        return _reject(loop, said, "curves are not wanted"), None
     try:
         final = fitted(solve(problem, posterior.grams, said.hypothesis))
         if not final.converged:
             raise NotConverged("no fit settles with it")
         left = leave_folds_out(problem, posterior, folds_of(loop.base.observations))
     except (NotConverged, Undetermined) as reason:  # a response that has no inverse, too few data
-        return _reject(loop, found, said, f"{reason}"), None
+        return _reject(loop, said, f"{reason}"), None
     gain = gain_of(final, left)
     if not gain.holds:
         why = f"held-out data refuse it: {gain.before / MG:.3g} -> {gain.after / MG:.3g} mg"
         why += "" if np.isnan(gain.nats) else f", {gain.nats:+.1f} nats in density"
-        return _reject(loop, found, said, why, gain), None
-    loop = replace(loop, final=final, steps=_steps(found, said, left), difference=gain)
+        return _reject(loop, said, why, gain), None
+    loop = replace(loop, final=final, steps=_steps(said, left), difference=gain)
     size = change(problem, posterior.grams, said.hypothesis) if loop.suspected else 0.0
     return replace(loop, open_size=size), left
 
 
-def _steps(found: SearchedPosterior, said: SelectedModel, left: LeftOut) -> tuple[Step, ...]:
+def _steps(said: SelectedModel[Problem], left: LeftOut) -> tuple[Step, ...]:
     """One of each place, and of each time that a cause acts."""
-    steps = []
+    sizes = left.before.rms() / MG, left.after.rms() / MG
+    checks, steps = (CheckedError("held-out error, rms", "mg", *sizes),), list[Step]()
     for place in said.places:
-        component = found.problem.components[place.component]
-        member = member_of(found.problem, found.posterior, said, place.component)
-        named = [(_name(found, said, c), share) for c, share in place.rivals]
-        step = Step(
-            effect=member.name,
-            evidence=place.log_odds,
-            checked=(Checked("error", "m/s2", left.before.rms(), left.after.rms()),),
-            aliases=tuple(dict.fromkeys(n for n, _ in named if n != member.name)),
-            curve=component.kind == "free",
-            probability=place.probability,
-            rivals=tuple(named),
-            certain=place.certain,
-        )
-        again = member.effects[1:] if component.named else ()
-        alone = replace(step, aliases=(), rivals=())
+        rivals = [(said.name(c), share) for c, share in place.rivals]
+        step = said.step(place, checks, rivals)
+        named = said.problem.components[place.component].named
+        again = said.member(place.component).effects[1:] if named else ()
+        alone = replace(step, aliases=(), in_its_place=())
         steps += [step, *(replace(alone, effect=effect.name) for effect, _, _ in again)]
     return tuple(steps)
 
 
-def _name(found: SearchedPosterior, said: SelectedModel, component: int) -> str:
-    return name_of(found.problem, found.posterior, said, component)
-
-
 def _reject(
-    loop: FitLoop,
-    found: SearchedPosterior,
-    said: SelectedModel,
-    why: str,
-    gain: Difference | None = None,
+    loop: FitLoop, said: SelectedModel[Problem], why: str, gain: Difference | None = None
 ) -> FitLoop:
     """Nothing is corrected: what is missing stays without a name."""
-    names = tuple(_name(found, said, place.component) for place in said.places)
-    unexplained = tuple(
-        Unexplained(
-            name=name,
-            follows=found.problem.components[place.component].follows,
-            kind="probe",
-            probability=place.probability,
-            evidence=0.0,
-            rivals=tuple(_name(found, said, c) for c, _ in place.rivals),
-        )
-        for place, name in zip(said.places, names, strict=True)
-    )
+    unexplained = tuple(said.unexplained(place) for place in said.places)
+    names = tuple(one.name for one in unexplained)
     return replace(
         loop,
         difference=gain,
         rejected=tuple((name, why) for name in names),
         refuted=names if gain is not None else (),
         unexplained=unexplained,
-        open_size=change(found.problem, found.posterior.grams, said.hypothesis),
+        open_size=change(said.problem, said.posterior.grams, said.hypothesis),
     )

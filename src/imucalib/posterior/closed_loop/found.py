@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Generic, Literal, TypeVar
+from typing import Annotated, Generic, Literal, TypeVar
 
-from imucalib.core.fit import Fit
-from imucalib.effects.forms import is_form
+from imucalib.core.fit import Fit, StoredParameter
+from imucalib.data import Data
 from imucalib.posterior.closed_loop.separation import Ambiguity
 from imucalib.posterior.closed_loop.sums import Sums
 from imucalib.posterior.held_out import Difference
@@ -29,83 +29,66 @@ class Rival:
     fit: Fit
 
 
-@dataclass(frozen=True)
-class Score:
-    """What the data say of one component.
-
-    kind : whether it names a cause; follows : what it follows, in words, or empty
-    evidence : nats in favour, beside the base model alone; probability : that it is there
-    left : share of its columns that the fitted parameters do not absorb (0..1)
-    strength : λ, the length of its projected columns at typical size, in noise units: 4.7 gives
-        an 80 % chance of detection
-    size : m/s², rms of the whole block on an observation: what an absorbed effect of typical size
-        does to the answer without a trace in the residual
-    """
+class Score(Data):
+    """What the data say of a component."""
 
     name: str
-    kind: Kind
-    follows: str
-    evidence: float
-    probability: float
-    left: float
-    strength: float
-    size: float = 0.0
+    kind: Annotated[Kind, "Whether it names a cause."]
+    driver: Annotated[str, "What it follows, in words, or empty."]
+    evidence_nats: Annotated[float, "In favour, beside the base model alone."]
+    probability: Annotated[float, "That it is there."]
+    left: Annotated[float, "Share that the fitted parameters do not absorb."]
+    lambda_at_typical_size: Annotated[float, "4.7 gives an 80 % chance of detection."]
+    size_m_per_s2: Annotated[float, "What its typical size does to a reading, rms."] = 0.0
 
     @property
     def absorbed(self) -> bool:
         return self.left < ABSORBED
 
 
-@dataclass(frozen=True)
-class Checked:
-    """One error before and after a step, on data left out in turn: it took part in the choice."""
+class CheckedError(Data):
+    """An error before and after a step."""
 
-    name: str
+    metric: str
     unit: str
     before: float
     after: float
+    digits: Annotated[int, "Decimals that it is worth."] = 2
 
 
-@dataclass(frozen=True)
-class Step:
-    """One accepted effect.
-
-    checked : errors before and after; aliases : effects that the data cannot tell it from
-    value : its size in words, where the parameters do not say it; gains : nats that each held-out
-        part gains, where there are parts
-    curve : whether it is a smooth correction of structure that has no name
-    probability : that it is there; rivals : (effect, share) of all that may stand in its place
-    certain : whether it is a cause beyond doubt
-    """
+class Share(Data):
+    """An effect that may stand in the place of another."""
 
     effect: str
-    evidence: float
-    checked: tuple[Checked, ...]
-    aliases: tuple[str, ...]
-    value: str = ""
-    gains: tuple[float, ...] = ()
-    curve: bool = False
-    probability: float = math.nan
-    rivals: tuple[tuple[str, float], ...] = ()
-    certain: bool = False
-
-    @property
-    def formed(self) -> bool:
-        """Whether it is a form with a formula, which has no known cause."""
-        return is_form(self.effect)
+    share: float
 
 
-@dataclass(frozen=True)
-class Unexplained:
-    """Structure that no catalogue effect carries. probability : that it is there; rivals : effects
-    that would explain it, be they refused or no better than the noise that stands for it"""
+class Step(Data, kw_only=True):
+    """An effect that was found."""
+
+    effect: str
+    size: Annotated[str, "In words, where there are many parameters."] = ""
+    probability: Annotated[float, "That it is there."] = math.nan
+    in_its_place: Annotated[tuple[Share, ...], "Itself among them."] = ()
+    evidence_nats: float
+    held_out_nats: tuple[float, ...] = ()
+    checks: tuple[CheckedError, ...] = ()
+    aliases: Annotated[tuple[str, ...], "Effects that the data cannot tell it from."] = ()
+    certain: Annotated[bool, "Nothing else would do as well, and chance would not."] = False
+    curve: Annotated[str, "What a correction without a name bends, in words, or empty."] = ""
+    formula: Annotated[str, "Of a form that has no cause, in words; empty for others."] = ""
+    parameters: tuple[StoredParameter, ...] = ()
+
+
+class Unexplained(Data):
+    """Structure that no effect carries."""
 
     name: str
-    follows: str
+    driver: str
     kind: str
     probability: float
-    evidence: float
-    rivals: tuple[str, ...] = ()
+    evidence_nats: float
+    rivals: Annotated[tuple[str, ...], "Effects that would explain it, and were not accepted."] = ()
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ recording, each predicted by the others, are told no worse with it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -48,17 +48,18 @@ from imucalib.posterior.held_out import (
     folds_of,
     parts_of,
 )
-from imucalib.posterior.odds import EVERY, FOLD_BEAMS, FOLD_DEEPEST, ROUNDS, STRETCHES
+from imucalib.posterior.odds import EVERY, FOLD_BEAMS, FOLD_DEEPEST, SEARCHES, STRETCHES
 from imucalib.posterior.search.catalogue import Component, Member, components_of
+from imucalib.posterior.search.driver import search_until_settled
 from imucalib.posterior.search.explored import (
     SearchedPosterior,
     keep_plausible_noises,
     refine_scans,
     values_found,
 )
-from imucalib.posterior.search.problem import problem_of
+from imucalib.posterior.search.problem import Problem, problem_of
 from imucalib.posterior.search.solution import Solved, solve
-from imucalib.posterior.search.space import search
+from imucalib.posterior.search.space import Hypothesis, search
 from imucalib.units import MG
 
 #: Cosines of the curve, and moments of each at which the walk is predicted.
@@ -95,8 +96,7 @@ def close_recording(
 
     base = fitted(solve(problem, posterior.grams, posterior.base))
     loop, left = accept_or_reject(
-        replace(start_loop(base, plain, found, wanted, said), as_recorded=base),
-        found,
+        replace(start_loop(base, plain, wanted, said), as_recorded=base),
         said,
         fitted,
         _gain,
@@ -117,41 +117,72 @@ def close_recording(
 
 def _search_posterior(
     plain: Fit, wanted: SearchedEffects, known: Array
-) -> tuple[SearchedPosterior, RunCourse, SelectedModel]:
+) -> tuple[SearchedPosterior, RunCourse, SelectedModel[Problem]]:
     """The posterior where it stands still: at what it tells, and at the noise beside that."""
-    data, fit = plain.observations, plain
-    first = components_of(plain.model, data, wanted, walks=True)
-    values: dict[str, list[str]] = {}
-    before: tuple[tuple[Member, float], ...] = ()
-    course, _ = course_of(fit, known)
-    found: SearchedPosterior | None = None
-    for _ in range(ROUNDS):
-        found = None  # its columns are most of the memory
-        found, leading = _look(
-            fit, plain, refine_scans(first, values, data, wanted), course, before
-        )
-        problem, hypothesis = found.problem, select_model(found.problem, found.posterior).hypothesis
-        likely = values_found(found)
-        more = {
+    data = plain.observations
+    every = components_of(plain.model, data, wanted, walks=True)
+
+    def brief(state: _Beside) -> _Look:
+        components = refine_scans(every, state.values, data, wanted)
+        searched, leading = _look(state.fit, plain, components, state.course, state.before)
+        selected = select_model(searched.problem, searched.posterior)
+        likely = values_found(searched)
+        values = {
             name: sorted({*leading.get(name, ()), *likely.get(name, ())})
             for name in (*leading, *likely)
         }
-        now = tuple((problem.choices[p.choice].member, p.size) for p in hypothesis.picks)
-        still = {m.free for m, _ in now} == {m.free for m, _ in before}
-        if still and more.keys() <= values.keys():
-            break
-        values, before = more, now
+        scans = frozenset((*values, *state.values))
+        return _Look(searched, selected.hypothesis, values, scans)
+
+    def refit(state: _Beside, look: _Look) -> tuple[_Beside, bool] | None:
         try:
-            one = solve(problem, found.every, hypothesis)
+            one = solve(look.searched.problem, look.searched.every, look.selected)
             fit = fit_at(one.model, data, one.theta, one.covariance)
         except NotConverged:  # it is told where it stands, and corrects nothing
-            break
-        course, _ = course_of(fit, known, course)
-        del problem
-    assert found is not None
+            return None
+        course, _ = course_of(fit, known, state.course)
+        return _Beside(fit, course, look.told, look.values), False
+
+    settled = search_until_settled(
+        _Beside(plain, course_of(plain, known)[0]),
+        brief,
+        refit,
+        told=lambda look: (frozenset(m.free for m, _ in look.told), look.scans),
+        held=lambda at: (frozenset(m.free for m, _ in at.before), frozenset(at.values)),
+        rounds=SEARCHES,
+    )
+    found = settled.found.searched
     whole = replace(found, posterior=search(found.problem, found.every))
-    posterior = keep_plausible_noises(whole)
-    return replace(whole, posterior=posterior), course, select_model(whole.problem, posterior)
+    whole = replace(whole, posterior=keep_plausible_noises(whole))
+    return whole, settled.state.course, select_model(whole.problem, whole.posterior)
+
+
+@dataclass(frozen=True)
+class _Beside:
+    """A fit with what was told before, members and sizes, the noise beside it, and values around
+    which scans are refined."""
+
+    fit: Fit
+    course: RunCourse
+    before: tuple[tuple[Member, float], ...] = ()
+    values: Mapping[str, Sequence[str]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class _Look:
+    """A brief search; selected : what it tells; values : of scans, that count in it; scans : of
+    these and of those before it"""
+
+    searched: SearchedPosterior
+    selected: Hypothesis
+    values: Mapping[str, Sequence[str]]
+    scans: frozenset[str]
+
+    @property
+    def told(self) -> tuple[tuple[Member, float], ...]:
+        """Members and sizes."""
+        choices = self.searched.problem.choices
+        return tuple((choices[p.choice].member, p.size) for p in self.selected.picks)
 
 
 def _look(

@@ -8,14 +8,22 @@ function or unnamed law is likelier than not to replace it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.core.fit import Fit
-from imucalib.posterior.closed_loop.found import Rival, Score
+from imucalib.posterior.closed_loop.found import (
+    CheckedError,
+    Rival,
+    Score,
+    Share,
+    Step,
+    Unexplained,
+)
 from imucalib.posterior.odds import ABSORBED, CERTAIN, FALSE_CLAIM, LEAST, OCCAM, WEIGHED
 from imucalib.posterior.search.catalogue import Member
 from imucalib.posterior.search.gram import marginalize
@@ -62,39 +70,53 @@ def _other_parts(problem: Problem, fit: Fit) -> Iterator[Fit]:
             yield replace(fit, theta=turn @ fit.theta, covariance=covariance)
 
 
-def scores_of(problem: Problem, posterior: Posterior) -> tuple[Score, ...]:
-    """Every component, likeliest first, by its first member at typical size.
+def scores_of(
+    problem: Contest, posterior: Posterior, shown: Sequence[tuple[float, float, float]]
+) -> tuple[Score, ...]:
+    """Every component, likeliest first: its evidence beside the base model alone, and the
+    probability that it is there.
 
-    Its evidence beside the base model alone, the probability that it is there, and what
-    the base model leaves of it at the likeliest noise.
+    shown : of each at its typical size the share that the base model leaves of its columns, their
+        length then in units of the noise, and what it does to a reading, m/s² rms
     """
+    evidence, inside = of_each(posterior, len(problem.components))
+    found = [
+        Score(
+            name=one.name,
+            kind="effect" if one.named else "probe",
+            driver=one.follows,
+            evidence_nats=float(nats),
+            probability=float(share),
+            left=left,
+            lambda_at_typical_size=strength,
+            size_m_per_s2=size,
+        )
+        for one, nats, share, (left, strength, size) in zip(
+            problem.components, evidence, inside, shown, strict=True
+        )
+    ]
+    return tuple(sorted(found, key=lambda s: -s.probability))
+
+
+def shown_by(problem: Problem, posterior: Posterior) -> list[tuple[float, float, float]]:
+    """Of each component's first member what `scores_of` tells, at the likeliest noise."""
     base, dof = marginalize(posterior.grams, problem.flat), posterior.dof
     logs = base.log_weight + base.log_noise(base.power, dof)
     one, n = base.of(np.array([int(np.argmax(logs))])), len(problem.fit.at.owner)
     basis = np.linalg.qr(problem.columns[:n, : problem.base])[0]
-    evidence, inside = of_each(posterior, len(problem.components))
     first = {c.component: c.at for c in reversed(problem.choices)}
     found = []
-    for k, component in enumerate(problem.components):
+    for k in range(len(problem.components)):
         columns = problem.columns[:n, first[k]]
         rest = columns - basis @ (basis.T @ columns)
         left = float(np.sum(rest**2) / np.sum(columns**2))
         # What the base absorbs has the length of rounding, another in every process.
         power = float(np.trace(one.blocks(first[k][None])[0, 0])) if left > ABSORBED else 0.0
         sized = columns * problem.fit.at.unit[:, None]
-        found.append(
-            Score(
-                name=component.name,
-                kind="effect" if component.named else "probe",
-                follows=component.follows,
-                evidence=float(evidence[k]),
-                probability=float(inside[k]),
-                left=left,
-                strength=float(np.sqrt(power * dof / one.power[0])),
-                size=float(np.linalg.norm(sized) / problem.fit.observations.n**0.5),
-            )
-        )
-    return tuple(sorted(found, key=lambda s: -s.probability))
+        length = float(np.sqrt(power * dof / one.power[0]))
+        size = float(np.linalg.norm(sized) / problem.fit.observations.n**0.5)
+        found.append((left, length, size))
+    return found
 
 
 def of_each(posterior: Posterior, count: int) -> tuple[Array, Array]:
@@ -129,17 +151,79 @@ class Slot:
         return float(np.log(max(odds, 1e-12)))
 
 
-@dataclass(frozen=True)
-class SelectedModel:
-    """complete : probability that nothing is missing; hypothesis : the set that is concluded and
-    corrected; places : its components, likeliest first"""
+P = TypeVar("P", bound=Contest)
 
+
+@dataclass(frozen=True)
+class SelectedModel(Generic[P]):
+    """What a posterior over a problem's sets tells.
+
+    complete : probability that nothing is missing; hypothesis : the set that is concluded and
+    corrected; places : its components, likeliest first
+    """
+
+    problem: P
+    posterior: Posterior
     complete: float
     hypothesis: Hypothesis
     places: tuple[Slot, ...]
 
+    def member(self, component: int) -> Member:
+        """How a component acts in what is concluded, or in its likeliest set."""
+        sets = (self.hypothesis, *self.posterior.hypotheses)
+        own = next(h for h in sets if component in h.components)
+        picked = (self.problem.choices[p.choice] for p in own.picks)
+        return next(choice.member for choice in picked if choice.component == component)
 
-def select_model(problem: Contest, posterior: Posterior) -> SelectedModel:
+    def name(self, component: int) -> str:
+        """The effect of a component there."""
+        return self.member(component).name
+
+    def step(
+        self,
+        slot: Slot,
+        checks: tuple[CheckedError, ...],
+        rivals: Sequence[tuple[str, float]],
+        size: str = "",
+    ) -> Step:
+        """A slot as a step. rivals : (effect, share) of all that may stand there"""
+        component = self.problem.components[slot.component]
+        effect = self.member(slot.component).effects[0][0]
+        law = f"{effect.sentence.rstrip('.')}, {effect.equation}"
+        return Step(
+            effect=effect.name,
+            size=size,
+            probability=slot.probability,
+            in_its_place=tuple(Share(*one) for one in rivals),
+            evidence_nats=slot.log_odds,
+            checks=checks,
+            aliases=tuple(dict.fromkeys(n for n, _ in rivals if n != effect.name)),
+            certain=slot.certain,
+            curve=_describe_curve(effect.name) if component.kind == "free" else "",
+            formula=law if component.kind == "law" else "",
+        )
+
+    def unexplained(self, slot: Slot, name: Callable[[int], str] | None = None) -> Unexplained:
+        """A slot as structure that stays. name : of a component; that of its effect by default"""
+        name = name or self.name
+        return Unexplained(
+            name=name(slot.component),
+            driver=self.problem.components[slot.component].follows,
+            kind="probe",
+            probability=slot.probability,
+            evidence_nats=0.0,
+            rivals=tuple(name(c) for c, _ in slot.rivals),
+        )
+
+
+def _describe_curve(name: str) -> str:
+    """What a curve bends, and against what: a scan's own name where it bends no driver."""
+    family, _, value = name.partition("@")
+    what, *against = value.split(":")
+    return f"{what} against {against[0]}".replace("_", "-") if against else f"a {family}'s offset"
+
+
+def select_model(problem: P, posterior: Posterior) -> SelectedModel[P]:
     """The simplest set that explains the data, and what else could be in each of its places: of few
     components, and of few free functions, which hold what a name or a law says and more. On two
     temperatures a line and a curve are one function."""
@@ -152,7 +236,7 @@ def select_model(problem: Contest, posterior: Posterior) -> SelectedModel:
 
     complete = sum(p for h, p in posterior.weighed if not h.components)
     if FALSE_CLAIM * complete >= 1.0 - complete:  # claiming costs more than being silent
-        return SelectedModel(complete, posterior.base, ())
+        return SelectedModel(problem, posterior, complete, posterior.base, ())
     bar = np.exp(-OCCAM) * posterior.probability[0]
     said, _ = min(
         ((h, p) for h, p in posterior.weighed if p > bar and h.components),
@@ -166,22 +250,8 @@ def select_model(problem: Contest, posterior: Posterior) -> SelectedModel:
         alone = len(rivals) == 1 and likely > CERTAIN and without_name < 0.5
         certain = alone and problem.components[component].named
         places.append(Slot(component, likely, rivals, certain))
-    return SelectedModel(complete, said, tuple(sorted(places, key=lambda p: -p.probability)))
-
-
-def name_of(problem: Contest, posterior: Posterior, said: SelectedModel, component: int) -> str:
-    """The effect of a component in what is concluded, or in its likeliest set."""
-    return member_of(problem, posterior, said, component).name
-
-
-def member_of(
-    problem: Contest, posterior: Posterior, said: SelectedModel, component: int
-) -> Member:
-    """How a component acts there."""
-    sets = (said.hypothesis, *posterior.hypotheses)
-    own = next(h for h in sets if component in h.components)
-    picked = (problem.choices[p.choice] for p in own.picks)
-    return next(choice.member for choice in picked if choice.component == component)
+    ranked = tuple(sorted(places, key=lambda p: -p.probability))
+    return SelectedModel(problem, posterior, complete, said, ranked)
 
 
 def _rivals(

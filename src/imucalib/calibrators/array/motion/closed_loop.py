@@ -19,14 +19,15 @@ from imucalib.calibrators.array.motion.covariance import (
     settle_there,
 )
 from imucalib.calibrators.array.motion.cross_fit import CHANNELS, Gained, Residuals, cross_fitted
+from imucalib.calibrators.array.motion.laws import CURVE
 from imucalib.calibrators.array.motion.search import (
     GYRO_FRAME,
     MotionSearch,
     add_declared,
     fit_with_members,
     frame_term,
-    scores_of,
     search_posterior,
+    shown_in,
     start_state,
 )
 from imucalib.calibrators.array.motion.setup import Setup
@@ -34,7 +35,7 @@ from imucalib.calibrators.array.motion.state import ArrayState, find_memory, sha
 from imucalib.calibrators.array.motion.terms import Term
 from imucalib.core.effect import Channel
 from imucalib.posterior.closed_loop.found import FitLoop, Loop, Step, Unexplained
-from imucalib.posterior.closed_loop.words import name_of
+from imucalib.posterior.closed_loop.words import scores_of
 from imucalib.posterior.odds import CERTAIN
 from imucalib.significant_digits import plus_minus
 
@@ -113,7 +114,7 @@ def close_array_loop(
     if steps and deciding is not None and not deciding.holds:
         refused = tuple((step.effect, _REFUSED) for step in steps)
         nameless = (
-            Unexplained(s.effect, s.effect, "effect", s.probability, s.evidence) for s in steps
+            Unexplained(s.effect, s.effect, "effect", s.probability, s.evidence_nats) for s in steps
         )
         open_ends = dict.fromkeys(nameless, 0.0) | open_ends
         final, steps = base, ()
@@ -131,7 +132,7 @@ def close_array_loop(
         rejected=(*found.rejected, *refused),
         refuted=tuple(name for name, _ in refused),
         unexplained=tuple(open_ends),
-        scores=scores_of(found.problem, found.posterior),
+        scores=scores_of(found.problem, found.posterior, shown_in(found.problem)),
         first_scores=found.scores,
         missing=found.problem.missing,
         difference=deciding,
@@ -208,7 +209,7 @@ def steps_of(found: MotionSearch, final: ArrayState, gained: Gained | None) -> t
     """
     steps = []
     for place in found.said.places:
-        name = _member(found, place.component)
+        name = found.said.name(place.component)
         twins = next((s for s in found.shares.values() if name in dict(s)), ((name, 1.0),))
         term = next((t for t in final.found if t.name == twins[0][0]), None)
         if term is None:
@@ -216,19 +217,18 @@ def steps_of(found: MotionSearch, final: ArrayState, gained: Gained | None) -> t
         rivals = [
             (own, share * part)
             for c, share in place.rivals
-            for own, part in (twins if c == place.component else ((_member(found, c), 1.0),))
+            for own, part in (twins if c == place.component else ((found.said.name(c), 1.0),))
         ]
         likely = [r for r in rivals if r[1] > 1.0 - CERTAIN or r[0] == term.name]
-        step = Step(
+        ranked = sorted(likely, key=lambda r: -r[1])
+        checks, size = () if gained is None else gained.checks, size_in_words(final, term)
+        step = replace(
+            found.said.step(place, checks, ranked, size),
             effect=term.name,
-            evidence=place.log_odds,
-            checked=() if gained is None else gained.checked,
             aliases=tuple(n for n, _ in likely if n != term.name),
-            value=size_in_words(final, term),
-            curve=not found.problem.named(name),
-            probability=place.probability,
-            rivals=tuple(sorted(likely, key=lambda r: -r[1])),
             certain=place.certain and twins[0][1] > CERTAIN,
+            curve="" if found.problem.named(name) else term.name.removeprefix(CURVE),
+            formula="",
         )
         steps.append(step)
     return tuple(steps)
@@ -242,21 +242,10 @@ def _unnamed(found: MotionSearch, final: ArrayState) -> dict[Unexplained, Array]
     """
     shifts, own = {}, {term.name for term in final.found}
     for place in found.said.places:
-        name = _member(found, place.component)
+        name = found.said.name(place.component)
         if found.problem.named(name) and name in own:
             continue
         moved = found.problem.moved(found.posterior, found.said.hypothesis, place.component)
-        one = Unexplained(
-            name=name,
-            follows=found.problem.components[place.component].follows,
-            kind="probe",
-            probability=place.probability,
-            evidence=0.0,
-            rivals=tuple(_member(found, c) for c, _ in place.rivals),
-        )
+        one = found.said.unexplained(place)
         shifts[one] = 0.0 * moved if name in own else moved
     return shifts
-
-
-def _member(found: MotionSearch, component: int) -> str:
-    return name_of(found.problem, found.posterior, found.said, component)

@@ -20,7 +20,7 @@ from imucalib.calibrators.array.motion.covariance import transfer_to
 from imucalib.calibrators.array.motion.setup import FEWEST, Setup, part_of
 from imucalib.calibrators.array.motion.state import ArrayState, refit_motion
 from imucalib.core.effect import Channel
-from imucalib.posterior.closed_loop.found import Checked
+from imucalib.posterior.closed_loop.found import CheckedError
 from imucalib.posterior.held_out import Difference, difference
 from imucalib.units import DEG
 
@@ -56,12 +56,12 @@ class Gained:
         return Residuals(self.acceleration.after, self.rate.after / DEG)
 
     @property
-    def checked(self) -> tuple[Checked, ...]:
+    def checks(self) -> tuple[CheckedError, ...]:
         """Errors before and after."""
         before, after = self.before, self.after
         return (
-            Checked("accelerometers", "m/s2", before.acceleration, after.acceleration),
-            Checked("gyros", "deg/s", before.rate, after.rate),
+            CheckedError("acc residual", "m/s²", before.acceleration, after.acceleration, 3),
+            CheckedError("gyro residual", "deg/s", before.rate, after.rate),
         )
 
     def deciding(self, channels: Collection[Channel]) -> Difference:

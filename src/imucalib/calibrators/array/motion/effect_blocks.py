@@ -9,15 +9,17 @@ from typing import Any
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibration.calibration import StoredParameter, stored_parameters
+from imucalib.calibration.calibration import stored_parameters
 from imucalib.calibration.triads import triangle
 from imucalib.calibrators.array.board.rests import BASE, RestFit
 from imucalib.calibrators.array.motion.ages import beats
 from imucalib.calibrators.array.motion.closed_loop import MotionLoop
 from imucalib.calibrators.array.motion.terms import Term
 from imucalib.core.effect import Effect
+from imucalib.core.fit import StoredParameter
 from imucalib.effects.record_error import is_record_error
-from imucalib.posterior.closed_loop.found import FitLoop, Step
+from imucalib.posterior.closed_loop.found import CheckedError, FitLoop, Step
+from imucalib.units import MG
 
 #: How a name begins that speaks of the rests alone.
 AT_REST = "at rest: "
@@ -121,10 +123,13 @@ def _rest_steps(loop: FitLoop) -> Iterator[Step]:
         yield replace(
             step,
             effect=AT_REST + step.effect,
-            value=f"{rms:.2g} {unit} rms of {count}",
-            checked=tuple(replace(c, name="rests") for c in step.checked),
-            rivals=tuple(
-                (AT_REST + name if name == step.effect else name, share)
-                for name, share in step.rivals
+            size=f"{rms:.2g} {unit} rms of {count}",
+            checks=tuple(
+                CheckedError("rests, leave one out", "m/s²", MG * c.before, MG * c.after, 5)
+                for c in step.checks
+            ),
+            in_its_place=tuple(
+                replace(one, effect=AT_REST + one.effect) if one.effect == step.effect else one
+                for one in step.in_its_place
             ),
         )

@@ -50,17 +50,16 @@ from imucalib.estimators.array.gram import Columns, gram, inverse_root, marginal
 from imucalib.estimators.array.noise import MotionNoise, log_density
 from imucalib.estimators.array.samples import reweighed
 from imucalib.posterior.closed_loop.found import Score
-from imucalib.posterior.closed_loop.words import SelectedModel, of_each, select_model
-from imucalib.posterior.odds import ABSORBED, FINE_SIZES
+from imucalib.posterior.closed_loop.words import SelectedModel, of_each, scores_of, select_model
+from imucalib.posterior.odds import ABSORBED, FINE_SIZES, SEARCHES
 from imucalib.posterior.search.catalogue import Member, log_odds
+from imucalib.posterior.search.driver import search_until_settled
 from imucalib.posterior.search.gram import Grams, Multiplied
 from imucalib.posterior.search.problem import Choice, Contest
 from imucalib.posterior.search.space import Hypothesis, Pick, Posterior, blocks_of, hill_climb
 
 #: Times that twins are told apart, where some have gone to another name.
 _PASSES = 3
-#: Times that a set is settled and searched from: two do, three at most on measured motions.
-_ROUNDS = 5
 #: Nats by which a settled fit may be beside what its products foretold of it.
 _SETTLED = 1.0
 #: Probability below which no part of a motion asks for a component again.
@@ -223,7 +222,7 @@ class MotionSearch:
 
     state : with what is told in the model, twins told apart
     shares : of what is in it
-    problem, posterior, said : of the last products
+    said : of the last products
     scores : of every component beside the base model, and impact : m rms by which what no motion
         shows moves the positions at its typical size; both of the first products
     rejected : (name, reason) of what the model could not take in
@@ -231,12 +230,20 @@ class MotionSearch:
 
     state: ArrayState
     shares: Shares
-    problem: MotionProblem
-    posterior: Posterior
-    said: SelectedModel
+    said: SelectedModel[MotionProblem]
     scores: tuple[Score, ...]
     impact: dict[str, float]
     rejected: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def problem(self) -> MotionProblem:
+        """The last one."""
+        return self.said.problem
+
+    @property
+    def posterior(self) -> Posterior:
+        """Over its sets."""
+        return self.said.posterior
 
     @property
     def chosen(self) -> tuple[Member, ...]:
@@ -260,50 +267,85 @@ def search_posterior(
     scope : declared effects stay in the model; whole : the search of a motion of which this is a
     part, which starts from what is told there
     """
-    skipped = scope.skipped(base.setup.imus)
-    state, shares, seen = base, Shares(), set[frozenset[str]]()
-    among, first, rejected = None, None, tuple[tuple[str, str], ...]()
+    skipped, declared = scope.skipped(base.setup.imus), scope.declare
+    among = None if whole is None else whole.likely
+    start = _Held(base, Shares())
     if whole is not None:
-        among = whole.likely
-        state, shares = _take_in(base, whole.chosen, scope, None) or (base, shares)
-    for _ in range(_ROUNDS):
-        problem, grams = products(state, skipped, scope.declare, among)
-        posterior = hill_climb(problem, grams, problem.picks(state))
-        del grams
-        first = first or (scores_of(problem, posterior), absorbed(problem))
-        said = select_model(problem, posterior)
-        chosen = problem.of_set(said.hypothesis)
-        names = frozenset(one.name for one in chosen)
-        held = {t.name for t in state.found}
-        if names == held.difference(scope.declare) or names in seen:
-            break
-        seen.add(names)
-        noise, grown = (
-            state.noise,
-            _take_in(state, chosen, scope, skipped if whole is None else None),
-        )
+        start = _take_in(start, whole.chosen, scope, None) or start
+
+    def search(held: _Held) -> SelectedModel[MotionProblem]:
+        problem, grams = products(held.state, skipped, declared, among)
+        return select_model(problem, hill_climb(problem, grams, problem.picks(held.state)))
+
+    def take_in(held: _Held, said: SelectedModel[MotionProblem]) -> tuple[_Held, bool] | None:
+        chosen = said.problem.of_set(said.hypothesis)
+        grown = _take_in(held, chosen, scope, skipped if whole is None else None)
         if grown is None:
-            rejected = tuple((one.name, DIVERGED) for one in chosen if one.name not in held)
-            break
-        state, shares = grown
+            return None
         # Where the fit is what its products foretold, at the noise that they had, others would say
         # the same.
-        same = names == {t.name for t in state.found}.difference(scope.declare)
-        away = problem.shortfall(posterior, said.hypothesis, state) + _noise_gain(noise, state)
-        if same and away < _SETTLED:
-            break
-    assert first is not None
-    scores, impact = first
+        away = said.problem.shortfall(said.posterior, said.hypothesis, grown.state)
+        away += _noise_gain(held.state.noise, grown.state)
+        same = _told(said) == grown.names.difference(declared)
+        return replace(grown, first=held.first or _first(said)), same and away < _SETTLED
+
+    settled = search_until_settled(
+        start,
+        search,
+        take_in,
+        told=_told,
+        held=lambda held: held.names.difference(declared),
+        rounds=SEARCHES,
+    )
+    held, said = settled.state, settled.found
+    scores, impact = held.first or _first(said)
+    lost = _told(said).difference(held.names) if settled.refused else ()
     return MotionSearch(
-        state=state,
-        shares=shares,
-        problem=problem,
-        posterior=posterior,
+        state=held.state,
+        shares=held.shares,
         said=said,
         scores=scores,
         impact=impact,
-        rejected=rejected,
+        rejected=tuple((name, DIVERGED) for name in sorted(lost)),
     )
+
+
+@dataclass(frozen=True)
+class _Held:
+    """A fitted state, the shares of twins in it, and of the first search its scores and impact."""
+
+    state: ArrayState
+    shares: Shares
+    first: tuple[tuple[Score, ...], dict[str, float]] | None = None
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Of the effects that it holds."""
+        return frozenset(term.name for term in self.state.found)
+
+
+def _first(said: SelectedModel[MotionProblem]) -> tuple[tuple[Score, ...], dict[str, float]]:
+    scores = scores_of(said.problem, said.posterior, shown_in(said.problem))
+    return scores, absorbed(said.problem)
+
+
+def _told(said: SelectedModel[MotionProblem]) -> frozenset[str]:
+    return frozenset(one.name for one in said.problem.of_set(said.hypothesis))
+
+
+def _take_in(
+    held: _Held, chosen: Sequence[Member], scope: Scope, skipped: Collection[str] | None
+) -> _Held | None:
+    """The fit with a set, its clocks and its twins told apart; None where it runs away.
+
+    skipped : names that are not tried; None where twins stay as the whole motion has told them
+    """
+    grown = fit_with_members(held.state, chosen, scope)
+    if grown is None:
+        return None
+    if any(term.aged for term in grown.terms):
+        grown = refit(add_estimated_clock(grown)) or grown
+    return _Held(*((grown, Shares()) if skipped is None else resolve_aliases(grown, skipped)))
 
 
 def _noise_gain(before: tuple[MotionNoise, MotionNoise], state: ArrayState) -> float:
@@ -315,39 +357,10 @@ def _noise_gain(before: tuple[MotionNoise, MotionNoise], state: ArrayState) -> f
     )
 
 
-def _take_in(
-    state: ArrayState, chosen: Sequence[Member], scope: Scope, skipped: Collection[str] | None
-) -> tuple[ArrayState, Shares] | None:
-    """The fit with a set, its clocks and its twins told apart; None where it runs away.
-
-    skipped : names that are not tried; None where twins stay as the whole motion has told them
-    """
-    grown = fit_with_members(state, chosen, scope)
-    if grown is None:
-        return None
-    if any(term.aged for term in grown.terms):
-        grown = refit(add_estimated_clock(grown)) or grown
-    return (grown, Shares()) if skipped is None else resolve_aliases(grown, skipped)
-
-
-def scores_of(problem: MotionProblem, posterior: Posterior) -> tuple[Score, ...]:
-    """Every component, likeliest first, by its first member at typical size: its evidence with
-    the base model alone, and the probability that it is there."""
-    evidence, inside = of_each(posterior, len(problem.components))
-    found = []
-    for c, component in enumerate(problem.components):
-        share, strength, _ = problem.shown(c)
-        score = Score(
-            name=component.name,
-            kind="effect" if component.named else "probe",
-            follows=component.follows,
-            evidence=float(evidence[c]),
-            probability=float(inside[c]),
-            left=share if strength > OPEN else 0.0,
-            strength=strength,
-        )
-        found.append(score)
-    return tuple(sorted(found, key=lambda s: -s.probability))
+def shown_in(problem: MotionProblem) -> list[tuple[float, float, float]]:
+    """Of each component what `scores_of` tells; what no motion shows, nothing is left of."""
+    shown = (problem.shown(c) for c in range(len(problem.components)))
+    return [(share if strength > OPEN else 0.0, strength, 0.0) for share, strength, _ in shown]
 
 
 def absorbed(problem: MotionProblem) -> dict[str, float]:
