@@ -7,7 +7,9 @@ import pytest
 from imucalib.posterior.search.driver import search_until_settled
 
 
-def searches(tells: Mapping[str, str], *, lost: str | None = None, foretold: str | None = None) -> tuple[object, ...]:
+def searches(
+    tells: Mapping[str, str], *, lost: str | None = None, foretold: str | None = None
+) -> tuple[object, ...]:
     """What is fitted and told in the end, whether that was refused, and where searches stood; tells
     : from what is fitted to what a search tells there."""
     stood: list[str] = []

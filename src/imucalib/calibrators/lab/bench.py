@@ -67,6 +67,43 @@ class RawUnit:
     sentence: str
 
 
+@dataclass(frozen=True)
+class PreparedTable:
+    """A table before anything is fitted, with temperatures in °C.
+
+    raw : the unit of its readings; whole : all rows as observations; rows : (k,) those that take
+    part, from 0; excluded : why others do not
+    """
+
+    table: PositionTable
+    raw: RawUnit
+    whole: Observations
+    rows: Index
+    excluded: tuple[str, ...]
+
+
+def prepare_table(
+    table: PositionTable, request: LabRequest, emptied: tuple[int, ...] = ()
+) -> PreparedTable:
+    """A table as observations, and which of its rows take part: those that were not excluded, whose
+    size and temperature are plausible. emptied : rows, from 1, whose angles a shift has left blank
+
+    Raises UsageError or UnreadableInput for what users mistake: a dead axis, two units, one that
+    cannot be, and without `auto_exclude` a row of another size.
+    """
+    table = in_celsius(table)
+    rows = kept_rows(table, (*request.exclude, *emptied))
+    _refuse_dead_axis(table, rows)
+    _refuse_units(table, rows)
+    raw = raw_unit(table, request.unit, request.lsb_per_g)
+    bad = implausible_rows(table, rows, refuse=not request.auto_exclude)
+    said = [f"row {r}: excluded as asked" for r in request.exclude]
+    said += [f"row {r}: left without a value by --shift" for r in emptied]
+    said += [f"row {table.row[k]}: excluded automatically ({why})" for k, why in bad.items()]
+    whole = observations_of(table, raw, request)
+    return PreparedTable(table, raw, whole, np.setdiff1d(rows, list(bad)), tuple(said))
+
+
 def raw_unit(table: PositionTable, unit: str | None, lsb_per_g: float | None) -> RawUnit:
     """Unit of the raw columns: given, stated in the heading, or detected by the norm at rest.
 
@@ -359,7 +396,7 @@ def _so_are(bad: Index) -> str:
     return f" (so are {bad.size - 1} more)" if bad.size > 1 else ""
 
 
-def refuse_dead_axis(table: PositionTable, rows: Index) -> None:
+def _refuse_dead_axis(table: PositionTable, rows: Index) -> None:
     """Raise UnreadableInput where an axis reads one value in all rows while others change."""
     reading = table.raw()[rows]
     still = np.ptp(reading, axis=0) == 0.0
@@ -374,7 +411,7 @@ def refuse_dead_axis(table: PositionTable, rows: Index) -> None:
     )
 
 
-def refuse_units(table: PositionTable, rows: Index) -> None:
+def _refuse_units(table: PositionTable, rows: Index) -> None:
     """Raise UsageError where some rows read another size of gravity than all others: two units in
     one column."""
     if rows.size < 2:  # nothing to compare

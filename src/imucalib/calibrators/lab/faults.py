@@ -10,7 +10,7 @@ from typing import get_args, get_type_hints
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.calibrators.lab.bench import NOISE, RawUnit, held_settings, in_degrees
+from imucalib.calibrators.lab.bench import NOISE, PreparedTable, RawUnit, held_settings, in_degrees
 from imucalib.calibrators.lab.calibrate import LabResult
 from imucalib.calibrators.lab.errors import setting_noise
 from imucalib.calibrators.lab.position_table import PositionTable
@@ -158,9 +158,9 @@ class Faults:
         return (*(f.question for f in slips), *self.questions)
 
 
-def sheet_of(table: PositionTable, whole: Observations, rows: Index, request: LabRequest) -> Sheet:
+def sheet_of(prepared: PreparedTable, request: LabRequest) -> Sheet:
     """The kept rows as the search for slips sees them; angles in rad become degrees."""
-    inside = request.conventions.inside
+    table, rows, inside = prepared.table, prepared.rows, request.conventions.inside
     columns = in_degrees(table).columns
     dial = {role: columns[role][rows] for role in ("inclination", "tool_face")}
     timed = "time" in table and bool(np.all(np.diff(table.columns["time"]) > 0.0))
@@ -172,7 +172,7 @@ def sheet_of(table: PositionTable, whole: Observations, rows: Index, request: La
         return held_settings(dial[role]) if ordered else np.arange(rows.size)
 
     return Sheet(
-        reading=whole.reading[rows, 0] / MG,
+        reading=prepared.whole.reading[rows, 0] / MG,
         inclination=dial["inclination"],
         tool_face=dial["tool_face"],
         row=table.row[rows],
@@ -203,11 +203,10 @@ def _order_note(table: PositionTable, rows: Index) -> tuple[str, ...]:
     )
 
 
-def look_for_faults(
-    table: PositionTable, whole: Observations, rows: Index, request: LabRequest
-) -> Faults:
+def look_for_faults(prepared: PreparedTable, request: LabRequest) -> Faults:
     """Every slip that the kept rows show. Raises UsageError where the angle columns mean something
     else (`keep_angles` makes it a question)."""
+    table, whole, rows = prepared.table, prepared.whole, prepared.rows
     reading, reference = whole.reading[rows, 0] / MG, whole.reference
     if request.reference != "vector":
         questions = _converter_questions(_ends(reading), table, rows)
@@ -216,7 +215,7 @@ def look_for_faults(
         # Rows whose reading belongs to another of the directions.
         slips = wrong_directions(reading, reference.direction[rows], table.row[rows])
         return Faults(slips, questions)
-    sheet = sheet_of(table, whole, rows, request)
+    sheet = sheet_of(prepared, request)
     questions = _converter_questions(_ends(reading, sheet.truth()), table, rows)
     misread = misread_angles(sheet)
     if misread is not None:

@@ -11,15 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from imucalib.calibrators.lab.bench import (
-    implausible_rows,
-    in_celsius,
-    kept_rows,
-    observations_of,
-    raw_unit,
-    refuse_dead_axis,
-    refuse_units,
-)
+from imucalib.calibrators.lab.bench import prepare_table
 from imucalib.calibrators.lab.faults import look_for_faults
 from imucalib.calibrators.lab.headings import roles_of
 from imucalib.calibrators.lab.position_table import (
@@ -422,17 +414,10 @@ def _request_for(table: PositionTable, kind: str, mapping: FieldMapping) -> LabR
 def _look_at_table(table: PositionTable, request: LabRequest) -> TableSeen:
     notes, wrong, unit = table.left_out, list[Question](), ""
     try:
-        meant = in_celsius(table)
-        notes = meant.left_out
-        rows = kept_rows(table, ())
-        refuse_dead_axis(table, rows)
-        refuse_units(table, rows)
-        raw = raw_unit(table, request.unit, request.lsb_per_g)
-        unit = raw.sentence
-        implausible_rows(meant, rows, refuse=True)
-        whole = observations_of(meant, raw, request)
-        faults = look_for_faults(table, whole, rows, request).with_axes(request)
-        notes += faults.notes
+        prepared = prepare_table(table, request)
+        unit = prepared.raw.sentence
+        faults = look_for_faults(prepared, request).with_axes(request)
+        notes = (*prepared.table.left_out, *faults.notes)
         wrong += faults.undecided(())
     except ImucalError as error:
         where = error.where.removeprefix(table.path).lstrip(", ")

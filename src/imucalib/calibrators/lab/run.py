@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from imucalib.arrays import Array, Index
+from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration, from_fit
 from imucalib.calibration.outcome import Outcome, Run, left_open
 from imucalib.calibration.provenance import provenance_of
@@ -19,17 +19,7 @@ from imucalib.calibrators.lab.advice import (
     settle,
     undecided_parts,
 )
-from imucalib.calibrators.lab.bench import (
-    RawUnit,
-    implausible_rows,
-    in_celsius,
-    kept_rows,
-    observations_of,
-    raw_unit,
-    refuse_dead_axis,
-    refuse_units,
-    row_numbers,
-)
+from imucalib.calibrators.lab.bench import PreparedTable, RawUnit, prepare_table, row_numbers
 from imucalib.calibrators.lab.calibrate import LabResult, calibrate
 from imucalib.calibrators.lab.dial import dial_of
 from imucalib.calibrators.lab.errors import (
@@ -48,7 +38,6 @@ from imucalib.calibrators.next_recording import recorded_block
 from imucalib.calibrators.population import not_of_its_kind
 from imucalib.calibrators.sessions import BetweenSessions, Sessions
 from imucalib.core.fit import Fit
-from imucalib.core.observations import Observations
 from imucalib.core.references import KnownVector
 from imucalib.data import Data, plain
 from imucalib.errors import NotConverged, Undetermined, UnreadableInput, UsageError
@@ -147,17 +136,18 @@ def run_lab(
     mapping : how the recording was read whose rests the readings are, None for a table's own
     """
     table, emptied = repair(table, request.repairs, request.fixes, request.swap_angles)
-    raw = raw_unit(table, request.unit, request.lsb_per_g)
+    prepared = prepare_table(table, request, emptied)
     if mapping is not None:
-        raw = replace(raw, sentence="m/s², as the recording was read")
-    whole = observations_of(table := in_celsius(table), raw, request)
-    rows, excluded = _select_rows(table, request, emptied)
-    result, faults = _fit_and_look_for_slips(table, whole, rows, request, first=True)
-    bad = _wrong_rows(result, faults, rows, table) if request.auto_exclude else {}
+        sentence = "m/s², as the recording was read"
+        prepared = replace(prepared, raw=replace(prepared.raw, sentence=sentence))
+    result, faults = _fit_and_look_for_slips(prepared, request, first=True)
+    bad = _wrong_rows(result, faults, prepared) if request.auto_exclude else {}
     if bad:
-        excluded += tuple(bad.values())
-        rows = np.setdiff1d(rows, list(bad))
-        result, faults = _fit_and_look_for_slips(table, whole, rows, request, first=False)
+        excluded = (*prepared.excluded, *bad.values())
+        rows = np.setdiff1d(prepared.rows, list(bad))
+        prepared = replace(prepared, rows=rows, excluded=excluded)
+        result, faults = _fit_and_look_for_slips(prepared, request, first=False)
+    table, raw = prepared.table, prepared.raw
     undecided = _questions(result, faults, raw, request)
     outcome = Outcome(
         calibrator="lab",
@@ -175,7 +165,7 @@ def run_lab(
         ),
         findings=request.findings(result.loop),
         fit=result.final,
-        reasons=reasons(result) + worthless(result, whole),
+        reasons=reasons(result) + worthless(result, prepared.whole),
         advice=advice(result, raw),
         undecided=undecided,
         limits=limits_of(result, request.limits),
@@ -184,7 +174,7 @@ def run_lab(
         sensor=_sensor(table, raw),
     )
     sessions = sessions_of(result.final, table.sessions)
-    details = lab_details(result, excluded, undecided, faults, sessions)
+    details = lab_details(result, prepared.excluded, undecided, faults, sessions)
     return LabRun(
         outcome=outcome,
         calibration=lab_calibration(outcome, result, raw, details),
@@ -193,34 +183,20 @@ def run_lab(
         table=table,
         raw=raw,
         request=request,
-        excluded=excluded,
+        excluded=prepared.excluded,
         faults=faults,
         recorded=mapping is not None,
         sessions=sessions,
     )
 
 
-def _select_rows(
-    table: PositionTable, request: LabRequest, emptied: tuple[int, ...]
-) -> tuple[Index, tuple[str, ...]]:
-    """The rows that were not excluded and have a plausible size, and what was left out."""
-    rows = kept_rows(table, (*request.exclude, *emptied))
-    refuse_dead_axis(table, rows)
-    refuse_units(table, rows)
-    bad = implausible_rows(table, rows, refuse=not request.auto_exclude)
-    said = [f"row {r}: excluded as asked" for r in request.exclude]
-    said += [f"row {r}: left without a value by --shift" for r in emptied]
-    said += [f"row {table.row[k]}: excluded automatically ({why})" for k, why in bad.items()]
-    return np.setdiff1d(rows, list(bad)), tuple(said)
-
-
 def _fit_and_look_for_slips(
-    table: PositionTable, whole: Observations, rows: Index, request: LabRequest, *, first: bool
+    prepared: PreparedTable, request: LabRequest, *, first: bool
 ) -> tuple[LabResult, Faults]:
     """The calibration of the sheet as it is, and its slips of hand; at first without a search where
     a whole column is in the wrong place, which physics would explain. What cannot be fitted at all
     ends with what to paste."""
-    faults, kept = look_for_faults(table, whole, rows, request), whole.take(rows)
+    faults, kept = look_for_faults(prepared, request), prepared.whole.take(prepared.rows)
     faulty = first and bool(faults.slips)
     tried = replace(request, loop=False) if faulty else request
     train = None
@@ -234,7 +210,7 @@ def _fit_and_look_for_slips(
         if not faulty:
             faults.with_axes(request)  # which may say why
         if not faulty or isinstance(error, Undetermined):
-            where = error.where or table.path
+            where = error.where or prepared.table.path
             raise type(error)(error.what, where=where, remedy=error.remedy) from error
         raise UnreadableInput(
             "; ".join(f.what for f in faults.slips),
@@ -261,17 +237,15 @@ def _questions(
     return (found or doubts(result, raw, request)) + not_of_its_kind(result.kind_chance, instead)
 
 
-def _wrong_rows(
-    result: LabResult, faults: Faults, rows: Index, table: PositionTable
-) -> dict[int, str]:
+def _wrong_rows(result: LabResult, faults: Faults, prepared: PreparedTable) -> dict[int, str]:
     """Rows (from 0) that are wrong one by one, by the search or as slips of hand, and why."""
     by_search = {
-        int(rows[result.used[r.row]]): f"{r.where}: excluded automatically "
+        int(prepared.rows[result.used[r.row]]): f"{r.where}: excluded automatically "
         f"({r.channel} off by {r.size:.3g} {r.unit}, {r.likely})"
         for r in _records(result)
     }
     by_hand = {
-        table.at(f.rows[0]): f"{f.what}; excluded automatically"
+        prepared.table.at(f.rows[0]): f"{f.what}; excluded automatically"
         for f in faults.slips
         if f.kind in ("cell", "angle", "record")
     }
