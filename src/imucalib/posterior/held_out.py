@@ -33,7 +33,6 @@ from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.effects.record_error import is_record_error
-from imucalib.estimators.student import quantile
 from imucalib.posterior.odds import ALONE, CERTAIN, FOLDS, GAP, STRETCH
 
 
@@ -146,7 +145,7 @@ def difference(
     # The ratio estimator: parts of unequal size count by their observations.
     off = (total - mean * count) / count.mean()
     error = float(np.sqrt(np.sum(off**2) / max(m - 1, 1) / m)) if m > 1 else np.inf
-    reach = quantile(max(m - 1, 1), 0.5 + CERTAIN / 2.0)
+    reach = _reach_of_certain(max(m - 1, 1))
     wide = float(np.sqrt(1.0 + folds / max(folds - 1, 1)))
     start, end = (float(np.mean(e**power) ** (1.0 / power)) for e in (before, after))
     # rms_b - rms_a is (ms_b - ms_a) / (rms_b + rms_a): the interval of the squares in the unit.
@@ -156,11 +155,18 @@ def difference(
     return Difference(start, end, (mean - away) / unit, (mean + away) / unit, m)
 
 
+def _reach_of_certain(freedom: int) -> float:
+    """Standard errors to either end of a 95 % interval of Student's t."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(freedom, 0.5 + CERTAIN / 2.0))
+
+
 def with_density(found: Difference, nats: Array) -> Difference:
     """With the gains (K,) in log density, fold by fold."""
     k = nats.size
     error = float(np.std(nats, ddof=1) * np.sqrt(k)) if k > 1 else np.inf
-    low = float(nats.sum()) - quantile(max(k - 1, 1), 0.5 + CERTAIN / 2.0) * error
+    low = float(nats.sum()) - _reach_of_certain(max(k - 1, 1)) * error
     return replace(found, nats=float(nats.sum()), nats_low=low)
 
 

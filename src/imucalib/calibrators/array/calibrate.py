@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import replace
 
 import numpy as np
 
@@ -29,7 +28,6 @@ from imucalib.calibrators.array.findings import residual_in_motion
 from imucalib.calibrators.array.motion.board_motion import board_motion
 from imucalib.calibrators.array.motion.closed_loop import MotionLoop, close_array_loop
 from imucalib.calibrators.array.motion.covariance import (
-    Uneven,
     add_unevenness,
     fit_all_samples,
     samples_used,
@@ -39,12 +37,18 @@ from imucalib.calibrators.array.motion.linear_part import linear_part
 from imucalib.calibrators.array.motion.posterior import draw_positions
 from imucalib.calibrators.array.motion.search import frame_term, start_state
 from imucalib.calibrators.array.motion.setup import array_setup, plain_setup
-from imucalib.calibrators.array.motion.state import ArrayState, shared_by_neighbours
+from imucalib.calibrators.array.motion.state import shared_by_neighbours
 from imucalib.calibrators.array.motion.terms import rest_terms
 from imucalib.calibrators.array.motion.total import frame_sd, scale_by_turns, total_of
 from imucalib.calibrators.array.published import draw_as_published
 from imucalib.calibrators.array.request import ArrayRequest
-from imucalib.calibrators.array.run import ArrayRun, Stages, finish_run
+from imucalib.calibrators.array.run import (
+    ArrayRun,
+    FittedLog,
+    LocatedBoard,
+    PreparedLog,
+    finish_run,
+)
 from imucalib.errors import Undetermined, UsageError
 from imucalib.posterior.closed_loop.found import Unexplained
 from imucalib.recording.recording import Recording
@@ -58,30 +62,6 @@ OTHER = "what shows in motion only"
 _FAR = 3.0
 SEARCH_SAMPLES = 600  # moving samples on which effects are searched
 HALVED_SAMPLES = 800  # moving samples of which each half is searched again
-
-
-@dataclass(frozen=True)
-class _Laid:
-    """A recording laid out as the board is: its IMUs side by side, and where they rest.
-
-    broken : sensors that do not serve all the time, with what to look at
-    """
-
-    recording: Recording
-    board: Board
-    log: ArrayLog
-    segments: Segments
-    notes: tuple[str, ...]
-    broken: tuple[str, ...]
-
-
-class _Fit(NamedTuple):
-    """loop : None where nothing was searched; state : of all informative samples; uneven : where
-    positions differ from part to part of the motion and no loop says so"""
-
-    loop: MotionLoop | None
-    state: ArrayState
-    uneven: Uneven | None
 
 
 def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> ArrayRun:
@@ -98,51 +78,45 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
             "the paper's procedure searches for nothing, holds nothing out and declares nothing",
             remedy="leave --as-published out",
         )
-    laid = _laid(recording, request, say)
+    prepared, log = _prepare(recording, request, say)
     del recording  # from here on a log is side by side: held twice, one of many IMUs is large
-    board, scope = laid.board, request.scope
-    rests = fit_rests(laid.segments, board, request.gravity, scope=scope)
+    board = prepared.board
+    rests = fit_rests(prepared.segments, board, request.gravity, scope=request.scope)
     say(f"{rests.poses} rests: triads fit gravity to {1e3 * rests.residual:.2f} mm/s² rms")
-    moving = moving_part(laid.log, rests)
+    moving = moving_part(log, rests)
     say("moving samples: " + ", ".join(f"{n} {name}" for name, n in moving.counts.items()))
     try:
-        fit = _fit(moving, rests, board, request)
+        fitted = _fit(prepared, moving, rests)
     except np.linalg.LinAlgError as error:
         raise Undetermined(
             f"no motion of a rigid board fits these readings: {error}",
             remedy="check `axes` and the ranges in the board file; `imucal inspect FILE` shows "
             "where readings clip or freeze",
         ) from error
-    if fit.loop is not None:
-        loop = _held_against_rests(fit.loop, laid, rests)
-        fit = fit._replace(loop=loop)
+    if fitted.loop is not None:
+        loop = _hold_against_rests(fitted.loop, prepared, rests)
+        fitted = replace(fitted, loop=loop)
         say("found: " + (", ".join(s.effect for s in loop.steps) or "nothing"))
-    return finish_run(_stated(laid, request, rests, moving, fit, say))
+    return finish_run(_locate(fitted, log, say))
 
 
-def _stated(
-    laid: _Laid,
-    request: ArrayRequest,
-    rests: RestFit,
-    moving: Moving,
-    fit: _Fit,
-    say: Say,
-) -> Stages:
+def _locate(fitted: FittedLog, log: ArrayLog, say: Say) -> LocatedBoard:
     """The positions with all of their uncertainty."""
-    board, (loop, state, uneven), rng = laid.board, fit, np.random.default_rng(request.seed)
+    request, state, loop = fitted.request, fitted.state, fitted.loop
+    rng = np.random.default_rng(request.seed)
     if request.as_published:
-        drawn = draw_as_published(moving, board, request, rng)
+        drawn = draw_as_published(fitted.moving, fitted.board, request, rng)
         motion = drawn.covariance
     else:
         drawn = draw_positions(state, request.stop, rng)
         motion = state.covariance[: state.positions, : state.positions]
     linear = linear_part(state)
     if loop is None:  # of gyros that were made like their mean
-        linear = replace(linear, gyro_gain=moving.gyros.gain @ linear.gyro_gain)
+        linear = replace(linear, gyro_gain=fitted.moving.gyros.gain @ linear.gyro_gain)
     gyros = scale_by_turns(
-        laid.log,
-        laid.segments,
-        rests,
+        log,
+        fitted.segments,
+        fitted.rests,
         linear.gyro_gain,
         state.noise[1].factor,
     )
@@ -151,30 +125,21 @@ def _stated(
         motion,
         gyros=gyros,
         gravity_sd=request.gravity_sd,
-        frame_sd=frame_sd(rests),
+        frame_sd=frame_sd(fitted.rests),
         distances=request.distances,
     )
-    samples = len(state.setup.inner)
-    say(f"{samples} samples: {drawn.sentence}")
-    broken = request.loop and not request.as_published and loop is None
-    unsearched = ("the motion has too many gaps for the search for effects",) if broken else ()
-    return Stages(
-        recording=laid.recording,
-        board=board,
-        request=request,
-        segments=laid.segments,
-        rests=rests,
-        moving=moving,
-        state=state,
+    say(f"{len(state.setup.inner)} samples: {drawn.sentence}")
+    gaps = request.loop and not request.as_published and loop is None
+    unsearched = ("the motion has too many gaps for the search for effects",) if gaps else ()
+    off = off_the_drawing(total.mean, fitted.board)
+    fitted = replace(fitted, notes=(*fitted.notes, *drawn.notes, *unsearched, *off))
+    return LocatedBoard(
+        **vars(fitted),
         drawn=drawn,
         total=total,
         gyros=gyros,
-        loop=loop,
         linear=linear,
-        uneven=uneven,
         residual=residual_in_motion(loop, state),
-        notes=(*laid.notes, *drawn.notes, *unsearched, *off_the_drawing(total.mean, board)),
-        broken=laid.broken,
     )
 
 
@@ -190,7 +155,8 @@ def off_the_drawing(r: Array, board: Board) -> Iterator[str]:
         )
 
 
-def _laid(recording: Recording, request: ArrayRequest, say: Say) -> _Laid:
+def _prepare(recording: Recording, request: ArrayRequest, say: Say) -> tuple[PreparedLog, ArrayLog]:
+    """The IMUs of a board side by side, and their samples. Errors as of `calibrate_array`."""
     read = len(recording.notes)
     recording, board = of_board(recording, request.board)
     for note in recording.notes[read:]:
@@ -211,8 +177,15 @@ def _laid(recording: Recording, request: ArrayRequest, say: Say) -> _Laid:
         name: replace(c, values=np.broadcast_to(np.nan, c.values.shape))
         for name, c in recording.channels.items()
     }
-    broken = tuple(broken_sensors(seen, board.imus))
-    return _Laid(replace(recording, channels=channels), board, log, segments, notes, broken)
+    prepared = PreparedLog(
+        recording=replace(recording, channels=channels),
+        board=board,
+        request=request,
+        segments=segments,
+        notes=notes,
+        broken=tuple(broken_sensors(seen, board.imus)),
+    )
+    return prepared, log
 
 
 def _refuse_restless(segments: Segments, board: Board, recording: Recording, log: ArrayLog) -> None:
@@ -235,7 +208,9 @@ def _refuse_restless(segments: Segments, board: Board, recording: Recording, log
     )
 
 
-def _fit(moving: Moving, rests: RestFit, board: Board, request: ArrayRequest) -> _Fit:
+def _fit(prepared: PreparedLog, moving: Moving, rests: RestFit) -> FittedLog:
+    """The joint fit of rests and motion, searched where that was asked for."""
+    board, request = prepared.board, prepared.request
     most = samples_used(moving, request.samples)
     searched = (request.loop or bool(request.declare)) and not request.as_published
     setup = array_setup(moving, board, min(most, SEARCH_SAMPLES)) if searched else None
@@ -249,7 +224,10 @@ def _fit(moving: Moving, rests: RestFit, board: Board, request: ArrayRequest) ->
         # Where nothing is searched, gyros are made like their mean by plain comparison.
         plain = plain_setup(moving.levelled, board, min(most, SEARCH_SAMPLES))
         state = fit_all_samples(start_state(plain, (*terms, frame_term())), most)
-        return _Fit(None, *add_unevenness(state, shared_by_neighbours(state, gyro=False)))
+        state, uneven = add_unevenness(state, shared_by_neighbours(state, gyro=False))
+        return FittedLog(
+            **vars(prepared), rests=rests, moving=moving, state=state, loop=None, uneven=uneven
+        )
     loop = close_array_loop(
         setup,
         terms,
@@ -258,21 +236,28 @@ def _fit(moving: Moving, rests: RestFit, board: Board, request: ArrayRequest) ->
         most=most,
         scope=request.scope,
     )
-    return _Fit(join_rests(loop, rests.loop), loop.final, None)
+    return FittedLog(
+        **vars(prepared),
+        rests=rests,
+        moving=moving,
+        state=loop.final,
+        loop=join_rests(loop, rests.loop),
+        uneven=None,
+    )
 
 
-def _held_against_rests(loop: MotionLoop, laid: _Laid, rests: RestFit) -> MotionLoop:
+def _hold_against_rests(loop: MotionLoop, prepared: PreparedLog, rests: RestFit) -> MotionLoop:
     """The loop with doubts where gravity at the rests contradicts what a force does to gyros: it
     is corrected still, is not certain, and what it may be instead is open."""
-    segments = laid.segments
+    segments = prepared.segments
     if segments.n < ATTITUDES:
         return loop
-    t, turns = segments.middle, laid.board.rotations
+    t, turns = segments.middle, prepared.board.rotations
     read, rate = (
         np.einsum("kij,nkj->nki", turns, values) for values in (segments.mean, segments.rate)
     )
     force = rests.corrected(read, t)
-    motion = board_motion(imus=laid.board.imus, rotations=turns, t=t, force=force)
+    motion = board_motion(imus=prepared.board.imus, rotations=turns, t=t, force=force)
     wrong = {
         term.name
         for term in loop.final.found

@@ -64,38 +64,58 @@ _SHARED = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stages:
-    """recording : without its readings; state : the joint fit; drawn : chains over it, or those of
-    the paper; total : with size and frame; loop : None where nothing was searched; linear : what a
-    linear correction holds of the joint fit; uneven : where positions differ from part to part of
-    the motion and no loop says so; broken : what to look at of sensors that do not serve all the
-    time"""
+class PreparedLog:
+    """A log laid out as its board is.
+
+    recording : without its readings; segments : where the IMUs rest; notes : what is worth knowing
+    broken : what to look at of sensors that do not serve all the time
+    """
 
     recording: Recording
     board: Board
     request: ArrayRequest
     segments: Segments
-    rests: RestFit
-    moving: Moving
-    state: ArrayState
-    drawn: PositionDraws
-    total: Total
-    gyros: GyroScale
-    loop: MotionLoop | None
-    linear: LinearPart
-    uneven: Uneven | None
-    residual: Residual
     notes: tuple[str, ...]
     broken: tuple[str, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
-class ArrayRun(Run, Stages):
+class FittedLog(PreparedLog):
+    """With its rests and its motion fitted.
+
+    state : the joint fit of all informative samples; loop : None where nothing was searched
+    uneven : where positions differ from part to part of the motion and no loop says so
+    """
+
+    rests: RestFit
+    moving: Moving
+    state: ArrayState
+    loop: MotionLoop | None
+    uneven: Uneven | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class LocatedBoard(FittedLog):
+    """With the positions and all of their uncertainty.
+
+    drawn : chains over the joint fit, or those of the paper; total : with size and frame
+    linear : what a linear correction holds of the joint fit
+    """
+
+    drawn: PositionDraws
+    total: Total
+    gyros: GyroScale
+    linear: LinearPart
+    residual: Residual
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArrayRun(Run, LocatedBoard):
     """A finished run: what all calibrators share, and every stage for its own report."""
 
 
-def finish_run(made: Stages) -> ArrayRun:
-    """The run of these stages: judged, with its calibration."""
+def finish_run(made: LocatedBoard) -> ArrayRun:
+    """The run of a located board: judged, with its calibration."""
     recording, request, rests, loop = made.recording, made.request, made.rests, made.loop
     errors = array_errors(loop, rests, made.residual)
     left = unexplained(made.residual, rests, made.board.imus, request.accepted, loop or made.uneven)
@@ -178,7 +198,7 @@ def array_calibration(
     )
 
 
-def _triads(made: Stages) -> Iterator[Triad]:
+def _triads(made: LocatedBoard) -> Iterator[Triad]:
     """Each IMU as the rests and the found effects' linear parts have it."""
     board, rests, found = made.board, made.rests, made.linear
     channels = channel_names(made.recording)
@@ -211,7 +231,7 @@ def _triads(made: Stages) -> Iterator[Triad]:
         )
 
 
-def _details(made: Stages) -> dict[str, Any]:
+def _details(made: LocatedBoard) -> dict[str, Any]:
     """What only an array has to say, for report.json; a part of it also for the YAML."""
     board, rests, total, residual = made.board, made.rests, made.total, made.residual
     # How the offsets moved during the rests, against their mean, which is what the file holds.
@@ -283,7 +303,7 @@ def _drift_of(rests: RestFit, board: Board) -> dict[str, Any]:
     return {"drift": drift_block(t, np.einsum("kji,nkj->nki", board.accelerometer_axes, away))}
 
 
-def _diagnostics(made: Stages) -> dict[str, Any]:
+def _diagnostics(made: LocatedBoard) -> dict[str, Any]:
     """What the chains say of themselves, and how far their mean is from the fit's."""
     drawn, state = made.drawn, made.state
     found = drawn.convergence

@@ -20,6 +20,7 @@ from imucalib.calibration.gyroscope import at_times
 from imucalib.core.effect import Context
 from imucalib.errors import Undetermined, UnreadableInput, UsageError
 from imucalib.estimators.carried import attitudes, between
+from imucalib.estimators.rounding import rounding_sd
 from imucalib.estimators.turn_log import Turn, TurnLog
 from imucalib.recording.recording import Channel, Recording
 from imucalib.recording.sensors import angular_rate
@@ -232,22 +233,6 @@ def _steady(rate: Array, per: int) -> tuple[Array, Array]:
     shared = np.array([np.sum(away[lag:] * away[:-lag], axis=0) for lag in lags])
     square += 2.0 * np.sum(np.where(np.cumprod(shared > 0.0, axis=0), shared, 0.0), axis=0)
     return location, np.asarray(np.sqrt(square / (count - 1)))
-
-
-def rounding_sd(noise: Array, step: Array) -> Array:
-    """Standard deviation of what rounding leaves in a mean of many readings of one value.
-
-    noise : of readings as they were rounded; step : between readings, 0 where there is none
-
-    Readings that hardly move are rounded alike: the mean is off by up to half a step, q / sqrt 12.
-    Noise of standard deviation s before rounding takes the error's first harmonic down by
-    exp(-2 pi² s² / q²) (Widrow, Kollar and Liu 1996, IEEE Trans. Instrum. Meas. 45, 353-361).
-    """
-    coarse = np.maximum(step, 1e-300)
-    before = np.maximum(noise**2 - coarse**2 / 12.0, 0.0) / coarse**2
-    return np.asarray(
-        np.where(step > 0.0, step / np.sqrt(12.0), 0.0) * np.exp(-2.0 * np.pi**2 * before)
-    )
 
 
 def moving_share(away: Array, noise: Array, step: float) -> Array:

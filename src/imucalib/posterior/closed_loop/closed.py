@@ -37,7 +37,7 @@ from imucalib.posterior.search.explored import SearchedPosterior, SearchStart
 from imucalib.posterior.search.noise import NoiseHypothesis, between_temperatures, shared_bias
 from imucalib.posterior.search.problem import Problem
 from imucalib.posterior.search.solution import Solved, change, fit_of, noises_of, solve
-from imucalib.posterior.slips.trials import Mended, Written, repair_sheet
+from imucalib.posterior.slips.trials import Written, repair_sheet
 from imucalib.units import MG
 
 
@@ -84,8 +84,7 @@ def close_loop(
         observations = replace(observations, sigma=observations.sigma * uneven)
         plain = fit_model(model, observations, start=plain.theta)
         begun = SearchStart.of(plain, wanted)
-    state = repair_sheet(begun.explored(), wanted, written)
-    found = state.found
+    found = repair_sheet(begun.explored(), wanted, written)
     said = select_model(found.problem, found.posterior)
     data, base = _walking(found.base.observations, said), found.base
     if data is not base.observations:
@@ -99,11 +98,13 @@ def close_loop(
     )
     loop = replace(
         loop,
-        records=accuse(loop.final, state.aside),
-        slips=state.slips,
+        records=accuse(loop.final, found.aside),
+        slips=found.slips,
         weighed=rivals_of(found.problem, found.posterior),
     )
-    return ClosedLoop(replace(loop, as_recorded=_as_recorded(loop, state)), found, left)
+    return ClosedLoop(
+        replace(loop, as_recorded=_as_recorded(loop, slips=bool(found.slips))), found, left
+    )
 
 
 def _walking(data: Observations, said: SelectedModel[Problem]) -> Observations:
@@ -132,7 +133,7 @@ def _gain(base: Fit, left: LeftOut) -> Difference:
     return gain if between_temperatures(data) else with_density(gain, left.nats)
 
 
-def _as_recorded(loop: FitLoop, state: Mended) -> Fit:
+def _as_recorded(loop: FitLoop, *, slips: bool) -> Fit:
     """The final model with every record taken as it stands: fitted anew where records are set
     aside, where the base model stands at the angles that were meant, and where slips were mended,
     to the table as it was."""
@@ -140,7 +141,7 @@ def _as_recorded(loop: FitLoop, state: Mended) -> Fit:
     if not loop.steps and final.observations is loop.plain.observations:
         return loop.plain
     one = drop_effects(final, names) if names or not loop.steps else final
-    if not state.slips:
+    if not slips:
         return one
     return fit_model(one.model, loop.plain.observations, start=one.theta, shrink=one.shrink)
 

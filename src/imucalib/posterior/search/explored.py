@@ -35,6 +35,7 @@ from imucalib.posterior.search.noise import NoiseHypothesis, Terms, between_temp
 from imucalib.posterior.search.problem import Choice, Problem, problem_of
 from imucalib.posterior.search.solution import noises_of
 from imucalib.posterior.search.space import Posterior, search
+from imucalib.posterior.sheet.sheet import Fault
 from imucalib.units import MG
 
 #: Rows whose own precision is formed at once; what of the largest product is rounding.
@@ -44,12 +45,19 @@ _AT_ONCE, _ROUNDING = 64, 1e-12
 @dataclass(frozen=True)
 class SearchedPosterior:
     """A base fit with the posterior over what it lacks, at the noises that its leading sets give a
-    say; every : Grams at all noises that the data do not exclude, be a record what it may"""
+    say.
+
+    every : Grams at all noises that the data do not exclude, be a record what it may
+    slips : what was set right in the sheet; aside : (row, probability) of records that are set
+    aside, the other wrong ones
+    """
 
     base: Fit
     problem: Problem
     posterior: Posterior
     every: Grams
+    slips: tuple[Fault, ...] = ()
+    aside: tuple[tuple[int, float], ...] = ()
 
 
 @dataclass(frozen=True)

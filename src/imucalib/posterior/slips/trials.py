@@ -44,33 +44,21 @@ class Written:
     unit: tuple[float, float] = (1.0, 1.0)
 
 
-@dataclass(frozen=True)
-class Mended:
-    """found : the exploration with every slip mended and every other wrong record aside
-    slips : what was mended; aside : (row, probability) of the records that are set aside
-    """
-
-    found: SearchedPosterior
-    slips: tuple[Fault, ...] = ()
-    aside: tuple[tuple[int, float], ...] = ()
-
-
 def repair_sheet(
     found: SearchedPosterior, wanted: SearchedEffects, written: Written | None = None
-) -> Mended:
+) -> SearchedPosterior:
     """The posterior of a table with everything that is likelier wrong in it than not set right.
 
     found : that of the table as it stands
     written : the sheet, where its angles are known; without one only records are asked
     """
-    state = Mended(found)
     for _ in range(SLIPS_TOLD):
-        best = _best(state, wanted, written)
+        best = _best(found, wanted, written)
         if best is None:
             break
-        state, sheet = best
+        found, sheet = best
         written = replace(written, sheet=sheet) if written and sheet else None
-    return state
+    return found
 
 
 def log_density(found: SearchedPosterior) -> float:
@@ -81,12 +69,12 @@ def log_density(found: SearchedPosterior) -> float:
 
 
 def _best(
-    state: Mended, wanted: SearchedEffects, written: Written | None
-) -> tuple[Mended, Sheet | None] | None:
+    state: SearchedPosterior, wanted: SearchedEffects, written: Written | None
+) -> tuple[SearchedPosterior, Sheet | None] | None:
     """The likeliest of the sheets that are solved again, where the sheet as it stands is less
     likely than all of them together."""
     trials = [t for t in _trials(state, written) if t.fault.score > -OPEN / 3.0]
-    now, odds = log_density(state.found), []
+    now, odds = log_density(state), []
     for trial, base in _likeliest(trials, state, written):
         found = search_posterior(base, wanted)
         odds.append((log_density(found) - now + trial.prior, trial, found))
@@ -98,7 +86,8 @@ def _best(
     share = float(np.exp(nats - np.logaddexp(0.0, whole)))
     if trial.repaired is None:
         aside = (*state.aside, (trial.fault.rows[0], share))
-        return replace(state, found=found, aside=aside), written.sheet if written else None
+        found = replace(found, slips=state.slips, aside=aside)
+        return found, written.sheet if written else None
     close = (t.fault.line for o, t, _ in odds[1:] if t.repaired and o > nats - OPEN / 3.0)
     fault = replace(trial.fault, probability=share, rivals=tuple(dict.fromkeys(close)))
     assert written is not None
@@ -106,11 +95,11 @@ def _best(
     numbers = ((int(written.sheet.row[row]), chance) for row, chance in state.aside)
     aside = tuple((place[row], chance) for row, chance in numbers if row in place)
     slips = (*state.slips, fault)
-    return replace(state, found=found, slips=slips, aside=aside), trial.repaired
+    return replace(found, slips=slips, aside=aside), trial.repaired
 
 
 def _likeliest(
-    trials: Sequence[Trial], state: Mended, written: Written | None
+    trials: Sequence[Trial], state: SearchedPosterior, written: Written | None
 ) -> list[tuple[Trial, Fit]]:
     """The trials whose sheets the base model fits best, refitted: the first of every class, since
     a glance is off by more in one class than in another, then the others that are close."""
@@ -122,17 +111,16 @@ def _likeliest(
             others.append(trial)
     fits = []
     for trial in (*first.values(), *others)[:REFITTED]:
-        base = _solve_again(state.found.base, trial, written)
+        base = _solve_again(state.base, trial, written)
         if base is not None:
             fits.append((base.log_likelihood + trial.prior, trial, base))
     fits.sort(key=lambda f: -f[0])
     return [(trial, base) for _, trial, base in fits[:TRIED]]
 
 
-def _trials(state: Mended, written: Written | None) -> Iterator[Trial]:
+def _trials(found: SearchedPosterior, written: Written | None) -> Iterator[Trial]:
     """Records that may be set aside, and every slip at its best, at first glance beside nothing and
     beside the sets where a record counts most."""
-    found = state.found
     n = found.base.observations.n
     if n > LONGEST:
         return
@@ -141,13 +129,13 @@ def _trials(state: Mended, written: Written | None) -> Iterator[Trial]:
     gains = np.array([_gains_of_records(found, beside(k)) for k in range(len(sets))])
     order = np.argsort(-gains.max(axis=1) - [*sets.values()])
     best, prior = gains.max(axis=0) + prior_of(n), prior_of(n)
-    aside = {row for row, _ in state.aside}
+    aside = {row for row, _ in found.aside}
     for row in map(int, np.argsort(-best)[:TRIED]):
         if row not in aside:
             yield Trial(Fault("record", "", (row,), float(best[row]), ""), None, prior)
     if written is None:
         return
-    touched = {row for fault in state.slips for row in fault.rows}
+    touched = {row for fault in found.slips for row in fault.rows}
     slips = dict[str, Trial]()
     for k in dict.fromkeys((0, *map(int, order[:2]))):
         base = base_of(found, written.sheet, beside(k))

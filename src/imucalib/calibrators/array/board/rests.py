@@ -28,6 +28,7 @@ from imucalib.core.references import KnownNorm
 from imucalib.effects import catalogue, families, named
 from imucalib.errors import NotConverged, Undetermined
 from imucalib.estimators.least_squares import fit as fit_model
+from imucalib.estimators.rounding import rounding_sd
 from imucalib.estimators.variance import estimate_noise
 from imucalib.posterior.candidates import SearchedEffects, effects_to_search
 from imucalib.posterior.closed_loop.closed import close_loop
@@ -107,21 +108,7 @@ def estimate_own_noise(segments: Segments) -> Array:
     """(n, K, 3) m/s², what its samples' noise and their rounding leave of each rest's mean."""
     noise = np.maximum(segments.noise, _QUIET * np.median(segments.noise))
     averaged = noise / np.sqrt(segments.samples)[..., None]
-    return np.hypot(averaged, rounding(segments.step, segments.noise))
-
-
-def rounding(step: Array, noise: Array, *, alike: bool = False) -> Array:
-    """Standard deviation of what rounding to a step leaves of the mean of however many samples, by
-    the noise that they show; the harmonics of the saw-tooth that rounding is, of which noise of
-    half a step leaves nothing (Widrow and Kollar, Quantization Noise, 2008, chapter 4).
-
-    alike : whether all rests read the same: between two steps rounding alone makes noise of a half
-    """
-    below = np.maximum(noise**2 - step**2 / (4.0 if alike else 12.0), 0.0)
-    ratio = 4.0 * np.pi**2 * below / np.maximum(step, 1e-100) ** 2
-    k = np.arange(1.0, 41.0)
-    harmonics = np.exp(-ratio[..., None] * k**2) / k**2
-    return np.asarray(step * np.sqrt(harmonics.sum(axis=-1) / 2.0) / np.pi)
+    return np.hypot(averaged, rounding_sd(segments.step, segments.noise))
 
 
 def weigh_rests(data: Observations, own: Array) -> Observations:
@@ -357,7 +344,7 @@ def fit_rests(
     turn = board.rotations
     drift, sd = gyro_drift(np.einsum("kij,nkj->nki", turn, segments.rate), middle)
     # What rounding leaves of the gyros is the same in every rest.
-    coarse = rounding(segments.rate_step, segments.rate_noise, alike=True)
+    coarse = rounding_sd(segments.rate_step, segments.rate_noise, alike=True)
     return RestFit(
         fit=fit,
         loop=loop,
