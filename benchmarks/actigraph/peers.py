@@ -64,14 +64,14 @@ def peak() -> float:
 def sphere_error(gain: Array, offset: Array) -> float:
     """Mean | |gain @ reading + offset| - 1 | in mg over the sphere; readings of the sensor in g."""
     from imucalib.calibrators.actigraph.simulation import SENSOR
-    from imucalib.calibrators.planted import planted_model
+    from imucalib.calibrators.planted import plant_model
     from imucalib.core.effect import Context
 
     rng = np.random.default_rng(0)
     truth = rng.standard_normal((20000, 3))
     truth *= G / np.linalg.norm(truth, axis=1, keepdims=True)
     context = Context(len(truth))
-    model, theta = planted_model(SENSOR, context)
+    model, theta = plant_model(SENSOR, context)
     reading = model.predict(theta, truth[:, None], context).reading[:, 0] / G
     size = np.linalg.norm(reading @ gain.T + offset, axis=1)
     return float(1e3 * np.abs(size - 1.0).mean())

@@ -96,7 +96,7 @@ def main() -> None:
             noise = tuple(replace(n, freedom=freedom) for n in found.noise)
             shaken, turned = (drawn(n, speed, rng) for n in noise)
             rate = true.rate[:, None] + np.matmul(by, true.spin[:, None, :, None])[..., 0]
-            made = Stretch(stretch.t, true.felt(plain.r) + shaken, rate + turned)
+            made = Stretch(stretch.t, true.predict_force(plain.r) + shaken, rate + turned)
             seen = replace(found, instrument=plain, noise=(noise[0], noise[1]))
             again = fuse_stretch(seen, made)
             told(label, seen, made, again, rows)

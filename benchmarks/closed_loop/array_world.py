@@ -17,7 +17,7 @@ from trial import Job, Trial, noise, said
 from imucalib.calibrators.array.board.board import read_board
 from imucalib.calibrators.array.board.catalogue import array_catalogue
 from imucalib.calibrators.array.board.log import array_log, of_board
-from imucalib.calibrators.array.board.moving import moving_part
+from imucalib.calibrators.array.board.moving import find_moving
 from imucalib.calibrators.array.board.rests import fit_rests
 from imucalib.calibrators.array.motion.board_motion import board_motion
 from imucalib.calibrators.array.motion.closed_loop import MotionLoop, close_array_loop
@@ -58,7 +58,7 @@ ABSORBED = ("common_gyro_scale", "common_accelerometer_scale", "common_accelerom
 def effects() -> tuple[str, ...]:
     """Effects that this motion carries and positions do not absorb."""
     context = _Log(Job("array", "reference", 0), np.random.default_rng(0)).motion.context
-    shown = {n for n, e in array_catalogue().items() if not e.missing(context)}
+    shown = {n for n, e in array_catalogue().items() if not e.find_missing(context)}
     return tuple(name for name in array_catalogue() if name in shown.difference(ABSORBED))
 
 
@@ -192,7 +192,7 @@ def _ready(recording: Recording) -> tuple[Setup, tuple[Term, ...]]:
     segments = still_segments(recording)
     log = array_log(recording, board)
     rests = fit_rests(segments, board, STANDARD_GRAVITY)
-    setup = array_setup(moving_part(log, rests), board, SAMPLES)
+    setup = array_setup(find_moving(log, rests), board, SAMPLES)
     assert setup is not None
     return setup, rest_terms(rests)
 
@@ -207,7 +207,7 @@ def _reference(name: str) -> ArrayState:
     age = log.motion.age
     assert age is not None
     rows = np.searchsorted(log.motion.context["time"], setup.t)
-    return replace(state, motion=state.motion.aged(age[rows])) if aged else state
+    return replace(state, motion=state.motion.set_ages(age[rows])) if aged else state
 
 
 @cache

@@ -19,12 +19,12 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.calibration.uncertainty import angle_uncertainty, correct_readings, correcting
+from imucalib.calibration.uncertainty import angle_uncertainty, correct_readings, select_correctable
 from imucalib.calibrators.lab.bench import position_observations
 from imucalib.calibrators.lab.calibrate import calibrate
 from imucalib.calibrators.lab.request import LabRequest
-from imucalib.calibrators.lab.simulation import SENSOR, BenchPlan, simulated_table
-from imucalib.calibrators.planted import planted_model
+from imucalib.calibrators.lab.simulation import SENSOR, BenchPlan, simulate_table
+from imucalib.calibrators.planted import plant_model
 from imucalib.core.angle_conventions import Conventions
 from imucalib.core.effect import Context
 from imucalib.core.observations import Observations
@@ -37,9 +37,9 @@ OFFSET = 1.0  # deg, the planted inclination offset
 
 def planted_truth(plan: BenchPlan, data: Observations, force: Array) -> Array:
     """Noise-free readings (n, 3) m/s² of the planted sensor at specific forces (n, 3) m/s²."""
-    model, theta = planted_model({**SENSOR, **plan.plant}, data.context)
+    model, theta = plant_model({**SENSOR, **plan.plant}, data.context)
     slices = model.slices(data.context)
-    sensor = correcting(model)
+    sensor = select_correctable(model)
     own = np.concatenate([theta[slices[name]] for name in sensor.names])
     covariates = {k: np.full(len(force), np.median(v)) for k, v in data.context.covariates.items()}
     return sensor.predict(own, force[:, None], Context(len(force), covariates)).reading[:, 0]
@@ -63,7 +63,7 @@ def one(job: tuple[int, float]) -> Bench:
     seed, offset = job
     rng = np.random.default_rng(seed)
     plan = BenchPlan(plant={"inclination_zero": (offset,)} if offset else {}, setting=(0.3, 0.4))
-    table = simulated_table(plan, rng)
+    table = simulate_table(plan, rng)
     data = position_observations(table, table.raw() * MG, Conventions(), STANDARD_GRAVITY)
     start = time.process_time()
     result = calibrate(data, LabRequest())

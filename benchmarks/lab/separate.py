@@ -33,9 +33,9 @@ from imucalib.calibrators.lab.errors import setting_noise
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.next_recording import (
     Rests,
+    describe_recorded,
     pool_of,
     read_block,
-    recorded_block,
     rests_of,
 )
 from imucalib.core.effect import Context
@@ -192,7 +192,7 @@ def trial(kind: str, truth: str, size: float, seed: int) -> Trial | None:
         return None
     fit = loop.as_recorded
     reading = fit.noise.factor * float(np.median(fit.observations.sigma))
-    block = recorded_block(fit, found, reading=reading, settings=setting_noise(fit))
+    block = describe_recorded(fit, found, reading=reading, settings=setting_noise(fit))
     kept = read_block(block, "here")
     rests = rests_of(kept, found[0])
     made = separation(found[0], pool_of(kept, calibration_of(fit), found[0], rests))

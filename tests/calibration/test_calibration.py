@@ -15,7 +15,7 @@ import pytest
 from imucalib.calibration.calibration import Calibration, from_fit
 from imucalib.calibration.file import VERSION, as_dict, check, from_dict, read, to_yaml, write
 from imucalib.calibration.findings import Findings
-from imucalib.calibration.outcome import ErrorSummary, Gate, HeldOutError, Outcome, left_open
+from imucalib.calibration.outcome import ErrorSummary, Gate, HeldOutError, Outcome, list_open
 from imucalib.calibration.provenance import provenance_of
 from imucalib.calibration.triads import Triad
 from imucalib.core.effect import Context
@@ -217,7 +217,7 @@ NAMELESS = Unexplained("slow changes", "order", "probe", 0.99, 9.0)
 
 def outcome(findings: Findings, size: float = 0.0) -> Outcome:
     made = provenance_of(path="t", sha256="", samples=3, mapping={}, settings={})
-    left = left_open(SimpleNamespace(open_size=MG * size), ERROR)  # type: ignore[arg-type]
+    left = list_open(SimpleNamespace(open_size=MG * size), ERROR)  # type: ignore[arg-type]
     return Outcome("lab", (ERROR,), made, findings, left=left)
 
 

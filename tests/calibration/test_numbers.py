@@ -230,7 +230,7 @@ def test_what_may_hide_is_told_at_the_size_that_four_of_five_would_find() -> Non
         score("inclination_zero", 9.0 * MG, 1.0, absorbed=True),
         score("bias_step@60s", 9.0 * MG, 1.0, absorbed=False),
     ]
-    found = power.hidden(scores, ("cross_axis",))  # type: ignore[arg-type]
+    found = power.find_hidden(scores, ("cross_axis",))  # type: ignore[arg-type]
     assert [h.name for h in found] == ["quadratic", "asymmetry", "cubic"]
     assert [h.size / MG for h in found] == pytest.approx([0.5, 14.1, 1.0])
     (text,) = power.advice_of(found)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from imucalib.calibration.file import read, write
-from imucalib.calibrators.lab.simulation import BenchPlan, simulated_recording, simulated_table
+from imucalib.calibrators.lab.simulation import BenchPlan, simulate_recording, simulate_table
 from imucalib.report.render.text import SCREEN
 from imucalib.writers import write as write_recording
 from worlds.command import run
@@ -84,9 +84,9 @@ def test_a_limit_that_could_not_be_seen_is_undecided_with_a_plan(folder: Path) -
 @pytest.mark.slow
 def test_a_recording_with_rests_is_a_log_too(folder: Path, tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
-    table = simulated_table(BenchPlan("rings", 24), rng)
+    table = simulate_table(BenchPlan("rings", 24), rng)
     log = tmp_path / "log.csv"
-    write_recording(simulated_recording(table, rng, rate=50.0, rest=2.0), log)
+    write_recording(simulate_recording(table, rng, rate=50.0, rest=2.0), log)
     options = ("--reference", "norm", "--no-loop", "-q")
     assert run("lab", log, "-o", tmp_path / "log", *options).return_value == 0
     done = run("check", tmp_path / "log" / "calibration.yaml", log, "--json")

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imucalib.calibrators.lab.simulation import BenchPlan, simulated_recording, simulated_table
+from imucalib.calibrators.lab.simulation import BenchPlan, simulate_recording, simulate_table
 from imucalib.cohort.batch import plan
 from imucalib.cohort.entries import (
     PAPER,
@@ -45,8 +45,8 @@ def cohort(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("cohort")
     for k in range(3):
         rng = np.random.default_rng(k)
-        table = simulated_table(BenchPlan("rings", 16), rng)
-        write(simulated_recording(table, rng, rate=50.0, rest=3.0), folder / f"good{k}.csv")
+        table = simulate_table(BenchPlan("rings", 16), rng)
+        write(simulate_recording(table, rng, rate=50.0, rest=3.0), folder / f"good{k}.csv")
     text = (folder / "good0.csv").read_text().splitlines(keepends=True)
     (folder / "short.csv").write_text("".join(text[:40]))
     (folder / "empty.csv").write_text("")

@@ -150,7 +150,7 @@ def test_a_whitener_of_blocks_is_that_of_the_dense_matrix(rows: int) -> None:
     white, data = whitener((first, second), (2.0, 0.5)), rng.standard_normal((rows, 3))
     assert sum(len(own) for own, _ in white.blocks) == (1 if rows == 80 else rows // 20)
     np.testing.assert_allclose(white(data).T @ white(data), data.T @ np.linalg.solve(dense, data))
-    np.testing.assert_allclose(white.weighted(data), np.linalg.solve(dense, data), atol=1e-12)
+    np.testing.assert_allclose(white.weigh(data), np.linalg.solve(dense, data), atol=1e-12)
     assert white.log_det == pytest.approx(np.linalg.slogdet(dense)[1])
     assert whitener((first, second), (0.0, 0.0)).plain
 
@@ -210,7 +210,7 @@ def test_the_restricted_likelihood_is_that_of_dense_matrices(
     assert (left.out.shape[1] > 0) == (kind == "settings")
     assert left.freedom == len(jacobian) - jacobian.shape[1]
     found = left.at(np.array(ratio))
-    power = [found.power(found.solve(left.turned(one))) for one in data.T]
+    power = [found.power(found.solve(left.turn(one))) for one in data.T]
     expected, logs = _projected(jacobian, _whole(components, ratio), data)
     assert power == pytest.approx(expected, rel=1e-7)
     assert found.log_det == pytest.approx(logs, rel=1e-8, abs=1e-8)
@@ -236,7 +236,7 @@ def test_what_large_settings_leave_is_not_lost() -> None:
     left = restrict(jacobian, (column,))
     both = np.column_stack([jacobian, column])
     rest = data - both @ np.linalg.lstsq(both, data, rcond=None)[0]
-    moved = left.turned(data + 1e6 * column @ np.ones((column.shape[1], data.shape[1])))
+    moved = left.turn(data + 1e6 * column @ np.ones((column.shape[1], data.shape[1])))
     expected = pytest.approx((rest**2).sum(axis=0) + column.shape[1], rel=1e-5)
     found = left.at(np.array([1e6]))
     assert [found.power(found.solve(one)) for one in moved.T] == expected

@@ -7,7 +7,7 @@ import pytest
 
 from imucalib.core.course import course_of, slope_of
 from imucalib.core.effect import Context, Response, Truth
-from imucalib.effects.array.timing import slowed
+from imucalib.effects.array.timing import slow
 from imucalib.effects.strap import centres, posture
 from imucalib.units import MG, STANDARD_GRAVITY
 
@@ -30,7 +30,7 @@ def test_times_against_a_reference_that_is_slow_itself(reference: float) -> None
     beside = np.stack([np.arange(600) > 0, np.arange(600) < 599], axis=1)
     course = course_of(value, slope_of(value, T, beside), T, beside)
     lag = np.broadcast_to((true - reference)[:, None], (600, 3, 1))
-    found = slowed(course, lag)
+    found = slow(course, lag)
     kept = slice(50, -50)
     for k, tau in enumerate(true):
         want = behind(tau)

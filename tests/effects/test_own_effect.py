@@ -11,7 +11,7 @@ import pytest
 
 from imucalib import effects
 from imucalib.calibrators.lab.position_table import write_position_table
-from imucalib.calibrators.lab.simulation import BenchPlan, simulated_table
+from imucalib.calibrators.lab.simulation import BenchPlan, simulate_table
 from imucalib.errors import UsageError
 from worlds.command import run
 from worlds.places import ROOT
@@ -34,7 +34,7 @@ def test_the_example_is_found_written_and_applied(example: Path, tmp_path: Path)
     effects.load_file(example)
     plan = BenchPlan("rings", 32, {"xy_into_z": (14.0,)}, setting=(0.05, 0.05))
     table = tmp_path / "bench.csv"
-    write_position_table(simulated_table(plan, np.random.default_rng(2)), table)
+    write_position_table(simulate_table(plan, np.random.default_rng(2)), table)
     effects._LOADED.clear()
 
     out = tmp_path / "out"

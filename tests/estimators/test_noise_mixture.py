@@ -9,7 +9,7 @@ import pytest
 
 from imucalib.core.observations import NoisePrior
 from imucalib.estimators.least_squares import fit
-from imucalib.estimators.noise_mixture import with_noise_integrated
+from imucalib.estimators.noise_mixture import integrate_noise
 from imucalib.units import DEG
 from worlds.bench import base_model, bench, draw, ordinary_theta
 
@@ -20,7 +20,7 @@ PRIOR = NoisePrior(spread=0.7, setting=0.1 * DEG, parameters={"scale_x": 0.01, "
 def test_the_covariance_is_that_of_an_integral_on_a_grid(seed: int) -> None:
     """Eight rows: log-normal factor, half-Cauchy settings, θ normal given them."""
     base, data = base_model(), replace(bench(seed, 8), noise_prior=PRIOR)
-    got = with_noise_integrated(fit(base, draw(base, ordinary_theta(base, data, seed), data, seed)))
+    got = integrate_noise(fit(base, draw(base, ordinary_theta(base, data, seed), data, seed)))
     at, n = got.at, got.at.residual.size
     start = np.array([p.start for p in got.parameters])
     known, off = np.diag(got.known_sd**-2.0), start - got.theta

@@ -100,7 +100,7 @@ class Normal:
 
 def test_the_run_keeps_every_draw_after_the_burn_in(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(algorithm, "_TUNING", 50)
-    monkeypatch.setattr(algorithm, "tuned_count", lambda data, prior, rng: (Normal(0.2), 0.04))
+    monkeypatch.setattr(algorithm, "tune_count", lambda data, prior, rng: (Normal(0.2), 0.04))
     prior = Normal().prior
     found = run_pmmh(None, prior, np.random.default_rng(3), iterations=1500, chains=4)  # type: ignore[arg-type]
     assert found.draws.shape == (4, 1500, 2)

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from imucalib.estimators.carried import attitudes
 from imucalib.estimators.turn_log import Turn, TurnLog
-from imucalib.estimators.turns import LOWER, Laws, TurnFit, carried_error, fit_turns, without
+from imucalib.estimators.turns import LOWER, Laws, TurnFit, carry_error, fit_turns, leave_out
 from worlds.turned_imu import Chip, chip, turned
 
 
@@ -100,7 +100,7 @@ def test_sensitivity_to_force_is_a_law_of_nine_numbers() -> None:
     sd = np.sqrt(np.diag(fit.gains))[9:]
     assert np.abs((fit.state.theta - planted.ravel()) / sd).max() < 4.0
     every = np.arange(len(log.turns))
-    assert np.mean(carried_error(fit, every)) < 0.5 * np.mean(carried_error(plain, every))
+    assert np.mean(carry_error(fit, every)) < 0.5 * np.mean(carry_error(plain, every))
     assert np.abs(far(fit, made)).max() < 4.5
 
 
@@ -108,10 +108,10 @@ def test_a_fold_is_a_refit() -> None:
     _, log = known(4)
     whole = fit_turns(log)
     out = np.arange(len(log.turns)) < 4
-    linear, refit = without(whole, out), fit_turns(log, used=~out, start=whole.state)
+    linear, refit = leave_out(whole, out), fit_turns(log, used=~out, start=whole.state)
     sd = np.sqrt(np.diag(refit.gains)).reshape(3, 3)
     assert np.abs((linear.state.gain - refit.state.gain) / sd).max() < 0.2
-    assert np.degrees(carried_error(linear, np.flatnonzero(out))).max() < 0.5
+    assert np.degrees(carry_error(linear, np.flatnonzero(out))).max() < 0.5
 
 
 def test_one_bad_turn_moves_little() -> None:

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from goldens.test_programs import golden
-from imucalib.calibration.comparison.agreement import beyond
-from imucalib.calibrators.lab.advice import beyond_declared
+from imucalib.calibration.comparison.agreement import estimate_excess
+from imucalib.calibrators.lab.advice import chance_of_factor
 from imucalib.core.fit import Fit
-from imucalib.posterior.held_out import difference, with_density
+from imucalib.posterior.held_out import add_density, difference
 
 
 def test_the_interval_of_a_gain_is_students() -> None:
@@ -28,7 +28,7 @@ def test_the_interval_of_a_gain_is_students() -> None:
         assert (found.high, found.low) == pytest.approx((off.mean() + half, off.mean() - half))
         nats = rng.standard_normal(m)
         low = nats.sum() - t * np.std(nats, ddof=1) * np.sqrt(m)
-        assert with_density(found, nats).nats_low == pytest.approx(low, rel=1e-9)
+        assert add_density(found, nats).nats_low == pytest.approx(low, rel=1e-9)
 
 
 def test_the_interval_of_a_parameter_is_students() -> None:
@@ -54,7 +54,7 @@ def test_more_scatter_than_declared_has_the_tail_of_chi_square() -> None:
     for dof, x, tail in zip(*golden("chi_square").values(), strict=True):
         noise = SimpleNamespace(factor=np.sqrt(x / dof))
         fit = SimpleNamespace(noise=noise, noise_covariance=np.array([[0.5 / dof]]), dof=3)
-        assert beyond_declared(cast(Fit, fit)) == pytest.approx(tail, rel=1e-9, abs=1e-300)
+        assert chance_of_factor(cast(Fit, fit)) == pytest.approx(tail, rel=1e-9, abs=1e-300)
 
 
 def test_the_scatter_between_calibrations_has_the_ends_of_chi_square() -> None:
@@ -62,6 +62,6 @@ def test_the_scatter_between_calibrations_has_the_ends_of_chi_square() -> None:
     for dof, high, low in zip(*golden("chi_quantiles").values(), strict=True):
         value, v = np.random.default_rng(int(dof)).normal(0.0, 3.0, int(dof) + 1), 0.2
         squares = float(np.sum((value - value.mean()) ** 2))
-        found = beyond(value, np.full(value.size, v))
+        found = estimate_excess(value, np.full(value.size, v))
         expected = [np.sqrt(max(squares / x - v, 0.0)) for x in (dof, high, low)]
         assert (found.sd, found.low, found.high) == pytest.approx(expected, rel=1e-6)

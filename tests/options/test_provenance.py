@@ -57,7 +57,7 @@ def asked(name: str, arguments: tuple[str, ...], bench: Bench, folder: Path) -> 
 
     def stop(*given: Any) -> NoReturn:
         (request,) = (one for one in given if hasattr(one, "stated"))
-        told.append({"seed": getattr(request, "seed", None), **request.stated()})
+        told.append({"seed": getattr(request, "seed", None), **request.describe_settings()})
         raise Stopped("stopped")
 
     typed = [re.sub(r"<(?!out)([^<>]+)>", lambda m: str(bench.path(m[1])), a) for a in arguments]

@@ -24,7 +24,7 @@ from imucalib.posterior import held_out as held_out_module
 from imucalib.posterior.candidates import SearchedEffects, effects_to_search
 from imucalib.posterior.closed_loop.closed import close_loop
 from imucalib.posterior.closed_loop.found import Loop, Step, Unexplained
-from imucalib.posterior.closed_loop.recorded import RunCourse, course_of, recorded_grams, whitener
+from imucalib.posterior.closed_loop.recorded import RunCourse, course_of, multiply_course, whitener
 from imucalib.posterior.closed_loop.recording import close_recording, follow_bias
 from imucalib.posterior.closed_loop.words import select_model
 from imucalib.posterior.held_out import (
@@ -190,7 +190,7 @@ def made() -> tuple[Problem, Grams, RunCourse]:
     plain = fit(base_model(NINE), data)
     course, _ = course_of(plain, np.zeros(data.n))
     problem = problem_of(plain, components_of(plain.model, data, asked()))
-    return problem, recorded_grams(problem, course), course
+    return problem, multiply_course(problem, course), course
 
 
 def test_runs_left_out_are_as_good_as_never_taken() -> None:

@@ -41,7 +41,7 @@ def test_a_wrong_record_is_off_by_what_a_refit_without_it_predicts() -> None:
     reading = data.reading.copy()
     reading[row, 0, 1] += 40.0 * MG
     asked = effects_to_search(("quadratic",), (), {}, lambda effect: True)
-    (said,) = close_loop(base_model(), data.with_reading(reading), asked).loop.records
+    (said,) = close_loop(base_model(), data.set_reading(reading), asked).loop.records
     rest = fit(base_model(), data.without(np.array([row])))
     own = data.take(np.array([row]))
     at = rest.model.predict(

@@ -8,7 +8,7 @@ from imucalib.arrays import Array
 from imucalib.calibrators.array.board.board import Board, read_board
 from imucalib.calibrators.array.board.catalogue import array_catalogue
 from imucalib.calibrators.array.board.log import array_log
-from imucalib.calibrators.array.board.moving import Moving, moving_part
+from imucalib.calibrators.array.board.moving import Moving, find_moving
 from imucalib.calibrators.array.board.rests import RestFit, fit_rests
 from imucalib.calibrators.array.motion.board_motion import BoardMotion, board_motion
 from imucalib.calibrators.array.motion.closed_loop import MotionLoop, close_array_loop
@@ -88,7 +88,7 @@ def planted(
     """(T, K, 3) what the effect adds: one number as given, several at random of that size."""
     name, _, only = effect.partition("@")
     found = array_catalogue()[name]
-    basis = motion.turned(found.basis(motion.truth, motion.context))
+    basis = motion.turn_to_board(found.basis(motion.truth, motion.context))
     if found.shared:
         theta = np.full(basis.shape[3], size)
         if basis.shape[3] > 1:
@@ -107,7 +107,7 @@ def moving_of(recording: Recording, board: Board = BOARD) -> tuple[Moving, RestF
     segments = still_segments(recording)
     log = array_log(recording, board)
     rests = fit_rests(segments, board, 9.80665)
-    return moving_part(log, rests), rests
+    return find_moving(log, rests), rests
 
 
 def closed(recording: Recording, samples: int = 300, board: Board = BOARD) -> MotionLoop:

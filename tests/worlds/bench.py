@@ -77,7 +77,7 @@ def tumble(seed: int, n: int = 60) -> Observations:
     """The same attitudes where only the size of gravity is known."""
     known = bench(seed, n)
     blank = _blank(KnownNorm(n, GRAVITY), known.context)
-    return blank.with_reading(known.reading)
+    return blank.set_reading(known.reading)
 
 
 def _blank(reference: Reference, context: Context) -> Observations:
@@ -127,4 +127,4 @@ def simulate(
             eta[used] = sd * rng.standard_normal(used.size)
     clean = model.predict(theta, reference.truth(eta), context).reading
     spread = noise.factor * observations.sigma
-    return observations.with_reading(clean + spread * rng.standard_normal(clean.shape))
+    return observations.set_reading(clean + spread * rng.standard_normal(clean.shape))

@@ -11,7 +11,7 @@ import numpy as np
 from imucalib.calibrators.actigraph.simulation import WeekPlan
 from imucalib.calibrators.array.board.board import read_board
 from imucalib.calibrators.array.simulation import LogPlan, simulate_log
-from imucalib.calibrators.lab.simulation import BenchPlan, simulated_recording, simulated_table
+from imucalib.calibrators.lab.simulation import BenchPlan, simulate_recording, simulate_table
 from imucalib.writers import write, write_blocks
 from worlds.turned_imu import chip, turned
 from worlds.week import simulated_blocks
@@ -27,9 +27,9 @@ class Input:
 
 def _rests(folder: Path) -> Input:
     rng = np.random.default_rng(0)
-    table = simulated_table(BenchPlan("rings", 24), rng)
+    table = simulate_table(BenchPlan("rings", 24), rng)
     path = folder / "rests.csv"
-    write(simulated_recording(table, rng, rate=50.0, rest=3.0), path)
+    write(simulate_recording(table, rng, rate=50.0, rest=3.0), path)
     return Input(path, ("--reference", "norm"))
 
 

@@ -15,7 +15,7 @@ from imucalib.calibrators.actigraph.simulation import (
     scan_of,
     temperature_at,
 )
-from imucalib.calibrators.planted import planted_model
+from imucalib.calibrators.planted import plant_model
 from imucalib.core.effect import Context
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.runs import PostureRuns, Scan
@@ -75,7 +75,7 @@ def simulated_week(plan: WeekPlan, seed: int) -> Week:
 def sensed(plan: WeekPlan, force: Array, runs: PostureRuns, scanned: Scan) -> Array:
     """Noise-free readings (n, 3) of the planted sensor at specific forces (n, 3), m/s²."""
     context = Context(runs.n, covariates_of(runs, scanned))
-    model, theta = planted_model({**plan.sensor, **plan.plant}, context)
+    model, theta = plant_model({**plan.sensor, **plan.plant}, context)
     reading = model.predict(theta, force[:, None], context).reading[:, 0]
     if plan.curve is not None:
         reading = reading + MG * plan.curve(force / STANDARD_GRAVITY)
@@ -97,7 +97,7 @@ def simulated_blocks(
 ) -> Iterator[Recording]:
     """Rests and movements of the sensor alone, in blocks of `block` seconds."""
     rng = np.random.default_rng(seed)
-    model, theta = planted_model(plan.sensor, Context(1))
+    model, theta = plant_model(plan.sensor, Context(1))
     at_zero = model.predict(theta, np.zeros((1, 1, 3)), Context(1))
     offset, reach = at_zero.reading[0, 0], at_zero.d_truth[0, 0]
     per = round(plan.rate * POSTURE)

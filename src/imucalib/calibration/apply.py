@@ -14,7 +14,7 @@ from imucalib.calibration.triads import (
     DRIFT,
     Triad,
     correct_triads,
-    pairing_of,
+    pair_triads,
     select_triads,
     undo_drift,
 )
@@ -54,7 +54,7 @@ def apply_to_recording(
         found = imus_corrected(calibration, recording, pairing.partner, sensor)
         return replace(found, notes=(*found.notes, *pairing.notes))
     ready = Corrector(calibration, sensor, use=use, again=again)
-    (found,) = ready.corrected(lambda: iter([recording]))
+    (found,) = ready.correct_blocks(lambda: iter([recording]))
     return replace(found, notes=(*found.notes, *ready.notes))
 
 
@@ -64,15 +64,15 @@ def pair_at_rest(triads: Sequence[Triad], found: Iterable[Recording]) -> Pairing
     first: list[Recording] = []
     pairing: list[Pairing] = []
 
-    def watched() -> Iterator[Recording]:
+    def watch() -> Iterator[Recording]:
         for block in found:
             if block.channels and not pairing:
                 first.append(block)
-                pairing.append(pairing_of(triads, block))
+                pairing.append(pair_triads(triads, block))
             yield block
 
     try:
-        segments = find_segments(watched())
+        segments = find_segments(watch())
     except Undetermined as error:
         if not pairing:
             raise
@@ -149,19 +149,19 @@ def correct_file(
     ready = None if calibration.triads else Corrector(calibration, sensor, use=use, again=again)
     found: Iterator[Recording]
     if ready is not None:
-        found = ready.corrected(every)
+        found = ready.correct_blocks(every)
     else:
         pairing = pair_at_rest(calibration.triads, every())
         notes = dict.fromkeys(pairing.notes)
         found = (imus_corrected(calibration, b, pairing.partner, sensor) for b in every())
 
-    def noted() -> Iterator[Recording]:
+    def collect_notes() -> Iterator[Recording]:
         for block in found:
             notes.update(dict.fromkeys(block.notes))
             yield block
 
     try:
-        write_blocks(noted(), target)
+        write_blocks(collect_notes(), target)
     except ChannelsChange:  # the format must know its columns or topics first
         return at_once()
     return (*notes, *(ready.notes if ready is not None else ()))

@@ -13,7 +13,7 @@ import numpy as np
 from imucalib.arrays import Array, Index
 from imucalib.calibration.plain import fields
 from imucalib.calibration.triads import Triad
-from imucalib.calibration.uncertainty import correcting, force_slopes
+from imucalib.calibration.uncertainty import force_slopes, select_correctable
 from imucalib.core.effect import Context
 from imucalib.core.fit import Fit, StoredParameter
 from imucalib.core.model import Model
@@ -202,7 +202,7 @@ class Calibration:
         own = self.covariance_of(model)
         return np.asarray(np.einsum("nip,pq,njq->nij", slope, own, slope))
 
-    def stated_error(self, units: Mapping[str, float], of: str) -> float:
+    def find_error(self, units: Mapping[str, float], of: str) -> float:
         """The first error of "raw" or "final" readings in one of the units, held out or fitted, in
         that of their factors; infinite where none is known."""
         for error in self.facts.get("errors", ()):
@@ -212,7 +212,7 @@ class Calibration:
                         return factor * float(value)
         return math.inf
 
-    def unrecorded(self, covariate: str) -> float:
+    def assume(self, covariate: str) -> float:
         """Where an effect acts whose covariate was not recorded: what time has brought about stays,
         so times stand at the end of what was calibrated, all else in the middle of its range.
 
@@ -223,7 +223,7 @@ class Calibration:
 
     def context(self, count: int) -> Context:
         """Of `count` readings of which no covariate was recorded."""
-        return Context(count, {n: np.full(count, self.unrecorded(n)) for n in self.valid})
+        return Context(count, {n: np.full(count, self.assume(n)) for n in self.valid})
 
     def apply(self, reading: Array, context: Context | None = None, *, unit: str = "") -> Array:
         """Correct readings (..., 3), one or many, to specific force of the same shape and unit in
@@ -326,7 +326,7 @@ def from_fit(
 ) -> Calibration:
     """The calibration of a fit; records that were set aside are no part of it."""
     context = fit.observations.context
-    needed = {name for effect in correcting(fit.model).effects for name in effect.needs}
+    needed = {name for effect in select_correctable(fit.model).effects for name in effect.needs}
     valid = {
         name: (float(context[name].min()), float(context[name].max()))
         for name in sorted(needed | ({"temperature"} & set(context.covariates)))

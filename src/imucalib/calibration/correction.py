@@ -80,13 +80,13 @@ class Corrector:
         self._held: dict[str, None] = {}
         self._rests, self._said, self._path = GravityAtRest(), again, ""
 
-    def corrected(self, blocks: Callable[[], Iterator[Recording]]) -> Iterator[Recording]:
+    def correct_blocks(self, blocks: Callable[[], Iterator[Recording]]) -> Iterator[Recording]:
         """The blocks of a recording with acceleration, and rate, corrected; what follows the
         temperature goes through them twice. Errors as of `apply.apply_to_recording`."""
         if self._warm or self._remembered:
-            name, found = self._named(blocks())
+            name, found = self._name_thermometer(blocks())
             self._history = thermal_history(found, name)
-        name, found = self._named(blocks())
+        name, found = self._name_thermometer(blocks())
         if self._warm:
             for block, thermometer in pair_thermometer(found, name):
                 yield self._block(block, thermometer)
@@ -94,10 +94,10 @@ class Corrector:
             for block in found:
                 yield self._block(block, None)
         if not self._said:
-            stated = self._calibration.stated_error({"mg": 1.0}, "final")
+            stated = self._calibration.find_error({"mg": 1.0}, "final")
             self._rests.demand_better(self._calibration.gravity, stated, self._path)
 
-    def _named(self, found: Iterator[Recording]) -> tuple[str, Iterator[Recording]]:
+    def _name_thermometer(self, found: Iterator[Recording]) -> tuple[str, Iterator[Recording]]:
         """The sensor whose thermometer counts, and the blocks."""
         first = next(found, None)
         if first is None:
@@ -143,7 +143,7 @@ class Corrector:
     def _force(self, recording: Recording, channel: Channel, thermometer: Channel | None) -> Array:
         """Specific force (n, 3) m/s² of a block. Raises UnreadableInput where a covariate is
         missing of which not even the calibrated range is known."""
-        known = self._known(recording, channel, thermometer)
+        known = self._find_covariates(recording, channel, thermometer)
         context = Context(len(channel.t), self._complete(known, len(channel.t), recording))
         self._samples += len(channel.t)
         if self._bent:
@@ -192,7 +192,7 @@ class Corrector:
             )
         return tuple(found)
 
-    def _known(
+    def _find_covariates(
         self, recording: Recording, channel: Channel, thermometer: Channel | None
     ) -> dict[str, Array]:
         known, history = _clock(self._calibration, recording, channel), self._history
@@ -247,12 +247,12 @@ class Corrector:
                         remedy="record it, or calibrate with --without " + effect.name,
                     )
                 size = _swing(effect, theta[slices[effect.name]], self._calibration, lost)
-                self._held[_held_words(effect.name, lost, valid, size)] = None
-        usual = self._calibration.unrecorded
+                self._held[_describe_held(effect.name, lost, valid, size)] = None
+        usual = self._calibration.assume
         return found | {name: np.full(n, usual(name)) for name in absent}
 
 
-def _held_words(effect: str, lost: list[str], valid: Spans, size: float) -> str:
+def _describe_held(effect: str, lost: list[str], valid: Spans, size: float) -> str:
     spans = ", ".join(f"{valid[name][0]:.3g} to {valid[name][1]:.3g}" for name in lost)
     names = ", ".join(lost)
     where = " and ".join(dict.fromkeys(where_assumed(name) for name in lost))
@@ -265,7 +265,7 @@ def _held_words(effect: str, lost: list[str], valid: Spans, size: float) -> str:
 def _swing(effect: Effect, theta: Array, calibration: Calibration, lost: list[str]) -> float:
     """m/s², how far the effect goes from where it acts to the ends of its covariates'
     ranges, at most, with gravity along any axis."""
-    valid, usual = calibration.valid, calibration.unrecorded
+    valid, usual = calibration.valid, calibration.assume
     ends = np.array(list(product(*[(usual(n), *valid[n]) for n in lost])))
     along = STANDARD_GRAVITY * np.concatenate([np.eye(3), -np.eye(3)])
     force = np.tile(along, (len(ends), 1))

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated, Any
 
 from imucalib.calibration.calibration import stored_parameters
-from imucalib.calibration.power import hidden
+from imucalib.calibration.power import find_hidden
 from imucalib.core.fit import Fit, StoredParameter
 from imucalib.data import Data
 from imucalib.posterior.closed_loop.found import FitLoop, Loop, Score, Step, Unexplained
@@ -145,7 +145,7 @@ def findings_of_fit(
         without=without,
         not_testable=tuple(
             Untestable(h.name, "a typical size", h.size / MG, "mg rms")
-            for h in hidden(loop.scores, loop.final.model.names)
+            for h in find_hidden(loop.scores, loop.final.model.names)
             if h.absorbed
         ),
     )

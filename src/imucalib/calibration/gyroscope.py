@@ -46,10 +46,10 @@ class Gyroscope:
         seen = own = reading - self.bias
         heat = np.full(len(seen), self.warm) if warm is None else warm
         for _ in range(_ROUNDS if self.laws else 0):
-            own = seen - self.added(own, force, heat)
+            own = seen - self.evaluate_laws(own, force, heat)
         return np.asarray(own @ self.gain.T)
 
-    def added(self, rate: Array, force: Array, warm: Array) -> Array:
+    def evaluate_laws(self, rate: Array, force: Array, warm: Array) -> Array:
         """(n, 3) rad/s that laws add to a reading, of what the axes are exposed to."""
         none = np.zeros((len(rate), 1, 3))
         known = {"order": np.ones(len(rate)), "temperature": warm}

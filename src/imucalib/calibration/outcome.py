@@ -97,7 +97,7 @@ class Left:
         return f"{self.name}: {self.value:.3g} {self.unit}, {more} the {self.accepted:.3g} accepted"
 
 
-def left_open(loop: FitLoop | None, error: ErrorSummary) -> tuple[Left, ...]:
+def list_open(loop: FitLoop | None, error: ErrorSummary) -> tuple[Left, ...]:
     """By how much what a search leaves open changes a corrected reading, rms, against what the
     calibration is good to: the error (mg) on held-out data, of the fit where nothing was held out.
     Nothing where all is settled."""

@@ -23,7 +23,7 @@ def fields(source: object, names: str) -> dict[str, Any]:
     return {key or path: plain(attrgetter(path)(source)) for key, _, path in parts}
 
 
-def listed(sources: Iterable[object], names: str) -> list[dict[str, Any]]:
+def list_fields(sources: Iterable[object], names: str) -> list[dict[str, Any]]:
     """`fields` of each of some objects."""
     return [fields(source, names) for source in sources]
 

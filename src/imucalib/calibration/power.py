@@ -27,7 +27,7 @@ class Hidden:
     identify: str
 
 
-def hidden(scores: Sequence[Score], present: Sequence[str] = ()) -> tuple[Hidden, ...]:
+def find_hidden(scores: Sequence[Score], present: Sequence[str] = ()) -> tuple[Hidden, ...]:
     """Effects of the sensor that may hide, largest first, absorbed ones before the others.
 
     present : those in the model

@@ -127,7 +127,7 @@ def effect_covariance(block: Mapping[str, Any]) -> Array:
     return found
 
 
-def pairing_of(triads: Sequence[Triad], recording: Recording) -> Pairing:
+def pair_triads(triads: Sequence[Triad], recording: Recording) -> Pairing:
     """The triad of each of the recording's accelerometers. Errors as in `pairing.paired`."""
     return pair([(t.name, t.channel) for t in triads], recording, "the calibration")
 

@@ -24,7 +24,7 @@ from imucalib.effects.record_error import is_record_error
 from imucalib.units import DEG
 
 
-def correcting(model: Model) -> Model:
+def select_correctable(model: Model) -> Model:
     """The part of a model that `correct` undoes: mounting and sensor, without single records."""
     return Model(
         tuple(e for e in model.effects if e.stage != "fixture" and not is_record_error(e.name))
@@ -99,7 +99,7 @@ def force_slope(fit: Fit, force: Array) -> tuple[Array, Array]:
 
     The fixture's and single records' parameters do not act on a corrected reading: zero columns.
     """
-    model, theta, context = _correcting(fit, len(force))
+    model, theta, context = _select_corrector(fit, len(force))
     own, inverse = force_slopes(model, theta, force[:, 0], context)
     slices = fit.model.slices(fit.observations.context)
     slope = np.zeros((*own.shape[:2], fit.theta.size))
@@ -111,14 +111,14 @@ def force_slope(fit: Fit, force: Array) -> tuple[Array, Array]:
 def correct_readings(fit: Fit, reading: Array) -> Array:
     """New readings (n, 3) m/s² corrected to specific force (n, 3) by a fit, K = 1, covariates at
     their median over the calibration."""
-    model, theta, context = _correcting(fit, len(reading))
+    model, theta, context = _select_corrector(fit, len(reading))
     return model.correct(theta, reading[:, None], context)[:, 0]
 
 
 def corrector(fit: Fit) -> Callable[[Array, Index], Array]:
     """What corrects readings (n, 3) m/s² as observations (n,) of the fit are, at the covariates of
     these; K = 1."""
-    model, theta, _ = _correcting(fit, 1)
+    model, theta, _ = _select_corrector(fit, 1)
     context = fit.observations.context
 
     def correct(reading: Array, like: Index) -> Array:
@@ -127,9 +127,9 @@ def corrector(fit: Fit) -> Callable[[Array, Index], Array]:
     return correct
 
 
-def _correcting(fit: Fit, n: int) -> tuple[Model, Array, Context]:
+def _select_corrector(fit: Fit, n: int) -> tuple[Model, Array, Context]:
     """What of a fit corrects n readings: covariates at their median over the calibration."""
-    model, slices = correcting(fit.model), fit.model.slices(fit.observations.context)
+    model, slices = select_correctable(fit.model), fit.model.slices(fit.observations.context)
     covariates = fit.observations.context.covariates
     typical = {name: np.full(n, float(np.median(values))) for name, values in covariates.items()}
     theta = np.concatenate([np.zeros(0), *(fit.theta[slices[name]] for name in model.names)])

@@ -110,7 +110,7 @@ class Undo:
             return x, settled
         last = np.zeros(len(reading))
         for _ in range(_ROUNDS):
-            before, x = x, linear - self._beyond(x, known) @ self._inverse.T
+            before, x = x, linear - self._evaluate_nonlinear(x, known) @ self._inverse.T
             moved = np.abs(x - before).max(axis=1)
             # The next step is to this one as this one is to the last: one too small is not made.
             shrunk = np.minimum(moved / np.maximum(last, _CLOSE), 1.0)
@@ -120,7 +120,7 @@ class Undo:
         settled = moved <= _CLOSE
         return np.where(settled[:, None], x, linear), settled
 
-    def _beyond(self, x: Array, known: Context) -> Array:
+    def _evaluate_nonlinear(self, x: Array, known: Context) -> Array:
         """(n, 3) m/s² what is not M x + b."""
         total = np.zeros_like(x)
         for axis, out, table in self._tables:

@@ -1,7 +1,7 @@
 """The rests to record next of a sensor at rest, so that its ambiguities end.
 
-A finished run keeps in its report what a plan needs (`recorded_block`). Candidates are attitudes of
-a two-axis table's grid, or faces, edges and corners where other things are set beside them: each
+A finished run keeps in its report what a plan needs (`describe_recorded`). Candidates are attitudes
+of a two-axis table's grid, or faces, edges and corners where other things are set beside them: each
 temperature that can be had, hours of the day, the side from which a dial is set.
 """
 
@@ -128,7 +128,7 @@ class NextRecording:
         return 0 if all(part.separation.enough for part in self.parts) else 5
 
 
-def recorded_block(
+def describe_recorded(
     fit: Fit,
     ambiguities: Sequence[Ambiguity],
     *,

@@ -20,7 +20,7 @@ _PARTS = {"gap": 2, "freeze": 2, "sign": 2, "clip": 1, "exchange": 2}
 _NUMBERS = ("gap", "freeze", "clip")
 
 
-def planted_model(sizes: Mapping[str, tuple[float, ...]], context: Context) -> tuple[Model, Array]:
+def plant_model(sizes: Mapping[str, tuple[float, ...]], context: Context) -> tuple[Model, Array]:
     """A model of some effects, by name, and its θ of their sizes, in their parameters' units.
     Raises UsageError for a wrong number of parameters, and for what these data do not carry."""
     model = Model(tuple(named(name) for name in sizes))
@@ -30,7 +30,7 @@ def planted_model(sizes: Mapping[str, tuple[float, ...]], context: Context) -> t
         if len(values) != part.stop - part.start:
             names = ", ".join(p.name for p in effect.parameters(context))
             raise UsageError(f"{name} has {part.stop - part.start} parameters: {names}")
-        if reason := effect.missing(context):
+        if reason := effect.find_missing(context):
             raise UsageError(f"{name} cannot be planted: {reason}")
         theta[part] = values
     return model, theta

@@ -95,7 +95,7 @@ class Population:
         noise += [self._noise(component, 1.0, _ABOUT) for component in components]
         return replace(joint_prior(mean, covariance), noise=np.array(noise))
 
-    def shared_effects(self, context: Context) -> tuple[Effect, ...]:
+    def select_shared(self, context: Context) -> tuple[Effect, ...]:
         """The shared effects, whose sizes the fleet knows: their covariates must be known, and need
         not vary. Raises UsageError where one is not."""
         found = tuple(named(name) for name in self.effects)

@@ -52,7 +52,7 @@ class Request:
             return _ANYWHERE
         return _BY_LATITUDE if self.gravity_source.startswith("normal") else _GIVEN
 
-    def stated(self) -> dict[str, object]:
+    def describe_settings(self) -> dict[str, object]:
         """The settings as provenance keeps them."""
         return {
             "gravity_m_per_s2": self.gravity,
@@ -66,12 +66,12 @@ class Request:
             "limits": dict(self.limits),
         }
 
-    def declared_effects(self, context: Context) -> tuple[Effect, ...]:
+    def select_declared(self, context: Context) -> tuple[Effect, ...]:
         """Effects that are in the base model as declared. Raises UsageError for an unknown one, and
         for one whose covariates were not recorded."""
         found = tuple(self.extra_effects.get(name) or named(name) for name in self.declare)
         for effect in found:
-            if reason := effect.missing(context):
+            if reason := effect.find_missing(context):
                 raise UsageError(f"--declare {effect.name}: {reason}", remedy=effect.identify)
         return found
 

@@ -26,7 +26,7 @@ _ATTITUDES = 100
 _RIDGE = 1e-3
 
 
-def with_rivals(fit: Fit, rivals: Sequence[Rival], gravity: float) -> Fit:
+def mix_rivals(fit: Fit, rivals: Sequence[Rival], gravity: float) -> Fit:
     """The fit with its covariance and its intervals widened by what the rivals correct otherwise.
 
     rivals : likeliest first, `fit` the first with its names; gravity : m/s²

@@ -109,7 +109,7 @@ def estimate_scatter(
     to scatter by; parameters : name, value of the mean and its sd, none where nothing carries them
     """
     sizes, weights, by_axis = sizes_allowed(parts, sd)
-    offsets, spread = parts.predicted(np.full(3, sd))
+    offsets, spread = parts.predict(np.full(3, sd))
     below = np.cumsum(weights) - 0.5 * weights
     low, high = np.interp((0.025, 0.975), below, sizes)
     found = []

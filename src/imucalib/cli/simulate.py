@@ -146,13 +146,13 @@ def imu(recording: Path, seed: int, **options: Any) -> int:
     """
     import numpy as np
 
-    from imucalib.calibrators.imu.simulation import ImuPlan, simulated_imu
+    from imucalib.calibrators.imu.simulation import ImuPlan, simulate_imu
 
     _demand_outputs([recording], force=options["force"])
     plant = _parse_planted(options["plant"])
     names = ("rests", "rate", "noise", "gyro_noise", "late")
     plan = ImuPlan(**{name: options[name] for name in names}, planted=plant)
-    made, gain = simulated_imu(plan, np.random.default_rng(seed))
+    made, gain = simulate_imu(plan, np.random.default_rng(seed))
     _write(made, recording, options["fault"])
     return _finish([recording], plant, options, gyro_gain=gain.tolist())
 
@@ -186,7 +186,7 @@ def lab(table: Path, recording: Path | None, seed: int, **options: Any) -> int:
     import numpy as np
 
     from imucalib.calibrators.lab.position_table import write_position_table
-    from imucalib.calibrators.lab.simulation import BenchPlan, simulated_recording, simulated_table
+    from imucalib.calibrators.lab.simulation import BenchPlan, simulate_recording, simulate_table
     from imucalib.errors import UsageError
 
     if options["fault"] and recording is None:
@@ -202,9 +202,9 @@ def lab(table: Path, recording: Path | None, seed: int, **options: Any) -> int:
         temperature=_two(warming, "--temperature") if warming else None,
     )
     rng = np.random.default_rng(seed)
-    made = simulated_table(plan, rng)
+    made = simulate_table(plan, rng)
     if recording is not None:
-        _write(simulated_recording(made, rng), recording, options["fault"])
+        _write(simulate_recording(made, rng), recording, options["fault"])
     write_position_table(made, table, angles_only=recording is not None)
     return _finish(written, plan.plant, options)
 

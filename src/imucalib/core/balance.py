@@ -134,12 +134,12 @@ def balance(model: Model, theta: Array, eta: Array, observations: Observations) 
         free=len(names),
         prior=observations.noise_prior,
     )
-    shared = tuple(_shared_columns(plain, noise) for noise in observations.shared)
+    shared = tuple(_stack_shared(plain, noise) for noise in observations.shared)
     component = (*names, *(noise.name for noise in observations.shared))
     return replace(plain, settings=(*plain.settings, *shared), component=component)
 
 
-def _shared_columns(at: Balanced, noise: SharedNoise) -> Array:
+def _stack_shared(at: Balanced, noise: SharedNoise) -> Array:
     n = len(noise.factor)
     triads = at.sigma.shape[1] // 3
     basis = np.broadcast_to(np.eye(3), (n, 3, 3)) if noise.basis is None else noise.basis
@@ -164,17 +164,17 @@ class Whitener:
         return not self.blocks
 
     def __call__(self, columns: Array) -> Array:
-        return self._solved(columns, transposed=False)
+        return self._solve(columns, transposed=False)
 
-    def weighted(self, columns: Array) -> Array:
+    def weigh(self, columns: Array) -> Array:
         """V⁻¹ s² times columns."""
         return self.back(self(columns))
 
     def back(self, white: Array) -> Array:
         """L⁻ᵀ times columns."""
-        return self._solved(white, transposed=True)
+        return self._solve(white, transposed=True)
 
-    def _solved(self, columns: Array, *, transposed: bool) -> Array:
+    def _solve(self, columns: Array, *, transposed: bool) -> Array:
         if not self.blocks:
             return columns
         solved = np.empty(columns.shape)
@@ -271,7 +271,7 @@ def setting_errors(at: Balanced, white: Whitener, ratio: tuple[float, ...], misf
 
     white : of the balance at these ratios. Concatenated in the components' order (Henderson 1975).
     """
-    weighted = white.weighted(misfit)
+    weighted = white.weigh(misfit)
     own = zip(at.settings[: at.free], ratio, strict=False)
     parts = [rho**2 * m.T @ weighted for m, rho in own]
     return np.concatenate(parts) if parts else np.zeros(0)

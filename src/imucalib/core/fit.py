@@ -128,13 +128,13 @@ class Fit:
     mixture: NoiseMixture | None = None
     shrink: Array | None = None
 
-    def known(self, theta: Array) -> Array:
+    def linearise_known(self, theta: Array) -> Array:
         """(k, 1 + p): what is left at θ of what is known of the parameters beside the readings, and
         its derivative, with the noise factor for its noise."""
         if self.prior is not None:
             return self.noise.factor * self.prior.rows(theta)
         sd = self.known_sd / self.noise.factor
-        return shrinking(sd, np.array([p.start for p in self.parameters]) - theta)
+        return shrink_rows(sd, np.array([p.start for p in self.parameters]) - theta)
 
     @property
     def known_sd(self) -> Array:
@@ -198,7 +198,7 @@ class Fit:
         return np.asarray(found.reshape(direction.shape[:-1]))
 
 
-def shrinking(shrink: Array, away: Array) -> Array:
+def shrink_rows(shrink: Array, away: Array) -> Array:
     """(k, 1 + p) rows of parameters whose standard deviation over the noise factor is finite; away
     : (p,) start less value."""
     held = np.flatnonzero(np.isfinite(shrink))

@@ -109,7 +109,7 @@ class Model:
         """
         x, short = reading.copy(), 1.0
         for turn in range(2 * _ROUNDS):
-            predicted, response = self._sensed(theta, x, context)
+            predicted, response = self._sense(theta, x, context)
             missed = reading - predicted
             # Newton's method leaps to and fro across a jump, ever shorter steps close in on it.
             short *= 1.0 if turn < _ROUNDS else 0.5
@@ -128,9 +128,9 @@ class Model:
                 "the sensor effects cannot be inverted at these readings",
                 remedy="they lie outside the range in which the calibration holds",
             )
-        return self._unmounted(theta, x, context)
+        return self._unmount(theta, x, context)
 
-    def _sensed(self, theta: Array, x: Array, context: Context) -> tuple[Array, Array]:
+    def _sense(self, theta: Array, x: Array, context: Context) -> tuple[Array, Array]:
         """Readings (n, K, 3) of specific force x in the sensor's frame, and their slopes."""
         slices = self.slices(context)
         reading, response = x.copy(), np.broadcast_to(_SAME, (*x.shape, 3)).copy()
@@ -141,7 +141,7 @@ class Model:
                 response += action.d_x
         return reading, response
 
-    def _unmounted(self, theta: Array, x: Array, context: Context) -> Array:
+    def _unmount(self, theta: Array, x: Array, context: Context) -> Array:
         slices = self.slices(context)
         for effect in reversed(self.effects):
             if effect.stage == "mounting":

@@ -19,7 +19,7 @@ from imucalib.core.references import Reference
 BIAS, MOUNTING = "session bias", "session mounting"
 
 
-def with_sessions(data: Observations, session: Index) -> Observations:
+def add_sessions(data: Observations, session: Index) -> Observations:
     """The observations with the errors that sessions share as variance components (m/s² and rad).
 
     session : (n,) number of each observation's session, from 0; of one alone nothing can be told
@@ -140,6 +140,6 @@ class Observations:
         """All observations except `rows`."""
         return self.take(np.setdiff1d(np.arange(self.n), rows))
 
-    def with_reading(self, reading: Array) -> Observations:
+    def set_reading(self, reading: Array) -> Observations:
         """The same observations with other readings (simulation, corrected records)."""
         return replace(self, reading=reading)

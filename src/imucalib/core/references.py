@@ -187,9 +187,9 @@ class KnownNorm:
         return 2 * self.count
 
     def truth(self, eta: Array) -> Array:
-        return self.gravity * self._seen(eta.reshape(self.count, 3, 1))[..., 0]
+        return self.gravity * self._turn_to_triads(eta.reshape(self.count, 3, 1))[..., 0]
 
-    def _seen(self, columns: Array) -> Array:
+    def _turn_to_triads(self, columns: Array) -> Array:
         """(n, K, 3, m) in each triad's axes, of columns (n, 3, m) in the common ones."""
         if self.attitude is None:
             return columns[:, None]
@@ -199,7 +199,7 @@ class KnownNorm:
         return tangents(eta.reshape(self.count, 3))
 
     def directions(self, eta: Array) -> Directions:
-        derivative = self.gravity * self._seen(self._tangents(eta))
+        derivative = self.gravity * self._turn_to_triads(self._tangents(eta))
         index = np.arange(2 * self.count, dtype=np.intp).reshape(self.count, 2)
         return Directions(derivative, index, (None, None))
 

@@ -54,7 +54,7 @@ class Restricted:
         """Numbers less parameters."""
         return len(self.out) - int(self.out.shape[1])
 
-    def turned(self, data: Array) -> Array:
+    def turn(self, data: Array) -> Array:
         """Data (N, ...) in these axes (n, ...)."""
         return np.asarray(self.frame.T @ data)
 

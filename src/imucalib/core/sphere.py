@@ -49,7 +49,7 @@ class KnownDirection:
     def truth(self, eta: Array) -> Array:
         if not self.tilts:
             return self.gravity * self.direction[:, None]
-        along, across, _, _ = self._turned(eta)
+        along, across, _, _ = self._turn(eta)
         turned = along[:, None] * self.direction + across[:, None] * self._away(eta)
         return np.asarray(self.gravity * turned[:, None])
 
@@ -58,7 +58,7 @@ class KnownDirection:
         away = np.einsum("nij,nj->ni", tangents(self.direction), eta.reshape(self.n, 2))
         return np.asarray(away)
 
-    def _turned(self, eta: Array) -> tuple[Array, Array, Array, Array]:
+    def _turn(self, eta: Array) -> tuple[Array, Array, Array, Array]:
         """Parts (n,) along the direction and along the tilt vector, and their slopes by half the
         square of the tilt's length r: cos r, sin r / r, up to `_LARGEST`, then a straight line."""
         r = np.linalg.norm(eta.reshape(self.n, 2), axis=1)
@@ -74,7 +74,7 @@ class KnownDirection:
     def directions(self, eta: Array) -> Directions:
         if not self.tilts:
             return Directions(np.zeros((self.n, 1, 3, 0)), np.zeros((self.n, 0), np.intp), ())
-        _, across, along_slope, across_slope = self._turned(eta)
+        _, across, along_slope, across_slope = self._turn(eta)
         tilt = eta.reshape(self.n, 1, 2)
         bend = along_slope[:, None] * self.direction + across_slope[:, None] * self._away(eta)
         slope = across[:, None, None] * tangents(self.direction) + bend[:, :, None] * tilt

@@ -23,7 +23,7 @@ from imucalib.effects.parts import (
     TOOL_FACE,
     EffectPart,
     linear,
-    turned,
+    turn_axes,
     words,
 )
 from imucalib.units import MG, STANDARD_GRAVITY
@@ -110,7 +110,7 @@ _BENT: dict[str, tuple[EffectPart, str, str, float]] = {
 }
 
 
-def _bent(
+def _bend(
     texts: tuple[str, str, str, str, str], prefix: str, what: str, against: str, bend: Bend
 ) -> Effect:
     """`against` names a covariate, or axes ("x", "xyz") whose input bends their response; prefix :
@@ -127,7 +127,7 @@ def _bent(
         own = zip(bend.labels, bend.typical, strict=True)
         each = tuple(Parameter(name + k, unit, 0.1 * t, plausible * t) for k, t in own)
         needs = tuple(dict.fromkeys((against, "tool_face")))
-        return Rotation(*texts, needs, named=each, turns=turned(part.axes, values))
+        return Rotation(*texts, needs, named=each, turns=turn_axes(part.axes, values))
     basis, basis_dx = linear(part.columns, values, unit, inside=True)
     sizes = bend.sizes(name, "xyz", unit, plausible)
     return Response(*texts, (against,), each=sizes, basis=basis, basis_dx=basis_dx)
@@ -148,7 +148,7 @@ def _waves(u: Array, period: float) -> Array:
     return np.stack([np.sin(k * u), np.cos(k * u)], axis=-1)
 
 
-def _beyond(u: Array, at: float) -> Array:
+def _exceed(u: Array, at: float) -> Array:
     """0 up to a limit and 1 at 1 g."""
     return np.maximum(np.abs(u) - at, 0.0) / (1.0 - at)
 
@@ -179,13 +179,13 @@ FORMS = {
     "step": Form("a [u >= {0}]", lambda u, at: 1.0 * (u >= at), lambda u, at: np.zeros(u.shape)),
     "saturation": Form(
         "a sign(u) max(|u| - {0}, 0) / (1 - {0})",
-        lambda u, at: np.sign(u) * _beyond(u, at),
+        lambda u, at: np.sign(u) * _exceed(u, at),
         lambda u, at: (np.abs(u) > at) / (1.0 - at),
     ),
     "soft_saturation": Form(
         "a sign(u) max(|u| - {0}, 0)² / (1 - {0})²",
-        lambda u, at: np.sign(u) * _beyond(u, at) ** 2,
-        lambda u, at: 2.0 / (1.0 - at) * _beyond(u, at),
+        lambda u, at: np.sign(u) * _exceed(u, at) ** 2,
+        lambda u, at: 2.0 / (1.0 - at) * _exceed(u, at),
     ),
     "saw_tooth": Form(
         "a ((u / {0} + {1}) mod 1 - 1/2)",
@@ -232,7 +232,7 @@ def shape(value: str) -> Effect:
         (1.0,) * len(form.labels),
     )
     prefix = f"{kind}_{'_'.join(rest)}".replace("-", "m").replace(".", "p")
-    return _bent(texts, prefix, what, against, bend)
+    return _bend(texts, prefix, what, against, bend)
 
 
 def curve(value: str) -> Effect:
@@ -252,7 +252,7 @@ def curve(value: str) -> Effect:
         bend = _around(np.arange(1, terms // 2 + 1))
     else:
         bend = _of_covariate(low, high, np.arange(1, terms + 1), ends=against != "time")
-    return _bent(texts, "curve", what, against, bend)
+    return _bend(texts, "curve", what, against, bend)
 
 
 def _of_input(order: Index) -> Bend:

@@ -95,7 +95,7 @@ def sizes(key: str, labels: Iterable[str], value: str = "") -> tuple[Parameter, 
     )
 
 
-def made(
+def make_effect(
     key: str, part: EffectPart, covariate: Covariate, value: str = "", **given: object
 ) -> Response | Rotation:
     """The effect: a part that follows a covariate; key, value, given : as `words` takes them"""
@@ -105,7 +105,7 @@ def made(
     needs = tuple(dict.fromkeys((*covariate.needs, *part.needs)))
     texts, parameters = (*words(key, value, **given), needs), sizes(key, labels, value)
     if part.axes:
-        turns = turned(part.axes, covariate.values)
+        turns = turn_axes(part.axes, covariate.values)
         return Rotation(*texts, named=parameters, turns=turns, stage=part.stage)
     basis, basis_dx = linear(part.columns, covariate.values, parameters[0].unit)
     return Response(
@@ -175,7 +175,7 @@ def linear(
     return basis, basis_dx if forces else None
 
 
-def turned(axes: tuple[Axis, ...], values: Values) -> tuple[Turn, ...]:
+def turn_axes(axes: tuple[Axis, ...], values: Values) -> tuple[Turn, ...]:
     """Turns about axes in their order, each by its own parameters times the columns of values."""
 
     def turn(k: int) -> Turn:

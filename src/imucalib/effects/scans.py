@@ -19,7 +19,7 @@ from imucalib.effects.parts import (
     SCALE,
     Covariate,
     EffectPart,
-    made,
+    make_effect,
     scan,
     waves,
 )
@@ -42,7 +42,7 @@ def follows(value: str) -> Effect:
         raise ValueError(f"no column: {value}")
     column = Covariate((COLUMN + name,), lambda context: (context[COLUMN + name] - center) / unit)
     given = {"name": name, "middle": middle, "half": half}
-    effect = made(f"follows@{what}", _FOLLOWING[what], column, value, **given)
+    effect = make_effect(f"follows@{what}", _FOLLOWING[what], column, value, **given)
     assert isinstance(effect, Response)
     each = (replace(p, name=f"{effect.name}_{p.name[-1]}") for p in effect.each)
     return replace(effect, each=tuple(each))
@@ -91,7 +91,7 @@ def _swing(key: str, part: EffectPart, value: str) -> Effect:
         lambda context: waves(2.0 * np.pi * context[clock] / period),
         labels=("cos", "sin"),
     )
-    return made(key, part, swing, value, period=period, unit=unit, counted=counted)
+    return make_effect(key, part, swing, value, period=period, unit=unit, counted=counted)
 
 
 def cycle(value: str) -> Effect:
@@ -149,7 +149,7 @@ def session(value: str) -> Effect:
     if what not in _DIFFERING:
         raise ValueError(f"'{value}' is no session and what differs in it")
     one = Covariate(("session",), lambda context: (context["session"] == which).astype(float))
-    return made(f"session@{what}", _DIFFERING[what], one, value, number=number)
+    return make_effect(f"session@{what}", _DIFFERING[what], one, value, number=number)
 
 
 def _sessions(context: Context) -> tuple[str, ...]:
@@ -183,11 +183,13 @@ def bias_step(value: str) -> Effect:
     on, "record17" (counted from 1); ValueError otherwise."""
     if value.startswith("record"):
         first, since = _from_record(value)
-        return made("bias_step@", BIAS, since, value, when=f"before record {first}", clock="record")
+        return make_effect(
+            "bias_step@", BIAS, since, value, when=f"before record {first}", clock="record"
+        )
     at = float(value.removesuffix("s"))
     since = Covariate(("time",), lambda context: (context["time"] >= at).astype(float))
     when = f"{at / 3600.0:.2f} h after the start"
-    return made("bias_step@", BIAS, since, value, when=when, clock="time")
+    return make_effect("bias_step@", BIAS, since, value, when=when, clock="time")
 
 
 def moment_of(name: str) -> float:
@@ -208,7 +210,7 @@ def trust_records(context: Context, first: float, last: float) -> Context:
     return replace(context, covariates={**context.covariates, **said})
 
 
-def _stood_until(value: str) -> tuple[int, Covariate]:
+def _count_from(value: str) -> tuple[int, Covariate]:
     """17 of "record17", and what is 1 from there on; where a part from there on is trusted, 0 there
     and -1 before. ValueError otherwise."""
     first, since = _from_record(value)
@@ -224,7 +226,7 @@ def scale_step(value: str) -> Effect:
     """The step of the scale from a record of a table on, "record17" (counted from 1); ValueError
     otherwise."""
     first, since = _from_record(value)
-    return made("scale_step@", SCALE, since, value, record=first)
+    return make_effect("scale_step@", SCALE, since, value, record=first)
 
 
 def slip(value: str) -> Effect:
@@ -233,15 +235,15 @@ def slip(value: str) -> Effect:
     record, _, axis = value.partition(":")
     if axis not in ("", "z"):
         raise ValueError(f"no way to slip: {value}")
-    first, since = _stood_until(record)
-    return made(f"slip@{axis}", CLAMP_Z if axis else CLAMP, since, value, record=first)
+    first, since = _count_from(record)
+    return make_effect(f"slip@{axis}", CLAMP_Z if axis else CLAMP, since, value, record=first)
 
 
 def inclination_step(value: str) -> Effect:
     """The inclination dial whose zero moves before a record of a table, "record17" (counted from
     1); ValueError otherwise."""
-    first, since = _stood_until(value)
-    return made("inclination_step@", INCLINATION, since, value, record=first)
+    first, since = _count_from(value)
+    return make_effect("inclination_step@", INCLINATION, since, value, record=first)
 
 
 def _between(context: Context) -> Array:
@@ -316,13 +318,17 @@ def _late(name: str) -> Covariate:
 def thermal_hysteresis(value: str) -> Effect:
     """With the play given as "2C"; ValueError otherwise."""
     width = PLAY.size(value)
-    return made("thermal_hysteresis@", BIAS, _late(PLAY.covariate(value)), value, width=width)
+    return make_effect(
+        "thermal_hysteresis@", BIAS, _late(PLAY.covariate(value)), value, width=width
+    )
 
 
 def thermal_lag(value: str) -> Effect:
     """The lag given as "1.5h" or "2rows"; ValueError otherwise."""
     size, unit = LAG.size(value), ROWS if value.endswith(ROWS) else "hours"
-    return made("thermal_lag@", BIAS, _late(LAG.covariate(value)), value, size=size, unit=unit)
+    return make_effect(
+        "thermal_lag@", BIAS, _late(LAG.covariate(value)), value, size=size, unit=unit
+    )
 
 
 def temperature_rate(value: str) -> Effect:
@@ -333,8 +339,8 @@ def temperature_rate(value: str) -> Effect:
     time, name = RATE.size(value), RATE.covariate(value)
     rate = Covariate((name,), lambda context: context[name])
     if value.endswith(ROWS):
-        return made("temperature_rate@rows", BIAS, rate, value, time=time, unit=ROWS)
-    return made("temperature_rate@", BIAS, rate, value, time=60.0 * time, unit="min")
+        return make_effect("temperature_rate@rows", BIAS, rate, value, time=time, unit=ROWS)
+    return make_effect("temperature_rate@", BIAS, rate, value, time=60.0 * time, unit="min")
 
 
 #: Where a turning point is tried, in parts of the range: at an end it is nearly a linear bias.
@@ -361,7 +367,7 @@ def temperature_square(value: str) -> Effect:
     """
     at = _turning_point(value)
     square = Covariate(("temperature",), lambda context: (context["temperature"] - at) ** 2)
-    return made("temperature_square@", BIAS, square, value, at=at)
+    return make_effect("temperature_square@", BIAS, square, value, at=at)
 
 
 def _turning_points(context: Context) -> tuple[str, ...]:
@@ -411,8 +417,8 @@ FAMILIES = (
     ),
     scan("inclination_step", inclination_step, _on_standing_dials, _finer_records, unfounded=True),
     scan("shape", shape, lambda context: (), unfounded=True, free=True),
-    scan("thermal_hysteresis", thermal_hysteresis, PLAY.recorded),
-    scan("thermal_lag", thermal_lag, LAG.recorded),
-    scan("temperature_rate", temperature_rate, RATE.recorded),
+    scan("thermal_hysteresis", thermal_hysteresis, PLAY.select_recorded),
+    scan("thermal_lag", thermal_lag, LAG.select_recorded),
+    scan("temperature_rate", temperature_rate, RATE.select_recorded),
     scan("temperature_square", temperature_square, _turning_points, _finer_turning_points),
 )

@@ -32,9 +32,9 @@ from imucalib.effects.parts import (
     Covariate,
     Values,
     always,
-    made,
+    make_effect,
     sizes,
-    turned,
+    turn_axes,
     waves,
     words,
 )
@@ -78,7 +78,7 @@ def _memory(key: str, names: tuple[str, ...], unit: float) -> Response:
 def _dial(key: str, values: Values, *more: str, labels: tuple[str, ...] = ("",)) -> Effect:
     """An error of the dial whose name the key begins with; more : covariates that it needs"""
     part = TOOL_FACE if key.startswith("tool_face") else INCLINATION
-    return made(key, part, Covariate((*part.needs, *more), values, labels))
+    return make_effect(key, part, Covariate((*part.needs, *more), values, labels))
 
 
 def _waves_of(dial: str, order: int = 1) -> Values:
@@ -109,15 +109,15 @@ _SIN_COS = ("sin", "cos")
 _PRODUCTS = ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))
 
 EFFECTS: tuple[Effect, ...] = (
-    made("bias", BIAS, _ALWAYS),
-    made("temperature_bias", BIAS, _TEMPERATURE),
-    made("temperature_scale", SCALE, _TEMPERATURE),
-    made("bias_drift", BIAS, _ORDER),
-    made("scale_drift", SCALE, _ORDER),
-    made("warm_up", BIAS, _SETTLING),
-    made("bias_step", BIAS, _SWEEP),
-    made("time_of_day", BIAS, _DAY),
-    made("scale_by_time_of_day", SCALE, _DAY),
+    make_effect("bias", BIAS, _ALWAYS),
+    make_effect("temperature_bias", BIAS, _TEMPERATURE),
+    make_effect("temperature_scale", SCALE, _TEMPERATURE),
+    make_effect("bias_drift", BIAS, _ORDER),
+    make_effect("scale_drift", SCALE, _ORDER),
+    make_effect("warm_up", BIAS, _SETTLING),
+    make_effect("bias_step", BIAS, _SWEEP),
+    make_effect("time_of_day", BIAS, _DAY),
+    make_effect("scale_by_time_of_day", SCALE, _DAY),
     _memory("hysteresis", _BEFORE, 1e-3),
     _memory("approach_hysteresis", _SIDE, MG),
     _dial("inclination_zero", always),
@@ -135,11 +135,11 @@ EFFECTS: tuple[Effect, ...] = (
         "inclination_approach",
     ),
     Turned(*words("mounting"), (), each=sizes("mounting", "xyz")),
-    made("clamp_creep", CLAMP, _ORDER),
-    made("non_orthogonality", ANGLES, _ALWAYS),
-    made("temperature_non_orthogonality", ANGLES, _TEMPERATURE),
+    make_effect("clamp_creep", CLAMP, _ORDER),
+    make_effect("non_orthogonality", ANGLES, _ALWAYS),
+    make_effect("temperature_non_orthogonality", ANGLES, _TEMPERATURE),
     # The norm of a reading does not show the turn in it.
-    made("temperature_misalignment", TILTS, _TEMPERATURE),
+    make_effect("temperature_misalignment", TILTS, _TEMPERATURE),
     own_input(
         words("quadratic"),
         "xyz",
@@ -163,15 +163,15 @@ EFFECTS: tuple[Effect, ...] = (
         tuple((i, ((1.0, monomial(i, j)),)) for i, j in _PRODUCTS),
         ("xyz"[i] + "xyz"[j] for i, j in _PRODUCTS),
     ),
-    made("scale", SCALE, _ALWAYS),
-    made("base_tilt_across", replace(INCLINATION, axes=(_base_axis,)), _ALWAYS),
-    made("axis_non_orthogonality", replace(INCLINATION, axes=(_square_to_both,)), _ALWAYS),
+    make_effect("scale", SCALE, _ALWAYS),
+    make_effect("base_tilt_across", replace(INCLINATION, axes=(_base_axis,)), _ALWAYS),
+    make_effect("axis_non_orthogonality", replace(INCLINATION, axes=(_square_to_both,)), _ALWAYS),
     _dial("tool_face_zero", always),
     Rotation(
         *words("tool_face_zero_per_sweep"),
         ("tool_face", "sweep"),
         named=_sweep_parameters,
-        turns=turned(TOOL_FACE.axes, _later_sweeps),
+        turns=turn_axes(TOOL_FACE.axes, _later_sweeps),
     ),
     _dial("tool_face_eccentricity", _waves_of("tool_face"), labels=_SIN_COS),
     _dial("tool_face_ellipticity", _waves_of("tool_face", 2), labels=_SIN_COS),

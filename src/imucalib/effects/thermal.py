@@ -36,7 +36,7 @@ class Past:
                 return float(number) * size
         raise ValueError(f"'{value}' is not a number of {' or '.join(dict(self.units))}")
 
-    def recorded(self, context: Context) -> tuple[str, ...]:
+    def select_recorded(self, context: Context) -> tuple[str, ...]:
         """The values whose covariate the data carry."""
         names = (name for name in context.covariates if name.startswith(self.prefix))
         return tuple(name.removeprefix(self.prefix) for name in names)

@@ -73,7 +73,7 @@ def _integral(s: Array) -> Array:
 
 
 @cache
-def _shared(fine: int, octaves: int) -> tuple[Array, Array, Array]:
+def _share(fine: int, octaves: int) -> tuple[Array, Array, Array]:
     """Lags (L,) from the start of a d of unit τ to that of one of 2^octaves, what each stands for,
     and (4, L) c there. Fine about the three edges of the longer τ, where c bends; wider beyond."""
     ratio = 2.0**octaves
@@ -114,7 +114,7 @@ def _form(short: int, long: int, places: Index, count: Index, interval: float) -
     """(5, 5) half of the sum over all pairs of places. places : (S, 2) of either τ in a stretch;
     count : (S,) of such stretches"""
     fine = min(short, _FINE)
-    lag, step, c = _shared(fine, round(np.log2(long / short)))
+    lag, step, c = _share(fine, round(np.log2(long / short)))
     lag, step = lag * short, step * short
     # Places t of the shorter and t + lag of the longer.
     pairs = np.minimum(places[:, :1], places[:, 1:] - lag) - np.maximum(0.0, -lag)
@@ -238,7 +238,7 @@ class _Target:
         each = each.reshape(-1, size, size) / (mean[:, :, None] * mean[:, None, :])
         own = np.diagonal(each, axis1=1, axis2=2).copy()
         extra = np.exp(2.0 * np.minimum(x[:, 5:6], 1.0)) + _ROUNDING * own
-        extra = extra + _BENT**2 * unexplained_times(size, x)
+        extra = extra + _BENT**2 * find_unexplained(size, x)
         each[:, np.arange(size), np.arange(size)] += extra
         lower = np.linalg.cholesky(each / 9.0)
         away = np.cbrt(self._variance / mean) - (1.0 - own / 9.0)
@@ -248,7 +248,7 @@ class _Target:
         return np.asarray(-0.5 * (np.sum(white**2, axis=1) + log_det) - turn)
 
 
-def unexplained_times(size: int, x: Array) -> Flags:
+def find_unexplained(size: int, x: Array) -> Flags:
     """(n, M) which of M averaging times points (n, 8) of `draws` leave out."""
     at = np.arange(size)
     return np.asarray((at < x[:, 6:7]) | (at >= size - x[:, 7:8]))

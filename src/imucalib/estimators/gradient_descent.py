@@ -85,16 +85,16 @@ def descend_fixed(points: Array, form: FixedPoint, *, iterations: int = ITERATIO
     p = np.round(START * form.one).astype(np.int64)
     rates = np.round(RATES * form.one).astype(np.int64)
     for _ in range(iterations):
-        here = _fixed_sum(p, v, form)
+        here = _sum_fixed(p, v, form)
         for_each = form.step * np.eye(9, dtype=np.int64)
-        change = np.array([_fixed_sum(p + e, v, form) - here for e in for_each])
+        change = np.array([_sum_fixed(p + e, v, form) - here for e in for_each])
         slope = _divide(change, form.step * len(v))
         p = p - _shift_right(rates * slope, form.fraction)
         _demand(p, form.bits)
     return np.asarray(p / form.one)
 
 
-def _fixed_sum(p: Integers, v: Integers, form: FixedPoint) -> int:
+def _sum_fixed(p: Integers, v: Integers, form: FixedPoint) -> int:
     """Sum of squares of (|corrected|² - 1), with twice the fraction bits."""
     s = v + p[6:]
     rows = (
@@ -133,7 +133,7 @@ def _diverges() -> NotConverged:
     )
 
 
-def closed_form(points: Array) -> Array:
+def solve_closed_form(points: Array) -> Array:
     """p (9,) of the non-iterative method of Gietzelt et al. (2013): scale and offset by one linear
     least squares for an ellipsoid along the axes; no misalignment.
 
@@ -166,7 +166,7 @@ METHODS: dict[str, Callable[[Array], Array]] = {
     "gradient descent": descend,
     "gradient descent, 32-bit": lambda points: descend_fixed(points, INT32),
     "gradient descent, 16-bit": lambda points: descend_fixed(points, INT16),
-    "non-iterative": closed_form,
+    "non-iterative": solve_closed_form,
     "global": global_optimum,
 }
 

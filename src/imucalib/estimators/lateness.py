@@ -20,7 +20,7 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.core.effect import cross_matrix
 from imucalib.estimators.carried import attitudes, shares
-from imucalib.estimators.turn_log import Turn, moved_by
+from imucalib.estimators.turn_log import Turn, remove_bias
 from imucalib.estimators.turns import (
     ACCELEROMETER,
     GAIN,
@@ -68,7 +68,7 @@ def _of_turn(fit: TurnFit, turn: Turn) -> tuple[Array, Array, Array, Array, floa
     (3, 3) that the gyroscope's white noise gives it, and for how long (s) the accelerometer's noise
     adds up: the motion and, where its ends lie between samples, one more."""
     log, state, k = fit.log, fit.state, turn.rest
-    seen, share = moved_by(log, state.drift, turn)
+    seen, share = remove_bias(log, state.drift, turn)
     session = log.session[k]
     force, away = state.force(turn.force, session), turn.force - state.bias_at(session)
     rate, columns = exposure(state, seen, force, turn, fit.laws)

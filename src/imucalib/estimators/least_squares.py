@@ -21,7 +21,7 @@ from imucalib.core.balance import (
     setting_errors,
     whitener,
 )
-from imucalib.core.fit import Fit, null_directions, shrinking
+from imucalib.core.fit import Fit, null_directions, shrink_rows
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.core.prior import Prior
@@ -67,11 +67,11 @@ def fit(
     converged, steps, failed = False, 0, 0
     for turn in range(rounds):
         problem = _Problem(model, observations, current, prior, shrink)
-        solution = problem.solved(theta, eta, fresh=turn == 0)
+        solution = problem.solve(theta, eta, fresh=turn == 0)
         theta, eta, at = solution.state.theta, solution.state.eta, solution.state.at
         steps += solution.iterations
         if prior is None:
-            whole = at if shrink is None else _add_rows(at, shrinking(shrink, first - theta))
+            whole = at if shrink is None else _add_rows(at, shrink_rows(shrink, first - theta))
             estimate = estimate_noise(whole, current, fixed=noise is not None)
         elif prior.noise is None:
             estimate = estimate_with_prior(at, current, prior, theta)
@@ -141,7 +141,7 @@ class _Problem:
         at = balance(self.model, theta, eta, self.observations)
         return SolverPoint(theta, eta, at, whitener(at.settings, self.noise.ratio))
 
-    def solved(self, theta: Array, eta: Array, *, fresh: bool) -> Solution[SolverPoint]:
+    def solve(self, theta: Array, eta: Array, *, fresh: bool) -> Solution[SolverPoint]:
         """From a point; fresh : nothing has been fitted yet, so that η may be of the start and not
         of the data."""
         first = self._at(theta, eta)
@@ -164,7 +164,7 @@ class _Problem:
         if self.prior is not None:
             rows.append(self.noise.factor * self.prior.rows(point.theta))
         if self.shrink is not None:
-            rows.append(shrinking(self.shrink, self._first - point.theta))
+            rows.append(shrink_rows(self.shrink, self._first - point.theta))
         both = np.vstack(rows)
         return both[:, 0], both[:, 1:]
 

@@ -60,7 +60,7 @@ class _Point(Generic[State]):
     def step(self, damping: float) -> Array:
         return np.asarray(self.back @ (self.along * self.singular / (self.singular**2 + damping)))
 
-    def predicted(self, damping: float) -> float:
+    def predict(self, damping: float) -> float:
         remaining = damping / (self.singular**2 + damping)
         return float(np.sum(self.along**2 * (1.0 - remaining**2)))
 
@@ -90,7 +90,7 @@ def minimise(
         if trial is None or trial.cost >= point.cost:
             damping, growth = damping * growth, growth * 2.0
             continue
-        ratio = (point.cost - trial.cost) / point.predicted(damping)
+        ratio = (point.cost - trial.cost) / point.predict(damping)
         damping = max(damping * max(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3), 1e-15)
         point, growth, widest = trial, 2.0, np.maximum(widest, trial.norms)
     point = _polish(linearise, move, point, widest)

@@ -29,7 +29,7 @@ _STEP, _SPREADS = 1e-2, 6.0
 _ROUNDS = 2
 
 
-def with_noise_integrated(fit: Fit) -> Fit:
+def integrate_noise(fit: Fit) -> Fit:
     """The fit at its mean over all noise that the data and the prior allow, with the mixture's
     covariance and intervals; as it is without a prior, where nothing was estimated, and with many
     rows."""
@@ -39,9 +39,9 @@ def with_noise_integrated(fit: Fit) -> Fit:
         return fit
     draws, weight = _draw_points(*_locate_mode(_Target(fit), fit))
     for _ in range(_ROUNDS):
-        shift, covariance = _Target(fit).given(draws)
+        shift, covariance = _Target(fit).condition(draws)
         fit = _move(fit, weight @ shift)
-    shift, covariance = _Target(fit).given(draws)
+    shift, covariance = _Target(fit).condition(draws)
     mean = weight @ shift
     apart = shift - mean
     whole = np.einsum("m,mpq->pq", weight, covariance) + (apart * weight[:, None]).T @ apart
@@ -85,7 +85,7 @@ class _Target:
         logs = self.within(logs)
         return np.concatenate([self._some(logs[a : a + _CHUNK])[0] for a in _parts(logs)])
 
-    def given(self, logs: Array) -> tuple[Array, Array]:
+    def condition(self, logs: Array) -> tuple[Array, Array]:
         """(m, p) θ at each noise less the fit's, and its covariance (m, p, p)."""
         logs = self.within(logs)
         found = [self._some(logs[a : a + _CHUNK])[1:] for a in _parts(logs)]

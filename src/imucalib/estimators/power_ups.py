@@ -51,7 +51,7 @@ class Parts:
         back = np.kron(np.eye(len(self.vector) // len(slope)), np.linalg.inv(slope))
         return Parts(back.T @ self.information @ back, back.T @ self.vector)
 
-    def predicted(self, size: Array) -> tuple[Array, Array]:
+    def predict(self, size: Array) -> tuple[Array, Array]:
         """(L, k) the parts and (L k, L k) their covariance, of sizes (k,)."""
         every = np.tile(size, len(self.vector) // size.size)
         scaled = np.eye(every.size) + every[:, None] * self.information * every
@@ -87,7 +87,7 @@ def parts_of(information: Array, vector: Array, block: Index, free: Index) -> Pa
     return Parts(whole, vector[:, own].ravel() - back @ vector.sum(axis=0))
 
 
-def moved(
+def weigh_moved(
     information: Array, vector: Array, blocks: Mapping[str, Index], typical: Array, free: Index
 ) -> tuple[float, dict[str, float]]:
     """Probability that anything differs from recording to recording, and that each block does, of
@@ -149,7 +149,7 @@ class NextOne:
         tail = ndtr(-np.abs(value[:, None] - self.means) / whole)
         return np.asarray(2.0 * np.sum(self.weight * tail, axis=1))
 
-    def drawn(self, values: Array, sds: Array) -> Array:
+    def shrink(self, values: Array, sds: Array) -> Array:
         """(L, k) values with sds (L, k), which the mixture was made of, drawn towards the mean."""
         own = self.size**2 / (self.size**2 + sds[..., None] ** 2)  # (L, k, s)
         each = self.means + own * (values[..., None] - self.means)

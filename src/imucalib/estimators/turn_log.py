@@ -72,7 +72,7 @@ class TurnLog:
         in all."""
         found = np.empty((3, len(self.turns)))
         for k, turn in enumerate(self.turns):
-            h, (seen, _) = shares(turn.t), moved_by(self, self.rate, turn)
+            h, (seen, _) = shares(turn.t), remove_bias(self, self.rate, turn)
             found[:, k] = h @ np.stack(
                 [turn.moving, turn.moving**2, np.linalg.norm(seen, axis=1)], axis=1
             )
@@ -95,7 +95,7 @@ class TurnLog:
         )
 
 
-def moved_by(log: TurnLog, drift: Array, turn: Turn) -> tuple[Array, Array]:
+def remove_bias(log: TurnLog, drift: Array, turn: Turn) -> tuple[Array, Array]:
     """(n, 3) rad/s along a turn, as read without the bias, and the share (n,) of the bias there
     that is of the rest which ends it."""
     k = turn.rest

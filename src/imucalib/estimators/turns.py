@@ -32,7 +32,7 @@ from imucalib.core.effect import cross_matrix
 from imucalib.estimators.carried import attitudes, between, shares
 from imucalib.estimators.chain import chain_of, eliminate, turns_of
 from imucalib.estimators.power_ups import Parts
-from imucalib.estimators.turn_log import Turn, TurnLog, moved_by
+from imucalib.estimators.turn_log import Turn, TurnLog, remove_bias
 
 #: Places of L's free elements, rows first, and their number with the accelerometer's bias.
 LOWER = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2))
@@ -202,7 +202,7 @@ def fit_turns(
     return fit
 
 
-def without(
+def leave_out(
     fit: TurnFit, out: Flags, rests: Flags | None = None, sizes: Array | None = None
 ) -> TurnFit:
     """The fit without some turns, and without what the accelerometer reads at some rests, linear
@@ -287,7 +287,7 @@ def linearise(log: TurnLog, state: State, laws: Laws | None, prior: Array) -> Li
     misfit = np.zeros((len(log.turns), 2))
     for i, turn in enumerate(log.turns):
         k = turn.rest
-        seen, share = moved_by(log, state.drift, turn)
+        seen, share = remove_bias(log, state.drift, turn)
         force = state.force(turn.force, log.session[k])
         rate = exposure(state, seen, force, turn, laws)[0] if state.theta.any() else seen
         whole = attitudes(turn.t, rate @ state.gain.T)
@@ -379,7 +379,7 @@ def without_laws(fit: TurnFit) -> TurnLog:
     """The log as it would read without the laws of a fit."""
     log, state, turns = fit.log, fit.state, []
     for turn in log.turns:
-        seen, _ = moved_by(log, state.drift, turn)
+        seen, _ = remove_bias(log, state.drift, turn)
         force = state.force(turn.force, log.session[turn.rest])
         true, _ = exposure(state, seen, force, turn, fit.laws)
         turns.append(replace(turn, rate=turn.rate - (seen - true)))
@@ -472,7 +472,7 @@ def _estimate_noise(fit: TurnFit, prior: Array) -> TurnNoise:
     shared = np.append(np.arange(state.first_drift), fit.rows.jacobian.shape[1])
     weight = np.where(used, fit.weight, 0.0) / points
     every = variances(log, noise, prior)
-    corner, logs = rests_eliminated(fit.rows, log, every, shared, weight)
+    corner, logs = eliminate_rests(fit.rows, log, every, shared, weight)
     root = np.linalg.cholesky(corner[:, :-1, :-1])
     known = np.linalg.solve(root, corner[:, :-1, -1:])[..., 0]
     square = corner[:, -1, -1] - np.sum(known * known, axis=1)
@@ -497,7 +497,7 @@ def noise_points(log: TurnLog, noise: TurnNoise) -> Array:
     return np.array([_of_turns(log, point) for point in each])
 
 
-def rests_eliminated(
+def eliminate_rests(
     rows: LinearisedTurns, log: TurnLog, variance: Array, shared: Index, weight: Array
 ) -> tuple[Array, Array]:
     """What `chain.eliminated` makes of all rows. variance : (R,); shared : (g,) the columns that no
@@ -565,7 +565,7 @@ def _scatter(fit: TurnFit) -> float:
     return float(np.sqrt(max(whole - float(np.mean(log.force_sd[known] ** 2)), 1e-14)))
 
 
-def carried_error(fit: TurnFit, at: Index, force: Array | None = None) -> Array:
+def carry_error(fit: TurnFit, at: Index, force: Array | None = None) -> Array:
     """(k,) rad: gravity of the rest before a turn, carried by the rate, against the rest after.
 
     at : turns, of which none need have taken part in the fit; force : (N, 3) gravity at the rests,
@@ -576,7 +576,7 @@ def carried_error(fit: TurnFit, at: Index, force: Array | None = None) -> Array:
     found = []
     for i in at:
         turn = log.turns[i]
-        seen, _ = moved_by(log, state.drift, turn)
+        seen, _ = remove_bias(log, state.drift, turn)
         of = state.force(turn.force, log.session[turn.rest])
         rate, _ = exposure(state, seen, of, turn, fit.laws)
         whole = attitudes(turn.t, rate @ state.gain.T)[-1]

@@ -127,7 +127,7 @@ def _search(at: Balanced, start: Noise) -> Noise:
     for c, matrix in enumerate(at.settings):
         if c >= at.free and 3 * matrix.shape[1] >= at.residual.size:
             high[c] = np.log(INSTEAD / reach[c])
-    data, dof = space.turned(at.residual), at.residual.size - at.jacobian.shape[1]
+    data, dof = space.turn(at.residual), at.residual.size - at.jacobian.shape[1]
 
     def objective(logs: Array) -> tuple[float, Array]:
         return _profile(space, data, dof, np.exp(logs), at)
@@ -206,16 +206,16 @@ def _profile(
 def _evaluate(at: Balanced, noise: Noise, *, fixed: bool) -> NoiseEstimate:
     """Nothing here has N by N numbers but the whitener's blocks."""
     square, white = noise.factor**2, whitener(at.settings, noise.ratio)
-    weighted = white.weighted(at.jacobian) / square
+    weighted = white.weigh(at.jacobian) / square
     information = at.jacobian.T @ weighted
     covariance = np.asarray(np.linalg.pinv(information, rcond=1e-14), np.float64)
 
-    def projected(data: Array) -> Array:
+    def project(data: Array) -> Array:
         """(N, D) of P data: V⁻¹ without what the parameters take."""
-        return white.weighted(data) / square - weighted @ (covariance @ (weighted.T @ data))
+        return white.weigh(data) / square - weighted @ (covariance @ (weighted.T @ data))
 
     # dV / dlog s = 2 s², dV / dlog sd_c = 2 sd_c² N_c N_c'.
-    py, gain = projected(at.residual[:, None])[:, 0], weighted @ covariance
+    py, gain = project(at.residual[:, None])[:, 0], weighted @ covariance
     sized = [sd * matrix for sd, matrix in zip(noise.sd, at.settings, strict=True)]
     directed = np.column_stack([2.0 * square * py, *(2.0 * m @ (m.T @ py) for m in sized)])
     through = [noise.factor * gain, *(m.T @ gain for m in sized)]
@@ -223,7 +223,7 @@ def _evaluate(at: Balanced, noise: Noise, *, fixed: bool) -> NoiseEstimate:
     alive = np.array([True] + [sd > 0.0 for sd in noise.sd])
     spread = np.zeros((alive.size, alive.size))
     if not fixed:
-        about = 0.5 * directed.T @ projected(directed)
+        about = 0.5 * directed.T @ project(directed)
         if at.prior is not None:
             share = _cauchy_slopes(np.array(noise.sd[: at.free]), at.prior)
             known = [at.prior.spread**-2, *(share * (2.0 - share))]

@@ -44,7 +44,7 @@ def demand_carried(
     ):
         most, why = bound, ""
         if most is None:
-            raw, left = (calibration.stated_error(units, of) for of in ("raw", "final"))
+            raw, left = (calibration.find_error(units, of) for of in ("raw", "final"))
             most = math.sqrt(max(raw**2 - min(left, raw) ** 2, 0.0))
             why = f": {raw:.3g} {unit} without a calibration, {left:.3g} {unit} with all of it"
         if lost > most:

@@ -24,7 +24,7 @@ def ggir_csv(calibration: Calibration, filename: str) -> Made:
     """
     demand_one(calibration, "a row of GGIR")
     row = nearest_row(calibration)
-    start, end = (calibration.stated_error({"mg": 1.0}, of) for of in ("raw", "final"))
+    start, end = (calibration.find_error({"mg": 1.0}, of) for of in ("raw", "final"))
     # Part 2 reads these of every row, as its own quality report has them; NA: not known.
     seen = calibration.facts.get("coverage", {})
     hours = f"{seen['hours']:.6g}" if "hours" in seen else "NA"

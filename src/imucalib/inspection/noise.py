@@ -12,7 +12,7 @@ import numpy as np
 
 from imucalib.arrays import Array, Flags
 from imucalib.data import Data
-from imucalib.estimators.allan import SHAPES, draws, freedom_of, shapes, unexplained_times
+from imucalib.estimators.allan import SHAPES, draws, find_unexplained, freedom_of, shapes
 from imucalib.inspection.allan import AllanCurve, AllanSums
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.segments import Segments
@@ -138,7 +138,7 @@ def identify(curve: AllanCurve) -> AxisNoise:
     share = squares[:, None, :] * shapes(curve.tau)
     whole = share.sum(axis=2)
     share /= whole[..., None]
-    unexplained = unexplained_times(len(curve.tau), found)
+    unexplained = find_unexplained(len(curve.tau), found)
     share[unexplained] = 0.0
     shown = np.mean(share.max(axis=1) > _SHOWN, axis=0)
     terms = {

@@ -162,7 +162,7 @@ def _reach_of_certain(freedom: int) -> float:
     return float(stdtrit(freedom, 0.5 + CERTAIN / 2.0))
 
 
-def with_density(found: Difference, nats: Array) -> Difference:
+def add_density(found: Difference, nats: Array) -> Difference:
     """With the gains (K,) in log density, fold by fold."""
     k = nats.size
     error = float(np.std(nats, ddof=1) * np.sqrt(k)) if k > 1 else np.inf
@@ -219,7 +219,7 @@ def theta_without(fit: Fit, rows: Index) -> Array:
     settings = tuple(matrix[keep] for matrix in fit.at.settings)
     white = whitener(settings, fit.noise.ratio)
     both = white(np.column_stack([fit.at.residual[keep], fit.at.jacobian[keep]]))
-    both = np.vstack([both, fit.known(fit.theta)])
+    both = np.vstack([both, fit.linearise_known(fit.theta)])
     scale = np.linalg.norm(both[:, 1:], axis=0)
     scale = np.where(scale > 0.0, scale, 1.0)
     step = np.linalg.lstsq(both[:, 1:] / scale, both[:, 0], rcond=1e-10)[0] / scale
@@ -235,7 +235,7 @@ def each_left_out(fit: Fit, group: Index) -> Iterator[tuple[Index, Array]]:
     """
     at, white = fit.at, whitener(fit.at.settings, fit.noise.ratio)
     both = white(np.column_stack([at.jacobian, at.residual]))
-    both = np.vstack([both, np.roll(fit.known(fit.theta), -1, axis=1)])
+    both = np.vstack([both, np.roll(fit.linearise_known(fit.theta), -1, axis=1)])
     scale = np.maximum(np.linalg.norm(both[:, :-1], axis=0), 1e-300)
     q, size, turn = np.linalg.svd(both[:, :-1] / scale, full_matrices=False)
     back = turn.T / np.where(size > 0.0, size, 1.0)

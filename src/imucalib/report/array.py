@@ -7,7 +7,7 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.calibrators.array.board.board import Board
 from imucalib.calibrators.array.logs import BoardRun
-from imucalib.calibrators.array.motion.posterior import along, shown, size_over
+from imucalib.calibrators.array.motion.posterior import along, rank_directions, size_over
 from imucalib.calibrators.array.motion.total import GyroScale, Total
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.run import ArrayRun
@@ -225,7 +225,7 @@ def _observability(run: ArrayRun) -> tuple[Text, ...]:
             "most."
         )
         words.append(Text(little, "warning"))
-    sd, ways = shown(run.total.motion)
+    sd, ways = rank_directions(run.total.motion)
     known = (
         f"Positions are known worst {along(ways[:, -1])}: {1e3 * sd[-1]:.2g} mm by the motion and "
         f"the rests, {100 * sd[-1] / run.board.prior_sd:.2g} % of what was assumed beforehand; "

@@ -315,7 +315,7 @@ def _gyros(check: Check) -> tuple[Table, ...]:
     limit = check.rate_limit
     rows = tuple(
         (s.name, *map(plus_minus, gyro.bias, gyro.sd))
-        + ((per_cent(gyro.beyond(limit)),) if math.isfinite(limit) else ())
+        + ((per_cent(gyro.chance_beyond(limit)),) if math.isfinite(limit) else ())
         for s, gyro in resting
     )
     note = (

@@ -117,7 +117,7 @@ def _rate_table(calibration: Calibration, warm: Array) -> Table:
             replace(calibration, parameters=tuple(replace(p, value=float(v)) for p, v in each))
         )
         assert gyro is not None
-        return (gyro.bias + gyro.added(still, still, warm)) / DEG
+        return (gyro.bias + gyro.evaluate_laws(still, still, warm)) / DEG
 
     here = np.array([p.value for p in calibration.parameters])
     own = [k for k, p in enumerate(calibration.parameters) if p.stage == STAGE]

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from imucalib.calibration.comparison.agreement import ExcessScatter
-from imucalib.calibration.plain import fields, listed
+from imucalib.calibration.plain import fields, list_fields
 from imucalib.cohort.fleet.outcome import Fleet
 from imucalib.core.effect import Context
 from imucalib.data import plain
@@ -306,19 +306,19 @@ def fleet_dict(fleet: Fleet) -> dict[str, Any]:
     ]
     content = {
         **fields(fleet, "calibrator=settings.calibrator verdict exit_code"),
-        "found": listed(search.found if search else (), found),
+        "found": list_fields(search.found if search else (), found),
         "held_out_mg": fleet.difference and fields(fleet.difference, gain),
         "devices": members,
         "between_devices": spreads,
-        "outliers": listed(fleet.outliers, outlier),
-        "tried": listed(search.first if search else (), tried),
+        "outliers": list_fields(fleet.outliers, outlier),
+        "tried": list_fields(search.first if search else (), tried),
         "refused": [
             {"effect": name, "why": why} for name, why in (search.refused if search else ())
         ],
         "failed": [{"name": name, "why": why} for name, why in fleet.failed],
         "notes": fleet.notes,
         "provenance": {
-            "inputs": listed(made, "input=path sha256"),
+            "inputs": list_fields(made, "input=path sha256"),
             **fields(fleet.settings, "settings=stated command"),
             **fields(made[-1], "versions time"),
         },

@@ -21,7 +21,7 @@ from imucalib.calibration.outcome import (
     Run,
     Status,
 )
-from imucalib.calibration.power import hidden
+from imucalib.calibration.power import find_hidden
 from imucalib.calibrators.population import Population
 from imucalib.core.fit import Fit
 from imucalib.effects import known, names_a_cause
@@ -467,7 +467,7 @@ def _step_table(steps: Sequence[Step]) -> Table:
 
 def _power(found: Findings) -> list[Text]:
     """What may be there unseen, and how large."""
-    every = hidden(found.scores, [s.effect for s in found.steps])
+    every = find_hidden(found.scores, [s.effect for s in found.steps])
     absorbed = [f"{in_words(h.name)} ({h.size / MG:.2g} mg)" for h in every if h.absorbed]
     weak = [f"{in_words(h.name)} {h.size / MG:.2g} mg" for h in every if not h.absorbed][:_WEAK]
     said = []

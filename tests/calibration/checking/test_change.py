@@ -121,7 +121,7 @@ def test_false_alarms_and_power_stated_are_had(dof: float) -> None:
     covariance = noise**2 * np.linalg.inv(design.T @ design)
     base, rows = misfits(made(np.zeros(6), covariance, dof, noise=noise), force), force / G
     question = change_question(base, MATTERS)
-    worst, stated = question.worst(0), MATTERS["bias"] * question.seen(0)
+    worst, stated = question.worst(0), MATTERS["bias"] * question.find_detectable(0)
     assert worst is not None
     sign = np.sign(base.changes["bias"] @ rows.T).diagonal()
     alarms = hits = 0
@@ -162,7 +162,7 @@ def test_two_rests_are_undecided_with_the_rests_to_add() -> None:
         [force, G * plan.direction / np.linalg.norm(plan.direction, axis=1)[:, None]]
     )
     wanted = {"bias": 1.5, "scale": 1.5, "mounting": 0.1}
-    again = 1.5 * change_question(misfits(calibration, added), wanted).seen(0)
+    again = 1.5 * change_question(misfits(calibration, added), wanted).find_detectable(0)
     assert again == pytest.approx(plan.seen["bias"], rel=0.1)
 
 
@@ -201,7 +201,7 @@ def test_a_gyroscope_is_tested_by_the_scatter_between_its_rests() -> None:
     drawn = deg.mean(axis=0) + sd * rng.standard_t(4, size=(200_000, 3))
     for limit in (0.02, 0.04):
         share = np.mean(np.abs(drawn).max(axis=1) > limit)
-        assert found.beyond(limit) == pytest.approx(share, abs=0.005)
+        assert found.chance_beyond(limit) == pytest.approx(share, abs=0.005)
     alone = gyro_rest(triad, rate, {})
     assert alone is not None
     np.testing.assert_allclose(alone.sd, deg.std(axis=0, ddof=1) * np.sqrt(2 / 5))

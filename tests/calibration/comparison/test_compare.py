@@ -13,7 +13,7 @@ from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.checking.noise import sessions_of
 from imucalib.calibration.comparison.agreement import (
     agreement,
-    beyond,
+    estimate_excess,
 )
 from imucalib.calibration.comparison.basis import Basis, basis_of
 from imucalib.calibration.comparison.compare import (
@@ -126,7 +126,7 @@ def test_the_scatter_between_calibrations_and_its_interval() -> None:
     for _ in range(400):
         variance = rng.uniform(0.01, 0.09, 8)
         value = np.sqrt(variance + true**2) * rng.standard_normal(8)
-        found = beyond(value, variance)
+        found = estimate_excess(value, variance)
         estimates.append(found.sd**2)
         inside += found.low <= true <= found.high
     assert inside / 400 == pytest.approx(0.95, abs=0.03)

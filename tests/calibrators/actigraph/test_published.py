@@ -19,11 +19,11 @@ from imucalib.estimators.gradient_descent import (
     RATES,
     START,
     FixedPoint,
-    closed_form,
     descend,
     descend_fixed,
     norm_errors,
     objective,
+    solve_closed_form,
 )
 from imucalib.units import MG, STANDARD_GRAVITY
 from imucalib.writers import write
@@ -105,9 +105,9 @@ def test_fixed_point_is_exact_to_the_bit(form: FixedPoint) -> None:
 
 def test_the_closed_form_is_exact_without_misalignment() -> None:
     p, points = case(4, noise=0.0, off_diagonal=0.0)
-    assert np.allclose(closed_form(points), p, atol=1e-9)
+    assert np.allclose(solve_closed_form(points), p, atol=1e-9)
     with pytest.raises(Undetermined):
-        closed_form(np.array([[1.0, 0, 0]] * 18))
+        solve_closed_form(np.array([[1.0, 0, 0]] * 18))
 
 
 @pytest.fixture(scope="module")

@@ -82,7 +82,7 @@ def test_a_simulated_sheet_reads_its_sensor_with_the_noise_asked_for() -> None:
     """An ordinary triad by hand: lower triangle times mounting (about x, then y, then z), bias."""
     plan = BenchPlan(positions=400, layout="rings", noise=1.5, setting=(0.0, 0.0),
                      plant={"quadratic": (3.0, 0.0, 0.0)}, slips=((7, "y"),))  # fmt: skip
-    table = simulation.simulated_table(plan, np.random.default_rng(1))
+    table = simulation.simulate_table(plan, np.random.default_rng(1))
     lower = np.array([[1.006, 0.0, 0.0], [0.003, 0.996, 0.0], [-0.002, 0.004, 1.009]])
     mounting = Rotation.from_euler("xyz", [0.4, -0.7, 1.1], degrees=True).as_matrix()
     u = direction(table.columns["inclination"], table.columns["tool_face"])
@@ -94,4 +94,4 @@ def test_a_simulated_sheet_reads_its_sensor_with_the_noise_asked_for() -> None:
     np.testing.assert_allclose(off.mean(axis=0), 0.0, atol=0.3)
     np.testing.assert_allclose(off.std(axis=0), 1.5, rtol=0.1)
     with pytest.raises(UsageError, match="no such cell"):
-        simulation.simulated_table(replace(plan, slips=((401, "y"),)), np.random.default_rng(1))
+        simulation.simulate_table(replace(plan, slips=((401, "y"),)), np.random.default_rng(1))

@@ -13,7 +13,7 @@ from imucalib.arrays import Array
 from imucalib.calibrators.lab.files import LabFiles, calibrate_files
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import LabRun
-from imucalib.calibrators.lab.simulation import BenchPlan, simulated_recording, simulated_table
+from imucalib.calibrators.lab.simulation import BenchPlan, simulate_recording, simulate_table
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.file_hash import sha256_of
 from imucalib.writers import write as write_recording
@@ -102,8 +102,8 @@ def test_rests_have_sessions_too(planted, tmp_path: Path) -> None:
 def test_recordings_at_rest_are_sessions_read_as_recordings(tmp_path: Path) -> None:
     rng, paths = np.random.default_rng(0), [tmp_path / f"{k}.csv" for k in range(2)]
     for path in paths:
-        table = simulated_table(BenchPlan("rings", 12), rng)
-        write_recording(simulated_recording(table, rng, rate=50.0, rest=2.0), path)
+        table = simulate_table(BenchPlan("rings", 12), rng)
+        write_recording(simulate_recording(table, rng, rate=50.0, rest=2.0), path)
     found = run(*paths, request=replace(REQUEST, reference="norm"))
     assert found.recorded
     assert found.raw.sentence == "m/s², as the recording was read"

@@ -19,7 +19,7 @@ from imucalib.calibrators.lab.files import LabFiles, calibrate_files
 from imucalib.calibrators.lab.position_table import read_position_table
 from imucalib.calibrators.lab.request import LabRequest, as_published
 from imucalib.calibrators.lab.run import LabRun, run_lab
-from imucalib.calibrators.lab.simulation import BenchPlan, simulated_table
+from imucalib.calibrators.lab.simulation import BenchPlan, simulate_table
 from imucalib.core.angle_conventions import Conventions
 from imucalib.posterior.held_out import predict_fitted
 from imucalib.units import MG, STANDARD_GRAVITY
@@ -28,7 +28,7 @@ from worlds.places import ROOT, SAMPLES
 
 def bench(plan: BenchPlan, seed: int) -> LabResult:
     rng = np.random.default_rng(seed)
-    table = simulated_table(plan, rng)
+    table = simulate_table(plan, rng)
     data = position_observations(table, table.raw() * MG, Conventions(), STANDARD_GRAVITY)
     return calibrate(data, LabRequest())
 
@@ -47,7 +47,7 @@ def test_clean_benches_stay_clean() -> None:
 def test_structure_outside_the_catalogue_gets_a_formula_but_no_cause() -> None:
     """A third harmonic of the tool-face, which no effect of the catalogue is."""
     rng = np.random.default_rng(3)
-    table = simulated_table(BenchPlan("rings", 48, setting=(0.05, 0.05)), rng)
+    table = simulate_table(BenchPlan("rings", 48, setting=(0.05, 0.05)), rng)
     data = position_observations(table, table.raw() * MG, Conventions(), STANDARD_GRAVITY)
     reference = data.reference
     turned = np.zeros(reference.eta_size)
@@ -55,7 +55,7 @@ def test_structure_outside_the_catalogue_gets_a_formula_but_no_cause() -> None:
     index = reference.directions(turned).index[:, 1]
     turned[index] = shift
     moved = reference.truth(turned) - reference.truth(0.0 * turned)
-    result = calibrate(data.with_reading(data.reading + moved), LabRequest())
+    result = calibrate(data.set_reading(data.reading + moved), LabRequest())
     assert result.loop is not None
     assert [s.effect for s in result.loop.steps] == ["shape@tool_face:tool_face:sine:120"]
 

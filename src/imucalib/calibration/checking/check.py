@@ -116,7 +116,7 @@ class Check:
     def drifted(self) -> tuple[SensorCheck, ...]:
         """The sensors whose gyroscope's bias is likelier beyond the limit than within."""
         limit = self.rate_limit
-        return tuple(s for s in self.sensors if s.gyro and is_told(s.gyro.beyond(limit)))
+        return tuple(s for s in self.sensors if s.gyro and is_told(s.gyro.chance_beyond(limit)))
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,7 @@ def check(
     first = measured[0].misfits
     _demand_tested(limits, directed=first.directed, gyros=bool(calibration.triads))
     matters = _matters(calibration, first, noise)
-    stated = _stated(limits, directed=first.directed)
+    stated = _select_limits(limits, directed=first.directed)
     tested = ("bias", "mounting")[: 1 + first.directed]
     wanted = stated or {kind: matters[kind] for kind in tested}
     found = Check(
@@ -189,7 +189,7 @@ def _judge(one: Measured, matters: Mapping[str, float], among: int) -> SensorChe
     for k, (name, unit) in enumerate(one.misfits.kinds(matters)):
         beside = [one.misfits.changes[n] for n in told if n != name]
         value, sd = question.size_of(one.misfits.changes[name], beside)
-        sizes[name] = ChangeSize(value, sd, unit * question.seen(k))
+        sizes[name] = ChangeSize(value, sd, unit * question.find_detectable(k))
     alarm = question.false_alarm()
     return SensorCheck(one.name, one.misfits, answer, sizes, alarm, one.gyro)
 
@@ -205,7 +205,7 @@ def _matters(calibration: Calibration, misfits: Misfits, noise: CheckNoise) -> d
     return {"bias": force / MG, "scale": force / MG, "mounting": across / turn}
 
 
-def _stated(limits: Limits, *, directed: bool) -> dict[str, float]:
+def _select_limits(limits: Limits, *, directed: bool) -> dict[str, float]:
     """The limits by the kind of change that they are of."""
     found = {"bias": limits.get("mg"), "mounting": limits.get("deg") if directed else None}
     return {kind: size for kind, size in found.items() if size is not None}

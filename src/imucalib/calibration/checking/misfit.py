@@ -102,7 +102,7 @@ class Misfits:
             force=self.force[rows],
         )
 
-    def joined(self, other: Misfits) -> Misfits:
+    def join(self, other: Misfits) -> Misfits:
         """Both, of one power-up: the calibration's errors and the session's are common to all."""
         nothing = [
             CovariancePart(np.zeros((m.value.size, m.value.size)), 0.0) for m in (self, other)
@@ -181,7 +181,7 @@ def _complete(
                 f"the calibration's effects need {name}, which the recording lacks",
                 remedy="record it, or calibrate without those effects (--without)",
             )
-        value = calibration.unrecorded(name)
+        value = calibration.assume(name)
         found[name] = np.full(context.n, value)
         notes.append(f"{name} is taken as {where_assumed(name)} of the calibration, {value:.3g}")
     return replace(observations, context=replace(context, covariates=found)), tuple(notes)
@@ -278,7 +278,7 @@ class GyroRest:
     sd: Array
     dof: int
 
-    def beyond(self, limit: float) -> float:
+    def chance_beyond(self, limit: float) -> float:
         """Probability that any axis moved by more than a limit (deg/s)."""
         from scipy.special import stdtr
 

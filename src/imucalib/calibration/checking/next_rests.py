@@ -55,18 +55,22 @@ def next_rests(
     single = [pool.take(np.array([k], np.intp)) for k in range(pool.n)]
 
     def beside(plan: Plan) -> Misfits:
-        return reduce(Misfits.joined, (single[k] for k in plan), now)
+        return reduce(Misfits.join, (single[k] for k in plan), now)
 
     def worth(plan: Plan) -> Array:
         """(c,) nats of a change; those of attitudes held alike are alike, rounding apart."""
         total = beside(plan)
-        return np.round(nats(np.array([_information(total.joined(o), limits) for o in single])), 9)
+        return np.round(nats(np.array([_information(total.join(o), limits) for o in single])), 9)
 
-    def seen_by(plan: Plan) -> Mapping[str, float]:
-        return _seen(beside(plan), limits, matters) if plan else dict.fromkeys(limits, np.inf)
+    def detect_with(plan: Plan) -> Mapping[str, float]:
+        return (
+            _find_detectable(beside(plan), limits, matters)
+            if plan
+            else dict.fromkeys(limits, np.inf)
+        )
 
-    plan = grow_until(worth, MOST, lambda plan: _within(seen_by(plan), limits))
-    seen = seen_by(plan)
+    plan = grow_until(worth, MOST, lambda plan: _within(detect_with(plan), limits))
+    seen = detect_with(plan)
     direction = np.round(pool.force / np.linalg.norm(pool.force, axis=1, keepdims=True), 3) + 0.0
     enough = _within(seen, limits)
     many = None if enough else _many(now, pool, limits, matters)
@@ -77,13 +81,13 @@ def _within(seen: Mapping[str, float], limits: Mapping[str, float]) -> bool:
     return all(seen[name] <= limit for name, limit in limits.items())
 
 
-def _seen(
+def _find_detectable(
     misfits: Misfits, limits: Mapping[str, float], matters: Mapping[str, float]
 ) -> dict[str, float]:
     """The change of each limited kind that would be told."""
     question = change_question(misfits, matters)
     kinds = enumerate(misfits.kinds(matters))
-    return {name: unit * question.seen(k) for k, (name, unit) in kinds if name in limits}
+    return {name: unit * question.find_detectable(k) for k, (name, unit) in kinds if name in limits}
 
 
 def _many(
@@ -93,7 +97,7 @@ def _many(
     for number in MANY:
         less = pool.n / number
         noise = {k: replace(p, covariance=less * p.covariance) for k, p in pool.noise.items()}
-        if _within(_seen(now.joined(replace(pool, noise=noise)), limits, matters), limits):
+        if _within(_find_detectable(now.join(replace(pool, noise=noise)), limits, matters), limits):
             return number
     return None
 

@@ -78,7 +78,7 @@ def check_noise(
         said += f", of which neighbours share {100.0 * share:.0f} %" if share else ""
     between = {name: Scatter(size) for name, size in (session or {}).items()}
     source = "as given" if between else "as in the calibration"
-    between = between or stated_sessions(calibration)
+    between = between or read_sessions(calibration)
     words = (
         f"power-ups scatter by {sizes_in_words(between)}, {source}"
         if between
@@ -87,7 +87,7 @@ def check_noise(
     )
     setting = {}
     for name in ("inclination setting", "tool-face setting", "tilt"):
-        found = _stated_sd(block, name.replace(" ", "_").replace("-", "_"), "deg", DEG)
+        found = _read_sd(block, name.replace(" ", "_").replace("-", "_"), "deg", DEG)
         if found is not None:
             # With its own sd added: few settings may show none where there is some.
             sd = found.sd * (1.0 + 0.5 / found.dof) ** 0.5
@@ -110,8 +110,8 @@ def sizes_in_words(scatter: Mapping[str, Scatter]) -> str:
 def _reading(calibration: Calibration, block: Mapping[str, Any]) -> tuple[Scatter, float, float]:
     """A reading's noise with what its neighbours share, which can be all of it; the share and the
     memory of `CheckNoise`. Degrees of freedom by Satterthwaite."""
-    own, shared = _of_rests(calibration), _stated_sd(block, "shared", "mg", MG)
-    own = own or _stated_sd(block, "reading", "mg", MG)
+    own, shared = _of_rests(calibration), _read_sd(block, "shared", "mg", MG)
+    own = own or _read_sd(block, "reading", "mg", MG)
     if own is None:
         raise UsageError(
             "the calibration does not state the noise of a reading",
@@ -135,7 +135,7 @@ def _of_rests(calibration: Calibration) -> Scatter | None:
     return Scatter(float(rests["residual_m_per_s2"]), max(3.0 * k * n - 2 * n - 12 * k, 1.0))
 
 
-def stated_sessions(calibration: Calibration) -> dict[str, Scatter]:
+def read_sessions(calibration: Calibration) -> dict[str, Scatter]:
     """What a power-up brings by the kind of change, of a calibration of several; empty of one."""
     stated = calibration.facts.get("between_sessions")
     if not isinstance(stated, Mapping):
@@ -149,7 +149,7 @@ def stated_sessions(calibration: Calibration) -> dict[str, Scatter]:
     }
 
 
-def _stated_sd(block: Mapping[str, Any], name: str, unit: str, si: float) -> Scatter | None:
+def _read_sd(block: Mapping[str, Any], name: str, unit: str, si: float) -> Scatter | None:
     """A standard deviation of the noise block; its own sd tells its degrees of freedom,
     var(s) = s² / 2ν."""
     value = block.get(f"{name}_{unit}")

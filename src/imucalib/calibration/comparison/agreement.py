@@ -41,7 +41,7 @@ class ExcessScatter:
     high: float
 
 
-def beyond(value: Array, variance: Array, design: Array | None = None) -> ExcessScatter:
+def estimate_excess(value: Array, variance: Array, design: Array | None = None) -> ExcessScatter:
     """Of values (m,) with variances (m,) about `design` (m, k) b, by default one mean.
 
     NaN where the design leaves no degree of freedom.
@@ -63,7 +63,7 @@ def excess(wanted: float, value: Array, variance: Array, design: Array | None = 
     design = _design(value, design)
 
     def more(square: float) -> float:
-        return weighted_line(value, variance + square, design)[2] - wanted
+        return fit_line(value, variance + square, design)[2] - wanted
 
     if more(0.0) <= 0.0:
         return 0.0
@@ -73,7 +73,7 @@ def excess(wanted: float, value: Array, variance: Array, design: Array | None = 
     return float(brentq(more, 0.0, high, xtol=1e-30))
 
 
-def weighted_line(value: Array, variance: Array, design: Array) -> tuple[Array, Array, float]:
+def fit_line(value: Array, variance: Array, design: Array) -> tuple[Array, Array, float]:
     """b (k,) of weighted least squares, its covariance (k, k), and the squares that remain."""
     weighted = design.T / variance
     covariance = np.asarray(np.linalg.inv(weighted @ design), np.float64)
@@ -204,9 +204,9 @@ def scatter(basis: Basis) -> ParameterScatter | None:
         return None
     variance = np.einsum("kii->ki", basis.covariance)
     pairs = list(zip(basis.value.T, variance.T, strict=True))
-    found = [beyond(value, own) for value, own in pairs]
+    found = [estimate_excess(value, own) for value, own in pairs]
     sd, low, high = (np.array([getattr(one, k) for one in found]) for k in ("sd", "low", "high"))
-    squares = [weighted_line(value, own, np.ones((m, 1)))[2] for value, own in pairs]
+    squares = [fit_line(value, own, np.ones((m, 1)))[2] for value, own in pairs]
     return ParameterScatter(sd, low, high, np.sqrt(np.array(squares) / (m - 1)))
 
 

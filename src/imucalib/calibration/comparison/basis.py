@@ -186,10 +186,10 @@ def basis_of(
             f"order, reading = S force + c{'' if framed else ', free of the frame'}."
         )
 
-    def carried(every: Sequence[Array]) -> Array:
+    def carry(every: Sequence[Array]) -> Array:
         return np.array([s @ one @ s.T for s, one in zip(slopes, every, strict=True)])
 
-    covariance, share = carried([c.covariance for c in calibrations]), carried(shares)
+    covariance, share = carry([c.covariance for c in calibrations]), carry(shares)
     largest = np.einsum("kii->ki", covariance).max(axis=0)
     touched = np.flatnonzero((largest > _ROUNDING**2) | same)
     both = np.ix_(np.arange(len(own)), touched, touched)

@@ -28,18 +28,18 @@ from imucalib.calibration.checking.noise import (
     Limits,
     Scatter,
     check_noise,
+    read_sessions,
     sizes_in_words,
-    stated_sessions,
 )
 from imucalib.calibration.comparison.agreement import (
     Agreement,
     ParameterScatter,
     agreement,
     excess,
+    fit_line,
     kind_of,
     scatter,
     suspect,
-    weighted_line,
 )
 from imucalib.calibration.comparison.basis import (
     Basis,
@@ -174,7 +174,7 @@ def with_power_ups(
 
     given : kind of change -> its scatter (bias mg, mounting deg) instead of what files state
     """
-    stated = [stated_sessions(c) for c in calibrations]
+    stated = [read_sessions(c) for c in calibrations]
     scatter = {kind: Scatter(size) for kind, size in given.items()} or _pool_variances(stated)
     if not scatter:
         words = (
@@ -298,7 +298,7 @@ def slope_of(days: Array, value: Array, variance: Array, among: int = 1) -> Slop
     dof = days.size - 2
     design = np.column_stack([np.ones(days.size), days - days.mean()])
     extra = excess(float(dof), value, variance, design) if dof else 0.0
-    b, covariance, _ = weighted_line(value, variance + extra, design)
+    b, covariance, _ = fit_line(value, variance + extra, design)
     level = 1.0 - 0.025 / among
     quantile = float(stdtrit(dof, level) if dof else ndtri(level))
     return Slope(float(b[1]), quantile * float(covariance[1, 1]) ** 0.5)

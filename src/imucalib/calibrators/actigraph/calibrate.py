@@ -16,7 +16,7 @@ from imucalib.calibrators.actigraph.observations import (
     observations_of,
 )
 from imucalib.calibrators.actigraph.request import ActigraphRequest
-from imucalib.calibrators.rivals import with_rivals
+from imucalib.calibrators.rivals import mix_rivals
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
@@ -119,7 +119,7 @@ def _few(base: Fit) -> bool:
 
 def base_model(request: ActigraphRequest, data: Observations) -> Model:
     """The nine parameters and what the user declares beside them."""
-    return Model((*map(named, NINE), *request.declared_effects(data.context)))
+    return Model((*map(named, NINE), *request.select_declared(data.context)))
 
 
 def _search_under_walk(
@@ -137,7 +137,7 @@ def _search_under_walk(
     )
     closed = close_recording(base, wanted, average_noise(runs), curves=request.curves)
     loop = closed.loop
-    final = with_rivals(loop.final, loop.weighed, request.gravity)
+    final = mix_rivals(loop.final, loop.weighed, request.gravity)
     if request.curves and "curve" not in request.without and request.every is None:
         course = follow_bias(final, closed.course)
         if course is not None:

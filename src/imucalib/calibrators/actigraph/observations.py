@@ -143,7 +143,7 @@ def fit_of_a_kind(kind: Population, alone: Fit, runs: PostureRuns) -> tuple[OfAK
     if not is_known_worse(alone, own.root):
         return OfAKind(kind, alone, float("nan"), False), alone, 0
     data = _add_temperature(alone.observations, runs)
-    effects = (*alone.model.effects, *kind.shared_effects(data.context))
+    effects = (*alone.model.effects, *kind.select_shared(data.context))
     model = Model(tuple({e.name: e for e in effects}.values()))
     found, fewer = robust_fit(model, data, runs, kind.prior(model, data, ()))
     chance = kind_chance(found)

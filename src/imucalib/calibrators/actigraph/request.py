@@ -28,14 +28,14 @@ class ActigraphRequest(Request):
     every: float | None = None
     kind: Population | None = None
 
-    def stated(self) -> dict[str, object]:
+    def describe_settings(self) -> dict[str, object]:
         """The settings as provenance keeps them."""
         return {
             "window_s": self.window,
             "every_s": self.every,
             "as_published": self.as_published,
             "arithmetic": self.arithmetic,
-            **super().stated(),
+            **super().describe_settings(),
             "blocks": self.blocks,
             "fleet_sha256": self.kind.sha256 if self.kind else None,
         }

@@ -11,8 +11,8 @@ import numpy as np
 
 from imucalib.calibration import sums
 from imucalib.calibration.calibration import Calibration, from_fit
-from imucalib.calibration.outcome import Limit, Outcome, Run, left_open
-from imucalib.calibration.power import advice_of, hidden
+from imucalib.calibration.outcome import Limit, Outcome, Run, list_open
+from imucalib.calibration.power import advice_of, find_hidden
 from imucalib.calibration.provenance import Provenance, provenance_of
 from imucalib.calibration.series import series_facts
 from imucalib.calibrators.actigraph.calibrate import ActigraphResult, calibrate
@@ -42,7 +42,7 @@ from imucalib.calibrators.actigraph.wear import (
     minutes_of,
     wear_of,
 )
-from imucalib.calibrators.next_recording import recorded_block
+from imucalib.calibrators.next_recording import describe_recorded
 from imucalib.calibrators.population import not_of_its_kind
 from imucalib.core.effect import CLOCKS
 from imucalib.core.sphere import count_by_cell
@@ -161,7 +161,7 @@ def run_of(
             "calibrated without --fleet: is it another kind, or was it turned?",
         ),
         weak=result.weak,
-        left=left_open(result.loop, result.error),
+        left=list_open(result.loop, result.error),
         sensor=scanned.sensor,
     )
     parts = None
@@ -214,7 +214,7 @@ def provenance(scanned: Scan, request: ActigraphRequest) -> Provenance:
         samples=scanned.samples,
         gaps=scanned.gaps,
         mapping=scanned.mapping,
-        settings=request.stated(),
+        settings=request.describe_settings(),
         seed=request.seed,
         command=request.command,
     )
@@ -295,7 +295,7 @@ def advice(result: ActigraphResult, coverage: Coverage) -> tuple[str, ...]:
             f"{', '.join(map(in_words, step.aliases))}: "
             "both correct this recording alike; a longer one, with more postures, separates them."
         )
-    found += advice_of(hidden(loop.scores, loop.final.model.names))
+    found += advice_of(find_hidden(loop.scores, loop.final.model.names))
     return tuple(found)
 
 
@@ -358,7 +358,7 @@ def actigraph_details(
     recorded = products = None
     if loop is not None and loop.drift is not None:
         products = sums.sums_block(loop.sums) if loop.sums else None
-        recorded = recorded_block(
+        recorded = describe_recorded(
             final,
             loop.ambiguous,
             reading=MG * loop.drift.scatter,

@@ -31,7 +31,7 @@ from imucalib.core.effect import Parameter, Truth
 from imucalib.core.fit import Fit
 from imucalib.data import Data
 from imucalib.errors import ImucalError, Undetermined
-from imucalib.estimators.power_ups import moved
+from imucalib.estimators.power_ups import weigh_moved
 from imucalib.posterior.odds import CERTAIN
 from imucalib.rests.runs import PostureRuns, Scan
 from imucalib.units import MG
@@ -215,7 +215,7 @@ def _compare_parts(parts: tuple[SeriesPart, ...], good: list[Fit]) -> Calibratio
     slices = good[0].model.slices(good[0].observations.context)
     blocks = {name: np.arange(at.start, at.stop) for name, at in slices.items()}
     typical = _SHARE * np.array([p.typical for p in good[0].parameters])
-    probability, each = moved(information, vector, blocks, typical, np.arange(0))
+    probability, each = weigh_moved(information, vector, blocks, typical, np.arange(0))
     likely = sorted(each.items(), key=lambda one: -one[1])
     return CalibrationSeries(
         parts=parts,

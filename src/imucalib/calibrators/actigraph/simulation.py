@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibrators.planted import planted_model
+from imucalib.calibrators.planted import plant_model
 from imucalib.core.effect import Context
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.runs import Scan
@@ -74,7 +74,7 @@ def worn_blocks(plan: WeekPlan, seed: int) -> Iterator[Recording]:
             thermometer = Channel(t, now[:, None], "degC", "temperature", "imu0", plan.rate)
             channels["imu0/temperature"] = thermometer
         context = Context(t.size, known)
-        model, theta = planted_model({**plan.sensor, **plan.plant}, context)
+        model, theta = plant_model({**plan.sensor, **plan.plant}, context)
         values = model.predict(theta, force[:, None], context).reading[:, 0]
         values = values + plan.noise * MG * rng.standard_normal(values.shape)
         sensor = Channel(t, values, "m/s2", "acceleration", "imu0", plan.rate)

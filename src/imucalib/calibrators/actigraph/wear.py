@@ -251,7 +251,7 @@ def closest_point(scanned: Scan) -> ClosestPoint | None:
     points = points[(points**2).sum(axis=1) > 0.0]
     if len(points) < 10:
         return None
-    scale, offset = _fitted(points)
+    scale, offset = _fit_closest(points)
     enough = bool(
         (points.min(axis=0) < -_SPAN_SEEN).all() and (points.max(axis=0) > _SPAN_SEEN).all()
     )
@@ -260,7 +260,7 @@ def closest_point(scanned: Scan) -> ClosestPoint | None:
     return ClosestPoint(scale, offset, len(points), before, after, bool(enough))
 
 
-def _fitted(points: Array) -> tuple[Array, Array]:
+def _fit_closest(points: Array) -> tuple[Array, Array]:
     scale, offset = np.ones(3), np.zeros(3)
     weight, last = np.ones(len(points)), np.inf
     for _ in range(_ROUNDS):

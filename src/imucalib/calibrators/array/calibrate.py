@@ -15,10 +15,10 @@ from imucalib.calibrators.array.board.drawing import (
     refuse_contradiction,
 )
 from imucalib.calibrators.array.board.log import ArrayLog, array_log, of_board
-from imucalib.calibrators.array.board.moving import Moving, moving_part
-from imucalib.calibrators.array.board.rests import ATTITUDES, RestFit, contradicted, fit_rests
+from imucalib.calibrators.array.board.moving import Moving, find_moving
+from imucalib.calibrators.array.board.rests import ATTITUDES, RestFit, fit_rests, is_contradicted
 from imucalib.calibrators.array.board.streams import (
-    broken_sensors,
+    find_broken,
     noisy_alone,
     refuse_streams,
     stream_notes,
@@ -37,7 +37,7 @@ from imucalib.calibrators.array.motion.linear_part import linear_part
 from imucalib.calibrators.array.motion.posterior import draw_positions
 from imucalib.calibrators.array.motion.search import frame_term, start_state
 from imucalib.calibrators.array.motion.setup import array_setup, plain_setup
-from imucalib.calibrators.array.motion.state import shared_by_neighbours
+from imucalib.calibrators.array.motion.state import measure_dispersion
 from imucalib.calibrators.array.motion.terms import rest_terms
 from imucalib.calibrators.array.motion.total import frame_sd, scale_by_turns, total_of
 from imucalib.calibrators.array.published import draw_as_published
@@ -83,7 +83,7 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
     board = prepared.board
     rests = fit_rests(prepared.segments, board, request.gravity, scope=request.scope)
     say(f"{rests.poses} rests: triads fit gravity to {1e3 * rests.residual:.2f} mm/s² rms")
-    moving = moving_part(log, rests)
+    moving = find_moving(log, rests)
     say("moving samples: " + ", ".join(f"{n} {name}" for name, n in moving.counts.items()))
     try:
         fitted = _fit(prepared, moving, rests)
@@ -183,7 +183,7 @@ def _prepare(recording: Recording, request: ArrayRequest, say: Say) -> tuple[Pre
         request=request,
         segments=segments,
         notes=notes,
-        broken=tuple(broken_sensors(seen, board.imus)),
+        broken=tuple(find_broken(seen, board.imus)),
     )
     return prepared, log
 
@@ -224,7 +224,7 @@ def _fit(prepared: PreparedLog, moving: Moving, rests: RestFit) -> FittedLog:
         # Where nothing is searched, gyros are made like their mean by plain comparison.
         plain = plain_setup(moving.levelled, board, min(most, SEARCH_SAMPLES))
         state = fit_all_samples(start_state(plain, (*terms, frame_term())), most)
-        state, uneven = add_unevenness(state, shared_by_neighbours(state, gyro=False))
+        state, uneven = add_unevenness(state, measure_dispersion(state, gyro=False))
         return FittedLog(
             **vars(prepared), rests=rests, moving=moving, state=state, loop=None, uneven=uneven
         )
@@ -256,14 +256,14 @@ def _hold_against_rests(loop: MotionLoop, prepared: PreparedLog, rests: RestFit)
     read, rate = (
         np.einsum("kij,nkj->nki", turns, values) for values in (segments.mean, segments.rate)
     )
-    force = rests.corrected(read, t)
+    force = rests.correct(read, t)
     motion = board_motion(imus=prepared.board.imus, rotations=turns, t=t, force=force)
     wrong = {
         term.name
         for term in loop.final.found
         if term.effect.channel == "angular_rate"
         and "spin" not in term.effect.needs
-        and contradicted(rate, term.reading(term.columns(motion)))
+        and is_contradicted(rate, term.reading(term.columns(motion)))
     }
     doubted = [s for s in loop.steps if s.effect in wrong]
     steps = tuple(

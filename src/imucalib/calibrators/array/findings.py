@@ -69,7 +69,7 @@ def residual_in_motion(loop: MotionLoop | None, state: ArrayState) -> Residual:
     return Residual(one, two, held_out=False, each=each)
 
 
-def unexplained(
+def find_unexplained(
     residual: Residual,
     rests: RestFit,
     imus: tuple[str, ...],
@@ -88,11 +88,11 @@ def unexplained(
         ("gyro", residual.rate, each[1], rests.gyro_noise, (DEG, accepted.deg_per_s, "deg/s")),
     ):
         noise = float(np.sqrt(np.mean(still**2)))
-        whole.append(Left(f"{sensor}s in motion", _beyond(size, noise) / unit, limit, name))
+        whole.append(Left(f"{sensor}s in motion", _subtract_noise(size, noise) / unit, limit, name))
         for k, imu in enumerate(imus):
             # One of many moves no median. What it leaves is held against the others' noise at rest,
             # for noise of its own is no less left for being there at rest too.
-            alone = _beyond(float(own[k]), float(np.median(np.delete(still, k)))) / unit
+            alone = _subtract_noise(float(own[k]), float(np.median(np.delete(still, k)))) / unit
             if own[k] >= NOISY * float(np.median(np.delete(own, k))) and alone > limit:
                 single.append(Left(f"{sensor} of {imu} in motion", alone, limit, name))
     if isinstance(found, Uneven):
@@ -108,7 +108,7 @@ def unexplained(
     return (Left("positions", moved, accepted.mm, "mm"), *whole, *single)
 
 
-def _beyond(size: float, noise: float) -> float:
+def _subtract_noise(size: float, noise: float) -> float:
     return float(np.sqrt(max(size**2 - noise**2, 0.0)))
 
 

@@ -38,7 +38,7 @@ def draw_as_published(
     prior = DrawnPrior(board.drawn, board.prior_sd)
     found = run_pmmh(data, prior, rng, iterations=request.iterations)
     checked = convergence(found.draws)
-    if not checked.reached(request.stop.rhat, request.stop.ess):
+    if not checked.is_reached(request.stop.rhat, request.stop.ess):
         raise NotConverged(
             f"the chains of Algorithm 1 do not agree after {request.iterations} iterations: "
             f"{checked.sentence}",

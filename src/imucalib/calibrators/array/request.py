@@ -49,7 +49,7 @@ class ArrayRequest(Request):
         """What the search may try."""
         return Scope(self.declare, self.only, self.without, self.loop)
 
-    def stated(self) -> dict[str, object]:
+    def describe_settings(self) -> dict[str, object]:
         """The settings as provenance keeps them."""
         return {
             "board": self.board.name,
@@ -58,7 +58,7 @@ class ArrayRequest(Request):
             "samples": self.samples,
             "ess": self.stop.ess,
             "prior_sd_mm": 1e3 * self.board.prior_sd,
-            **super().stated(),
+            **super().describe_settings(),
             "accepted": dict(vars(self.accepted)),
             "distances_mm": [
                 [self.board.imus[d.one], self.board.imus[d.two], 1e3 * d.value, 1e3 * d.sd]

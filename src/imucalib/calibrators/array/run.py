@@ -25,9 +25,9 @@ from imucalib.calibrators.array.findings import (
     advice,
     array_errors,
     array_findings,
+    find_unexplained,
     noise_block,
     reasons,
-    unexplained,
 )
 from imucalib.calibrators.array.motion.closed_loop import MotionLoop
 from imucalib.calibrators.array.motion.covariance import Uneven
@@ -118,7 +118,9 @@ def finish_run(made: LocatedBoard) -> ArrayRun:
     """The run of a located board: judged, with its calibration."""
     recording, request, rests, loop = made.recording, made.request, made.rests, made.loop
     errors = array_errors(loop, rests, made.residual)
-    left = unexplained(made.residual, rests, made.board.imus, request.accepted, loop or made.uneven)
+    left = find_unexplained(
+        made.residual, rests, made.board.imus, request.accepted, loop or made.uneven
+    )
     values = {
         "max-error": (errors[0].held_out.final, errors[0].unit),
         "max-gyro-error": (errors[1].held_out.final, errors[1].unit),
@@ -133,7 +135,7 @@ def finish_run(made: LocatedBoard) -> ArrayRun:
             samples=max((len(c.t) for c in recording.channels.values()), default=0),
             gaps=len(recording.gaps),
             mapping=recording.mapping,
-            settings=request.stated(),
+            settings=request.describe_settings(),
             seed=request.seed,
             command=request.command,
         ),
@@ -318,12 +320,12 @@ def _diagnostics(made: LocatedBoard) -> dict[str, Any]:
         "smallest_tail_ess": float(np.min(found.tail)),
         "largest_mcse_mm": float(1e3 * np.max(found.mcse)),
         "mean_off_mode_sd": float(np.max(np.abs((drawn.mean - state.r)[1:].ravel() / own))),
-        "sandwich_over_noise": float(np.sqrt(np.median(_widened(state)))),
+        "sandwich_over_noise": float(np.sqrt(np.median(_measure_widening(state)))),
         "samples": len(state.setup.inner),
     }
 
 
-def _widened(state: ArrayState) -> Array:
+def _measure_widening(state: ArrayState) -> Array:
     """(d,) variances of the positions as stated over those if the noise is what was fitted."""
     assert state.by_noise is not None
     both = (np.diag(one)[: state.positions] for one in (state.covariance, state.by_noise))

@@ -15,7 +15,7 @@ from imucalib.calibration.checking.noise import CheckNoise
 from imucalib.calibration.correction import refuse_second
 from imucalib.calibration.series import BLOCK
 from imucalib.calibration.shared_gravity import check_against_gravity
-from imucalib.calibration.triads import pairing_of, select_triads
+from imucalib.calibration.triads import pair_triads, select_triads
 from imucalib.calibrators.lab.bench import in_celsius, observations_of, raw_unit
 from imucalib.calibrators.lab.files import LabFiles, positions_in, rests_of
 from imucalib.calibrators.lab.position_table import ANGLES, PositionTable
@@ -88,7 +88,7 @@ def array_log(
     recording = read(files.table, replace(files.mapping, sensor=""))
     demand_device(calibration.sensor, recording)
     segments = rests_of(recording, request.still, _silent)
-    pairing = pairing_of(calibration.triads, recording)
+    pairing = pair_triads(calibration.triads, recording)
     said = check_against_gravity(calibration.triads, pairing.partner, segments, recording.path)
     triads = select_triads(calibration.triads, pairing.partner, files.mapping.sensor)
     rests = calibration.facts.get("rests") or {}

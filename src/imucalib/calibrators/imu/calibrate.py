@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from imucalib.arrays import Array, Flags
-from imucalib.calibrators.imu.laws import declared_terms
+from imucalib.calibrators.imu.laws import declare_terms
 from imucalib.calibrators.imu.log import ImuLog, gyroscope_of, imu_of
 from imucalib.calibrators.imu.request import ImuRequest
-from imucalib.calibrators.imu.search import LawSearch, in_fold, joint_fit, search_laws
+from imucalib.calibrators.imu.search import LawSearch, joint_fit, refit_without, search_laws
 from imucalib.calibrators.lab.bench import observations_of, row_numbers
 from imucalib.calibrators.lab.errors import rms
 from imucalib.calibrators.lab.files import run_of_rests, still_rests, table_of_rests
@@ -20,8 +20,8 @@ from imucalib.calibrators.lab.run import LabRun
 from imucalib.core.set_up import DOUBT, SIGNED, axes_in_words, misfits, weigh
 from imucalib.errors import UnreadableInput
 from imucalib.estimators.carried import attitudes
-from imucalib.estimators.turn_log import TurnLog, moved_by
-from imucalib.estimators.turns import TurnFit, carried_error, rest_forces
+from imucalib.estimators.turn_log import TurnLog, remove_bias
+from imucalib.estimators.turns import TurnFit, carry_error, rest_forces
 from imucalib.inspection.noise import SensorNoise, noise_at_rest
 from imucalib.posterior.held_out import Difference, difference
 from imucalib.recording.mapping import UNCHANGED, AxisMap, FieldMapping
@@ -114,7 +114,7 @@ def calibrate_imu(
     rests = observations_of(by_size.table, by_size.raw, by_size.request)
     course = replace(imu.course, rests=rests.context)
     imu = replace(imu, turns=imu.turns.without(wrong), course=course)
-    base = joint_fit(imu.turns, declared_terms(request, rests.context), course)
+    base = joint_fit(imu.turns, declare_terms(request, rests.context), course)
     found = search_laws(base, course, rests, request)
     held = _predict_held_out(found, imu, request)
     refused = bool(found.said.places) and not held.gained.holds
@@ -181,7 +181,7 @@ def _predict_held_out(found: LawSearch, imu: ImuLog, request: ImuRequest) -> Hel
     turns, forces = np.zeros((3, len(of_turn))), np.zeros((3, log.rests))
     for k in range(folds):
         out = of_turn == k, part == k
-        base, final = in_fold(found, *out, imu.course, request)
+        base, final = refit_without(found, *out, imu.course, request)
         own = _compare(base, final, *out, request.gravity, found)
         for whole, one, at in zip((turns, forces), own, out, strict=True):
             whole[:, at] = one.raw, one.base, one.final
@@ -209,7 +209,7 @@ def _compare(
     seen = (
         rest_forces(end if base.log.sessions else fit) for fit, end in zip(fits, ends, strict=True)
     )
-    carried = (carried_error(fit, at, up) / DEG for fit, up in zip(fits, seen, strict=True))
+    carried = (carry_error(fit, at, up) / DEG for fit, up in zip(fits, seen, strict=True))
     forces = (base.log.force, rest_forces(base), rest_forces(final))
     sizes = (gravity / MG * (np.linalg.norm(force[rests], axis=1) - 1.0) for force in forces)
     return Compared(*carried), Compared(*sizes)
@@ -230,7 +230,7 @@ def demand_axes(log: TurnLog, where: str, stated: AxisMap) -> None:
     turns = sorted(log.turns, key=lambda turn: -turn.lasting)[:_TURNS]
     up = log.force / np.linalg.norm(log.force, axis=1)[:, None]
     before, after = (up[[turn.rest + k for turn in turns]] for k in (0, 1))
-    seen = [moved_by(log, log.rate, turn)[0] for turn in turns]
+    seen = [remove_bias(log, log.rate, turn)[0] for turn in turns]
     turned = [
         [attitudes(turn.t, sign * rate)[-1] for sign in (1.0, -1.0)]
         for turn, rate in zip(turns, seen, strict=True)

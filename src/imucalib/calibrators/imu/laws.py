@@ -60,7 +60,7 @@ def _whole(effect: Effect, context: Context, size: float = 1.0) -> LawTerm:
     return LawTerm(effect, np.arange(typical.size), size * typical)
 
 
-def declared_terms(request: ImuRequest, rests: Context) -> tuple[LawTerm, ...]:
+def declare_terms(request: ImuRequest, rests: Context) -> tuple[LawTerm, ...]:
     """Those of the base model, held by no more than ten times their usual size. rests : what an
     accelerometer's effects may follow"""
     every = {**gyro_effects(request.extra_effects), **request.extra_effects}
@@ -142,7 +142,7 @@ def _of_gyroscope(
     for name, effect in gyro_effects(request.extra_effects).items():
         if name in out or (request.only and name not in request.only):
             continue
-        if reason := effect.missing(context):
+        if reason := effect.find_missing(context):
             missing[name] = reason
         else:
             found[name] = "name", "", [effect]

@@ -106,12 +106,12 @@ def turns_to_add(calibration: Calibration, count: int = _ADDED) -> HandPlan:
         for sign in (1.0, -1.0)
     ]
     known = np.asarray(np.linalg.inv(covariance), np.float64)
-    worth = gain(known, np.array([_told(*choice, off) for choice in choices]))
+    worth = gain(known, np.array([_inform(*choice, off) for choice in choices]))
     plan = grow_until(worth, count, lambda _: False)
     return _plan([choices[place] for place in plan], known, off, before)
 
 
-def _told(up: Array, vector: Array, off: float) -> Array:
+def _inform(up: Array, vector: Array, off: float) -> Array:
     """(9, 9) what a turn tells that is off by so much, rad."""
     rows = of_turn(up, vector) / off
     return np.asarray(rows.T @ rows)
@@ -130,7 +130,7 @@ def _plan(
     """Of turns from `up` by a rotation vector, beside information (9, 9) that is there."""
     turns, covariance = list[HandTurn](), np.asarray(np.linalg.inv(known), np.float64)
     for up, vector in chosen:
-        known = known + _told(up, vector, off)
+        known = known + _inform(up, vector, off)
         covariance = np.asarray(np.linalg.inv(known), np.float64)
         mean = float(np.sqrt(np.mean(np.diag(covariance))))
         turns.append(HandTurn(_axis(vector), up, mean))

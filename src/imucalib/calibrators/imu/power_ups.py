@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.estimators.power_ups import Parts, moved, parts_of
+from imucalib.estimators.power_ups import Parts, parts_of, weigh_moved
 from imucalib.estimators.turns import (
     ACCELEROMETER,
     GAIN,
@@ -49,15 +49,17 @@ def products_of(fit: TurnFit) -> tuple[Array, Array]:
     return np.array(information), np.array(vector)
 
 
-def differing(information: Array, vector: Array, names: tuple[str, ...]) -> tuple[str, ...]:
+def describe_differing(
+    information: Array, vector: Array, names: tuple[str, ...]
+) -> tuple[str, ...]:
     """One sentence for each kind of parameter that differs from log to log. names : of the logs"""
     typical, said = np.full(_FIXED, _MOVED), []
-    for what, probability in moved(information, vector, _BLOCKS, typical, _BIAS)[1].items():
+    for what, probability in weigh_moved(information, vector, _BLOCKS, typical, _BIAS)[1].items():
         if probability < FALSE_CLAIM / (1.0 + FALSE_CLAIM):
             continue
         block = _BLOCKS[what]
         parts = parts_of(information, vector, block, _BIAS)
-        away = parts.predicted(10.0 * typical[block])[0]
+        away = parts.predict(10.0 * typical[block])[0]
         k, axis = np.unravel_index(np.argmax(np.abs(away)), away.shape)
         said.append(
             f"{what} differs between the recordings ({per_cent(probability)}): {names[k]} is "

@@ -24,10 +24,10 @@ class ImuRequest(Request):
     gyro_axes: AxisMap = UNCHANGED
     still: StillSettings = field(default_factory=StillSettings)
 
-    def stated(self) -> dict[str, object]:
+    def describe_settings(self) -> dict[str, object]:
         """The settings as provenance keeps them."""
         return {
-            **super().stated(),
+            **super().describe_settings(),
             "gyro_axes": [list(self.gyro_axes.order), list(self.gyro_axes.sign)],
             "shortest_rest_s": self.still.shortest,
         }

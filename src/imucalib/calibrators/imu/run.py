@@ -17,7 +17,7 @@ from imucalib.calibration.gyroscope import GAIN as GAIN_EFFECT
 from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Left, Limit, Outcome, Run
 from imucalib.calibrators.imu.calibrate import ImuResult, calibrate_imu
 from imucalib.calibrators.imu.plan import open_words
-from imucalib.calibrators.imu.power_ups import bias_parts, differing, products_of
+from imucalib.calibrators.imu.power_ups import bias_parts, describe_differing, products_of
 from imucalib.calibrators.imu.request import ImuRequest
 from imucalib.calibrators.lab.run import LabDetails
 from imucalib.calibrators.sessions import Sessions, estimate_scatter
@@ -117,19 +117,19 @@ def run_imu(
         rests,
         calibrator="imu",
         errors=errors,
-        provenance=replace(rests.provenance, samples=samples, settings=request.stated()),
+        provenance=replace(rests.provenance, samples=samples, settings=request.describe_settings()),
         findings=findings,
         fit=rests.fit and replace(rests.fit, converged=both),
         reasons=(
             *rests.reasons,
             *(f"the turns leave open {words}" for words in open_gains),
-            *(differing(*products, names) if products else ()),
+            *(describe_differing(*products, names) if products else ()),
         ),
         advice=(*_advice(result, open_gains), *rests.advice),
         limits=_limits(request, errors),
         notes=(*rests.notes, *_notes(result)),
         weak=bool(open_gains),
-        left=_left_open(result, findings),
+        left=_list_open(result, findings),
     )
     details = imu_details(result)
     calibration = imu_calibration(result, outcome, details)
@@ -225,7 +225,7 @@ def _loop(result: ImuResult) -> Loop[TurnFit]:
         rejected=tuple((name, _NEEDLESS) for name in refused),
         refuted=refused,
         unexplained=tuple(
-            said.unexplained(p, lambda c: problem.components[c].name) for p in nameless
+            said.leave_unexplained(p, lambda c: problem.components[c].name) for p in nameless
         ),
         scores=scores_of(problem, found.posterior, shown),
         missing=found.lacking.missing,
@@ -234,7 +234,7 @@ def _loop(result: ImuResult) -> Loop[TurnFit]:
     )
 
 
-def _left_open(result: ImuResult, findings: Findings) -> tuple[Left, ...]:
+def _list_open(result: ImuResult, findings: Findings) -> tuple[Left, ...]:
     """By how much what is not settled changes a force, against what the calibration is good to."""
     base, final = (rest_forces(fit) for fit in (result.found.base, result.found.final))
     moved = np.sqrt(np.mean(np.sum((final - base) ** 2, axis=1)))

@@ -18,7 +18,7 @@ from imucalib.arrays import Array, Flags, Index
 from imucalib.calibrators.imu.laws import (
     LawTerm,
     components_of_both,
-    declared_terms,
+    declare_terms,
     laws_of,
     side_by_side,
     terms_of,
@@ -29,7 +29,7 @@ from imucalib.calibrators.imu.rows import ReducedRows, TurnNoisePoint, TurnTerms
 from imucalib.core.observations import Observations
 from imucalib.effects import known
 from imucalib.estimators.turn_log import TurnLog
-from imucalib.estimators.turns import ACCELEROMETER, GAIN, TurnFit, fit_turns, linearise, without
+from imucalib.estimators.turns import ACCELEROMETER, GAIN, TurnFit, fit_turns, leave_out, linearise
 from imucalib.posterior.closed_loop.folds import components_heard
 from imucalib.posterior.closed_loop.words import SelectedModel, select_model
 from imucalib.posterior.odds import HEARD, LEAST, SEARCHES
@@ -122,7 +122,7 @@ def search_laws(
 ) -> LawSearch:
     """The posterior over what a base fit lacks, at the set that it says: searched again from where
     that is, until the same is said. rests : as a bench has them"""
-    declared = declared_terms(request, course.rests)
+    declared = declare_terms(request, course.rests)
 
     def search(state: _WithTerms) -> tuple[Lacking, SelectedModel[TurnProblem]]:
         lacking = Lacking.of(state[0], declared, course, rests, request)
@@ -187,13 +187,13 @@ def _keys(terms: Sequence[LawTerm]) -> tuple[str, ...]:
     return tuple(sorted(term.key for term in terms))
 
 
-def in_fold(
+def refit_without(
     found: LawSearch, turns: Flags, rests: Flags, course: LogCourse, request: ImuRequest
 ) -> tuple[TurnFit, TurnFit]:
     """Base and final fit without some turns (T,) and what some rests (N,) read, everything chosen
     anew from the products of the others. Where the same is told, the final fit is that of the
     others, linear about the whole."""
-    base = without(found.base, turns, rests)
+    base = leave_out(found.base, turns, rests)
     if not request.loop:
         return base, base
     problem, grams = found.heard.contest(base, found.posterior.grams.points)
@@ -204,7 +204,7 @@ def in_fold(
     if _keys(terms) == _keys(found.terms):
         sizes = {term.key: term.sizes for term in terms}
         own = np.concatenate([sizes[term.key] for term in found.terms])
-        return base, without(found.final, turns, rests, own)
+        return base, leave_out(found.final, turns, rests, own)
     return base, joint_fit(base.log, terms, course, base)
 
 

@@ -38,7 +38,7 @@ class ImuPlan:
     gyro_bias: float = 1.0
 
 
-def simulated_imu(plan: ImuPlan, rng: np.random.Generator) -> tuple[Recording, Array]:
+def simulate_imu(plan: ImuPlan, rng: np.random.Generator) -> tuple[Recording, Array]:
     """The log, and the gains (3, 3) K that the gyroscope truly has, in the accelerometer's frame.
     Raises UsageError for an effect that is no gyroscope's."""
     turns = plan.rests - 1
@@ -90,11 +90,9 @@ def _plant_rates(
     truth, context = exposure(rate, up, t, LogCourse(np.zeros(1), t[-1:], t, None))
     for name, values in planted.items():
         effect = known.get(name)
-        if effect is None or effect.missing(context):
-            raise UsageError(
-                f"cannot plant {name}",
-                remedy=f"known: {', '.join(n for n, e in known.items() if not e.missing(context))}",
-            )
+        if effect is None or effect.find_missing(context):
+            able = (n for n, e in known.items() if not e.find_missing(context))
+            raise UsageError(f"cannot plant {name}", remedy=f"known: {', '.join(able)}")
         if len(values) not in (1, len(effect.each)):
             raise UsageError(f"{name} takes one value, or {len(effect.each)}")
         theta = np.broadcast_to(np.array(values), (len(effect.each),))

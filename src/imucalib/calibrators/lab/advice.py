@@ -9,8 +9,8 @@ import numpy as np
 
 from imucalib.calibration.calibration import UNSETTLED
 from imucalib.calibration.outcome import Limit
-from imucalib.calibration.power import advice_of, hidden
-from imucalib.calibration.uncertainty import correcting
+from imucalib.calibration.power import advice_of, find_hidden
+from imucalib.calibration.uncertainty import select_correctable
 from imucalib.calibrators.lab.bench import RawUnit, row_numbers
 from imucalib.calibrators.lab.calibrate import LabResult
 from imucalib.calibrators.lab.design import judge
@@ -53,7 +53,7 @@ def settle(what: str, record: RecordError, raw: RawUnit) -> Question:
     return Question(what, repair or out, other)
 
 
-def undecided_parts(result: LabResult) -> tuple[Question, ...]:
+def find_undecided(result: LabResult) -> tuple[Question, ...]:
     """Jumps of the bench after which the readings do not say which part stands as it was set."""
     found = list[Question]()
     if result.loop is None:
@@ -88,7 +88,7 @@ def reasons(result: LabResult) -> tuple[str, ...]:
             f"objective '{result.request.objective}' leaves open on these rows: "
             + "; ".join(result.final.null_directions)
         )
-    if result.request.sigma is not None and beyond_declared(result.final) < 0.01:
+    if result.request.sigma is not None and chance_of_factor(result.final) < 0.01:
         found.append(f"noise not as declared: {result.final.noise.factor:.2f} times --sigma")
     return tuple(found)
 
@@ -119,7 +119,7 @@ def advice(result: LabResult, raw: RawUnit) -> tuple[str | Question, ...]:
         found += _settings(fit)
     found += _positions(result)
     if loop:
-        found += advice_of(hidden(loop.scores, loop.final.model.names))
+        found += advice_of(find_hidden(loop.scores, loop.final.model.names))
     return tuple(found)
 
 
@@ -183,7 +183,9 @@ def _positions(result: LabResult) -> list[str]:
     """
     fit = result.final
     core = Model(
-        tuple(e for e in correcting(fit.model).effects if not e.needs and e.stage == "sensor")
+        tuple(
+            e for e in select_correctable(fit.model).effects if not e.needs and e.stage == "sensor"
+        )
     )
     reference = fit.observations.reference
     if isinstance(reference, KnownVector):
@@ -237,7 +239,7 @@ def limits_of(result: LabResult, limits: Mapping[str, float]) -> tuple[Limit, ..
     )
 
 
-def beyond_declared(fit: Fit) -> float:
+def chance_of_factor(fit: Fit) -> float:
     """Chance of a noise factor this far above 1 if the declared noise were true.
 
     Chi-square (upper tail), with as many degrees of freedom as the estimate of the factor is worth:

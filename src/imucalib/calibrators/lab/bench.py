@@ -13,7 +13,7 @@ from imucalib.calibrators.lab.position_table import PositionTable, ranges
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.core.angle_conventions import Conventions
 from imucalib.core.effect import Context
-from imucalib.core.observations import NoisePrior, Observations, with_sessions
+from imucalib.core.observations import NoisePrior, Observations, add_sessions
 from imucalib.core.references import KnownNorm, KnownVector, Reference
 from imucalib.core.sphere import KnownDirection
 from imucalib.effects.scans import COLUMN, trust_records
@@ -92,7 +92,7 @@ def prepare_table(
     cannot be, and without `auto_exclude` a row of another size.
     """
     table = in_celsius(table)
-    rows = kept_rows(table, (*request.exclude, *emptied))
+    rows = select_rows(table, (*request.exclude, *emptied))
     _refuse_dead_axis(table, rows)
     _refuse_units(table, rows)
     raw = raw_unit(table, request.unit, request.lsb_per_g)
@@ -144,7 +144,7 @@ def _refuse_offset(table: PositionTable) -> None:
         raise away.error(table.path)
 
 
-def held_settings(angle: Array) -> Index:
+def number_settings(angle: Array) -> Index:
     """Setting ids: consecutive rows with the same dial value were not re-set in between."""
     return _count(np.diff(angle) != 0.0)
 
@@ -185,7 +185,7 @@ def observations_of(table: PositionTable, raw: RawUnit, request: LabRequest) -> 
         )
     if request.trust:
         data = _trust(data, request.trust)
-    return with_sessions(data, table.columns["session"].astype(int)) if table.sessions else data
+    return add_sessions(data, table.columns["session"].astype(int)) if table.sessions else data
 
 
 def _trust(data: Observations, rows: tuple[int, ...]) -> Observations:
@@ -353,7 +353,7 @@ def in_celsius(table: PositionTable) -> PositionTable:
     )
 
 
-def kept_rows(table: PositionTable, exclude: tuple[int, ...]) -> Index:
+def select_rows(table: PositionTable, exclude: tuple[int, ...]) -> Index:
     """Rows (from 0) that remain; UsageError for one that does not exist."""
     last = max(table.rows, table.n)
     unknown = [r for r in exclude if not 1 <= r <= last]

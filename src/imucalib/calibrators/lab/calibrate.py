@@ -16,7 +16,7 @@ from imucalib.calibrators.lab.errors import Split, error_summary, leave_each_out
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.sessions import session_folds
 from imucalib.calibrators.population import of_a_kind
-from imucalib.calibrators.rivals import with_rivals
+from imucalib.calibrators.rivals import mix_rivals
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
@@ -27,7 +27,7 @@ from imucalib.errors import NotConverged, Undetermined, UsageError
 from imucalib.estimators.corrected import OBJECTIVES, fit_corrected
 from imucalib.estimators.in_a_population import kind_chance
 from imucalib.estimators.least_squares import fit as fit_model
-from imucalib.estimators.noise_mixture import with_noise_integrated
+from imucalib.estimators.noise_mixture import integrate_noise
 from imucalib.estimators.starting_point import full_matrix_start, linear_map
 from imucalib.posterior.candidates import effects_to_search
 from imucalib.posterior.closed_loop.closed import close_loop
@@ -110,10 +110,10 @@ def calibrate(
     if not (final.converged or (loop and loop.slips)):
         raise NotConverged("the fit did not settle", remedy="check the table; try --no-loop")
     one_fit = base is final
-    final = with_noise_integrated(final)
-    base = final if one_fit else with_noise_integrated(base)
+    final = integrate_noise(final)
+    base = final if one_fit else integrate_noise(base)
     if loop is not None:
-        final = with_rivals(final, loop.weighed, gravity_of(data))
+        final = mix_rivals(final, loop.weighed, gravity_of(data))
     splits = leave_each_out(base, final, observations, used, request.objective, solved.chosen_anew)
     return LabResult(
         observations=observations,
@@ -175,8 +175,8 @@ def base_model(request: LabRequest, observations: Observations) -> Model:
     if not observations.reference.directed:
         names = tuple(name for name in names if name != "mounting")
     kind, context = request.population, observations.context
-    shared = () if kind is None else kind.shared_effects(context)
-    effects = (*map(named, names), *request.declared_effects(context), *shared)
+    shared = () if kind is None else kind.select_shared(context)
+    effects = (*map(named, names), *request.select_declared(context), *shared)
     return Model(tuple({e.name: e for e in effects}.values()))
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibrators.lab.bench import held_settings
+from imucalib.calibrators.lab.bench import number_settings
 from imucalib.calibrators.lab.calibrate import MODELS
 from imucalib.core.angle_conventions import Conventions
 from imucalib.core.effect import Context
@@ -170,7 +170,7 @@ def design_of(inclination: Array, tool_face: Array, conventions: Conventions) ->
         norm=judge(Model(nine), *inside, norm=True),
         conventions=conventions,
         settings=(
-            int(held_settings(inclination)[-1]) + 1,
-            int(held_settings(tool_face)[-1]) + 1,
+            int(number_settings(inclination)[-1]) + 1,
+            int(number_settings(tool_face)[-1]) + 1,
         ),
     )

@@ -10,7 +10,13 @@ from typing import get_args, get_type_hints
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.calibrators.lab.bench import NOISE, PreparedTable, RawUnit, held_settings, in_degrees
+from imucalib.calibrators.lab.bench import (
+    NOISE,
+    PreparedTable,
+    RawUnit,
+    in_degrees,
+    number_settings,
+)
 from imucalib.calibrators.lab.calibrate import LabResult
 from imucalib.calibrators.lab.errors import setting_noise
 from imucalib.calibrators.lab.position_table import PositionTable
@@ -30,8 +36,8 @@ from imucalib.posterior.sheet.conventions import (
 from imucalib.posterior.sheet.converter import (
     CutOff,
     find_cut_offs,
+    find_mistaken_scale,
     flat_tops,
-    mistaken_scale,
     rows_of,
     step_of,
 )
@@ -61,7 +67,7 @@ def _misread(sheet: Sheet, misread: Misread, request: LabRequest) -> Question:
         words.append(f"with inclination from the {other.inclination_zero}")
         # The rest of a convention goes with it.
         meant = as_meant(sheet, meaning._replace(vertical=False))
-        straight = None if meant is None else _standing_straight(meant, other)
+        straight = None if meant is None else _find_straight(meant, other)
         options += _options(stated, straight or other)
     steps = {"inclination": meaning.inclination_steps, "tool_face": meaning.tool_face_steps}
     for name, step in steps.items():
@@ -84,7 +90,7 @@ def _options(stated: Conventions, other: Conventions) -> list[str]:
     ]
 
 
-def _standing_straight(sheet: Sheet, like: Conventions) -> Conventions | None:
+def _find_straight(sheet: Sheet, like: Conventions) -> Conventions | None:
     """The conventions nearest to some under which the sensor is straight in the tool."""
     hints = get_type_hints(Conventions)
     values = [get_args(hints[name]) for name in _SILENT]
@@ -104,7 +110,7 @@ def _axes_questions(sheet: Sheet, request: LabRequest) -> tuple[Question, ...]:
     if axes is None or axes.straight:
         return ()
     stated, before = request.conventions, request.repairs.axes
-    straight = _standing_straight(sheet, stated)
+    straight = _find_straight(sheet, stated)
     dial = tuple(_options(stated, straight)) if straight else ()
     # In terms of the sheet's columns, where some were stated already.
     over = axes.text.split(",")
@@ -151,7 +157,7 @@ class Faults:
         found = _axes_questions(self.written.sheet, request)
         return replace(self, questions=(*self.questions, *found))
 
-    def undecided(self, records: tuple[RecordError, ...]) -> tuple[Question, ...]:
+    def list_questions(self, records: tuple[RecordError, ...]) -> tuple[Question, ...]:
         """What the search's own records do not ask already."""
         said = {r.where for r in records}
         slips = (f for f in self.slips if f.kind != "cell" or f"row {f.rows[0]}" not in said)
@@ -166,10 +172,10 @@ def sheet_of(prepared: PreparedTable, request: LabRequest) -> Sheet:
     timed = "time" in table and bool(np.all(np.diff(table.columns["time"]) > 0.0))
     ordered = timed or in_order(*inside(dial["inclination"], dial["tool_face"]))
 
-    def held(role: str) -> Index:
+    def number(role: str) -> Index:
         if f"{role}_setting" in table:
             return np.unique(columns[f"{role}_setting"][rows], return_inverse=True)[1]
-        return held_settings(dial[role]) if ordered else np.arange(rows.size)
+        return number_settings(dial[role]) if ordered else np.arange(rows.size)
 
     return Sheet(
         reading=prepared.whole.reading[rows, 0] / MG,
@@ -178,8 +184,8 @@ def sheet_of(prepared: PreparedTable, request: LabRequest) -> Sheet:
         row=table.row[rows],
         place=rows,
         gravity=request.gravity / MG,
-        inclination_setting=held("inclination"),
-        tool_face_setting=held("tool_face"),
+        inclination_setting=number("inclination"),
+        tool_face_setting=number("tool_face"),
         inside=inside,
         ordered=ordered,
     )
@@ -191,7 +197,7 @@ def _order_note(table: PositionTable, rows: Index) -> tuple[str, ...]:
         role
         for role in ("inclination", "tool_face")
         if f"{role}_setting" not in table
-        and held_settings(table.columns[role][rows])[-1] + 1 < rows.size
+        and number_settings(table.columns[role][rows])[-1] + 1 < rows.size
     ]
     if not guessed:
         return ()
@@ -261,7 +267,7 @@ def _converter_questions(
     return tuple(found)
 
 
-def doubts(result: LabResult, raw: RawUnit, request: LabRequest) -> tuple[Question, ...]:
+def list_doubts(result: LabResult, raw: RawUnit, request: LabRequest) -> tuple[Question, ...]:
     """What no bench can be, once fitted: settings beyond a hand's, a unit guessed wrong."""
     found, how = [], "take more settings of it, and compare the sheet with the notes"
     search = () if request.loop else ("--loop",)
@@ -276,7 +282,7 @@ def doubts(result: LabResult, raw: RawUnit, request: LabRequest) -> tuple[Questi
     slices = model.slices(result.final.observations.context)
     guessed = request.unit is None and request.lsb_per_g is None and "norm at rest" in raw.sentence
     if guessed and "scale" in slices:
-        counts = mistaken_scale(raw.name, result.final.theta[slices["scale"]])
+        counts = find_mistaken_scale(raw.name, result.final.theta[slices["scale"]])
         if counts is not None:
             what = (
                 f"the unit {raw.name} was guessed, and all three axes read as if they had "

@@ -418,7 +418,7 @@ def _look_at_table(table: PositionTable, request: LabRequest) -> TableSeen:
         unit = prepared.raw.sentence
         faults = look_for_faults(prepared, request).with_axes(request)
         notes = (*prepared.table.left_out, *faults.notes)
-        wrong += faults.undecided(())
+        wrong += faults.list_questions(())
     except ImucalError as error:
         where = error.where.removeprefix(table.path).lstrip(", ")
         what = f"{where}: {error.what}" if where else error.what

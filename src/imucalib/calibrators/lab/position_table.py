@@ -203,10 +203,10 @@ def read_position_table(
     row = np.array(cells.row, np.intp)
     notes = [*cells.notes, *_drop_unreadable(cells, names, needed, bad, out)]
     if out.any():
-        notes.append(f"excluded as asked, and not readable: row {_listed(row[out])}")
+        notes.append(f"excluded as asked, and not readable: row {_list_rows(row[out])}")
     if upright.any():
         blank = "the tool-face is blank at the vertical, where it is none: row "
-        notes.append(blank + _listed(row[upright]))
+        notes.append(blank + _list_rows(row[upright]))
     cells = cells.at(np.flatnonzero(~out).tolist())
     columns = {role: values[~out] for role, values in columns.items() if role in names}
     sessions: tuple[str, ...] = ()
@@ -277,7 +277,7 @@ def _drop_unreadable(
             yield f"column '{names.pop(role)}' left out: row {cells.row[at]} {what}"
 
 
-def _listed(rows: Index) -> str:
+def _list_rows(rows: Index) -> str:
     return ", ".join(map(str, rows))
 
 

@@ -52,13 +52,13 @@ class LabRequest(Request):
     population: Population | None = None
     partial: bool = False
 
-    def stated(self) -> dict[str, object]:
+    def describe_settings(self) -> dict[str, object]:
         """The settings as provenance keeps them."""
         return {
             "reference": self.reference,
             "model": self.model,
             "objective": self.objective,
-            **super().stated(),
+            **super().describe_settings(),
             "fleet_sha256": self.population.sha256 if self.population else None,
             "sigma_mg": None if self.sigma is None else self.sigma / MG,
             "lsb_per_g": self.lsb_per_g,

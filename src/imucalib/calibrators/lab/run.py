@@ -10,14 +10,14 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration, from_fit
-from imucalib.calibration.outcome import Outcome, Run, left_open
+from imucalib.calibration.outcome import Outcome, Run, list_open
 from imucalib.calibration.provenance import provenance_of
 from imucalib.calibrators.lab.advice import (
     advice,
+    find_undecided,
     limits_of,
     reasons,
     settle,
-    undecided_parts,
 )
 from imucalib.calibrators.lab.bench import PreparedTable, RawUnit, prepare_table, row_numbers
 from imucalib.calibrators.lab.calibrate import LabResult, calibrate
@@ -29,12 +29,12 @@ from imucalib.calibrators.lab.errors import (
     setting_noise,
     worst,
 )
-from imucalib.calibrators.lab.faults import Faults, doubts, look_for_faults, worthless
+from imucalib.calibrators.lab.faults import Faults, list_doubts, look_for_faults, worthless
 from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.calibrators.lab.repairs import repair
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.sessions import sessions_of
-from imucalib.calibrators.next_recording import recorded_block
+from imucalib.calibrators.next_recording import describe_recorded
 from imucalib.calibrators.population import not_of_its_kind
 from imucalib.calibrators.sessions import BetweenSessions, Sessions
 from imucalib.core.fit import Fit
@@ -159,7 +159,7 @@ def run_lab(
             samples=table.n,
             gaps=gaps,
             mapping=dict(table.names) if mapping is None else mapping,
-            settings={**request.stated(), "unit": raw.name},
+            settings={**request.describe_settings(), "unit": raw.name},
             seed=request.seed,
             command=request.command,
         ),
@@ -170,7 +170,7 @@ def run_lab(
         undecided=undecided,
         limits=limits_of(result, request.limits),
         notes=(raw.sentence, *table.left_out, *faults.notes, *notes),
-        left=left_open(result.loop, result.error),
+        left=list_open(result.loop, result.error),
         sensor=_sensor(table, raw),
     )
     sessions = sessions_of(result.final, table.sessions)
@@ -225,16 +225,18 @@ def _questions(
     result: LabResult, faults: Faults, raw: RawUnit, request: LabRequest
 ) -> tuple[Question, ...]:
     """What only the user can decide: slips and wrong records, else doubts; a fleet's too."""
-    found = faults.undecided(_records(result))
+    found = faults.list_questions(_records(result))
     for r in _records(result):
         what = (
             f"{r.where}: {r.channel} is {r.size:.3g} ± {r.sd:.2g} {r.unit} off what the others "
             f"predict ({r.likely}, {per_cent(r.probability)})"
         )
         found += (settle(what, r, raw),)
-    found += undecided_parts(result)
+    found += find_undecided(result)
     instead = "calibrate it alone, in 24 positions or more, without --fleet"
-    return (found or doubts(result, raw, request)) + not_of_its_kind(result.kind_chance, instead)
+    return (found or list_doubts(result, raw, request)) + not_of_its_kind(
+        result.kind_chance, instead
+    )
 
 
 def _wrong_rows(result: LabResult, faults: Faults, prepared: PreparedTable) -> dict[int, str]:
@@ -309,11 +311,11 @@ def lab_details(
         # What neighbours share is noise of a later rest too.
         reading = reading_noise(fit).whole
         found = ambiguities(result.loop.final, result.loop.alternatives)
-        recorded = recorded_block(fit, found, reading=reading, settings=setting_noise(fit))
+        recorded = describe_recorded(fit, found, reading=reading, settings=setting_noise(fit))
     known = isinstance(result.observations.reference, KnownVector)
     return LabDetails(
         noise=noise_block(fit),
-        held_out=_held_out_rows(result),
+        held_out=_describe_held_out(result),
         left_out=excluded,
         positions=_positions(result),
         undecided=tuple(map(str, undecided)),
@@ -338,7 +340,7 @@ def noise_block(fit: Fit) -> dict[str, Any]:
     return block
 
 
-def _held_out_rows(result: LabResult) -> tuple[HeldOutRow, ...]:
+def _describe_held_out(result: LabResult) -> tuple[HeldOutRow, ...]:
     """Errors on data that was not fitted, per split and model."""
     known, rows = isinstance(result.observations.reference, KnownVector), []
     for split in result.splits:

@@ -10,7 +10,7 @@ from imucalib.arrays import Array
 from imucalib.calibrators.lab.bench import position_observations
 from imucalib.calibrators.lab.design import recommend
 from imucalib.calibrators.lab.position_table import PositionTable
-from imucalib.calibrators.planted import planted_model
+from imucalib.calibrators.planted import plant_model
 from imucalib.core.angle_conventions import Conventions
 from imucalib.core.references import unit_vector
 from imucalib.errors import UsageError
@@ -46,7 +46,7 @@ class BenchPlan:
     temperature: tuple[float, float] | None = None
 
 
-def simulated_table(plan: BenchPlan, rng: np.random.Generator) -> PositionTable:
+def simulate_table(plan: BenchPlan, rng: np.random.Generator) -> PositionTable:
     """A position table in degrees and mg. Raises UsageError for impossible plans."""
     inclination, tool_face = _layout(plan, rng)
     columns = {"inclination": inclination, "tool_face": tool_face}
@@ -56,7 +56,7 @@ def simulated_table(plan: BenchPlan, rng: np.random.Generator) -> PositionTable:
     nominal = PositionTable(columns, {}, {}, rows, "simulated", "")
     meant = plan.gravity * unit_vector(*Conventions().inside(inclination, tool_face))
     data = position_observations(nominal, meant, Conventions(), plan.gravity, sigma=plan.noise * MG)
-    model, theta = planted_model({**SENSOR, **plan.plant}, data.context)
+    model, theta = plant_model({**SENSOR, **plan.plant}, data.context)
     reference = data.reference
     eta = np.zeros(reference.eta_size)
     for sd, index in zip(plan.setting, reference.directions(eta).index.T, strict=True):
@@ -91,7 +91,7 @@ def _layout(plan: BenchPlan, rng: np.random.Generator) -> tuple[Array, Array]:
     return inclination, np.round(np.concatenate([np.zeros(10), steps[0], steps[1][::-1]]), 1)
 
 
-def simulated_recording(
+def simulate_recording(
     table: PositionTable,
     rng: np.random.Generator,
     *,

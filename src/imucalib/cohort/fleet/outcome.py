@@ -9,7 +9,7 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.calibration.calibration import Calibration
-from imucalib.calibration.comparison.agreement import ExcessScatter, beyond
+from imucalib.calibration.comparison.agreement import ExcessScatter, estimate_excess
 from imucalib.calibration.provenance import Provenance
 from imucalib.calibrators.population import Population, PriorNoise, PriorParameter
 from imucalib.cohort.fleet.search import Priors, Search
@@ -103,7 +103,7 @@ def by_device(
 
     values, sds : (recordings,); device : (recordings,) 0 to devices - 1
     """
-    within = beyond(values, sds**2, np.eye(device.max() + 1)[device])
+    within = estimate_excess(values, sds**2, np.eye(device.max() + 1)[device])
     if np.isnan(within.sd):
         return values, sds, None
     weight = 1.0 / (sds**2 + within.sd**2)

@@ -92,7 +92,7 @@ def shrink_noise(devices: Sequence[PooledDevice]) -> tuple[PooledDevice, ...]:
     half = np.array([d.dof / 2.0 for d in devices])
     logs = np.log([d.noise for d in devices]) - 0.5 * (psi(half) - np.log(half))
     known = logs[:, None], 0.5 * np.sqrt(polygamma(1, half))[:, None]
-    better = np.exp(predict_next(*known).drawn(*known)[:, 0])
+    better = np.exp(predict_next(*known).shrink(*known)[:, 0])
     every = zip(devices, [d.noise for d in devices] / better, strict=True)
     return tuple(replace(d, gram=d.gram * r**2, along=d.along * r**2) for d, r in every)
 

@@ -32,7 +32,7 @@ from imucalib.errors import UnreadableInput, UsageError
 from imucalib.file_hash import sha256_of
 from imucalib.posterior.candidates import effects_to_search
 from imucalib.posterior.closed_loop.sums import Sums, columns_of
-from imucalib.posterior.held_out import Difference, difference, with_density
+from imucalib.posterior.held_out import Difference, add_density, difference
 from imucalib.units import MG
 
 #: sd of an effect that a recording has by itself, in typical sizes: its own data decide.
@@ -301,7 +301,7 @@ def _gain(own: Sequence[PooledDevice], said: Said) -> Difference:
     after, nats = np.array(pairs).T
     before = np.array([device.noise for device in own])
     found = difference(before, after, np.arange(len(own)), len(own), "rms")
-    return with_density(found, nats)
+    return add_density(found, nats)
 
 
 def _following(

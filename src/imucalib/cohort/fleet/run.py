@@ -75,7 +75,7 @@ def run_fleet(tables: Sequence[LabFiles], request: LabRequest, say: Callable[[st
         spreads=spreads,
         outliers=outliers([member.name for member in members], spreads),
         difference=gain if said.search.found else None,
-        settings=Settings("lab", request.command, request.stated()),
+        settings=Settings("lab", request.command, request.describe_settings()),
         following=population_of(
             [by_name[p.name] for p in fits[0].parameters],
             said.following,

@@ -11,7 +11,7 @@ from imucalib.effects.array.parts import (
     OTHERS,
     all_axes,
     by_force,
-    displaced,
+    displace,
     elements,
     other_axes,
     times,
@@ -28,12 +28,12 @@ def _common_bias(truth: Truth, context: Context) -> Array:
 
 def _sensing_elements(truth: Truth, context: Context) -> Array:
     """Axis i senses at d_i (package axes) off the triad's position: a_i += (W d_i)_i."""
-    return elements(displaced(truth, context))
+    return elements(displace(truth, context))
 
 
-def _flexing(truth: Truth, context: Context) -> Array:
+def _flex(truth: Truth, context: Context) -> Array:
     """A spring is as stiff both ways: C is symmetric."""
-    arm = displaced(truth, context) / STANDARD_GRAVITY
+    arm = displace(truth, context) / STANDARD_GRAVITY
     out = np.zeros((*truth.shape, len(_PAIRS)))
     for column, (i, j) in enumerate(_PAIRS):
         out[..., column] = arm[..., i] * truth.force[..., j, None]
@@ -92,8 +92,8 @@ EFFECTS = (
         "Twist fast while shaking; fasten the IMU and compare.",
         ("rate", "spin"),
         tuple(Parameter(f"flexing_{'xyz'[i]}{'xyz'[j]}", "mm/g", 0.05, 10.0) for i, j in _PAIRS),
-        _flexing,
-        by_force(_flexing),
+        _flex,
+        by_force(_flex),
         remedy="it gives way to the force: fasten it, or stiffen the board there",
     ),
     Response(
@@ -104,7 +104,7 @@ EFFECTS = (
         "Twist slowly and fast; fasten the IMU and compare.",
         ("rate", "spin"),
         tuple(Parameter(f"moved_by_rate_{a}", "mm", 0.05, 10.0) for a in "xyz"),
-        times(displaced, _fast),
+        times(displace, _fast),
         remedy="it moves outwards with the rate: fasten it",
     ),
     Response(

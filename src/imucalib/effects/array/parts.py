@@ -61,7 +61,7 @@ def other_axes(quantity: Quantity, unit: float) -> Basis:
     return lambda truth, context: every(truth, context)[..., [3 * i + j for i, j in OTHERS]]
 
 
-def displaced(truth: Truth, context: Context) -> Array:
+def displace(truth: Truth, context: Context) -> Array:
     """Three numbers, mm: W d = ω × (ω × d) + dω/dt × d of a place that is d off, in each package's
     axes."""
     w, turned = truth.turning.rate, cross_matrix(truth.turning.spin)

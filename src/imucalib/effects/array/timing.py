@@ -19,11 +19,11 @@ _LATE_GYROS, _LATE_FORCES = all_axes(SPIN, -1e-3), all_axes(JERK, -1e-3)
 
 
 class _Aged(Response):
-    def missing(self, context: Context) -> str:
-        return "no gyro shows a beat line" if super().missing(context) else ""
+    def find_missing(self, context: Context) -> str:
+        return "no gyro shows a beat line" if super().find_missing(context) else ""
 
 
-def slowed(course: Course, lag: Array) -> Course:
+def slow(course: Course, lag: Array) -> Course:
     """Behind low-passes of time constants `lag` (n, K, 1) s, of which the first counts, against a
     course that has passed one itself: a negative lag is that of a quicker sensor.
 
@@ -133,7 +133,7 @@ EFFECTS = (
         ("jerk",),
         (Parameter("accelerometer_time_constant", "ms", 0.3, 50.0, least=0.0),),
         _LATE_FORCES,
-        lagged=slowed,
+        lagged=slow,
         twin="accelerometer_delay",
         remedy="its filter is not that of the others: set it as theirs",
     ),
@@ -147,7 +147,7 @@ EFFECTS = (
         (Parameter("common_time_constant", "ms", 1.0, 50.0, least=0.0),),
         _LATE_FORCES,
         shared=True,
-        lagged=slowed,
+        lagged=slow,
         twin="gyro_delay",
     ),
     Response(
@@ -161,7 +161,7 @@ EFFECTS = (
         _LATE_GYROS,
         channel="angular_rate",
         shared=True,
-        lagged=slowed,
+        lagged=slow,
         twin="gyro_delay",
     ),
     Response(
@@ -174,7 +174,7 @@ EFFECTS = (
         (Parameter("gyro_own_time_constant", "ms", 0.3, 50.0, least=0.0),),
         _LATE_GYROS,
         channel="angular_rate",
-        lagged=slowed,
+        lagged=slow,
         twin="gyro_delay_each",
         remedy="its gyro's filter is not that of the others: set it as theirs",
     ),

@@ -63,7 +63,7 @@ class FusedMotion:
     rate: Array
     covariance: Array
 
-    def felt(self, r: Array) -> Array:
+    def predict_force(self, r: Array) -> Array:
         """(T, K, 3) m/s² specific force at places r (K, 3) m."""
         return np.asarray(self.force[:, None] + r @ turning(self.rate, self.spin).swapaxes(1, 2))
 
@@ -118,14 +118,14 @@ def fuse_samples(sensed: Sensed, r: Array, start: Array) -> FusedMotion:
     normal = np.matmul(weights, pairs).reshape(t, 3, 3, 4, 4).transpose(0, 1, 3, 2, 4)
     pulled = np.matmul(sensed.force_precision, sensed.force[..., None])[..., 0]
     along = np.matmul(pulled.transpose(0, 2, 1), place)
-    own, pull = _turning_alone(sensed, start)
+    own, pull = _inform_by_gyros(sensed, start)
     said = Information(normal.reshape(t, 12, 12), along.reshape(t, 12), own, pull)
     first = np.concatenate([np.zeros((t, 6)), start], axis=1)
-    x, root = said.fitted(first, _ROUNDS, _CLOSE, _LONGEST)
+    x, root = said.fit(first, _ROUNDS, _CLOSE, _LONGEST)
     return FusedMotion(x[:, :3], x[:, 3:6], x[:, 6:], root @ root.transpose(0, 2, 1))
 
 
-def _turning_alone(sensed: Sensed, start: Array) -> tuple[Array, Array]:
+def _inform_by_gyros(sensed: Sensed, start: Array) -> tuple[Array, Array]:
     """What gyros and priors say of dω/dt and ω: (T, 6, 6) and (T, 6)."""
     own, pull = np.zeros((len(start), 6, 6)), np.zeros((len(start), 6))
     own[:, range(3), range(3)] = SPIN

@@ -86,7 +86,7 @@ def log_density(noise: MotionNoise, square: Squares, speed: Array) -> Array:
     return np.asarray(level - 0.5 * m * np.log(variance) - 0.5 * (nu + m) * np.log1p(d / nu))
 
 
-def scaled(noise: MotionNoise, square: Squares, speed: Array) -> MotionNoise:
+def rescale(noise: MotionNoise, square: Squares, speed: Array) -> MotionNoise:
     """The same with its most likely scale: a few steps of expectation maximisation."""
     unit = square.length / (noise.variance(speed) / noise.sigma**2)
     if not np.isfinite(noise.freedom):
@@ -104,7 +104,7 @@ def plain_noise(square: Squares, speed: Array) -> MotionNoise:
     """Gaussian noise of one size."""
     start = float(np.sqrt(np.median(square.length / square.numbers)))
     noise = MotionNoise(max(start, 1e-12), 0.0, np.inf, np.ones(len(square.numbers)))
-    return scaled(noise, square, speed)
+    return rescale(noise, square, speed)
 
 
 def _every_shape(square: Squares, speed: Array) -> Iterator[MotionNoise]:
@@ -127,7 +127,7 @@ def _every_shape(square: Squares, speed: Array) -> Iterator[MotionNoise]:
 def _likeliest(options: list[MotionNoise], square: Squares, speed: Array) -> MotionNoise:
     if len(options) == 1:
         return options[0]
-    found = [scaled(one, square, speed) for one in options]
+    found = [rescale(one, square, speed) for one in options]
     return max(found, key=lambda one: float(log_density(one, square, speed).sum()))
 
 

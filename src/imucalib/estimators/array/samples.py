@@ -205,7 +205,7 @@ class Information:
         with np.errstate(invalid="ignore"):
             return inverse_roots(matrix)
 
-    def fitted(
+    def fit(
         self, start: Array, rounds: int, close: float, longest: float = np.inf
     ) -> tuple[Array, Array]:
         """The nine (T, 9) of every sample and the roots of their covariances, by Gauss-Newton.
@@ -258,7 +258,7 @@ def fit_samples(
         first = np.concatenate([start.origin, start.spin, start.rate], axis=1)
     else:
         first = np.concatenate([np.zeros((len(start), 6)), start], axis=1)
-    x, root = _information(readings, weights, r).fitted(first, rounds, _LAST)
+    x, root = _information(readings, weights, r).fit(first, rounds, _LAST)
     if not np.isfinite(x).all():
         raise np.linalg.LinAlgError("the motion of a sample runs away")
     rate, turn = x[:, 6:], turning(x[:, 6:], x[:, 3:6])
@@ -276,7 +276,7 @@ def fit_samples(
     )
 
 
-def reweighed(sampled: Sampled, acceleration: float, rate: float) -> Sampled:
+def reweigh(sampled: Sampled, acceleration: float, rate: float) -> Sampled:
     """The same motion with all weights of each kind of sensor times a factor."""
     weights = Weights(sampled.weights.acceleration * acceleration, sampled.weights.rate * rate)
     rest = Readings(sampled.force, sampled.off.rate)  # whatever they read, they say as much

@@ -24,7 +24,7 @@ class Convergence:
     tail: Array
     mcse: Array
 
-    def reached(self, rhat: float = 1.01, ess: float = 400.0, *, tails: bool = True) -> bool:
+    def is_reached(self, rhat: float = 1.01, ess: float = 400.0, *, tails: bool = True) -> bool:
         """Whether every quantity meets both limits, the second in the tails too; NaN meets none."""
         enough = np.all(self.bulk >= ess) and (not tails or np.all(self.tail >= ess))
         return bool(np.all(self.rhat < rhat) and enough)

@@ -76,7 +76,7 @@ def sample(
         if count < 2 * rule.block:
             continue
         found = convergence(seen(draws))
-        if found.reached(rule.rhat, rule.ess, tails=False):
+        if found.is_reached(rule.rhat, rule.ess, tails=False):
             return Chains(draws, taken / count, steps[0], found)
         if count >= rule.most:
             raise NotConverged(

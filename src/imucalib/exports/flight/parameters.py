@@ -87,7 +87,7 @@ def flight_of(
     rate = None if gyro is None else gyro.bias
     if gyro is not None and thermal is not None:
         still = np.zeros((1, 3))
-        rate = gyro.bias + gyro.added(still, still, np.array([thermal.middle]))[0]
+        rate = gyro.bias + gyro.evaluate_laws(still, still, np.array([thermal.middle]))[0]
     if rate is not None:
         rate, _ = boards[1].compose(rate, np.ones(3))
     boards[0].demand_law(own=thermal is not None)

@@ -63,7 +63,9 @@ def thermal_of(calibration: Calibration) -> Thermal | None:
     context = Context(warm.size, {**known, "temperature": warm})
     nothing = np.zeros((warm.size, 1, 3))
     read = model.predict(theta, nothing, context).reading[:, 0]
-    added = np.zeros((0, 3)) if gyro is None else gyro.added(nothing[:, 0], nothing[:, 0], warm)
+    added = (
+        np.zeros((0, 3)) if gyro is None else gyro.evaluate_laws(nothing[:, 0], nothing[:, 0], warm)
+    )
     if max(float(np.ptp(one, axis=0).max()) for one in (read, added) if len(one)) <= 0.0:
         return None
     middle = 0.5 * (low + high)

@@ -153,7 +153,7 @@ class ChangeQuestion:
         ]
         return ChangeAnswer(tuple(sorted(every, key=lambda one: -one.probability)))
 
-    def seen(self, suspect: int, chance: float = SEEN_IN) -> float:
+    def find_detectable(self, suspect: int, chance: float = SEEN_IN) -> float:
         """Smallest size, in what matters, of a suspect in the direction that shows least that is
         told with this chance; infinite where it cannot show."""
         from scipy.optimize import brentq
@@ -198,7 +198,7 @@ class ChangeQuestion:
             if direction is not None:
                 along = one.members[0] @ direction
                 square = float(along @ self.precision @ along)
-                known = self.told_from(along, direction.size), direction.size, square
+                known = self.find_threshold(along, direction.size), direction.size, square
             self._bars[suspect] = known
         return self._bars[suspect]
 
@@ -228,7 +228,7 @@ class ChangeQuestion:
         open_ = values[0] <= _NONE**2 * max(float(values[-1]), 1e-300)
         return None if open_ else np.asarray(vectors[:, 0])
 
-    def told_from(self, along: Array, rank: int) -> float:
+    def find_threshold(self, along: Array, rank: int) -> float:
         """z² of so many numbers from which on a change is told that moves along (N,), by sets of
         one component, where all other numbers scatter as they are expected to."""
         from scipy.optimize import brentq

@@ -19,22 +19,22 @@ from imucalib.posterior.closed_loop.folds import LeftOut, leave_folds_out
 from imucalib.posterior.closed_loop.found import CheckedError, FitLoop, Step
 from imucalib.posterior.closed_loop.words import (
     SelectedModel,
+    measure_shown,
     rivals_of,
     scores_of,
     select_model,
-    shown_by,
 )
 from imucalib.posterior.held_out import (
     Difference,
     Fold,
+    add_density,
     difference,
     folds_of,
     parts_of,
-    with_density,
 )
 from imucalib.posterior.record_errors import accuse, drop_effects, record_names
 from imucalib.posterior.search.explored import SearchedPosterior, SearchStart
-from imucalib.posterior.search.noise import NoiseHypothesis, between_temperatures, shared_bias
+from imucalib.posterior.search.noise import NoiseHypothesis, between_temperatures, make_bias_walk
 from imucalib.posterior.search.problem import Problem
 from imucalib.posterior.search.solution import Solved, change, fit_of, noises_of, solve
 from imucalib.posterior.slips.trials import Written, repair_sheet
@@ -84,9 +84,9 @@ def close_loop(
         observations = replace(observations, sigma=observations.sigma * uneven)
         plain = fit_model(model, observations, start=plain.theta)
         begun = SearchStart.of(plain, wanted)
-    found = repair_sheet(begun.explored(), wanted, written)
+    found = repair_sheet(begun.explore(), wanted, written)
     said = select_model(found.problem, found.posterior)
-    data, base = _walking(found.base.observations, said), found.base
+    data, base = _add_walk(found.base.observations, said), found.base
     if data is not base.observations:
         base = fit_model(base.model, data, start=base.theta)
     loop, left = accept_or_reject(
@@ -107,7 +107,7 @@ def close_loop(
     )
 
 
-def _walking(data: Observations, said: SelectedModel[Problem]) -> Observations:
+def _add_walk(data: Observations, said: SelectedModel[Problem]) -> Observations:
     """The observations, with the bias that walks as a noise of theirs where it more likely does
     than not beside what is told: readings that share an error are worth fewer."""
     grams = said.posterior.grams
@@ -118,7 +118,7 @@ def _walking(data: Observations, said: SelectedModel[Problem]) -> Observations:
             walks[point.walk[1]] = walks.get(point.walk[1], 0.0) + float(share)
     if sum(walks.values()) <= 0.5:
         return data
-    walk = shared_bias(data, max(walks, key=lambda memory: walks[memory]))
+    walk = make_bias_walk(data, max(walks, key=lambda memory: walks[memory]))
     return replace(data, shared=(*data.shared, walk))
 
 
@@ -130,7 +130,7 @@ def _gain(base: Fit, left: LeftOut) -> Difference:
     good = ~np.isin(data.context.covariates.get("record", np.arange(data.n)), aside)
     sizes = left.before.size[good], left.after.size[good]
     gain = difference(*sizes, parts_of(folds)[good], len(folds), "rms")
-    return gain if between_temperatures(data) else with_density(gain, left.nats)
+    return gain if between_temperatures(data) else add_density(gain, left.nats)
 
 
 def _as_recorded(loop: FitLoop, *, slips: bool) -> Fit:
@@ -151,8 +151,8 @@ def start_loop(
 ) -> FitLoop:
     """The loop before anything is corrected."""
     context = plain.observations.context
-    reasons = {name: effect.missing(context) for name, effect in wanted.effects.items()}
-    scores = scores_of(said.problem, said.posterior, shown_by(said.problem, said.posterior))
+    reasons = {name: effect.find_missing(context) for name, effect in wanted.effects.items()}
+    scores = scores_of(said.problem, said.posterior, measure_shown(said.problem, said.posterior))
     return FitLoop(
         base=base,
         final=base,
@@ -220,7 +220,7 @@ def _reject(
     loop: FitLoop, said: SelectedModel[Problem], why: str, gain: Difference | None = None
 ) -> FitLoop:
     """Nothing is corrected: what is missing stays without a name."""
-    unexplained = tuple(said.unexplained(place) for place in said.places)
+    unexplained = tuple(said.leave_unexplained(place) for place in said.places)
     names = tuple(one.name for one in unexplained)
     return replace(
         loop,

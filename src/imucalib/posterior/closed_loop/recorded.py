@@ -181,7 +181,7 @@ class RunCourse:
             (columns.T * (unit / self.scatter)).T.reshape(len(unit), -1)
         )[0].reshape(columns.shape)
 
-    def summed(self, columns: Array) -> tuple[Array, Array]:
+    def multiply(self, columns: Array) -> tuple[Array, Array]:
         """(E, q, q) products of columns (n, q) under every walk, and (E,) log prior less half of
         log |V|."""
         white = self.whitener(self.walks)
@@ -242,7 +242,7 @@ def _walks(time: Array) -> tuple[WalkNoise, ...]:
 def _settle(course: RunCourse, every: Array, known: Array) -> tuple[RunCourse, BiasWalk]:
     """Weights, scatter and walk once more; every : (n, p + 1) columns and the misfit over the
     scatter."""
-    gram, weight = course.summed(every)
+    gram, weight = course.multiply(every)
     sizes = diagonal_logs(gram, 1e-12)
     dof = len(every) - every.shape[1] + 1
     logs = weight - sizes[:, :-1].sum(axis=1) - dof * sizes[:, -1]
@@ -271,7 +271,7 @@ def _settle(course: RunCourse, every: Array, known: Array) -> tuple[RunCourse, B
     return replace(course, scatter=scatter, variance=variance, likeliest=walk, light=light), drift
 
 
-def recorded_grams(problem: Problem, course: RunCourse) -> Grams:
+def multiply_course(problem: Problem, course: RunCourse) -> Grams:
     """At all walks of a course, which go on through runs that are left out."""
     white = course.whitener(course.walks)
 

@@ -33,7 +33,7 @@ from imucalib.posterior.closed_loop.recorded import (
     RunCourse,
     course_of,
     fit_at,
-    recorded_grams,
+    multiply_course,
     score_walks,
     whitener,
     with_jumps,
@@ -91,14 +91,14 @@ def close_recording(
     own = course.scatter * np.sqrt(course.variance)  # of each run, beside the walk
     data = replace(data, sigma=np.broadcast_to(own[:, None, None], data.sigma.shape).copy())
 
-    def fitted(one: Solved) -> Fit:
+    def refit_at(one: Solved) -> Fit:
         return fit_at(one.model, data, one.theta, one.covariance)
 
-    base = fitted(solve(problem, posterior.grams, posterior.base))
+    base = refit_at(solve(problem, posterior.grams, posterior.base))
     loop, left = accept_or_reject(
         replace(start_loop(base, plain, wanted, said), as_recorded=base),
         said,
-        fitted,
+        refit_at,
         _gain,
         curves=curves,
     )
@@ -197,7 +197,7 @@ def _look(
     scaled = replace(data, sigma=np.full_like(data.sigma, course.scatter))
     at = fit_at(fit.model, scaled, fit.theta, fit.covariance)
     problem = problem_of(at, components, plain.model)
-    every = recorded_grams(problem, course)
+    every = multiply_course(problem, course)
     problem = with_jumps(problem, every)
     kept, leading = score_walks(problem, every, before)
     grams = every.of(kept)

@@ -98,7 +98,7 @@ def scores_of(
     return tuple(sorted(found, key=lambda s: -s.probability))
 
 
-def shown_by(problem: Problem, posterior: Posterior) -> list[tuple[float, float, float]]:
+def measure_shown(problem: Problem, posterior: Posterior) -> list[tuple[float, float, float]]:
     """Of each component's first member what `scores_of` tells, at the likeliest noise."""
     base, dof = marginalize(posterior.grams, problem.flat), posterior.dof
     logs = base.log_weight + base.log_noise(base.power, dof)
@@ -203,7 +203,9 @@ class SelectedModel(Generic[P]):
             formula=law if component.kind == "law" else "",
         )
 
-    def unexplained(self, slot: Slot, name: Callable[[int], str] | None = None) -> Unexplained:
+    def leave_unexplained(
+        self, slot: Slot, name: Callable[[int], str] | None = None
+    ) -> Unexplained:
         """A slot as structure that stays. name : of a component; that of its effect by default"""
         name = name or self.name
         return Unexplained(

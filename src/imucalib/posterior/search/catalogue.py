@@ -161,7 +161,7 @@ def _usable(data: Observations, effect: Effect, *, parts: bool = False) -> bool:
         count = len(effect.parameters(data.context)), len(whole.parameters(data.context))
         whole = whole if count[0] >= count[1] else None
     by_size = effect.stage == "sensor" and whole is None
-    return (data.reference.directed or by_size) and not effect.missing(data.context)
+    return (data.reference.directed or by_size) and not effect.find_missing(data.context)
 
 
 def _whole(effect: Effect, context: Context) -> tuple[Effect, Index, Array]:
@@ -218,9 +218,13 @@ def _functions(data: Observations, *, walks: bool) -> Iterator[Component]:
         yield Component(f"response of {a}", "free", members, "response")
     every = tuple(Member(together, share) for together in zip(*axes.values(), strict=True))
     yield Component("response of all axes", "free", every, "response")
-    slow = [(what, name) for name in _varying(data, (*_SLOW, DAILY)) for what in ("bias", "scale")]
-    dials = _varying(data, _DIALS) if data.reference.directed else []
-    turned = [(what, name) for what in dials for name in _varying(data, (*_DIALS, "order"))]
+    slow = [
+        (what, name)
+        for name in _select_varying(data, (*_SLOW, DAILY))
+        for what in ("bias", "scale")
+    ]
+    dials = _select_varying(data, _DIALS) if data.reference.directed else []
+    turned = [(what, name) for what in dials for name in _select_varying(data, (*_DIALS, "order"))]
     for what, name in (*slow, *turned):
         if not (walks and (what, name) == ("bias", "order")):
             values = data.context[name]
@@ -230,7 +234,7 @@ def _functions(data: Observations, *, walks: bool) -> Iterator[Component]:
             yield Component(title, "free", members, name)
 
 
-def _varying(data: Observations, names: Sequence[str]) -> list[str]:
+def _select_varying(data: Observations, names: Sequence[str]) -> list[str]:
     return [n for n in names if n in data.context and np.ptp(data.context[n]) > 0.0]
 
 
@@ -244,11 +248,11 @@ def _curve(data: Observations, text: str, fall: int) -> tuple[Effect, Index, Arr
 def _laws(data: Observations) -> Iterator[Component]:
     """One component of each covariate, its shape a member."""
     laws = [("response", [f"response:xyz:{text}" for text in _OF_RESPONSE])]
-    for name in _varying(data, _SLOW):
+    for name in _select_varying(data, _SLOW):
         laws.append((name, [f"bias:{name}:{text}" for text in _courses(data.context[name])]))
-    for name in _varying(data, (DAILY,)):
+    for name in _select_varying(data, (DAILY,)):
         laws.append((name, [f"bias:time:sine:{3600.0 * hours:.6g}" for hours in _PERIODS]))
-    for name in _varying(data, _DIALS) if data.reference.directed else ():
+    for name in _select_varying(data, _DIALS) if data.reference.directed else ():
         waves = [f"{w}:{360.0 / n:.6g}{end}" for n in (1, 2, 3, 4, 6) for w, end in _WAVES]
         shapes = waves if name == "tool_face" else _courses(np.degrees(data.context[name]))
         laws.append((name, [f"{name}:{name}:{text}" for text in shapes]))

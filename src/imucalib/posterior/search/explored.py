@@ -76,7 +76,7 @@ class SearchStart:
         problem = problem_of(base, components_of(base.model, base.observations, wanted))
         return SearchStart(base, wanted, problem, terms_of(problem))
 
-    def explored(self) -> SearchedPosterior:
+    def explore(self) -> SearchedPosterior:
         """The posterior, scans refined where they count."""
         found = self._search()
         values = values_found(found)
@@ -178,7 +178,7 @@ def span(factor: Array) -> Array:
 
 def search_posterior(fit: Fit, wanted: SearchedEffects) -> SearchedPosterior:
     """The posterior at a fitted base model, scans refined where they count."""
-    return SearchStart.of(fit, wanted).explored()
+    return SearchStart.of(fit, wanted).explore()
 
 
 def _at_nominal_angles(fit: Fit) -> Fit:
@@ -217,17 +217,17 @@ def _gross_errors(fit: Fit) -> Array:
     at, n = fit.at, fit.observations.n
     white, basis = fit.white_basis()
 
-    def projected(columns: Array) -> Array:
+    def project(columns: Array) -> Array:
         own = white(columns)
         return np.asarray(own - basis @ (basis.T @ own))
 
-    pulled = white.back(projected(at.residual[:, None]))[:, 0]
+    pulled = white.back(project(at.residual[:, None]))[:, 0]
     rows = np.arange(at.owner.size).reshape(n, -1)
     width, size = rows.shape[1], np.empty(n)
     for some in np.array_split(np.arange(n), -(-n // _AT_ONCE)):
         own = np.zeros((at.owner.size, some.size * width))
         own[rows[some].ravel(), np.arange(some.size * width)] = 1.0
-        block = projected(own).reshape(-1, some.size, width).transpose(1, 2, 0)
+        block = project(own).reshape(-1, some.size, width).transpose(1, 2, 0)
         inner = block @ block.transpose(0, 2, 1) + 1e-9 * np.eye(width)
         pull = pulled[rows[some]]
         size[some] = np.sum(pull * np.linalg.solve(inner, pull[..., None])[..., 0], axis=1)
@@ -236,7 +236,7 @@ def _gross_errors(fit: Fit) -> Array:
     free[worst, np.arange(worst.size)] = GROSS_MG * MG / at.unit[worst]
     factors = [free]
     for settings in at.settings[: at.free]:
-        power = np.sum(projected(settings) ** 2, axis=0)
+        power = np.sum(project(settings) ** 2, axis=0)
         k = int(np.argmax((settings.T @ pulled) ** 2 / (power + 1e-9)))
         factors.append(settings[:, k : k + 1])
     return np.hstack(factors)

@@ -242,7 +242,7 @@ def _flat_evidence(gram: Array, dof: float) -> float:
     return -float(size[:-1].sum() + dof * size[-1])
 
 
-def shared_bias(data: Observations, memory: float) -> SharedNoise:
+def make_bias_walk(data: Observations, memory: float) -> SharedNoise:
     """The walk as a variance component of a fit, whose size the fit estimates.
 
     memory : observations, in their order, after which it forgets
@@ -264,7 +264,7 @@ def terms_of(problem: Problem) -> Terms:
     memories = {p.walk[1] for p in points if p.walk}
     base = problem.columns[:, [*range(problem.base), -1]]
     return Terms(
-        sharings=tuple(tuple(_parted(m) for m in way) for way in sharings),
+        sharings=tuple(tuple(_part(m) for m in way) for way in sharings),
         walks={memory: _walk(at.owner, bias, memory) for memory in sorted(memories)},
         axes=bias**2,
         order=at.owner,
@@ -275,7 +275,7 @@ def terms_of(problem: Problem) -> Terms:
     )
 
 
-def _parted(columns: Array) -> Factor:
+def _part(columns: Array) -> Factor:
     """Of few numbers all columns count as shared by many: there is nothing to gain."""
     from scipy.sparse import csr_array
 

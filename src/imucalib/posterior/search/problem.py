@@ -16,7 +16,7 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.core.effect import Effect
-from imucalib.core.fit import Fit, shrinking
+from imucalib.core.fit import Fit, shrink_rows
 from imucalib.core.model import Model
 from imucalib.effects.record_error import is_record_error
 from imucalib.posterior.candidates import effect_slopes, predict_by_fit
@@ -104,7 +104,7 @@ def problem_of(fit: Fit, components: tuple[Component, ...], model: Model | None 
     misfit = at.residual + at.jacobian[:, more] @ (fit.theta - start)[more]
     # What is known of the base before its readings, in units of the noise that the fit has: of a
     # bench's sensor, and of a record that is set aside.
-    known = shrinking(known_sd(fit) / fit.noise.factor, start - fit.theta)
+    known = shrink_rows(known_sd(fit) / fit.noise.factor, start - fit.theta)
     blocks = _Blocks(fit, own.size, len(known), components)
     choices, kept = list[Choice](), list[Component]()
     for component in components:

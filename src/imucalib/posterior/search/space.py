@@ -101,7 +101,7 @@ def search(
     for depth in range(deepest):
         born: _Found = {}
         for one in level:
-            _keep(born, (h for h in space.opened(one) if h.components not in found))
+            _keep(born, (h for h in space.expand(one) if h.components not in found))
         top = _likeliest_first(born)
         best = max(h.log_posterior for h in found.values())
         found.update({h.components: h for h in top[:SHORT_LIST]})
@@ -122,7 +122,7 @@ def hill_climb(problem: Contest, grams: Grams, start: Sequence[Pick] = ()) -> Po
     def keep(picks: tuple[Pick, ...], added: tuple[float, ...], *, open_it: bool) -> None:
         own = marginalize(space.base, *blocks_of(problem.choices, picks))
         one = space.hypothesis(picks, added, own)
-        _keep(found, (one, *(space.opened(one, own) if open_it else ())))
+        _keep(found, (one, *(space.expand(one, own) if open_it else ())))
 
     keep((), (), open_it=bool(start))
     if start:
@@ -183,7 +183,7 @@ class _Space:
         prior = log_set_prior(problem.odds, key)
         return Hypothesis(key, picks, own.evidence(self._dof) + sum(added), prior, added)
 
-    def opened(self, one: Hypothesis, own: Grams | None = None) -> Iterator[Hypothesis]:
+    def expand(self, one: Hypothesis, own: Grams | None = None) -> Iterator[Hypothesis]:
         """Every set with one component more; own : the products beside this one, if there are."""
         problem = self._problem
         own = own or marginalize(self.base, *blocks_of(problem.choices, one.picks))

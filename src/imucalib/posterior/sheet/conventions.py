@@ -62,12 +62,12 @@ def wrong_directions(reading: Array, direction: Array, row: Index) -> tuple[Faul
             score = float(worth[k] + worth[twin])
             found.append(Fault("exchange", what, rows, score, f"--swap {rows[0]},{rows[1]}"))
         elif not same(every[fits[k]], -direction[k]):  # a lost sign as well, which others tell
-            found.append(_noted(int(row[k]), direction[k], every[fits[k]], float(worth[k])))
+            found.append(_note(int(row[k]), direction[k], every[fits[k]], float(worth[k])))
     return tuple(found)
 
 
-def _noted(row: int, said: Array, fits: Array, score: float) -> Fault:
-    what = f"row {row}: the sheet says {_named(said)} where the reading fits {_named(fits)}"
+def _note(row: int, said: Array, fits: Array, score: float) -> Fault:
+    what = f"row {row}: the sheet says {_name_axis(said)} where the reading fits {_name_axis(fits)}"
     face = _FACES.get(tuple(fits))
     line = (
         f"--fix {row}:face={face}"
@@ -80,7 +80,7 @@ def _noted(row: int, said: Array, fits: Array, score: float) -> Fault:
     return Fault("angle", what, (row,), score, line)
 
 
-def _named(direction: Array) -> str:
+def _name_axis(direction: Array) -> str:
     face = _FACES.get(tuple(direction))
     return f"face {face}" if face else ", ".join(f"{v:+.3f}" for v in direction)
 

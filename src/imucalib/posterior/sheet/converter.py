@@ -178,7 +178,7 @@ def step_of(reading: Array) -> float:
 _MISTAKEN = {"mg": ((1024.0, 1000.0), (980.665, 1000.0)), "ug": ((1048576.0, 1e6),)}
 
 
-def mistaken_scale(unit: str, scale: Array) -> float | None:
+def find_mistaken_scale(unit: str, scale: Array) -> float | None:
     """Counts a g that the three axes' scale errors (3,) make likelier than the unit that was
     guessed from the size of the readings, or None. Sensitivities scatter by 1 % about either."""
     size = np.log1p(scale)

@@ -113,7 +113,7 @@ class Sheet:
         columns: dict[str, Any] = {n: v[rows] for n, v in every if isinstance(v, np.ndarray)}
         return replace(self, **columns)
 
-    def copied(self) -> NDArray[np.bool_]:
+    def find_copies(self) -> NDArray[np.bool_]:
         """(n,) whether another row has exactly the same three readings: a copy, not a slip."""
         _, which, count = np.unique(self.reading, axis=0, return_inverse=True, return_counts=True)
         return np.asarray(count[which.ravel()] > 1)

@@ -16,7 +16,7 @@ from imucalib.arrays import Array, Index
 from imucalib.core.references import unit_vector
 from imucalib.posterior.odds import DIAL_STEPS, MISTYPED, ON_STEP
 from imucalib.posterior.sheet.sheet import Fault, Sheet, Trial
-from imucalib.posterior.slips.cells import BaseProducts, leading, prior_of
+from imucalib.posterior.slips.cells import BaseProducts, prior_of, select_leading
 
 _NAMES = ("inclination", "tool_face")
 
@@ -27,19 +27,19 @@ def angles(base: BaseProducts, unit: tuple[float, float] = (1.0, 1.0)) -> Iterat
     unit : what one degree is in the sheet's columns of inclination and tool-face (π/180 for rad)
     """
     sheet = base.sheet
-    alone = [np.array([row]) for row in np.flatnonzero(~sheet.copied())]
+    alone = [np.array([row]) for row in np.flatnonzero(~sheet.find_copies())]
     for column in (0, 1):
-        for groups in (alone, _shared(sheet, column)):
+        for groups in (alone, _group_shared(sheet, column)):
             tried = [_over_the_dial(base, rows, column, 2.0 * len(groups)) for rows in groups]
             tops = np.array([score.max() for _, score, _ in tried])
-            for k in leading(tops):
+            for k in select_leading(tops):
                 dial, score, prior = tried[k]
                 at = int(np.argmax(score))
                 fault, mended = _mend(base, groups[k], column, dial[at], score[at], unit[column])
                 yield Trial(fault, mended, float(prior[at]))
 
 
-def _shared(sheet: Sheet, column: int) -> list[Index]:
+def _group_shared(sheet: Sheet, column: int) -> list[Index]:
     """The rows of every setting that neighbours share, with as many rows beside it as in it."""
     held = getattr(sheet, f"{_NAMES[column]}_setting")
     runs = np.split(np.arange(sheet.n), np.flatnonzero(np.diff(held)) + 1)

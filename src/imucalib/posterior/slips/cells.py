@@ -124,7 +124,7 @@ def prior_of(count: float) -> float:
     return float(np.log(WRONG / SLIPS / count))
 
 
-def leading(score: Array) -> Index:
+def select_leading(score: Array) -> Index:
     """Those that are worth being solved again, best first."""
     best = float(score.max(initial=-np.inf))
     order = np.argsort(-score)[:SOLVED_AGAIN]
@@ -138,7 +138,7 @@ def _shortlist(
     first, then the best of them on all."""
     short = np.argsort(-scores(base.at_few(), np.arange(count)))[:SHORT_LIST]
     score = scores(base, short)
-    for k in leading(score):
+    for k in select_leading(score):
         yield int(short[k]), float(score[k])
 
 
@@ -267,7 +267,7 @@ def cells(base: BaseProducts, written: Array) -> Iterator[Trial]:
     written : (n, 3) the readings as the sheet has them, for the line to paste
     """
     sheet = base.sheet
-    whole = np.flatnonzero(~sheet.copied())
+    whole = np.flatnonzero(~sheet.find_copies())
     tried = [s for row in whole for s in _slips(int(row), written[row], sheet.reading[row])]
     if not tried:
         return
@@ -277,7 +277,7 @@ def cells(base: BaseProducts, written: Array) -> Iterator[Trial]:
     # Cells of two digits exchanged are as many as all others, or more, and share their prior.
     count = 2.0 * np.where(digits, max(int(digits.sum()), 1), max(int((~digits).sum()), 1))
     score = base.gain(base.misfit(rows, change), 1.0) - np.log(count)
-    for k in leading(score):
+    for k in select_leading(score):
         slip = tried[k]
         number, old = int(sheet.row[slip.row]), written[slip.row]
         moved = zip("xyz", slip.value, old, strict=True)
@@ -338,10 +338,10 @@ def other_axes(base: BaseProducts) -> Iterator[Trial]:
     count = 2.0 * len(_AXES) * len(at)
     turned = np.stack([sheet.reading[:, order] * sign for order, sign in _AXES])
     few = base.at_few()
-    if not leading(few.gain(_corners(few, turned)[:, :, at], count).ravel()).size:
+    if not select_leading(few.gain(_corners(few, turned)[:, :, at], count).ravel()).size:
         return
     score = base.gain(_corners(base, turned)[:, :, at], count)
-    for k in leading(score.ravel()):
+    for k in select_leading(score.ravel()):
         which, start = divmod(int(k), len(at))
         fault, mended = _other_part(sheet, which, int(at[start]), float(score[which, start]))
         if np.abs(mended.reading - sheet.reading).max() > MOVED * sheet.gravity:

@@ -125,7 +125,7 @@ def _trials(found: SearchedPosterior, written: Written | None) -> Iterator[Trial
     if n > LONGEST:
         return
     sets = _sets(found)
-    beside = _given_each(found, list(sets))
+    beside = _condition_on_each(found, list(sets))
     gains = np.array([_gains_of_records(found, beside(k)) for k in range(len(sets))])
     order = np.argsort(-gains.max(axis=1) - [*sets.values()])
     best, prior = gains.max(axis=0) + prior_of(n), prior_of(n)
@@ -163,7 +163,7 @@ def _sets(found: SearchedPosterior) -> dict[tuple[Pick, ...], float]:
     return {base: known[base]} | {p: b for p, b in known.items() if b > -OPEN}
 
 
-def _given_each(
+def _condition_on_each(
     found: SearchedPosterior, sets: Sequence[tuple[Pick, ...]]
 ) -> Callable[[int], Grams]:
     """What makes of a set's place the products beside the base model and it: of one column for each
@@ -217,7 +217,7 @@ def _solve_again(base: Fit, trial: Trial, written: Written | None) -> Fit | None
 def _observe(data: Observations, before: Sheet, after: Sheet) -> Observations:
     """The observations of a sheet that was mended."""
     kept = np.flatnonzero(np.isin(before.row, after.row))
-    some = data.take(kept).with_reading(MG * after.reading[:, None])
+    some = data.take(kept).set_reading(MG * after.reading[:, None])
     old = before.take(kept)
     if np.array_equal(old.inclination, after.inclination) and np.array_equal(
         old.tool_face, after.tool_face

@@ -118,7 +118,7 @@ def test_a_gain_that_drifts_is_undone_at_every_time() -> None:
     assert found.loop is not None
     assert [s.effect for s in found.loop.steps] == ["scale_drift"]
     seen = np.einsum("kij,nkj->nki", board.rotations, drifted)
-    force = found.corrected(seen, 0.5 * (segments.start + segments.stop))
+    force = found.correct(seen, 0.5 * (segments.start + segments.stop))
     assert np.linalg.norm(force, axis=2) == pytest.approx(np.full((40, K), G), rel=1e-3)
 
 

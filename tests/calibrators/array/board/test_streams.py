@@ -10,7 +10,7 @@ import pytest
 from imucalib.calibrators.array.board.board import read_board
 from imucalib.calibrators.array.board.log import ArrayLog, array_log
 from imucalib.calibrators.array.board.streams import (
-    broken_sensors,
+    find_broken,
     refuse_streams,
     stream_notes,
     streams,
@@ -50,7 +50,7 @@ def test_a_frozen_chip_is_told_and_left_out(log: ArrayLog) -> None:
     first = len(rate) - 400
     rate[first : first + 60, 3] = rate[first, 3]
     found = streams(replace(log, rate=rate))
-    notes = list(broken_sensors(found, BOARD.imus))
+    notes = list(find_broken(found, BOARD.imus))
     assert len(notes) == 1
     assert notes[0].startswith("The gyro of imu3 repeats its reading in ")
     assert 0.05 < found.repeated[3, 1] < 0.12
@@ -128,7 +128,7 @@ def test_spikes_that_no_other_sensor_knows_of_are_left_out(log: ArrayLog) -> Non
     assert found.spikes[5].tolist() == [4, 0]
     assert found.spikes[2].tolist() == [0, 3]
     assert found.spikes.sum() == 7
-    told = list(broken_sensors(found, BOARD.imus))
+    told = list(find_broken(found, BOARD.imus))
     assert [n.split(" spikes")[0] for n in told] == [
         "The accelerometer of imu5 has 4",
         "The gyro of imu2 has 3",

@@ -21,8 +21,8 @@ from imucalib.calibrators.array.fusion.fuse import Fused
 from imucalib.calibrators.array.fusion.instrument import (
     NonlinearTerms,
     Stretch,
-    beyond_linear,
     instrument_of,
+    read_nonlinear,
 )
 from imucalib.calibrators.array.fusion.recording import fuse_stretch
 from imucalib.calibrators.array.fusion.survey import NotFusable, Survey, side_by_side, survey
@@ -389,7 +389,7 @@ def block(effect: str, *values: float) -> dict[str, Any]:
 
 def beyond(*blocks: dict[str, Any]) -> NonlinearTerms:
     triads = [SimpleNamespace(name=n, rotation=r) for n, r in zip("ab", TURN, strict=True)]
-    return beyond_linear(SimpleNamespace(triads=triads, facts={"effects": blocks}))  # type: ignore[arg-type]
+    return read_nonlinear(SimpleNamespace(triads=triads, facts={"effects": blocks}))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -405,7 +405,7 @@ def test_lags_over_time_are_not_those_of_the_first_order(
     beside = np.stack([np.arange(400) > 0, np.arange(400) < 399], axis=1)
     motion = board_motion(
         imus=("a", "b"), rotations=TURN, t=t, rate=tone.imag, spin=(pace * tone).imag
-    ).coursed(beside)
+    ).set_courses(beside)
     made = beyond(block(name, 4.0))
     late = made.late(t, None)
     assert late is not None
@@ -413,4 +413,4 @@ def test_lags_over_time_are_not_those_of_the_first_order(
     first = tone.imag[:, None] + np.matmul(late, (pace * tone).imag[:, None, :, None])[..., 0]
     inner = slice(20, -20)
     assert np.abs(first - read)[inner].max() > 0.05
-    assert np.abs(first + made.added_by_lags(motion)[1] - read)[inner].max() < 0.004
+    assert np.abs(first + made.evaluate_lags(motion)[1] - read)[inner].max() < 0.004

@@ -11,7 +11,7 @@ from imucalib.arrays import Array
 from imucalib.calibrators.array.board.catalogue import array_catalogue
 from imucalib.calibrators.array.board.moving import Moving
 from imucalib.calibrators.array.board.rests import RestFit
-from imucalib.calibrators.array.motion.ages import beats, estimate_clock, voting
+from imucalib.calibrators.array.motion.ages import beats, estimate_clock, find_voting
 from imucalib.calibrators.array.motion.board_motion import BoardMotion, board_motion
 from imucalib.calibrators.array.motion.cross_fit import Gained, difference_of_medians
 from imucalib.calibrators.array.motion.search import start_state
@@ -19,10 +19,10 @@ from imucalib.calibrators.array.motion.setup import Setup, array_setup, part_of
 from imucalib.calibrators.array.motion.terms import (
     Term,
     columns_of,
-    determined,
-    lost,
+    determine,
+    evaluate_lags,
+    lag_motion,
     rest_terms,
-    sensed,
 )
 from imucalib.core.effect import Channel
 from imucalib.estimators.array.sample_age import SampleAge
@@ -57,7 +57,7 @@ def test_halves_share_no_sample_and_no_clock_learns_of_them(clean: Recording) ->
     )
     state = start_state(one, rest_terms(rests))
     before = estimate_clock(state)
-    silent = two.rows[two.inner][voting(two)]
+    silent = two.rows[two.inner][find_voting(two)]
     rate = moving.rate.copy()
     rate[silent] *= 1.5
     after = estimate_clock(replace(state, setup=replace(one, moving=replace(moving, rate=rate))))
@@ -102,7 +102,7 @@ def test_each_sensors_own_error_decides(
 ) -> None:
     """By what effects on some channels have gained of errors of one."""
     one, two = (Difference(1.0, 1.0 - gain, gain, gain, 8) for gain in (force, rate))
-    assert Gained(one, two).deciding(channels).holds == holds
+    assert Gained(one, two).select_deciding(channels).holds == holds
 
 
 def swung(t: Array) -> BoardMotion:
@@ -118,7 +118,7 @@ def swung(t: Array) -> BoardMotion:
     )  # fmt: skip
     beside = np.ones((len(t), 2), dtype=np.bool_)
     beside[0, 0] = beside[-1, 1] = False
-    return found.coursed(beside)
+    return found.set_courses(beside)
 
 
 def term(name: str, delay: list[float]) -> Term:
@@ -134,7 +134,7 @@ def test_what_acts_on_a_late_reading_acts_on_what_was_then() -> None:
     own, other = term("gyro_delay_each", late), term("accelerometer_delay", [0.5, 0.0])
     np.testing.assert_allclose(own.lag(here)[0], [0.0, 1.5e-3], atol=1e-15)
     np.testing.assert_allclose(other.lag(here)[0], [0.5e-3, 0.0], atol=1e-15)
-    then = sensed([own, other], here)
+    then = lag_motion([own, other], here)
     earlier = swung(T - 1.5e-3).truth.turning.rate[:, 1]
     # The third order is left: (8 π 1.5e-3)³ / 6 of the swing.
     turning = then.truth_of("angular_rate").turning.rate
@@ -144,7 +144,7 @@ def test_what_acts_on_a_late_reading_acts_on_what_was_then() -> None:
     felt = then.truth_of("acceleration").force
     due = swung(T - 0.5e-3).truth.force[:, 0]
     np.testing.assert_allclose(felt[1:-1, 0], due[1:-1], atol=1e-6)
-    less = lost([own, other], here)
+    less = evaluate_lags([own, other], here)
     np.testing.assert_allclose(here.truth.turning.rate - less[1], turning, atol=1e-12)
     np.testing.assert_allclose(here.truth.force - less[0], felt, atol=1e-12)
     scale = columns_of(array_catalogue()["gyro_scale"], then).basis[1]
@@ -156,7 +156,7 @@ def test_a_low_pass_weakens_what_is_fast(tau: float) -> None:
     """Against H = 1 / (1 + i ω τ) of each swing; the first samples have no past to be filtered."""
     here = swung(T)
     slow = [term("gyro_low_pass_each", [0.0, tau]), term("accelerometer_low_pass", [tau, 0.0])]
-    then = sensed(slow, here)
+    then = lag_motion(slow, here)
     rate, force = then.truth_of("angular_rate").turning.rate, then.truth_of("acceleration").force
     for found, hz in ((rate[:, 1], 4.0), (force[:, 0], 3.0)):
         w = 2.0 * np.pi * hz
@@ -180,7 +180,7 @@ def test_a_low_pass_weakens_what_is_fast(tau: float) -> None:
 def test_the_time_itself_is_nobodys(name: str, beside: str, rank: int) -> None:
     """What all delays of both kinds of sensor share is no delay at all; a clock's beat has none."""
     other = term(beside, [0.0, 0.0])
-    found = determined(name, array_catalogue()[name], None, 1e4 * np.eye(2), [other])
+    found = determine(name, array_catalogue()[name], None, 1e4 * np.eye(2), [other])
     assert found.live.shape[1] == rank
     if rank == 1:
         assert abs(found.live.sum()) < 1e-12

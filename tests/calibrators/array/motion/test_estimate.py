@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from imucalib.calibrators.array.board.turns import BoardTurns, common_scale
-from imucalib.calibrators.array.findings import Residual, unexplained
+from imucalib.calibrators.array.findings import Residual, find_unexplained
 from imucalib.calibrators.array.motion.covariance import (
     Uneven,
     sandwich,
@@ -73,7 +73,7 @@ def test_one_imu_of_eight_that_leaves_more_than_is_accepted_is_told(
     gyro = np.full(8, 0.2 * DEG)
     residual = Residual(0.04, 0.2 * DEG, True, (off, gyro))
     rests = SimpleNamespace(noise=still, gyro_noise=gyro)
-    left = unexplained(residual, rests, BOARD.imus, Accepted(), None)  # type: ignore[arg-type]
+    left = find_unexplained(residual, rests, BOARD.imus, Accepted(), None)  # type: ignore[arg-type]
     assert [one.name for one in left if one.beyond] == told
     assert [one.name for one in left[2:]] == told
     if told:

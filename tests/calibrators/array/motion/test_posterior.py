@@ -10,7 +10,12 @@ import pytest
 from imucalib.calibrators.array.calibrate import calibrate_array
 from imucalib.calibrators.array.motion.covariance import add_unevenness
 from imucalib.calibrators.array.motion.density import PositionDensity
-from imucalib.calibrators.array.motion.posterior import along, draw_positions, refuse_open, shown
+from imucalib.calibrators.array.motion.posterior import (
+    along,
+    draw_positions,
+    rank_directions,
+    refuse_open,
+)
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.errors import Undetermined
 from imucalib.estimators.markov.crank_nicolson import Stop
@@ -79,7 +84,7 @@ def test_the_direction_that_a_motion_shows_worst_is_named_and_refused_where_it_s
     n = np.array([0.7, 0.7, 0.14]) / np.linalg.norm([0.7, 0.7, 0.14])
     one = 1e-10 * np.eye(3) + 4e-8 * np.outer(n, n)
     covariance = np.kron(np.eye(7), one)
-    sd, axes = shown(covariance)
+    sd, axes = rank_directions(covariance)
     assert sd[-1] == pytest.approx(2e-4, rel=0.01)
     assert along(axes[:, -1]) == "along (0.70, 0.70, 0.14) of the board"
     drawn = BOARD.drawn

@@ -30,13 +30,13 @@ def array_catalogue() -> dict[str, Response]:
     size that the rests leave of it, tried on each IMU alone too: what one IMU does is no error of
     all."""
     return {
-        name: _sized(effect)
+        name: _set_size(effect)
         for name, effect in catalogue().items()
         if isinstance(effect, Response) and name not in _WITHIN
     }
 
 
-def _sized(effect: Response) -> Response:
+def _set_size(effect: Response) -> Response:
     typical = _AFTER_RESTS.get(effect.name)
     each = [p if typical is None else replace(p, typical=typical) for p in effect.each]
     return replace(effect, each=tuple(each), scan=not effect.shared)
@@ -81,19 +81,21 @@ class Scope:
     without: tuple[str, ...] = ()
     search: bool = True
 
-    def skipped(self, imus: Sequence[str]) -> frozenset[str]:
+    def find_skipped(self, imus: Sequence[str]) -> frozenset[str]:
         """All effects that the search shall not try. Raises UsageError for an unknown name."""
         for name in (*self.only, *self.without):
             find_effect(name, imus)
         every = [n + end for n in array_catalogue() for end in ("", *(f"@{i}" for i in imus))]
 
-        def meant(name: str, chosen: Sequence[str]) -> bool:
+        def is_meant(name: str, chosen: Sequence[str]) -> bool:
             return name in chosen or name.partition("@")[0] in chosen
 
         return frozenset(
             n
             for n in every
-            if not self.search or meant(n, self.without) or (self.only and not meant(n, self.only))
+            if not self.search
+            or is_meant(n, self.without)
+            or (self.only and not is_meant(n, self.only))
         )
 
 

@@ -18,7 +18,7 @@ from imucalib.arrays import Array, Flags, Index
 from imucalib.calibrators.array.board.board import Board
 from imucalib.calibrators.array.board.log import ArrayLog
 from imucalib.calibrators.array.board.moving import SLOWEST
-from imucalib.calibrators.array.board.turns import between, composed
+from imucalib.calibrators.array.board.turns import between, compose_rotations
 from imucalib.core.effect import cross_matrix
 from imucalib.core.set_up import SIGNED, axes_in_words
 from imucalib.errors import Undetermined
@@ -67,7 +67,7 @@ def common_gyro_axes(t: Array, rate: Array, still: Array, start: Array, stop: Ar
         small = -0.5 * (rate[part[1:]] + rate[part[:-1]]) * np.diff(t[part])[:, None]
         every = np.einsum("pij,nj->pni", SIGNED, small)
         turns = Rotation.from_rotvec(every.reshape(-1, 3)).as_matrix().reshape(48, -1, 3, 3)
-        off.append(np.linalg.norm(composed(turns) @ up[k] - up[k + 1], axis=1))
+        off.append(np.linalg.norm(compose_rotations(turns) @ up[k] - up[k + 1], axis=1))
     if len(off) < _TURNS:
         return np.eye(3)
     miss = np.median(off, axis=0)

@@ -93,7 +93,7 @@ class Moving:
         return replace(self, rate=np.einsum("kij,nkj->nki", inverse, self.rate))
 
 
-def moving_part(log: ArrayLog, rests: RestFit) -> Moving:
+def find_moving(log: ArrayLog, rests: RestFit) -> Moving:
     """Correct, and find the informative samples. Raises Undetermined when there are too few or a
     gyro is in another unit than the others."""
     t, force, rate, clipped = _around_motion(log, rests)
@@ -111,7 +111,7 @@ def moving_part(log: ArrayLog, rests: RestFit) -> Moving:
     _refuse_few(counts, len(good))
     return Moving(
         t=t,
-        acceleration=rests.corrected(force, t),
+        acceleration=rests.correct(force, t),
         rate=rate,
         gyros=gyros,
         good=good,

@@ -245,7 +245,7 @@ class RestFit:
         plain = self.fit if self.loop is None else self.loop.plain
         return plain.noise.factor * float(np.median(plain.observations.sigma))
 
-    def corrected(self, acceleration: Array, t: Array) -> Array:
+    def correct(self, acceleration: Array, t: Array) -> Array:
         """Specific force (N, K, 3) m/s² in board axes, of readings in board axes."""
         own = np.einsum("kji,nkj->nki", self.rotations, acceleration) - self.offset(t)
         inverse = np.linalg.inv(self.gain)
@@ -261,16 +261,16 @@ class RestFit:
             # What bends at one g says nothing at six: a power may even turn back there. The
             # motion has its own say on larger forces.
             near = Truth(np.clip(force, -most, most))
-            more = self._added(bent, near, t) - self._added(bent, still, t)
+            more = self._evaluate(bent, near, t) - self._evaluate(bent, still, t)
             force = np.einsum("kij,nkj->nki", inverse, own - more)
         return np.asarray(np.einsum("kij,nkj->nki", self.rotations, force))
 
     def offset(self, t: Array) -> Array:
         """(N, K, 3) m/s², what every triad reads without any force, in its own axes."""
         shape = (len(t), *self.gain.shape[:2])
-        return self._added(self.fit.model.effects, Truth(np.zeros(shape)), t)
+        return self._evaluate(self.fit.model.effects, Truth(np.zeros(shape)), t)
 
-    def _added(self, effects: tuple[Effect, ...], truth: Truth, t: Array) -> Array:
+    def _evaluate(self, effects: tuple[Effect, ...], truth: Truth, t: Array) -> Array:
         """(N, K, 3) m/s², what some effects add to the truth at times (N,) s."""
         data = self.fit.observations.context
         slices, total = self.fit.model.slices(data), np.zeros((len(t), *truth.shape[1:]))
@@ -395,7 +395,7 @@ def _refuse_vague(gain: Array, covariance: Array, board: Board) -> None:
         )
 
 
-def contradicted(rate: Array, made: Array) -> bool:
+def is_contradicted(rate: Array, made: Array) -> bool:
     """Whether what an effect adds to gyros at rest makes the rests scatter more.
 
     rate, made : (n, K, 3) rad/s at n rests, as read and as the effect has it

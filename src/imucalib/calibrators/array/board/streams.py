@@ -134,11 +134,11 @@ def _shifts(log: ArrayLog, moving: Flags) -> tuple[Array, Array]:
     found = np.array([_shifts_in(log, part) for part in ends])
     some = rows[:: max(len(rows) // _MOST, 1)]
     for k, kind in np.argwhere(found[0] != found[1]):
-        columns, seen = _told_by_others(log, k, kind, some, found[:, k, kind].astype(np.intp))
+        columns, seen = _predict_by_others(log, k, kind, some, found[:, k, kind].astype(np.intp))
         edges = np.linspace(0, len(some), _PLACES + 2).astype(np.intp)
         early, late = seen[:, 0], seen[:, 1]
         before = np.arange(len(some))[:, None] < edges[:, None, None]
-        left = [_left(columns, np.asarray(np.where(b, early, late))) for b in before]
+        left = [_subtract_fit(columns, np.asarray(np.where(b, early, late))) for b in before]
         # A quarter that shows no shift may only have moved too little for it.
         place = int(np.argmin(np.linalg.norm(left, axis=(1, 2))))
         if place in (0, _PLACES + 1):
@@ -158,8 +158,8 @@ def _shifts_in(log: ArrayLog, rows: Index) -> Array:
     found, least = np.zeros((count, 2)), np.full((count, 2), np.inf)
     lags = np.arange(-_FAR, _FAR + 1)
     for k, kind in np.ndindex(count, 2):
-        columns, seen = _told_by_others(log, k, kind, rows, lags)
-        off = _left(columns, seen.reshape(len(rows), -1)).reshape(seen.shape)
+        columns, seen = _predict_by_others(log, k, kind, rows, lags)
+        off = _subtract_fit(columns, seen.reshape(len(rows), -1)).reshape(seen.shape)
         misfit = np.median(np.abs(off), axis=(0, 2))
         best = int(np.argmin(misfit))
         least[k, kind] = misfit[best]
@@ -170,7 +170,7 @@ def _shifts_in(log: ArrayLog, rows: Index) -> Array:
     return np.where(slow, 0.0, found)
 
 
-def _told_by_others(
+def _predict_by_others(
     log: ArrayLog, k: int, kind: int, rows: Index, lags: Index
 ) -> tuple[Array, Array]:
     """(n, m) readings of the others of a sensor's kind, with the products of the rate and its
@@ -183,7 +183,7 @@ def _told_by_others(
     return columns, np.asarray(values[rows[:, None] + lags, k])
 
 
-def _left(columns: Array, seen: Array) -> Array:
+def _subtract_fit(columns: Array, seen: Array) -> Array:
     """What least squares leave."""
     return np.asarray(seen - columns @ np.linalg.lstsq(columns, seen, rcond=None)[0])
 
@@ -209,7 +209,7 @@ def stream_notes(found: Streams) -> Iterator[str]:
         yield f"{100 * found.lost:.2g} % of the samples are missing from the recording"
 
 
-def broken_sensors(found: Streams, imus: tuple[str, ...]) -> Iterator[str]:
+def find_broken(found: Streams, imus: tuple[str, ...]) -> Iterator[str]:
     """Sensors whose readings repeat, with their share, or have spikes in motion: what to look at.
 
     found : of the streams; imus : (K,) their names

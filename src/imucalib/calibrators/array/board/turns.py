@@ -51,7 +51,7 @@ def common_scale(
         own = rate[rows] - (1.0 - share) * offset[k] - share * offset[k + 1]
         if not np.isfinite(own).all():
             continue
-        one, less, more = (_carried(t[rows], own / (1.0 + h), up[k]) for h in (0.0, -_STEP, _STEP))
+        one, less, more = (_carry(t[rows], own / (1.0 + h), up[k]) for h in (0.0, -_STEP, _STEP))
         off.append(up[k + 1] - one)
         slope.append((more - less) / (2.0 * _STEP))
     if len(off) < _FEWEST:
@@ -68,7 +68,7 @@ def between(t: Array, start: Array, stop: Array, gap: float) -> list[Index]:
     return [s if np.diff(t[s]).max(initial=0.0) < gap * step else s[:0] for s in spans]
 
 
-def composed(turns: Array) -> Array:
+def compose_rotations(turns: Array) -> Array:
     """(..., 3, 3) of rotations (..., n, 3, 3), the first one first: multiplied in pairs."""
     while turns.shape[-3] > 1:
         if turns.shape[-3] % 2:
@@ -78,14 +78,14 @@ def composed(turns: Array) -> Array:
     return turns[..., 0, :, :]
 
 
-def _carried(t: Array, rate: Array, vector: Array) -> Array:
+def _carry(t: Array, rate: Array, vector: Array) -> Array:
     """(3,) what a vector that stands still in space becomes in axes that turn."""
     from scipy.interpolate import CubicSpline
     from scipy.spatial.transform import Rotation
 
     edges = np.interp(np.arange(_FINER * (len(t) - 1) + 1) / _FINER, np.arange(len(t)), t)
     small = CubicSpline(t, rate)(0.5 * (edges[1:] + edges[:-1])) * np.diff(edges)[:, None]
-    return np.asarray(composed(Rotation.from_rotvec(-small).as_matrix()) @ vector)
+    return np.asarray(compose_rotations(Rotation.from_rotvec(-small).as_matrix()) @ vector)
 
 
 def _fit(off: Array, slope: Array) -> BoardTurns:

@@ -79,16 +79,16 @@ def fuse(
     work = _Rounds(instrument, stretch, noise, age, tied=tied)
     for turn in range(rounds):
         work.next(turn)
-    return work.found()
+    return work.finish()
 
 
-def turning(instrument: Instrument, stretch: Stretch) -> Flags:
+def find_turning(instrument: Instrument, stretch: Stretch) -> Flags:
     """(T,) samples that rotate, by their gyros."""
-    first = _begun(instrument, stretch, instrument.corrected(stretch)[1])[1]
+    first = _begin(instrument, stretch, instrument.correct(stretch)[1])[1]
     return np.asarray(np.linalg.norm(first, axis=1) > SLOWEST)
 
 
-def _begun(
+def _begin(
     instrument: Instrument, stretch: Stretch, gyro: Array
 ) -> tuple[list[Flags], Array, Flags]:
     """(T, K, 3) axes of both kinds that are there and in range, (T, 3) rates to begin from, and
@@ -97,7 +97,7 @@ def _begun(
     The rates are the median of whole triads; where there is none, those that axes in range say, and
     a little beyond the range what is at its end.
     """
-    clipped = instrument.clipped(stretch)
+    clipped = instrument.find_clipped(stretch)
     there = np.isfinite(stretch.rate)
     live = [np.isfinite(stretch.acceleration) & ~clipped[0], there & ~clipped[1]]
     whole = np.all(live[1], axis=2)
@@ -140,15 +140,15 @@ class _Rounds:
     ) -> None:
         self.instrument, self.t, self.noise, self.tied = instrument, stretch.t, noise, tied
         self.axes = instrument.axes
-        self.read = self.less = instrument.corrected(stretch)
-        self.live, self.first, self.alone = _begun(instrument, stretch, self.read[1])
+        self.read = self.less = instrument.correct(stretch)
+        self.live, self.first, self.alone = _begin(instrument, stretch, self.read[1])
         self.lost = np.isfinite(stretch.rate) & ~self.live[1] & self.alone[:, None, None]
         shape = stretch.rate.shape[:2]
         self.timed = np.zeros(shape, np.bool_) if age is None else np.isfinite(age)
         self.late = instrument.beyond.late(self.t, None if age is None else np.nan_to_num(age))
         self.share = [np.ones((*shape, 1)), np.ones((*shape, 1))]
         self.motion: FusedMotion | None = None
-        near = adjoining(self.t)
+        near = find_adjoining(self.t)
         self.beside = np.column_stack([np.append(False, near), np.append(near, False)])
 
     def next(self, turn: int) -> None:
@@ -185,7 +185,7 @@ class _Rounds:
         ]
         self.share[1][back] = 1.0  # far from where it is pulled to, it would have no say
 
-    def found(self) -> Fused:
+    def finish(self) -> Fused:
         """With what the neighbours say of dω/dt, and what the calibration leaves open."""
         motion, sensed, r = self.motion, self.sensed, self.instrument.r
         assert motion is not None
@@ -197,7 +197,7 @@ class _Rounds:
         wide = np.sqrt(np.repeat([one.widening for one in self.noise], (6, 3)))
         covariance = motion.covariance * np.outer(wide, wide)
         if self.instrument.doubt is not None:
-            covariance += self.instrument.doubt.carried(motion, sensed, r, self._seen(motion))
+            covariance += self.instrument.doubt.propagate(motion, sensed, r, self._expose(motion))
         return Fused(
             motion=replace(motion, covariance=covariance),
             off=self.off[0],
@@ -248,16 +248,16 @@ class _Rounds:
         beyond = self.instrument.beyond
         if all(part.late and not part.lags for part in beyond.parts):
             return self.read
-        seen = self._seen(motion)
-        force, gyro = beyond.added(seen)
+        seen = self._expose(motion)
+        force, gyro = beyond.evaluate(seen)
         if self.tied and beyond.lagging and len(self.t) > _SHORT:
-            more = beyond.added_by_lags(seen.coursed(self.beside))
+            more = beyond.evaluate_lags(seen.set_courses(self.beside))
             force, gyro = force + _if_smooth(more[0]), gyro + _if_smooth(more[1])
         return self.read[0] - force, self.read[1] - gyro
 
-    def _seen(self, motion: FusedMotion) -> BoardMotion:
+    def _expose(self, motion: FusedMotion) -> BoardMotion:
         """The motion as effects take it."""
-        felt = motion.felt(self.instrument.r)
+        felt = motion.predict_force(self.instrument.r)
         return board_motion(
             imus=self.instrument.imus,
             rotations=self.instrument.beyond.rotations,
@@ -273,7 +273,7 @@ class _Rounds:
         rate = motion.rate[:, None]
         if self.late is not None:
             rate = rate + np.matmul(self.late, motion.spin[:, None, :, None])[..., 0]
-        off = self.less[0] - motion.felt(self.instrument.r)
+        off = self.less[0] - motion.predict_force(self.instrument.r)
         return along(self.axes[0], off), along(self.axes[1], self.less[1] - rate)
 
 
@@ -285,7 +285,7 @@ def _if_smooth(more: Array) -> Array | float:
     return more if goes_on else 0.0
 
 
-def adjoining(t: Array) -> Flags:
+def find_adjoining(t: Array) -> Flags:
     """(T - 1,) whether a sample and the next are neighbours, none being lost between them."""
     step = np.diff(t)
     return np.asarray(step < _LOST * np.median(step)) if step.size else np.zeros(0, np.bool_)

@@ -23,7 +23,7 @@ from imucalib.calibration.triads import Triad, effect_covariance
 from imucalib.calibrators.array.motion.board_motion import BoardMotion, board_motion
 from imucalib.calibrators.array.motion.effect_blocks import AT_REST
 from imucalib.calibrators.array.motion.linear_part import slope_at_rest
-from imucalib.calibrators.array.motion.terms import Term, lost
+from imucalib.calibrators.array.motion.terms import Term, evaluate_lags
 from imucalib.core.effect import MOTION, Response, cross_matrix
 from imucalib.core.eigen import eigen
 from imucalib.effects import known
@@ -89,7 +89,7 @@ class _Part:
         """Whether it says when its sensors read, by what a motion over time holds."""
         return self.term.effect.lagged is not None and not self.term.aged
 
-    def added(self, motion: BoardMotion) -> Array:
+    def evaluate(self, motion: BoardMotion) -> Array:
         """(T, K, 3) in board axes."""
         truth = motion.truth.turning.rate if self.gyro else motion.truth.force
         whole = self.term.reading(self.term.columns(motion))
@@ -121,21 +121,21 @@ class NonlinearTerms:
         """What makes sensors lag by more than their clocks' ages."""
         return [part for part in self.parts if part.lags]
 
-    def added(self, motion: BoardMotion) -> Pair:
+    def evaluate(self, motion: BoardMotion) -> Pair:
         """(T, K, 3) m/s² and rad/s that corrected readings still hold, in board axes, of lags the
         first order; without what `late` tells."""
         found = np.zeros((*motion.shape, 3)), np.zeros((*motion.shape, 3))
         for part in self.parts:
             if not part.late:
-                found[part.gyro][...] += part.added(motion)
+                found[part.gyro][...] += part.evaluate(motion)
         return self._correct(found)
 
-    def added_by_lags(self, motion: BoardMotion) -> Pair:
+    def evaluate_lags(self, motion: BoardMotion) -> Pair:
         """The same of lags beyond their first order, where the motion has its courses."""
         lagging = self.lagging
-        less = lost([part.term for part in lagging], motion)
+        less = evaluate_lags([part.term for part in lagging], motion)
         for part in lagging:
-            less[part.gyro][...] += part.added(motion)
+            less[part.gyro][...] += part.evaluate(motion)
         return self._correct((-less[0], -less[1]))
 
     def _correct(self, found: Pair) -> Pair:
@@ -161,7 +161,7 @@ class NonlinearTerms:
         return np.asarray(self.back[1] @ out)
 
 
-def beyond_linear(calibration: Calibration) -> NonlinearTerms:
+def read_nonlinear(calibration: Calibration) -> NonlinearTerms:
     """From the effects that an array's calibration lists."""
     imus = tuple(t.name for t in calibration.triads)
     rotations = np.array([t.rotation for t in calibration.triads])
@@ -208,7 +208,7 @@ def _is_linear(part: _Part, imus: tuple[str, ...], rotations: Array) -> bool:
         age=rng.uniform(-0.5, 0.5, (n, len(imus))),
     )
     whole = part.term.reading(part.term.columns(motion))
-    return bool(np.abs(part.added(motion)).max() <= _SMALL * np.abs(whole).max())
+    return bool(np.abs(part.evaluate(motion)).max() <= _SMALL * np.abs(whole).max())
 
 
 def _term_of(block: Mapping[str, Any], imus: Sequence[str]) -> Term | None:
@@ -241,7 +241,7 @@ class Doubt:
     frame: Array
     effects: tuple[tuple[Term, Array], ...]
 
-    def carried(self, motion: FusedMotion, sensed: Sensed, r: Array, seen: BoardMotion) -> Array:
+    def propagate(self, motion: FusedMotion, sensed: Sensed, r: Array, seen: BoardMotion) -> Array:
         """(T, 9, 9) covariance of force, dω/dt and ω by it.
 
         motion : with the covariance of the noise, as `sensed` gives it; r : (K, 3) m; seen : the
@@ -251,7 +251,7 @@ class Doubt:
         moved = np.matmul(force, turning(motion.rate, motion.spin)[:, None])  # by a place
         across = moved.transpose(0, 2, 1, 3).reshape(-1, 9, 3 * len(r))
         out = np.matmul(across @ self.places, across.transpose(0, 2, 1))
-        felt = motion.felt(r)
+        felt = motion.predict_force(r)
         own = np.zeros((*felt.shape, 12))  # by a triad's gain and bias
         for i in range(3):
             own[..., i, 3 * i : 3 * i + 3], own[..., i, 9 + i] = felt, 1.0
@@ -394,7 +394,7 @@ class Instrument:
             np.array([t.rotation.T @ t.gyro_gain for t in self.triads]),
         )
 
-    def corrected(self, read: Stretch) -> Pair:
+    def correct(self, read: Stretch) -> Pair:
         """Force and rate (T, K, 3) in board axes; of a missing reading, as if it were zero."""
         force, rate = (
             np.stack([one(np.nan_to_num(values[:, k])) for k, one in enumerate(by)], axis=1)
@@ -407,7 +407,7 @@ class Instrument:
             return force, rate
         return force - self.biases.force, rate - self.biases.rate_at(read.t)
 
-    def clipped(self, read: Stretch) -> tuple[Flags, Flags]:
+    def find_clipped(self, read: Stretch) -> tuple[Flags, Flags]:
         """(T, K, 3) which readings are at the end of their range."""
         return (
             np.asarray(np.abs(read.acceleration) >= _AT_RANGE * self.accelerometer_range),
@@ -442,7 +442,7 @@ def instrument_of(calibration: Calibration, at: Array | None = None) -> Instrume
         triads=triads,
         r=drawn - point,
         at=point,
-        beyond=beyond_linear(calibration),
+        beyond=read_nonlinear(calibration),
         accelerometer_range=float(ranges.get("accelerometer_g", np.inf)) * STANDARD_GRAVITY,
         gyroscope_range=float(ranges.get("gyroscope_deg_per_s", np.inf)) * DEG,
         doubt=doubt_of(calibration, places - places[0]),

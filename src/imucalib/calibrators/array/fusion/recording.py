@@ -77,7 +77,7 @@ def fuse_file(
         (found,) = work.blocks([read(source, mapping, strict=strict)])
         return found
 
-    found = survey(once() if again else _unmarked(once()), instrument)
+    found = survey(once() if again else _drop_marks(once()), instrument)
     work = _Work(calibration, found, each)
     if each and reader_for(source).name in _OF_MESSAGES:
         write_over(whole(), source, target)
@@ -90,7 +90,7 @@ def fuse_file(
     return (*work.notes, *found.notes, *work.words())
 
 
-def _unmarked(given: Iterable[Recording]) -> Iterator[Recording]:
+def _drop_marks(given: Iterable[Recording]) -> Iterator[Recording]:
     for block in given:
         for channel in block.channels.values():
             if channel.quantity == "acceleration":
@@ -117,12 +117,12 @@ class _Work:
     def _alone(self, given: Iterable[Recording]) -> Iterator[Recording]:
         last: list[Recording] = []
 
-        def passed() -> Iterator[Recording]:
+        def pass_on() -> Iterator[Recording]:
             for block in given:
                 last[:] = [block]
                 yield block
 
-        for stretch in side_by_side(passed(), self.found.instrument):
+        for stretch in side_by_side(pass_on(), self.found.instrument):
             yield replace(last[0], channels=self._channels(stretch))
 
     def _each(self, given: Iterable[Recording]) -> Iterator[Recording]:
@@ -192,9 +192,9 @@ class _Work:
             yield f"ages of the gyros' readings found in {share:.0f} % of the moving readings"
         if np.isinf(instrument.gyroscope_range):
             yield "the calibration does not say where readings clip: clipped ones take part"
-        yield from self._lost()
+        yield from self._list_lost()
 
-    def _lost(self) -> Iterator[str]:
+    def _list_lost(self) -> Iterator[str]:
         """What is not undone, and what has no part in the result."""
         instrument, beyond = self.found.instrument, self.found.instrument.beyond
         if beyond.refuted:

@@ -13,12 +13,12 @@ import numpy as np
 
 from imucalib.arrays import Array, Flags
 from imucalib.calibration.shared_gravity import check_against_gravity
-from imucalib.calibration.triads import pairing_of
+from imucalib.calibration.triads import pair_triads
 from imucalib.calibrators.array.board.log import nearest
 from imucalib.calibrators.array.board.moving import SLOWEST
-from imucalib.calibrators.array.board.rests import ATTITUDES, contradicted
+from imucalib.calibrators.array.board.rests import ATTITUDES, is_contradicted
 from imucalib.calibrators.array.board.streams import Held, repeats
-from imucalib.calibrators.array.fusion.fuse import fuse, turning
+from imucalib.calibrators.array.fusion.fuse import find_turning, fuse
 from imucalib.calibrators.array.fusion.instrument import Biases, Instrument, Stretch, along
 from imucalib.calibrators.array.fusion.noise import ChipNoise, at_rest, fit_noise
 from imucalib.calibrators.array.motion.board_motion import BoardMotion, board_motion
@@ -64,7 +64,7 @@ class _Queue:
 
     def __init__(self, first: Recording, instrument: Instrument) -> None:
         self._count = len(instrument.triads)
-        self._at = named = instrument.partner or pairing_of(instrument.triads, first).partner
+        self._at = named = instrument.partner or pair_triads(instrument.triads, first).partner
         own = [c for c in first.channels.values() if c.triad in named and c.quantity in _UNITS]
         gyros = {c.triad for c in own if c.quantity == "angular_rate"}
         if len(named) < _IMUS or not gyros:
@@ -158,7 +158,7 @@ def survey(blocks: Iterable[Recording], instrument: Instrument) -> Survey:
     """Look a recording through. Errors as in `side_by_side` and `check_against_gravity`."""
     doubt, look = instrument.doubt, _Look(replace(instrument, doubt=None))
     try:
-        segments = find_segments(look.watched(blocks))
+        segments = find_segments(look.watch(blocks))
     except Undetermined:
         if look.instrument.partner is None:
             raise
@@ -193,15 +193,15 @@ class _Look:
         self.notes: tuple[str, ...] = ()
         self.busiest: Stretch | None = None
 
-    def watched(self, blocks: Iterable[Recording]) -> Iterator[Recording]:
+    def watch(self, blocks: Iterable[Recording]) -> Iterator[Recording]:
         """The blocks, looked at."""
         for block in blocks:
             if self.instrument.partner is None and block.channels:
-                found = pairing_of(self.instrument.triads, block)
+                found = pair_triads(self.instrument.triads, block)
                 self.notes, self.path = found.notes, block.path
                 self.instrument = replace(self.instrument, partner=found.partner)
             for stretch in side_by_side([block], self.instrument):
-                fast = turning(self.instrument, stretch)
+                fast = find_turning(self.instrument, stretch)
                 total = np.concatenate([[0], np.cumsum(fast)])
                 width = min(_BUSY, len(fast))
                 inside = total[width:] - total[: len(total) - width]
@@ -233,7 +233,7 @@ def _add_rests(segments: Segments, order: Mapping[int, int], instrument: Instrum
     for k, column in order.items():
         read.acceleration[:, k] = segments.mean[:, column]
         read.rate[:, k] = segments.rate[:, column]
-    force, rate = instrument.corrected(read)
+    force, rate = instrument.correct(read)
     there, turns = (np.all(np.isfinite(v), axis=2) for v in (read.acceleration, read.rate))
     whole = (there & turns).all(axis=0)
     if segments.n >= ATTITUDES and whole.any():
@@ -243,14 +243,14 @@ def _add_rests(segments: Segments, order: Mapping[int, int], instrument: Instrum
             for part in instrument.beyond.parts
             if part.gyro
             and not part.late
-            and contradicted(rate[:, whole], part.added(motion)[:, whole])
+            and is_contradicted(rate[:, whole], part.evaluate(motion)[:, whole])
         ]
         if wrong:
             instrument = replace(instrument, beyond=instrument.beyond.without(wrong))
     mean = (force * there[..., None]).sum(axis=1) / there.sum(axis=1)[:, None]
     apart = np.where(there[..., None], force - mean[:, None], 0.0)
     known = segments.n / (segments.n + (_REST / _DRIFT) ** 2)
-    rate = rate - instrument.beyond.added(_still(instrument, mean))[1]
+    rate = rate - instrument.beyond.evaluate(_still(instrument, mean))[1]
     walk = _walk(segments, middle, np.where(turns[..., None], rate, 0.0))
     return replace(instrument, biases=Biases(known * apart.mean(axis=0), *walk))
 
@@ -309,7 +309,7 @@ def _noise_in_motion(instrument: Instrument, busy: Stretch, rest: list[Array]) -
         ChipNoise(r, np.full(len(r), _FIRST_GROWTH * float(r.mean())), _FIRST_TAILS) for r in rest
     )
     age = ages(instrument, busy, (first, second))
-    moving = np.flatnonzero(turning(instrument, busy))
+    moving = np.flatnonzero(find_turning(instrument, busy))
     rows = moving[np.linspace(0, len(moving) - 1, min(_USED, len(moving))).astype(np.intp)]
     some, own = busy.take(rows), None if age is None else age[rows]
     late = instrument.beyond.late(some.t, None if own is None else np.nan_to_num(own))
@@ -394,7 +394,7 @@ def _rough(instrument: Instrument, stretch: Stretch, noise: Noise) -> tuple[Arra
     of their gyros in range. Only what may move is fused."""
     off, spin = np.zeros(stretch.rate.shape), np.zeros((len(stretch.t), 3))
     moving = np.zeros(len(stretch.t), dtype=np.bool_)
-    fast = np.flatnonzero(turning(instrument, stretch))
+    fast = np.flatnonzero(find_turning(instrument, stretch))
     back = np.asarray(np.linalg.inv(instrument.axes[1]), np.float64)
     for start in range(0, len(fast), _READ):
         rows = fast[start : start + _READ]

@@ -9,7 +9,7 @@ import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
 from imucalib.calibrators.array.motion.setup import Setup, describe_motion, select_with_neighbours
-from imucalib.calibrators.array.motion.state import ArrayState, sampled_at
+from imucalib.calibrators.array.motion.state import ArrayState, fit_motion_at
 from imucalib.calibrators.array.motion.terms import Term
 from imucalib.core.effect import Context, Response, Truth
 from imucalib.estimators.array.sample_age import SampleAge, fit_sample_age
@@ -54,7 +54,7 @@ def estimate_clock(state: ArrayState, *, every: bool = False) -> SampleAge | Non
     """Sawtooth ages from the samples outside of the search, or from every one; None where no gyro
     shows a line."""
     amid = select_with_neighbours(state.setup.moving)
-    learning = amid if every else _learning(state.setup)[0]
+    learning = amid if every else _select_learning(state.setup)[0]
     if len(learning) < _FEWEST:
         return None
     off, spin = _everywhere(state, amid)
@@ -62,7 +62,7 @@ def estimate_clock(state: ArrayState, *, every: bool = False) -> SampleAge | Non
     return clock if np.isfinite(clock.frequency).any() else None
 
 
-def _learning(setup: Setup) -> tuple[Index, Flags]:
+def _select_learning(setup: Setup) -> tuple[Index, Flags]:
     """Samples from which clocks are learned, and (T,) those of the setup that vote on them."""
     amid = select_with_neighbours(setup.moving)
     learning = amid[~np.isin(amid, setup.chosen)]
@@ -71,9 +71,9 @@ def _learning(setup: Setup) -> tuple[Index, Flags]:
     return amid[(amid // _GROUP) % 2 == 0], (setup.rows // _GROUP) % 2 != 0
 
 
-def voting(setup: Setup) -> Flags:
+def find_voting(setup: Setup) -> Flags:
     """(inner,) samples of which no clock is ever learned."""
-    return np.asarray(_learning(setup)[1][setup.inner])
+    return np.asarray(_select_learning(setup)[1][setup.inner])
 
 
 def add_clock(state: ArrayState, clock: SampleAge, *, voting: bool) -> ArrayState:
@@ -81,8 +81,8 @@ def add_clock(state: ArrayState, clock: SampleAge, *, voting: bool) -> ArrayStat
     silent."""
     wave = clock.wave[state.setup.rows]
     if voting:
-        wave = np.where(_learning(state.setup)[1][:, None], wave, 0.0)
-    return replace(state, clock=clock, motion=state.motion.aged(wave))
+        wave = np.where(_select_learning(state.setup)[1][:, None], wave, 0.0)
+    return replace(state, clock=clock, motion=state.motion.set_ages(wave))
 
 
 def add_estimated_clock(state: ArrayState) -> ArrayState:
@@ -138,7 +138,7 @@ def _everywhere(state: ArrayState, rows: Index) -> tuple[Array, Array]:
 def _fit_at(state: ArrayState, rows: Index) -> Sampled:
     """The motion of other samples under what was found."""
     setup = replace(state.setup, rows=rows)
-    readings, sampled = setup.readings, sampled_at(setup, state.r, state.noise)
+    readings, sampled = setup.readings, fit_motion_at(setup, state.r, state.noise)
     plain = [term for term in state.terms if not term.aged]
     for _ in range(2 if plain else 0):
         motion = describe_motion(setup, sampled, np.zeros_like(sampled.force))

@@ -27,7 +27,7 @@ class BoardMotion:
         """(T, K)."""
         return self.context.n, len(self.context.triads)
 
-    def turned(self, basis: Array) -> Array:
+    def turn_to_board(self, basis: Array) -> Array:
         """(K, T, 3, m) in board axes, of a basis (T, K, 3, m) in each package's."""
         attitude = self.context.attitude
         assert attitude is not None
@@ -38,13 +38,13 @@ class BoardMotion:
             out[triad, :, i] += attitude[triad, i, j] * basis[:, triad, j]
         return out
 
-    def aged(self, age: Array | None) -> BoardMotion:
+    def set_ages(self, age: Array | None) -> BoardMotion:
         """With the (T, K) sawtooth ages of the gyros' readings, or without any."""
         rest = {k: v for k, v in self.context.covariates.items() if k != "sample_age"}
         known = rest if age is None else {**rest, "sample_age": age}
         return replace(self, context=replace(self.context, covariates=known))
 
-    def coursed(self, neighbours: Flags) -> BoardMotion:
+    def set_courses(self, neighbours: Flags) -> BoardMotion:
         """With the courses of rate and force, of which lagging sensors meet a part.
 
         neighbours : (T, 2) whether the sample before and the one after are next to it
@@ -56,7 +56,7 @@ class BoardMotion:
         )
         return replace(self, courses=(rate, force))
 
-    def met(self, gyros: tuple[Course, Course], forces: tuple[Course, Course]) -> BoardMotion:
+    def set_met(self, gyros: tuple[Course, Course], forces: tuple[Course, Course]) -> BoardMotion:
         """Where gyros and accelerometers meet these courses of rate and force."""
         of_gyros, truth = (
             Truth(force.value, Motion(rate.value, rate.slope, force.slope))
@@ -99,13 +99,13 @@ def board_motion(
     m/s², m/s³; age : (T, K) or None
     """
 
-    def seen(vector: Array | None) -> Array:
+    def turn_back(vector: Array | None) -> Array:
         if vector is None:
             return np.zeros((len(t), len(imus), 3))
         each = vector if vector.ndim == 3 else vector[:, None]
         return np.asarray((each[:, :, None] @ rotations)[:, :, 0])
 
-    truth = Truth(seen(force), Motion(seen(rate), seen(spin), seen(jerk)))
+    truth = Truth(turn_back(force), Motion(turn_back(rate), turn_back(spin), turn_back(jerk)))
     known = {"order": np.full(len(t), 0.5) if order is None else order, "time": t}
     context = Context(len(t), known, imus, attitude=rotations, moving=True)
-    return BoardMotion(truth, context).aged(age)
+    return BoardMotion(truth, context).set_ages(age)

@@ -26,12 +26,12 @@ from imucalib.calibrators.array.motion.search import (
     add_declared,
     fit_with_members,
     frame_term,
+    measure_shown,
     search_posterior,
-    shown_in,
     start_state,
 )
 from imucalib.calibrators.array.motion.setup import Setup
-from imucalib.calibrators.array.motion.state import ArrayState, find_memory, shared_by_neighbours
+from imucalib.calibrators.array.motion.state import ArrayState, find_memory, measure_dispersion
 from imucalib.calibrators.array.motion.terms import Term
 from imucalib.core.effect import Channel
 from imucalib.posterior.closed_loop.found import FitLoop, Loop, Step, Unexplained
@@ -97,19 +97,19 @@ def close_array_loop(
     if GYRO_FRAME in (*scope.declare, *scope.without):
         first, held = terms, scope
 
-    def searched(
+    def search(
         chosen: Setup, whole: MotionSearch | None = None
     ) -> tuple[ArrayState, ArrayState, MotionSearch]:
         base = add_estimated_clock(add_declared(start_state(chosen, first), scope.declare))
         found = search_posterior(base, held, whole)
-        return base, _named(found, held, curves=curves) or base, found
+        return base, _drop_laws(found, held, curves=curves) or base, found
 
-    base, final, found = searched(setup)
-    gained = cross_fitted(halved or setup, lambda half: searched(half, found)[:2])
+    base, final, found = search(setup)
+    gained = cross_fitted(halved or setup, lambda half: search(half, found)[:2])
     steps = steps_of(found, final, gained)
-    shifts = _unnamed(found, final)
+    shifts = _find_unnamed(found, final)
     open_ends = {one: float(np.sqrt(np.mean(moved**2))) for one, moved in shifts.items()}
-    deciding = None if gained is None else gained.deciding(_sensors_that_show(final, steps))
+    deciding = None if gained is None else gained.select_deciding(_sensors_that_show(final, steps))
     refused: tuple[tuple[str, str], ...] = ()
     if steps and deciding is not None and not deciding.holds:
         refused = tuple((step.effect, _REFUSED) for step in steps)
@@ -120,7 +120,7 @@ def close_array_loop(
         final, steps = base, ()
     final = _on_all(final, most)
     open_ends |= dict.fromkeys(find_memory(final) if scope.search else (), 0.0)
-    dispersion = shared_by_neighbours(final, gyro=False)
+    dispersion = measure_dispersion(final, gyro=False)
     final, uneven = add_unevenness(final, dispersion)
     final = _as_far_as_known(final, shifts.values())
     if uneven is not None:
@@ -132,7 +132,7 @@ def close_array_loop(
         rejected=(*found.rejected, *refused),
         refuted=tuple(name for name, _ in refused),
         unexplained=tuple(open_ends),
-        scores=scores_of(found.problem, found.posterior, shown_in(found.problem)),
+        scores=scores_of(found.problem, found.posterior, measure_shown(found.problem)),
         first_scores=found.scores,
         missing=found.problem.missing,
         difference=deciding,
@@ -154,11 +154,11 @@ def _sensors_that_show(final: ArrayState, steps: Sequence[Step]) -> set[Channel]
     return set(CHANNELS) if shared else {effect.channel for effect in shown}
 
 
-def _named(found: MotionSearch, scope: Scope, *, curves: bool) -> ArrayState | None:
+def _drop_laws(found: MotionSearch, scope: Scope, *, curves: bool) -> ArrayState | None:
     """The fit without laws, which have no name, unless they are to be corrected; None where it runs
     away."""
     chosen = found.problem.of_set(found.said.hypothesis)
-    named = [one for one in chosen if curves or found.problem.named(one.name)]
+    named = [one for one in chosen if curves or found.problem.is_named(one.name)]
     known = {term.name for term in found.state.found}
     if known == {one.name for one in named} | (known & set(scope.declare)):
         return found.state
@@ -227,14 +227,14 @@ def steps_of(found: MotionSearch, final: ArrayState, gained: Gained | None) -> t
             effect=term.name,
             aliases=tuple(n for n, _ in likely if n != term.name),
             certain=place.certain and twins[0][1] > CERTAIN,
-            curve="" if found.problem.named(name) else term.name.removeprefix(CURVE),
+            curve="" if found.problem.is_named(name) else term.name.removeprefix(CURVE),
             formula="",
         )
         steps.append(step)
     return tuple(steps)
 
 
-def _unnamed(found: MotionSearch, final: ArrayState) -> dict[Unexplained, Array]:
+def _find_unnamed(found: MotionSearch, final: ArrayState) -> dict[Unexplained, Array]:
     """What is told and has no name, be it corrected or not: laws, and effects of which the data
     determine no size; with the (d,) m by which each moves the positions, where it is not corrected.
 
@@ -243,9 +243,9 @@ def _unnamed(found: MotionSearch, final: ArrayState) -> dict[Unexplained, Array]
     shifts, own = {}, {term.name for term in final.found}
     for place in found.said.places:
         name = found.said.name(place.component)
-        if found.problem.named(name) and name in own:
+        if found.problem.is_named(name) and name in own:
             continue
-        moved = found.problem.moved(found.posterior, found.said.hypothesis, place.component)
-        one = found.said.unexplained(place)
+        moved = found.problem.find_shift(found.posterior, found.said.hypothesis, place.component)
+        one = found.said.leave_unexplained(place)
         shifts[one] = 0.0 * moved if name in own else moved
     return shifts

@@ -12,16 +12,16 @@ from imucalib.calibrators.array.board.moving import Moving
 from imucalib.calibrators.array.motion.setup import Setup, every_sample, motion_at
 from imucalib.calibrators.array.motion.state import (
     ArrayState,
-    corrected,
     fit_jointly,
+    fit_motion_at,
     refit_motion,
-    sampled_at,
+    subtract_terms,
 )
-from imucalib.calibrators.array.motion.terms import lagging
+from imucalib.calibrators.array.motion.terms import select_lagging
 from imucalib.core.eigen import eigen
 from imucalib.estimators.array.gram import Columns, gram, inverse_root, scores
 from imucalib.estimators.array.noise import MotionNoise
-from imucalib.estimators.array.samples import Sampled, Weights, fit_samples, reweighed
+from imucalib.estimators.array.samples import Sampled, Weights, fit_samples, reweigh
 
 #: What is not explained where positions differ, with what the parts differ by.
 POSITIONS = "positions against "
@@ -110,7 +110,7 @@ def information(state: ArrayState) -> tuple[float, float]:
         return 1.0, 1.0
     inner, r = state.setup.inner, state.r
     rows = inner[np.linspace(0, len(inner) - 1, min(_SAMPLES, len(inner))).astype(np.intp)]
-    readings, count = corrected(state).take(rows), 3 * len(r)
+    readings, count = subtract_terms(state).take(rows), 3 * len(r)
 
     def at(shift: Array, sampled: Sampled) -> Sampled:
         """Weights and motion, fitted anew at a shift (6 K,) of all positions and gyro offsets."""
@@ -171,7 +171,7 @@ def sandwich(state: ArrayState) -> tuple[Array, Array, Array]:
     few samples do not make it singular.
     """
     base, inner = state.base, state.setup.inner
-    known = base.free(gram(reweighed(state.sampled, *information(state)), base.blocks, inner))
+    known = base.free(gram(reweigh(state.sampled, *information(state)), base.blocks, inner))
     prior = np.diag(base.prior)
     own = base.along(scores(state.sampled, base.blocks, inner))
     share = len(inner) / (len(inner) + len(base.prior))
@@ -234,6 +234,6 @@ def settle_there(state: ArrayState) -> ArrayState:
 
 def transfer_to(state: ArrayState, setup: Setup) -> ArrayState:
     """What was found, at other samples; to be settled there."""
-    sampled = sampled_at(setup, state.r, state.noise)
-    motion = motion_at(setup, sampled, None, courses=bool(lagging(state.terms)))
+    sampled = fit_motion_at(setup, state.r, state.noise)
+    motion = motion_at(setup, sampled, None, courses=bool(select_lagging(state.terms)))
     return replace(state, setup=setup, sampled=sampled, motion=motion)

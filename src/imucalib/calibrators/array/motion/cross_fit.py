@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
-from imucalib.calibrators.array.motion.ages import add_clock, voting
+from imucalib.calibrators.array.motion.ages import add_clock, find_voting
 from imucalib.calibrators.array.motion.covariance import transfer_to
 from imucalib.calibrators.array.motion.setup import FEWEST, Setup, part_of
 from imucalib.calibrators.array.motion.state import ArrayState, refit_motion
@@ -64,7 +64,7 @@ class Gained:
             CheckedError("gyro residual", "deg/s", before.rate, after.rate),
         )
 
-    def deciding(self, channels: Collection[Channel]) -> Difference:
+    def select_deciding(self, channels: Collection[Channel]) -> Difference:
         """The error that has changed by the most, of the sensors that effects act on: held-out
         readings of k sensors, each of its own noise, are as much likelier as the sum of the
         logarithms of what their errors fall by; of two the larger one has the sign of it."""
@@ -86,7 +86,7 @@ def cross_fitted(
     sizes, blocks = list[list[Array]](), list[Index]()
     for half in (setup.first, ~setup.first):
         train, test = part_of(setup, half), part_of(setup, ~half)
-        silent = voting(test)
+        silent = find_voting(test)
         if min(len(train.inner), int(silent.sum())) < FEWEST // _HALVES:
             return None
         sizes.append([_sizes(_predict(end, test), silent) for end in searched(train)])

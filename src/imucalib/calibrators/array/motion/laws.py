@@ -34,7 +34,7 @@ from imucalib.effects.array.parts import (
     SPIN,
     Quantity,
     all_axes,
-    displaced,
+    displace,
     each_axis,
     one,
     times,
@@ -106,13 +106,13 @@ def _every(
     for effect in array_catalogue().values():
         if effect.twin:
             continue
-        if reason := effect.missing(motion.context):
+        if reason := effect.find_missing(motion.context):
             missing[effect.name] = reason
         else:
             twin = next((e for e in held.values() if e.twin == effect.name), effect)
             every[effect.name] = "name", "", [twin]
     for covariate, law in array_laws(motion):
-        if not law.missing(motion.context):
+        if not law.find_missing(motion.context):
             forms = every.setdefault(f"another law of {covariate}", ("law", covariate, []))[2]
             forms.append(held.get(law.name, law))
     for covariate, function in array_functions(motion):
@@ -124,7 +124,7 @@ def _members(effect: Response, imus: tuple[str, ...]) -> list[Member]:
     """All IMUs together and one alone, each with its columns among those of the effect."""
     size, k = len(effect.each), len(imus)
     if effect.shared:
-        phases = k * len(phases_of(effect).each) if _aged(effect) else 0
+        phases = k * len(phases_of(effect).each) if _is_aged(effect) else 0
         return [_member(effect, "", np.arange(size + phases), 1.0)]
     parts = [np.arange(i * size, (i + 1) * size) for i in range(k)]
     share = (1.0 - TOGETHER) / k
@@ -140,7 +140,7 @@ def _member(effect: Response, of: str, part: Index, share: float) -> Member:
 def _add_phases(effect: Response, motion: BoardMotion) -> Columns:
     """Its columns in typical sizes, and of clocks what their phases leave of each gyro."""
     own = typical_columns(effect, motion)
-    if not _aged(effect):
+    if not _is_aged(effect):
         return own
     phases = PHASE * typical_columns(phases_of(effect), motion).basis
     k, t, _, m = phases.shape
@@ -150,7 +150,7 @@ def _add_phases(effect: Response, motion: BoardMotion) -> Columns:
     return Columns(basis, own.gyro, own.shared)
 
 
-def _aged(effect: Response) -> bool:
+def _is_aged(effect: Response) -> bool:
     return "sample_age" in effect.needs
 
 
@@ -174,7 +174,7 @@ class _Error:
     unit: str
     typical: float
     channel: Channel = "acceleration"
-    part: Basis = displaced
+    part: Basis = displace
 
 
 _GYRO: Channel = "angular_rate"

@@ -71,12 +71,12 @@ def draw_positions(state: ArrayState, stop: Stop, rng: np.random.Generator) -> P
     root = size[:, None] * np.linalg.cholesky(spread / np.outer(size, size))
     start = state.r[1:].ravel()
 
-    def placed(z: Array) -> Array:
+    def place(z: Array) -> Array:
         return np.asarray(start + z @ root.T)
 
-    found = sample(lambda z: density(z @ root.T), d, rng, stop=stop, seen=placed)
+    found = sample(lambda z: density(z @ root.T), d, rng, stop=stop, seen=place)
     return PositionDraws(
-        free=placed(found.draws),
+        free=place(found.draws),
         accepted=found.accepted,
         convergence=found.convergence,
         step=found.step,
@@ -106,7 +106,7 @@ def refuse_open(r: Array, covariance: Array, board: Board) -> None:
     r : (K, 3) m; covariance : (d, d) m²
     """
     scale, sd = size_over(board.drawn, r, covariance)
-    sizes, axes = shown(covariance)
+    sizes, axes = rank_directions(covariance)
     share = float(sizes[-1]) / board.prior_sd
     if sd > VAGUE * scale or share > OPEN:
         raise Undetermined(
@@ -123,7 +123,7 @@ def size_over(drawn: Array, r: Array, covariance: Array) -> tuple[float, float]:
     return float(row @ r[1:].ravel()), float(np.sqrt(row @ covariance @ row))
 
 
-def shown(covariance: Array) -> tuple[Array, Array]:
+def rank_directions(covariance: Array) -> tuple[Array, Array]:
     """How well a motion shows the three directions in space, the best shown one first: sd (3,) m,
     rms over the IMUs, and the directions in the columns of (3, 3).
 

@@ -30,17 +30,17 @@ from imucalib.calibrators.array.board.catalogue import (
 from imucalib.calibrators.array.motion.ages import add_estimated_clock, add_phases
 from imucalib.calibrators.array.motion.base import PositionBase
 from imucalib.calibrators.array.motion.laws import candidates_of
-from imucalib.calibrators.array.motion.setup import Setup, looked_at, motion_at
+from imucalib.calibrators.array.motion.setup import Setup, motion_at, select_searched
 from imucalib.calibrators.array.motion.state import (
     ArrayState,
     fit_jointly,
-    sampled_at,
-    shared_by_neighbours,
+    fit_motion_at,
+    measure_dispersion,
 )
 from imucalib.calibrators.array.motion.terms import (
     OPEN,
     Term,
-    determined,
+    determine,
     typical_columns,
     typical_of,
 )
@@ -48,7 +48,7 @@ from imucalib.core.effect import Effect, Response
 from imucalib.errors import Undetermined
 from imucalib.estimators.array.gram import Columns, gram, inverse_root, marginalize
 from imucalib.estimators.array.noise import MotionNoise, log_density
-from imucalib.estimators.array.samples import reweighed
+from imucalib.estimators.array.samples import reweigh
 from imucalib.posterior.closed_loop.found import Score
 from imucalib.posterior.closed_loop.words import SelectedModel, of_each, scores_of, select_model
 from imucalib.posterior.odds import ABSORBED, FINE_SIZES, SEARCHES
@@ -97,12 +97,12 @@ class MotionProblem(Contest):
         evidence is flat over a factor of four."""
         return FINE_SIZES[::2]
 
-    def named(self, name: str) -> bool:
+    def is_named(self, name: str) -> bool:
         """Whether a candidate of this name is a cause."""
         own = next(choice for choice in self.choices if choice.member.name == name)
         return self.components[own.component].named
 
-    def shown(self, component: int) -> tuple[float, float, float]:
+    def measure(self, component: int) -> tuple[float, float, float]:
         """Of a component's first member at typical size: the share of its columns that free
         positions leave, their length in units of the noise, and the m rms by which it moves the
         positions."""
@@ -120,7 +120,7 @@ class MotionProblem(Contest):
         at = {choice.member.name: k for k, choice in enumerate(self.choices)}
         return tuple(Pick(at[t.name], float(t.sd[0])) for t in state.found if t.name in at)
 
-    def moved(self, posterior: Posterior, hypothesis: Hypothesis, component: int) -> Array:
+    def find_shift(self, posterior: Posterior, hypothesis: Hypothesis, component: int) -> Array:
         """(d,) m by which a component of a set moves the positions."""
         columns, value, _ = self._linear(posterior, hypothesis)
         own = next(
@@ -134,7 +134,7 @@ class MotionProblem(Contest):
     def shortfall(self, posterior: Posterior, hypothesis: Hypothesis, state: ArrayState) -> float:
         """Nats by which a settled fit of a set is beside what the products foretold of it."""
         columns, value, rows = self._linear(posterior, hypothesis)
-        off = _held(state, self.choices, int(columns.max(initial=0)) + 1)[columns] - value
+        off = _collect_values(state, self.choices, int(columns.max(initial=0)) + 1)[columns] - value
         return float(0.5 * off @ rows[:, columns] @ off)
 
     def _linear(self, posterior: Posterior, hypothesis: Hypothesis) -> tuple[Array, Array, Array]:
@@ -160,7 +160,7 @@ def products(
     """At a fitted state. skipped : names that are not tried; declared : terms that are no question
     of the search; among : components that are tried, where these are not all"""
     motion, setup = state.motion, state.setup
-    rows = setup.inner[looked_at(setup)]
+    rows = setup.inner[select_searched(setup)]
     clock = any(t.aged for t in state.found if t.name in declared)
     own = tuple(
         t for t in state.terms if t.name in declared or not (t.found or (t.aged and not clock))
@@ -170,13 +170,15 @@ def products(
     if among is not None:
         odds = np.array([among[one.name] for one in every.components])
     base = PositionBase(setup, state.sampled, motion, state.r, own)
-    kappa = [shared_by_neighbours(state, gyro=gyro) for gyro in (False, True)]
+    kappa = [measure_dispersion(state, gyro=gyro) for gyro in (False, True)]
     a, g = (n.information / k for n, k in zip(state.noise, kappa, strict=True))
-    sampled = reweighed(state.sampled.take(rows), a, g)
+    sampled = reweigh(state.sampled.take(rows), a, g)
     blocks = [Columns(b.basis[:, rows], b.gyro, b.shared) for b in base.blocks]
     found = base.free(gram(sampled, [*blocks, *every.blocks], np.arange(len(rows))))
     b = len(base.prior)
-    theta = np.concatenate([base.pull / base.prior, _held(state, every.choices, every.width)])
+    theta = np.concatenate(
+        [base.pull / base.prior, _collect_values(state, every.choices, every.width)]
+    )
     toward = found.matrix @ theta
     along = (found.along + toward)[:, None]
     power = found.power + 2.0 * float(theta @ found.along) + float(theta @ toward)
@@ -204,7 +206,7 @@ def products(
     return problem, grams
 
 
-def _held(state: ArrayState, choices: Sequence[Choice], width: int) -> Array:
+def _collect_values(state: ArrayState, choices: Sequence[Choice], width: int) -> Array:
     """(width,) what the state has of the candidates' columns, in typical sizes."""
     theta = np.zeros(width)
     at = {choice.member.name: choice.at for choice in choices}
@@ -267,7 +269,7 @@ def search_posterior(
     scope : declared effects stay in the model; whole : the search of a motion of which this is a
     part, which starts from what is told there
     """
-    skipped, declared = scope.skipped(base.setup.imus), scope.declare
+    skipped, declared = scope.find_skipped(base.setup.imus), scope.declare
     among = None if whole is None else whole.likely
     start = _Held(base, Shares())
     if whole is not None:
@@ -286,20 +288,20 @@ def search_posterior(
         # the same.
         away = said.problem.shortfall(said.posterior, said.hypothesis, grown.state)
         away += _noise_gain(held.state.noise, grown.state)
-        same = _told(said) == grown.names.difference(declared)
+        same = _list_names(said) == grown.names.difference(declared)
         return replace(grown, first=held.first or _first(said)), same and away < _SETTLED
 
     settled = search_until_settled(
         start,
         search,
         take_in,
-        told=_told,
+        told=_list_names,
         held=lambda held: held.names.difference(declared),
         rounds=SEARCHES,
     )
     held, said = settled.state, settled.found
     scores, impact = held.first or _first(said)
-    lost = _told(said).difference(held.names) if settled.refused else ()
+    lost = _list_names(said).difference(held.names) if settled.refused else ()
     return MotionSearch(
         state=held.state,
         shares=held.shares,
@@ -325,11 +327,11 @@ class _Held:
 
 
 def _first(said: SelectedModel[MotionProblem]) -> tuple[tuple[Score, ...], dict[str, float]]:
-    scores = scores_of(said.problem, said.posterior, shown_in(said.problem))
-    return scores, absorbed(said.problem)
+    scores = scores_of(said.problem, said.posterior, measure_shown(said.problem))
+    return scores, find_absorbed(said.problem)
 
 
-def _told(said: SelectedModel[MotionProblem]) -> frozenset[str]:
+def _list_names(said: SelectedModel[MotionProblem]) -> frozenset[str]:
     return frozenset(one.name for one in said.problem.of_set(said.hypothesis))
 
 
@@ -357,17 +359,17 @@ def _noise_gain(before: tuple[MotionNoise, MotionNoise], state: ArrayState) -> f
     )
 
 
-def shown_in(problem: MotionProblem) -> list[tuple[float, float, float]]:
+def measure_shown(problem: MotionProblem) -> list[tuple[float, float, float]]:
     """Of each component what `scores_of` tells; what no motion shows, nothing is left of."""
-    shown = (problem.shown(c) for c in range(len(problem.components)))
+    shown = (problem.measure(c) for c in range(len(problem.components)))
     return [(share if strength > OPEN else 0.0, strength, 0.0) for share, strength, _ in shown]
 
 
-def absorbed(problem: MotionProblem) -> dict[str, float]:
+def find_absorbed(problem: MotionProblem) -> dict[str, float]:
     """What no motion shows, and by how many m rms its typical size moves the positions."""
     found = {}
     for c, component in enumerate(problem.components):
-        share, strength, moves = problem.shown(c)
+        share, strength, moves = problem.measure(c)
         if component.named and (strength <= OPEN or share < ABSORBED):
             found[component.name] = moves
     return found
@@ -400,7 +402,7 @@ def add_declared(state: ArrayState, names: Sequence[str]) -> ArrayState:
         effect = find_effect(name, state.setup.imus)
         if "sample_age" in effect.needs and state.motion.age is None:
             state = add_estimated_clock(state)
-        reason = effect.missing(state.motion.context)
+        reason = effect.find_missing(state.motion.context)
         term = None if reason else new_term(state, name, effect)
         if term is None or term.value.size == 0:
             raise Undetermined(
@@ -420,7 +422,7 @@ def new_term(state: ArrayState, name: str, effect: Effect) -> Term:
     family, _, imu = name.partition("@")
     assert isinstance(effect, Response)
     own, only = replace(effect, name=family), state.setup.imus.index(imu) if imu else None
-    return determined(name, own, only, own_gram(state, own, only), state.found)
+    return determine(name, own, only, own_gram(state, own, only), state.found)
 
 
 def own_gram(state: ArrayState, effect: Response, only: int | None = None) -> Array:
@@ -443,7 +445,7 @@ def start_state(setup: Setup, terms: tuple[Term, ...]) -> ArrayState:
     """Fitted with the drawing and plain noise as the start."""
     one = np.ones(setup.triads)
     noise = MotionNoise(0.2, 0.0, np.inf, one), MotionNoise(5e-3, 0.0, np.inf, one)
-    sampled = sampled_at(setup, setup.board.drawn, noise)
+    sampled = fit_motion_at(setup, setup.board.drawn, noise)
     drawn = ArrayState(
         setup=setup,
         r=setup.board.drawn,
@@ -529,7 +531,7 @@ def _nats(state: ArrayState, name: str) -> float:
     effect = _effect(name)
     *squares, speed = state.squares()
     return sum(
-        float(log_density(noise, square, speed).sum()) / shared_by_neighbours(state, gyro=gyro)
+        float(log_density(noise, square, speed).sum()) / measure_dispersion(state, gyro=gyro)
         for noise, square, gyro in zip(state.noise, squares, (False, True), strict=True)
         if effect.shared or gyro == (effect.channel == "angular_rate")
     )

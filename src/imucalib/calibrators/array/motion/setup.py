@@ -130,7 +130,7 @@ def _around(rows: Index) -> Index:
     return np.unique(np.concatenate([rows - 1, rows, rows + 1]))
 
 
-def looked_at(setup: Setup) -> Index:
+def select_searched(setup: Setup) -> Index:
     """Which of the samples (inner,) a search looks at. Many IMUs have many columns and many
     readings a sample: fewer samples say as much."""
     most = int(np.clip(_READINGS / setup.triads, _LEAST, _MOST))
@@ -190,4 +190,4 @@ def motion_at(
     turning = turning_slope(sampled.rate, sampled.spin, bend) * np.any(sides, axis=1)[:, None, None]
     jerk = common[:, None] + (sampled.r - amid) @ turning.transpose(0, 2, 1)
     found = describe_motion(setup, sampled, jerk, age)
-    return found.coursed(sides) if courses else found
+    return found.set_courses(sides) if courses else found

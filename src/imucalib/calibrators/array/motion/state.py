@@ -16,14 +16,14 @@ from imucalib.arrays import Array
 from imucalib.calibrators.array.motion.base import PositionBase
 from imucalib.calibrators.array.motion.board_motion import BoardMotion
 from imucalib.calibrators.array.motion.setup import Setup, motion_at
-from imucalib.calibrators.array.motion.terms import Term, lagging, lost, sensed
+from imucalib.calibrators.array.motion.terms import Term, evaluate_lags, lag_motion, select_lagging
 from imucalib.estimators.array.gram import gradient, gram, inverse_root, project_out_motion
 from imucalib.estimators.array.noise import (
     MotionNoise,
     Squares,
     choose_noise,
     not_followed,
-    scaled,
+    rescale,
 )
 from imucalib.estimators.array.sample_age import SampleAge
 from imucalib.estimators.array.samples import Readings, Sampled, Weights, fit_samples
@@ -98,7 +98,7 @@ class ArrayState:
         return np.asarray(term.live @ self.covariance[own, own] @ term.live.T)
 
 
-def sampled_at(setup: Setup, r: Array, noise: tuple[MotionNoise, MotionNoise]) -> Sampled:
+def fit_motion_at(setup: Setup, r: Array, noise: tuple[MotionNoise, MotionNoise]) -> Sampled:
     """The motion of samples for positions alone, each kind of sensor weighted by its size."""
     ones = np.ones((len(setup.rows), setup.triads))
     weights = Weights(ones / noise[0].sigma ** 2, ones / noise[1].sigma ** 2)
@@ -135,7 +135,7 @@ def _same(one: MotionNoise, two: MotionNoise) -> bool:
 def _with_scale(state: ArrayState, off: Readings | None = None) -> ArrayState:
     a, g, speed = state.squares(off)
     one, two = state.noise
-    return replace(state, noise=(scaled(one, a, speed), scaled(two, g, speed)))
+    return replace(state, noise=(rescale(one, a, speed), rescale(two, g, speed)))
 
 
 def _shape(state: ArrayState) -> tuple[MotionNoise, MotionNoise]:
@@ -143,7 +143,7 @@ def _shape(state: ArrayState) -> tuple[MotionNoise, MotionNoise]:
     some = np.linspace(0, len(speed) - 1, min(len(speed), _SHAPED_BY)).astype(np.intp)
     first, rows = state.setup.first[some], state.setup.inner[some]
     one, two = (choose_noise(x[some], speed[some], first) for x in (a, g))
-    return scaled(one, a, speed), scaled(not_followed(two, state.sampled, rows), g, speed)
+    return rescale(one, a, speed), rescale(not_followed(two, state.sampled, rows), g, speed)
 
 
 def _newton(state: ArrayState, close: float) -> ArrayState:
@@ -185,7 +185,7 @@ def _move(state: ArrayState, step: Array, variance: Array) -> ArrayState:
     r = state.r.copy()
     r[1:] += step[: state.positions].reshape(-1, 3)
     parts = zip(state.terms, ends, ends[1:], strict=False)
-    terms = tuple(term.moved(step[a:b], variance[a:b]) for term, a, b in parts)
+    terms = tuple(term.move(step[a:b], variance[a:b]) for term, a, b in parts)
     return replace(state, r=r, terms=terms)
 
 
@@ -197,7 +197,7 @@ def update_motion(
     base : with the columns of the same terms at the same motion, where they are made already
     off : residuals that the weights go by, where they are foreseen
     """
-    readings, sampled, off = corrected(state, base), state.sampled, off or state.sampled.off
+    readings, sampled, off = subtract_terms(state, base), state.sampled, off or state.sampled.off
     tailed = any(np.isfinite(noise.freedom) for noise in state.noise)
     for more in reversed(range(_WEIGHED if tailed else 1)):
         speed = np.linalg.norm(sampled.rate, axis=1)
@@ -208,8 +208,10 @@ def update_motion(
         # With weights that are made anew at once, the motion need not be at its end.
         sampled = fit_samples(readings, weights, state.r, sampled, *([1] if more else []))
         off = sampled.off
-    motion = motion_at(state.setup, sampled, state.motion.age, courses=bool(lagging(state.terms)))
-    return replace(state, sampled=sampled, motion=sensed(state.terms, motion))
+    motion = motion_at(
+        state.setup, sampled, state.motion.age, courses=bool(select_lagging(state.terms))
+    )
+    return replace(state, sampled=sampled, motion=lag_motion(state.terms, motion))
 
 
 def refit_motion(state: ArrayState, rounds: int) -> ArrayState:
@@ -220,14 +222,14 @@ def refit_motion(state: ArrayState, rounds: int) -> ArrayState:
     return state
 
 
-def corrected(state: ArrayState, base: PositionBase | None = None) -> Readings:
+def subtract_terms(state: ArrayState, base: PositionBase | None = None) -> Readings:
     """The readings less what the terms add to them."""
     own = None if base is None else base.blocks[1:]
     acceleration = state.setup.readings.acceleration.copy()
     rate = state.setup.readings.rate.copy()
-    late = lagging(state.terms) if state.motion.courses is not None else ()
+    late = select_lagging(state.terms) if state.motion.courses is not None else ()
     if late:
-        force, turned = lost(late, state.motion)
+        force, turned = evaluate_lags(late, state.motion)
         acceleration += force
         rate += turned
     for k, term in enumerate(state.terms):
@@ -246,7 +248,7 @@ _RUN, _FAR = 16, 6
 _FEWEST, _CHANCE = 50, 2.0
 
 
-def _shared(state: ArrayState, *, gyro: bool) -> Iterator[tuple[float, float]]:
+def _correlate(state: ArrayState, *, gyro: bool) -> Iterator[tuple[float, float]]:
     """Correlation of the weighted residuals of samples 1, 2, ... apart, and how many independent
     products it is the mean of; until there are few."""
     setup, sampled = state.setup, state.sampled
@@ -264,12 +266,12 @@ def _shared(state: ArrayState, *, gyro: bool) -> Iterator[tuple[float, float]]:
         yield product / power, float(together.sum() * numbers)
 
 
-def shared_by_neighbours(state: ArrayState, *, gyro: bool) -> float:
+def measure_dispersion(state: ArrayState, *, gyro: bool) -> float:
     """How many times fewer samples noise with memory is worth: the variance of a sum over a run
     of samples over that of independent ones, 1 + 2 Σ ρ_k (1 - k / run), up to the first neighbour
     that shares nothing beyond chance."""
     factor = 1.0
-    for k, (rho, n) in enumerate(_shared(state, gyro=gyro), 1):
+    for k, (rho, n) in enumerate(_correlate(state, gyro=gyro), 1):
         if rho * np.sqrt(n) < _CHANCE:
             break
         factor += 2.0 * rho * (1.0 - k / _RUN)
@@ -280,7 +282,7 @@ def find_memory(state: ArrayState) -> Iterator[Unexplained]:
     """Sensors whose noise follows its own past, where noise without memory is unlikely at even odds
     (Schwarz 1978): something goes on from sample to sample that the model does not have."""
     for sensor, gyro in (("accelerometer", False), ("gyroscope", True)):
-        rho, n = next(_shared(state, gyro=gyro), (0.0, 1.0))
+        rho, n = next(_correlate(state, gyro=gyro), (0.0, 1.0))
         nats = 0.5 * n * max(rho, 0.0) ** 2 - 0.5 * float(np.log(n))
         p = 1.0 / (1.0 + float(np.exp(min(nats, 700.0))))
         if p < 1.0 - CERTAIN:

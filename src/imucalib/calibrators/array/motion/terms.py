@@ -80,7 +80,7 @@ class Term:
         late[:, some] = -np.sum(basis[:, some] * each, axis=2)
         return late
 
-    def moved(self, step: Array, variance: Array) -> Term:
+    def move(self, step: Array, variance: Array) -> Term:
         """After a step of its coordinates, of variance (q,); the size of a found effect is learned
         along."""
         value = self.value + step
@@ -91,25 +91,27 @@ class Term:
         return replace(self, value=value, sd=sd)
 
 
-def lagging(terms: Sequence[Term]) -> tuple[Term, ...]:
+def select_lagging(terms: Sequence[Term]) -> tuple[Term, ...]:
     """Those that say when sensors read."""
     return tuple(term for term in terms if term.effect.lagged is not None)
 
 
-def sensed(terms: Sequence[Term], motion: BoardMotion) -> BoardMotion:
+def lag_motion(terms: Sequence[Term], motion: BoardMotion) -> BoardMotion:
     """The motion as lagging sensors meet it: all that acts on a reading acts on what they meet."""
-    late = lagging(terms)
+    late = select_lagging(terms)
     if motion.courses is None or not late:
         return motion
     rate, force = motion.courses
 
-    def met(channel: Channel) -> tuple[Course, Course]:
-        return _met(late, rate, motion, channel), _met(late, force, motion, channel)
+    def lag_both(channel: Channel) -> tuple[Course, Course]:
+        return _lag_course(late, rate, motion, channel), _lag_course(late, force, motion, channel)
 
-    return motion.met(met("angular_rate"), met("acceleration"))
+    return motion.set_met(lag_both("angular_rate"), lag_both("acceleration"))
 
 
-def _met(late: Sequence[Term], course: Course, motion: BoardMotion, channel: Channel) -> Course:
+def _lag_course(
+    late: Sequence[Term], course: Course, motion: BoardMotion, channel: Channel
+) -> Course:
     """What sensors of one kind meet of a course."""
     for term in late:
         lag = term.lag(motion)[..., None]
@@ -118,19 +120,19 @@ def _met(late: Sequence[Term], course: Course, motion: BoardMotion, channel: Cha
     return course
 
 
-def lost(terms: Sequence[Term], motion: BoardMotion) -> tuple[Array, Array]:
+def evaluate_lags(terms: Sequence[Term], motion: BoardMotion) -> tuple[Array, Array]:
     """(T, K, 3) in board axes: what lagging accelerometers and gyros read less than there is, where
     the motion has its courses."""
     assert motion.courses is not None
     rate, force = motion.courses
-    late, common = lagging(terms), motion.context.in_common
+    late, common = select_lagging(terms), motion.context.in_common
     return (
-        common(force.value - _met(late, force, motion, "acceleration").value),
-        common(rate.value - _met(late, rate, motion, "angular_rate").value),
+        common(force.value - _lag_course(late, force, motion, "acceleration").value),
+        common(rate.value - _lag_course(late, rate, motion, "angular_rate").value),
     )
 
 
-def determined(
+def determine(
     name: str, effect: Response, only: int | None, matrix: Array, others: Sequence[Term] = ()
 ) -> Term:
     """A new term at zero, with the directions that the data can determine.
@@ -140,7 +142,7 @@ def determined(
     """
     opposite = any(
         t.only is None and not t.aged and t.effect.channel != effect.channel
-        for t in lagging(others)
+        for t in select_lagging(others)
     )
     if effect.lagged and only is None and opposite:
         # Delays of both kinds of sensor: what all share is the time itself, which none can show.
@@ -160,7 +162,7 @@ def typical_of(effect: Response, count: int) -> Array:
 
 def columns_of(effect: Response, motion: BoardMotion, only: int | None = None) -> Columns:
     """Columns of an effect in board axes, per unit of its parameters."""
-    basis = motion.turned(effect.basis(motion.truth_of(effect.channel), motion.context))
+    basis = motion.turn_to_board(effect.basis(motion.truth_of(effect.channel), motion.context))
     gyro = effect.channel == "angular_rate"
     if only is None:
         return Columns(basis, gyro, effect.shared)

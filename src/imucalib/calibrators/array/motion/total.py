@@ -180,7 +180,7 @@ def scale_by_turns(
     rate = np.einsum("kij,nkj->ni", weight[:, None, None] * np.linalg.inv(gain), log.rate)
     middle = 0.5 * (segments.start + segments.stop)
     still = np.einsum("kij,nkj->nki", rests.rotations, segments.mean)
-    up = rests.corrected(still, middle).mean(axis=1)
+    up = rests.correct(still, middle).mean(axis=1)
     up /= np.linalg.norm(up, axis=1, keepdims=True)
     turns = common_scale(log.t, rate, ~log.clipped, up, segments.start, segments.stop)
     return gyro_scale(SCALE_TOLERANCE / float(np.sqrt(9.0 * len(gain))), turns)

@@ -76,10 +76,10 @@ def run_pmmh(
     chains: int = 2,
 ) -> PmmhResult:
     """Algorithm 1. Raises NotConverged when N or the burn-in cannot be found."""
-    likelihood, variance = tuned_count(data, prior, rng)
+    likelihood, variance = tune_count(data, prior, rng)
     x = prior.mean + prior.sd * rng.standard_normal((chains, prior.size))
     walk = _Walk(x, likelihood.log_posterior(x, rng), 0.01)
-    walk, burn_in = _burned_in(walk, likelihood, rng, iterations)
+    walk, burn_in = _burn_in(walk, likelihood, rng, iterations)
     draws, accepted = np.empty((chains, iterations, prior.size)), 0.0
     for k in range(iterations):
         walk, moved = _iterate(walk, likelihood, rng)
@@ -88,7 +88,7 @@ def run_pmmh(
     return PmmhResult(draws, likelihood.count, variance, accepted, burn_in)
 
 
-def tuned_count(
+def tune_count(
     data: ArrayData, prior: DrawnPrior, rng: np.random.Generator
 ) -> tuple[MonteCarloLikelihood, float]:
     """The estimator with N such that var log p̂ at the prior mean is at most 0.1, and that
@@ -125,7 +125,7 @@ def _iterate(
     return _Walk(x, np.where(moved, level, walk.level), walk.step), np.asarray(moved)
 
 
-def _burned_in(
+def _burn_in(
     walk: _Walk, likelihood: MonteCarloLikelihood, rng: np.random.Generator, most: int
 ) -> tuple[_Walk, int]:
     """Walk, adapting the step length, until the chains are at one level that no longer rises."""
