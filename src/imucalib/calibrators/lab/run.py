@@ -140,13 +140,7 @@ def run_lab(
     if mapping is not None:
         sentence = "m/s², as the recording was read"
         prepared = replace(prepared, raw=replace(prepared.raw, sentence=sentence))
-    result, faults = _fit_and_look_for_slips(prepared, request, first=True)
-    bad = _wrong_rows(result, faults, prepared) if request.auto_exclude else {}
-    if bad:
-        excluded = (*prepared.excluded, *bad.values())
-        rows = np.setdiff1d(prepared.rows, list(bad))
-        prepared = replace(prepared, rows=rows, excluded=excluded)
-        result, faults = _fit_and_look_for_slips(prepared, request, first=False)
+    prepared, result, faults = _fit_right_rows(prepared, request)
     table, raw = prepared.table, prepared.raw
     undecided = _questions(result, faults, raw, request)
     outcome = Outcome(
@@ -188,6 +182,20 @@ def run_lab(
         recorded=mapping is not None,
         sessions=sessions,
     )
+
+
+def _fit_right_rows(
+    prepared: PreparedTable, request: LabRequest
+) -> tuple[PreparedTable, LabResult, Faults]:
+    """The calibration and its slips, with `auto_exclude` without the rows that it shows wrong."""
+    result, faults = _fit_and_look_for_slips(prepared, request, first=True)
+    bad = _wrong_rows(result, faults, prepared) if request.auto_exclude else {}
+    if bad:
+        excluded = (*prepared.excluded, *bad.values())
+        rows = np.setdiff1d(prepared.rows, list(bad))
+        prepared = replace(prepared, rows=rows, excluded=excluded)
+        result, faults = _fit_and_look_for_slips(prepared, request, first=False)
+    return prepared, result, faults
 
 
 def _fit_and_look_for_slips(

@@ -108,7 +108,7 @@ def estimate_own_noise(segments: Segments) -> Array:
     """(n, K, 3) m/s², what its samples' noise and their rounding leave of each rest's mean."""
     noise = np.maximum(segments.noise, _QUIET * np.median(segments.noise))
     averaged = noise / np.sqrt(segments.samples)[..., None]
-    return np.hypot(averaged, rounding_sd(segments.step, segments.noise))
+    return np.hypot(averaged, rounding_sd(segments.noise, segments.step))
 
 
 def weigh_rests(data: Observations, own: Array) -> Observations:
@@ -344,7 +344,7 @@ def fit_rests(
     turn = board.rotations
     drift, sd = gyro_drift(np.einsum("kij,nkj->nki", turn, segments.rate), middle)
     # What rounding leaves of the gyros is the same in every rest.
-    coarse = rounding_sd(segments.rate_step, segments.rate_noise, alike=True)
+    coarse = rounding_sd(segments.rate_noise, segments.rate_step, alike=True)
     return RestFit(
         fit=fit,
         loop=loop,
