@@ -287,7 +287,6 @@ def _limits(sensor: Sensor) -> list[str]:
 WORN = StillSettings(
     window=10.0,
     shortest=5.0,
-    trim=0,
     variance_ratio=2.25,
     range_ratio=12.0,
     sway=3.3 * MG,

@@ -103,7 +103,7 @@ def _groups(sensor: Sensor, kinds: Kinds) -> list[WindowGroup]:
     own = np.sqrt(np.maximum(w.variance[chosen], noise**2))
     size = np.maximum(own[1:], own[:-1]) if kinds.louder.any() else noise
     change = np.abs(np.diff(w.mean[chosen], axis=0))
-    limit = sensor.settings.drift_ratio * size + 6.0 * size * np.sqrt(2.0 / w.samples)
+    limit = size + 6.0 * size * np.sqrt(2.0 / w.samples)
     next_to = (np.diff(chosen) == 1) & (np.diff(w.run[chosen]) == 0)
     drifting = np.zeros(chosen.size, dtype=np.bool_)
     if not sensor.turns:
@@ -204,8 +204,7 @@ class SensorView:
     def _of_windows(self, group: WindowGroup) -> Span | None:
         """The span whose ends are windows: one at each end, where the hand still touches, is left
         out."""
-        w, trim = self.sensor.windows, self.sensor.settings.trim
-        inner = group.windows[trim : group.windows.size - trim]
+        w, inner = self.sensor.windows, group.windows[1:-1]
         if not inner.size:
             return None
         a, b = int(inner[0]), int(inner[-1])

@@ -16,6 +16,10 @@ from imucalib.arrays import Array, Flags
 from imucalib.errors import UsageError
 from imucalib.rests.windows import Windows
 
+_FEWEST = 5  # samples of a window
+#: rad/s, deviation of the angular rate that a rest in the hand may have: during half a second it
+#: tilts by 1.4°, which changes a mean norm by less than 1e-4.
+_TURNING = 0.05
 _FROZEN_SECONDS = 60.0
 #: Largest noise of an accelerometer at rest, as a share of gravity: ten times that of the noisiest
 #: common ones. Only a resolution of this size hides more. What is above shakes.
@@ -32,42 +36,29 @@ _SIZE = 0.2  # share of gravity by which the size of a reading at rest may be of
 class StillSettings:
     """Settings of the detector; the defaults suit bench logs with rests of a second and more.
 
-    window : s, at most half of `shortest` is used; fewest : samples that a window has at least
-    shortest : s, of a rest; longest : s, a longer rest is split, or None
-    trim : windows cut off at both ends of a rest where the samples themselves are not at hand
+    window : s, at most half of `shortest` is used
+    shortest : s, of a rest
     variance_ratio : variance of a still window over the noise variance, at most, on each axis
     range_ratio : max - min of a still window over the noise standard deviation, at most
-    drift_ratio : change of the mean between neighbouring windows, over the noise, at most
-    turning : rad/s, deviation of the angular rate that a rest in the hand may have; 0.05 rad/s
-        during half a second tilts by 1.4°, which changes a mean norm by less than 1e-4
     sway : m/s², standard deviation of the acceleration that a worn sensor at rest may have beside
         its noise (breathing, slow rolls); 0 for a sensor on a bench
     quietest : share of the windows that is surely still in a recording worth calibrating
     """
 
     window: float = 0.5
-    fewest: int = 5
     shortest: float = 1.0
-    longest: float | None = None
-    trim: int = 1
     variance_ratio: float = 4.0
     range_ratio: float = 10.0
-    drift_ratio: float = 1.0
-    turning: float = 0.05
     sway: float = 0.0
     quietest: float = 0.01
 
     def __post_init__(self) -> None:
-        for name in ("window", "shortest", "variance_ratio", "range_ratio", "drift_ratio"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
-                raise UsageError(
-                    f"{name} = {value} is not a positive number", where="still settings"
-                )
+        if not (np.isfinite(self.shortest) and self.shortest > 0):
+            raise UsageError(f"shortest = {self.shortest} is not a positive number")
 
     def samples(self, rate: float) -> int:
         """Samples of a window at a rate (Hz): two windows fit into the shortest rest."""
-        return max(self.fewest, round(min(self.window, 0.5 * self.shortest) * rate))
+        return max(_FEWEST, round(min(self.window, 0.5 * self.shortest) * rate))
 
 
 @dataclass(frozen=True)
@@ -115,7 +106,7 @@ class Sensor:
         begins = np.append(True, (np.diff(rows) > 1) | (np.diff(kind.ravel()) != 0))
         if len(begins) == len(constant) and begins.sum() == 1:  # a dead one is no witness of motion
             return constant
-        if np.any(self.level(~constant) > self.settings.turning):  # else it would never rest
+        if np.any(self.level(~constant) > _TURNING):  # else it would never rest
             return constant
         often = np.bincount(kind.ravel()[begins])[kind.ravel()] >= _ZONE
         zone = np.zeros_like(constant)
@@ -181,7 +172,7 @@ class Sensor:
     def allowed(self) -> Array:
         """(3,) standard deviation that it may have at rest."""
         if self.turns:
-            least = self.settings.turning / np.sqrt(self.settings.variance_ratio)
+            least = _TURNING / np.sqrt(self.settings.variance_ratio)
             return np.asarray(np.maximum(self.noise, least))
         return np.asarray(np.hypot(self.noise, self.settings.sway))
 
