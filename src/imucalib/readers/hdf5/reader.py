@@ -7,10 +7,11 @@ Other formats that have to be held in memory are read as an HDF5 file with their
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterator, Mapping, Sequence
+from abc import abstractmethod
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -237,6 +238,16 @@ def _resolve(mapping: FieldMapping, signals: Sequence[FieldSignal]) -> FieldMapp
     )
 
 
+class Held(NamedTuple):
+    """What a file says beside the numbers that are held of it.
+
+    notes : what was lost; onboard : by channels, what a flight controller did to them
+    """
+
+    notes: tuple[str, ...] = ()
+    onboard: Mapping[str, Onboard] = {}
+
+
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 
@@ -402,35 +413,34 @@ def _finite(values: NDArray[np.generic]) -> bool:
         return bool(np.isfinite(np.sum(values)) or np.isfinite(values).all())
 
 
-def blocks_in_memory(
-    fill: Callable[[Any], None],
-    path: Path,
-    mapping: FieldMapping,
-    *,
-    block_samples: int,
-    strict: bool,
-    name: str,
-    notes: tuple[str, ...] = (),
-    onboard: Mapping[str, Onboard] | None = None,
-) -> Iterator[Recording]:
-    """Blocks of what `fill` puts into an HDF5 file that is nowhere but in memory.
+class HeldReader(Joined):
+    """A reader that holds a file's numbers in memory, and reads them as those of an HDF5 file."""
 
-    name : of the format that the numbers came from; notes : what was lost there, for the first
-    block; onboard : by channels, what a flight controller did to them
-    """
-    import h5py
+    name = ""
+    at_once = 1 << 20
 
-    with h5py.File(f"{path.name}-in-memory", "w", driver="core", backing_store=False) as held:
-        fill(held)
-        file = File(held, str(path), strict)
-        for block in _blocks_of(file, path, mapping, block_samples):
-            channels = {
-                key: replace(one, onboard=(onboard or {}).get(key))
-                for key, one in block.channels.items()
-            }
-            found = replace(block, channels=channels, format=name)
-            yield replace(found, notes=(*notes, *block.notes))
-            notes = ()
+    @abstractmethod
+    def fill(self, held: Any, path: Path, *, strict: bool) -> Held:
+        """Put the numbers into `held`, an HDF5 file that is nowhere but in memory. Raises
+        UnreadableInput; with `strict` for what is damaged, too."""
+
+    def blocks(
+        self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool
+    ) -> Iterator[Recording]:
+        """Yield blocks of about `block_samples` rows."""
+        import h5py
+
+        with h5py.File(f"{path.name}-in-memory", "w", driver="core", backing_store=False) as held:
+            own = self.fill(held, path, strict=strict)
+            notes = own.notes
+            for block in _blocks_of(File(held, str(path), strict), path, mapping, block_samples):
+                channels = {
+                    key: replace(one, onboard=own.onboard.get(key))
+                    for key, one in block.channels.items()
+                }
+                found = replace(block, channels=channels, format=self.name)
+                yield replace(found, notes=(*notes, *block.notes))
+                notes = ()
 
 
 def put_channel(held: Any, name: str, seconds: Array, values: Array, units: str) -> None:
