@@ -41,18 +41,18 @@ class TableClock:
     resolution: float = 0.0
     typical: float = 0.0
 
-    def seconds(self, stamps: NDArray[np.generic]) -> tuple[Array, Flags, Flags]:
-        """Seconds since the start of parsed stamps (n,), NaN where blank; which stamps are not
-        understood, and which lie in a leap second."""
-        numbers, wrong, leap = _numbers(stamps, self.text)
-        return seconds_of(numbers, self.origin, self.unit, MISSING), wrong, leap
+    def seconds(self, stamps: NDArray[np.generic]) -> tuple[Array, Flags]:
+        """Seconds since the start of parsed stamps (n,), NaN where blank; and which stamps are not
+        understood."""
+        numbers, wrong = _numbers(stamps, self.text)
+        return seconds_of(numbers, self.origin, self.unit, MISSING), wrong
 
 
 def _numbers(
     stamps: NDArray[np.generic], text: TextTime | None
-) -> tuple[NDArray[np.generic], Flags, Flags]:
+) -> tuple[NDArray[np.generic], Flags]:
     if text is None:
-        return stamps, *np.zeros((2, *stamps.shape), dtype=np.bool_)
+        return stamps, np.zeros(stamps.shape, dtype=np.bool_)
     return text_to_ns(stamps.astype(np.bytes_), text)
 
 
@@ -127,7 +127,7 @@ def _text_of(
 
 def _understood(rows: ParsedRows, text: TextTime | None, where: str) -> NDArray[np.generic]:
     """Stamps as numbers; those of bad rows, which are named when they are read, are blank here."""
-    numbers, wrong, _ = _numbers(rows.stamps, text)
+    numbers, wrong = _numbers(rows.stamps, text)
     if 2 * np.count_nonzero(wrong) > wrong.size:
         raise bad_stamp(replace(rows, lines=None), int(np.argmax(wrong)), 0, where)
     return numbers

@@ -85,7 +85,6 @@ class _Table:
     """One table as it is read, block after block.
 
     row : rows so far; last, sums : of each channel's times the last, their sum and number
-    leaps : seconds :60 that are over; in_leap : whether the last row lies in one
     moved : s that stamps without a date have been moved on; last_of_period : their last time
     held : coarse stamps and values of a group that may go on
     whole : rows that have a value of every sensor; idle, missing, unstamped, bad : other rows
@@ -94,7 +93,6 @@ class _Table:
     def __init__(self, path: Path, plan: TablePlan) -> None:
         self.path, self.plan = path, plan
         self.row, self.moved, self.last_of_period = 0, 0.0, -np.inf
-        self.leaps, self.in_leap = 0, False
         self.last: dict[str, float] = {}
         self.sums: dict[str, tuple[float, int]] = {}
         self.held: tuple[Array, Array] | None = None
@@ -199,9 +197,7 @@ class _Table:
         if not clock.unit:
             count = rows.values.shape[0]
             return (self.row + np.arange(count, dtype=np.float64)) / clock.rate, rows
-        t, wrong, leap = clock.seconds(rows.stamps)
-        if leap.any() or self.leaps:
-            t = t + self._leaps(leap)
+        t, wrong = clock.seconds(rows.stamps)
         if wrong.any():
             bad = [bad_stamp(rows, k, line, str(self.path)) for k in np.flatnonzero(wrong).tolist()]
             if 2 * len(bad) > wrong.size:
@@ -217,13 +213,6 @@ class _Table:
         moved = self.moved + period * np.cumsum(back)
         self.moved = float(moved[-1])
         return np.asarray(t + moved), rows
-
-    def _leaps(self, leap: Flags) -> Array:
-        """Leap seconds that have ended before each row: clocks of a date leave them out."""
-        ended = np.diff(leap.astype(np.int8), prepend=np.int8(self.in_leap)) < 0
-        passed = self.leaps + np.cumsum(ended)
-        self.leaps, self.in_leap = int(passed[-1]), bool(leap[-1])
-        return passed.astype(np.float64)
 
     def _spread(self, t: Array, values: Array, *, flush: bool) -> tuple[Array, Array]:
         """Coarse stamps spread; the last group waits for the next block, where it may go on."""
