@@ -10,13 +10,15 @@ begins a new part.
 
 from __future__ import annotations
 
+import gzip
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from io import BufferedReader
 from itertools import accumulate, pairwise
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,15 +39,14 @@ from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Recording
 
 _GZIP, _GZIP_BITS = b"\x1f\x8b", 31
-_FEED = 1 << 10  # packed bytes at a time: what comes before damage in them is lost with them
-_PLAIN = 1 << 16
+_FEED = 1 << 13  # bytes at a time: what comes before damage in them is lost with them
 
 
 @dataclass
 class Stream:
     """Bytes of a file. lost : gets a sentence when they end too early"""
 
-    pieces: Iterator[bytes]
+    source: gzip.GzipFile | BufferedReader
     where: str
     strict: bool
     lost: list[str]
@@ -59,7 +60,7 @@ class Stream:
         """
         held, parts = len(self._ahead), [self._ahead]
         try:
-            while held < size and (piece := next(self.pieces, None)) is not None:
+            while held < size and (piece := self.source.read1(_FEED)):
                 parts.append(piece)
                 held += len(piece)
                 self._passed += len(piece)
@@ -88,24 +89,8 @@ def head_unpacked(head: bytes, size: int) -> bytes:
 def open_packets(path: Path, *, strict: bool, lost: list[str]) -> Iterator[Stream]:
     """The file's bytes, unpacked where they are gzipped."""
     with path.open("rb") as raw:
-        packed = raw.read(2) == _GZIP
-        raw.seek(0)
-        pieces = _unpack(raw) if packed else iter(lambda: raw.read(_PLAIN), b"")
-        yield Stream(pieces, str(path), strict, lost)
-
-
-def _unpack(raw: BinaryIO) -> Iterator[bytes]:
-    """The content of gzip streams that follow each other; raises EOFError for one without end."""
-    unpacker = zlib.decompressobj(_GZIP_BITS)
-    while piece := raw.read(_FEED):
-        while piece:
-            if unpacker.eof:
-                unpacker = zlib.decompressobj(_GZIP_BITS)
-            yield unpacker.decompress(piece)
-            # Zeros after the end fill a block of a tape or a disk.
-            piece = unpacker.unused_data.lstrip(b"\0") if unpacker.eof else b""
-    if not unpacker.eof:
-        raise EOFError("gzip's end mark is missing")
+        packed = raw.peek(2).startswith(_GZIP)
+        yield Stream(gzip.GzipFile(fileobj=raw) if packed else raw, str(path), strict, lost)
 
 
 def twelve_bits(raw: bytes | NDArray[np.uint8]) -> NDArray[np.int16]:
