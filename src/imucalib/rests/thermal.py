@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.linalg import solve_banded
 
 from imucalib.arrays import Array, Flags, Index
 from imucalib.effects.thermal import LAG, PLAY, RATE, ROWS
@@ -126,7 +127,6 @@ def _step(values: Array) -> float:
 
 
 _WINDOW = 10.0  # s
-_FORGOTTEN = 20.0  # decays
 _SILENT = 3600.0  # s without a reading after which nothing is known of the way to the next one
 
 
@@ -188,19 +188,11 @@ def _with_play(values: Array, width: float) -> Array:
 
 
 def _trailing(values: Array, share: float) -> Array:
-    """y_k = y_{k-1} + share (x_k - y_{k-1}) from equilibrium, in stretches over which a reading's
-    weight falls to e^-20: in sums the decay is a factor, and there none overflows."""
-    if share >= 1.0:
-        return values
-    decay = -np.log1p(-share)
-    found, last = np.empty_like(values), values[0]
-    length = max(1, int(_FORGOTTEN / decay))
-    for start in range(0, values.size, length):
-        some = values[start : start + length]
-        fallen = np.exp(-decay * np.arange(1, some.size + 1))
-        found[start : start + length] = fallen * (last + np.cumsum(share * some / fallen))
-        last = found[start + some.size - 1]
-    return found
+    """y_k = y_{k-1} + share (x_k - y_{k-1}) from equilibrium, as one system of equations."""
+    own, before = np.ones(values.size), np.full(values.size, share - 1.0)
+    right = share * values
+    right[0] = values[0]
+    return np.asarray(solve_banded((1, 0), np.stack([own, before]), right))
 
 
 def thermal_history(blocks: Iterable[Recording], triad: str) -> ThermalHistory | None:
