@@ -166,15 +166,10 @@ def blocks_again(
     path: str | os.PathLike[str], mapping: FieldMapping, channel: str
 ) -> Iterator[Recording]:
     """One channel of a recording that `blocks` has gone through: neither repeats nor units are
-    looked at anew, and what a format can leave out is not read."""
+    looked at anew."""
     full = with_preset(mapping)
-    reader, place = _reader(path, full), Path(path)
-    alone = getattr(reader, "blocks_of", None)
-    found: Iterator[Recording] = (
-        alone(place, full, channel, block_samples=BLOCK_SAMPLES)
-        if alone and not full.sensor
-        else reader.blocks(place, full, block_samples=BLOCK_SAMPLES, strict=False)
-    )
+    reader = _reader(path, full)
+    found = reader.blocks(Path(path), full, block_samples=BLOCK_SAMPLES, strict=False)
     found = select_sensor(found, full.sensor) if full.sensor else found
     one = (
         replace(b, channels={k: c for k, c in b.channels.items() if k == channel}) for b in found

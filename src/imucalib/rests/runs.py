@@ -22,7 +22,7 @@ from itertools import pairwise
 import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
-from imucalib.errors import Undetermined, UnreadableInput, UsageError
+from imucalib.errors import Undetermined, UnreadableInput
 from imucalib.recording.identity import NAMELESS, Identity, identity_of
 from imucalib.recording.recording import Channel, Gap, HeldSamples, Recording
 from imucalib.recording.sensors import accelerometers, undecided
@@ -381,11 +381,7 @@ def scan(blocks: Iterable[Recording], window: float) -> Scan:
                 rate, samples = rate or channel.rate, samples + channel.t.size
                 stop = max(stop, float(channel.t[-1])) if channel.t.size else stop
     if first is None or tails is None:
-        raise UsageError(
-            "the recording has no acceleration channel",
-            where=first.path if first else "",
-            remedy="`imucal inspect FILE` lists what it has; name the columns with --acc X,Y,Z",
-        )
+        raise undecided((), "", first.path if first else "")
     held = [h for h in held if h.channel == f"{name}/acceleration"]
     ordered, lost = usable(
         builders["acceleration"],

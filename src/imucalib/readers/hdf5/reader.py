@@ -215,22 +215,12 @@ class Hdf5Reader(Joined):
         with opened(path, strict, bool(mapping.allow_external)) as file:
             yield from _blocks_of(file, path, mapping, block_samples)
 
-    def blocks_of(
-        self, path: Path, mapping: FieldMapping, channel: str, *, block_samples: int
-    ) -> Iterator[Recording]:
-        """The same blocks of one channel, without reading the others."""
-        with opened(path, False, bool(mapping.allow_external)) as file:
-            yield from _blocks_of(file, path, mapping, block_samples, only=channel)
-
 
 READER = Hdf5Reader()
 
 
-def _blocks_of(
-    file: File, path: Path, mapping: FieldMapping, size: int, *, only: str = ""
-) -> Iterator[Recording]:
-    """The fields of an open file, or one of them, in blocks of about `size` rows; errors as in
-    `Reader.blocks`."""
+def _blocks_of(file: File, path: Path, mapping: FieldMapping, size: int) -> Iterator[Recording]:
+    """The fields of an open file in blocks of about `size` rows; errors as in `Reader.blocks`."""
     nodes = list(datasets(file.handle, file.where))
     found = fields_of(file.handle, nodes, mapping)
     if not any(f.quantity != "temperature" for f in found):
@@ -256,7 +246,6 @@ def _blocks_of(
     )
     notes += map(str, marks)
     notes += _unread(nodes, signals, path)
-    signals = [s for s in signals if only in ("", s.name)]
     last: dict[str, float] = {}
     at, read = ({s.name: 0 for s in signals} for _ in range(2))
     main = max(signals, key=lambda s: s.rows)
