@@ -31,7 +31,6 @@ from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Recording
 
 _HOUR = 3_600_000_000_000  # ns
-_FEWEST_ROWS = 1 << 12  # that an array has room for
 
 
 @dataclass(frozen=True)
@@ -80,48 +79,24 @@ class FirstPass:
         self, log: MessageLog, mapping: FieldMapping, apart: frozenset[int], *, keep: bool
     ) -> None:
         self.stream = TopicStream(log, mapping, apart)
-        self._kept: dict[str, list[_Growing]] = {}  # log times, columns, stamps
+        self._kept: dict[str, list[list[NDArray[Any]]]] = {}  # log times, columns, stamps
         for samples in self.stream.samples():
             samples.source.survey(samples)
             if keep:
-                self._keep(samples)
-
-    def _keep(self, samples: TopicSamples) -> None:
-        name, parts = samples.source.name, [samples.log, *samples.columns]
-        parts += [] if samples.stamps is None else [samples.stamps]
-        if name not in self._kept:
-            self._kept[name] = [_Growing(p, self.stream.expected(name)) for p in parts]
-        for kept, part in zip(self._kept[name], parts, strict=True):
-            kept.append(part)
+                parts = [samples.log, *samples.columns]
+                parts += [] if samples.stamps is None else [samples.stamps]
+                kept = self._kept.setdefault(samples.source.name, [[] for _ in parts])
+                for pieces, part in zip(kept, parts, strict=True):
+                    pieces.append(part)
 
     def samples(self, topic: str) -> TopicSamples:
-        """All samples of a topic, handed over."""
-        source = self.stream.sources[topic]
-        log, *columns = (kept.whole() for kept in self._kept.pop(topic))
+        """All samples of a topic, handed over; memory holds one column twice."""
+        source, whole = self.stream.sources[topic], list[NDArray[Any]]()
+        for pieces in self._kept.pop(topic):
+            whole.append(np.concatenate(pieces))
+            pieces.clear()
+        log, *columns = whole
         return TopicSamples(source, columns.pop() if source.instant else None, log, columns)
-
-
-class _Growing:
-    """Rows that become one array: memory is moved by the system rather than copied."""
-
-    def __init__(self, like: NDArray[Any], expected: int) -> None:
-        rows = max(expected, _FEWEST_ROWS)
-        self._rows = np.empty((rows, *like.shape[1:]), dtype=like.dtype)
-        self._size = 0
-
-    def append(self, rows: NDArray[Any]) -> None:
-        """Copy rows to the end."""
-        size = self._size + len(rows)
-        if size > len(self._rows):
-            most = max(size, len(self._rows) * 5 // 4)
-            self._rows.resize((most, *rows.shape[1:]), refcheck=False)
-        self._rows[self._size : size] = rows
-        self._size = size
-
-    def whole(self) -> NDArray[Any]:
-        """All rows, handed over."""
-        self._rows.resize((self._size, *self._rows.shape[1:]), refcheck=False)
-        return self._rows
 
 
 @contextmanager

@@ -45,17 +45,13 @@ _HEAD = record_type(HEAD_FIELDS, MESSAGE_HEAD)
 
 @dataclass(frozen=True)
 class Topic:
-    """A channel of a log: its number and topic, how its messages are encoded, and their schema.
-
-    count : messages that the log's own index counts, 0 when unknown
-    """
+    """A channel of a log: its number and topic, how its messages are encoded, and their schema."""
 
     id: int
     name: str
     encoding: str
     schema: Schema | None
     metadata: Mapping[str, str] = field(default_factory=dict)
-    count: int = 0
 
     @property
     def type_name(self) -> str:

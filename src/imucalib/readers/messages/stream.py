@@ -110,13 +110,6 @@ class TopicStream:
                     found.add(one)
         return frozenset(found)
 
-    def expected(self, name: str) -> int:
-        """How many messages of a topic the index counts, at most what the file can hold."""
-        total = sum(
-            t.count for n, t in self.topics.items() if t.name == name and n in self._indexed
-        )
-        return min(total, 100 * self.log.path.stat().st_size)
-
     def samples(self) -> Iterator[TopicSamples]:
         """All wanted samples, divided by topic, some chunks at a time."""
         damages = 0
