@@ -116,15 +116,7 @@ class ChunkHead(NamedTuple):
             return None
         compression = content[32 : body - 8].decode("ascii", "replace")
         packed = int.from_bytes(content[body - 8 : body], "little")
-        return cls(
-            first_ns=first,
-            last_ns=last,
-            size=size,
-            crc=crc,
-            compression=compression,
-            body=body,
-            packed=packed,
-        )
+        return cls(first, last, size, crc, compression, body, packed)
 
     def plausible(self, length: int, slack: int = 0) -> bool:
         """Whether this heads a chunk record of a length: 64 bits that noise does not match."""

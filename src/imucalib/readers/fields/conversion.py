@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -310,20 +310,13 @@ def of_vectors(
     return replace(how, missing=missing, wrap=wrap, note="; ".join(said))
 
 
-class _Quantity(Protocol):
-    @property
-    def quantity(self) -> str: ...
-    @property
-    def triad(self) -> str: ...
+T = TypeVar("T")
 
 
-_Q = TypeVar("_Q", bound=_Quantity)
-_S = TypeVar("_S")
-
-
-def readable(channels: Sequence[_Q], make: Callable[[_Q], _S], notes: list[str]) -> tuple[_S, ...]:
-    """What `make` makes of each channel; one that others can do without (a thermometer, a gyroscope
-    beside an accelerometer) and that cannot be read is left out, and a note says why."""
+def readable(channels: Sequence[Any], make: Callable[[Any], T], notes: list[str]) -> tuple[T, ...]:
+    """What `make` makes of each channel, which has a quantity and a triad; one that others can do
+    without (a thermometer, a gyroscope beside an accelerometer) and that cannot be read is left
+    out, and a note says why."""
     main = {c.quantity for c in channels if c.quantity != "temperature"}
     made = []
     for channel in channels:

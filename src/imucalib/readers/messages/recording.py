@@ -35,14 +35,22 @@ _HOUR = 3_600_000_000_000  # ns
 
 @dataclass(frozen=True)
 class ChannelPlan:
-    """One channel to be: its name, where its values come from, how they become SI; channel : all
+    """One channel to be: which column of its topic it is, how its values become SI; channel : all
     but its samples."""
 
-    name: str
-    topic: str
     column: int
     conversion: Conversion
     channel: Channel
+
+    @property
+    def name(self) -> str:
+        """Of the channel."""
+        return f"{self.channel.triad}/{self.channel.quantity}"
+
+    @property
+    def topic(self) -> str:
+        """That it comes from."""
+        return self.channel.topic
 
 
 @dataclass(frozen=True)
@@ -193,14 +201,13 @@ def _decide(stream: TopicStream) -> MessagePlan:
         raise _no_imu(stream)
     used = list(dict.fromkeys(topic for triad in triads for topic, _ in triad.parts.values()))
     clocks = _clocks([sources[name] for name in used], mapping, str(log.path))
-    parts = []
-    for triad in triads:
-        for quantity, (topic, column) in triad.parts.items():
-            where = f"{log.path}, topic {topic}"
-            how = _conversion(
-                quantity, sources[topic], column, clocks[topic].period, mapping, where
-            )
-            parts.append(_part(triad, quantity, sources[topic], column, clocks[topic], how))
+    parts = [
+        _plan_channel(
+            triad, quantity, sources[name], clocks[name], mapping, f"{log.path}, topic {name}"
+        )
+        for triad in triads
+        for quantity, (name, _) in triad.parts.items()
+    ]
     notes = _clock_notes(triads, sources, clocks)
     notes += [f"{p.channel.triad}: {p.conversion.note}" for p in parts if p.conversion.note]
     marks = tuple(dict.fromkeys(log.corrections))
@@ -261,38 +268,24 @@ def _clocks(sources: list[TopicSource], mapping: FieldMapping, where: str) -> di
     return clocks(f"the stamps of its topics count from epochs {apart * 1e-9:.6g} s apart")
 
 
-def _conversion(
-    quantity: str,
-    source: TopicSource,
-    column: int,
-    period: float,
-    mapping: FieldMapping,
-    where: str,
-) -> Conversion:
-    """How the values of a field become SI, from what is stated and from the values."""
-    stated, pieces = source.fields[column].unit, source.rest_pieces(column)
-    if quantity == "temperature":
-        return conversion.temperature(mapping, stated, np.concatenate(pieces), where)
-    window = int(np.clip(0.5e9 / period, 16, 1024)) if period else 16
-    return conversion.of_vectors(
-        quantity,
-        mapping,
-        conversion.UnitSource(stated),
-        pieces,
-        window=window,
-        where=where,
-    )
-
-
-def _part(
+def _plan_channel(
     triad: TopicTriad,
     quantity: str,
     source: TopicSource,
-    column: int,
     clock: TopicClock,
-    how: Conversion,
+    mapping: FieldMapping,
+    where: str,
 ) -> ChannelPlan:
-    """The channel of one quantity of a triad."""
+    """One quantity of a triad: how its values become SI, from what is stated and from the values,
+    and the channel that they make."""
+    _, column = triad.parts[quantity]
+    stated, pieces = source.fields[column].unit, source.rest_pieces(column)
+    if quantity == "temperature":
+        how = conversion.temperature(mapping, stated, np.concatenate(pieces), where)
+    else:
+        window = int(np.clip(0.5e9 / clock.period, 16, 1024)) if clock.period else 16
+        known = conversion.UnitSource(stated)
+        how = conversion.of_vectors(quantity, mapping, known, pieces, window=window, where=where)
     channel = Channel(
         t=np.empty(0),
         values=np.empty((0, source.fields[column].group.width)),
@@ -304,7 +297,7 @@ def _part(
         topic=source.name,
         **how.units,
     )
-    return ChannelPlan(f"{triad.name}/{channel.quantity}", source.name, column, how, channel)
+    return ChannelPlan(column, how, channel)
 
 
 def _clock_notes(
