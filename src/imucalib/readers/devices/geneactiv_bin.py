@@ -125,7 +125,6 @@ def _pages(stream: Stream, where: str) -> Iterator[list[bytes]]:
             return
         if len(rest) > (_MOST_WASTE if headed else _MOST_HEADER) + _PIECE:
             raise UnreadableInput("this holds no pages of GENEActiv", where=where)
-        rest = rest if not headed or found or rest else b""
 
 
 def _facts(text: bytes) -> dict[str, str]:
