@@ -268,7 +268,9 @@ def _signal(
     where = (
         f"{table.path}: {vector.triad}" if vector.quantity == "acceleration" else str(table.path)
     )
-    how = conversion.of_looks(vector.quantity, table.mapping, source, whole, rate=rate, where=where)
+    how = conversion.find_conversion(
+        vector.quantity, table.mapping, source, whole, rate=rate, where=where
+    )
     return TableSignal(vector, at, how, rate, threshold)
 
 

@@ -26,14 +26,7 @@ from numpy.typing import NDArray
 from imucalib.arrays import Array, Flags
 from imucalib.errors import UnreadableInput
 from imucalib.file_hash import sha256_of
-from imucalib.readers.fields.conversion import (
-    Conversion,
-    UnitSource,
-    acceleration,
-    angular_rate,
-    readings_at_rest,
-    temperature,
-)
+from imucalib.readers.fields.conversion import Conversion, UnitSource, find_conversion
 from imucalib.readers.fields.timebase import find_gaps
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Recording
@@ -206,11 +199,14 @@ def recordings(log: Log, path: Path, mapping: FieldMapping, samples: int) -> Ite
 def _units(
     packets: Packets, rate: float, mapping: FieldMapping, where: str
 ) -> dict[str, Conversion]:
-    rest = readings_at_rest([packets.acc], max(3, round(rate)))
+    each = (
+        ("acceleration", "g", packets.acc),
+        ("angular_rate", "deg/s", packets.gyro),
+        ("temperature", "degC", packets.heads["warm"]),
+    )
     return {
-        "acceleration": acceleration(mapping, UnitSource("g", fixed=True), rest, where),
-        "angular_rate": angular_rate(mapping, "deg/s", where),
-        "temperature": temperature(mapping, "degC", packets.heads["warm"], where),
+        q: find_conversion(q, mapping, UnitSource(unit, fixed=True), [x], rate=rate, where=where)
+        for q, unit, x in each
     }
 
 

@@ -217,16 +217,13 @@ class UnitSource:
     whole: bool = False
 
 
-def acceleration(
-    mapping: FieldMapping, source: UnitSource | str, rest: Array, where: str
-) -> Conversion:
+def _acceleration(mapping: FieldMapping, source: UnitSource, rest: Array, where: str) -> Conversion:
     """Conversion of raw acceleration to m/s².
 
-    source : what the file states, or just its unit; rest : (k, 3) raw readings at rest, from
-    `readings_at_rest`, used to find the unit and to refuse a wrong one, whoever states it. Raises
-    UnreadableInput when no unit fits, UsageError for an unknown one.
+    rest : (k, 3) raw readings at rest, from `readings_at_rest`, used to find the unit and to refuse
+    a wrong one, whoever states it. Raises UnreadableInput when no unit fits, UsageError for an
+    unknown one.
     """
-    source = UnitSource(source) if isinstance(source, str) else source
     offset = _per_axis(mapping.acc_offset, "acc_offset", 0.0)
     unit = unit_of_axes(mapping.acc_unit or source.unit, "--unit", where)
     norms = np.linalg.norm(rest - offset, axis=1)
@@ -264,7 +261,7 @@ def acceleration(
     return found(unit, factor)
 
 
-def of_looks(
+def find_conversion(
     quantity: str,
     mapping: FieldMapping,
     source: UnitSource,
@@ -273,34 +270,24 @@ def of_looks(
     rate: float,
     where: str,
 ) -> Conversion:
-    """Conversion of any quantity. looks : raw values (n, k), all finite; rate : Hz"""
-    window = max(3, round(_REST_SECONDS * rate))
-    if quantity in INERTIAL:
-        return of_vectors(quantity, mapping, source, looks, window=window, where=where)
-    return temperature(mapping, source.unit, np.concatenate(looks)[:, 0], where)
+    """Conversion of any quantity; of an acceleration or an angular rate also of what it holds for
+    "no value", and of a sign that was lost.
 
-
-def of_vectors(
-    quantity: str,
-    mapping: FieldMapping,
-    source: UnitSource,
-    looks: Sequence[Array],
-    *,
-    window: int,
-    where: str,
-) -> Conversion:
-    """Conversion of an acceleration or an angular rate, of what it holds for "no value" and of a
-    sign that was lost. looks : raw values (n, 3); window : samples of a rest; else as `of_looks`"""
+    looks : raw values (n, k), of consecutive samples each; rate : Hz, 0 where it is not known
+    """
+    if quantity not in INERTIAL:
+        return temperature(mapping, source.unit, np.concatenate(looks), where)
     missing = missing_values(looks)
     looks = [without(v, missing) for v in looks]
     known = [v[np.isfinite(v).all(axis=1)] for v in looks]
     wrap = wrap_of(known) if any(v.size for v in known) else 0.0
     if quantity == "acceleration":
+        window = max(3, round(_REST_SECONDS * rate))
         rest = readings_at_rest([restore_sign(v, wrap) for v in looks], window)
         whole = all((v == np.rint(v)).all() for v in known)
-        how = acceleration(mapping, replace(source, whole=whole), rest, where)
+        how = _acceleration(mapping, replace(source, whole=whole), rest, where)
     else:
-        how = angular_rate(mapping, source.unit, where)
+        how = _angular_rate(mapping, source.unit, where)
     said = [how.note] if how.note else []
     if missing:
         codes = ", ".join(f"{code:g}" for code in missing)
@@ -423,7 +410,7 @@ def _without_gravity(norm: float, where: str) -> UnreadableInput:
 UNKNOWN_RATE = "angular rate: no unit is stated, kept as raw counts; name it with --gyro-unit"
 
 
-def angular_rate(mapping: FieldMapping, stated: str, where: str) -> Conversion:
+def _angular_rate(mapping: FieldMapping, stated: str, where: str) -> Conversion:
     """Conversion of raw angular rate to rad/s; without any unit the numbers stay "counts"."""
     axes = parse_axis_map(mapping.axis_map)
     offset = _per_axis(mapping.gyro_offset, "gyro_offset", 0.0)

@@ -167,7 +167,7 @@ def _measure(file: File, one: FieldChannel, mapping: FieldMapping) -> FieldChann
     where = f"{file.where}: {one.parts[0].path}"
     whole = [v[g] for v, g in zip(looks, good, strict=True)]
     source = conversion.UnitSource(one.unit)
-    how = conversion.of_looks(one.quantity, mapping, source, whole, rate=rate, where=where)
+    how = conversion.find_conversion(one.quantity, mapping, source, whole, rate=rate, where=where)
     return replace(one, conversion=how, rate=rate, threshold=steps.threshold)
 
 

@@ -279,19 +279,15 @@ def _plan_channel(
     """One quantity of a triad: how its values become SI, from what is stated and from the values,
     and the channel that they make."""
     _, column = triad.parts[quantity]
-    stated, pieces = source.fields[column].unit, source.rest_pieces(column)
-    if quantity == "temperature":
-        how = conversion.temperature(mapping, stated, np.concatenate(pieces), where)
-    else:
-        window = int(np.clip(0.5e9 / clock.period, 16, 1024)) if clock.period else 16
-        known = conversion.UnitSource(stated)
-        how = conversion.of_vectors(quantity, mapping, known, pieces, window=window, where=where)
+    rate = 1e9 / clock.period if clock.period else 0.0
+    stated, looks = conversion.UnitSource(source.fields[column].unit), source.rest_pieces(column)
+    how = conversion.find_conversion(quantity, mapping, stated, looks, rate=rate, where=where)
     channel = Channel(
         t=np.empty(0),
         values=np.empty((0, source.fields[column].group.width)),
         quantity=quantity,
         triad=triad.name,
-        rate=1e9 / clock.period if clock.period else 0.0,
+        rate=rate,
         names=(source.name, source.frame) if source.frame else (source.name,),
         numbered=triad.numbered,
         topic=source.name,
