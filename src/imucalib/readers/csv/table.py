@@ -241,7 +241,13 @@ def _from_heading(rows: list[list[str]]) -> tuple[int, list[list[str]]]:
     width = next((w for w, _ in widths.most_common() if w > 1), 0)
     many = [sum(map(_reads, row)) for row in rows]
     data = next(
-        (k for k, r in enumerate(rows) if len(r) == width and many[k] >= max(2, _share(r))), None
+        # Of a row of numbers half of the cells with something in them are.
+        (
+            k
+            for k, row in enumerate(rows)
+            if len(row) == width and many[k] >= max(2, 0.5 * sum(map(bool, row)))
+        ),
+        None,
     )
     filled = [k for k, row in enumerate(rows[:data]) if any(row)]
     units = bool(filled) and _are_units(rows[filled[-1]])
@@ -255,21 +261,12 @@ def _from_heading(rows: list[list[str]]) -> tuple[int, list[list[str]]]:
     groups = rows[names[-2]] if len(names) > 1 else []
     again = {name for name, count in Counter(heading).items() if name and count > 1}
     if again and len(groups) == len(heading):
-        merged = list(accumulate(groups, _or_last))
+        merged = list(accumulate(groups, lambda last, cell: cell or last))
         heading = [
             f"{name} {group}" if name in again and group else name
             for name, group in zip(heading, merged, strict=True)
         ]
     return at, [heading, *between, *rows[data:]]
-
-
-def _or_last(last: str, cell: str) -> str:
-    return cell or last
-
-
-def _share(row: Sequence[str]) -> float:
-    """Half of a row's cells with something in them: of a row of numbers so many are."""
-    return 0.5 * sum(map(bool, row))
 
 
 def _cells(line: str, delimiter: str) -> list[str]:
