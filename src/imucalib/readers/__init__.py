@@ -22,8 +22,8 @@ from imucalib.readers.devices.catalogue import refuse_foreign, with_preset
 from imucalib.readers.fields.joining import (
     check_clocks,
     in_parts,
+    join_files,
     tell_order,
-    together,
 )
 from imucalib.readers.fields.possible import drop_impossible
 from imucalib.readers.fields.rates import check_rates
@@ -145,7 +145,7 @@ def read_together(
 ) -> Recording:
     """Files of one device, each of other sensors, as one recording (a phone's accelerometer and
     gyroscope). Errors as in `read`, and UsageError for clocks that do not fit each other."""
-    return together([read(path, mapping, strict=strict) for path in paths])
+    return join_files([read(path, mapping, strict=strict) for path in paths])
 
 
 def blocks(

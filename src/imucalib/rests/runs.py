@@ -31,10 +31,10 @@ from imucalib.rests.thermal import ThermalHistory, believable_windows, mean_of_k
 from imucalib.rests.windows import (
     WindowBuilder,
     Windows,
-    breaks,
+    find_breaks,
     in_order,
     join_windows,
-    usable,
+    usable_windows,
     window_statistics,
 )
 from imucalib.units import MG, STANDARD_GRAVITY
@@ -128,7 +128,7 @@ class _TailBuilder:
             self._begin = float(t[0])
         elif gaps or t.size < w:
             t, values = np.concatenate([self._t, t]), np.concatenate([self._values, values])
-        edges = breaks(t, gaps).tolist() if gaps else []
+        edges = find_breaks(t, gaps).tolist() if gaps else []
         for a, b in pairwise([0, *edges]):
             if b - a >= w:
                 self.tails.append(Tail(self._begin, t[b - w : b].copy(), values[b - w : b].copy()))
@@ -383,7 +383,7 @@ def scan(blocks: Iterable[Recording], window: float) -> Scan:
     if first is None or tails is None:
         raise undecided((), "", first.path if first else "")
     held = [h for h in held if h.channel == f"{name}/acceleration"]
-    ordered, lost = usable(
+    ordered, lost = usable_windows(
         builders["acceleration"],
         held,
         f"{name}/acceleration",

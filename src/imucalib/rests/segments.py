@@ -18,7 +18,7 @@ from imucalib.recording.sensors import undecided
 from imucalib.rests.candidates import Candidate, candidates_of
 from imucalib.rests.spans import SensorView
 from imucalib.rests.stillness import Sensor, StillSettings
-from imucalib.rests.windows import KeptSamples, WindowBuilder, Windows, usable
+from imucalib.rests.windows import KeptSamples, WindowBuilder, Windows, usable_windows
 
 _SHORTER = "record longer, or state a shorter rest with --shortest-rest"
 # Acceleration takes part in any unit; an angular rate or a temperature without a scale cannot.
@@ -165,7 +165,7 @@ class _Pass:
                 continue
             name, rate = f"{triad}/{quantity}", self._rates[quantity, triad]
             held = [h for h in self._held if h.channel == name]
-            ordered, lost = usable(builder, held, name, self.path, _SHORTER)
+            ordered, lost = usable_windows(builder, held, name, self.path, _SHORTER)
             every.append(
                 SensorView(Sensor(triad, quantity, rate, ordered, self.settings), self.samples)
             )

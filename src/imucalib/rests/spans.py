@@ -237,7 +237,7 @@ class SensorView:
         back, rate = way[1] < way[0], self.sensor.rate
         t = self.samples.times(self.key, min(way), max(way))
         values = self.samples.values(self.key, min(way), max(way))
-        cuts = self.samples.breaks(t)
+        cuts = self.samples.find_breaks(t)
         if cuts.size:
             values = values[int(cuts[-1]) :] if back else values[: int(cuts[0])]
         off = (values[::-1] if back else values) - mean

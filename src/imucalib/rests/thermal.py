@@ -232,7 +232,7 @@ def temperature_at(thermometer: Channel, at: Array) -> Array:
     return np.where(alone, values[before], found)
 
 
-def unheard(thermometer: Channel, history: ThermalHistory, at: Array) -> Flags:
+def lacks_temperature(thermometer: Channel, history: ThermalHistory, at: Array) -> Flags:
     """(n,) whether there is no temperature at times (s): at a reading that is gone, and between it
     and its neighbours."""
     t, bad = thermometer.t, is_gone(history.gone, thermometer.t)

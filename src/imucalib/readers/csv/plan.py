@@ -34,9 +34,9 @@ from imucalib.readers.csv.text import (
 )
 from imucalib.readers.fields import conversion
 from imucalib.readers.fields.choice import Vector, resolve_mapping
-from imucalib.readers.fields.contents import unread
+from imucalib.readers.fields.contents import describe_unread
 from imucalib.readers.fields.conversion import Conversion
-from imucalib.readers.fields.timebase import stepping
+from imucalib.readers.fields.timebase import measure_steps
 from imucalib.recording.mapping import FieldMapping
 
 _ADJACENT = 200  # rows that show whether those of devices take turns
@@ -127,7 +127,7 @@ def make_plans(path: Path, mapping: FieldMapping) -> list[TablePlan]:
     if dialect.more:
         some = ", ".join(dialect.more)
         table.notes.append(f"not read, since only some rows have it: {some}")
-    table.notes.extend(unread(table.contents(used)))
+    table.notes.extend(describe_unread(table.contents(used)))
     plans = [_plan(table, one) for one in by_clock(selection, table.columns)]
     main = plans[0].clock
     dated = {(p.clock.unit, p.clock.start_ns is None) for p in plans}
@@ -159,7 +159,9 @@ def _plan(table: Table, selection: Selection) -> TablePlan:
     notes += [f"{v.name} left out: no values" for v in selection.vectors if v not in used]
     if not any(v.quantity != "temperature" for v in used):
         raise UnreadableInput("the chosen columns hold no values", where=where)
-    signals = conversion.readable(used, lambda v: _signal(v, table, layout, parsed, clock), notes)
+    signals = conversion.make_readable(
+        used, lambda v: _signal(v, table, layout, parsed, clock), notes
+    )
     notes += [s.conversion.note for s in signals if s.conversion.note]
     unique = tuple(dict.fromkeys(notes))
     return TablePlan(layout, clock, signals, facts, unique, mapping, conditions=table.conditions)
@@ -262,7 +264,7 @@ def _signal(
     rate, threshold = clock.rate, clock.threshold
     if clock.unit and not clock.resolution:
         times = (clock.seconds(rows.stamps)[0] for rows in parsed)
-        steps = stepping([t[k] for t, k in zip(times, known, strict=True)])
+        steps = measure_steps([t[k] for t, k in zip(times, known, strict=True)])
         rate, threshold = (1.0 / steps.step, steps.threshold) if steps else (rate, threshold)
     source = conversion.UnitSource(vector.unit, table.facts.device.scales)
     where = (

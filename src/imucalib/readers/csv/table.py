@@ -21,7 +21,7 @@ from imucalib.readers.csv.text import (
     COMMENT,
     Condition,
     cells_of,
-    decoded,
+    decode_text,
     is_number,
     no_row_has,
     text_head,
@@ -96,10 +96,10 @@ def table_cells(
         rows, top, delimiter = _text(path, mapping, most)
         decimal, stated = mapping.decimal or "," * (delimiter != ","), bool(mapping.decimal)
     found = _columns_of(rows, top, str(path), decimal=decimal, stated=stated, exclude=exclude)
-    return selected(found, mapping, str(path))
+    return select_rows(found, mapping, str(path))
 
 
-def selected(cells: Cells, mapping: FieldMapping, where: str) -> Cells:
+def select_rows(cells: Cells, mapping: FieldMapping, where: str) -> Cells:
     """The rows that `mapping.where` names. Raises UsageError for a column that is not there."""
     wanted = [Condition.of(text) for text in mapping.where]
     for condition in wanted:
@@ -312,7 +312,7 @@ def _lines(path: Path, skip: int, most: int) -> Iterator[tuple[int, str]]:
     _demand_text(text_head(head_of(path)) or b"\0", path)
     data = whole_text(path, most)
     _demand_text(data, path)
-    text = decoded(data)
+    text = decode_text(data)
     for number, line in enumerate(text.split("\n"), start=1):
         if len(line) > _LONGEST:
             what, remedy = f"a line of {len(line)} characters", "give a table, a row a position"

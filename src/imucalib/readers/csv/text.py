@@ -221,7 +221,7 @@ def cells_of(line: str, delimiter: str) -> list[str]:
     return line.split() if delimiter == " " else [c.strip() for c in line.split(delimiter)]
 
 
-def decoded(text: bytes) -> str:
+def decode_text(text: bytes) -> str:
     """Text of UTF-8, or else of Windows-1252, in which spreadsheets write a degree sign."""
     try:
         return text.decode("utf-8")

@@ -73,6 +73,6 @@ def suggestion(contents: Sequence[Content]) -> str:
     return f"; the norm of gravity is in: {paste('--acc', fitting[0])}"
 
 
-def unread(contents: Sequence[Content]) -> tuple[str, ...]:
+def describe_unread(contents: Sequence[Content]) -> tuple[str, ...]:
     """The sentence on what a file holds beside what is read; none where that is all of it."""
     return (f"not read: {'; '.join(_shown(contents))}",) if contents else ()

@@ -118,7 +118,9 @@ class Conversion:
 
     def apply(self, raw: NDArray[np.generic]) -> Array:
         """Convert raw values (..., 3), or (..., 1) for a scalar quantity, to float64."""
-        values = restore_sign(without(np.asarray(raw, dtype=np.float64), self.missing), self.wrap)
+        values = restore_sign(
+            mask_missing(np.asarray(raw, dtype=np.float64), self.missing), self.wrap
+        )
         if self.offset.any():
             values = values - self.offset
         if (self.factor != 1.0).any():
@@ -144,7 +146,7 @@ def missing_values(looks: Sequence[Array]) -> tuple[float, ...]:
     return tuple(np.unique(whole[apart]).tolist())
 
 
-def without(values: Array, missing: tuple[float, ...]) -> Array:
+def mask_missing(values: Array, missing: tuple[float, ...]) -> Array:
     """The values with NaN for those that stand for none."""
     return np.where(np.isin(values, missing), np.nan, values) if missing else values
 
@@ -278,7 +280,7 @@ def find_conversion(
     if quantity not in INERTIAL:
         return temperature(mapping, source.unit, np.concatenate(looks), where)
     missing = missing_values(looks)
-    looks = [without(v, missing) for v in looks]
+    looks = [mask_missing(v, missing) for v in looks]
     known = [v[np.isfinite(v).all(axis=1)] for v in looks]
     wrap = wrap_of(known) if any(v.size for v in known) else 0.0
     if quantity == "acceleration":
@@ -300,7 +302,9 @@ def find_conversion(
 T = TypeVar("T")
 
 
-def readable(channels: Sequence[Any], make: Callable[[Any], T], notes: list[str]) -> tuple[T, ...]:
+def make_readable(
+    channels: Sequence[Any], make: Callable[[Any], T], notes: list[str]
+) -> tuple[T, ...]:
     """What `make` makes of each channel, which has a quantity and a triad; one that others can do
     without (a thermometer, a gyroscope beside an accelerometer) and that cannot be read is left
     out, and a note says why."""

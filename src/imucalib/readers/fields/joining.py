@@ -70,7 +70,7 @@ class Joined(ABC):
         return join(found, str(path))
 
 
-def together(recordings: Sequence[Recording]) -> Recording:
+def join_files(recordings: Sequence[Recording]) -> Recording:
     """One recording of files that one device wrote, each of other sensors, with clocks of one zero.
 
     Raises UsageError for a channel that two of them have, and for clocks that have no date in one

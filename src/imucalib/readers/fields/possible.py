@@ -10,7 +10,7 @@ import numpy as np
 
 from imucalib.arrays import Flags
 from imucalib.readers.fields.joining import add_notes, amend_last
-from imucalib.readers.fields.timebase import find_gaps, stepping
+from imucalib.readers.fields.timebase import find_gaps, measure_steps
 from imucalib.recording.recording import Channel, Count, Gap, Recording
 from imucalib.units import STANDARD_GRAVITY
 
@@ -63,7 +63,7 @@ class _Impossible:
         self.missing += int(np.count_nonzero(none))
         self.beyond += int(np.count_nonzero(beyond))
         t, rows = channel.t[~left], np.flatnonzero(~left).astype(np.float64)
-        steps = stepping([t])
+        steps = measure_steps([t])
         gaps = find_gaps(t, rows, steps.threshold, None) if steps else []
         lacking = [gap for gap in gaps if gap.reason == "values missing"]
         return replace(channel, t=t, values=channel.values[~left]), lacking

@@ -39,7 +39,7 @@ class Stepping:
     threshold: float
 
 
-def stepping(pieces: Sequence[Array]) -> Stepping | None:
+def measure_steps(pieces: Sequence[Array]) -> Stepping | None:
     """Step statistics of pieces of consecutive times (s); None when no time ever advances."""
     steps = np.concatenate([np.diff(t) for t in pieces]) if pieces else np.empty(0)
     steps = steps[np.isfinite(steps) & (steps > 0)]
@@ -180,7 +180,7 @@ def stamps_of(
     first = next((s[0].item() for s in looks if s.size), None)
     if first is None:
         raise UnreadableInput("the time column holds no stamps", where=where, remedy=remedy)
-    steps = stepping([seconds_of(s, first, "s") for s in looks])
+    steps = measure_steps([seconds_of(s, first, "s") for s in looks])
     if steps is None:
         back = any((np.diff(s.astype(np.float64)) < 0.0).any() for s in looks)
         what = "run backwards" if back else "never advance"

@@ -355,7 +355,7 @@ def _slice(node: Any, place: FieldPlace, start: int, stop: int) -> NDArray[np.ge
 
 
 @contextmanager
-def opened(path: Path, strict: bool, external: bool = False) -> Iterator[File]:
+def open_file(path: Path, strict: bool, external: bool = False) -> Iterator[File]:
     import h5py
 
     _demand_heaps_end(path)

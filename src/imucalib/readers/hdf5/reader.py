@@ -21,16 +21,16 @@ from imucalib.errors import UnreadableInput
 from imucalib.file_hash import sha256_of
 from imucalib.readers.fields import conversion
 from imucalib.readers.fields.choice import resolve_mapping
-from imucalib.readers.fields.contents import Content, listing, norm_of, suggestion, unread
+from imucalib.readers.fields.contents import Content, describe_unread, listing, norm_of, suggestion
 from imucalib.readers.fields.joining import Joined
 from imucalib.readers.fields.timebase import (
     Stamps,
     Stepping,
     date_of,
     find_gaps,
+    measure_steps,
     stamps_of,
     start_of,
-    stepping,
 )
 from imucalib.readers.hdf5.fields import (
     FieldChannel,
@@ -41,7 +41,7 @@ from imucalib.readers.hdf5.fields import (
     text_of,
     unit_of,
 )
-from imucalib.readers.hdf5.file import File, FileWalk, opened
+from imucalib.readers.hdf5.file import File, FileWalk, open_file
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.onboard import Onboard
 from imucalib.recording.recording import Channel, Count, Gap, Recording, corrections_of
@@ -86,7 +86,7 @@ def _unread(nodes: Sequence[Any], signals: Sequence[FieldChannel], path: Path) -
         numeric = names or node.dtype.kind in "iuf"
         if numeric and (set(names) - taken if names else not taken):
             left.append(_content(node, path, taken))
-    return unread(left)
+    return describe_unread(left)
 
 
 _LOOKS, _LOOK = 24, 4096  # looks spread over each field, and their rows
@@ -128,7 +128,7 @@ def _measure_all(
             )
         return _measure(file, one, mapping)
 
-    signals = list(conversion.readable(found, measure, notes))
+    signals = list(conversion.make_readable(found, measure, notes))
     notes += [s.conversion.note for s in signals if s.conversion.note]
     return signals, start_ns, list(dict.fromkeys(notes))
 
@@ -156,7 +156,7 @@ def _measure(file: File, one: FieldChannel, mapping: FieldMapping) -> FieldChann
     looks = [file.values(one, a, b).astype(np.float64, copy=False) for a, b in _looks(one)]
     stamps = [file.times(one, a, b) for a, b in _looks(one)]
     good = [np.isfinite(v).all(axis=1) & np.isfinite(t) for v, t in zip(looks, stamps, strict=True)]
-    steps = stepping([t[g] for t, g in zip(stamps, good, strict=True)])
+    steps = measure_steps([t[g] for t, g in zip(stamps, good, strict=True)])
     if steps is None:
         if one.rate is None:
             why = "the time never advances" if any(g.any() for g in good) else "holds no number"
@@ -212,7 +212,7 @@ class Hdf5Reader(Joined):
         self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool
     ) -> Iterator[Recording]:
         """Yield the fields in blocks of about `block_samples` rows."""
-        with opened(path, strict, bool(mapping.allow_external)) as file:
+        with open_file(path, strict, bool(mapping.allow_external)) as file:
             yield from _blocks_of(file, path, mapping, block_samples)
 
 
@@ -391,7 +391,7 @@ def table_columns(path: Path, most: int = 0) -> dict[str, Array | list[str]]:
     most : rows that are read, all where it is 0
     Raises UnreadableInput for a damaged file and for columns of different length.
     """
-    with opened(path, strict=True) as file:
+    with open_file(path, strict=True) as file:
         nodes = list(datasets(file.handle, str(path)))
         for node in nodes:
             file.demand_whole(node)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Index
 from imucalib.errors import UnreadableInput
-from imucalib.readers.fields.timebase import SIDES, set_back, stepping
+from imucalib.readers.fields.timebase import SIDES, measure_steps, set_back
 from imucalib.readers.messages.topics import ClockFacts, Stamps, TopicSamples, TopicSource
 from imucalib.recording.mapping import TIME_UNITS, FieldMapping
 from imucalib.recording.recording import Gap
@@ -124,7 +124,7 @@ def choose_clock(
             remedy="give the sampling rate with --rate",
         )
     steps = np.diff(times)
-    found = stepping([(times - times[0]) * 1e-9])
+    found = measure_steps([(times - times[0]) * 1e-9])
     period = found.step * 1e9 if found else 0.0
     if facts.count > 1:
         jitter = np.quantile(np.abs(steps - period), 0.99) * 1e-3

@@ -218,7 +218,7 @@ def _decide(stream: TopicStream) -> MessagePlan:
         format=log.format,
         sha256=log.sha256(),
         start_ns=start if dated else None,
-        notes=(*notes, *stream.losses(), *map(str, marks), *stream.unread()),
+        notes=(*notes, *stream.losses(), *map(str, marks), *stream.describe_unread()),
         mapping=_resolve(mapping, triads, sources, parts).to_dict(),
         corrections=marks,
         counts=tuple(c for c in stream.tallies() if c.source.removeprefix("messages of ") in used),

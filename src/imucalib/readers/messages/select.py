@@ -273,7 +273,7 @@ def _time(topic: Topic, leaves: Leaves, mapping: FieldMapping) -> tuple[str, Fie
 # -- triads -----------------------------------------------------------------------------------
 
 
-def natural(text: str) -> tuple[tuple[bool, int, str], ...]:
+def natural_key(text: str) -> tuple[tuple[bool, int, str], ...]:
     """Sort key under which imu2 comes before imu10."""
     parts = re.split(r"(\d+)", text)
     return tuple((p.isdigit(), int(p) if p.isdigit() else 0, p) for p in parts)
@@ -334,7 +334,7 @@ def _stated_parts(mapping: FieldMapping, sources: Mapping[str, TopicSource]) -> 
                 used.add(place)
                 part[quantity] = place
             elif text:
-                names = ", ".join(sorted(sources, key=natural)) or "none"
+                names = ", ".join(sorted(sources, key=natural_key)) or "none"
                 raise UsageError(
                     f"'{text}' is not a topic of this file, or has no readable messages",
                     where=f"mapping: {option}",
@@ -351,7 +351,7 @@ def _stated_parts(mapping: FieldMapping, sources: Mapping[str, TopicSource]) -> 
 def _find_parts(mapping: FieldMapping, sources: Mapping[str, TopicSource]) -> list[_Parts]:
     parts: list[_Parts] = []
     halves: dict[str, list[_Parts]] = {}
-    for name in sorted(sources, key=natural):
+    for name in sorted(sources, key=natural_key):
         source = sources[name]
         live = [(i, f) for i, f in enumerate(source.fields) if source.alive[i] or not f.found]
         sensors = [
@@ -400,7 +400,7 @@ def contents_of(log: MessageLog, topics: Mapping[int, Topic]) -> tuple[Content, 
                 except (LayoutError, UsageError) as error:  # the latter: a package is missing
                     why[number] = str(error)
     found = list[Content]()
-    for number, topic in sorted(topics.items(), key=lambda item: natural(item[1].name)):
+    for number, topic in sorted(topics.items(), key=lambda item: natural_key(item[1].name)):
         count, first, last = times.get(number, (0, math.inf, -math.inf))
         rate = (count - 1) * 1e9 / (last - first) if count > 1 and last > first else math.nan
         kind = f"{topic.type_name} ({topic.encoding or 'no encoding'})"

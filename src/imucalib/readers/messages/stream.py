@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.readers.fields.contents import Content, unread
+from imucalib.readers.fields.contents import Content, describe_unread
 from imucalib.readers.messages.decode import Decoder, decoder_for
 from imucalib.readers.messages.layout import Groups, LayoutError
 from imucalib.readers.messages.records import MessageBlock, MessageLog, Topic
@@ -20,7 +20,7 @@ from imucalib.readers.messages.select import (
     is_imu,
     is_stated,
     list_left,
-    natural,
+    natural_key,
     source_of,
     split_address,
 )
@@ -160,17 +160,17 @@ class TopicStream:
             found.append(Count(f"messages of {name}", held, source.rows, left))
         return tuple(found)
 
-    def unread(self) -> tuple[str, ...]:
+    def describe_unread(self) -> tuple[str, ...]:
         """The sentence on topics and fields beside those that are read."""
         left = list[Content]()
-        for number, topic in sorted(self.topics.items(), key=lambda t: natural(t[1].name)):
+        for number, topic in sorted(self.topics.items(), key=lambda t: natural_key(t[1].name)):
             if number in self._source_of:
                 left += self._left.get(number, [])
             elif count := self.counts.get(number, 0):
                 vectors = ", ".join(map(str, self._left.get(number, [])))
                 kind = f"{topic.type_name} ({topic.encoding or 'no encoding'})"
                 left.append(Content(topic.name, f"{kind}{': ' * bool(vectors)}{vectors}", count))
-        return unread(left)
+        return describe_unread(left)
 
     # -- choosing -----------------------------------------------------------------------------
 
