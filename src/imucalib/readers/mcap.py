@@ -110,13 +110,21 @@ class ChunkHead(NamedTuple):
         """The head that the first bytes of a record are, or None."""
         if len(content) < 40:
             return None
-        *times_size_crc, name = struct.unpack_from("<QQQII", content)
+        first, last, size, crc, name = struct.unpack_from("<QQQII", content)
         body = 40 + name
         if name > 16 or len(content) < body:
             return None
         compression = content[32 : body - 8].decode("ascii", "replace")
         packed = int.from_bytes(content[body - 8 : body], "little")
-        return cls(*times_size_crc, compression, body, packed)
+        return cls(
+            first_ns=first,
+            last_ns=last,
+            size=size,
+            crc=crc,
+            compression=compression,
+            body=body,
+            packed=packed,
+        )
 
     def plausible(self, length: int, slack: int = 0) -> bool:
         """Whether this heads a chunk record of a length: 64 bits that noise does not match."""

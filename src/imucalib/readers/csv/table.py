@@ -10,7 +10,6 @@ import zipfile
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import accumulate
 from pathlib import Path
 
 import numpy as np
@@ -261,7 +260,7 @@ def _from_heading(rows: list[list[str]]) -> tuple[int, list[list[str]]]:
     groups = rows[names[-2]] if len(names) > 1 else []
     again = {name for name, count in Counter(heading).items() if name and count > 1}
     if again and len(groups) == len(heading):
-        merged = list(accumulate(groups, lambda last, cell: cell or last))
+        merged = [next(filter(None, groups[k::-1]), "") for k in range(len(groups))]
         heading = [
             f"{name} {group}" if name in again and group else name
             for name, group in zip(heading, merged, strict=True)
