@@ -53,24 +53,6 @@ class WindowNoise:
         return np.asarray(self.colour * self.sd / np.sqrt(samples))
 
 
-def colour_of(sensor: Sensor, still: Flags) -> float:
-    """How much more the means of windows scatter than white noise would let them; 1 to 3.
-
-    A low-pass filter in the chip makes neighbouring samples depend on each other, so that their
-    mean is worth less.
-    """
-    w = sensor.windows
-    pairs = np.flatnonzero(still[1:] & still[:-1] & w.following)
-    if pairs.size < _PAIRS:
-        return 1.0
-    one = pairs[:: max(1, pairs.size // _PAIRS_LOOKED_AT)]
-    two, least = one + 1, np.square(sensor.step) / 6.0 + np.finfo(float).tiny
-    ratio = np.square(w.mean[two] - w.mean[one]) * w.samples
-    ratio /= w.variance[two] + w.variance[one] + least
-    # The median of a squared normal number is 0.455 of its variance.
-    return float(np.sqrt(np.clip(np.median(ratio) / 0.455, 1.0, _REDDEST**2)))
-
-
 def whiteness(values: Array) -> float:
     """Half the mean square of successive differences over the variance, least of the axes: 1 for
     white noise, near 0 for a slow motion (von Neumann, 1941)."""
@@ -170,8 +152,21 @@ class SensorView:
 
     @cached_property
     def colour(self) -> float:
-        """Of its noise, see `colour_of`."""
-        return colour_of(self.sensor, self.kinds.still)
+        """How much more the means of its windows scatter than white noise would let them; 1 to 3.
+
+        A low-pass filter in the chip makes neighbouring samples depend on each other, so that
+        their mean is worth less.
+        """
+        w, still = self.sensor.windows, self.kinds.still
+        pairs = np.flatnonzero(still[1:] & still[:-1] & w.following)
+        if pairs.size < _PAIRS:
+            return 1.0
+        one = pairs[:: max(1, pairs.size // _PAIRS_LOOKED_AT)]
+        two, least = one + 1, np.square(self.sensor.step) / 6.0 + np.finfo(float).tiny
+        ratio = np.square(w.mean[two] - w.mean[one]) * w.samples
+        ratio /= w.variance[two] + w.variance[one] + least
+        # The median of a squared normal number is 0.455 of its variance.
+        return float(np.sqrt(np.clip(np.median(ratio) / 0.455, 1.0, _REDDEST**2)))
 
     @cached_property
     def usual(self) -> float:
