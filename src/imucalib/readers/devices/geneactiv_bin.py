@@ -8,7 +8,6 @@ instruction manual, appendix on the binary file. The format has no checksum.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -28,6 +27,7 @@ from imucalib.readers.devices.packets import (
     packets_of,
     recordings,
     twelve_bits,
+    zone_of,
 )
 from imucalib.readers.fields.joining import Joined
 from imucalib.recording.mapping import FieldMapping
@@ -95,7 +95,7 @@ class GeneactivReader(Joined):
             pages = _pages(stream, str(path))
             facts = _facts(next(pages, [b""])[0])
             gain, offset = _calibration(facts, str(path))
-            zone_s = _zone(facts.get("Time Zone", ""))
+            zone_s = zone_of(facts.get("Time Zone", ""))
             serial = facts.get("Device Unique Serial Code", "")
             notes = [f"GENEActiv {serial or 'of unknown number'}"]
             if zone_s is None:
@@ -146,15 +146,6 @@ def _calibration(facts: dict[str, str], where: str) -> tuple[Array, Array]:
             remedy="copy the file from the device again",
         )
     return gain, offset
-
-
-def _zone(text: str) -> int | None:
-    """Of the clock, s east of UTC."""
-    zone = re.search(r"([+-])(\d{1,2}):(\d{2})", text)
-    if zone is None:
-        return None
-    size = 3600 * int(zone[2]) + 60 * int(zone[3])
-    return -size if zone[1] == "-" else size
 
 
 def _packets(

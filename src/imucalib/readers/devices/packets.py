@@ -11,6 +11,7 @@ begins a new part.
 from __future__ import annotations
 
 import gzip
+import re
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -84,6 +85,15 @@ def open_packets(path: Path, *, strict: bool, lost: list[str]) -> Iterator[Strea
     with path.open("rb") as raw:
         packed = raw.peek(2).startswith(_GZIP)
         yield Stream(gzip.GzipFile(fileobj=raw) if packed else raw, str(path), strict, lost)
+
+
+def zone_of(text: str) -> int | None:
+    """Seconds east of UTC of "GMT +01:00" or "-05:30:00"; None where none are stated."""
+    found = re.search(r"([+-]?)(\d{1,2}):(\d\d)(?::(\d\d))?", text)
+    if found is None:
+        return None
+    size = 3600 * int(found[2]) + 60 * int(found[3]) + int(found[4] or 0)
+    return -size if found[1] == "-" else size
 
 
 def twelve_bits(raw: bytes | NDArray[np.uint8]) -> NDArray[np.int16]:
