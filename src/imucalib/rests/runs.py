@@ -41,6 +41,30 @@ from imucalib.units import MG, STANDARD_GRAVITY
 
 _CHANGE = 20.0 * MG  # between neighbouring windows of one posture, at most
 _REACH = 30.0 * MG  # between any window of a run and its first
+_RATIO = 1.3  # between two sizes of gravity that no sensor's errors explain
+_CLEARER = 5.0  # times that two levels leave less scatter than one: a steady drift leaves a quarter
+_FEWEST = 5  # windows on either side of a change of range
+#: Chance up to which noise has not done it: e^-60, for samples of a filter are not independent.
+_NATS = 60.0
+#: Noise in steps from which the resolution shows it.
+_SHOWN = 0.5
+#: Seconds at least, and share of gravity by which another axis moves meanwhile.
+_SECONDS, _MOVED = 60.0, 0.2
+_FAR, _ENDS = _MOVED * STANDARD_GRAVITY, 2
+#: Noise of an axis that is still, and steps of its mean from window to window, in its own noise.
+_CALM, _ON = 3.0, 2.0
+#: Share of gravity from which on a limit is beyond every rest, whatever the bias.
+_BEYOND = 1.1
+#: Of a worn sensor: ten-second windows, as the field uses, three axes, noise plus a sway of 3 mg
+#: that breathing causes. Together they tilt the mean by less than 1e-5 of its size.
+WORN = StillSettings(
+    window=10.0,
+    shortest=5.0,
+    variance_ratio=2.25,
+    range_ratio=12.0,
+    sway=3.3 * MG,
+    quietest=0.05,
+)
 
 
 def _postures_begin(w: Windows, chosen: Index) -> Index:
@@ -57,11 +81,6 @@ def _postures_begin(w: Windows, chosen: Index) -> Index:
         # The first far window of each run begins a new one.
         first = np.unique(owner[far], return_index=True)[1]
         starts = np.union1d(starts, np.flatnonzero(far)[first])
-
-
-_RATIO = 1.3  # between two sizes of gravity that no sensor's errors explain
-_CLEARER = 5.0  # times that two levels leave less scatter than one: a steady drift leaves a quarter
-_FEWEST = 5  # windows on either side
 
 
 def two_ranges(size: Array) -> tuple[int, float, float] | None:
@@ -158,19 +177,6 @@ def _add_tails(windows: Windows, tails: Sequence[Tail]) -> Windows:
     )
     whole = join_windows([windows, own])
     return whole.take(np.argsort(whole.start, kind="stable"))
-
-
-#: Chance up to which noise has not done it: e^-60, for samples of a filter are not independent.
-_NATS = 60.0
-#: Noise in steps from which the resolution shows it.
-_SHOWN = 0.5
-#: Seconds at least, and share of gravity by which another axis moves meanwhile.
-_SECONDS, _MOVED = 60.0, 0.2
-_FAR, _ENDS = _MOVED * STANDARD_GRAVITY, 2
-#: Noise of an axis that is still, and steps of its mean from window to window, in its own noise.
-_CALM, _ON = 3.0, 2.0
-#: Share of gravity from which on a limit is beyond every rest, whatever the bias.
-_BEYOND = 1.1
 
 
 def _stuck(sensor: Sensor) -> tuple[Flags, list[str]]:
@@ -280,18 +286,6 @@ def _limits(sensor: Sensor) -> list[str]:
                     "that limit and are left out; what lies beyond it no calibration brings back"
                 )
     return found
-
-
-#: Of a worn sensor: ten-second windows, as the field uses, three axes, noise plus a sway of 3 mg
-#: that breathing causes. Together they tilt the mean by less than 1e-5 of its size.
-WORN = StillSettings(
-    window=10.0,
-    shortest=5.0,
-    variance_ratio=2.25,
-    range_ratio=12.0,
-    sway=3.3 * MG,
-    quietest=0.05,
-)
 
 
 @dataclass(frozen=True)

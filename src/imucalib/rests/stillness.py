@@ -30,6 +30,12 @@ _WITNESSES = 5000  # windows that the size of gravity is estimated from
 _POSTURES = 5  # different constant readings of gravity's size that a dead sensor does not have
 _SINGLE = 3  # windows in which one axis stands still beside others, as in none of a live sensor
 _SIZE = 0.2  # share of gravity by which the size of a reading at rest may be off
+_LOUDER = 5.0  # times the quietest noise that a sensor's own noise may grow to
+_LEVELS = 2  # louder noises that are looked for
+_SHARED = 10  # windows that must share a louder noise
+_ALIKE = 4.0  # ratio of the variances of neighbours, at most; standard errors between their means
+_SLOW = 0.03  # share of gravity that a slow turn may change the reading by in a window
+_OUTLIER = 0.1  # share of gravity by which a dropout differs from the samples around it
 
 
 @dataclass(frozen=True)
@@ -252,14 +258,6 @@ def still_windows(sensor: Sensor) -> tuple[Flags, list[str]]:
         notes.append(f"{name}: shakes by {1e3 * share:.3g} mg even where it is quietest")
         quiet[:] = False
     return quiet, notes
-
-
-_LOUDER = 5.0  # times the quietest noise that a sensor's own noise may grow to
-_LEVELS = 2  # louder noises that are looked for
-_SHARED = 10  # windows that must share a louder noise
-_ALIKE = 4.0  # ratio of the variances of neighbours, at most; standard errors between their means
-_SLOW = 0.03  # share of gravity that a slow turn may change the reading by in a window
-_OUTLIER = 0.1  # share of gravity by which a dropout differs from the samples around it
 
 
 @dataclass(frozen=True)

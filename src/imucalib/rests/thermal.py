@@ -32,6 +32,13 @@ _NOISE = 8.0  # standard deviations (by the median)
 _STEPS = 1.5  # steps of the resolution
 _CODES = (85.0, -127.0)  # °C that it says after power-up, and where it does not answer
 _HALF = 0.5  # share of jumps from which on nothing of a thermometer is believed
+_WINDOW = 10.0  # s
+_SILENT = 3600.0  # s without a reading after which nothing is known of the way to the next one
+#: Covariates that a recording with a clock and a thermometer has.
+REMEMBERED = tuple(past.covariate(value) for past in (LAG, PLAY, RATE) for value in past.values)
+#: Power that the temperature itself shows of what is made of it, from which on it is that: a play's
+#: noise, and a lag's change within a recording beside recordings at temperatures of their own.
+_PLAIN = {PLAY.prefix: 0.97, LAG.prefix: 0.999}
 
 
 def believable_windows(w: Windows | None) -> tuple[ThermalHistory | None, tuple[str, ...]]:
@@ -124,10 +131,6 @@ def _step(values: Array) -> float:
     """°C, the smallest difference of two readings."""
     apart = np.diff(np.unique(values))
     return float(apart.min()) if apart.size else 0.0
-
-
-_WINDOW = 10.0  # s
-_SILENT = 3600.0  # s without a reading after which nothing is known of the way to the next one
 
 
 @dataclass(frozen=True)
@@ -273,13 +276,6 @@ def pair_thermometer(
                 track = replace(track, t=track.t[first_kept:], values=track.values[first_kept:])
     for block, _ in waiting:
         yield block, track
-
-
-#: Covariates that a recording with a clock and a thermometer has.
-REMEMBERED = tuple(past.covariate(value) for past in (LAG, PLAY, RATE) for value in past.values)
-#: Power that the temperature itself shows of what is made of it, from which on it is that: a play's
-#: noise, and a lag's change within a recording beside recordings at temperatures of their own.
-_PLAIN = {PLAY.prefix: 0.97, LAG.prefix: 0.999}
 
 
 def is_remembered(name: str) -> bool:

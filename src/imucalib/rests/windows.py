@@ -24,6 +24,9 @@ Key = tuple[str, str]
 #: Numbers that are kept of a recording in blocks: 128 MB, or a day of one triad at 65 Hz. A
 #: recording that is one block is in memory anyway, and all of it is at hand.
 KEPT = 1 << 24
+_COLUMNS = ("first", "run", "start", "stop", "mean", "variance", "low", "high")
+_CACHE = 1 << 19  # bytes that are worked on at a time
+_EVERY = 8  # one in so many pieces is looked at for the resolution
 
 
 class KeptSamples:
@@ -76,11 +79,6 @@ class KeptSamples:
         """Where a stretch of samples at times t is broken by a gap or a step back of time."""
         within = [g for g in self._gaps if t.size and g.stop > t.min() and g.start < t.max()]
         return find_breaks(t, within)
-
-
-_COLUMNS = ("first", "run", "start", "stop", "mean", "variance", "low", "high")
-_CACHE = 1 << 19  # bytes that are worked on at a time
-_EVERY = 8  # one in so many pieces is looked at for the resolution
 
 
 @dataclass(frozen=True)

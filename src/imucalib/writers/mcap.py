@@ -67,6 +67,13 @@ _QUANTITIES = {
     f"{_SPUN}{_DOUBTED}": ("rad2/s4", 9, f"{_SPUN}{_DOUBTED}"),
     REST: ("", len(REST_COLUMNS), REST),
 }
+_IMU: dict[str, tuple[int, tuple[int, ...]]] = {
+    "no_orientation": (32, ()),
+    "angular_rate": (104, (3,)),
+    f"angular_rate{_DOUBTED}": (128, (9,)),
+    "acceleration": (200, (3,)),
+    f"acceleration{_DOUBTED}": (224, (9,)),
+}
 
 
 class _Message(NamedTuple):
@@ -79,13 +86,6 @@ class _Message(NamedTuple):
     fields: dict[str, tuple[int, tuple[int, ...]]]
 
 
-_IMU: dict[str, tuple[int, tuple[int, ...]]] = {
-    "no_orientation": (32, ()),
-    "angular_rate": (104, (3,)),
-    f"angular_rate{_DOUBTED}": (128, (9,)),
-    "acceleration": (200, (3,)),
-    f"acceleration{_DOUBTED}": (224, (9,)),
-}
 MESSAGES = (
     _Message("sensor_msgs/msg/Imu", IMU_ROS2, 296, _IMU),
     # Counts are no m/s2: another type says so.

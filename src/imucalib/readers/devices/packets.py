@@ -34,6 +34,11 @@ from imucalib.recording.recording import Channel, Recording
 
 _GZIP, _GZIP_BITS = b"\x1f\x8b", 31
 _FEED = 1 << 13  # bytes at a time: what comes before damage in them is lost with them
+_SLACK = 2.0  # samples that a stamp may be off
+_AROUND = 3.0  # s of packets on each side that decide a sample's time
+_GAP = 1.75  # periods
+_PACKET = np.dtype([("stamp", "i8"), ("at", "i8"), ("count", "i8"), ("rate", "f8"), ("warm", "f8")])
+_SECOND = 1_000_000_000  # ns
 
 
 @dataclass
@@ -102,14 +107,6 @@ def twelve_bits(raw: bytes | NDArray[np.uint8]) -> NDArray[np.int16]:
     first = codes[:, 0] << 4 | codes[:, 1] >> 4
     numbers = np.stack([first, (codes[:, 1] & 15) << 8 | codes[:, 2]], axis=1).reshape(-1)
     return np.where(numbers > 2047, numbers - 4096, numbers).astype(np.int16)
-
-
-_SLACK = 2.0  # samples that a stamp may be off
-_AROUND = 3.0  # s of packets on each side that decide a sample's time
-_GAP = 1.75  # periods
-
-
-_PACKET = np.dtype([("stamp", "i8"), ("at", "i8"), ("count", "i8"), ("rate", "f8"), ("warm", "f8")])
 
 
 class Packets(NamedTuple):
@@ -281,9 +278,6 @@ def _time_packets(
             yield whole.part(a, b), origin, t
         back = [whole.part(max(0, ready - around), ready)]
         held = [whole.part(ready, whole.heads.size)]
-
-
-_SECOND = 1_000_000_000  # ns
 
 
 def _within_seconds(pieces: Iterator[Packets], drift: float) -> Iterator[Packets]:

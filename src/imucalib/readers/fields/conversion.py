@@ -29,6 +29,28 @@ _FARTHEST = 50.0
 #: What every direction of the sphere must hold of the readings' spread, and how far the middle one
 #: of them may lie from the sphere, of its radius: scales and misalignments differ by less.
 _SPREAD, _OFF = 0.05, 0.05
+COUNTS = "counts"
+_IMPLAUSIBLE = 3.0  # a stated unit is refused when the norm at rest is off by this factor
+_SAME_SCALE = 1.25  # the same for a device that has a few known scales
+_LIKE_1024 = (1012.0, 1037.0)  # norms that 1024 counts a g explain better than mg
+_REST_SECONDS = 0.5  # window of the look for rest
+_STILL_SHARE = 0.1  # the quietest windows that stand for "at rest"
+#: Values that are written where there is none, as integers of 16 and 32 bits and by hand.
+_MISSING = (-999.0, 9999.0, -9999.0, 99999.0, -99999.0, 1e20, -1e20, -32768.0, -2147483648.0)
+_SET_APART = 3.0  # times what else an axis reads
+_BITS = (12, 16, 24, 32)
+T = TypeVar("T")
+#: What is said of a rate whose unit nobody states.
+UNKNOWN_RATE = "angular rate: no unit is stated, kept as raw counts; name it with --gyro-unit"
+#: degC = (raw - offset) * factor
+_CELSIUS, _FAHRENHEIT = (1.0, 0.0), (5.0 / 9.0, 32.0)
+_TEMPERATURE = {
+    **dict.fromkeys(("degC", "C", "°C", "deg C", "celsius", "Celsius", "deg_C"), _CELSIUS),
+    **dict.fromkeys(("degF", "F", "°F"), _FAHRENHEIT),
+    "K": (1.0, 273.15),
+}
+#: A degree sign that a conversion between character sets has made into something else.
+_MANGLED = re.compile(r"[^\w\s/]{1,3}\s?C|[ÂÃïº˚ª½\W]{1,3}C|\u2103")
 
 
 @dataclass(frozen=True)
@@ -78,14 +100,6 @@ def zero_g(rest: Array) -> ZeroG | None:
     return ZeroG(level, scale * radius)
 
 
-COUNTS = "counts"
-_IMPLAUSIBLE = 3.0  # a stated unit is refused when the norm at rest is off by this factor
-_SAME_SCALE = 1.25  # the same for a device that has a few known scales
-_LIKE_1024 = (1012.0, 1037.0)  # norms that 1024 counts a g explain better than mg
-_REST_SECONDS = 0.5  # window of the look for rest
-_STILL_SHARE = 0.1  # the quietest windows that stand for "at rest"
-
-
 @dataclass(frozen=True)
 class Conversion:
     """Output = axes((raw - offset) * factor), in `unit`.
@@ -126,12 +140,6 @@ class Conversion:
         if (self.factor != 1.0).any():
             values = values * self.factor
         return self.axes.apply(values)
-
-
-#: Values that are written where there is none, as integers of 16 and 32 bits and by hand.
-_MISSING = (-999.0, 9999.0, -9999.0, 99999.0, -99999.0, 1e20, -1e20, -32768.0, -2147483648.0)
-_SET_APART = 3.0  # times what else an axis reads
-_BITS = (12, 16, 24, 32)
 
 
 def missing_values(looks: Sequence[Array]) -> tuple[float, ...]:
@@ -299,9 +307,6 @@ def find_conversion(
     return replace(how, missing=missing, wrap=wrap, note="; ".join(said))
 
 
-T = TypeVar("T")
-
-
 def make_readable(
     channels: Sequence[Any], make: Callable[[Any], T], notes: list[str]
 ) -> tuple[T, ...]:
@@ -410,10 +415,6 @@ def _without_gravity(norm: float, where: str) -> UnreadableInput:
     )
 
 
-#: What is said of a rate whose unit nobody states.
-UNKNOWN_RATE = "angular rate: no unit is stated, kept as raw counts; name it with --gyro-unit"
-
-
 def _angular_rate(mapping: FieldMapping, stated: str, where: str) -> Conversion:
     """Conversion of raw angular rate to rad/s; without any unit the numbers stay "counts"."""
     axes = parse_axis_map(mapping.axis_map)
@@ -429,19 +430,6 @@ def _angular_rate(mapping: FieldMapping, stated: str, where: str) -> Conversion:
         return Conversion(COUNTS, COUNTS, np.ones(1), offset, axes, note)
     factor = _factor(unit, units.RATE_UNITS, mapping.gyro_unit, "--gyro-unit", where)
     return Conversion("rad/s", unit, factor, offset, axes)
-
-
-#: degC = (raw - offset) * factor
-_CELSIUS, _FAHRENHEIT = (1.0, 0.0), (5.0 / 9.0, 32.0)
-_TEMPERATURE = {
-    **dict.fromkeys(("degC", "C", "°C", "deg C", "celsius", "Celsius", "deg_C"), _CELSIUS),
-    **dict.fromkeys(("degF", "F", "°F"), _FAHRENHEIT),
-    "K": (1.0, 273.15),
-}
-
-
-#: A degree sign that a conversion between character sets has made into something else.
-_MANGLED = re.compile(r"[^\w\s/]{1,3}\s?C|[ÂÃïº˚ª½\W]{1,3}C|\u2103")
 
 
 def temperature(mapping: FieldMapping, stated: str, raw: Array, where: str) -> Conversion:

@@ -22,6 +22,13 @@ from imucalib.recording.mapping import FieldMapping
 from imucalib.units import canonical
 
 RATE_NAMES = ("sampling_rate", "sample_rate", "SampleRate", "rate", "fs")
+#: Attributes that name the columns of a dataset.
+_LABELS = ("columns", "axes", "axis", "labels", "components", "channels")
+_MOST = 4096  # datasets with rows: each costs half a millisecond before it is read
+_MOST_OBJECTS = 4 * _MOST  # with groups and datasets without rows: each costs 0.15 ms
+_DEEPEST = 32  # groups within groups
+_LARGE_CHUNK, _CHUNK_RATIO = 64 << 20, 100  # bytes of a chunk; times what all of them store
+_LARGEST_RATIO = 2000  # logical over stored bytes; deflate cannot do more than about 1032
 
 
 def text_of(value: Any) -> str:
@@ -135,10 +142,6 @@ def place_of(
         node.name, column, triad, transposed, unit=unit or named, scale=scale, offset=offset
     )
     return replace(place, order=_order_of(node, transposed)) if len(node.shape) > 1 else place
-
-
-#: Attributes that name the columns of a dataset.
-_LABELS = ("columns", "axes", "axis", "labels", "components", "channels")
 
 
 def labels_of(node: Any, dimension: int) -> list[str]:
@@ -301,13 +304,6 @@ def _own_clock(node: Any, rows: int, nodes: dict[str, Any]) -> tuple[FieldPlace,
 def _stamps(node: Any) -> FieldPlace:
     """Stamps (N,), or (1, N) as MATLAB writes a row of them."""
     return place_of(node, transposed=len(node.shape) == 2 and node.shape[0] == 1 < node.shape[1])
-
-
-_MOST = 4096  # datasets with rows: each costs half a millisecond before it is read
-_MOST_OBJECTS = 4 * _MOST  # with groups and datasets without rows: each costs 0.15 ms
-_DEEPEST = 32  # groups within groups
-_LARGE_CHUNK, _CHUNK_RATIO = 64 << 20, 100
-_LARGEST_RATIO = 2000  # logical over stored bytes; deflate cannot do more than about 1032
 
 
 def datasets(file: Any, where: str) -> Iterator[Any]:

@@ -31,6 +31,8 @@ _OBJECT = struct.Struct("<HHIQ")  # number (0: free space), uses, nothing, size
 #: Bytes searched at each end of a file: where writers put what they write before and after data.
 _SPAN, _PIECE = 32 << 20, 4 << 20  # and how many are held at a time
 _LARGEST = 1 << 20  # of a heap; the library makes them of 4 KiB, or as large as one text needs
+_DEEPEST = 8  # virtual datasets of virtual datasets
+_RANGES = 3  # of absent rows that are named
 
 
 def _demand_heaps_end(path: Path) -> None:
@@ -69,7 +71,6 @@ def _ends(data: bytes, start: int) -> bool:
 
 
 Spans = NDArray[np.int64]  #: (k, 2) first row and end of each stretch that is held, in order
-_DEEPEST = 8  # virtual datasets of virtual datasets
 _NONE: Spans = np.empty((0, 2), dtype=np.int64)
 
 
@@ -199,9 +200,6 @@ def _external_is_whole(node: Any) -> bool:
 
 def _is_own(name: str, path: Path) -> bool:
     return name == "." or (path.parent / name).resolve() == path.resolve()
-
-
-_RANGES = 3  # of absent rows that are named
 
 
 @dataclass

@@ -47,6 +47,8 @@ from imucalib.recording.onboard import Onboard
 from imucalib.recording.recording import Channel, Count, Gap, Recording, corrections_of
 
 _ROWS = 500
+_LOOKS, _LOOK = 24, 4096  # looks spread over each field, and their rows
+_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 
 def _content(node: Any, path: Path, used: Container[str] = ()) -> Content:
@@ -87,9 +89,6 @@ def _unread(nodes: Sequence[Any], signals: Sequence[FieldChannel], path: Path) -
         if numeric and (set(names) - taken if names else not taken):
             left.append(_content(node, path, taken))
     return describe_unread(left)
-
-
-_LOOKS, _LOOK = 24, 4096  # looks spread over each field, and their rows
 
 
 def _looks(found: FieldChannel) -> list[tuple[int, int]]:
@@ -192,9 +191,6 @@ class Held(NamedTuple):
 
     notes: tuple[str, ...] = ()
     onboard: Mapping[str, Onboard] = {}
-
-
-_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 
 class Hdf5Reader(Joined):

@@ -38,6 +38,7 @@ META_ORIGIN, META_DATED = "imucal.origin_ns", "imucal.dated"
 META_UNITS = {"acceleration": "imucal.acc_unit", "angular_rate": "imucal.gyro_unit"}
 
 Leaves = Mapping[str, int]  # path -> how many numbers
+_SAMPLED = 2000  # messages of a topic that give its norms, of the first block that has any
 
 
 @dataclass(frozen=True)
@@ -374,8 +375,6 @@ def _find_parts(mapping: FieldMapping, sources: Mapping[str, TopicSource]) -> li
 
 
 # -- what a log holds -------------------------------------------------------------------------
-
-_SAMPLED = 2000  # messages of a topic that give its norms, of the first block that has any
 
 
 def contents_of(log: MessageLog, topics: Mapping[int, Topic]) -> tuple[Content, ...]:

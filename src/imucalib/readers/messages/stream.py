@@ -30,6 +30,7 @@ from imucalib.recording.recording import Count
 
 #: Rows that are decoded before they are divided among their topics.
 GATHER = 1 << 16
+_UNDECIDED, _SKIPPED = -1, -2
 
 
 class _Rows(NamedTuple):
@@ -50,9 +51,6 @@ class _Lane:
     timed: bool
     waiting: list[_Rows] = field(default_factory=list)
     rows: int = 0
-
-
-_UNDECIDED, _SKIPPED = -1, -2
 
 
 class TopicStream:
