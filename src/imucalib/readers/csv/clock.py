@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from imucalib.arrays import Array, Flags
 from imucalib.errors import UnreadableInput
 from imucalib.readers.csv.rows import ParsedRows
-from imucalib.readers.csv.select import HeaderFacts, Selection
+from imucalib.readers.csv.select import Selection, Table
 from imucalib.readers.csv.stamps import MISSING, TextTime, text_layout, text_to_ns
 from imucalib.readers.fields.timebase import contradicts, date_of, seconds_of, stamps_of
 from imucalib.recording.mapping import TIME_UNITS, FieldMapping
@@ -70,20 +70,18 @@ def clock_by_rate(
 
 
 def clock_by_stamps(
+    table: Table,
     selection: Selection,
-    mapping: FieldMapping,
-    facts: HeaderFacts,
-    *,
     pieces: Sequence[tuple[ParsedRows, Flags]],
     texts: Sequence[bytes],
     kind: str,
-    where: str,
 ) -> tuple[TableClock, list[str]]:
     """The clock, and what had to be found out about it. Raises UnreadableInput where it cannot be.
 
     pieces : rows of the looks, and those where the main channel has a value
     texts : some stamps; kind : of them, as in `Layout`
     """
+    mapping, facts, where = table.mapping, table.facts, str(table.path)
     text = _text_of(selection, mapping, texts, where) if kind == "text" else None
     heading = "" if selection.time_unit.lower() in _NO_UNIT else selection.time_unit
     stamps = [_understood(rows, text, where) for rows, _ in pieces]

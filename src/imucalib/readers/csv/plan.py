@@ -15,7 +15,6 @@ from imucalib.readers.csv.clock import TableClock, clock_by_rate, clock_by_stamp
 from imucalib.readers.csv.dialect import Dialect, sniff
 from imucalib.readers.csv.rows import ParsedRows, TableLayout, parse
 from imucalib.readers.csv.select import (
-    HeaderFacts,
     Selection,
     Table,
     by_clock,
@@ -61,27 +60,25 @@ class TableSignal:
 class TablePlan:
     """How to read one file.
 
-    facts : of the lines above the table; resolved : the mapping that reads it so again
-    conditions : column from 0, and what the rows that are read hold there
+    resolved : the mapping that reads it so again
     """
 
+    table: Table
     layout: TableLayout
     clock: TableClock
     signals: tuple[TableSignal, ...]
-    facts: HeaderFacts
     notes: tuple[str, ...]
     resolved: FieldMapping
-    conditions: tuple[tuple[int, Condition], ...] = ()
 
     def rows_in(self, lines: Lines) -> Lines:
         """The lines without those above the table, and without rows that are not wanted."""
-        dialect = self.layout.dialect
+        dialect = self.table.dialect
         above = dialect.data_line - lines.first_line
         if above > 0:
             parts = lines.data.split(b"\n", above)
             data = parts[-1] if len(parts) > above else b""
             lines = replace(lines, data=data, first_line=dialect.data_line)
-        return _choose(lines, self.conditions, dialect)
+        return _choose(lines, self.table.conditions, dialect)
 
 
 def _choose(lines: Lines, conditions: Sequence[tuple[int, Condition]], dialect: Dialect) -> Lines:
@@ -149,9 +146,7 @@ def _plan(table: Table, selection: Selection) -> TablePlan:
     parsed = _parse_looks(table.pieces, layout, where)
     if layout.kind:
         main = [(r, _has_all(selection.vectors[0], layout, r)) for r in parsed]
-        clock, clock_notes = clock_by_stamps(
-            selection, mapping, facts, pieces=main, texts=stamps, kind=layout.kind, where=where
-        )
+        clock, clock_notes = clock_by_stamps(table, selection, main, stamps, layout.kind)
     else:
         clock, clock_notes = clock_by_rate(mapping.rate or facts.rate, facts.start_ns, where)
     notes = [*facts.notes, *table.notes, *clock_notes]
@@ -164,7 +159,7 @@ def _plan(table: Table, selection: Selection) -> TablePlan:
     )
     notes += [s.conversion.note for s in signals if s.conversion.note]
     unique = tuple(dict.fromkeys(notes))
-    return TablePlan(layout, clock, signals, facts, unique, mapping, conditions=table.conditions)
+    return TablePlan(table, layout, clock, signals, unique, mapping)
 
 
 def _pieces_chosen(table: Table) -> list[bytes]:

@@ -55,7 +55,7 @@ class CsvReader(Joined):
             plans = make_plans(path, mapping)
             tables = [_Table(path, plan).blocks(block_samples, strict) for plan in plans]
             found = tables[0] if len(tables) == 1 else _side_by_side(tables)
-            yield from drop_repeats(found) if plans[0].facts.device.sleeps else found
+            yield from drop_repeats(found) if plans[0].table.facts.device.sleeps else found
         except OSError as error:
             raise UnreadableInput(
                 f"the file cannot be read: {error.strerror or error}", where=str(path)
@@ -111,9 +111,9 @@ class _Table:
             plan.clock.start_ns,
             notes=plan.notes,
             mapping=plan.resolved.to_dict(),
-            corrections=plan.facts.corrections,
-            device=plan.facts.device.name,
-            serial=plan.facts.serial,
+            corrections=plan.table.facts.corrections,
+            device=plan.table.facts.device.name,
+            serial=plan.table.facts.serial,
         )
         last: Recording | None = None
         size = block_samples * max(16, 10 * plan.layout.dialect.width)
@@ -122,7 +122,7 @@ class _Table:
             if lines is not None:
                 lost += [lines.note] if lines.note else []
                 below = lines.data.partition(b"\n")[2] if lines.first_line == 1 else lines.data
-                crc = 0 if plan.facts.crc is None else zlib.crc32(below, crc)
+                crc = 0 if plan.table.facts.crc is None else zlib.crc32(below, crc)
             block = self._block(lines and plan.rows_in(lines))
             if block is not None:
                 if last is not None:
@@ -137,7 +137,7 @@ class _Table:
         }
         last, footer = _drop_footer(last, means)
         lost += [f"{self.bad} rows left out; {self.first_bad}"] if self.bad else []
-        lost += plan.facts.contradicted(self.row, crc)
+        lost += plan.table.facts.contradicted(self.row, crc)
         if strict and lost:
             raise UnreadableInput(lost[0], where=str(self.path), remedy="copy the file again")
         count = self._count(footer)
@@ -185,7 +185,7 @@ class _Table:
         self.row += t.size
         keep = np.isfinite(t)
         self.unstamped += int(t.size - np.count_nonzero(keep))
-        if self.plan.facts.device.sleeps:
+        if self.plan.table.facts.device.sleeps:
             idle = (values == 0.0).all(axis=1)
             self.idle += int(idle.sum())
             keep &= ~idle
