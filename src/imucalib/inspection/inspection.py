@@ -166,7 +166,7 @@ class _Watch:
     notes: list[str] = field(default_factory=list)
     last: Recording | None = None
 
-    def watched(self, blocks: Iterable[Recording]) -> Iterator[Recording]:
+    def follow(self, blocks: Iterable[Recording]) -> Iterator[Recording]:
         """The blocks, noticed."""
         for block in blocks:
             self.last = block
@@ -186,7 +186,7 @@ def inspect_recording(
     Raises what the blocks raise; a recording without rest or acceleration is told, not refused.
     """
     watch = _Watch()
-    stream = watch.watched(blocks)
+    stream = watch.follow(blocks)
     still, why = None, ""
     try:
         still = find_segments(stream, settings)

@@ -26,7 +26,7 @@ from imucalib.errors import Undetermined, UnreadableInput
 from imucalib.recording.identity import NAMELESS, Identity, identity_of
 from imucalib.recording.recording import Channel, Gap, HeldSamples, Recording
 from imucalib.recording.sensors import accelerometers, undecided
-from imucalib.rests.stillness import Sensor, StillSettings, every, some, still_windows
+from imucalib.rests.stillness import Sensor, StillSettings, all_axes, any_axis, still_windows
 from imucalib.rests.thermal import ThermalHistory, believable_windows, mean_of_known
 from imucalib.rests.windows import (
     WindowBuilder,
@@ -186,7 +186,7 @@ def _stuck(sensor: Sensor) -> tuple[Flags, list[str]]:
     w = sensor.windows
     found = np.zeros(w.start.size, dtype=np.bool_)
     constant = w.high == w.low
-    frozen = every(constant)
+    frozen = all_axes(constant)
     words = []
     for axis in np.flatnonzero((constant & ~frozen[:, None]).any(axis=0)):
         dead = _dead(sensor, int(axis), constant[:, axis], frozen)
@@ -244,7 +244,7 @@ def _held(sensor: Sensor, axis: int, known: Flags) -> Flags:
     joined &= np.abs(np.diff(value)) <= _ON * noise[axis]
     starts = np.flatnonzero(np.append(True, ~joined)).astype(np.intp)
     count = np.diff(starts, append=value.size)
-    still = every(calm)
+    still = all_axes(calm)
     largest = np.maximum.reduceat(np.where(still, size, -np.inf), starts)
     smallest = np.minimum.reduceat(np.where(still, size, np.inf), starts)
     long = count * w.samples >= _SECONDS * sensor.rate
@@ -256,9 +256,11 @@ def _move(w: Windows, axis: int, starts: Index) -> Flags:
     """Whether another axis moves far within each stretch, by more than the motion that may reach
     into its first and last window with a sample or two."""
     others = [k for k in range(w.high.shape[1]) if k != axis]
-    mean, far = w.mean[:, others], some(w.high[:, others] - w.low[:, others] > _FAR)
+    mean, far = w.mean[:, others], any_axis(w.high[:, others] - w.low[:, others] > _FAR)
     reach = np.maximum.reduceat(mean, starts) - np.minimum.reduceat(mean, starts)
-    return np.asarray(some(reach > _FAR) | (np.add.reduceat(far.astype(np.intp), starts) > _ENDS))
+    return np.asarray(
+        any_axis(reach > _FAR) | (np.add.reduceat(far.astype(np.intp), starts) > _ENDS)
+    )
 
 
 def _when(sensor: Sensor, flags: Flags) -> str:
@@ -274,8 +276,8 @@ def _limits(sensor: Sensor) -> list[str]:
     if not sensor.fine:
         return found
     constant = w.high == w.low
-    quiet = every(w.variance <= sensor.settings.variance_ratio * sensor.allowed**2)
-    single = constant & ~every(constant)[:, None] & quiet[:, None]
+    quiet = all_axes(w.variance <= sensor.settings.variance_ratio * sensor.allowed**2)
+    single = constant & ~all_axes(constant)[:, None] & quiet[:, None]
     for axis, name in enumerate("xyz"[: constant.shape[1]]):
         for value, word in ((w.high[:, axis].max(), "above"), (w.low[:, axis].min(), "below")):
             size = float(value) / STANDARD_GRAVITY

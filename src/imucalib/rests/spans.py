@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
-from imucalib.rests.stillness import Kinds, Sensor, every, kinds_of
+from imucalib.rests.stillness import Kinds, Sensor, all_axes, kinds_of
 from imucalib.rests.windows import KeptSamples
 from imucalib.units import DEG
 
@@ -91,10 +91,10 @@ def _groups(sensor: Sensor, kinds: Kinds) -> list[WindowGroup]:
     if not sensor.turns:
         # A turn is judged as a whole: a noise of a few µg must not cut it into rests.
         limit = np.maximum(limit, _STEP * sensor.gravity(kinds.still))
-    together = next_to & every(change <= limit)
+    together = next_to & all_axes(change <= limit)
     if not sensor.turns:
         # What moves between still windows by more than their range is a jump.
-        linked = next_to & every(change <= np.maximum(sensor.settings.range_ratio * size, limit))
+        linked = next_to & all_axes(change <= np.maximum(sensor.settings.range_ratio * size, limit))
         drifting = _drifting(sensor, chosen, together, linked)
         together |= linked & drifting[1:] & drifting[:-1]
     return [

@@ -95,7 +95,7 @@ class Sensor:
         the second and last. Quantisation, step²/12, is the floor.
         """
         # A constant axis is dead or clipped, unless the resolution hides the noise.
-        moving = every(self.windows.high > self.windows.low)
+        moving = all_axes(self.windows.high > self.windows.low)
         chosen = moving if self.fine and moving.any() else np.ones_like(moving)
         return self.level(chosen | self.zone)
 
@@ -104,7 +104,7 @@ class Sensor:
         """Windows in which a gyroscope reads one number as in other stretches before, or zero: it
         has a dead zone, and is no more frozen than any gyroscope at rest."""
         w = self.windows
-        constant = every(w.high == w.low)
+        constant = all_axes(w.high == w.low)
         if not self.turns or not constant.any():
             return np.zeros_like(constant)
         rows = np.flatnonzero(constant)
@@ -129,15 +129,15 @@ class Sensor:
         """
         w = self.windows
         moving = w.high > w.low
-        either, whole = some(moving), every(moving)
+        either, whole = any_axis(moving), all_axes(moving)
         live = whole if 2 * whole.sum() > either.sum() else either
         noise = self.level(live if live.any() else np.ones_like(live))
-        quiet = every(w.variance <= (3.0 * self.step) ** 2)
+        quiet = all_axes(w.variance <= (3.0 * self.step) ** 2)
         alone = quiet & either & ~whole
         shown = bool(np.all(noise > 2.0 * self.step))
         if (shown or alone.sum() >= _SINGLE) and self._hidden(noise):
             return False
-        extreme = some(~moving & _at_extreme(w))
+        extreme = any_axis(~moving & _at_extreme(w))
         return shown or bool((quiet & whole).sum() > (alone & ~extreme).sum())
 
     def _hidden(self, noise: Array) -> bool:
@@ -146,13 +146,13 @@ class Sensor:
         What moves is then motion: it comes in all sizes, and seldom twice with one mean.
         """
         w = self.windows
-        stepped = self._postures(every(w.high == w.low))
+        stepped = self._postures(all_axes(w.high == w.low))
         postures = np.unique(w.mean[stepped], axis=0)
         if not len(postures) or np.any(noise > self.loudest(stepped)):
             return len(postures) > 0
-        live = every((w.variance <= 3.0 * noise**2) & (w.high > w.low))
+        live = all_axes((w.variance <= 3.0 * noise**2) & (w.high > w.low))
         pairs = live[1:] & live[:-1] & w.following
-        pairs &= every(np.abs(np.diff(w.mean, axis=0)) <= noise)
+        pairs &= all_axes(np.abs(np.diff(w.mean, axis=0)) <= noise)
         return len(postures) > int(pairs.sum())
 
     @property
@@ -169,7 +169,7 @@ class Sensor:
         for turn in range(4):
             if turn:
                 level = np.maximum(level, floor)
-                inside = chosen & every(variance <= 3.0 * level)
+                inside = chosen & all_axes(variance <= 3.0 * level)
             if inside.any():  # axis by axis: the windows of weeks are large
                 level = np.array([np.median(axis[inside]) for axis in variance.T])
         return np.asarray(np.sqrt(np.maximum(level, floor)))
@@ -198,8 +198,8 @@ class Sensor:
     def quieter_than(self, level: Array) -> Flags:
         """Windows whose variance and range a noise of some standard deviation explains."""
         w = self.windows
-        quiet = every(w.variance <= self.settings.variance_ratio * level**2)
-        return quiet & every(w.high - w.low <= self.settings.range_ratio * level)
+        quiet = all_axes(w.variance <= self.settings.variance_ratio * level**2)
+        return quiet & all_axes(w.high - w.low <= self.settings.range_ratio * level)
 
     @property
     def frozen(self) -> Flags:
@@ -210,12 +210,12 @@ class Sensor:
         own last as long.
         """
         w = self.windows
-        constant = every(w.high == w.low) & ~self.zone
+        constant = all_axes(w.high == w.low) & ~self.zone
         if self.fine:
             # The window before or after one that is frozen through and through is so in part.
             after = np.append(False, constant[:-1] & w.following)
             return np.asarray(constant | after | np.append(constant[1:] & w.following, False))
-        same = constant & np.append(False, every(w.mean[1:] == w.mean[:-1]))
+        same = constant & np.append(False, all_axes(w.mean[1:] == w.mean[:-1]))
         starts = np.flatnonzero(~same)
         lengths = np.diff(starts, append=same.size)
         needed = _FROZEN_SECONDS * self.rate / w.samples
@@ -238,7 +238,7 @@ class Sensor:
         move."""
         w = self.windows
         constant = w.high == w.low
-        return np.asarray(some(constant & _at_extreme(w)) & ~every(constant) & self.fine)
+        return np.asarray(any_axis(constant & _at_extreme(w)) & ~all_axes(constant) & self.fine)
 
 
 def still_windows(sensor: Sensor) -> tuple[Flags, list[str]]:
@@ -290,14 +290,14 @@ def kinds_of(sensor: Sensor) -> Kinds:
     kinds = Kinds(still=still, notes=tuple(notes), **others)
     if still.all():
         return kinds
-    spiky, moving = _spiky(sensor), every(w.high > w.low)
+    spiky, moving = _spiky(sensor), all_axes(w.high > w.low)
     steady = _steady(sensor, still) & moving & ~spiky
     if not still.any():
         return replace(kinds, shaking=steady, spiky=spiky)
     base, louder = sensor.allowed, none.copy()
     top = np.minimum(_LOUDER * base, np.maximum(sensor.loudest(still), base))
     for _ in range(_LEVELS):
-        rest = steady & ~louder & every(w.variance <= ratio * top**2)
+        rest = steady & ~louder & all_axes(w.variance <= ratio * top**2)
         if rest.sum() < _SHARED:
             break
         level = np.maximum(sensor.level(rest), base)
@@ -305,10 +305,10 @@ def kinds_of(sensor: Sensor) -> Kinds:
         if np.any(level > top) or found.sum() < _SHARED:
             break
         louder |= found
-    other = steady & ~louder & every(w.variance <= top**2)
+    other = steady & ~louder & all_axes(w.variance <= top**2)
     slow = ~still & ~louder & ~spiky & moving
     if not sensor.turns:
-        slow &= every(w.high - w.low <= _SLOW * sensor.gravity(still))
+        slow &= all_axes(w.high - w.low <= _SLOW * sensor.gravity(still))
     return replace(
         kinds,
         still=still | louder,
@@ -328,8 +328,8 @@ def _steady(sensor: Sensor, still: Flags) -> Flags:
     two, least = one + 1, np.square(sensor.step) / 12.0
     before, after = w.variance[one] + least, w.variance[two] + least
     apart = np.square(w.mean[two] - w.mean[one]) * w.samples
-    pair = every(apart <= _ALIKE**2 * (before + after))
-    pair &= every((before <= _ALIKE * after) & (after <= _ALIKE * before))
+    pair = all_axes(apart <= _ALIKE**2 * (before + after))
+    pair &= all_axes((before <= _ALIKE * after) & (after <= _ALIKE * before))
     steady = np.zeros_like(still)
     steady[one[pair]] = steady[two[pair]] = True
     return steady & ~still
@@ -347,15 +347,15 @@ def _spiky(sensor: Sensor) -> Flags:
     reach = w.high - w.low
     far = reach > _OUTLIER * sensor.gravity()
     lone = w.variance * w.samples <= 1.6 * reach**2
-    return np.asarray(some(far) & every(~far | lone))
+    return np.asarray(any_axis(far) & all_axes(~far | lone))
 
 
-def every(flags: Flags) -> Flags:
+def all_axes(flags: Flags) -> Flags:
     """All of each row, column by column: rows of three are slow to reduce."""
     return np.asarray(reduce(np.logical_and, flags.T))
 
 
-def some(flags: Flags) -> Flags:
+def any_axis(flags: Flags) -> Flags:
     """Any of each row."""
     return np.asarray(reduce(np.logical_or, flags.T))
 

@@ -20,7 +20,7 @@ from imucalib.file_hash import sha256_of
 from imucalib.readers.csv.clock import bad_stamp
 from imucalib.readers.csv.plan import TablePlan, make_plans
 from imucalib.readers.csv.rows import ParsedRows, parse
-from imucalib.readers.csv.stamps import spread
+from imucalib.readers.csv.stamps import spread_rows
 from imucalib.readers.csv.text import Lines, cells_of, is_number, line_blocks, text_head
 from imucalib.readers.fields.joining import Joined
 from imucalib.readers.fields.timebase import find_gaps
@@ -227,7 +227,7 @@ class _Table:
             t, values = t[:cut], values[:cut]
         if t.size:
             clock = self.plan.clock
-            t = t + spread(t, clock.resolution, clock.typical, self.first_group)
+            t = t + spread_rows(t, clock.resolution, clock.typical, self.first_group)
             self.first_group = False
         return t, values
 

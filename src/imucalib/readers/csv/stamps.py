@@ -335,7 +335,7 @@ def _days(at: dict[str, Int], size: dict[str, int]) -> tuple[Int, Flags]:
     return dates.astype(np.int64), np.asarray(bad | (dates.astype("M8[M]") != months))
 
 
-def spread(stamps: Array, resolution: float, typical: float, first: bool) -> Array:
+def spread_rows(stamps: Array, resolution: float, typical: float, first: bool) -> Array:
     """Delay (s) of each row after its coarse stamp, even over the step to the next stamp.
 
     stamps : (n,) s, in which every group of equal stamps is complete, except the first one when

@@ -26,7 +26,7 @@ from imucalib.readers.devices.packets import (
     open_packets,
     packets_of,
     recordings,
-    twelve_bits,
+    unpack_twelve_bits,
     zone_of,
 )
 from imucalib.readers.fields.joining import Joined
@@ -195,4 +195,4 @@ def _samples(page: bytes) -> NDArray[np.int16]:
     digits = lines[-1] if lines else b""
     if len(digits) != _DIGITS:
         raise ValueError(f"{len(digits)} of {_DIGITS} digits")
-    return twelve_bits(bytes.fromhex(digits.decode("ascii"))).reshape(-1, 4)[:, :3]
+    return unpack_twelve_bits(bytes.fromhex(digits.decode("ascii"))).reshape(-1, 4)[:, :3]

@@ -101,7 +101,7 @@ def zone_of(text: str) -> int | None:
     return -size if found[1] == "-" else size
 
 
-def twelve_bits(raw: bytes | NDArray[np.uint8]) -> NDArray[np.int16]:
+def unpack_twelve_bits(raw: bytes | NDArray[np.uint8]) -> NDArray[np.int16]:
     """(n,) numbers of twelve bits in two's complement, two in each three bytes."""
     codes = np.frombuffer(raw, np.uint8).reshape(-1, 3).astype(np.int16)
     first = codes[:, 0] << 4 | codes[:, 1] >> 4

@@ -175,7 +175,7 @@ def in_parts(blocks: Iterator[Recording]) -> Iterator[Recording]:
     clock = _Clock()
     for block in blocks:
         if len(clock.moves) > 1 or any(g.stop < g.start - _BACK for g in block.gaps):
-            yield clock.moved(block)
+            yield clock.move(block)
         else:
             for name, channel in block.channels.items():
                 clock.keep(name, channel.t)
@@ -205,7 +205,7 @@ class _Clock:
         """Note the end of a channel's block."""
         self.last[name] = np.concatenate([self.last.get(name, t[:0]), t[-SIDES:]])[-SIDES:]
 
-    def moved(self, block: Recording) -> Recording:
+    def move(self, block: Recording) -> Recording:
         """The block, each sample moved on with its part."""
         self.notes, self.gaps, self.steps = [], [], set()
         self.dated = block.start_ns is not None
