@@ -134,7 +134,7 @@ def read(
     full = with_preset(mapping or FieldMapping())
     reader = _reader(path, full)
     found = (reader.read(Path(path), full, strict=strict) for _ in range(1))
-    return next(_look_at(found, full, reader))
+    return next(_guard(_look_at(found, full, reader), path))
 
 
 def read_together(
@@ -159,7 +159,7 @@ def blocks(
     full = with_preset(mapping or FieldMapping())
     reader = _reader(path, full)
     found = reader.blocks(Path(path), full, block_samples=block_samples, strict=strict)
-    return _look_at(found, full, reader)
+    return _guard(_look_at(found, full, reader), path)
 
 
 def blocks_again(
@@ -174,7 +174,7 @@ def blocks_again(
     one = (
         replace(b, channels={k: c for k, c in b.channels.items() if k == channel}) for b in found
     )
-    return _unwarned(in_parts(drop_impossible(one)))
+    return _guard(in_parts(drop_impossible(one)), path)
 
 
 def _reader(path: str | os.PathLike[str], mapping: FieldMapping) -> Reader:
@@ -204,14 +204,23 @@ def _look_at(
     found = select_sensor(found, mapping.sensor) if mapping.sensor else found
     possible = drop_impossible(found)
     clocked = check_clocks(tell_order(in_parts(possible)))
-    return _unwarned(mark_held(check_rates(clocked, mapping, fixed=fixed)))
+    return mark_held(check_rates(clocked, mapping, fixed=fixed))
 
 
-def _unwarned(found: Iterator[Recording]) -> Iterator[Recording]:
-    """The same; a damaged number, of any size or a signalling NaN, is no warning of numpy's."""
+def _guard(found: Iterator[Recording], path: str | os.PathLike[str]) -> Iterator[Recording]:
+    """The same; a damaged number, of any size or a signalling NaN, is no warning of numpy's. Raises
+    UnreadableInput where the operating system cannot read the file."""
     while True:
-        with np.errstate(invalid="ignore", over="ignore"):
-            one = next(found, None)
+        try:
+            with np.errstate(invalid="ignore", over="ignore"):
+                one = next(found, None)
+        except OSError as error:
+            detail = error.strerror or str(error) or type(error).__name__
+            raise UnreadableInput(
+                f"the file cannot be read: {detail}",
+                where=str(path),
+                remedy="check the disk or share",
+            ) from error
         if one is None:
             return
         yield one

@@ -51,15 +51,10 @@ class CsvReader(Joined):
         self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool
     ) -> Iterator[Recording]:
         """Yield the table in blocks of about `block_samples` rows."""
-        try:
-            plans = make_plans(path, mapping)
-            tables = [_Table(path, plan).blocks(block_samples, strict) for plan in plans]
-            found = tables[0] if len(tables) == 1 else _side_by_side(tables)
-            yield from drop_repeats(found) if plans[0].table.facts.device.sleeps else found
-        except OSError as error:
-            raise UnreadableInput(
-                f"the file cannot be read: {error.strerror or error}", where=str(path)
-            ) from error
+        plans = make_plans(path, mapping)
+        tables = [_Table(path, plan).blocks(block_samples, strict) for plan in plans]
+        found = tables[0] if len(tables) == 1 else _side_by_side(tables)
+        yield from drop_repeats(found) if plans[0].table.facts.device.sleeps else found
 
 
 READER = CsvReader()

@@ -51,12 +51,11 @@ class _Impossible:
     def without(self, channel: Channel) -> tuple[Channel, list[Gap]]:
         """The channel without them, and the gaps that they leave."""
         values, most = channel.values, _MOST if channel.unit == "m/s2" else np.inf
-        with np.errstate(invalid="ignore", over="ignore"):
-            low, high = values.min(), values.max()
-            if low >= -most and high <= most:
-                return channel, []
-            none: Flags = np.logical_not(np.isfinite(values).all(axis=1))
-            beyond: Flags = np.logical_and(~none, (np.abs(values) > most).any(axis=1))
+        low, high = values.min(), values.max()
+        if low >= -most and high <= most:
+            return channel, []
+        none: Flags = np.logical_not(np.isfinite(values).all(axis=1))
+        beyond: Flags = np.logical_and(~none, (np.abs(values) > most).any(axis=1))
         if np.count_nonzero(beyond) > _FEW * beyond.size:
             beyond = np.zeros_like(beyond)
         left = none | beyond

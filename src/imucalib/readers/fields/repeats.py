@@ -50,9 +50,7 @@ def mark_held(blocks: Iterable[Recording]) -> Iterator[Recording]:
             measured = channel.quantity in ("acceleration", "angular_rate") and channel.t.size
             if measured and channel.triad not in corrected:
                 force = [h for h in held if h.channel == f"{channel.triad}/acceleration"]
-                # A damaged number may be of any size.
-                with np.errstate(over="ignore", invalid="ignore"):
-                    held += seen.setdefault(name, _Repeats(name, channel)).add(channel, force)
+                held += seen.setdefault(name, _Repeats(name, channel)).add(channel, force)
         return replace(block, held=tuple(held)) if held else block
 
     def notes() -> Iterator[str]:

@@ -340,8 +340,7 @@ def _finite(values: NDArray[np.generic]) -> bool:
     """Whether all are: a sum that is finite has no other terms, and is faster than a look."""
     if values.dtype.kind in "iu":
         return True
-    with np.errstate(invalid="ignore", over="ignore"):
-        return bool(np.isfinite(np.sum(values)) or np.isfinite(values).all())
+    return bool(np.isfinite(np.sum(values)) or np.isfinite(values).all())
 
 
 class HeldReader(Joined):

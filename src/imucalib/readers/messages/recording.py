@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -75,11 +74,10 @@ class FirstPass:
     """One whole pass: what was decided, and with `keep` every sample."""
 
     def __init__(self, log: MessageLog, mapping: FieldMapping, *, keep: bool) -> None:
-        with _readable(log):
-            self._survey(log, mapping, frozenset(), keep=keep)
-            if apart := self.stream.overlapping():
-                self._survey(log, mapping, apart, keep=keep)
-            self.plan = _decide(self.stream)
+        self._survey(log, mapping, frozenset(), keep=keep)
+        if apart := self.stream.overlapping():
+            self._survey(log, mapping, apart, keep=keep)
+        self.plan = _decide(self.stream)
         for source in self.stream.sources.values():
             source.pieces.clear()
 
@@ -107,20 +105,6 @@ class FirstPass:
         return TopicSamples(source, columns.pop() if source.instant else None, log, columns)
 
 
-@contextmanager
-def _readable(log: MessageLog) -> Iterator[None]:
-    """Raises UnreadableInput where the operating system cannot read the log."""
-    try:
-        yield
-    except OSError as error:
-        detail = error.strerror or str(error) or type(error).__name__
-        raise UnreadableInput(
-            f"the file cannot be read: {detail}",
-            where=str(log.path),
-            remedy="check the disk or share",
-        ) from error
-
-
 def read_log(log: MessageLog, mapping: FieldMapping) -> Recording:
     """Read all samples in one pass; peak memory is the result and one spare channel."""
     first = FirstPass(log, mapping, keep=True)
@@ -135,10 +119,8 @@ def log_blocks(
 ) -> Iterator[Recording]:
     """Read the log twice: what holds for all of it first, then the samples in blocks."""
     first = FirstPass(log, mapping, keep=False)
-    with _readable(log):
-        apart = first.stream.apart
-        stream = TopicStream(log, mapping, apart, gather=min(block_samples, GATHER))
-        yield from _recordings(first.plan, stream.samples(), block_samples=block_samples)
+    stream = TopicStream(log, mapping, first.stream.apart, gather=min(block_samples, GATHER))
+    yield from _recordings(first.plan, stream.samples(), block_samples=block_samples)
 
 
 def _recordings(
