@@ -174,9 +174,8 @@ def test_what_has_no_room_is_counted(count: int, width: int) -> None:
         tuple(Worth(f"quantity {k}", "± 1 mg", "95 %") for k in range(3)),
         (Text(sentence),) * count,
         (sentence,) * count,
-        headline="Ready to use.",
     )
-    document = Document("d", Text("v", "ok"), (), card=card)
+    document = Document("d", Text("Ready to use.", "ok"), (), card=card)
     text = render_text(document, width, color=False)
     assert len(text.splitlines()) <= SCREEN
     assert text.count("± 1 mg") == 3

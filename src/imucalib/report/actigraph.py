@@ -71,11 +71,7 @@ _METHODS: tuple[Column, ...] = (
 
 def actigraph_document(run: ActigraphRun) -> Document:
     """Everything that a reader of the calibration must know, headline first."""
-    outcome, error = run.outcome, run.outcome.error
-    head = (
-        f"Error at rest on held-out time {error.held_out.raw:.2f} mg raw, "
-        f"{error.held_out.base:.2f} with nine parameters, {error.held_out.final:.2f} final."
-    )
+    outcome = run.outcome
     picture, *others = _residual_plots(run)
     residuals = (*gain_plot(outcome.findings), *others)
     parts = [
@@ -85,7 +81,6 @@ def actigraph_document(run: ActigraphRun) -> Document:
         _series_section(run.series),
         _parameters(run),
         _coverage(run),
-        sections.advice_section(outcome),
         Section(RESIDUALS, residuals, brief=False),
         Section("Error over the sphere", _sphere_blocks(run), brief=False),
         _rule(run),
@@ -94,7 +89,7 @@ def actigraph_document(run: ActigraphRun) -> Document:
     if outcome.findings:
         parts.append(sections.candidate_section(outcome.findings))
     title = f"Calibration of {Path(run.scanned.path).name} by gravity"
-    return sections.calibration_document(title, head, parts, run, _card(run, picture))
+    return sections.calibration_document(title, parts, run, _card(run, picture))
 
 
 def _card(run: ActigraphRun, picture: Plot) -> Card:
@@ -359,13 +354,8 @@ def _sphere_blocks(run: ActigraphRun) -> tuple[Plot, Table]:
 
 def published_document(run: PublishedRun) -> Document:
     """The paper's own procedure: its methods next to each other, verified; parameters, points."""
-    error = run.outcome.error
-    head = (
-        f"Mean error {error.held_out.raw:.2f} mg before, {error.held_out.final:.2f} mg after, on "
-        f"{len(run.details.control_points_g)} points that were not used (paper 002, Table 3)."
-    )
     note = "Fixed point: operands of 32 or 16 bits, products of twice as many, no square root."
-    title = "The paper's methods on the same 18 points"
+    title = "The paper's methods on the same 18 points (paper 002, Table 3)"
     methods = Table.of(_METHODS, run.details.methods.items(), title, note)
     note = "sd from the residual of the points; 18 points leave 9 degrees of freedom."
     points = tuple(
@@ -377,6 +367,6 @@ def published_document(run: PublishedRun) -> Document:
         Section("Points", (Table("Points (g)", ("", "x", "y", "z"), points, "lrrr"),), brief=False),
     )
     title = f"Calibration of {Path(run.scanned.path).name} as published"
-    worth = sections.error_worth(error, "|a| at rest", "points")
+    worth = sections.error_worth(run.outcome.error, "|a| at rest", "points")
     card = sections.card_of(run.outcome, [worth], uses=(sections.CORRECT,))
-    return sections.calibration_document(title, head, parts, run, card)
+    return sections.calibration_document(title, parts, run, card)

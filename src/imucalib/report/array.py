@@ -36,13 +36,7 @@ _UNEVEN = 0.3
 def array_document(run: ArrayRun) -> Document:
     """Everything that a reader of the positions must know, headline first."""
     outcome, observability = run.outcome, _observability(run)
-    sd = 1e3 * float(np.median(run.total.sd[1:]))
     off = 1e3 * (run.total.mean - run.board.drawn)
-    head = (
-        f"{run.board.count} positions to {sd:.2g} mm (median standard deviation, size and frame "
-        f"included) from {len(run.state.setup.inner)} moving samples; they differ from the drawing "
-        f"by {_rms(off[1:]):.2g} mm rms."
-    )
     note = f"mm, relative to {run.board.imus[0]}, in the board's axes; sd with size and frame."
     more = tuple(", ".join(f"{v:+.2f}" for v in one) for one in off)
     positions = ("Positions of the accelerometers", run.board, run.total, "minus drawing", more)
@@ -69,7 +63,7 @@ def array_document(run: ArrayRun) -> Document:
     ]
     title = f"Positions of {run.board.name} from {outcome.provenance.path}"
     card = _card(run, observability)
-    return sections.calibration_document(title, head, parts, run, card)
+    return sections.calibration_document(title, parts, run, card)
 
 
 _FUSE = Use(
@@ -240,10 +234,6 @@ def board_document(run: BoardRun) -> Document:
     board, request = run.runs[0].board, run.runs[0].request
     sd = 1e3 * float(np.median(run.total.sd[1:]))
     names = ", ".join(r.outcome.provenance.path for r in run.runs)
-    head = (
-        f"{len(run.runs)} logs of {board.name}: {board.count} positions to {sd:.2g} mm "
-        "(median standard deviation, size and frame included)."
-    )
     between = 1e3 * run.pooled.between.reshape(-1, 3)
     more = ("", *(", ".join(f"{v:.3f}" for v in one) for one in between))
     note = "mm; between logs: of the positions as the motion shows them, without size and frame."
@@ -258,7 +248,7 @@ def board_document(run: BoardRun) -> Document:
     title = f"{board.name} from {names}"
     worth = Worth("positions", f"± {1.96 * sd:.2g} mm", "95 %, median; size and frame included")
     card = sections.card_of(run.outcome, [worth])
-    return sections.calibration_document(title, head, parts, run, card)
+    return sections.calibration_document(title, parts, run, card)
 
 
 def _agreement(run: BoardRun) -> Section:

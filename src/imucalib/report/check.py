@@ -28,7 +28,6 @@ from imucalib.report.render.document import (
     Series,
     Table,
     Text,
-    Tone,
     Worth,
     capital,
 )
@@ -36,11 +35,10 @@ from imucalib.significant_digits import format_components, per_cent, plus_minus,
 from imucalib.units import MG
 
 SCHEMA = "imucal/check/1"
-_TONE: dict[str, Tone] = {"still good": "ok", "changed": "bad", "undecided": "warning"}
-_HEADLINE = {
-    "still good": "Still good.",
-    "changed": "The sensor is not what the calibration says.",
-    "undecided": "Undecided: these readings are too few, or one of them is off.",
+_VERDICT = {
+    "still good": Text("Still good.", "ok"),
+    "changed": Text("The sensor is not what the calibration says.", "bad"),
+    "undecided": Text("Undecided: these readings are too few, or one of them is off.", "warning"),
 }
 #: Standard deviations on either side of what holds 95 %.
 _NORMAL_95 = 1.96
@@ -69,7 +67,7 @@ def check_document(check: Check, log: Path, calibration: Path, command: str = ""
     footer = (("calibration", str(calibration)), ("log", str(log)), *typed)
     title = f"Check of {calibration.name} with {log.name}"
     card = _card(check, calibration, command)
-    return Document(title, _verdict(check), parts, footer, card, drawn="--html")
+    return Document(title, _VERDICT[check.verdict], parts, footer, card, drawn="--html")
 
 
 def _how(check: Check) -> str:
@@ -105,32 +103,6 @@ def _odd(check: Check) -> list[str]:
     ]
 
 
-def _verdict(check: Check) -> Text:
-    """The headline."""
-    lead, tone = f"(unchanged: {per_cent(check.nothing)})", _TONE[check.verdict]
-    least = {name: _least(check, name) for name in check.limits}
-    if check.verdict == "changed":
-        return Text(f"Changed {lead}: {'; '.join(_changes(check))}.", tone)
-    if check.disturbed:
-        words = f"Undecided {lead}: {'; '.join(_odd(check))}."
-    elif check.verdict == "undecided":
-        short = " or ".join(
-            f"{limit:.2g} {FAMILIES[name]} of {name}"
-            for name, limit in check.limits.items()
-            if least[name] > limit
-        )
-        words = (
-            f"Undecided {lead}: nothing shows, but these readings could not have shown a change of "
-            f"{short}; they could see {_sizes(least.items())}."
-        )
-    else:
-        words = (
-            f"Still good {lead}: a change of {_sizes(least.items())} would have been told in "
-            f"{_OFTEN} of such checks."
-        )
-    return Text(words, tone)
-
-
 def _card(check: Check, calibration: Path, command: str) -> Card:
     """What it could have seen; what shows, and the reading that fits least; what to do."""
     worths = []
@@ -145,8 +117,7 @@ def _card(check: Check, calibration: Path, command: str) -> Card:
         words = "Nothing shows: the readings are as the calibration foretells them."
         found = (Text(words, "ok" if check.verdict == "still good" else "plain"),)
     steps = _to_do(check, shlex.quote(str(calibration)))
-    picture, headline = _picture(check), _HEADLINE[check.verdict]
-    return Card(tuple(worths), found, steps, command, headline=headline, picture=picture)
+    return Card(tuple(worths), found, steps, command, picture=_picture(check))
 
 
 def _picture(check: Check) -> Plot:
@@ -281,7 +252,8 @@ def _change_table(check: Check) -> Table:
     )
     header = (*["sensor"] * several, "change", "there", "estimate", "could see", "limit", "unit")
     rows = tuple(row(*one) for one in every)
-    return Table("", header, rows, "l" * several + "lrlrrl", note, tones)
+    title = f"Unchanged with {per_cent(check.nothing)}"
+    return Table(title, header, rows, "l" * several + "lrlrrl", note, tones)
 
 
 def _readings(sensor: SensorCheck) -> Table:

@@ -37,13 +37,7 @@ _HOW = {
 
 
 def fleet_document(fleet: Fleet) -> Document:
-    """Headline and card first."""
-    outlying = (
-        f"{o.device}: {o.parameter} is {plus_minus(o.value, o.sd, o.unit)}, the others "
-        f"{o.mean:.3g} with a scatter of {o.scatter:.2g} (chance {o.p:.1g}): another kind, another "
-        "unit, or a fault."
-        for o in fleet.outliers
-    )
+    """Verdict and card first."""
     kept = (r for m in fleet.members for r in m.recordings if r.kept)
     notes = (*fleet.notes, *(f"{r.name} stays as it was calibrated: {r.kept}." for r in kept))
     each = _each(fleet)
@@ -51,65 +45,27 @@ def fleet_document(fleet: Fleet) -> Document:
         Section("What the devices share", _shared(fleet)),
         Section("Devices", each[:1]),
         Section("Between devices", _spread(fleet), brief=False),
-        Section("Not of the kind", Text.each(outlying, "warning")),
         Section("What was tried", _try(fleet), brief=False),
-        Section("Not calibrated", Text.each((f"{n}: {why}" for n, why in fleet.failed), "bad")),
         Section("Notes", Text.each(notes)),
     )
     command = fleet.settings.command
     footer = (("command", command),) if command else ()
-    title, verdict = f"Fleet of {len(fleet.members)} devices", _verdict(fleet)
-    uses, headline = _uses(fleet), _headline(fleet)
-    card = Card(
-        _worth(fleet),
-        _find(fleet),
-        _to_do(fleet),
-        command,
-        uses,
-        headline,
-        picture=each[1] if each else None,
-    )
-    return Document(title, verdict, parts, footer, card)
+    picture = each[1] if each else None
+    card = Card(_worth(fleet), _find(fleet), _to_do(fleet), command, _uses(fleet), picture)
+    title = f"Fleet of {len(fleet.members)} devices"
+    return Document(title, _verdict(fleet), parts, footer, card)
 
 
 def _verdict(fleet: Fleet) -> Text:
-    search, gain, lead = fleet.search, fleet.difference, fleet.verdict.capitalize()
-    found = search.found if search else ()
-    names = ", ".join(" or ".join((one.effect, *one.rivals)) for one in found)
-    if search is None:
-        text = f"{len(fleet.members)} devices compared by their parameters; nothing was searched."
-    elif names:
-        text = f"{lead}: {names}, in every device with a size of its own."
-        if gain is not None and not np.isnan(gain.nats):
-            text += (
-                f" The others foretell {gain.parts} devices by {gain.nats:+.1f} nats in sum "
-                f"(95 %: at least {gain.nats_low:+.1f}); error of a posture {gain.before:.3g} to "
-                f"{gain.after:.3g} mg."
-            )
-        elif gain is not None:
-            text += (
-                f" Held-out error {gain.before:.3g} to {gain.after:.3g} mg, less by "
-                f"{gain.gain:.3g} mg (95 %: {gain.low:.2g} to {gain.high:.2g})."
-            )
-    elif search.refused:
-        stood = " and ".join(name for name, _ in search.refused)
-        text = (
-            f"{lead}: {stood} stands out, but what some devices say of it does not "
-            "foretell the others."
-        )
-    else:
-        text = f"{lead}: no effect is shared."
-    return Text(text, _TONE.get(fleet.verdict, "plain"))
-
-
-def _headline(fleet: Fleet) -> str:
-    """The verdict without its figures."""
-    if fleet.search is None:
-        return f"{len(fleet.members)} devices compared by their parameters."
-    names = ", ".join(" or ".join(map(in_words, (f.effect, *f.rivals))) for f in fleet.search.found)
-    if not names:
-        return "Nothing that the devices share shows."
-    return f"{fleet.verdict.capitalize()}: all devices have {names}."
+    """Without figures: these are on the card."""
+    found = fleet.search.found if fleet.search else ()
+    names = ", ".join(" or ".join(map(in_words, (f.effect, *f.rivals))) for f in found)
+    words = "Nothing that the devices share shows."
+    if names:
+        words = f"{fleet.verdict.capitalize()}: all devices have {names}."
+    elif fleet.search is None:
+        words = f"{len(fleet.members)} devices compared by their parameters."
+    return Text(words, _TONE.get(fleet.verdict, "plain"))
 
 
 def _uses(fleet: Fleet) -> tuple[Use, ...]:
@@ -166,9 +122,10 @@ def _find(fleet: Fleet) -> tuple[Text, ...]:
             what = "; ".join(f"{name} stands out, but {why}" for name, why in fleet.search.refused)
             what = f"{capital(what)}."
         lines.append(Text(what if fleet.search else "No effect was searched for.", tone))
-    if fleet.outliers:
-        odd = dict.fromkeys(o.device for o in fleet.outliers)
-        lines.append(Text(f"Not of the kind: {', '.join(odd)}.", "warning"))
+    for o in fleet.outliers:
+        size = f"{o.parameter} is {plus_minus(o.value, o.sd, o.unit)}, the others {o.mean:.3g}"
+        words = f"{size} with a scatter of {o.scatter:.2g} (chance {o.p:.1g})"
+        lines.append(Text(f"Not of the kind: {o.device}, whose {words}.", "warning"))
     if fleet.failed:
         failed = ", ".join(name for name, _ in fleet.failed)
         lines.append(Text(f"Not calibrated: {failed}.", "bad"))

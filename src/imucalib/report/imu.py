@@ -43,11 +43,7 @@ from imucalib.units import DEG
 
 def imu_document(run: ImuRun) -> Document:
     """Everything that a reader of the calibration must know, headline first."""
-    outcome, error = run.outcome, run.outcome.error
-    head = (
-        f"Held-out gravity over a turn {error.held_out.raw:.2f} as read, {error.held_out.base:.2f} "
-        f"with gains, {error.held_out.final:.2f} deg rms final {sections.floor_words(error)}."
-    )
+    outcome = run.outcome
     parts = [
         sections.loop_section(outcome),
         Section(RESIDUALS, gain_plot(outcome.findings), brief=False),
@@ -55,13 +51,12 @@ def imu_document(run: ImuRun) -> Document:
         Section("Parameters", (sections.parameter_table(run.calibration, ""),), brief=False),
         sessions_section(run.sessions),
         temperature_section(run.calibration),
-        sections.advice_section(outcome),
         sections.sensor_section(run.calibration),
         Section("Turns", (_turns(run),), brief=False),
         *sections.closing_sections(outcome),
     ]
     title = f"IMU calibration of {outcome.provenance.path}"
-    return sections.calibration_document(title, head, parts, run, _card(run))
+    return sections.calibration_document(title, parts, run, _card(run))
 
 
 def _card(run: ImuRun) -> Card:

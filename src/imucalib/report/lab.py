@@ -63,11 +63,6 @@ _FOLLOWED = {
 def lab_document(run: LabRun) -> Document:
     """Everything that a reader of the calibration must know, headline first."""
     outcome, result, request = run.outcome, run.result, run.request
-    error = outcome.error
-    head = (
-        f"Held-out error {error.held_out.raw:.2f} raw, {error.held_out.base:.2f} base, "
-        f"{error.held_out.final:.2f} {error.unit} rms final {sections.floor_words(error)}."
-    )
     picture, *others = _residual_plots(run)
     plots = (*gain_plot(outcome.findings), *others, _attitude_map(run))
     parts = [
@@ -80,7 +75,6 @@ def lab_document(run: LabRun) -> Document:
         sessions_section(run.sessions),
         temperature_section(run.calibration),
         _dial_section(run),
-        sections.advice_section(outcome),
         sections.sensor_section(run.calibration, _iscwsa_table(run.calibration)),
         _uncertainty_section(run),
         Section("Positions", (_position_table(run),), brief=False),
@@ -90,7 +84,7 @@ def lab_document(run: LabRun) -> Document:
     if request.objective == "paper":
         parts.append(Section("As published", (_published_table(run),), brief=False))
     title = f"Lab calibration of {outcome.provenance.path}"
-    return sections.calibration_document(title, head, parts, run, _card(run, picture))
+    return sections.calibration_document(title, parts, run, _card(run, picture))
 
 
 def _knows_angles(run: LabRun) -> bool:

@@ -56,8 +56,8 @@ from imucalib.significant_digits import (
 )
 from imucalib.units import MG
 
-#: Parameters of one effect that a card names, steps of advice that it gives, names still open.
-_PARAMETERS, _STEPS, _OPEN = 3, 4, 3
+#: Parameters of one effect that a card names, names still open.
+_PARAMETERS, _OPEN = 3, 3
 #: Effects up to which a card says what each means, and rivals that it names of each.
 _FEW, _RIVALS = 3, 3
 #: Effects that could hide, as many as are named.
@@ -81,17 +81,10 @@ _ANEW = (
 )
 
 
-def calibration_document(
-    title: str, head: str, parts: Sequence[Section], run: Run, card: Card
-) -> Document:
-    """The report of a calibration, with its certificate and its provenance.
-
-    head : the figure that leads the verdict
-    """
-    outcome = run.outcome
-    certificate = certify(run, card)
-    footer = outcome.provenance.footer
-    return Document(title, _verdict(outcome, head), tuple(parts), footer, card, certificate)
+def calibration_document(title: str, parts: Sequence[Section], run: Run, card: Card) -> Document:
+    """The report of a calibration, with its certificate and its provenance."""
+    footer, verdict = run.outcome.provenance.footer, _verdict(run.outcome)
+    return Document(title, verdict, tuple(parts), footer, card, certify(run, card))
 
 
 def card_of(
@@ -123,10 +116,9 @@ def card_of(
     return Card(
         tuple(good_to) if settled else (),
         tuple(said),
-        tuple(decision(step, command) for step in steps[:_STEPS]),
+        tuple(decision(step, command) for step in steps),
         command,
         uses=uses if usable else (),
-        headline=_headline(outcome),
         picture=picture,
     )
 
@@ -161,15 +153,14 @@ def decision(step: str | Question, command: str) -> str:
     return f"{named}: if that is right, type this{other}: `{typed}`"
 
 
-def _headline(outcome: Outcome) -> str:
-    """The verdict in words, without figures."""
+def _verdict(outcome: Outcome) -> Text:
+    """In words, without figures: these are on the card."""
+    words = " ".join(f"{capital(text)}." for text in _why(outcome)) or "Ready to use."
     if outcome.broken:
-        return f"{'; '.join(outcome.broken)}."
-    if outcome.undecided:
-        return "Settle what is marked below before these figures are used."
-    if why := _why(outcome):
-        return " ".join(f"{capital(text)}." for text in why)
-    return "Ready to use."
+        words = f"{'; '.join(outcome.broken)}."
+    elif outcome.undecided:
+        words = "Settle what is marked below before these figures are used."
+    return Text(words, _TONE[outcome.status])
 
 
 def _slips(outcome: Outcome) -> tuple[Question, ...]:
@@ -244,7 +235,11 @@ def _list_findings(found: Findings) -> list[Text]:
         lines.append(Text(f"{words}{refused}."))
     named = [u for u in found.unexplained if _is_named(u)]
     told = [f"{in_words(u.name)} ({per_cent(u.probability)})" for u in named]
-    nameless = _nameless([u for u in found.unexplained if not _is_named(u)])
+    nameless = [
+        in_words(u.name) + (f" (driven by {u.follows})" if u.follows else "")
+        for u in found.unexplained
+        if not _is_named(u)
+    ]
     for words, every in (("Named, but not corrected", told), ("Unexplained structure", nameless)):
         if every:
             more = f", and {len(every) - _OPEN} more" if len(every) > _OPEN else ""
@@ -259,14 +254,6 @@ def _list_findings(found: Findings) -> list[Text]:
 def _is_named(one: Unexplained) -> bool:
     """Whether it is a cause of the catalogue, likelier than not."""
     return bool(known(one.name)) and names_a_cause(one.name) and one.probability > _EVEN
-
-
-def _nameless(unexplained: Sequence[Unexplained]) -> list[str]:
-    """What no effect explains, and against what it shows."""
-    return [
-        f"{in_words(u.name)} (driven by {u.follows})" if u.follows else in_words(u.name)
-        for u in unexplained
-    ]
 
 
 def _describe_step(step: FoundStep) -> str:
@@ -307,19 +294,6 @@ def _nothing_found(found: Findings) -> Text:
     return Text(f"{said}{could}.", "ok" if found.complete > _EVEN else "plain")
 
 
-def floor_words(error: ErrorSummary, digits: int = 2) -> str:
-    """What the measured noise alone would leave, in brackets."""
-    if math.isnan(error.floor):
-        return "(noise floor unknown: nothing repeated, no noise declared)"
-    return f"(noise floor {error.floor:.{digits}f})"
-
-
-def _verdict(outcome: Outcome, head: str) -> Text:
-    """A figure, broken limits, what is undecided, and reasons, in the tone of the status."""
-    said = (*outcome.broken, *map(str, outcome.undecided), *map(capital, _why(outcome)))
-    return Text(" ".join([head, *(f"{text}." for text in said)]), _TONE[outcome.status])
-
-
 def _why(outcome: Outcome) -> list[str]:
     """Reasons for a caution."""
     # A wrong record is said by what is undecided about it, what stays by the card.
@@ -334,19 +308,15 @@ def _why(outcome: Outcome) -> list[str]:
 
 
 def loop_section(outcome: Outcome) -> Section:
-    """What was found, step by step, and what stays."""
-    found = outcome.findings
+    """The effects that were added, what could hide, and the error before and after; the card says
+    in words what was found."""
+    found = outcome.findings or Findings("not run")
     note = _HELD_OUT.get(outcome.calibrator, _HELD_OUT[""])
-    if found and found.steps and outcome.calibrator != "array":
+    if found.steps and outcome.calibrator != "array":
         note = _ANEW
     judged = [e for e in outcome.errors if not (math.isnan(e.base) and math.isnan(e.held_out.base))]
-    shown = [_error_table(e, note if e is judged[-1] else "") for e in judged]
-    if found is None:
-        return Section("Closed loop", (Text("The search was not run."), *shown))
+    errors = [_error_table(e, note if e is judged[-1] else "") for e in judged]
     blocks: list[Block] = []
-    if found.records:
-        blocks.append(_record_table(found))
-    blocks.append(_loop_verdict(found))
     if any(size for _, size in found.declared):
         blocks.append(Table("Declared effects", ("effect", "size"), found.declared, "ll"))
     limited = (("only", found.only), ("without", found.without))
@@ -356,20 +326,10 @@ def loop_section(outcome: Outcome) -> Section:
     for kind in kinds:
         steps = [s for s in found.steps if tuple(c.metric for c in s.checks) == kind]
         blocks.append(_step_table(steps))
-    blocks += [*_power(found), *shown]
+    blocks += [*_power(found), *errors]
     if found.facts:
         blocks.append(Facts(found.facts))
     return Section("Closed loop", tuple(blocks))
-
-
-def _record_table(found: Findings) -> Table:
-    rows = tuple(
-        (r.where, r.channel, plus_minus(r.size, r.sd, r.unit), per_cent(r.probability), r.likely)
-        for r in found.records
-    )
-    header = ("record", "channel", "off by", "p", "likely")
-    tones: dict[int, Tone] = dict.fromkeys(range(len(rows)), "bad")
-    return Table("Records that do not belong to the rest", header, rows, "lllll", tones=tones)
 
 
 def _error_table(error: ErrorSummary, note: str) -> Table:
@@ -389,43 +349,6 @@ def _error_table(error: ErrorSummary, note: str) -> Table:
     header = ("", *["fitted"] * fitted, "held out")
     title = f"Error before and after ({error.metric}, {error.unit})"
     return Table(title, header, tuple(rows), "", note)
-
-
-def _loop_verdict(found: Findings) -> Text:
-    named = [s for s in found.steps if not s.curve]
-    names = ", ".join(
-        f"a form without a known cause ({s.formula})"
-        if s.formula
-        else " or ".join(map(in_words, (s.effect, *s.aliases)))
-        for s in named
-    )
-    records = ", ".join(r.where for r in found.records)
-    wrong = f"a wrong record ({records})" if records else ""
-    cause = " and ".join(filter(None, (wrong, names)))
-    curves = [f"{s.curve}, corrected by a curve" for s in found.steps if s.curve]
-    unknown = ", ".join([*_nameless(found.unexplained), *curves])
-    aside = f", {records} set aside" if records else ""
-    judged = found.gain if found.steps or found.refuted else None
-    gained = f" Held out{aside}: {judged.words}." if judged else ""
-    match found.verdict:
-        case "not run":
-            return Text("Fitted with the declared effects; the search was not run.")
-        case "nothing missing":
-            return _nothing_found(found)
-        case "explained":
-            return Text(f"The residual is explained by {cause}.{gained}", "ok")
-        case "explained in part":
-            words = f"The residual is explained in part by {cause}; left: {unknown}.{gained}"
-            return Text(words, "warning")
-        case "suspected":
-            doubt = "The correction is applied, but held-out data do not prove it yet"
-            if not named:
-                doubt = "One clean table in a hundred has such a record: read it again before it "
-                doubt += "is left out"
-            more = f"; left: {unknown}" if unknown else ""
-            return Text(f"Suspected: {cause}. {doubt}{more}.{gained}", "warning")
-    words = f"Unexplained structure: {unknown}. No effect that was searched fits.{gained}"
-    return Text(words, "bad")
 
 
 def _step_table(steps: Sequence[FoundStep]) -> Table:
@@ -522,13 +445,6 @@ def candidate_section(found: Findings) -> Section:
         note = "Absorbed by what is fitted, or by effects already in the model."
         blocks.append(Table("What these data cannot show", heads, cells, "llr", note))
     return Section("Candidates tried", tuple(blocks), brief=False)
-
-
-def advice_section(outcome: Outcome) -> Section:
-    """What to do next."""
-    return Section(
-        "Advice", Text.each(map(str, outcome.advice or ("Nothing to do.",))), brief=False
-    )
 
 
 def closing_sections(outcome: Outcome) -> tuple[Section, ...]:

@@ -186,7 +186,6 @@ class Card:
     """What a reader takes away: the sensor's worth, what was found, what to do, the command.
 
     uses : what the calibration is good for, until it is known where it was written
-    headline : the verdict without its figures
     picture : the residual before and after what was found, where there is one
     """
 
@@ -195,7 +194,6 @@ class Card:
     to_do: tuple[str, ...]
     command: str = ""
     uses: tuple[Use, ...] = ()
-    headline: str = ""
     picture: Plot | None = None
 
 
@@ -212,8 +210,8 @@ class Certificate:
 
 @dataclass(frozen=True)
 class Document:
-    """A whole report: headline, one-sentence verdict with its tone, the card, sections that hold
-    anything, provenance.
+    """A whole report: title, verdict with its tone, the card, sections that hold anything,
+    provenance.
 
     certificate : of a calibration, whose page also says what its words mean
     drawn : where the figures are, for a terminal

@@ -139,8 +139,8 @@ class _Sheet:
         it goes, the last step first."""
         for most in range(_MOST, _FEWEST - 1, -1):
             lists = self.briefly(card, most)
-            headline = card.headline or self.document.verdict.text
-            head = self.lines(*self.head(self.cut(headline, most - 1, 10)))
+            verdict = self.cut(self.document.verdict.text, most - 1, 10)
+            head = self.lines(*self.head(verdict))
             room = SCREEN - len(head) - 2 * len(lists) - len(self.last(PAGE))
             if sum(map(_height, lists.values())) <= room:
                 break
@@ -216,11 +216,11 @@ class _Sheet:
             said.pop()
         return " ".join(said)
 
-    def head(self, headline: str = "") -> list[RenderableType]:
-        """Title and verdict, or a headline in its place."""
+    def head(self, words: str = "") -> list[RenderableType]:
+        """Title and verdict, or its first words."""
         verdict = self.document.verdict
         mark = f"{SIGNS[verdict.tone]} {WORDS[verdict.tone]}: " if SIGNS[verdict.tone] else ""
-        said = Line(mark + _normalize_spaces(headline or verdict.text))
+        said = Line(mark + _normalize_spaces(words or verdict.text))
         said.stylize(f"bold {STYLES[verdict.tone]}".strip(), 0, len(mark))
         title = self.running(Line(one_line(self.document.title), "bold"))
         return [title, Line("═" * self.measure, "dim"), self.running(said)]
