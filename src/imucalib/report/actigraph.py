@@ -30,7 +30,6 @@ from imucalib.report.render.document import (
     Worth,
 )
 from imucalib.significant_digits import (
-    format_with_sd,
     per_cent,
     plus_minus,
     probability,
@@ -38,7 +37,6 @@ from imucalib.significant_digits import (
 )
 from imucalib.units import MG
 
-_MOST_ROWS = 12  # parameters of one effect that are shown in full
 _BINS = 60
 #: Two standard deviations of noise whose mean size is one.
 _NOISE = 2.0 * float(np.sqrt(np.pi / 2.0))
@@ -81,8 +79,8 @@ def actigraph_document(run: ActigraphRun) -> Document:
         _series_section(run.series),
         _parameters(run),
         _coverage(run),
-        Section(RESIDUALS, residuals, brief=False),
-        Section("Error over the sphere", _sphere_blocks(run), brief=False),
+        Section(RESIDUALS, residuals),
+        Section("Error over the sphere", _sphere_blocks(run)),
         _rule(run),
         sections.sensor_section(run.calibration),
     ]
@@ -204,7 +202,7 @@ def _rule(run: ActigraphRun) -> Section:
     if not rule.enough:
         words.append(("its own condition", "not met: an axis has not seen both signs of 0.3 g"))
     table = Table("Six coefficients", header, rows, "lrrr", note)
-    return Section(title, (table, Facts(tuple(words))), brief=False)
+    return Section(title, (table, Facts(tuple(words))))
 
 
 def _series_section(found: Calibrations | None) -> Section:
@@ -241,23 +239,12 @@ def _series_section(found: Calibrations | None) -> Section:
 
 
 def _parameters(run: ActigraphRun) -> Section:
-    fit = run.result.final
-    share, rows, hidden = from_data(fit), [], []
-    for name, part in fit.model.slices(fit.observations.context).items():
-        if part.stop - part.start > _MOST_ROWS:
-            hidden.append(f"{name} ({part.stop - part.start} terms)")
-            continue
-        for k in range(part.start, part.stop):
-            p = fit.parameters[k]
-            value = format_with_sd(fit.theta[k], fit.sd[k])
-            rows.append((p.name, name, *value, p.unit, f"{100.0 * share[k]:.0f}"))
     note = (
         "Uncertainty by posture run: windows of one posture are not independent. Data: the share "
         "of what is known that the recording has shown, 1 - (sd / typical size)²."
     )
-    note += f" In calibration.yaml only: {', '.join(hidden)}." if hidden else ""
-    header = ("parameter", "effect", "value", "sd", "unit", "data, %")
-    return Section("Parameters", (Table("Parameters", header, tuple(rows), "llrrlr", note),))
+    shares = from_data(run.result.final).tolist()
+    return Section("Parameters", (sections.parameter_table(run.calibration, note, shares),))
 
 
 def _coverage(run: ActigraphRun) -> Section:
@@ -364,7 +351,7 @@ def published_document(run: PublishedRun) -> Document:
     parts = (
         Section("Methods", (methods,)),
         Section("Parameters", (sections.parameter_table(run.calibration, note),)),
-        Section("Points", (Table("Points (g)", ("", "x", "y", "z"), points, "lrrr"),), brief=False),
+        Section("Points", (Table("Points (g)", ("", "x", "y", "z"), points, "lrrr"),)),
     )
     title = f"Calibration of {Path(run.scanned.path).name} as published"
     worth = sections.error_worth(run.outcome.error, "|a| at rest", "points")

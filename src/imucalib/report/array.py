@@ -52,14 +52,14 @@ def array_document(run: ArrayRun) -> Document:
     )
     parts = [
         Section("Positions", (_position_table(*positions, note), known)),
-        Section("The board", board_plots(run), brief=False),
+        Section("The board", board_plots(run)),
         sections.loop_section(outcome),
-        Section(RESIDUALS, residuals, brief=False),
+        Section(RESIDUALS, residuals),
         _motion_section(run),
         _rests_section(run),
         Section("Observability", observability),
         *sections.closing_sections(outcome),
-        Section("The chains", (Facts(chains), *chain_plots(run)), brief=False),
+        Section("The chains", (Facts(chains), *chain_plots(run))),
     ]
     title = f"Positions of {run.board.name} from {outcome.provenance.path}"
     card = _card(run, observability)
@@ -203,7 +203,7 @@ def _rests_section(run: ArrayRun) -> Section:
     note = f"Turn: relative to {run.board.imus[0]}. Positions are in the triads' mean frame."
     header = ("IMU", "scale - 1", "turn, deg", "bias, m/s²")
     table = Table("Triads", header, tuple(rows), "lrrr", note)
-    return Section("The rests", (Facts(facts), table), brief=False)
+    return Section("The rests", (Facts(facts), table))
 
 
 def _observability(run: ArrayRun) -> tuple[Text, ...]:

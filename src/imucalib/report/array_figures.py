@@ -10,10 +10,10 @@ from imucalib.calibrators.array.motion.cross_fit import NORMAL_MAD
 from imucalib.calibrators.array.motion.state import ArrayState
 from imucalib.calibrators.array.run import ArrayRun
 from imucalib.estimators.markov.convergence import autocorrelation
-from imucalib.report.render.document import Plot, Series, Table
+from imucalib.report.render.document import Plot, Series
 from imucalib.units import DEG, MG
 
-_HALF, _MOST = 1.1774, 2.6482  # radii that hold 50 % and 97 % of a plane Gaussian
+_MOST = 2.6482  # radius that holds 97 % of a plane Gaussian
 _BINS = 24  # of what residuals may follow, each with as many samples
 _SENSORS = (("gyro", "deg/s", DEG, 1), ("accelerometer", "mg", MG, 0))
 _SHARES = (0.02, 0.05, 0.1, 0.2, 0.4, 1.0)
@@ -21,9 +21,9 @@ _FEWEST = 10  # samples below which a part is not shown
 _AXES = ("x (mm)", "y (mm)")
 
 
-def board_plots(run: ArrayRun) -> tuple[Plot | Table, ...]:
+def board_plots(run: ArrayRun) -> tuple[Plot, ...]:
     """Deviations from the drawing, and what more samples bring."""
-    return (_close_up(run), _deviations(run), *_growth(run))
+    return (_deviations(run), *_growth(run))
 
 
 def _sides(run: ArrayRun) -> dict[str, Index]:
@@ -100,24 +100,6 @@ def _join(label: str, rings: list[Array]) -> Series:
     return Series(label, line[:, 0], line[:, 1], "line")
 
 
-def _close_up(run: ArrayRun) -> Plot:
-    """All IMUs' deviations from the drawing in one place, to scale, with 97 % ellipses."""
-    off = 1e3 * (run.total.mean - run.board.drawn)
-    series = []
-    for label, side in _sides(run).items():
-        if rows := [int(k) for k in side if k > 0]:
-            names = tuple(run.board.imus[k] for k in rows)
-            series.append(Series(label, off[rows, 0], off[rows, 1], "points", names=names))
-            rings = [_ellipse(run, k, _MOST) + off[k, :2] for k in rows]
-            series.append(_join(f"{label}, 97 %", rings))
-    caption = (
-        f"Accelerometers relative to {run.board.imus[0]}, each about its drawn position at 0, 0; "
-        "what the sides share is where the accelerometer sits inside its package."
-    )
-    title = "Deviation in the plane of the board"
-    return Plot(title, *_AXES, tuple(series), caption, equal=True)
-
-
 def _deviations(run: ArrayRun) -> Plot:
     """Deviation from the drawing of every coordinate, with 95 % intervals."""
     off, half = 1e3 * (run.total.mean - run.board.drawn)[1:], 1.96e3 * run.total.sd[1:]
@@ -130,9 +112,9 @@ def _deviations(run: ArrayRun) -> Plot:
     return Plot("Deviation from the drawing", "IMU", "deviation (mm)", series, caption)
 
 
-def _growth(run: ArrayRun) -> tuple[Plot | Table, ...]:
-    """Median standard deviation of each axis against the number of samples, drawn and as Table II
-    of paper 001 has it; empty where there are few."""
+def _growth(run: ArrayRun) -> tuple[Plot, ...]:
+    """Median standard deviation of each axis against the number of samples, as Table II of paper
+    001 has it; empty where there are few."""
     state = run.state
     counts = [round(s * len(state.setup.inner)) for s in _SHARES]
     found = [(n, sd_of_few(state, n)) for n in counts if n >= _FEWEST]
@@ -150,9 +132,7 @@ def _growth(run: ArrayRun) -> tuple[Plot | Table, ...]:
         "samples, scaled to end at what is stated. Twice the precision takes four times the motion."
     )
     title = "Standard deviation against the samples used"
-    rows = tuple((f"{t:.0f}", *(f"{v:.2g}" for v in row)) for t, row in zip(n, sd, strict=True))
-    table = Table(title, ("T", "sd x", "sd y", "sd z"), rows, "rrrr", "mm, as drawn above.")
-    return Plot(title, "samples used", "sd (mm)", tuple(series), caption, log_y=True), table
+    return (Plot(title, "samples used", "sd (mm)", tuple(series), caption, log_y=True),)
 
 
 def residual_plots(run: ArrayRun) -> list[Plot]:

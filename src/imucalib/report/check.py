@@ -42,6 +42,8 @@ _VERDICT = {
 }
 #: Standard deviations on either side of what holds 95 %.
 _NORMAL_95 = 1.96
+#: In the place of a change.
+_UNCHANGED = "none"
 #: Rests that a card names.
 _RESTS = 6
 #: Probability from which on another kind of change is named beside the likeliest.
@@ -54,11 +56,9 @@ def check_document(check: Check, log: Path, calibration: Path, command: str = ""
 
     command : the line that was typed
     """
-    tested, array = _change_table(check), bool(check.sensors[0].name)
     parts = (
-        Section("What was tested", (_each(check) if array else tested,)),
-        Section("Every kind of change", (tested,) if array else (), brief=False),
-        Section("Readings", tuple(map(_readings, check.sensors)), brief=False),
+        Section("What was tested", (_change_table(check),)),
+        Section("Readings", tuple(map(_readings, check.sensors))),
         Section("Gyroscopes", _gyros(check)),
         Section("Record this next", _following(check.following) if check.following else ()),
         Section("Notes", Text.sentences((*check.noise.words, *check.notes))),
@@ -210,28 +210,9 @@ def _attitude(direction: Array) -> str:
     return f"{('', 'edge ', 'corner ')[len(axes) - 1]}{' '.join(axes)} up"
 
 
-def _each(check: Check) -> Table:
-    """An array's IMUs, a row each."""
-    rows = tuple(
-        (
-            s.name,
-            per_cent(s.answer.nothing),
-            _size(s, "bias") or "open",
-            two_digits(s.sizes["bias"].seen),
-        )
-        for s in check.sensors
-    )
-    limit = check.limits.get("bias")
-    more = "" if limit is None else f"; limit {limit:.2g} mg, {_how(check)}"
-    note = f"Could see: change of bias, mg, told in {_OFTEN} of such checks{more}."
-    header = ("sensor", "unchanged", "change of bias", "could see")
-    tones = Table.marked("bad", (s in check.changed for s in check.sensors))
-    return Table("", header, rows, "lrlr", note, tones)
-
-
 def _change_table(check: Check) -> Table:
     several = bool(check.sensors[0].name)
-    every = [(s, n) for s in check.sensors for n in (*s.sizes, BAD_REST, NOISE)]
+    every = [(s, n) for s in check.sensors for n in (_UNCHANGED, *s.sizes, BAD_REST, NOISE)]
 
     def row(sensor: SensorCheck, name: str) -> tuple[str, ...]:
         limit, size = check.limits.get(name), sensor.sizes.get(name)
@@ -239,7 +220,9 @@ def _change_table(check: Check) -> Table:
         if size is not None:
             estimate = _size(sensor, name) or "open"
             shown = "none" if math.isinf(size.seen) else two_digits(size.seen)
-        cells = (name, per_cent(sensor.answer.of(name)), estimate, shown)
+        answer = sensor.answer
+        share = answer.nothing if name == _UNCHANGED else answer.of(name)
+        cells = (name, per_cent(share), estimate, shown)
         last = ("-" if limit is None else f"{limit:.2g}", FAMILIES.get(name, ""))
         return (*[sensor.name] * several, *cells, *last)
 
@@ -252,8 +235,7 @@ def _change_table(check: Check) -> Table:
     )
     header = (*["sensor"] * several, "change", "there", "estimate", "could see", "limit", "unit")
     rows = tuple(row(*one) for one in every)
-    title = f"Unchanged with {per_cent(check.nothing)}"
-    return Table(title, header, rows, "l" * several + "lrlrrl", note, tones)
+    return Table("", header, rows, "l" * several + "lrlrrl", note, tones)
 
 
 def _readings(sensor: SensorCheck) -> Table:

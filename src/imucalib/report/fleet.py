@@ -44,8 +44,8 @@ def fleet_document(fleet: Fleet) -> Document:
     parts = (
         Section("What the devices share", _shared(fleet)),
         Section("Devices", each[:1]),
-        Section("Between devices", _spread(fleet), brief=False),
-        Section("What was tried", _try(fleet), brief=False),
+        Section("Between devices", _spread(fleet)),
+        Section("What was tried", _try(fleet)),
         Section("Notes", Text.each(notes)),
     )
     command = fleet.settings.command

@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibration.gyroscope import STAGE, read_delay
+from imucalib.calibration.gyroscope import read_delay
 from imucalib.calibrators.imu.plan import HandPlan
 from imucalib.calibrators.imu.run import ImuRun, heading_drift
 from imucalib.data import Data
@@ -31,14 +31,13 @@ from imucalib.report.render.document import (
 )
 from imucalib.significant_digits import (
     format_components,
-    format_with_sd,
     number,
     plus_minus,
     two_digits,
 )
 from imucalib.units import DEG
 
-#: Standard deviations from which on a delay is told on the first page.
+_RATE = "rate = K (reading - bias - what effects add), in the accelerometer's frame."
 
 
 def imu_document(run: ImuRun) -> Document:
@@ -46,13 +45,13 @@ def imu_document(run: ImuRun) -> Document:
     outcome = run.outcome
     parts = [
         sections.loop_section(outcome),
-        Section(RESIDUALS, gain_plot(outcome.findings), brief=False),
-        Section("Gyroscope", (_gains(run), _facts(run))),
-        Section("Parameters", (sections.parameter_table(run.calibration, ""),), brief=False),
+        Section(RESIDUALS, gain_plot(outcome.findings)),
+        Section("Gyroscope", (_facts(run),)),
+        Section("Parameters", (sections.parameter_table(run.calibration, _RATE),)),
         sessions_section(run.sessions),
         temperature_section(run.calibration),
         sections.sensor_section(run.calibration),
-        Section("Turns", (_turns(run),), brief=False),
+        Section("Turns", (_turns(run),)),
         *sections.closing_sections(outcome),
     ]
     title = f"IMU calibration of {outcome.provenance.path}"
@@ -97,14 +96,6 @@ def _for_kalibr(run: ImuRun) -> tuple[Use, ...]:
     purpose = "With it, for Kalibr and OpenVINS"
     made = sections.exporting(run.calibration, purpose, "kalibr", "kalibr.yaml")
     return (measured, *(replace(m, words=(*m.words, "--noise", noise)) for m in made)) * bool(made)
-
-
-def _gains(run: ImuRun) -> Table:
-    """K, in the accelerometer's frame."""
-    values = [p for p in run.calibration.parameters if p.stage == STAGE]
-    rows = tuple((p.name, *format_with_sd(p.value, p.sd), p.unit) for p in values)
-    note = "ω = K (reading - bias - what effects add), in the accelerometer's frame."
-    return Table("Gyroscope", ("parameter", "value", "sd", "unit"), rows, "lrrl", note)
 
 
 def _facts(run: ImuRun) -> Facts:

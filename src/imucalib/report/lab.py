@@ -67,7 +67,7 @@ def lab_document(run: LabRun) -> Document:
     plots = (*gain_plot(outcome.findings), *others, _attitude_map(run))
     parts = [
         sections.loop_section(outcome),
-        Section(RESIDUALS, plots, brief=False),
+        Section(RESIDUALS, plots),
         _angle_section(run),
         _parameter_section(run),
         sections.kind_section(request.population, result.final, result.kind_chance, "position"),
@@ -77,12 +77,12 @@ def lab_document(run: LabRun) -> Document:
         _dial_section(run),
         sections.sensor_section(run.calibration, _iscwsa_table(run.calibration)),
         _uncertainty_section(run),
-        Section("Positions", (_position_table(run),), brief=False),
+        Section("Positions", (_position_table(run),)),
     ]
     if outcome.findings:
         parts.append(sections.candidate_section(outcome.findings))
     if request.objective == "paper":
-        parts.append(Section("As published", (_published_table(run),), brief=False))
+        parts.append(Section("As published", (_published_table(run),)))
     title = f"Lab calibration of {outcome.provenance.path}"
     return sections.calibration_document(title, parts, run, _card(run, picture))
 
@@ -244,7 +244,7 @@ def _dial_section(run: LabRun) -> Section:
     line = Series("true inclination minus dial", at, dial.shift, "line")
     caption = "What the bench's inclination dial is off by; no part of the sensor's calibration."
     labels = ("True inclination minus dial", "inclination (deg)", "dial's error (deg)")
-    return Section(title, (Plot(*labels, (interval, line), caption),), brief=False)
+    return Section(title, (Plot(*labels, (interval, line), caption),))
 
 
 def _uncertainty_section(run: LabRun) -> Section:
@@ -281,7 +281,7 @@ def _uncertainty_section(run: LabRun) -> Section:
     header = ("inclination", "inc., 95 %", "inc., 1 reading", "tool-face, 95 %", "tf, 1 reading")
     note = "The frame's part (mounting, dial zero) is included; |a| cannot see it."
     table = Table("Uncertainty carried to the angles (deg)", header, rows, "rrrrr", note)
-    return Section("Uncertainty of the angles", (table, *plots), brief=False)
+    return Section("Uncertainty of the angles", (table, *plots))
 
 
 def _held_out_models(run: LabRun) -> tuple[Predictions, Predictions, bool]:

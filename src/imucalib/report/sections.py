@@ -6,6 +6,7 @@ The card says what the result is worth, what was found, and what to do next.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -58,6 +59,8 @@ from imucalib.units import MG
 
 #: Parameters of one effect that a card names, names still open.
 _PARAMETERS, _OPEN = 3, 3
+#: Parameters of one effect up to which a table has them.
+_MOST_ROWS = 12
 #: Effects up to which a card says what each means, and rivals that it names of each.
 _FEW, _RIVALS = 3, 3
 #: Effects that could hide, as many as are named.
@@ -444,21 +447,30 @@ def candidate_section(found: Findings) -> Section:
         heads = ("not testable", "at", "moves the answer by")
         note = "Absorbed by what is fitted, or by effects already in the model."
         blocks.append(Table("What these data cannot show", heads, cells, "llr", note))
-    return Section("Candidates tried", tuple(blocks), brief=False)
+    return Section("Candidates tried", tuple(blocks))
 
 
 def closing_sections(outcome: Outcome) -> tuple[Section, ...]:
     """The candidates, where there was a search, and the notes."""
     found = (candidate_section(outcome.findings),) if outcome.findings else ()
-    return (*found, Section("Notes", Text.each(outcome.notes), brief=False))
+    return (*found, Section("Notes", Text.each(outcome.notes)))
 
 
-def parameter_table(calibration: Calibration, note: str) -> Table:
-    """Every parameter with its standard deviation."""
-    rows = tuple(
-        (p.name, p.effect, *format_with_sd(p.value, p.sd), p.unit) for p in calibration.parameters
-    )
-    return Table("Parameters", ("parameter", "effect", "value", "sd", "unit"), rows, "llrrl", note)
+def parameter_table(calibration: Calibration, note: str, shares: Sequence[float] = ()) -> Table:
+    """Every parameter with its standard deviation, but those of an effect of many.
+
+    shares : of what is known of each, what the recording has shown; none where that is not told
+    """
+    counts = Counter(p.effect for p in calibration.parameters)
+    rows = []
+    for k, p in enumerate(calibration.parameters):
+        if counts[p.effect] <= _MOST_ROWS:
+            shown = [f"{100.0 * shares[k]:.0f}"] if shares else []
+            rows.append((p.name, p.effect, *format_with_sd(p.value, p.sd), p.unit, *shown))
+    many = ", ".join(f"{name} ({n} terms)" for name, n in counts.items() if n > _MOST_ROWS)
+    note += f" In calibration.yaml only: {many}." if many else ""
+    header = ("parameter", "effect", "value", "sd", "unit", *["data, %"] * bool(shares))
+    return Table("Parameters", header, tuple(rows), "llrrlr"[: len(header)], note)
 
 
 def sensor_section(calibration: Calibration, *more: Table) -> Section:
@@ -478,7 +490,7 @@ def sensor_section(calibration: Calibration, *more: Table) -> Section:
     table = Table("corrected = M raw + b", header, rows, "llrrr", note)
     angles = zip(("xy", "xz", "yz"), linear.angle, linear.angle_sd, strict=True)
     facts = Facts(tuple((f"angle {p}", plus_minus(a, s, "deg")) for p, a, s in angles))
-    return Section("The sensor", (table, facts, *more), brief=False)
+    return Section("The sensor", (table, facts, *more))
 
 
 def kind_section(

@@ -138,12 +138,11 @@ Block = Text | Facts | Table | Plot
 
 @dataclass(frozen=True)
 class Section:
-    """A heading and its blocks. `brief` sections are also printed to the terminal, of a page those
-    that fit, and `kept` ones before all others."""
+    """A heading and its blocks. Of a page on a terminal those that fit are printed, and `kept` ones
+    before all others."""
 
     title: str
     blocks: tuple[Block, ...]
-    brief: bool = True
     kept: bool = False
 
 

@@ -44,7 +44,7 @@ def render_text(document: Document, width: int, *, color: bool, full: bool = Fal
     """What a reader needs first; no line is wider than `width` cells (at least 40).
 
     Of a document with a card a first screen: what it is good to, what was found, what to do; of
-    another one page: its head and of the brief sections those that fit, without plots.
+    another one page: its head and the sections that fit, without plots.
     color : ANSI colours; without them every tone still shows as a sign and a word
     full : every section, however long, without its plots
     """
@@ -77,7 +77,7 @@ class _Sheet:
             return self.put(self.screen(document.card))
         titles = [s.title for s in document.sections]
         drawn = {s.title for s in document.sections if not _has_words(s)}
-        sections = [s for s in document.sections if _has_words(s) and (s.brief or full)]
+        sections = [s for s in document.sections if _has_words(s)]
         lines = self.lines(*self.head(), *self.card())
         if not full:
             foot = self.lines(*self.foot(titles, full=False))
