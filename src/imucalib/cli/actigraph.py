@@ -1,4 +1,4 @@
-"""imucal actigraph"""
+"""imucal actigraph: Calibrate a worn sensor from days of recording, by gravity at rest."""
 
 from __future__ import annotations
 

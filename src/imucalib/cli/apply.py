@@ -1,4 +1,7 @@
-"""imucal apply, imucal convert"""
+"""imucal apply: Correct a recording with a calibration.
+
+imucal convert: Rewrite a recording in another format.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imucalib.cli.frame import options as opt
-from imucalib.cli.frame.output import emit_json, note, say, working
+from imucalib.cli.frame.output import note, tell, working
 from imucalib.data import Data
 
 if TYPE_CHECKING:
@@ -97,7 +100,6 @@ def command(calibration: Path, recording: Path, **options: Any) -> int:
       imucal apply out/calibration.yaml run.mcap -o new.mcap --residuals r.mcap
       imucal apply array/calibration.yaml run.mcap --fused -o fused.mcap
     """
-    from imucalib.atomic_file import demand_output
     from imucalib.errors import UsageError
     from imucalib.writers import writer_for
     from imucalib.writers.residuals import residual_files
@@ -106,8 +108,7 @@ def command(calibration: Path, recording: Path, **options: Any) -> int:
     writer_for(output)
     pair = residual_files(options["residuals"]) if options["residuals"] else ()
     made = [output, *([angles] if angles else []), *pair]
-    for path in made:
-        demand_output(path, opt.inputs_of(options, calibration, recording), force=options["force"])
+    opt.demand_outputs(options, made, calibration, recording)
     loaded = opt.calibration_of(
         calibration, options["effects_file"], same_device=options["same_device"]
     )
@@ -127,11 +128,8 @@ def command(calibration: Path, recording: Path, **options: Any) -> int:
             _residuals(loaded, recording, mapping, options)
     for text in (*notes, *filter(None, [frame])):
         note(text, quiet)
-    if options["as_json"]:
-        emit_json(Corrected(str(output), tuple(notes)))
-    elif not quiet:
-        for path in made:
-            say(f"wrote {path}")
+    said = "\n".join(f"wrote {path}" for path in made)
+    tell(Corrected(str(output), tuple(notes)), options, said)
     return 0
 
 
@@ -216,9 +214,7 @@ def _apply(
 @opt.recording
 @opt.json
 @opt.quiet
-def convert(
-    sources: tuple[Path, ...], target: Path, strict: bool, force: bool, **options: Any
-) -> int:
+def convert(sources: tuple[Path, ...], target: Path, strict: bool, **options: Any) -> int:
     """Rewrite a recording as MCAP, HDF5 or CSV, chosen by TARGET's suffix; units become SI.
 
     Several SOURCEs are files of one device with clocks of one zero, each of other sensors: they
@@ -229,14 +225,13 @@ def convert(
       imucal convert log.csv log.mcap --rate 100 --acc x,y,z
       imucal convert accelerometer.csv gyroscope.csv phone.h5
     """
-    from imucalib.atomic_file import demand_output
     from imucalib.readers import blocks, read_together
     from imucalib.writers import ChannelsChange, Noted, write_blocks, writer_for
 
     if not sources:
         raise click.MissingParameter(param_hint="'TARGET'", param_type="argument")
     writer_for(target)
-    demand_output(target, opt.inputs_of(options, *sources), force=force)
+    opt.demand_outputs(options, [target], *sources)
     mapping = opt.mapping_of(options)
     if len(sources) == 1:
         noted = Noted(blocks(sources[0], mapping, strict=strict))
@@ -250,8 +245,6 @@ def convert(
             write_blocks(noted, target)
     for text in noted.notes:
         note(text, options["quiet"])
-    if options["as_json"]:
-        emit_json(Converted(str(target), tuple(noted.channels), tuple(noted.notes)))
-    elif not options["quiet"]:
-        say(f"wrote {target}: {', '.join(noted.channels)}")
+    made = Converted(str(target), tuple(noted.channels), tuple(noted.notes))
+    tell(made, options, f"wrote {target}: {', '.join(noted.channels)}")
     return 0

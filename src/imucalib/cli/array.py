@@ -1,4 +1,4 @@
-"""imucal array"""
+"""imucal array: Find the positions of the accelerometers of an inertial sensor array."""
 
 from __future__ import annotations
 

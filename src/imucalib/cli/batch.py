@@ -1,4 +1,7 @@
-"""imucal batch and collect"""
+"""imucal batch: Calibrate a cohort, one recording a task.
+
+imucal collect: Make one table of a cohort's entries.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import click
 
 from imucalib.cli.frame import options as opt
-from imucalib.cli.frame.output import emit_json, note, progress
+from imucalib.cli.frame.output import note, progress, tell
 from imucalib.data import Data
 from imucalib.question import paste
 
@@ -153,15 +156,13 @@ def _summarize(
         failed=tuple(Failed(e.recording, e.error) for e in failed),
         seconds=round(seconds, 1),
     )
-    if options["as_json"]:
-        emit_json(summary)
-    elif not options["quiet"]:
-        click.echo(
-            f"{summary.calibrated} of {summary.recordings} calibrated "
-            f"({reused} from before), {len(failed)} failed; entries in {options['output']}"
-        )
-        gather = ("imucal", "collect", options["output"], "-o", "cohort.csv")
-        click.echo(f"the table: {paste(*gather, '--html', 'cohort.html')}")
+    gather = ("imucal", "collect", options["output"], "-o", "cohort.csv", "--html", "cohort.html")
+    words = (
+        f"{summary.calibrated} of {summary.recordings} calibrated "
+        f"({reused} from before), {len(failed)} failed; entries in {options['output']}\n"
+        f"the table: {paste(*gather)}"
+    )
+    tell(summary, options, words)
     return 3 if failed else 0
 
 
@@ -303,7 +304,6 @@ def collect(folder: Path, output: Path, **options: Any) -> int:
     \b
     Example: imucal collect entries -o cohort.csv --html cohort.html
     """
-    from imucalib.atomic_file import demand_output
     from imucalib.calibration.file import write_whole
     from imucalib.cohort.entries import PAPER, cohort_of, rows, write_table
     from imucalib.errors import UnreadableInput
@@ -316,8 +316,7 @@ def collect(folder: Path, output: Path, **options: Any) -> int:
     html, ggir, quiet = (options[name] for name in ("html", "ggir", "quiet"))
     paths = sorted(folder.glob("*.json"), key=lambda path: path.stat().st_mtime)
     targets = [path for path in (output, html, ggir) if path is not None]
-    for target in targets:
-        demand_output(target, paths, force=options["force"])
+    opt.demand_outputs(options, targets, *paths)
     cohort = cohort_of(paths)
     if not cohort.newest:
         raise UnreadableInput(

@@ -1,4 +1,4 @@
-"""imucal compare"""
+"""imucal compare: Compare calibrations: do they differ, what it means, how they drift."""
 
 from __future__ import annotations
 
@@ -49,15 +49,13 @@ def command(calibrations: tuple[Path, ...], **options: Any) -> int:
       imucal compare spring/calibration.yaml autumn/calibration.yaml --limit 2mg
       imucal compare 20*/calibration.yaml --html chart.html
     """
-    from imucalib.atomic_file import demand_output
     from imucalib.calibration.checking.noise import limits_of, sessions_of
     from imucalib.calibration.comparison.compare import compare
     from imucalib.report.comparison import comparison_dict, comparison_document
     from imucalib.report.files import shown_dict
 
     page, dates = options["html"], options["dates"]
-    if page is not None:
-        demand_output(page, calibrations, force=options["force"])
+    opt.demand_outputs(options, [page], *calibrations)
     wanted = limits_of(options["limits"])
     loaded = [opt.calibration_of(path, options["effects_file"]) for path in calibrations]
     dated = dates.split(",") if dates else ()

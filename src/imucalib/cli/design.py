@@ -1,4 +1,4 @@
-"""imucal design"""
+"""imucal design: Judge a set of positions, and say which added ones help most."""
 
 from __future__ import annotations
 
@@ -94,13 +94,11 @@ def _positions(table: Path | None, count: int | None, options: dict[str, Any]) -
 
 def _separation(path: Path, options: dict[str, Any]) -> int:
     """What to record next beside a calibration; the exit code."""
-    from imucalib.atomic_file import demand_output
     from imucalib.calibration.checking.noise import size_of
     from imucalib.calibrators.next_recording import next_recording
     from imucalib.report.design import separation_dict, separation_document
 
-    if options["output"] is not None:
-        demand_output(options["output"], [path], force=options["force"])
+    opt.demand_outputs(options, [options["output"]], path)
     size = options["between_sessions"]
     between = 0.0 if size is None else size_of(size, ("mg",))[0]
     with working("planning", quiet=options["quiet"]):
@@ -143,12 +141,11 @@ def _temperatures(text: str | None) -> tuple[float, ...]:
 
 def _write_table(text: str, read: list[Path], options: dict[str, Any]) -> None:
     """The table that was asked for, whole or not at all, over another's only with --force."""
-    from imucalib.atomic_file import demand_output
     from imucalib.calibration.file import write_whole
 
     path = options["output"]
     if path is None or not text:
         return
-    demand_output(path, read, force=options["force"])
+    opt.demand_outputs(options, [path], *read)
     write_whole(path, text)
     note(f"wrote {path}", options["quiet"])

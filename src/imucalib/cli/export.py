@@ -1,4 +1,4 @@
-"""imucal export"""
+"""imucal export: Write a calibration's coefficients for another program."""
 
 from __future__ import annotations
 
@@ -75,24 +75,19 @@ def command(calibration: Path, form: str, output: Path | None, **options: Any) -
       imucal export out/calibration.yaml --to c-header -o calibration.h
       imucal export out/calibration.yaml --to kalibr --noise imu.yaml -o imus.yaml
     """
-    from imucalib.atomic_file import demand_output
     from imucalib.calibration.file import write_together
     from imucalib.exports import export
     from imucalib.exports.bound import demand_carried
 
-    bounds, force = _bounds(options["largest_loss"]), options["force"]
-    if output is not None:
-        read = (calibration, options["noise"], options["effects_file"])
-        demand_output(output, filter(None, read), force=force)
+    bounds = _bounds(options["largest_loss"])
+    opt.demand_outputs(options, [output], calibration)
     loaded = _with_stated(opt.calibration_of(calibration, options["effects_file"]), form, options)
     source = str(dict(loaded.facts.get("provenance", {})).get("input", calibration.name))
     made = export(loaded, source, form)
-    if not force:
+    if not options["force"]:
         demand_carried(made, form, loaded, *bounds)
     files = _files(made, output)
-    for path in files:
-        if path != output:
-            demand_output(path, (), force=force)
+    opt.demand_outputs(options, (path for path in files if path != output))
     write_together(files)
     for text in made.lost:
         note(f"{form} lacks {text}", options["quiet"])

@@ -1,4 +1,4 @@
-"""imucal fleet"""
+"""imucal fleet: Calibrate devices of one kind together."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""imucal imu"""
+"""imucal imu: Calibrate one IMU, accelerometer and gyroscope, from rests and turns."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""imucal inspect"""
+"""imucal inspect: Say what a file holds and how it would be read; also `imucal FILE`."""
 
 from __future__ import annotations
 
@@ -38,15 +38,13 @@ def command(file: Path, **options: Any) -> int:
       imucal inspect log.mcap --save-mapping mapping.yaml
       imucal inspect log.mcap --rests --html rests.html
     """
-    from imucalib.atomic_file import demand_output
     from imucalib.inspection.inspection import inspect_recording
     from imucalib.readers import blocks
     from imucalib.recording.mapping import from_dict, save_mapping
     from imucalib.report.inspection import describe_recording, inspection_document
 
     mapping_file, page = options["save_mapping"], options["html"]
-    for output in filter(None, (mapping_file, page)):
-        demand_output(output, opt.inputs_of(options, file), force=options["force"])
+    opt.demand_outputs(options, (mapping_file, page), file)
     typed, rests = opt.repeat_typed(file), options["rests"]
     if not (mapping_file or rests) and (seen := _no_recording(file, typed, options)):
         present(*seen, options, page)

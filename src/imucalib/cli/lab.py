@@ -1,4 +1,4 @@
-"""imucal lab"""
+"""imucal lab: Calibrate a tool's accelerometer on a bench of known angles, or by gravity alone."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""imucal noise"""
+"""imucal noise: Say how noisy sensors are at rest, and write it for Kalibr, VINS and others."""
 
 from __future__ import annotations
 
@@ -42,7 +42,6 @@ def command(recording: Path, form: str | None, output: Path | None, **options: A
       imucal noise still_night.mcap --html noise.html
       imucal noise still_night.mcap --to kalibr -o imu.yaml
     """
-    from imucalib.atomic_file import demand_output
     from imucalib.calibration.file import write_whole
     from imucalib.errors import Undetermined
     from imucalib.exports.noise import noise_text
@@ -53,9 +52,8 @@ def command(recording: Path, form: str | None, output: Path | None, **options: A
 
     if output is not None and form is None:
         raise click.UsageError("--output is the file of a form: name it with --to")
-    page, force = options["html"], options["force"]
-    for written in filter(None, (output, page)):
-        demand_output(written, opt.inputs_of(options, recording), force=force)
+    page = options["html"]
+    opt.demand_outputs(options, (output, page), recording)
     settings, mapping, strict = opt.still_of(options), opt.mapping_of(options), options["strict"]
     with working("reading", quiet=options["quiet"]):
         still = find_segments(blocks(recording, mapping, strict=strict), settings)

@@ -1,4 +1,4 @@
-"""imucal simulate: tables and recordings that never were, a command a calibrator."""
+"""imucal simulate: Make a table or recording with planted effects and faults."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import click
 
 from imucalib.cli.frame import options as opt
-from imucalib.cli.frame.output import emit_json, working
+from imucalib.cli.frame.output import tell, working
 from imucalib.data import Data
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ def actigraph(recording: Path, seed: int, **options: Any) -> int:
 
     if not (options["days"] > 0.0 and options["rate"] > 0.0):
         raise UsageError("--days and --rate are positive")
-    _demand_outputs([recording], force=options["force"])
+    _demand_outputs(options, [recording])
     plant = _parse_planted(options["plant"])
     names = ("days", "rests", "noise", "rate", "temperature")
     plan = WeekPlan(**{name: options[name] for name in names}, plant=plant)
@@ -101,7 +101,7 @@ def array(recording: Path, seed: int, **options: Any) -> int:
     from imucalib.errors import UsageError
     from imucalib.units import MG
 
-    _demand_outputs([recording], [Path(options["board"])], force=options["force"])
+    _demand_outputs(options, [recording], Path(options["board"]))
     plant = _parse_planted(options["plant"])
     if any(len(values) != 1 for values in plant.values()):
         raise UsageError("--plant of an array takes one value each")
@@ -148,7 +148,7 @@ def imu(recording: Path, seed: int, **options: Any) -> int:
 
     from imucalib.calibrators.imu.simulation import ImuPlan, simulated_imu
 
-    _demand_outputs([recording], force=options["force"])
+    _demand_outputs(options, [recording])
     plant = _parse_planted(options["plant"])
     names = ("rests", "rate", "noise", "gyro_noise", "late")
     plan = ImuPlan(**{name: options[name] for name in names}, planted=plant)
@@ -192,7 +192,7 @@ def lab(table: Path, recording: Path | None, seed: int, **options: Any) -> int:
     if options["fault"] and recording is None:
         raise UsageError("--fault is of a recording", remedy="give --recording, or --slip")
     written = [table, *filter(None, [recording])]
-    _demand_outputs(written, force=options["force"])
+    _demand_outputs(options, written)
     warming = options["temperature"]
     plan = BenchPlan(
         **{name: options[name] for name in ("layout", "positions", "noise", "gravity")},
@@ -234,15 +234,13 @@ def _parse_planted(texts: Sequence[str]) -> dict[str, tuple[float, ...]]:
     return found
 
 
-def _demand_outputs(paths: Sequence[Path], inputs: Sequence[Path] = (), *, force: bool) -> None:
+def _demand_outputs(options: Mapping[str, Any], paths: Sequence[Path], *read: Path) -> None:
     """Raise UsageError unless a simulation may write to each of the paths, two at the most."""
-    from imucalib.atomic_file import demand_output
     from imucalib.errors import UsageError
 
     if len({path.absolute() for path in paths}) < len(paths):
         raise UsageError("the table and the recording are one file", where=str(paths[0]))
-    for path in paths:
-        demand_output(path, inputs, force=force)
+    opt.demand_outputs(options, paths, *read)
 
 
 def _write(made: Recording, path: Path, faults: Sequence[str]) -> None:
@@ -271,9 +269,7 @@ def _finish(
     **truth: Any,
 ) -> int:
     """Say what was written and planted, to people or machines; returns the exit code."""
-    if options["as_json"]:
-        faults = tuple(options["fault"]) or None
-        emit_json(Simulated(tuple(map(str, written)), plant, faults, **truth))
-    elif not options["quiet"]:
-        click.echo("\n".join(f"wrote {path}" for path in written))
+    faults = tuple(options["fault"]) or None
+    made = Simulated(tuple(map(str, written)), plant, faults, **truth)
+    tell(made, options, "\n".join(f"wrote {path}" for path in written))
     return 0

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.uncertainty import angle_uncertainty, force_slope
 from imucalib.calibrators.lab.bench import row_numbers
 from imucalib.calibrators.lab.calibrate import gravity_of
@@ -24,7 +23,6 @@ from imucalib.core.sphere import coverage, even_directions
 from imucalib.effects import known
 from imucalib.effects.scans import COLUMN
 from imucalib.posterior.held_out import Predictions, predict_fitted, raw_errors
-from imucalib.posterior.held_out import errors as held_errors
 from imucalib.report import sections
 from imucalib.report.conditions import power_up_worths, sessions_section, temperature_section
 from imucalib.report.plots import band, gain_plot, sphere_map
@@ -75,14 +73,12 @@ def lab_document(run: LabRun) -> Document:
         sessions_section(run.sessions),
         temperature_section(run.calibration),
         _dial_section(run),
-        sections.sensor_section(run.calibration, _iscwsa_table(run.calibration)),
+        sections.sensor_section(run.calibration),
         _uncertainty_section(run),
         Section("Positions", (_position_table(run),)),
     ]
     if outcome.findings:
         parts.append(sections.candidate_section(outcome.findings))
-    if request.objective == "paper":
-        parts.append(Section("As published", (_published_table(run),)))
     title = f"Lab calibration of {outcome.provenance.path}"
     return sections.calibration_document(title, parts, run, _card(run, picture))
 
@@ -424,46 +420,3 @@ def _position_table(run: LabRun) -> Table:
         "Left out: predicted without the row."
     )
     return Table("Residuals by position", tuple(header), rows, "", note)
-
-
-def _iscwsa_table(calibration: Calibration) -> Table:
-    """ISCWSA error-model codes: the error that was removed and the 1-sigma that stays."""
-    linear = calibration.matrices()
-    by_name = {p.name: p for p in calibration.parameters}
-
-    def rss(*values: float) -> float:
-        return float(np.sqrt(np.mean(np.square(values))))
-
-    scale, scale_sd = np.abs(linear.scale - 1.0), linear.scale_sd
-    b, b_sd = np.abs(linear.bias_mg) * MG, linear.bias_mg_sd * MG
-    rows = [
-        ("ABXY", "m/s²", rss(b[0], b[1]), rss(b_sd[0], b_sd[1]), 0.004),
-        ("ABZ", "m/s²", b[2], b_sd[2], 0.004),
-        ("ASXY", "-", rss(scale[0], scale[1]), rss(scale_sd[0], scale_sd[1]), 5e-4),
-        ("ASZ", "-", scale[2], scale_sd[2], 5e-4),
-    ]
-    if tilt := [by_name[f"mounting_{a}"] for a in "xy" if f"mounting_{a}" in by_name]:
-        removed, stays = rss(*(p.value for p in tilt)), rss(*(p.sd for p in tilt))
-        rows.append(("XYM", "deg", removed, stays, 0.1))
-    cells = tuple((code, u, f"{v:.5f}", f"{s:.5f}", f"{model:g}") for code, u, v, s, model in rows)
-    header = ("code", "unit", "removed", "left (1 sd)", "MWD model")
-    note = "XY is the rms of both axes. MWD model: the standard's 1-sigma, for comparison."
-    return Table("ISCWSA-coded equivalents", header, cells, "llrrr", note)
-
-
-def _published_table(run: LabRun) -> Table:
-    """All positions in the layout of paper 004's Table 2: components, angles and their errors."""
-    fit, whole = run.result.final, run.result.observations
-    corrected = fit.model.correct(fit.theta, whole.reading, whole.context)[:, 0]
-    inclination, tool_face = run.request.conventions.outside(*angles_of(corrected))
-    errors = _errors_of(run, held_errors(fit, fit.theta, whole))
-
-    def row(k: int, label: str) -> tuple[str, ...]:
-        off = abs(errors.tool_face[k])
-        turn = np.mod(tool_face[k] + 1.0, 360.0) - 1.0 + 0.0 * off  # none at the vertical
-        angles = (turn, off, inclination[k], abs(errors.inclination[k]))
-        return (label, *(f"{v:.5f}" for v in corrected[k]), *(number(v, 3) for v in angles))
-
-    rows = tuple(row(k, label) for k, label in enumerate(whole.label))
-    header = ("position", "a_x", "a_y", "a_z", "tf", "error", "incl", "error")
-    return Table("Corrected components (m/s²) and angles (deg)", header, rows, "lrrrrrrr")

@@ -473,7 +473,7 @@ def parameter_table(calibration: Calibration, note: str, shares: Sequence[float]
     return Table("Parameters", header, tuple(rows), "llrrlr"[: len(header)], note)
 
 
-def sensor_section(calibration: Calibration, *more: Table) -> Section:
+def sensor_section(calibration: Calibration) -> Section:
     """M, b and the scales, and the angles between the sensing axes."""
     linear = calibration.matrices()
     rows = tuple(
@@ -490,7 +490,7 @@ def sensor_section(calibration: Calibration, *more: Table) -> Section:
     table = Table("corrected = M raw + b", header, rows, "llrrr", note)
     angles = zip(("xy", "xz", "yz"), linear.angle, linear.angle_sd, strict=True)
     facts = Facts(tuple((f"angle {p}", plus_minus(a, s, "deg")) for p, a, s in angles))
-    return Section("The sensor", (table, facts, *more))
+    return Section("The sensor", (table, facts))
 
 
 def kind_section(

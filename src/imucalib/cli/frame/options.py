@@ -185,10 +185,15 @@ def repeat_typed(*files: Path, without: tuple[str, ...] = ()) -> str:
     return paste(*words)
 
 
-def inputs_of(options: Mapping[str, Any], *files: Path) -> list[Path]:
-    """Every file that a command reads: no output may be one of them."""
-    named = (options.get("mapping"), options.get("effects_file"))
-    return [*files, *(path for path in named if path is not None)]
+def demand_outputs(options: Mapping[str, Any], outputs: Iterable[Path | None], *read: Path) -> None:
+    """Refuse, before the work, an output that is a file which the command reads, or that is there
+    and is not to be replaced. Raises UsageError."""
+    from imucalib.atomic_file import demand_output
+
+    named = (options.get(name) for name in ("mapping", "effects_file", "noise"))
+    inputs = [*read, *(one for one in named if isinstance(one, Path))]
+    for output in filter(None, outputs):
+        demand_output(output, inputs, force=options["force"])
 
 
 def calibration_of(

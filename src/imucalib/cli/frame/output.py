@@ -68,6 +68,14 @@ def present(
         show(document, full=options["full"])
 
 
+def tell(content: Data, options: Mapping[str, Any], words: str) -> None:
+    """A result that has no page: as JSON where that is asked for, else in words."""
+    if options["as_json"]:
+        emit_json(content)
+    elif not options["quiet"]:
+        say(words)
+
+
 def note(text: str, quiet: bool) -> None:
     """A line about the work, to stderr."""
     if not quiet:
