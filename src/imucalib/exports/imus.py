@@ -9,7 +9,8 @@ that in which its accelerometer's matrix is L_a: Q_a turns the board's axes into
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -35,23 +36,26 @@ _KEPT = ("gyro_g_sensitivity", "sensing_elements")
 
 @dataclass(frozen=True)
 class Imu:
-    """place : (3,) m in the board's frame; frame : (3, 3) board axes to the IMU's
+    """By default a perfect one in the middle of the board.
+
+    noise : keys as in Kalibr's imu.yaml, as far as they are known
+    place : (3,) m in the board's frame; frame : (3, 3) board axes to the IMU's
     accelerometer, gyro : (3, 3) L of each; gyro_turn : (3, 3) IMU's frame to the gyro's
     by_force : (3, 3) rad/s per m/s², of forces in the gyro's frame
     elements : (3, 3) m, in its rows where the axes x, y and z sense, from the place, in the IMU's
         frame
-    noise : keys as in Kalibr's imu.yaml, as far as they are known; topic : of its recording
+    topic : of its recording
     """
 
     name: str
-    place: Array
-    frame: Array
-    accelerometer: Array
-    gyro: Array
-    gyro_turn: Array
-    by_force: Array
-    elements: Array
     noise: dict[str, Any]
+    place: Array = field(default_factory=partial(np.zeros, 3))
+    frame: Array = field(default_factory=partial(np.eye, 3))
+    accelerometer: Array = field(default_factory=partial(np.eye, 3))
+    gyro: Array = field(default_factory=partial(np.eye, 3))
+    gyro_turn: Array = field(default_factory=partial(np.eye, 3))
+    by_force: Array = field(default_factory=partial(np.zeros, (3, 3)))
+    elements: Array = field(default_factory=partial(np.zeros, (3, 3)))
     topic: str = ""
 
     @property
@@ -123,13 +127,11 @@ def _alone(calibration: Calibration, gyro: Gyroscope, form: str) -> Imu:
     known = calibration.facts.get("noise_density", {})
     return Imu(
         name=name_of(calibration),
-        place=np.zeros(3),
         frame=frame,
         accelerometer=lower,
         gyro=gyro_lower,
         gyro_turn=turn @ frame.T,
         by_force=gyro.by_force @ turn.T,
-        elements=np.zeros((3, 3)),
         noise=dict(next(iter(known.values()), {})),
         topic=(calibration.sensor or NAMELESS).topic,
     )
@@ -217,33 +219,26 @@ def _noise(calibration: Calibration, triad: Triad) -> dict[str, Any]:
 
 def lost_of(
     calibration: Calibration, kept: tuple[str, ...] = _KEPT, *, delay: bool = False
-) -> tuple[str, ...]:
-    """Effects that the form has no place for; delay : whether it has one for a common delay."""
-    kept = (*kept, *_common_delays())
-    lost = lost_rates(calibration, kept, delay=delay)
+) -> tuple[tuple[str, ...], float, float]:
+    """Effects that the form has no place for, in words; and the largest rms in the motion that was
+    calibrated of one of them: on a force, mg, and on a rate, deg/s.
+
+    kept : effects that it has a place for; delay : whether it has one for a common delay
+    """
+    aside, largest = _common_delays(), {"m/s²": 0.0, "deg/s": 0.0}
+    lost = lost_rates(calibration, (*kept, *aside), delay=delay)
     if not calibration.triads and (own := beyond_linear(calibration)):
         lost += (own,)
-    return lost + tuple(
-        f"{in_words(row['effect'])}, {float(row['rms']):.3g} {row['unit']} rms in the motion that "
-        "was calibrated"
-        for row in calibration.facts.get("not_undone", ())
-        if row["effect"] not in kept
-    )
-
-
-def losses_of(
-    calibration: Calibration, kept: tuple[str, ...] = _KEPT, *, delay: bool = False
-) -> tuple[float, float]:
-    """Largest rms in the motion that was calibrated of an effect that the form has no place for: on
-    a force, mg, and on a rate, deg/s; delay : whether it has one for a common delay."""
-    aside, largest = _common_delays(), {"m/s²": 0.0, "deg/s": 0.0}
     for row in calibration.facts.get("not_undone", ()):
-        effect, unit = row["effect"], row["unit"]
+        effect, unit, rms = row["effect"], row["unit"], float(row["rms"])
+        if effect not in (*kept, *aside):
+            words = f"{in_words(effect)}, {rms:.3g} {unit} rms in the motion that was calibrated"
+            lost += (words,)
         # A delay is known against the other sensor only: it is a rate's loss.
         held = effect in kept or (effect in aside and (delay or unit == "m/s²"))
         if not held and unit in largest:
-            largest[unit] = max(largest[unit], float(row["rms"]))
-    return largest["m/s²"] / MG, largest["deg/s"]
+            largest[unit] = max(largest[unit], rms)
+    return lost, largest["m/s²"] / MG, largest["deg/s"]
 
 
 #: What programs that filter ask of an IMU's noise, and its units.
@@ -259,21 +254,23 @@ def file_an_imu(
     calibration: Calibration,
     program: str,
     text: Callable[[Imu, dict[str, Any], list[str]], str],
-    lost: tuple[str, ...],
-    losses: tuple[float, float],
+    kept: tuple[str, ...] = _KEPT,
 ) -> Made:
     """What a program that filters reads, which estimates biases by itself.
 
-    text : of an IMU's file, from its noise and what is said in comments; lost, losses : in words,
-    and of a force, mg, and of a rate, deg/s
+    text : of an IMU's file, from its noise and what is said in comments
+    kept : effects that it has a place for
     Raises as `imus_of`, and UsageError where nothing is known of one of its noises.
     """
+    lost, loss, rate_loss = lost_of(calibration, kept)
     lost = (f"the biases: {program} estimates them in every recording", *lost)
     files = {}
     for imu in imus_of(calibration, program):
         noise, said = noise_of(imu, program)
         files[imu.name] = text(imu, noise, [*said, *(f"# Not in it: {one}." for one in lost)])
-    return Made("---\n".join(files.values()), lost, *losses, files if len(files) > 1 else {})
+    return Made(
+        "---\n".join(files.values()), lost, loss, rate_loss, files if len(files) > 1 else {}
+    )
 
 
 _MEASURE = (
