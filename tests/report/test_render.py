@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 from rich.cells import cell_len
 
 import imucalib
-from imucalib.calibration.findings import Findings, Gain
-from imucalib.report.plots import gain_plot, project
+from imucalib.report.plots import project
 from imucalib.report.render.document import (
     Card,
     Document,
@@ -390,19 +389,3 @@ def test_the_map_keeps_areas() -> None:
     assert r2.max() <= 2.0 + 1e-9
     share = np.histogram(r2, np.linspace(0.0, 2.0, 9))[0] / len(v)
     assert np.abs(share - 0.125).max() < 0.006
-
-
-@pytest.mark.parametrize(("low", "word"), [(0.1, "excludes"), (-0.1, "includes")])
-def test_the_gains_picture_says_what_its_interval_holds(low: float, word: str) -> None:
-    """Also where the log density, and not the error, proves the gain."""
-    gain = Gain(2.0, 1.0, low, 1.9, True, "mg", nats=30.0, nats_low=9.0)
-    (plot,) = gain_plot(Findings("explained", gain=gain))
-    assert (
-        f"{word} zero; likelier by a factor of more than 4.9e+08, at least 8.1e+03" in plot.caption
-    )
-    (bars,) = plot.series
-    assert bars.names == ("before", "after", "gain, 95 %")
-    np.testing.assert_array_equal(bars.y, [2.0, 1.0, 1.0])
-    assert bars.low is not None
-    assert (np.isnan(bars.low[0]), bars.low[2]) == (True, low)
-    assert gain_plot(Findings("nothing missing")) == ()

@@ -65,7 +65,7 @@ def command(inputs: tuple[Path, ...], **options: Any) -> int:
         fleet = _fleet(inputs, options, say)
     document = fleet_document(fleet)
     if folder is None:
-        document = document.unwritten(f"{fleet.settings.command} -o fleet")
+        document = document.unwritten(f"{fleet.command} -o fleet")
     else:
         document = document.placed({"folder": paste(folder)})
     content = {"schema": "imucal/fleet/1", **fleet_dict(fleet), **shown_dict(document)}
@@ -166,6 +166,6 @@ def _write(
         **made,
     }
     write_together(texts)
-    next_ = f"imucal {fleet.settings.calibrator} --fleet"
+    next_ = f"imucal {fleet.calibrator} --fleet"
     more = f", fleet.yaml for the next device ({next_})" if fleet.following else ""
     note(f"wrote {folder}: report.html, report.json, {len(made)} calibrations{more}", quiet)

@@ -15,9 +15,8 @@ from imucalib.core.sphere import coverage, even_directions
 from imucalib.exports.per_axis import nearest_row
 from imucalib.posterior.held_out import raw_errors
 from imucalib.report import sections
-from imucalib.report.plots import band, gain_plot, sphere_map
+from imucalib.report.plots import band, sphere_map
 from imucalib.report.render.document import (
-    RESIDUALS,
     Card,
     Column,
     Document,
@@ -69,25 +68,18 @@ _METHODS: tuple[Column, ...] = (
 
 def actigraph_document(run: ActigraphRun) -> Document:
     """Everything that a reader of the calibration must know, headline first."""
-    outcome = run.outcome
     picture, *others = _residual_plots(run)
-    residuals = (*gain_plot(outcome.findings), *others)
-    parts = [
-        _of_a_kind(run),
-        _activity(run),
-        sections.loop_section(outcome),
+    first = (_of_a_kind(run), _activity(run))
+    rest = (
         _series_section(run.series),
         _parameters(run),
         _coverage(run),
-        Section(RESIDUALS, residuals),
         Section("Error over the sphere", _sphere_blocks(run)),
         _rule(run),
         sections.sensor_section(run.calibration),
-    ]
-    if outcome.findings:
-        parts.append(sections.candidate_section(outcome.findings))
-    title = f"Calibration of {Path(run.scanned.path).name} by gravity"
-    return sections.calibration_document(title, parts, run, _card(run, picture))
+    )
+    title, card = f"Calibration of {Path(run.scanned.path).name} by gravity", _card(run, picture)
+    return sections.calibration_document(title, run, card, first=first, residuals=others, rest=rest)
 
 
 def _card(run: ActigraphRun, picture: Plot) -> Card:
@@ -269,7 +261,6 @@ def _coverage(run: ActigraphRun) -> Section:
         rows.append(("temperature", f"{low:.1f} to {high:.1f} °C; {reference}"))
     if c.runs_that_count_less:
         rows.append(("count less", f"{c.runs_that_count_less} runs that nothing else is like"))
-    rows += [("note", text) for text in run.outcome.notes]
     return Section("What was recorded", (Facts(tuple(rows)),))
 
 
@@ -348,7 +339,7 @@ def published_document(run: PublishedRun) -> Document:
     points = tuple(
         (f"{k}", *(f"{v:+.4f}" for v in p)) for k, p in enumerate(run.details.points_g, 1)
     )
-    parts = (
+    rest = (
         Section("Methods", (methods,)),
         Section("Parameters", (sections.parameter_table(run.calibration, note),)),
         Section("Points", (Table("Points (g)", ("", "x", "y", "z"), points, "lrrr"),)),
@@ -356,4 +347,4 @@ def published_document(run: PublishedRun) -> Document:
     title = f"Calibration of {Path(run.scanned.path).name} as published"
     worth = sections.error_worth(run.outcome.error, "|a| at rest", "points")
     card = sections.card_of(run.outcome, [worth], uses=(sections.CORRECT,))
-    return sections.calibration_document(title, parts, run, card)
+    return sections.calibration_document(title, run, card, rest=rest)

@@ -13,10 +13,8 @@ from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.run import ArrayRun
 from imucalib.core.eigen import eigen
 from imucalib.report import sections
-from imucalib.report.array_figures import board_picture, board_plots, chain_plots, residual_plots
-from imucalib.report.plots import gain_plot
+from imucalib.report.array_figures import board_picture, board_plots, residual_plots
 from imucalib.report.render.document import (
-    RESIDUALS,
     Card,
     Document,
     Facts,
@@ -35,13 +33,12 @@ _UNEVEN = 0.3
 
 def array_document(run: ArrayRun) -> Document:
     """Everything that a reader of the positions must know, headline first."""
-    outcome, observability = run.outcome, _observability(run)
+    observability = _observability(run)
     off = 1e3 * (run.total.mean - run.board.drawn)
     note = f"mm, relative to {run.board.imus[0]}, in the board's axes; sd with size and frame."
     more = tuple(", ".join(f"{v:+.2f}" for v in one) for one in off)
     positions = ("Positions of the accelerometers", run.board, run.total, "minus drawing", more)
     known = _known(run.total, run.gyros, run.board, run.request)
-    residuals = (*gain_plot(outcome.findings), *residual_plots(run))
     chains = (
         (
             "sampler",
@@ -50,20 +47,19 @@ def array_document(run: ArrayRun) -> Document:
         ),
         ("agreement", run.drawn.convergence.sentence),
     )
-    parts = [
+    first = (
         Section("Positions", (_position_table(*positions, note), known)),
         Section("The board", board_plots(run)),
-        sections.loop_section(outcome),
-        Section(RESIDUALS, residuals),
+    )
+    rest = (
         _motion_section(run),
         _rests_section(run),
         Section("Observability", observability),
-        *sections.closing_sections(outcome),
-        Section("The chains", (Facts(chains), *chain_plots(run))),
-    ]
-    title = f"Positions of {run.board.name} from {outcome.provenance.path}"
-    card = _card(run, observability)
-    return sections.calibration_document(title, parts, run, card)
+        Section("The chains", (Facts(chains),)),
+    )
+    title = f"Positions of {run.board.name} from {run.outcome.provenance.path}"
+    card, plots = _card(run, observability), residual_plots(run)
+    return sections.calibration_document(title, run, card, first=first, residuals=plots, rest=rest)
 
 
 _FUSE = Use(
@@ -239,16 +235,15 @@ def board_document(run: BoardRun) -> Document:
     note = "mm; between logs: of the positions as the motion shows them, without size and frame."
     pooled = _position_table("Pooled positions", board, run.total, "sd between logs", more, note)
     known = _known(run.total, run.gyros, board, request)
-    parts = [
+    first = (
         Section("Positions of all logs together", (pooled, known)),
         _agreement(run),
         Section("What repeats from log to log", (_repeats(run),)),
-        *sections.closing_sections(run.outcome),
-    ]
+    )
     title = f"{board.name} from {names}"
     worth = Worth("positions", f"± {1.96 * sd:.2g} mm", "95 %, median; size and frame included")
     card = sections.card_of(run.outcome, [worth])
-    return sections.calibration_document(title, parts, run, card)
+    return sections.calibration_document(title, run, card, first=first)
 
 
 def _agreement(run: BoardRun) -> Section:

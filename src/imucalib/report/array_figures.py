@@ -9,7 +9,6 @@ from imucalib.calibrators.array.motion.covariance import sd_of_few
 from imucalib.calibrators.array.motion.cross_fit import NORMAL_MAD
 from imucalib.calibrators.array.motion.state import ArrayState
 from imucalib.calibrators.array.run import ArrayRun
-from imucalib.estimators.markov.convergence import autocorrelation
 from imucalib.report.render.document import Plot, Series
 from imucalib.units import DEG, MG
 
@@ -203,33 +202,3 @@ def _bin(x: Array, off: Array) -> tuple[Array, Array]:
     parts = [p for p in np.array_split(np.argsort(x), _BINS) if p.size]
     middle = np.array([np.median(x[p]) for p in parts])
     return middle, NORMAL_MAD * np.array([np.median(np.abs(off[p])) for p in parts])
-
-
-def chain_plots(run: ArrayRun) -> tuple[Plot, ...]:
-    """Trace, ranks and autocorrelation of the coordinate that mixes worst."""
-    worst = int(np.argmin(run.drawn.convergence.bulk))
-    name = f"{run.board.imus[1 + worst // 3]} {'xyz'[worst % 3]}"
-    draws = 1e3 * run.drawn.free[..., worst]
-    chains, n = draws.shape
-    x, lags = np.arange(n, dtype=np.float64), min(n - 1, 40)
-    ranks = np.argsort(np.argsort(draws.ravel())).reshape(chains, n)
-    edges = np.linspace(0, chains * n, 11)
-    bins = 0.5 * (edges[1:] + edges[:-1])
-    rho = autocorrelation(draws.T)[:lags]
-    trace, counts, decay = [], [], []
-    for c in range(min(chains, 4)):
-        label, count = f"chain {c + 1}", np.histogram(ranks[c], edges)[0].astype(float)
-        trace.append(Series(label, x, draws[c], "line"))
-        counts.append(Series(label, bins, count, "step"))
-        decay.append(Series(label, x[:lags], rho[:, c], "line"))
-    counts.append(Series("expected", bins[[0, -1]], np.full(2, n / len(bins)), "line"))
-    falls = "Falls to zero within a few draws."
-    drawn = (
-        ("Trace", "draw", "position (mm)", trace, "The coordinate with the least ESS."),
-        ("Ranks", "rank", "number of draws", counts, "Flat where the chains agree."),
-        ("Autocorrelation", "lag (draws)", "autocorrelation", decay, falls),
-    )
-    return tuple(
-        Plot(f"{what} of {name}", x_label, y_label, tuple(series), caption)
-        for what, x_label, y_label, series, caption in drawn
-    )

@@ -48,18 +48,16 @@ def fleet_document(fleet: Fleet) -> Document:
         Section("What was tried", _try(fleet)),
         Section("Notes", Text.each(notes)),
     )
-    command = fleet.settings.command
-    footer = (("command", command),) if command else ()
+    footer = (("command", fleet.command),) if fleet.command else ()
     picture = each[1] if each else None
-    card = Card(_worth(fleet), _find(fleet), _to_do(fleet), command, _uses(fleet), picture)
+    card = Card(_worth(fleet), _find(fleet), _to_do(fleet), fleet.command, _uses(fleet), picture)
     title = f"Fleet of {len(fleet.members)} devices"
     return Document(title, _verdict(fleet), parts, footer, card)
 
 
 def _verdict(fleet: Fleet) -> Text:
     """Without figures: these are on the card."""
-    found = fleet.search.found if fleet.search else ()
-    names = ", ".join(" or ".join(map(in_words, (f.effect, *f.rivals))) for f in found)
+    names = ", ".join(" or ".join(map(in_words, (f.effect, *f.rivals))) for f in fleet.found)
     words = "Nothing that the devices share shows."
     if names:
         words = f"{fleet.verdict.capitalize()}: all devices have {names}."
@@ -77,7 +75,7 @@ def _uses(fleet: Fleet) -> tuple[Use, ...]:
         purpose = f"Correct a recording of {name}, and so for each device"
         uses.append(Use(purpose, ("apply", own, "RECORDING", "-o", "corrected.mcap")))
     if fleet.following:
-        calibrator = fleet.settings.calibrator
+        calibrator = fleet.calibrator
         wanted = "TABLE" if calibrator == "lab" else "RECORDING"
         command = (calibrator, wanted, "--fleet", "{folder}/fleet.yaml")
         uses.append(Use("Calibrate another device of the kind", command))
@@ -95,7 +93,7 @@ def _worth(fleet: Fleet) -> tuple[Worth, ...]:
             size = size_with_unit(float(np.sqrt(np.mean(own**2))), unit)
             made.append(Worth(f"{len(own)} {what}", size, "between devices, rms"))
         return tuple(made)
-    worst, how = max(members, key=lambda m: m.final), _HOW[fleet.settings.calibrator]
+    worst, how = max(members, key=lambda m: m.final), _HOW[fleet.calibrator]
     detail = f"{worst.name}, {how}; alone {worst.base:.3g}"
     one = Worth("the worst device", f"{worst.final:.3g} mg", detail)
     gain = fleet.difference
@@ -109,7 +107,7 @@ def _worth(fleet: Fleet) -> tuple[Worth, ...]:
 
 def _find(fleet: Fleet) -> tuple[Text, ...]:
     tone, lines = _TONE.get(fleet.verdict, "plain"), []
-    for one in fleet.search.found if fleet.search else ():
+    for one in fleet.found:
         rivals = f"; or {' or '.join(map(in_words, one.rivals))}" if one.rivals else ""
         words = (
             f"{in_words(one.effect).capitalize()}, in every device with a size of its own: "
@@ -138,7 +136,7 @@ def _to_do(fleet: Fleet) -> tuple[str, ...]:
         for name in dict.fromkeys(o.device for o in fleet.outliers)
     ]
     steps += [f"Mend {name}: {why.rstrip('.')}." for name, why in fleet.failed]
-    lab = fleet.settings.calibrator == "lab"
+    lab = fleet.calibrator == "lab"
     if fleet.verdict in ("suspected", "unexplained"):
         more = "positions of each: `imucal design TABLE`" if lab else "recordings of each"
         steps.append(f"Record more devices, or more {more}.")
@@ -154,7 +152,7 @@ def _shared(fleet: Fleet) -> tuple[Table, ...]:
             f"{int(np.sum(one.nats > 0.0))} of {len(one.able)}",
             ", ".join(one.rivals) or "none",
         )
-        for one in (fleet.search.found if fleet.search else ())
+        for one in fleet.found
     )
     header = ("effect", "probability", "foretold, nats", "devices that gain", "rivals")
     note = (
@@ -175,11 +173,11 @@ def _each(fleet: Fleet) -> tuple[()] | tuple[Table, Plot]:
     )
     at, names = np.arange(1.0, len(shown) + 1.0), tuple(m.name for m in shown)
     series = [Series("alone", at, np.array([m.base for m in shown]), "rings", names=names)]
-    if fleet.search and fleet.search.found:
+    if fleet.found:
         final = np.array([m.final for m in shown])
         series.append(Series("with the fleet", at, final, "points", names=names))
     error, caption = "error beside the walk", "Effects"
-    if fleet.settings.calibrator == "lab":
+    if fleet.calibrator == "lab":
         error, caption = "held-out error", "Each position predicted without it; effects"
     caption += " chosen and sized by the other devices."
     title = f"{error.capitalize()} of each device"
@@ -197,7 +195,7 @@ def _spread(fleet: Fleet) -> tuple[Table, ...]:
         between = _scatter(s.sessions, s.unit) if s.sessions else "-"
         rows.append((s.name, mean, _scatter(s.interval, s.unit), *[between] * twice))
     # Of effects that were found: the mean size, and how much devices differ by what they say.
-    for one in fleet.search.found if fleet.search else ():
+    for one in fleet.found:
         sds = np.sqrt(np.diag(one.sizes.common_covariance))
         parameters = named(one.effect).parameters(Context(1))
         for p, m, sd in zip(parameters, one.sizes.common, sds, strict=True):
@@ -262,8 +260,8 @@ def fleet_dict(fleet: Fleet) -> dict[str, Any]:
         for s in fleet.spreads
     ]
     content = {
-        **fields(fleet, "calibrator=settings.calibrator verdict exit_code"),
-        "found": listed(search.found if search else (), found),
+        **fields(fleet, "calibrator verdict exit_code"),
+        "found": listed(fleet.found, found),
         "held_out_mg": fleet.difference and fields(fleet.difference, gain),
         "devices": members,
         "between_devices": spreads,
@@ -276,7 +274,7 @@ def fleet_dict(fleet: Fleet) -> dict[str, Any]:
         "notes": fleet.notes,
         "provenance": {
             "inputs": listed(made, "input=path sha256"),
-            **fields(fleet.settings, "settings=stated command"),
+            **fields(fleet, "settings command"),
             **fields(made[-1], "versions time"),
         },
     }

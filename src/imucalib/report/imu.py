@@ -15,9 +15,7 @@ from imucalib.calibrators.imu.run import ImuRun, heading_drift
 from imucalib.data import Data
 from imucalib.report import sections
 from imucalib.report.conditions import power_up_worths, sessions_section, temperature_section
-from imucalib.report.plots import gain_plot
 from imucalib.report.render.document import (
-    RESIDUALS,
     Card,
     Document,
     Facts,
@@ -42,20 +40,16 @@ _RATE = "rate = K (reading - bias - what effects add), in the accelerometer's fr
 
 def imu_document(run: ImuRun) -> Document:
     """Everything that a reader of the calibration must know, headline first."""
-    outcome = run.outcome
-    parts = [
-        sections.loop_section(outcome),
-        Section(RESIDUALS, gain_plot(outcome.findings)),
+    rest = (
         Section("Gyroscope", (_facts(run),)),
         Section("Parameters", (sections.parameter_table(run.calibration, _RATE),)),
         sessions_section(run.sessions),
         temperature_section(run.calibration),
         sections.sensor_section(run.calibration),
         Section("Turns", (_turns(run),)),
-        *sections.closing_sections(outcome),
-    ]
-    title = f"IMU calibration of {outcome.provenance.path}"
-    return sections.calibration_document(title, parts, run, _card(run))
+    )
+    title = f"IMU calibration of {run.outcome.provenance.path}"
+    return sections.calibration_document(title, run, _card(run), rest=rest)
 
 
 def _card(run: ImuRun) -> Card:

@@ -25,9 +25,8 @@ from imucalib.effects.scans import COLUMN
 from imucalib.posterior.held_out import Predictions, predict_fitted, raw_errors
 from imucalib.report import sections
 from imucalib.report.conditions import power_up_worths, sessions_section, temperature_section
-from imucalib.report.plots import band, gain_plot, sphere_map
+from imucalib.report.plots import band, sphere_map
 from imucalib.report.render.document import (
-    RESIDUALS,
     Block,
     Card,
     Document,
@@ -60,15 +59,12 @@ _FOLLOWED = {
 
 def lab_document(run: LabRun) -> Document:
     """Everything that a reader of the calibration must know, headline first."""
-    outcome, result, request = run.outcome, run.result, run.request
+    result, kind = run.result, run.request.population
     picture, *others = _residual_plots(run)
-    plots = (*gain_plot(outcome.findings), *others, _attitude_map(run))
-    parts = [
-        sections.loop_section(outcome),
-        Section(RESIDUALS, plots),
+    rest = (
         _angle_section(run),
         _parameter_section(run),
-        sections.kind_section(request.population, result.final, result.kind_chance, "position"),
+        sections.kind_section(kind, result.final, result.kind_chance, "position"),
         _bench_section(run),
         sessions_section(run.sessions),
         temperature_section(run.calibration),
@@ -76,11 +72,11 @@ def lab_document(run: LabRun) -> Document:
         sections.sensor_section(run.calibration),
         _uncertainty_section(run),
         Section("Positions", (_position_table(run),)),
-    ]
-    if outcome.findings:
-        parts.append(sections.candidate_section(outcome.findings))
-    title = f"Lab calibration of {outcome.provenance.path}"
-    return sections.calibration_document(title, parts, run, _card(run, picture))
+    )
+    title = f"Lab calibration of {run.outcome.provenance.path}"
+    plots = (*others, _attitude_map(run))
+    card = _card(run, picture)
+    return sections.calibration_document(title, run, card, residuals=plots, rest=rest)
 
 
 def _knows_angles(run: LabRun) -> bool:
@@ -257,13 +253,6 @@ def _uncertainty_section(run: LabRun) -> Section:
     inclination = np.max([c.inclination_95 for c in curves], axis=0)
     tool_face = np.max([c.tool_face_95 for c in curves], axis=0)
     x = run.request.conventions.outside(at, np.zeros_like(at))[0]
-    labels = ("inclination (deg)", "half width (deg)")
-    caption = "Half width of 95 % intervals, worst of four tool-faces; one reading's noise comes "
-    caption += "on top."
-    plots = (
-        Plot(f"{what}, calibration only", *labels, (Series("95 %", x, half, "line"),), caption)
-        for what, half in (("Inclination", inclination), ("Tool-face", tool_face))
-    )
     rows = tuple(
         (
             f"{x[k]:.0f}",
@@ -275,9 +264,12 @@ def _uncertainty_section(run: LabRun) -> Section:
         for k in (int(np.argmin(np.abs(at / DEG - v))) for v in (0.0, 30.0, 50.0, 80.0))
     )
     header = ("inclination", "inc., 95 %", "inc., 1 reading", "tool-face, 95 %", "tf, 1 reading")
-    note = "The frame's part (mounting, dial zero) is included; |a| cannot see it."
+    note = (
+        "Half width of 95 % intervals of the calibration, worst of four tool-faces; one reading's "
+        "noise comes on top. The frame's part (mounting, dial zero) is included; |a| cannot see it."
+    )
     table = Table("Uncertainty carried to the angles (deg)", header, rows, "rrrrr", note)
-    return Section("Uncertainty of the angles", (table, *plots))
+    return Section("Uncertainty of the angles", (table,))
 
 
 def _held_out_models(run: LabRun) -> tuple[Predictions, Predictions, bool]:

@@ -32,6 +32,7 @@ from imucalib.posterior.closed_loop.found import Unexplained
 from imucalib.question import Question, paste
 from imucalib.report.certificate import certify
 from imucalib.report.render.document import (
+    RESIDUALS,
     Block,
     Card,
     Document,
@@ -84,9 +85,25 @@ _ANEW = (
 )
 
 
-def calibration_document(title: str, parts: Sequence[Section], run: Run, card: Card) -> Document:
-    """The report of a calibration, with its certificate and its provenance."""
-    footer, verdict = run.outcome.provenance.footer, _verdict(run.outcome)
+def calibration_document(
+    title: str,
+    run: Run,
+    card: Card,
+    *,
+    first: Sequence[Section] = (),
+    residuals: Sequence[Plot] = (),
+    rest: Sequence[Section] = (),
+) -> Document:
+    """The report of a calibration, with its certificate and its provenance.
+
+    first : sections ahead of those of the search; residuals : before and after it
+    rest : sections behind them
+    """
+    outcome = run.outcome
+    parts = [*first, loop_section(outcome), Section(RESIDUALS, tuple(residuals)), *rest]
+    parts += [candidate_section(outcome.findings)] if outcome.findings else []
+    parts.append(Section("Notes", Text.each(outcome.notes)))
+    footer, verdict = outcome.provenance.footer, _verdict(outcome)
     return Document(title, verdict, tuple(parts), footer, card, certify(run, card))
 
 
@@ -448,12 +465,6 @@ def candidate_section(found: Findings) -> Section:
         note = "Absorbed by what is fitted, or by effects already in the model."
         blocks.append(Table("What these data cannot show", heads, cells, "llr", note))
     return Section("Candidates tried", tuple(blocks))
-
-
-def closing_sections(outcome: Outcome) -> tuple[Section, ...]:
-    """The candidates, where there was a search, and the notes."""
-    found = (candidate_section(outcome.findings),) if outcome.findings else ()
-    return (*found, Section("Notes", Text.each(outcome.notes)))
 
 
 def parameter_table(calibration: Calibration, note: str, shares: Sequence[float] = ()) -> Table:

@@ -12,7 +12,7 @@ from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.comparison.agreement import ExcessScatter, beyond
 from imucalib.calibration.provenance import Provenance
 from imucalib.calibrators.population import Population, PriorNoise, PriorParameter
-from imucalib.cohort.fleet.search import Priors, Search
+from imucalib.cohort.fleet.search import FleetEffect, Priors, Search
 from imucalib.core.effect import Context
 from imucalib.core.fit import Fit
 from imucalib.effects import named
@@ -257,21 +257,20 @@ class FleetMember:
 
 
 @dataclass(frozen=True)
-class Settings:
-    """calibrator : of every device; command : that was typed; stated : as provenance has them"""
-
-    calibrator: str
-    command: str
-    stated: Mapping[str, object]
-
-
-@dataclass(frozen=True)
 class Fleet:
-    """members : in the order given; failed : file -> why it is no member; search : None where no
-    recording holds what a search needs
+    """Devices of one kind.
+
+    members : in the order given
+    failed : file -> why it is no member
+    search : what was found, None where no recording holds what a search needs
+    spreads : of every parameter that all have
+    outliers : who is not of the kind
     difference : held-out error over all members, mg, None where nothing was found
+    calibrator : of every device; command : that was typed
+    settings : as provenance has them
     following : what it says of the next device, None for fewer than four
-    notes : what else a reader must know"""
+    notes : what else a reader must know
+    """
 
     members: tuple[FleetMember, ...]
     failed: tuple[tuple[str, str], ...]
@@ -279,9 +278,16 @@ class Fleet:
     spreads: tuple[Spread, ...]
     outliers: tuple[Outlier, ...]
     difference: Difference | None
-    settings: Settings
+    calibrator: str
+    command: str
+    settings: Mapping[str, object]
     following: Population | None = None
     notes: tuple[str, ...] = ()
+
+    @property
+    def found(self) -> tuple[FleetEffect, ...]:
+        """Effects that all devices share."""
+        return self.search.found if self.search else ()
 
     @property
     def verdict(self) -> str:

@@ -18,14 +18,13 @@ from imucalib.cohort.fleet.outcome import (
     DeviceRecording,
     Fleet,
     FleetMember,
-    Settings,
     Spread,
     outliers,
     population_of,
     shared_parameters,
 )
 from imucalib.cohort.fleet.pooled import PooledDevice, evidence_of_sizes
-from imucalib.cohort.fleet.search import Priors, Said, search_fleet
+from imucalib.cohort.fleet.search import Priors, Search, search_fleet
 from imucalib.core.effect import Context
 from imucalib.effects import named
 from imucalib.errors import UnreadableInput, UsageError
@@ -238,11 +237,13 @@ def run_recorded(paths: Sequence[Path], wanted: Wanted, say: Callable[[str], Non
     return Fleet(
         members=members,
         failed=failed,
-        search=said.search if said else None,
+        search=said,
         spreads=spreads,
         outliers=outliers(list(of), spreads),
-        difference=_gain(own, said) if said and said.search.found else None,
-        settings=Settings(usable[0].calibrator, wanted.command, wanted.stated()),
+        difference=_gain(own, said) if said and said.found else None,
+        calibrator=usable[0].calibrator,
+        command=wanted.command,
+        settings=wanted.stated(),
         following=_following(usable, spreads, said),
         notes=_notes(found, usable, own),
     )
@@ -275,7 +276,7 @@ def _demand_one_kind(
 
 
 def _members(
-    of: Mapping[str, Sequence[Calibrated]], own: Sequence[PooledDevice], said: Said | None
+    of: Mapping[str, Sequence[Calibrated]], own: Sequence[PooledDevice], said: Search | None
 ) -> tuple[tuple[FleetMember, ...], dict[str, tuple[StoredParameter, ...]]]:
     """Devices, and of every recording the parameters with what its device has."""
     device = {one.name: one for one in own}
@@ -294,7 +295,7 @@ def _members(
     return tuple(members), values
 
 
-def _gain(own: Sequence[PooledDevice], said: Said) -> Difference:
+def _gain(own: Sequence[PooledDevice], said: Search) -> Difference:
     """Of devices of the kind: each is one number, predicted by the others. The density decides: an
     effect that is small against the noise of one posture is sure by hundreds of them."""
     pairs = [predict_noise(device, said.unseen.get(device.name, {})) for device in own]
@@ -305,7 +306,7 @@ def _gain(own: Sequence[PooledDevice], said: Said) -> Difference:
 
 
 def _following(
-    usable: Sequence[Calibrated], spreads: Sequence[Spread], said: Said | None
+    usable: Sequence[Calibrated], spreads: Sequence[Spread], said: Search | None
 ) -> Population | None:
     """Of worn sensors, whose next recording takes it; None for others."""
     sums = [one.sums for one in usable if one.sums is not None]

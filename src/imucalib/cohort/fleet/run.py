@@ -16,14 +16,13 @@ from imucalib.cohort.fleet.outcome import (
     DeviceRecording,
     Fleet,
     FleetMember,
-    Settings,
     noise_of,
     outliers,
     population_of,
     shared_parameters,
 )
 from imucalib.cohort.fleet.pooled import device_of
-from imucalib.cohort.fleet.search import Priors, Said, search_fleet
+from imucalib.cohort.fleet.search import Priors, Search, search_fleet
 from imucalib.core.effect import Effect
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
@@ -71,11 +70,13 @@ def run_fleet(tables: Sequence[LabFiles], request: LabRequest, say: Callable[[st
     return Fleet(
         members=members,
         failed=failed,
-        search=said.search,
+        search=said,
         spreads=spreads,
         outliers=outliers([member.name for member in members], spreads),
-        difference=gain if said.search.found else None,
-        settings=Settings("lab", request.command, request.stated()),
+        difference=gain if said.found else None,
+        calibrator="lab",
+        command=request.command,
+        settings=request.stated(),
         following=population_of(
             [by_name[p.name] for p in fits[0].parameters],
             said.following,
@@ -110,7 +111,7 @@ def _calibrate_each(
 
 
 def _members(
-    runs: Sequence[tuple[str, LabRun]], said: Said, effects: Mapping[str, Effect]
+    runs: Sequence[tuple[str, LabRun]], said: Search, effects: Mapping[str, Effect]
 ) -> tuple[tuple[FleetMember, ...], Difference | None]:
     """Held out is what the others alone have found and sized."""
     members, pairs = list[FleetMember](), list[tuple[Array, Array]]()

@@ -9,7 +9,7 @@ keeps its products with all candidates, so it is made anew for each group that i
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -49,33 +49,33 @@ class FleetEffect:
         return self.pooled.effect
 
 
-@dataclass(frozen=True)
-class Search:
-    """found : in order; first : every effect before any was accepted; refused : what stood out, and
-    why it was not accepted"""
-
-    found: tuple[FleetEffect, ...]
-    first: tuple[PooledEffect, ...]
-    refused: tuple[tuple[str, str], ...]
-
-
 #: Effect -> its sizes, in typical sizes.
 Priors = Mapping[str, Prior]
 
 
 @dataclass(frozen=True)
-class Said:
-    """What a fleet says. search : what it found; by_others : of each device what the others say of
-    it; unseen : the same where the others have found it too, empty where that was not wanted;
-    following : of the next device"""
+class Search:
+    """What the devices of a fleet share.
 
-    search: Search
-    by_others: Mapping[str, Priors]
-    unseen: Mapping[str, Priors]
-    following: Priors
+    found : in order
+    first : every effect before any was accepted
+    refused : what stood out, and why it was not accepted
+    by_others : of each device what the others say of the effects
+    unseen : the same where the others have found them too, empty where that was not wanted
+    following : what is said of the next device
+    """
+
+    found: tuple[FleetEffect, ...]
+    first: tuple[PooledEffect, ...]
+    refused: tuple[tuple[str, str], ...]
+    by_others: Mapping[str, Priors] = field(default_factory=dict)
+    unseen: Mapping[str, Priors] = field(default_factory=dict)
+    following: Priors = field(default_factory=dict)
 
 
-def search_fleet(own: Sequence[PooledDevice], say: Callable[[str], None], *, without: bool) -> Said:
+def search_fleet(
+    own: Sequence[PooledDevice], say: Callable[[str], None], *, without: bool
+) -> Search:
     """Search a fleet. own : with their own noise; without : whether also without each device"""
     devices = shrink_noise(own)
     found = search(devices)
@@ -86,7 +86,8 @@ def search_fleet(own: Sequence[PooledDevice], say: Callable[[str], None], *, wit
         for name, said in zip(able, by_others(gram, along), strict=True):
             by_device[name][one.effect] = joint_prior(*said)
     unseen = _drop_each(own) if found.found and without else {}
-    return Said(found, by_device, unseen, _of_another(devices, found))
+    following = _of_another(devices, found)
+    return replace(found, by_others=by_device, unseen=unseen, following=following)
 
 
 def search(devices: Sequence[PooledDevice]) -> Search:
