@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -12,12 +12,14 @@ from imucalib.cli.frame import options as opt
 from imucalib.cli.frame.calibrating import (
     ARGUMENTS,
     calibrating,
-    calibrating_of,
-    finish,
     limit_option,
     shared_fields,
 )
+from imucalib.cli.frame.output import Say
 from imucalib.question import paste
+
+if TYPE_CHECKING:
+    from imucalib.report.files import Report
 
 
 def _one_of(ctx: click.Context, _: click.Parameter, recordings: tuple[Path, ...]) -> Path:
@@ -61,7 +63,7 @@ def _one_of(ctx: click.Context, _: click.Parameter, recordings: tuple[Path, ...]
 @opt.fleet
 @limit_option("--max-worst-error", "largest held-out error, mg.")
 @calibrating
-def command(recording: Path, **options: Any) -> int:
+def command(recording: Path, say: Say, **options: Any) -> list[Report]:
     """Calibrate a worn accelerometer from days of recording: gravity in every posture at rest.
 
     RECORDING is a CSV, HDF5 or MCAP file of raw acceleration. Finds the moments at rest, fits
@@ -95,14 +97,11 @@ def command(recording: Path, **options: Any) -> int:
     if not request.curves:
         request = replace(request, without=(*request.without, "posture"))
     mapping = opt.mapping_of(options)
-    with calibrating_of(options) as say:
-        if request.as_published:
-            published = calibrate_as_published(recording, mapping, request, say)
-            report = Report(published, published_document(published))
-        else:
-            run = calibrate_recording(recording, mapping, request, say)
-            report = Report(run, actigraph_document(run))
-    return finish([report], options)
+    if request.as_published:
+        published = calibrate_as_published(recording, mapping, request, say)
+        return [Report(published, published_document(published))]
+    run = calibrate_recording(recording, mapping, request, say)
+    return [Report(run, actigraph_document(run))]
 
 
 def _seconds(text: str) -> float:

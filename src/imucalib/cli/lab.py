@@ -10,15 +10,14 @@ import click
 from imucalib.cli.frame import options as opt
 from imucalib.cli.frame.calibrating import (
     calibrating,
-    calibrating_of,
-    finish,
     limit_option,
     shared_fields,
 )
-from imucalib.cli.frame.output import freed_memory
+from imucalib.cli.frame.output import Say, freed_memory
 
 if TYPE_CHECKING:
     from imucalib.calibrators.lab.request import LabRequest
+    from imucalib.report.files import Report
 
 #: Bytes: a search takes the same few arrays again and again, and of hundreds of rows a quarter of
 #: its time went into pages that the system clears anew for each.
@@ -111,7 +110,7 @@ _CONVENTIONS = (
 @limit_option("--max-norm-error", "held-out error of |a|, mg rms.")
 @opt.shortest_rest
 @calibrating
-def command(tables: tuple[Path, ...], **options: Any) -> int:
+def command(tables: tuple[Path, ...], say: Say, **options: Any) -> list[Report]:
     """Calibrate a tool's accelerometer on a bench with known tool-face and inclination.
 
     TABLE is a CSV or HDF5 file with one row a position. Several are power-ups of one sensor, as is
@@ -132,9 +131,8 @@ def command(tables: tuple[Path, ...], **options: Any) -> int:
     freed_memory(large=_KEPT, kept=_KEPT)
     columns, mapping = opt.pairs(options["columns"], "--columns"), opt.mapping_of(options)
     files = LabFiles(tables[0], options["recording"], columns, mapping, others=tables[1:])
-    with calibrating_of(options) as say:
-        run = calibrate_files(files, request_of(options), say)
-    return finish([Report(run, lab_document(run))], options)
+    run = calibrate_files(files, request_of(options), say)
+    return [Report(run, lab_document(run))]
 
 
 def request_of(options: dict[str, Any]) -> LabRequest:
