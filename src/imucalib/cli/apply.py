@@ -83,10 +83,8 @@ class Converted(Data, name="convert/1"):
 )
 @opt.flag("--again", "Correct a recording that is corrected already.")
 @opt.option("--whole use", "One calibration for all, whatever parts.", flag_value="whole")
-@opt.force
 @opt.recording
-@opt.json
-@opt.quiet
+@opt.in_a_line
 def command(calibration: Path, recording: Path, **options: Any) -> int:
     """Correct the acceleration of a recording; everything else stays as it was.
 
@@ -210,10 +208,8 @@ def _apply(
 @click.argument("sources", metavar="SOURCE...", nargs=-1, type=opt.PATH)
 @click.argument("target", type=opt.PATH)
 @opt.strict
-@opt.force
 @opt.recording
-@opt.json
-@opt.quiet
+@opt.in_a_line
 def convert(sources: tuple[Path, ...], target: Path, strict: bool, **options: Any) -> int:
     """Rewrite a recording as MCAP, HDF5 or CSV, chosen by TARGET's suffix; units become SI.
 

@@ -52,11 +52,8 @@ if TYPE_CHECKING:
 @opt.path("--html", "Also write the report as a page.")
 @opt.shortest_rest
 @opt.gravity
-@opt.force
 @opt.recording
-@opt.full
-@opt.json
-@opt.quiet
+@opt.as_a_page
 def command(calibration: Path, log: Path, **options: Any) -> int:
     """Say whether a calibration is still good, from a few rests or positions.
 

@@ -35,10 +35,7 @@ from imucalib.cli.frame.output import present
     "--effects effects_file", "Python file with effects of your own that the calibrations use."
 )
 @opt.path("--html", "Also write the report as a page, with its control chart.")
-@opt.force
-@opt.full
-@opt.json
-@opt.quiet
+@opt.as_a_page
 def command(calibrations: tuple[Path, ...], **options: Any) -> int:
     """Say whether calibrations of one sensor differ, what that means, and how they drift.
 

@@ -40,10 +40,7 @@ from imucalib.cli.frame.output import note, present, working
     metavar="SIZE",
 )
 @opt.file("-o --output", "Write the positions as a table (CSV) for `design` and `lab`.")
-@opt.force
-@opt.full
-@opt.json
-@opt.quiet
+@opt.as_a_page
 def command(table: Path | None, count: int | None, **options: Any) -> int:
     """How good is a set of positions, and which one or two more would help most.
 

@@ -60,9 +60,7 @@ class Exported(Data, name="export/1"):
     "what makes the form no better than the raw reading.",
     metavar="MG[,DPS]",
 )
-@opt.force
-@opt.json
-@opt.quiet
+@opt.in_a_line
 def command(calibration: Path, form: str, output: Path | None, **options: Any) -> int:
     """Write a calibration's coefficients in the form of another program.
 

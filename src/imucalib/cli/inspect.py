@@ -22,11 +22,8 @@ if TYPE_CHECKING:
 @opt.path("--html", "Also write all of it as a page, with plots.")
 @opt.shortest_rest
 @opt.flag("--strict", "Refuse a damaged recording instead of reading what is left.")
-@opt.force
 @opt.recording
-@opt.full
-@opt.json
-@opt.quiet
+@opt.as_a_page
 def command(file: Path, **options: Any) -> int:
     """Say what a recording or a table of positions holds, what is wrong with it, and what to type.
 

@@ -26,11 +26,8 @@ def _forms() -> tuple[str, ...]:
 @opt.path("--html", "Also write all of it as a page, with the Allan deviations drawn.")
 @opt.shortest_rest
 @opt.strict
-@opt.force
 @opt.recording
-@opt.full
-@opt.json
-@opt.quiet
+@opt.as_a_page
 def command(recording: Path, form: str | None, output: Path | None, **options: Any) -> int:
     """Say how noisy sensors are at rest, in the units that people use, and write it for others.
 

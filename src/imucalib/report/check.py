@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +13,12 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.calibration.checking.check import SIGNIFICANT, Check, SensorCheck
 from imucalib.calibration.checking.misfit import BAD_REST
-from imucalib.calibration.checking.next_rests import MANY, NextRests
 from imucalib.calibration.checking.noise import FAMILIES
 from imucalib.calibration.plain import fields
 from imucalib.data import plain
 from imucalib.posterior.closed_loop.changes import NOISE
 from imucalib.posterior.odds import SEEN_IN
 from imucalib.report.render.document import (
-    Block,
     Card,
     Document,
     Plot,
@@ -44,15 +42,13 @@ _VERDICT = {
 _NORMAL_95 = 1.96
 #: In the place of a change.
 _UNCHANGED = "none"
-#: Rests that a card names.
-_RESTS = 6
 #: Probability from which on another kind of change is named beside the likeliest.
 _NAMED = 0.1
 _OFTEN = f"{100 * SEEN_IN:.0f} %"
 
 
 def check_document(check: Check, log: Path, calibration: Path, command: str = "") -> Document:
-    """Verdict and card, what changed or could have hidden, every rest, what to record next.
+    """Verdict and card, what changed or could have hidden, every rest.
 
     command : the line that was typed
     """
@@ -60,7 +56,6 @@ def check_document(check: Check, log: Path, calibration: Path, command: str = ""
         Section("What was tested", (_change_table(check),)),
         Section("Readings", tuple(map(_readings, check.sensors))),
         Section("Gyroscopes", _gyros(check)),
-        Section("Record this next", _following(check.following) if check.following else ()),
         Section("Notes", Text.sentences((*check.noise.words, *check.notes))),
     )
     typed = (("command", command),) if command else ()
@@ -83,14 +78,6 @@ def _of(sensor: SensorCheck) -> str:
 def _least(check: Check, name: str) -> float:
     """The change of a kind that would have been found in every sensor."""
     return max(sensor.sizes[name].seen for sensor in check.sensors)
-
-
-def _sizes(sizes: Iterable[tuple[str, float]]) -> str:
-    """Changes by kind, in words; an infinite one is none."""
-    return " or ".join(
-        f"{'no' if math.isinf(size) else f'{two_digits(size)} {FAMILIES[name]} of'} {name}"
-        for name, size in sizes
-    )
 
 
 def _odd(check: Check) -> list[str]:
@@ -152,9 +139,8 @@ def _to_do(check: Check, calibration: str) -> tuple[str, ...]:
     if check.verdict != "undecided":
         return (f"Go on with it: `imucal apply {calibration} RECORDING -o corrected.mcap`.",)
     if following is not None and following.enough:
-        rests = "; ".join(map(_attitude, following.direction[:_RESTS]))
-        more = "; ..." if len(following.direction) > _RESTS else ""
-        return (f"Record these rests too, and check all of them together: {rests}{more}.",)
+        rests = "; ".join(map(_attitude, following.direction))
+        return (f"Record these rests too, and check all of them together: {rests}.",)
     many = None if following is None else following.many
     lead = "No recording decides this" if many is None else f"It would take about {many} rests"
     return (f"{lead}: calibrate again, or accept a wider limit (--limit).",)
@@ -280,29 +266,6 @@ def _gyros(check: Check) -> tuple[Table, ...]:
     tones = Table.marked("warning", (s in check.drifted for s, _ in resting))
     header = ("sensor", "x", "y", "z", "beyond limit")[: len(rows[0]) if rows else 0]
     return (Table("", header, rows, "lrrrr"[: len(header)], note, tones),) if rows else ()
-
-
-def _following(following: NextRests) -> tuple[Block, ...]:
-    count, seen = len(following.direction), _sizes(following.seen.items())
-    if following.enough:
-        more = f"{count} more rest{'s' * (count != 1)}" if count > 1 else "One more rest"
-        words = f"{more} would decide: together with these they could see {seen}."
-        rows = tuple((str(k), _attitude(d)) for k, d in enumerate(following.direction, start=1))
-        note = "Up: the axis that then reads +g."
-        return Text(words), Table("", ("rest", "attitude"), rows, "rl", note)
-    if following.many is not None:
-        words = (
-            f"{count} more rests could see {seen}, which is not enough; about {following.many}, "
-            "all round, would be: as many as a new calibration takes, which also mends what has "
-            "changed."
-        )
-    else:
-        words = (
-            f"No recording decides this: {count} more rests could see {seen}, and {MANY[-1]} are "
-            "not enough. What the calibration itself does not know is larger: calibrate again, or "
-            "accept a wider limit."
-        )
-    return (Text(words, "warning"),)
 
 
 def check_dict(check: Check, log: str, calibration: str, sha256: str) -> dict[str, Any]:

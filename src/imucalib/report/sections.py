@@ -424,7 +424,6 @@ def _power(found: Findings) -> list[Text]:
 
 def candidate_section(found: Findings) -> Section:
     """Every candidate of the last search with its numbers, why not, and what cannot be shown."""
-    rejected = dict(found.rejected)
     rows = [
         (
             s.name,
@@ -438,8 +437,6 @@ def candidate_section(found: Findings) -> Section:
         for s in found.scores
         if "@" not in s.name or s.evidence > 1.0  # a scan has hundreds of members
     ]
-    rows += [(name, "effect", "rejected", "-", "-", "-", "-") for name in rejected]
-    rows += [(name, "effect", "not tested", "-", "-", "-", "-") for name in found.missing]
     header = (
         "candidate",
         "kind",
@@ -456,7 +453,7 @@ def candidate_section(found: Findings) -> Section:
         "effect cannot be tested on these data and shifts the answer by so much."
     )
     blocks: list[Block] = [Table("All candidates", header, tuple(rows), "llrrrrr", note)]
-    reasons = (*rejected.items(), *found.missing.items())
+    reasons = (*found.rejected, *found.missing.items())
     if why := "; ".join(f"{name}: {reason}" for name, reason in reasons):
         blocks.append(Text(f"Rejected or not tested: {why}."))
     if found.not_testable:
