@@ -15,6 +15,7 @@ from imucalib.effects import named
 from imucalib.effects.forms import in_words
 from imucalib.report.render.document import (
     Card,
+    Column,
     Document,
     Plot,
     Section,
@@ -29,6 +30,13 @@ from imucalib.report.render.document import (
 from imucalib.significant_digits import per_cent, plus_minus, size_with_unit
 
 _TONE: dict[str, Tone] = {"explained": "ok", "suspected": "warning", "unexplained": "warning"}
+_SHARED: tuple[Column, ...] = (
+    ("effect", "effect", ""),
+    ("probability", lambda one: per_cent(one.pooled.probability), ">"),
+    ("foretold, nats", lambda one: one.nats.sum(), "+.1f"),
+    ("devices that gain", lambda one: f"{np.sum(one.nats > 0.0)} of {len(one.able)}", ">"),
+    ("rivals", lambda one: ", ".join(one.rivals) or "none", ""),
+)
 #: What an error of a device is an error of.
 _HOW = {
     "lab": "rms on positions held out",
@@ -144,22 +152,11 @@ def _to_do(fleet: Fleet) -> tuple[str, ...]:
 
 
 def _shared(fleet: Fleet) -> tuple[Table, ...]:
-    rows = tuple(
-        (
-            one.effect,
-            per_cent(one.pooled.probability),
-            f"{one.nats.sum():+.1f}",
-            f"{int(np.sum(one.nats > 0.0))} of {len(one.able)}",
-            ", ".join(one.rivals) or "none",
-        )
-        for one in fleet.found
-    )
-    header = ("effect", "probability", "foretold, nats", "devices that gain", "rivals")
     note = (
         "Probability: that the fleet lacks this, and nothing else beside what stands above. "
         "Foretold: what each device's data gain by the size that the other devices give the effect."
     )
-    return (Table("", header, rows, "lrrrl", note),) if rows else ()
+    return (Table.of(_SHARED, fleet.found, note=note),) if fleet.found else ()
 
 
 def _each(fleet: Fleet) -> tuple[()] | tuple[Table, Plot]:

@@ -35,6 +35,7 @@ from imucalib.report.render.document import (
     RESIDUALS,
     Block,
     Card,
+    Column,
     Document,
     Facts,
     Plot,
@@ -72,6 +73,15 @@ _LIKELY, _NAMED = 0.1, 2
 _EVEN = 0.5
 #: How reasons begin that the card says in full.
 _IN_FULL = ("unexplained structure", "structure that no effect")
+_CANDIDATES: tuple[Column, ...] = (
+    ("candidate", "name", ""),
+    ("kind", "kind", ""),
+    ("evidence (nats)", lambda s: "absorbed" if s.absorbed else f"{s.evidence:.2f}", ">"),
+    ("P(present)", lambda s: None if s.absorbed else per_cent(s.probability), ">"),
+    ("identifiable (%)", lambda s: 100.0 * s.left, ".1f"),
+    ("λ", "strength", ".1f"),
+    ("size (mg)", lambda s: s.size / MG if s.size else None, ".2g"),
+)
 _TONE: dict[Status, Tone] = {"ok": "ok", "marginal": "warning", "weak": "warning", "failed": "bad"}
 _HELD_OUT = {
     "actigraph": "Held out: each block of time predicted by a fit without it.",
@@ -424,35 +434,15 @@ def _power(found: Findings) -> list[Text]:
 
 def candidate_section(found: Findings) -> Section:
     """Every candidate of the last search with its numbers, why not, and what cannot be shown."""
-    rows = [
-        (
-            s.name,
-            s.kind,
-            "absorbed" if s.absorbed else f"{s.evidence:.2f}",
-            "-" if s.absorbed else per_cent(s.probability),
-            f"{100.0 * s.left:.1f}",
-            f"{s.strength:.1f}",
-            f"{s.size / MG:.2g}" if s.size else "-",
-        )
-        for s in found.scores
-        if "@" not in s.name or s.evidence > 1.0  # a scan has hundreds of members
-    ]
-    header = (
-        "candidate",
-        "kind",
-        "evidence (nats)",
-        "P(present)",
-        "identifiable (%)",
-        "λ",
-        "size (mg)",
-    )
+    # A scan has hundreds of members.
+    shown = [s for s in found.scores if "@" not in s.name or s.evidence > 1.0]
     note = (
         "Last search, after everything above was added. Identifiable: share of the effect that the "
         "fitted parameters do not absorb. λ: strength at typical size; about 4.7 gives an 80 % "
         "chance to find it. Size: what it does to a reading at typical size, rms; an absorbed "
         "effect cannot be tested on these data and shifts the answer by so much."
     )
-    blocks: list[Block] = [Table("All candidates", header, tuple(rows), "llrrrrr", note)]
+    blocks: list[Block] = [Table.of(_CANDIDATES, shown, "All candidates", note)]
     reasons = (*found.rejected, *found.missing.items())
     if why := "; ".join(f"{name}: {reason}" for name, reason in reasons):
         blocks.append(Text(f"Rejected or not tested: {why}."))
