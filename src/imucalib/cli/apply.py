@@ -5,7 +5,6 @@ imucal convert: Rewrite a recording in another format.
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,21 +18,6 @@ from imucalib.data import Data
 if TYPE_CHECKING:
     from imucalib.calibration.calibration import Calibration
     from imucalib.recording.mapping import FieldMapping
-
-
-def _millimetres(
-    ctx: click.Context, param: click.Parameter, text: str | None
-) -> tuple[float, ...] | None:
-    """ "1.5,0,-2" as a point."""
-    if text is None:
-        return None
-    try:
-        point = tuple(float(part) for part in text.split(","))
-    except ValueError:
-        point = ()
-    if len(point) != 3 or not all(map(math.isfinite, point)):
-        raise click.BadParameter(f"'{text}' is no point: three numbers, mm", ctx, param)
-    return point
 
 
 class Corrected(Data, name="apply/1"):
@@ -74,7 +58,6 @@ class Converted(Data, name="convert/1"):
     "--at",
     "Of an array: point of the board's drawing whose force is given, mm; default: the middle.",
     metavar="X,Y,Z",
-    callback=_millimetres,
 )
 @opt.file(
     "--residuals",
@@ -181,11 +164,11 @@ def _apply(
     """Each sensor corrected, the array fused, or both; and what there is to say of it."""
     from imucalib.calibration.apply import correct_file
 
-    fused = options["fused"]
+    fused, at = options["fused"], options["at"]
     both = {"strict": options["strict"], "again": options["again"]}
     alone = bool(mapping.sensor) or options["use"] is not None or not calibration.triads
     words: tuple[str, ...] = ()
-    if fused or options["at"] is not None or (fused is None and not alone):
+    if fused or at is not None or (fused is None and not alone):
         import numpy as np
 
         from imucalib.calibrators.array.fusion.recording import fuse_file
@@ -193,7 +176,7 @@ def _apply(
 
         if fused is False or mapping.sensor:
             raise click.UsageError("--at and --fused are of all IMUs together: leave the other out")
-        point = options["at"] and 1e-3 * np.array(options["at"])
+        point = at and 1e-3 * np.array(opt.numbers_of(at, "--at", "a point: X,Y,Z in mm", {3}))
         try:
             return fuse_file(calibration, source, target, mapping, at=point, each=not fused, **both)
         except NotFusable as error:

@@ -98,8 +98,11 @@ def _separation(path: Path, options: dict[str, Any]) -> int:
     opt.demand_outputs(options, [options["output"]], path)
     size = options["between_sessions"]
     between = 0.0 if size is None else size_of(size, ("mg",))[0]
+    held = options["temperatures"]
+    if held is not None:
+        held = opt.numbers_of(held, "--temperatures", "of the form LOW,HIGH in degC", {2}, -100.0)
     with working("planning", quiet=options["quiet"]):
-        found = next_recording(path, _temperatures(options["temperatures"]), between)
+        found = next_recording(path, held or (), between)
     _write_table(found.table, [path], options)
     present(separation_document(found, path.name), separation_dict(found), options)
     return found.exit_code
@@ -121,19 +124,6 @@ def _refuse(options: dict[str, Any], why: str, *names: str) -> None:
     for name in names:
         if options[name] is not None:
             raise click.UsageError(f"--{name.replace('_', '-')} {why}")
-
-
-def _temperatures(text: str | None) -> tuple[float, ...]:
-    if text is None:
-        return ()
-    try:
-        found = tuple(float(part) for part in text.split(","))
-    except ValueError:
-        found = ()
-    if len(found) != 2 or not -100.0 < found[0] < found[1] < 200.0:
-        said = f"'{text}' is not of the form LOW,HIGH in degC"
-        raise click.BadParameter(said, param_hint="--temperatures")
-    return found
 
 
 def _write_table(text: str, read: list[Path], options: dict[str, Any]) -> None:

@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from imucalib.exports import Made
 
 
+#: Below any sensor's, in SI.
+_LEAST_WALK = 1e-12
+
+
 class Exported(Data, name="export/1"):
     """Coefficients in the form of another program."""
 
@@ -77,7 +81,10 @@ def command(calibration: Path, form: str, output: Path | None, **options: Any) -
     from imucalib.exports import export
     from imucalib.exports.bound import demand_carried
 
-    bounds = _bounds(options["largest_loss"])
+    bounds: tuple[float | None, ...] = (None,)
+    if (text := options["largest_loss"]) is not None:
+        written = "MG or MG,DPS: a force in mg, a rate in deg/s, zero or more"
+        bounds = opt.numbers_of(text, "--largest-loss", written, {1, 2}, 0.0)
     opt.demand_outputs(options, [output], calibration)
     loaded = _with_stated(opt.calibration_of(calibration, options["effects_file"]), form, options)
     source = str(dict(loaded.facts.get("provenance", {})).get("input", calibration.name))
@@ -121,10 +128,8 @@ def _with_stated(calibration: Calibration, form: str, options: dict[str, Any]) -
     if options["noise"] is not None:
         calibration = with_noise(calibration, options["noise"])
     if (walks := options["random_walk"]) != "limit":
-        said = "give limit, or ACC,GYRO in m/s3/sqrt(Hz), rad/s2/sqrt(Hz)"
-        values = _numbers(walks)
-        if len(values) != 2 or min(values) <= 0.0:
-            raise click.BadParameter(said, param_hint="--random-walk")
+        written = "limit, or ACC,GYRO in m/s3/sqrt(Hz), rad/s2/sqrt(Hz)"
+        values = opt.numbers_of(walks, "--random-walk", written, {2}, _LEAST_WALK)
         calibration = with_walks(calibration, *values)
     if (ids := options["device_id"]) is None:
         return calibration
@@ -135,26 +140,6 @@ def _with_stated(calibration: Calibration, form: str, options: dict[str, Any]) -
         said = "give the accelerometer's id, or ACC,GYRO: whole numbers"
         raise click.BadParameter(said, param_hint="--device-id")
     return state_ids(calibration, tuple(int(word) for word in words))
-
-
-def _numbers(text: str) -> list[float]:
-    """Numbers with commas between them; none where one of them is no number of zero or more."""
-    try:
-        found = [float(part) for part in text.split(",")]
-    except ValueError:
-        return []
-    return found if all(value >= 0.0 for value in found) else []
-
-
-def _bounds(text: str | None) -> tuple[float | None, float | None]:
-    """mg and deg/s, None where it is not stated; raises click's usage error."""
-    if text is None:
-        return None, None
-    values = _numbers(text)
-    if not 1 <= len(values) <= 2:
-        said = "give MG or MG,DPS: a force in mg, a rate in deg/s, zero or more"
-        raise click.BadParameter(said, param_hint="--largest-loss")
-    return values[0], values[1] if len(values) == 2 else None
 
 
 def _files(made: Made, output: Path | None) -> dict[Path, str]:

@@ -105,7 +105,7 @@ def _fleet(inputs: tuple[Path, ...], options: dict[str, Any], say: Say) -> Fleet
         lsb_per_g=opt.one_scale(options["lsb"]),
         gravity=gravity,
         gravity_source=source,
-        exclude=opt.numbers(options["exclude"], "--exclude"),
+        exclude=opt.row_numbers(options["exclude"], "--exclude"),
         still=opt.still_of(options),
         command=command_line(),
     )

@@ -154,9 +154,9 @@ def request_of(options: dict[str, Any]) -> LabRequest:
         conventions=replace(preset(options["convention"]), **stated),
         fixes=tuple(fix for text in options["fixes"] for fix in _fixes(text)),
         repairs=repairs_of(*repairs),
-        exclude=opt.numbers(options["exclude"], "--exclude"),
-        train=opt.numbers(options["train"], "--train"),
-        trust=opt.numbers(options["trust"], "--trust"),
+        exclude=opt.row_numbers(options["exclude"], "--exclude"),
+        train=opt.row_numbers(options["train"], "--train"),
+        trust=opt.row_numbers(options["trust"], "--trust"),
         still=opt.still_of(options),
         sigma=None if options["sigma"] is None else options["sigma"] * MG,
         population=opt.population_of(

@@ -197,9 +197,9 @@ def lab(table: Path, recording: Path | None, seed: int, **options: Any) -> int:
     plan = BenchPlan(
         **{name: options[name] for name in ("layout", "positions", "noise", "gravity")},
         plant=_parse_planted(options["plant"]),
-        setting=_two(options["setting_sd"], "--setting-sd"),
+        setting=_two_of(options["setting_sd"], "--setting-sd"),
         slips=tuple((int(r), a) for r, _, a in (s.partition(":") for s in options["slip"])),
-        temperature=_two(warming, "--temperature") if warming else None,
+        temperature=_two_of(warming, "--temperature") if warming else None,
     )
     rng = np.random.default_rng(seed)
     made = simulated_table(plan, rng)
@@ -213,11 +213,8 @@ for one in (actigraph, array, imu, lab):
     command.add_command(one)
 
 
-def _two(text: str, option: str) -> tuple[float, float]:
-    try:
-        a, b = (float(v) for v in text.split(","))
-    except ValueError:
-        raise click.BadParameter(f"'{text}' is not two numbers", param_hint=option) from None
+def _two_of(text: str, option: str) -> tuple[float, float]:
+    a, b = opt.numbers_of(text, option, "two numbers", {2})
     return a, b
 
 

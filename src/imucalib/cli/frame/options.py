@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -337,7 +338,21 @@ def _exports() -> Iterable[str]:
 EXPORT_FORM = FormName(_exports)
 
 
-def numbers(text: str, what: str) -> tuple[int, ...]:
+def numbers_of(
+    text: str, what: str, form: str, counts: Collection[int], least: float = -math.inf
+) -> tuple[float, ...]:
+    """ "1.5,0,-2" as finite numbers, one of some counts of them, none below the least; raises
+    click's usage error, in which `form` says how they are written."""
+    try:
+        found = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        found = ()
+    if len(found) not in counts or not all(least <= v < math.inf for v in found):
+        raise click.BadParameter(f"'{text}' is not {form}", param_hint=what)
+    return found
+
+
+def row_numbers(text: str, what: str) -> tuple[int, ...]:
     """ "1-20,25" as row numbers; raises click's usage error."""
     rows: list[int] = []
     for part in filter(None, (p.strip() for p in text.split(","))):
