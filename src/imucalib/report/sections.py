@@ -383,7 +383,6 @@ def _error_table(error: ErrorSummary, note: str) -> Table:
 
 def _step_table(steps: Sequence[FoundStep]) -> Table:
     """Effects that were added; a column of sizes and of nats held out where a calibrator has it."""
-    checks = steps[0].checks
     sized, nats = (any(getattr(s, name) for s in steps) for name in ("size", "held_out"))
 
     def row(s: FoundStep) -> tuple[str, ...]:
@@ -391,29 +390,16 @@ def _step_table(steps: Sequence[FoundStep]) -> Table:
         if nats:
             cells += [f"{s.evidence:.1f}", ", ".join(f"{v:.0f}" for v in s.held_out)]
         for c in s.checks:
-            change = [f"{v:.{c.digits}f}" for v in (c.before, c.after)]
-            cells += change if len(s.checks) == 1 else [" -> ".join(change)]
+            cells.append(f"{c.before:.{c.digits}f} -> {c.after:.{c.digits}f} {c.unit}")
         others = ", ".join(f"{n} {per_cent(v)}" for n, v in s.rivals if n != s.effect)
         others = others if s.rivals else ", ".join(s.aliases)
         return (*cells, others or ("nothing: certain" if s.certain else "-"))
 
-    header = ["effect added", *["size"] * sized, "P(present)"]
-    header += ["nats", "held out, nats"] * nats
-    if len(checks) == 1:
-        header += ["before", "after"]
-        units = " or ".join(dict.fromkeys(s.checks[0].unit for s in steps))
-        note = f"{capital(checks[0].metric).removesuffix(', rms')} in {units} rms, "
-        note += (
-            "of all steps together. P(present): of this effect, in this place or beside another."
-        )
-    else:
-        header += [f"{c.metric}, {c.unit}" for c in checks]
-        note = (
-            "P(present): how likely it is. Held out: what each half of the data gains by "
-            "the effect as the other half has it. Residuals: median absolute deviation, held out."
-        )
-    header.append("indistinguishable from")
+    header = ["effect added", *["size"] * sized, "P(present)", *["nats", "held out, nats"] * nats]
+    header += [*(capital(c.metric) for c in steps[0].checks), "indistinguishable from"]
     align = "l" + "l" * sized + "r" * (len(header) - 2 - sized) + "l"
+    note = "Errors of all steps together. P(present): of this effect, in this place or another."
+    note += " Nats held out: what each half gains by the effect as the other half has it." * nats
     return Table("Steps of the loop", tuple(header), tuple(map(row, steps)), align, note)
 
 
