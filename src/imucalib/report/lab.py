@@ -27,7 +27,6 @@ from imucalib.report import sections
 from imucalib.report.conditions import power_up_worths, sessions_section, temperature_section
 from imucalib.report.plots import band, sphere_map
 from imucalib.report.render.document import (
-    Block,
     Card,
     Document,
     Facts,
@@ -175,24 +174,21 @@ def _angle_section(run: LabRun) -> Section:
     ]
     for split in result.splits:
         compared += [(f"{split.name}, base", split.base), (f"{split.name}, final", split.final)]
-    rows = tuple(row(name, _errors_of(run, held)) for name, held in compared)
-    header = ("", *["tool-face, deg", "inclination, deg"] * directed, "|a|, mg")
-    note = "Largest / rms."
-    if bends(result.final):
-        note += " Inclination is compared after undoing the fixture error that was found."
-    blocks: list[Block] = [Table("Errors on the positions", header, rows, "", note)]
+    rows = [row(name, _errors_of(run, held)) for name, held in compared]
     if result.loop and result.loop.records:
         aside = _errors_of(run, predict_fitted(result.loop.final))
         bad = [r.row for r in result.loop.records]
         rest = aside.take(np.setdiff1d(np.arange(len(aside.norm)), bad))
-        title = "With the suspect records set aside"
-        note = "The same model fitted without them, on the other rows."
-        blocks.append(Table(title, header, (row("fitted, final", rest),), "", note))
+        rows.append(row("the same without the suspect records, on the others", rest))
+    header = ("", *["tool-face, deg", "inclination, deg"] * directed, "|a|, mg")
+    note = "Largest / rms."
+    if bends(result.final):
+        note += " Inclination is compared after undoing the fixture error that was found."
     used, n = len(result.used), result.observations.n
     if used != n:
-        words = f"Model chosen and fitted on {used} rows; the other {n - used} are the test set."
-        blocks.append(Text(words))
-    return Section("Angles and |a|" if directed else "|a|", tuple(blocks))
+        note += f" Model chosen and fitted on {used} rows; the other {n - used} are the test set."
+    table = Table("Errors on the positions", header, tuple(rows), "", note)
+    return Section("Angles and |a|" if directed else "|a|", (table,))
 
 
 def _bench_section(run: LabRun) -> Section:
@@ -244,25 +240,19 @@ def _uncertainty_section(run: LabRun) -> Section:
     fit = run.result.final
     if not _knows_angles(run):
         return Section("Uncertainty of the angles", ())
-    at = np.radians(np.linspace(-85.0, 85.0, 69))
-    sigma = reading_noise(fit).whole
-    curves = [
-        angle_uncertainty(fit, at, np.full(69, t), run.request.gravity, sigma)
+    at, sigma = np.radians([0.0, 30.0, 50.0, 80.0]), reading_noise(fit).whole
+    found = [
+        angle_uncertainty(fit, at, np.full(at.size, t), run.request.gravity, sigma)
         for t in np.radians([0, 90, 180, 270])
     ]
-    inclination = np.max([c.inclination_95 for c in curves], axis=0)
-    tool_face = np.max([c.tool_face_95 for c in curves], axis=0)
-    x = run.request.conventions.outside(at, np.zeros_like(at))[0]
-    rows = tuple(
-        (
-            f"{x[k]:.0f}",
-            _within_a_circle(inclination[k], 90.0, 3),
-            f"{curves[0].inclination_reading[k]:.3f}",
-            _within_a_circle(tool_face[k], 180.0, 3),
-            f"{curves[0].tool_face_reading[k]:.3f}",
-        )
-        for k in (int(np.argmin(np.abs(at / DEG - v))) for v in (0.0, 30.0, 50.0, 80.0))
+    columns = (
+        [f"{v:.0f}" for v in run.request.conventions.outside(at, np.zeros_like(at))[0]],
+        [_within_a_circle(v, 90.0, 3) for v in np.max([f.inclination_95 for f in found], axis=0)],
+        [f"{v:.3f}" for v in found[0].inclination_reading],
+        [_within_a_circle(v, 180.0, 3) for v in np.max([f.tool_face_95 for f in found], axis=0)],
+        [f"{v:.3f}" for v in found[0].tool_face_reading],
     )
+    rows = tuple(zip(*columns, strict=True))
     header = ("inclination", "inc., 95 %", "inc., 1 reading", "tool-face, 95 %", "tf, 1 reading")
     note = (
         "Half width of 95 % intervals of the calibration, worst of four tool-faces; one reading's "
