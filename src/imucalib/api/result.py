@@ -23,8 +23,6 @@ Rows = Literal["parameters", "errors", "candidates"]
 _STYLES: dict[str, dict[str, Any]] = {
     "points": {"linestyle": "", "marker": "."},
     "rings": {"linestyle": "", "marker": "o", "fillstyle": "none"},
-    "bars": {"linestyle": "", "marker": "o"},
-    "step": {"drawstyle": "steps-post"},
 }
 
 

@@ -154,8 +154,9 @@ def _activity(run: ActigraphRun) -> Section:
     )
     table = Table.of(_BEFORE_AFTER, compared, "Before and after", note)
     profile = found.enmo_by_hour_mg
-    hour, ends = np.arange(25.0), np.concatenate([profile, profile[-1:]])
-    steps = (Series(name, hour, ends[:, k], "step") for k, name in enumerate(("raw", "corrected")))
+    hour = np.repeat(np.arange(25.0), 2)[1:-1]
+    means = zip(("raw", "corrected"), profile.T, strict=True)
+    steps = (Series(name, hour, np.repeat(mean, 2), "line") for name, mean in means)
     labels = ("ENMO over the day", "hour of the day (h)", "ENMO (mg)")
     plot = Plot(*labels, tuple(steps), "Mean of each hour of the recording's clock, worn time.")
     return Section("Wear and activity", (Facts(facts), table, plot))
@@ -223,7 +224,7 @@ def _series_section(found: Calibrations | None) -> Section:
     off = np.array([p.fit.theta[:3] - found.common[:3] for p in good if p.fit]).T
     half = 2.0 * np.array([p.fit.sd[:3] for p in good if p.fit]).T
     each = zip(found.parameters[:3], off, half, strict=True)
-    curves = tuple(Series.about(p.name, middle, y, two_sd, "bars") for p, y, two_sd in each)
+    curves = tuple(Series.about(p.name, middle, y, two_sd, "points") for p, y, two_sd in each)
     caption = "Change from what all parts have in common; whiskers: two standard deviations."
     plot = Plot("Bias over time", "time (d)", "change of bias (mg)", curves, caption)
     text = Text(f"{words}.", "warning" if found.differ else "ok")

@@ -17,7 +17,7 @@ _BINS = 24  # of what residuals may follow, each with as many samples
 _SENSORS = (("gyro", "deg/s", DEG, 1), ("accelerometer", "mg", MG, 0))
 _SHARES = (0.02, 0.05, 0.1, 0.2, 0.4, 1.0)
 _FEWEST = 10  # samples below which a part is not shown
-_AXES = ("x (mm)", "y (mm)")
+_AXES, _ORDER = ("x (mm)", "y (mm)"), "IMU, in the board's order"
 
 
 def board_plots(run: ArrayRun) -> tuple[Plot, ...]:
@@ -104,11 +104,11 @@ def _deviations(run: ArrayRun) -> Plot:
     off, half = 1e3 * (run.total.mean - run.board.drawn)[1:], 1.96e3 * run.total.sd[1:]
     x = np.arange(1.0, run.board.count)
     series = tuple(
-        Series.about(axis, x, off[:, k], half[:, k], "bars", names=run.board.imus[1:])
+        Series.about(axis, x + 0.15 * (k - 1), off[:, k], half[:, k], "points", run.board.imus[1:])
         for k, axis in enumerate("xyz")
     )
     caption = f"Position minus drawing, relative to {run.board.imus[0]}, 95 % intervals."
-    return Plot("Deviation from the drawing", "IMU", "deviation (mm)", series, caption)
+    return Plot("Deviation from the drawing", _ORDER, "deviation (mm)", series, caption)
 
 
 def _growth(run: ArrayRun) -> tuple[Plot, ...]:
@@ -163,7 +163,7 @@ def residual_plots(run: ArrayRun) -> list[Plot]:
         ("against the rate", against_rate, "speed of rotation (deg/s)", binned),
         ("against force", against_force, "specific force (m/s²)", binned),
         ("against time", against_time, "time in the log (s)", binned),
-        ("of each IMU", of_each, "IMU, in the board's order", each),
+        ("of each IMU", of_each, _ORDER, each),
     )
     plots = []
     for against, points, x_label, caption in kinds:

@@ -18,7 +18,7 @@ from imucalib.question import paste
 
 #: Section of the plots of what is left before and after a search.
 RESIDUALS = "Residual before and after"
-Mark = Literal["line", "points", "rings", "bars", "band", "step", "net"]
+Mark = Literal["line", "points", "rings", "band", "net"]
 Tone = Literal["ok", "warning", "bad", "plain"]
 
 
@@ -101,7 +101,7 @@ def _cell(row: Any, of: str | Callable[[Any], Any], form: str) -> str:
 
 @dataclass(frozen=True)
 class Series:
-    """One data series: x (n,), y (n,); `low` and `high` (n,) are the edges of a band or of bars."""
+    """One data series: x (n,), y (n,); `low` and `high` (n,): edges of a band or of whiskers."""
 
     label: str
     x: Array

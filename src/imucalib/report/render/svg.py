@@ -162,18 +162,8 @@ def limits(parts: Iterable[Array], *, log: bool = False, pad: float = 0.07) -> t
 
 def plot_limits(plot: Plot) -> tuple[tuple[float, float], tuple[float, float]]:
     """Limits of x and of y (log10 where logarithmic), before scales are made equal."""
-    slot = bar_slot(plot)
     parts = [part for s in plot.series for part in (s.y, s.low, s.high) if part is not None]
-    standing = slot > 0.0 and not plot.log_y
-    if standing:  # the foot of the bars
-        parts.append(np.zeros(1))
-    x_low, x_high = limits([s.x for s in plot.series], pad=0.04)
-    y_low, y_high = limits(parts, log=plot.log_y)
-    if standing:  # all bars end on one side: they stand on zero, without a margin
-        shown = np.concatenate([drawable(part) for part in parts])
-        y_low = 0.0 if np.nanmin(shown) >= 0 else y_low
-        y_high = 0.0 if np.nanmax(shown) <= 0 and np.nanmin(shown) < 0 else y_high
-    return (x_low - slot / 2, x_high + slot / 2), (y_low, y_high)
+    return limits([s.x for s in plot.series], pad=0.04), limits(parts, log=plot.log_y)
 
 
 def plot_axes(plot: Plot, shape: tuple[float, float], counts: tuple[int, int]) -> tuple[Axis, Axis]:
@@ -196,27 +186,6 @@ def plot_axes(plot: Plot, shape: tuple[float, float], counts: tuple[int, int]) -
 def _widen(low: float, high: float, span: float) -> tuple[float, float]:
     spare = max(0.0, span - (high - low)) / 2
     return low - spare, high + spare
-
-
-def bar_slot(plot: Plot) -> float:
-    """Room on x, in data units, that one group of bars may fill; 0 for a plot without bars."""
-    bars = [drawable(s.x) for s in plot.series if s.mark == "bars"]
-    places = np.unique(np.concatenate([x[~np.isnan(x)] for x in bars])) if bars else np.empty(0)
-    if places.size < 2:
-        return 0.1 * abs(float(places[0])) or 1.0 if places.size else 0.0
-    return float(np.diff(places).min())
-
-
-def named_places(plot: Plot) -> dict[float, str]:
-    """x -> name where every point of every series is named and names agree; else empty."""
-    places: dict[float, str] = {}
-    for series in plot.series:
-        if len(series.names) != len(series.x):
-            return {}
-        for x, name in zip(series.x.tolist(), series.names, strict=True):
-            if not math.isfinite(x) or abs(x) > LARGEST or places.setdefault(x, name) != name:
-                return {}
-    return places
 
 
 PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "currentColor")
@@ -247,9 +216,9 @@ class AxesFrame:
     x: Axis
     y: Axis
 
-    def place(self, series: Series, shift: float) -> marks.Placed:
-        """A series in pixels; `shift` moves it sideways (bars side by side)."""
-        x = self.left + shift + self.width * self.x.fraction(series.x)
+    def place(self, series: Series) -> marks.Placed:
+        """A series in pixels."""
+        x = self.left + self.width * self.x.fraction(series.x)
         edges = [None if e is None else self._edge(e) for e in (series.low, series.high)]
         titles = marks.hover(series.names, drawable(series.x), drawable(series.y))
         return marks.Placed(x, self.down(series.y), edges[0], edges[1], titles)
@@ -283,7 +252,6 @@ def render_svg(plot: Plot, width: int = WIDTH, height: int = HEIGHT) -> Markup:
         legend=legend,
         x_ticks=_shown(across, frame.x.labels),
         y_ticks=_shown(frame.down(frame.y.ticks), frame.y.labels),
-        barred=any(series.mark == "bars" for series in plot.series),
         x_label=clip(x_label, FONT, frame.width),
         y_label=clip(frame.y.titled(plot.y_label), FONT, frame.height + 20),
         drawn=_draw_series(plot, frame),
@@ -309,11 +277,6 @@ def _frame(plot: Plot, width: int, height: int, legend_height: float) -> AxesFra
     left = 8.0 if plot.bare else left
     shape = (width - left - (8 if plot.bare else 16), tall)
     x_axis, y_axis = plot_axes(plot, shape, counts)
-    # Names under the bars instead of numbers, where all are named and have room.
-    places = named_places(plot) if any(s.mark == "bars" for s in plot.series) else {}
-    room = shape[0] * bar_slot(plot) / (x_axis.high - x_axis.low) - 4
-    if places and all(text_width(name, FONT) <= room for name in places.values()):
-        x_axis = Axis(x_axis.low, x_axis.high, np.array(list(places)), tuple(places.values()))
     return AxesFrame(left, top, *shape, x_axis, y_axis)
 
 
@@ -327,12 +290,6 @@ def slots_of(plot: Plot) -> list[int]:
 def _draw_series(plot: Plot, frame: AxesFrame) -> list[Group]:
     """Every series that has a point, or a piece of band, to show."""
     slots = slots_of(plot)
-    grouped = [i for i, s in enumerate(plot.series) if s.mark == "bars"]
-    slot = frame.width * bar_slot(plot) / (frame.x.high - frame.x.low) * 0.76
-    wide = min(slot / max(len(grouped), 1), 64.0)
-    foot = frame.top + frame.height
-    if not plot.log_y:
-        foot = float(frame.down(np.zeros(1))[0])
     crowded = any(s.mark == "points" and len(s.x) > marks.CROWDED for s in plot.series)
     drawn: list[Group] = []
     for i, series in enumerate(plot.series):
@@ -340,8 +297,7 @@ def _draw_series(plot: Plot, frame: AxesFrame) -> list[Group]:
         x = drawable(series.x)
         if not any(np.isfinite(x + drawable(part, plot.log_y)).any() for part in parts):
             continue
-        shift = (grouped.index(i) - (len(grouped) - 1) / 2) * wide if i in grouped else 0.0
-        placed = frame.place(series, shift)
+        placed = frame.place(series)
         match series.mark:
             case "net":
                 drawn.append((None, [Shape("net", one.d) for one in marks.line(placed)]))
@@ -350,18 +306,15 @@ def _draw_series(plot: Plot, frame: AxesFrame) -> list[Group]:
                 drawn.append((slots[i], marks.error_bars(placed) + points))
             case "rings":
                 drawn.append((slots[i], marks.rings(placed)))
-            case "bars":  # whiskers in the colour of the text: a bar hides those of its own
-                drawn.append((slots[i], marks.bars(placed, foot, wide * 0.92)))
-                drawn.append((None, marks.error_bars(placed, min(4.0, wide / 3))))
             case _:
-                line = marks.line(placed, _dash(plot, i), series.mark == "step")
+                line = marks.line(placed, _dash(plot, i))
                 drawn.append((slots[i], marks.band(placed) + line))
     return drawn
 
 
 def _dash(plot: Plot, i: int) -> str:
     """The dash pattern of a line: the first is solid, and so is one of many points."""
-    order = sum(s.mark in ("line", "band", "step") for s in plot.series[:i])
+    order = sum(s.mark in ("line", "band") for s in plot.series[:i])
     return DASHES[order % len(DASHES)] if len(plot.series[i].x) <= DASHED else ""
 
 
@@ -375,7 +328,7 @@ def _legend(
     for i, series in enumerate(plot.series):
         if series.mark == "net":
             continue
-        swatch = 14.0 if series.mark in ("points", "bars", "rings") else SWATCH
+        swatch = 14.0 if series.mark in ("points", "rings") else SWATCH
         label = clip(series.label, FONT, width - SWATCH - 40)
         needed = swatch + text_width(label, FONT) + 26
         if x + needed > width and x > 4:
@@ -392,8 +345,6 @@ def _swatch(plot: Plot, i: int, slot: int, x: float, y: float) -> list[Shape]:
             return [Shape("mark", marks.MARKERS[slot % len(marks.MARKERS)](x + 7, y))]
         case "rings":
             return [Shape("line", marks.ring(x, y, 6))]
-        case "bars":
-            return [Shape("bar", box=(x, y - 5, 14, 10))]
     line = Shape("line", f"M{short(x)},{short(y)}h{SWATCH:g}", _dash(plot, i))
     area = Shape("band", f"M{short(x)},{short(y - 5)}h{SWATCH:g}v10h-{SWATCH:g}z")
     return [line] if series.low is None else [area, line]
