@@ -187,7 +187,8 @@ def _options_of(calibrator: str, typed: tuple[str, ...]) -> tuple[tuple[str, ...
             "-o behind -- would be the folder of every recording",
             remedy="leave it out; imucal CALIBRATOR RECORDING -o gives the report of one",
         )
-    return _add_absolute_paths(command, [*from_file(context), *typed])
+    with context:
+        return _add_absolute_paths(command, [*from_file(), *typed])
 
 
 def _add_absolute_paths(

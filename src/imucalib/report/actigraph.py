@@ -244,15 +244,12 @@ def _coverage(run: ActigraphRun) -> Section:
     c = run.details.coverage
     ends = c.axis_range_g.items()
     seen = ", ".join(f"{a} {low:+.2f} to {high:+.2f} g" for a, (low, high) in ends)
-    known = f"{two_digits(c.norm_sd_mean_mg)} mg on average over all directions, "
-    known += f"{two_digits(c.norm_sd_largest_mg)} mg in the worst (sd)"
     noise = ", ".join(f"{v:.2g}" for v in c.noise_of_a_sample_mg)
     still = f"{c.still_windows} of {c.windows} windows of {c.window_s:g} s"
     rows = [
         ("recorded", f"{c.hours:.1f} h at {c.rate_hz:g} Hz"),
         ("at rest", f"{still}, {c.posture_runs} posture runs"),
         ("seen of gravity", seen),
-        ("|a| is known to", known),
         ("noise", f"{noise} mg a sample{_steps(c)}"),
         ("local gravity", f"{run.request.gravity:.5f} m/s² ({run.request.gravity_source})"),
     ]

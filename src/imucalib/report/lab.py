@@ -203,9 +203,6 @@ def _bench_section(run: LabRun) -> Section:
         after = f"forgotten in {reading.memory:.2g} positions"
         rows.append(("noise that neighbours share", f"{size}, {after}"))
     rows.append(("local gravity", f"{run.request.gravity:.5f} m/s² ({run.request.gravity_source})"))
-    if (kind := run.request.population) is not None:
-        said = f"what {kind.devices} devices of its kind say (--fleet)"
-        rows.append(("prior beside these rows", said))
     order = (
         "by their time" if "time" in fit.observations.context else "of the file, taken as recorded"
     )

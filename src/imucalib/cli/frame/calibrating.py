@@ -213,12 +213,11 @@ def shared_fields(options: Mapping[str, Any]) -> dict[str, Any]:
 def command_line() -> str:
     """The line that was typed, with what imucal.toml added, ready to be pasted; without the place
     of an entry, which is the study's and not the calibration's."""
-    ctx = click.get_current_context()
-    words = list(ctx.meta.get(ARGUMENTS, ()))
+    words = list(click.get_current_context().meta.get(ARGUMENTS, ()))
     if "--entry" in words:
         at = words.index("--entry")
         del words[at : at + 2]
-    return paste("imucal", *words, *from_file(ctx))
+    return paste("imucal", *words, *from_file())
 
 
 class Logs(Data, name="logs/1"):

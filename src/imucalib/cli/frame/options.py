@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
+from click.core import ParameterSource
 
 from imucalib.cli.frame.output import note
 from imucalib.question import paste
@@ -172,21 +173,31 @@ def still_of(options: Mapping[str, Any]) -> StillSettings:
     return StillSettings(shortest=shortest)
 
 
-def repeat_typed(*files: Path, without: tuple[str, ...] = ()) -> str:
-    """Files and what was typed of their reading, but for some options, for the next command."""
-    ctx = click.get_current_context()
-    words = [str(file) for file in files]
+def retype(chosen: Callable[[str, ParameterSource | None], bool]) -> list[str]:
+    """Some options of the command that runs, as they would be typed.
+
+    chosen : whether one is meant, by its parameter's name and where its value comes from
+    """
+    ctx, words = click.get_current_context(), list[str]()
     for parameter in ctx.command.params:
         name = parameter.name or ""
-        source = ctx.get_parameter_source(name)
-        typed = source is click.core.ParameterSource.COMMANDLINE
-        if name not in READING or name in without or not typed:
+        if not chosen(name, ctx.get_parameter_source(name)):
             continue
+        long = next(o for o in parameter.opts if o.startswith("--"))
         value = ctx.params[name]
+        if isinstance(parameter, click.Option) and parameter.is_flag:
+            words += [long] if value else parameter.secondary_opts[:1]
+            continue
         for one in value if isinstance(value, tuple) else (value,):
-            shown = f"{one:.15g}" if isinstance(one, float) else str(one)
-            words += [parameter.opts[0]] if value is True else [parameter.opts[0], shown]
-    return paste(*words)
+            words += [long, f"{one:.15g}" if isinstance(one, float) else str(one)]
+    return words
+
+
+def repeat_typed(*files: Path, without: tuple[str, ...] = ()) -> str:
+    """Files and what was typed of their reading, but for some options, for the next command."""
+    typed, of_reading = ParameterSource.COMMANDLINE, set(READING) - set(without)
+    words = retype(lambda name, source: name in of_reading and source is typed)
+    return paste(*files, *words)
 
 
 def demand_outputs(options: Mapping[str, Any], outputs: Iterable[Path | None], *read: Path) -> None:
