@@ -72,7 +72,7 @@ def command(calibration: Path, log: Path, **options: Any) -> int:
     from imucalib.report.files import shown_dict
     from imucalib.units import MG
 
-    opt.demand_outputs(options, [options["html"]], calibration, log)
+    opt.demand_outputs(options, [], calibration, log)
     limits = limits_of(options["limits"])
     insisted = options["same_device"]
     loaded = opt.calibration_of(calibration, options["effects_file"], same_device=insisted)
@@ -86,7 +86,7 @@ def command(calibration: Path, log: Path, **options: Any) -> int:
         found = check(loaded, measured, noise, limits, notes=notes)
     content = check_dict(found, log.name, calibration.name, loaded.sha256)
     document = check_document(found, log, calibration, command_line())
-    present(document, {**content, **shown_dict(document)}, options, options["html"])
+    present(document, {**content, **shown_dict(document)}, options)
     return found.exit_code
 
 

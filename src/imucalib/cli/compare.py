@@ -51,15 +51,14 @@ def command(calibrations: tuple[Path, ...], **options: Any) -> int:
     from imucalib.report.comparison import comparison_dict, comparison_document
     from imucalib.report.files import shown_dict
 
-    page, dates = options["html"], options["dates"]
-    opt.demand_outputs(options, [page], *calibrations)
+    opt.demand_outputs(options, [], *calibrations)
     wanted = limits_of(options["limits"])
     loaded = [opt.calibration_of(path, options["effects_file"]) for path in calibrations]
-    dated = dates.split(",") if dates else ()
+    dated = options["dates"].split(",") if options["dates"] else ()
     sessions = sessions_of(options["between"])
     found = compare(loaded, _names(calibrations), wanted, dated, sessions)
     document = comparison_document(found, calibrations, command_line())
-    present(document, {**comparison_dict(found), **shown_dict(document)}, options, page)
+    present(document, {**comparison_dict(found), **shown_dict(document)}, options)
     return found.exit_code
 
 

@@ -40,11 +40,11 @@ def command(file: Path, **options: Any) -> int:
     from imucalib.recording.mapping import from_dict, save_mapping
     from imucalib.report.inspection import describe_recording, inspection_document
 
-    mapping_file, page = options["save_mapping"], options["html"]
-    opt.demand_outputs(options, (mapping_file, page), file)
+    mapping_file = options["save_mapping"]
+    opt.demand_outputs(options, [mapping_file], file)
     typed, rests = opt.repeat_typed(file), options["rests"]
     if not (mapping_file or rests) and (seen := _no_recording(file, typed, options)):
-        present(*seen, options, page)
+        present(*seen, options)
         return 0
     settings, mapping, strict = opt.still_of(options), opt.mapping_of(options), options["strict"]
     with working("reading", quiet=options["quiet"]):
@@ -53,7 +53,7 @@ def command(file: Path, **options: Any) -> int:
         save_mapping(from_dict(found.mapping), mapping_file)
         note(f"wrote {mapping_file}", options["quiet"])
     document = inspection_document(found, typed, rests=rests)
-    present(document, describe_recording(found, typed, rests=rests), options, page)
+    present(document, describe_recording(found, typed, rests=rests), options)
     return 0
 
 

@@ -49,8 +49,7 @@ def command(recording: Path, form: str | None, output: Path | None, **options: A
 
     if output is not None and form is None:
         raise click.UsageError("--output is the file of a form: name it with --to")
-    page = options["html"]
-    opt.demand_outputs(options, (output, page), recording)
+    opt.demand_outputs(options, [output], recording)
     settings, mapping, strict = opt.still_of(options), opt.mapping_of(options), options["strict"]
     with working("reading", quiet=options["quiet"]):
         still = find_segments(blocks(recording, mapping, strict=strict), settings)
@@ -70,5 +69,5 @@ def command(recording: Path, form: str | None, output: Path | None, **options: A
         write_whole(output, text)
         note(f"wrote {output}", options["quiet"])
     document = noise_document(str(recording), noise, opt.repeat_typed(recording))
-    present(document, describe_noise(str(recording), noise), options, page)
+    present(document, describe_noise(str(recording), noise), options)
     return 0

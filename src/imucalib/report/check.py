@@ -29,7 +29,13 @@ from imucalib.report.render.document import (
     Worth,
     capital,
 )
-from imucalib.significant_digits import format_components, per_cent, plus_minus, two_digits
+from imucalib.significant_digits import (
+    format_components,
+    list_likely,
+    per_cent,
+    plus_minus,
+    two_digits,
+)
 from imucalib.units import MG
 
 SCHEMA = "imucal/check/1"
@@ -42,8 +48,6 @@ _VERDICT = {
 _NORMAL_95 = 1.96
 #: In the place of a change.
 _UNCHANGED = "none"
-#: Probability from which on another kind of change is named beside the likeliest.
-_NAMED = 0.1
 _OFTEN = f"{100 * SEEN_IN:.0f} %"
 
 
@@ -171,9 +175,8 @@ def _causes(sensor: SensorCheck) -> str:
 
 def _others(sensor: SensorCheck, told: Sequence[str]) -> str:
     """What else may have changed, with its probability, likeliest first."""
-    share = {n: sensor.answer.of(n) for n in (*sensor.sizes, BAD_REST, NOISE) if n not in told}
-    likely = sorted((n for n, p in share.items() if p >= _NAMED), key=lambda n: -share[n])
-    return ", ".join(f"{name} {per_cent(share[name])}" for name in likely)
+    names = (n for n in (*sensor.sizes, BAD_REST, NOISE) if n not in told)
+    return list_likely({n: sensor.answer.of(n) for n in names})
 
 
 def _sized(sensor: SensorCheck, name: str) -> str:

@@ -34,6 +34,7 @@ from imucalib.report.render.document import (
 from imucalib.significant_digits import (
     format_components,
     format_with_sd,
+    list_likely,
     per_cent,
     plus_minus,
     two_digits,
@@ -42,8 +43,6 @@ from imucalib.significant_digits import (
 SCHEMA = "imucal/comparison/1"
 #: Columns of single calibrations that a table has room for.
 _ROOM = 3
-#: Probability from which on a kind of difference is named.
-_NAMED = 0.1
 _HALF = 1.959964
 _WORTH = {"mg": "force", "deg": "direction", "mm": "place", "deg/s": "rate"}
 _VERDICT = {
@@ -89,9 +88,10 @@ def _card(found: Comparison, paths: Sequence[Path], command: str) -> Card:
         detail = f"at most{pair}, where the force is {format_components(worst.attitude)}; {limit}"
         sensor = f", {worst.sensor}" if worst.sensor else ""
         worths.append(Worth(f"difference of {_WORTH[unit]}{sensor}", f"{size} {unit}", detail))
+    named = list_likely(found.differing) if found.differ else ""
     words = (
         f"The files differ by {'more' if found.differ else 'no more'} than they state "
-        f"({per_cent(found.agreement.answer.nothing)} that nothing does){_differing(found)}."
+        f"({per_cent(found.agreement.answer.nothing)} that nothing does){named and ': '}{named}."
     )
     said = [Text(words, _VERDICT[found.verdict].tone)]
     if found.odd:
@@ -101,14 +101,6 @@ def _card(found: Comparison, paths: Sequence[Path], command: str) -> Card:
     said += Text.sentences(found.notes, "warning")
     steps, chart = _to_do(found, paths), _control_chart(found)
     return Card(tuple(worths), tuple(said), steps, command, picture=chart)
-
-
-def _differing(found: Comparison) -> str:
-    """What differs, with its probability, likeliest first."""
-    share = found.differing
-    likely = sorted((k for k, p in share.items() if p >= _NAMED), key=lambda k: -share[k])
-    named = ", ".join(f"{kind} {per_cent(share[kind])}" for kind in likely)
-    return f": {named}" if found.differ and named else ""
 
 
 def _to_do(found: Comparison, paths: Sequence[Path]) -> tuple[str, ...]:

@@ -201,13 +201,13 @@ def repeat_typed(*files: Path, without: tuple[str, ...] = ()) -> str:
 
 
 def demand_outputs(options: Mapping[str, Any], outputs: Iterable[Path | None], *read: Path) -> None:
-    """Refuse, before the work, an output that is a file which the command reads, or that is there
-    and is not to be replaced. Raises UsageError."""
+    """Refuse, before the work, an output, that of --html too, that is a file which the command
+    reads, or that is there and is not to be replaced. Raises UsageError."""
     from imucalib.atomic_file import demand_output
 
     named = (options.get(name) for name in ("mapping", "effects_file", "noise"))
     inputs = [*read, *(one for one in named if isinstance(one, Path))]
-    for output in filter(None, outputs):
+    for output in filter(None, (*outputs, options.get("html"))):
         demand_output(output, inputs, force=options["force"])
 
 

@@ -9,7 +9,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from pathlib import Path
 from threading import Event, Thread
 from typing import TYPE_CHECKING, Any
 
@@ -50,13 +49,10 @@ def show(document: Document, *, full: bool = False) -> None:
 
 
 def present(
-    document: Document,
-    content: Data | Mapping[str, Any],
-    options: Mapping[str, Any],
-    page: Path | None = None,
+    document: Document, content: Data | Mapping[str, Any], options: Mapping[str, Any]
 ) -> None:
-    """The result as --json, --quiet and --full ask for it; `page` is written before."""
-    if page is not None:
+    """The result as --html, --json, --quiet and --full ask for it."""
+    if (page := options.get("html")) is not None:
         from imucalib.calibration.file import write_whole
         from imucalib.report.render.html import render_html
 
