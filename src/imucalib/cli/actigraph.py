@@ -86,13 +86,7 @@ def command(recording: Path, say: Say, **options: Any) -> list[Report]:
         **shared_fields(options),
         **{name: options[name] for name in ("as_published", "arithmetic")},
         every=_seconds(options["every"]) if options["every"] else None,
-        kind=opt.population_of(
-            options,
-            {"as_published": False, "every": None},
-            "norm",
-            "a worn sensor by the size of gravity",
-            "give a fleet of worn sensors, or of tables with --reference norm",
-        ),
+        kind=opt.population_of(options, "norm", as_published=False, every=None),
     )
     if not request.curves:
         request = replace(request, without=(*request.without, "posture"))

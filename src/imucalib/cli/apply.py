@@ -90,9 +90,7 @@ def command(calibration: Path, recording: Path, **options: Any) -> int:
     pair = residual_files(options["residuals"]) if options["residuals"] else ()
     made = [output, *([angles] if angles else []), *pair]
     opt.demand_outputs(options, made, calibration, recording)
-    loaded = opt.calibration_of(
-        calibration, options["effects_file"], same_device=options["same_device"]
-    )
+    loaded = opt.calibration_of(calibration, options)
     if angles is not None and loaded.triads:
         raise UsageError(
             "--angles is of one accelerometer, this calibration is of an array",

@@ -74,8 +74,7 @@ def command(calibration: Path, log: Path, **options: Any) -> int:
 
     opt.demand_outputs(options, [], calibration, log)
     limits = limits_of(options["limits"])
-    insisted = options["same_device"]
-    loaded = opt.calibration_of(calibration, options["effects_file"], same_device=insisted)
+    loaded = opt.calibration_of(calibration, options)
     reading = options["noise"] and MG * size_of(options["noise"], ("mg",))[0]
     session = sessions_of(options["between_sessions"])
     noise = check_noise(loaded, reading=reading, session=session)
@@ -135,7 +134,7 @@ def validate(file: Path, **options: Any) -> int:
     \b
     Example: imucal validate out/calibration.yaml
     """
-    found = opt.calibration_of(file, None)
+    found = opt.calibration_of(file, options)
     count = len(found.parameters)
     what = f"valid {found.calibrator} calibration, status {found.status}"
     made = Validated(str(file), True, found.status, count)

@@ -53,7 +53,7 @@ def command(calibrations: tuple[Path, ...], **options: Any) -> int:
 
     opt.demand_outputs(options, [], *calibrations)
     wanted = limits_of(options["limits"])
-    loaded = [opt.calibration_of(path, options["effects_file"]) for path in calibrations]
+    loaded = [opt.calibration_of(path, options) for path in calibrations]
     dated = options["dates"].split(",") if options["dates"] else ()
     sessions = sessions_of(options["between"])
     found = compare(loaded, _names(calibrations), wanted, dated, sessions)

@@ -86,7 +86,7 @@ def command(calibration: Path, form: str, output: Path | None, **options: Any) -
         written = "MG or MG,DPS: a force in mg, a rate in deg/s, zero or more"
         bounds = opt.numbers_of(text, "--largest-loss", written, {1, 2}, 0.0)
     opt.demand_outputs(options, [output], calibration)
-    loaded = _with_stated(opt.calibration_of(calibration, options["effects_file"]), form, options)
+    loaded = _with_stated(opt.calibration_of(calibration, options), form, options)
     source = str(dict(loaded.facts.get("provenance", {})).get("input", calibration.name))
     made = export(loaded, source, form)
     if not options["force"]:

@@ -160,11 +160,7 @@ def request_of(options: dict[str, Any]) -> LabRequest:
         still=opt.still_of(options),
         sigma=None if options["sigma"] is None else options["sigma"] * MG,
         population=opt.population_of(
-            options,
-            {"as_published": False, "objective": "settings"},
-            options["reference"],
-            f"this device with {options['reference']}",
-            "give --reference {other}, or a fleet of that reference",
+            options, options["reference"], as_published=False, objective="settings"
         ),
     )
     return as_published(request) if options["as_published"] else request

@@ -211,30 +211,24 @@ def demand_outputs(options: Mapping[str, Any], outputs: Iterable[Path | None], *
         demand_output(output, inputs, force=options["force"])
 
 
-def calibration_of(
-    path: Path, effects_file: Path | None, *, same_device: bool = False
-) -> Calibration:
-    """Read and checked, after the user's own effects. Raises UnreadableInput.
-
-    same_device : take it for the calibration of whichever sensor it is used for
-    """
+def calibration_of(path: Path, options: Mapping[str, Any]) -> Calibration:
+    """Read and checked, after the user's own effects; with --same-device that of whichever sensor
+    it is used for. Raises UnreadableInput."""
     from imucalib.calibration.file import check, read
     from imucalib.effects import load_file
 
-    if effects_file is not None:
-        load_file(effects_file)
+    if options.get("effects_file") is not None:
+        load_file(options["effects_file"])
     found = read(path)
     check(found, str(path))
-    return replace(found, sensor=None) if same_device else found
+    return replace(found, sensor=None) if options.get("same_device") else found
 
 
-def population_of(
-    options: Mapping[str, Any], usual: Mapping[str, Any], reference: str, device: str, remedy: str
-) -> Population | None:
+def population_of(options: Mapping[str, Any], reference: str, **usual: Any) -> Population | None:
     """What --fleet says of the device. Raises UsageError.
 
-    usual : values of options that know no prior, by name; reference : by which the device is
-    calibrated, and `device` says so; remedy : for a fleet of another, which {other} names
+    reference : by which the device is calibrated
+    usual : values of options that know no prior, by name
     """
     from imucalib.calibrators.population import read
     from imucalib.errors import UsageError
@@ -248,9 +242,9 @@ def population_of(
     kind = read(options["fleet"])
     if kind.reference != reference:
         raise UsageError(
-            f"the fleet was calibrated with --reference {kind.reference}, {device}",
+            f"the fleet was calibrated by {kind.reference}, this device is by {reference}",
             where=str(options["fleet"]),
-            remedy=remedy.format(other=kind.reference),
+            remedy=f"give a fleet of that, or of a table --reference {kind.reference}",
         )
     return kind
 
