@@ -28,7 +28,14 @@ from imucalib.report.render.document import (
     Worth,
 )
 from imucalib.report.render.html import render_html
-from imucalib.report.render.svg import Axis, linear_axis, log_axis, plot_axes, render_svg, slots_of
+from imucalib.report.render.svg import (
+    Axis,
+    assign_slots,
+    linear_axis,
+    log_axis,
+    plot_axes,
+    render_svg,
+)
 from imucalib.report.render.table import decimal_pads
 from imucalib.report.render.text import PAGE, render_text
 from worlds.places import SAMPLES
@@ -166,7 +173,7 @@ def test_before_and_after_have_one_colour_on_every_page() -> None:
     labels = ("noise", "before", "after"), ("raw reading", "corrected"), ("after", "mean", "before")
     for names in labels:
         plot = _plot(*(Series(name, one, one, "points") for name in names))
-        slots = dict(zip(names, slots_of(plot), strict=True))
+        slots = dict(zip(names, assign_slots(plot), strict=True))
         assert len(set(slots.values())) == len(names)
         assert slots.get("before", 1) == 1
         assert slots.get("after", slots.get("corrected")) == 2

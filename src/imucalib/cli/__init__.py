@@ -130,11 +130,11 @@ _WORDS = {"help": "--help", "version": "--version"}
 
 def calibrators() -> list[str]:
     """The commands that calibrate."""
-    from imucalib.cli.frame.calibrating import calibrates
+    from imucalib.cli.frame.calibrating import is_calibrator
 
     root = click.Context(cli)
     every = ((name, cli.get_command(root, name)) for name in COMMANDS)
-    return [name for name, command in every if command and calibrates(command)]
+    return [name for name, command in every if command and is_calibrator(command)]
 
 
 def _no_command(args: Sequence[str]) -> str:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from imucalib.report.files import Report
 
 
-def _one_of(ctx: click.Context, _: click.Parameter, recordings: tuple[Path, ...]) -> Path:
+def _demand_one(ctx: click.Context, _: click.Parameter, recordings: tuple[Path, ...]) -> Path:
     """The only one, before anything is done. Raises UsageError for several, or a folder, with the
     command of a study."""
     from imucalib.errors import UsageError
@@ -50,7 +50,7 @@ def _one_of(ctx: click.Context, _: click.Parameter, recordings: tuple[Path, ...]
 
 @opt.command_with_page("actigraph")
 @click.argument(
-    "recording", metavar="RECORDING", nargs=-1, required=True, type=opt.PATH, callback=_one_of
+    "recording", metavar="RECORDING", nargs=-1, required=True, type=opt.PATH, callback=_demand_one
 )
 @opt.option("--every", "Calibrate parts too, for example 7d or 12h.", metavar="TIME")
 @opt.flag("--as-published", "The paper's own method, as it was published.")

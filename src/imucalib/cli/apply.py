@@ -67,7 +67,7 @@ class Converted(Data, name="convert/1"):
 @opt.flag("--again", "Correct a recording that is corrected already.")
 @opt.option("--whole use", "One calibration for all, whatever parts.", flag_value="whole")
 @opt.recording
-@opt.in_a_line
+@opt.line_options
 def command(calibration: Path, recording: Path, **options: Any) -> int:
     """Correct the acceleration of a recording; everything else stays as it was.
 
@@ -190,7 +190,7 @@ def _apply(
 @click.argument("target", type=opt.PATH)
 @opt.strict
 @opt.recording
-@opt.in_a_line
+@opt.line_options
 def convert(sources: tuple[Path, ...], target: Path, strict: bool, **options: Any) -> int:
     """Rewrite a recording as MCAP, HDF5 or CSV, chosen by TARGET's suffix; units become SI.
 

@@ -93,7 +93,7 @@ def command(inputs: tuple[str, ...], jobs: int, **options: Any) -> int:
     failed: list[Entry] = []
     reused, start = 0, time.monotonic()
     with _workers(options["scheduler"], options["wait"]) as cluster:
-        for line in (*found.said, _what(tasks, cluster, jobs, output, resume)):
+        for line in (*found.said, _describe_plan(tasks, cluster, jobs, output, resume)):
             note(line, quiet)
         made = run_all(tasks, cluster, jobs, resume=resume, say=lambda text: note(text, quiet))
         with progress(len(tasks), "recordings", quiet) as advance:
@@ -116,7 +116,7 @@ def _shard_of(text: str) -> tuple[int, int]:
     return int(index), int(count)
 
 
-def _what(
+def _describe_plan(
     tasks: tuple[Task, ...], cluster: Cluster | None, jobs: int, folder: Path, resume: bool
 ) -> str:
     """What is about to be done, before the first recording is."""

@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 @opt.shortest_rest
 @opt.gravity
 @opt.recording
-@opt.as_a_page
+@opt.page_options
 def command(calibration: Path, log: Path, **options: Any) -> int:
     """Say whether a calibration is still good, from a few rests or positions.
 
@@ -69,7 +69,7 @@ def command(calibration: Path, log: Path, **options: Any) -> int:
     from imucalib.calibration.checking.check import check
     from imucalib.calibration.checking.noise import check_noise, limits_of, sessions_of, size_of
     from imucalib.report.check import check_dict, check_document
-    from imucalib.report.files import shown_dict
+    from imucalib.report.files import page_dict
     from imucalib.units import MG
 
     opt.demand_outputs(options, [], calibration, log)
@@ -85,7 +85,7 @@ def command(calibration: Path, log: Path, **options: Any) -> int:
         found = check(loaded, measured, noise, limits, notes=notes)
     content = check_dict(found, log.name, calibration.name, loaded.sha256)
     document = check_document(found, log, calibration, command_line())
-    present(document, {**content, **shown_dict(document)}, options)
+    present(document, {**content, **page_dict(document)}, options)
     return found.exit_code
 
 

@@ -35,7 +35,7 @@ from imucalib.cli.frame.output import present
     "--effects effects_file", "Python file with effects of your own that the calibrations use."
 )
 @opt.path("--html", "Also write the report as a page, with its control chart.")
-@opt.as_a_page
+@opt.page_options
 def command(calibrations: tuple[Path, ...], **options: Any) -> int:
     """Say whether calibrations of one sensor differ, what that means, and how they drift.
 
@@ -49,7 +49,7 @@ def command(calibrations: tuple[Path, ...], **options: Any) -> int:
     from imucalib.calibration.checking.noise import limits_of, sessions_of
     from imucalib.calibration.comparison.compare import compare
     from imucalib.report.comparison import comparison_dict, comparison_document
-    from imucalib.report.files import shown_dict
+    from imucalib.report.files import page_dict
 
     opt.demand_outputs(options, [], *calibrations)
     wanted = limits_of(options["limits"])
@@ -58,7 +58,7 @@ def command(calibrations: tuple[Path, ...], **options: Any) -> int:
     sessions = sessions_of(options["between"])
     found = compare(loaded, _names(calibrations), wanted, dated, sessions)
     document = comparison_document(found, calibrations, command_line())
-    present(document, {**comparison_dict(found), **shown_dict(document)}, options)
+    present(document, {**comparison_dict(found), **page_dict(document)}, options)
     return found.exit_code
 
 

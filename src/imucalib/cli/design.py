@@ -40,7 +40,7 @@ from imucalib.cli.frame.output import note, present, working
     metavar="SIZE",
 )
 @opt.file("-o --output", "Write the positions as a table (CSV) for `design` and `lab`.")
-@opt.as_a_page
+@opt.page_options
 def command(table: Path | None, count: int | None, **options: Any) -> int:
     """How good is a set of positions, and which one or two more would help most.
 

@@ -64,7 +64,7 @@ class Exported(Data, name="export/1"):
     "what makes the form no better than the raw reading.",
     metavar="MG[,DPS]",
 )
-@opt.in_a_line
+@opt.line_options
 def command(calibration: Path, form: str, output: Path | None, **options: Any) -> int:
     """Write a calibration's coefficients in the form of another program.
 
@@ -86,7 +86,7 @@ def command(calibration: Path, form: str, output: Path | None, **options: Any) -
         written = "MG or MG,DPS: a force in mg, a rate in deg/s, zero or more"
         bounds = opt.numbers_of(text, "--largest-loss", written, {1, 2}, 0.0)
     opt.demand_outputs(options, [output], calibration)
-    loaded = _with_stated(opt.calibration_of(calibration, options), form, options)
+    loaded = _apply_stated(opt.calibration_of(calibration, options), form, options)
     source = str(dict(loaded.facts.get("provenance", {})).get("input", calibration.name))
     made = export(loaded, source, form)
     if not options["force"]:
@@ -113,10 +113,10 @@ def command(calibration: Path, form: str, output: Path | None, **options: Any) -
     return 0
 
 
-def _with_stated(calibration: Calibration, form: str, options: dict[str, Any]) -> Calibration:
+def _apply_stated(calibration: Calibration, form: str, options: dict[str, Any]) -> Calibration:
     """With the noise and the ids that are stated beside it; raises click's usage errors."""
     from imucalib.exports.flight.parameters import FLIGHT, state_ids
-    from imucalib.exports.imus import with_noise, with_walks
+    from imucalib.exports.imus import state_noise, state_walks
     from imucalib.recording.identity import NAMELESS
     from imucalib.recording.pairing import fault
 
@@ -126,11 +126,11 @@ def _with_stated(calibration: Calibration, form: str, options: dict[str, Any]) -
         own = calibration.sensor or NAMELESS
         calibration = replace(calibration, sensor=replace(own, name=options["name"]))
     if options["noise"] is not None:
-        calibration = with_noise(calibration, options["noise"])
+        calibration = state_noise(calibration, options["noise"])
     if (walks := options["random_walk"]) != "limit":
         written = "limit, or ACC,GYRO in m/s3/sqrt(Hz), rad/s2/sqrt(Hz)"
         values = opt.numbers_of(walks, "--random-walk", written, {2}, _LEAST_WALK)
-        calibration = with_walks(calibration, *values)
+        calibration = state_walks(calibration, *values)
     if (ids := options["device_id"]) is None:
         return calibration
     if form not in FLIGHT:

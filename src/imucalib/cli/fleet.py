@@ -55,7 +55,7 @@ def command(inputs: tuple[Path, ...], **options: Any) -> int:
       imucal fleet sample_logs/cave_*.csv --reference norm -o fleet
       imucal fleet entries --devices cohort.csv -o fleet
     """
-    from imucalib.report.files import shown_dict
+    from imucalib.report.files import page_dict
     from imucalib.report.fleet import fleet_dict, fleet_document
 
     folder, quiet = options["output"], options["quiet"]
@@ -65,10 +65,10 @@ def command(inputs: tuple[Path, ...], **options: Any) -> int:
         fleet = _fleet(inputs, options, say)
     document = fleet_document(fleet)
     if folder is None:
-        document = document.unwritten(f"{fleet.command} -o fleet")
+        document = document.propose_writing(f"{fleet.command} -o fleet")
     else:
-        document = document.placed({"folder": paste(folder)})
-    content = {"schema": "imucal/fleet/1", **fleet_dict(fleet), **shown_dict(document)}
+        document = document.place_commands({"folder": paste(folder)})
+    content = {"schema": "imucal/fleet/1", **fleet_dict(fleet), **page_dict(document)}
     if folder is not None:
         _write(fleet, document, content, folder, quiet)
     present(document, content, options)

@@ -56,13 +56,13 @@ def command(recordings: tuple[Path, ...], say: Say, **options: Any) -> list[Repo
     axes = parse_axis_map(options["gyro_axes"])
     request = ImuRequest(**shared_fields(options), gyro_axes=axes, still=opt.still_of(options))
     mapping, reports = opt.mapping_of(options), []
-    for sensor in _each(recordings[0], mapping):
+    for sensor in _list_sensors(recordings[0], mapping):
         run = run_imu(recordings, replace(mapping, sensor=sensor), request, say)
         reports.append(Report(run, imu_document(run), sensor))
     return reports
 
 
-def _each(recording: Path, mapping: FieldMapping) -> tuple[str, ...]:
+def _list_sensors(recording: Path, mapping: FieldMapping) -> tuple[str, ...]:
     """The sensor that is named, or every one of the recording."""
     from imucalib.readers import blocks
     from imucalib.recording.sensors import ALL, accelerometers

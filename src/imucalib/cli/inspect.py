@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 @opt.shortest_rest
 @opt.flag("--strict", "Refuse a damaged recording instead of reading what is left.")
 @opt.recording
-@opt.as_a_page
+@opt.page_options
 def command(file: Path, **options: Any) -> int:
     """Say what a recording or a table of positions holds, what is wrong with it, and what to type.
 

@@ -27,7 +27,7 @@ def _forms() -> tuple[str, ...]:
 @opt.shortest_rest
 @opt.strict
 @opt.recording
-@opt.as_a_page
+@opt.page_options
 def command(recording: Path, form: str | None, output: Path | None, **options: Any) -> int:
     """Say how noisy sensors are at rest, in the units that people use, and write it for others.
 

@@ -22,7 +22,7 @@ _FAULT = opt.many(
     "FAULT",
     "gap@START:LENGTH, freeze@START:LENGTH (s), sign@SENSOR:AXIS, clip@G, exchange@SENSOR:SENSOR.",
 )
-_LAST = opt.combine([opt.seed, opt.in_a_line])
+_LAST = opt.combine([opt.seed, opt.line_options])
 _RATE = opt.option("--rate", "Samples a second.", default=100.0)
 
 

@@ -165,7 +165,7 @@ def _effect(calibration: Calibration, name: str, imu: str, size: int) -> Array:
     return np.zeros(size)
 
 
-def late_of(calibration: Calibration) -> float:
+def common_delay(calibration: Calibration) -> float:
     """s by which all gyros are late against the accelerometers: what a low-pass of either does is,
     to the first order, a delay by its time constant."""
     if (told := read_delay(calibration)) is not None:
@@ -182,7 +182,7 @@ def lost_rates(
     gyro = gyroscope_of(calibration)
     laws = gyro.laws if gyro else ()
     lost = tuple(in_words(e.name) for e, _, _ in laws if e.name not in kept)
-    if not delay and (late := late_of(calibration)):
+    if not delay and (late := common_delay(calibration)):
         lost += (
             f"the delay of gyroscope behind accelerometer, {1e3 * late:.3f} ms: subtract it from "
             "the gyroscope's stamps",
@@ -297,7 +297,7 @@ def noise_of(imu: Imu, program: str, remedy: str = _MEASURE) -> tuple[dict[str, 
     return found, said
 
 
-def with_walks(calibration: Calibration, accelerometer: float, gyroscope: float) -> Calibration:
+def state_walks(calibration: Calibration, accelerometer: float, gyroscope: float) -> Calibration:
     """A calibration whose random walks are stated, m/s³/√Hz and rad/s²/√Hz."""
     names = [t.name for t in calibration.triads] or [name_of(calibration)]
     known = calibration.facts.get("noise_density", {})
@@ -310,7 +310,7 @@ def with_walks(calibration: Calibration, accelerometer: float, gyroscope: float)
     return replace(calibration, facts={**calibration.facts, "noise_density": stated})
 
 
-def with_noise(calibration: Calibration, path: Path) -> Calibration:
+def state_noise(calibration: Calibration, path: Path) -> Calibration:
     """The calibration with what a file tells of its sensors' noise.
 
     Raises UnreadableInput for a file that is none, or that names none of the calibration's IMUs.

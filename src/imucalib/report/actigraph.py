@@ -97,7 +97,7 @@ def _card(run: ActigraphRun, picture: Plot) -> Card:
         detail = f"raw reading {night.raw:.2g}; by day {day.raw:.2g} raw, {day.corrected:.2g} "
         worth = Worth("ENMO at night", f"{two_digits(night.corrected)} mg", f"{detail}corrected")
         good.append(worth)
-    ggir = sections.exporting(run.calibration, "For GGIR", "ggir-csv", "ggir.csv")
+    ggir = sections.propose_export(run.calibration, "For GGIR", "ggir-csv", "ggir.csv")
     uses = (sections.CORRECT, *ggir)
     return sections.card_of(run.outcome, good, uses=uses, picture=picture)
 
@@ -152,7 +152,7 @@ def _activity(run: ActigraphRun) -> Section:
         "ENMO: mean of max(|a| - 1 g, 0) over the samples of worn time. The error at rest is held "
         "out: each run predicted without its block of time."
     )
-    table = Table.of(_BEFORE_AFTER, compared, "Before and after", note)
+    table = Table.from_columns(_BEFORE_AFTER, compared, "Before and after", note)
     profile = found.enmo_by_hour_mg
     hour = np.repeat(np.arange(25.0), 2)[1:-1]
     means = zip(("raw", "corrected"), profile.T, strict=True)
@@ -224,7 +224,7 @@ def _series_section(found: Calibrations | None) -> Section:
     off = np.array([p.fit.theta[:3] - found.common[:3] for p in good if p.fit]).T
     half = 2.0 * np.array([p.fit.sd[:3] for p in good if p.fit]).T
     each = zip(found.parameters[:3], off, half, strict=True)
-    curves = tuple(Series.about(p.name, middle, y, two_sd, "points") for p, y, two_sd in each)
+    curves = tuple(Series.from_half(p.name, middle, y, two_sd, "points") for p, y, two_sd in each)
     caption = "Change from what all parts have in common; whiskers: two standard deviations."
     plot = Plot("Bias over time", "time (d)", "change of bias (mg)", curves, caption)
     text = Text(f"{words}.", "warning" if found.differ else "ok")
@@ -325,14 +325,14 @@ def _sphere_blocks(run: ActigraphRun) -> tuple[Plot, Table]:
     )
     title = "Mean error of |a| by direction (mg)"
     note = "sd: what the parameters' uncertainty leaves there, with or without postures."
-    return map_, Table.of(_SPHERE, run.details.sphere, title, note)
+    return map_, Table.from_columns(_SPHERE, run.details.sphere, title, note)
 
 
 def published_document(run: PublishedRun) -> Document:
     """The paper's own procedure: its methods next to each other, verified; parameters, points."""
     note = "Fixed point: operands of 32 or 16 bits, products of twice as many, no square root."
     title = "The paper's methods on the same 18 points (paper 002, Table 3)"
-    methods = Table.of(_METHODS, run.details.methods.items(), title, note)
+    methods = Table.from_columns(_METHODS, run.details.methods.items(), title, note)
     note = "sd from the residual of the points; 18 points leave 9 degrees of freedom."
     points = tuple(
         (f"{k}", *(f"{v:+.4f}" for v in p)) for k, p in enumerate(run.details.points_g, 1)

@@ -104,7 +104,9 @@ def _deviations(run: ArrayRun) -> Plot:
     off, half = 1e3 * (run.total.mean - run.board.drawn)[1:], 1.96e3 * run.total.sd[1:]
     x = np.arange(1.0, run.board.count)
     series = tuple(
-        Series.about(axis, x + 0.15 * (k - 1), off[:, k], half[:, k], "points", run.board.imus[1:])
+        Series.from_half(
+            axis, x + 0.15 * (k - 1), off[:, k], half[:, k], "points", run.board.imus[1:]
+        )
         for k, axis in enumerate("xyz")
     )
     caption = f"Position minus drawing, relative to {run.board.imus[0]}, 95 % intervals."

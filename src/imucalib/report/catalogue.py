@@ -108,7 +108,7 @@ def _one(effect: Effect) -> Section:
         ("source", effect.source),
         ("to identify it", effect.identify),
     )
-    table = Table.of(_PARAMETERS, _parameters(effect), "Parameters")
+    table = Table.from_columns(_PARAMETERS, _parameters(effect), "Parameters")
     return Section("Effect", (Facts(facts), table))
 
 

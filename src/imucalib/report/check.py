@@ -121,7 +121,7 @@ def _picture(check: Check) -> Plot:
     np.maximum.at(half, misfits.owner, _NORMAL_95 * np.sqrt(np.diag(misfits.covariance)) / MG)
     names = tuple(misfits.label[row] for row in misfits.owner)
     series = (
-        Series.about("unchanged, 95 %", rows, np.zeros(misfits.n), half, "band"),
+        Series.from_half("unchanged, 95 %", rows, np.zeros(misfits.n), half, "band"),
         Series("reading", rows[misfits.owner], misfits.value / MG, "points", names=names),
     )
     what = "each axis" if misfits.directed else "|a|"
@@ -215,7 +215,7 @@ def _change_table(check: Check) -> Table:
         last = ("-" if limit is None else f"{limit:.2g}", FAMILIES.get(name, ""))
         return (*[sensor.name] * several, *cells, *last)
 
-    tones = Table.marked("bad", (n in s.causes for s, n in every))
+    tones = Table.mark_rows("bad", (n in s.causes for s, n in every))
     note = (
         "There: probability, whatever else changed. Could see: change in the direction that shows "
         f"least, told in {_OFTEN} of such checks; of unchanged sensors at most "
@@ -249,7 +249,7 @@ def _readings(sensor: SensorCheck) -> Table:
     header = ("reading", "direction", "misfit, mg", "sd, mg", "z")
     note = "Reading minus what the calibration foretells; sd: of an unchanged sensor."
     return Table(
-        title, header, rows, "llrrr", note, Table.marked("warning", np.abs(z[worst]) > 3.0)
+        title, header, rows, "llrrr", note, Table.mark_rows("warning", np.abs(z[worst]) > 3.0)
     )
 
 
@@ -266,7 +266,7 @@ def _gyros(check: Check) -> tuple[Table, ...]:
         "Gyroscopes move at every switching on: it counts as changed where it is likelier beyond "
         "a limit than within (--limit 0.5deg/s)."
     )
-    tones = Table.marked("warning", (s in check.drifted for s, _ in resting))
+    tones = Table.mark_rows("warning", (s in check.drifted for s, _ in resting))
     header = ("sensor", "x", "y", "z", "beyond limit")[: len(rows[0]) if rows else 0]
     return (Table("", header, rows, "lrrrr"[: len(header)], note, tones),) if rows else ()
 

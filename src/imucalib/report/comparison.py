@@ -141,7 +141,7 @@ def _parameters(found: Comparison) -> Table:
     if count > _ROOM:
         note += f" Shown are the first {_ROOM} of {count}; all are in the JSON."
     header = ("parameter", *found.names[:_ROOM], "z")
-    return Table("", header, rows, "", note, Table.marked("warning", np.abs(z) > 3.0))
+    return Table("", header, rows, "", note, Table.mark_rows("warning", np.abs(z) > 3.0))
 
 
 def _scatter(found: Comparison) -> tuple[Text | Table, ...]:
@@ -172,7 +172,7 @@ def _drift(found: Comparison) -> tuple[Text | Table, ...]:
         (name, *format_with_sd(s.value, s.half), f"{unit}/day")
         for name, unit, s in zip(basis.names, basis.units, drift.slopes, strict=True)
     )
-    tones = Table.marked("warning", (s.shown for s in drift.slopes))
+    tones = Table.mark_rows("warning", (s.shown for s in drift.slopes))
     table = Table("", ("parameter", "drift", "± 95 %", "unit"), rows, "lrrl", "", tones)
     return Text(f"{capital(drift.dates.words)}."), table
 
@@ -223,7 +223,7 @@ def _control_chart(found: Comparison) -> Plot | None:
     series = (
         band("limit about the mean", x, force.limit, level),
         Series("mean", ends, np.full(2, level), "line"),
-        Series.about("calibrations, 95 %", x, value, _HALF * sd, "points", tuple(found.names)),
+        Series.from_half("calibrations, 95 %", x, value, _HALF * sd, "points", tuple(found.names)),
     )
     where = ", ".join(f"{v:+.2f}" for v in force.attitude)
     caption = (

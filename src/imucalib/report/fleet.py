@@ -54,7 +54,7 @@ def fleet_document(fleet: Fleet) -> Document:
         Section("Devices", each[:1]),
         Section("Between devices", _spread(fleet)),
         Section("What was tried", _try(fleet)),
-        Section("Notes", Text.each(notes)),
+        Section("Notes", Text.paragraphs(notes)),
     )
     footer = (("command", fleet.command),) if fleet.command else ()
     picture = each[1] if each else None
@@ -156,7 +156,7 @@ def _shared(fleet: Fleet) -> tuple[Table, ...]:
         "Probability: that the fleet lacks this, and nothing else beside what stands above. "
         "Foretold: what each device's data gain by the size that the other devices give the effect."
     )
-    return (Table.of(_SHARED, fleet.found, note=note),) if fleet.found else ()
+    return (Table.from_columns(_SHARED, fleet.found, note=note),) if fleet.found else ()
 
 
 def _each(fleet: Fleet) -> tuple[()] | tuple[Table, Plot]:
@@ -222,7 +222,7 @@ def _try(fleet: Fleet) -> tuple[Table | Text, ...]:
         (one.effect, f"{one.evidence:.1f}", per_cent(one.probability), str(one.devices))
         for one in fleet.search.first
     )
-    refused = Text.each(f"{name}: {why}" for name, why in fleet.search.refused)
+    refused = Text.paragraphs(f"{name}: {why}" for name, why in fleet.search.refused)
     header = ("effect", "evidence, nats", "probability", "devices")
     return (Table("", header, rows, "lrrr"), *refused)
 

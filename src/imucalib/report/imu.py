@@ -88,7 +88,7 @@ def _for_kalibr(run: ImuRun) -> tuple[Use, ...]:
     noise = "{folder}/noise.yaml"
     measured = Use("Measure its noise", ("noise", "{input}", "--to", "kalibr", "-o", noise))
     purpose = "With it, for Kalibr and OpenVINS"
-    made = sections.exporting(run.calibration, purpose, "kalibr", "kalibr.yaml")
+    made = sections.propose_export(run.calibration, purpose, "kalibr", "kalibr.yaml")
     return (measured, *(replace(m, words=(*m.words, "--noise", noise)) for m in made)) * bool(made)
 
 
@@ -163,7 +163,7 @@ def hand_plan_document(plan: HandPlan) -> Document:
     known = [plan.sd] if plan.before is None else [plan.before, plan.sd]
     sds = tuple((name, *(f"{100.0 * sd[k]:.2g}" for sd in known)) for k, name in enumerate(_NAMES))
     gains = Table("", ("gain", *["sd now, %"] * added, "sd then, %"), sds, "l" + "r" * len(known))
-    stay = Text.each((f"These stay open: {words}." for words in plan.open_gains), "bad")
+    stay = Text.paragraphs((f"These stay open: {words}." for words in plan.open_gains), "bad")
     parts = (Section("Turns", (turns,)), Section("Gains", (*stay, gains)))
     return Document("Turns to add" if added else "Turns to take", verdict, parts)
 

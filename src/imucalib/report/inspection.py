@@ -72,13 +72,17 @@ def inspection_document(
         Section("File", (_file(found),)),
         Section(
             "Channels",
-            (Table.of(_CHANNELS, found.channels, note="Noise of one sample at rest, worst axis."),),
+            (
+                Table.from_columns(
+                    _CHANNELS, found.channels, note="Noise of one sample at rest, worst axis."
+                ),
+            ),
         ),
         Section("Clocks", (_clocks(found),)),
         Section("Rest", _rest(found.still)),
         Section("Candidates for rests", _candidates(found) if rests else (), kept=True),
         Section("Losses and gaps", tuple(losses)),
-        Section("Notes", Text.each(notes)),
+        Section("Notes", Text.paragraphs(notes)),
         Section("How it was read", (Facts(_options(found)),) if found.mapping else ()),
         Section(
             "Next",
@@ -108,10 +112,10 @@ def table_document(seen: TableInspection) -> Document:
     facts = [("rows", str(seen.rows)), ("file", f"sha256 {seen.sha256[:16]}…")]
     facts += [("readings", seen.readings)] if seen.readings else []
     parts = (
-        Section("Table", (Facts(tuple(facts)), Table.of(_COLUMNS, seen.columns))),
+        Section("Table", (Facts(tuple(facts)), Table.from_columns(_COLUMNS, seen.columns))),
         Section("What is wrong", Text.sentences(seen.problems, "warning"), kept=True),
-        Section("Notes", Text.each(seen.notes)),
-        Section("Next", Text.each(seen.next), kept=True),
+        Section("Notes", Text.paragraphs(seen.notes)),
+        Section("Next", Text.paragraphs(seen.next), kept=True),
     )
     wrong = len(seen.problems)
     said = f"{wrong} thing{'s' * (wrong != 1)} to settle" if wrong else "nothing is wrong"
@@ -148,7 +152,7 @@ def own_document(path: Path, typed: str) -> tuple[Document, OwnInspection] | Non
         steps = (f"{page} shows it." if page.is_file() else "It is for programs; `--full` prints.",)
     else:
         return None
-    section = Section("Next", Text.each(steps), kept=True)
+    section = Section("Next", Text.paragraphs(steps), kept=True)
     document = Document(str(path), Text(f"{what}."), (section,), drawn="--html")
     return document, OwnInspection(str(path), kind, steps)
 
@@ -339,7 +343,7 @@ def _merge(notes: list[str]) -> list[str]:
 def _gaps(found: Inspection) -> Table:
     title = f"{found.gap_count} gap{'s' * (found.gap_count != 1)}, {found.gap_seconds:.3g} s in all"
     title += f"; the longest {len(found.gaps)}" if found.gap_count > len(found.gaps) else ""
-    return Table.of(_GAPS, found.gaps, title)
+    return Table.from_columns(_GAPS, found.gaps, title)
 
 
 def _rest(still: Segments | None) -> tuple[Table, ...]:
@@ -356,7 +360,7 @@ def _rest(still: Segments | None) -> tuple[Table, ...]:
         (triad, *(f"{low:+.2f} to {high:+.2f}" for low, high in span.T))
         for triad, span in zip(still.triads, spans, strict=True)
     )
-    tones = Table.marked("warning", ((s[0] > -0.5).any() or (s[1] < 0.5).any() for s in spans))
+    tones = Table.mark_rows("warning", ((s[0] > -0.5).any() or (s[1] < 0.5).any() for s in spans))
     title = f"{still.n} still segment{'s' * (still.n != 1)}; gravity along each axis, in units of "
     title += "its norm at rest"
     note = "Scale and bias of an axis show only when it has pointed both up and down."
@@ -422,7 +426,7 @@ def _clocks(found: Inspection) -> Table:
             label = ("both" if len(more) == 1 else f"all {len(more) + 1}") + " channels"
         rows.append((label, *shown))
     header = ("channel", "jitter, µs", "longest step, ms", "repeated stamps", "back steps")
-    tones = Table.marked("warning", (shown[2:] != ("0", "0") for shown in same))
+    tones = Table.mark_rows("warning", (shown[2:] != ("0", "0") for shown in same))
     return Table("", header, tuple(rows), "lrrrr", tones=tones)
 
 
@@ -439,11 +443,11 @@ def _candidates(found: Inspection) -> tuple[Block, ...]:
         (f"noise, {unit}", lambda c: c.noise / size, ".2f"),
         ("", lambda c: c.reason or "rest", ""),
     )
-    tones = Table.marked("warning", (bool(c.reason) for c in candidates))
+    tones = Table.mark_rows("warning", (bool(c.reason) for c in candidates))
     rests = sum(not c.reason for c in candidates)
     title = f"{rests} rests, {len(candidates) - rests} refused"
     plots = (_over_time(candidates, name, unit, size) for name in ("drift", "noise"))
-    return (Table.of(columns, candidates, title, _RESTS, tones), *plots)
+    return (Table.from_columns(columns, candidates, title, _RESTS, tones), *plots)
 
 
 def _in_si(found: Inspection) -> bool:

@@ -104,7 +104,7 @@ def _card(run: LabRun, picture: Plot) -> Card:
     uses: tuple[Use, ...] = (sections.CORRECT,)
     if not run.recorded:
         purpose = "Take the coefficients to the instrument"
-        uses = sections.exporting(run.calibration, purpose, "c-header", "calibration.h")
+        uses = sections.propose_export(run.calibration, purpose, "c-header", "calibration.h")
     return sections.card_of(run.outcome, good, uses=uses, picture=picture)
 
 
@@ -225,7 +225,7 @@ def _dial_section(run: LabRun) -> Section:
         return Section(title, ())
     at = np.linspace(0.0, 90.0, 61)
     dial = dial_of(run.result, at)
-    interval = Series.about("95 % band", at, dial.shift, dial.half, "band")
+    interval = Series.from_half("95 % band", at, dial.shift, dial.half, "band")
     line = Series("true inclination minus dial", at, dial.shift, "line")
     caption = "What the bench's inclination dial is off by; no part of the sensor's calibration."
     labels = ("True inclination minus dial", "inclination (deg)", "dial's error (deg)")

@@ -19,7 +19,7 @@ _CIRCLES = (0.0, 30.0, 60.0)  # deg over the map's rim
 def band(label: str, x: Array, half: float, level: float = 0.0) -> Series:
     """From end to end of x (n,), `half` about a level."""
     ends = np.array([np.nanmin(x), np.nanmax(x)])
-    return Series.about(label, ends, np.full(2, level), np.full(2, half), "band")
+    return Series.from_half(label, ends, np.full(2, level), np.full(2, half), "band")
 
 
 def sphere_map(

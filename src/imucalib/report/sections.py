@@ -112,7 +112,7 @@ def calibration_document(
     outcome = run.outcome
     parts = [*first, loop_section(outcome), Section(RESIDUALS, tuple(residuals)), *rest]
     parts += [candidate_section(outcome.findings)] if outcome.findings else []
-    parts.append(Section("Notes", Text.each(outcome.notes)))
+    parts.append(Section("Notes", Text.paragraphs(outcome.notes)))
     footer, verdict = outcome.provenance.footer, _verdict(outcome)
     return Document(title, verdict, tuple(parts), footer, card, certify(run, card))
 
@@ -160,7 +160,7 @@ CORRECT = Use(
 )
 
 
-def exporting(calibration: Calibration, purpose: str, form: str, file: str) -> tuple[Use, ...]:
+def propose_export(calibration: Calibration, purpose: str, form: str, file: str) -> tuple[Use, ...]:
     """The command that writes a form, where that carries the calibration."""
     if not carries(calibration, form):
         return ()
@@ -428,7 +428,7 @@ def candidate_section(found: Findings) -> Section:
         "chance to find it. Size: what it does to a reading at typical size, rms; an absorbed "
         "effect cannot be tested on these data and shifts the answer by so much."
     )
-    blocks: list[Block] = [Table.of(_CANDIDATES, shown, "All candidates", note)]
+    blocks: list[Block] = [Table.from_columns(_CANDIDATES, shown, "All candidates", note)]
     reasons = (*found.rejected, *found.missing.items())
     if why := "; ".join(f"{name}: {reason}" for name, reason in reasons):
         blocks.append(Text(f"Rejected or not tested: {why}."))

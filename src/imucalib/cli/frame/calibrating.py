@@ -122,7 +122,7 @@ def calibrating(command: Callable[..., Sequence[Report]]) -> Callable[..., int]:
     return found
 
 
-def calibrates(command: click.Command) -> bool:
+def is_calibrator(command: click.Command) -> bool:
     """Whether a command is a calibrating one."""
     return bool(getattr(command.callback, "calibrates", False))
 
@@ -283,7 +283,7 @@ def _place(report: Report, folder: Path) -> Report:
         "reading": opt.repeat_typed(without=("sensor",)),
         "suffix": next((s for s in (".csv", ".h5") if s in given.suffixes), ".mcap"),
     }
-    return replace(report, document=report.document.placed(places))
+    return replace(report, document=report.document.place_commands(places))
 
 
 def _propose_output(report: Report) -> Report:
@@ -291,7 +291,7 @@ def _propose_output(report: Report) -> Report:
     names = chain(["out"], (f"out_{k}" for k in count(2)))
     folder = next(name for name in names if not Path(name).exists())
     command = report.run.outcome.provenance.command
-    return replace(report, document=report.document.unwritten(f"{command} -o {folder}"))
+    return replace(report, document=report.document.propose_writing(f"{command} -o {folder}"))
 
 
 def _write(report: Report, folder: Path, options: Mapping[str, Any]) -> int:

@@ -157,8 +157,8 @@ quiet = flag("-q --quiet", "Print nothing but errors.")
 verbose = flag("-v --verbose", "Say when each thing happened, and what it cost.")
 full = flag("--full", "Print every section, not one page.")
 #: Of commands that write, and print what they found in a line or as a page.
-in_a_line = combine([force, json, quiet])
-as_a_page = combine([force, full, json, quiet])
+line_options = combine([force, json, quiet])
+page_options = combine([force, full, json, quiet])
 seed = option("--seed", "Seed of all randomness: same seed, same result.", default=0)
 
 

@@ -169,7 +169,7 @@ def read_devices(path: Path) -> dict[str, str]:
     return {**short, **named}
 
 
-def with_devices(found: Sequence[Calibrated], named: Mapping[str, str]) -> tuple[Calibrated, ...]:
+def assign_devices(found: Sequence[Calibrated], named: Mapping[str, str]) -> tuple[Calibrated, ...]:
     """Every recording with its device: as named, as its file says, or a device by itself.
 
     Raises UnreadableInput where some are named and others are not.
@@ -215,7 +215,7 @@ def run_recorded(paths: Sequence[Path], wanted: Wanted, say: Callable[[str], Non
     for calibrators that differ.
     """
     found, failed = load_calibrations(paths)
-    found = with_devices(found, read_devices(wanted.devices) if wanted.devices else {})
+    found = assign_devices(found, read_devices(wanted.devices) if wanted.devices else {})
     usable = tuple(one for one in found if one.status != _WEAK)
     _demand_one_kind(usable, failed, weak=len(found) - len(usable))
     of = {

@@ -20,8 +20,8 @@ from imucalib.cohort.fleet.pooled import (
     PooledEffect,
     Sizes,
     by_others,
+    gain_from_others,
     pool_effects,
-    predictive,
     products,
     shrink_noise,
     sizes,
@@ -86,7 +86,7 @@ def search_fleet(
         for name, said in zip(able, by_others(gram, along), strict=True):
             by_device[name][one.effect] = joint_prior(*said)
     unseen = _drop_each(own) if found.found and without else {}
-    following = _of_another(devices, found)
+    following = _predict_another(devices, found)
     return replace(found, by_others=by_device, unseen=unseen, following=following)
 
 
@@ -103,10 +103,10 @@ def search(devices: Sequence[PooledDevice]) -> Search:
             return Search(tuple(found), first, tuple(refused.items()))
         best = scores[0]
         able, gram, along = products(now, best.effect)
-        nats = predictive(gram, along)
+        nats = gain_from_others(gram, along)
         if nats.sum() <= 0.0:
             refused[best.effect] = f"the others foretell no device's: {nats.sum():+.1f} nats"
-            now = tuple(replace(d, columns=_but(d, best.effect)) for d in now)
+            now = tuple(replace(d, columns=_leave_out(d, best.effect)) for d in now)
             continue
         said = sizes(gram, along)
         rivals = tuple(s.effect for s in scores[1:] if s.evidence > best.evidence - OCCAM)
@@ -124,10 +124,10 @@ def _drop(device: PooledDevice, effect: str, said: Sizes) -> PooledDevice:
     away = device.along[k] - own @ said.common
     along = device.along - across @ (said.common + shrunk @ away)
     gram = device.gram - across @ shrunk @ across.T
-    return replace(device, columns=_but(device, effect), gram=gram, along=along)
+    return replace(device, columns=_leave_out(device, effect), gram=gram, along=along)
 
 
-def _but(device: PooledDevice, effect: str) -> dict[str, Index]:
+def _leave_out(device: PooledDevice, effect: str) -> dict[str, Index]:
     """Where the parameters of all other effects stand."""
     return {name: at for name, at in device.columns.items() if name != effect}
 
@@ -142,13 +142,13 @@ def _drop_each(devices: Sequence[PooledDevice]) -> dict[str, Priors]:
     every: dict[str, Priors] = {}
     for group in range(groups):
         rest = shrink_noise([d for k, d in enumerate(devices) if k % groups != group])
-        said = _of_another(rest, search(rest))
+        said = _predict_another(rest, search(rest))
         for device in devices[group::groups]:
             every[device.name] = {n: one for n, one in said.items() if n in device.columns}
     return every
 
 
-def _of_another(devices: Sequence[PooledDevice], found: Search) -> dict[str, Prior]:
+def _predict_another(devices: Sequence[PooledDevice], found: Search) -> dict[str, Prior]:
     """The sizes in another device of the kind of the effects that were found in these."""
     return {
         one.effect: joint_prior(*sizes(*products(devices, one.effect)[1:]).another)

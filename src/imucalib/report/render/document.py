@@ -30,14 +30,14 @@ class Text:
     tone: Tone = "plain"
 
     @classmethod
-    def each(cls, texts: Iterable[str], tone: Tone = "plain") -> tuple[Text, ...]:
+    def paragraphs(cls, texts: Iterable[str], tone: Tone = "plain") -> tuple[Text, ...]:
         """A paragraph each."""
         return tuple(cls(text, tone) for text in texts)
 
     @classmethod
     def sentences(cls, texts: Iterable[str], tone: Tone = "plain") -> tuple[Text, ...]:
         """A paragraph each, with its capital and its full stop."""
-        return cls.each((f"{capital(text)}." for text in texts), tone)
+        return cls.paragraphs((f"{capital(text)}." for text in texts), tone)
 
 
 def capital(text: str) -> str:
@@ -68,7 +68,7 @@ class Table:
     tones: Mapping[int, Tone] = field(default_factory=dict)
 
     @classmethod
-    def of(
+    def from_columns(
         cls,
         columns: Sequence[Column],
         rows: Iterable[Any],
@@ -83,7 +83,7 @@ class Table:
         return cls(title, headings, tuple(cells), align, note, tones or {})
 
     @staticmethod
-    def marked(tone: Tone, which: Iterable[bool]) -> dict[int, Tone]:
+    def mark_rows(tone: Tone, which: Iterable[bool]) -> dict[int, Tone]:
         """One tone for rows, by whether each is marked."""
         return {k: tone for k, one in enumerate(which) if one}
 
@@ -112,7 +112,7 @@ class Series:
     names: tuple[str, ...] = ()  # one label a point, shown on hover in HTML
 
     @classmethod
-    def about(
+    def from_half(
         cls, label: str, x: Array, y: Array, half: Array, mark: Mark, names: tuple[str, ...] = ()
     ) -> Series:
         """With edges `half` (n,) below and above y."""
@@ -234,7 +234,7 @@ class Document:
         picture = self.card.picture if self.card else None
         return (*([(RESIDUALS, picture)] if picture else []), *own)
 
-    def placed(self, places: Mapping[str, str]) -> Document:
+    def place_commands(self, places: Mapping[str, str]) -> Document:
         """The same, with the commands that use what was written: first of a result that passes,
         else after the most useful step. places : see `Use`"""
         card, drawn = self.card, f"{places['folder']}/{self.drawn}"
@@ -244,16 +244,16 @@ class Document:
             card = replace(card, to_do=(*card.to_do[:at], *used, *card.to_do[at:]), uses=())
         return replace(self, card=card, drawn=drawn)
 
-    def unwritten(self, command: str) -> Document:
+    def propose_writing(self, command: str) -> Document:
         """The same of a run that wrote nothing, with the command that writes it: placed as those
-        of `placed`."""
+        of `place_commands`."""
         card, at = self.card, 0 if self.verdict.tone == "ok" else 1
         if card is not None and card.uses:
             keep = f"{KEEP}: `{command}`"
             card = replace(card, to_do=(*card.to_do[:at], keep, *card.to_do[at:]), uses=())
         return replace(self, card=card, drawn="")
 
-    def calm(self) -> Document:
+    def soften_tones(self) -> Document:
         """The same, without a tick next to a verdict that is none, and without a caution on the
         card of a result that passes: what stays then is within what the user accepts."""
         calm = self.verdict.tone not in ("warning", "bad")

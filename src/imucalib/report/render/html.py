@@ -24,7 +24,7 @@ def render_html(document: Document) -> str:
 
     return fill(
         "page.html.j2",
-        document=document.calm(),
+        document=document.soften_tones(),
         number=number,
         signs=SIGNS,
         words=WORDS,

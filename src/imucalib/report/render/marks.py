@@ -167,7 +167,7 @@ def _draw(kind: str, pieces: Sequence[str], dash: str = "") -> list[Shape]:
     return [Shape(kind, "".join(pieces), dash)] if pieces else []
 
 
-def hover(names: Sequence[str], x: Array, y: Array) -> tuple[str, ...]:
+def hover_titles(names: Sequence[str], x: Array, y: Array) -> tuple[str, ...]:
     """Hover titles "name: x, y"; none for a series too long to be read point by point."""
     if len(y) > NAMED:
         return ()

@@ -46,17 +46,17 @@ class Axis:
 
     def fraction(self, values: Array) -> Array:
         """Position (n,) along the axis, 0 at the low end and 1 at the high end; NaN for a gap."""
-        shown = drawable(values, self.log)
+        shown = mask(values, self.log)
         with np.errstate(divide="ignore"):
             shown = np.log10(shown) if self.log else shown
         return np.asarray((shown - self.low) / (self.high - self.low), dtype=np.float64)
 
-    def titled(self, label: str) -> str:
+    def full_label(self, label: str) -> str:
         """The axis label with the note of its tick labels."""
         return f"{label} ({self.note})" if label and self.note else label or self.note
 
 
-def drawable(values: Array, log: bool = False) -> Array:
+def mask(values: Array, log: bool = False) -> Array:
     """Values that an axis can show; NaN for the others (NaN, infinite, not positive on a log)."""
     values = np.asarray(values, dtype=np.float64).ravel()
     with np.errstate(invalid="ignore"):
@@ -146,7 +146,7 @@ def _log_label(exponent: float) -> str:
 
 def limits(parts: Iterable[Array], *, log: bool = False, pad: float = 0.07) -> tuple[float, float]:
     """Low and high of all drawable values, padded; a window around constant data, 0..1 if none."""
-    shown = [drawable(part, log) for part in parts]
+    shown = [mask(part, log) for part in parts]
     values = np.concatenate([part[~np.isnan(part)] for part in shown] or [np.empty(0)])
     if values.size == 0:
         return 0.0, 1.0
@@ -178,7 +178,7 @@ def plot_axes(plot: Plot, shape: tuple[float, float], counts: tuple[int, int]) -
         x_low, x_high = _widen(x_low, x_high, unit * shape[0])
         y_low, y_high = _widen(y_low, y_high, unit * shape[1])
     y_axis = (log_axis if plot.log_y else linear_axis)(y_low, y_high, counts[1])
-    shown = [drawable(s.x) for s in plot.series]
+    shown = [mask(s.x) for s in plot.series]
     whole = all(np.all(np.isnan(x) | (x == np.round(x))) for x in shown)
     return linear_axis(x_low, x_high, counts[0], whole), y_axis
 
@@ -220,7 +220,7 @@ class AxesFrame:
         """A series in pixels."""
         x = self.left + self.width * self.x.fraction(series.x)
         edges = [None if e is None else self._edge(e) for e in (series.low, series.high)]
-        titles = marks.hover(series.names, drawable(series.x), drawable(series.y))
+        titles = marks.hover_titles(series.names, mask(series.x), mask(series.y))
         return marks.Placed(x, self.down(series.y), edges[0], edges[1], titles)
 
     def down(self, values: Array) -> Array:
@@ -240,7 +240,7 @@ def render_svg(plot: Plot, width: int = WIDTH, height: int = HEIGHT) -> Markup:
     legend, legend_height = _legend(plot, width)
     frame = _frame(plot, width, height, legend_height)
     across = frame.left + frame.width * frame.x.fraction(frame.x.ticks)
-    x_label = plot.x_label if plot.bare else frame.x.titled(plot.x_label)
+    x_label = plot.x_label if plot.bare else frame.x.full_label(plot.x_label)
     return fill(
         "plot.svg.j2",
         plot=plot,
@@ -253,7 +253,7 @@ def render_svg(plot: Plot, width: int = WIDTH, height: int = HEIGHT) -> Markup:
         x_ticks=_shown(across, frame.x.labels),
         y_ticks=_shown(frame.down(frame.y.ticks), frame.y.labels),
         x_label=clip(x_label, FONT, frame.width),
-        y_label=clip(frame.y.titled(plot.y_label), FONT, frame.height + 20),
+        y_label=clip(frame.y.full_label(plot.y_label), FONT, frame.height + 20),
         drawn=_draw_series(plot, frame),
     )
 
@@ -280,7 +280,7 @@ def _frame(plot: Plot, width: int, height: int, legend_height: float) -> AxesFra
     return AxesFrame(left, top, *shape, x_axis, y_axis)
 
 
-def slots_of(plot: Plot) -> list[int]:
+def assign_slots(plot: Plot) -> list[int]:
     """Colour and marker of each series: those of its role, else the first that are free."""
     taken = {_ROLES[s.label] for s in plot.series if s.label in _ROLES}
     free = (slot for slot in count() if slot not in taken)
@@ -289,13 +289,13 @@ def slots_of(plot: Plot) -> list[int]:
 
 def _draw_series(plot: Plot, frame: AxesFrame) -> list[Group]:
     """Every series that has a point, or a piece of band, to show."""
-    slots = slots_of(plot)
+    slots = assign_slots(plot)
     crowded = any(s.mark == "points" and len(s.x) > marks.CROWDED for s in plot.series)
     drawn: list[Group] = []
     for i, series in enumerate(plot.series):
         parts = [part for part in (series.y, series.low, series.high) if part is not None]
-        x = drawable(series.x)
-        if not any(np.isfinite(x + drawable(part, plot.log_y)).any() for part in parts):
+        x = mask(series.x)
+        if not any(np.isfinite(x + mask(part, plot.log_y)).any() for part in parts):
             continue
         placed = frame.place(series)
         match series.mark:
@@ -324,7 +324,7 @@ def _legend(
     """Swatches and labels in rows above the axes, and their height; none for a single series."""
     if len(plot.series) < 2:
         return [], 0.0
-    x, y, drawn, slots = 4.0, 12.0, [], slots_of(plot)
+    x, y, drawn, slots = 4.0, 12.0, [], assign_slots(plot)
     for i, series in enumerate(plot.series):
         if series.mark == "net":
             continue

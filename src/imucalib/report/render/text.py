@@ -49,7 +49,7 @@ def render_text(document: Document, width: int, *, color: bool, full: bool = Fal
     color : ANSI colours; without them every tone still shows as a sign and a word
     full : every section, however long, without its plots
     """
-    return _Sheet(document.calm(), max(width, NARROWEST), color).compose(full)
+    return _Sheet(document.soften_tones(), max(width, NARROWEST), color).compose(full)
 
 
 class _Sheet:
