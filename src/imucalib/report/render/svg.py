@@ -34,7 +34,7 @@ SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 class Axis:
     """Limits in data units (log10 of them where `log`), tick positions and their labels.
 
-    note : what the labels leave out, "×10⁻³" or "+ 9.81"; empty for plain numbers
+    note : what the labels leave out, such as "×10⁻³"; empty for plain numbers
     """
 
     low: float
@@ -78,31 +78,11 @@ def linear_axis(low: float, high: float, count: int, whole: bool = False) -> Axi
     whole : of things that are counted: no tick between two numbers, be there one only
     """
     step = max(nice_step(high - low, count), float(whole))
-    offset = _offset(low, high, step)
-    first = math.ceil((low - offset) / step - 1e-9)
-    last = math.floor((high - offset) / step + 1e-9)
+    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
     if last <= first and not whole:
         return linear_axis(low, high, 2 * count)
     index = np.arange(first, last + 1, dtype=np.float64)
-    labels, note = _labels(index, step)
-    if offset:
-        note = f"{note} + {offset:.15g}".strip().replace("+ -", "− ")
-    return Axis(low, high, offset + index * step, labels, note)
-
-
-def _offset(low: float, high: float, step: float) -> float:
-    """What to take off long labels that differ in their last digits only; 0 for ordinary data.
-
-    The roundest number between one span below the axis and its high end.
-    """
-    largest = max(abs(low), abs(high))
-    # Below one, zeros behind the point make a label longer.
-    if largest < (1e5 if largest >= 1.0 else 1e4) * step or low <= 0 <= high:
-        return 0.0
-    start, power = low - (high - low), math.ceil(math.log10(largest))
-    while math.ceil(start / 10.0**power) * 10.0**power > high:
-        power -= 1
-    return float(f"{math.ceil(start / 10.0**power)}e{power}")
+    return Axis(low, high, index * step, *_labels(index, step))
 
 
 def _labels(index: Array, step: float) -> tuple[tuple[str, ...], str]:
