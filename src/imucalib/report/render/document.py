@@ -82,6 +82,11 @@ class Table:
         headings = tuple(heading for heading, _, _ in columns)
         return cls(title, headings, tuple(cells), align, note, tones or {})
 
+    @property
+    def sides(self) -> str:
+        """Where each column stands, "l" or "r"."""
+        return self.align or "l" + "r" * (len(self.header) - 1)
+
     @staticmethod
     def mark_rows(tone: Tone, which: Iterable[bool]) -> dict[int, Tone]:
         """One tone for rows, by whether each is marked."""

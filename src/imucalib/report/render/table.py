@@ -1,4 +1,4 @@
-"""A table laid out: squared, decimal points under each other, and as characters.
+"""A table laid out: decimal points under each other, and as characters.
 
 Numbers are never wrapped; a table that is too wide is split into parts.
 """
@@ -30,15 +30,6 @@ _SIGNS: dict[Tone, str] = {"ok": "✓", "warning": "!", "bad": "✗", "plain": "
 _RULED = Box("    \n    \n ── \n    \n    \n    \n    \n    \n")
 
 
-def square(table: Table) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...], str]:
-    """Header, rows and alignment, all of one number of columns (short rows get empty cells)."""
-    n = max([len(table.header), *(len(row) for row in table.rows)])
-    align = table.align or "l" + "r" * n
-    rows = tuple((*row, *[""] * (n - len(row))) for row in table.rows)
-    header = (*table.header, *[""] * (n - len(table.header)))
-    return header, rows, "".join("r" if side == "r" else "l" for side in align.ljust(n)[:n])
-
-
 def decimal_pads(cells: Sequence[str]) -> tuple[int, ...]:
     """Characters to add after each cell so that decimal points align; zeros for mixed content.
 
@@ -62,11 +53,9 @@ def decimal_pads(cells: Sequence[str]) -> tuple[int, ...]:
 
 def column_pads(table: Table) -> list[tuple[int, ...]]:
     """`decimal_pads` of every column, zeros for left-aligned ones; indexed [column][row]."""
-    _, rows, align = square(table)
-    columns = [[row[j] for row in rows] for j in range(len(align))]
     return [
-        decimal_pads(cells) if side == "r" else (0,) * len(cells)
-        for cells, side in zip(columns, align, strict=True)
+        decimal_pads([row[j] for row in table.rows]) if side == "r" else (0,) * len(table.rows)
+        for j, side in enumerate(table.sides)
     ]
 
 
@@ -107,16 +96,15 @@ def grids(table: Table, width: int) -> Iterator[RenderableType]:
     Columns of text shrink first and fold their words; what is still too wide follows below, with
     the first column repeated.
     """
-    header, rows, align = square(table)
     columns = [
         _Column(
             one_line(name),
-            tuple(one_line(r[j]) + " " * p for r, p in zip(rows, pads, strict=True)),
-            align[j] == "r",
+            tuple(one_line(r[j]) + " " * p for r, p in zip(table.rows, pads, strict=True)),
+            table.sides[j] == "r",
         )
-        for j, (name, pads) in enumerate(zip(header, column_pads(table), strict=True))
+        for j, (name, pads) in enumerate(zip(table.header, column_pads(table), strict=True))
     ]
-    tones = [table.tones.get(i, "plain") for i in range(len(rows))]
+    tones = [table.tones.get(i, "plain") for i in range(len(table.rows))]
     signs = any(tone != "plain" for tone in tones)
     width -= 2 * signs
     parts = [columns[:1]]
