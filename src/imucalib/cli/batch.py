@@ -85,15 +85,13 @@ def command(inputs: tuple[str, ...], jobs: int, **options: Any) -> int:
         options[name] for name in ("output", "calibrator", "resume", "quiet")
     )
     passed, files = _options_of(calibrator, click.get_current_context().meta[_PASSED_ON])
-    found, shard = recordings_of(inputs), _shard_of(options["shard"])
+    (recordings, said), shard = recordings_of(inputs), _shard_of(options["shard"])
     corrected = options["corrected"]
-    tasks = plan(
-        found.recordings, output, calibrator, passed, shard, files=files, corrected=corrected
-    )
+    tasks = plan(recordings, output, calibrator, passed, shard, files=files, corrected=corrected)
     failed: list[Entry] = []
     reused, start = 0, time.monotonic()
     with _workers(options["scheduler"], options["wait"]) as cluster:
-        for line in (*found.said, _describe_plan(tasks, cluster, jobs, output, resume)):
+        for line in (*said, _describe_plan(tasks, cluster, jobs, output, resume)):
             note(line, quiet)
         made = run_all(tasks, cluster, jobs, resume=resume, say=lambda text: note(text, quiet))
         with progress(len(tasks), "recordings", quiet) as advance:

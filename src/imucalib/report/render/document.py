@@ -202,22 +202,12 @@ class Card:
 
 
 @dataclass(frozen=True)
-class Certificate:
-    """What a calibration states of one instrument, for print: device, date, reference, conditions,
-    method, input and its changes, signatures as facts; results with their expanded uncertainty, and
-    positions as read and as corrected, as tables."""
-
-    facts: Facts
-    results: Table
-    positions: Table
-
-
-@dataclass(frozen=True)
 class Document:
     """A whole report: title, verdict with its tone, the card, sections that hold anything,
     provenance.
 
-    certificate : of a calibration, whose page also says what its words mean
+    certificate : what a calibration states of one instrument, for print alone; such a page also
+        says what its words mean
     drawn : where the figures are, for a terminal
     """
 
@@ -226,7 +216,7 @@ class Document:
     sections: tuple[Section, ...]
     footer: tuple[tuple[str, str], ...] = ()
     card: Card | None = None
-    certificate: Certificate | None = None
+    certificate: Section | None = None
     drawn: str = "report.html"
 
     def __post_init__(self) -> None:
