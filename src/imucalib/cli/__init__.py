@@ -23,6 +23,23 @@ _ORDER = (
     "fleet simulate effects validate"
 )
 _TOLD = re.compile(r"imucal (\w+): (.+)")
+#: What people call what a command does.
+_MEANT = {
+    "lab": ("bench", "tumble", "sixface", "multiposition", "table"),
+    "actigraph": ("worn", "wrist", "autocalibrate", "gravity"),
+    "imu": ("gyro", "gyroscope"),
+    "noise": ("allan", "avar", "adev", "variance"),
+    "inspect": ("info", "show", "read", "describe", "open", "view", "print", "summary"),
+    "check": ("verify", "test", "monitor"),
+    "apply": ("correct", "fix", "run", "use"),
+    "compare": ("diff",),
+    "export": ("write", "save"),
+    "design": ("plan", "positions", "recommend"),
+}
+#: What people call all of those that calibrate.
+_CALIBRATE = ("calibrate", "calibration", "cal", "calib", "fit")
+#: Words in the place of a command that are options.
+_WORDS = {"help": "--help", "version": "--version"}
 
 
 def _discover_commands() -> dict[str, tuple[str, str]]:
@@ -108,24 +125,6 @@ class LazyGroup(click.Group):
 def _is_place(word: str) -> bool:
     """Whether a word that is no command names a file, or looks like the name of one."""
     return os.path.exists(word) or bool(os.path.splitext(word)[1]) or os.sep in word
-
-
-#: What people call what a command does.
-_MEANT = {
-    "lab": ("bench", "tumble", "sixface", "multiposition", "table"),
-    "actigraph": ("worn", "wrist", "autocalibrate", "gravity"),
-    "imu": ("gyro", "gyroscope"),
-    "noise": ("allan", "avar", "adev", "variance"),
-    "inspect": ("info", "show", "read", "describe", "open", "view", "print", "summary"),
-    "check": ("verify", "test", "monitor"),
-    "apply": ("correct", "fix", "run", "use"),
-    "compare": ("diff",),
-    "export": ("write", "save"),
-    "design": ("plan", "positions", "recommend"),
-}
-_CALIBRATE = ("calibrate", "calibration", "cal", "calib", "fit")
-#: Words in the place of a command that are options.
-_WORDS = {"help": "--help", "version": "--version"}
 
 
 def calibrators() -> list[str]:

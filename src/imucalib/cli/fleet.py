@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from imucalib.cohort.fleet.outcome import Fleet
     from imucalib.report.render.document import Document
 
+#: What holds for all inputs; other options are read with tables.
+_OF_ALL = "inputs output only without devices full force as_json verbose quiet"
+
 
 @opt.command_with_page("fleet")
 @click.argument("inputs", metavar="INPUT...", nargs=-1, required=True, type=opt.PATH)
@@ -110,10 +113,6 @@ def _fleet(inputs: tuple[Path, ...], options: dict[str, Any], say: Say) -> Fleet
         command=command_line(),
     )
     return run_fleet(files, request, say)
-
-
-#: What holds for all inputs; other options are read with tables.
-_OF_ALL = "inputs output only without devices full force as_json verbose quiet"
 
 
 def _demand_usable() -> None:

@@ -27,6 +27,10 @@ from imucalib.file_hash import sha256_of
 
 #: Formats that a corrected recording keeps; others become a table.
 _KEPT = (".h5", ".hdf5", ".mcap")
+#: The worker of a thread.
+_OWN = threading.local()
+#: s between two looks at the workers.
+_LOOK = 2.0
 
 
 @dataclass(frozen=True)
@@ -146,10 +150,6 @@ def _run(task: Task, words: Sequence[str]) -> tuple[int, str]:
     return worker.run(words, Path(task.entry).parent)
 
 
-#: The worker of a thread.
-_OWN = threading.local()
-
-
 @dataclass
 class Cluster:
     """Workers elsewhere.
@@ -217,10 +217,6 @@ def run_all(
     finally:
         if cluster is None:
             pool.shutdown(wait=False, cancel_futures=True)  # else a stopped run does all the rest
-
-
-#: s between two looks at the workers.
-_LOOK = 2.0
 
 
 def _ended(future: Future[Entry], task: Task) -> Entry:

@@ -32,6 +32,17 @@ from imucalib.units import DEG, MG, STANDARD_GRAVITY
 
 #: What every form of single IMUs loses of an array.
 _KEPT = ("gyro_g_sensitivity", "sensing_elements")
+#: What programs that filter ask of an IMU's noise, and its units.
+NOISE_UNITS = {
+    "accelerometer_noise_density": "m/s2/sqrt(Hz)",
+    "accelerometer_random_walk": "m/s3/sqrt(Hz)",
+    "gyroscope_noise_density": "rad/s/sqrt(Hz)",
+    "gyroscope_random_walk": "rad/s2/sqrt(Hz)",
+}
+_MEASURE = (
+    "give a recording at rest to `imucal noise RECORDING --to kalibr -o noise.yaml` and `--noise "
+    "noise.yaml` to `imucal export`, or state the walks there: --random-walk ACC,GYRO (SI)"
+)
 
 
 @dataclass(frozen=True)
@@ -241,15 +252,6 @@ def lost_of(
     return lost, largest["m/s²"] / MG, largest["deg/s"]
 
 
-#: What programs that filter ask of an IMU's noise, and its units.
-NOISE_UNITS = {
-    "accelerometer_noise_density": "m/s2/sqrt(Hz)",
-    "accelerometer_random_walk": "m/s3/sqrt(Hz)",
-    "gyroscope_noise_density": "rad/s/sqrt(Hz)",
-    "gyroscope_random_walk": "rad/s2/sqrt(Hz)",
-}
-
-
 def file_an_imu(
     calibration: Calibration,
     program: str,
@@ -271,12 +273,6 @@ def file_an_imu(
     return Made(
         "---\n".join(files.values()), lost, loss, rate_loss, files if len(files) > 1 else {}
     )
-
-
-_MEASURE = (
-    "give a recording at rest to `imucal noise RECORDING --to kalibr -o noise.yaml` and `--noise "
-    "noise.yaml` to `imucal export`, or state the walks there: --random-walk ACC,GYRO (SI)"
-)
 
 
 def noise_of(imu: Imu, program: str, remedy: str = _MEASURE) -> tuple[dict[str, Any], list[str]]:

@@ -29,6 +29,10 @@ from imucalib.units import DEG
 
 #: Of the best shown direction, or the liveliest axis, from which another is worth a word.
 _UNEVEN = 0.3
+_FUSE = Use(
+    "Correct and fuse the recording into one IMU",
+    ("apply", "{calibration}", "{input}", "--fused", "-o", "{folder}/fused{suffix}"),
+)
 
 
 def array_document(run: ArrayRun) -> Document:
@@ -60,12 +64,6 @@ def array_document(run: ArrayRun) -> Document:
     title = f"Positions of {run.board.name} from {run.outcome.provenance.path}"
     card, plots = _card(run, observability), residual_plots(run)
     return sections.calibration_document(title, run, card, first=first, residuals=plots, rest=rest)
-
-
-_FUSE = Use(
-    "Correct and fuse the recording into one IMU",
-    ("apply", "{calibration}", "{input}", "--fused", "-o", "{folder}/fused{suffix}"),
-)
 
 
 def _card(run: ArrayRun, observability: tuple[Text, ...]) -> Card:

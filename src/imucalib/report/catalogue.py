@@ -17,6 +17,12 @@ _SHORT = {
     **{f"approach_{axis}": "previous reading" for axis in "xyz"},
     **{f"{dial}_approach": "approach" for dial in ("inclination", "tool_face")},
 }
+_PARAMETERS: tuple[Column, ...] = (
+    ("parameter", "name", ""),
+    ("typical", "typical", "g"),
+    ("plausible", "plausible", "g"),
+    ("unit", "unit", ""),
+)
 
 
 def _parameters(effect: Effect) -> tuple[Parameter, ...]:
@@ -90,14 +96,6 @@ def _needed(effect: Effect) -> str:
 
 def _needs(effect: Effect) -> str:
     return ", ".join(effect.needs) or "nothing beside the readings"
-
-
-_PARAMETERS: tuple[Column, ...] = (
-    ("parameter", "name", ""),
-    ("typical", "typical", "g"),
-    ("plausible", "plausible", "g"),
-    ("unit", "unit", ""),
-)
 
 
 def _one(effect: Effect) -> Section:

@@ -36,6 +36,7 @@ from imucalib.significant_digits import (
 from imucalib.units import DEG
 
 _RATE = "rate = K (reading - bias - what effects add), in the accelerometer's frame."
+_NAMES = tuple(f"{a}{b}" for a in "xyz" for b in "xyz")
 
 
 def imu_document(run: ImuRun) -> Document:
@@ -135,9 +136,6 @@ def _turns(run: ImuRun) -> Table:
         "deg by which gravity is off after a turn that took no part; weight in the fit, 1.5 most."
     )
     return Table("Turns held out", header, tuple(rows), "rrrrrrr", note)
-
-
-_NAMES = tuple(f"{a}{b}" for a in "xyz" for b in "xyz")
 
 
 def hand_plan_document(plan: HandPlan) -> Document:

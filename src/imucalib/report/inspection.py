@@ -51,6 +51,39 @@ _FIELD = {
     "rad/s": ((DEG, ".3f", " deg/s"), (DEG, ".2f", " deg/s"), (DEG, ".1f", " deg/s")),
 }
 _AS_RECORDED = ((1.0, ".4g", ""), (1.0, ".5g", ""), (1.0, ".4g", ""))
+#: What a table is, by what its columns give.
+_REFERENCES = {
+    "vector": "a table of positions whose inclination and tool-face are known",
+    "direction": "a table of positions whose face or direction is known",
+    "norm": "a table of readings at rest",
+    "plan": "a plan of positions, without readings",
+}
+#: Bytes in which a file of this program says that it is one.
+_OWN = 4096
+#: Where what is proposed writes.
+_OUT = ("-o", "out")
+#: Heading, what it shows, format: of the channels, the columns of a table, candidates.
+_CHANNELS: tuple[Column, ...] = (
+    ("channel", "name", ""),
+    ("unit", "unit", ""),
+    ("samples", "samples", "d"),
+    ("Hz", "rate_hz", ".4g"),
+    ("noise", lambda f: _size(max(f.noise, default=math.nan), f.unit, 0), ">"),
+    ("norm at rest", lambda f: _size(f.norm_at_rest, f.unit, 1), ">"),
+    ("largest", lambda f: _size(float(np.abs([f.low, f.high]).max()), f.unit, 2), ">"),
+)
+_COLUMNS: tuple[Column, ...] = (
+    ("column", "heading", ""),
+    ("taken as", lambda one: one.role.replace("_", "-"), ""),
+    ("unit", "unit", ""),
+    ("smallest", "smallest", ".6g"),
+    ("largest", "largest", ".6g"),
+)
+_GAPS: tuple[Column, ...] = (
+    ("at, s", "start", ".3f"),
+    ("length, s", lambda gap: gap.stop - gap.start, ".3f"),
+    ("reason", "reason", ""),
+)
 
 
 def inspection_document(
@@ -99,14 +132,6 @@ def inspection_document(
     return Document(found.path, verdict, tuple(parts), drawn="--html")
 
 
-_REFERENCES = {
-    "vector": "a table of positions whose inclination and tool-face are known",
-    "direction": "a table of positions whose face or direction is known",
-    "norm": "a table of readings at rest",
-    "plan": "a plan of positions, without readings",
-}
-
-
 def table_document(seen: TableInspection) -> Document:
     """What a table of positions holds, how it would be read, what is wrong, the next command."""
     facts = [("rows", str(seen.rows)), ("file", f"sha256 {seen.sha256[:16]}…")]
@@ -124,9 +149,6 @@ def table_document(seen: TableInspection) -> Document:
         "warning" if wrong else "plain",
     )
     return Document(seen.path, verdict, parts, drawn="--html")
-
-
-_OWN = 4096  # bytes in which a file of this program says that it is one
 
 
 def own_document(path: Path, typed: str) -> tuple[Document, OwnInspection] | None:
@@ -155,10 +177,6 @@ def own_document(path: Path, typed: str) -> tuple[Document, OwnInspection] | Non
     section = Section("Next", Text.paragraphs(steps), kept=True)
     document = Document(str(path), Text(f"{what}."), (section,), drawn="--html")
     return document, OwnInspection(str(path), kind, steps)
-
-
-#: Where what is proposed writes.
-_OUT = ("-o", "out")
 
 
 def table_commands(seen: TableSeen, typed: str) -> tuple[str, ...]:
@@ -374,30 +392,6 @@ def _file(found: Inspection) -> Facts:
         start = moment.strftime("%Y-%m-%d %H:%M:%S UTC")
     span, sha256 = f"{found.span:.3f} s", f"{found.sha256[:16]}…"
     return Facts((("format", found.format), ("starts", start), ("span", span), ("sha256", sha256)))
-
-
-#: Heading, what it shows, format: of the channels, the columns of a table, candidates.
-_CHANNELS: tuple[Column, ...] = (
-    ("channel", "name", ""),
-    ("unit", "unit", ""),
-    ("samples", "samples", "d"),
-    ("Hz", "rate_hz", ".4g"),
-    ("noise", lambda f: _size(max(f.noise, default=math.nan), f.unit, 0), ">"),
-    ("norm at rest", lambda f: _size(f.norm_at_rest, f.unit, 1), ">"),
-    ("largest", lambda f: _size(float(np.abs([f.low, f.high]).max()), f.unit, 2), ">"),
-)
-_COLUMNS: tuple[Column, ...] = (
-    ("column", "heading", ""),
-    ("taken as", lambda one: one.role.replace("_", "-"), ""),
-    ("unit", "unit", ""),
-    ("smallest", "smallest", ".6g"),
-    ("largest", "largest", ".6g"),
-)
-_GAPS: tuple[Column, ...] = (
-    ("at, s", "start", ".3f"),
-    ("length, s", lambda gap: gap.stop - gap.start, ".3f"),
-    ("reason", "reason", ""),
-)
 
 
 def _size(value: float, unit: str, kind: int) -> str:

@@ -93,6 +93,11 @@ _ANEW = (
     "Held out: a part at a time, predicted by a model that was searched for and fitted without "
     "it, or the test rows."
 )
+#: Corrects what was calibrated.
+CORRECT = Use(
+    "Correct the recording",
+    ("apply", "{calibration}", "{input}", "-o", "{folder}/corrected{suffix}"),
+)
 
 
 def calibration_document(
@@ -151,13 +156,6 @@ def card_of(
         uses=uses if usable else (),
         picture=picture,
     )
-
-
-#: Corrects what was calibrated.
-CORRECT = Use(
-    "Correct the recording",
-    ("apply", "{calibration}", "{input}", "-o", "{folder}/corrected{suffix}"),
-)
 
 
 def propose_export(calibration: Calibration, purpose: str, form: str, file: str) -> tuple[Use, ...]:

@@ -31,6 +31,12 @@ Made = TypeVar("Made")
 PATH = click.Path(path_type=Path)
 FILE = click.Path(path_type=Path, dir_okay=False)
 FOLDER = click.Path(path_type=Path, file_okay=False)
+#: Between pairs: a name follows, so that commas of a heading are its own.
+_PAIRS = re.compile(r",(?=[^,=]*=|\s*$)")
+#: Lines of 80 columns.
+PAGE = 60
+#: How an option begins whose breach is exit 1, and its help.
+_LIMIT, LIMIT_HELP = "--max-", "Limit: "
 
 
 def option(names: str, text: str, **words: Any) -> Parameter:
@@ -371,10 +377,6 @@ def row_numbers(text: str, what: str) -> tuple[int, ...]:
     return tuple(rows)
 
 
-#: Between pairs: a name follows, so that commas of a heading are its own.
-_PAIRS = re.compile(r",(?=[^,=]*=|\s*$)")
-
-
 def pairs(texts: tuple[str, ...], what: str) -> dict[str, str]:
     """ "a=b,c=d" options as a dictionary; raises click's usage error."""
     found: dict[str, str] = {}
@@ -386,8 +388,6 @@ def pairs(texts: tuple[str, ...], what: str) -> dict[str, str]:
     return found
 
 
-#: Lines of 80 columns.
-PAGE = 60
 #: Heading -> options, by parameter name, that a help longer than a page leaves to --help-all.
 _RARE = {
     "Reading a recording": f"{' '.join(name for name in READING if name != 'unit')} shortest_rest",
@@ -423,10 +423,6 @@ _HELP_ALL = click.Option(
     callback=_show_all,
     help="Show every option and exit.",
 )
-
-
-#: How an option begins whose breach is exit 1, and its help.
-_LIMIT, LIMIT_HELP = "--max-", "Limit: "
 
 
 def no_limit(command: click.Command, name: str) -> str:

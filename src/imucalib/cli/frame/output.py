@@ -20,6 +20,11 @@ if TYPE_CHECKING:
 
 #: What JSON may hold as it is but a terminal obeys: DEL, C1, line separators, direction marks.
 _CONTROLS = re.compile("[\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069]")
+Say = Callable[[str], None]
+#: Seconds until the first sign of life where there is no terminal, and between the next ones.
+_FIRST, _NEXT = 1.0, 10.0
+#: `M_TRIM_THRESHOLD` and `M_MMAP_THRESHOLD` of <malloc.h>.
+_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
 
 
 def width() -> int:
@@ -111,13 +116,6 @@ def progress(total: int, what: str, quiet: bool) -> Iterator[Callable[[bool], No
                 click.echo(f"{done} of {total} {what}{left}", err=True)
 
         yield advance
-
-
-Say = Callable[[str], None]
-#: Seconds until the first sign of life where there is no terminal, and between the next ones.
-_FIRST, _NEXT = 1.0, 10.0
-#: `M_TRIM_THRESHOLD` and `M_MMAP_THRESHOLD` of <malloc.h>.
-_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
 
 
 @contextmanager

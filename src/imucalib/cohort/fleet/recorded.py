@@ -36,6 +36,10 @@ from imucalib.units import MG
 
 #: sd of an effect that a recording has by itself, in typical sizes: its own data decide.
 _OWN = 10.0
+#: Headings of the two columns, the first that is there: `imucal collect` writes the last ones.
+_RECORDING, _DEVICE = ("recording", "path"), ("device", "serial")
+#: Status of a calibration that rests on a prior as much as on its postures.
+_WEAK = "weak"
 
 
 def device_of(name: str, recordings: Sequence[Sums], wanted: Sequence[str]) -> PooledDevice:
@@ -142,10 +146,6 @@ def _recording(
     return DeviceRecording(one.name, one.provenance, made), stored
 
 
-#: Headings of the two columns, the first that is there: `imucal collect` writes the last ones.
-_RECORDING, _DEVICE = ("recording", "path"), ("device", "serial")
-
-
 def read_devices(path: Path) -> dict[str, str]:
     """Recording -> device. Raises UnreadableInput for what is no such table."""
     try:
@@ -202,10 +202,6 @@ class Wanted:
             "without": list(self.without),
             "devices_sha256": None if self.devices is None else sha256_of(self.devices),
         }
-
-
-#: Status of a calibration that rests on a prior as much as on its postures.
-_WEAK = "weak"
 
 
 def run_recorded(paths: Sequence[Path], wanted: Wanted, say: Callable[[str], None]) -> Fleet:

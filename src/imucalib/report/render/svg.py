@@ -28,6 +28,21 @@ if TYPE_CHECKING:
 LARGEST = 1e300  # beyond it differences overflow: drawn as a gap
 SMALLEST = 1e-290  # below it steps underflow: drawn as zero
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "currentColor")
+FONT = 12.5
+DASHED = 200  # points of a line that may be dashed: a longer one is too ragged for it
+DASHES = ("", "7 3", "2 3", "8 3 2 3", "12 4", "4 2 1 2 1 2")
+WIDTH, HEIGHT = 600, 330
+LEGEND_ROW = 20.0
+SWATCH = 26.0
+#: Colours that mean the same on every page: the reading as it came, before the search, after it.
+_ROLES = {
+    **dict.fromkeys(("raw", "raw reading", "as read"), 0),
+    **dict.fromkeys(("before", "alone"), 1),
+    **dict.fromkeys(("after", "corrected", "with the fleet"), 2),
+}
+#: Colour of the series (None: that of the text), and what is drawn in it.
+Group = tuple[int | None, list[Shape]]
 
 
 @dataclass(frozen=True)
@@ -166,23 +181,6 @@ def plot_axes(plot: Plot, shape: tuple[float, float], counts: tuple[int, int]) -
 def _widen(low: float, high: float, span: float) -> tuple[float, float]:
     spare = max(0.0, span - (high - low)) / 2
     return low - spare, high + spare
-
-
-PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "currentColor")
-FONT = 12.5
-DASHED = 200  # points of a line that may be dashed: a longer one is too ragged for it
-DASHES = ("", "7 3", "2 3", "8 3 2 3", "12 4", "4 2 1 2 1 2")
-WIDTH, HEIGHT = 600, 330
-LEGEND_ROW = 20.0
-SWATCH = 26.0
-#: Colours that mean the same on every page: the reading as it came, before the search, after it.
-_ROLES = {
-    **dict.fromkeys(("raw", "raw reading", "as read"), 0),
-    **dict.fromkeys(("before", "alone"), 1),
-    **dict.fromkeys(("after", "corrected", "with the fleet"), 2),
-}
-#: Colour of the series (None: that of the text), and what is drawn in it.
-Group = tuple[int | None, list[Shape]]
 
 
 @dataclass(frozen=True)

@@ -16,16 +16,14 @@ from rich.padding import Padding
 from rich.table import Table as Grid
 from rich.text import Text as Line
 
-from imucalib.report.render.document import Table, Tone
-from imucalib.report.render.terminal import one_line
+from imucalib.report.render.document import Table
+from imucalib.report.render.terminal import SIGNS, STYLES, one_line
 
 _NUMBER = re.compile(r"[<>≤≥~±+\-−]*\s?\d[\d,   ]*(?:\.(?P<decimals>[\d   ]*))?(?P<tail>.*)")
 _ABSENT = frozenset({"", "-", "–", "—", "n/a"})
 MOST = 8  # a wider pad would cost more room than the alignment gives back
 GAP = 2
 NARROWEST = 14  # cells that a left-aligned column keeps before the table is split
-_STYLES: dict[Tone, str] = {"ok": "green", "warning": "yellow", "bad": "bold red", "plain": ""}
-_SIGNS: dict[Tone, str] = {"ok": "✓", "warning": "!", "bad": "✗", "plain": " "}
 #: A rule under the header and nothing else.
 _RULED = Box("    \n    \n ── \n    \n    \n    \n    \n    \n")
 
@@ -128,7 +126,7 @@ def grids(table: Table, width: int) -> Iterator[RenderableType]:
                 Padding(c.shown(i, size), (0, gap, 0, 0))
                 for c, size, gap in zip(part, sizes, gaps, strict=True)
             ]
-            grid.add_row(*[_SIGNS[tone]] * signs, *cells, style=_STYLES[tone])
+            grid.add_row(*[SIGNS[tone] or " "] * signs, *cells, style=STYLES[tone])
         yield grid
 
 

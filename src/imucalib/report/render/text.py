@@ -26,7 +26,7 @@ from imucalib.report.render.document import (
     capital,
 )
 from imucalib.report.render.table import grids
-from imucalib.report.render.terminal import one_line, safe
+from imucalib.report.render.terminal import SIGNS, STYLES, one_line, safe
 
 NARROWEST = 40
 MEASURE = 100  # longest line of running text
@@ -36,9 +36,15 @@ _MOST, _FEWEST = 4, 2  # lines of one thing on it
 _WHOLE = 10_000  # lines of one thing where nothing is cut
 _UNFOLDED = 100_000  # cells
 LEAST = 3  # rows of a table that stay, however little room there is
-SIGNS: dict[Tone, str] = {"ok": "✓", "warning": "!", "bad": "✗", "plain": ""}
-STYLES: dict[Tone, str] = {"ok": "green", "warning": "yellow", "bad": "red", "plain": ""}
 WORDS: dict[Tone, str] = {"ok": "PASSED", "warning": "CAUTION", "bad": "FAILED", "plain": ""}
+#: Between two sentences.
+_SENTENCE = re.compile(r"(?<=[.)]) (?=[A-Z])")
+#: A command within a text, to the first backtick that is in no quotes.
+_COMMAND = re.compile(r"""`(imucal (?:[^`'"]|'[^']*'|"[^"]*")+)`""")
+#: Stands for a blank at which no line ends, until it is printed.
+_HELD = "\ue000"
+#: An option and its value in a shell's quotes, which a line break within would change.
+_QUOTED = re.compile(r"""--[a-z-]+[ =](?:'[^']*'|"[^"]*")+""")
 
 
 def render_text(document: Document, width: int, *, color: bool, full: bool = False) -> str:
@@ -304,14 +310,6 @@ class _Sheet:
         return [Line(), Line("─" * self.measure, "dim"), self.facts(rows, "dim")]
 
 
-#: Between two sentences.
-_SENTENCE = re.compile(r"(?<=[.)]) (?=[A-Z])")
-
-
-#: A command within a text, to the first backtick that is in no quotes.
-_COMMAND = re.compile(r"""`(imucal (?:[^`'"]|'[^']*'|"[^"]*")+)`""")
-
-
 def _height(items: Sequence[Sequence[Line]]) -> int:
     return sum(map(len, items))
 
@@ -331,12 +329,6 @@ def _continue_lines(command: str, width: int) -> list[str]:
 def _has_words(section: Section) -> bool:
     """Whether anything of it is words."""
     return any(not isinstance(block, Plot) for block in section.blocks)
-
-
-#: Stands for a blank at which no line ends, until it is printed.
-_HELD = "\ue000"
-#: An option and its value in a shell's quotes, which a line break within would change.
-_QUOTED = re.compile(r"""--[a-z-]+[ =](?:'[^']*'|"[^"]*")+""")
 
 
 def _normalize_spaces(text: str) -> str:
