@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from imucalib.arrays import Array, Index
@@ -147,38 +149,25 @@ def residual_plots(run: ArrayRun) -> list[Plot]:
     binned = f"1.4826 MAD of a {_BINS}th of the samples, of all sensors."
     each = f"1.4826 MAD over the moving samples. {used}"
     order = np.arange(run.board.count, dtype=np.float64)
-
-    def against_rate(state: ArrayState, off: Array) -> tuple[Array, Array]:
-        return _bin(_speed(state) / DEG, off)
-
-    def against_force(state: ArrayState, off: Array) -> tuple[Array, Array]:
-        force = np.linalg.norm(state.sampled.force, axis=2).mean(axis=1)
-        return _bin(force[state.setup.inner], off)
-
-    def against_time(state: ArrayState, off: Array) -> tuple[Array, Array]:
-        return _bin(state.setup.t[state.setup.inner], off)
-
-    def of_each(_: ArrayState, off: Array) -> tuple[Array, Array]:
-        return order, NORMAL_MAD * np.median(np.abs(off), axis=(0, 2))
-
-    kinds = (
-        ("against the rate", against_rate, "speed of rotation (deg/s)", binned),
-        ("against force", against_force, "specific force (m/s²)", binned),
-        ("against time", against_time, "time in the log (s)", binned),
-        ("of each IMU", of_each, _ORDER, each),
+    kinds: tuple[tuple[str, Callable[[ArrayState], Array] | None, str, str], ...] = (
+        ("against the rate", lambda s: _speed(s) / DEG, "speed of rotation (deg/s)", binned),
+        ("against force", _force, "specific force (m/s²)", binned),
+        ("against time", lambda s: s.setup.t[s.setup.inner], "time in the log (s)", binned),
+        ("of each IMU", None, _ORDER, each),
     )
     plots = []
-    for against, points, x_label, caption in kinds:
+    for against, follow, x_label, caption in kinds:
         for what, unit, size, k in _SENSORS:
-            series = [_noise(final, k, size)] if points is against_rate else []
+            series = [_noise(final, k, size)] if against.endswith("the rate") else []
             for name, state in (("before", base), ("after", final)):
-                off = (state.sampled.off.acceleration, state.sampled.off.rate)[k]
-                x, y = points(state, off[state.setup.inner])
-                names = run.board.imus if points is of_each else ()
-                series.append(Series(name, x, y / size, "points", names=names))
-            title = f"{what.capitalize()} residual {against}"
-            y_label = f"{what} residual ({unit})"
-            log = points is not of_each
+                off = (state.sampled.off.acceleration, state.sampled.off.rate)[k][state.setup.inner]
+                if follow is not None:
+                    series.append(Series(name, *_bin(follow(state), off, size), "points"))
+                    continue
+                mad = NORMAL_MAD * np.median(np.abs(off), axis=(0, 2)) / size
+                series.append(Series(name, order, mad, "points", names=run.board.imus))
+            title, y_label = f"{what.capitalize()} residual {against}", f"{what} residual ({unit})"
+            log = follow is not None
             plots.append(Plot(title, x_label, y_label, tuple(series), caption, log_y=log))
     return plots
 
@@ -199,8 +188,14 @@ def _speed(state: ArrayState) -> Array:
     return np.asarray(np.linalg.norm(state.sampled.rate, axis=1)[state.setup.inner])
 
 
-def _bin(x: Array, off: Array) -> tuple[Array, Array]:
-    """Median of x (n,) and 1.4826 MAD of residuals (n, K, 3) in bins of as many."""
+def _force(state: ArrayState) -> Array:
+    """(n,) m/s², of all accelerometers."""
+    force = np.linalg.norm(state.sampled.force, axis=2).mean(axis=1)
+    return np.asarray(force[state.setup.inner])
+
+
+def _bin(x: Array, off: Array, size: float) -> tuple[Array, Array]:
+    """Median of x (n,) and 1.4826 MAD of residuals (n, K, 3) over a size, in bins of as many."""
     parts = [p for p in np.array_split(np.argsort(x), _BINS) if p.size]
     middle = np.array([np.median(x[p]) for p in parts])
-    return middle, NORMAL_MAD * np.array([np.median(np.abs(off[p])) for p in parts])
+    return middle, NORMAL_MAD * np.array([np.median(np.abs(off[p])) for p in parts]) / size
