@@ -135,7 +135,7 @@ class _Sheet:
     def shorten(self, sections: Sequence[Section], room: int) -> list[Section]:
         """The sections with as many rows of each table as fit into `room` lines together."""
         rows = [len(b.rows) for s in sections for b in s.blocks if isinstance(b, Table)]
-        counts = range(LEAST, max(rows, default=LEAST) + 1)
+        counts = range(LEAST, max([LEAST, *rows]) + 1)
 
         def cut(count: int) -> list[Section]:
             return [_cut_tables(section, count) for section in sections]
