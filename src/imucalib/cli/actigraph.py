@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -100,13 +101,7 @@ def command(recording: Path, say: Say, **options: Any) -> list[Report]:
 
 def _seconds(text: str) -> float:
     """ "7d", "12h" or "30min" in seconds; raises click's usage error."""
-    for unit, seconds in (("min", 60.0), ("d", 86400.0), ("h", 3600.0)):
-        number = text.removesuffix(unit)
-        if number != text:
-            try:
-                value = float(number) * seconds
-            except ValueError:
-                break
-            if value > 0.0:
-                return value
-    raise click.BadParameter(f"'{text}' is not a time such as 7d or 12h", param_hint="--every")
+    found = re.fullmatch(r"(\d+\.?\d*)(min|h|d)", text)
+    if found is None or not float(found[1]):
+        raise click.BadParameter(f"'{text}' is not a time such as 7d or 12h", param_hint="--every")
+    return float(found[1]) * {"min": 60.0, "h": 3600.0, "d": 86400.0}[found[2]]

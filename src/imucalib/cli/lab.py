@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -166,25 +167,20 @@ def request_of(options: dict[str, Any]) -> LabRequest:
     return as_published(request) if options["as_published"] else request
 
 
-def _face(value: str) -> dict[str, float]:
-    """The columns that stand for a face such as +x or -z."""
-    sign, axis = value.strip()[:1], value.strip()[1:]
-    if sign not in ("+", "-") or axis not in ("x", "y", "z"):
-        raise ValueError
-    return {f"u{a}": float(f"{sign}1") if a == axis else 0.0 for a in "xyz"}
-
-
 def _fixes(text: str) -> list[tuple[int, str, float]]:
-    rows, colon, cell = text.partition(":")
-    role, sign, value = cell.partition("=")
+    """(row, column, value) of each cell that is repaired; the columns that stand for a face such as
+    +x or -z are repaired together."""
+    found = re.fullmatch(r"\s*(\d+)\s*(?:-\s*(\d+)\s*)?:\s*([^=]*?)\s*=\s*(.*?)\s*", text)
     try:
-        if not colon or not sign:
+        if found is None:
             raise ValueError
-        first, _, last = rows.partition("-")
-        every = range(int(first), int(last or first) + 1)
-        if not every:
+        first, last, role, value = found.groups()
+        every, face = range(int(first), int(last or first) + 1), re.fullmatch("[+-][xyz]", value)
+        if not every or (role == "face" and not face):
             raise ValueError
-        cells = _face(value) if role.strip() == "face" else {role.strip(): float(value)}
+        cells = {role: float(value)} if role != "face" else {}
+        if role == "face":
+            cells = {f"u{a}": float(f"{value[0]}1") if a == value[1] else 0.0 for a in "xyz"}
         return [(row, name, number) for row in every for name, number in cells.items()]
     except ValueError:
         said = (

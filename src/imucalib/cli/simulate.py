@@ -220,15 +220,9 @@ def _two_of(text: str, option: str) -> tuple[float, float]:
 
 def _parse_planted(texts: Sequence[str]) -> dict[str, tuple[float, ...]]:
     """ "bias=1,2,3" by name; raises click's usage error."""
-    found = {}
-    for text in texts:
-        name, _, values = text.partition("=")
-        try:
-            found[name] = tuple(float(v) for v in values.split(","))
-        except ValueError:
-            said = f"'{text}' is not EFFECT=VALUE,..."
-            raise click.BadParameter(said, param_hint="--plant") from None
-    return found
+    each = (text.partition("=") for text in texts)
+    form, counts = "the numbers of EFFECT=VALUE,...", range(1, 1000)
+    return {name: opt.numbers_of(v, "--plant", form, counts) for name, _, v in each}
 
 
 def _demand_outputs(options: Mapping[str, Any], paths: Sequence[Path], *read: Path) -> None:
