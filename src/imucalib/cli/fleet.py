@@ -156,7 +156,6 @@ def _write(
         )
         for m in fleet.members
         for r in m.recordings
-        if r.calibration is not None
     }
     texts = {
         folder / "report.html": render_html(document),

@@ -76,12 +76,10 @@ def _verdict(fleet: Fleet) -> Text:
 
 def _uses(fleet: Fleet) -> tuple[Use, ...]:
     """What a device's own calibration, and the fleet's, are for."""
-    uses = []
-    made = (m.name for m in fleet.members if any(r.calibration for r in m.recordings))
-    if name := next(made, ""):
-        own = f"{{folder}}/{name}/calibration.yaml"
-        purpose = f"Correct a recording of {name}, and so for each device"
-        uses.append(Use(purpose, ("apply", own, "RECORDING", "-o", "corrected.mcap")))
+    name = fleet.members[0].name
+    own = f"{{folder}}/{name}/calibration.yaml"
+    purpose = f"Correct a recording of {name}, and so for each device"
+    uses = [Use(purpose, ("apply", own, "RECORDING", "-o", "corrected.mcap"))]
     if fleet.following:
         calibrator = fleet.calibrator
         wanted = "TABLE" if calibrator == "lab" else "RECORDING"

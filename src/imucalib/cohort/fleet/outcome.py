@@ -235,12 +235,12 @@ def _noise(name: str, sizes: Array, sds: Array) -> PriorNoise:
 
 @dataclass(frozen=True)
 class DeviceRecording:
-    """One recording of a device. calibration : with the fleet's effects, or None where its file
-    was not at hand; kept : why the fleet's effects are not in it, or empty"""
+    """One recording of a device. calibration : with the fleet's effects; kept : why these are not
+    in it, or empty"""
 
     name: str
     provenance: Provenance
-    calibration: Calibration | None
+    calibration: Calibration
     kept: str = ""
 
 

@@ -120,10 +120,7 @@ def _recording(
     scale = np.concatenate([np.ones(base.theta.size), [p.typical for _, p in new]])
     theta, whole = theta * scale, whole * np.outer(scale, scale)
     known = {v.name: v for v in one.values}
-    stages = {p.effect: p.stage for p in one.calibration.parameters} if one.calibration else {}
-    kinds = [
-        (known[n].effect, stages.get(known[n].effect, ""), known[n].unit) for n in base.parameters
-    ]
+    kinds = [(known[n].effect, known[n].stage, known[n].unit) for n in base.parameters]
     kinds += [(effect.name, effect.stage, p.unit) for effect, p in new]
     parameters = [*base.parameters, *(p.name for _, p in new)]
     stored = tuple(
@@ -132,8 +129,6 @@ def _recording(
             parameters, kinds, theta, np.sqrt(np.diag(whole)), strict=True
         )
     )
-    if one.calibration is None:
-        return DeviceRecording(one.name, one.provenance, None), stored
     # Its errors stay those of the recording alone, and it says so.
     facts = {"effects": able, "errors": "of the recording calibrated alone"}
     made = replace(
@@ -212,7 +207,7 @@ def run_recorded(paths: Sequence[Path], wanted: Wanted, say: Callable[[str], Non
     """
     found, failed = load_calibrations(paths)
     found = assign_devices(found, read_devices(wanted.devices) if wanted.devices else {})
-    usable = tuple(one for one in found if one.status != _WEAK)
+    usable = tuple(one for one in found if one.calibration.status != _WEAK)
     _demand_one_kind(usable, failed, weak=len(found) - len(usable))
     of = {
         name: [one for one in usable if one.device == name]
@@ -324,7 +319,7 @@ def _notes(
     found: Sequence[Calibrated], usable: Sequence[Calibrated], own: Sequence[PooledDevice]
 ) -> tuple[str, ...]:
     notes = []
-    if weak := [one.name for one in found if one.status == _WEAK]:
+    if weak := [one.name for one in found if one.calibration.status == _WEAK]:
         notes.append(
             f"Of weak coverage, so that they say nothing of their kind: {', '.join(weak)}. "
             "Calibrate them again beside the others: `imucal actigraph RECORDING --fleet "

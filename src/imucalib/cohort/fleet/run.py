@@ -64,7 +64,7 @@ def run_fleet(tables: Sequence[LabFiles], request: LabRequest, say: Callable[[st
     own = [device_of(name, run.result.final, effects) for name, run in runs]
     said = search_fleet(own, say, without=len(runs) <= _HELD_OUT)
     members, gain = _members(runs, said, effects)
-    made = [r.calibration.parameters for m in members for r in m.recordings if r.calibration]
+    made = [r.calibration.parameters for m in members for r in m.recordings]
     spreads = shared_parameters(made, tuple(said.following), np.arange(len(made)))
     by_name = {one.name: one for one in spreads}
     return Fleet(
