@@ -10,12 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imucalib.cli.frame import options as opt
-from imucalib.cli.frame.calibrating import (
-    ARGUMENTS,
-    calibrating,
-    limit_option,
-    shared_fields,
-)
+from imucalib.cli.frame.calibrating import ARGUMENTS, calibrating, limit_option, shared_fields
 from imucalib.cli.frame.output import Say
 from imucalib.question import paste
 

@@ -9,11 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imucalib.cli.frame import options as opt
-from imucalib.cli.frame.calibrating import (
-    calibrating,
-    limit_option,
-    shared_fields,
-)
+from imucalib.cli.frame.calibrating import calibrating, limit_option, shared_fields
 from imucalib.cli.frame.output import Say, freed_memory
 
 if TYPE_CHECKING:

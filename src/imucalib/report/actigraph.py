@@ -28,12 +28,7 @@ from imucalib.report.render.document import (
     Text,
     Worth,
 )
-from imucalib.significant_digits import (
-    per_cent,
-    plus_minus,
-    probability,
-    two_digits,
-)
+from imucalib.significant_digits import per_cent, plus_minus, probability, two_digits
 from imucalib.units import MG
 
 _BINS = 60

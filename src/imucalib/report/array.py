@@ -14,16 +14,7 @@ from imucalib.calibrators.array.run import ArrayRun
 from imucalib.core.eigen import eigen
 from imucalib.report import sections
 from imucalib.report.array_figures import board_picture, board_plots, residual_plots
-from imucalib.report.render.document import (
-    Card,
-    Document,
-    Facts,
-    Section,
-    Table,
-    Text,
-    Use,
-    Worth,
-)
+from imucalib.report.render.document import Card, Document, Facts, Section, Table, Text, Use, Worth
 from imucalib.significant_digits import format_with_sd, plus_minus
 from imucalib.units import DEG
 

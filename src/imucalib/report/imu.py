@@ -27,12 +27,7 @@ from imucalib.report.render.document import (
     Use,
     Worth,
 )
-from imucalib.significant_digits import (
-    format_components,
-    number,
-    plus_minus,
-    two_digits,
-)
+from imucalib.significant_digits import format_components, number, plus_minus, two_digits
 from imucalib.units import DEG
 
 _RATE = "rate = K (reading - bias - what effects add), in the accelerometer's frame."

@@ -14,14 +14,7 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.findings import Findings, FoundStep
-from imucalib.calibration.outcome import (
-    NO_NAME,
-    UNPROVED_NAME,
-    ErrorSummary,
-    Outcome,
-    Run,
-    Status,
-)
+from imucalib.calibration.outcome import NO_NAME, UNPROVED_NAME, ErrorSummary, Outcome, Run, Status
 from imucalib.calibration.power import hidden
 from imucalib.calibrators.population import Population
 from imucalib.core.fit import Fit

@@ -30,12 +30,7 @@ from imucalib.core.prior import Prior
 from imucalib.errors import ImucalError, UsageError
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.posterior.candidates import effects_to_search
-from imucalib.posterior.held_out import (
-    Difference,
-    by_folds,
-    difference,
-    folds_of,
-)
+from imucalib.posterior.held_out import Difference, by_folds, difference, folds_of
 from imucalib.units import MG
 
 #: Devices up to which each one's folds are predicted, with and without what was found.

@@ -230,23 +230,21 @@ class Document:
         return (*([(RESIDUALS, picture)] if picture else []), *own)
 
     def place_commands(self, places: Mapping[str, str]) -> Document:
-        """The same, with the commands that use what was written: first of a result that passes,
-        else after the most useful step. places : see `Use`"""
-        card, drawn = self.card, f"{places['folder']}/{self.drawn}"
-        if card is not None:
-            used = tuple(use.step(places) for use in card.uses)
-            at = 0 if self.verdict.tone == "ok" else 1
-            card = replace(card, to_do=(*card.to_do[:at], *used, *card.to_do[at:]), uses=())
-        return replace(self, card=card, drawn=drawn)
+        """The same, with the commands that use what was written. places : see `Use`"""
+        used = tuple(use.step(places) for use in self.card.uses) if self.card else ()
+        return self._add_steps(used, f"{places['folder']}/{self.drawn}")
 
     def propose_writing(self, command: str) -> Document:
-        """The same of a run that wrote nothing, with the command that writes it: placed as those
-        of `place_commands`."""
+        """The same of a run that wrote nothing, with the command that writes it."""
+        keep = (f"{KEEP}: `{command}`",) if self.card and self.card.uses else ()
+        return self._add_steps(keep, "")
+
+    def _add_steps(self, steps: tuple[str, ...], drawn: str) -> Document:
+        """With more steps: first of a result that passes, else after the most useful one."""
         card, at = self.card, 0 if self.verdict.tone == "ok" else 1
-        if card is not None and card.uses:
-            keep = f"{KEEP}: `{command}`"
-            card = replace(card, to_do=(*card.to_do[:at], keep, *card.to_do[at:]), uses=())
-        return replace(self, card=card, drawn="")
+        if card is not None:
+            card = replace(card, to_do=(*card.to_do[:at], *steps, *card.to_do[at:]), uses=())
+        return replace(self, card=card, drawn=drawn)
 
     def soften_tones(self) -> Document:
         """The same, without a tick next to a verdict that is none, and without a caution on the
