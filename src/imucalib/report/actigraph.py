@@ -62,7 +62,7 @@ _METHODS: tuple[Column, ...] = (
 
 
 def actigraph_document(run: ActigraphRun) -> Document:
-    """Everything that a reader of the calibration must know, headline first."""
+    """Everything that a reader of the calibration must know, the verdict first."""
     picture, *others = _residual_plots(run)
     first = (_of_a_kind(run), _activity(run))
     rest = (

@@ -27,7 +27,7 @@ _FUSE = Use(
 
 
 def array_document(run: ArrayRun) -> Document:
-    """Everything that a reader of the positions must know, headline first."""
+    """Everything that a reader of the positions must know, the verdict first."""
     observability = _observability(run)
     off = 1e3 * (run.total.mean - run.board.drawn)
     note = f"mm, relative to {run.board.imus[0]}, in the board's axes; sd with size and frame."

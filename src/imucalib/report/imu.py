@@ -35,7 +35,7 @@ _NAMES = tuple(f"{a}{b}" for a in "xyz" for b in "xyz")
 
 
 def imu_document(run: ImuRun) -> Document:
-    """Everything that a reader of the calibration must know, headline first."""
+    """Everything that a reader of the calibration must know, the verdict first."""
     rest = (
         Section("Gyroscope", (_facts(run),)),
         Section("Parameters", (sections.parameter_table(run.calibration, _RATE),)),

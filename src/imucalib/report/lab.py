@@ -57,7 +57,7 @@ _FOLLOWED = {
 
 
 def lab_document(run: LabRun) -> Document:
-    """Everything that a reader of the calibration must know, headline first."""
+    """Everything that a reader of the calibration must know, the verdict first."""
     result, kind = run.result, run.request.population
     picture, *others = _residual_plots(run)
     rest = (

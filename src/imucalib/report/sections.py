@@ -108,8 +108,8 @@ def calibration_document(
     rest : sections behind them
     """
     outcome = run.outcome
-    parts = [*first, loop_section(outcome), Section(RESIDUALS, tuple(residuals)), *rest]
-    parts += [candidate_section(outcome.findings)] if outcome.findings else []
+    parts = [*first, _loop_section(outcome), Section(RESIDUALS, tuple(residuals)), *rest]
+    parts += [_candidate_section(outcome.findings)] if outcome.findings else []
     parts.append(Section("Notes", Text.paragraphs(outcome.notes)))
     footer, verdict = outcome.provenance.footer, _verdict(outcome)
     return Document(title, verdict, tuple(parts), footer, card, certify(run, card))
@@ -328,7 +328,7 @@ def _why(outcome: Outcome) -> list[str]:
     return why
 
 
-def loop_section(outcome: Outcome) -> Section:
+def _loop_section(outcome: Outcome) -> Section:
     """The effects that were added, what could hide, and the error before and after; the card says
     in words what was found."""
     found = outcome.findings or Findings("not run")
@@ -409,7 +409,7 @@ def _power(found: Findings) -> list[Text]:
     return said
 
 
-def candidate_section(found: Findings) -> Section:
+def _candidate_section(found: Findings) -> Section:
     """Every candidate of the last search with its numbers, why not, and what cannot be shown."""
     # A scan has hundreds of members.
     shown = [s for s in found.scores if "@" not in s.name or s.evidence > 1.0]
