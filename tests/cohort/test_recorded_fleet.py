@@ -223,6 +223,16 @@ def test_folders_give_each_device_its_calibration_with_the_fleets_effects(tmp_pa
     assert run("validate", out / "w3" / "calibration.yaml").exception is None
 
 
+def test_the_command_that_corrects_names_a_file_that_is_there(tmp_path: Path) -> None:
+    """Also of a device with several recordings, each of which has a folder."""
+    _, table, _ = cohort(tmp_path, 4, 0.0)
+    out = tmp_path / "fleet"
+    run("fleet", tmp_path, "--devices", table, "-o", out, "-q")
+    steps = json.loads((out / "report.json").read_text())["card"]["to_do"]
+    (command,) = (step for step in steps if "`imucal apply" in step)
+    assert Path(command.split("`")[1].split()[2]).is_file()
+
+
 def test_what_cannot_be_pooled_is_told(tmp_path: Path) -> None:
     paths, table, _ = cohort(tmp_path, 6, 0.0, per=1)
     stored = read(paths[0].with_suffix(".yaml"))

@@ -151,9 +151,7 @@ def _write(
     from imucalib.report.render.html import render_html
 
     made = {
-        folder / m.name / (r.name if len(m.recordings) > 1 else "") / "calibration.yaml": to_yaml(
-            r.calibration
-        )
+        folder / m.folder_of(r) / "calibration.yaml": to_yaml(r.calibration)
         for m in fleet.members
         for r in m.recordings
     }

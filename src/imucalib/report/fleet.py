@@ -76,9 +76,9 @@ def _verdict(fleet: Fleet) -> Text:
 
 def _uses(fleet: Fleet) -> tuple[Use, ...]:
     """What a device's own calibration, and the fleet's, are for."""
-    name = fleet.members[0].name
-    own = f"{{folder}}/{name}/calibration.yaml"
-    purpose = f"Correct a recording of {name}, and so for each device"
+    first = fleet.members[0]
+    own = f"{{folder}}/{first.folder_of(first.recordings[0])}/calibration.yaml"
+    purpose = f"Correct a recording of {first.name}, and so for each device"
     uses = [Use(purpose, ("apply", own, "RECORDING", "-o", "corrected.mcap"))]
     if fleet.following:
         calibrator = fleet.calibrator

@@ -255,6 +255,10 @@ class FleetMember:
     final: float
     found_by_others: tuple[str, ...] = ()
 
+    def folder_of(self, recording: DeviceRecording) -> str:
+        """Where its calibration is written, below the fleet's folder."""
+        return f"{self.name}/{recording.name}" if len(self.recordings) > 1 else self.name
+
 
 @dataclass(frozen=True)
 class Fleet:
